@@ -1,0 +1,132 @@
+"""The manifest: all that the solving side may know of generated code. Written by mbsgen, read by mbsrun.
+
+`manifest.json` lies beside the C files. It names every kernel with the shapes and nonzero patterns of its arguments,
+and carries what a picture and an initial guess need: coordinates with their limits, frames and the edges between them.
+The user's names appear here only; in C they are mangled.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from mbsgen.errors import Fault, InputError
+
+FORMAT = 1
+FILE_NAME = "manifest.json"
+
+
+class _Entry(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+
+class Argument(_Entry):
+    """An input or output of a kernel: a matrix given by its nonzeros, column by column."""
+
+    name: str
+    rows: int
+    cols: int
+    colind: tuple[int, ...] | None = None  # compressed columns; None for a dense matrix
+    row: tuple[int, ...] | None = None
+    differentiable: bool = True
+
+    @property
+    def nnz(self) -> int:
+        """Count the nonzeros."""
+        return self.rows * self.cols if self.row is None else len(self.row)
+
+
+class Flops(_Entry):
+    """Operations of one evaluation, by kind, with the two totals that are always reported."""
+
+    paper: int  # + - * /, unary minus, sqrt, sin and cos: one each
+    arithmetic: int  # + - * /
+    add: int
+    mul: int
+    div: int
+    neg: int
+    sqrt: int
+    trig: int
+    other: int  # exp, log, tanh, ... of user force laws; outside both conventions
+
+
+class Kernel(_Entry):
+    """One C function, in its two faces."""
+
+    name: str  # "impl", "jac_impl", "adj1_impl", "jac_adj1_impl", "sensors", "frames", "setup"
+    symbol: str | None  # CasADi's name for it, e.g. "jac_arm_pendulum_impl"; None when it has no such face
+    function: str  # the typed C function
+    inputs: tuple[Argument, ...]
+    outputs: tuple[Argument, ...]
+    flops: Flops
+    equations: int
+
+
+class Coordinate(_Entry):
+    """One joint: an entry of q, qd and qdd."""
+
+    name: str
+    motion: Literal["revolute", "prismatic"]
+    actuated: bool  # the actuated joints, in order, are the entries of u
+    lower: float | None  # rad or m; None: unbounded
+    upper: float | None
+
+
+class Parameter(_Entry):
+    """A named number of the model that is an input of `setup`."""
+
+    name: str
+    value: float
+
+
+class Frame(_Entry):
+    """A frame whose pose the `frames` kernel gives: a joint frame (moving with its body) or a named sensor."""
+
+    name: str
+    parent: int  # index of the frame that an edge is drawn from; -1: the base
+    sensor: bool
+
+
+class Manifest(_Entry):
+    """A generated folder, described."""
+
+    format: int
+    generator: str
+    model: str  # the user's name
+    prefix: str  # its mangled form; every C name starts with it
+    model_hash: str  # SHA-256 of the tree and the options it was generated with
+    header: str
+    sources: tuple[str, ...]  # C files to compile, in order
+    coordinates: tuple[Coordinate, ...]
+    parameters: tuple[Parameter, ...]  # run-time parameters, in the order of p
+    frames: tuple[Frame, ...]
+    kernels: tuple[Kernel, ...]
+
+    def kernel(self, name: str) -> Kernel:
+        """Look a kernel up by name; KeyError names those there are."""
+        for kernel in self.kernels:
+            if kernel.name == name:
+                return kernel
+        raise KeyError(f"no kernel {name!r}; there are {', '.join(k.name for k in self.kernels)}")
+
+    @property
+    def actuated(self) -> tuple[int, ...]:
+        """Indices of the actuated coordinates: entry i of u acts on coordinate actuated[i]."""
+        return tuple(i for i, c in enumerate(self.coordinates) if c.actuated)
+
+
+def read(path: Path) -> Manifest:
+    """Read a manifest; InputError when it is missing, of another format, or not a manifest."""
+    try:
+        return Manifest.model_validate_json(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        fault = Fault(str(path), 0, "", "there is no such file", "generate the folder with `mbsgen MODEL -o DIR`")
+        raise InputError([fault]) from None
+    except ValidationError as error:
+        faults = [
+            Fault(str(path), 0, ".".join(map(str, e["loc"])), e["msg"], "generate the folder again with this mbsgen")
+            for e in error.errors()
+        ]
+        raise InputError(faults) from None

@@ -1,0 +1,91 @@
+"""The Tree: bodies in order, one elementary joint each; what every formulation reads.
+
+Body i (from 1) has parent `parent < i`; 0 is the base. Its frame has its origin at its joint and turns with it; at
+q = 0 its axes stand to the parent's as `orientation` tells. The joint axis is a coordinate axis of that frame.
+Numbers are SymPy expressions in parameter symbols; a number 0 is structural.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from sympy import Expr, Symbol
+
+Vector = tuple[Expr, Expr, Expr]
+Matrix = tuple[Vector, Vector, Vector]  # rows
+
+
+class Motion(Enum):
+    """What an elementary joint does along its axis."""
+
+    REVOLUTE = "revolute"
+    PRISMATIC = "prismatic"
+
+
+class Kind(Enum):
+    """How a parameter enters generated code."""
+
+    CONSTANT = "constant"  # folded
+    RUNTIME = "runtime"  # an input of `setup`
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A named number."""
+
+    name: str
+    symbol: Symbol
+    value: float
+    kind: Kind
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One degree of freedom: rotation (rad) or translation (m) about or along an axis of the body's frame."""
+
+    name: str
+    motion: Motion
+    axis: int  # 0, 1, 2: x, y, z of the body's own frame
+    actuated: bool
+    lower: float | None  # None: unbounded
+    upper: float | None
+
+
+@dataclass(frozen=True)
+class Body:
+    """A rigid body and the joint that carries it."""
+
+    name: str
+    parent: int  # 0: the base; else the number, from 1, of an earlier body
+    joint: Joint
+    position: Vector  # dpt: the joint's point on the parent, in the parent's frame [m]
+    orientation: Matrix  # columns: the body's axes at q = 0, in the parent's frame
+    mass: Expr  # [kg]
+    com: Vector  # l: centre of mass, in the body's frame [m]
+    inertia: Matrix  # In: about the centre of mass, in the body's frame [kg m2]
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A named frame on a body."""
+
+    name: str
+    body: int  # 0: the base
+    position: Vector  # in the body's frame [m]
+    orientation: Matrix  # columns: the sensor's axes in the body's frame
+
+
+@dataclass(frozen=True)
+class Tree:
+    """A mechanism, ready for the recursions."""
+
+    name: str
+    gravity: Vector  # in the base frame [m/s2]
+    parameters: tuple[Parameter, ...]
+    bodies: tuple[Body, ...]  # bodies[i - 1] is body i
+    sensors: tuple[Sensor, ...]
+
+    def children(self, i: int) -> tuple[int, ...]:
+        """Number the bodies whose parent is body i."""
+        return tuple(j for j, body in enumerate(self.bodies, 1) if body.parent == i)

@@ -1,0 +1,153 @@
+"""The Tape: a straight-line program with typed inputs and outputs; an immutable value.
+
+Values are numbered: first the nonzeros of the inputs in order, then the literals, then one per operation; an operation
+uses earlier values only. `view.equations` groups operations into the `name = rhs` that a reader sees.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from types import MappingProxyType
+
+from mpmath import MPContext, mpf
+
+from mbsgen.errors import TapeError
+
+LITERALS = MPContext()  # literals are kept to 60 digits and rounded once, in the target
+LITERALS.dps = 60
+
+
+class Op(Enum):
+    """Operations, with the number of their operands."""
+
+    ADD = ("+", 2)
+    SUB = ("-", 2)
+    MUL = ("*", 2)
+    DIV = ("/", 2)
+    NEG = ("neg", 1)
+    SQRT = ("sqrt", 1)
+    SIN = ("sin", 1)
+    COS = ("cos", 1)
+
+    @property
+    def arity(self) -> int:
+        """Count the operands."""
+        return self.value[1]
+
+    __hash__ = object.__hash__  # members are singletons; Enum's own hash is slower
+
+
+@dataclass(frozen=True)
+class Sparsity:
+    """The nonzero pattern of a matrix in compressed columns, CasADi's order: rows strictly increase in a column."""
+
+    rows: int
+    cols: int
+    colind: tuple[int, ...]
+    row: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.colind) != self.cols + 1 or self.colind[0] != 0 or self.colind[-1] != len(self.row):
+            raise TapeError(f"column pointers {self.colind} do not fit {self.cols} columns and {len(self.row)} nonzeros")
+        for start, stop in zip(self.colind, self.colind[1:], strict=False):
+            column = self.row[start:stop]
+            if any(not 0 <= r < self.rows for r in column) or any(a >= b for a, b in zip(column, column[1:], strict=False)):
+                raise TapeError(f"rows {column} of a column must lie in 0..{self.rows - 1} and strictly increase")
+
+    @staticmethod
+    def dense(rows: int, cols: int = 1) -> Sparsity:
+        """Make the full pattern of a rows x cols matrix."""
+        return Sparsity(rows, cols, tuple(range(0, rows * cols + 1, rows)) if rows else (0,) * (cols + 1), tuple(range(rows)) * cols)
+
+    @staticmethod
+    def of(rows: int, cols: int, entries: Iterable[tuple[int, int]]) -> Sparsity:
+        """Make the pattern that holds the given (row, column) entries."""
+        ordered = sorted({(c, r) for r, c in entries})
+        colind = [0] * (cols + 1)
+        for c, _ in ordered:
+            colind[c + 1] += 1
+        for c in range(cols):
+            colind[c + 1] += colind[c]
+        return Sparsity(rows, cols, tuple(colind), tuple(r for _, r in ordered))
+
+    @property
+    def nnz(self) -> int:
+        """Count the nonzeros."""
+        return len(self.row)
+
+    @property
+    def is_dense(self) -> bool:
+        """Tell whether every entry is a nonzero."""
+        return self.nnz == self.rows * self.cols
+
+    @property
+    def entries(self) -> tuple[tuple[int, int], ...]:
+        """List the (row, column) of each nonzero, in storage order."""
+        return tuple((self.row[k], c) for c in range(self.cols) for k in range(self.colind[c], self.colind[c + 1]))
+
+
+@dataclass(frozen=True)
+class Input:
+    """A typed input; its nonzeros are values of the tape."""
+
+    name: str
+    sparsity: Sparsity
+
+
+@dataclass(frozen=True)
+class Output:
+    """A typed output: the value of each nonzero, in storage order."""
+
+    name: str
+    sparsity: Sparsity
+    values: tuple[int, ...]
+
+
+Operation = tuple[Op, int, int]  # (op, first operand, second operand or -1)
+
+
+@dataclass(frozen=True)
+class Tape:
+    """A straight-line program. Its invariants are checked when it is built."""
+
+    name: str
+    inputs: tuple[Input, ...]
+    literals: tuple[mpf, ...]
+    operations: tuple[Operation, ...]
+    outputs: tuple[Output, ...]
+    labels: Mapping[int, str] = field(default_factory=lambda: MappingProxyType({}))  # a field's name for a value
+
+    def __post_init__(self) -> None:
+        first = self.first_operation
+        for value, (op, a, b) in enumerate(self.operations, first):
+            operands = (a, b)[: op.arity]
+            if any(not 0 <= x < value for x in operands) or (op.arity == 1 and b != -1):
+                raise TapeError(f"{self.name}: value {value} = {op.name}{operands} uses a value that does not precede it")
+        for output in self.outputs:
+            if len(output.values) != output.sparsity.nnz:
+                raise TapeError(f"{self.name}: {output.name} has {output.sparsity.nnz} nonzeros, {len(output.values)} values")
+            if any(not 0 <= x < first + len(self.operations) for x in output.values):
+                raise TapeError(f"{self.name}: {output.name} refers to a value that does not exist")
+        names = [x.name for x in (*self.inputs, *self.outputs)]
+        if len(set(names)) != len(names):
+            raise TapeError(f"{self.name}: names of inputs and outputs repeat: {names}")
+
+    @property
+    def first_literal(self) -> int:
+        """Number the first literal: the count of input nonzeros."""
+        return sum(i.sparsity.nnz for i in self.inputs)
+
+    @property
+    def first_operation(self) -> int:
+        """Number the first value that an operation computes."""
+        return self.first_literal + len(self.literals)
+
+    def input(self, name: str) -> Input:
+        """Look an input up by name."""
+        return next(i for i in self.inputs if i.name == name)
+
+    def output(self, name: str) -> Output:
+        """Look an output up by name."""
+        return next(o for o in self.outputs if o.name == name)

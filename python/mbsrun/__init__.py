@@ -1,0 +1,1 @@
+"""mbsrun: compile, load and call generated kernels; solve optimal control problems with them."""
