@@ -56,8 +56,8 @@ class Kernel(_Entry):
     """One C function, in its two faces."""
 
     name: str  # "impl", "jac_impl", "adj1_impl", "jac_adj1_impl", "sensors", "frames", "setup"
-    symbol: str | None  # CasADi's name for it, e.g. "jac_arm_pendulum_impl"; None when it has no such face
-    function: str  # the typed C function
+    symbol: str  # the function in CasADi's contract, e.g. "jac_arm_pendulum_impl"
+    function: str  # the typed C function, e.g. "arm_pendulum_compute_jac_impl"
     inputs: tuple[Argument, ...]
     outputs: tuple[Argument, ...]
     flops: Flops
