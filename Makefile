@@ -1,0 +1,43 @@
+# `make demo` and `make test` work on a fresh clone: they need Python 3.11 or later, a C compiler, and the network once.
+
+PYTHON ?= python3
+VENV ?= .venv
+BIN = $(VENV)/bin
+PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
+
+.PHONY: demo test lint golden clean
+
+demo: $(VENV)/installed
+	$(BIN)/mbsgen models/arm_pendulum.yaml -o build/arm_pendulum
+	$(BIN)/mbsrun solve models/arm_reach.ocp.yaml -o build/arm_reach
+	@echo "The generated C is in build/arm_pendulum, the solution with its pictures in build/arm_reach:"
+	@ls build/arm_pendulum build/arm_reach
+
+test: lint
+	$(BIN)/pytest -n 2
+
+lint: $(VENV)/installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+golden: $(VENV)/installed-dev
+	$(BIN)/python -m tests.golden
+
+# The environment stays; remove $(VENV) by hand to start from nothing.
+clean:
+	rm -rf build dist .mypy_cache .ruff_cache .hypothesis
+	find generator python tests -name __pycache__ -prune -exec rm -rf {} +
+
+$(VENV)/installed: pyproject.toml | $(VENV)/bin/python
+	$(PIP) --editable .
+	@touch $@
+
+$(VENV)/installed-dev: pyproject.toml | $(VENV)/bin/python
+	$(PIP) --editable '.[dev]'
+	@touch $@ $(VENV)/installed
+
+$(VENV)/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	{ echo "$(PYTHON) is older than Python 3.11; name a newer one: make PYTHON=python3.12 ..." >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); exit 1; }

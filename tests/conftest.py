@@ -1,0 +1,45 @@
+"""What the tests of both packages share: tools that are not Python's, and what happens when one is missing."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Generator
+from typing import TypeVar
+
+import pytest
+
+Report = TypeVar("Report", pytest.TestReport, pytest.CollectReport)
+
+
+@pytest.fixture(scope="session")
+def requires() -> Callable[[str], str]:
+    """Find the path of a tool by its name, or skip the test that asks for one that is missing."""
+
+    def find(tool: str) -> str:
+        path = shutil.which(tool)
+        if path is None:
+            pytest.skip(f"{tool} is not on the PATH")
+        return path
+
+    return find
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Judge the report of a test."""
+    return _judge((yield))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    """Judge the report of a module, which may skip as a whole."""
+    return _judge((yield))
+
+
+def _judge(report: Report) -> Report:
+    """Let a skip be a skip for a developer, who sees it listed, and a failure where the variable CI is set."""
+    if os.environ.get("CI") and report.skipped and not hasattr(report, "wasxfail"):
+        report.outcome = "failed"
+        report.longrepr = f"{report.longrepr}\nCI skips nothing: install in .ci/run what is missing"
+    return report
