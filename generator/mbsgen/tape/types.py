@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from itertools import pairwise
 from types import MappingProxyType
 
 from mpmath import MPContext, mpf
@@ -50,16 +51,23 @@ class Sparsity:
 
     def __post_init__(self) -> None:
         if len(self.colind) != self.cols + 1 or self.colind[0] != 0 or self.colind[-1] != len(self.row):
-            raise TapeError(f"column pointers {self.colind} do not fit {self.cols} columns and {len(self.row)} nonzeros")
-        for start, stop in zip(self.colind, self.colind[1:], strict=False):
+            raise TapeError(
+                f"column pointers {self.colind} do not fit {self.cols} columns and {len(self.row)} nonzeros"
+            )
+        for start, stop in pairwise(self.colind):
             column = self.row[start:stop]
-            if any(not 0 <= r < self.rows for r in column) or any(a >= b for a, b in zip(column, column[1:], strict=False)):
+            if any(not 0 <= r < self.rows for r in column) or any(a >= b for a, b in pairwise(column)):
                 raise TapeError(f"rows {column} of a column must lie in 0..{self.rows - 1} and strictly increase")
 
     @staticmethod
     def dense(rows: int, cols: int = 1) -> Sparsity:
         """Make the full pattern of a rows x cols matrix."""
-        return Sparsity(rows, cols, tuple(range(0, rows * cols + 1, rows)) if rows else (0,) * (cols + 1), tuple(range(rows)) * cols)
+        return Sparsity(
+            rows,
+            cols,
+            tuple(range(0, rows * cols + 1, rows)) if rows else (0,) * (cols + 1),
+            tuple(range(rows)) * cols,
+        )
 
     @staticmethod
     def of(rows: int, cols: int, entries: Iterable[tuple[int, int]]) -> Sparsity:
@@ -124,15 +132,19 @@ class Tape:
         for value, (op, a, b) in enumerate(self.operations, first):
             operands = (a, b)[: op.arity]
             if any(not 0 <= x < value for x in operands) or (op.arity == 1 and b != -1):
-                raise TapeError(f"{self.name}: value {value} = {op.name}{operands} uses a value that does not precede it")
+                raise TapeError(
+                    f"{self.name}: value {value} = {op.name}{operands} uses a value that does not precede it"
+                )
         for output in self.outputs:
             if len(output.values) != output.sparsity.nnz:
-                raise TapeError(f"{self.name}: {output.name} has {output.sparsity.nnz} nonzeros, {len(output.values)} values")
+                raise TapeError(
+                    f"{self.name}: {output.name} has {output.sparsity.nnz} nonzeros, {len(output.values)} values"
+                )
             if any(not 0 <= x < first + len(self.operations) for x in output.values):
                 raise TapeError(f"{self.name}: {output.name} refers to a value that does not exist")
-        names = [x.name for x in (*self.inputs, *self.outputs)]
-        if len(set(names)) != len(names):
-            raise TapeError(f"{self.name}: names of inputs and outputs repeat: {names}")
+        for names in ([i.name for i in self.inputs], [o.name for o in self.outputs]):
+            if len(set(names)) != len(names):
+                raise TapeError(f"{self.name}: names repeat: {names}")
 
     @property
     def first_literal(self) -> int:

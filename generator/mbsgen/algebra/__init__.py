@@ -1,0 +1,1 @@
+"""Vectors and rotations in three dimensions, over whatever numbers they are given."""

@@ -1,0 +1,130 @@
+"""Vectors and matrices of three dimensions over any ring: tape scalars, SymPy expressions, floats.
+
+The operations are written out, so that the numbers decide what a zero or a one saves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Generic, Protocol, Self, TypeVar
+
+
+class Ring(Protocol):
+    """Numbers that add, subtract, multiply and change sign."""
+
+    def __add__(self, other: Self, /) -> Self: ...
+    def __sub__(self, other: Self, /) -> Self: ...
+    def __mul__(self, other: Self, /) -> Self: ...
+    def __neg__(self) -> Self: ...
+
+
+T = TypeVar("T", bound=Ring)
+U = TypeVar("U", bound=Ring)
+
+
+@dataclass(frozen=True, slots=True)
+class Vector(Generic[T]):
+    """Three components in one frame."""
+
+    x: T
+    y: T
+    z: T
+
+    @staticmethod
+    def of(components: Iterable[U]) -> Vector[U]:
+        """Make a vector of three numbers."""
+        x, y, z = components
+        return Vector(x, y, z)
+
+    def __iter__(self) -> Iterator[T]:
+        return iter((self.x, self.y, self.z))
+
+    def __getitem__(self, k: int) -> T:
+        return (self.x, self.y, self.z)[k]
+
+    def __add__(self, other: Vector[T]) -> Vector[T]:
+        return Vector(self.x + other.x, self.y + other.y, self.z + other.z)
+
+    def __sub__(self, other: Vector[T]) -> Vector[T]:
+        return Vector(self.x - other.x, self.y - other.y, self.z - other.z)
+
+    def __neg__(self) -> Vector[T]:
+        return Vector(-self.x, -self.y, -self.z)
+
+    def scale(self, factor: T) -> Vector[T]:
+        """Multiply by a number."""
+        return Vector(self.x * factor, self.y * factor, self.z * factor)
+
+    def dot(self, other: Vector[T]) -> T:
+        """Form the scalar product."""
+        return self.x * other.x + self.y * other.y + self.z * other.z
+
+    def cross(self, other: Vector[T]) -> Vector[T]:
+        """Form the vector product."""
+        return Vector(
+            self.y * other.z - self.z * other.y,
+            self.z * other.x - self.x * other.z,
+            self.x * other.y - self.y * other.x,
+        )
+
+    def along(self, axis: int, amount: T) -> Vector[T]:
+        """Add `amount` to one component: v + amount e_axis."""
+        return Vector.of(c + amount if k == axis else c for k, c in enumerate(self))
+
+    def map(self, function: Callable[[T], U]) -> Vector[U]:
+        """Apply a function to each component."""
+        return Vector(function(self.x), function(self.y), function(self.z))
+
+
+@dataclass(frozen=True, slots=True)
+class Matrix(Generic[T]):
+    """A 3 x 3 matrix, by rows."""
+
+    rows: tuple[Vector[T], Vector[T], Vector[T]]
+
+    @staticmethod
+    def of(rows: Iterable[Iterable[U]]) -> Matrix[U]:
+        """Make a matrix of three rows of three numbers."""
+        a, b, c = (Vector.of(row) for row in rows)
+        return Matrix((a, b, c))
+
+    def __getitem__(self, index: tuple[int, int]) -> T:
+        return self.rows[index[0]][index[1]]
+
+    @property
+    def transposed(self) -> Matrix[T]:
+        """The transpose."""
+        return Matrix.of(zip(*self.rows, strict=True))
+
+    def __add__(self, other: Matrix[T]) -> Matrix[T]:
+        return Matrix.of(a + b for a, b in zip(self.rows, other.rows, strict=True))
+
+    def __sub__(self, other: Matrix[T]) -> Matrix[T]:
+        return Matrix.of(a - b for a, b in zip(self.rows, other.rows, strict=True))
+
+    def scale(self, factor: T) -> Matrix[T]:
+        """Multiply by a number."""
+        return Matrix.of(row.scale(factor) for row in self.rows)
+
+    def apply(self, v: Vector[T]) -> Vector[T]:
+        """Multiply by a vector."""
+        return Vector.of(row.dot(v) for row in self.rows)
+
+    def times(self, other: Matrix[T]) -> Matrix[T]:
+        """Multiply by a matrix."""
+        columns = other.transposed.rows
+        return Matrix.of([row.dot(c) for c in columns] for row in self.rows)
+
+    def column(self, k: int) -> Vector[T]:
+        """Take a column."""
+        return Vector.of(row[k] for row in self.rows)
+
+    def map(self, function: Callable[[T], U]) -> Matrix[U]:
+        """Apply a function to each entry."""
+        return Matrix.of(row.map(function) for row in self.rows)
+
+
+def outer(a: Vector[T], b: Vector[T]) -> Matrix[T]:
+    """Form a bT."""
+    return Matrix.of(b.scale(component) for component in a)

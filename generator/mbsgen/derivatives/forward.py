@@ -1,0 +1,83 @@
+"""Forward differentiation: Tape of f -> Tape of its Jacobian, equation by equation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from mbsgen.derivatives.partials import partials
+from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.replay import declare_inputs, replay
+from mbsgen.tape.types import Input, Tape
+
+Gradient = dict[int, Scalar]  # nonzero derivatives of one value, by column: the place among all input nonzeros
+
+
+def jacobian(tape: Tape, wrt: Sequence[str], name: str) -> Tape:
+    """Differentiate every output of `tape` by the dense columns `wrt`, forward.
+
+    Outputs: `jac_<out>_<in>`, shape (numel(out), numel(in)), structural nonzeros only, in compressed-column order.
+    """
+    builder = Builder()
+    values = replay(tape, builder, declare_inputs(tape, builder))
+    gradients = propagate(tape, builder, values, wrt)
+    for output in tape.outputs:
+        for source in (tape.input(i) for i in wrt):
+            write_block(builder, tape, output.name, source, gradients, lambda row, col, own: own)
+    return builder.build(name)
+
+
+def propagate(tape: Tape, builder: Builder, values: Sequence[Scalar], wrt: Sequence[str]) -> list[Gradient]:
+    """Compute the nonzero derivatives of every value of a replayed tape by the nonzeros of the inputs `wrt`."""
+    one = builder.number(1.0)
+    gradients: list[Gradient] = []
+    for i in tape.inputs:
+        first = len(gradients)
+        gradients.extend({first + k: one} if i.name in wrt else {} for k in range(i.sparsity.nnz))
+    gradients.extend({} for _ in tape.literals)
+    for value, (op, a, b) in enumerate(tape.operations, tape.first_operation):
+        operands = (a, b)[: op.arity]
+        if not any(gradients[x] for x in operands):
+            gradients.append({})
+            continue
+        slopes = partials(builder, op, values[a], values[b] if b >= 0 else None, values[value])
+        gradients.append(_combine([(s, gradients[x]) for s, x in zip(slopes, operands, strict=True)]))
+    return gradients
+
+
+def _combine(terms: Sequence[tuple[Scalar, Gradient]]) -> Gradient:
+    total: Gradient = {}
+    for slope, gradient in terms:
+        for column, derivative in gradient.items():
+            product = slope * derivative
+            total[column] = total[column] + product if column in total else product
+    return {column: derivative for column, derivative in total.items() if not derivative.is_zero}
+
+
+def write_block(
+    builder: Builder,
+    tape: Tape,
+    output: str,
+    source: Input,
+    gradients: Sequence[Gradient],
+    choose: Callable[[int, int, Scalar], Scalar],
+) -> None:
+    """Declare `jac_<output>_<source>`; `choose` may put another value in an entry's place."""
+    given = tape.output(output)
+    first = _first_column(tape, source.name)
+    entries = {}
+    for (r, c), value in zip(given.sparsity.entries, given.values, strict=True):
+        row = r + c * given.sparsity.rows
+        for column, derivative in gradients[value].items():
+            if first <= column < first + source.sparsity.nnz:
+                entries[row, column - first] = choose(row, column - first, derivative)
+    numel = given.sparsity.rows * given.sparsity.cols
+    builder.output_nonzeros(f"jac_{output}_{source.name}", numel, source.sparsity.nnz, entries)
+
+
+def _first_column(tape: Tape, name: str) -> int:
+    first = 0
+    for i in tape.inputs:
+        if i.name == name:
+            return first
+        first += i.sparsity.nnz
+    raise KeyError(name)

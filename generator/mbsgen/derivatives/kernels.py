@@ -1,0 +1,92 @@
+"""The derivative tapes that go with a kernel: `jac_`, `adj1_` and `jac_adj1_`, as few flops as the ways here yield."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mbsgen.derivatives import forward, reverse
+from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.counts import count
+from mbsgen.tape.replay import declare_inputs, replay
+from mbsgen.tape.types import Tape
+
+
+@dataclass(frozen=True)
+class Derivatives:
+    """The derivatives of one tape f by chosen inputs."""
+
+    jac: Tape  # jac_f: blocks jac_<out>_<in>
+    adj1: Tape  # adj1_f: adj_<in> = sum over outputs of (d out / d in)T adj_<out>
+    jac_adj1: Tape  # jac_adj1_f: blocks jac_adj_<in>_<in> and jac_adj_<in>_adj_<out>
+
+
+def differentiate(tape: Tape, wrt: Sequence[str]) -> Derivatives:
+    """Write the first and second derivatives of `tape` by the inputs `wrt`."""
+    adj1 = reverse.adjoint(tape, wrt, f"adj1_{tape.name}")
+    return Derivatives(jacobian(tape, wrt), adj1, _adjoint_jacobian(tape, adj1, wrt))
+
+
+def jacobian(tape: Tape, wrt: Sequence[str]) -> Tape:
+    """Write `jac_<name>`, by the direction that takes fewer flops."""
+    name = f"jac_{tape.name}"
+    return min(
+        (forward.jacobian(tape, wrt, name), reverse.jacobian(tape, wrt, name)),
+        key=lambda candidate: count(candidate).paper,
+    )
+
+
+def _adjoint_jacobian(tape: Tape, adj1: Tape, wrt: Sequence[str]) -> Tape:
+    """Differentiate the adjoint forward; its second derivatives are symmetric: one triangle is computed."""
+    builder = Builder()
+    values = replay(adj1, builder, declare_inputs(adj1, builder))
+    seeds = [f"adj_{output.name}" for output in tape.outputs]
+    gradients = forward.propagate(adj1, builder, values, (*wrt, *seeds))
+    order = {name: k for k, name in enumerate(wrt)}
+    hessian = _Hessian(adj1, builder, wrt, gradients)
+    for row in wrt:
+        for col in wrt:
+            hessian.write(row, col, upper=order[row] < order[col])
+        for seed in seeds:
+            forward.write_block(builder, adj1, f"adj_{row}", adj1.input(seed), gradients, lambda r, c, own: own)
+    return builder.build(f"jac_adj1_{tape.name}")
+
+
+class _Hessian:
+    """Blocks of the symmetric second derivative, each entry taken from the lower triangle."""
+
+    def __init__(self, adj1: Tape, builder: Builder, wrt: Sequence[str], gradients: Sequence[forward.Gradient]) -> None:
+        self._builder = builder
+        self._sizes = {name: adj1.input(name).sparsity.nnz for name in wrt}
+        first, offsets = 0, {}
+        for i in adj1.inputs:
+            offsets[i.name] = first
+            first += i.sparsity.nnz
+        self._rows = {
+            name: [
+                {
+                    (other, column - offsets[other]): derivative
+                    for other in wrt
+                    for column, derivative in gradients[value].items()
+                    if offsets[other] <= column < offsets[other] + self._sizes[other]
+                }
+                for value in adj1.output(f"adj_{name}").values
+            ]
+            for name in wrt
+        }
+
+    def write(self, row: str, col: str, *, upper: bool) -> None:
+        """Declare the block jac_adj_<row>_<col>."""
+        entries = {}
+        for r in range(self._sizes[row]):
+            for c in range(self._sizes[col]):
+                mirrored = upper or (row == col and c > r)
+                found = self._entry(col, c, row, r) if mirrored else self._entry(row, r, col, c)
+                if found is not None:
+                    entries[r, c] = found
+        self._builder.output_nonzeros(f"jac_adj_{row}_{col}", self._sizes[row], self._sizes[col], entries)
+
+    def _entry(self, row: str, r: int, col: str, c: int) -> Scalar | None:
+        """Take an entry of the lower triangle, unless its mirror image shows that it is zero."""
+        own, mirror = self._rows[row][r].get((col, c)), self._rows[col][c].get((row, r))
+        return own if mirror is not None else None

@@ -1,0 +1,31 @@
+"""Partial derivatives of single operations: what forward and reverse differentiation are made of."""
+
+from __future__ import annotations
+
+from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.types import Op
+
+
+def partials(builder: Builder, op: Op, a: Scalar, b: Scalar | None, result: Scalar) -> tuple[Scalar, ...]:
+    """Differentiate `result` = op(a, b) by each operand; `result` itself is used where that is cheaper."""
+    one = builder.number(1.0)
+    match op:
+        case Op.NEG:
+            return (-one,)
+        case Op.SIN:
+            return (builder.cos(a),)
+        case Op.COS:
+            return (-builder.sin(a),)
+        case Op.SQRT:
+            return (builder.number(0.5) / result,)
+    assert b is not None, f"{op.name} has two operands"
+    match op:
+        case Op.ADD:
+            return one, one
+        case Op.SUB:
+            return one, -one
+        case Op.MUL:
+            return b, a
+        case _:
+            inverse = one / b
+            return inverse, -(result * inverse)

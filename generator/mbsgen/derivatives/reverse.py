@@ -1,0 +1,70 @@
+"""Reverse differentiation: Tape of f -> Tape of its adjoint JT lambda, or of its Jacobian, row by row."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from mbsgen.derivatives.partials import partials
+from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.replay import declare_inputs, replay
+from mbsgen.tape.types import Tape
+
+
+def adjoint(tape: Tape, wrt: Sequence[str], name: str) -> Tape:
+    """Write the adjoint: inputs of `tape`, then `adj_<out>`; outputs `adj_<in>`, dense, for the inputs `wrt`."""
+    builder = Builder()
+    values = replay(tape, builder, declare_inputs(tape, builder))
+    seeds: dict[int, Scalar] = {}
+    for output in tape.outputs:
+        for value, seed in zip(output.values, builder.input(f"adj_{output.name}", output.sparsity), strict=True):
+            seeds[value] = seeds[value] + seed if value in seeds else seed
+    adjoints = sweep(tape, builder, values, seeds)
+    first = 0
+    for i in tape.inputs:
+        if i.name in wrt:
+            found = [adjoints.get(first + k, builder.zero) for k in range(i.sparsity.nnz)]
+            builder.output(f"adj_{i.name}", i.sparsity, found)
+        first += i.sparsity.nnz
+    return builder.build(name)
+
+
+def jacobian(tape: Tape, wrt: Sequence[str], name: str) -> Tape:
+    """Differentiate as `forward.jacobian` does, to the same outputs, by one reverse sweep for each output nonzero."""
+    builder = Builder()
+    values = replay(tape, builder, declare_inputs(tape, builder))
+    one = builder.number(1.0)
+    for output in tape.outputs:
+        rows = {
+            r + c * output.sparsity.rows: sweep(tape, builder, values, {value: one})
+            for (r, c), value in zip(output.sparsity.entries, output.values, strict=True)
+        }
+        first = 0
+        for i in tape.inputs:
+            if i.name in wrt:
+                entries = {
+                    (row, k): adjoints[first + k]
+                    for row, adjoints in rows.items()
+                    for k in range(i.sparsity.nnz)
+                    if first + k in adjoints
+                }
+                numel = output.sparsity.rows * output.sparsity.cols
+                builder.output_nonzeros(f"jac_{output.name}_{i.name}", numel, i.sparsity.nnz, entries)
+            first += i.sparsity.nnz
+    return builder.build(name)
+
+
+def sweep(tape: Tape, builder: Builder, values: Sequence[Scalar], seeds: Mapping[int, Scalar]) -> dict[int, Scalar]:
+    """Carry adjoints of values back to the inputs of a replayed tape; inputs that nothing reaches are left out."""
+    adjoints = dict(seeds)
+    start = max((v for v in seeds), default=-1)
+    for value in range(start, tape.first_operation - 1, -1):
+        own = adjoints.pop(value, None)
+        if own is None or own.is_zero:
+            continue
+        op, a, b = tape.operations[value - tape.first_operation]
+        slopes = partials(builder, op, values[a], values[b] if b >= 0 else None, values[value])
+        for operand, slope in zip((a, b), slopes, strict=False):
+            if not tape.first_literal <= operand < tape.first_operation:
+                product = own * slope
+                adjoints[operand] = adjoints[operand] + product if operand in adjoints else product
+    return {value: a for value, a in adjoints.items() if value < tape.first_literal and not a.is_zero}

@@ -1,0 +1,1 @@
+"""Recursions over the Tree, each written to a Tape."""

@@ -1,0 +1,122 @@
+"""Links: the bodies of a Tree with their numbers written to a builder; the ground that every recursion stands on.
+
+The inertia of body i is given by its moments about the body's own origin, its joint: mass m, first moment
+S = m l, and J = In + m (l.l 1 - l lT). They depend on parameters alone, so they are folded or move to `setup`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sympy import Expr
+
+from mbsgen.algebra.rotations import axis_rotation
+from mbsgen.algebra.vectors import Matrix, Vector, outer
+from mbsgen.model.tree import Body, Joint, Kind, Motion, Tree
+from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.lowering import lower
+
+PARAMETERS = "p"  # the input that holds run-time parameters
+
+
+@dataclass(frozen=True)
+class Link:
+    """A body as the recursions use it. Vectors are in the body's frame; `R` and `dpt` lead to the parent's."""
+
+    number: int  # from 1
+    parent: int  # 0: the base
+    joint: Joint
+    R: Matrix[Scalar]  # columns: the body's axes in the parent's frame
+    dpt: Vector[Scalar]  # the body's origin from the parent's, in the parent's frame
+    slide: Vector[Scalar]  # the part of it along a prismatic joint, in the body's frame
+    m: Scalar
+    S: Vector[Scalar]
+    J: Matrix[Scalar]
+
+    @property
+    def is_revolute(self) -> bool:
+        """Tell whether the joint turns; else it slides."""
+        return self.joint.motion is Motion.REVOLUTE
+
+
+@dataclass(frozen=True)
+class Chain:
+    """A Tree written to a builder: links in order, parents first, and what sensors need."""
+
+    tree: Tree
+    builder: Builder
+    links: tuple[Link, ...]
+    gravity: Vector[Scalar]
+    symbols: dict[Expr, Scalar]  # parameters
+
+    def vector(self, components: Sequence[Expr]) -> Vector[Scalar]:
+        """Write a vector of the model."""
+        return Vector.of(lower(c, self.builder, self.symbols) for c in components)
+
+    def matrix(self, rows: Sequence[Sequence[Expr]]) -> Matrix[Scalar]:
+        """Write a matrix of the model."""
+        return Matrix.of(self.vector(row) for row in rows)
+
+    @property
+    def still(self) -> Vector[Scalar]:
+        """The null vector."""
+        zero = self.builder.zero
+        return Vector(zero, zero, zero)
+
+
+def write_chain(tree: Tree, builder: Builder, q: Sequence[Scalar], p: Sequence[Scalar]) -> Chain:
+    """Write the numbers and joint rotations of a tree; `p` holds its run-time parameters in order."""
+    runtime = [x.symbol for x in tree.parameters if x.kind is Kind.RUNTIME]
+    symbols = dict(zip(runtime, p, strict=True))
+    symbols |= {x.symbol: builder.number(x.value) for x in tree.parameters if x.kind is Kind.CONSTANT}
+    bare = Chain(tree, builder, (), Vector(builder.zero, builder.zero, builder.zero), symbols)
+    links = tuple(_write_link(bare, i, body, q[i - 1]) for i, body in enumerate(tree.bodies, 1))
+    return Chain(tree, builder, links, bare.vector(tree.gravity), symbols)
+
+
+def _write_link(chain: Chain, number: int, body: Body, q: Scalar) -> Link:
+    b = chain.builder
+    zero, one = b.zero, b.number(1.0)
+    placed = chain.matrix(body.orientation)
+    dpt, slide, R = chain.vector(body.position), chain.still, placed
+    if body.joint.motion is Motion.REVOLUTE:
+        R = placed.times(axis_rotation(body.joint.axis, b.sin(q), b.cos(q), zero, one))
+    else:
+        slide = chain.still.along(body.joint.axis, q)
+        dpt = dpt + placed.apply(slide)
+    m, l = lower(body.mass, b, chain.symbols), chain.vector(body.com)
+    S = l.scale(m)
+    unit = Matrix.of([[one if r == c else zero for c in range(3)] for r in range(3)])
+    J = chain.matrix(body.inertia) + unit.scale(S.dot(l)) - outer(S, l)
+    return Link(number, body.parent, body.joint, R, dpt, slide, m, S, J)
+
+
+@dataclass(frozen=True)
+class State:
+    """The inputs of a formulation, declared in a builder; those that it does not take are empty."""
+
+    q: list[Scalar]
+    qd: list[Scalar]
+    qdd: list[Scalar]
+    u: list[Scalar]
+    p: list[Scalar]
+
+
+def declare_state(
+    tree: Tree, builder: Builder, *, rates: bool = True, accelerations: bool = True, forces: bool = True
+) -> State:
+    """Declare q, and where wanted qd, qdd, u; and p if the tree has run-time parameters."""
+    n = len(tree.bodies)
+    q = builder.vector("q", n)
+    qd = builder.vector("qd", n) if rates else []
+    qdd = builder.vector("qdd", n) if accelerations else []
+    u = builder.vector("u", sum(body.joint.actuated for body in tree.bodies)) if forces else []
+    runtime = sum(x.kind is Kind.RUNTIME for x in tree.parameters)
+    return State(q, qd, qdd, u, builder.vector(PARAMETERS, runtime) if runtime else [])
+
+
+def joint_forces(tree: Tree, builder: Builder, u: Sequence[Scalar]) -> list[Scalar]:
+    """Spread u over the joints: Q = Qa + Qp, with no force in passive joints (Docquier et al., eq. 14)."""
+    active = iter(u)
+    return [next(active) if body.joint.actuated else builder.zero for body in tree.bodies]

@@ -1,0 +1,63 @@
+"""Poses of bodies and sensors: Tree -> Tape of `sensors` (positions) and `frames` (positions and rotations).
+
+All results are in the base frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mbsgen.algebra.vectors import Matrix, Vector
+from mbsgen.formulations.links import Chain, declare_state, write_chain
+from mbsgen.model.tree import Sensor, Tree
+from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.types import Tape
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where a frame is: its origin, and its axes as columns."""
+
+    p: Vector[Scalar]
+    R: Matrix[Scalar]
+
+
+def build_sensors(tree: Tree) -> Tape:
+    """Write `sensors`: inputs q [, p]; output position, shape (3, number of sensors) [m]."""
+    builder = Builder()
+    state = declare_state(tree, builder, rates=False, accelerations=False, forces=False)
+    chain = write_chain(tree, builder, state.q, state.p)
+    columns = [_position(chain, sensor) for sensor in tree.sensors]
+    entries = {(r, c): column[r] for c, column in enumerate(columns) for r in range(3)}
+    builder.output_dense("position", [[entries[r, c] for c in range(len(columns))] for r in range(3)])
+    return builder.build("sensors")
+
+
+def _position(chain: Chain, sensor: Sensor) -> Vector[Scalar]:
+    """Carry a point from its body towards the base: one rotation of one vector for each joint on the way."""
+    point, number = chain.vector(sensor.position), sensor.body
+    while number:
+        link = chain.links[number - 1]
+        point, number = link.dpt + link.R.apply(point), link.parent
+    return point
+
+
+def build_frames(tree: Tree) -> Tape:
+    """Write `frames`: inputs q [, p]; outputs p (3, F) [m] and R (3, 3 F) of all bodies, then all sensors."""
+    builder = Builder()
+    state = declare_state(tree, builder, rates=False, accelerations=False, forces=False)
+    chain = write_chain(tree, builder, state.q, state.p)
+    one, zero = builder.number(1.0), builder.zero
+    unit = Matrix.of([[one if r == c else zero for c in range(3)] for r in range(3)])
+    poses = {0: Pose(chain.still, unit)}
+    for link in chain.links:
+        poses[link.number] = _place(poses[link.parent], link.dpt, link.R)
+    drawn = [poses[link.number] for link in chain.links]
+    drawn += [_place(poses[s.body], chain.vector(s.position), chain.matrix(s.orientation)) for s in tree.sensors]
+    builder.output_dense("p", [[pose.p[r] for pose in drawn] for r in range(3)])
+    builder.output_dense("R", [[pose.R[r, c] for pose in drawn for c in range(3)] for r in range(3)])
+    return builder.build("frames")
+
+
+def _place(parent: Pose, position: Vector[Scalar], R: Matrix[Scalar]) -> Pose:
+    return Pose(parent.p + parent.R.apply(position), parent.R.times(R))

@@ -1,0 +1,1 @@
+"""Straight-line programs: types, building, passes, counts, interpretation."""

@@ -1,0 +1,380 @@
+"""The builder: scalars that write equations as they are computed with; folding and value numbering as they come.
+
+A value is referred to by a signed integer: +n or -n for node n, 0 for the number 0. So a change of sign costs nothing,
+a - b and b - a are one node, and sin(-x) is -sin(x); where a minus must be carried out after all, `build` looks for a
+difference or a literal to turn round before it spends an operation on it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from mpmath import mpf
+
+from mbsgen.errors import TapeError
+from mbsgen.tape.types import LITERALS, Input, Op, Output, Sparsity, Tape
+
+Ref = int
+_Key = tuple[Op, Ref, Ref]
+_ONE = LITERALS.mpf(1)
+
+
+class Scalar:
+    """A value under construction: reads like a number, writes to its builder."""
+
+    __slots__ = ("builder", "ref")
+
+    def __init__(self, builder: Builder, ref: Ref) -> None:
+        self.builder = builder
+        self.ref = ref
+
+    def __add__(self, other: Scalar) -> Scalar:
+        return Scalar(self.builder, self.builder.add(self.ref, other.ref))
+
+    def __sub__(self, other: Scalar) -> Scalar:
+        return Scalar(self.builder, self.builder.add(self.ref, -other.ref))
+
+    def __mul__(self, other: Scalar) -> Scalar:
+        return Scalar(self.builder, self.builder.mul(self.ref, other.ref))
+
+    def __truediv__(self, other: Scalar) -> Scalar:
+        return Scalar(self.builder, self.builder.div(self.ref, other.ref))
+
+    def __neg__(self) -> Scalar:
+        return Scalar(self.builder, -self.ref)
+
+    @property
+    def is_zero(self) -> bool:
+        """Tell whether this is the structural zero."""
+        return self.ref == 0
+
+
+@dataclass(frozen=True)
+class _Result:
+    name: str
+    sparsity: Sparsity
+    refs: tuple[Ref, ...]
+
+
+class Builder:
+    """Collects operations, and builds the Tape of those that an output needs.
+
+    fold: evaluate operations on literals, drop 0 and 1, gather literal factors. number: give equal operations one node.
+    """
+
+    def __init__(self, *, fold: bool = True, number: bool = True) -> None:
+        self._fold = fold
+        self._number = number
+        self._nodes: list[_Key | mpf | None] = [None]  # node 0 is never used; None: an entry of an input
+        self._known: dict[_Key, Ref] = {}
+        self._literals: dict[mpf, Ref] = {}
+        self._inputs: list[tuple[Input, int]] = []  # with the node of the first nonzero
+        self._results: list[_Result] = []
+        self._labels: dict[int, str] = {}
+
+    # -- what goes in and out ---------------------------------------------------------------------------------
+
+    def input(self, name: str, sparsity: Sparsity) -> list[Scalar]:
+        """Declare an input; return its nonzeros."""
+        first = len(self._nodes)
+        self._inputs.append((Input(name, sparsity), first))
+        self._nodes.extend([None] * sparsity.nnz)
+        return [Scalar(self, first + k) for k in range(sparsity.nnz)]
+
+    def vector(self, name: str, size: int) -> list[Scalar]:
+        """Declare a dense column as input."""
+        return self.input(name, Sparsity.dense(size))
+
+    def output(self, name: str, sparsity: Sparsity, values: Sequence[Scalar]) -> None:
+        """Declare an output by the values of its nonzeros."""
+        self._results.append(_Result(name, sparsity, tuple(v.ref for v in values)))
+
+    def output_dense(self, name: str, rows: Sequence[Sequence[Scalar]]) -> None:
+        """Declare a dense output by rows."""
+        sparsity = Sparsity.dense(len(rows), len(rows[0]) if rows else 0)
+        self.output(name, sparsity, [rows[r][c] for r, c in sparsity.entries])
+
+    def output_nonzeros(self, name: str, rows: int, cols: int, entries: dict[tuple[int, int], Scalar]) -> None:
+        """Declare an output whose pattern is made of the entries that are not the structural zero."""
+        nonzero = {place: value for place, value in entries.items() if not value.is_zero}
+        sparsity = Sparsity.of(rows, cols, nonzero)
+        self.output(name, sparsity, [nonzero[place] for place in sparsity.entries])
+
+    def label(self, values: Iterable[Scalar], names: Iterable[str]) -> None:
+        """Give values the field's names, for readers; a value keeps its first, inputs and literals their own."""
+        for value, name in zip(values, names, strict=True):
+            if value.ref > 0 and isinstance(self._nodes[value.ref], tuple):
+                self._labels.setdefault(value.ref, name)
+
+    # -- numbers ----------------------------------------------------------------------------------------------
+
+    @property
+    def zero(self) -> Scalar:
+        """The structural zero."""
+        return Scalar(self, 0)
+
+    def number(self, value: float | mpf) -> Scalar:
+        """Make a literal."""
+        return Scalar(self, self.literal(LITERALS.mpf(value)))
+
+    def sin(self, x: Scalar) -> Scalar:
+        """Sine."""
+        return Scalar(self, self.unary(Op.SIN, x.ref))
+
+    def cos(self, x: Scalar) -> Scalar:
+        """Cosine."""
+        return Scalar(self, self.unary(Op.COS, x.ref))
+
+    def sqrt(self, x: Scalar) -> Scalar:
+        """Square root."""
+        return Scalar(self, self.unary(Op.SQRT, x.ref))
+
+    # -- operations on references -----------------------------------------------------------------------------
+
+    def literal(self, value: mpf) -> Ref:
+        """Refer to a literal."""
+        if not LITERALS.isfinite(value):
+            raise TapeError(f"a literal of a tape must be finite, not {value}")
+        if value == 0:
+            return 0
+        magnitude = abs(value)
+        ref = self._literals.get(magnitude)
+        if ref is None:
+            ref = self._literals[magnitude] = len(self._nodes)
+            self._nodes.append(magnitude)
+        return ref if value > 0 else -ref
+
+    def add(self, x: Ref, y: Ref) -> Ref:
+        """Refer to x + y."""
+        if x == 0 or y == 0:
+            return x + y
+        if x == -y:
+            return 0
+        if self._fold:
+            (cx, bx), (cy, by) = self._term(x), self._term(y)
+            if bx == by:
+                return self.mul(self.literal(cx + cy), bx) if bx else self.literal(cx + cy)
+        if abs(x) > abs(y):
+            x, y = y, x
+        if x < 0:
+            return -self._node(Op.ADD if y < 0 else Op.SUB, -x, abs(y))
+        return self._node(Op.ADD if y > 0 else Op.SUB, x, abs(y))
+
+    def mul(self, x: Ref, y: Ref) -> Ref:
+        """Refer to x * y."""
+        if x == 0 or y == 0:
+            return 0
+        sign = 1 if (x > 0) == (y > 0) else -1
+        x, y = sorted((abs(x), abs(y)))
+        if self._fold:
+            a, b = self._value(x), self._value(y)
+            if a is not None and b is not None:
+                return sign * self.literal(a * b)
+            if a == 1 or b == 1:
+                return sign * (y if a == 1 else x)
+            if a is None and b is not None:
+                x, y, a = y, x, b
+            if a is not None:
+                factor, base = self._term(y)
+                if factor is not _ONE:
+                    return sign * self.mul(self.literal(a * factor), base)
+        return sign * self._node(Op.MUL, x, y)
+
+    def div(self, x: Ref, y: Ref) -> Ref:
+        """Refer to x / y; by a literal, to the product with its inverse."""
+        if y == 0:
+            raise TapeError("division by the structural zero")
+        if x == 0:
+            return 0
+        sign = 1 if (x > 0) == (y > 0) else -1
+        x, y = abs(x), abs(y)
+        if self._fold:
+            b = self._value(y)
+            if b is not None:
+                return sign * self.mul(x, self.literal(1 / b))
+            if x == y:
+                return sign * self.literal(_ONE)
+        return sign * self._node(Op.DIV, x, y)
+
+    def unary(self, op: Op, x: Ref) -> Ref:
+        """Refer to op(x): sine, cosine or square root."""
+        sign = 1
+        if op is not Op.SQRT and x < 0:  # sine is odd, cosine even
+            sign, x = (-1 if op is Op.SIN else 1), -x
+        value = self._value(x) if x > 0 else (None if x else LITERALS.mpf(0))
+        if value is not None and (self._fold or x == 0):
+            return sign * self.literal(_FUNCTIONS[op](value))
+        return sign * self._node(op, x, 0)
+
+    def _value(self, node: Ref) -> mpf | None:
+        found = self._nodes[node]
+        return None if found is None or isinstance(found, tuple) else found
+
+    def _term(self, ref: Ref) -> tuple[mpf, Ref]:
+        """Split into a literal factor and the node that it multiplies; node 0 for a literal."""
+        sign, node = (1, ref) if ref > 0 else (-1, -ref)
+        found = self._nodes[node]
+        if isinstance(found, tuple):
+            if found[0] is Op.MUL and (factor := self._value(found[1])) is not None:
+                return sign * factor, found[2]
+        elif found is not None:
+            return sign * found, 0
+        return (_ONE if sign > 0 else -_ONE), node
+
+    def _node(self, op: Op, a: Ref, b: Ref) -> Ref:
+        key = (op, a, b)
+        ref = self._known.get(key) if self._number else None
+        if ref is None:
+            ref = self._known[key] = len(self._nodes)
+            self._nodes.append(key)
+        return ref
+
+    # -- the tape ---------------------------------------------------------------------------------------------
+
+    def build(self, name: str) -> Tape:
+        """Build the tape of the declared inputs and outputs; operations that no output needs are left out."""
+        return _Writer(self._nodes, self._inputs, self._results, self._labels).tape(name)
+
+
+_FUNCTIONS = {Op.SIN: LITERALS.sin, Op.COS: LITERALS.cos, Op.SQRT: LITERALS.sqrt}
+
+
+class _Writer:
+    """Turns signed nodes into plain operations: decides which nodes are kept with their sign changed."""
+
+    def __init__(
+        self,
+        nodes: Sequence[_Key | mpf | None],
+        inputs: Sequence[tuple[Input, int]],
+        results: Sequence[_Result],
+        labels: dict[int, str],
+    ) -> None:
+        self._nodes, self._inputs, self._results, self._labels = nodes, inputs, results, labels
+        self._uses = self._count_uses()
+        self._turned = self._choose_turned()
+        self._kept: dict[int, Ref] = {}  # node -> the node with the sign it is kept with
+        self._literals: dict[Ref, None] = {}  # in the order of their first use
+        self._written: dict[Ref, tuple[Op, Ref, Ref]] = {}  # result -> operation on kept references
+
+    def tape(self, name: str) -> Tape:
+        """Write the operations, then number the values."""
+        for source, first in self._inputs:
+            self._kept.update((node, node) for node in range(first, first + source.sparsity.nnz))
+        for node in sorted(self._uses):  # operands have smaller numbers than what uses them
+            key = self._nodes[node]
+            if isinstance(key, tuple):
+                self._write(node, *key)
+        outputs = [[self._with_sign(ref) for ref in result.refs] for result in self._results]
+        order = (
+            *(n for s, first in self._inputs for n in range(first, first + s.sparsity.nnz)),
+            *self._literals,
+        )
+        place = {ref: value for value, ref in enumerate((*order, *self._written))}
+        return Tape(
+            name,
+            tuple(source for source, _ in self._inputs),
+            tuple(self._literal(ref) for ref in self._literals),
+            tuple((op, place[a], place[b] if op.arity == 2 else -1) for op, a, b in self._written.values()),
+            tuple(
+                Output(result.name, result.sparsity, tuple(place[ref] for ref in refs))
+                for result, refs in zip(self._results, outputs, strict=True)
+            ),
+            MappingProxyType({place[node]: text for node, text in self._labels.items() if node in self._written}),
+        )
+
+    # -- which nodes are needed, and which are turned round ---------------------------------------------------
+
+    def _count_uses(self) -> dict[int, int]:
+        uses: dict[int, int] = {}
+        stack = [abs(ref) for result in self._results for ref in result.refs if ref]
+        while stack:
+            node = stack.pop()
+            uses[node] = uses.get(node, 0) + 1
+            key = self._nodes[node]
+            if uses[node] == 1 and isinstance(key, tuple):
+                stack.extend(abs(operand) for operand in key[1:] if operand)
+        return uses
+
+    def _choose_turned(self) -> set[int]:
+        turned: set[int] = set()
+        wanted = {ref for result in self._results for ref in result.refs}
+        for ref in sorted(wanted, reverse=True):
+            if ref < 0 and -ref not in wanted:
+                self._turn(-ref, turned)
+        return turned
+
+    def _turn(self, node: int, turned: set[int]) -> bool:
+        """Try to compute `node` with the other sign at no cost, through operands that serve nothing else."""
+        key = self._nodes[node]
+        if not isinstance(key, tuple) or node in turned or key[0] in (Op.COS, Op.SQRT):
+            return False
+        op, a, b = key
+        free = op is Op.SUB or (op in (Op.MUL, Op.DIV) and (self._is_literal(a) or self._is_literal(b)))
+        operands = (a, b)[: op.arity]
+        if free or any(self._uses[x] == 1 and self._turn(x, turned) for x in operands):
+            turned.add(node)
+            return True
+        return False
+
+    # -- operations with their signs settled ------------------------------------------------------------------
+
+    def _write(self, node: int, op: Op, a: Ref, b: Ref) -> None:
+        sign = -1 if node in self._turned else 1
+        if op in (Op.ADD, Op.SUB):
+            x, y = self._keep(a), self._keep(b)
+            first, second = sign * _sign(x), sign * _sign(y) * (1 if op is Op.ADD else -1)
+            if first < 0 and second < 0:  # both against it: keep the sum with the other sign
+                sign, first, second = -sign, 1, 1
+            if first < 0:
+                x, y, first, second = y, x, second, first
+            self._record(sign * node, Op.ADD if second > 0 else Op.SUB, x, y)
+        elif op in (Op.MUL, Op.DIV):
+            x, y = self._keep(a), self._keep(b)
+            if _sign(x) * _sign(y) != sign and self._is_literal(a):
+                x = -x
+            elif _sign(x) * _sign(y) != sign and self._is_literal(b):
+                y = -y
+            self._record(_sign(x) * _sign(y) * node, op, x, y)
+        elif op is Op.SIN:
+            x = self._keep(a)
+            self._record(_sign(x) * node, op, x, 0)
+        else:
+            self._record(node, op, self._with_sign(a) if op is Op.SQRT else self._keep(a), 0)
+
+    def _keep(self, node: int) -> Ref:
+        """Refer to a node with the sign it is kept with; a literal can have either, and starts with its own."""
+        return node if self._is_literal(node) else self._kept[node]
+
+    def _record(self, result: Ref, op: Op, a: Ref, b: Ref) -> None:
+        for ref in (a, b):
+            if ref and self._is_literal(ref):
+                self._literals[ref] = None
+        # A literal is written with its sign; any other operand is written as it is kept.
+        self._written[result] = (op, a, b)
+        self._kept[abs(result)] = result
+
+    def _with_sign(self, ref: Ref) -> Ref:
+        """Refer to a value with the sign wanted; spend an operation on the sign where it is kept with the other."""
+        if ref == 0 or self._is_literal(ref):
+            self._literals[ref] = None
+            return ref
+        kept = self._kept[abs(ref)]
+        if kept != ref and ref not in self._written:
+            self._written[ref] = (Op.NEG, kept, 0)
+        return ref
+
+    def _is_literal(self, ref: Ref) -> bool:
+        found = self._nodes[abs(ref)]
+        return found is not None and not isinstance(found, tuple)
+
+    def _literal(self, ref: Ref) -> mpf:
+        found = self._nodes[abs(ref)] if ref else LITERALS.mpf(0)
+        assert found is not None
+        assert not isinstance(found, tuple)
+        return found if ref >= 0 else -found
+
+
+def _sign(ref: Ref) -> int:
+    return 1 if ref > 0 else -1

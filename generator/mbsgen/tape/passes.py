@@ -1,0 +1,109 @@
+"""Passes: functions Tape -> Tape that keep what is computed and lower what it costs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.replay import declare_inputs, leaves, operate, replay
+from mbsgen.tape.types import Sparsity, Tape
+
+
+def fold_constants(tape: Tape) -> Tape:
+    """Evaluate operations on literals; drop additions of 0, products with 0 and 1, and chains of literal factors."""
+    return _rebuild(tape, Builder(fold=True, number=False))
+
+
+def number_values(tape: Tape) -> Tape:
+    """Compute equal operations once: commutativity and signs are seen through."""
+    return _rebuild(tape, Builder(fold=False, number=True))
+
+
+def drop_dead(tape: Tape) -> Tape:
+    """Leave out the operations that no output needs."""
+    return _rebuild(tape, Builder(fold=False, number=False))
+
+
+def select_outputs(tape: Tape, names: Sequence[str]) -> Tape:
+    """Keep only the named outputs, and what they need."""
+    return drop_dead(replace(tape, outputs=tuple(tape.output(name) for name in names)))
+
+
+def _rebuild(tape: Tape, builder: Builder) -> Tape:
+    values = replay(tape, builder, declare_inputs(tape, builder))
+    for output in tape.outputs:
+        builder.output(output.name, output.sparsity, [values[v] for v in output.values])
+    return builder.build(tape.name)
+
+
+def hoist(tapes: Sequence[Tape], source: str, target: str) -> tuple[Tape, tuple[Tape, ...]]:
+    """Move what depends on the input `source` alone out of all tapes into one: the setup.
+
+    Returns the setup tape (input `source`, output `target`), and the tapes with the input `target`, a vector of the
+    values that they use, in place of `source`. Values that several tapes use are computed once.
+    """
+    setup = Builder()
+    entries: dict[int, int] = {}  # node of the setup -> its place in the target vector
+    sizes = {i.sparsity.nnz for tape in tapes for i in tape.inputs if i.name == source}
+    assert len(sizes) == 1, f"all tapes must have the same input {source}"
+    given = setup.vector(source, sizes.pop())
+    split = [_Split.of(tape, source, setup, given) for tape in tapes]
+    for part in split:
+        for value in part.frontier:
+            entries.setdefault(abs(part.hoisted[value].ref), len(entries))
+    setup.output(target, Sparsity.dense(len(entries)), [Scalar(setup, ref) for ref in entries])
+    return setup.build("setup"), tuple(part.rest(entries, target) for part in split)
+
+
+class _Split:
+    """A tape with its values told apart: those that depend on the parameters alone, and the rest."""
+
+    def __init__(self, tape: Tape, source: str, hoisted: dict[int, Scalar], frontier: list[int]) -> None:
+        self.tape, self.source, self.hoisted, self.frontier = tape, source, hoisted, frontier
+
+    @staticmethod
+    def of(tape: Tape, source: str, setup: Builder, given: Sequence[Scalar]) -> _Split:
+        inputs = {i.name: given if i.name == source else [setup.zero] * i.sparsity.nnz for i in tape.inputs}
+        hoisted = dict(enumerate(leaves(tape, setup, inputs)))
+        place = 0
+        for i in tape.inputs:
+            for value in range(place, place := place + i.sparsity.nnz):
+                if i.name != source:
+                    del hoisted[value]
+        frontier: dict[int, None] = {}
+        for value, (op, a, b) in enumerate(tape.operations, tape.first_operation):
+            operands = (a, b)[: op.arity]
+            if all(x in hoisted for x in operands):
+                hoisted[value] = operate(setup, op, hoisted[a], hoisted[b] if op.arity == 2 else None)
+            else:
+                frontier.update((x, None) for x in operands if x in hoisted)
+        frontier.update((x, None) for o in tape.outputs for x in o.values if x in hoisted)
+        literals = range(tape.first_literal, tape.first_operation)
+        return _Split(tape, source, hoisted, [x for x in frontier if x not in literals and hoisted[x].ref])
+
+    def rest(self, entries: dict[int, int], target: str) -> Tape:
+        """Write the tape again with the hoisted values read from `target`."""
+        tape, builder = self.tape, Builder()
+        inputs = {i.name: builder.input(i.name, i.sparsity) for i in tape.inputs if i.name != self.source}
+        vector = builder.vector(target, len(entries))
+        inputs[self.source] = [builder.zero] * tape.input(self.source).sparsity.nnz
+        values = leaves(tape, builder, inputs)
+        known = {x: self._entry(x, entries, vector) for x in self.frontier}
+        for value, (op, a, b) in enumerate(tape.operations, tape.first_operation):
+            operands = [known.get(x, values[x]) for x in (a, b)[: op.arity]]
+            values.append(
+                builder.zero
+                if value in self.hoisted
+                else operate(builder, op, operands[0], operands[1] if op.arity == 2 else None)
+            )
+        labelled = [(v, text) for v, text in sorted(tape.labels.items()) if v not in self.hoisted]
+        builder.label([values[v] for v, _ in labelled], [text for _, text in labelled])
+        for o in tape.outputs:
+            builder.output(o.name, o.sparsity, [known.get(x, values[x]) for x in o.values])
+        return builder.build(tape.name)
+
+    def _entry(self, value: int, entries: dict[int, int], vector: Sequence[Scalar]) -> Scalar:
+        ref = self.hoisted[value].ref
+        entry = vector[entries[abs(ref)]]
+        return entry if ref > 0 else -entry

@@ -1,0 +1,50 @@
+"""Replay a tape into a builder, operation by operation: the step that passes and differentiation are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.types import Op, Tape
+
+
+def declare_inputs(tape: Tape, builder: Builder) -> dict[str, list[Scalar]]:
+    """Declare the tape's inputs in the builder, as they are."""
+    return {i.name: builder.input(i.name, i.sparsity) for i in tape.inputs}
+
+
+def replay(tape: Tape, builder: Builder, inputs: Mapping[str, Sequence[Scalar]]) -> list[Scalar]:
+    """Compute every value of `tape` in `builder` from the given nonzeros of its inputs; index by value."""
+    values = leaves(tape, builder, inputs)
+    for op, a, b in tape.operations:
+        values.append(operate(builder, op, values[a], values[b] if b >= 0 else None))
+    labelled = sorted(tape.labels.items())
+    builder.label([values[v] for v, _ in labelled], [text for _, text in labelled])
+    return values
+
+
+def leaves(tape: Tape, builder: Builder, inputs: Mapping[str, Sequence[Scalar]]) -> list[Scalar]:
+    """List the values that no operation computes: input nonzeros, then literals."""
+    given = [value for i in tape.inputs for value in inputs[i.name]]
+    return given + [builder.number(x) for x in tape.literals]
+
+
+def operate(builder: Builder, op: Op, a: Scalar, b: Scalar | None) -> Scalar:
+    """Apply one operation in the builder."""
+    if b is None:
+        return -a if op is Op.NEG else Scalar(builder, builder.unary(op, a.ref))
+    match op:
+        case Op.ADD:
+            return a + b
+        case Op.SUB:
+            return a - b
+        case Op.MUL:
+            return a * b
+        case _:
+            return a / b
+
+
+def outputs_of(tape: Tape, values: Sequence[Scalar]) -> Iterator[tuple[str, dict[tuple[int, int], Scalar]]]:
+    """Give each output of `tape` as its name and nonzeros by place, from replayed values."""
+    for o in tape.outputs:
+        yield o.name, {place: values[v] for place, v in zip(o.sparsity.entries, o.values, strict=True)}
