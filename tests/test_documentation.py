@@ -1,0 +1,73 @@
+"""What the documents tell a reader to type works, and what they point to is there.
+
+Every fenced `sh` and `python` block is run, in order, in a copy of the checkout that the blocks of a document share. A
+block that opens with `# not run` cannot be run within a test: `.ci/run` runs the same lines.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+BLOCK = re.compile(r"^```(sh|python)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
+NOT_RUN = "# not run"
+INTERPRETERS = {"sh": ("bash", "-euo", "pipefail", "-c"), "python": (sys.executable, "-c")}
+
+
+def name(document: Path) -> str:
+    return document.relative_to(ROOT).as_posix()
+
+
+def blocks(document: Path) -> list[tuple[str, str]]:
+    """List the language and the text of the blocks that can be run."""
+    return BLOCK.findall(document.read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("document", [d for d in DOCUMENTS if blocks(d)], ids=name)
+def test_what_a_document_says_to_type_works(document: Path, tmp_path: Path) -> None:
+    checkout = tmp_path / "checkout"
+    unwanted = (".git", ".venv", ".*_cache", ".hypothesis", "__pycache__", "build", "dist")
+    shutil.copytree(ROOT, checkout, ignore=shutil.ignore_patterns(*unwanted), symlinks=True)
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    for language, block in blocks(document):
+        if block.startswith(NOT_RUN):
+            continue
+        run = subprocess.run(
+            [*INTERPRETERS[language], block],
+            cwd=checkout,
+            env={**os.environ, "PATH": path, "XDG_CACHE_HOME": str(tmp_path / "cache")},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert run.returncode == 0, f"{block}\n{run.stdout}{run.stderr}"
+
+
+def test_what_is_not_run_here_is_run_by_ci() -> None:
+    """The lines of blocks marked `# not run`, comments aside, are lines of `.ci/run`."""
+    done = {line.strip() for line in (ROOT / ".ci" / "run").read_text(encoding="utf-8").splitlines()}
+    left = [block for document in DOCUMENTS for _, block in blocks(document) if block.startswith(NOT_RUN)]
+    commands = {line.partition("#")[0].strip() for block in left for line in block.splitlines()} - {""}
+    assert commands
+    assert commands <= done
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=name)
+def test_what_a_document_points_to_is_there(document: Path) -> None:
+    links = LINK.findall(document.read_text(encoding="utf-8"))
+    local = [link.partition("#")[0] for link in links if not re.match(r"[a-z]+:|#", link)]
+    assert not [link for link in local if not (document.parent / link).exists()]
+
+
+def test_the_readme_is_among_the_documents() -> None:
+    assert ROOT / "README.md" in DOCUMENTS
+    assert any(not block.startswith(NOT_RUN) for _, block in blocks(ROOT / "README.md"))

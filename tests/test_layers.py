@@ -1,0 +1,182 @@
+"""Each layer imports only what stands before it: read off the import statements, and off a running interpreter."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+
+@dataclass(frozen=True)
+class Package:
+    """A package of the project, and whom its modules may know."""
+
+    source: Path  # the folder of its `__init__.py`
+    layers: tuple[str, ...]  # from low to high; modules side by side in one do not know each other
+    foreign: tuple[str, ...]  # what no module of it imports
+    guests: tuple[str, ...] = ()  # what every module may import all the same
+    lazy: dict[str, str] = field(default_factory=dict)  # module: what it alone may import, within a function
+
+
+MBSGEN = Package(
+    source=ROOT / "generator" / "mbsgen",
+    layers=(
+        "errors resources",
+        "manifest expressions documents",
+        "model",
+        "algebra",
+        "tape",
+        "formulations",
+        "derivatives",
+        "targets",
+        "report",
+        "pipeline",
+        "cli",
+        "__main__",
+    ),
+    foreign=("casadi", "mbsrun"),
+)
+MBSRUN = Package(
+    source=ROOT / "python" / "mbsrun",
+    layers=(
+        "library",
+        "kernel",
+        "external",
+        "ocp.problem ocp.schemes",
+        "ocp.guess ocp.transcription",
+        "ocp.solve",
+        "ocp.resimulation",
+        "ocp.pictures",
+        "ocp",
+        "cli",
+        "__main__",
+    ),
+    foreign=("sympy", "mbsgen"),
+    guests=("mbsgen.errors", "mbsgen.resources", "mbsgen.manifest", "mbsgen.expressions", "mbsgen.documents"),
+    lazy={"kernel": "mbsgen.pipeline"},  # a model file given for a generated folder
+)
+
+
+@dataclass(frozen=True)
+class Import:
+    """An import statement: module `importer` of a package imports `target`, a dotted name."""
+
+    importer: str  # without the package's name: "ocp.solve"; empty for the package's `__init__`
+    target: str
+    line: int
+    lazy: bool  # within a function
+
+    def __str__(self) -> str:
+        return f"{self.importer or '__init__'}:{self.line} imports {self.target}"
+
+
+def read_modules(source: Path) -> dict[str, list[Import]]:
+    """Read the imports of every module of a package."""
+    modules = {}
+    for file in sorted(source.rglob("*.py")):
+        *folders, name = file.relative_to(source).with_suffix("").parts
+        module = ".".join(folders if name == "__init__" else [*folders, name])
+        tree = ast.parse(file.read_text(encoding="utf-8"), str(file))
+        lazy = {id(node) for function in ast.walk(tree) if is_function(function) for node in ast.walk(function)}
+        modules[module] = [
+            Import(module, target, statement.lineno, id(statement) in lazy)
+            for statement in ast.walk(tree)
+            if isinstance(statement, ast.Import | ast.ImportFrom)
+            for target in targets(statement, (source.name, *folders))
+        ]
+    return modules
+
+
+def is_function(node: ast.AST) -> bool:
+    return isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+
+
+def targets(statement: ast.Import | ast.ImportFrom, folder: tuple[str, ...]) -> Iterator[str]:
+    """Name what a statement of a module in `folder` imports; `from a import b` is `a.b`, since b may be a module."""
+    if isinstance(statement, ast.Import):
+        yield from (alias.name for alias in statement.names)
+    else:
+        origin = folder[: len(folder) + 1 - statement.level] if statement.level else ()
+        origin += (statement.module,) if statement.module else ()
+        yield from (".".join((*origin, alias.name)) for alias in statement.names)
+
+
+def covers(name: str, target: str) -> bool:
+    """Tell whether `target` is `name` or lies in it."""
+    return target == name or target.startswith(name + ".")
+
+
+def find_faults(package: Package) -> list[str]:
+    """List the imports that the order of the layers forbids, and the modules that have no place in it."""
+    level = {name: i for i, layer in enumerate(package.layers) for name in layer.split()}
+
+    def layer(module: str) -> str | None:
+        return max((name for name in level if covers(name, module)), key=len, default=None)
+
+    def allows(found: Import) -> bool:
+        here, there = layer(found.importer), layer(found.target.removeprefix(package.source.name + "."))
+        if covers(package.source.name, found.target):
+            return there is None or here == there or (here is not None and level[there] < level[here])
+        if any(covers(name, found.target) for name in package.guests):
+            return True
+        if found.lazy and covers(package.lazy.get(found.importer, "-"), found.target):
+            return True
+        return not any(covers(name, found.target) for name in package.foreign)
+
+    modules = read_modules(package.source)
+    homeless = [f"{module} has no place in the order" for module in modules if module and layer(module) is None]
+    return homeless + [str(found) for imports in modules.values() for found in imports if not allows(found)]
+
+
+@pytest.mark.parametrize("package", [MBSGEN, MBSRUN], ids=["mbsgen", "mbsrun"])
+def test_every_module_imports_only_what_stands_before_it(package: Package) -> None:
+    assert find_faults(package) == []
+
+
+@pytest.mark.parametrize(("package", "stranger"), [(MBSGEN, "casadi"), (MBSRUN, "sympy")], ids=["mbsgen", "mbsrun"])
+def test_importing_a_whole_package_leaves_the_stranger_out(package: Package, stranger: str) -> None:
+    """A module of another's could bring it in; so all modules are imported, and the interpreter is asked."""
+    names = (f"{package.source.name}.{module}" for module in read_modules(package.source) if module)
+    wanted = [name for name in (*names, *package.guests) if not name.endswith("__main__")]
+    script = (
+        "import importlib, sys; [importlib.import_module(m) for m in sys.argv[2:]]; print(sys.argv[1] in sys.modules)"
+    )
+    run = subprocess.run([sys.executable, "-c", script, stranger, *wanted], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "False"
+
+
+PLANTED = {
+    "nothing": ("library", "import numpy\nfrom mbsgen.manifest import Manifest\n", []),
+    "downward": ("kernel", "from mbsrun import library\nfrom mbsrun.library import load\n", []),
+    "upward": ("library", "\nfrom mbsrun.kernel import Kernel\n", ["library:2 imports mbsrun.kernel.Kernel"]),
+    "module": ("library", "from mbsrun import kernel\n", ["library:1 imports mbsrun.kernel"]),
+    "plain": ("library", "import mbsrun.kernel\n", ["library:1 imports mbsrun.kernel"]),
+    "relative": ("ocp/problem", "from ..cli import main\n", ["ocp.problem:1 imports mbsrun.cli.main"]),
+    "sibling": ("ocp/problem", "from . import schemes\n", ["ocp.problem:1 imports mbsrun.ocp.schemes"]),
+    "in ocp": ("ocp/guess", "from .solve import solve\n", ["ocp.guess:1 imports mbsrun.ocp.solve.solve"]),
+    "root": ("__init__", "from mbsrun.kernel import load\n", ["__init__:1 imports mbsrun.kernel.load"]),
+    "stranger": ("cli", "def f():\n    import sympy.core\n", ["cli:2 imports sympy.core"]),
+    "namesake": ("cli", "import sympy_of_another_name\n", []),
+    "generator": ("cli", "from mbsgen import tape\n", ["cli:1 imports mbsgen.tape"]),
+    "lazy": ("kernel", "def f():\n    from mbsgen.pipeline import generate\n", []),
+    "eager": ("kernel", "from mbsgen.pipeline import generate\n", ["kernel:1 imports mbsgen.pipeline.generate"]),
+    "elsewhere": ("cli", "def f():\n    import mbsgen.pipeline\n", ["cli:2 imports mbsgen.pipeline"]),
+    "typing": ("cli", "if TYPE_CHECKING:\n    import sympy\n", ["cli:2 imports sympy"]),
+    "homeless": ("attic", "", ["attic has no place in the order"]),
+}
+
+
+@pytest.mark.parametrize(("module", "text", "faults"), PLANTED.values(), ids=PLANTED.keys())
+def test_the_check_finds_what_is_planted(tmp_path: Path, module: str, text: str, faults: list[str]) -> None:
+    file = tmp_path / "mbsrun" / f"{module}.py"
+    file.parent.mkdir(parents=True)
+    file.write_text(text, encoding="utf-8")
+    planted = Package(tmp_path / "mbsrun", MBSRUN.layers, MBSRUN.foreign, MBSRUN.guests, MBSRUN.lazy)
+    assert find_faults(planted) == faults
