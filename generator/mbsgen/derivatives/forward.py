@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from mbsgen.derivatives.partials import partials
 from mbsgen.tape.builder import Builder, Scalar
@@ -22,7 +22,7 @@ def jacobian(tape: Tape, wrt: Sequence[str], name: str) -> Tape:
     gradients = propagate(tape, builder, values, wrt)
     for output in tape.outputs:
         for source in (tape.input(i) for i in wrt):
-            write_block(builder, tape, output.name, source, gradients, lambda row, col, own: own)
+            write_block(builder, tape, output.name, source, gradients)
     return builder.build(name)
 
 
@@ -59,9 +59,8 @@ def write_block(
     output: str,
     source: Input,
     gradients: Sequence[Gradient],
-    choose: Callable[[int, int, Scalar], Scalar],
 ) -> None:
-    """Declare `jac_<output>_<source>`; `choose` may put another value in an entry's place."""
+    """Declare the output `jac_<output>_<source>`."""
     given = tape.output(output)
     first = _first_column(tape, source.name)
     entries = {}
@@ -69,7 +68,7 @@ def write_block(
         row = r + c * given.sparsity.rows
         for column, derivative in gradients[value].items():
             if first <= column < first + source.sparsity.nnz:
-                entries[row, column - first] = choose(row, column - first, derivative)
+                entries[row, column - first] = derivative
     numel = given.sparsity.rows * given.sparsity.cols
     builder.output_nonzeros(f"jac_{output}_{source.name}", numel, source.sparsity.nnz, entries)
 

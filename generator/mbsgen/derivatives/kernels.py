@@ -48,7 +48,7 @@ def _adjoint_jacobian(tape: Tape, adj1: Tape, wrt: Sequence[str]) -> Tape:
         for col in wrt:
             hessian.write(row, col, upper=order[row] < order[col])
         for seed in seeds:
-            forward.write_block(builder, adj1, f"adj_{row}", adj1.input(seed), gradients, lambda r, c, own: own)
+            forward.write_block(builder, adj1, f"adj_{row}", adj1.input(seed), gradients)
     return builder.build(f"jac_adj1_{tape.name}")
 
 

@@ -1,0 +1,63 @@
+"""Passes keep what a tape computes, and lower what they are there to lower."""
+
+from __future__ import annotations
+
+import pytest
+
+from mbsgen.tape.builder import Builder
+from mbsgen.tape.counts import count
+from mbsgen.tape.interpreter import evaluate
+from mbsgen.tape.passes import drop_dead, fold_constants, hoist, number_values, select_outputs
+from mbsgen.tape.types import Op, Sparsity, Tape
+
+
+def wasteful() -> Tape:
+    """Write, without folding or numbering: y = (x0 + 0) * 1 + x0 * x1 + x1 * x0, and z = x1."""
+    b = Builder(fold=False, number=False)
+    x = b.vector("x", 2)
+    one = b.number(1.0)
+    y = x[0] * one + x[0] * x[1] + x[1] * x[0]
+    b.output("y", Sparsity.dense(1), [y])
+    b.output("z", Sparsity.dense(1), [x[1] * x[1]])
+    return b.build("wasteful")
+
+
+@pytest.mark.parametrize("change", [fold_constants, number_values, drop_dead])
+def test_a_pass_keeps_the_results(change):
+    x = {"x": [3.0, 5.0]}
+    assert evaluate(change(wasteful()), x) == evaluate(wasteful(), x) == {"y": [33.0], "z": [25.0]}
+
+
+def test_each_pass_lowers_what_it_is_for():
+    assert count(wasteful()).of(Op.MUL) == 4
+    assert count(fold_constants(wasteful())).of(Op.MUL) == 3
+    assert count(number_values(wasteful())).of(Op.MUL) == 3
+    assert count(number_values(fold_constants(wasteful()))).of(Op.MUL) == 2
+    assert count(select_outputs(wasteful(), ["z"])).of(Op.MUL) == 1
+
+
+def parametric(name: str) -> Tape:
+    """Write y = p0 p1 x + p1 / p0, and z = -(p0 p1)."""
+    b = Builder()
+    (x,), p = b.vector("x", 1), b.vector("p", 2)
+    b.output("y", Sparsity.dense(1), [p[0] * p[1] * x + p[1] / p[0]])
+    b.output("z", Sparsity.dense(1), [-(p[0] * p[1])])
+    return b.build(name)
+
+
+def test_what_depends_on_parameters_alone_moves_to_setup_once_for_all_tapes():
+    setup, tapes = hoist([parametric("a"), parametric("b")], "p", "h")
+    assert count(setup).operations == {Op.MUL: 1, Op.DIV: 1}
+    p, x = [2.0, 7.0], [3.0]
+    h = evaluate(setup, {"p": p})["h"]
+    for tape in tapes:
+        assert count(tape).operations == {Op.MUL: 1, Op.ADD: 1, Op.NEG: 1}
+        assert evaluate(tape, {"x": x, "h": h}) == evaluate(parametric("a"), {"x": x, "p": p})
+
+
+def test_a_parameter_used_as_it_is_is_handed_through():
+    b = Builder()
+    (x,), p = b.vector("x", 1), b.vector("p", 1)
+    b.output("y", Sparsity.dense(1), [p[0] * x])
+    setup, (tape,) = hoist([b.build("f")], "p", "h")
+    assert evaluate(tape, {"x": [3.0], "h": evaluate(setup, {"p": [5.0]})["h"]}) == {"y": [15.0]}

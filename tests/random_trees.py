@@ -1,0 +1,138 @@
+"""Random trees, as Trees and as Pinocchio models: the ground of the property tests."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from sympy import Float, Integer, Symbol
+
+from mbsgen.model.tree import Body, Joint, Kind, Matrix, Motion, Parameter, Sensor, Tree, Vector
+
+Array = NDArray[np.float64]
+
+
+def random_tree(seed: int, size: int, *, runtime: bool = False, tidy: bool = False) -> Tree:
+    """Make a tree of `size` bodies: any branching, both motions, full inertias, turned joints, tilted gravity.
+
+    tidy: axes of a joint stand to the parent's as they do in hand-written models (no turn at q = 0).
+    """
+    rng = np.random.default_rng(seed)
+    parameters: list[Parameter] = []
+
+    def number(value: float) -> object:
+        if not runtime:
+            return Float(value)
+        symbol = Symbol(f"p{len(parameters)}")
+        parameters.append(Parameter(symbol.name, symbol, float(value), Kind.RUNTIME))
+        return symbol
+
+    def vector(values: Array) -> Vector:
+        return tuple(number(float(x)) for x in values)  # type: ignore[return-value]
+
+    bodies = []
+    for i in range(1, size + 1):
+        motion = Motion.REVOLUTE if rng.random() < 0.7 else Motion.PRISMATIC
+        joint = Joint(f"q{i}", motion, int(rng.integers(3)), bool(rng.random() < 0.8), None, None)
+        orientation = exact_matrix(np.eye(3) if tidy else random_rotation(rng))
+        entries = random_inertia(rng)
+        inertia = [[number(float(entries[r, c])) if c >= r else None for c in range(3)] for r in range(3)]
+        symmetric = tuple(tuple(inertia[min(r, c)][max(r, c)] for c in range(3)) for r in range(3))
+        bodies.append(
+            Body(
+                f"b{i}",
+                int(rng.integers(0, i)),
+                joint,
+                vector(rng.uniform(-0.5, 0.5, 3)),
+                orientation,
+                number(float(rng.uniform(0.5, 3))),
+                vector(rng.uniform(-0.3, 0.3, 3)),
+                symmetric,  # type: ignore[arg-type]
+            )
+        )
+    place = vector(rng.uniform(-0.5, 0.5, 3))
+    sensors = (Sensor("tip", size, place, exact_matrix(random_rotation(rng))),)
+    return Tree(f"random{seed}", vector(np.array([0.3, -0.2, -9.81])), tuple(parameters), tuple(bodies), sensors)
+
+
+def random_rotation(rng: np.random.Generator) -> Array:
+    """Draw a rotation matrix."""
+    q, r = np.linalg.qr(rng.normal(size=(3, 3)))
+    q *= np.sign(np.diag(r))
+    return q if np.linalg.det(q) > 0 else -q
+
+
+def random_inertia(rng: np.random.Generator) -> Array:
+    """Draw the inertia of a cloud of points: one that a body can have."""
+    points = rng.normal(size=(6, 3)) * 0.3
+    points -= points.mean(axis=0)
+    return sum((p @ p * np.eye(3) - np.outer(p, p) for p in points), np.zeros((3, 3)))
+
+
+def exact_matrix(m: Array) -> Matrix:
+    """Take a matrix of floats into SymPy; 0 and 1 are exact."""
+    return tuple(tuple(Integer(int(x)) if x in (0, 1, -1) else Float(x) for x in row) for row in m)  # type: ignore[return-value]
+
+
+def values_of(tree: Tree) -> list[float]:
+    """List the default values of the run-time parameters."""
+    return [p.value for p in tree.parameters if p.kind is Kind.RUNTIME]
+
+
+def floats(tree: Tree, rows: object) -> Array:
+    """Evaluate an array of SymPy numbers at the default parameters."""
+    table = {p.symbol: p.value for p in tree.parameters}
+    return np.array(np.vectorize(lambda x: float(x.xreplace(table)), otypes=[float])(np.array(rows, dtype=object)))
+
+
+class Pinocchio:
+    """The same tree in Pinocchio; joints are added depth-first, as its `crba` needs, and results put in our order."""
+
+    def __init__(self, tree: Tree) -> None:
+        import pinocchio as pin
+
+        self._pin = pin
+        self.model = pin.Model()
+        self.model.gravity.linear = floats(tree, tree.gravity)
+        kinds = {
+            Motion.REVOLUTE: (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ),
+            Motion.PRISMATIC: (pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ),
+        }
+        joints = {0: 0}
+
+        def add(i: int) -> None:
+            for j in tree.children(i):
+                body = tree.bodies[j - 1]
+                place = pin.SE3(floats(tree, body.orientation), floats(tree, body.position))
+                kind = kinds[body.joint.motion][body.joint.axis]()
+                joints[j] = self.model.addJoint(joints[i], kind, place, f"j{j}")
+                mass, com = float(floats(tree, [body.mass])[0]), floats(tree, body.com)
+                inertia = pin.Inertia(mass, com, floats(tree, body.inertia))
+                self.model.appendBodyToJoint(joints[j], inertia, pin.SE3.Identity())
+                add(j)
+
+        add(0)
+        self.data = self.model.createData()
+        self.order = [joints[i] - 1 for i in range(1, len(tree.bodies) + 1)]
+
+    def _theirs(self, ours: Array) -> Array:
+        theirs = np.empty_like(ours)
+        theirs[self.order] = ours
+        return theirs
+
+    def residual(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Compute Phi(q, qd, qdd)."""
+        tau = self._pin.rnea(self.model, self.data, self._theirs(q), self._theirs(qd), self._theirs(qdd))
+        return np.array(tau)[self.order]
+
+    def mass_matrix(self, q: Array) -> Array:
+        """Compute M(q)."""
+        upper = np.triu(self._pin.crba(self.model, self.data, self._theirs(q)))
+        M = upper + np.triu(upper, 1).T
+        return M[np.ix_(self.order, self.order)]
+
+    def residual_derivatives(self, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array]:
+        """Compute the derivatives of Phi by q and by qd."""
+        state = (self._theirs(q), self._theirs(qd), self._theirs(qdd))
+        self._pin.computeRNEADerivatives(self.model, self.data, *state)
+        pick = np.ix_(self.order, self.order)
+        return np.array(self.data.dtau_dq)[pick], np.array(self.data.dtau_dv)[pick]
