@@ -1,0 +1,318 @@
+"""Expressions in untrusted files, such as `2*l1 + sin(pi/4)`: text -> `Expression` -> a number of any type.
+
+Python's parser gives the grammar, a white list what is let through, and nothing of the text is ever run. What comes out
+is a small tree of our own. Length, nesting, size and powers are bounded.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import math
+import operator
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Generic, Literal, TypeVar
+
+from mbsgen.errors import MbsError
+
+MAX_LENGTH = 500  # characters
+MAX_DEPTH = 40
+MAX_NODES = 200
+MAX_POWER = 16
+MAX_DIGITS = 64  # characters of one number
+
+_UNARY = ("sin", "cos", "tan", "asin", "acos", "atan", "sqrt", "exp", "log", "tanh", "abs")
+FUNCTIONS: Mapping[str, int] = MappingProxyType({**dict.fromkeys(_UNARY, 1), "atan2": 2})  # with numbers of arguments
+CONSTANTS = ("pi",)
+
+
+class ExpressionError(MbsError):
+    """An expression that cannot be read, or has no value: what was found, and what to do about it."""
+
+    def __init__(self, finding: str, remedy: str) -> None:
+        self.finding = finding
+        self.remedy = remedy
+        super().__init__(f"{finding}; {remedy}")
+
+
+@dataclass(frozen=True)
+class Number:
+    """A literal; it means the nearest double."""
+
+    value: float
+
+
+@dataclass(frozen=True)
+class Constant:
+    """A number that has a name in mathematics: pi."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class Name:
+    """A name that whoever evaluates gives a value."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class Negation:
+    """Minus its operand."""
+
+    operand: Expression
+
+
+@dataclass(frozen=True)
+class Operation:
+    """Two operands joined by + - * /."""
+
+    operator: Literal["+", "-", "*", "/"]
+    left: Expression
+    right: Expression
+
+
+@dataclass(frozen=True)
+class Power:
+    """A base raised to a whole number."""
+
+    base: Expression
+    exponent: int
+
+
+@dataclass(frozen=True)
+class Call:
+    """A function of the table applied to its arguments."""
+
+    function: str
+    arguments: tuple[Expression, ...]
+
+
+Expression = Number | Constant | Name | Negation | Operation | Power | Call
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Algebra(Generic[T]):
+    """What evaluation needs to know of a number type.
+
+    Its functions raise ArithmeticError or ValueError where they are not defined, or overflow.
+    """
+
+    number: Callable[[float], T]
+    constants: Mapping[str, T]
+    negate: Callable[[T], T]
+    operations: Mapping[str, Callable[[T, T], T]]  # + - * /
+    power: Callable[[T, int], T]
+    functions: Mapping[str, Callable[..., T]]
+
+
+def parse(text: str) -> Expression:
+    """Read an expression. Raises ExpressionError for anything but numbers, names, + - * / **, and known functions."""
+    if not text.strip():
+        raise ExpressionError("an empty expression", "give a number or an expression such as l1/2")
+    if len(text) > MAX_LENGTH:
+        raise ExpressionError(f"an expression of {len(text)} characters", f"give at most {MAX_LENGTH}")
+    _check_tokens(text)
+    try:
+        tree = ast.parse(text.strip(), mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        raise ExpressionError(f"{_quote(text)} is not an expression", "mend it, e.g. l1/2 or -2*(a + b)") from None
+    nodes = sum(isinstance(node, ast.expr) for node in ast.walk(tree))
+    if nodes > MAX_NODES:
+        raise ExpressionError(f"an expression of {nodes} terms", f"give at most {MAX_NODES}; name its parts")
+    return _convert(tree)
+
+
+def names(expression: Expression) -> frozenset[str]:
+    """Collect the names that an expression needs values of."""
+    if isinstance(expression, Name):
+        return frozenset((expression.name,))
+    return frozenset().union(*map(names, _operands(expression)))
+
+
+def evaluate(expression: Expression, values: Mapping[str, T], algebra: Algebra[T]) -> T:
+    """Compute an expression in a number type. Raises ExpressionError for unknown names and where it has no value."""
+    match expression:
+        case Number(value):
+            return algebra.number(value)
+        case Constant(name):
+            return algebra.constants[name]
+        case Name(name) if name in values:
+            return values[name]
+        case Name(name):
+            raise ExpressionError(f"unknown name {_quote(name)}", _list_known(sorted(values)))
+        case Negation(operand):
+            return algebra.negate(evaluate(operand, values, algebra))
+    operands = [evaluate(operand, values, algebra) for operand in _operands(expression)]
+    try:
+        match expression:
+            case Operation(symbol):
+                return algebra.operations[symbol](*operands)
+            case Power(_, exponent):
+                return algebra.power(operands[0], exponent)
+            case Call(function):
+                return algebra.functions[function](*operands)
+    except (ArithmeticError, ValueError):
+        raise ExpressionError(f"{write(expression)} has no value", "keep to what the function is defined for") from None
+
+
+def write(expression: Expression) -> str:
+    """Write an expression as text that `parse` reads as the same expression."""
+    return _write(expression, 0)
+
+
+def _operands(expression: Expression) -> tuple[Expression, ...]:
+    match expression:
+        case Negation(operand) | Power(operand):
+            return (operand,)
+        case Operation(_, left, right):
+            return (left, right)
+        case Call(_, arguments):
+            return arguments
+    return ()
+
+
+# --- reading -------------------------------------------------------------------------------------------------------
+
+_NUMBER = re.compile(r"(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
+_TOKEN = re.compile(rf"(?P<number>{_NUMBER.pattern})|(?P<name>[^\W\d]\w*)|\*\*|[-+*/(),]|[ \t\n]+", re.ASCII)
+_OPERATORS: Mapping[type[ast.operator], Literal["+", "-", "*", "/"]] = MappingProxyType(
+    {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
+)
+
+
+def _check_tokens(text: str) -> None:
+    """Let only the words of the language reach Python's parser."""
+    position, previous = 0, ""
+    while position < len(text):
+        token = _TOKEN.match(text, position)
+        if token is None:
+            remedy = (
+                "write a power as **" if text[position] == "^" else "use numbers, names, + - * / ** ( ) and functions"
+            )
+            raise ExpressionError(f"{_quote(text[position])} has no meaning in an expression", remedy)
+        if previous == "number" and token.lastgroup in ("number", "name"):
+            raise ExpressionError(f"{_quote(text[:60])} joins a number to a word", "put * or a space between")
+        if token["number"]:
+            _check_number(token["number"])
+        previous = token.lastgroup or ""
+        position = token.end()
+
+
+def _check_number(digits: str) -> None:
+    if len(digits) > MAX_DIGITS:
+        raise ExpressionError(f"a number of {len(digits)} characters", f"give at most {MAX_DIGITS}")
+    if math.isinf(float(digits)):
+        raise ExpressionError(f"{digits} is beyond the largest double", "give a smaller number")
+    if float(digits) == 0 and re.search("[1-9]", re.split("[eE]", digits)[0]):
+        raise ExpressionError(f"{digits} is below the smallest double", "give 0 or a larger number")
+
+
+def _convert(node: ast.expr, depth: int = 1) -> Expression:
+    if depth > MAX_DEPTH:
+        raise ExpressionError(f"an expression nested deeper than {MAX_DEPTH}", "name its parts")
+    match node:
+        case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
+            return Number(float(value))
+        case ast.Name(id=name):
+            return Constant(name) if name in CONSTANTS else Name(name)
+        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            return Negation(_convert(operand, depth + 1))
+        case ast.UnaryOp(op=ast.UAdd(), operand=operand):
+            return _convert(operand, depth + 1)
+        case ast.BinOp(left=base, op=ast.Pow(), right=exponent):
+            return Power(_convert(base, depth + 1), _exponent(exponent))
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
+            return Operation(_OPERATORS[type(op)], _convert(left, depth + 1), _convert(right, depth + 1))
+        case ast.Call(func=ast.Name(id=function), args=arguments, keywords=[]):
+            _check_call(function, len(arguments))
+            return Call(function, tuple(_convert(argument, depth + 1) for argument in arguments))
+    raise ExpressionError(
+        f"{_quote(ast.unparse(node))} has no meaning here", "use numbers, names, + - * / ** ( ) and functions"
+    )
+
+
+def _exponent(node: ast.expr) -> int:
+    match node:
+        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            return -_exponent(operand)
+        case ast.Constant(value=int() as value) if not isinstance(value, bool) and value <= MAX_POWER:
+            return value
+    remedy = f"give a whole number up to {MAX_POWER}; sqrt and exp are functions"
+    raise ExpressionError(f"exponent {_quote(ast.unparse(node))}", remedy)
+
+
+def _check_call(function: str, arguments: int) -> None:
+    if function not in FUNCTIONS:
+        raise ExpressionError(f"unknown function {_quote(function)}", f"the functions are {', '.join(FUNCTIONS)}")
+    if arguments != FUNCTIONS[function]:
+        raise ExpressionError(f"{function} of {arguments} arguments", f"give {FUNCTIONS[function]}")
+
+
+def _list_known(known: list[str]) -> str:
+    if not known:
+        return "no names are known here; give a number"
+    return f"known here are {', '.join(known[:20])}{', ...' if len(known) > 20 else ''}"
+
+
+def _quote(text: str) -> str:
+    return json.dumps(text if len(text) <= 40 else text[:37] + "...", ensure_ascii=False)
+
+
+# --- writing -------------------------------------------------------------------------------------------------------
+
+
+def _write(expression: Expression, binding: int) -> str:
+    """Write with brackets where what stands around binds more strongly: + - 1, * / 2, minus sign 3, ** 4, else 5."""
+    match expression:
+        case Number(value):
+            text = str(int(value)) if value.is_integer() and abs(value) < 1e16 else repr(value)
+            strength = 3 if value < 0 else 5
+        case Constant(name) | Name(name):
+            text, strength = name, 5
+        case Negation(operand):
+            text, strength = f"-{_write(operand, 3)}", 3
+        case Operation(symbol, left, right):
+            strength = 1 if symbol in "+-" else 2
+            joint = f" {symbol} " if strength == 1 else symbol
+            text = f"{_write(left, strength)}{joint}{_write(right, strength + 1)}"
+        case Power(base, exponent):
+            text, strength = f"{_write(base, 5)}**{exponent}", 4
+        case Call(function, arguments):
+            text, strength = f"{function}({', '.join(_write(argument, 0) for argument in arguments)})", 5
+    return text if strength >= binding else f"({text})"
+
+
+# --- doubles -------------------------------------------------------------------------------------------------------
+
+
+def _finite(function: Callable[..., float]) -> Callable[..., float]:
+    """Let a function raise where it overflows, as it does where it is undefined."""
+
+    def compute(*operands: float) -> float:
+        result = function(*operands)
+        if not math.isfinite(result):
+            raise OverflowError
+        return result
+
+    return compute
+
+
+_MATH: Mapping[str, Callable[..., float]] = {name: getattr(math, name) for name in FUNCTIONS if name != "abs"}
+
+FLOATS: Algebra[float] = Algebra(
+    number=float,
+    constants={"pi": math.pi},
+    negate=operator.neg,
+    operations={
+        symbol: _finite(function)
+        for symbol, function in zip("+-*/", (operator.add, operator.sub, operator.mul, operator.truediv), strict=True)
+    },
+    power=_finite(operator.pow),
+    functions={"abs": abs} | {name: _finite(function) for name, function in _MATH.items()},
+)
