@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
 from mbsgen.model.symbols import exact
@@ -25,7 +25,7 @@ def tree_from_reference(path: Path) -> Tree:
             parent=body["parent"] + 1,
             joint=Joint(f"q{number}", _MOTIONS[body["joint"][0]], "xyz".index(body["joint"][1]), True, None, None),
             position=_vector(body["r"]),
-            orientation=_matrix(body["R_parent_to_joint"]),
+            orientation=_matrix(zip(*body["R_parent_to_joint"], strict=True)),  # there: from the parent's axes
             mass=exact(body["m"]),
             com=_vector(body["com"]),
             inertia=_matrix(body["I_com"]),
@@ -35,11 +35,11 @@ def tree_from_reference(path: Path) -> Tree:
     return Tree(content["id"], _vector(content["gravity"]), (), bodies, ())
 
 
-def _vector(values: Sequence[float]) -> Vector:
+def _vector(values: Iterable[float]) -> Vector:
     x, y, z = map(exact, values)
     return x, y, z
 
 
-def _matrix(rows: Sequence[Sequence[float]]) -> Matrix:
+def _matrix(rows: Iterable[Iterable[float]]) -> Matrix:
     a, b, c = map(_vector, rows)
     return a, b, c
