@@ -126,7 +126,13 @@ def read(path: Path) -> Manifest:
         raise InputError([fault]) from None
     except ValidationError as error:
         faults = [
-            Fault(str(path), 0, ".".join(map(str, e["loc"])), e["msg"], "generate the folder again with this mbsgen")
+            Fault(
+                str(path),
+                0,
+                ".".join(map(str, e["loc"])),
+                e["msg"],
+                "generate the folder again with this mbsgen",
+            )
             for e in error.errors()
         ]
         raise InputError(faults) from None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 
+from mbsgen.manifest import Flops
 from mbsgen.tape.types import Op, Tape
 
 ARITHMETIC = frozenset({Op.ADD, Op.SUB, Op.MUL, Op.DIV})
@@ -21,6 +22,21 @@ class Counts:
     def of(self, *ops: Op) -> int:
         """Add up the operations of the given kinds."""
         return sum(self.operations.get(op, 0) for op in ops)
+
+    @property
+    def flops(self) -> Flops:
+        """Table the operations as manifest and report carry them."""
+        return Flops(
+            paper=self.paper,
+            arithmetic=self.arithmetic,
+            add=self.of(Op.ADD, Op.SUB),
+            mul=self.of(Op.MUL),
+            div=self.of(Op.DIV),
+            neg=self.of(Op.NEG),
+            sqrt=self.of(Op.SQRT),
+            trig=self.of(Op.SIN, Op.COS),
+            other=sum(self.operations.values()) - self.of(*PAPER),
+        )
 
     @property
     def paper(self) -> int:

@@ -1,0 +1,105 @@
+"""The report: what each formulation and each generated kernel costs, as a table, as Markdown and as JSON.
+
+`formulations` counts the dynamics with every number of the model as a run-time parameter, `setup` apart, as the paper's
+Table 4 does; `kernels` counts what was generated.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from mbsgen.formulations.catalogue import FORMULATIONS, without_forces
+from mbsgen.formulations.links import PARAMETERS
+from mbsgen.manifest import Flops, Kernel
+from mbsgen.model.tree import Tree
+from mbsgen.tape.counts import count
+from mbsgen.tape.passes import hoist
+from mbsgen.tape.types import Tape
+
+COLUMNS = ("flops", "arithmetic", "+ -", "*", "/", "neg", "sqrt", "trig", "equations")
+NOTE = (
+    "Flops are counted by the paper's convention (+ - * / sqrt sin cos and unary minus, one each); "
+    "arithmetic counts + - * /. Formulations have every number of the model at run time, setup apart; "
+    "kernels are counted as generated."
+)
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What one evaluation costs."""
+
+    flops: Flops
+    equations: int
+
+    @property
+    def row(self) -> tuple[int, ...]:
+        """List the cost in the order of COLUMNS."""
+        f = self.flops
+        return (f.paper, f.arithmetic, f.add, f.mul, f.div, f.neg, f.sqrt, f.trig, self.equations)
+
+
+@dataclass(frozen=True)
+class Report:
+    """The costs of a model."""
+
+    model: str
+    formulations: Mapping[str, Cost]
+    setups: Mapping[str, Cost]  # of the formulations, once per change of parameters
+    kernels: Mapping[str, Cost]
+
+
+def make_report(tree: Tree, parametric: Tree, kernels: tuple[Kernel, ...]) -> Report:
+    """Count the formulations of `parametric`, whose numbers are run-time parameters, and the generated kernels."""
+    formulations, setups = {}, {}
+    for name, build in FORMULATIONS.items():
+        setup, (tape,) = hoist([build(without_forces(parametric))], PARAMETERS, "h")
+        formulations[name] = _cost(tape)
+        setups[name] = _cost(setup)
+    return Report(tree.name, formulations, setups, {k.name: Cost(k.flops, k.equations) for k in kernels})
+
+
+def _cost(tape: Tape) -> Cost:
+    counts = count(tape)
+    return Cost(counts.flops, counts.equations)
+
+
+def sections(report: Report) -> Iterator[tuple[str, Mapping[str, Cost]]]:
+    """Give the tables of a report: a title, and a cost for each row."""
+    yield "Formulations, parameters at run time", report.formulations
+    yield "Their setup", report.setups
+    yield "Kernels as generated", report.kernels
+
+
+def write_json(report: Report) -> str:
+    """Write `report.json`, the stable form that later versions are compared by."""
+    data = {
+        "model": report.model,
+        "formulations": {name: _entry(cost) for name, cost in report.formulations.items()},
+        "setups": {name: _entry(cost) for name, cost in report.setups.items()},
+        "kernels": {name: _entry(cost) for name, cost in report.kernels.items()},
+    }
+    return json.dumps(data, indent=2, ensure_ascii=False) + "\n"
+
+
+def _entry(cost: Cost) -> dict[str, object]:
+    return {"flops": cost.flops.model_dump(), "equations": cost.equations}
+
+
+def write_markdown(report: Report) -> str:
+    """Write `report.md`."""
+    lines = [f"# What {_plain(report.model)} costs", "", NOTE]
+    for title, costs in sections(report):
+        lines += ["", f"## {title}", "", _line(("", *COLUMNS)), _line(["---", *["---:"] * len(COLUMNS)])]
+        lines += [_line((f"`{name}`", *map(str, cost.row))) for name, cost in costs.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _line(cells: tuple[str, ...] | list[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _plain(name: str) -> str:
+    """Take from a user's name what Markdown would read as its own."""
+    return "".join(c if c.isalnum() or c in " -." else f"\\{c}" for c in name)
