@@ -1,0 +1,22 @@
+/* Call a kernel once per state of a batch. Compiled into a model's library beside its kernels. */
+#include "mbs_batch.h"
+
+int mbs_batch(mbs_kernel f, casadi_int states, casadi_int n_in, const casadi_real **arg, const casadi_int *arg_step,
+              casadi_int n_out, casadi_real **res, const casadi_int *res_step, casadi_int *failed)
+{
+    casadi_int state, k;
+    for (state = 0; state < states; ++state) {
+        const int status = f(arg, res, 0, 0, 0);
+        if (status) {
+            *failed = state;
+            return status;
+        }
+        for (k = 0; k < n_in; ++k)
+            if (arg[k])
+                arg[k] += arg_step[k];
+        for (k = 0; k < n_out; ++k)
+            if (res[k])
+                res[k] += res_step[k];
+    }
+    return 0;
+}

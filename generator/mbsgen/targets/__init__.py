@@ -1,0 +1,1 @@
+"""Targets: a tape written in another language."""

@@ -1,0 +1,257 @@
+"""C sources of a model's kernels: tapes -> a header, one C file per kernel, the ABI header, and the manifest's kernels.
+
+What a template lays out is prepared here as a view: numbers counted, expressions written, lines broken. A kernel is one
+C function with typed arguments, and a second one, in CasADi's contract, that calls it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+
+import jinja2
+
+from mbsgen import resources
+from mbsgen.manifest import Argument, Flops, Kernel
+from mbsgen.tape.counts import Counts, count
+from mbsgen.tape.types import Input, Op, Output, Sparsity
+from mbsgen.targets.contract import Face, Family, Slot, arguments, faces
+from mbsgen.targets.statements import Result, Statement, wrap, write_body
+
+ABI_HEADER = "mbs_abi.h"
+
+
+@dataclass(frozen=True)
+class Unit:
+    """The functions of one model, to be written as C."""
+
+    prefix: str  # the model's mangled name
+    version: str  # of mbsgen
+    model_hash: str
+    families: tuple[Family, ...]
+
+
+@dataclass(frozen=True)
+class Sources:
+    """What was written, and what the manifest tells of it."""
+
+    files: Mapping[str, str]  # file name -> text; every file of the folder but the manifest and reports
+    header: str
+    sources: tuple[str, ...]  # the C files among them
+    kernels: tuple[Kernel, ...]
+
+
+def write_c(unit: Unit) -> Sources:
+    """Write every kernel of `unit` in C; the same unit gives the same text."""
+    found = [face for family in unit.families for face in faces(family, unit.prefix)]
+    views = [_view(unit.prefix, face) for face in found]
+    header = f"{unit.prefix}.h"
+    common = {"version": unit.version, "model_hash": unit.model_hash, "header": header}
+    kernel = _environment().get_template("kernel.c.j2")
+    sources = {view.file: kernel.render(kernel=view, **common) for view in views}
+    model = _environment().get_template("model.h.j2")
+    headers = {
+        header: model.render(kernels=views, prefix=unit.prefix, **common),
+        ABI_HEADER: (resources.folder("csrc") / ABI_HEADER).read_text(encoding="utf-8"),
+    }
+    return Sources({**headers, **sources}, header, tuple(sources), tuple(map(_describe, found)))
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    return jinja2.Environment(
+        loader=jinja2.FileSystemLoader(resources.folder("templates") / "c"),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        autoescape=False,
+    )
+
+
+# -- the manifest's side --------------------------------------------------------------------------------------------
+
+
+def measure(counts: Counts) -> tuple[Flops, int]:
+    """Put a tape's counts into the manifest's terms: its flops, and the number of its equations."""
+    flops = Flops(
+        paper=counts.paper,
+        arithmetic=counts.arithmetic,
+        add=counts.of(Op.ADD, Op.SUB),
+        mul=counts.of(Op.MUL),
+        div=counts.of(Op.DIV),
+        neg=counts.of(Op.NEG),
+        sqrt=counts.of(Op.SQRT),
+        trig=counts.of(Op.SIN, Op.COS),
+        other=0,
+    )
+    return flops, counts.equations
+
+
+def _describe(face: Face) -> Kernel:
+    """Describe a kernel by the arguments of its tape; the empty ones that CasADi counts besides are left to the C."""
+    flops, equations = measure(count(face.tape))
+    slots = {slot.name: slot for slot in (*face.inputs, *face.outputs)}
+    return Kernel(
+        name=face.kernel,
+        symbol=face.symbol,
+        function=face.function,
+        inputs=tuple(_argument(i, slots[i.name].differentiable) for i in face.tape.inputs),
+        outputs=tuple(map(_argument, face.tape.outputs)),
+        flops=flops,
+        equations=equations,
+    )
+
+
+def _argument(source: Input | Output, differentiable: bool = True) -> Argument:
+    pattern = source.sparsity
+    dense = pattern.is_dense
+    return Argument(
+        name=source.name,
+        rows=pattern.rows,
+        cols=pattern.cols,
+        colind=None if dense else pattern.colind,
+        row=None if dense else pattern.row,
+        differentiable=differentiable,
+    )
+
+
+# -- the template's side --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Parameter:
+    """An argument of the typed function."""
+
+    declaration: str
+    note: str
+    macro: str  # names the number of its nonzeros
+    nnz: int
+    passed: str  # what CasADi's face passes for it
+
+
+@dataclass(frozen=True)
+class _Pattern:
+    name: str
+    lines: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Table:
+    """One side of CasADi's face: the initialisers of its tables, as lines."""
+
+    size: int
+    names: tuple[str, ...]
+    patterns: tuple[str, ...]
+    differentiable: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _View:
+    """A kernel, ready to be laid out."""
+
+    file: str
+    symbol: str
+    function: str
+    title: str
+    flops: Flops
+    equations: int
+    parameters: tuple[_Parameter, ...]
+    left_out: tuple[str, ...]
+    unused: tuple[str, ...]
+    statements: tuple[Statement, ...]
+    results: tuple[Result, ...]
+    zeros: int  # nonzeros of the largest input
+    patterns: tuple[_Pattern, ...]
+    inputs: _Table
+    outputs: _Table
+
+
+def _view(prefix: str, face: Face) -> _View:
+    flops, equations = measure(count(face.tape))
+    body = write_body(face.tape)
+    patterns = _name_patterns(face)
+    empty = [a for a in map(_argument, arguments(face.tape)) if not a.nnz]
+    return _View(
+        file=f"{prefix}_{face.kernel}.c",
+        symbol=face.symbol,
+        function=face.function,
+        title=_title(face),
+        flops=flops,
+        equations=equations,
+        parameters=_parameters(prefix, face),
+        left_out=tuple(f"{a.name}: {a.rows} x {a.cols}, without a nonzero: no argument" for a in empty),
+        unused=body.unused,
+        statements=body.statements,
+        results=body.results,
+        zeros=max((i.sparsity.nnz for i in face.tape.inputs), default=0),
+        patterns=tuple(_Pattern(name, wrap(map(str, _compress(pattern)))) for pattern, name in patterns.items()),
+        inputs=_table(face.inputs, patterns),
+        outputs=_table(face.outputs, patterns),
+    )
+
+
+def _title(face: Face) -> str:
+    name = face.family.value.name
+    return {
+        name: f"{name}: {face.family.title}" if face.family.title else name,
+        f"jac_{name}": f"jac_{name}: Jacobians of {name}, jac_<result>_<input>",
+        f"adj1_{name}": f"adj1_{name}: adj_<input>, the sum over the results of (d result / d input)^T adj_<result>",
+        f"jac_adj1_{name}": f"jac_adj1_{name}: Jacobians of adj1_{name}, jac_<result>_<input>",
+    }[face.kernel]
+
+
+def _parameters(prefix: str, face: Face) -> tuple[_Parameter, ...]:
+    tape, meanings = face.tape, face.family.meanings
+    inputs = {slot.name: k for k, slot in enumerate(face.inputs)}
+    outputs = {slot.name: k for k, slot in enumerate(face.outputs)}
+    return tuple(
+        _Parameter(
+            f"const mbs_real *MBS_RESTRICT {i.name}",
+            _note("in", i.name, i.sparsity, f"{face.symbol}_sparsity_in({inputs[i.name]})", meanings),
+            f"{prefix}_{face.kernel}_NNZ_{i.name}",
+            i.sparsity.nnz,
+            f"arg[{inputs[i.name]}] ? arg[{inputs[i.name]}] : zeros",
+        )
+        for i in tape.inputs
+        if i.sparsity.nnz
+    ) + tuple(
+        _Parameter(
+            f"mbs_real *MBS_RESTRICT {o.name}",
+            _note("out", o.name, o.sparsity, f"{face.symbol}_sparsity_out({outputs[o.name]})", meanings),
+            f"{prefix}_{face.kernel}_NNZ_{o.name}",
+            o.sparsity.nnz,
+            f"res[{outputs[o.name]}]",
+        )
+        for o in tape.outputs
+        if o.sparsity.nnz
+    )
+
+
+def _note(way: str, name: str, pattern: Sparsity, source: str, meanings: Mapping[str, str]) -> str:
+    nonzeros = "" if pattern.is_dense else f", {pattern.nnz} nonzeros, placed as {source} tells"
+    meaning = f": {meanings[name]}" if name in meanings else ""
+    return f"{name} ({way}, {pattern.rows} x {pattern.cols}{nonzeros}){meaning}"
+
+
+def _name_patterns(face: Face) -> dict[Sparsity, str]:
+    different = dict.fromkeys(slot.sparsity for slot in (*face.inputs, *face.outputs))
+    return {pattern: f"pattern{k}" for k, pattern in enumerate(different)}
+
+
+def _compress(pattern: Sparsity) -> tuple[int, ...]:
+    """Write a pattern as CasADi reads it."""
+    if pattern.is_dense:
+        return (pattern.rows, pattern.cols, 1)
+    return (pattern.rows, pattern.cols, *pattern.colind, *pattern.row)
+
+
+def _table(slots: Iterable[Slot], patterns: Mapping[Sparsity, str]) -> _Table:
+    slots = tuple(slots)
+    return _Table(
+        len(slots),
+        wrap(f'"{slot.name}"' for slot in slots),
+        wrap(patterns[slot.sparsity] for slot in slots),
+        wrap(str(int(slot.differentiable)) for slot in slots),
+    )

@@ -1,0 +1,49 @@
+"""Mangling: any name of a model -> a C identifier that every symbol and file name of the model starts with.
+
+Different names give different prefixes, and no symbol of one model is a symbol of another, so that the generated C of
+several models can be linked into one program. `Z` opens an escape: `ZZ` is a Z, `Z2dz` the character U+002D.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+
+MAX_LENGTH = 48
+_KEPT = re.compile(r"[A-Ya-z0-9_]")
+# Words that stand around the prefix in symbols (`jac_arm_impl`, `arm_compute_impl`, `mbs_abi.h`): as a part of a
+# prefix they would make `jac_arm` + `impl` and `jac_` + `arm_impl` the same symbol.
+_RESERVED = frozenset({"jac", "adj1", "fwd1", "compute", "mbs", "casadi"})
+
+
+def mangle(name: str) -> str:
+    """Return the C prefix of a model called `name`: an identifier of at most MAX_LENGTH characters.
+
+    It neither starts with a digit or an underscore nor ends with an underscore, and holds no two underscores in a row
+    (such names are reserved in C and C++). A name too long for that is cut, and opens with 128 bits of its SHA-256.
+    """
+    assert name, "a model without a name is refused when it is read"
+    text = "_".join(map(_escape_part, _escape(name).split("_")))
+    if len(text) <= MAX_LENGTH:
+        return text
+    digest = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()[:32]
+    return f"Zs{digest}_{text}"[:MAX_LENGTH].rstrip("_")
+
+
+def _escape(name: str) -> str:
+    """Escape each character that cannot stand where it stands in an identifier."""
+    last = len(name) - 1
+    return "".join(
+        _code(c)
+        if not _KEPT.fullmatch(c) or (c == "_" and (i in (0, last) or name[i - 1] == "_")) or (i == 0 and c.isdigit())
+        else c
+        for i, c in enumerate(name)
+    )
+
+
+def _escape_part(part: str) -> str:
+    return _code(part[0]) + part[1:] if part in _RESERVED else part
+
+
+def _code(character: str) -> str:
+    return "ZZ" if character == "Z" else f"Z{ord(character):x}z"

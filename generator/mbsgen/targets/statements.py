@@ -1,0 +1,159 @@
+"""The body of a function: Tape -> named statements and results, as text of C or of a language that writes alike.
+
+Values used once are written into the expression that uses them while that stays short to read. Every operation inside
+another stands in parentheses, so that the language associates as the tape does.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from itertools import count
+
+from mpmath import mpf
+
+from mbsgen.errors import TapeError
+from mbsgen.tape.types import Op, Tape
+from mbsgen.targets.contract import arguments
+
+INLINED = 40  # the longest text written into another expression; a line has two of them at most
+_IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_INFIX = {Op.ADD: " + ", Op.SUB: " - ", Op.MUL: "*", Op.DIV: "/"}
+
+
+@dataclass(frozen=True)
+class Syntax:
+    """How a language writes what is not the same in all: literals, calls, and which names are not free."""
+
+    literal: str  # {} stands for the digits
+    calls: Mapping[Op, str]
+    taken: re.Pattern[str]
+
+
+# Keywords of C, and what <math.h> or the ABI header may define as macros, are no names of local variables.
+C = Syntax(
+    "MBS_C({})",
+    {Op.SQRT: "MBS_SQRT", Op.SIN: "MBS_SIN", Op.COS: "MBS_COS"},
+    re.compile(
+        "auto|break|case|char|const|continue|default|do|double|else|enum|extern|float|for|goto|if|inline|int|long|register|"
+        "restrict|return|short|signed|sizeof|static|struct|switch|typedef|union|unsigned|void|volatile|while|"
+        r"(sin|cos|sqrt)f?|linux|unix|mbs_real|NAN|INFINITY|NULL|EOF|(MBS|FP|M|HUGE|MATH|INT|UINT|LONG)_.*"
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Statement:
+    """`target = expression`."""
+
+    target: str
+    expression: str
+
+
+@dataclass(frozen=True)
+class Result:
+    """An output with a nonzero, and how each of its nonzeros is computed."""
+
+    name: str
+    statements: tuple[Statement, ...]
+
+
+@dataclass(frozen=True)
+class Body:
+    """A function's body: what is computed for all results, then the results."""
+
+    statements: tuple[Statement, ...]
+    results: tuple[Result, ...]
+    unused: tuple[str, ...]  # inputs that nothing reads
+
+
+def write_body(tape: Tape, syntax: Syntax = C) -> Body:
+    """Write a tape's operations and results as expressions of a language; equal tapes give equal text."""
+    uses = Counter(x for op, *operands in tape.operations for x in operands[: op.arity])
+    uses.update(v for o in tape.outputs for v in o.values)
+    names = _choose_names(tape, syntax)
+    texts = _write_leaves(tape, syntax)  # of every value, ready to stand as an operand
+    statements: list[Statement] = []
+    taken = {*names.values(), *(x.name for x in arguments(tape))}
+    free = (name for k in count(1) if (name := f"t{k}") not in taken)
+    for value, (op, a, b) in enumerate(tape.operations, tape.first_operation):
+        expression = _write(syntax, op, texts[a], texts[b] if op.arity == 2 else "")
+        if uses[value] == 1 and value not in names and len(expression) <= INLINED:
+            texts.append(expression if op in syntax.calls else f"({expression})")
+        elif uses[value]:
+            name = names.get(value) or next(free)
+            statements.append(Statement(name, expression))
+            texts.append(name)
+        else:
+            texts.append("")
+    results = tuple(
+        Result(o.name, tuple(Statement(f"{o.name}[{k}]", _bare(texts[v])) for k, v in enumerate(o.values)))
+        for o in tape.outputs
+        if o.values
+    )
+    return Body(tuple(statements), results, _unused_inputs(tape, uses))
+
+
+def write_literal(value: mpf, syntax: Syntax = C) -> str:
+    """Write the nearest double, in the fewest digits that give it; TapeError beyond the range of a double."""
+    number = float(value)
+    if not math.isfinite(number):
+        raise TapeError(f"the number {value} is beyond the range of a double")
+    return syntax.literal.format(repr(number))
+
+
+def _write(syntax: Syntax, op: Op, a: str, b: str) -> str:
+    if op in _INFIX:
+        return f"{a}{_INFIX[op]}{b}"
+    return f"-{a}" if op is Op.NEG else f"{syntax.calls[op]}({_bare(a)})"
+
+
+def _bare(text: str) -> str:
+    """Take off the parentheses that an operand was given."""
+    return text[1:-1] if text.startswith("(") else text
+
+
+def _write_leaves(tape: Tape, syntax: Syntax) -> list[str]:
+    texts = [f"{i.name}[{k}]" for i in tape.inputs for k in range(i.sparsity.nnz)]
+    return texts + [write_literal(x, syntax) for x in tape.literals]
+
+
+def _unused_inputs(tape: Tape, uses: Mapping[int, int]) -> tuple[str, ...]:
+    unused, first = [], 0
+    for source in tape.inputs:
+        values = range(first, first := first + source.sparsity.nnz)
+        if values and not any(uses.get(v) for v in values):
+            unused.append(source.name)
+    return tuple(unused)
+
+
+def _choose_names(tape: Tape, syntax: Syntax) -> dict[int, str]:
+    """Take the labels that can name a variable: fit for the language, given to one value, no name of an argument."""
+    taken = {x.name for x in arguments(tape)}
+    assert all(_is_free(x, syntax) for x in taken), (
+        f"{tape.name}: arguments {sorted(taken)} must be fit to name variables"
+    )
+    given = Counter(tape.labels.values())
+    return {
+        value: label
+        for value, label in tape.labels.items()
+        if value >= tape.first_operation and given[label] == 1 and label not in taken and _is_free(label, syntax)
+    }
+
+
+def _is_free(name: str, syntax: Syntax) -> bool:
+    return bool(_IDENTIFIER.fullmatch(name)) and not syntax.taken.fullmatch(name)
+
+
+def wrap(words: Iterable[str], width: int = 100) -> tuple[str, ...]:
+    """Set words, separated by commas, in lines of at most `width` characters."""
+    lines: list[str] = []
+    for word in words:
+        if lines and len(lines[-1]) + len(word) + 2 <= width:
+            lines[-1] += f", {word}"
+        else:
+            lines.append(word)
+    return tuple(f"{line}," for line in lines[:-1]) + tuple(lines[-1:])

@@ -1,0 +1,40 @@
+"""The CasADi face of generated kernels: functions with exact first and second derivatives, for use in an NLP."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import casadi as ca
+
+from mbsrun.kernel import HIDDEN, Kernels
+
+
+class Mechanism(Kernels):
+    """The kernels of a generated folder, for NumPy and for CasADi."""
+
+    def casadi(self, name: str) -> ca.Function:
+        """Give a kernel as a CasADi function of its inputs, run-time parameters at their present values.
+
+        CasADi finds the generated `jac_`, `adj1_` and `jac_adj1_` kernels beside it, and uses them wherever it needs a
+        derivative; it can be mapped, over threads as well. A serialised function holds the library's path.
+        Raises ArgumentError for a kernel that there is not.
+        """
+        kernel = self._entry(name).kernel  # by the manifest: a name that only libm knows would be found there
+        external = ca.external(kernel.symbol, str(self.library))
+        names = [argument.name for argument in kernel.inputs]
+        if HIDDEN not in names:
+            return external
+        inputs = {i: ca.MX.sym(i, external.sparsity_in(i)) for i in names if i != HIDDEN}
+        outputs = [argument.name for argument in kernel.outputs]
+        results = external(**inputs, **{HIDDEN: self._hidden})
+        return ca.Function(kernel.symbol, list(inputs.values()), [results[o] for o in outputs], list(inputs), outputs)
+
+
+def load(folder: str | Path, parameters: Mapping[str, float] | None = None) -> Mechanism:
+    """Compile a generated folder, unless that was done before, and load its kernels.
+
+    `parameters` replace values of the model's run-time parameters, by the user's names.
+    Raises InputError for a folder without a manifest, CompileError when the compiler fails.
+    """
+    return Mechanism(folder, parameters)
