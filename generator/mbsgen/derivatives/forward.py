@@ -62,15 +62,16 @@ def write_block(
 ) -> None:
     """Declare the output `jac_<output>_<source>`."""
     given = tape.output(output)
-    first = _first_column(tape, source.name)
+    first, numel_in = _first_column(tape, source.name), source.sparsity.rows * source.sparsity.cols
+    places = [r + c * source.sparsity.rows for r, c in source.sparsity.entries]
     entries = {}
     for (r, c), value in zip(given.sparsity.entries, given.values, strict=True):
         row = r + c * given.sparsity.rows
         for column, derivative in gradients[value].items():
             if first <= column < first + source.sparsity.nnz:
-                entries[row, column - first] = derivative
+                entries[row, places[column - first]] = derivative
     numel = given.sparsity.rows * given.sparsity.cols
-    builder.output_nonzeros(f"jac_{output}_{source.name}", numel, source.sparsity.nnz, entries)
+    builder.output_nonzeros(f"jac_{output}_{source.name}", numel, numel_in, entries)
 
 
 def _first_column(tape: Tape, name: str) -> int:

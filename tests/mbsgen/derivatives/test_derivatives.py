@@ -46,18 +46,18 @@ def every_operation() -> Tape:
 
 def differences(tape: Tape, at: dict[str, list[float]], output: str, source: str) -> np.ndarray:
     """Differentiate in 50 digits by central differences of step 1e-15: exact to far below rounding."""
-    pattern, columns = tape.output(output).sparsity, []
-    for k in range(tape.input(source).sparsity.nnz):
+    pattern, given, columns = tape.output(output).sparsity, tape.input(source).sparsity, []
+    for k in range(given.nnz):
         ends = []
         for sign in (1, -1):
             moved = {name: list(map(DIGITS.literal, v)) for name, v in at.items()}
             moved[source][k] += sign * DIGITS.literal(1e-15)
             ends.append(evaluate(tape, moved, DIGITS)[output])
         columns.append([(a - b) / DIGITS.literal(2e-15) for a, b in zip(*ends, strict=True)])
-    full = np.zeros((pattern.rows * pattern.cols, len(columns)))
-    for c, column in enumerate(columns):
-        for (r, s), value in zip(pattern.entries, column, strict=True):
-            full[r + s * pattern.rows, c] = float(value)
+    full = np.zeros((pattern.rows * pattern.cols, given.rows * given.cols))
+    for (i, j), column in zip(given.entries, columns, strict=True):
+        for (r, c), value in zip(pattern.entries, column, strict=True):
+            full[r + c * pattern.rows, i + j * given.rows] = float(value)
     return full
 
 
