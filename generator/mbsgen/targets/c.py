@@ -14,8 +14,8 @@ import jinja2
 
 from mbsgen import resources
 from mbsgen.manifest import Argument, Flops, Kernel
-from mbsgen.tape.counts import Counts, count
-from mbsgen.tape.types import Input, Op, Output, Sparsity
+from mbsgen.tape.counts import count
+from mbsgen.tape.types import Input, Output, Sparsity
 from mbsgen.targets.contract import Face, Family, Slot, arguments, faces
 from mbsgen.targets.statements import Result, Statement, wrap, write_body
 
@@ -73,25 +73,9 @@ def _environment() -> jinja2.Environment:
 # -- the manifest's side --------------------------------------------------------------------------------------------
 
 
-def measure(counts: Counts) -> tuple[Flops, int]:
-    """Put a tape's counts into the manifest's terms: its flops, and the number of its equations."""
-    flops = Flops(
-        paper=counts.paper,
-        arithmetic=counts.arithmetic,
-        add=counts.of(Op.ADD, Op.SUB),
-        mul=counts.of(Op.MUL),
-        div=counts.of(Op.DIV),
-        neg=counts.of(Op.NEG),
-        sqrt=counts.of(Op.SQRT),
-        trig=counts.of(Op.SIN, Op.COS),
-        other=0,
-    )
-    return flops, counts.equations
-
-
 def _describe(face: Face) -> Kernel:
     """Describe a kernel by the arguments of its tape; the empty ones that CasADi counts besides are left to the C."""
-    flops, equations = measure(count(face.tape))
+    counts = count(face.tape)
     slots = {slot.name: slot for slot in (*face.inputs, *face.outputs)}
     return Kernel(
         name=face.kernel,
@@ -99,8 +83,8 @@ def _describe(face: Face) -> Kernel:
         function=face.function,
         inputs=tuple(_argument(i, slots[i.name].differentiable) for i in face.tape.inputs),
         outputs=tuple(map(_argument, face.tape.outputs)),
-        flops=flops,
-        equations=equations,
+        flops=counts.flops,
+        equations=counts.equations,
     )
 
 
@@ -169,7 +153,7 @@ class _View:
 
 
 def _view(prefix: str, face: Face) -> _View:
-    flops, equations = measure(count(face.tape))
+    counts = count(face.tape)
     body = write_body(face.tape)
     patterns = _name_patterns(face)
     empty = [a for a in map(_argument, arguments(face.tape)) if not a.nnz]
@@ -178,8 +162,8 @@ def _view(prefix: str, face: Face) -> _View:
         symbol=face.symbol,
         function=face.function,
         title=_title(face),
-        flops=flops,
-        equations=equations,
+        flops=counts.flops,
+        equations=counts.equations,
         parameters=_parameters(prefix, face),
         left_out=tuple(f"{a.name}: {a.rows} x {a.cols}, without a nonzero: no argument" for a in empty),
         unused=body.unused,

@@ -1,0 +1,63 @@
+"""Mangling gives identifiers, different ones for different names, and no symbol twice over all models."""
+
+from __future__ import annotations
+
+import itertools
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mbsgen.targets.names import MAX_LENGTH, mangle
+
+HOSTILE = [
+    "arm", "Arm", "arm_", "_arm", "a__rm", "a_rm", "arm-1", "arm 1", "arm.1", "1arm", "Z", "ZZ", "Z5fz", "aZ2dz1",
+    "int", "gamma", "sin", "restrict", "jac", "jac_arm", "adj1_arm", "fwd1_arm", "jac_adj1_arm", "arm_compute",
+    "compute_arm", "compute", "arm_jac", "arm_compute_jac", "arm_impl", "mbs", "mbs_abi", "mbs_batch", "casadi",
+    "../../etc/passwd", "a/b", "a\\b", "*/ int main(){} /*", "a\nb", "a\0b", "ärm", "a\u0308rm", "机械臂", "🤖", "%s%n",
+    "$(reboot)", "`id`", '"; rm -rf /', "a" * 200, "a" * 199 + "b", "\ud800", "_", "__", " ",
+]  # fmt: skip
+KERNELS = ("impl", "sensors", "frames", "setup", "semi", "semi_res", "exp1", "exp2")
+ORDERS = ("", "jac_", "adj1_", "jac_adj1_")
+ACCOUNTS = ("", "_n_in", "_n_out", "_name_in", "_name_out", "_sparsity_in", "_sparsity_out", "_diff_in", "_work")
+
+
+def demangle(prefix: str) -> str:
+    """Read the escapes back: what can be read back without loss is injective."""
+    return re.sub(r"Z(Z|[0-9a-f]+z)", lambda m: "Z" if m[1] == "Z" else chr(int(m[1][:-1], 16)), prefix)
+
+
+def symbols(prefix: str) -> set[str]:
+    """List every external name of a model, file names' stems included."""
+    faces = {f"{o}{prefix}_{k}{a}" for o in ORDERS for k in KERNELS for a in ACCOUNTS}
+    return faces | {f"{prefix}_compute_{o}{k}" for o in ORDERS for k in KERNELS}
+
+
+@given(st.text(min_size=1))
+def test_a_prefix_is_an_identifier_and_can_be_read_back(name: str) -> None:
+    prefix = mangle(name)
+    assert re.fullmatch(r"[A-Za-z](_?[A-Za-z0-9])*", prefix, re.ASCII)
+    assert len(prefix) <= MAX_LENGTH
+    assert prefix.startswith("Zs") or demangle(prefix) == name
+
+
+@given(st.text(alphabet="aZz_2d5f6jcompute", min_size=1), st.text(alphabet="aZz_2d5f6jcompute", min_size=1))
+def test_different_names_have_different_prefixes(one: str, other: str) -> None:
+    assert (mangle(one) == mangle(other)) == (one == other)
+
+
+def test_plain_names_are_kept() -> None:
+    assert [mangle(name) for name in ("arm_pendulum", "UR5", "q2x")] == ["arm_pendulum", "UR5", "q2x"]
+
+
+def test_no_symbol_belongs_to_two_models() -> None:
+    found = {name: symbols(mangle(name)) for name in HOSTILE}
+    shared = [(a, b) for a, b in itertools.combinations(HOSTILE, 2) if found[a] & found[b]]
+    assert shared == []
+
+
+@pytest.mark.parametrize("name", ["a" * 200, "机械臂" * 40])
+def test_long_names_stay_apart_by_their_digest(name: str) -> None:
+    assert mangle(name) != mangle(name + "x")
+    assert len(mangle(name)) <= MAX_LENGTH
