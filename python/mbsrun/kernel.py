@@ -27,7 +27,8 @@ from mbsrun.library import CompileError, compile_folder
 Array = NDArray[np.float64]
 
 HIDDEN = "h"  # what `setup` makes of the run-time parameters; filled in for the caller
-_MATRICES = frozenset({"position", "adj_position", "p", "R"})  # columns are frames: matrices, even with one column
+# Their columns are frames: matrices, even with one column.
+_MATRICES = {"in": frozenset({"adj_position"}), "out": frozenset({"position", "p", "R"})}
 _BATCH = """
 typedef int (*mbs_kernel)(const double **arg, double **res, long long *iw, double *w, int mem);
 int mbs_batch(mbs_kernel f, long long states, long long n_in, const double **arg, const long long *arg_step,
@@ -189,7 +190,8 @@ class Kernels:
                 arrays.append((port, array))
         if faults:
             raise ArgumentError("\n".join(f"{entry.kernel.name}: {fault}" for fault in faults))
-        return arrays + [(ports[HIDDEN], self._hidden)] * (HIDDEN in ports)
+        hidden = [(port, self._hidden) for name, port in ports.items() if name == HIDDEN]
+        return arrays + hidden
 
     def _run(self, entry: _Entry, inputs: list[tuple[_Port, Array]], states: int) -> list[Array]:
         """Call the kernel for every state; inputs and results by nonzeros, one row a state."""
@@ -232,29 +234,26 @@ def _bind(ffi: cffi.FFI, lib: Any, kernel: Kernel) -> _Entry:
     """Find a kernel's arguments in the library; ArgumentError where manifest and library differ."""
     try:
         function, n_in, n_out = (getattr(lib, kernel.symbol + end) for end in ("", "_n_in", "_n_out"))
-        inputs = _ports(ffi, lib, f"{kernel.symbol}_%s_in", n_in(), kernel.inputs)
-        outputs = _ports(ffi, lib, f"{kernel.symbol}_%s_out", n_out(), kernel.outputs)
+        inputs = _ports(ffi, lib, kernel, "in", kernel.inputs)
+        outputs = _ports(ffi, lib, kernel, "out", kernel.outputs)
     except (AttributeError, LookupError):  # a function of libm would be found by its name, but not its account
-        raise ArgumentError(
-            f"{kernel.symbol}: the manifest and the C files disagree; generate the folder again"
-        ) from None
+        finding = "the manifest and the C files disagree"
+        raise ArgumentError(f"{kernel.symbol}: {finding}; generate the folder again") from None
     return _Entry(kernel, function, n_in(), n_out(), inputs, outputs)
 
 
-def _ports(ffi: cffi.FFI, lib: Any, symbol: str, size: int, arguments: tuple[Argument, ...]) -> tuple[_Port, ...]:
-    names, sparsity = getattr(lib, symbol % "name"), getattr(lib, symbol % "sparsity")
-    positions = {ffi.string(names(i)): i for i in range(size)}
-    ports = tuple(_Port(a, positions[a.name.encode()], _is_vector(a, symbol)) for a in arguments)
-    for port in ports:
-        expected = _compress(port.argument)
-        if list(ffi.unpack(sparsity(port.position), len(expected))) != expected:
-            raise LookupError(port.argument.name)
-    return ports
-
-
-def _is_vector(argument: Argument, symbol: str) -> bool:
-    setup = symbol.endswith("_setup_%s_in")  # its p are the parameters; elsewhere p are places
-    return argument.cols == 1 and not argument.name.startswith("jac_") and (setup or argument.name not in _MATRICES)
+def _ports(ffi: cffi.FFI, lib: Any, kernel: Kernel, side: str, arguments: tuple[Argument, ...]) -> tuple[_Port, ...]:
+    size, names, sparsity = (getattr(lib, f"{kernel.symbol}_{x}_{side}") for x in ("n", "name", "sparsity"))
+    positions = {ffi.string(names(i)): i for i in range(size())}
+    ports = []
+    for argument in arguments:
+        position = positions[argument.name.encode()]
+        pattern = sparsity(position)
+        if any(pattern[i] != x for i, x in enumerate(_compress(argument))):
+            raise LookupError(argument.name)
+        is_matrix = argument.name.startswith("jac_") or argument.name in _MATRICES[side]
+        ports.append(_Port(argument, position, argument.cols == 1 and not is_matrix))
+    return tuple(ports)
 
 
 def _compress(argument: Argument) -> list[int]:

@@ -1,0 +1,227 @@
+"""The CasADi face: exact values and derivatives with their patterns, and proof that IPOPT uses the generated ones."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from mbsgen.tape.builder import Builder
+from mbsgen.tape.replay import declare_inputs, replay
+from mbsgen.tape.types import Tape
+from mbsgen.targets.contract import Family
+from mbsrun import Mechanism, load
+from mbsrun.kernel import ArgumentError
+from tests.mbsrun.test_kernel import ROUNDING, draw, hidden
+from tests.sample import PARAMETERS, family, sample_families, sample_tape, write_sample
+
+SIZES = {"x": 3, "y": 2, "u": 0, "z": 1}
+STATE = {"x": [0.4, 0.9, 1.3], "y": [0.7, 1.1], "u": [], "z": [0.2]}
+
+
+@pytest.fixture(scope="module")
+def k(tmp_path_factory: pytest.TempPathFactory) -> Mechanism:
+    """The sample with run-time parameters."""
+    return load(write_sample(tmp_path_factory.mktemp("sample")))
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Mechanism:
+    """The sample with constants only."""
+    families = sample_families(parametric=False)
+    return load(write_sample(tmp_path_factory.mktemp("plain"), "plain", families))
+
+
+def as_sx(tape: Tape, given: dict[str, ca.SX]) -> dict[str, ca.SX]:
+    """Run the tape over CasADi's own symbols: its differentiation of the same equations is the reference."""
+    values = [value for i in tape.inputs for value in ca.vertsplit(given[i.name])] if given else []
+    values += [ca.SX(float(x)) for x in tape.literals]
+    calls = {"sin": ca.sin, "cos": ca.cos, "sqrt": ca.sqrt, "neg": lambda a: -a}
+    signs = {"+": ca.plus, "-": ca.minus, "*": ca.times, "/": ca.rdivide}
+    for op, a, b in tape.operations:
+        name = op.value[0]
+        values.append(calls[name](values[a]) if op.arity == 1 else signs[name](values[a], values[b]))
+    results = {}
+    for output in tape.outputs:
+        matrix = ca.SX(output.sparsity.rows, output.sparsity.cols)
+        for place, value in zip(output.sparsity.entries, output.values, strict=True):
+            matrix[place] = values[value]
+        results[output.name] = matrix
+    return results
+
+
+def reference(parametric: bool) -> ca.Function:
+    """The sample as a CasADi function of x, y, u, z."""
+    symbols = {name: ca.SX.sym(name, size) for name, size in SIZES.items()}
+    given = {**symbols, "h": ca.SX(hidden(PARAMETERS))} if parametric else symbols
+    results = as_sx(sample_tape(parametric=parametric), given)
+    return ca.Function("reference", list(symbols.values()), list(results.values()), list(symbols), list(results))
+
+
+def second_order(f: ca.Function) -> tuple[ca.Function, ca.Function]:
+    """Make the Jacobian of all results, and the Hessian of their weighted sum, by x, y, z."""
+    x = {name: ca.MX.sym(name, size) for name, size in SIZES.items()}
+    results = f(**x)
+    column = ca.vertcat(results["f"], ca.densify(results["g"])[:])
+    unknown, weights = ca.vertcat(x["x"], x["y"], x["z"]), ca.MX.sym("w", column.numel())
+    inputs = list(x.values())
+    hessian = ca.hessian(ca.dot(weights, column), unknown)[0]
+    return ca.Function("J", inputs, [ca.jacobian(column, unknown)]), ca.Function("H", [*inputs, weights], [hessian])
+
+
+@pytest.mark.parametrize("parametric", [True, False])
+def test_values_and_derivatives_are_those_of_the_tape(parametric: bool, k: Mechanism, plain: Mechanism) -> None:
+    """To second order, with CasADi's own differentiation of the same equations as reference, and its patterns."""
+    function, own = (k if parametric else plain).casadi("impl"), reference(parametric)
+    assert function.name_in() == list(SIZES)
+    assert function.name_out() == ["f", "g"]
+    for found, expected in zip(function(*STATE.values()), own(*STATE.values()), strict=True):
+        assert found.sparsity() == expected.sparsity()
+        np.testing.assert_allclose(found.full(), expected.full(), rtol=ROUNDING, atol=ROUNDING)
+    weights = [0.3, -1.2, 0.8, 1.1, -0.4, 0.9, 0.5]
+    for found, expected, arguments in zip(
+        second_order(function), second_order(own), (STATE.values(), (*STATE.values(), weights)), strict=True
+    ):
+        assert found.sparsity_out(0) == expected(*arguments).sparsity()
+        np.testing.assert_allclose(found(*arguments).full(), expected(*arguments).full(), rtol=0, atol=10 * ROUNDING)
+
+
+@pytest.mark.parametrize("name", ["impl", "jac_impl", "adj1_impl", "jac_adj1_impl"])
+def test_every_kernel_has_a_casadi_function(name: str, k: Mechanism) -> None:
+    """The outputs of the manifest are among those of the function, with the values of the NumPy face."""
+    own = sample_families()[1]
+    tape = {t.name: t for t in (own.value, own.jac, own.adj1, own.jac_adj1) if t is not None}[name]
+    inputs = draw(tape, 1)
+    function, expected = k.casadi(name), k(name, **inputs)
+    given = {key: ca.DM(function.sparsity_in(key), array.T[array.T != 0]) for key, array in inputs.items()}
+    found = function(**given)
+    for key, value in expected.items():
+        np.testing.assert_array_equal(found[key].full().reshape(value.shape), value)
+
+
+def test_setup_is_a_casadi_function_too(k: Mechanism) -> None:
+    np.testing.assert_allclose(k.casadi("setup")([2, 3]).full()[:, 0], [6, 2], rtol=0, atol=0)
+
+
+def test_parameters_are_baked_in(k: Mechanism) -> None:
+    changed = k.with_parameters(length=0.1)
+    inputs = {name: np.array(value, dtype=float) for name, value in STATE.items()}
+    for mechanism in (k, changed):
+        found = mechanism.casadi("impl")(**STATE)["f"].full()[:, 0]
+        np.testing.assert_array_equal(found, mechanism.impl(**inputs)["f"])
+    assert k.casadi("impl")(**STATE)["f"][2] != changed.casadi("impl")(**STATE)["f"][2]
+
+
+@pytest.mark.parametrize("name", ["gamma", "j0", "sample_impl", "", "impl_n_in"])
+def test_only_kernels_of_the_manifest_are_given(name: str, k: Mechanism) -> None:
+    """`external("gamma", …)` would find libm's gamma, and give 0."""
+    with pytest.raises(ArgumentError, match=f"sample has no kernel '{name}'"):
+        k.casadi(name)
+
+
+@pytest.mark.parametrize("parallelization", ["serial", "thread"])
+@pytest.mark.parametrize("parametric", [True, False])
+def test_maps_give_each_state_its_results(
+    parametric: bool, parallelization: str, k: Mechanism, plain: Mechanism
+) -> None:
+    """Values and Jacobian blocks of 8 states at once equal those of the states alone; so kernels are reentrant."""
+    mechanism = k if parametric else plain
+    states = {name: array.T for name, array in draw(sample_tape(), 2, states=8).items()}
+    mapped = mechanism.casadi("impl").map(8, parallelization, 2)
+    x = ca.MX.sym("x", 3, 8)
+    values = ca.Function("F", [x], [mapped(**{**states, "x": x})["f"]])
+    slopes = ca.Function("J", [x], [ca.jacobian(values(x), x)])
+    blocks = slopes(states["x"])
+    assert blocks.nnz() == 8 * 7  # of each block, the seven entries that are not structurally zero
+    for i in range(8):
+        alone = {name: array[:, i] for name, array in states.items()}
+        np.testing.assert_array_equal(values(states["x"])[:, i].full()[:, 0], mechanism.impl(**alone)["f"])
+        found = blocks[3 * i : 3 * i + 3, 3 * i : 3 * i + 3].full()
+        np.testing.assert_array_equal(found, mechanism.jac_impl(**alone)["jac_f_x"])
+
+
+# -- IPOPT ----------------------------------------------------------------------------------------------------------
+
+
+def scaled(tape: Tape | None, factor: float) -> Tape:
+    """Multiply every result of a tape."""
+    assert tape is not None
+    builder = Builder()
+    values = replay(tape, builder, declare_inputs(tape, builder))
+    for output in tape.outputs:
+        results = [builder.number(factor) * values[v] for v in output.values]
+        builder.output(output.name, output.sparsity, results)
+    return builder.build(tape.name)
+
+
+def variant(folder: Path, *, jac: float = 1.0, jac_adj1: float = 1.0) -> Mechanism:
+    """Compile the sample with its Jacobian, or its second derivatives, scaled: wrong on purpose."""
+    own: Family = family(sample_tape(parametric=False))
+    changed = replace(own, jac=scaled(own.jac, jac), jac_adj1=scaled(own.jac_adj1, jac_adj1))
+    return load(write_sample(folder, families=(changed,)))
+
+
+def make_solver(mechanism: Mechanism, **options: object) -> ca.Function:
+    """Reach given values of f and of a row of g with small x and y."""
+    x, y = ca.MX.sym("x", 3), ca.MX.sym("y", 2)
+    results = mechanism.casadi("impl")(x=x, y=y, u=ca.MX(0, 1), z=0.5)
+    goal = ca.vertcat(results["f"], results["g"][1, 0])
+    nlp = {"x": ca.vertcat(x, y), "f": ca.sumsqr(x) + ca.sumsqr(y), "g": goal}
+    return ca.nlpsol("solver", "ipopt", nlp, {"print_time": False, **options})
+
+
+def evaluate_nlp(solver: ca.Function) -> tuple[np.ndarray, np.ndarray]:
+    """Evaluate the constraints' Jacobian, and the Lagrangian's Hessian without the cost's part."""
+    at, weights = [*STATE["x"], *STATE["y"]], [1.0, -2.0, 0.5, 0.7]
+    jacobian = solver.get_function("nlp_jac_g")(at, [])[-1].full()
+    hessian = solver.get_function("nlp_hess_l")(at, [], 0.0, weights).full()
+    return jacobian, hessian
+
+
+def test_ipopt_evaluates_the_generated_derivatives(tmp_path: Path) -> None:
+    """Scale them, and what IPOPT is given follows: nothing is differentiated by other means."""
+    jacobian, hessian = evaluate_nlp(make_solver(variant(tmp_path / "clean")))
+    wrong_jacobian, same_hessian = evaluate_nlp(make_solver(variant(tmp_path / "jac", jac=1.01)))
+    same_jacobian, wrong_hessian = evaluate_nlp(make_solver(variant(tmp_path / "hess", jac_adj1=1.5)))
+    np.testing.assert_allclose(wrong_jacobian, 1.01 * jacobian, rtol=1e-14)
+    np.testing.assert_allclose(same_jacobian, jacobian, rtol=1e-14)
+    np.testing.assert_allclose(wrong_hessian, 1.5 * hessian, rtol=1e-14)
+    np.testing.assert_allclose(same_hessian, hessian, rtol=1e-14)
+    assert np.abs(hessian).max() > 0.1
+
+
+def check_by_ipopt(mechanism: Mechanism, capfd: pytest.CaptureFixture[str]) -> int:
+    """Let IPOPT compare the derivatives with differences, to second order; count the errors it tells."""
+    options = {"derivative_test": "second-order", "point_perturbation_radius": 0.0, "max_iter": 0, "sb": "yes"}
+    solver = make_solver(mechanism, ipopt=options)
+    solver(x0=[*STATE["x"], *STATE["y"]], lbg=0, ubg=0)
+    told = capfd.readouterr().out
+    if "No errors detected by derivative checker" in told:
+        return 0
+    found = re.search(r"Derivative checker detected (\d+) error", told)
+    assert found, told
+    return int(found[1])
+
+
+def test_ipopt_finds_no_error_in_them_and_many_when_they_are_scaled(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert check_by_ipopt(variant(tmp_path / "clean"), capfd) == 0
+    assert check_by_ipopt(variant(tmp_path / "jac", jac=1.01), capfd) > 5
+    assert check_by_ipopt(variant(tmp_path / "hess", jac_adj1=1.5), capfd) > 5
+
+
+def test_ipopt_solves_with_them(k: Mechanism) -> None:
+    """From a state to the values it has: a point of the constraints is found, to IPOPT's tolerance."""
+    solver = make_solver(k, ipopt={"print_level": 0, "sb": "yes", "tol": 1e-10})
+    inputs = {name: np.array(value, dtype=float) for name, value in STATE.items()}
+    results = k.impl(**{**inputs, "z": np.array([0.5])})
+    goal = [*results["f"], results["g"][1, 0]]
+    solution = solver(x0=[0.5, 0.8, 1.2, 0.6, 1.0], lbg=goal, ubg=goal)
+    assert solver.stats()["return_status"] == "Solve_Succeeded"
+    assert solver.stats()["iter_count"] < 20
+    np.testing.assert_allclose(solution["g"].full()[:, 0], goal, rtol=0, atol=1e-9)

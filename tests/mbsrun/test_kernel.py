@@ -1,0 +1,295 @@
+"""The NumPy face: what the tape computes, for one state or many; misuse and failures told; nothing else disturbed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cffi
+import numpy as np
+import pytest
+
+from mbsgen.tape.interpreter import DIGITS, evaluate
+from mbsgen.tape.types import Tape
+from mbsrun import load
+from mbsrun.kernel import ArgumentError, KernelError, Kernels
+from tests.mbsgen.targets.test_names import HOSTILE
+from tests.sample import PARAMETERS, sample_families, sample_tape, setup_tape, write_sample
+
+EPS = float(np.finfo(float).eps)
+# Forty roundings at most lie between inputs and any result of the sample; the sums are of a few terms of like size.
+ROUNDING = 40 * EPS
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_sample(tmp_path_factory.mktemp("sample"))
+
+
+@pytest.fixture(scope="module")
+def k(folder: Path) -> Kernels:
+    return load(folder)
+
+
+def tapes() -> list[Tape]:
+    own = sample_families()[1]
+    return [tape for tape in (own.value, own.jac, own.adj1, own.jac_adj1) if tape is not None]
+
+
+def draw(tape: Tape, seed: int, states: int | None = None) -> dict[str, np.ndarray]:
+    """Draw the inputs of a tape, as the NumPy face takes them; adj_g has its nonzeros only."""
+    rng = np.random.default_rng(seed)
+    batch = () if states is None else (states,)
+    inputs = {}
+    for source in (i for i in tape.inputs if i.name != "h"):
+        pattern = source.sparsity
+        array = np.zeros((*batch, pattern.rows, pattern.cols))
+        for r, c in pattern.entries:
+            array[..., r, c] = rng.uniform(0.2, 1.5, batch)
+        inputs[source.name] = array[..., 0] if pattern.cols == 1 else array
+    return inputs
+
+
+def hidden(parameters: dict[str, float]) -> list[float]:
+    return evaluate(setup_tape(), {"p": list(parameters.values())})["h"]
+
+
+def exact(
+    tape: Tape, inputs: dict[str, np.ndarray], parameters: dict[str, float] = PARAMETERS
+) -> dict[str, np.ndarray]:
+    """Evaluate the tape in 50 digits; expand its results."""
+    given: dict[str, list[object]] = {"h": [DIGITS.literal(x) for x in hidden(parameters)]}
+    for source in (i for i in tape.inputs if i.name != "h"):
+        matrix = inputs[source.name].reshape((source.sparsity.rows, source.sparsity.cols))
+        given[source.name] = [DIGITS.literal(matrix[place]) for place in source.sparsity.entries]
+    results = {}
+    for name, values in evaluate(tape, given, DIGITS).items():
+        pattern = tape.output(name).sparsity
+        full = np.zeros((pattern.rows, pattern.cols))
+        for place, value in zip(pattern.entries, values, strict=True):
+            full[place] = float(value)
+        results[name] = full if name.startswith("jac_") or pattern.cols > 1 else full[:, 0]
+    return results
+
+
+def assert_close(found: dict[str, np.ndarray], expected: dict[str, np.ndarray], tolerance: float = ROUNDING) -> None:
+    assert list(found) == list(expected)
+    for name, value in expected.items():
+        scale = max(1.0, np.abs(value).max(initial=0))
+        np.testing.assert_allclose(found[name], value, rtol=0, atol=tolerance * scale, err_msg=name)
+
+
+@pytest.mark.parametrize("tape", tapes(), ids=lambda tape: tape.name)
+def test_every_kernel_computes_its_tape(k: Kernels, tape: Tape) -> None:
+    inputs = draw(tape, 1)
+    assert_close(k(tape.name, **inputs), exact(tape, inputs))
+
+
+@pytest.mark.parametrize("tape", tapes(), ids=lambda tape: tape.name)
+def test_a_batch_is_its_states(k: Kernels, tape: Tape) -> None:
+    inputs = draw(tape, 2, states=5)
+    found = k(tape.name, **inputs)
+    for i in range(5):
+        alone = k(tape.name, **{name: array[i] for name, array in inputs.items()})
+        for name, value in alone.items():
+            np.testing.assert_array_equal(found[name][i], value)
+
+
+def test_an_input_without_batch_axis_is_the_same_for_all_states(k: Kernels) -> None:
+    inputs = draw(sample_tape(), 3)
+    x = np.linspace(0.2, 1, 12).reshape((4, 3))
+    found = k.impl(**{**inputs, "x": x})
+    repeated = k.impl(**{name: np.tile(a, (4, 1)) for name, a in inputs.items() if name != "x"}, x=x)
+    for name, value in repeated.items():
+        np.testing.assert_array_equal(found[name], value)
+
+
+def test_an_empty_batch_has_empty_results(k: Kernels) -> None:
+    found = k.jac_impl(x=np.zeros((0, 3)), y=[1, 2], z=[0])
+    assert found["jac_f_x"].shape == (0, 3, 3)
+    assert found["jac_f_z"].shape == (0, 3, 1)
+
+
+def test_arrays_of_any_layout_are_read_right(k: Kernels) -> None:
+    inputs = draw(sample_tape(), 4, states=6)
+    strange = {name: np.asfortranarray(array)[::-1] for name, array in inputs.items()}
+    np.testing.assert_array_equal(k.impl(**strange)["f"][::-1], k.impl(**inputs)["f"])
+
+
+def test_sparse_results_are_the_nonzeros(k: Kernels) -> None:
+    inputs = draw(sample_tape(), 5)
+    dense, nonzeros = k.jac_impl(**inputs), k.jac_impl(sparse=True, **inputs)
+    for argument in k.manifest.kernel("jac_impl").outputs:
+        expanded = np.zeros((argument.cols, argument.rows))
+        colind = argument.colind or range(0, argument.nnz + 1, argument.rows)
+        for c in range(argument.cols):
+            rows = list(argument.row or list(range(argument.rows)) * argument.cols)[colind[c] : colind[c + 1]]
+            expanded[c, rows] = nonzeros[argument.name][colind[c] : colind[c + 1]]
+        np.testing.assert_array_equal(dense[argument.name], expanded.T)
+
+
+def test_an_input_has_to_respect_its_pattern(k: Kernels) -> None:
+    inputs = draw(tapes()[2], 6)
+    inputs["adj_g"][0, 1] = 1.0
+    with pytest.raises(ArgumentError, match="adj_g has entries that are not in its nonzero pattern"):
+        k.adj1_impl(**inputs)
+
+
+def test_all_misfits_are_told_at_once(k: Kernels) -> None:
+    with pytest.raises(ArgumentError) as told:
+        k.impl(x=[1, 2], y=np.zeros((2, 2, 2)), q=1)
+    assert str(told.value).splitlines() == [
+        "impl: q: there is no such input",
+        "impl: x: shape (2,) given, (3,) or (batch, 3) expected",
+        "impl: y: shape (2, 2, 2) given, (2,) or (batch, 2) expected",
+        "impl: z: missing, shape (1,)",
+    ]
+
+
+@pytest.mark.parametrize("value", [[1j, 0, 0], ["1", "2", "3"], [[1], [2, 3]], [None, 1, 2], {"a": 1}])
+def test_only_real_numbers_are_taken(k: Kernels, value: object) -> None:
+    with pytest.raises(ArgumentError, match="x: not an array of real numbers"):
+        k.impl(x=value, y=[1, 2], z=[0])
+
+
+def test_batches_of_two_sizes_are_told(k: Kernels) -> None:
+    with pytest.raises(ArgumentError, match=r"batches of \[2, 3\] states"):
+        k.impl(x=np.ones((2, 3)), y=np.ones((3, 2)), z=[0])
+
+
+def test_an_unknown_kernel_is_told(k: Kernels) -> None:
+    with pytest.raises(ArgumentError, match="sample has no kernel 'gamma'; there are setup, impl, jac_impl"):
+        k("gamma", x=1)
+    with pytest.raises(AttributeError, match="no attribute or kernel 'gamma'"):
+        k.gamma(x=1)
+    assert {"impl", "jac_impl", "with_parameters"} <= set(dir(k))
+
+
+def test_parameters_replace_the_defaults(k: Kernels, folder: Path) -> None:
+    """As if the new values had been the model's; the kernels they came from keep their own."""
+    tape, inputs = sample_tape(), draw(sample_tape(), 7)
+    changed = {**PARAMETERS, "m-4": 0.5}
+    assert_close(k.with_parameters(**{"m-4": 0.5}).impl(**inputs), exact(tape, inputs, changed))
+    assert_close(load(folder, {"m-4": 0.5}).impl(**inputs), exact(tape, inputs, changed))
+    assert_close(k.impl(**inputs), exact(tape, inputs))
+    assert k.with_parameters(length=2).with_parameters(**{"m-4": 1}).parameters == {"length": 2.0, "m-4": 1.0}
+
+
+def test_unknown_parameters_and_values_are_told(k: Kernels, tmp_path: Path) -> None:
+    with pytest.raises(ArgumentError, match="no run-time parameter mass, m4; there are length, m-4"):
+        k.with_parameters(mass=1, length=2, m4=3)
+    with pytest.raises(ArgumentError, match="length = nan: a parameter must be a finite number"):
+        k.with_parameters(length=float("nan"))
+    plain = load(write_sample(tmp_path, families=sample_families(parametric=False)))
+    with pytest.raises(ArgumentError, match="no run-time parameter length; the model has none"):
+        plain.with_parameters(length=1)
+
+
+def test_a_failing_state_is_named(tmp_path: Path) -> None:
+    """A kernel returns k > 0 where it fails at joint k; no array comes back."""
+    folder = write_sample(tmp_path)
+    source = folder / "sample_impl.c"
+    text = source.read_text()
+    source.write_text(text.replace("(void)z;", "if (x[0] < 0) return 2;\n    (void)z;"))
+    failing = load(folder)
+    x = np.ones((4, 3))
+    x[2:, 0] = -1
+    with pytest.raises(KernelError, match=r"impl failed at joint joint 1, in state 2 \(from 0\)") as told:
+        failing.impl(x=x, y=[1, 1], z=[0])
+    assert (told.value.kernel, told.value.joint, told.value.state) == ("impl", "joint 1", 2)
+    assert failing.impl(x=x[:2], y=[1, 1], z=[0])["f"].shape == (2, 3)
+
+
+def test_null_means_zeros_in_and_not_wanted_out(k: Kernels) -> None:
+    """CasADi's contract, for every kernel: any arg[k] and any res[k] may be NULL."""
+    ffi = cffi.FFI()
+    for kernel in k.manifest.kernels:
+        ffi.cdef(f"int {kernel.symbol}(const double **, double **, long long *, double *, int);")
+        ffi.cdef(f"long long {kernel.symbol}_n_in(void); long long {kernel.symbol}_n_out(void);")
+    lib = ffi.dlopen(str(k.library))
+    for kernel in k.manifest.kernels:
+        function = getattr(lib, kernel.symbol)
+        n_in, n_out = (getattr(lib, kernel.symbol + end)() for end in ("_n_in", "_n_out"))
+        nothing, zeros = ffi.new("const double *[]", n_in), ffi.new("double[]", 64)
+        given = ffi.new("const double *[]", [zeros] * n_in)
+        assert function(nothing, ffi.new("double *[]", n_out), ffi.NULL, ffi.NULL, 0) == 0
+        results = []
+        for arg in (given, nothing):
+            blocks = [ffi.new("double[]", [7.0] * 64) for _ in range(n_out)]
+            assert function(arg, ffi.new("double *[]", blocks), ffi.NULL, ffi.NULL, 0) == 0
+            results.append([list(block) for block in blocks])
+        np.testing.assert_array_equal(*results)
+
+
+def test_no_kernel_writes_beyond_its_results(k: Kernels) -> None:
+    """The place after the last nonzero of each block keeps what was there."""
+    ffi = cffi.FFI()
+    symbol = "jac_adj1_sample_impl"
+    ffi.cdef(f"int {symbol}(const double **, double **, long long *, double *, int); long long {symbol}_n_out(void);")
+    ffi.cdef(f"const long long *{symbol}_sparsity_out(long long); long long {symbol}_n_in(void);")
+    lib = ffi.dlopen(str(k.library))
+    n_in, n_out = getattr(lib, f"{symbol}_n_in")(), getattr(lib, f"{symbol}_n_out")()
+    blocks = [ffi.new("double[]", [7.0] * 64) for _ in range(n_out)]
+    arg = ffi.new("const double *[]", n_in)
+    assert getattr(lib, symbol)(arg, ffi.new("double *[]", blocks), ffi.NULL, ffi.NULL, 0) == 0
+    for i, block in enumerate(blocks):
+        pattern = getattr(lib, f"{symbol}_sparsity_out")(i)
+        rows, cols, first = pattern[0], pattern[1], pattern[2]
+        nnz = rows * cols if first == 1 else pattern[2 + cols]
+        assert list(block[nnz:64]) == [7.0] * (64 - nnz)
+
+
+def test_denormals_of_the_host_survive(k: Kernels) -> None:
+    """F14: a library linked with fast-math would have switched them off in this process."""
+    k.impl(x=[1, 1, 1], y=[1, 1], z=[0])
+    tiny = np.array([1e-310])
+    assert float(tiny[0]) * 0.5 != 0.0
+    assert (tiny * 0.5)[0] != 0.0
+
+
+@pytest.mark.parametrize("flags", ["-O0 -ffp-contract=off", "-O2 -ffp-contract=on", "-O3 -march=x86-64"])
+def test_flags_change_no_more_than_rounding(
+    flags: str, k: Kernels, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CFLAGS", flags)
+    other = load(folder)
+    assert other.library != k.library
+    for tape in tapes():
+        inputs = draw(tape, 8, states=20)
+        assert_close(other(tape.name, **inputs), k(tape.name, **inputs), tolerance=2 * ROUNDING)
+
+
+def test_models_of_any_name_work_side_by_side(tmp_path: Path) -> None:
+    """Each folder has its own literals; none answers for another."""
+    names = ["gamma", "sin", "int", "jac_arm", "../../x", "*/ x /*", "a\nb", "机械臂", "$(id)", "a" * 300]
+    assert set(names[:4]) < {*HOSTILE, "gamma", "sin", "int"}
+    inputs = draw(sample_tape(), 9)
+    for i, name in enumerate(names):
+        folder = write_sample(tmp_path / str(i), name, sample_families())
+        found = load(folder, {"length": 1.0 + i})
+        assert_close(found.impl(**inputs), exact(sample_tape(), inputs, {**PARAMETERS, "length": 1.0 + i}))
+
+
+DISAGREE = "the manifest and the C files disagree"
+MISFITS = {
+    "libm's": (("symbol",), "gamma", r"names \['gamma'\], which cannot be its C functions"),
+    "absent": (("symbol",), "sample_absent", DISAGREE),
+    "size": (("inputs", 0, "rows"), 2, DISAGREE),  # memory would be read beyond the caller's array
+    "pattern": (("outputs", 1, "row"), [0, 1, 0], DISAGREE),
+    "name": (("outputs", 0, "name"), "e", DISAGREE),
+}
+
+
+@pytest.mark.parametrize(("path", "value", "told"), MISFITS.values(), ids=MISFITS)
+def test_a_manifest_that_does_not_fit_its_library_is_told(
+    path: tuple[str | int, ...], value: object, told: str, tmp_path: Path
+) -> None:
+    folder = write_sample(tmp_path, families=sample_families(parametric=False))
+    manifest = json.loads((folder / "manifest.json").read_text())
+    place = manifest["kernels"][0]
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = value
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(ArgumentError, match=told):
+        load(folder)
