@@ -31,6 +31,7 @@ MAX_DEPTH = 32
 MAX_VALUES = 50_000
 MAX_DIGITS = 64  # characters of one number
 MAX_FAULTS = 100  # faults told of one file
+MAX_CANDIDATES = 200  # words that a mistyped one is compared with
 
 Data = dict[str, "Data"] | list["Data"] | str | int | float | bool | None
 Place = tuple[str | int, ...]  # keys and indices from the top of a document
@@ -179,7 +180,7 @@ def abbreviate(data: Data) -> str:
 
 def nearest(word: str, words: Sequence[str]) -> str | None:
     """Find the word that was probably meant."""
-    return next(iter(difflib.get_close_matches(word[:100], words, 1)), None)
+    return next(iter(difflib.get_close_matches(word[:100], words[:MAX_CANDIDATES], 1)), None)
 
 
 # --- text ----------------------------------------------------------------------------------------------------------
@@ -387,7 +388,7 @@ def _place(error: ErrorDetails, data: Data) -> Place:
             data = data[str(step)]
         elif isinstance(data, list) and isinstance(step, int) and step < len(data):
             data = data[step]
-        elif not (error["type"] == "missing" and i == len(error["loc"]) - 1):
+        elif not (error["type"] == "missing" and i == len(error["loc"]) - 1 and isinstance(step, str)):
             continue
         place = (*place, step)
     return place
@@ -400,9 +401,10 @@ def _explain(error: ErrorDetails, place: Place, schema: type[BaseModel]) -> tupl
         return wrong.finding, wrong.remedy
     found = f"found {abbreviate(error['input'])}"
     match error["type"]:
+        case "missing" | "too_short" | "too_long" if isinstance(error["input"], list):
+            return f"found a list of {len(error['input'])}", _give_example("a list of another length", schema, place)
         case "missing":
-            example = _example(schema, place)
-            return "missing", f"give it, e.g. {json.dumps(example)}" if example is not None else "give it"
+            return "missing", _give_example("it", schema, place)
         case "extra_forbidden":
             return "unknown key", _suggest(str(place[-1]), _keys(schema, place[:-1]))
         case "model_type" | "model_attributes_type" | "dict_type":
@@ -420,6 +422,11 @@ def _explain(error: ErrorDetails, place: Place, schema: type[BaseModel]) -> tupl
             return found, "give true or false"
     message = error["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
     return found, f"{'give ' if error['msg'].startswith('Input should be ') else ''}{message[0].lower()}{message[1:]}"
+
+
+def _give_example(what: str, schema: type[BaseModel], place: Place) -> str:
+    example = _example(schema, place)
+    return f"give {what}{'' if example is None else f', e.g. {json.dumps(example)}'}"
 
 
 def _suggest(key: str, keys: Sequence[str]) -> str:

@@ -21,7 +21,8 @@ from mbsgen.errors import MbsError
 MAX_LENGTH = 500  # characters
 MAX_DEPTH = 40
 MAX_NODES = 200
-MAX_POWER = 16
+MAX_POWER = 16  # of one **
+MAX_DEGREE = 64  # of the whole: powers of powers, and products, in the same name or number
 MAX_DIGITS = 64  # characters of one number
 
 _UNARY = ("sin", "cos", "tan", "asin", "acos", "atan", "sqrt", "exp", "log", "tanh", "abs")
@@ -125,7 +126,10 @@ def parse(text: str) -> Expression:
     nodes = sum(isinstance(node, ast.expr) for node in ast.walk(tree))
     if nodes > MAX_NODES:
         raise ExpressionError(f"an expression of {nodes} terms", f"give at most {MAX_NODES}; name its parts")
-    return _convert(tree)
+    expression = _convert(tree)
+    if (degree := _degree(expression)) > MAX_DEGREE:
+        raise ExpressionError(f"an expression of degree {degree}", f"give powers and products up to {MAX_DEGREE}")
+    return expression
 
 
 def names(expression: Expression) -> frozenset[str]:
@@ -235,6 +239,16 @@ def _convert(node: ast.expr, depth: int = 1) -> Expression:
     raise ExpressionError(
         f"{_quote(ast.unparse(node))} has no meaning here", "use numbers, names, + - * / ** ( ) and functions"
     )
+
+
+def _degree(expression: Expression) -> int:
+    degrees = [_degree(operand) for operand in _operands(expression)] or [1]
+    match expression:
+        case Operation("*" | "/"):
+            return sum(degrees)
+        case Power(_, exponent):
+            return degrees[0] * abs(exponent)
+    return max(degrees)
 
 
 def _exponent(node: ast.expr) -> int:

@@ -2,17 +2,18 @@
 
 A literal is the rational number that its nearest double is; 0 is Integer 0, which is structural. What is irrational
 (pi, sqrt(2), cos(0.3)) is a Float of 60 digits, so that rounding happens once, in the target; what 50 of them cannot
-tell from a whole number is that number: cos(pi/2) is a structural 0. No other kinds of numbers occur.
+tell from 0 is a structural 0: cos(pi/2), or what cancels in a sum. No other kinds of numbers occur.
 """
 
 from __future__ import annotations
 
+import math
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from types import MappingProxyType
 
 from mpmath import MPContext, mpf
-from sympy import Expr, Float, Integer, Rational, Symbol, cos, sin, sqrt
+from sympy import Add, Expr, Float, Integer, Rational, Symbol, cos, sin, sqrt
 
 from mbsgen.expressions import FUNCTIONS, Algebra, ExpressionError
 
@@ -20,10 +21,8 @@ _DIGITS = MPContext()
 _DIGITS.dps = 60
 _NOISE = _DIGITS.mpf(10) ** -50
 
-_SYMBOLIC: Mapping[str, Callable[..., Expr]] = (
-    MappingProxyType(  # functions that generated code can compute at run time
-        {"sin": sin, "cos": cos, "tan": lambda x: sin(x) / cos(x), "sqrt": sqrt}
-    )
+_SYMBOLIC: Mapping[str, Callable[..., Expr]] = MappingProxyType(  # functions that generated code can compute
+    {"sin": sin, "cos": cos, "tan": lambda x: sin(x) / cos(x), "sqrt": sqrt}
 )
 
 
@@ -52,20 +51,29 @@ def symbolic(constants: Mapping[Symbol, Expr]) -> Algebra[Expr]:
 
     return Algebra(
         number=exact,
-        constants={"pi": round_noise(_DIGITS.pi())},
+        constants={"pi": _settle(+_DIGITS.pi, _DIGITS.zero)},
         negate=operator.neg,
-        operations={"+": operator.add, "-": operator.sub, "*": operator.mul, "/": _divide},
+        operations={"+": lambda a, b: total((a, b)), "-": lambda a, b: total((a, -b)), "*": operator.mul, "/": _divide},
         power=lambda base, exponent: base**exponent if exponent >= 0 else _divide(Integer(1), base**-exponent),
         functions={name: function(name) for name in FUNCTIONS},
     )
 
 
-def round_noise(number: mpf) -> Expr:
-    """Make a number of 60 digits; what is a whole number to 50 digits is that number."""
-    whole = _DIGITS.nint(number)
-    if abs(number - whole) < _NOISE:
-        return Integer(int(whole))
-    return Float(number._mpf_, precision=_DIGITS.prec)
+def total(terms: Iterable[Expr]) -> Expr:
+    """Add expressions; like terms that cancel to 50 digits leave a structural 0."""
+    factors: dict[Expr, list[Expr]] = {}
+    for term in terms:
+        for part in Add.make_args(term):
+            factor, rest = part.as_coeff_Mul()
+            factors.setdefault(rest, []).append(factor)
+    return Add(*(_add(like) * rest for rest, like in factors.items()))
+
+
+def round_number(number: Expr) -> Expr:
+    """Keep a double as it is; of any other number, which may be a fraction of very many digits, keep 60 digits."""
+    if isinstance(number, Rational) and exact(to_double(number)) == number:
+        return number
+    return _settle(to_digits(number), _DIGITS.zero)
 
 
 def to_digits(number: Expr) -> mpf:
@@ -73,15 +81,52 @@ def to_digits(number: Expr) -> mpf:
     return _DIGITS.make_mpf(number._mpf_) if isinstance(number, Float) else _DIGITS.mpf(number.p) / number.q
 
 
+def to_double(number: Expr) -> float:
+    """Round a Rational or a Float to the nearest double. Raises ExpressionError where there is none near."""
+    try:
+        double = number.p / number.q if isinstance(number, Rational) else float(to_digits(number))
+    except OverflowError:
+        double = math.inf
+    if math.isinf(double):
+        raise ExpressionError("a value beyond the largest double", "make it smaller")
+    if double == 0 and number != 0:
+        raise ExpressionError("a value below the smallest double", "make it 0 or larger")
+    return double
+
+
+def _add(numbers: list[Expr]) -> Expr:
+    if all(isinstance(number, Rational) for number in numbers) or len(numbers) == 1:
+        return Add(*numbers)
+    digits = [to_digits(number) for number in numbers]
+    return _settle(sum(digits), _DIGITS.fsum(digits, absolute=True))
+
+
 def _compute(name: str, values: list[Expr]) -> Expr:
-    function = abs if name == "abs" else getattr(_DIGITS, name)
-    result = function(*map(to_digits, values))
-    if not isinstance(result, _DIGITS.mpf) or not _DIGITS.isfinite(result):
+    if name == "tan":
+        return _divide(_compute("sin", values), _compute("cos", values))
+    operands = [to_digits(value) for value in values]
+    if not all(map(_is_ordinary, operands)):  # 60 digits of exp(exp(exp(9))) fill any memory
+        raise OverflowError
+    result = abs(operands[0]) if name == "abs" else getattr(_DIGITS, name)(*operands)
+    if not isinstance(result, _DIGITS.mpf) or not _is_ordinary(result):
         raise ValueError(f"{name} has no real value here")
-    return round_noise(result)
+    return _settle(result, abs(operands[0]) if name in _SYMBOLIC else _DIGITS.zero)  # an angle brings its rounding
+
+
+def _is_ordinary(number: mpf) -> bool:
+    return bool(number == 0 or 1e-300 < abs(number) < 1e300)
+
+
+def _settle(number: mpf, size: mpf) -> Expr:
+    """Make a number that came of numbers of some size: 60 digits of it, or the whole number that 50 of them tell."""
+    if abs(number) < 1e15:
+        whole = _DIGITS.nint(number)
+        if abs(number - whole) <= _NOISE * size:
+            return Integer(int(whole))
+    return Float(number._mpf_, precision=_DIGITS.prec)
 
 
 def _divide(numerator: Expr, denominator: Expr) -> Expr:
-    if denominator == 0:
+    if denominator.is_zero:
         raise ZeroDivisionError
     return numerator / denominator

@@ -1,0 +1,67 @@
+"""The tree that bodies and their parents form."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterator, Sequence
+
+from mbsgen.documents import Place, abbreviate, lies_under, nearest
+from mbsgen.model.findings import Finding
+from mbsgen.model.model import BASE, Model
+
+
+def sort_bodies(model: Model) -> list[int]:
+    """Number the bodies (from 0, in the file) so that parents come first: as in the file, or else depth first."""
+    parents = _index_parents(model)
+    if all(parent is None or parent < i for i, parent in enumerate(parents)):
+        return list(range(len(parents)))
+    children: list[list[int]] = [[] for _ in parents]
+    roots: list[int] = []
+    for i, parent in enumerate(parents):
+        (roots if parent is None else children[parent]).append(i)
+    order, waiting = [], roots[::-1]
+    while waiting:
+        i = waiting.pop()
+        order.append(i)
+        waiting += children[i][::-1]
+    return order
+
+
+def check_tree(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
+    """Find parents and bodies of frames that do not exist, and loops of parents."""
+    names = [body.name for body in model.bodies]
+    if any(lies_under(("bodies", i, "name"), doubtful) for i in range(len(names))):
+        return  # any name may be the one that is missed
+    parents: list[tuple[Place, str]] = [(("bodies", i, "parent"), b.parent) for i, b in enumerate(model.bodies)]
+    carriers: list[tuple[Place, str]] = [(("frames", i, "body"), f.body) for i, f in enumerate(model.frames)]
+    for place, name in [*parents, *carriers]:
+        if name not in (BASE, *names) and not lies_under(place, doubtful):
+            meant = nearest(name, [BASE, *names])
+            remedy = f"did you mean {abbreviate(meant)}?" if meant else f"name a body, or {BASE}"
+            yield Finding(place, f"there is no body {abbreviate(name)}", remedy)
+    for loop in _find_loops(_index_parents(model)):
+        shown = [*map(abbreviate, (names[i] for i in loop[:8])), *(["..."] if len(loop) > 8 else [])]
+        chain = " -> ".join([*shown, shown[0]])
+        yield Finding(("bodies", loop[0], "parent"), f"a loop of parents: {chain}", f"let one of them stand on {BASE}")
+
+
+def _index_parents(model: Model) -> list[int | None]:
+    """Find the parents' places in the list of bodies; None for the base, and for what does not exist."""
+    places = {body.name: i for i, body in reversed(list(enumerate(model.bodies)))}
+    return [places.get(body.parent) for body in model.bodies]
+
+
+def _find_loops(parents: Sequence[int | None]) -> Iterator[list[int]]:
+    """Follow the parents from each body; a loop begins where it comes first in the list."""
+    clear: set[int | None] = {None}
+    for start in range(len(parents)):
+        path: list[int] = []
+        i: int | None = start
+        while i not in clear and i not in path:
+            assert i is not None, "the base is clear"
+            path.append(i)
+            i = parents[i]
+        if i not in clear and i is not None:
+            loop = path[path.index(i) :]
+            first = loop.index(min(loop))
+            yield loop[first:] + loop[:first]
+        clear.update(path)
