@@ -5,7 +5,6 @@ It shows that nothing changed, or what did: `git diff generated/` is to be read 
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 from mbsgen.pipeline import Options, generate
@@ -25,7 +24,6 @@ def main() -> None:
     """Replace every folder of `generated/`."""
     for name in GOLDEN:
         out = ROOT / "generated" / name
-        shutil.rmtree(out, ignore_errors=True)
         write_golden(name, out)
         print(f"wrote {out.relative_to(ROOT)}")
 
