@@ -180,7 +180,8 @@ def abbreviate(data: Data) -> str:
 
 def nearest(word: str, words: Sequence[str]) -> str | None:
     """Find the word that was probably meant."""
-    return next(iter(difflib.get_close_matches(word[:100], words[:MAX_CANDIDATES], 1)), None)
+    known = {known.casefold(): known for known in words[:MAX_CANDIDATES]}
+    return next((known[found] for found in difflib.get_close_matches(word[:100].casefold(), known, 1)), None)
 
 
 # --- text ----------------------------------------------------------------------------------------------------------
@@ -413,7 +414,7 @@ def _explain(error: ErrorDetails, place: Place, schema: type[BaseModel]) -> tupl
         case "literal_error" | "enum":
             return found, f"give {context['expected']}"
         case "list_type" | "tuple_type":
-            return found, "give a list"
+            return found, _give_example("a list", schema, place)
         case "string_type":
             return found, "give a string"
         case "float_type" | "int_type" | "finite_number" | "int_from_float":

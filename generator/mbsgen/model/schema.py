@@ -132,14 +132,15 @@ ParameterField = Annotated[
 ]
 
 
+EXAMPLE = {"name": "rod", "joint": {"type": "revolute", "axis": "z"}, "mass": 1.0, "com": [0.5, 0.0, 0.0]}
+
+
 class ModelSection(Section):
     """A model file."""
 
     name: str = Field(examples=["arm"])
     gravity: TripleField = Field(examples=[[0.0, 0.0, -9.81]])
     parameters: dict[str, Annotated[ParameterField, Field(examples=[1.0])]] = Field({}, examples=[{"l1": 0.3}])
-    bodies: tuple[
-        Annotated[BodySection, Field(examples=[{"name": "x", "joint": {"type": "revolute", "axis": "z"}}])], ...
-    ]
+    bodies: tuple[Annotated[BodySection, Field(examples=[EXAMPLE])], ...] = Field(examples=[[EXAMPLE]])
     frames: tuple[FrameSection, ...] = Field((), examples=[[]])
     allow_unphysical: bool = Field(False, examples=[False])
