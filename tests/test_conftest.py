@@ -25,7 +25,7 @@ def test_a_tool_on_the_path_is_found(requires: Callable[[str], str]) -> None:
     assert os.access(requires("sh"), os.X_OK)
 
 
-@pytest.mark.parametrize("source", [A_TEST, A_MODULE])
+@pytest.mark.parametrize("source", [A_TEST, A_MODULE], ids=["test", "module"])
 @pytest.mark.parametrize(("ci", "word"), [("", "SKIPPED"), ("true", "CI skips nothing")])
 def test_what_is_missing_skips_at_home_and_fails_in_ci(tmp_path: Path, source: str, ci: str, word: str) -> None:
     shutil.copy(Path(__file__).with_name("conftest.py"), tmp_path)
