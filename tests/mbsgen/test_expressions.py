@@ -1,0 +1,200 @@
+"""Expressions of untrusted files: Python's grammar for a few operations, bounded, and never run."""
+
+from __future__ import annotations
+
+import math
+import operator
+from fractions import Fraction
+
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from mbsgen.expressions import (
+    CONSTANTS,
+    FLOATS,
+    FUNCTIONS,
+    Algebra,
+    Call,
+    Constant,
+    Expression,
+    ExpressionError,
+    Name,
+    Negation,
+    Number,
+    Operation,
+    Power,
+    evaluate,
+    names,
+    parse,
+    write,
+)
+
+VALUES = {"a": 2.0, "b": 3.0, "l1": 0.3}
+
+WORTH = {  # by hand
+    "1e3": 1000.0,
+    ".5": 0.5,
+    "l1/2": 0.15,
+    "a + b*2": 8.0,
+    "(a + b)*2": 10.0,
+    "a - b - 1": -2.0,
+    "a - (b - 1)": 0.0,
+    "12/b/a": 2.0,
+    "12/(b/a)": 8.0,
+    "-a**2": -4.0,
+    "(-a)**2": 4.0,
+    "a**-2": 0.25,
+    "--a": 2.0,
+    "+a": 2.0,
+    "-pi/2": -math.pi / 2,
+    "sin(pi/6)": 0.5,
+    "cos(0) + tan(0)": 1.0,
+    "asin(1) + acos(1) + atan(0)": math.pi / 2,
+    "atan2(1, -1)": 3 * math.pi / 4,
+    "sqrt(16)": 4.0,
+    "exp(log(7))": 7.0,
+    "tanh(0)": 0.0,
+    "abs(-a)": 2.0,
+    "(\n a\t+ b)": 5.0,
+}
+
+
+@pytest.mark.parametrize(("text", "value"), WORTH.items(), ids=WORTH)
+def test_values_are_those_of_arithmetic(text: str, value: float) -> None:
+    assert evaluate(parse(text), VALUES, FLOATS) == pytest.approx(value, rel=4e-16, abs=0)
+
+
+REFUSED = {  # piece of the finding
+    "": "empty",
+    " \n": "empty",
+    "1 +": "not an expression",
+    "1 2": "not an expression",
+    "a b": "not an expression",
+    "(1": "not an expression",
+    "010": "not an expression",
+    "lambda": "not an expression",
+    "1_000": "joins a number to a word",
+    "0x10": "joins a number to a word",
+    "1j": "joins a number to a word",
+    "2a": "joins a number to a word",
+    "a^2": "has no meaning",
+    "a.real": "has no meaning",
+    "a[0]": "has no meaning",
+    "a < b": "has no meaning",
+    "'a'": "has no meaning",
+    "a; b": "has no meaning",
+    "a := 1": "has no meaning",
+    "a, b": "has no meaning",
+    "a % b": "has no meaning",
+    "a // b": "has no meaning",
+    "a @ b": "has no meaning",
+    "~a": "has no meaning",
+    "not a": "has no meaning",
+    "a and b": "has no meaning",
+    "a if b else l1": "has no meaning",
+    "lambda: 1": "has no meaning",
+    "{}": "has no meaning",
+    "True": "has no meaning",
+    "None": "has no meaning",
+    "θ": "has no meaning",
+    "ﬁ": "has no meaning",
+    "sin(*a)": "has no meaning",
+    "sin(**a)": "has no meaning",
+    "(a)(b)": "unknown function",
+    "(a + b)(l1)": "has no meaning",
+    "print(1)": "unknown function",
+    "eval(a)": "unknown function",
+    "__import__('os').system('true')": "has no meaning",
+    "__import__(os)": "unknown function",
+    "().__class__": "has no meaning",
+    "pi()": "unknown function",
+    "sin()": "sin of 0 arguments",
+    "sin(a, b)": "sin of 2 arguments",
+    "atan2(a)": "atan2 of 1 arguments",
+    "a**0.5": "exponent",
+    "a**b": "exponent",
+    "a**17": "exponent",
+    "a**-17": "exponent",
+    "9**9**9**9": "exponent",
+    "((a**16)**16)**16": "degree 4096",
+    "1e999": "beyond the largest double",
+    "1e-999": "below the smallest double",
+    "1" * 65: "a number of 65 characters",
+    "a" * 501: "501 characters",
+    "(" * 250 + "a" + ")" * 249: "not an expression",
+    "-" * 50 + "a": "nested deeper",
+    "+".join("a" * 150): "299 terms",
+}
+
+
+@pytest.mark.parametrize(("text", "finding"), REFUSED.items(), ids=[repr(text[:30]) for text in REFUSED])
+@pytest.mark.filterwarnings("error")  # Python's parser is not to comment on an untrusted text
+def test_all_else_is_refused(text: str, finding: str) -> None:
+    with pytest.raises(ExpressionError) as caught:
+        parse(text)
+    assert finding in caught.value.finding
+    assert caught.value.remedy
+
+
+WORTHLESS = ["1/0", "a/(b - 3)", "0**-1", "sqrt(-a)", "log(0)", "asin(a)", "exp(1000)", "1e308*10", "(1e300)**2", "c"]
+
+
+@pytest.mark.parametrize("text", WORTHLESS)
+def test_what_has_no_value_is_told(text: str) -> None:
+    with pytest.raises(ExpressionError):
+        evaluate(parse(text), VALUES, FLOATS)
+
+
+def test_names_are_those_that_need_values() -> None:
+    assert names(parse("a*sin(b + pi) - l1**2/atan2(a, -c)")) == {"a", "b", "l1", "c"}
+
+
+def test_values_may_be_of_any_type() -> None:
+    fractions: Algebra[Fraction] = Algebra(
+        number=Fraction,
+        constants={},
+        negate=operator.neg,
+        operations={"+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv},
+        power=operator.pow,
+        functions={},
+    )
+    assert evaluate(parse("(a + 1)**2/3 - 0.5"), {"a": Fraction(1, 2)}, fractions) == Fraction(1, 4)
+
+
+expressions: st.SearchStrategy[Expression] = st.recursive(
+    st.builds(Number, st.floats(min_value=0, max_value=1e300).filter(lambda x: x == 0 or x > 1e-300))
+    | st.builds(Name, st.sampled_from(("a", "b", "l1")))
+    | st.builds(Constant, st.sampled_from(CONSTANTS)),
+    lambda inner: (
+        st.builds(Negation, inner)
+        | st.builds(Operation, st.sampled_from("+-*/"), inner, inner)
+        | st.builds(Power, inner, st.integers(-3, 3))
+        | st.sampled_from(sorted(FUNCTIONS)).flatmap(
+            lambda f: st.builds(Call, st.just(f), st.tuples(*[inner] * FUNCTIONS[f]))
+        )
+    ),
+    max_leaves=8,
+)
+
+
+@given(expressions)
+@settings(derandomize=True, deadline=None)
+def test_what_is_written_reads_as_the_same_expression(expression: Expression) -> None:
+    try:
+        again = parse(write(expression))
+    except ExpressionError as error:
+        assume("degree" not in error.finding)
+        raise
+    assert again == expression
+
+
+@given(st.text(alphabet="ab1.e+-*/()^, _sincopq", max_size=60))
+@settings(derandomize=True, deadline=None, max_examples=500)
+@pytest.mark.filterwarnings("error")
+def test_no_text_brings_anything_but_an_expression_or_a_refusal(text: str) -> None:
+    try:
+        expression = parse(text)
+    except ExpressionError:
+        return
+    assert parse(write(expression)) == expression
