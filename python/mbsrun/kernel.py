@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -65,19 +65,19 @@ class _Port:
     position: int
     is_vector: bool  # a column that is passed as a one-dimensional array
 
-    @property
+    @cached_property
     def shape(self) -> tuple[int, ...]:
         """Shape of one state's array."""
         a = self.argument
         return (a.rows,) if self.is_vector else (a.rows, a.cols)
 
-    @property
-    def places(self) -> NDArray[np.intp]:
-        """Index of the nonzeros in an array of that shape, read row by row."""
+    @cached_property
+    def places(self) -> tuple[NDArray[np.intp], NDArray[np.intp]] | None:
+        """Rows and columns of the nonzeros; None where every entry is one."""
         a = self.argument
         if a.row is None or a.colind is None:
-            return np.arange(a.rows * a.cols).reshape((a.rows, a.cols)).ravel(order="F")
-        return np.array(a.row, dtype=np.intp) * a.cols + np.repeat(np.arange(a.cols), np.diff(a.colind))
+            return None
+        return np.array(a.row, dtype=np.intp), np.repeat(np.arange(a.cols), np.diff(a.colind))
 
 
 @dataclass(frozen=True)
@@ -274,20 +274,26 @@ def _read(value: ArrayLike) -> Array | None:
 
 def _gather(kernel: str, port: _Port, array: Array) -> Array:
     """Take the nonzeros of each state: shape (states, nnz)."""
-    if not port.argument.nnz:
+    a = port.argument
+    if not a.nnz:
         return np.zeros((1, 0))
-    array = array.reshape((-1, math.prod(port.shape)))
-    nonzeros = np.ascontiguousarray(array[:, port.places])
-    if np.count_nonzero(array) > np.count_nonzero(nonzeros):
-        raise ArgumentError(f"{kernel}: {port.argument.name} has entries that are not in its nonzero pattern")
+    matrices = array.reshape((-1, a.rows, a.cols))
+    if port.places is None:
+        return np.ascontiguousarray(matrices.swapaxes(1, 2)).reshape((-1, a.nnz))
+    nonzeros = np.ascontiguousarray(matrices[:, *port.places])
+    if np.count_nonzero(matrices) > np.count_nonzero(nonzeros):
+        raise ArgumentError(f"{kernel}: {a.name} has entries that are not in its nonzero pattern")
     return nonzeros
 
 
 def _scatter(port: _Port, nonzeros: Array) -> Array:
     """Spread the nonzeros of each state: shape (states, *shape)."""
-    dense = np.zeros((nonzeros.shape[0], math.prod(port.shape)))
-    dense[:, port.places] = nonzeros
-    return dense.reshape((nonzeros.shape[0], *port.shape))
+    a, states = port.argument, nonzeros.shape[0]
+    if port.places is None:
+        return nonzeros.reshape((states, a.cols, a.rows)).swapaxes(1, 2).reshape((states, *port.shape))
+    matrices = np.zeros((states, a.rows, a.cols))
+    matrices[:, *port.places] = nonzeros
+    return matrices.reshape((states, *port.shape))
 
 
 def _is_finite(value: object) -> bool:
