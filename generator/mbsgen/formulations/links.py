@@ -50,9 +50,13 @@ class Chain:
     gravity: Vector[Scalar]
     symbols: dict[Expr, Scalar]  # parameters
 
+    def scalar(self, number: Expr) -> Scalar:
+        """Write a number of the model."""
+        return lower(number, self.builder, self.symbols)
+
     def vector(self, components: Sequence[Expr]) -> Vector[Scalar]:
         """Write a vector of the model."""
-        return Vector.of(lower(c, self.builder, self.symbols) for c in components)
+        return Vector.of(map(self.scalar, components))
 
     def matrix(self, rows: Sequence[Sequence[Expr]]) -> Matrix[Scalar]:
         """Write a matrix of the model."""

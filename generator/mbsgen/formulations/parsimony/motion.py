@@ -1,0 +1,224 @@
+"""Kinematics in chosen frames: forward recursion over segments, from the base to the leaves.
+
+A body is *written in* a frame whose axis `axis` is its joint's: its own frame, or the one its predecessor in the group
+is written in, or, where it opens a group, the parent's. Its state there:
+
+    p, q    angular velocity across the axis, in cyclic order      w, wp   angular velocity and acceleration along it
+    A       U e_axis, what U has for points of the axis            a0      acceleration of the origin, less gravity
+
+with U = OMp~ + OM~ OM~. p, q and A are the same for all bodies of a group, up to the turn between their frames: points
+of the axis do not notice the joint. The rest of U follows: with e1, e2 across the axis,
+
+    U e1 = -(q2 + w2) e1 + (p q + wp) e2 + (2 w p - A1) e,    U e2 = (p q - wp) e1 - (p2 + w2) e2 + (2 w q - A2) e.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mbsgen.algebra.vectors import Matrix, Vector
+from mbsgen.formulations.parsimony.plan import Plan
+from mbsgen.formulations.parsimony.segments import Segment, unit_vector
+from mbsgen.tape.builder import Builder, Scalar
+
+
+@dataclass(frozen=True)
+class Turn:
+    """A rotation about a coordinate axis, by its sine and cosine; None stands for none."""
+
+    axis: int
+    sine: Scalar
+    cosine: Scalar
+
+    def into(self, v: Vector[Scalar]) -> Vector[Scalar]:
+        """Take components into the turned frame."""
+        return self._turn(v, self.sine)
+
+    def back(self, v: Vector[Scalar]) -> Vector[Scalar]:
+        """Take components back out of the turned frame."""
+        return self._turn(v, -self.sine)
+
+    def _turn(self, v: Vector[Scalar], sine: Scalar) -> Vector[Scalar]:
+        j, k = (self.axis + 1) % 3, (self.axis + 2) % 3
+        turned = list(v)
+        turned[j] = self.cosine * v[j] + sine * v[k]
+        turned[k] = self.cosine * v[k] - sine * v[j]
+        return Vector.of(turned)
+
+
+@dataclass(frozen=True)
+class Station:
+    """Where a body is written: the turns between that frame, its own, and its predecessor's."""
+
+    segment: Segment
+    step: Turn | None  # from the frame before the joint, or the predecessor's, to the one that the body is written in
+    rest: Turn | None  # from there on to its own
+    angle: Scalar | None  # of `rest`
+    directions: tuple[Vector[Scalar], Vector[Scalar], Vector[Scalar]]  # own axes, by number, where the body is written
+
+    def own(self, v: Vector[Scalar]) -> Vector[Scalar]:
+        """Take components from where the body is written to its own frame."""
+        return self.rest.into(v) if self.rest else v
+
+    def written(self, v: Vector[Scalar]) -> Vector[Scalar]:
+        """Take components from the body's own frame to where it is written."""
+        return self.rest.back(v) if self.rest else v
+
+
+@dataclass(frozen=True)
+class Movement:
+    """The state of a body, and its field U by columns."""
+
+    p: Scalar
+    q: Scalar
+    w: Scalar
+    wp: Scalar
+    A: Vector[Scalar]
+    a0: Vector[Scalar]
+    U: Matrix[Scalar]  # symmetric use is not made of it: entry [r, c]
+
+    def field(self, v: Vector[Scalar]) -> Vector[Scalar]:
+        """Form U v."""
+        return self.U.apply(v)
+
+
+class Kinematics:
+    """Stations and movements of all bodies, in order."""
+
+    def __init__(self, builder: Builder, segments: Sequence[Segment], plan: Plan, q: Sequence[Scalar]) -> None:
+        self.builder, self.segments, self.plan, self._q = builder, segments, plan, q
+        self.stations: dict[int, Station] = {}
+        for segment in segments:
+            self.stations[segment.number] = self._place(segment)
+
+    # -- where bodies are written -------------------------------------------------------------------------------
+
+    def _place(self, segment: Segment) -> Station:
+        b = self.builder
+        if not segment.is_revolute:
+            axes = unit_vector(b, 0), unit_vector(b, 1), unit_vector(b, 2)
+            return Station(segment, None, None, None, axes)
+        angle = segment.signed(self._q[segment.number - 1])
+        before = None if segment.opens_group else self.stations[segment.parent].angle
+        total = angle if before is None else before + angle
+        turn = Turn(segment.axis, b.sin(total), b.cos(total))
+        own = self.plan[segment.number].own_frame
+        axes = unit_vector(b, 0), unit_vector(b, 1), unit_vector(b, 2)
+        if own:
+            return Station(segment, turn, None, None, axes)
+        x, y, z = (turn.back(e) for e in axes)
+        return Station(segment, None, turn, total, (x, y, z))
+
+    def slide(self, segment: Segment) -> Scalar:
+        """Return how far a prismatic joint is moved along its axis."""
+        return segment.signed(self._q[segment.number - 1])
+
+    def arrive(self, segment: Segment, v: Vector[Scalar]) -> Vector[Scalar]:
+        """Take components from where the parent is written to where `segment` is."""
+        station = self.stations[segment.number]
+        if segment.opens_group:
+            v = self.stations[segment.parent].own(v) if segment.parent else v
+            v = segment.turn.transposed.apply(v) if segment.turn else v
+        return station.step.into(v) if station.step else v
+
+    def depart(self, segment: Segment, v: Vector[Scalar]) -> Vector[Scalar]:
+        """Take components from where `segment` is written to where its parent is."""
+        station = self.stations[segment.number]
+        v = station.step.back(v) if station.step else v
+        if segment.opens_group:
+            v = segment.turn.apply(v) if segment.turn else v
+            v = self.stations[segment.parent].written(v) if segment.parent else v
+        return v
+
+    def fixed(self, number: int, v: Vector[Scalar]) -> Vector[Scalar]:
+        """Write a vector that is fixed in body `number`, given in its own frame, where the body is written."""
+        return self.stations[number].written(v) if number else v
+
+    # -- how they move ------------------------------------------------------------------------------------------
+
+    def move(self, gravity: Vector[Scalar], qd: Sequence[Scalar], qdd: Sequence[Scalar]) -> dict[int, Movement]:
+        """Compute the movement of every body; the base is accelerated against gravity."""
+        zero = self.builder.zero
+        still = Vector(zero, zero, zero)
+        movements = {0: Movement(zero, zero, zero, zero, still, -gravity, Matrix((still, still, still)))}
+        for segment in self.segments:
+            rates = (segment.signed(x[segment.number - 1]) for x in (qd, qdd))
+            movements[segment.number] = self._move(segment, movements[segment.parent], *rates)
+        return movements
+
+    def _move(self, segment: Segment, parent: Movement, qd: Scalar, qdd: Scalar) -> Movement:
+        a0 = self.arrive(segment, parent.a0 + self._lever(segment, parent))
+        if not segment.opens_group:
+            turned = self.arrive(segment, self._across(segment, parent.p, parent.q))
+            A = self.arrive(segment, parent.A)
+            w, wp = parent.w + qd, parent.wp + qdd
+        else:
+            turned = self.arrive(segment, self._angular_velocity(segment, parent))
+            A = self.arrive(segment, self._lever_field(segment, parent, self._axis_before(segment)))
+            w, wp = turned[segment.axis], self._axial_acceleration(segment, parent)
+            if segment.is_revolute:
+                w, wp = w + qd, wp + qdd
+            else:
+                slide, e = self.slide(segment), unit_vector(self.builder, segment.axis)
+                coriolis = turned.cross(e).scale(self.builder.number(2.0) * qd)
+                a0 = (a0 + A.scale(slide) + coriolis).along(segment.axis, qdd)
+        j, k = segment.across
+        return self._complete(segment, turned[j], turned[k], w, wp, A, a0)
+
+    def _complete(
+        self, segment: Segment, p: Scalar, q: Scalar, w: Scalar, wp: Scalar, A: Vector[Scalar], a0: Vector[Scalar]
+    ) -> Movement:
+        """Write U from a body's state."""
+        j, k = segment.across
+        a, ww, pq, wp_, wq_ = segment.axis, w * w, p * q, w * p, w * q
+        columns: list[list[Scalar]] = [[], [], []]
+        columns[j] = self._by_axis(segment, -(q * q + ww), pq + wp, wp_ + (wp_ - A[j]))
+        columns[k] = self._by_axis(segment, pq - wp, -(p * p + ww), wq_ + (wq_ - A[k]))
+        columns[a] = list(A)
+        return Movement(p, q, w, wp, A, a0, Matrix.of(columns).transposed)
+
+    @staticmethod
+    def _by_axis(segment: Segment, first: Scalar, second: Scalar, along: Scalar) -> list[Scalar]:
+        j, k = segment.across
+        return [{j: first, k: second, segment.axis: along}[r] for r in range(3)]
+
+    def _across(self, segment: Segment, p: Scalar, q: Scalar) -> Vector[Scalar]:
+        return Vector.of(self._by_axis(segment, p, q, self.builder.zero))
+
+    def _axis_before(self, segment: Segment) -> Vector[Scalar]:
+        """The joint's axis in the parent's own frame."""
+        if segment.turn:
+            return segment.turn.column(segment.axis)
+        return unit_vector(self.builder, segment.axis)
+
+    def _lever(self, segment: Segment, parent: Movement) -> Vector[Scalar]:
+        """Form U d for the link to `segment`, where the parent is written."""
+        return self._lever_field(segment, parent, segment.d)
+
+    def _lever_field(self, segment: Segment, parent: Movement, v: Vector[Scalar]) -> Vector[Scalar]:
+        """Form U v for a vector fixed in the parent, given in its own frame; direction by direction."""
+        zero = self.builder.zero
+        total = Vector(zero, zero, zero)
+        if segment.parent:
+            scaled = self.plan[segment.parent].scaled
+            for e, length in zip(self.stations[segment.parent].directions, v, strict=True):
+                part = parent.field(e.scale(length)) if scaled else parent.field(e).scale(length)
+                total = total + part
+        return total
+
+    def _angular_velocity(self, segment: Segment, parent: Movement) -> Vector[Scalar]:
+        """Form the parent's angular velocity, where it is written."""
+        if not segment.parent:
+            return Vector(parent.p, parent.q, parent.w)
+        return Vector.of(self._by_axis(self.segments[segment.parent - 1], parent.p, parent.q, parent.w))
+
+    def _axial_acceleration(self, segment: Segment, parent: Movement) -> Scalar:
+        """Form the component of the parent's angular acceleration along the joint's axis."""
+        if not segment.parent:
+            return parent.wp
+        before = self.segments[segment.parent - 1]
+        j, k = before.across
+        across = (parent.w * parent.q - parent.A[k], parent.A[j] - parent.w * parent.p)
+        OMp = Vector.of(self._by_axis(before, *across, parent.wp))
+        return self.stations[segment.parent].own(OMp).dot(self._axis_before(segment))

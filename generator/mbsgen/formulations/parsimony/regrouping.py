@@ -1,0 +1,135 @@
+"""Regrouping: inertia that a joint cannot feel moves to the body that carries it; base inertial parameters.
+
+Points on a revolute joint's axis belong to both of its bodies. So any mass m, first moment s and second moment p spread
+on the axis may change sides: all of p and s leave the body, and of the mass as much as the plan says. Of what remains,
+one transverse second moment is spread over a ring about the axis, and the ring counted as spin inertia about it less a
+second moment along it, which moves too. On a prismatic joint all of P belongs to the parent. What reaches the base is gone.
+(Khalil, Kleinfinger, 1987; Gautier, 1991; for the free mass, Niemeyer, Slotine, 1991.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mbsgen.algebra.vectors import Matrix, Vector, outer
+from mbsgen.errors import TapeError
+from mbsgen.formulations.parsimony.plan import Choice, Mass, Plan
+from mbsgen.formulations.parsimony.segments import Moments, Segment, children, unit_matrix
+from mbsgen.tape.builder import Builder, Scalar
+
+
+class NoSuchRegroupingError(TapeError):
+    """A plan that asks of a body what its moments do not allow."""
+
+
+@dataclass(frozen=True)
+class Lump:
+    """What a body is left with. All moments about its origin, in its own frame."""
+
+    m: Scalar
+    S: Vector[Scalar]  # nothing along the axis of a revolute joint
+    P: Matrix[Scalar]  # without what the ring holds
+    ring: Scalar  # second moment of the ring about the axis; its spin inertia is twice that
+    levelled: bool  # the ring's part along the axis was moved: the ring is a pure spin
+    radius: Scalar | None  # a point mass: its distance from the origin ...
+    direction: int  # ... along this axis
+
+
+def regroup(builder: Builder, segments: Sequence[Segment], plan: Plan) -> dict[int, Lump]:
+    """Regroup from the leaves to the base. Raises NoSuchRegroupingError for a plan that does not fit."""
+    lumps: dict[int, Lump] = {}
+    gathered = {s.number: s.moments for s in segments}
+    for segment in reversed(segments):
+        beyond = children(segments, segment.number)
+        balancing = [s for s in beyond if plan[s.number].mass is Mass.BALANCING]
+        if len(balancing) > 1:
+            raise NoSuchRegroupingError("one child can balance a body, not several")
+        own = gathered[segment.number]
+        for child in (*(s for s in beyond if s not in balancing), *balancing):
+            lumps[child.number], moved = _part(builder, child, gathered[child.number], plan[child.number], own)
+            own = own + moved
+        if balancing:
+            own = Moments(own.m, _clear(builder, own.S, _lever(balancing[0])), own.P)
+        gathered[segment.number] = own
+    for segment in children(segments, 0):
+        lumps[segment.number] = _rest_on_base(builder, segment, gathered[segment.number], plan[segment.number])
+    return lumps
+
+
+def _part(builder: Builder, segment: Segment, own: Moments, choice: Choice, parent: Moments) -> tuple[Lump, Moments]:
+    """Part a body's moments: what stays, and what moves, about the parent's origin in the parent's frame."""
+    zero, axis = builder.zero, segment.axis
+    turn = segment.turn or unit_matrix(builder)
+    if not segment.is_revolute:
+        if choice.mass is not Mass.PASSED:
+            raise NoSuchRegroupingError("mass cannot move along a prismatic joint")
+        flat = own.P.map(lambda _: zero)
+        moved = Moments(zero, own.S.map(lambda _: zero), turn.times(own.P).times(turn.transposed))
+        return Lump(own.m, own.S, flat, zero, levelled=True, radius=None, direction=0), moved
+    ring = own.P[segment.across[choice.ring], segment.across[choice.ring]]
+    e = turn.column(axis)
+    along, second = own.S[axis], own.P[axis, axis] if choice.level else own.P[axis, axis] + ring
+    m, radius, direction = own.m, None, 0
+    if choice.mass is Mass.BALANCING:
+        k = _lever(segment)
+        if (parent.S[k] + e[k] * along).is_zero and own.m.is_zero:
+            raise NoSuchRegroupingError("there is nothing to balance")
+        m = -(parent.S[k] + e[k] * along) / segment.d[k]
+    elif choice.mass is Mass.POINT:
+        staying, radius, direction = _percussion(segment, own, choice)
+        m = own.m - staying
+    moved = _on_axis(m, along, second, segment.d, e)
+    P = _without_ring(builder, segment, own.P, ring)
+    return Lump(own.m - m, _clear(builder, own.S, axis), P, ring, not choice.level, radius, direction), moved
+
+
+def _rest_on_base(builder: Builder, segment: Segment, own: Moments, choice: Choice) -> Lump:
+    """Keep of a body on the base what its joint can feel."""
+    zero = builder.zero
+    if choice.mass is not Mass.PASSED:
+        raise NoSuchRegroupingError("the base takes all mass")
+    if not segment.is_revolute:
+        return Lump(own.m, own.S, own.P.map(lambda _: zero), zero, levelled=True, radius=None, direction=0)
+    ring = own.P[segment.across[choice.ring], segment.across[choice.ring]]
+    S = _clear(builder, own.S, segment.axis)
+    P = _without_ring(builder, segment, own.P, ring)
+    return Lump(zero, S, P, ring, levelled=True, radius=None, direction=0)
+
+
+def _without_ring(builder: Builder, segment: Segment, P: Matrix[Scalar], ring: Scalar) -> Matrix[Scalar]:
+    zero, axis = builder.zero, segment.axis
+    rows = [[P[r, c] for c in range(3)] for r in range(3)]
+    rows[axis][axis] = zero
+    for k in segment.across:
+        rows[k][k] = rows[k][k] - ring
+    return Matrix.of(rows)
+
+
+def _on_axis(m: Scalar, s: Scalar, p: Scalar, d: Vector[Scalar], e: Vector[Scalar]) -> Moments:
+    """Form the moments about the parent's origin of m, s and p spread on the axis e through d."""
+    along = e.scale(s)
+    P = outer(d.scale(m), d) + outer(d, along) + outer(along, d) + outer(e.scale(p), e)
+    return Moments(m, d.scale(m) + along, P)
+
+
+def _lever(segment: Segment) -> int:
+    """Find the one axis of the parent that the link to `segment` lies along."""
+    along = [k for k in range(3) if not segment.d[k].is_zero]
+    if len(along) != 1:
+        raise NoSuchRegroupingError("the link does not lie along an axis")
+    return along[0]
+
+
+def _percussion(segment: Segment, own: Moments, choice: Choice) -> tuple[Scalar, Scalar, int]:
+    """Find the mass, distance and direction of the point that has a body's S and P, its ring apart."""
+    k, other = segment.across[1 - choice.ring], segment.across[choice.ring]
+    rest = (own.S[other], own.P[k, other], own.P[k, segment.axis], own.P[other, segment.axis])
+    if own.S[k].is_zero or not all(x.is_zero for x in rest):
+        raise NoSuchRegroupingError("the body is no pendulum in a plane of symmetry")
+    second = own.P[k, k] - own.P[other, other]
+    return own.S[k] * own.S[k] / second, second / own.S[k], k
+
+
+def _clear(builder: Builder, v: Vector[Scalar], axis: int) -> Vector[Scalar]:
+    return Vector.of(builder.zero if k == axis else v[k] for k in range(3))

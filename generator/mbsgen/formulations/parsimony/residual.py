@@ -1,0 +1,139 @@
+"""Newton-Euler residual, direction by direction: Phi(q, qd, qdd) of regrouped segments.
+
+With directions e_t fixed in a body, S = sum s_t e_t, links d = sum l_t e_t and P = sum p_tu e_t e_uT, the moment about the
+body's origin is sum e_t x V_t with V_t = s_t a0 + sum p_tu U e_u + sum l_t F_child: U e_t serves link, first and second
+moment alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mbsgen.algebra.vectors import Vector
+from mbsgen.formulations.links import Chain
+from mbsgen.formulations.parsimony.motion import Kinematics, Movement
+from mbsgen.formulations.parsimony.plan import Plan
+from mbsgen.formulations.parsimony.regrouping import Lump, regroup
+from mbsgen.formulations.parsimony.segments import Segment, align, children, unit_vector
+from mbsgen.tape.builder import Builder, Scalar
+
+
+@dataclass(frozen=True)
+class Load:
+    """What a joint carries: force, and moment about the body's origin, where the body is written."""
+
+    F: Vector[Scalar]
+    N: Vector[Scalar]
+
+
+@dataclass(frozen=True)
+class Direction:
+    """A direction fixed in a body, where the body is written, and what the body has along it."""
+
+    e: Vector[Scalar]
+    length: Scalar | None  # None: a unit vector
+    Ue: Vector[Scalar]
+
+    def share(self, amount: Scalar) -> Scalar:
+        """Express an amount along the unit vector as one along e."""
+        if self.length is None:
+            return amount
+        return _one(amount) if amount.ref == self.length.ref else amount / self.length
+
+
+def _one(scalar: Scalar) -> Scalar:
+    return scalar.builder.number(1.0)
+
+
+def residual(
+    chain: Chain, plan: Plan, q: Sequence[Scalar], qd: Sequence[Scalar], qdd: Sequence[Scalar]
+) -> list[Scalar]:
+    """Compute Phi: the joint forces that make the chain move so."""
+    segments = align(chain)
+    lumps = regroup(chain.builder, segments, plan)
+    kinematics = Kinematics(chain.builder, segments, plan, q)
+    movements = kinematics.move(chain.gravity, qd, qdd)
+    return list(joint_loads(kinematics, lumps, movements))
+
+
+def joint_loads(kinematics: Kinematics, lumps: dict[int, Lump], movements: dict[int, Movement]) -> Sequence[Scalar]:
+    """From the leaves to the base: add up what each joint carries, and take its part along the axis."""
+    loads: dict[int, Load] = {}
+    Phi: dict[int, Scalar] = {}
+    for segment in reversed(kinematics.segments):
+        i = segment.number
+        loads[i] = _load(kinematics, segment, lumps[i], movements[i], loads)
+        carried = loads[i].N if segment.is_revolute else loads[i].F
+        Phi[i] = segment.signed(carried[segment.axis])
+    return [Phi[s.number] for s in kinematics.segments]
+
+
+def _load(kinematics: Kinematics, segment: Segment, lump: Lump, movement: Movement, loads: dict[int, Load]) -> Load:
+    F, N, V = inertial_load(kinematics, segment, lump, movement)
+    directions = directions_of(kinematics, segment, lump, movement)
+    for child in children(kinematics.segments, segment.number):
+        force = kinematics.depart(child, loads[child.number].F)
+        N = N + kinematics.depart(child, loads[child.number].N)
+        F = F + force
+        for t, direction in enumerate(directions):
+            V[t] = V[t] + force.scale(direction.share(child.d[t]))
+        if not child.is_revolute:
+            N = N + _slide_lever(kinematics, child).cross(force)
+    for t, direction in enumerate(directions):
+        N = N + direction.e.cross(V[t])
+    return Load(F, N)
+
+
+def _slide_lever(kinematics: Kinematics, child: Segment) -> Vector[Scalar]:
+    """Return how far a prismatic child is moved, where its parent is written."""
+    e = child.turn.column(child.axis) if child.turn else unit_vector(kinematics.builder, child.axis)
+    return kinematics.fixed(child.parent, e.scale(kinematics.slide(child)))
+
+
+def directions_of(kinematics: Kinematics, segment: Segment, lump: Lump, movement: Movement) -> list[Direction]:
+    """List a body's own axes as directions, with the lengths that the plan gives them."""
+    found = []
+    for t, e in enumerate(kinematics.stations[segment.number].directions):
+        length = None
+        if lump.radius is not None and t == lump.direction:
+            length = lump.radius
+        elif kinematics.plan[segment.number].scaled and t != segment.axis:
+            links = [c.d[t] for c in children(kinematics.segments, segment.number) if not c.d[t].is_zero]
+            length = links[0] if links else None
+        e = e if length is None else e.scale(length)
+        found.append(Direction(e, length, movement.field(e)))
+    return found
+
+
+def inertial_load(
+    kinematics: Kinematics, segment: Segment, lump: Lump, movement: Movement
+) -> tuple[Vector[Scalar], Vector[Scalar], list[Vector[Scalar]]]:
+    """Form a body's own force, the moment of its ring, and its V by direction."""
+    directions = directions_of(kinematics, segment, lump, movement)
+    zero = kinematics.builder.zero
+    still = Vector(zero, zero, zero)
+    if lump.radius is not None:  # a point mass: its force acts at the end of its direction
+        F = (movement.a0 + directions[lump.direction].Ue).scale(lump.m)
+        V = [F if t == lump.direction else still for t in range(3)]
+        return F, _ring_moment(kinematics.builder, segment, lump, movement), V
+    F, V = movement.a0.scale(lump.m), []
+    for t, direction in enumerate(directions):
+        F = F + direction.Ue.scale(direction.share(lump.S[t]))
+        v = movement.a0.scale(direction.share(lump.S[t]))
+        for u, other in enumerate(directions):
+            v = v + other.Ue.scale(other.share(direction.share(lump.P[t, u])))
+        V.append(v)
+    return F, _ring_moment(kinematics.builder, segment, lump, movement), V
+
+
+def _ring_moment(builder: Builder, segment: Segment, lump: Lump, movement: Movement) -> Vector[Scalar]:
+    """Form the moment of a ring about the axis: its spin alone, or with what it is along the axis."""
+    j, k = segment.across
+    spin = builder.number(2.0) * lump.ring
+    parts = {segment.axis: spin * movement.wp}
+    if lump.levelled:
+        parts |= {j: spin * (movement.w * movement.q), k: -(spin * (movement.w * movement.p))}
+    else:
+        parts |= {j: lump.ring * movement.U[segment.axis, k], k: -(lump.ring * movement.U[segment.axis, j])}
+    return Vector.of(parts[t] for t in range(3))

@@ -1,0 +1,116 @@
+"""Segments: the bodies of a Tree in aligned frames, with their moments of mass.
+
+A body's frame is chosen anew where that makes its turn to the parent vanish at q = 0: when the axes of both stand at
+right angles. Then a joint's axis is a coordinate axis of both bodies, up to its sense, and consecutive joints with
+parallel axes form a *group*, in whose frames their common axis stands still.
+Moments are about the body's own origin, its joint: mass m, first moment S, second moment P (the integral of r rT dm;
+J = tr(P) 1 - P). In this form mass moves between bodies by sums alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sympy import Expr
+
+from mbsgen.algebra.vectors import Matrix, Vector, outer
+from mbsgen.formulations.links import Chain
+from mbsgen.model.tree import Body, Motion
+from mbsgen.tape.builder import Builder, Scalar
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Mass, first and second moment about a body's origin."""
+
+    m: Scalar
+    S: Vector[Scalar]
+    P: Matrix[Scalar]
+
+    def __add__(self, other: Moments) -> Moments:
+        return Moments(self.m + other.m, self.S + other.S, self.P + other.P)
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A body, aligned. Vectors are in its own frame; `d` is in the parent's."""
+
+    number: int  # from 1
+    parent: int  # 0: the base
+    is_revolute: bool
+    axis: int
+    sense: int  # +1 or -1: the joint turns about, or slides along, sense * axis
+    turn: Matrix[Scalar] | None  # columns: axes at q = 0 in the parent's frame; None: those of the parent
+    opens_group: bool  # its axis is not its predecessor's
+    d: Vector[Scalar]  # its origin, at q = 0, from the parent's
+    moments: Moments
+
+    @property
+    def across(self) -> tuple[int, int]:
+        """The two axes after the joint's, in cyclic order."""
+        return (self.axis + 1) % 3, (self.axis + 2) % 3
+
+    def signed(self, value: Scalar) -> Scalar:
+        """Give a joint's quantity the sense of the axis."""
+        return value if self.sense > 0 else -value
+
+
+def align(chain: Chain) -> tuple[Segment, ...]:
+    """Make the segments of a tree whose numbers are written in `chain`."""
+    unit = unit_matrix(chain.builder)
+    turned = {0: unit}  # columns: the axes of each body of the Tree in the aligned frame
+    segments: list[Segment] = []
+    for number, body in enumerate(chain.tree.bodies, 1):
+        placed = turned[body.parent].times(chain.matrix(body.orientation))
+        steps = _right_angles(body, turned[body.parent], placed)
+        if steps is None:
+            turned[number], turn, axis, sense = unit, placed, body.joint.axis, 1
+        else:
+            turned[number], turn = placed, None
+            axis, sense = next((r, s) for r, s in enumerate(steps[body.joint.axis]) if s)
+        is_revolute = body.joint.motion is Motion.REVOLUTE
+        before = segments[body.parent - 1] if body.parent else None
+        continues = before and is_revolute and before.is_revolute and turn is None and before.axis == axis
+        d = turned[body.parent].apply(chain.vector(body.position))
+        moments = _moments(chain, body, turned[number])
+        segments.append(Segment(number, body.parent, is_revolute, axis, sense, turn, not continues, d, moments))
+    return tuple(segments)
+
+
+def _right_angles(body: Body, parent: Matrix[Scalar], placed: Matrix[Scalar]) -> list[list[int]] | None:
+    """Read `placed` as a matrix of 0, 1 and -1, by columns; None if it holds anything else."""
+    if not all(_is_step(entry) for row in body.orientation for entry in row):
+        return None
+    one = parent[0, 0].builder.number(1.0).ref
+    steps = [[{0: 0, one: 1, -one: -1}.get(placed[r, c].ref) for r in range(3)] for c in range(3)]
+    return [[s for s in column if s is not None] for column in steps] if all(None not in c for c in steps) else None
+
+
+def _is_step(entry: Expr) -> bool:
+    return bool(entry.is_number) and entry in (0, 1, -1)
+
+
+def _moments(chain: Chain, body: Body, frame: Matrix[Scalar]) -> Moments:
+    (m,) = (chain.scalar(body.mass),)
+    l, In = frame.apply(chain.vector(body.com)), chain.matrix(body.inertia)
+    half_trace = (In[0, 0] + In[1, 1] + In[2, 2]) * chain.builder.number(0.5)
+    central = unit_matrix(chain.builder).scale(half_trace) - In
+    S = l.scale(m)
+    return Moments(m, S, frame.times(central).times(frame.transposed) + outer(S, l))
+
+
+def unit_vector(builder: Builder, axis: int) -> Vector[Scalar]:
+    """Make a coordinate axis."""
+    zero, one = builder.zero, builder.number(1.0)
+    return Vector.of(one if k == axis else zero for k in range(3))
+
+
+def unit_matrix(builder: Builder) -> Matrix[Scalar]:
+    """Make the unit matrix."""
+    return Matrix.of(unit_vector(builder, k) for k in range(3))
+
+
+def children(segments: Sequence[Segment], number: int) -> tuple[Segment, ...]:
+    """List the segments that body `number` carries."""
+    return tuple(s for s in segments if s.parent == number)
