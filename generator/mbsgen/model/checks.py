@@ -71,7 +71,7 @@ def _check_body(place: Place, body: Body, valuation: Valuation, *, allow_unphysi
     inertia = np.array([[valuation.number(place, entry) for entry in row] for row in body.inertia.rows])
     if allow_unphysical or not np.isfinite(inertia).all():
         return
-    if mass == 0 and inertia.any():
+    if mass == 0 and inertia.any() and not valuation.changes(body.mass):
         yield Finding(place, "an inertia without a mass", "give the body a mass too, or set allow_unphysical: true")
     a, b, c = np.linalg.eigvalsh(inertia)
     if a + b < c - INERTIA_TOLERANCE * np.abs(inertia).max():

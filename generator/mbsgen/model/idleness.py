@@ -14,7 +14,7 @@ import numpy as np
 from mbsgen.documents import abbreviate
 from mbsgen.model.findings import Finding
 from mbsgen.model.model import Model, Placement
-from mbsgen.model.topology import sort_bodies
+from mbsgen.model.topology import index_parents, walk_bodies
 from mbsgen.model.tree import Motion
 from mbsgen.model.valuation import Array, Valuation
 
@@ -36,49 +36,44 @@ class _Solid:
 
 def check_idle_joints(model: Model) -> Iterator[Finding]:
     """Find the joints whose subtree has no inertia about their axis, or no mass along it."""
-    solids = _place_solids(model)
-    names = {body.name: i for i, body in enumerate(model.bodies)}
-    children: list[list[int]] = [[] for _ in model.bodies]
-    for i, body in enumerate(model.bodies):
-        if body.parent in names:
-            children[names[body.parent]].append(i)
-    for i, body in enumerate(model.bodies):
-        if not _is_felt(i, solids, children, body.joint.motion):
-            what = "inertia about" if body.joint.motion is Motion.REVOLUTE else "mass along"
-            finding = f"joint {abbreviate(body.joint.name)} moves nothing: what it carries has no {what} its axis"
+    parents, order = index_parents(model), walk_bodies(model)
+    solids = _place_solids(model, parents, order)
+    carried = [1] * len(order)  # bodies of each subtree
+    for i in reversed(order):
+        parent = parents[i]
+        if parent is not None:
+            carried[parent] += carried[i]
+    for rank, i in enumerate(order):
+        joint = model.bodies[i].joint
+        subtree = [solids[k] for k in order[rank : rank + carried[i]]]
+        if not _is_felt(solids[i], subtree, joint.motion):
+            what = "inertia about" if joint.motion is Motion.REVOLUTE else "mass along"
+            finding = f"joint {abbreviate(joint.name)} moves nothing: what it carries has no {what} its axis"
             yield Finding(("bodies", i, "joint"), finding, "give a body it carries mass, or take the joint away")
 
 
-def _is_felt(joint: int, solids: list[_Solid], children: list[list[int]], motion: Motion) -> bool:
-    waiting = [joint]
-    while waiting:
-        i = waiting.pop()
-        felt, scale = _weigh(solids[joint], solids[i], motion)
-        if not abs(felt) <= TOLERANCE * scale:
-            return True
-        waiting += children[i]
-    return False
-
-
-def _weigh(carrier: _Solid, body: _Solid, motion: Motion) -> tuple[float, float]:
-    """Tell the inertia of a body that a joint feels, and the inertia it would feel if nothing lay on its axis."""
+def _is_felt(carrier: _Solid, bodies: list[_Solid], motion: Motion) -> bool:
+    """Compare what each body brings with what it would bring if nothing lay on the axis; sums would hide light ones."""
+    mass = np.array([body.mass for body in bodies])
     if motion is Motion.PRISMATIC:
-        return body.mass, 0.0
-    lever = np.cross(carrier.axis, body.com - carrier.origin)
-    about = body.rotation.T @ carrier.axis
-    felt = body.mass * (lever @ lever) + about @ body.inertia @ about
-    scale = body.mass * (body.com @ body.com + carrier.origin @ carrier.origin) + np.abs(body.inertia).max()
-    return float(felt), float(scale)
+        return bool(np.any(mass != 0))
+    com = np.array([body.com for body in bodies])
+    inertia = np.array([body.inertia for body in bodies])
+    about = np.array([body.rotation.T @ carrier.axis for body in bodies])
+    lever = np.cross(carrier.axis, com - carrier.origin)
+    felt = mass * (lever**2).sum(axis=1) + np.einsum("bi,bij,bj->b", about, inertia, about)
+    scale = mass * ((com**2).sum(axis=1) + carrier.origin @ carrier.origin) + np.abs(inertia).max(axis=(1, 2))
+    return not np.all(np.abs(felt) <= TOLERANCE * scale)
 
 
-def _place_solids(model: Model) -> list[_Solid]:
+def _place_solids(model: Model, parents: list[int | None], order: list[int]) -> dict[int, _Solid]:
     valuation = Valuation(model.parameters, (), generic=True)
-    solids: dict[str, _Solid] = {}
-    for rank, i in enumerate(sort_bodies(model)):
-        body, place = model.bodies[i], ("bodies", i)
+    solids: dict[int, _Solid] = {}
+    for rank, i in enumerate(order):
+        body, place, parent = model.bodies[i], ("bodies", i), parents[i]
         rotation, origin = np.eye(3), np.zeros(3)
-        if body.parent in solids:
-            rotation, origin = solids[body.parent].rotation, solids[body.parent].origin
+        if parent is not None:
+            rotation, origin = solids[parent].rotation, solids[parent].origin
         origin = origin + rotation @ valuation.triple(place, body.joint.placement.position)
         rotation = rotation @ _turn_placement(body.joint.placement, valuation)
         axis = valuation.triple(place, body.joint.axis)
@@ -87,7 +82,7 @@ def _place_solids(model: Model) -> list[_Solid]:
         q = 0.5 + (rank * GOLDEN) % 1  # radians or metres, no two alike
         turned = rotation @ _turn(axis, q) if body.joint.motion is Motion.REVOLUTE else rotation
         slid = origin if body.joint.motion is Motion.REVOLUTE else origin + rotation @ axis * q
-        solids[body.name] = _Solid(
+        solids[i] = _Solid(
             rotation=turned,
             origin=slid,
             axis=rotation @ axis,
@@ -95,7 +90,7 @@ def _place_solids(model: Model) -> list[_Solid]:
             com=slid + turned @ valuation.triple(place, body.com),
             inertia=np.array([valuation.triple(place, row) for row in body.inertia.rows]),
         )
-    return [solids[body.name] for body in model.bodies]
+    return solids
 
 
 def _turn_placement(placement: Placement, valuation: Valuation) -> Array:

@@ -11,19 +11,31 @@ from mbsgen.model.model import BASE, Model
 
 def sort_bodies(model: Model) -> list[int]:
     """Number the bodies (from 0, in the file) so that parents come first: as in the file, or else depth first."""
-    parents = _index_parents(model)
+    parents = index_parents(model)
     if all(parent is None or parent < i for i, parent in enumerate(parents)):
         return list(range(len(parents)))
-    children: list[list[int]] = [[] for _ in parents]
+    return walk_bodies(model)
+
+
+def walk_bodies(model: Model) -> list[int]:
+    """Number the bodies depth first: each is followed by all that it carries."""
+    children: list[list[int]] = [[] for _ in model.bodies]
     roots: list[int] = []
-    for i, parent in enumerate(parents):
+    for i, parent in enumerate(index_parents(model)):
         (roots if parent is None else children[parent]).append(i)
-    order, waiting = [], roots[::-1]
+    order: list[int] = []
+    waiting = roots[::-1]
     while waiting:
         i = waiting.pop()
         order.append(i)
         waiting += children[i][::-1]
     return order
+
+
+def index_parents(model: Model) -> list[int | None]:
+    """Find the parents' places in the list of bodies; None for the base, and for what does not exist."""
+    places = {body.name: i for i, body in reversed(list(enumerate(model.bodies)))}
+    return [places.get(body.parent) for body in model.bodies]
 
 
 def check_tree(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
@@ -38,16 +50,10 @@ def check_tree(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
             meant = nearest(name, [BASE, *names])
             remedy = f"did you mean {abbreviate(meant)}?" if meant else f"name a body, or {BASE}"
             yield Finding(place, f"there is no body {abbreviate(name)}", remedy)
-    for loop in _find_loops(_index_parents(model)):
+    for loop in _find_loops(index_parents(model)):
         shown = [*map(abbreviate, (names[i] for i in loop[:8])), *(["..."] if len(loop) > 8 else [])]
         chain = " -> ".join([*shown, shown[0]])
         yield Finding(("bodies", loop[0], "parent"), f"a loop of parents: {chain}", f"let one of them stand on {BASE}")
-
-
-def _index_parents(model: Model) -> list[int | None]:
-    """Find the parents' places in the list of bodies; None for the base, and for what does not exist."""
-    places = {body.name: i for i, body in reversed(list(enumerate(model.bodies)))}
-    return [places.get(body.parent) for body in model.bodies]
 
 
 def _find_loops(parents: Sequence[int | None]) -> Iterator[list[int]]:

@@ -51,6 +51,10 @@ class Valuation:
             return math.nan
         return self.number(place, expression)
 
+    def changes(self, expression: Expression) -> bool:
+        """Tell whether an expression depends on run-time parameters."""
+        return not self._runtime.isdisjoint(names(expression))
+
     def triple(self, place: Place, triple: Triple) -> Array:
         """Give three expressions their values."""
         return np.array([self.number((*place, k), expression) for k, expression in enumerate(triple)])

@@ -1,0 +1,345 @@
+"""Bad model files: each is refused with the place, the finding and a remedy, and nothing beside."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from mbsgen.documents import MAX_BYTES, MAX_FAULTS
+from mbsgen.errors import Fault, InputError
+from mbsgen.model.reader import read_model
+
+GOOD = """\
+name: crane
+gravity: [0, 0, -g]
+parameters:
+  g: 9.81
+  l: 2
+  m: {value: 3, kind: runtime}
+bodies:
+  - name: cart
+    joint: {name: q1, type: prismatic, axis: x, limits: [-1, 1]}
+    mass: 10
+  - name: boom
+    parent: cart
+    joint:
+      type: revolute
+      axis: [0, 0.6, 0.8]
+      position: [0, 0, l/2]
+      orientation: [{axis: z, angle: pi/2}]
+      actuated: false
+    mass: m
+    com: [l/2, 0, 0]
+    inertia: {xx: 0.1, yy: 1, zz: 1, xy: 0.05}
+  - name: hook
+    parent: boom
+    joint: {type: revolute, axis: -y, position: [l, 0, 0]}
+    mass: 0.5
+    com: [0, 0, -0.1]
+    inertia: [1e-3, 1e-3, 1e-3]
+frames:
+  - {name: tip, body: boom, position: [l, 0, 0]}
+"""
+HOOK = GOOD[GOOD.index("  - name: hook") : GOOD.index("frames:")]
+
+
+def find_faults(text: str, folder: Path) -> tuple[Fault, ...]:
+    file = folder / "model.yaml"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        read_model(file)
+    return caught.value.faults
+
+
+def test_the_good_model_is_good(tmp_path: Path) -> None:
+    file = tmp_path / "model.yaml"
+    file.write_text(GOOD, encoding="utf-8")
+    assert [body.name for body in read_model(file).bodies] == ["cart", "boom", "hook"]
+
+
+# What is put in place of what in GOOD; line, path and a piece of the finding of the one fault that follows.
+BAD: dict[str, tuple[str, str, int, str, str]] = {
+    # shape
+    "unknown key": ("gravity:", "gravety:", 2, "gravety", "unknown key"),
+    "unknown key of a joint": ("actuated: false", "actuatd: false", 18, "bodies[1].joint.actuatd", "unknown key"),
+    "unknown key of an inertia": ("xy: 0.05", "yx: 0.05", 21, "bodies[1].inertia.yx", "unknown key"),
+    "repeated key": ("    mass: 10", "    mass: 10\n    mass: 11", 11, "bodies[0].mass", "key repeated"),
+    "no type": ("type: prismatic, ", "", 9, "bodies[0].joint.type", "missing"),
+    "no axis": ("axis: -y, ", "", 24, "bodies[2].joint.axis", "missing"),
+    "no joint": (
+        "    joint: {name: q1, type: prismatic, axis: x, limits: [-1, 1]}\n",
+        "",
+        8,
+        "bodies[0].joint",
+        "missing",
+    ),
+    "unknown type": ("type: prismatic", "type: sliding", 9, "bodies[0].joint.type", '"sliding"'),
+    "unknown kind": ("kind: runtime", "kind: variable", 6, "parameters.m.kind", '"variable"'),
+    "unknown axis": ("axis: -y", "axis: w", 24, "bodies[2].joint.axis", '"w"'),
+    "an axis of two": ("axis: -y", "axis: [0, 1]", 24, "bodies[2].joint.axis", "[0, 1]"),
+    "an axis of a rotation": ("{axis: z, angle", "{axis: -z, angle", 17, "bodies[1].joint.orientation[0].axis", '"-z"'),
+    "a short vector": ("com: [l/2, 0, 0]", "com: [l/2, 0]", 20, "bodies[1].com", "list of 2"),
+    "a long vector": ("com: [l/2, 0, 0]", "com: [l/2, 0, 0, 0]", 20, "bodies[1].com", "list of 4"),
+    "a half inertia": ("yy: 1, ", "", 21, "bodies[1].inertia.yy", "missing"),
+    "one limit": ("limits: [-1, 1]", "limits: [1]", 9, "bodies[0].joint.limits", "list of 1"),
+    "an infinite limit": ("limits: [-1, 1]", "limits: [-1, .inf]", 9, "bodies[0].joint.limits[1]", "found inf"),
+    "a name that is a number": ("name: crane", "name: 5", 1, "name", "found 5"),
+    "a truth for a number": ("mass: 10", "mass: true", 10, "bodies[0].mass", "found true"),
+    "a list for a number": ("mass: 10", "mass: [10]", 10, "bodies[0].mass", "found [10]"),
+    "a word for a truth": ("actuated: false", "actuated: no", 18, "bodies[1].joint.actuated", 'found "no"'),
+    # numbers and expressions
+    "a mass of nan": ("mass: 10", "mass: .nan", 10, "bodies[0].mass", "found nan"),
+    "an infinite mass": ("mass: 10", "mass: .inf", 10, "bodies[0].mass", "found inf"),
+    "a mass beyond doubles": ("mass: 10", "mass: 1e999", 10, "bodies[0].mass", "beyond the largest double"),
+    "a huge mass": ("mass: 10", "mass: 1e200", 10, "bodies[0].mass", "a value of 1e+200"),
+    "a tiny mass": ("mass: 10", "mass: 1e-200", 10, "bodies[0].mass", "a mass of 1e-200"),
+    "a negative mass": ("mass: 10", "mass: -10", 10, "bodies[0].mass", "a mass of -10"),
+    "a mass negative by a parameter": ("mass: 10", "mass: l - 3", 10, "bodies[0].mass", "a mass of -1"),
+    "an overflowing product": ("mass: 10", "mass: 1e100*1e100*l", 10, "bodies[0].mass", "2e+200"),
+    "a division by 0": ("mass: 10", "mass: 1/(l - 2)", 10, "bodies[0].mass", "has no value"),
+    "a root of -1": ("mass: 10", "mass: sqrt(-1)", 10, "bodies[0].mass", "has no value"),
+    "an unknown name": ("[0, 0, l/2]", "[0, 0, L/2]", 16, "bodies[1].joint.position[2]", 'unknown name "L"'),
+    "an unknown function": (
+        "angle: pi/2",
+        "angle: sec(1)",
+        17,
+        "bodies[1].joint.orientation[0].angle",
+        "unknown function",
+    ),
+    "code": ("mass: 10", "mass: __import__('os').abort()", 10, "bodies[0].mass", "has no meaning"),
+    "code that is called": ("mass: 10", "mass: exit(0)", 10, "bodies[0].mass", 'unknown function "exit"'),
+    "code in a comprehension": ("mass: 10", "mass: '[x for x in ()]'", 10, "bodies[0].mass", "has no meaning"),
+    "a great power": ("mass: 10", "mass: 9**9**9", 10, "bodies[0].mass", "exponent"),
+    "a tower of powers": ("mass: 10", "mass: (((0.1**16)**16)**16)**16", 10, "bodies[0].mass", "degree"),
+    "a tower of exponentials": ("mass: 10", "mass: exp(exp(exp(9)))", 10, "bodies[0].mass", "has no value"),
+    "a long expression": ("mass: 10", f"mass: {'1+' * 300}1", 10, "bodies[0].mass", "601 characters"),
+    "a deep expression": ("mass: 10", f"mass: {'sin(' * 45}1{')' * 45}", 10, "bodies[0].mass", "nested deeper"),
+    "no form at run time": ("mass: m", "mass: exp(m)", 19, "bodies[1].mass", "exp of a run-time parameter"),
+    # parameters
+    "a later parameter": ("  g: 9.81", "  g: 5*l", 4, "parameters.g", "used before it is given"),
+    "a parameter of itself": ("  g: 9.81", "  g: 2*g", 4, "parameters.g", "used before it is given"),
+    "a frozen run-time value": (
+        "runtime}",
+        "runtime}\n  k: 2*m",
+        7,
+        "parameters.k",
+        "depends on the run-time parameter",
+    ),
+    "a limit at run time": ("limits: [-1, 1]", "limits: [-1, m]", 9, "bodies[0].joint.limits[1]", "run-time parameter"),
+    "an axis at run time": ("0.6, 0.8]", "0.6, m]", 15, "bodies[1].joint.axis", "run-time parameter"),
+    "a parameter without a name": ("  g: 9.81", '  g: 9.81\n  "": 1', 5, 'parameters[""]', "cannot use the name"),
+    "a parameter with a blank": ("  g: 9.81", "  g: 9.81\n  a b: 1", 5, 'parameters["a b"]', "cannot use the name"),
+    "a parameter called sin": ("  g: 9.81", "  g: 9.81\n  sin: 1", 5, "parameters.sin", "their own meaning"),
+    "a parameter called pi": ("  g: 9.81", "  g: 9.81\n  pi: 3", 5, "parameters.pi", "their own meaning"),
+    "a parameter called lambda": ("  g: 9.81", "  g: 9.81\n  lambda: 1", 5, "parameters.lambda", "their own meaning"),
+    "parameters alike": ("  g: 9.81", "  g: 9.81\n  G: 1", 5, "parameters.G", 'hard to tell from "g"'),
+    # names
+    "an empty name": ("name: crane", "name: ''", 1, "name", "an empty name"),
+    "a blank name": ("name: hook", "name: '  '", 22, "bodies[2].name", "an empty name"),
+    "a long name": ("name: hook", f"name: {'h' * 65}", 22, "bodies[2].name", "a name of 65 characters"),
+    "a path": ("name: crane", "name: ../../etc/crane", 1, "name", "looks like a path"),
+    "a path of Windows": ("name: crane", "name: C:\\crane", 1, "name", "looks like a path"),
+    "a hidden file": ("name: hook", "name: .hook", 22, "bodies[2].name", "looks like a path"),
+    "a home": ("name: crane", "name: ~root", 1, "name", "looks like a path"),
+    "a control character": ("name: crane", 'name: "cra\\ane"', 1, "name", "control character U+0007"),
+    "a line break": ("name: crane", 'name: "cra\\nne"', 1, "name", "hidden character U+000A"),
+    "an invisible character": ("name: hook", 'name: "ho\\u200Bok"', 22, "bodies[2].name", "hidden character U+200B"),
+    "blanks around a name": ("name: crane", "name: ' crane'", 1, "name", "blanks at its ends"),
+    "two bodies of a name": ("name: hook", "name: boom", 22, "bodies[2].name", 'name "boom" is taken'),
+    "bodies alike in case": ("name: hook", "name: Boom", 22, "bodies[2].name", 'hard to tell from "boom"'),
+    "bodies alike in form": ("name: hook", "name: ｂoom", 22, "bodies[2].name", 'hard to tell from "boom"'),
+    "two joints of a name": (
+        "{type: revolute, axis: -y",
+        "{name: q1, type: revolute, axis: -y",
+        24,
+        "bodies[2].joint.name",
+        "is taken",
+    ),
+    "two frames of a name": (
+        "frames:",
+        "frames:\n  - {name: tip, body: hook}",
+        30,
+        "frames[1].name",
+        'name "tip" is taken',
+    ),
+    "a body called base": ("name: hook", "name: Base", 22, "bodies[2].name", "what does not move"),
+    # the tree
+    "a missing parent": ("parent: boom", "parent: bom", 23, "bodies[2].parent", 'there is no body "bom"'),
+    "a missing carrier": ("body: boom", "body: boon", 29, "frames[0].body", 'there is no body "boon"'),
+    "its own parent": ("parent: boom", "parent: hook", 23, "bodies[2].parent", '"hook" -> "hook"'),
+    "a loop of parents": ("parent: cart", "parent: hook", 12, "bodies[1].parent", '"boom" -> "hook" -> "boom"'),
+    "no bodies": (GOOD[GOOD.index("bodies:") :], "bodies: []", 7, "bodies", "0 bodies"),
+    "too many bodies": (
+        HOOK,
+        "".join(HOOK.replace("name: hook", f"name: h{i}") for i in range(1000)),
+        7,
+        "bodies",
+        "1002 bodies",
+    ),
+    # mechanics
+    "no direction": ("[0, 0.6, 0.8]", "[0, 0, 0]", 15, "bodies[1].joint.axis", "[0, 0, 0] has no direction"),
+    "no direction by parameters": (
+        "[0, 0.6, 0.8]",
+        "[0, l - 2, 0]",
+        15,
+        "bodies[1].joint.axis",
+        "[0, l - 2, 0] has no direction",
+    ),
+    "limits out of order": (
+        "limits: [-1, 1]",
+        "limits: [1, -1]",
+        9,
+        "bodies[0].joint.limits",
+        "lower limit 1 is above",
+    ),
+    "a negative moment": ("[1e-3, 1e-3, 1e-3]", "[-1e-3, 1e-3, 1e-3]", 27, "bodies[2].inertia", "principal moments"),
+    "no triangle": ("[1e-3, 1e-3, 1e-3]", "[1e-3, 1e-3, 2.001e-3]", 27, "bodies[2].inertia", "principal moments"),
+    "no triangle off the diagonal": ("xy: 0.05", "xy: 0.4", 21, "bodies[1].inertia", "principal moments"),
+    "an inertia without a mass": ("    mass: 0.5\n", "", 26, "bodies[2].inertia", "without a mass"),
+    "a leaf without a mass": (
+        HOOK,
+        "  - {name: hook, parent: boom, joint: {type: revolute, axis: y}}\n",
+        22,
+        "bodies[2].joint",
+        'joint "hook" moves nothing',
+    ),
+    "a slide without a mass": (
+        HOOK,
+        "  - {name: hook, parent: boom, joint: {name: q3, type: prismatic, axis: y}}\n",
+        22,
+        "bodies[2].joint",
+        'joint "q3" moves nothing',
+    ),
+    "a point on its axis": (
+        HOOK,
+        "  - {name: p, joint: {type: revolute, axis: [1, 2, 2], position: [9, l, 0]}, mass: 1, com: [2, 4, 4]}\n",
+        22,
+        "bodies[2].joint",
+        'joint "p" moves nothing',
+    ),
+    "a rod on its axis": (
+        HOOK,
+        "  - {name: p, joint: {type: revolute, axis: y}, mass: 1, com: [0, 1, 0], inertia: [1, 0, 1]}\n",
+        22,
+        "bodies[2].joint",
+        "no inertia about its axis",
+    ),
+}
+
+
+@pytest.mark.parametrize(("old", "new", "line", "path", "finding"), BAD.values(), ids=BAD.keys())
+def test_a_fault_is_told_with_its_place(old: str, new: str, line: int, path: str, finding: str, tmp_path: Path) -> None:
+    assert GOOD.count(old) >= 1
+    told = find_faults(GOOD.replace(old, new, 1), tmp_path)
+    told = tuple(fault for fault in told if (fault.path, fault.finding) != ("gravity", "missing"))  # of "gravety"
+    assert [(fault.file, fault.line, fault.path) for fault in told] == [(str(tmp_path / "model.yaml"), line, path)]
+    assert finding in told[0].finding
+    assert told[0].remedy
+
+
+def test_a_mistyped_word_is_guessed(tmp_path: Path) -> None:
+    text = (
+        GOOD.replace("parent: boom", "parent: Bom").replace("mass: 10", "mas: 10").replace("inertia: [", "inertai: [")
+    )
+    assert [fault.remedy for fault in find_faults(text, tmp_path)] == [
+        "did you mean `mass`?",
+        'did you mean "boom"?',
+        "did you mean `inertia`?",
+    ]
+
+
+def test_all_faults_of_a_file_come_at_once(tmp_path: Path) -> None:
+    """Faults of YAML, of shape, of names, of the tree, of numbers and of mechanics; not what follows from one."""
+    text = (
+        GOOD.replace("name: crane", "name: a/b")
+        .replace("  g: 9.81", "  g: &g 9.81")
+        .replace("  l: 2", "  l: 2 +")
+        .replace("type: prismatic", "type: sliding")
+        .replace("[-1, 1]", "[1, -1]")
+        .replace("mass: 10", "mass: -10")
+        .replace("parent: cart", "parent: hook")
+        .replace("[0, 0.6, 0.8]", "[0, 0, 0]")
+        .replace("actuated: false", "actuated: false\n      colour: red")
+        .replace("xy: 0.05", "xy: 5")
+        .replace("mass: 0.5", "mass: x")
+        .replace("body: boom", "body: bom")
+    )
+    assert [(fault.line, fault.path) for fault in find_faults(text, tmp_path)] == [
+        (1, "name"),
+        (4, "parameters.g"),
+        (5, "parameters.l"),
+        (9, "bodies[0].joint.limits"),
+        (9, "bodies[0].joint.type"),
+        (10, "bodies[0].mass"),
+        (12, "bodies[1].parent"),
+        (15, "bodies[1].joint.axis"),
+        (19, "bodies[1].joint.colour"),
+        (22, "bodies[1].inertia"),
+        (26, "bodies[2].mass"),
+        (30, "frames[0].body"),
+    ]
+
+
+def test_idle_joints_are_looked_for_once_all_else_is_right(tmp_path: Path) -> None:
+    """Every joint of a limb without mass is named."""
+    limb = "".join(
+        f"  - {{name: x{i}, parent: {p}, joint: {{type: revolute, axis: y}}}}\n" for i, p in enumerate(["boom", "x0"])
+    )
+    text = GOOD.replace(HOOK, HOOK + limb)
+    assert [fault.path for fault in find_faults(text, tmp_path)] == ["bodies[3].joint", "bodies[4].joint"]
+    assert [fault.path for fault in find_faults(text.replace("mass: 10", "mass: -1"), tmp_path)] == ["bodies[0].mass"]
+
+
+GOOD_ALL_THE_SAME = {
+    "an inertia at the edge of the triangle": ("[1e-3, 1e-3, 1e-3]", "[1e-3, 1e-3, 2.000000001e-3]"),
+    "an inertia that no body has, if wished": ("[1e-3, 1e-3, 1e-3]", "[1e-3, 1e-3, 5e-3]\nallow_unphysical: true"),
+    "a run-time mass that is 0 now": ("value: 3", "value: 0"),
+    "the lightest mass": ("mass: 0.5", "mass: 1e-150"),
+    "the heaviest mass": ("mass: 0.5", "mass: 1e150"),
+    "a keyword of C for a name": ("name: hook", "name: while"),
+    "gamma for a name": ("name: crane", "name: gamma"),
+    "quotes in a name": ("name: crane", "name: \"'; rm -rf *; '\""),
+    "another script": ("name: hook", "name: crochet à 鈎"),
+    "no limit on one side": ("limits: [-1, 1]", "limits: [null, 1]"),
+    "a light body off the axis of a heavy one on it": ("mass: 0.5", "mass: 1e-15"),
+}
+
+
+@pytest.mark.parametrize(("old", "new"), GOOD_ALL_THE_SAME.values(), ids=GOOD_ALL_THE_SAME.keys())
+def test_what_may_look_wrong_is_accepted(old: str, new: str, tmp_path: Path) -> None:
+    assert GOOD.count(old) == 1
+    text = GOOD.replace(old, new)
+    file = tmp_path / "model.yaml"
+    file.write_text(text, encoding="utf-8")
+    assert len(read_model(file).bodies) == 3
+
+
+HOSTILE = {  # written so that reading them with care is quick, and without care is not
+    "aliases of aliases": "a0: &a0 [x, x]\n"
+    + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 30)),
+    "nested lists": "bodies: " + "[" * 300_000,
+    "nested mappings": "".join(f"{' ' * i}bodies:\n" for i in range(1000)),
+    "a million values": f"bodies: [{'1,' * 400_000}]",
+    "a long scalar": f"name: {'x' * 900_000}",
+    "a long number": f"name: m\ngravity: [0, 0, {'9' * 900_000}]",
+    "thousands of unknown keys": "name: m\n" + "".join(f"nome{i}: 1\n" for i in range(20_000)),
+    "thousands of missing parents": "name: m\ngravity: [0, 0, 0]\nbodies:\n"
+    + "".join(f"- {{name: b{i}, parent: c{i}, joint: {{type: revolute, axis: z}}, mass: 1}}\n" for i in range(1000)),
+    "squares of squares": "name: m\ngravity: [0, 0, p4000]\nparameters:\n  p0: 1.0000000000000002\n"
+    + "".join(f"  p{i}: p{i - 1}*p{i - 1}\n" for i in range(1, 4001)),
+    "a long chain of nothing": "name: m\ngravity: [0, 0, 0]\nbodies:\n- {name: b0, joint: {type: revolute, axis: z}}\n"
+    + "".join(f"- {{name: b{i}, parent: b{i - 1}, joint: {{type: revolute, axis: z}}}}\n" for i in range(1, 1000)),
+    "a long shaft of points": "name: m\ngravity: [0, 0, 0]\nbodies:\n"
+    + "".join(
+        f"- {{name: b{i}, parent: {f'b{i - 1}' if i else 'base'}, joint: {{type: revolute, axis: z}}, mass: 1}}\n"
+        for i in range(1000)
+    ),
+    "a million bytes of comments": "#\n" * 500_000,
+    "too large": "#" * (MAX_BYTES + 1),
+}
+
+
+@pytest.mark.parametrize("text", HOSTILE.values(), ids=HOSTILE.keys())
+def test_hostile_files_are_refused(text: str, tmp_path: Path) -> None:
+    assert 0 < len(find_faults(text, tmp_path)) <= MAX_FAULTS + 1
