@@ -1,0 +1,135 @@
+"""A first guess: a pose that meets the targets, by inverse kinematics, and a smooth motion of the joints towards it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.stats import qmc
+
+from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.schemes import Scheme
+from mbsrun.ocp.trajectory import Trajectory, grid
+
+Array = NDArray[np.float64]
+
+REACHED = 1e-6  # the largest distance from the targets that counts as none [m, rad]
+STARTS = 20  # poses to search from, before a target counts as out of reach
+STEP = 1e-6  # of central differences [rad, m]
+NEARNESS = 1e-6  # weight of staying near the start among poses that meet the targets alike
+
+
+@dataclass(frozen=True)
+class Pose:
+    """What inverse kinematics found."""
+
+    q: Array
+    distance: float  # the largest from a target [m, rad]
+    is_upright: bool  # whether the frames that shall point up do
+
+    @property
+    def is_reached(self) -> bool:
+        """Tell whether the targets are met."""
+        return self.distance <= REACHED
+
+
+def find_pose(problem: Problem, plant: Plant) -> Pose:
+    """Find a pose within the bounds in which sensors and coordinates are at their targets.
+
+    Frames of `problem.guess.upright` point up in it if they can. The search goes on from other poses, always the same,
+    where it fails from the start; a pose that is not reached is the nearest one found.
+    """
+    kinematics = _Kinematics(problem, plant)
+    pose = kinematics.search(problem.guess.upright)
+    return pose if pose.is_reached else kinematics.search(())
+
+
+def interpolate(problem: Problem, scheme: Scheme, q: Array) -> Trajectory:
+    """Move from the start to the pose q, at rest in both: a polynomial of degree 5 in time. Inputs are 0."""
+    t, point_t = grid(problem.horizon, problem.intervals, scheme.points)
+    start = np.array(problem.start_q)
+
+    def move(t: Array) -> tuple[Array, Array, Array]:
+        s, T, way = (t / problem.horizon)[..., None], problem.horizon, q - start
+        return (
+            start + way * s**3 * (10 - 15 * s + 6 * s**2),
+            way * s**2 * (30 - 60 * s + 30 * s**2) / T,
+            way * s * (60 - 180 * s + 120 * s**2) / T**2,
+        )
+
+    mesh_q, mesh_qd, _ = move(t)
+    return Trajectory(t, mesh_q, mesh_qd, np.zeros((problem.intervals, len(problem.bounds.u))), point_t, *move(point_t))
+
+
+class _Kinematics:
+    """What keeps a pose from being the one wanted: a least-squares problem in the coordinates that can move."""
+
+    def __init__(self, problem: Problem, plant: Plant) -> None:
+        self.plant = plant
+        frames = plant.manifest.frames  # of a joint and a sensor with one name, the sensor is meant
+        self.indices = {frame.name: i for i, frame in sorted(enumerate(frames), key=lambda f: f[1].sensor)}
+        self.sensors = [(self.indices[name], np.array(place)) for name, place in problem.end.sensors]
+        self.coordinates = problem.end.coordinates
+        self.start = np.array(problem.start_q)
+        self.lower, self.upper = np.array(problem.bounds.q).reshape(-1, 2).T
+        self.free = self.lower < self.upper
+
+    def search(self, upright: tuple[str, ...]) -> Pose:
+        """Descend from the start, then from poses spread over the bounds; give one that is reached, or the nearest."""
+        best = self.descend(self.start, upright)
+        for start in self.starts():
+            if best.is_reached and best.is_upright:
+                break
+            pose = self.descend(start, upright)
+            if (pose.distance, not pose.is_upright) < (best.distance, not best.is_upright):
+                best = pose
+        return best
+
+    def starts(self) -> Array:
+        """Spread poses over the bounds; over half a turn, or half a metre, from the start where there is no bound."""
+        lower = np.where(np.isfinite(self.lower), self.lower, self.start - np.pi)
+        upper = np.where(np.isfinite(self.upper), self.upper, self.start + np.pi)
+        spread = qmc.Halton(len(self.start), scramble=False).random(STARTS)
+        return np.asarray(lower + spread * (upper - lower))
+
+    def descend(self, start: Array, upright: tuple[str, ...]) -> Pose:
+        """Go down from one pose to the nearest."""
+        frames = [self.indices[name] for name in upright]
+        q = np.clip(start, self.lower, self.upper)
+
+        def complete(free: Array) -> Array:
+            poses: Array = np.tile(q, (*free.shape[:-1], 1))
+            poses[..., self.free] = free
+            return poses
+
+        def residual(free: Array) -> Array:
+            return np.asarray(self.residual(complete(free[None]), frames)[0])
+
+        def jacobian(free: Array) -> Array:
+            steps = STEP * np.eye(len(free))
+            ahead, behind = self.residual(complete(free + steps), frames), self.residual(complete(free - steps), frames)
+            return np.asarray((ahead - behind).T / (2 * STEP))
+
+        if self.free.any():
+            bounds = (self.lower[self.free], self.upper[self.free])
+            found = least_squares(
+                residual, q[self.free], jacobian, bounds, xtol=1e-12, ftol=1e-12, gtol=1e-12, max_nfev=100
+            )
+            q = complete(found.x)
+        places, coordinates, axes, _ = np.split(
+            self.residual(q[None], frames)[0],
+            np.cumsum([3 * len(self.sensors), len(self.coordinates), 3 * len(frames)]),
+        )
+        distances = [*np.linalg.norm(places.reshape(-1, 3), axis=1), *np.abs(coordinates)]
+        return Pose(q, float(max(distances, default=0.0)), bool((np.abs(axes) < REACHED).all()))
+
+    def residual(self, q: Array, upright: list[int]) -> Array:
+        """Give for each pose what is left to the targets, what z axes lack in pointing up, and a pull to the start."""
+        frames = self.plant("frames", q=q) if self.sensors or upright else {}
+        places = [frames["p"][:, :, i] - target for i, target in self.sensors]
+        coordinates = q[:, [i for i, _ in self.coordinates]] - [value for _, value in self.coordinates]
+        axes = [frames["R"][:, :, 3 * i + 2] - [0.0, 0.0, 1.0] for i in upright]
+        return np.concatenate([*places, coordinates, *axes, NEARNESS * (q - self.start)], axis=1)

@@ -1,0 +1,124 @@
+"""Pictures of a solution: trajectories over time (Docquier, Bruls, Fisette, Fig. 8), and the mechanism in motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import TABLEAU_COLORS, ListedColormap, Normalize
+from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.axes3d import Axes3D
+from numpy.typing import NDArray
+
+from mbsgen.manifest import Coordinate, Frame, Manifest
+from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.solution import Solution
+
+Array = NDArray[np.float64]
+
+POSES = 9  # of the mechanism, evenly in time
+COLORS = tuple(TABLEAU_COLORS)
+TIME = ListedColormap(colormaps["viridis_r"](np.linspace(0.2, 1, 256)))  # without its pale end
+
+
+def plot_trajectories(solution: Solution, manifest: Manifest, path: Path) -> None:
+    """Plot coordinates, velocities and inputs over time, and write the picture."""
+    trajectory = solution.trajectory
+    N, d, n = trajectory.point_q.shape
+    t = np.concatenate((trajectory.t[:-1, None], trajectory.point_t), axis=1).ravel()
+    q, qd = (
+        np.concatenate((mesh[:-1, None], points), axis=1).reshape(N * (d + 1), n)
+        for mesh, points in ((trajectory.q, trajectory.point_q), (trajectory.qd, trajectory.point_qd))
+    )
+    figure = Figure(figsize=(8, 9), layout="constrained")
+    coordinates, velocities, inputs = figure.subplots(3, 1, sharex=True)
+    for i, coordinate in enumerate(manifest.coordinates):
+        style = {"color": COLORS[i % len(COLORS)], "linestyle": "-" if coordinate.actuated else "--"}
+        label = _plain(coordinate.name) + ("" if coordinate.actuated else " (passive)")
+        coordinates.plot(t, q[:, i], label=label, **style)
+        velocities.plot(t, qd[:, i], **style)
+    for k, i in enumerate(manifest.actuated):
+        inputs.stairs(trajectory.u[:, k], trajectory.t, baseline=None, color=COLORS[i % len(COLORS)], linewidth=1.5)
+    actuated = [manifest.coordinates[i] for i in manifest.actuated]
+    _name(coordinates, "Joint coordinates", "q", _unit(manifest.coordinates, "rad", "m"))
+    _name(velocities, "Joint velocities", r"\dot{q}", _unit(manifest.coordinates, "rad/s", "m/s"))
+    _name(inputs, "Inputs", "u", _unit(actuated, "N m", "N"))
+    inputs.set_xlabel("time [s]")
+    inputs.set_xlim(0, solution.problem.horizon)
+    figure.legend(loc="outside lower center", ncols=3, frameon=False)
+    figure.suptitle(_title(solution))
+    _save(figure, path)
+
+
+def draw_mechanism(solution: Solution, plant: Plant, path: Path) -> None:
+    """Draw the mechanism at several times, with the paths and targets of its sensors, and write the picture."""
+    trajectory, frames = solution.trajectory, plant.manifest.frames
+    p = plant("frames", q=trajectory.q)["p"]  # (N + 1, 3, frames)
+    figure = Figure(figsize=(8, 7), layout="constrained")
+    axes = figure.add_subplot(projection="3d")
+    assert isinstance(axes, Axes3D)
+    times = Normalize(0, solution.problem.horizon)
+    for k in np.linspace(0, len(p) - 1, min(POSES, len(p))).round().astype(int):
+        _draw_pose(axes, frames, p[k], TIME(times(trajectory.t[k])), 3.0 if k in (0, len(p) - 1) else 1.2)
+    targets = dict(solution.problem.end.sensors)
+    for i, frame in enumerate(frames):
+        if frame.sensor and frame.name in targets:
+            name = _plain(frame.name)
+            axes.plot(*p[:, :, i].T, color="tab:red", linewidth=1.5, label=f"path of {name}")
+            axes.plot(*targets[frame.name], "*", color="tab:red", markersize=14, label=f"target of {name}")
+    axes.plot(0, 0, 0, "s", color="black", markersize=7, label="base")
+    _frame_up(axes, p)
+    figure.colorbar(ScalarMappable(times, TIME), ax=axes, label="time [s]", shrink=0.6, pad=0.1)
+    axes.legend(loc="upper left", frameon=False)
+    figure.suptitle(_title(solution))
+    _save(figure, path)
+
+
+def _draw_pose(axes: Axes3D, frames: Sequence[Frame], p: Array, color: object, width: float) -> None:
+    for i, frame in enumerate(frames):
+        start = p[:, frame.parent] if frame.parent >= 0 else np.zeros(3)
+        if not np.array_equal(start, p[:, i]):
+            ends = np.stack((start, p[:, i]), axis=1)
+            axes.plot(*ends, color=color, linewidth=width, marker="o", markersize=1.2 * width, solid_capstyle="round")
+
+
+def _frame_up(axes: Axes3D, p: Array) -> None:
+    """Show all of the motion and the base, at the same scale in every direction."""
+    points = np.concatenate((p.transpose(0, 2, 1).reshape(-1, 3), np.zeros((1, 3))))
+    middle, half = (points.max(0) + points.min(0)) / 2, np.ptp(points, axis=0).max() / 2 or 1.0
+    for set_limits, centre in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), middle, strict=True):
+        set_limits(centre - half, centre + half)
+    axes.set_box_aspect((1, 1, 1))
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    axes.set_zlabel("z [m]")
+    axes.view_init(elev=22, azim=-50)
+
+
+def _name(axes: Axes, title: str, symbol: str, unit: str) -> None:
+    axes.set_title(title, loc="left", fontsize="medium")
+    axes.set_ylabel(f"${symbol}$ [{unit}]")
+    axes.grid(alpha=0.3)
+    axes.axhline(0, color="black", linewidth=0.6)
+
+
+def _plain(name: str) -> str:
+    """Keep a name of the user's from being read as a formula."""
+    return name.replace("$", r"\$")
+
+
+def _unit(coordinates: Sequence[Coordinate], revolute: str, prismatic: str) -> str:
+    units = {"revolute": revolute, "prismatic": prismatic}
+    return ", ".join(dict.fromkeys(units[c.motion] for c in coordinates))
+
+
+def _title(solution: Solution) -> str:
+    return f"{_plain(solution.problem.name)}: {_plain(solution.model)}, cost {solution.cost.total:.6g}"
+
+
+def _save(figure: Figure, path: Path) -> None:
+    figure.savefig(path, dpi=150, metadata={"Software": None})  # a version there would change the bytes

@@ -1,0 +1,104 @@
+"""An optimal control problem, as a value; `statement` reads it from a file.
+
+    minimise    k1 * integral of |u|^2  +  k2 * sum over the N - 1 steps of  h |(u_(k+1) - u_k) / h|^2
+    subject to  the equations of motion, (q, qd)(0) given, bounds at all times, and what must hold at T
+
+with inputs u that are constant over each of the N intervals of length h = T / N (Docquier, Bruls, Fisette, eqs. 22-27).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Literal
+
+from pydantic import BeforeValidator, PlainSerializer
+
+from mbsrun.ocp.schemes import Family
+
+# A bound that there is not: infinite in a program, null in a file.
+Lower = Annotated[
+    float, BeforeValidator(lambda x: -math.inf if x is None else x), PlainSerializer(lambda x: _finite(x))
+]
+Upper = Annotated[float, BeforeValidator(lambda x: math.inf if x is None else x), PlainSerializer(lambda x: _finite(x))]
+Range = tuple[Lower, Upper]
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Cost:
+    """The weights of the cost."""
+
+    inputs: float  # k1
+    input_rates: float  # k2
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Lower and upper bound of each coordinate, velocity and input at all times; infinite where there is none."""
+
+    q: tuple[Range, ...]
+    qd: tuple[Range, ...]
+    u: tuple[Range, ...]
+
+
+@dataclass(frozen=True)
+class End:
+    """What must hold at the end of the horizon."""
+
+    sensors: tuple[tuple[str, Point], ...] = ()  # name, position in the base frame [m]
+    coordinates: tuple[tuple[int, float], ...] = ()  # index into q, value
+    velocity_zero: bool = False
+    acceleration_zero: bool = False
+
+
+@dataclass(frozen=True)
+class GuessOptions:
+    """How the first guess is made: the joints move smoothly from the start to a pose that meets the end's targets."""
+
+    upright: tuple[str, ...] = ()  # frames whose z axis points up in that pose
+
+
+@dataclass(frozen=True)
+class SolverOptions:
+    """What IPOPT is told."""
+
+    tolerance: float = 1e-8
+    max_iterations: int = 500
+    objective_scaling: float | None = None  # None: one over the larger weight of the cost
+
+
+@dataclass(frozen=True)
+class Problem:
+    """All that a solve needs to know beside the model."""
+
+    name: str
+    horizon: float  # T [s]
+    intervals: int  # N
+    family: Family
+    degree: int
+    cost: Cost
+    start_q: tuple[float, ...]
+    start_qd: tuple[float, ...]
+    bounds: Bounds
+    end: End
+    formulation: Literal["impl"] = "impl"
+    guess: GuessOptions = field(default_factory=GuessOptions)
+    solver: SolverOptions = field(default_factory=SolverOptions)
+    accuracy: float = 1e-6  # the largest defect of an interval that counts as accurate, in rad and m, and these per s
+
+    def with_target(self, sensor: str, position: Point) -> Problem:
+        """Return the same problem with another target of a sensor that has one."""
+        if sensor not in dict(self.end.sensors):
+            raise KeyError(f"{sensor} has no target in {self.name}")
+        sensors = tuple((name, position if name == sensor else old) for name, old in self.end.sensors)
+        return replace(self, end=replace(self.end, sensors=sensors))
+
+
+def cylindrical(radius: float, azimuth: float, height: float) -> Point:
+    """Turn cylindrical coordinates about the base's z axis [m, rad, m] into a position."""
+    return (radius * math.cos(azimuth), radius * math.sin(azimuth), height)
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,101 @@
+"""Collocation on [0, 1]: (family, degree) -> points, differentiation matrix, end row, quadrature weights.
+
+A state is the polynomial of degree d through its values at 0 and at the d collocation points; an algebraic variable the
+one of degree d - 1 through its values at the points. Points are Gauss-Radau (the last is 1) or Gauss-Legendre points.
+Everything is made from barycentric weights and Legendre polynomials, which keep their digits at every degree admitted
+here: Berrut, Trefethen, "Barycentric Lagrange interpolation", SIAM Review 46 (2004), section 9.3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+from scipy.special import roots_jacobi
+
+Array = NDArray[np.float64]
+
+DEGREES = range(1, 10)
+
+
+class Family(Enum):
+    """Which roots the collocation points are."""
+
+    RADAU = "radau"
+    LEGENDRE = "legendre"
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """Coefficients of one collocation scheme; nodes are 0 and the d points, in this order."""
+
+    family: Family
+    degree: int
+    points: Array  # (d,), in (0, 1]
+    D: Array  # (d, d + 1): derivative at point j of the basis polynomial of node r
+    end: Array  # (d + 1,): value at 1 of the basis polynomial of node r
+    end_of_points: Array  # (d,): the same for the basis on the points alone
+    weights: Array  # (d,): the integral over [0, 1] is sum(weights * values at the points)
+
+    @property
+    def exactness(self) -> int:
+        """Give the highest degree of a polynomial that the quadrature integrates exactly."""
+        return 2 * self.degree - (2 if self.family is Family.RADAU else 1)
+
+
+def build(family: Family, degree: int) -> Scheme:
+    """Compute the scheme of a family and a degree from 1 to 9."""
+    if degree not in DEGREES:
+        raise ValueError(f"degree {degree} is not in 1..9")
+    points = _points(family, degree)
+    nodes = np.concatenate(([0.0], points))
+    return Scheme(
+        family=family,
+        degree=degree,
+        points=points,
+        D=_differentiation(nodes)[1:],
+        end=_values_at_one(nodes),
+        end_of_points=_values_at_one(points),
+        weights=_weights(points),
+    )
+
+
+def _points(family: Family, degree: int) -> Array:
+    if family is Family.LEGENDRE:
+        return np.asarray((legendre.leggauss(degree)[0] + 1) / 2)
+    inner = roots_jacobi(degree - 1, 1, 0)[0] if degree > 1 else np.empty(0)
+    return np.concatenate(((inner + 1) / 2, [1.0]))
+
+
+def _barycentric(nodes: Array) -> Array:
+    gaps = nodes[:, None] - nodes[None, :]
+    np.fill_diagonal(gaps, 1.0)
+    return np.asarray(1.0 / gaps.prod(axis=1))
+
+
+def _differentiation(nodes: Array) -> Array:
+    """Differentiate the basis at every node; a row sums to 0, which gives its diagonal without cancellation."""
+    w = _barycentric(nodes)
+    gaps = nodes[:, None] - nodes[None, :]
+    np.fill_diagonal(gaps, 1.0)
+    D = w[None, :] / w[:, None] / gaps
+    np.fill_diagonal(D, 0.0)
+    np.fill_diagonal(D, -D.sum(axis=1))
+    return np.asarray(D)
+
+
+def _values_at_one(nodes: Array) -> Array:
+    """Evaluate the basis at 1; at a node that is 1 the row is exactly a unit vector."""
+    if nodes[-1] == 1.0:
+        return np.asarray(np.eye(len(nodes))[-1])
+    terms = _barycentric(nodes) / (1.0 - nodes)
+    return np.asarray(terms / terms.sum())
+
+
+def _weights(points: Array) -> Array:
+    """Demand that Legendre polynomials of degree < d are integrated exactly: a well-conditioned system."""
+    moments = np.eye(len(points))[0]
+    return np.asarray(np.linalg.solve(legendre.legvander(2 * points - 1, len(points) - 1).T, moments))

@@ -1,0 +1,139 @@
+"""What a solve gives: a solution, or a failure; and the file that a solution is kept in.
+
+A file is JSON, with every digit of every number: it holds the problem, what the solver did, and the trajectory, and is
+the same for the same solve but for the times.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from pydantic import TypeAdapter, ValidationError
+
+from mbsgen.errors import Fault, InputError
+from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.trajectory import Trajectory
+
+FORMAT: Literal["mbsrun solution 1"] = "mbsrun solution 1"
+
+SOLVED = "Solve_Succeeded"
+ACCEPTABLE = "Solved_To_Acceptable_Level"
+UNREACHABLE = "Target_Out_Of_Reach"
+
+
+@dataclass(frozen=True)
+class Run:
+    """What the solver did."""
+
+    status: str  # IPOPT's word; UNREACHABLE where it was not asked
+    iterations: int
+    seconds: float  # from the call to the answer
+    seconds_evaluating: float  # of them, for functions and derivatives; the rest is linear algebra and the solver's own
+
+
+@dataclass(frozen=True)
+class Size:
+    """The size of the nonlinear program."""
+
+    variables: int
+    constraints: int
+    jacobian_nonzeros: int
+    hessian_nonzeros: int  # of the upper triangle
+
+
+@dataclass(frozen=True)
+class CostTerms:
+    """The cost at the solution, by term, weights included."""
+
+    inputs: float
+    input_rates: float
+
+    @property
+    def total(self) -> float:
+        """Sum the terms."""
+        return self.inputs + self.input_rates
+
+
+@dataclass(frozen=True)
+class Violation:
+    """By how much the solution breaks what it should keep: the largest, computed anew from the trajectory."""
+
+    constraints: float
+    bounds: float
+
+
+@dataclass(frozen=True)
+class Resimulation:
+    """How far the trajectory is from the true motion under its inputs, by a tight integrator."""
+
+    defect: float | None  # the largest difference at an interval's end, from its start; None: the integrator gave up
+    defect_interval: int | None  # where it is, from 0
+    open_loop_error: float | None  # the largest difference at the end of the horizon, integrated from its start
+    is_accurate: bool  # whether the defect is within the accuracy that the problem asks for
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A motion that meets the constraints and, by the solver's word, cannot be made cheaper nearby."""
+
+    problem: Problem
+    model: str
+    model_hash: str
+    coordinates: tuple[str, ...]
+    inputs: tuple[str, ...]
+    run: Run
+    size: Size
+    cost: CostTerms
+    violation: Violation
+    trajectory: Trajectory
+    resimulation: Resimulation | None = None
+
+    @property
+    def is_only_acceptable(self) -> bool:
+        """Tell whether the solver stopped short of its tolerance."""
+        return self.run.status == ACCEPTABLE
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A solve that gave no solution."""
+
+    problem: Problem
+    run: Run
+    finding: str
+    remedy: str
+
+
+@dataclass(frozen=True, eq=False)
+class _File:
+    format: Literal["mbsrun solution 1"]
+    solution: Solution
+
+
+_FILE: TypeAdapter[_File] = TypeAdapter(_File)
+
+
+def write_solution(solution: Solution, path: Path) -> None:
+    """Write a solution to a file, one line for each of its parts."""
+    parts = _FILE.dump_python(_File(FORMAT, solution), mode="json")["solution"]
+    trajectory = parts.pop("trajectory")
+    lines = [f'  "{key}": {json.dumps(value, ensure_ascii=False)}' for key, value in parts.items()]
+    arrays = [f'   "{key}": {json.dumps(value)}' for key, value in trajectory.items()]
+    lines.append('  "trajectory": {\n' + ",\n".join(arrays) + "\n  }")
+    text = f'{{\n "format": "{FORMAT}",\n "solution": {{\n' + ",\n".join(lines) + "\n }\n}\n"
+    path.write_text(text, encoding="utf-8")
+
+
+def read_solution(path: Path) -> Solution:
+    """Read a solution back. Raises InputError for a file that is not one."""
+    try:
+        return _FILE.validate_json(path.read_bytes()).solution
+    except OSError as error:
+        raise InputError([Fault(str(path), 0, "", f"cannot be read: {error.strerror}", "check the path")]) from None
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = ".".join(map(str, first["loc"]))
+        raise InputError([Fault(str(path), 0, place, first["msg"], "solve the problem again")]) from None

@@ -1,0 +1,337 @@
+"""Problem files: YAML -> Problem.
+
+A file names a model beside it, a horizon, a collocation, the weights of the cost, a start, bounds, what must hold at
+the end, and how to guess. Lengths are in m, angles in rad, times in s. A number may be an expression over the file's
+`constants`, such as `acos(0.55/0.6)` or `-2*alpha`; coordinates, frames and sensors go by their names in the model.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import AfterValidator, Discriminator, Field, PlainValidator, Tag
+
+from mbsgen.documents import (
+    Document,
+    Place,
+    Section,
+    WrongValueError,
+    abbreviate,
+    examine,
+    lies_under,
+    nearest,
+    read_document,
+    refuse,
+)
+from mbsgen.errors import Fault, InputError
+from mbsgen.expressions import CONSTANTS, FLOATS, FUNCTIONS, Expression, ExpressionError, Number, evaluate, parse
+from mbsgen.manifest import Manifest
+from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.problem import Bounds, Cost, End, GuessOptions, Point, Problem, Range, SolverOptions, cylindrical
+from mbsrun.ocp.schemes import DEGREES, Family
+
+MAX_INTERVALS = 10_000
+
+SomePlant = TypeVar("SomePlant", bound=Plant)
+
+
+def read_problem(path: Path, load: Callable[[Path], SomePlant]) -> tuple[Problem, SomePlant]:
+    """Read a problem file, and load its model with `load`. Raises InputError with every fault of both files."""
+    document = read_document(path)
+    examination = examine(document, _ProblemSection)
+    section, faults = examination.value, list(examination.faults)
+    if section is None or lies_under(("model",), examination.stand_ins):
+        raise refuse(faults)
+    try:
+        plant = load(path.parent / section.model)
+    except InputError as error:
+        raise refuse([*faults, *error.faults]) from None
+    reading = _Reading(document, plant.manifest, examination.stand_ins)
+    problem = reading.problem(path.name.removesuffix(".yaml").removesuffix(".ocp"), section)
+    if faults or reading.faults:
+        raise refuse([*faults, *reading.faults])
+    return problem, plant
+
+
+# --- schema --------------------------------------------------------------------------------------------------------
+
+
+def _read_number(value: Any) -> Expression:
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise WrongValueError(f"found {abbreviate(value)}", "give a number, or an expression such as pi/2")
+    if isinstance(value, str):
+        try:
+            return parse(value)
+        except ExpressionError as error:
+            raise WrongValueError(error.finding, error.remedy) from None
+    if not math.isfinite(value):
+        raise WrongValueError(f"found {value}", "give a finite number")
+    return Number(float(value))
+
+
+def _check_model(path: str) -> str:
+    """Admit model files only: a folder of C would be code to run, and a problem file comes from anywhere."""
+    if not path.endswith((".yaml", ".yml")):
+        raise WrongValueError(f"found {abbreviate(path)}", "give a model file (.yaml), from this file's folder")
+    return path
+
+
+def _form(value: Any) -> str:
+    """Tell the forms of a value apart."""
+    return "mapping" if isinstance(value, dict) else "list"
+
+
+NumberField = Annotated[Expression, PlainValidator(_read_number), Field(examples=[1.0])]
+LimitField = Annotated[Expression | None, PlainValidator(lambda v: None if v is None else _read_number(v))]
+RangeField = tuple[LimitField, LimitField]  # null: no bound
+NumbersField = Annotated[  # one for each coordinate, or by name and else 0
+    Annotated[tuple[NumberField, ...], Tag("list")] | Annotated[dict[str, NumberField], Tag("mapping")],
+    Discriminator(_form),
+]
+RangesField = Annotated[  # the same for all, or by name
+    Annotated[RangeField, Tag("list")] | Annotated[dict[str, RangeField], Tag("mapping")], Discriminator(_form)
+]
+Limits = tuple[Expression | None, Expression | None]
+
+
+class _CostSection(Section):
+    inputs: NumberField = Field(default=Number(1.0), examples=[1.0])
+    input_rates: NumberField = Field(default=Number(0.0), examples=[0.0])
+
+
+class _StartSection(Section):
+    pose: NumbersField = Field(examples=[{}])
+    velocity: NumbersField = Field(default={}, examples=[{}])
+
+
+class _BoundsSection(Section):
+    coordinates: dict[str, RangeField] = Field(default={}, examples=[{}])  # others keep the limits of the model
+    velocities: RangesField = Field(default={}, examples=[[None, None]])
+    inputs: RangesField = Field(default={}, examples=[[None, None]])
+
+
+class _PositionSection(Section):
+    x: NumberField | None = Field(default=None, examples=[1.0])  # either these
+    y: NumberField | None = Field(default=None, examples=[1.0])
+    z: NumberField | None = Field(default=None, examples=[1.0])
+    radius: NumberField | None = Field(default=None, examples=[1.0])  # or these
+    azimuth: NumberField | None = Field(default=None, examples=[1.0])
+    height: NumberField | None = Field(default=None, examples=[1.0])
+
+
+class _EndSection(Section):
+    sensors: dict[str, _PositionSection] = Field(default={}, examples=[{}])
+    pose: dict[str, NumberField] = Field(default={}, examples=[{}])
+    velocity: Literal["zero"] | None = Field(default=None, examples=["zero"])
+    acceleration: Literal["zero"] | None = Field(default=None, examples=["zero"])
+
+
+class _GuessSection(Section):
+    upright: tuple[str, ...] = Field(default=(), examples=[[]])
+
+
+class _SolverSection(Section):
+    tolerance: NumberField = Field(default=Number(SolverOptions.tolerance), examples=[1e-8])
+    max_iterations: int = Field(default=SolverOptions.max_iterations, ge=1, examples=[500])
+    objective_scaling: NumberField | None = Field(default=None, examples=[1.0])
+
+
+class _ProblemSection(Section):
+    model: Annotated[str, AfterValidator(_check_model)] = Field(examples=["model.yaml"])
+    constants: dict[str, NumberField] = Field(default={}, examples=[{}])
+    horizon: NumberField = Field(examples=[1.0])
+    intervals: int = Field(ge=1, le=MAX_INTERVALS, examples=[100])
+    scheme: Family = Field(examples=["radau"])
+    degree: int = Field(ge=DEGREES[0], le=DEGREES[-1], examples=[4])
+    formulation: Literal["impl"] = Field(default="impl", examples=["impl"])
+    cost: _CostSection = Field(examples=[{"inputs": 1.0}])
+    start: _StartSection = Field(examples=[{"pose": {}}])
+    bounds: _BoundsSection = Field(default=_BoundsSection(), examples=[{}])
+    end: _EndSection = Field(default=_EndSection(), examples=[{}])
+    guess: _GuessSection = Field(default=_GuessSection(), examples=[{}])
+    accuracy: NumberField = Field(default=Number(Problem.accuracy), examples=[1e-6])
+    solver: _SolverSection = Field(default=_SolverSection(), examples=[{}])
+
+
+# --- meaning -------------------------------------------------------------------------------------------------------
+
+
+class _Reading:
+    """Gives numbers and names their meaning in a model, and collects the faults of those that have none."""
+
+    def __init__(self, document: Document, manifest: Manifest, stand_ins: frozenset[Place]) -> None:
+        self.document = document
+        self.stand_ins = stand_ins
+        self.faults: list[Fault] = []
+        self.constants: dict[str, float] = {}
+        self.coordinates = _Names("coordinate", [c.name for c in manifest.coordinates])
+        self.inputs = _Names("actuated coordinate", [manifest.coordinates[i].name for i in manifest.actuated])
+        self.frames = _Names("frame", [f.name for f in manifest.frames])
+        self.sensors = _Names("sensor", [f.name for f in manifest.frames if f.sensor])
+        self.limits = [
+            (-math.inf if c.lower is None else c.lower, math.inf if c.upper is None else c.upper)
+            for c in manifest.coordinates
+        ]
+
+    def problem(self, name: str, section: _ProblemSection) -> Problem:
+        """Make the problem; it is one only if there are no faults."""
+        for key, expression in section.constants.items():
+            if not key.isascii() or not key.isidentifier() or key in CONSTANTS or key in FUNCTIONS:
+                self.fault(("constants", key), "no name for a constant", "give a word that means nothing else")
+            self.constants[key] = self.number(("constants", key), expression)
+        bounds = self.bounds(section.bounds)
+        return Problem(
+            name=name,
+            horizon=self.number(("horizon",), section.horizon, least=math.ulp(0)),
+            intervals=section.intervals,
+            family=section.scheme,
+            degree=section.degree,
+            formulation=section.formulation,
+            cost=self.cost(section.cost),
+            start_q=self.start("pose", section.start.pose, bounds.q),
+            start_qd=self.start("velocity", section.start.velocity, bounds.qd),
+            bounds=bounds,
+            end=self.end(section.end, bounds),
+            guess=self.guess(section.guess),
+            accuracy=self.number(("accuracy",), section.accuracy, least=math.ulp(0)),
+            solver=self.solver(section.solver),
+        )
+
+    def cost(self, section: _CostSection) -> Cost:
+        cost = Cost(
+            self.number(("cost", "inputs"), section.inputs, least=0),
+            self.number(("cost", "input_rates"), section.input_rates, least=0),
+        )
+        if cost.inputs == cost.input_rates == 0:
+            self.fault(("cost",), "every weight is 0", "give inputs or input_rates a positive weight")
+        return cost
+
+    def start(
+        self, key: str, given: tuple[Expression, ...] | dict[str, Expression], bounds: Sequence[Range]
+    ) -> tuple[float, ...]:
+        place: Place = ("start", key)
+        known = self.coordinates.known
+        if isinstance(given, tuple) and len(given) != len(known):
+            self.fault(place, f"found {len(given)} numbers", f"give {len(known)}: {', '.join(known)}")
+            return (0.0,) * len(known)
+        named = dict(zip(known, given, strict=True)) if isinstance(given, tuple) else given
+        values = [0.0] * len(known)
+        places: list[Place] = [place] * len(known)
+        for k, (name, expression) in enumerate(named.items()):
+            inner = (*place, k if isinstance(given, tuple) else name)
+            i, value = self.find(inner, name, self.coordinates), self.number(inner, expression)
+            if i is not None:
+                values[i], places[i] = value, inner
+        for inner, name, value, (lower, upper) in zip(places, known, values, bounds, strict=True):
+            if not lower <= value <= upper:
+                self.fault(inner, f"{name} = {value:g} is out of [{lower:g}, {upper:g}]", "start within the bounds")
+        return tuple(values)
+
+    def bounds(self, section: _BoundsSection) -> Bounds:
+        free = (-math.inf, math.inf)
+        return Bounds(
+            self.ranges("coordinates", section.coordinates, self.coordinates, self.limits),
+            self.ranges("velocities", section.velocities, self.coordinates, [free] * len(self.coordinates.known)),
+            self.ranges("inputs", section.inputs, self.inputs, [free] * len(self.inputs.known)),
+        )
+
+    def ranges(
+        self, key: str, given: Limits | dict[str, Limits], names: _Names, usual: Sequence[Range]
+    ) -> tuple[Range, ...]:
+        place, ranges = ("bounds", key), list(usual)
+        if isinstance(given, tuple):
+            return (self.range(place, given),) * len(ranges)
+        for name, limits in given.items():
+            i, value = self.find((*place, name), name, names), self.range((*place, name), limits)
+            if i is not None:
+                ranges[i] = value
+        return tuple(ranges)
+
+    def range(self, place: Place, limits: Limits) -> Range:
+        lower, upper = (
+            default if limit is None else self.number((*place, i), limit)
+            for i, (limit, default) in enumerate(zip(limits, (-math.inf, math.inf), strict=True))
+        )
+        if lower > upper:
+            self.fault(place, f"{lower:g} is above {upper:g}", "give [lower, upper]; null is no bound")
+            return (-math.inf, math.inf)
+        return (lower, upper)
+
+    def end(self, section: _EndSection, bounds: Bounds) -> End:
+        sensors = []
+        for name, position in section.sensors.items():
+            place = ("end", "sensors", name)
+            self.find(place, name, self.sensors)
+            sensors.append((name, self.position(place, position)))
+        coordinates = []
+        for name, expression in section.pose.items():
+            place = ("end", "pose", name)
+            i, value = self.find(place, name, self.coordinates), self.number(place, expression)
+            if i is not None:
+                coordinates.append((i, value))
+                lower, upper = bounds.q[i]
+                if not lower <= value <= upper:
+                    self.fault(place, f"{value:g} is out of [{lower:g}, {upper:g}]", "end within the bounds")
+        return End(tuple(sensors), tuple(coordinates), section.velocity is not None, section.acceleration is not None)
+
+    def position(self, place: Place, section: _PositionSection) -> Point:
+        given = {key: value for key in _PositionSection.model_fields if (value := getattr(section, key)) is not None}
+        if set(given) not in ({"x", "y", "z"}, {"radius", "azimuth", "height"}):
+            self.fault(place, f"found {', '.join(given) or 'nothing'}", "give x, y, z, or radius, azimuth, height")
+            return (0.0, 0.0, 0.0)
+        a, b, c = (self.number((*place, key), expression) for key, expression in given.items())
+        return cylindrical(a, b, c) if "radius" in given else (a, b, c)
+
+    def guess(self, section: _GuessSection) -> GuessOptions:
+        for i, name in enumerate(section.upright):
+            self.find(("guess", "upright", i), name, self.frames)
+        return GuessOptions(section.upright)
+
+    def solver(self, section: _SolverSection) -> SolverOptions:
+        place, scaling = ("solver",), section.objective_scaling
+        return SolverOptions(
+            tolerance=self.number((*place, "tolerance"), section.tolerance, least=1e-14),
+            max_iterations=section.max_iterations,
+            objective_scaling=None
+            if scaling is None
+            else self.number((*place, "objective_scaling"), scaling, least=math.ulp(0)),
+        )
+
+    def number(self, place: Place, expression: Expression, least: float = -math.inf) -> float:
+        """Compute an expression; where that fails, or gives less than `least`, tell it and go on with 1."""
+        try:
+            value = evaluate(expression, self.constants, FLOATS)
+        except ExpressionError as error:
+            self.fault(place, error.finding, error.remedy)
+            return 1.0
+        if value < least:
+            wanted = {0: "a number that is not negative", math.ulp(0): "a positive number"}
+            self.fault(place, f"found {value:g}", f"give {wanted.get(least, f'at least {least:g}')}")
+            return 1.0
+        return value
+
+    def find(self, place: Place, name: str, names: _Names) -> int | None:
+        """Look a name up; where it is unknown, tell it."""
+        if name in names.known:
+            return names.known.index(name)
+        meant = nearest(name, names.known)
+        remedy = f"did you mean {abbreviate(meant)}?" if meant else f"there are {', '.join(names.known) or 'none'}"
+        self.fault(place, f"the model has no {names.kind} {abbreviate(name)}", remedy)
+        return None
+
+    def fault(self, place: Place, finding: str, remedy: str) -> None:
+        """Keep a fault, unless it follows from one that has been told."""
+        if not lies_under(place, self.stand_ins):
+            self.faults.append(self.document.fault(place, finding, remedy))
+
+
+@dataclass(frozen=True)
+class _Names:
+    """The names of one kind in a model, in order."""
+
+    kind: str
+    known: list[str]

@@ -1,0 +1,102 @@
+"""Stand-ins for loaded kernels: CasADi functions, made by hand, behind the interface of loaded kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mbsgen.manifest import FORMAT, Argument, Coordinate, Flops, Frame, Kernel, Manifest
+
+FREE = {"lower": None, "upper": None}
+_NONE = Flops(paper=0, arithmetic=0, add=0, mul=0, div=0, neg=0, sqrt=0, trig=0, other=0)
+
+
+class Peer:
+    """A manifest, calls by name, CasADi functions by name; `impl`, `sensors` and `frames` are given as SX functions."""
+
+    def __init__(
+        self, name: str, functions: Mapping[str, ca.Function], joints: Sequence[Coordinate], frames: Sequence[Frame]
+    ) -> None:
+        self._functions = {**functions, "jac_impl": functions["impl"].jacobian()}
+        self.manifest = Manifest(
+            format=FORMAT,
+            generator="by hand",
+            model=name,
+            prefix="peer",
+            model_hash="0" * 64,
+            header="",
+            sources=(),
+            coordinates=tuple(joints),
+            parameters=(),
+            frames=tuple(frames),
+            kernels=tuple(_describe(name, function) for name, function in self._functions.items()),
+        )
+
+    def casadi(self, name: str) -> ca.Function:
+        """Give a kernel as a CasADi function."""
+        return self._functions[name]
+
+    def __call__(self, name: str, /, **inputs: ArrayLike) -> dict[str, NDArray[np.float64]]:
+        """Evaluate; a leading batch axis on all inputs is allowed."""
+        function = self._functions[name]
+        arrays = {key: np.asarray(value, dtype=float) for key, value in inputs.items()}
+        wanted = [key for key in function.name_in() if not key.startswith("out_")]
+        assert set(arrays) == set(wanted), f"{name} takes {wanted}"
+        is_batch = arrays[wanted[0]].ndim == 2
+        states = len(arrays[wanted[0]]) if is_batch else 1
+        columns = {key: array.reshape(states, -1).T for key, array in arrays.items()}
+        results = function.map(states)(**columns)
+        out = {}
+        for i, key in enumerate(function.name_out()):
+            rows, cols = function.size_out(i)
+            value = ca.densify(results[key]).full().reshape(rows, states, cols).transpose(1, 0, 2)
+            value = value[:, :, 0] if cols == 1 and not key.startswith("jac_") else value
+            out[key] = value if is_batch else value[0]
+        return out
+
+
+def pose_functions(q: ca.SX, sensors: ca.SX, p: ca.SX, R: ca.SX) -> dict[str, ca.Function]:
+    """Make the functions of positions."""
+    return {
+        "sensors": ca.Function("peer_sensors", [q], [sensors], ["q"], ["position"], {"cse": True}),
+        "frames": ca.Function("peer_frames", [q], [p, R], ["q"], ["p", "R"], {"cse": True}),
+    }
+
+
+def residual_function(q: ca.SX, qd: ca.SX, qdd: ca.SX, u: ca.SX, Phi: ca.SX) -> ca.Function:
+    """Make the function of the equations of motion."""
+    return ca.Function("peer_impl", [q, qd, qdd, u], [Phi], ["q", "qd", "qdd", "u"], ["Phi"], {"cse": True})
+
+
+def double_integrator() -> Peer:
+    """A mass of 1 kg that is pushed along x: qdd = u; its place is a sensor."""
+    q, qd, qdd, u = (ca.SX.sym(name) for name in ("q", "qd", "qdd", "u"))
+    p = ca.vertcat(q, 0, 0)
+    return Peer(
+        "double integrator",
+        {
+            "impl": residual_function(q, qd, qdd, u, qdd - u),
+            **pose_functions(q, p, ca.horzcat(p, p), ca.horzcat(ca.SX.eye(3), ca.SX.eye(3))),
+        },
+        [Coordinate(name="slide", motion="prismatic", actuated=True, **FREE)],
+        [Frame(name="cart", parent=-1, sensor=False), Frame(name="place", parent=0, sensor=True)],
+    )
+
+
+def _describe(name: str, function: ca.Function) -> Kernel:
+    return Kernel(
+        name=name,
+        symbol=function.name(),
+        function=function.name(),
+        inputs=tuple(_argument(function.name_in(i), function.size_in(i)) for i in range(function.n_in())),
+        outputs=tuple(_argument(function.name_out(i), function.size_out(i)) for i in range(function.n_out())),
+        flops=_NONE,
+        equations=0,
+    )
+
+
+def _argument(name: str, size: tuple[int, int]) -> Argument:
+    return Argument(name=name, rows=size[0], cols=size[1])
