@@ -6,7 +6,9 @@ no entry, and `h` is what `setup` makes of two run-time parameters.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 from mbsgen import manifest
 from mbsgen.derivatives.kernels import differentiate
@@ -56,7 +58,12 @@ def sample_families(*, parametric: bool = True) -> tuple[Family, ...]:
     return (Family(setup_tape()), own) if parametric else (own,)
 
 
-def write_sample(folder: Path, name: str = "sample", families: tuple[Family, ...] | None = None) -> Path:
+def write_sample(
+    folder: Path,
+    name: str = "sample",
+    families: tuple[Family, ...] | None = None,
+    parameters: Mapping[str, float] = MappingProxyType(PARAMETERS),
+) -> Path:
     """Write a model's C and its manifest into a folder, as the pipeline does; return the folder."""
     families = sample_families() if families is None else families
     unit = Unit(mangle(name), "1.2.3", "0123abcd", families)
@@ -64,12 +71,12 @@ def write_sample(folder: Path, name: str = "sample", families: tuple[Family, ...
     folder.mkdir(parents=True, exist_ok=True)
     for file, text in sources.files.items():
         (folder / file).write_text(text, encoding="utf-8")
-    text = describe(name, unit, sources).model_dump_json(indent=2)
+    text = describe(name, unit, sources, parameters).model_dump_json(indent=2)
     (folder / manifest.FILE_NAME).write_text(text, encoding="utf-8")
     return folder
 
 
-def describe(name: str, unit: Unit, sources: Sources) -> Manifest:
+def describe(name: str, unit: Unit, sources: Sources, parameters: Mapping[str, float]) -> Manifest:
     """Make the manifest of the sample: three joints, and the parameters if there is a `setup`."""
     parametric = any(kernel.name == "setup" for kernel in sources.kernels)
     return Manifest(
@@ -83,7 +90,7 @@ def describe(name: str, unit: Unit, sources: Sources) -> Manifest:
         coordinates=tuple(
             Coordinate(name=f"joint {i}", motion="revolute", actuated=True, lower=None, upper=None) for i in range(3)
         ),
-        parameters=tuple(Parameter(name=n, value=v) for n, v in PARAMETERS.items()) if parametric else (),
+        parameters=tuple(Parameter(name=n, value=v) for n, v in parameters.items()) if parametric else (),
         frames=(Frame(name="b1", parent=-1, sensor=False),),
         kernels=sources.kernels,
     )

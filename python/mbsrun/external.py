@@ -14,7 +14,7 @@ class Mechanism(Kernels):
     """The kernels of a generated folder, for NumPy and for CasADi."""
 
     def casadi(self, name: str) -> ca.Function:
-        """Give a kernel as a CasADi function of its inputs, run-time parameters at their present values.
+        """Give a kernel as a CasADi function of the manifest's inputs, run-time parameters at their present values.
 
         CasADi finds the generated `jac_`, `adj1_` and `jac_adj1_` kernels beside it, and uses them wherever it needs a
         derivative; it can be mapped, over threads as well. A serialised function holds the library's path.
@@ -22,13 +22,13 @@ class Mechanism(Kernels):
         """
         kernel = self._entry(name).kernel  # by the manifest: a name that only libm knows would be found there
         external = ca.external(kernel.symbol, str(self.library))
-        names = [argument.name for argument in kernel.inputs]
-        if HIDDEN not in names:
+        names, outputs = [a.name for a in kernel.inputs], [a.name for a in kernel.outputs]
+        if external.name_in() == names and external.name_out() == outputs and HIDDEN not in names:
             return external
-        inputs = {i: ca.MX.sym(i, external.sparsity_in(i)) for i in names if i != HIDDEN}
-        outputs = [argument.name for argument in kernel.outputs]
-        results = external(**inputs, **{HIDDEN: self._hidden})
-        return ca.Function(kernel.symbol, list(inputs.values()), [results[o] for o in outputs], list(inputs), outputs)
+        inputs = {name: ca.MX.sym(name, external.sparsity_in(name)) for name in names if name != HIDDEN}
+        results = external(**inputs, **({HIDDEN: self._hidden} if HIDDEN in names else {}))
+        chosen = [results[name] for name in outputs]
+        return ca.Function(kernel.symbol, list(inputs.values()), chosen, list(inputs), outputs)
 
 
 def load(folder: str | Path, parameters: Mapping[str, float] | None = None) -> Mechanism:

@@ -92,11 +92,13 @@ def test_values_and_derivatives_are_those_of_the_tape(parametric: bool, k: Mecha
 
 @pytest.mark.parametrize("name", ["impl", "jac_impl", "adj1_impl", "jac_adj1_impl"])
 def test_every_kernel_has_a_casadi_function(name: str, k: Mechanism) -> None:
-    """The outputs of the manifest are among those of the function, with the values of the NumPy face."""
+    """With the inputs and outputs of the manifest, and the values of the NumPy face."""
     own = sample_families()[1]
     tape = {t.name: t for t in (own.value, own.jac, own.adj1, own.jac_adj1) if t is not None}[name]
     inputs = draw(tape, 1)
     function, expected = k.casadi(name), k(name, **inputs)
+    assert function.name_in() == [a.name for a in k.manifest.kernel(name).inputs if a.name != "h"]
+    assert function.name_out() == [a.name for a in k.manifest.kernel(name).outputs]
     given = {key: ca.DM(function.sparsity_in(key), array.T[array.T != 0]) for key, array in inputs.items()}
     found = function(**given)
     for key, value in expected.items():

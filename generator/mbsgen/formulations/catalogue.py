@@ -33,6 +33,7 @@ MEANINGS: Mapping[str, str] = MappingProxyType(
         SETUP: "what setup computes from the run-time parameters",
         "Phi": "residual Phi(q, qd, qdd) - Q(q, qd, u), N m or N",
         "position": "places of the sensors in the base frame, a column each, m",
+        "frames.p": "origins of the frames in the base frame, a column each, m",
         "R": "axes of the frames as columns, in the base frame",
     }
 )

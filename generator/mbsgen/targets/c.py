@@ -187,13 +187,13 @@ def _title(face: Face) -> str:
 
 
 def _parameters(prefix: str, face: Face) -> tuple[_Parameter, ...]:
-    tape, meanings = face.tape, face.family.meanings
+    tape = face.tape
     inputs = {slot.name: k for k, slot in enumerate(face.inputs)}
     outputs = {slot.name: k for k, slot in enumerate(face.outputs)}
     return tuple(
         _Parameter(
             f"const mbs_real *MBS_RESTRICT {i.name}",
-            _note("in", i.name, i.sparsity, f"{face.symbol}_sparsity_in({inputs[i.name]})", meanings),
+            _note(face.family, "in", i, f"{face.symbol}_sparsity_in({inputs[i.name]})"),
             f"{prefix}_{face.kernel}_NNZ_{i.name}",
             i.sparsity.nnz,
             f"arg[{inputs[i.name]}] ? arg[{inputs[i.name]}] : zeros",
@@ -203,7 +203,7 @@ def _parameters(prefix: str, face: Face) -> tuple[_Parameter, ...]:
     ) + tuple(
         _Parameter(
             f"mbs_real *MBS_RESTRICT {o.name}",
-            _note("out", o.name, o.sparsity, f"{face.symbol}_sparsity_out({outputs[o.name]})", meanings),
+            _note(face.family, "out", o, f"{face.symbol}_sparsity_out({outputs[o.name]})"),
             f"{prefix}_{face.kernel}_NNZ_{o.name}",
             o.sparsity.nnz,
             f"res[{outputs[o.name]}]",
@@ -213,10 +213,12 @@ def _parameters(prefix: str, face: Face) -> tuple[_Parameter, ...]:
     )
 
 
-def _note(way: str, name: str, pattern: Sparsity, source: str, meanings: Mapping[str, str]) -> str:
-    nonzeros = "" if pattern.is_dense else f", {pattern.nnz} nonzeros, placed as {source} tells"
-    meaning = f": {meanings[name]}" if name in meanings else ""
-    return f"{name} ({way}, {pattern.rows} x {pattern.cols}{nonzeros}){meaning}"
+def _note(family: Family, way: str, argument: Input | Output, told_by: str) -> str:
+    pattern = argument.sparsity
+    nonzeros = "" if pattern.is_dense else f", {pattern.nnz} nonzeros, placed as {told_by} tells"
+    own = f"{family.value.name}.{argument.name}"
+    meaning = family.meanings.get(own, family.meanings.get(argument.name, ""))
+    return f"{argument.name} ({way}, {pattern.rows} x {pattern.cols}{nonzeros})" + (f": {meaning}" if meaning else "")
 
 
 def _name_patterns(face: Face) -> dict[Sparsity, str]:

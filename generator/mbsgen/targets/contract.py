@@ -27,7 +27,9 @@ class Family:
     adj1: Tape | None = None
     jac_adj1: Tape | None = None
     title: str = ""  # what it computes; for readers
-    meanings: Mapping[str, str] = field(default_factory=dict)  # argument -> what it is, with its unit
+    meanings: Mapping[str, str] = field(
+        default_factory=dict
+    )  # `argument` or `function.argument` -> what it is, its unit
 
 
 @dataclass(frozen=True)

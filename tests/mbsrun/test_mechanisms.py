@@ -1,0 +1,72 @@
+"""Whole mechanisms through tape, C, compiler and faces: against Pinocchio, and by the laws of their derivatives."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from mbsgen.pipeline import write_families
+from mbsrun import Mechanism, load
+from tests.random_trees import Pinocchio, random_tree, values_of
+from tests.sample import write_sample
+
+SEEDS = [(1, False), (2, True), (3, False), (4, True)]
+# Of sums of a few hundred products; the trees have six bodies of ordinary size, so conditioning adds little.
+TOLERANCE = 1e-12
+
+
+def build(folder: Path, seed: int, *, runtime: bool) -> tuple[Mechanism, Pinocchio, np.ndarray]:
+    """Generate a random tree's kernels; give its Pinocchio model too, and the matrix that u enters by."""
+    tree = random_tree(seed, 6, runtime=runtime)
+    parameters = {p.name: p.value for p in tree.parameters}
+    assert bool(values_of(tree)) == runtime
+    actuated = [i for i, body in enumerate(tree.bodies) if body.joint.actuated]
+    folder = write_sample(folder, f"tree {seed}", write_families(tree), parameters)
+    return load(folder), Pinocchio(tree), np.eye(6)[:, actuated]
+
+
+def draw_state(inputs: int, seed: int) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return {
+        "q": rng.uniform(-3, 3, 6),
+        "qd": rng.normal(size=6),
+        "qdd": rng.normal(size=6),
+        "u": rng.normal(size=inputs),
+    }
+
+
+def assert_close(found: np.ndarray, expected: np.ndarray) -> None:
+    np.testing.assert_allclose(found, expected, rtol=0, atol=TOLERANCE * max(1.0, np.abs(expected).max(initial=0)))
+
+
+@pytest.mark.parametrize(("seed", "runtime"), SEEDS)
+def test_the_residual_and_its_jacobians_are_pinocchios(seed: int, runtime: bool, tmp_path: Path) -> None:
+    """Phi - B u; its derivatives by q and qd; M by qdd; -B by u."""
+    k, pinocchio, B = build(tmp_path, seed, runtime=runtime)
+    state = draw_state(B.shape[1], seed)
+    q, qd, qdd, u = state.values()
+    assert_close(k.impl(**state)["Phi"], pinocchio.residual(q, qd, qdd) - B @ u)
+    jac, (by_q, by_qd) = k.jac_impl(**state), pinocchio.residual_derivatives(q, qd, qdd)
+    for name, expected in {"q": by_q, "qd": by_qd, "qdd": pinocchio.mass_matrix(q), "u": -B}.items():
+        assert_close(jac[f"jac_Phi_{name}"], expected)
+
+
+@pytest.mark.parametrize(("seed", "runtime"), SEEDS)
+def test_casadi_sees_the_same_function_to_second_order(seed: int, runtime: bool, tmp_path: Path) -> None:
+    """Central differences of the exact gradient, in float64: (eps / step + step^2) with a step of 1e-5."""
+    k, _, B = build(tmp_path, seed, runtime=runtime)
+    state = draw_state(B.shape[1], seed)
+    symbols = [ca.MX.sym(name, len(value)) for name, value in state.items()]
+    unknown, weights = ca.veccat(*symbols), np.linspace(-1, 1, 6)
+    cost = ca.dot(weights, k.casadi("impl")(*symbols))
+    gradient = ca.Function("g", symbols, [ca.gradient(cost, unknown)])
+    hessian = ca.Function("H", symbols, [ca.hessian(cost, unknown)[0]])(*state.values()).full()
+    at, columns = np.concatenate(list(state.values())), []
+    for i in range(len(at)):
+        ends = [gradient(*np.split(at + sign * 1e-5 * np.eye(len(at))[i], [6, 12, 18])) for sign in (1, -1)]
+        columns.append((ends[0] - ends[1]).full()[:, 0] / 2e-5)
+    np.testing.assert_allclose(hessian, np.array(columns).T, rtol=0, atol=1e-8 * max(1.0, np.abs(hessian).max()))
+    np.testing.assert_array_equal(hessian, hessian.T)
