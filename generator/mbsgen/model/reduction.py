@@ -58,8 +58,6 @@ def with_runtime_numbers(original: Tree) -> Tree:
     def release(name: str, number: Expr) -> Expr:
         if number.free_symbols or number.is_zero:
             return number
-        while name in parameters:  # a body may be called after a number of another's
-            name += "'"
         parameters[name] = Parameter(name, Symbol(name), to_double(number), Kind.RUNTIME)
         return parameters[name].symbol
 
