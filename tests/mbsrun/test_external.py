@@ -118,6 +118,13 @@ def test_parameters_are_baked_in(k: Mechanism) -> None:
     assert k.casadi("impl")(**STATE)["f"][2] != changed.casadi("impl")(**STATE)["f"][2]
 
 
+def test_casadi_takes_no_derivative_by_the_hidden_input(k: Mechanism) -> None:
+    bare = ca.external("sample_impl", str(k.library))
+    assert [bare.is_diff_in(i) for i in range(5)] == [True, True, True, True, False]
+    h = ca.MX.sym("h", 2)
+    assert ca.jacobian(bare(**STATE, h=h)["f"], h).nnz() == 0
+
+
 @pytest.mark.parametrize("name", ["gamma", "j0", "sample_impl", "", "impl_n_in"])
 def test_only_kernels_of_the_manifest_are_given(name: str, k: Mechanism) -> None:
     """`external("gamma", …)` would find libm's gamma, and give 0."""

@@ -186,6 +186,7 @@ def test_the_manifest_lists_what_the_tapes_take_and_give() -> None:
     assert kernels["jac_adj1_impl"].symbol == "jac_adj1_sample_impl"
     assert kernels["jac_adj1_impl"].function == "sample_compute_jac_adj1_impl"
     assert next(a for a in kernels["impl"].outputs if a.name == "g").row == (0, 1, 1)
+    assert [a.name for a in kernels["impl"].inputs if not a.differentiable] == ["h"]
 
 
 def test_a_tape_that_casadi_has_no_place_for_is_our_mistake() -> None:
