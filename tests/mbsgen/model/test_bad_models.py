@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from mbsgen.documents import MAX_BYTES, MAX_FAULTS
+from mbsgen.documents.places import MAX_FAULTS
+from mbsgen.documents.reading import MAX_BYTES
 from mbsgen.errors import Fault, InputError
 from mbsgen.model.reader import read_model
 

@@ -1,0 +1,29 @@
+"""Untrusted YAML files: text -> `Document` (plain data with line numbers) -> a validated pydantic schema.
+
+The language is YAML 1.2's core schema without anchors, aliases, tags, directives and merge keys: `1e3` is a number,
+`on` and `12:30` are strings, `010` is ten. Every fault becomes a `Fault` with file, line, path, finding and remedy;
+those of one file come together.
+"""
+
+from __future__ import annotations
+
+from mbsgen.documents.places import Data, Place, abbreviate, lies_under, nearest, refuse, write_path
+from mbsgen.documents.reading import Document, read_document
+from mbsgen.documents.validation import Examination, Section, WrongValueError, examine, validate
+
+__all__ = [
+    "Data",
+    "Document",
+    "Examination",
+    "Place",
+    "Section",
+    "WrongValueError",
+    "abbreviate",
+    "examine",
+    "lies_under",
+    "nearest",
+    "read_document",
+    "refuse",
+    "validate",
+    "write_path",
+]

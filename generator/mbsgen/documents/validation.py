@@ -1,0 +1,244 @@
+"""Document -> a pydantic schema, or every fault of its shape.
+
+The examples of a schema's fields tell users what is right, and stand in for what is wrong while the rest is examined.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from types import NoneType, UnionType
+from typing import Annotated, Any, Generic, TypeVar, Union, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
+
+from mbsgen.documents.places import MAX_FAULTS, Data, Place, abbreviate, lies_under, nearest, refuse
+from mbsgen.documents.reading import Document
+from mbsgen.errors import Fault
+
+Shape = TypeVar("Shape", bound=BaseModel)
+
+
+class Section(BaseModel):
+    """Base of the schemas of files: nothing is converted, nothing unknown is let through, nothing changes later."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class WrongValueError(ValueError):
+    """Raised by a schema's validator: what was found, and what to do about it."""
+
+    def __init__(self, finding: str, remedy: str) -> None:
+        self.finding = finding
+        self.remedy = remedy
+        super().__init__(f"{finding}; {remedy}")
+
+
+@dataclass(frozen=True)
+class Examination(Generic[Shape]):
+    """What validation tells: all faults, and a value to look for further faults in.
+
+    Where the file is at fault, `value` holds the example that the schema gives there; what follows from such a place
+    (listed in `stand_ins`) tells nothing about the file. `value` is None where the schema has no example.
+    """
+
+    value: Shape | None
+    faults: tuple[Fault, ...]
+    stand_ins: frozenset[Place]
+
+
+def validate(document: Document, schema: type[Shape]) -> Shape:
+    """Check a document against a schema. Raises InputError with every fault."""
+    examination = examine(document, schema)
+    if examination.faults:
+        raise refuse(examination.faults)
+    assert examination.value is not None, "a document without faults has a value"
+    return examination.value
+
+
+def examine(document: Document, schema: type[Shape]) -> Examination[Shape]:
+    """Check a document against a schema, and go on with examples in place of what is at fault."""
+    value, errors = _load(document.data, schema)
+    troubles = _troubles(errors, document.data)
+    if not troubles:
+        return Examination(value, tuple(document.faults.values()), frozenset(document.faults))
+    told = sorted(troubles, key=document.line)[: MAX_FAULTS + 1]
+    faults = [
+        document.fault(place, *_explain(troubles[place], place, schema))
+        for place in told
+        if not lies_under(place, document.faults)
+    ]
+    data = copy.deepcopy(document.data)
+    stand_ins: set[Place] = set()
+    for place, error in troubles.items():
+        if not lies_under(place, stand_ins):
+            stand_ins.add(_stand_in(data, place, error, schema))
+    value, _ = _load(data, schema)
+    return Examination(value, (*document.faults.values(), *faults), frozenset(stand_ins.union(document.faults)))
+
+
+def _load(data: Data, schema: type[Shape]) -> tuple[Shape | None, list[ErrorDetails]]:
+    """Validate as JSON: there a list may fill a tuple even where nothing is converted."""
+    try:
+        return schema.model_validate_json(json.dumps(data)), []
+    except ValidationError as error:
+        return None, error.errors(include_url=False)
+
+
+def _troubles(errors: Sequence[ErrorDetails], data: Data) -> dict[Place, ErrorDetails]:
+    """Sort errors by place, one each; of a union's members the one that got deepest into the data is believed."""
+    by_place: dict[Place, ErrorDetails] = {}
+    for error in errors:
+        by_place.setdefault(_place(error, data), error)
+    around = {place[:i] for place in by_place for i in range(len(place))}
+    return {place: error for place, error in by_place.items() if place not in around}
+
+
+def _place(error: ErrorDetails, data: Data) -> Place:
+    """Take pydantic's own tags (of unions, of keys) out of an error's location."""
+    place: Place = ()
+    for i, step in enumerate(error["loc"]):
+        if isinstance(data, dict) and step in data:
+            data = data[str(step)]
+        elif isinstance(data, list) and isinstance(step, int) and step < len(data):
+            data = data[step]
+        elif not (error["type"] == "missing" and i == len(error["loc"]) - 1 and isinstance(step, str)):
+            continue
+        place = (*place, step)
+    return place
+
+
+def _explain(error: ErrorDetails, place: Place, schema: type[BaseModel]) -> tuple[str, str]:
+    """Put a pydantic error into finding and remedy."""
+    context = error.get("ctx", {})
+    if isinstance(wrong := context.get("error"), WrongValueError):
+        return wrong.finding, wrong.remedy
+    found = f"found {abbreviate(error['input'])}"
+    match error["type"]:
+        case "missing" | "too_short" | "too_long" if isinstance(error["input"], list):
+            return f"found a list of {len(error['input'])}", _give_example("a list of another length", schema, place)
+        case "missing":
+            return "missing", _give_example("it", schema, place)
+        case "extra_forbidden":
+            return "unknown key", _suggest(str(place[-1]), _keys(schema, place[:-1]))
+        case "model_type" | "model_attributes_type" | "dict_type":
+            keys = _keys(schema, place)
+            return found, f"give a mapping{' of ' + ', '.join(keys) if keys else ''}"
+        case "literal_error" | "enum":
+            return found, f"give {context['expected']}"
+        case "list_type" | "tuple_type":
+            return found, _give_example("a list", schema, place)
+        case "string_type":
+            return found, "give a string"
+        case "float_type" | "int_type" | "finite_number" | "int_from_float":
+            return found, f"give a{' whole' if error['type'].startswith('int') else ' finite'} number"
+        case "bool_type":
+            return found, "give true or false"
+    message = error["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
+    return found, f"{'give ' if error['msg'].startswith('Input should be ') else ''}{message[0].lower()}{message[1:]}"
+
+
+def _give_example(what: str, schema: type[BaseModel], place: Place) -> str:
+    example = _example(schema, place)
+    return f"give {what}{'' if example is None else f', e.g. {json.dumps(example)}'}"
+
+
+def _suggest(key: str, keys: Sequence[str]) -> str:
+    meant = nearest(key, keys)
+    return f"did you mean `{meant}`?" if meant else f"the keys here are {', '.join(keys)}"
+
+
+def _stand_in(data: Data, place: Place, error: ErrorDetails, schema: type[BaseModel]) -> Place:
+    """Put an example of what is right where an error is, or around it; return the place that was changed."""
+    if error["type"] == "extra_forbidden":
+        _change(data, place, None)
+        return place
+    for length in range(len(place), 0, -1):
+        example = _example(schema, place[:length])
+        if example is not None:
+            _change(data, place[:length], copy.deepcopy(example))
+            return place[:length]
+    return ()
+
+
+def _change(data: Data, place: Place, new: Data) -> None:
+    """Set a value in place; with None, take the key away."""
+    inner: Any = data
+    for step in place[:-1]:
+        inner = inner[step]
+    if new is None:
+        inner.pop(place[-1], None)
+    else:
+        inner[place[-1]] = new
+
+
+# --- what a schema says of a place -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Slot:
+    """A type that a schema admits at some place, with the example it gives there."""
+
+    annotation: Any
+    example: Data
+
+
+def _slots(schema: type[BaseModel], place: Place) -> list[_Slot]:
+    """Find the types that a schema admits at a place: several, where unions are on the way."""
+    slots = [_Slot(schema, None)]
+    for step in place:
+        slots = [inner for slot in slots for inner in _step(slot.annotation, step)]
+    return slots
+
+
+def _step(annotation: Any, step: str | int) -> Iterator[_Slot]:
+    for choice in _choices(annotation):
+        origin, arguments = get_origin(choice), get_args(choice)
+        if isinstance(step, str) and isinstance(choice, type) and issubclass(choice, BaseModel):
+            for name, info in choice.model_fields.items():
+                if step == (info.alias or name):
+                    yield _Slot(info.annotation, _first_example([info]))
+        elif isinstance(step, str) and origin is dict:
+            yield _inner_slot(arguments[1])
+        elif isinstance(step, int) and origin is tuple:
+            element = arguments[0] if arguments[-1] is ... else arguments[step] if step < len(arguments) else None
+            if element is not None:
+                yield _inner_slot(element)
+        elif isinstance(step, int) and origin is list:
+            yield _inner_slot(arguments[0])
+
+
+def _inner_slot(annotation: Any) -> _Slot:
+    metadata = getattr(annotation, "__metadata__", ())
+    return _Slot(annotation, _first_example([x for x in metadata if isinstance(x, FieldInfo)]))
+
+
+def _first_example(fields: Sequence[FieldInfo]) -> Data:
+    return next((info.examples[0] for info in fields if info.examples), None)
+
+
+def _choices(annotation: Any) -> Iterator[Any]:
+    """Unwrap Annotated and unions."""
+    origin = get_origin(annotation)
+    if origin is Annotated:
+        yield from _choices(get_args(annotation)[0])
+    elif origin is Union or origin is UnionType:
+        for choice in get_args(annotation):
+            yield from _choices(choice)
+    elif annotation is not NoneType:
+        yield annotation
+
+
+def _example(schema: type[BaseModel], place: Place) -> Data:
+    return next((slot.example for slot in _slots(schema, place) if slot.example is not None), None)
+
+
+def _keys(schema: type[BaseModel], place: Place) -> list[str]:
+    """List the keys that a schema knows at a place."""
+    choices = [c for slot in _slots(schema, place) for c in _choices(slot.annotation)]
+    models = [c for c in choices if isinstance(c, type) and issubclass(c, BaseModel)]
+    return list(dict.fromkeys(info.alias or name for model in models for name, info in model.model_fields.items()))
