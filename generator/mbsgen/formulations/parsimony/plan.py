@@ -36,10 +36,13 @@ class Plan:
         """Look up the choice for body `number`, from 1."""
         return self.choices[number - 1]
 
-    def change(self, number: int, **values: Any) -> Plan:
+    def put(self, number: int, choice: Choice) -> Plan:
         """Choose otherwise for one body."""
-        changed = replace(self.choices[number - 1], **values)
-        return Plan((*self.choices[: number - 1], changed, *self.choices[number:]))
+        return Plan((*self.choices[: number - 1], choice, *self.choices[number:]))
+
+    def change(self, number: int, **values: Any) -> Plan:
+        """Choose otherwise for one body, by name."""
+        return self.put(number, replace(self[number], **values))
 
 
 def plain_plan(size: int) -> Plan:

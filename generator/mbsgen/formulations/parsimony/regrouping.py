@@ -3,7 +3,8 @@
 Points on a revolute joint's axis belong to both of its bodies. So any mass m, first moment s and second moment p spread
 on the axis may change sides: all of p and s leave the body, and of the mass as much as the plan says. Of what remains,
 one transverse second moment is spread over a ring about the axis, and the ring counted as spin inertia about it less a
-second moment along it, which moves too. On a prismatic joint all of P belongs to the parent. What reaches the base is gone.
+second moment along it, which moves too. On a prismatic joint all of P belongs to the parent. What reaches the base is
+gone.
 (Khalil, Kleinfinger, 1987; Gautier, 1991; for the free mass, Niemeyer, Slotine, 1991.)
 """
 

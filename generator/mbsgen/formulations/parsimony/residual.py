@@ -1,7 +1,7 @@
 """Newton-Euler residual, direction by direction: Phi(q, qd, qdd) of regrouped segments.
 
-With directions e_t fixed in a body, S = sum s_t e_t, links d = sum l_t e_t and P = sum p_tu e_t e_uT, the moment about the
-body's origin is sum e_t x V_t with V_t = s_t a0 + sum p_tu U e_u + sum l_t F_child: U e_t serves link, first and second
+With directions e_t fixed in a body, S = sum s_t e_t, links d = sum l_t e_t and P = sum p_tu e_t e_uT, the moment about
+its origin is sum e_t x V_t with V_t = s_t a0 + sum p_tu U e_u + sum l_t F_child: U e_t serves link, first and second
 moment alike.
 """
 
@@ -25,6 +25,7 @@ class Load:
 
     F: Vector[Scalar]
     N: Vector[Scalar]
+    alone: Vector[Scalar]  # N without what the bodies that continue the group add
 
 
 @dataclass(frozen=True)
@@ -47,45 +48,57 @@ def _one(scalar: Scalar) -> Scalar:
 
 
 def residual(
-    chain: Chain, plan: Plan, q: Sequence[Scalar], qd: Sequence[Scalar], qdd: Sequence[Scalar]
+    chain: Chain,
+    plan: Plan,
+    q: Sequence[Scalar],
+    qd: Sequence[Scalar],
+    qdd: Sequence[Scalar],
+    *,
+    absolute: bool = False,
 ) -> list[Scalar]:
-    """Compute Phi: the joint forces that make the chain move so."""
+    """Compute Phi: the joint forces that make the chain move so; or the forces that go with absolute rates.
+
+    The latter are along the positive axes; for a body in a group of parallel axes, its joint's moment less those of
+    the joints that continue the group.
+    """
     segments = align(chain)
     lumps = regroup(chain.builder, segments, plan)
     kinematics = Kinematics(chain.builder, segments, plan, q)
     movements = kinematics.move(chain.gravity, qd, qdd)
-    return list(joint_loads(kinematics, lumps, movements))
-
-
-def joint_loads(kinematics: Kinematics, lumps: dict[int, Lump], movements: dict[int, Movement]) -> Sequence[Scalar]:
-    """From the leaves to the base: add up what each joint carries, and take its part along the axis."""
     loads: dict[int, Load] = {}
-    Phi: dict[int, Scalar] = {}
-    for segment in reversed(kinematics.segments):
-        i = segment.number
-        loads[i] = _load(kinematics, segment, lumps[i], movements[i], loads)
-        carried = loads[i].N if segment.is_revolute else loads[i].F
-        Phi[i] = segment.signed(carried[segment.axis])
-    return [Phi[s.number] for s in kinematics.segments]
+    for segment in reversed(segments):
+        loads[segment.number] = _load(kinematics, segment, lumps[segment.number], movements[segment.number], loads)
+    return [_along(s, loads[s.number], absolute=absolute) for s in segments]
+
+
+def _along(segment: Segment, load: Load, *, absolute: bool) -> Scalar:
+    if absolute:
+        return (load.alone if segment.is_revolute else load.F)[segment.axis]
+    return segment.signed((load.N if segment.is_revolute else load.F)[segment.axis])
 
 
 def _load(kinematics: Kinematics, segment: Segment, lump: Lump, movement: Movement, loads: dict[int, Load]) -> Load:
     F, N, V = inertial_load(kinematics, segment, lump, movement)
     directions = directions_of(kinematics, segment, lump, movement)
+    zero = kinematics.builder.zero
+    grouped = Vector(zero, zero, zero)
     for child in children(kinematics.segments, segment.number):
-        force = kinematics.depart(child, loads[child.number].F)
-        N = N + kinematics.depart(child, loads[child.number].N)
+        force, moment = (kinematics.depart(child, x) for x in (loads[child.number].F, loads[child.number].N))
+        if child.opens_group:
+            N = N + moment
+        else:
+            grouped = grouped + moment
         F = F + force
         for t, direction in enumerate(directions):
             V[t] = V[t] + force.scale(direction.share(child.d[t]))
         if not child.is_revolute:
-            N = N + _slide_lever(kinematics, child).cross(force)
+            N = N + slide_lever(kinematics, child).cross(force)
     for t, direction in enumerate(directions):
         N = N + direction.e.cross(V[t])
-    return Load(F, N)
+    return Load(F, N + grouped, N)
 
 
-def _slide_lever(kinematics: Kinematics, child: Segment) -> Vector[Scalar]:
+def slide_lever(kinematics: Kinematics, child: Segment) -> Vector[Scalar]:
     """Return how far a prismatic child is moved, where its parent is written."""
     e = child.turn.column(child.axis) if child.turn else unit_vector(kinematics.builder, child.axis)
     return kinematics.fixed(child.parent, e.scale(kinematics.slide(child)))

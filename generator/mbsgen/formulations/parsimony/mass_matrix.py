@@ -1,0 +1,184 @@
+"""Mass matrix of regrouped segments: composite bodies, written where the plan says.
+
+A column of M is the load that its joint's unit acceleration asks of all that lies beyond it, taken as one rigid body,
+and carried down to the base (Walker, Orin, 1982; Fisette, Samin, 1996).
+
+In *absolute* rates the coordinate of a body in a group of parallel axes is its angle to the frame before the group:
+what lies beyond it in the group does not turn with it. Many terms of M then vanish that relative angles add up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mbsgen.algebra.vectors import Matrix, Vector, outer
+from mbsgen.formulations.links import Chain
+from mbsgen.formulations.parsimony.motion import Kinematics, Turn
+from mbsgen.formulations.parsimony.plan import Plan
+from mbsgen.formulations.parsimony.regrouping import Lump, regroup
+from mbsgen.formulations.parsimony.residual import Load, slide_lever
+from mbsgen.formulations.parsimony.segments import Segment, align, children, unit_vector
+from mbsgen.tape.builder import Builder, Scalar
+
+Entries = dict[tuple[int, int], Scalar]  # of M, by body numbers (ancestor, descendant); others are zero
+
+
+@dataclass(frozen=True)
+class Composite:
+    """A body with all beyond it: mass, first moment and inertia about its origin, where it is written."""
+
+    m: Scalar
+    S: Vector[Scalar]
+    J: Matrix[Scalar]
+    alone: Part
+
+
+@dataclass(frozen=True)
+class Part:
+    """What turns with a body when its absolute angle changes: not the bodies that continue its group."""
+
+    S: Vector[Scalar]
+    Je: Vector[Scalar]  # J e_axis: the moment for a unit acceleration
+
+
+def mass_matrix(chain: Chain, plan: Plan, q: Sequence[Scalar], *, absolute: bool = False) -> Entries:
+    """Compute one triangle of M, in relative or absolute rates; bodies on different branches have no entry."""
+    segments = align(chain)
+    lumps = regroup(chain.builder, segments, plan)
+    kinematics = Kinematics(chain.builder, segments, plan, q)
+    composites: dict[int, Composite] = {}
+    M: Entries = {}
+    for segment in reversed(segments):
+        body = compose(kinematics, segment, lumps[segment.number], composites)
+        composites[segment.number] = body
+        M |= _column(kinematics, segment, body, absolute=absolute)
+    return M
+
+
+def compose(kinematics: Kinematics, segment: Segment, lump: Lump, composites: dict[int, Composite]) -> Composite:
+    """Add to a body what its joints carry."""
+    b, axis = kinematics.builder, segment.axis
+    axes = kinematics.stations[segment.number].directions
+    m, S, J = lump.m, kinematics.fixed(segment.number, lump.S), own_inertia(b, segment, lump, axes)
+    beyond = children(kinematics.segments, segment.number)
+    for child in (x for x in beyond if x.opens_group):
+        carried, d = composites[child.number], link(kinematics, child)
+        s, weight = kinematics.depart(child, carried.S), d.scale(carried.m)
+        J = shift_inertia(depart_matrix(kinematics, child, carried.J), d, s, weight) + J
+        S, m = S + s + weight, m + carried.m
+    alone = Part(S, J.column(axis))
+    for child in (x for x in beyond if not x.opens_group):
+        carried, d = composites[child.number], link(kinematics, child)
+        s, weight = kinematics.depart(child, carried.S), d.scale(carried.m)
+        follows = [-(d[r] * (s[axis] + weight[axis])) for r in range(3)]
+        follows[axis] = sum_across(segment, d, weight)
+        alone = Part(alone.S + weight, alone.Je + Vector.of(follows))
+        J = shift_inertia(depart_matrix(kinematics, child, carried.J), d, s, weight) + J
+        S, m = S + s + weight, m + carried.m
+    return Composite(m, S, J, alone)
+
+
+def sum_across(segment: Segment, a: Vector[Scalar], b: Vector[Scalar]) -> Scalar:
+    """Form the scalar product across a joint's axis."""
+    j, k = segment.across
+    return a[j] * b[j] + a[k] * b[k]
+
+
+def shift_inertia(J: Matrix[Scalar], d: Vector[Scalar], s: Vector[Scalar], weight: Vector[Scalar]) -> Matrix[Scalar]:
+    """Refer an inertia to a point from which its own is at d; `s` is the first moment about its own, weight = m d.
+
+    A diagonal entry grows by the lever d.s across its axis twice: the load of one joint on the next holds it once.
+    """
+
+    def entry(r: int, c: int) -> Scalar:
+        if r != c:
+            return J[r, c] - (d[r] * (s[c] + weight[c]) + s[r] * d[c])
+        j, k = (r + 1) % 3, (r + 2) % 3
+        lever = d[j] * s[j] + d[k] * s[k]
+        return (J[r, r] + lever) + (lever + (d[j] * weight[j] + d[k] * weight[k]))
+
+    upper = {(r, c): entry(r, c) for r in range(3) for c in range(r, 3)}
+    return Matrix.of([upper[min(r, c), max(r, c)] for c in range(3)] for r in range(3))
+
+
+def own_inertia(builder: Builder, segment: Segment, lump: Lump, axes: Sequence[Vector[Scalar]]) -> Matrix[Scalar]:
+    """Write a body's own inertia where the body is written; its ring turns about the axis unchanged."""
+    trace = lump.P[0, 0] + lump.P[1, 1] + lump.P[2, 2]
+    across = trace if lump.levelled else trace + lump.ring
+    along = trace + lump.ring + lump.ring
+    total = Matrix.of(
+        [(along if r == segment.axis else across) if r == c else builder.zero for c in range(3)] for r in range(3)
+    )
+    for t, a in enumerate(axes):
+        for u, e in enumerate(axes):
+            if not lump.P[t, u].is_zero:
+                total = total - outer(a, e).scale(lump.P[t, u])
+    return total
+
+
+def link(kinematics: Kinematics, child: Segment) -> Vector[Scalar]:
+    """Write the link to a child where its parent is written; a prismatic joint's way is part of it."""
+    d = kinematics.fixed(child.parent, child.d)
+    return d if child.is_revolute else d + slide_lever(kinematics, child)
+
+
+def depart_matrix(kinematics: Kinematics, child: Segment, P: Matrix[Scalar]) -> Matrix[Scalar]:
+    """Take a symmetric matrix from where `child` is written to where its parent is."""
+    station = kinematics.stations[child.number]
+    P = turn_back(station.step, P)
+    if child.opens_group:
+        P = child.turn.times(P).times(child.turn.transposed) if child.turn else P
+        P = turn_back(kinematics.stations[child.parent].rest, P) if child.parent else P
+    return P
+
+
+def turn_back(turn: Turn | None, P: Matrix[Scalar]) -> Matrix[Scalar]:
+    """Turn a symmetric matrix back about a coordinate axis, in 11 operations across it and 6 along it."""
+    if turn is None:
+        return P
+    a, j, k = turn.axis, (turn.axis + 1) % 3, (turn.axis + 2) % 3
+    c, s = turn.cosine, turn.sine
+    g = c * (P[j, j] - P[k, k]) - s * (P[j, k] + P[j, k])
+    entries = {
+        (j, j): P[k, k] + c * g,
+        (k, k): P[j, j] - c * g,
+        (j, k): P[j, k] + s * g,
+        (j, a): c * P[j, a] - s * P[k, a],
+        (k, a): c * P[k, a] + s * P[j, a],
+        (a, a): P[a, a],
+    }
+    return Matrix.of([entries.get((r, q)) or entries[q, r] for q in range(3)] for r in range(3))
+
+
+def unit_load(builder: Builder, segment: Segment, body: Composite, *, absolute: bool) -> Load:
+    """Compute the load, about the body's origin, for a unit acceleration of the joint."""
+    e = unit_vector(builder, segment.axis)
+    if not segment.is_revolute:
+        N = body.S.cross(e)
+        return Load(e.scale(body.m), N, N)
+    part = body.alone if absolute else Part(body.S, body.J.column(segment.axis))
+    return Load(e.cross(part.S), part.Je, part.Je)
+
+
+def _column(kinematics: Kinematics, segment: Segment, body: Composite, *, absolute: bool) -> Entries:
+    """Carry a joint's load down to the base, and take its part along every joint on the way."""
+    load = unit_load(kinematics.builder, segment, body, absolute=absolute)
+    column = {(segment.number, segment.number): _along(load, segment)}
+    at = segment
+    while at.parent:
+        below = kinematics.segments[at.parent - 1]
+        F = kinematics.depart(at, load.F)
+        lever = link(kinematics, at).cross(F)
+        N = kinematics.depart(at, load.N) + lever
+        load = Load(F, N, N)
+        keeps_angle = absolute and not at.opens_group  # what lies beyond `at` only follows its origin
+        along = lever[below.axis] if keeps_angle else _along(load, below)
+        same = absolute or below.sense == segment.sense
+        column[below.number, segment.number] = along if same else -along
+        at = below
+    return column
+
+
+def _along(load: Load, segment: Segment) -> Scalar:
+    return (load.N if segment.is_revolute else load.F)[segment.axis]
