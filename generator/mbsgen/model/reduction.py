@@ -67,8 +67,7 @@ def with_runtime_numbers(original: Tree) -> Tree:
 
     def release_tensor(name: str, tensor: Matrix) -> Matrix:
         upper = {(i, j): release(f"{name}.{'xyz'[i]}{'xyz'[j]}", tensor[i][j]) for i in range(3) for j in range(i, 3)}
-        x, y, z = ((upper[0, i], upper[min(1, i), max(1, i)], upper[i, 2]) for i in range(3))
-        return x, y, z
+        return _symmetric(upper)
 
     gravity = release_vector("gravity", original.gravity)
     bodies = tuple(
@@ -209,9 +208,14 @@ def _express(v: Vector, C: Matrix) -> Vector:
 
 
 def _express_tensor(tensor: Matrix, C: Matrix) -> Matrix:
-    """Write a tensor in the axes that are the columns of C: C^T T C."""
+    """Write a symmetric tensor in the axes that are the columns of C: C^T T C."""
     pairs = [(k, l) for k in range(3) for l in range(3)]
-    return _matrix([[total(C[k][i] * C[l][j] * tensor[k][l] for k, l in pairs) for j in range(3)] for i in range(3)])
+    entries = {(i, j): total(C[k][i] * C[l][j] * tensor[k][l] for k, l in pairs) for i in range(3) for j in range(i, 3)}
+    return _symmetric(entries)
+
+
+def _symmetric(upper: Mapping[tuple[int, int], Expr]) -> Matrix:
+    return _matrix([[upper[min(i, j), max(i, j)] for j in range(3)] for i in range(3)])
 
 
 def _product(A: Matrix, B: Matrix) -> Matrix:

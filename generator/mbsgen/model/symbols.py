@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping
 from types import MappingProxyType
 
 from mpmath import MPContext, mpf
-from sympy import Add, Expr, Float, Integer, Rational, Symbol, cos, sin, sqrt
+from sympy import Add, Expr, Float, Integer, Pow, Rational, S, Symbol, cos, sin, sqrt
 
 from mbsgen.expressions import FUNCTIONS, Algebra, ExpressionError
 
@@ -22,7 +22,7 @@ _DIGITS.dps = 60
 _NOISE = _DIGITS.mpf(10) ** -50
 
 _SYMBOLIC: Mapping[str, Callable[..., Expr]] = MappingProxyType(  # functions that generated code can compute
-    {"sin": sin, "cos": cos, "tan": lambda x: sin(x) / cos(x), "sqrt": sqrt}
+    {"sin": sin, "cos": cos, "tan": lambda x: sin(x) / cos(x), "sqrt": lambda x: _take_root(x)}
 )
 
 
@@ -61,8 +61,11 @@ def symbolic(constants: Mapping[Symbol, Expr]) -> Algebra[Expr]:
 
 def total(terms: Iterable[Expr]) -> Expr:
     """Add expressions; like terms that cancel to 50 digits leave a structural 0."""
+    present = [term for term in terms if term is not S.Zero]
+    if len(present) < 2:
+        return present[0] if present else S.Zero
     factors: dict[Expr, list[Expr]] = {}
-    for term in terms:
+    for term in present:
         for part in Add.make_args(term):
             factor, rest = part.as_coeff_Mul()
             factors.setdefault(rest, []).append(factor)
@@ -124,6 +127,13 @@ def _settle(number: mpf, size: mpf) -> Expr:
         if abs(number - whole) <= _NOISE * size:
             return Integer(int(whole))
     return Float(number._mpf_, precision=_DIGITS.prec)
+
+
+def _take_root(radicand: Expr) -> Expr:
+    root = sqrt(radicand)
+    if any(not (2 * power.exp).is_integer for power in root.atoms(Pow)):
+        raise ExpressionError("a root of a root of a run-time parameter", "make the parameter constant")
+    return root
 
 
 def _divide(numerator: Expr, denominator: Expr) -> Expr:

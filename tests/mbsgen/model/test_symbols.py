@@ -61,6 +61,8 @@ def test_functions_of_constants_are_numbers_and_of_symbols_symbolic() -> None:
     assert str(read("k*x + sqrt(x) + tan(x)")) == "k*x + sqrt(x) + sin(x)/cos(x)"
     with pytest.raises(ExpressionError, match="exp of a run-time parameter"):
         read("exp(x)")
+    with pytest.raises(ExpressionError, match="a root of a root"):
+        read("sqrt(2*sqrt(x))")
 
 
 @pytest.mark.parametrize(
