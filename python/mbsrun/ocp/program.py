@@ -161,7 +161,7 @@ def _hessian(block: Block, x: ca.MX, lam_g: ca.MX) -> list[_Triplets]:
 def _scatter(pattern: ca.Sparsity, rows: Indices, columns: Indices, results: ca.MX) -> _Triplets:
     """Say where the nonzeros of a mapped matrix belong; `results` holds one matrix per place, side by side."""
     row, col = (np.asarray(k, dtype=np.int64) for k in pattern.get_triplet())
-    return _Triplets(rows[row].T.ravel(), columns[col].T.ravel(), results.nz[:])
+    return _Triplets(rows[row].T.ravel(), columns[col].T.ravel(), ca.vec(results.nz[:]))
 
 
 def _constant(matrix: Matrix) -> _Triplets:
@@ -171,16 +171,18 @@ def _constant(matrix: Matrix) -> _Triplets:
 
 def _weighted(matrices: Sequence[Matrix], weights: ca.MX) -> _Triplets:
     """Sum constant matrices with weights that are not."""
+    size = matrices[0].shape[0]
     coos = [matrix.tocoo() for matrix in matrices]
-    row, col = np.concatenate([c.row for c in coos]), np.concatenate([c.col for c in coos])
+    row, col = (np.concatenate([c.coords[axis] for c in coos]).astype(np.int64) for axis in (0, 1))
     which = np.repeat(np.arange(len(coos)), [c.nnz for c in coos])
-    places, nonzero = np.unique(col * matrices[0].shape[0] + row, return_inverse=True)
+    places, nonzero = np.unique(col * size + row, return_inverse=True)
     values = sparse.coo_array((np.concatenate([c.data for c in coos]), (nonzero, which)), (len(places), len(coos)))
-    return _Triplets(places % matrices[0].shape[0], places // matrices[0].shape[0], _dm(values.tocsc()) @ weights)
+    return _Triplets(places % size, places // size, _dm(values.tocsc()) @ weights)
 
 
 def _assemble(shape: tuple[int, int], parts: Sequence[_Triplets]) -> ca.MX:
     """Sum the parts into one sparse matrix."""
+    parts = [part for part in parts if part.row.size]
     row, col = np.concatenate([p.row for p in parts]), np.concatenate([p.col for p in parts])
     places, nonzero = np.unique(col * shape[0] + row, return_inverse=True)  # column by column: CasADi's order
     pattern = ca.Sparsity.triplet(*shape, (places % shape[0]).tolist(), (places // shape[0]).tolist())

@@ -183,6 +183,8 @@ class _Reading:
             if not key.isascii() or not key.isidentifier() or key in CONSTANTS or key in FUNCTIONS:
                 self.fault(("constants", key), "no name for a constant", "give a word that means nothing else")
             self.constants[key] = self.number(("constants", key), expression)
+        if not self.inputs.known:
+            self.fault(("model",), "the model has no actuated coordinate", "give it one: there is nothing to control")
         bounds = self.bounds(section.bounds)
         return Problem(
             name=name,

@@ -1,0 +1,78 @@
+"""The derivatives that a program assembles are those that CasADi finds by differentiating the whole."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy import sparse
+
+from mbsrun.ocp.program import Block, Program
+
+RNG = np.random.default_rng(0)
+
+
+def function() -> ca.Function:
+    """A function of two vectors with zeros in its Jacobian and in its Hessian."""
+    a, b = ca.SX.sym("a", 3), ca.SX.sym("b", 2)
+    return ca.Function("F", [a, b], [ca.vertcat(ca.sin(a[0]) * b[1], a[2] ** 2 * a[0] + b[0], b[0] * b[1])])
+
+
+def program(columns_a: np.ndarray, columns_b: np.ndarray, rows: np.ndarray) -> Program:
+    """A program of 7 variables and 8 constraints around the function at given places."""
+    A = sparse.random_array((8, 7), density=0.3, rng=RNG, format="csc")
+    H = tuple((S + S.T).tocsc() for S in (sparse.random_array((7, 7), density=0.2, rng=RNG) for _ in range(2)))
+    return Program(A, H, (Block(function(), (columns_a, columns_b), rows),))
+
+
+PLACES = {
+    "apart": ([[0, 1], [2, 3], [4, 5]], [[5, 6], [6, 2]], [[0, 3], [1, 4], [2, 5]]),
+    "shared variables and rows": ([[0, 1], [0, 1], [4, 5]], [[0, 5], [4, 1]], [[0, 1], [1, 2], [2, 0]]),
+    "one place": ([[6], [5], [4]], [[3], [2]], [[7], [6], [5]]),
+}
+
+
+@pytest.fixture(params=PLACES.values(), ids=PLACES.keys())
+def some_program(request: pytest.FixtureRequest) -> Program:
+    return program(*(np.array(indices) for indices in request.param))
+
+
+def test_derivatives_equal_those_of_the_whole(some_program: Program) -> None:
+    """Jacobian, gradient and Hessian at a random point, to a few roundings of numbers of order 1."""
+    x, p = ca.MX.sym("x", 7), ca.MX.sym("p", 2)
+    f, g = some_program.objective(x, p), some_program.constraint(x, p)
+    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 8)
+    hessian, _ = ca.hessian(lam_f * f + ca.dot(lam_g, g), x)
+    whole = ca.Function(
+        "whole", [x, p, lam_f, lam_g], [ca.gradient(f, x), ca.jacobian(g, x), ca.densify(ca.triu(hessian))]
+    )
+    at = [RNG.uniform(-1, 1, size) for size in (7, 2, 1, 8)]
+    gradient, jacobian, upper = (m.full() for m in whole(*at))
+    assert some_program.gradient(*at[:2])[1].full() == pytest.approx(gradient, abs=1e-14)
+    assert some_program.jacobian(*at[:2])[1].full() == pytest.approx(jacobian, abs=1e-14)
+    assert some_program.hessian(*at).full() == pytest.approx(upper, abs=1e-14)
+
+
+def test_values_come_with_derivatives(some_program: Program) -> None:
+    """The functions that nlpsol takes give f and g as well."""
+    at = [RNG.uniform(-1, 1, size) for size in (7, 2)]
+    assert float(some_program.gradient(*at)[0]) == pytest.approx(float(some_program.objective(*at)), rel=1e-14)
+    assert np.array_equal(some_program.jacobian(*at)[0].full(), some_program.constraint(*at).full())
+
+
+def test_pattern_holds_no_more_than_the_function_has() -> None:
+    """7 nonzeros of F's Jacobian and 5 of its Hessian's triangle, at each of 2 places that do not meet."""
+    places = tuple(np.array(indices) for indices in PLACES["apart"])
+    bare = Program(sparse.csc_array((8, 7)), (sparse.csc_array((7, 7)),), program(*places).blocks)
+    assert bare.jacobian.nnz_out(1) == 2 * 7
+    assert bare.hessian.nnz_out(0) == 2 * 5
+
+
+def test_a_program_with_more_entries_than_32_bits_count() -> None:
+    """Row and column of a nonzero far from the corner of a matrix of 70000 x 70000."""
+    size = 70_000
+    H = sparse.coo_array(([2.0], ([size - 1], [size - 1])), (size, size)).tocsc()
+    A = sparse.coo_array(([1.0], ([0], [size - 2])), (1, size)).tocsc()
+    large = Program(A, (H,), ())
+    assert large.hessian.sparsity_out(0).get_triplet() == ([size - 1], [size - 1])
+    assert large.jacobian.sparsity_out(1).get_triplet() == ([0], [size - 2])

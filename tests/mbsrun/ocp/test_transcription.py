@@ -1,0 +1,177 @@
+"""Laws of direct collocation; sizes of Table 3 of Docquier, Bruls, Fisette."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from mbsrun.ocp.problem import Bounds, Cost, End, Problem
+from mbsrun.ocp.schemes import Family
+from mbsrun.ocp.trajectory import Trajectory, grid
+from mbsrun.ocp.transcription import Transcription, structure, transcribe
+from tests.mbsrun.peer import Peer, double_integrator
+
+RNG = np.random.default_rng(1)
+SCHEMES = [(Family.RADAU, 1), (Family.RADAU, 3), (Family.LEGENDRE, 1), (Family.LEGENDRE, 4)]
+
+
+def small(reach: Problem, family: Family, degree: int) -> Problem:
+    return replace(reach, intervals=3, family=family, degree=degree)
+
+
+def polynomial_motion(problem: Problem, transcription: Transcription) -> tuple[Trajectory, np.ndarray]:
+    """A motion of degree d in q, hence in the collocation's reach; with the accelerations at T."""
+    d = problem.degree
+    c = RNG.uniform(-0.5, 0.5, (d + 1, len(problem.start_q)))
+    t, point_t = grid(problem.horizon, problem.intervals, transcription.scheme.points)
+
+    def values(t: np.ndarray, order: int) -> np.ndarray:
+        derivative = np.polynomial.polynomial.polyder(c, order, axis=0) if order <= d else np.zeros((1, c.shape[1]))
+        return np.moveaxis(np.polynomial.polynomial.polyval(t, derivative), 0, -1)
+
+    u = RNG.uniform(-1, 1, (problem.intervals, len(problem.bounds.u)))
+    motion = Trajectory(t, values(t, 0), values(t, 1), u, point_t, *(values(point_t, k) for k in range(3)))
+    return motion, values(np.array(problem.horizon), 2)
+
+
+def test_sizes_of_table_3(arm: Peer, reach: Problem) -> None:
+    """8812 variables, 8427 constraints, 72435 Jacobian nonzeros.
+
+    The paper prints 39021 nonzeros of the Hessian; with this arm's reading of the axes the upper triangle has
+    400 * 96 of the dynamics, 796 of the cost and 10 of the sensor.
+    """
+    program = transcribe(reach, arm).program
+    assert (program.variables, program.constraints) == (8812, 8427)
+    assert program.jacobian.nnz_out(1) == 72435
+    assert program.hessian.nnz_out(0) == 400 * 96 + 796 + 10
+
+
+@pytest.mark.parametrize(("family", "degree"), SCHEMES)
+def test_derivatives_equal_casadis_of_the_same_program(arm: Peer, reach: Problem, family: Family, degree: int) -> None:
+    """nlpsol's own functions, made by differentiating the map, have the same pattern, and values to rounding."""
+    problem = small(reach, family, degree)
+    transcription = transcribe(problem, arm)
+    program = transcription.program
+    x, p = ca.MX.sym("x", program.variables), ca.MX.sym("p", 2)
+    nlp = {"x": x, "p": p, "f": program.objective(x, p), "g": program.constraint(x, p)}
+    whole = ca.nlpsol("whole", "ipopt", nlp, {"ipopt.print_level": 0})
+    at = RNG.uniform(-1, 1, program.variables), transcription.weights(problem)
+    multipliers = (0.7, RNG.uniform(-1, 1, program.constraints))
+    for name, ours, arguments in (
+        ("nlp_grad_f", program.gradient, at),
+        ("nlp_jac_g", program.jacobian, at),
+        ("nlp_hess_l", program.hessian, (*at, *multipliers)),
+    ):
+        theirs = whole.get_function(name)
+        expected, found = (f.call([ca.DM(a) for a in arguments])[-1] for f in (theirs, ours))
+        assert found.sparsity() == expected.sparsity(), name
+        scale = np.abs(expected.full()).max()
+        assert np.abs((found - expected).full()).max() <= 1e-14 * scale, name
+
+
+@pytest.mark.parametrize(("family", "degree"), SCHEMES)
+def test_polynomials_of_its_degree_meet_the_collocation(arm: Peer, reach: Problem, family: Family, degree: int) -> None:
+    """q of degree d with its derivatives: states and continuity hold to rounding; rows at the ends show what they ask."""
+    problem = small(reach, family, degree)
+    transcription = transcribe(problem, arm)
+    motion, acceleration = polynomial_motion(problem, transcription)
+    rows = transcription.rows
+    g = transcription.program.constraint(transcription.pack(motion), transcription.weights(problem)).full().ravel()
+    small_enough = 1e-12
+    assert np.abs(g[rows.states]).max() < small_enough
+    assert np.abs(g[rows.continuity]).max() < small_enough
+    assert g[rows.start] == pytest.approx(np.concatenate((motion.q[0], motion.qd[0])), abs=small_enough)
+    assert g[rows.velocity] == pytest.approx(motion.qd[-1], abs=small_enough)
+    if family is Family.LEGENDRE or degree == 3:  # Radau's z(T) is z at T; degree 1 has no acceleration to tell
+        assert g[rows.acceleration] == pytest.approx(acceleration, abs=1e-10)
+    hand = arm("sensors", q=motion.q[-1])["position"][:, 0]
+    assert g[rows.sensors[0]] == pytest.approx(hand, abs=small_enough)
+
+
+def test_dynamics_hold_at_every_collocation_point(arm: Peer, reach: Problem) -> None:
+    """The rows of the dynamics are the residual at the points, each with the inputs of its interval."""
+    problem = small(reach, Family.RADAU, 4)
+    transcription = transcribe(problem, arm)
+    motion, _ = polynomial_motion(problem, transcription)
+    g = transcription.program.constraint(transcription.pack(motion), transcription.weights(problem)).full().ravel()
+    for k in range(problem.intervals):
+        for j in range(problem.degree):
+            q, qd, qdd = motion.point_q[k, j], motion.point_qd[k, j], motion.point_qdd[k, j]
+            Phi = arm("impl", q=q, qd=qd, qdd=qdd, u=motion.u[k])["Phi"]
+            assert g[transcription.rows.dynamics[k, j]] == pytest.approx(Phi, rel=1e-14, abs=1e-14)
+
+
+def test_every_variable_and_every_row_has_one_place(arm: Peer, reach: Problem) -> None:
+    transcription = transcribe(small(reach, Family.RADAU, 2), arm)
+    layout, rows = transcription.layout, transcription.rows
+    variables = (layout.mesh, layout.points, layout.accelerations, layout.inputs)
+    assert sorted(np.concatenate([v.ravel() for v in variables])) == list(range(layout.size))
+    parts = (rows.start, rows.states, rows.dynamics, rows.continuity, rows.sensors, rows.velocity, rows.acceleration)
+    assert sorted(np.concatenate([r.ravel() for r in parts])) == list(range(rows.size))
+
+
+def test_a_trajectory_survives_packing(arm: Peer, reach: Problem) -> None:
+    transcription = transcribe(small(reach, Family.LEGENDRE, 3), arm)
+    x = RNG.uniform(-1, 1, transcription.layout.size)
+    assert np.array_equal(transcription.pack(transcription.unpack(x)), x)
+
+
+def test_cost_is_the_stated_one(arm: Peer, reach: Problem) -> None:
+    """f = h sum k1 |u_k|^2 + h sum over N - 1 differences of k2 |(u_(k+1) - u_k) / h|^2, at random inputs."""
+    problem = replace(small(reach, Family.RADAU, 2), cost=Cost(3.0, 0.5))
+    transcription = transcribe(problem, arm)
+    x = RNG.uniform(-1, 1, transcription.layout.size)
+    u, h = transcription.unpack(x).u, problem.horizon / problem.intervals
+    rates = (u[1:] - u[:-1]) / h
+    expected = 3.0 * h * (u**2).sum() + 0.5 * h * (rates**2).sum()
+    assert float(transcription.program.objective(x, transcription.weights(problem))) == pytest.approx(expected, rel=1e-14)
+
+
+def test_bounds_hold_at_mesh_and_collocation_points(arm: Peer, reach: Problem) -> None:
+    """Bounds of coordinates and velocities at all N (d + 1) + 1 points, those of inputs in all intervals."""
+    free = (-np.inf, np.inf)
+    bounds = Bounds(reach.bounds.q, ((-7.0, 8.0), *(free,) * 5), ((-1.0, 2.0), *(free,) * 3))
+    problem = replace(small(reach, Family.RADAU, 4), bounds=bounds)
+    transcription = transcribe(problem, arm)
+    lower, upper = (transcription.unpack(x) for x in transcription.variable_bounds(problem))
+    for q_lower, q_upper in ((lower.q, upper.q), (lower.point_q, upper.point_q)):
+        assert (q_lower == np.array(reach.bounds.q)[:, 0]).all()
+        assert (q_upper == np.array(reach.bounds.q)[:, 1]).all()
+    assert (lower.point_qd[..., 0] == -7).all()
+    assert (upper.qd[:, 0] == 8).all()
+    assert (lower.u[:, 0] == -1).all()
+    assert (upper.u[:, 0] == 2).all()
+    assert np.isneginf(lower.point_qdd).all()
+    assert np.isposinf(upper.u[:, 1:]).all()
+
+
+def test_values_alone_do_not_shape_the_program(arm: Peer, reach: Problem) -> None:
+    """Start, targets, bounds and weights belong to a solve; the horizon and what is asked for to the program."""
+    moved = replace(reach.with_target("hand", (0.0, -0.6, 0.1)), cost=Cost(1.0, 0.0), start_qd=(0.1,) * 6)
+    assert structure(moved) == structure(reach)
+    assert structure(replace(reach, horizon=3.0)) != structure(reach)
+    assert structure(replace(reach, end=replace(reach.end, acceleration_zero=False))) != structure(reach)
+
+
+def test_ends_in_coordinates(arm: Peer, reach: Problem) -> None:
+    """A coordinate asked for at the end is a row that shows it."""
+    end = End(coordinates=((0, 0.25), (4, -0.5)))
+    problem = replace(small(reach, Family.RADAU, 2), end=end)
+    transcription = transcribe(problem, arm)
+    motion, _ = polynomial_motion(problem, transcription)
+    g = transcription.program.constraint(transcription.pack(motion), transcription.weights(problem)).full().ravel()
+    assert g[transcription.rows.coordinates] == pytest.approx(motion.q[-1, [0, 4]], abs=1e-14)
+    assert list(transcription.constraint_values(problem)[transcription.rows.coordinates]) == [0.25, -0.5]
+    assert transcription.rows.velocity.size == transcription.rows.sensors.size == 0
+
+
+def test_a_system_without_sensors_at_the_end_has_no_sensor_block() -> None:
+    free = ((-np.inf, np.inf),)
+    problem = Problem(
+        "rest", 1.0, 4, Family.RADAU, 2, Cost(1.0, 0.0), (0.0,), (0.0,), Bounds(free, free, free), End()
+    )
+    transcription = transcribe(problem, double_integrator())
+    assert len(transcription.program.blocks) == 1
