@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from mbsgen.algebra.vectors import Matrix, Vector, outer
 from mbsgen.formulations.links import Chain
-from mbsgen.formulations.parsimony.motion import Kinematics, Turn
+from mbsgen.formulations.parsimony.motion import Kinematics
 from mbsgen.formulations.parsimony.plan import Plan
 from mbsgen.formulations.parsimony.regrouping import Lump, regroup
 from mbsgen.formulations.parsimony.residual import Load, slide_lever
@@ -65,7 +65,7 @@ def compose(kinematics: Kinematics, segment: Segment, lump: Lump, composites: di
     for child in (x for x in beyond if x.opens_group):
         carried, d = composites[child.number], link(kinematics, child)
         s, weight = kinematics.depart(child, carried.S), d.scale(carried.m)
-        J = shift_inertia(depart_matrix(kinematics, child, carried.J), d, s, weight) + J
+        J = shift_inertia(kinematics.depart_tensor(child, carried.J), d, s, weight) + J
         S, m = S + s + weight, m + carried.m
     alone = Part(S, J.column(axis))
     for child in (x for x in beyond if not x.opens_group):
@@ -74,7 +74,7 @@ def compose(kinematics: Kinematics, segment: Segment, lump: Lump, composites: di
         follows = [-(d[r] * (s[axis] + weight[axis])) for r in range(3)]
         follows[axis] = sum_across(segment, d, weight)
         alone = Part(alone.S + weight, alone.Je + Vector.of(follows))
-        J = shift_inertia(depart_matrix(kinematics, child, carried.J), d, s, weight) + J
+        J = shift_inertia(kinematics.depart_tensor(child, carried.J), d, s, weight) + J
         S, m = S + s + weight, m + carried.m
     return Composite(m, S, J, alone)
 
@@ -121,34 +121,6 @@ def link(kinematics: Kinematics, child: Segment) -> Vector[Scalar]:
     """Write the link to a child where its parent is written; a prismatic joint's way is part of it."""
     d = kinematics.fixed(child.parent, child.d)
     return d if child.is_revolute else d + slide_lever(kinematics, child)
-
-
-def depart_matrix(kinematics: Kinematics, child: Segment, P: Matrix[Scalar]) -> Matrix[Scalar]:
-    """Take a symmetric matrix from where `child` is written to where its parent is."""
-    station = kinematics.stations[child.number]
-    P = turn_back(station.step, P)
-    if child.opens_group:
-        P = child.turn.times(P).times(child.turn.transposed) if child.turn else P
-        P = turn_back(kinematics.stations[child.parent].rest, P) if child.parent else P
-    return P
-
-
-def turn_back(turn: Turn | None, P: Matrix[Scalar]) -> Matrix[Scalar]:
-    """Turn a symmetric matrix back about a coordinate axis, in 11 operations across it and 6 along it."""
-    if turn is None:
-        return P
-    a, j, k = turn.axis, (turn.axis + 1) % 3, (turn.axis + 2) % 3
-    c, s = turn.cosine, turn.sine
-    g = c * (P[j, j] - P[k, k]) - s * (P[j, k] + P[j, k])
-    entries = {
-        (j, j): P[k, k] + c * g,
-        (k, k): P[j, j] - c * g,
-        (j, k): P[j, k] + s * g,
-        (j, a): c * P[j, a] - s * P[k, a],
-        (k, a): c * P[k, a] + s * P[j, a],
-        (a, a): P[a, a],
-    }
-    return Matrix.of([entries.get((r, q)) or entries[q, r] for q in range(3)] for r in range(3))
 
 
 def unit_load(builder: Builder, segment: Segment, body: Composite, *, absolute: bool) -> Load:

@@ -39,6 +39,24 @@ class Turn:
         """Take components back out of the turned frame."""
         return self._turn(v, -self.sine)
 
+    def back_tensor(self, B: Matrix[Scalar]) -> Matrix[Scalar]:
+        """Take a matrix back out of the turned frame: 11 operations across the axis, 12 along it."""
+        a, j, k = self.axis, (self.axis + 1) % 3, (self.axis + 2) % 3
+        c, s = self.cosine, self.sine
+        g = c * (B[j, j] - B[k, k]) - s * (B[j, k] + B[k, j])
+        entries = {
+            (j, j): B[k, k] + c * g,
+            (k, k): B[j, j] - c * g,
+            (j, k): B[j, k] + s * g,
+            (k, j): B[k, j] + s * g,
+            (j, a): c * B[j, a] - s * B[k, a],
+            (k, a): c * B[k, a] + s * B[j, a],
+            (a, j): c * B[a, j] - s * B[a, k],
+            (a, k): c * B[a, k] + s * B[a, j],
+            (a, a): B[a, a],
+        }
+        return Matrix.of([entries[r, q] for q in range(3)] for r in range(3))
+
     def _turn(self, v: Vector[Scalar], sine: Scalar) -> Vector[Scalar]:
         j, k = (self.axis + 1) % 3, (self.axis + 2) % 3
         turned = list(v)
@@ -134,6 +152,16 @@ class Kinematics:
     def fixed(self, number: int, v: Vector[Scalar]) -> Vector[Scalar]:
         """Write a vector that is fixed in body `number`, given in its own frame, where the body is written."""
         return self.stations[number].written(v) if number else v
+
+    def depart_tensor(self, segment: Segment, B: Matrix[Scalar]) -> Matrix[Scalar]:
+        """Take a matrix from where `segment` is written to where its parent is."""
+        station = self.stations[segment.number]
+        B = station.step.back_tensor(B) if station.step else B
+        if segment.opens_group:
+            B = segment.turn.times(B).times(segment.turn.transposed) if segment.turn else B
+            rest = self.stations[segment.parent].rest if segment.parent else None
+            B = rest.back_tensor(B) if rest else B
+        return B
 
     # -- how they move ------------------------------------------------------------------------------------------
 

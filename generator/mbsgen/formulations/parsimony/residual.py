@@ -67,7 +67,7 @@ def residual(
     movements = kinematics.move(chain.gravity, qd, qdd)
     loads: dict[int, Load] = {}
     for segment in reversed(segments):
-        loads[segment.number] = _load(kinematics, segment, lumps[segment.number], movements[segment.number], loads)
+        loads[segment.number] = join_loads(kinematics, segment, lumps[segment.number], movements[segment.number], loads)
     return [_along(s, loads[s.number], absolute=absolute) for s in segments]
 
 
@@ -77,7 +77,9 @@ def _along(segment: Segment, load: Load, *, absolute: bool) -> Scalar:
     return segment.signed((load.N if segment.is_revolute else load.F)[segment.axis])
 
 
-def _load(kinematics: Kinematics, segment: Segment, lump: Lump, movement: Movement, loads: dict[int, Load]) -> Load:
+def join_loads(
+    kinematics: Kinematics, segment: Segment, lump: Lump, movement: Movement, loads: dict[int, Load]
+) -> Load:
     F, N, V = inertial_load(kinematics, segment, lump, movement)
     directions = directions_of(kinematics, segment, lump, movement)
     zero = kinematics.builder.zero

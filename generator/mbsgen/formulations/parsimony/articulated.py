@@ -1,0 +1,175 @@
+"""Order-N accelerations (EXP2): qdd = nu(q, qd, Q) by articulated bodies, in three recursions.
+
+Schwertassek, Rulka (1989); Featherstone (1983). The bias is the Newton-Euler recursion at qdd = 0; the accelerations
+that come on top of it, `Increment`, are counted from there. So a load carried down has the joint's force along the axis
+once the joint's share K u is hooked in, and the product of articulated inertia and bias acceleration never arises.
+Loads and increments of a body are about its origin, where the body is written:
+
+    F = M a + B OMp,    N = BT a + J OMp
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mbsgen.algebra.vectors import Matrix, Vector
+from mbsgen.formulations.links import Chain
+from mbsgen.formulations.parsimony.mass_matrix import link, own_inertia
+from mbsgen.formulations.parsimony.motion import Kinematics
+from mbsgen.formulations.parsimony.plan import Plan
+from mbsgen.formulations.parsimony.regrouping import Lump, regroup
+from mbsgen.formulations.parsimony.residual import Load, join_loads
+from mbsgen.formulations.parsimony.segments import Segment, align, children
+from mbsgen.tape.builder import Builder, Scalar
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """What a body's origin feels of it and of all beyond it, with the joints there free."""
+
+    M: Matrix[Scalar]  # symmetric
+    B: Matrix[Scalar]
+    J: Matrix[Scalar]  # symmetric
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A joint's part in the elimination."""
+
+    pivot: Scalar  # the inertia that it feels: D
+    held: Scalar  # what D was before anything was subtracted from it
+    force: Scalar  # u: what its force has to spare over the bias
+    KF: Vector[Scalar]  # load along its axis, for a unit force
+    KN: Vector[Scalar]
+
+
+@dataclass(frozen=True)
+class Increment:
+    """Acceleration on top of the bias: of the origin, and angular."""
+
+    a: Vector[Scalar]
+    OMp: Vector[Scalar]
+
+
+def accelerations(
+    chain: Chain, plan: Plan, q: Sequence[Scalar], qd: Sequence[Scalar], Q: Sequence[Scalar]
+) -> tuple[list[Scalar], dict[int, Joint]]:
+    """Compute qdd, and what each joint's elimination was made with."""
+    b = chain.builder
+    segments = align(chain)
+    lumps = regroup(b, segments, plan)
+    kinematics = Kinematics(b, segments, plan, q)
+    movements = kinematics.move(chain.gravity, qd, [b.zero] * len(segments))
+    joints: dict[int, Joint] = {}
+    loads: dict[int, Load] = {}
+    carried: dict[int, Inertia] = {}
+    for segment in reversed(segments):
+        i = segment.number
+        bias = join_loads(kinematics, segment, lumps[i], movements[i], loads)
+        whole = _gather(kinematics, segment, lumps[i], carried)
+        joints[i], carried[i] = _free(b, segment, whole, bias, segment.signed(Q[i - 1]))
+        loads[i] = _hook(segment, bias, joints[i], segment.signed(Q[i - 1]))
+    return _accelerate(kinematics, joints), joints
+
+
+def _gather(kinematics: Kinematics, segment: Segment, lump: Lump, carried: dict[int, Inertia]) -> Inertia:
+    """Add to a body's own inertia what its joints carry."""
+    b = kinematics.builder
+    axes = kinematics.stations[segment.number].directions
+    S = kinematics.fixed(segment.number, lump.S)
+    M = Matrix.of([lump.m if r == c else b.zero for c in range(3)] for r in range(3))
+    whole = Inertia(M, cross_matrix(b, -S), own_inertia(b, segment, lump, axes))
+    for child in children(kinematics.segments, segment.number):
+        beyond, d = carried[child.number], link(kinematics, child)
+        M, B, J = (kinematics.depart_tensor(child, x) for x in (beyond.M, beyond.B, beyond.J))
+        whole = _add(whole, _shift(b, Inertia(M, B, J), d))
+    return whole
+
+
+def _add(first: Inertia, second: Inertia) -> Inertia:
+    return Inertia(first.M + second.M, first.B + second.B, first.J + second.J)
+
+
+def _shift(builder: Builder, inertia: Inertia, d: Vector[Scalar]) -> Inertia:
+    """Refer an inertia to a point from which its own is at d."""
+    lever = cross_matrix(builder, d)
+    B = inertia.B - inertia.M.times(lever)
+    first, second = lever.times(inertia.B), lever.times(B)
+    upper = {(r, c): inertia.J[r, c] + first[c, r] + second[r, c] for r in range(3) for c in range(r, 3)}
+    return Inertia(inertia.M, B, symmetric(upper))
+
+
+def _free(builder: Builder, segment: Segment, whole: Inertia, bias: Load, force: Scalar) -> tuple[Joint, Inertia]:
+    """Eliminate a joint: what it takes of a load, and the inertia that is left to its parent."""
+    e, zero = segment.axis, builder.zero
+    if segment.is_revolute:
+        UF, UN, spare = whole.B.column(e), whole.J.column(e), force - bias.N[e]
+        pivot = UN[e]
+    else:
+        UF, UN, spare = whole.M.column(e), whole.B.rows[e], force - bias.F[e]
+        pivot = UF[e]
+    inverse = builder.number(1.0) / pivot
+    KF, KN = UF.scale(inverse), UN.scale(inverse)
+
+    def left(
+        own: Matrix[Scalar], K: Vector[Scalar], U: Vector[Scalar], gone: set[int], *, mirror: bool
+    ) -> Matrix[Scalar]:
+        rest = {
+            (r, c): zero if (r in gone and mirror) or c in gone else own[r, c] - K[r] * U[c]
+            for r in range(3)
+            for c in range(3)
+            if r <= c or not mirror
+        }
+        return symmetric(rest) if mirror else Matrix.of([rest[r, c] for c in range(3)] for r in range(3))
+
+    turned = {e} if segment.is_revolute else set()
+    slid = set() if segment.is_revolute else {e}
+    M = left(whole.M, KF, UF, slid, mirror=True)
+    J = left(whole.J, KN, UN, turned, mirror=True)
+    B = left(whole.B, KF, UN, turned, mirror=False)
+    if slid:
+        B = Matrix.of([zero if r == e else B[r, c] for c in range(3)] for r in range(3))
+    return Joint(pivot, pivot, spare, KF, KN), Inertia(M, B, J)
+
+
+def _hook(segment: Segment, bias: Load, joint: Joint, force: Scalar) -> Load:
+    """Add a joint's share to the bias; along its axis, the load is then the joint's force."""
+    F, N = list(bias.F + joint.KF.scale(joint.force)), list(bias.N + joint.KN.scale(joint.force))
+    (N if segment.is_revolute else F)[segment.axis] = force
+    return Load(Vector.of(F), Vector.of(N), Vector.of(N))
+
+
+def _accelerate(kinematics: Kinematics, joints: dict[int, Joint]) -> list[Scalar]:
+    """From the base to the leaves: share out the increments."""
+    zero = kinematics.builder.zero
+    still = Vector(zero, zero, zero)
+    increments = {0: Increment(still, still)}
+    qdd = []
+    for segment in kinematics.segments:
+        parent, joint = increments[segment.parent], joints[segment.number]
+        lever = parent.OMp.cross(link(kinematics, segment)) if segment.parent else still
+        a, OMp = kinematics.arrive(segment, parent.a + lever), kinematics.arrive(segment, parent.OMp)
+        axis = segment.axis
+        before = (OMp if segment.is_revolute else a)[axis]
+        rest = [(joint.KN, OMp), (joint.KF, a)]
+        total = joint.force / joint.pivot
+        for K, motion in rest:
+            for r in range(3):
+                if r != axis or (K is joint.KF) == segment.is_revolute:
+                    total = total - K[r] * motion[r]
+        own = Vector.of(total if r == axis else x for r, x in enumerate(OMp if segment.is_revolute else a))
+        increments[segment.number] = Increment(a, own) if segment.is_revolute else Increment(own, OMp)
+        qdd.append(segment.signed(total - before))
+    return qdd
+
+
+def cross_matrix(builder: Builder, v: Vector[Scalar]) -> Matrix[Scalar]:
+    """Make v~, with v~ w = v x w."""
+    zero = builder.zero
+    return Matrix.of([[zero, -v.z, v.y], [v.z, zero, -v.x], [-v.y, v.x, zero]])
+
+
+def symmetric(upper: dict[tuple[int, int], Scalar]) -> Matrix[Scalar]:
+    """Make a symmetric matrix of its upper triangle."""
+    return Matrix.of([upper[min(r, c), max(r, c)] for c in range(3)] for r in range(3))
