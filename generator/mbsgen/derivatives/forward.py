@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from mbsgen.derivatives.partials import partials
 from mbsgen.tape.builder import Builder, Scalar
-from mbsgen.tape.replay import declare_inputs, replay
+from mbsgen.tape.replay import declare_inputs, replay, replay_guards
 from mbsgen.tape.types import Input, Tape
 
 Gradient = dict[int, Scalar]  # nonzero derivatives of one value, by column: the place among all input nonzeros
@@ -19,6 +19,7 @@ def jacobian(tape: Tape, wrt: Sequence[str], name: str) -> Tape:
     """
     builder = Builder()
     values = replay(tape, builder, declare_inputs(tape, builder))
+    replay_guards(tape, builder, values)
     gradients = propagate(tape, builder, values, wrt)
     for output in tape.outputs:
         for source in (tape.input(i) for i in wrt):

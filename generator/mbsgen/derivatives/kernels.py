@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from mbsgen.derivatives import forward, reverse
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.counts import count
-from mbsgen.tape.replay import declare_inputs, replay
+from mbsgen.tape.replay import declare_inputs, replay, replay_guards
 from mbsgen.tape.types import Tape
 
 
@@ -40,6 +40,7 @@ def _adjoint_jacobian(tape: Tape, adj1: Tape, wrt: Sequence[str]) -> Tape:
     """Differentiate the adjoint forward; its second derivatives are symmetric: one triangle is computed."""
     builder = Builder()
     values = replay(adj1, builder, declare_inputs(adj1, builder))
+    replay_guards(adj1, builder, values)
     seeds = [f"adj_{output.name}" for output in tape.outputs]
     gradients = forward.propagate(adj1, builder, values, (*wrt, *seeds))
     order = {name: k for k, name in enumerate(wrt)}

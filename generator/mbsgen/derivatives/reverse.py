@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from mbsgen.derivatives.partials import partials
 from mbsgen.tape.builder import Builder, Scalar
-from mbsgen.tape.replay import declare_inputs, replay
+from mbsgen.tape.replay import declare_inputs, replay, replay_guards
 from mbsgen.tape.types import Tape
 
 
@@ -14,6 +14,7 @@ def adjoint(tape: Tape, wrt: Sequence[str], name: str) -> Tape:
     """Write the adjoint: inputs of `tape`, then `adj_<out>`; outputs `adj_<in>`, dense, for the inputs `wrt`."""
     builder = Builder()
     values = replay(tape, builder, declare_inputs(tape, builder))
+    replay_guards(tape, builder, values)
     seeds: dict[int, Scalar] = {}
     for output in tape.outputs:
         for value, seed in zip(output.values, builder.input(f"adj_{output.name}", output.sparsity), strict=True):
@@ -32,6 +33,7 @@ def jacobian(tape: Tape, wrt: Sequence[str], name: str) -> Tape:
     """Differentiate as `forward.jacobian` does, to the same outputs, by one reverse sweep for each output nonzero."""
     builder = Builder()
     values = replay(tape, builder, declare_inputs(tape, builder))
+    replay_guards(tape, builder, values)
     one = builder.number(1.0)
     for output in tape.outputs:
         rows = {

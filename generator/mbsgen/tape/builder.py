@@ -14,7 +14,7 @@ from types import MappingProxyType
 from mpmath import mpf
 
 from mbsgen.errors import TapeError
-from mbsgen.tape.types import LITERALS, Input, Op, Output, Sparsity, Tape
+from mbsgen.tape.types import LITERALS, Guard, Input, Op, Output, Sparsity, Tape
 
 Ref = int
 _Key = tuple[Op, Ref, Ref]
@@ -58,6 +58,14 @@ class _Result:
     refs: tuple[Ref, ...]
 
 
+@dataclass(frozen=True)
+class _Test:
+    value: Ref
+    scale: Ref
+    tolerance: float
+    joint: int
+
+
 class Builder:
     """Collects operations, and builds the Tape of those that an output needs.
 
@@ -72,6 +80,7 @@ class Builder:
         self._literals: dict[mpf, Ref] = {}
         self._inputs: list[tuple[Input, int]] = []  # with the node of the first nonzero
         self._results: list[_Result] = []
+        self._tests: list[_Test] = []
         self._labels: dict[int, str] = {}
 
     # -- what goes in and out ---------------------------------------------------------------------------------
@@ -101,6 +110,10 @@ class Builder:
         nonzero = {place: value for place, value in entries.items() if not value.is_zero}
         sparsity = Sparsity.of(rows, cols, nonzero)
         self.output(name, sparsity, [nonzero[place] for place in sparsity.entries])
+
+    def guard(self, value: Scalar, scale: Scalar, tolerance: float, joint: int) -> None:
+        """Let the kernel fail at `joint` unless value > tolerance * epsilon * scale."""
+        self._tests.append(_Test(value.ref, scale.ref, tolerance, joint))
 
     def label(self, values: Iterable[Scalar], names: Iterable[str]) -> None:
         """Give values the field's names, for readers; a value keeps its first, inputs and literals their own."""
@@ -235,7 +248,7 @@ class Builder:
 
     def build(self, name: str) -> Tape:
         """Build the tape of the declared inputs and outputs; operations that no output needs are left out."""
-        return _Writer(self._nodes, self._inputs, self._results, self._labels).tape(name)
+        return _Writer(self._nodes, self._inputs, self._results, self._tests, self._labels).tape(name)
 
 
 _FUNCTIONS = {Op.SIN: LITERALS.sin, Op.COS: LITERALS.cos, Op.SQRT: LITERALS.sqrt}
@@ -249,9 +262,11 @@ class _Writer:
         nodes: Sequence[_Key | mpf | None],
         inputs: Sequence[tuple[Input, int]],
         results: Sequence[_Result],
+        tests: Sequence[_Test],
         labels: dict[int, str],
     ) -> None:
         self._nodes, self._inputs, self._results, self._labels = nodes, inputs, results, labels
+        self._tests = tests
         self._uses = self._count_uses()
         self._turned = self._choose_turned()
         self._kept: dict[int, Ref] = {}  # node -> the node with the sign it is kept with
@@ -267,6 +282,7 @@ class _Writer:
             if isinstance(key, tuple):
                 self._write(node, *key)
         outputs = [[self._with_sign(ref) for ref in result.refs] for result in self._results]
+        tested = [(self._with_sign(test.value), self._with_sign(test.scale)) for test in self._tests]
         order = (
             *(n for s, first in self._inputs for n in range(first, first + s.sparsity.nnz)),
             *self._literals,
@@ -281,6 +297,10 @@ class _Writer:
                 Output(result.name, result.sparsity, tuple(place[ref] for ref in refs))
                 for result, refs in zip(self._results, outputs, strict=True)
             ),
+            tuple(
+                Guard(place[value], place[scale], test.tolerance, test.joint)
+                for test, (value, scale) in zip(self._tests, tested, strict=True)
+            ),
             MappingProxyType({place[node]: text for node, text in self._labels.items() if node in self._written}),
         )
 
@@ -288,7 +308,9 @@ class _Writer:
 
     def _count_uses(self) -> dict[int, int]:
         uses: dict[int, int] = {}
-        stack = [abs(ref) for result in self._results for ref in result.refs if ref]
+        wanted = [ref for result in self._results for ref in result.refs]
+        wanted += [ref for test in self._tests for ref in (test.value, test.scale)]
+        stack = [abs(ref) for ref in wanted if ref]
         while stack:
             node = stack.pop()
             uses[node] = uses.get(node, 0) + 1
@@ -300,6 +322,7 @@ class _Writer:
     def _choose_turned(self) -> set[int]:
         turned: set[int] = set()
         wanted = {ref for result in self._results for ref in result.refs}
+        wanted |= {ref for test in self._tests for ref in (test.value, test.scale)}
         for ref in sorted(wanted, reverse=True):
             if ref < 0 and -ref not in wanted:
                 self._turn(-ref, turned)

@@ -12,7 +12,7 @@ from collections.abc import Sequence, Set
 from dataclasses import dataclass
 
 from mbsgen.tape.builder import Builder, Scalar
-from mbsgen.tape.replay import declare_inputs, leaves, operate
+from mbsgen.tape.replay import declare_inputs, leaves, operate, replay_guards
 from mbsgen.tape.types import Op, Tape
 
 
@@ -38,8 +38,8 @@ class _Factoring:
     def __init__(self, tape: Tape, constant: Set[str]) -> None:
         self.tape = tape
         self.uses = Counter(x for op, *operands in tape.operations for x in operands[: op.arity])
-        self.given = {v for o in tape.outputs for v in o.values}
         self.uses.update(v for o in tape.outputs for v in o.values)
+        self.uses.update(v for g in tape.guards for v in (g.value, g.scale))
         self.is_constant = self._find_constants(constant)
         self.inner = self._find_inner()
 
@@ -83,6 +83,7 @@ class _Factoring:
         builder.label([values[v] for v, _ in labelled], [text for _, text in labelled])
         for o in self.tape.outputs:
             builder.output(o.name, o.sparsity, [values[v] for v in o.values])
+        replay_guards(self.tape, builder, values)
         return builder.build(self.tape.name)
 
     def _terms(self, value: int, sign: int) -> list[_Term]:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -22,17 +23,35 @@ class Numbers:
 
     literal: Callable[[mpf], Any]
     functions: Mapping[Op, Callable[[Any], Any]]
+    epsilon: Any  # the distance from 1 to the next number
 
 
-FLOATS = Numbers(float, {Op.SIN: np.sin, Op.COS: np.cos, Op.SQRT: np.sqrt})
+FLOATS = Numbers(float, {Op.SIN: np.sin, Op.COS: np.cos, Op.SQRT: np.sqrt}, 2.0**-52)
 
 _FIFTY = MPContext()
 _FIFTY.dps = 50
-DIGITS = Numbers(_FIFTY.mpf, {Op.SIN: _FIFTY.sin, Op.COS: _FIFTY.cos, Op.SQRT: _FIFTY.sqrt})
+DIGITS = Numbers(_FIFTY.mpf, {Op.SIN: _FIFTY.sin, Op.COS: _FIFTY.cos, Op.SQRT: _FIFTY.sqrt}, _FIFTY.eps)
 
 
 def evaluate(tape: Tape, arguments: Mapping[str, Sequence[Any]], numbers: Numbers = FLOATS) -> dict[str, list[Any]]:
-    """Evaluate every output: its nonzeros in storage order. `arguments` hold the nonzeros of each input likewise."""
+    """Evaluate every output: its nonzeros in storage order. `arguments` hold the nonzeros of each input likewise.
+
+    Guards are not looked at: `find_failure` does that.
+    """
+    values = _evaluate_values(tape, arguments, numbers)
+    return {o.name: [values[v] for v in o.values] for o in tape.outputs}
+
+
+def find_failure(tape: Tape, arguments: Mapping[str, Sequence[Any]], numbers: Numbers = FLOATS) -> int:
+    """Return the joint at which the kernel fails for these arguments, or 0: the status that generated code returns."""
+    values = _evaluate_values(tape, arguments, numbers)
+    for guard in tape.guards:
+        if not values[guard.value] > guard.tolerance * numbers.epsilon * values[guard.scale]:
+            return guard.joint
+    return 0
+
+
+def _evaluate_values(tape: Tape, arguments: Mapping[str, Sequence[Any]], numbers: Numbers) -> list[Any]:
     values: list[Any] = []
     for i in tape.inputs:
         given = arguments[i.name]
@@ -42,7 +61,7 @@ def evaluate(tape: Tape, arguments: Mapping[str, Sequence[Any]], numbers: Number
     values.extend(map(numbers.literal, tape.literals))
     for op, a, b in tape.operations:
         values.append(_apply(op, values[a], values[b] if b >= 0 else None, numbers))
-    return {o.name: [values[v] for v in o.values] for o in tape.outputs}
+    return values
 
 
 def _apply(op: Op, a: Any, b: Any, numbers: Numbers) -> Any:
@@ -54,8 +73,16 @@ def _apply(op: Op, a: Any, b: Any, numbers: Numbers) -> Any:
         case Op.MUL:
             return a * b
         case Op.DIV:
-            return a / b
+            return _divide(a, b)
         case Op.NEG:
             return -a
         case _:
             return numbers.functions[op](a)
+
+
+def _divide(a: Any, b: Any) -> Any:
+    """Divide; by zero, as floating-point hardware would, for the guard that is tested after it."""
+    try:
+        return a / b
+    except ZeroDivisionError:
+        return a * math.nan

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from mbsgen.tape.builder import Builder, Scalar
-from mbsgen.tape.replay import declare_inputs, leaves, operate, replay
+from mbsgen.tape.replay import declare_inputs, leaves, operate, replay, replay_guards
 from mbsgen.tape.types import Sparsity, Tape
 
 
@@ -34,6 +34,7 @@ def _rebuild(tape: Tape, builder: Builder) -> Tape:
     values = replay(tape, builder, declare_inputs(tape, builder))
     for output in tape.outputs:
         builder.output(output.name, output.sparsity, [values[v] for v in output.values])
+    replay_guards(tape, builder, values)
     return builder.build(tape.name)
 
 
@@ -79,6 +80,7 @@ class _Split:
             else:
                 frontier.update((x, None) for x in operands if x in hoisted)
         frontier.update((x, None) for o in tape.outputs for x in o.values if x in hoisted)
+        frontier.update((x, None) for g in tape.guards for x in (g.value, g.scale) if x in hoisted)
         literals = range(tape.first_literal, tape.first_operation)
         return _Split(tape, source, hoisted, [x for x in frontier if x not in literals and hoisted[x].ref])
 
@@ -101,6 +103,9 @@ class _Split:
         builder.label([values[v] for v, _ in labelled], [text for _, text in labelled])
         for o in tape.outputs:
             builder.output(o.name, o.sparsity, [known.get(x, values[x]) for x in o.values])
+        for g in tape.guards:
+            value, scale = (known.get(x, values[x]) for x in (g.value, g.scale))
+            builder.guard(value, scale, g.tolerance, g.joint)
         return builder.build(tape.name)
 
     def _entry(self, value: int, entries: dict[int, int], vector: Sequence[Scalar]) -> Scalar:

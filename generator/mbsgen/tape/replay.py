@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.types import Op, Tape
@@ -44,7 +44,7 @@ def operate(builder: Builder, op: Op, a: Scalar, b: Scalar | None) -> Scalar:
             return a / b
 
 
-def outputs_of(tape: Tape, values: Sequence[Scalar]) -> Iterator[tuple[str, dict[tuple[int, int], Scalar]]]:
-    """Give each output of `tape` as its name and nonzeros by place, from replayed values."""
-    for o in tape.outputs:
-        yield o.name, {place: values[v] for place, v in zip(o.sparsity.entries, o.values, strict=True)}
+def replay_guards(tape: Tape, builder: Builder, values: Sequence[Scalar]) -> None:
+    """Guard the same pivots in the builder."""
+    for guard in tape.guards:
+        builder.guard(values[guard.value], values[guard.scale], guard.tolerance, guard.joint)

@@ -113,6 +113,19 @@ class Output:
     values: tuple[int, ...]
 
 
+@dataclass(frozen=True)
+class Guard:
+    """A pivot that must stand out of rounding: value > tolerance * epsilon * scale; else the kernel fails at `joint`.
+
+    epsilon is that of the numbers computed with. A kernel that fails gives out nothing.
+    """
+
+    value: int
+    scale: int
+    tolerance: float
+    joint: int  # from 1
+
+
 Operation = tuple[Op, int, int]  # (op, first operand, second operand or -1)
 
 
@@ -125,6 +138,7 @@ class Tape:
     literals: tuple[mpf, ...]
     operations: tuple[Operation, ...]
     outputs: tuple[Output, ...]
+    guards: tuple[Guard, ...] = ()  # in the order in which they are tested
     labels: Mapping[int, str] = field(default_factory=lambda: MappingProxyType({}))  # a field's name for a value
 
     def __post_init__(self) -> None:
@@ -142,6 +156,9 @@ class Tape:
                 )
             if any(not 0 <= x < first + len(self.operations) for x in output.values):
                 raise TapeError(f"{self.name}: {output.name} refers to a value that does not exist")
+        for guard in self.guards:
+            if any(not 0 <= x < first + len(self.operations) for x in (guard.value, guard.scale)):
+                raise TapeError(f"{self.name}: the guard of joint {guard.joint} refers to a value that does not exist")
         for names in ([i.name for i in self.inputs], [o.name for o in self.outputs]):
             if len(set(names)) != len(names):
                 raise TapeError(f"{self.name}: names repeat: {names}")
