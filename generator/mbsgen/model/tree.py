@@ -10,7 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from sympy import Expr, Symbol
+from sympy import Expr, Integer, Symbol
+
+COORDINATE = Symbol("q", real=True)  # a joint's own, in its force law; no parameter's symbol has assumptions
+RATE = Symbol("qd", real=True)
+NO_FORCE = Integer(0)
 
 Vector = tuple[Expr, Expr, Expr]
 Matrix = tuple[Vector, Vector, Vector]  # rows
@@ -50,6 +54,7 @@ class Joint:
     actuated: bool
     lower: float | None  # None: unbounded
     upper: float | None
+    law: Expr = NO_FORCE  # Qp(q, qd): force added to the actuator's, in COORDINATE, RATE and parameters [N m or N]
 
 
 @dataclass(frozen=True)
@@ -77,6 +82,18 @@ class Sensor:
 
 
 @dataclass(frozen=True)
+class Wrench:
+    """An external force and moment on a body, at a point fixed in it."""
+
+    name: str
+    body: int  # from 1
+    position: Vector  # of the point, in the body's frame [m]
+    in_base: bool  # components in the base frame; else in the body's
+    force: Vector | None  # [N]; None: three entries of the input w
+    moment: Vector | None  # [N m]; None: three more entries of w
+
+
+@dataclass(frozen=True)
 class Tree:
     """A mechanism, ready for the recursions."""
 
@@ -85,6 +102,7 @@ class Tree:
     parameters: tuple[Parameter, ...]
     bodies: tuple[Body, ...]  # bodies[i - 1] is body i
     sensors: tuple[Sensor, ...]
+    wrenches: tuple[Wrench, ...] = ()
 
     def children(self, i: int) -> tuple[int, ...]:
         """Number the bodies whose parent is body i."""

@@ -104,8 +104,8 @@ class _Split:
         for o in tape.outputs:
             builder.output(o.name, o.sparsity, [known.get(x, values[x]) for x in o.values])
         for g in tape.guards:
-            value, scale = (known.get(x, values[x]) for x in (g.value, g.scale))
-            builder.guard(value, scale, g.tolerance, g.joint)
+            pivot, scale = (known.get(x, values[x]) for x in (g.value, g.scale))
+            builder.guard(pivot, scale, g.tolerance, g.joint)
         return builder.build(tape.name)
 
     def _entry(self, value: int, entries: dict[int, int], vector: Sequence[Scalar]) -> Scalar:
