@@ -44,4 +44,4 @@ def test_what_is_missing_skips_at_home_and_fails_in_ci(tmp_path: Path, source: s
 
 
 def test_skips_are_listed(pytestconfig: pytest.Config) -> None:
-    assert "s" in pytestconfig.getoption("reportchars")
+    assert "-rs" in pytestconfig.getini("addopts")
