@@ -9,14 +9,14 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import count
 
 from mpmath import mpf
 
 from mbsgen.errors import TapeError
-from mbsgen.tape.types import Op, Tape
+from mbsgen.tape.types import Op, Sparsity, Tape
 from mbsgen.targets.contract import arguments
 
 INLINED = 40  # the longest text written into another expression; a line has two of them at most
@@ -24,13 +24,19 @@ _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _INFIX = {Op.ADD: " + ", Op.SUB: " - ", Op.MUL: "*", Op.DIV: "/"}
 
 
+def write_nonzero(name: str, _: Sparsity, place: int) -> str:
+    """Write nonzero number `place` (from 0) of an argument that is an array of its nonzeros."""
+    return f"{name}[{place}]"
+
+
 @dataclass(frozen=True)
 class Syntax:
-    """How a language writes what is not the same in all: literals, calls, and which names are not free."""
+    """How a language writes what is not the same in all: literals, calls, arguments, and which names are not free."""
 
     literal: str  # {} stands for the digits
     calls: Mapping[Op, str]
     taken: re.Pattern[str]
+    nonzero: Callable[[str, Sparsity, int], str] = write_nonzero  # of an argument, by its place among them
 
 
 # Keywords of C, and what <math.h> or the ABI header may define as macros, are no names of local variables.
@@ -90,7 +96,10 @@ def write_body(tape: Tape, syntax: Syntax = C) -> Body:
         else:
             texts.append("")
     results = tuple(
-        Result(o.name, tuple(Statement(f"{o.name}[{k}]", _bare(texts[v])) for k, v in enumerate(o.values)))
+        Result(
+            o.name,
+            tuple(Statement(syntax.nonzero(o.name, o.sparsity, k), _bare(texts[v])) for k, v in enumerate(o.values)),
+        )
         for o in tape.outputs
         if o.values
     )
@@ -117,7 +126,7 @@ def _bare(text: str) -> str:
 
 
 def _write_leaves(tape: Tape, syntax: Syntax) -> list[str]:
-    texts = [f"{i.name}[{k}]" for i in tape.inputs for k in range(i.sparsity.nnz)]
+    texts = [syntax.nonzero(i.name, i.sparsity, k) for i in tape.inputs for k in range(i.sparsity.nnz)]
     return texts + [write_literal(x, syntax) for x in tape.literals]
 
 

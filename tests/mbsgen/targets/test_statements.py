@@ -16,7 +16,7 @@ from mbsgen.targets.statements import INLINED, Statement, wrap, write_body, writ
 def tape(operations: list[tuple[Op, int, int]], labels: dict[int, str] | None = None, size: int = 3) -> Tape:
     """Make a tape of x (size) that gives out its last value."""
     last = Output("f", Sparsity.dense(1), (size + len(operations) - 1,))
-    return Tape("impl", (Input("x", Sparsity.dense(size)),), (), tuple(operations), (last,), labels or {})
+    return Tape("impl", (Input("x", Sparsity.dense(size)),), (), tuple(operations), (last,), labels=labels or {})
 
 
 def written(found: Tape) -> list[str]:
