@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
 
@@ -60,6 +60,17 @@ class Statement:
 
 
 @dataclass(frozen=True)
+class Check:
+    """A guard: unless value > tolerance * epsilon * scale, the kernel fails at `joint`."""
+
+    place: int  # the number of statements after which it can be tested
+    value: str
+    scale: str
+    tolerance: str
+    joint: int
+
+
+@dataclass(frozen=True)
 class Result:
     """An output with a nonzero, and how each of its nonzeros is computed."""
 
@@ -69,9 +80,10 @@ class Result:
 
 @dataclass(frozen=True)
 class Body:
-    """A function's body: what is computed for all results, then the results."""
+    """A function's body: what is computed for all results, the guards in the order of their tests, the results."""
 
     statements: tuple[Statement, ...]
+    checks: tuple[Check, ...]
     results: tuple[Result, ...]
     unused: tuple[str, ...]  # inputs that nothing reads
 
@@ -80,8 +92,10 @@ def write_body(tape: Tape, syntax: Syntax = C) -> Body:
     """Write a tape's operations and results as expressions of a language; equal tapes give equal text."""
     uses = Counter(x for op, *operands in tape.operations for x in operands[: op.arity])
     uses.update(v for o in tape.outputs for v in o.values)
+    uses.update(v for g in tape.guards for v in (g.value, g.scale))
     names = _choose_names(tape, syntax)
     texts = _write_leaves(tape, syntax)  # of every value, ready to stand as an operand
+    places = [0] * len(texts)  # the number of statements after which a value is known
     statements: list[Statement] = []
     taken = {*names.values(), *(x.name for x in arguments(tape))}
     free = (name for k in count(1) if (name := f"t{k}") not in taken)
@@ -95,6 +109,7 @@ def write_body(tape: Tape, syntax: Syntax = C) -> Body:
             texts.append(name)
         else:
             texts.append("")
+        places.append(len(statements))
     results = tuple(
         Result(
             o.name,
@@ -103,7 +118,7 @@ def write_body(tape: Tape, syntax: Syntax = C) -> Body:
         for o in tape.outputs
         if o.values
     )
-    return Body(tuple(statements), results, _unused_inputs(tape, uses))
+    return Body(tuple(statements), _write_checks(tape, syntax, texts, places), results, _unused_inputs(tape, uses))
 
 
 def write_literal(value: mpf, syntax: Syntax = C) -> str:
@@ -118,6 +133,15 @@ def _write(syntax: Syntax, op: Op, a: str, b: str) -> str:
     if op in _INFIX:
         return f"{a}{_INFIX[op]}{b}"
     return f"-{a}" if op is Op.NEG else f"{syntax.calls[op]}({_bare(a)})"
+
+
+def _write_checks(tape: Tape, syntax: Syntax, texts: Sequence[str], places: Sequence[int]) -> tuple[Check, ...]:
+    checks, place = [], 0
+    for g in tape.guards:
+        place = max(place, places[g.value], places[g.scale])  # no guard is tested before an earlier one
+        tolerance = syntax.literal.format(repr(float(g.tolerance)))
+        checks.append(Check(place, _bare(texts[g.value]), texts[g.scale], tolerance, g.joint))
+    return tuple(checks)
 
 
 def _bare(text: str) -> str:
