@@ -17,7 +17,7 @@ from mbsgen.manifest import Argument, Flops, Kernel
 from mbsgen.tape.counts import count
 from mbsgen.tape.types import Input, Output, Sparsity
 from mbsgen.targets.contract import Face, Family, Slot, arguments, faces
-from mbsgen.targets.statements import Result, Statement, wrap, write_body
+from mbsgen.targets.statements import Check, Result, Statement, wrap, write_body
 
 ABI_HEADER = "mbs_abi.h"
 
@@ -145,6 +145,7 @@ class _View:
     left_out: tuple[str, ...]
     unused: tuple[str, ...]
     statements: tuple[Statement, ...]
+    checks: tuple[Check, ...]
     results: tuple[Result, ...]
     zeros: int  # nonzeros of the largest input
     patterns: tuple[_Pattern, ...]
@@ -161,29 +162,20 @@ def _view(prefix: str, face: Face) -> _View:
         file=f"{prefix}_{face.kernel}.c",
         symbol=face.symbol,
         function=face.function,
-        title=_title(face),
+        title=face.family.describe(face.kernel),
         flops=counts.flops,
         equations=counts.equations,
         parameters=_parameters(prefix, face),
         left_out=tuple(f"{a.name}: {a.rows} x {a.cols}, without a nonzero: no argument" for a in empty),
         unused=body.unused,
         statements=body.statements,
+        checks=body.checks,
         results=body.results,
         zeros=max((i.sparsity.nnz for i in face.tape.inputs), default=0),
         patterns=tuple(_Pattern(name, wrap(map(str, _compress(pattern)))) for pattern, name in patterns.items()),
         inputs=_table(face.inputs, patterns),
         outputs=_table(face.outputs, patterns),
     )
-
-
-def _title(face: Face) -> str:
-    name = face.family.value.name
-    return {
-        name: f"{name}: {face.family.title}" if face.family.title else name,
-        f"jac_{name}": f"jac_{name}: Jacobians of {name}, jac_<result>_<input>",
-        f"adj1_{name}": f"adj1_{name}: adj_<input>, the sum over the results of (d result / d input)^T adj_<result>",
-        f"jac_adj1_{name}": f"jac_adj1_{name}: Jacobians of adj1_{name}, jac_<result>_<input>",
-    }[face.kernel]
 
 
 def _parameters(prefix: str, face: Face) -> tuple[_Parameter, ...]:
@@ -216,8 +208,7 @@ def _parameters(prefix: str, face: Face) -> tuple[_Parameter, ...]:
 def _note(family: Family, way: str, argument: Input | Output, told_by: str) -> str:
     pattern = argument.sparsity
     nonzeros = "" if pattern.is_dense else f", {pattern.nnz} nonzeros, placed as {told_by} tells"
-    own = f"{family.value.name}.{argument.name}"
-    meaning = family.meanings.get(own, family.meanings.get(argument.name, ""))
+    meaning = family.meaning(argument.name)
     return f"{argument.name} ({way}, {pattern.rows} x {pattern.cols}{nonzeros})" + (f": {meaning}" if meaning else "")
 
 

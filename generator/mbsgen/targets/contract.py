@@ -31,6 +31,25 @@ class Family:
         default_factory=dict
     )  # `argument` or `function.argument` -> what it is, its unit
 
+    @property
+    def tapes(self) -> tuple[Tape, ...]:
+        """List the function and those of its derivatives that there are."""
+        return tuple(t for t in (self.value, self.jac, self.adj1, self.jac_adj1) if t is not None)
+
+    def describe(self, kernel: str) -> str:
+        """Tell what the function or a derivative of it computes; for readers."""
+        name = self.value.name
+        return {
+            name: f"{name}: {self.title}" if self.title else name,
+            f"jac_{name}": f"jac_{name}: Jacobians of {name}, jac_<result>_<input>",
+            f"adj1_{name}": f"adj1_{name}: adj_<input>, the sum over results of (d result / d input)^T adj_<result>",
+            f"jac_adj1_{name}": f"jac_adj1_{name}: Jacobians of adj1_{name}, jac_<result>_<input>",
+        }[kernel]
+
+    def meaning(self, argument: str) -> str:
+        """Tell what an argument of the function is, with its unit; empty where nobody said."""
+        return self.meanings.get(f"{self.value.name}.{argument}", self.meanings.get(argument, ""))
+
 
 @dataclass(frozen=True)
 class Slot:

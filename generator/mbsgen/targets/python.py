@@ -13,7 +13,8 @@ from mbsgen.manifest import Flops
 from mbsgen.tape.counts import count
 from mbsgen.tape.types import Op, Tape
 from mbsgen.targets.c import Unit
-from mbsgen.targets.statements import Body, Syntax, write_body
+from mbsgen.targets.contract import Family
+from mbsgen.targets.statements import Result, Syntax, write_body, write_lines
 
 PYTHON = Syntax(
     "{}",
@@ -30,17 +31,12 @@ class _View:
     inputs: tuple[str, ...]
     title: str
     flops: Flops
-    body: Body
+    lines: tuple[str, ...]
+    results: tuple[Result, ...]
 
 
 def write_python(unit: Unit) -> str:
     """Write every kernel of `unit` as a function of one Python module."""
-    tapes = [
-        (tape, family.title)
-        for family in unit.families
-        for tape in (family.value, family.jac, family.adj1, family.jac_adj1)
-        if tape is not None
-    ]
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(resources.folder("templates") / "python"),
         undefined=jinja2.StrictUndefined,
@@ -49,10 +45,18 @@ def write_python(unit: Unit) -> str:
         keep_trailing_newline=True,
         autoescape=False,
     )
-    kernels = [_view(tape, title) for tape, title in tapes]
+    kernels = [_view(family, tape) for family in unit.families for tape in family.tapes]
     template = environment.get_template("model.py.j2")
     return template.render(kernels=kernels, version=unit.version, model_hash=unit.model_hash)
 
 
-def _view(tape: Tape, title: str) -> _View:
-    return _View(tape.name, tuple(i.name for i in tape.inputs), title, count(tape).flops, write_body(tape, PYTHON))
+def _view(family: Family, tape: Tape) -> _View:
+    body = write_body(tape, PYTHON)
+    return _View(
+        name=tape.name,
+        inputs=tuple(i.name for i in tape.inputs),
+        title=family.describe(tape.name),
+        flops=count(tape).flops,
+        lines=write_lines(body, "{target} = {expression}", "_check({joint}, {value}, {tolerance}, {scale}, functions)"),
+        results=body.results,
+    )

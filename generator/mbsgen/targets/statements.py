@@ -121,6 +121,19 @@ def write_body(tape: Tape, syntax: Syntax = C) -> Body:
     return Body(tuple(statements), _write_checks(tape, syntax, texts, places), results, _unused_inputs(tape, uses))
 
 
+def write_lines(body: Body, assignment: str, check: str) -> tuple[str, ...]:
+    """Set statements and checks in one order, each check as early as it can stand.
+
+    The forms name the fields of a Statement, {target} and {expression}, and of a Check.
+    """
+    lines, done = [], 0
+    for c in body.checks:
+        lines += [assignment.format_map(vars(s)) for s in body.statements[done : c.place]]
+        lines.append(check.format_map(vars(c)))
+        done = c.place
+    return (*lines, *(assignment.format_map(vars(s)) for s in body.statements[done:]))
+
+
 def write_literal(value: mpf, syntax: Syntax = C) -> str:
     """Write the nearest double, in the fewest digits that give it; TapeError beyond the range of a double."""
     number = float(value)
