@@ -41,6 +41,9 @@ typedef MBS_REAL mbs_real;
 #define MBS_SQRT_double sqrt
 #define MBS_SQRT_float sqrtf
 #define MBS_SQRT MBS_PASTE(MBS_SQRT_, MBS_REAL)
+#define MBS_EPSILON_double 2.2204460492503131e-16 /* DBL_EPSILON, FLT_EPSILON: from 1 to the next number */
+#define MBS_EPSILON_float 1.1920929e-07f
+#define MBS_EPSILON MBS_PASTE(MBS_EPSILON_, MBS_REAL)
 
 /* A function in CasADi's contract with the functions that describe it. Any arg[k] may be NULL (zeros), any res[k] may
  * be NULL (not wanted); only nonzeros are passed, column by column; iw and w are not used. */

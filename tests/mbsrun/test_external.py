@@ -16,6 +16,7 @@ from mbsgen.tape.types import Tape
 from mbsgen.targets.contract import Family
 from mbsrun import Mechanism, load
 from mbsrun.kernel import ArgumentError
+from tests.mbsgen.targets.test_guards import guarded_tape
 from tests.mbsrun.test_kernel import ROUNDING, draw, hidden
 from tests.sample import PARAMETERS, family, sample_families, sample_tape, write_sample
 
@@ -130,6 +131,19 @@ def test_only_kernels_of_the_manifest_are_given(name: str, k: Mechanism) -> None
     """`external("gamma", …)` would find libm's gamma, and give 0."""
     with pytest.raises(ArgumentError, match=f"sample has no kernel '{name}'"):
         k.casadi(name)
+
+
+def test_a_failed_guard_is_told_to_casadi(tmp_path: Path) -> None:
+    """The status reaches CasADi, which raises; IPOPT takes it for a point it cannot evaluate, and steps back."""
+    own = family(guarded_tape())
+    failing = load(write_sample(tmp_path, families=(own,)))
+    for name in ("impl", "jac_impl", "adj1_impl", "jac_adj1_impl"):
+        function = failing.casadi(name)
+        sound = {"x": [1, 2], "y": [1, 1, 1], "adj_f": [1, 1]}
+        given = {key: value for key, value in sound.items() if key in function.name_in()}
+        function(**given)
+        with pytest.raises(RuntimeError, match=failing.manifest.kernel(name).symbol):
+            function(**{**given, "y": [1, 0, 1]})
 
 
 @pytest.mark.parametrize("parallelization", ["serial", "thread"])

@@ -11,8 +11,10 @@ import pytest
 
 from mbsgen.tape.interpreter import DIGITS, evaluate
 from mbsgen.tape.types import Tape
+from mbsgen.targets.contract import Family
 from mbsrun import load
 from mbsrun.kernel import ArgumentError, KernelError, Kernels
+from tests.mbsgen.targets.test_guards import guarded_tape
 from tests.mbsgen.targets.test_names import HOSTILE
 from tests.sample import PARAMETERS, sample_families, sample_tape, setup_tape, write_sample
 
@@ -187,17 +189,13 @@ def test_unknown_parameters_and_values_are_told(k: Kernels, tmp_path: Path) -> N
 
 def test_a_failing_state_is_named(tmp_path: Path) -> None:
     """A kernel returns k > 0 where it fails at joint k; no array comes back."""
-    folder = write_sample(tmp_path)
-    source = folder / "sample_impl.c"
-    text = source.read_text()
-    source.write_text(text.replace("(void)z;", "if (x[0] < 0) return 2;\n    (void)z;"))
-    failing = load(folder)
-    x = np.ones((4, 3))
-    x[2:, 0] = -1
-    with pytest.raises(KernelError, match=r"impl failed at joint joint 1, in state 2 \(from 0\)") as told:
-        failing.impl(x=x, y=[1, 1], z=[0])
-    assert (told.value.kernel, told.value.joint, told.value.state) == ("impl", "joint 1", 2)
-    assert failing.impl(x=x[:2], y=[1, 1], z=[0])["f"].shape == (2, 3)
+    failing = load(write_sample(tmp_path, families=(Family(guarded_tape()),)))
+    y = np.ones((4, 3))
+    y[2:, 1] = np.nan
+    with pytest.raises(KernelError, match=r"impl failed at joint joint 2, in state 2 \(from 0\)") as told:
+        failing.impl(x=[1, 1], y=y)
+    assert (told.value.kernel, told.value.joint, told.value.state) == ("impl", "joint 2", 2)
+    np.testing.assert_array_equal(failing.impl(x=[3, 5], y=y[:2])["f"], [[3, 5], [3, 5]])
 
 
 def test_null_means_zeros_in_and_not_wanted_out(k: Kernels) -> None:

@@ -1,0 +1,75 @@
+"""Guards in C: where a pivot is no more than rounding, the status is the joint's number and nothing is written."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mbsgen.tape.builder import Builder
+from mbsgen.tape.interpreter import find_failure
+from mbsgen.tape.types import Tape
+from mbsgen.targets.contract import Family
+from tests.mbsgen.targets.test_c import STRICT, Requires, run
+from tests.sample import write_sample
+
+TOLERANCE = 8.0
+
+
+def guarded_tape() -> Tape:
+    """Write f = (x0/y0, x1/(y0 y1)), as elimination would: y0 is the pivot of joint 2, y0 y1, beside y2, of joint 3."""
+    b = Builder()
+    x, y = b.vector("x", 2), b.vector("y", 3)
+    second = y[0] * y[1]
+    b.output_dense("f", [[x[0] / y[0]], [x[1] / second]])
+    b.guard(y[0], b.number(1.0), TOLERANCE, 2)
+    b.guard(second, y[2], TOLERANCE, 3)
+    return b.build("impl")
+
+
+STATES = {
+    "sound": ([1.0, 2.0, 1.0], 0),
+    "zero": ([0.0, 2.0, 1.0], 2),
+    "negative": ([-1.0, 2.0, 1.0], 2),
+    "not a number": ([math.nan, 2.0, 1.0], 2),
+    "both": ([0.0, 0.0, 1.0], 2),
+    "second": ([1.0, 0.0, 1.0], 3),
+    "infinite scale": ([1.0, 2.0, math.inf], 3),
+    "no scale": ([1.0, 2.0, math.nan], 3),
+}
+
+
+def compile_kernel(tmp_path: Path, compiler: str, *flags: str) -> Callable[..., int]:
+    folder = write_sample(tmp_path, families=(Family(guarded_tape()),))
+    library = tmp_path / "lib.so"
+    run(compiler, *STRICT, *flags, "-fPIC", "-shared", folder / "sample_impl.c", "-lm", "-o", library)
+    return ctypes.CDLL(str(library)).sample_compute_impl  # type: ignore[no-any-return]
+
+
+@pytest.mark.parametrize("real", ["double", "float"])
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_a_failed_guard_is_the_status_and_nothing_is_written(
+    compiler: str, real: str, tmp_path: Path, requires: Requires
+) -> None:
+    """At full optimisation, with contraction; pivots of a few epsilon fail on one side of the tolerance alone."""
+    flags = ("-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", f"-DMBS_REAL={real}")
+    kernel = compile_kernel(tmp_path, requires(compiler), *flags)
+    number = np.float64 if real == "double" else np.float32
+    rounding = TOLERANCE * float(np.finfo(number).eps)
+    near = {"below": ([rounding, 1.0, 1.0], 2), "above": ([2 * rounding, 1.0, rounding], 0)}
+    for name, (y, status) in {**STATES, **near}.items():
+        x, f = np.array([3.0, 5.0], dtype=number), np.full(2, 7.0, dtype=number)
+        found = kernel(*(a.ctypes.data_as(ctypes.c_void_p) for a in (x, np.array(y, dtype=number), f)))
+        assert found == status, name
+        expected = [7.0, 7.0] if status else [3.0 / y[0], 5.0 / (y[0] * y[1])]
+        np.testing.assert_allclose(f, expected, rtol=4 * float(np.finfo(number).eps), err_msg=name)
+
+
+@pytest.mark.parametrize("name", STATES)
+def test_the_status_is_the_interpreters(name: str) -> None:
+    y, status = STATES[name]
+    assert find_failure(guarded_tape(), {"x": [3.0, 5.0], "y": y}) == status
