@@ -13,6 +13,7 @@ from mbsgen.derivatives.kernels import differentiate
 from mbsgen.errors import Fault, InputError
 from mbsgen.formulations.catalogue import FUNCTIONS, MEANINGS, SETUP
 from mbsgen.formulations.links import PARAMETERS
+from mbsgen.formulations.reductions import ALL, Reductions
 from mbsgen.manifest import Coordinate, Frame, Manifest, Parameter
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree, with_runtime_numbers
@@ -71,11 +72,11 @@ def make(model: Path, options: Options = Options()) -> Product:
     return Product(described, report, files)
 
 
-def write_families(tree: Tree) -> tuple[Family, ...]:
+def write_families(tree: Tree, reductions: Reductions = ALL) -> tuple[Family, ...]:
     """Write every function of a tree with its derivatives; what depends on parameters alone is split off as `setup`."""
     families = []
     for name, entry in FUNCTIONS.items():
-        tape = entry.build(tree)
+        tape = entry.build(tree, reductions)
         family = Family(tape, title=entry.title, meanings=MEANINGS)
         if entry.differentiated:
             found = differentiate(tape, [i.name for i in tape.inputs if i.name != PARAMETERS])

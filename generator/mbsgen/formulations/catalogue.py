@@ -6,9 +6,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
-from mbsgen.formulations import impl, poses
+from mbsgen.formulations import exp1, exp2, impl, poses, semi
 from mbsgen.formulations.links import PARAMETERS
-from mbsgen.model.tree import Tree
+from mbsgen.formulations.reductions import Reductions
+from mbsgen.model.tree import NO_FORCE, Tree
 from mbsgen.tape.types import Tape
 
 SETUP = "h"  # what `setup` computes from the parameters
@@ -18,9 +19,14 @@ SETUP = "h"  # what `setup` computes from the parameters
 class Entry:
     """A function that a tree can be written to."""
 
-    build: Callable[[Tree], Tape]
+    build: Callable[[Tree, Reductions], Tape]
     title: str  # for readers of the generated code
     differentiated: bool  # by all inputs but parameters
+
+
+def _plainly(build: Callable[[Tree], Tape]) -> Callable[[Tree, Reductions], Tape]:
+    """Take a function that no reduction concerns."""
+    return lambda tree, _: build(tree)
 
 
 MEANINGS: Mapping[str, str] = MappingProxyType(
@@ -32,6 +38,8 @@ MEANINGS: Mapping[str, str] = MappingProxyType(
         PARAMETERS: "run-time parameters, in the manifest's order",
         SETUP: "what setup computes from the run-time parameters",
         "Phi": "residual Phi(q, qd, qdd) - Q(q, qd, u), N m or N",
+        "M": "mass matrix, kg m2, kg m or kg",
+        "c": "bias: what the joints' forces are at rest of the joints, N m or N",
         "position": "places of the sensors in the base frame, a column each, m",
         "frames.p": "origins of the frames in the base frame, a column each, m",
         "R": "axes of the frames as columns, in the base frame",
@@ -41,15 +49,36 @@ MEANINGS: Mapping[str, str] = MappingProxyType(
 FUNCTIONS: Mapping[str, Entry] = MappingProxyType(
     {
         "impl": Entry(impl.build, "residual of the equations of motion, recursive Newton-Euler", differentiated=True),
-        "sensors": Entry(poses.build_sensors, "places of the sensors", differentiated=True),
-        "frames": Entry(poses.build_frames, "poses of all bodies and sensors", differentiated=False),
+        "semi": Entry(semi.build, "mass matrix and bias: M qdd + c = Q", differentiated=False),
+        "semi_res": Entry(semi.build_residual, "residual by mass matrix and bias: M qdd + c - Q", differentiated=False),
+        "exp1": Entry(exp1.build, "accelerations by elimination in the mass matrix", differentiated=False),
+        "exp2": Entry(exp2.build, "accelerations by articulated bodies, order N", differentiated=False),
+        "sensors": Entry(_plainly(poses.build_sensors), "places of the sensors", differentiated=True),
+        "frames": Entry(_plainly(poses.build_frames), "poses of all bodies and sensors", differentiated=False),
     }
 )
 
-# What each formulation's row of the flop table counts: the dynamics alone, as in the paper's Table 4.
-FORMULATIONS: Mapping[str, Callable[[Tree], Tape]] = MappingProxyType({"IMPL": impl.build})
+
+@dataclass(frozen=True)
+class Row:
+    """A formulation's row of the flop table: the dynamics alone, as in the paper's Table 4."""
+
+    build: Callable[[Tree, Reductions], Tape]
+    driven: bool  # every joint has a force that is given; else none has
 
 
-def without_forces(tree: Tree) -> Tree:
-    """Make every joint passive: what is left of the residual is Phi."""
-    return replace(tree, bodies=tuple(replace(b, joint=replace(b.joint, actuated=False)) for b in tree.bodies))
+FORMULATIONS: Mapping[str, Row] = MappingProxyType(
+    {
+        "IMPL": Row(impl.build, driven=False),  # Phi
+        "SEMI": Row(semi.build, driven=False),  # M, one triangle, and c
+        "EXP1": Row(exp1.build, driven=True),  # gamma(q, qd, Q)
+        "EXP2": Row(exp2.build, driven=True),  # nu(q, qd, Q)
+    }
+)
+
+
+def dynamics_alone(tree: Tree, *, driven: bool) -> Tree:
+    """Take force laws and external wrenches away, and drive all joints or none."""
+    joints = (replace(b.joint, actuated=driven, law=NO_FORCE) for b in tree.bodies)
+    bodies = tuple(replace(b, joint=joint) for b, joint in zip(tree.bodies, joints, strict=True))
+    return replace(tree, bodies=bodies, wrenches=())

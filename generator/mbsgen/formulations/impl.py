@@ -11,6 +11,10 @@ from dataclasses import dataclass
 
 from mbsgen.algebra.vectors import Matrix, Vector
 from mbsgen.formulations.links import Chain, Link, declare_state, joint_forces, write_chain
+from mbsgen.formulations.parsimony.residual import residual as newton_euler
+from mbsgen.formulations.parsimony.writing import begin
+from mbsgen.formulations.planning import find_plans, finish
+from mbsgen.formulations.reductions import ALL, Reductions
 from mbsgen.model.tree import Tree
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.types import Tape
@@ -34,15 +38,19 @@ class Wrench:
     N: Vector[Scalar]
 
 
-def build(tree: Tree) -> Tape:
+def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
     """Write `impl`: inputs q, qd, qdd, u [, p]; output Phi, shape (n,), N m or N: Phi(q, qd, qdd) - Q."""
     builder = Builder()
     state = declare_state(tree, builder)
     chain = write_chain(tree, builder, state.q, state.p)
-    Phi = residual(chain, state.qd, state.qdd)
+    if reductions.is_textbook:
+        Phi = residual(chain, state.qd, state.qdd)
+    else:
+        plan = find_plans(tree, reductions).residual
+        Phi = newton_euler(begin(chain, plan, reductions), state.qd, state.qdd)
     Q = joint_forces(tree, builder, state.u)
     builder.output_dense("Phi", [[phi - force] for phi, force in zip(Phi, Q, strict=True)])
-    return builder.build("impl")
+    return finish(builder.build("impl"), reductions)
 
 
 def residual(chain: Chain, qd: Sequence[Scalar], qdd: Sequence[Scalar]) -> list[Scalar]:

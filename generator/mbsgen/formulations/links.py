@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from sympy import Expr
 
@@ -42,13 +43,22 @@ class Link:
 
 @dataclass(frozen=True)
 class Chain:
-    """A Tree written to a builder: links in order, parents first, and what sensors need."""
+    """A Tree in a builder: its numbers are written when they are asked for."""
 
     tree: Tree
     builder: Builder
-    links: tuple[Link, ...]
-    gravity: Vector[Scalar]
+    q: Sequence[Scalar]
     symbols: dict[Expr, Scalar]  # parameters
+
+    @cached_property
+    def links(self) -> tuple[Link, ...]:
+        """The bodies, each in its own frame."""
+        return tuple(_write_link(self, i, body, self.q[i - 1]) for i, body in enumerate(self.tree.bodies, 1))
+
+    @cached_property
+    def gravity(self) -> Vector[Scalar]:
+        """The acceleration of free fall, in the base frame."""
+        return self.vector(self.tree.gravity)
 
     def scalar(self, number: Expr) -> Scalar:
         """Write a number of the model."""
@@ -70,13 +80,11 @@ class Chain:
 
 
 def write_chain(tree: Tree, builder: Builder, q: Sequence[Scalar], p: Sequence[Scalar]) -> Chain:
-    """Write the numbers and joint rotations of a tree; `p` holds its run-time parameters in order."""
+    """Begin a tree in a builder; `p` holds its run-time parameters in order."""
     runtime = [x.symbol for x in tree.parameters if x.kind is Kind.RUNTIME]
     symbols = dict(zip(runtime, p, strict=True))
     symbols |= {x.symbol: builder.number(x.value) for x in tree.parameters if x.kind is Kind.CONSTANT}
-    bare = Chain(tree, builder, (), Vector(builder.zero, builder.zero, builder.zero), symbols)
-    links = tuple(_write_link(bare, i, body, q[i - 1]) for i, body in enumerate(tree.bodies, 1))
-    return Chain(tree, builder, links, bare.vector(tree.gravity), symbols)
+    return Chain(tree, builder, q, symbols)
 
 
 def _write_link(chain: Chain, number: int, body: Body, q: Scalar) -> Link:

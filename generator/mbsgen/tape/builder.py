@@ -7,7 +7,7 @@ difference or a literal to turn round before it spends an operation on it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -30,13 +30,25 @@ class Scalar:
         self.builder = builder
         self.ref = ref
 
+    # Zeros are met often, and are dealt with before anything else.
+
     def __add__(self, other: Scalar) -> Scalar:
+        if not self.ref:
+            return other
+        if not other.ref:
+            return self
         return Scalar(self.builder, self.builder.add(self.ref, other.ref))
 
     def __sub__(self, other: Scalar) -> Scalar:
+        if not other.ref:
+            return self
         return Scalar(self.builder, self.builder.add(self.ref, -other.ref))
 
     def __mul__(self, other: Scalar) -> Scalar:
+        if not self.ref:
+            return self
+        if not other.ref:
+            return other
         return Scalar(self.builder, self.builder.mul(self.ref, other.ref))
 
     def __truediv__(self, other: Scalar) -> Scalar:
@@ -49,6 +61,16 @@ class Scalar:
     def is_zero(self) -> bool:
         """Tell whether this is the structural zero."""
         return self.ref == 0
+
+    @property
+    def is_literal(self) -> bool:
+        """Tell whether this is a number known now."""
+        return self.literal is not None
+
+    @property
+    def literal(self) -> float | None:
+        """The number that this is, if it is known now."""
+        return self.builder.value(self.ref)
 
 
 @dataclass(frozen=True)
@@ -78,6 +100,8 @@ class Builder:
         self._nodes: list[_Key | mpf | None] = [None]  # node 0 is never used; None: an entry of an input
         self._known: dict[_Key, Ref] = {}
         self._literals: dict[mpf, Ref] = {}
+        self._numbers: dict[float | mpf, Scalar] = {}
+        self._fixed = bytearray(1)  # of each node: whether it is known before the inputs that vary; see `cost`
         self._inputs: list[tuple[Input, int]] = []  # with the node of the first nonzero
         self._results: list[_Result] = []
         self._tests: list[_Test] = []
@@ -130,7 +154,10 @@ class Builder:
 
     def number(self, value: float | mpf) -> Scalar:
         """Make a literal."""
-        return Scalar(self, self.literal(LITERALS.mpf(value)))
+        known = self._numbers.get(value)
+        if known is None:
+            known = self._numbers[value] = Scalar(self, self.literal(LITERALS.mpf(value)))
+        return known
 
     def sin(self, x: Scalar) -> Scalar:
         """Sine."""
@@ -221,6 +248,11 @@ class Builder:
             return sign * self.literal(_FUNCTIONS[op](value))
         return sign * self._node(op, x, 0)
 
+    def value(self, ref: Ref) -> float | None:
+        """Return the number that `ref` stands for, or None if an input decides it."""
+        found = self._value(abs(ref)) if ref else LITERALS.mpf(0)
+        return None if found is None else float(found) * _sign(ref)
+
     def _value(self, node: Ref) -> mpf | None:
         found = self._nodes[node]
         return None if found is None or isinstance(found, tuple) else found
@@ -243,6 +275,37 @@ class Builder:
             ref = self._known[key] = len(self._nodes)
             self._nodes.append(key)
         return ref
+
+    def cost(self, values: Iterable[Scalar], constant: Set[str] = frozenset()) -> int:
+        """Count the operations that `values` need, but for those on literals and the inputs `constant` alone.
+
+        A quick estimate, for comparing ways to write the same: signs that must be carried out are not seen. `constant`
+        must be the same in every call to one builder.
+        """
+        fixed = self._mark_fixed(constant)
+        seen: set[int] = set()
+        stack = [abs(value.ref) for value in values]
+        while stack:
+            node = stack.pop()
+            key = self._nodes[node]
+            if isinstance(key, tuple) and not fixed[node] and node not in seen:
+                seen.add(node)
+                stack.extend((abs(key[1]), key[2]) if key[2] else (abs(key[1]),))
+        return len(seen)
+
+    def _mark_fixed(self, constant: Set[str]) -> bytearray:
+        fixed = self._fixed
+        start = len(fixed)
+        for node in range(start, len(self._nodes)):
+            key = self._nodes[node]
+            if isinstance(key, tuple):
+                fixed.append(fixed[abs(key[1])] and (not key[2] or fixed[key[2]]))
+            else:
+                fixed.append(key is not None)
+        for source, first in self._inputs:
+            if source.name in constant and first >= start:
+                fixed[first : first + source.sparsity.nnz] = bytes([1]) * source.sparsity.nnz
+        return fixed
 
     # -- the tape ---------------------------------------------------------------------------------------------
 

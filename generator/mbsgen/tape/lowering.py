@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import reduce
+from functools import lru_cache, reduce
 from operator import add, mul
 
 from mpmath import mpf
@@ -45,6 +45,7 @@ def _lower_power(power: Expr, builder: Builder, symbols: Mapping[Symbol, Scalar]
     return builder.number(1.0) / product if exponent < 0 else product
 
 
+@lru_cache(maxsize=4096)
 def _digits(number: Expr) -> mpf:
     """Take a number to the precision of literals; a Float is the double that it was made of."""
     if isinstance(number, Float):

@@ -14,13 +14,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mbsgen.algebra.vectors import Matrix, Vector
-from mbsgen.formulations.links import Chain
 from mbsgen.formulations.parsimony.mass_matrix import link, own_inertia
 from mbsgen.formulations.parsimony.motion import Kinematics
-from mbsgen.formulations.parsimony.plan import Plan
-from mbsgen.formulations.parsimony.regrouping import Lump, regroup
+from mbsgen.formulations.parsimony.regrouping import Lump
 from mbsgen.formulations.parsimony.residual import Load, join_loads
-from mbsgen.formulations.parsimony.segments import Segment, align, children
+from mbsgen.formulations.parsimony.segments import Segment, children
+from mbsgen.formulations.parsimony.writing import Writing
 from mbsgen.tape.builder import Builder, Scalar
 
 
@@ -38,7 +37,6 @@ class Joint:
     """A joint's part in the elimination."""
 
     pivot: Scalar  # the inertia that it feels: D
-    held: Scalar  # what D was before anything was subtracted from it
     force: Scalar  # u: what its force has to spare over the bias
     KF: Vector[Scalar]  # load along its axis, for a unit force
     KN: Vector[Scalar]
@@ -52,15 +50,11 @@ class Increment:
     OMp: Vector[Scalar]
 
 
-def accelerations(
-    chain: Chain, plan: Plan, q: Sequence[Scalar], qd: Sequence[Scalar], Q: Sequence[Scalar]
-) -> tuple[list[Scalar], dict[int, Joint]]:
+def accelerations(writing: Writing, qd: Sequence[Scalar], Q: Sequence[Scalar]) -> tuple[list[Scalar], dict[int, Joint]]:
     """Compute qdd, and what each joint's elimination was made with."""
-    b = chain.builder
-    segments = align(chain)
-    lumps = regroup(b, segments, plan)
-    kinematics = Kinematics(b, segments, plan, q)
-    movements = kinematics.move(chain.gravity, qd, [b.zero] * len(segments))
+    kinematics, lumps = writing.kinematics, writing.lumps
+    b, segments = kinematics.builder, kinematics.segments
+    movements = kinematics.move(writing.chain.gravity, qd, [b.zero] * len(segments))
     joints: dict[int, Joint] = {}
     loads: dict[int, Load] = {}
     carried: dict[int, Inertia] = {}
@@ -130,7 +124,7 @@ def _free(builder: Builder, segment: Segment, whole: Inertia, bias: Load, force:
     B = left(whole.B, KF, UN, turned, mirror=False)
     if slid:
         B = Matrix.of([zero if r == e else B[r, c] for c in range(3)] for r in range(3))
-    return Joint(pivot, pivot, spare, KF, KN), Inertia(M, B, J)
+    return Joint(pivot, spare, KF, KN), Inertia(M, B, J)
 
 
 def _hook(segment: Segment, bias: Load, joint: Joint, force: Scalar) -> Load:

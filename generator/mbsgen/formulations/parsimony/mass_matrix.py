@@ -13,12 +13,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mbsgen.algebra.vectors import Matrix, Vector, outer
-from mbsgen.formulations.links import Chain
 from mbsgen.formulations.parsimony.motion import Kinematics
-from mbsgen.formulations.parsimony.plan import Plan
-from mbsgen.formulations.parsimony.regrouping import Lump, regroup
+from mbsgen.formulations.parsimony.regrouping import Lump
 from mbsgen.formulations.parsimony.residual import Load, slide_lever
-from mbsgen.formulations.parsimony.segments import Segment, align, children, unit_vector
+from mbsgen.formulations.parsimony.segments import Segment, children, unit_vector
+from mbsgen.formulations.parsimony.writing import Writing
 from mbsgen.tape.builder import Builder, Scalar
 
 Entries = dict[tuple[int, int], Scalar]  # of M, by body numbers (ancestor, descendant); others are zero
@@ -42,14 +41,12 @@ class Part:
     Je: Vector[Scalar]  # J e_axis: the moment for a unit acceleration
 
 
-def mass_matrix(chain: Chain, plan: Plan, q: Sequence[Scalar], *, absolute: bool = False) -> Entries:
+def mass_matrix(writing: Writing, *, absolute: bool = False) -> Entries:
     """Compute one triangle of M, in relative or absolute rates; bodies on different branches have no entry."""
-    segments = align(chain)
-    lumps = regroup(chain.builder, segments, plan)
-    kinematics = Kinematics(chain.builder, segments, plan, q)
+    kinematics, lumps = writing.kinematics, writing.lumps
     composites: dict[int, Composite] = {}
     M: Entries = {}
-    for segment in reversed(segments):
+    for segment in reversed(kinematics.segments):
         body = compose(kinematics, segment, lumps[segment.number], composites)
         composites[segment.number] = body
         M |= _column(kinematics, segment, body, absolute=absolute)

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Any
+
+from mbsgen.errors import TapeError
+from mbsgen.tape.builder import Scalar
+
+
+class NoSuchPlanError(TapeError):
+    """A plan that asks of a body what its moments or its parameters do not allow."""
 
 
 class Mass(Enum):
@@ -21,7 +27,7 @@ class Choice:
 
     own_frame: bool = True  # in its own frame, or in the one that its predecessor on parallel axes is written in
     mass: Mass = Mass.PASSED
-    scaled: bool = False  # directions across the axis have the length of the link, instead of 1
+    scaled: bool = False  # directions across the axis have the length of the link, instead of 1; divides by it
     ring: int = 1  # which transverse second moment (0, 1: the first or second axis after the joint's) is spread evenly
     level: bool = False  # the part of it along the axis stays, and the body's ring is felt as a whole
 
@@ -31,6 +37,7 @@ class Plan:
     """A choice for every body."""
 
     choices: tuple[Choice, ...]
+    by_runtime: bool = False  # divisions by run-time parameters are allowed; by numbers they always are
 
     def __getitem__(self, number: int) -> Choice:
         """Look up the choice for body `number`, from 1."""
@@ -38,13 +45,9 @@ class Plan:
 
     def put(self, number: int, choice: Choice) -> Plan:
         """Choose otherwise for one body."""
-        return Plan((*self.choices[: number - 1], choice, *self.choices[number:]))
+        return replace(self, choices=(*self.choices[: number - 1], choice, *self.choices[number:]))
 
-    def change(self, number: int, **values: Any) -> Plan:
-        """Choose otherwise for one body, by name."""
-        return self.put(number, replace(self[number], **values))
-
-
-def plain_plan(size: int) -> Plan:
-    """Write every body in its own frame, and divide by nothing."""
-    return Plan((Choice(),) * size)
+    def check_divisor(self, divisor: Scalar) -> None:
+        """Raise NoSuchPlanError for a division that is not allowed."""
+        if not (self.by_runtime or divisor.is_literal):
+            raise NoSuchPlanError("a run-time parameter may be 0")

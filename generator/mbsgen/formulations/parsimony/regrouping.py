@@ -14,14 +14,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mbsgen.algebra.vectors import Matrix, Vector, outer
-from mbsgen.errors import TapeError
-from mbsgen.formulations.parsimony.plan import Choice, Mass, Plan
+from mbsgen.formulations.parsimony.plan import Choice, Mass, NoSuchPlanError, Plan
 from mbsgen.formulations.parsimony.segments import Moments, Segment, children, unit_matrix
 from mbsgen.tape.builder import Builder, Scalar
 
-
-class NoSuchRegroupingError(TapeError):
-    """A plan that asks of a body what its moments do not allow."""
+LARGEST_MOVE = 10.0  # times what the body has gathered
 
 
 @dataclass(frozen=True)
@@ -37,18 +34,26 @@ class Lump:
     direction: int  # ... along this axis
 
 
+def keep(builder: Builder, segments: Sequence[Segment]) -> dict[int, Lump]:
+    """Leave every body what it has."""
+    return {
+        s.number: Lump(s.moments.m, s.moments.S, s.moments.P, builder.zero, levelled=False, radius=None, direction=0)
+        for s in segments
+    }
+
+
 def regroup(builder: Builder, segments: Sequence[Segment], plan: Plan) -> dict[int, Lump]:
-    """Regroup from the leaves to the base. Raises NoSuchRegroupingError for a plan that does not fit."""
+    """Regroup from the leaves to the base. Raises NoSuchPlanError for a plan that does not fit."""
     lumps: dict[int, Lump] = {}
     gathered = {s.number: s.moments for s in segments}
     for segment in reversed(segments):
         beyond = children(segments, segment.number)
         balancing = [s for s in beyond if plan[s.number].mass is Mass.BALANCING]
         if len(balancing) > 1:
-            raise NoSuchRegroupingError("one child can balance a body, not several")
+            raise NoSuchPlanError("one child can balance a body, not several")
         own = gathered[segment.number]
         for child in (*(s for s in beyond if s not in balancing), *balancing):
-            lumps[child.number], moved = _part(builder, child, gathered[child.number], plan[child.number], own)
+            lumps[child.number], moved = _part(builder, child, gathered[child.number], plan, own)
             own = own + moved
         if balancing:
             own = Moments(own.m, _clear(builder, own.S, _lever(balancing[0])), own.P)
@@ -58,13 +63,13 @@ def regroup(builder: Builder, segments: Sequence[Segment], plan: Plan) -> dict[i
     return lumps
 
 
-def _part(builder: Builder, segment: Segment, own: Moments, choice: Choice, parent: Moments) -> tuple[Lump, Moments]:
+def _part(builder: Builder, segment: Segment, own: Moments, plan: Plan, parent: Moments) -> tuple[Lump, Moments]:
     """Part a body's moments: what stays, and what moves, about the parent's origin in the parent's frame."""
-    zero, axis = builder.zero, segment.axis
+    zero, axis, choice = builder.zero, segment.axis, plan[segment.number]
     turn = segment.turn or unit_matrix(builder)
     if not segment.is_revolute:
         if choice.mass is not Mass.PASSED:
-            raise NoSuchRegroupingError("mass cannot move along a prismatic joint")
+            raise NoSuchPlanError("mass cannot move along a prismatic joint")
         flat = own.P.map(lambda _: zero)
         moved = Moments(zero, own.S.map(lambda _: zero), turn.times(own.P).times(turn.transposed))
         return Lump(own.m, own.S, flat, zero, levelled=True, radius=None, direction=0), moved
@@ -75,11 +80,13 @@ def _part(builder: Builder, segment: Segment, own: Moments, choice: Choice, pare
     if choice.mass is Mass.BALANCING:
         k = _lever(segment)
         if (parent.S[k] + e[k] * along).is_zero and own.m.is_zero:
-            raise NoSuchRegroupingError("there is nothing to balance")
+            raise NoSuchPlanError("there is nothing to balance")
+        plan.check_divisor(segment.d[k])
         m = -(parent.S[k] + e[k] * along) / segment.d[k]
     elif choice.mass is Mass.POINT:
-        staying, radius, direction = _percussion(segment, own, choice)
+        staying, radius, direction = _percussion(segment, own, plan)
         m = own.m - staying
+    _check_size(m, own.m)
     moved = _on_axis(m, along, second, segment.d, e)
     P = _without_ring(builder, segment, own.P, ring)
     return Lump(own.m - m, _clear(builder, own.S, axis), P, ring, not choice.level, radius, direction), moved
@@ -89,13 +96,19 @@ def _rest_on_base(builder: Builder, segment: Segment, own: Moments, choice: Choi
     """Keep of a body on the base what its joint can feel."""
     zero = builder.zero
     if choice.mass is not Mass.PASSED:
-        raise NoSuchRegroupingError("the base takes all mass")
+        raise NoSuchPlanError("the base takes all mass")
     if not segment.is_revolute:
         return Lump(own.m, own.S, own.P.map(lambda _: zero), zero, levelled=True, radius=None, direction=0)
     ring = own.P[segment.across[choice.ring], segment.across[choice.ring]]
     S = _clear(builder, own.S, segment.axis)
     P = _without_ring(builder, segment, own.P, ring)
     return Lump(zero, S, P, ring, levelled=True, radius=None, direction=0)
+
+
+def _check_size(moved: Scalar, own: Scalar) -> None:
+    """Refuse to move a mass that dwarfs the body's: the digits of both would be lost in their difference."""
+    if moved.literal is not None and own.literal is not None and abs(moved.literal) > LARGEST_MOVE * abs(own.literal):
+        raise NoSuchPlanError("the mass to move is out of proportion")
 
 
 def _without_ring(builder: Builder, segment: Segment, P: Matrix[Scalar], ring: Scalar) -> Matrix[Scalar]:
@@ -118,17 +131,22 @@ def _lever(segment: Segment) -> int:
     """Find the one axis of the parent that the link to `segment` lies along."""
     along = [k for k in range(3) if not segment.d[k].is_zero]
     if len(along) != 1:
-        raise NoSuchRegroupingError("the link does not lie along an axis")
+        raise NoSuchPlanError("the link does not lie along an axis")
     return along[0]
 
 
-def _percussion(segment: Segment, own: Moments, choice: Choice) -> tuple[Scalar, Scalar, int]:
+def _percussion(segment: Segment, own: Moments, plan: Plan) -> tuple[Scalar, Scalar, int]:
     """Find the mass, distance and direction of the point that has a body's S and P, its ring apart."""
+    choice = plan[segment.number]
     k, other = segment.across[1 - choice.ring], segment.across[choice.ring]
     rest = (own.S[other], own.P[k, other], own.P[k, segment.axis], own.P[other, segment.axis])
     if own.S[k].is_zero or not all(x.is_zero for x in rest):
-        raise NoSuchRegroupingError("the body is no pendulum in a plane of symmetry")
+        raise NoSuchPlanError("the body is no pendulum in a plane of symmetry")
     second = own.P[k, k] - own.P[other, other]
+    if second.is_zero:
+        raise NoSuchPlanError("the body has no centre of percussion")
+    plan.check_divisor(second)
+    plan.check_divisor(own.S[k])
     return own.S[k] * own.S[k] / second, second / own.S[k], k
 
 

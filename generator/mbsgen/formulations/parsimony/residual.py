@@ -11,11 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mbsgen.algebra.vectors import Vector
-from mbsgen.formulations.links import Chain
 from mbsgen.formulations.parsimony.motion import Kinematics, Movement
-from mbsgen.formulations.parsimony.plan import Plan
-from mbsgen.formulations.parsimony.regrouping import Lump, regroup
-from mbsgen.formulations.parsimony.segments import Segment, align, children, unit_vector
+from mbsgen.formulations.parsimony.regrouping import Lump
+from mbsgen.formulations.parsimony.segments import Segment, children, unit_vector
+from mbsgen.formulations.parsimony.writing import Writing
 from mbsgen.tape.builder import Builder, Scalar
 
 
@@ -47,24 +46,15 @@ def _one(scalar: Scalar) -> Scalar:
     return scalar.builder.number(1.0)
 
 
-def residual(
-    chain: Chain,
-    plan: Plan,
-    q: Sequence[Scalar],
-    qd: Sequence[Scalar],
-    qdd: Sequence[Scalar],
-    *,
-    absolute: bool = False,
-) -> list[Scalar]:
+def residual(writing: Writing, qd: Sequence[Scalar], qdd: Sequence[Scalar], *, absolute: bool = False) -> list[Scalar]:
     """Compute Phi: the joint forces that make the chain move so; or the forces that go with absolute rates.
 
     The latter are along the positive axes; for a body in a group of parallel axes, its joint's moment less those of
     the joints that continue the group.
     """
-    segments = align(chain)
-    lumps = regroup(chain.builder, segments, plan)
-    kinematics = Kinematics(chain.builder, segments, plan, q)
-    movements = kinematics.move(chain.gravity, qd, qdd)
+    kinematics, lumps = writing.kinematics, writing.lumps
+    segments = kinematics.segments
+    movements = kinematics.move(writing.chain.gravity, qd, qdd)
     loads: dict[int, Load] = {}
     for segment in reversed(segments):
         loads[segment.number] = join_loads(kinematics, segment, lumps[segment.number], movements[segment.number], loads)
@@ -116,6 +106,8 @@ def directions_of(kinematics: Kinematics, segment: Segment, lump: Lump, movement
         elif kinematics.plan[segment.number].scaled and t != segment.axis:
             links = [c.d[t] for c in children(kinematics.segments, segment.number) if not c.d[t].is_zero]
             length = links[0] if links else None
+            if length is not None:
+                kinematics.plan.check_divisor(length)
         e = e if length is None else e.scale(length)
         found.append(Direction(e, length, movement.field(e)))
     return found

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from itertools import product
 
 from mbsgen.formulations.parsimony.plan import Choice, Mass, Plan
 from mbsgen.formulations.parsimony.segments import Segment, children
+from mbsgen.formulations.reductions import Reductions
 
 Cost = Callable[[Plan], int | None]  # None: the plan does not fit the model
 
 
-def search(segments: Sequence[Segment], cost: Cost, *, trials: int, divide: bool) -> Plan:
-    """Return the best plan found in `trials` evaluations of `cost`; `divide` allows plans that divide by parameters."""
+def search(
+    segments: Sequence[Segment], cost: Cost, reductions: Reductions, trials: int, start: Sequence[Plan] = ()
+) -> Plan:
+    """Return the best plan found in about `trials` evaluations of `cost`, from the given plans and sensible others."""
     known: dict[Plan, int | None] = {}
 
     def evaluate(plan: Plan) -> int | None:
@@ -21,7 +25,7 @@ def search(segments: Sequence[Segment], cost: Cost, *, trials: int, divide: bool
         return known[plan]
 
     best, fewest = None, 0
-    for plan in _beginnings(segments):
+    for plan in (*_beginnings(segments, reductions), *start):
         found = evaluate(plan)
         if found is not None and (best is None or found < fewest):
             best, fewest = plan, found
@@ -30,7 +34,7 @@ def search(segments: Sequence[Segment], cost: Cost, *, trials: int, divide: bool
     while improved and len(known) < trials:
         improved = False
         for segment in reversed(segments):
-            for choice in _alternatives(segments, segment, divide=divide):
+            for choice in _alternatives(segments, segment, best[segment.number], reductions):
                 plan = best.put(segment.number, choice)
                 found = evaluate(plan) if len(known) < trials or plan in known else None
                 if found is not None and found < fewest:
@@ -38,29 +42,33 @@ def search(segments: Sequence[Segment], cost: Cost, *, trials: int, divide: bool
     return best
 
 
-def _beginnings(segments: Sequence[Segment]) -> Iterator[Plan]:
+def _beginnings(segments: Sequence[Segment], reductions: Reductions) -> Iterator[Plan]:
     """Begin with own frames, with shared frames in groups, and with those, but the last of each in its own."""
-    yield Plan((Choice(),) * len(segments))
+    runtime = reductions.lump_runtime
+    yield Plan((Choice(),) * len(segments), runtime)
+    if not reductions.share_frames:
+        return
     continued = {s.parent for s in segments if not s.opens_group}
     grouped = [s.number in continued or not s.opens_group for s in segments]
-    for ring, scaled in product((0, 1), (False, True)):
-        shared = Choice(own_frame=False, ring=ring, scaled=scaled)
-        yield Plan(tuple(shared if g else Choice(ring=ring) for g in grouped))
-        yield Plan(
-            tuple(
-                shared if g and s.number in continued else Choice(ring=ring)
-                for g, s in zip(grouped, segments, strict=True)
-            )
-        )
+    for ring, scaled in product((0, 1), (False, True) if reductions.lump else (False,)):
+        shared, own = Choice(own_frame=False, ring=ring, scaled=scaled), Choice(ring=ring)
+        yield Plan(tuple(shared if g else own for g in grouped), runtime)
+        yield Plan(tuple(shared if s.number in continued else own for s in segments), runtime)
 
 
-def _alternatives(segments: Sequence[Segment], segment: Segment, *, divide: bool) -> Iterator[Choice]:
+def _alternatives(
+    segments: Sequence[Segment], segment: Segment, choice: Choice, reductions: Reductions
+) -> Iterator[Choice]:
+    """Change one thing of a body's choice; a mass together with the ring that it goes with."""
     if not segment.is_revolute:
         return
     is_leaf = not children(segments, segment.number)
-    masses = [Mass.PASSED]
-    if divide and segment.parent:
-        masses += [Mass.BALANCING, Mass.POINT] if is_leaf else [Mass.BALANCING]
-    for own_frame, mass, ring, scaled in product((True, False), masses, (0, 1), (False, True)):
-        if not (scaled and is_leaf):
-            yield Choice(own_frame, mass, scaled, ring)
+    yield replace(choice, ring=1 - choice.ring)
+    if reductions.share_frames:
+        yield replace(choice, own_frame=not choice.own_frame)
+    if reductions.lump and not is_leaf:
+        yield replace(choice, scaled=not choice.scaled)
+    if reductions.lump and reductions.regroup and segment.parent:
+        masses = (Mass.PASSED, Mass.BALANCING, Mass.POINT) if is_leaf else (Mass.PASSED, Mass.BALANCING)
+        for mass, ring in product(masses, (0, 1)):
+            yield replace(choice, mass=mass, ring=ring)

@@ -56,8 +56,8 @@ class Segment:
         return value if self.sense > 0 else -value
 
 
-def align(chain: Chain) -> tuple[Segment, ...]:
-    """Make the segments of a tree whose numbers are written in `chain`."""
+def align(chain: Chain, *, group: bool = True) -> tuple[Segment, ...]:
+    """Make the segments of a tree; without `group`, every joint opens a group of its own."""
     unit = unit_matrix(chain.builder)
     turned = {0: unit}  # columns: the axes of each body of the Tree in the aligned frame
     segments: list[Segment] = []
@@ -71,7 +71,7 @@ def align(chain: Chain) -> tuple[Segment, ...]:
             axis, sense = next((r, s) for r, s in enumerate(steps[body.joint.axis]) if s)
         is_revolute = body.joint.motion is Motion.REVOLUTE
         before = segments[body.parent - 1] if body.parent else None
-        continues = before and is_revolute and before.is_revolute and turn is None and before.axis == axis
+        continues = group and before and is_revolute and before.is_revolute and turn is None and before.axis == axis
         d = turned[body.parent].apply(chain.vector(body.position))
         moments = _moments(chain, body, turned[number])
         segments.append(Segment(number, body.parent, is_revolute, axis, sense, turn, not continues, d, moments))
@@ -92,8 +92,7 @@ def _is_step(entry: Expr) -> bool:
 
 
 def _moments(chain: Chain, body: Body, frame: Matrix[Scalar]) -> Moments:
-    (m,) = (chain.scalar(body.mass),)
-    l, In = frame.apply(chain.vector(body.com)), chain.matrix(body.inertia)
+    m, l, In = chain.scalar(body.mass), frame.apply(chain.vector(body.com)), chain.matrix(body.inertia)
     half_trace = (In[0, 0] + In[1, 1] + In[2, 2]) * chain.builder.number(0.5)
     central = unit_matrix(chain.builder).scale(half_trace) - In
     S = l.scale(m)

@@ -1,0 +1,56 @@
+"""Explicit form by elimination (EXP1): Tree -> Tape of qdd = gamma(q, qd, Q) = M^-1 (Q - c).
+
+Docquier, Bruls, Fisette, eq. (18). M = LT D L is sparse where the tree branches, and is eliminated from the leaves.
+Within a group of parallel axes the unknowns are absolute angles, whose M has fewer terms; their differences come out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mbsgen.formulations.links import declare_state, joint_forces, write_chain
+from mbsgen.formulations.parsimony.elimination import solve
+from mbsgen.formulations.parsimony.segments import Segment, align
+from mbsgen.formulations.planning import finish
+from mbsgen.formulations.reductions import ALL, Reductions
+from mbsgen.formulations.semi import terms
+from mbsgen.model.tree import Tree
+from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.types import Tape
+
+# A pivot must keep this many times n epsilon of its diagonal entry: below, more than half of the digits are lost.
+PIVOT_TOLERANCE = 500.0
+
+
+def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
+    """Write `exp1`: inputs q, qd, u [, p]; output qdd, shape (n,). Fails at the joint whose pivot is lost."""
+    builder = Builder()
+    state = declare_state(tree, builder, accelerations=False)
+    chain = write_chain(tree, builder, state.q, state.p)
+    M, c = terms(chain, state, reductions)
+    segments = align(chain, group=reductions.share_frames)
+    Q = joint_forces(tree, builder, state.u)
+    forces = _absolute_forces(segments, Q) if reductions.absolute else Q
+    n = len(segments)
+    found = solve(builder, M, {i: forces[i - 1] - c[i - 1] for i in range(1, n + 1)}, n)
+    for i in range(n, 0, -1):
+        builder.guard(found.pivots[i], M[i, i], PIVOT_TOLERANCE * n, i)
+    qdd = [found.x[i] for i in range(1, n + 1)]
+    if reductions.absolute:
+        qdd = _relative_accelerations(segments, qdd)
+    builder.output_dense("qdd", [[x] for x in qdd])
+    return finish(builder.build("exp1"), reductions)
+
+
+def _absolute_forces(segments: Sequence[Segment], Q: Sequence[Scalar]) -> list[Scalar]:
+    """Form the forces that go with absolute angles: a joint's own, less those of the joints that continue its group."""
+    along = [s.signed(force) for s, force in zip(segments, Q, strict=True)]
+    forces = list(along)
+    for s in segments:
+        if not s.opens_group:
+            forces[s.parent - 1] = forces[s.parent - 1] - along[s.number - 1]
+    return forces
+
+
+def _relative_accelerations(segments: Sequence[Segment], x: Sequence[Scalar]) -> list[Scalar]:
+    return [s.signed(x[s.number - 1] if s.opens_group else x[s.number - 1] - x[s.parent - 1]) for s in segments]
