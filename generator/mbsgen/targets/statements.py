@@ -24,9 +24,9 @@ _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _INFIX = {Op.ADD: " + ", Op.SUB: " - ", Op.MUL: "*", Op.DIV: "/"}
 
 
-def write_nonzero(name: str, _: Sparsity, place: int) -> str:
-    """Write nonzero number `place` (from 0) of an argument that is an array of its nonzeros."""
-    return f"{name}[{place}]"
+def write_nonzeros(name: str, pattern: Sparsity) -> list[str]:
+    """Write the nonzeros of an argument that is an array of them."""
+    return [f"{name}[{k}]" for k in range(pattern.nnz)]
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Syntax:
     literal: str  # {} stands for the digits
     calls: Mapping[Op, str]
     taken: re.Pattern[str]
-    nonzero: Callable[[str, Sparsity, int], str] = write_nonzero  # of an argument, by its place among them
+    nonzeros: Callable[[str, Sparsity], list[str]] = write_nonzeros  # of an argument of this name and pattern
 
 
 # Keywords of C, and what <math.h> or the ABI header may define as macros, are no names of local variables.
@@ -113,7 +113,10 @@ def write_body(tape: Tape, syntax: Syntax = C) -> Body:
     results = tuple(
         Result(
             o.name,
-            tuple(Statement(syntax.nonzero(o.name, o.sparsity, k), _bare(texts[v])) for k, v in enumerate(o.values)),
+            tuple(
+                Statement(x, _bare(texts[v]))
+                for x, v in zip(syntax.nonzeros(o.name, o.sparsity), o.values, strict=True)
+            ),
         )
         for o in tape.outputs
         if o.values
@@ -163,7 +166,7 @@ def _bare(text: str) -> str:
 
 
 def _write_leaves(tape: Tape, syntax: Syntax) -> list[str]:
-    texts = [syntax.nonzero(i.name, i.sparsity, k) for i in tape.inputs for k in range(i.sparsity.nnz)]
+    texts = [x for i in tape.inputs for x in syntax.nonzeros(i.name, i.sparsity)]
     return texts + [write_literal(x, syntax) for x in tape.literals]
 
 

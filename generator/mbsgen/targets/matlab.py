@@ -1,0 +1,123 @@
+"""Matlab source of a model's kernels, which GNU Octave runs too: one function in one file for each kernel.
+
+Arguments are full matrices: what an input's pattern leaves out is not read, what an output's leaves out is 0.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import jinja2
+
+from mbsgen import resources
+from mbsgen.manifest import Flops
+from mbsgen.tape.counts import count
+from mbsgen.tape.types import Input, Op, Output, Sparsity, Tape
+from mbsgen.targets.c import Unit
+from mbsgen.targets.contract import Family
+from mbsgen.targets.statements import Result, Syntax, wrap, write_body, write_lines
+
+FOLDER = "matlab"  # where the files lie in the generated folder
+_LONGEST_NAME = 63  # characters that Matlab reads of a name
+_LINE = 110
+
+
+def _write_entries(name: str, pattern: Sparsity) -> list[str]:
+    if pattern.cols == 1:
+        return [f"{name}({row + 1})" for row in pattern.row]
+    return [f"{name}({row + 1}, {column + 1})" for row, column in pattern.entries]
+
+
+# Keywords of Matlab and Octave, and the functions that are called here, are no names of variables.
+MATLAB = Syntax(
+    "{}",
+    {op: op.value[0] for op in (Op.SQRT, Op.SIN, Op.COS)},
+    re.compile(
+        "break|case|catch|classdef|continue|do|else|elseif|end.*|enumeration|events|for|function|global|if|methods|"
+        "otherwise|parfor|persistent|properties|return|spmd|switch|try|until|unwind_protect.*|while|"
+        "sqrt|sin|cos|zeros|size|numel|eps|class|error|isequal|nargin|ans"
+    ),
+    _write_entries,
+)
+
+
+@dataclass(frozen=True)
+class _Argument:
+    """An argument of a function."""
+
+    name: str
+    shape: str
+    note: str
+    misfit: str  # holds where the argument has another shape
+
+
+@dataclass(frozen=True)
+class _View:
+    """A kernel, ready to be laid out."""
+
+    name: str
+    signature: tuple[str, ...]
+    title: str
+    flops: Flops
+    inputs: tuple[_Argument, ...]
+    outputs: tuple[_Argument, ...]
+    lines: tuple[str, ...]
+    results: tuple[Result, ...]
+
+
+def write_matlab(unit: Unit) -> dict[str, str]:
+    """Write every kernel of `unit` as a Matlab function; give the files of the folder, path -> text."""
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(resources.folder("templates") / "matlab"),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        autoescape=False,
+    )
+    template = environment.get_template("kernel.m.j2")
+    views = [_view(unit.prefix, family, tape) for family in unit.families for tape in family.tapes]
+    common = {"version": unit.version, "model_hash": unit.model_hash}
+    return {f"{FOLDER}/{view.name}.m": template.render(kernel=view, **common) for view in views}
+
+
+def _view(prefix: str, family: Family, tape: Tape) -> _View:
+    name = f"{prefix}_{tape.name}"
+    assert len(name) <= _LONGEST_NAME, f"Matlab would cut the name {name}"
+    body = write_body(tape, MATLAB)
+    return _View(
+        name=name,
+        signature=_write_signature(name, tape),
+        title=family.describe(tape.name),
+        flops=count(tape).flops,
+        inputs=tuple(_describe(family, i) for i in tape.inputs),
+        outputs=tuple(_describe(family, o) for o in tape.outputs),
+        lines=write_lines(
+            body,
+            "{target} = {expression};",
+            "if ~({value} > {tolerance}*eps(class({value}))*{scale})\n"
+            "    error('mbsgen:pivot', 'the pivot of joint {joint} is lost in rounding');\nend",
+        ),
+        results=body.results,
+    )
+
+
+def _write_signature(name: str, tape: Tape) -> tuple[str, ...]:
+    given = f"{name}({', '.join(i.name for i in tape.inputs)})"
+    line = f"function [{', '.join(o.name for o in tape.outputs)}] = {given}"
+    if len(line) <= _LINE:
+        return (line,)
+    results = wrap((o.name for o in tape.outputs), _LINE - 20)
+    return ("function [ ...", *(f"    {line} ..." for line in results), f"    ] = {given}")
+
+
+def _describe(family: Family, argument: Input | Output) -> _Argument:
+    name, rows, cols = argument.name, argument.sparsity.rows, argument.sparsity.cols
+    meaning = family.meaning(name)
+    return _Argument(
+        name=name,
+        shape=f"{rows}, {cols}",
+        note=f"{name} ({rows} x {cols})" + (f": {meaning}" if meaning else ""),
+        misfit=f"numel({name}) ~= {rows}" if cols == 1 else f"~isequal(size({name}), [{rows}, {cols}])",
+    )
