@@ -7,7 +7,10 @@ from mbsgen.tape.types import Op
 
 
 def partials(builder: Builder, op: Op, a: Scalar, b: Scalar | None, result: Scalar) -> tuple[Scalar, ...]:
-    """Differentiate `result` = op(a, b) by each operand; `result` itself is used where that is cheaper."""
+    """Differentiate `result` = op(a, b) by each operand; `result` itself is used where that is cheaper.
+
+    |x| has the sign of x for a derivative, and 0 at 0.
+    """
     one = builder.number(1.0)
     match op:
         case Op.NEG:
@@ -18,6 +21,24 @@ def partials(builder: Builder, op: Op, a: Scalar, b: Scalar | None, result: Scal
             return (-builder.sin(a),)
         case Op.SQRT:
             return (builder.number(0.5) / result,)
+        case Op.TAN:
+            return (one + result * result,)
+        case Op.ASIN:
+            return (one / builder.sqrt((one - a) * (one + a)),)
+        case Op.ACOS:
+            return (-one / builder.sqrt((one - a) * (one + a)),)
+        case Op.ATAN:
+            return (one / (one + a * a),)
+        case Op.EXP:
+            return (result,)
+        case Op.LOG:
+            return (one / a,)
+        case Op.TANH:
+            return (one - result * result,)
+        case Op.ABS:
+            return (builder.apply(Op.SIGN, a),)
+        case Op.SIGN:
+            return (builder.zero,)
     assert b is not None, f"{op.name} has two operands"
     match op:
         case Op.ADD:
@@ -26,6 +47,9 @@ def partials(builder: Builder, op: Op, a: Scalar, b: Scalar | None, result: Scal
             return one, -one
         case Op.MUL:
             return b, a
-        case _:
+        case Op.DIV:
             inverse = one / b
             return inverse, -(result * inverse)
+        case _:  # the angle of (b, a)
+            squared = a * a + b * b
+            return b / squared, -(a / squared)

@@ -14,11 +14,12 @@ from types import MappingProxyType
 from mpmath import mpf
 
 from mbsgen.errors import TapeError
-from mbsgen.tape.types import LITERALS, Guard, Input, Op, Output, Sparsity, Tape
+from mbsgen.tape.types import EVEN, LITERALS, ODD, Guard, Input, Op, Output, Sparsity, Tape
 
 Ref = int
 _Key = tuple[Op, Ref, Ref]
 _ONE = LITERALS.mpf(1)
+_TURNABLE = ODD | {Op.ADD, Op.SUB, Op.MUL, Op.DIV}  # whose operands may decide the sign of the result
 
 
 class Scalar:
@@ -161,15 +162,19 @@ class Builder:
 
     def sin(self, x: Scalar) -> Scalar:
         """Sine."""
-        return Scalar(self, self.unary(Op.SIN, x.ref))
+        return self.apply(Op.SIN, x)
 
     def cos(self, x: Scalar) -> Scalar:
         """Cosine."""
-        return Scalar(self, self.unary(Op.COS, x.ref))
+        return self.apply(Op.COS, x)
 
     def sqrt(self, x: Scalar) -> Scalar:
         """Square root."""
-        return Scalar(self, self.unary(Op.SQRT, x.ref))
+        return self.apply(Op.SQRT, x)
+
+    def apply(self, op: Op, x: Scalar, y: Scalar | None = None) -> Scalar:
+        """Apply a function: any operation but + - * / and unary minus. Only the arc tangent of y/x has two operands."""
+        return Scalar(self, self.call(op, x.ref, y.ref if y is not None else 0))
 
     # -- operations on references -----------------------------------------------------------------------------
 
@@ -238,15 +243,21 @@ class Builder:
                 return sign * self.literal(_ONE)
         return sign * self._node(Op.DIV, x, y)
 
-    def unary(self, op: Op, x: Ref) -> Ref:
-        """Refer to op(x): sine, cosine or square root."""
+    def call(self, op: Op, x: Ref, y: Ref = 0) -> Ref:
+        """Refer to op(x) or op(x, y); signs are taken out where the function is odd or even."""
         sign = 1
-        if op is not Op.SQRT and x < 0:  # sine is odd, cosine even
-            sign, x = (-1 if op is Op.SIN else 1), -x
-        value = self._value(x) if x > 0 else (None if x else LITERALS.mpf(0))
-        if value is not None and (self._fold or x == 0):
-            return sign * self.literal(_FUNCTIONS[op](value))
-        return sign * self._node(op, x, 0)
+        if x < 0 and (op in ODD or op in EVEN):
+            sign, x = (-1 if op in ODD else 1), -x
+        operands = (x, y)[: op.arity]
+        if self._fold or not any(operands):
+            values = [value for operand in operands if (value := self._number_of(operand)) is not None]
+            if len(values) == op.arity:
+                return sign * self.literal(_call(op, values))
+        return sign * self._node(op, x, y)
+
+    def _number_of(self, ref: Ref) -> mpf | None:
+        found = self._value(abs(ref)) if ref else LITERALS.mpf(0)
+        return -found if found is not None and ref < 0 else found
 
     def value(self, ref: Ref) -> float | None:
         """Return the number that `ref` stands for, or None if an input decides it."""
@@ -290,7 +301,7 @@ class Builder:
             key = self._nodes[node]
             if isinstance(key, tuple) and not fixed[node] and node not in seen:
                 seen.add(node)
-                stack.extend((abs(key[1]), key[2]) if key[2] else (abs(key[1]),))
+                stack.extend(abs(ref) for ref in key[1:] if ref)
         return len(seen)
 
     def _mark_fixed(self, constant: Set[str]) -> bytearray:
@@ -299,7 +310,7 @@ class Builder:
         for node in range(start, len(self._nodes)):
             key = self._nodes[node]
             if isinstance(key, tuple):
-                fixed.append(fixed[abs(key[1])] and (not key[2] or fixed[key[2]]))
+                fixed.append(fixed[abs(key[1])] and (not key[2] or fixed[abs(key[2])]))
             else:
                 fixed.append(key is not None)
         for source, first in self._inputs:
@@ -314,7 +325,15 @@ class Builder:
         return _Writer(self._nodes, self._inputs, self._results, self._tests, self._labels).tape(name)
 
 
-_FUNCTIONS = {Op.SIN: LITERALS.sin, Op.COS: LITERALS.cos, Op.SQRT: LITERALS.sqrt}
+def _call(op: Op, values: Sequence[mpf]) -> mpf:
+    """Compute a function of literals; TapeError where it has no value, or one that no double comes near."""
+    numbers = ", ".join(LITERALS.nstr(value, 6) for value in values)
+    if op is Op.EXP and values[0] > 1000:
+        raise TapeError(f"exp({numbers}) is beyond the range of a double")
+    result = getattr(LITERALS, op.value[0])(*values)
+    if not isinstance(result, LITERALS.mpf) or not LITERALS.isfinite(result):
+        raise TapeError(f"{op.value[0]}({numbers}) has no value")
+    return result
 
 
 class _Writer:
@@ -394,7 +413,7 @@ class _Writer:
     def _turn(self, node: int, turned: set[int]) -> bool:
         """Try to compute `node` with the other sign at no cost, through operands that serve nothing else."""
         key = self._nodes[node]
-        if not isinstance(key, tuple) or node in turned or key[0] in (Op.COS, Op.SQRT):
+        if not isinstance(key, tuple) or node in turned or key[0] not in _TURNABLE:
             return False
         op, a, b = key
         free = op is Op.SUB or (op in (Op.MUL, Op.DIV) and (self._is_literal(a) or self._is_literal(b)))
@@ -423,11 +442,11 @@ class _Writer:
             elif _sign(x) * _sign(y) != sign and self._is_literal(b):
                 y = -y
             self._record(_sign(x) * _sign(y) * node, op, x, y)
-        elif op is Op.SIN:
+        elif op in ODD or op in EVEN:
             x = self._keep(a)
-            self._record(_sign(x) * node, op, x, 0)
+            self._record(_sign(x) * node if op in ODD else node, op, x, 0)
         else:
-            self._record(node, op, self._with_sign(a) if op is Op.SQRT else self._keep(a), 0)
+            self._record(node, op, self._with_sign(a), self._with_sign(b) if op.arity == 2 else 0)
 
     def _keep(self, node: int) -> Ref:
         """Refer to a node with the sign it is kept with; a literal can have either, and starts with its own."""

@@ -14,7 +14,7 @@ import numpy as np
 from mpmath import MPContext, mpf
 
 from mbsgen.errors import TapeError
-from mbsgen.tape.types import Op, Tape
+from mbsgen.tape.types import FUNCTIONS, Op, Tape
 
 
 @dataclass(frozen=True)
@@ -22,15 +22,15 @@ class Numbers:
     """A number type: how to make a literal, and the functions that operators do not cover."""
 
     literal: Callable[[mpf], Any]
-    functions: Mapping[Op, Callable[[Any], Any]]
+    functions: Mapping[Op, Callable[..., Any]]
     epsilon: Any  # the distance from 1 to the next number
 
 
-FLOATS = Numbers(float, {Op.SIN: np.sin, Op.COS: np.cos, Op.SQRT: np.sqrt}, 2.0**-52)
+FLOATS = Numbers(float, {op: getattr(np, op.value[0]) for op in FUNCTIONS}, 2.0**-52)
 
 _FIFTY = MPContext()
 _FIFTY.dps = 50
-DIGITS = Numbers(_FIFTY.mpf, {Op.SIN: _FIFTY.sin, Op.COS: _FIFTY.cos, Op.SQRT: _FIFTY.sqrt}, _FIFTY.eps)
+DIGITS = Numbers(_FIFTY.mpf, {op: getattr(_FIFTY, op.value[0]) for op in FUNCTIONS}, _FIFTY.eps)
 
 
 def evaluate(tape: Tape, arguments: Mapping[str, Sequence[Any]], numbers: Numbers = FLOATS) -> dict[str, list[Any]]:
@@ -77,7 +77,7 @@ def _apply(op: Op, a: Any, b: Any, numbers: Numbers) -> Any:
         case Op.NEG:
             return -a
         case _:
-            return numbers.functions[op](a)
+            return numbers.functions[op](*((a, b)[: op.arity]))
 
 
 def _divide(a: Any, b: Any) -> Any:

@@ -1,4 +1,4 @@
-"""SymPy expression -> tape: the numbers of a model, over its parameters."""
+"""SymPy expression -> tape: the numbers of a model, over its parameters, and force laws."""
 
 from __future__ import annotations
 
@@ -7,15 +7,53 @@ from functools import lru_cache, reduce
 from operator import add, mul
 
 from mpmath import mpf
-from sympy import Add, Expr, Float, Mul, Pow, Rational, Symbol, cos, sin
+from sympy import (
+    Abs,
+    Add,
+    Expr,
+    Float,
+    Mul,
+    Pow,
+    Rational,
+    Symbol,
+    acos,
+    asin,
+    atan,
+    atan2,
+    cos,
+    exp,
+    log,
+    sign,
+    sin,
+    tan,
+    tanh,
+)
 
 from mbsgen.errors import TapeError
 from mbsgen.tape.builder import Builder, Scalar
-from mbsgen.tape.types import LITERALS
+from mbsgen.tape.types import LITERALS, Op
+
+_FUNCTIONS: Mapping[type[Expr], Op] = {
+    sin: Op.SIN,
+    cos: Op.COS,
+    tan: Op.TAN,
+    asin: Op.ASIN,
+    acos: Op.ACOS,
+    atan: Op.ATAN,
+    atan2: Op.ATAN2,
+    exp: Op.EXP,
+    log: Op.LOG,
+    tanh: Op.TANH,
+    Abs: Op.ABS,
+    sign: Op.SIGN,
+}
 
 
 def lower(expression: Expr, builder: Builder, symbols: Mapping[Symbol, Scalar]) -> Scalar:
-    """Write `expression` to the builder; its symbols stand for the given scalars."""
+    """Write `expression` to the builder; its symbols stand for the given scalars.
+
+    Raises TapeError for a function or power that no operation computes, and for a number that is not real.
+    """
     match expression:
         case Symbol():
             return symbols[expression]
@@ -27,11 +65,10 @@ def lower(expression: Expr, builder: Builder, symbols: Mapping[Symbol, Scalar]) 
             return reduce(mul, (lower(factor, builder, symbols) for factor in expression.args))
         case Pow():
             return _lower_power(expression, builder, symbols)
-        case sin():
-            return builder.sin(lower(expression.args[0], builder, symbols))
-        case cos():
-            return builder.cos(lower(expression.args[0], builder, symbols))
-    raise TapeError(f"no operation of the tape computes {type(expression).__name__} of a parameter")
+        case _ if expression.func in _FUNCTIONS:
+            operands = (lower(operand, builder, symbols) for operand in expression.args)
+            return builder.apply(_FUNCTIONS[expression.func], *operands)
+    raise TapeError(f"no operation of the tape computes {expression.func}")
 
 
 def _lower_power(power: Expr, builder: Builder, symbols: Mapping[Symbol, Scalar]) -> Scalar:
@@ -40,8 +77,11 @@ def _lower_power(power: Expr, builder: Builder, symbols: Mapping[Symbol, Scalar]
     if not exponent.is_Integer:
         raise TapeError(f"no operation of the tape raises to the power {power.args[1]}")
     halves = abs(int(exponent))
-    factors = [base] * (halves // 2) + ([builder.sqrt(base)] if halves % 2 else [])
-    product = reduce(mul, factors, builder.number(1.0))
+    product = builder.sqrt(base) if halves % 2 else builder.number(1.0)
+    squared = base  # base to the power 1, 2, 4, ...
+    for digit in reversed(f"{halves // 2:b}"):
+        product = product * squared if digit == "1" else product
+        squared = squared * squared
     return builder.number(1.0) / product if exponent < 0 else product
 
 
@@ -52,4 +92,7 @@ def _digits(number: Expr) -> mpf:
         return LITERALS.make_mpf(number._mpf_)
     if isinstance(number, Rational):
         return LITERALS.mpf(number.p) / number.q
-    return LITERALS.make_mpf(number.evalf(LITERALS.dps + 5)._mpf_)
+    value = number.evalf(LITERALS.dps + 5)
+    if not isinstance(value, Float | Rational):
+        raise TapeError(f"{number} is no real number")
+    return _digits(value)

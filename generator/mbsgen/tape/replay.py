@@ -32,7 +32,7 @@ def leaves(tape: Tape, builder: Builder, inputs: Mapping[str, Sequence[Scalar]])
 def operate(builder: Builder, op: Op, a: Scalar, b: Scalar | None) -> Scalar:
     """Apply one operation in the builder."""
     if b is None:
-        return -a if op is Op.NEG else Scalar(builder, builder.unary(op, a.ref))
+        return -a if op is Op.NEG else builder.apply(op, a)
     match op:
         case Op.ADD:
             return a + b
@@ -40,8 +40,10 @@ def operate(builder: Builder, op: Op, a: Scalar, b: Scalar | None) -> Scalar:
             return a - b
         case Op.MUL:
             return a * b
-        case _:
+        case Op.DIV:
             return a / b
+        case _:
+            return builder.apply(op, a, b)
 
 
 def replay_guards(tape: Tape, builder: Builder, values: Sequence[Scalar]) -> None:

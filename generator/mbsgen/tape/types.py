@@ -31,6 +31,16 @@ class Op(Enum):
     SQRT = ("sqrt", 1)
     SIN = ("sin", 1)
     COS = ("cos", 1)
+    TAN = ("tan", 1)
+    ASIN = ("asin", 1)
+    ACOS = ("acos", 1)
+    ATAN = ("atan", 1)
+    ATAN2 = ("atan2", 2)
+    EXP = ("exp", 1)
+    LOG = ("log", 1)
+    TANH = ("tanh", 1)
+    ABS = ("fabs", 1)
+    SIGN = ("sign", 1)  # -1, 0 or 1: what the derivative of |x| is taken to be, 0 where there is none
 
     @property
     def arity(self) -> int:
@@ -38,6 +48,12 @@ class Op(Enum):
         return self.value[1]
 
     __hash__ = object.__hash__  # members are singletons; Enum's own hash is slower
+
+
+_WRITTEN_BY_SIGNS = frozenset({Op.ADD, Op.SUB, Op.MUL, Op.DIV, Op.NEG})
+FUNCTIONS: tuple[Op, ...] = tuple(op for op in Op if op not in _WRITTEN_BY_SIGNS)
+ODD = frozenset({Op.SIN, Op.TAN, Op.ASIN, Op.ATAN, Op.TANH, Op.SIGN})  # f(-x) = -f(x)
+EVEN = frozenset({Op.COS, Op.ABS})  # f(-x) = f(x)
 
 
 @dataclass(frozen=True)

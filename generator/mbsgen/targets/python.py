@@ -11,14 +11,14 @@ import jinja2
 from mbsgen import resources
 from mbsgen.manifest import Flops
 from mbsgen.tape.counts import count
-from mbsgen.tape.types import Op, Tape
+from mbsgen.tape.types import FUNCTIONS, Op, Tape
 from mbsgen.targets.c import Unit
 from mbsgen.targets.contract import Family
 from mbsgen.targets.statements import Result, Syntax, write_body, write_lines
 
 PYTHON = Syntax(
     "{}",
-    {op: f"functions.{op.value[0]}" for op in (Op.SQRT, Op.SIN, Op.COS)},
+    {op: f"functions.{op.value[0]}" for op in FUNCTIONS} | {Op.SIGN: "_sign"},
     re.compile("|".join((*keyword.kwlist, "functions", "math"))),
 )
 

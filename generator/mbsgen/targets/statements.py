@@ -16,7 +16,7 @@ from itertools import count
 from mpmath import mpf
 
 from mbsgen.errors import TapeError
-from mbsgen.tape.types import Op, Sparsity, Tape
+from mbsgen.tape.types import FUNCTIONS, Op, Sparsity, Tape
 from mbsgen.targets.contract import arguments
 
 INLINED = 40  # the longest text written into another expression; a line has two of them at most
@@ -42,11 +42,12 @@ class Syntax:
 # Keywords of C, and what <math.h> or the ABI header may define as macros, are no names of local variables.
 C = Syntax(
     "MBS_C({})",
-    {Op.SQRT: "MBS_SQRT", Op.SIN: "MBS_SIN", Op.COS: "MBS_COS"},
+    {op: f"MBS_{op.name}" for op in FUNCTIONS},
     re.compile(
         "auto|break|case|char|const|continue|default|do|double|else|enum|extern|float|for|goto|if|inline|int|long|register|"
         "restrict|return|short|signed|sizeof|static|struct|switch|typedef|union|unsigned|void|volatile|while|"
-        r"(sin|cos|sqrt)f?|linux|unix|mbs_real|NAN|INFINITY|NULL|EOF|(MBS|FP|M|HUGE|MATH|INT|UINT|LONG)_.*"
+        "(a?sin|a?cos|a?tan|atan2|tanh|exp|log|sqrt|fabs)f?|linux|unix|mbs_real|NAN|INFINITY|NULL|EOF|"
+        "(MBS|FP|M|HUGE|MATH|INT|UINT|LONG)_.*"
     ),
 )
 
@@ -148,7 +149,9 @@ def write_literal(value: mpf, syntax: Syntax = C) -> str:
 def _write(syntax: Syntax, op: Op, a: str, b: str) -> str:
     if op in _INFIX:
         return f"{a}{_INFIX[op]}{b}"
-    return f"-{a}" if op is Op.NEG else f"{syntax.calls[op]}({_bare(a)})"
+    if op is Op.NEG:
+        return f"-{a}"
+    return f"{syntax.calls[op]}({', '.join(map(_bare, (a, b)[: op.arity]))})"
 
 
 def _write_checks(tape: Tape, syntax: Syntax, texts: Sequence[str], places: Sequence[int]) -> tuple[Check, ...]:
