@@ -10,8 +10,9 @@ import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from mbsgen.formulations.catalogue import FORMULATIONS, dynamics_alone
+from mbsgen.formulations.catalogue import FORMULATIONS
 from mbsgen.formulations.links import PARAMETERS
+from mbsgen.formulations.planning import dynamics_alone
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.manifest import Flops, Kernel
 from mbsgen.model.tree import Tree

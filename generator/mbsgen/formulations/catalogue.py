@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 
 from mbsgen.formulations import exp1, exp2, impl, poses, semi
 from mbsgen.formulations.links import PARAMETERS
 from mbsgen.formulations.reductions import Reductions
-from mbsgen.model.tree import NO_FORCE, Tree
+from mbsgen.model.tree import Tree
 from mbsgen.tape.types import Tape
 
 SETUP = "h"  # what `setup` computes from the parameters
@@ -75,10 +75,3 @@ FORMULATIONS: Mapping[str, Row] = MappingProxyType(
         "EXP2": Row(exp2.build, driven=True),  # nu(q, qd, Q)
     }
 )
-
-
-def dynamics_alone(tree: Tree, *, driven: bool) -> Tree:
-    """Take force laws and external wrenches away, and drive all joints or none."""
-    joints = (replace(b.joint, actuated=driven, law=NO_FORCE) for b in tree.bodies)
-    bodies = tuple(replace(b, joint=joint) for b, joint in zip(tree.bodies, joints, strict=True))
-    return replace(tree, bodies=bodies, wrenches=())

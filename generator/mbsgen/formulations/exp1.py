@@ -10,16 +10,17 @@ from collections.abc import Sequence
 
 from mbsgen.formulations.links import declare_state, joint_forces, write_chain
 from mbsgen.formulations.parsimony.elimination import solve
-from mbsgen.formulations.parsimony.segments import Segment, align
-from mbsgen.formulations.planning import finish
+from mbsgen.formulations.parsimony.segments import Segment, align, largest_inertias
+from mbsgen.formulations.planning import find_plans, finish
 from mbsgen.formulations.reductions import ALL, Reductions
 from mbsgen.formulations.semi import terms
 from mbsgen.model.tree import Tree
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.types import Tape
 
-# A pivot must keep this many times n epsilon of its diagonal entry: below, more than half of the digits are lost.
-PIVOT_TOLERANCE = 500.0
+# What a pivot has lost, relative to the largest inertia that its joint can feel, the result has lost too: below this
+# many epsilon, errors exceed 1e-6.
+PIVOT_TOLERANCE = 2.0e5
 
 
 def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
@@ -27,14 +28,16 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
     builder = Builder()
     state = declare_state(tree, builder, accelerations=False)
     chain = write_chain(tree, builder, state.q, state.p)
-    M, c = terms(chain, state, reductions)
+    plan = find_plans(tree, reductions).elimination
+    M, c = terms(chain, state, plan, reductions, absolute=reductions.absolute)
     segments = align(chain, group=reductions.share_frames)
     Q = joint_forces(tree, builder, state.u)
     forces = _absolute_forces(segments, Q) if reductions.absolute else Q
     n = len(segments)
     found = solve(builder, M, {i: forces[i - 1] - c[i - 1] for i in range(1, n + 1)}, n)
+    largest = largest_inertias(chain)
     for i in range(n, 0, -1):
-        builder.guard(found.pivots[i], M[i, i], PIVOT_TOLERANCE * n, i)
+        builder.guard(found.pivots[i], largest[i], PIVOT_TOLERANCE, i)
     qdd = [found.x[i] for i in range(1, n + 1)]
     if reductions.absolute:
         qdd = _relative_accelerations(segments, qdd)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from mbsgen.formulations.links import PARAMETERS, Chain, State, declare_state, joint_forces, write_chain
+from mbsgen.formulations.links import PARAMETERS, Chain, State, declare_state, write_chain
 from mbsgen.formulations.parsimony.articulated import accelerations
+from mbsgen.formulations.parsimony.elimination import solve
 from mbsgen.formulations.parsimony.mass_matrix import mass_matrix
 from mbsgen.formulations.parsimony.plan import NoSuchPlanError, Plan
 from mbsgen.formulations.parsimony.residual import residual
@@ -15,11 +16,13 @@ from mbsgen.formulations.parsimony.search import search
 from mbsgen.formulations.parsimony.segments import align
 from mbsgen.formulations.parsimony.writing import begin
 from mbsgen.formulations.reductions import Reductions
-from mbsgen.model.tree import Tree
+from mbsgen.model.tree import NO_FORCE, Tree
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.counts import count
 from mbsgen.tape.factoring import factor
 from mbsgen.tape.types import Tape
+
+ELIMINATED = 16  # larger trees write the M of EXP1 as that of SEMI: elimination takes most of the operations
 
 Write = Callable[[Chain, State, Plan], Sequence[Scalar]]
 
@@ -30,33 +33,52 @@ class Plans:
 
     residual: Plan  # IMPL
     bias: Plan  # c of SEMI and EXP1: the residual at qdd = 0
-    mass_matrix: Plan  # M of SEMI and EXP1
+    mass_matrix: Plan  # M of SEMI
+    elimination: Plan  # M of EXP1
     articulated: Plan  # EXP2
 
 
-@lru_cache(maxsize=8)
 def find_plans(tree: Tree, reductions: Reductions) -> Plans:
-    """Search for the plans of a tree."""
+    """Search for the plans of a tree; they do not depend on what drives it."""
+    return _find_plans(dynamics_alone(tree, driven=False), reductions)
+
+
+def dynamics_alone(tree: Tree, *, driven: bool) -> Tree:
+    """Take force laws, external wrenches and sensors away, and drive all joints or none."""
+    joints = (replace(b.joint, actuated=driven, law=NO_FORCE) for b in tree.bodies)
+    bodies = tuple(replace(b, joint=joint) for b, joint in zip(tree.bodies, joints, strict=True))
+    return replace(tree, bodies=bodies, wrenches=(), sensors=())
+
+
+@lru_cache(maxsize=8)
+def _find_plans(tree: Tree, reductions: Reductions) -> Plans:
+    n = len(tree.bodies)
 
     def write_residual(chain: Chain, state: State, plan: Plan) -> Sequence[Scalar]:
         return residual(begin(chain, plan, reductions), state.qd, state.qdd)
 
     def write_bias(chain: Chain, state: State, plan: Plan) -> Sequence[Scalar]:
-        at_rest = [chain.builder.zero] * len(tree.bodies)
-        return residual(begin(chain, plan, reductions), state.qd, at_rest, absolute=reductions.absolute)
+        return residual(begin(chain, plan, reductions), state.qd, [chain.builder.zero] * n)
 
     def write_masses(chain: Chain, state: State, plan: Plan) -> Sequence[Scalar]:
-        M = mass_matrix(begin(chain, plan, reductions), absolute=reductions.absolute)
+        M = mass_matrix(begin(chain, plan, reductions))
         return [*M.values(), *write_bias(chain, state, bias)]
 
+    def write_elimination(chain: Chain, state: State, plan: Plan) -> Sequence[Scalar]:
+        M = mass_matrix(begin(chain, plan, reductions), absolute=reductions.absolute)
+        right = residual(
+            begin(chain, bias, reductions), state.qd, [chain.builder.zero] * n, absolute=reductions.absolute
+        )
+        return list(solve(chain.builder, M, dict(enumerate(right, 1)), n).x.values())
+
     def write_accelerations(chain: Chain, state: State, plan: Plan) -> Sequence[Scalar]:
-        Q = joint_forces(tree, chain.builder, state.u)
-        return accelerations(begin(chain, plan, reductions), state.qd, Q)[0]
+        return accelerations(begin(chain, plan, reductions), state.qd, state.qdd)[0]  # any n numbers will do for Q
 
     own = _search(tree, write_residual, reductions)
     bias = _search(tree, write_bias, reductions, own)
     masses = _search(tree, write_masses, reductions, bias)
-    return Plans(own, bias, masses, _search(tree, write_accelerations, reductions, own, bias))
+    elimination = _search(tree, write_elimination, reductions, masses) if n <= ELIMINATED else masses
+    return Plans(own, bias, masses, elimination, _search(tree, write_accelerations, reductions, own, bias))
 
 
 def _search(tree: Tree, write: Write, reductions: Reductions, *start: Plan) -> Plan:

@@ -6,12 +6,12 @@ from composite bodies. O(n2) equations.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import reduce
 from operator import add
 
 from mbsgen.formulations.links import Chain, State, declare_state, joint_forces, write_chain
 from mbsgen.formulations.parsimony.mass_matrix import Entries, mass_matrix
+from mbsgen.formulations.parsimony.plan import Plan
 from mbsgen.formulations.parsimony.residual import residual
 from mbsgen.formulations.parsimony.writing import begin
 from mbsgen.formulations.planning import find_plans, finish
@@ -26,7 +26,7 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
     builder = Builder()
     state = declare_state(tree, builder, accelerations=False, forces=False)
     chain = write_chain(tree, builder, state.q, state.p)
-    M, c = terms(chain, state, replace(reductions, absolute=False))
+    M, c = terms(chain, state, find_plans(tree, reductions).mass_matrix, reductions)
     n = len(tree.bodies)
     full = {(i - 1, j - 1): v for (i, j), v in M.items()} | {(j - 1, i - 1): v for (i, j), v in M.items()}
     builder.output_dense("M", [[full.get((i, j), builder.zero) for j in range(n)] for i in range(n)])
@@ -39,7 +39,7 @@ def build_residual(tree: Tree, reductions: Reductions = ALL) -> Tape:
     builder = Builder()
     state = declare_state(tree, builder)
     chain = write_chain(tree, builder, state.q, state.p)
-    M, c = terms(chain, state, replace(reductions, absolute=False))
+    M, c = terms(chain, state, find_plans(tree, reductions).mass_matrix, reductions)
     Q = joint_forces(tree, builder, state.u)
 
     def row(i: int) -> Scalar:
@@ -50,10 +50,11 @@ def build_residual(tree: Tree, reductions: Reductions = ALL) -> Tape:
     return finish(builder.build("semi_res"), reductions)
 
 
-def terms(chain: Chain, state: State, reductions: Reductions) -> tuple[Entries, list[Scalar]]:
-    """Write one triangle of M, and c; in absolute angles if the reductions say so."""
-    plans = find_plans(chain.tree, reductions)
+def terms(
+    chain: Chain, state: State, plan: Plan, reductions: Reductions, *, absolute: bool = False
+) -> tuple[Entries, list[Scalar]]:
+    """Write one triangle of M by `plan`, and c; for relative or absolute rates."""
     at_rest = [chain.builder.zero] * len(chain.tree.bodies)
-    M = mass_matrix(begin(chain, plans.mass_matrix, reductions), absolute=reductions.absolute)
-    c = residual(begin(chain, plans.bias, reductions), state.qd, at_rest, absolute=reductions.absolute)
-    return M, c
+    bias = find_plans(chain.tree, reductions).bias
+    M = mass_matrix(begin(chain, plan, reductions), absolute=absolute)
+    return M, residual(begin(chain, bias, reductions), state.qd, at_rest, absolute=absolute)

@@ -59,16 +59,19 @@ def _beginnings(segments: Sequence[Segment], reductions: Reductions) -> Iterator
 def _alternatives(
     segments: Sequence[Segment], segment: Segment, choice: Choice, reductions: Reductions
 ) -> Iterator[Choice]:
-    """Change one thing of a body's choice; a mass together with the ring that it goes with."""
+    """Change one thing of a body's choice; a mass together with the ring that it goes with; then, all at once."""
     if not segment.is_revolute:
         return
     is_leaf = not children(segments, segment.number)
-    yield replace(choice, ring=1 - choice.ring)
-    if reductions.share_frames:
-        yield replace(choice, own_frame=not choice.own_frame)
-    if reductions.lump and not is_leaf:
-        yield replace(choice, scaled=not choice.scaled)
+    masses, lengths, frames = [Mass.PASSED], [False], [True]
     if reductions.lump and reductions.regroup and segment.parent:
-        masses = (Mass.PASSED, Mass.BALANCING, Mass.POINT) if is_leaf else (Mass.PASSED, Mass.BALANCING)
-        for mass, ring in product(masses, (0, 1)):
-            yield replace(choice, mass=mass, ring=ring)
+        masses += [Mass.BALANCING, Mass.POINT] if is_leaf else [Mass.BALANCING]
+    if reductions.lump and not is_leaf:
+        lengths.append(True)
+    if reductions.share_frames:
+        frames.append(False)
+    yield from (replace(choice, own_frame=own) for own in frames)
+    yield from (replace(choice, scaled=scaled) for scaled in lengths)
+    yield from (replace(choice, mass=mass, ring=ring) for mass, ring in product(masses, (0, 1)))
+    for own_frame, mass, ring, scaled in product(frames, masses, (0, 1), lengths):
+        yield Choice(own_frame, mass, scaled, ring)

@@ -113,3 +113,24 @@ def unit_matrix(builder: Builder) -> Matrix[Scalar]:
 def children(segments: Sequence[Segment], number: int) -> tuple[Segment, ...]:
     """List the segments that body `number` carries."""
     return tuple(s for s in segments if s.parent == number)
+
+
+def largest_inertias(chain: Chain) -> dict[int, Scalar]:
+    """Bound what each joint can feel of what it carries, stretched out: moment of inertia, or mass.
+
+    From parameters alone. By the triangle inequality in the norm (integral of r2 dm)^1/2; a slider's way is left out.
+    """
+    b = chain.builder
+    segments = align(chain)
+    bounds: dict[int, Scalar] = {}
+    second: dict[int, Scalar] = {}
+    mass: dict[int, Scalar] = {}
+    for s in reversed(segments):
+        P = s.moments.P
+        total, m = P[0, 0] + P[1, 1] + P[2, 2], s.moments.m
+        for child in children(segments, s.number):
+            reach = b.sqrt(second[child.number]) + b.sqrt(child.d.dot(child.d) * mass[child.number])
+            total, m = total + reach * reach, m + mass[child.number]
+        second[s.number], mass[s.number] = total, m
+        bounds[s.number] = total if s.is_revolute else m
+    return bounds
