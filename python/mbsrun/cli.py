@@ -7,8 +7,6 @@ from pathlib import Path
 
 import click
 from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 from mbsgen.errors import MbsError
 from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
@@ -169,10 +167,8 @@ def _print_summary(solution: Solution) -> None:
         "defect": f"{_number(check.defect)} in an interval, at most; {solution.problem.accuracy:.1e} asked for",
         "open loop": f"{_number(check.open_loop_error)} off at the end, under the inputs alone",
     }
-    table = Table(show_header=False, box=None, pad_edge=False)
     for name, value in rows.items():
-        table.add_row(Text(name), Text(value))
-    Console().print(table)
+        click.echo(f"{name:<14}{value}")
 
 
 def _list_shortcomings(solution: Solution) -> list[str]:

@@ -21,6 +21,7 @@ class Peer:
         self, name: str, functions: Mapping[str, ca.Function], joints: Sequence[Coordinate], frames: Sequence[Frame]
     ) -> None:
         self._functions = {**functions, "jac_impl": functions["impl"].jacobian()}
+        self._maps: dict[tuple[str, int], ca.Function] = {}
         self.manifest = Manifest(
             format=FORMAT,
             generator="by hand",
@@ -48,7 +49,9 @@ class Peer:
         is_batch = arrays[wanted[0]].ndim == 2
         states = len(arrays[wanted[0]]) if is_batch else 1
         columns = {key: array.reshape(states, -1).T for key, array in arrays.items()}
-        results = function.map(states)(**columns)
+        if (name, states) not in self._maps:
+            self._maps[name, states] = function.map(states)
+        results = self._maps[name, states](**columns)
         out = {}
         for i, key in enumerate(function.name_out()):
             rows, cols = function.size_out(i)

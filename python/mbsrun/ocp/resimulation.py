@@ -56,6 +56,8 @@ def integrate(plant: Plant, states: Array, u: Array, duration: float) -> Array |
 
     try:
         solver = DOP853(rate, 0.0, states.ravel(), duration, rtol=TOLERANCE, atol=TOLERANCE)
+        if not np.isfinite(solver.h_abs):  # it would look for a first step without end
+            return None
         with np.errstate(all="ignore"):  # a motion that runs away ends in a status
             while solver.status == "running":
                 solver.step()

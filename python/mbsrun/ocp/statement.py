@@ -28,7 +28,7 @@ from mbsgen.documents import (
     refuse,
 )
 from mbsgen.errors import Fault, InputError
-from mbsgen.expressions import CONSTANTS, FLOATS, FUNCTIONS, Expression, ExpressionError, Number, evaluate, parse
+from mbsgen.expressions import CONSTANTS, FLOATS, FUNCTIONS, Expression, ExpressionError, Number, evaluate, names, parse
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Bounds, Cost, End, GuessOptions, Point, Problem, Range, SolverOptions, cylindrical
@@ -229,7 +229,7 @@ class _Reading:
             if i is not None:
                 values[i], places[i] = value, inner
         for inner, name, value, (lower, upper) in zip(places, known, values, bounds, strict=True):
-            if not lower <= value <= upper:
+            if value < lower or value > upper:
                 self.fault(inner, f"{name} = {value:g} is out of [{lower:g}, {upper:g}]", "start within the bounds")
         return tuple(values)
 
@@ -242,13 +242,13 @@ class _Reading:
         )
 
     def ranges(
-        self, key: str, given: Limits | dict[str, Limits], names: _Names, usual: Sequence[Range]
+        self, key: str, given: Limits | dict[str, Limits], among: _Names, usual: Sequence[Range]
     ) -> tuple[Range, ...]:
         place, ranges = ("bounds", key), list(usual)
         if isinstance(given, tuple):
             return (self.range(place, given),) * len(ranges)
         for name, limits in given.items():
-            i, value = self.find((*place, name), name, names), self.range((*place, name), limits)
+            i, value = self.find((*place, name), name, among), self.range((*place, name), limits)
             if i is not None:
                 ranges[i] = value
         return tuple(ranges)
@@ -276,7 +276,7 @@ class _Reading:
             if i is not None:
                 coordinates.append((i, value))
                 lower, upper = bounds.q[i]
-                if not lower <= value <= upper:
+                if value < lower or value > upper:
                     self.fault(place, f"{value:g} is out of [{lower:g}, {upper:g}]", "end within the bounds")
         return End(tuple(sensors), tuple(coordinates), section.velocity is not None, section.acceleration is not None)
 
@@ -304,25 +304,27 @@ class _Reading:
         )
 
     def number(self, place: Place, expression: Expression, least: float = -math.inf) -> float:
-        """Compute an expression; where that fails, or gives less than `least`, tell it and go on with 1."""
+        """Compute an expression; NaN, which no further check minds, where that fails or gives less than `least`."""
+        if lies_under(place, self.stand_ins) or any(math.isnan(self.constants.get(n, 0)) for n in names(expression)):
+            return math.nan
         try:
             value = evaluate(expression, self.constants, FLOATS)
         except ExpressionError as error:
             self.fault(place, error.finding, error.remedy)
-            return 1.0
+            return math.nan
         if value < least:
             wanted = {0: "a number that is not negative", math.ulp(0): "a positive number"}
             self.fault(place, f"found {value:g}", f"give {wanted.get(least, f'at least {least:g}')}")
-            return 1.0
+            return math.nan
         return value
 
-    def find(self, place: Place, name: str, names: _Names) -> int | None:
+    def find(self, place: Place, name: str, among: _Names) -> int | None:
         """Look a name up; where it is unknown, tell it."""
-        if name in names.known:
-            return names.known.index(name)
-        meant = nearest(name, names.known)
-        remedy = f"did you mean {abbreviate(meant)}?" if meant else f"there are {', '.join(names.known) or 'none'}"
-        self.fault(place, f"the model has no {names.kind} {abbreviate(name)}", remedy)
+        if name in among.known:
+            return among.known.index(name)
+        meant = nearest(name, among.known)
+        remedy = f"did you mean {abbreviate(meant)}?" if meant else f"there are {', '.join(among.known) or 'none'}"
+        self.fault(place, f"the model has no {among.kind} {abbreviate(name)}", remedy)
         return None
 
     def fault(self, place: Place, finding: str, remedy: str) -> None:

@@ -70,7 +70,7 @@ def test_the_search_is_always_the_same(arm: Peer, reach: Problem) -> None:
 
 def test_the_motion_is_smooth_and_rests_at_both_ends(reach: Problem) -> None:
     """Velocities and accelerations are the derivatives of the coordinates, by central differences to their order."""
-    q = np.array(reach.start_q) + [1.0, -0.5, 0.3, 0.2, 0.1, -0.1]
+    q = np.array(reach.start_q) + np.array([1.0, -0.5, 0.3, 0.2, 0.1, -0.1])
     motion = interpolate(reach, schemes.build(Family.RADAU, 4), q)
     assert motion.q[0] == pytest.approx(reach.start_q, abs=1e-15)
     assert motion.q[-1] == pytest.approx(q, abs=1e-15)

@@ -66,7 +66,7 @@ def test_double_integrator_tends_to_the_continuous_optimum() -> None:
 def test_rates_are_penalised_without_end_terms() -> None:
     """With the weight of the rates alone: the least sum of N - 1 squared differences under two moments of u.
 
-    The moments are sum h u_k = 0 and sum h u_k (T - t_k) = 1, with t_k the middles; solved by its optimality conditions.
+    The moments are sum h u_k = 0 and sum h u_k (T - t_k) = 1, t_k the middles; found by its optimality conditions.
     """
     N = 8
     h = 1 / N
@@ -261,7 +261,10 @@ def test_a_kernel_that_is_not_finite_at_the_guess_is_a_failure() -> None:
     good = double_integrator()
     bad = Peer(
         "broken",
-        {"impl": residual_function(q, qd, qdd, u, qdd - u + ca.sqrt(-1 - q**2)), **pose_functions(q, p, p, ca.SX.eye(3))},
+        {
+            "impl": residual_function(q, qd, qdd, u, qdd - u + ca.sqrt(-1 - q**2)),
+            **pose_functions(q, p, p, ca.SX.eye(3)),
+        },
         good.manifest.coordinates,
         good.manifest.frames[:1],
     )

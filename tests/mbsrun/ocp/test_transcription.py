@@ -74,7 +74,7 @@ def test_derivatives_equal_casadis_of_the_same_program(arm: Peer, reach: Problem
 
 @pytest.mark.parametrize(("family", "degree"), SCHEMES)
 def test_polynomials_of_its_degree_meet_the_collocation(arm: Peer, reach: Problem, family: Family, degree: int) -> None:
-    """q of degree d with its derivatives: states and continuity hold to rounding; rows at the ends show what they ask."""
+    """q of degree d with its derivatives: states and continuity hold; rows at the end show what they ask."""
     problem = small(reach, family, degree)
     transcription = transcribe(problem, arm)
     motion, acceleration = polynomial_motion(problem, transcription)
@@ -127,7 +127,9 @@ def test_cost_is_the_stated_one(arm: Peer, reach: Problem) -> None:
     u, h = transcription.unpack(x).u, problem.horizon / problem.intervals
     rates = (u[1:] - u[:-1]) / h
     expected = 3.0 * h * (u**2).sum() + 0.5 * h * (rates**2).sum()
-    assert float(transcription.program.objective(x, transcription.weights(problem))) == pytest.approx(expected, rel=1e-14)
+    assert float(transcription.program.objective(x, transcription.weights(problem))) == pytest.approx(
+        expected, rel=1e-14
+    )
 
 
 def test_bounds_hold_at_mesh_and_collocation_points(arm: Peer, reach: Problem) -> None:
@@ -148,7 +150,7 @@ def test_bounds_hold_at_mesh_and_collocation_points(arm: Peer, reach: Problem) -
     assert np.isposinf(upper.u[:, 1:]).all()
 
 
-def test_values_alone_do_not_shape_the_program(arm: Peer, reach: Problem) -> None:
+def test_values_alone_do_not_shape_the_program(reach: Problem) -> None:
     """Start, targets, bounds and weights belong to a solve; the horizon and what is asked for to the program."""
     moved = replace(reach.with_target("hand", (0.0, -0.6, 0.1)), cost=Cost(1.0, 0.0), start_qd=(0.1,) * 6)
     assert structure(moved) == structure(reach)
@@ -170,8 +172,6 @@ def test_ends_in_coordinates(arm: Peer, reach: Problem) -> None:
 
 def test_a_system_without_sensors_at_the_end_has_no_sensor_block() -> None:
     free = ((-np.inf, np.inf),)
-    problem = Problem(
-        "rest", 1.0, 4, Family.RADAU, 2, Cost(1.0, 0.0), (0.0,), (0.0,), Bounds(free, free, free), End()
-    )
+    problem = Problem("rest", 1.0, 4, Family.RADAU, 2, Cost(1.0, 0.0), (0.0,), (0.0,), Bounds(free, free, free), End())
     transcription = transcribe(problem, double_integrator())
     assert len(transcription.program.blocks) == 1

@@ -1,0 +1,90 @@
+"""Pictures are written, say what they show, and are the same for the same solution."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+
+from mbsgen.manifest import Manifest
+from mbsrun.ocp.pictures import draw_mechanism, plot_trajectories
+from mbsrun.ocp.solution import Solution
+from mbsrun.ocp.solve import solve
+from tests.mbsrun.ocp.test_solve import push
+from tests.mbsrun.peer import Peer, double_integrator
+
+
+def plot(solution: Solution, plant: Peer, path: Path) -> None:
+    plot_trajectories(solution, plant.manifest, path)
+
+
+PICTURES = [plot, draw_mechanism]
+Picture = Callable[[Solution, Peer, Path], None]
+
+
+@pytest.fixture
+def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    """The figures that are drawn, kept from being written."""
+    kept: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: kept.append(figure))
+    return kept
+
+
+@pytest.mark.parametrize("picture", PICTURES)
+def test_a_picture_is_drawn_and_drawn_alike(arm: Peer, reached: Solution, tmp_path: Path, picture: Picture) -> None:
+    """A PNG with something on it; twice the same bytes."""
+    for name in ("one.png", "two.png"):
+        picture(reached, arm, tmp_path / name)
+    assert np.ptp(imread(tmp_path / "one.png")) > 0.5
+    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
+
+
+def test_trajectories_have_titles_units_and_a_legend(arm: Peer, reached: Solution, figures: list[Figure]) -> None:
+    plot(reached, arm, Path("unwritten.png"))
+    (figure,) = figures
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    units = [axes.get_ylabel().split()[-1] for axes in figure.axes]
+    assert titles == ["Joint coordinates", "Joint velocities", "Inputs"]
+    assert units == ["[rad]", "[rad/s]", "m]"]
+    assert figure.axes[-1].get_xlabel() == "time [s]"
+    (legend,) = figure.legends
+    words = [text.get_text() for text in legend.get_texts()]
+    assert words == ["q1", "q2", "q3", "q4", "q5 (passive)", "q6 (passive)"]
+
+
+def test_trajectories_are_those_of_the_solution(arm: Peer, reached: Solution, figures: list[Figure]) -> None:
+    """Every line runs through mesh and collocation points in order of time."""
+    plot(reached, arm, Path("unwritten.png"))
+    lines = [line for line in figures[0].axes[0].lines if line.get_label() == "q3"]
+    t, q = lines[0].get_data()
+    assert len(t) == 100 * 5
+    assert np.diff(np.asarray(t)).min() > -1e-15
+    assert np.array_equal(np.asarray(q)[::5], reached.trajectory.q[:-1, 2])
+
+
+def test_the_mechanism_shows_path_and_target(arm: Peer, reached: Solution, figures: list[Figure]) -> None:
+    draw_mechanism(reached, arm, Path("unwritten.png"))
+    legend = figures[0].axes[0].get_legend()
+    assert legend is not None
+    assert [text.get_text() for text in legend.get_texts()] == ["path of hand", "target of hand", "base"]
+
+
+@pytest.mark.parametrize("picture", PICTURES)
+def test_prismatic_joints_and_names_that_look_like_formulas(
+    tmp_path: Path, figures: list[Figure], picture: Picture
+) -> None:
+    """Metres and newtons; a $ in a name is a $."""
+    plant = double_integrator()
+    strange = plant.manifest.coordinates[0].model_copy(update={"name": r"$\frac{"})
+    plant.manifest = Manifest(**{**dict(plant.manifest), "coordinates": (strange,)})
+    solution = solve(replace(push(4), name="$x_{$"), plant)
+    assert isinstance(solution, Solution)
+    picture(solution, plant, tmp_path / "unwritten.png")
+    figures[0].canvas.draw()
+    if picture is plot:
+        assert [axes.get_ylabel().split(" ", 1)[1] for axes in figures[0].axes] == ["[m]", "[m/s]", "[N]"]

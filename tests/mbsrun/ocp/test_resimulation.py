@@ -1,0 +1,105 @@
+"""Re-simulation against closed forms, and what it says of meshes that are too coarse."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.resimulation import accelerations, integrate, resimulate
+from mbsrun.ocp.solution import Solution
+from mbsrun.ocp.solve import solve
+from tests.mbsrun.ocp.test_solve import push
+from tests.mbsrun.peer import Peer, double_integrator
+
+REFERENCE = json.loads((Path(__file__).parents[2] / "reference" / "seed_arm_docquier.json").read_text("utf-8"))
+
+
+def test_accelerations_are_those_of_the_reference(arm: Peer) -> None:
+    """M qdd = tau - c, with inputs at the arm's joints only: the reference's torques, less M^-1 of the passive ones."""
+    for state in REFERENCE["states"]:
+        M = np.array(state["exact50"]["M"], dtype=float)
+        qdd, tau = np.array(state["exact50"]["qdd_fd"], dtype=float), np.array(state["tau"])
+        passive = np.linalg.solve(M, np.concatenate((np.zeros(4), tau[4:])))
+        q, qd, u = np.array([state["q"]]), np.array([state["qd"]]), tau[None, :4]
+        assert accelerations(arm, q, qd, u)[0] == pytest.approx(qdd - passive, rel=1e-11)
+
+
+def test_a_constant_push_is_a_parabola() -> None:
+    """q = q0 + v0 t + u t^2 / 2, for several motions at once."""
+    states, u = np.array([[0.0, 1.0], [2.0, -1.0], [0.5, 0.0]]), np.array([[1.0], [0.0], [-3.0]])
+    ends = integrate(double_integrator(), states, u, 0.7)
+    assert ends is not None
+    expected = np.stack((states[:, 0] + 0.7 * states[:, 1] + u[:, 0] * 0.245, states[:, 1] + 0.7 * u[:, 0]), axis=1)
+    assert ends == pytest.approx(expected, abs=1e-13)
+
+
+def test_a_motion_that_collocation_integrates_exactly_has_no_defect() -> None:
+    """Quadratic motions under piecewise constant inputs, collocated at degree 2: rounding and IPOPT's 1e-8 remain."""
+    outcome = solve(push(8), double_integrator())
+    assert isinstance(outcome, Solution)
+    check = resimulate(outcome, double_integrator()).resimulation
+    assert check is not None
+    assert check.defect is not None
+    assert check.open_loop_error is not None
+    assert check.defect < 1e-12
+    assert check.open_loop_error < 1e-12
+    assert check.is_accurate
+
+
+def test_the_papers_mesh_is_accurate(arm: Peer, reached: Solution) -> None:
+    """(100, 4): an independent rebuild has a largest defect of 1e-10; open loop the plant multiplies it."""
+    check = resimulate(reached, arm).resimulation
+    assert check is not None
+    assert check.defect is not None
+    assert check.open_loop_error is not None
+    assert check.defect < 1e-9
+    assert check.defect < check.open_loop_error < 1e-4
+    assert check.is_accurate
+
+
+def test_a_coarse_mesh_is_found_out(arm: Peer, reach: Problem) -> None:
+    """(25, 2) solves with success and a plausible cost, and is wrong by 3.5e-2 in an interval."""
+    outcome = solve(replace(reach, intervals=25, degree=2), arm)
+    assert isinstance(outcome, Solution)
+    assert outcome.run.status == "Solve_Succeeded"
+    check = resimulate(outcome, arm).resimulation
+    assert check is not None
+    assert check.defect is not None
+    assert 1e-3 < check.defect < 1
+    assert not check.is_accurate
+
+
+def test_the_defect_is_judged_by_the_accuracy_asked_for(arm: Peer, reached: Solution) -> None:
+    strict = replace(reached, problem=replace(reached.problem, accuracy=1e-14))
+    check = resimulate(strict, arm).resimulation
+    assert check is not None
+    assert not check.is_accurate
+
+
+def test_a_wrong_trajectory_shows_where_it_is_wrong(arm: Peer, reached: Solution) -> None:
+    """A coordinate moved by 1e-3 at one mesh point: the defect is there, in the interval before or after."""
+    q = reached.trajectory.q.copy()
+    q[40, 2] += 1e-3
+    check = resimulate(replace(reached, trajectory=replace(reached.trajectory, q=q)), arm).resimulation
+    assert check is not None
+    assert check.defect_interval in (39, 40)
+    assert check.defect is not None
+    assert check.defect >= 0.9e-3
+
+
+def test_a_plant_that_cannot_be_integrated_is_told() -> None:
+    """Inputs that are not numbers: the integrator gives up, and that is not an accuracy."""
+    outcome = solve(push(8), double_integrator())
+    assert isinstance(outcome, Solution)
+    u = np.full_like(outcome.trajectory.u, np.nan)
+    broken = replace(outcome, trajectory=replace(outcome.trajectory, u=u))
+    check = resimulate(broken, double_integrator()).resimulation
+    assert check is not None
+    assert check.defect is None
+    assert check.open_loop_error is None
+    assert not check.is_accurate

@@ -1,0 +1,211 @@
+"""Problem files: what they mean, and every fault of a bad one at its place."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from mbsgen.errors import Fault, InputError
+from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.schemes import Family
+from mbsrun.ocp.statement import read_problem
+from tests.mbsrun.peer import Peer
+
+GOOD = """\
+model: arm.yaml
+constants: {a: acos(0.55/0.6), b: 2*a}
+horizon: 4/2
+intervals: 10
+scheme: legendre
+degree: 3
+cost:
+  inputs: 1
+  input_rates: 1e5
+start:
+  pose: {q2: a, q3: -b, q4: a}
+  velocity: [0.1, 0, 0, 0, 0, 0]
+bounds:
+  coordinates: {q1: [-pi, null]}
+  velocities: [-10, 10]
+  inputs: {q4: [-3, 4]}
+end:
+  sensors:
+    hand: {radius: 0.63, azimuth: pi/2, height: -0.1}
+    pendulum: {x: 1, y: 2, z: 3}
+  pose: {q1: pi/2}
+  velocity: zero
+guess:
+  upright: [hand]
+accuracy: 1e-4
+solver: {tolerance: 1e-6, max_iterations: 50, objective_scaling: 1e-5}
+"""
+
+
+def read(tmp_path: Path, text: str, arm: Peer) -> Problem:
+    path = tmp_path / "task.ocp.yaml"
+    path.write_text(text, "utf-8")
+    return read_problem(path, lambda _: arm)[0]
+
+
+def test_the_papers_problem(reach: Problem) -> None:
+    """Equations (22)-(27), with alpha such that the hand is at 0.65 m."""
+    alpha = math.acos(0.55 / 0.6)
+    assert reach.name == "arm_reach"
+    assert (reach.horizon, reach.intervals, reach.family, reach.degree) == (2.0, 100, Family.RADAU, 4)
+    assert (reach.cost.inputs, reach.cost.input_rates) == (1.0, 1e5)
+    assert reach.start_q == pytest.approx((0, alpha, -2 * alpha, alpha, 0, 0))
+    assert reach.start_qd == (0.0,) * 6
+    (name, target), *others = reach.end.sensors
+    assert name == "hand"
+    assert not others
+    assert target == pytest.approx((0.0, 0.63, -0.1), abs=1e-15)
+    assert reach.end.velocity_zero
+    assert reach.end.acceleration_zero
+    assert reach.bounds.q[0] == (-math.inf, math.inf)
+    assert reach.bounds.q[2] == pytest.approx((-5 * math.pi / 12, 0))
+    assert set(reach.bounds.qd + reach.bounds.u) == {(-math.inf, math.inf)}
+
+
+def test_everything_that_a_file_can_say(tmp_path: Path, arm: Peer) -> None:
+    problem = read(tmp_path, GOOD, arm)
+    a = math.acos(0.55 / 0.6)
+    assert problem.start_q == pytest.approx((0, a, -2 * a, a, 0, 0))
+    assert problem.start_qd == (0.1, 0, 0, 0, 0, 0)
+    assert problem.bounds.q[0] == (-math.pi, math.inf)
+    assert problem.bounds.q[1] == pytest.approx((-math.pi / 2, math.pi / 2))  # the model's
+    assert problem.bounds.qd == ((-10.0, 10.0),) * 6
+    assert problem.bounds.u == (*((-math.inf, math.inf),) * 3, (-3.0, 4.0))
+    assert dict(problem.end.sensors)["pendulum"] == (1.0, 2.0, 3.0)
+    assert problem.end.coordinates == ((0, math.pi / 2),)
+    assert problem.end.velocity_zero
+    assert not problem.end.acceleration_zero
+    assert problem.guess.upright == ("hand",)
+    assert problem.accuracy == 1e-4
+    assert (problem.solver.tolerance, problem.solver.max_iterations) == (1e-6, 50)
+    assert problem.solver.objective_scaling == 1e-5
+
+
+def test_the_model_is_looked_for_beside_the_file(tmp_path: Path, arm: Peer) -> None:
+    asked: list[Path] = []
+
+    def load(path: Path) -> Peer:
+        asked.append(path)
+        return arm
+
+    path = tmp_path / "task.ocp.yaml"
+    path.write_text(GOOD.replace("arm.yaml", "robots/arm.yaml"), "utf-8")
+    read_problem(path, load)
+    assert asked == [tmp_path / "robots" / "arm.yaml"]
+
+
+BAD = {  # what is changed in the good file: path, finding, remedy
+    "unknown key": ("accuracy: 1e-4", "acuracy: 1e-4", "acuracy", "unknown key", "did you mean `accuracy`?"),
+    "missing key": ("horizon: 4/2\n", "", "horizon", "missing", "give it"),
+    "no model file": ("arm.yaml", "arm", "model", '"arm"', "give a model file"),
+    "folder of C": ("arm.yaml", "../generated/arm", "model", "../generated/arm", "give a model file"),
+    "code": ("4/2", '__import__("os")', "horizon", "has no meaning", "use numbers"),
+    "code by attribute": ("4/2", "a.real", "horizon", '"."', "use numbers"),
+    "unknown name": ("4/2", "4/c", "horizon", 'unknown name "c"', "a, b"),
+    "constant before its definition": (
+        "{a: acos(0.55/0.6), b: 2*a}",
+        "{b: 2*a, a: 1}",
+        "constants.b",
+        '"a"',
+        "no names",
+    ),
+    "constant called pi": ("{a: ", "{pi: 3, a: ", "constants.pi", "no name for a constant", "give a word"),
+    "undefined function value": ("acos(0.55/0.6)", "acos(2)", "constants.a", "acos(2) has no value", "defined"),
+    "negative horizon": ("4/2", "-2", "horizon", "found -2", "positive"),
+    "zero horizon": ("4/2", "0", "horizon", "found 0", "positive"),
+    "infinite horizon": ("4/2", ".inf", "horizon", "inf", "finite"),
+    "boolean": ("4/2", "true", "horizon", "true", "number"),
+    "no intervals": ("intervals: 10", "intervals: 0", "intervals", "found 0", "1"),
+    "too many intervals": ("intervals: 10", "intervals: 1000000", "intervals", "found 1000000", "10000"),
+    "half an interval": ("intervals: 10", "intervals: 1.5", "intervals", "found 1.5", "whole number"),
+    "unknown scheme": ("legendre", "gauss", "scheme", '"gauss"', "'radau' or 'legendre'"),
+    "degree": ("degree: 3", "degree: 10", "degree", "found 10", "9"),
+    "formulation": ("degree: 3", "degree: 3\nformulation: semi", "formulation", '"semi"', "'impl'"),
+    "negative weight": ("inputs: 1\n", "inputs: -1\n", "cost.inputs", "found -1", "not negative"),
+    "no cost": ("inputs: 1\n  input_rates: 1e5", "inputs: 0", "cost", "every weight is 0", "positive weight"),
+    "short pose": ("{q2: a, q3: -b, q4: a}", "[0, a]", "start.pose", "found 2 numbers", "give 6"),
+    "unknown coordinate": ("{q2: a,", "{q7: a,", "start.pose.q7", 'no coordinate "q7"', "q5, q6"),
+    "start out of bounds": ("{q2: a,", "{q2: 3,", "start.pose.q2", "q2 = 3 is out of", "within the bounds"),
+    "fast start": ("[0.1, 0,", "[11, 0,", "start.velocity[0]", "q1 = 11 is out of", "within the bounds"),
+    "bounds reversed": ("[-10, 10]", "[10, -10]", "bounds.velocities", "10 is above -10", "[lower, upper]"),
+    "one bound": ("[-3, 4]", "[-3]", "bounds.inputs.q4", "", "give"),
+    "passive input": ("inputs: {q4:", "inputs: {q5:", "bounds.inputs.q5", 'no actuated coordinate "q5"', "q3, q4"),
+    "unknown sensor": ("    hand:", "    foot:", "end.sensors.foot", 'no sensor "foot"', "hand, pendulum"),
+    "body that is no sensor": ("    hand:", "    forearm:", "end.sensors.forearm", "no sensor", "hand"),
+    "mixed position": (
+        "{x: 1, y: 2, z: 3}",
+        "{x: 1, radius: 2, z: 3}",
+        "end.sensors.pendulum",
+        "x, z, radius",
+        "x, y, z",
+    ),
+    "end out of bounds": ("{q1: pi/2}", "{q2: 3}", "end.pose.q2", "3 is out of", "within the bounds"),
+    "end velocity": ("velocity: zero", "velocity: 1", "end.velocity", "found 1", "'zero'"),
+    "unknown frame": ("[hand]", "[hnad]", "guess.upright[0]", 'no frame "hnad"', 'did you mean "hand"?'),
+    "accuracy": ("accuracy: 1e-4", "accuracy: 0", "accuracy", "found 0", "positive"),
+    "tolerance": ("tolerance: 1e-6", "tolerance: 1e-20", "solver.tolerance", "found 1e-20", "1e-14"),
+    "no iterations": ("max_iterations: 50", "max_iterations: 0", "solver.max_iterations", "found 0", "1"),
+    "anchor": ("horizon: 4/2", "horizon: &h 2", "horizon", "anchor", "remove it"),
+    "tag": ("horizon: 4/2", "horizon: !!python/name:os.system 2", "horizon", "tag", "remove it"),
+    "repeated key": ("horizon: 4/2", "horizon: 2\nhorizon: 3", "horizon", "key repeated", "keep one"),
+}
+
+
+@pytest.mark.parametrize(("old", "new", "path", "finding", "remedy"), BAD.values(), ids=BAD.keys())
+def test_a_bad_file_is_refused_at_the_place(
+    tmp_path: Path, arm: Peer, old: str, new: str, path: str, finding: str, remedy: str
+) -> None:
+    """One fault is put into the good file; it is told with its line, and no other that merely follows from it."""
+    assert GOOD.count(old) == 1
+    with pytest.raises(InputError) as refusal:
+        read(tmp_path, GOOD.replace(old, new), arm)
+    (fault,) = refusal.value.faults
+    assert fault.path == path
+    assert finding in fault.finding
+    assert remedy in fault.remedy
+    assert fault.file == str(tmp_path / "task.ocp.yaml")
+    assert 1 <= fault.line <= GOOD[: GOOD.index(old)].count("\n") + 2
+
+
+def test_all_faults_come_together(tmp_path: Path, arm: Peer) -> None:
+    """Faults of shape, of numbers and of names, each with its own line."""
+    text = GOOD.replace("4/2", "-1").replace("legendre", "gauss").replace("    hand:", "    foot:")
+    with pytest.raises(InputError) as refusal:
+        read(tmp_path, text, arm)
+    assert [(fault.line, fault.path) for fault in refusal.value.faults] == [
+        (3, "horizon"),
+        (5, "scheme"),
+        (19, "end.sensors.foot"),
+    ]
+
+
+def test_faults_of_the_model_come_along(tmp_path: Path) -> None:
+    """A model that cannot be loaded is told beside the faults of the problem."""
+
+    def load(path: Path) -> Peer:
+        raise InputError([Fault(str(path), 7, "bodies[0].mass", "found -1", "give a positive mass")])
+
+    path = tmp_path / "task.ocp.yaml"
+    path.write_text(GOOD.replace("legendre", "gauss"), "utf-8")
+    with pytest.raises(InputError) as refusal:
+        read_problem(path, load)
+    assert [fault.path for fault in refusal.value.faults] == ["bodies[0].mass", "scheme"]
+
+
+def test_a_model_without_inputs_is_refused(tmp_path: Path, arm: Peer) -> None:
+    passive = Peer.__new__(Peer)
+    coordinates = tuple(c.model_copy(update={"actuated": False}) for c in arm.manifest.coordinates)
+    passive.manifest = arm.manifest.model_copy(update={"coordinates": coordinates})
+    with pytest.raises(InputError, match="no actuated coordinate"):
+        read(tmp_path, GOOD.replace("inputs: {q4: [-3, 4]}", "inputs: {}"), passive)
+
+
+def test_a_missing_file_is_told(arm: Peer) -> None:
+    with pytest.raises(InputError, match="there is no such file"):
+        read_problem(Path("nowhere.ocp.yaml"), lambda _: arm)

@@ -1,0 +1,176 @@
+"""The command line: what it prints where, what it writes, and its exit codes."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import cos, pi, sin
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mbsrun import cli
+from mbsrun.ocp.solution import ACCEPTABLE, Solution, read_solution
+from mbsrun.ocp.solve import solve
+from tests.mbsrun.peer_arm import peer_arm
+
+PAPER = (Path(__file__).parents[2] / "models" / "arm_reach.ocp.yaml").read_text("utf-8")
+TARGET = "{radius: 0.65, azimuth: 0.01, height: 0}"  # a small step aside: solved in a tenth of a second
+COARSE = PAPER.replace("{radius: 0.63, azimuth: pi/2, height: -0.1}", TARGET) + "accuracy: 1e-2\n"
+COARSE = COARSE.replace("intervals: 100", "intervals: 10").replace("degree: 4", "degree: 3")
+
+
+@dataclass(frozen=True)
+class Result:
+    exit_code: object
+    stdout: str
+    stderr: str
+
+
+Run = Callable[..., Result]
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run the command in an empty folder with the arm made by hand; a problem's text is put into task.ocp.yaml."""
+    monkeypatch.chdir(tmp_path)
+    arm = peer_arm()
+    monkeypatch.setattr(cli, "load", lambda _: arm)
+
+    def call(*arguments: str, text: str = COARSE) -> Result:
+        Path("task.ocp.yaml").write_text(text, "utf-8")
+        monkeypatch.setattr(sys, "argv", ["mbsrun", *arguments])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        return Result(end.value.code, *capsys.readouterr())
+
+    return call
+
+
+@pytest.fixture
+def quick(run: Run, monkeypatch: pytest.MonkeyPatch) -> Run:
+    """The same, with empty files for pictures."""
+    for name in ("plot_trajectories", "draw_mechanism"):
+        monkeypatch.setattr(cli, name, lambda *arguments: arguments[-1].touch())
+    return run
+
+
+def test_a_problem_is_solved(run: Run) -> None:
+    """Exit code 0; the summary on stdout, what was written on stderr; a solution and two pictures."""
+    result = run("solve", "task.ocp.yaml", "-o", "out")
+    assert result.exit_code == 0, result.stderr
+    for word in ("task, model peer arm", "Solve_Succeeded", "variables", "cost", "defect", "open loop"):
+        assert word in result.stdout
+    assert "wrote out/solution.json, out/trajectories.png, out/mechanism.png" in result.stderr
+    assert sorted(os.listdir("out")) == ["mechanism.png", "solution.json", "trajectories.png"]
+    solution = read_solution(Path("out/solution.json"))
+    assert f"{solution.cost.total:.10g}" in result.stdout
+    assert solution.resimulation is not None
+
+
+def test_the_folder_is_named_after_the_problem(quick: Run) -> None:
+    assert quick("solve", "task.ocp.yaml").exit_code == 0
+    assert Path("task.solution/solution.json").exists()
+
+
+def test_another_target(quick: Run) -> None:
+    """Radius, azimuth and height, as expressions, negative ones too."""
+    result = quick("solve", "task.ocp.yaml", "-o", "out", "--target", "0.65", "-pi/100", "-0.001")
+    assert result.exit_code == 0, result.stderr
+    ((_, target),) = read_solution(Path("out/solution.json")).problem.end.sensors
+    assert target == pytest.approx((0.65 * cos(pi / 100), -0.65 * sin(pi / 100), -0.001))
+
+
+def test_a_target_out_of_reach_is_not_solved(quick: Run) -> None:
+    """Exit code 1, the reason on stderr, nothing on stdout and nothing written."""
+    result = quick("solve", "task.ocp.yaml", "-o", "out", "--target", "1.5", "0", "0")
+    assert result.exit_code == 1
+    assert "not solved (Target_Out_Of_Reach): no pose" in result.stderr
+    assert result.stdout == ""
+    assert not Path("out").exists()
+
+
+def test_what_ipopt_does_not_solve_is_not_solved(quick: Run) -> None:
+    result = quick("solve", "task.ocp.yaml", "-o", "out", text=COARSE + "solver: {max_iterations: 2}\n")
+    assert result.exit_code == 1
+    assert "Maximum_Iterations_Exceeded" in result.stderr
+    assert not Path("out").exists()
+
+
+def test_an_earlier_solution_is_not_taken_for_this_one(quick: Run) -> None:
+    """It stays, and the message says whose it is."""
+    assert quick("solve", "task.ocp.yaml", "-o", "out").exit_code == 0
+    before = Path("out/solution.json").read_bytes()
+    result = quick("solve", "task.ocp.yaml", "-o", "out", "--target", "1.5", "0", "0")
+    assert result.exit_code == 1
+    assert "out/solution.json is from an earlier solve" in result.stderr
+    assert Path("out/solution.json").read_bytes() == before
+
+
+def test_an_inaccurate_solution_is_written_with_a_warning(quick: Run) -> None:
+    """Ten intervals of degree 3 are not good for 1e-9: exit code 1, and the file says so."""
+    result = quick("solve", "task.ocp.yaml", "-o", "out", text=COARSE.replace("1e-2", "1e-9"))
+    assert result.exit_code == 1
+    assert "warning: the largest defect of an interval" in result.stderr
+    check = read_solution(Path("out/solution.json")).resimulation
+    assert check is not None
+    assert not check.is_accurate
+
+
+def test_an_acceptable_solution_is_written_with_a_warning(quick: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop_short(*arguments: Any) -> Solution:
+        outcome = solve(*arguments)
+        assert isinstance(outcome, Solution)
+        return replace(outcome, run=replace(outcome.run, status=ACCEPTABLE))
+
+    monkeypatch.setattr(cli, "solve", stop_short)
+    result = quick("solve", "task.ocp.yaml", "-o", "out")
+    assert result.exit_code == 1
+    assert "warning: IPOPT stopped at an acceptable level" in result.stderr
+    assert read_solution(Path("out/solution.json")).is_only_acceptable
+
+
+BAD = {
+    "a missing file": (["solve", "nowhere.ocp.yaml"], COARSE, "there is no such file"),
+    "a bad file": (["solve", "task.ocp.yaml"], "horizon: 2\n", "task.ocp.yaml:1: model: missing"),
+    "a target that is no number": (["solve", "task.ocp.yaml", "--target", "1", "2", "up"], COARSE, "unknown name"),
+    "a target of two numbers": (["solve", "task.ocp.yaml", "--target", "1", "2"], COARSE, "3 arguments"),
+    "a target for no sensor": (
+        ["solve", "task.ocp.yaml", "--target", "1", "2", "3"],
+        COARSE.replace(f"  sensors:\n    hand: {TARGET}\n", "  pose: {q1: 1}\n"),
+        "targets for no sensor",
+    ),
+    "an output that is a file": (["solve", "task.ocp.yaml", "-o", "task.ocp.yaml"], COARSE, "is a file"),
+    "an output below a file": (["solve", "task.ocp.yaml", "-o", "task.ocp.yaml/out"], COARSE, "Not a directory"),
+    "an unknown command": (["slove", "task.ocp.yaml"], COARSE, "No such command"),
+    "an unknown option": (["solve", "task.ocp.yaml", "--tagret"], COARSE, "No such option"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "text", "message"), BAD.values(), ids=BAD.keys())
+def test_bad_input_has_exit_code_2(quick: Run, arguments: list[str], text: str, message: str) -> None:
+    """A message on stderr, no traceback, nothing on stdout."""
+    result = quick(*arguments, text=text)
+    assert result.exit_code == 2, result.stderr
+    assert message in result.stderr
+    assert "Traceback" not in result.stderr
+    assert result.stdout == ""
+
+
+def test_subcommands_win_over_files_of_the_same_name(quick: Run) -> None:
+    """A problem file called `solve` does not hide the command."""
+    Path("solve").write_text(COARSE, "utf-8")
+    assert quick("solve", "solve", "-o", "out").exit_code == 0
+    assert Path("out/solution.json").exists()
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["solve", "--help"], ["--version"]])
+def test_help_and_version(arguments: list[str]) -> None:
+    """From a process of its own, as a user calls it."""
+    done = subprocess.run([sys.executable, "-m", "mbsrun", *arguments], capture_output=True, text=True, check=True)
+    assert done.stdout.strip()
+    assert done.stderr == ""
