@@ -364,7 +364,7 @@ class _Writer:
             if isinstance(key, tuple):
                 self._write(node, *key)
         outputs = [[self._with_sign(ref) for ref in result.refs] for result in self._results]
-        tested = [(self._with_sign(test.value), self._with_sign(test.scale)) for test in self._tests]
+        tested = [(self._as_kept(test.value), self._with_sign(test.scale)) for test in self._tests]
         order = (
             *(n for s, first in self._inputs for n in range(first, first + s.sparsity.nnz)),
             *self._literals,
@@ -380,7 +380,7 @@ class _Writer:
                 for result, refs in zip(self._results, outputs, strict=True)
             ),
             tuple(
-                Guard(place[value], place[scale], test.tolerance, test.joint)
+                Guard(place[value], place[scale], test.tolerance, test.joint, negated=value != test.value)
                 for test, (value, scale) in zip(self._tests, tested, strict=True)
             ),
             MappingProxyType({place[node]: text for node, text in self._labels.items() if node in self._written}),
@@ -404,7 +404,6 @@ class _Writer:
     def _choose_turned(self) -> set[int]:
         turned: set[int] = set()
         wanted = {ref for result in self._results for ref in result.refs}
-        wanted |= {ref for test in self._tests for ref in (test.value, test.scale)}
         for ref in sorted(wanted, reverse=True):
             if ref < 0 and -ref not in wanted:
                 self._turn(-ref, turned)
@@ -469,6 +468,10 @@ class _Writer:
         if kept != ref and ref not in self._written:
             self._written[ref] = (Op.NEG, kept, 0)
         return ref
+
+    def _as_kept(self, ref: Ref) -> Ref:
+        """Refer to a value with whatever sign it is kept with."""
+        return self._with_sign(ref if ref == 0 or self._is_literal(ref) else self._kept[abs(ref)])
 
     def _is_literal(self, ref: Ref) -> bool:
         found = self._nodes[abs(ref)]

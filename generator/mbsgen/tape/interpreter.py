@@ -46,7 +46,8 @@ def find_failure(tape: Tape, arguments: Mapping[str, Sequence[Any]], numbers: Nu
     """Return the joint at which the kernel fails for these arguments, or 0: the status that generated code returns."""
     values = _evaluate_values(tape, arguments, numbers)
     for guard in tape.guards:
-        if not values[guard.value] > guard.tolerance * numbers.epsilon * values[guard.scale]:
+        pivot = -values[guard.value] if guard.negated else values[guard.value]
+        if not pivot > guard.tolerance * numbers.epsilon * values[guard.scale]:
             return guard.joint
     return 0
 

@@ -105,7 +105,7 @@ class _Split:
             builder.output(o.name, o.sparsity, [known.get(x, values[x]) for x in o.values])
         for g in tape.guards:
             pivot, scale = (known.get(x, values[x]) for x in (g.value, g.scale))
-            builder.guard(pivot, scale, g.tolerance, g.joint)
+            builder.guard(-pivot if g.negated else pivot, scale, g.tolerance, g.joint)
         return builder.build(tape.name)
 
     def _entry(self, value: int, entries: dict[int, int], vector: Sequence[Scalar]) -> Scalar:

@@ -49,4 +49,5 @@ def operate(builder: Builder, op: Op, a: Scalar, b: Scalar | None) -> Scalar:
 def replay_guards(tape: Tape, builder: Builder, values: Sequence[Scalar]) -> None:
     """Guard the same pivots in the builder."""
     for guard in tape.guards:
-        builder.guard(values[guard.value], values[guard.scale], guard.tolerance, guard.joint)
+        pivot = -values[guard.value] if guard.negated else values[guard.value]
+        builder.guard(pivot, values[guard.scale], guard.tolerance, guard.joint)

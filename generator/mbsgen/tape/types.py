@@ -140,6 +140,7 @@ class Guard:
     scale: int
     tolerance: float
     joint: int  # from 1
+    negated: bool = False  # the tape has the pivot with its sign changed
 
 
 Operation = tuple[Op, int, int]  # (op, first operand, second operand or -1)

@@ -159,7 +159,8 @@ def _write_checks(tape: Tape, syntax: Syntax, texts: Sequence[str], places: Sequ
     for g in tape.guards:
         place = max(place, places[g.value], places[g.scale])  # no guard is tested before an earlier one
         tolerance = syntax.literal.format(repr(float(g.tolerance)))
-        checks.append(Check(place, _bare(texts[g.value]), texts[g.scale], tolerance, g.joint))
+        value = f"-{texts[g.value]}" if g.negated else _bare(texts[g.value])
+        checks.append(Check(place, value, texts[g.scale], tolerance, g.joint))
     return tuple(checks)
 
 
