@@ -389,17 +389,21 @@ class _Writer:
     # -- which nodes are needed, and which are turned round ---------------------------------------------------
 
     def _count_uses(self) -> dict[int, int]:
+        """Count how often each node that is needed is used; a guard takes a value with whatever sign it has."""
         uses: dict[int, int] = {}
-        wanted = [ref for result in self._results for ref in result.refs]
-        wanted += [ref for test in self._tests for ref in (test.value, test.scale)]
-        stack = [abs(ref) for ref in wanted if ref]
+        self._walk(uses, [ref for result in self._results for ref in result.refs])
+        tested = [ref for test in self._tests for ref in (test.value, test.scale)]
+        self._walk(uses, [ref for ref in tested if abs(ref) not in uses])
+        return uses
+
+    def _walk(self, uses: dict[int, int], refs: Iterable[Ref]) -> None:
+        stack = [abs(ref) for ref in refs if ref]
         while stack:
             node = stack.pop()
             uses[node] = uses.get(node, 0) + 1
             key = self._nodes[node]
             if uses[node] == 1 and isinstance(key, tuple):
                 stack.extend(abs(operand) for operand in key[1:] if operand)
-        return uses
 
     def _choose_turned(self) -> set[int]:
         turned: set[int] = set()
