@@ -7,7 +7,7 @@ from pathlib import Path
 
 import casadi as ca
 
-from mbsrun.kernel import HIDDEN, Kernels
+from mbsrun.kernel import HIDDEN, Kernels, generated
 
 
 class Mechanism(Kernels):
@@ -31,10 +31,11 @@ class Mechanism(Kernels):
         return ca.Function(kernel.symbol, list(inputs.values()), chosen, list(inputs), outputs)
 
 
-def load(folder: str | Path, parameters: Mapping[str, float] | None = None) -> Mechanism:
-    """Compile a generated folder, unless that was done before, and load its kernels.
+def load(path: str | Path, parameters: Mapping[str, float] | None = None) -> Mechanism:
+    """Load the kernels of a generated folder, or of a model file (.yaml); compiled before, they are not compiled again.
 
     `parameters` replace values of the model's run-time parameters, by the user's names.
-    Raises InputError for a folder without a manifest, CompileError when the compiler fails.
+    Raises InputError for a folder without a manifest or a model with faults, CompileError when the compiler fails.
     """
-    return Mechanism(folder, parameters)
+    with generated(Path(path)) as folder:
+        return Mechanism(folder, parameters)

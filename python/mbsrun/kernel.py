@@ -9,7 +9,9 @@ from __future__ import annotations
 import copy
 import math
 import re
-from collections.abc import Callable, Mapping
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -214,6 +216,22 @@ class Kernels:
             joint = names[status - 1] if 0 < status <= len(names) else f"number {status}"
             raise KernelError(entry.kernel.name, joint, failed[0])
         return results
+
+
+@contextmanager
+def generated(path: Path) -> Iterator[Path]:
+    """Give the generated folder at `path`; of a model file (.yaml), one that mbsgen makes and that is gone afterwards.
+
+    Raises InputError with every fault of the model.
+    """
+    if path.suffix not in (".yaml", ".yml"):
+        yield path
+        return
+    from mbsgen.pipeline import generate  # here alone, and late: kernels are called without SymPy
+
+    with tempfile.TemporaryDirectory(prefix="mbsgen-") as place:
+        generate(path, Path(place) / "generated")
+        yield Path(place) / "generated"
 
 
 def _open(library: Path, manifest: Manifest) -> tuple[cffi.FFI, Any]:
