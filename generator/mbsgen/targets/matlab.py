@@ -13,7 +13,7 @@ import jinja2
 from mbsgen import resources
 from mbsgen.manifest import Flops
 from mbsgen.tape.counts import count
-from mbsgen.tape.types import Input, Op, Output, Sparsity, Tape
+from mbsgen.tape.types import FUNCTIONS, Input, Op, Output, Sparsity, Tape
 from mbsgen.targets.c import Unit
 from mbsgen.targets.contract import Family
 from mbsgen.targets.statements import Result, Syntax, wrap, write_body, write_lines
@@ -29,14 +29,18 @@ def _write_entries(name: str, pattern: Sparsity) -> list[str]:
     return [f"{name}({row + 1}, {column + 1})" for row, column in pattern.entries]
 
 
+# Outside of the domain, Matlab's own functions go on with complex numbers; these raise an error.
+_REAL = {Op.SQRT: "realsqrt", Op.LOG: "reallog", Op.ASIN: "realasin", Op.ACOS: "realacos"}
+_LOCAL = {Op.ASIN: "asin", Op.ACOS: "acos"}  # those of them that are written into the file
+
 # Keywords of Matlab and Octave, and the functions that are called here, are no names of variables.
 MATLAB = Syntax(
     "{}",
-    {op: op.value[0] for op in (Op.SQRT, Op.SIN, Op.COS)},
+    {op: op.value[0] for op in FUNCTIONS} | _REAL | {Op.ABS: "abs"},
     re.compile(
         "break|case|catch|classdef|continue|do|else|elseif|end.*|enumeration|events|for|function|global|if|methods|"
         "otherwise|parfor|persistent|properties|return|spmd|switch|try|until|unwind_protect.*|while|"
-        "sqrt|sin|cos|zeros|size|numel|eps|class|error|isequal|nargin|ans"
+        "(real)?(sqrt|log|asin|acos)|sin|cos|tan|atan2?|exp|tanh|abs|sign|zeros|size|numel|eps|class|error|isequal|any|ans"
     ),
     _write_entries,
 )
@@ -64,6 +68,7 @@ class _View:
     outputs: tuple[_Argument, ...]
     lines: tuple[str, ...]
     results: tuple[Result, ...]
+    local: tuple[str, ...]  # functions that have one of this file in their place
 
 
 def write_matlab(unit: Unit) -> dict[str, str]:
@@ -100,6 +105,7 @@ def _view(prefix: str, family: Family, tape: Tape) -> _View:
             "    error('mbsgen:pivot', 'the pivot of joint {joint} is lost in rounding');\nend",
         ),
         results=body.results,
+        local=tuple(name for op, name in _LOCAL.items() if any(used is op for used, _, _ in tape.operations)),
     )
 
 

@@ -23,6 +23,7 @@ from mbsgen.targets.c import Unit
 from mbsgen.targets.contract import Family
 from mbsgen.targets.matlab import FOLDER, MATLAB, write_matlab
 from mbsgen.targets.names import mangle
+from tests.mbsgen.targets.every_function import functions_tape
 from tests.sample import PARAMETERS, sample_families
 
 MODELS = Path(__file__).parents[3] / "models"
@@ -97,6 +98,21 @@ def test_octave_computes_what_the_tape_tells(model: str, tmp_path: Path, octave:
             scale = max(1.0, np.abs(expected).max(initial=0))
             assert found == pytest.approx(expected.T.ravel().tolist(), rel=0, abs=1e-13 * scale)
     assert next(lines, None) is None
+
+
+@pytest.mark.parametrize("x", [0.7, -0.3])
+def test_every_function_is_called_by_its_name(x: float, tmp_path: Path, octave: Octave) -> None:
+    tape, at = functions_tape(), {"x": [abs(x), x]}
+    write([Family(tape)], tmp_path)
+    found = list(map(float, octave(call(tape, at))[0].split()[2:]))
+    assert found == pytest.approx(evaluate(tape, at)["f"], rel=1e-15)
+
+
+@pytest.mark.parametrize("x", [[-0.5, 0.5], [0.5, 1.5], [0.5, -1.5]])
+def test_no_result_is_complex(x: list[float], tmp_path: Path, octave: Octave) -> None:
+    """A root or logarithm of a negative number, and an angle of a sine beyond 1, are errors."""
+    write([Family(functions_tape())], tmp_path)
+    assert octave(f"try model_impl({x}), catch disp('refused'); end") == ["refused"]
 
 
 def guarded_tape() -> Tape:

@@ -24,14 +24,16 @@ from mbsgen.model.tree import Kind
 from mbsgen.pipeline import write_families
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import DIGITS, FLOATS, evaluate, find_failure
-from mbsgen.tape.types import Op, Tape
+from mbsgen.tape.types import FUNCTIONS, Op, Tape
 from mbsgen.targets.c import Unit
 from mbsgen.targets.contract import Family
 from mbsgen.targets.python import write_python
+from tests.mbsgen.targets.every_function import functions_tape
 from tests.sample import PARAMETERS, sample_families
 
 MODELS = Path(__file__).parents[3] / "models"
-MATH = replace(FLOATS, functions={Op.SIN: math.sin, Op.COS: math.cos, Op.SQRT: math.sqrt})
+SIGN = {Op.SIGN: lambda x: float((x > 0) - (x < 0))}  # `math` has none
+MATH = replace(FLOATS, functions={op: getattr(math, op.value[0]) for op in FUNCTIONS if op is not Op.SIGN} | SIGN)
 
 
 def load(families: Sequence[Family], folder: Path) -> ModuleType:
@@ -164,6 +166,20 @@ def write_symbols(kernels: ModuleType, tape: Tape) -> tuple[dict[str, casadi.SX]
     symbols = {i.name: casadi.SX.sym(i.name, i.sparsity.nnz) for i in tape.inputs}
     results = getattr(kernels, tape.name)(**symbols, functions=casadi)
     return symbols, {name: casadi.vertcat(*values) for name, values in results.items()}
+
+
+@pytest.mark.parametrize("x", [0.7, -0.3])
+def test_every_function_is_called_by_its_name(x: float, tmp_path: Path) -> None:
+    tape = functions_tape()
+    kernels = load([Family(tape)], tmp_path)
+    at = {"x": [abs(x), x]}
+    expected = evaluate(tape, at)["f"]
+    assert kernels.impl(**at) == evaluate(tape, at, MATH)
+    assert kernels.impl(np.array(at["x"]), functions=np)["f"] == expected
+    assert list(map(float, kernels.impl(at["x"], functions=mpmath)["f"])) == pytest.approx(expected, rel=1e-15)
+    symbol = casadi.SX.sym("x", 2)
+    f = casadi.Function("f", [symbol], [casadi.vertcat(*kernels.impl(symbol, functions=casadi)["f"])])
+    assert f(at["x"]).full().ravel().tolist() == pytest.approx(expected, rel=1e-15)
 
 
 def guarded_tape() -> Tape:
