@@ -130,7 +130,7 @@ def main() -> None:
         _say(str(error))
         sys.exit(BAD_INPUT)
     except OSError as error:
-        _say(f"{error.filename}: {error.strerror}")
+        _say(f"{error.filename}: {error.strerror}" if error.filename else str(error))
         sys.exit(BAD_INPUT)
 
 

@@ -16,7 +16,7 @@ from mbsrun.ocp.trajectory import Trajectory, grid
 
 Array = NDArray[np.float64]
 
-REACHED = 1e-6  # the largest distance from the targets that counts as none [m, rad]
+REACHED = 1e-5  # the largest distance from the targets that counts as none [m, rad]
 STARTS = 20  # poses to search from, before a target counts as out of reach
 STEP = 1e-6  # of central differences [rad, m]
 NEARNESS = 1e-6  # weight of staying near the start among poses that meet the targets alike

@@ -65,7 +65,7 @@ _REASONS = {
         "more is asked for than the inputs can do",
         "drop a constraint, or take more intervals",
     ),
-    "User_Requested_Stop": ("the search was interrupted", "let it run"),
+    "NonIpopt_Exception_Thrown": ("the search was interrupted", "let it run to its end"),
 }
 _UNKNOWN = ("IPOPT ended with {status} after {iterations} iterations", "check bounds, horizon and guess")
 
@@ -97,6 +97,7 @@ class Solver:
             lbg=values,
             ubg=values,
         )
+        callback.end()
         run = _run(ipopt.stats(), time.perf_counter() - begin)
         x = answer["x"].full().ravel()
         if run.status not in (solution.SOLVED, solution.ACCEPTABLE) or not np.isfinite(x).all():
@@ -182,11 +183,17 @@ class _Callback(ca.Callback):
         self._watch: Watch | None = None
         self._values: Array = np.zeros(0)
         self._iteration = 0
+        self._error: Exception | None = None
         self.construct("watch")
 
     def begin(self, watch: Watch | None, values: Array) -> None:
         """Count from 0 again; `values` is what g must equal."""
-        self._watch, self._values, self._iteration = watch, values, 0
+        self._watch, self._values, self._iteration, self._error = watch, values, 0, None
+
+    def end(self) -> None:
+        """Raise what the watch raised, which CasADi would turn into a warning."""
+        if self._error is not None:
+            raise self._error
 
     def get_n_in(self) -> int:
         return int(ca.nlpsol_n_out())
@@ -200,7 +207,11 @@ class _Callback(ca.Callback):
     def eval(self, arguments: Sequence[ca.DM]) -> list[ca.DM]:
         if self._watch is not None:
             cost, g = float(arguments[1]), arguments[2].full().ravel()
-            self._watch(Progress(self._iteration, cost, float(np.abs(g - self._values).max())))
+            try:
+                self._watch(Progress(self._iteration, cost, float(np.abs(g - self._values).max())))
+            except Exception as error:
+                self._error = error
+                return [ca.DM(1)]  # asks IPOPT to stop
         self._iteration += 1
         return [ca.DM(0)]
 

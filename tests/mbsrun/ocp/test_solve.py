@@ -171,6 +171,16 @@ def test_the_watch_sees_every_iteration() -> None:
     assert seen[-1].violation == pytest.approx(outcome.violation.constraints, abs=1e-12)
 
 
+def test_what_a_watch_raises_comes_out() -> None:
+    """CasADi turns exceptions of callbacks into warnings; the watch's own comes back to its caller."""
+
+    def grumble(progress: Progress) -> None:
+        raise RuntimeError(f"enough at {progress.iteration}")
+
+    with pytest.raises(RuntimeError, match="enough at 0"):
+        solve(push(8), double_integrator(), grumble)
+
+
 # --- derivatives as IPOPT sees them --------------------------------------------------------------------------------
 
 
