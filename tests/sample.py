@@ -66,7 +66,8 @@ def write_sample(
 ) -> Path:
     """Write a model's C and its manifest into a folder, as the pipeline does; return the folder."""
     families = sample_families() if families is None else families
-    unit = Unit(mangle(name), "1.2.3", "0123abcd", families)
+    values = tuple(parameters.values()) if any(f.value.name == "setup" for f in families) else ()
+    unit = Unit(mangle(name), "1.2.3", "0123abcd", families, values)
     sources = write_c(unit)
     folder.mkdir(parents=True, exist_ok=True)
     for file, text in sources.files.items():

@@ -17,7 +17,7 @@ from mbsgen.formulations.reductions import ALL, Reductions
 from mbsgen.manifest import Coordinate, Frame, Manifest, Parameter
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree, with_runtime_numbers
-from mbsgen.model.tree import Kind, Tree
+from mbsgen.model.tree import NO_FORCE, Kind, Tree
 from mbsgen.report import Report, make_report, write_json, write_markdown
 from mbsgen.tape.passes import hoist
 from mbsgen.tape.types import Tape
@@ -57,7 +57,14 @@ def make(model: Path, options: Options = Options()) -> Product:
     parametric = with_runtime_numbers(written)
     tree = parametric if options.runtime else written
     families = write_families(tree)
-    unit = Unit(mangle(tree.name), __version__, _hash(tree, families), families)
+    unit = Unit(
+        mangle(tree.name),
+        __version__,
+        _hash(tree, families),
+        families,
+        tuple(p.value for p in tree.parameters if p.kind is Kind.RUNTIME),
+        only_driven=not tree.wrenches and all(body.joint.law == NO_FORCE for body in tree.bodies),
+    )
     sources = write_c(unit)
     described = _describe(tree, unit, sources)
     report = make_report(tree, parametric, described.kernels)

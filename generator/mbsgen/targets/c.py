@@ -6,20 +6,23 @@ C function with typed arguments, and a second one, in CasADi's contract, that ca
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 
 import jinja2
+from mpmath import mpf
 
 from mbsgen import resources
 from mbsgen.manifest import Argument, Flops, Kernel
 from mbsgen.tape.counts import count
 from mbsgen.tape.types import Input, Output, Sparsity
+from mbsgen.targets.agreement import compare
 from mbsgen.targets.contract import Face, Family, Slot, arguments, faces
-from mbsgen.targets.statements import Check, Result, Statement, wrap, write_body
+from mbsgen.targets.statements import Check, Result, Statement, wrap, write_body, write_literal
 
 ABI_HEADER = "mbs_abi.h"
+_COPIED = (ABI_HEADER, "mbs_check.h", "mbs_check.c")  # from csrc
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,8 @@ class Unit:
     version: str  # of mbsgen
     model_hash: str
     families: tuple[Family, ...]
+    parameters: tuple[float, ...] = ()  # values of the run-time parameters, for those who give none
+    only_driven: bool = True  # no force but u acts in the joints
 
 
 @dataclass(frozen=True)
@@ -38,24 +43,44 @@ class Sources:
 
     files: Mapping[str, str]  # file name -> text; every file of the folder but the manifest and reports
     header: str
-    sources: tuple[str, ...]  # the C files among them
+    sources: tuple[str, ...]  # the C files of the kernels among them
     kernels: tuple[Kernel, ...]
 
 
 def write_c(unit: Unit) -> Sources:
-    """Write every kernel of `unit` in C; the same unit gives the same text."""
+    """Write every kernel of `unit` in C, and what makes a library of them; the same unit gives the same text."""
     found = [face for family in unit.families for face in faces(family, unit.prefix)]
     views = [_view(unit.prefix, face) for face in found]
-    header = f"{unit.prefix}.h"
-    common = {"version": unit.version, "model_hash": unit.model_hash, "header": header}
-    kernel = _environment().get_template("kernel.c.j2")
-    sources = {view.file: kernel.render(kernel=view, **common) for view in views}
-    model = _environment().get_template("model.h.j2")
-    headers = {
-        header: model.render(kernels=views, prefix=unit.prefix, **common),
-        ABI_HEADER: (resources.folder("csrc") / ABI_HEADER).read_text(encoding="utf-8"),
+    header, parameters = f"{unit.prefix}.h", tuple(write_literal(mpf(x)) for x in unit.parameters)
+    common = {
+        "prefix": unit.prefix,
+        "version": unit.version,
+        "model_hash": unit.model_hash,
+        "header": header,
+        "parameters": parameters,
     }
-    return Sources({**headers, **sources}, header, tuple(sources), tuple(map(_describe, found)))
+    sources = {view.file: _render("kernel.c", kernel=view, **common) for view in views}
+    if parameters:
+        sources[f"{unit.prefix}_default_parameters.c"] = _render("parameters.c", **common)
+    files = {
+        header: _render("model.h", kernels=views, **common),
+        **{name: (resources.folder("csrc") / name).read_text(encoding="utf-8") for name in _COPIED},
+        **sources,
+        f"{unit.prefix}_check.c": _write_check(unit, found, common),
+        f"{unit.prefix}.pc": _render("model.pc", **common),
+        "CMakeLists.txt": _render("CMakeLists.txt", sources=tuple(sources), abi=ABI_HEADER, **common),
+    }
+    return Sources(files, header, tuple(sources), tuple(map(_describe, found)))
+
+
+def _write_check(unit: Unit, found: Sequence[Face], common: Mapping[str, object]) -> str:
+    comparisons = compare(unit.families, only_driven=unit.only_driven)
+    compared = {kernel for comparison in comparisons for kernel in comparison.kernels}
+    return _render("check.c", faces=[f for f in found if f.kernel in compared], comparisons=comparisons, **common)
+
+
+def _render(name: str, **view: object) -> str:
+    return _environment().get_template(f"{name}.j2").render(view)
 
 
 @cache

@@ -13,7 +13,19 @@ MAX_LENGTH = 38  # with the name of any kernel, 63: the most that Matlab reads
 _KEPT = re.compile(r"[A-Ya-z0-9_]")
 # Words that stand around the prefix in symbols (`jac_arm_impl`, `arm_compute_impl`, `mbs_abi.h`): as a part of a
 # prefix they would make `jac_arm` + `impl` and `jac_` + `arm_impl` the same symbol.
-_RESERVED = frozenset({"jac", "adj1", "fwd1", "compute", "mbs", "casadi"})
+_RESERVED = frozenset({"jac", "adj1", "fwd1", "compute", "check", "mbs", "casadi"})
+# A model of such a name would hide a header of C or POSIX (`math.h` from <math.h>), a library (`libm` from -lm), or a
+# target of CMake's own; on some file systems in capitals too.
+_HIDING = re.compile(
+    "aio|assert|complex|cpio|ctype|dirent|dlfcn|errno|fcntl|fenv|float|fmtmsg|fnmatch|ftw|glob|grp|iconv|"
+    "inttypes|iso646|langinfo|libgen|limits|locale|malloc|math|memory|monetary|mqueue|ndbm|netdb|poll|pthread|"
+    "pwd|regex|sched|search|semaphore|setjmp|signal|spawn|stdalign|stdarg|stdatomic|stdbit|stdbool|stdckdint|"
+    "stddef|stdint|stdio|stdlib|stdnoreturn|string|strings|stropts|syslog|tar|termios|tgmath|threads|time|"
+    "trace|uchar|ulimit|unistd|utime|utmpx|wchar|wctype|wordexp|"
+    "c|dl|gcc|m|rt|stdc|util|"
+    "all|all_build|clean|edit_cache|help|install|package|package_source|preinstall|rebuild_cache|run_tests|test|zero_check",
+    re.IGNORECASE,
+)
 
 
 def mangle(name: str) -> str:
@@ -24,6 +36,8 @@ def mangle(name: str) -> str:
     """
     assert name, "a model without a name is refused when it is read"
     text = "_".join(map(_escape_part, _escape(name).split("_")))
+    if _HIDING.fullmatch(text):
+        text = _code(text[0]) + text[1:]
     if len(text) <= MAX_LENGTH:
         return text
     digest = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()[:32]

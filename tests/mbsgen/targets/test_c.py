@@ -14,7 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mbsgen import manifest
 from mbsgen.resources import folder
+from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import FLOATS, evaluate
 from mbsgen.tape.types import LITERALS, Input, Op, Output, Sparsity, Tape
 from mbsgen.targets.c import Unit, write_c
@@ -41,6 +43,11 @@ def sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_sample(tmp_path_factory.mktemp("sample"))
 
 
+def kernels(sample: Path) -> list[Path]:
+    """List the C files of a library: all but the check program."""
+    return [sample / name for name in manifest.read(sample / manifest.FILE_NAME).sources]
+
+
 def sources(sample: Path) -> list[Path]:
     return [*sorted(sample.glob("*.c")), folder("csrc") / "mbs_batch.c"]
 
@@ -59,9 +66,10 @@ def test_no_compiler_warns(
 @pytest.mark.parametrize("compiler", ["g++", "clang++"])
 def test_the_headers_are_cpp_too(compiler: str, sample: Path, tmp_path: Path, requires: Requires) -> None:
     program = tmp_path / "program.cpp"
-    program.write_text('#include "sample.h"\n#include "mbs_batch.h"\nint main() { return sample_impl_n_in() != 5; }\n')
-    library = [tmp_path / f"{source.stem}.o" for source in sources(sample)]
-    for source, target in zip(sources(sample), library, strict=True):
+    headers = "".join(f'#include "{name}"\n' for name in ("sample.h", "mbs_batch.h", "mbs_check.h"))
+    program.write_text(f"{headers}int main() {{ return sample_impl_n_in() != 5; }}\n")
+    library = [tmp_path / f"{source.stem}.o" for source in kernels(sample)]
+    for source, target in zip(kernels(sample), library, strict=True):
         run(requires("gcc"), "-std=c99", f"-I{sample}", "-c", source, "-o", target)
     strict = ["-std=c++11", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{sample}", f"-I{folder('csrc')}"]
     run(requires(compiler), *strict, program, *library, "-lm", "-o", tmp_path / "program")
@@ -70,7 +78,7 @@ def test_the_headers_are_cpp_too(compiler: str, sample: Path, tmp_path: Path, re
 
 def test_kernels_keep_no_state_and_call_nothing_but_libm(sample: Path, tmp_path: Path, requires: Requires) -> None:
     """nm: no writable data (b, d, C), nothing undefined but functions of math.h and of the model itself."""
-    for source in sample.glob("*.c"):
+    for source in kernels(sample):
         run(requires("gcc"), "-std=c99", "-O2", "-fno-pic", "-c", source, "-o", tmp_path / f"{source.stem}.o")
         lines = [line.split()[-2:] for line in run(requires("nm"), tmp_path / f"{source.stem}.o").splitlines()]
         assert not [name for kind, name in lines if kind in "bBdDCsS"]
@@ -91,6 +99,19 @@ def test_the_text_is_the_same_under_any_hash_seed() -> None:
         for seed in ("0", "1", "2")
     }
     assert len(texts) == 1
+
+
+def test_the_default_parameters_are_written_to_the_last_bit(tmp_path: Path, requires: Requires) -> None:
+    values = {"third": 1 / 3, "tiny": 5e-324, "large": -1.7976931348623157e308}
+    b = Builder()
+    p = b.vector("p", 3)
+    b.output_dense("h", [[x * x] for x in p])
+    sample = write_sample(tmp_path, families=(Family(b.build("setup")),), parameters=values)
+    run(requires("gcc"), "-std=c99", "-fPIC", "-shared", *kernels(sample), "-lm", "-o", tmp_path / "lib.so")
+    found = np.zeros(3)
+    ctypes.CDLL(str(tmp_path / "lib.so")).sample_default_parameters(found.ctypes.data_as(ctypes.c_void_p))
+    assert found.tolist() == list(values.values())
+    assert "#define sample_PARAMETERS 3\n" in (sample / "sample.h").read_text()
 
 
 @pytest.mark.parametrize("name", ["*/ #error", "évil\n", '"); system("id', "机械臂"])

@@ -16,6 +16,7 @@ HOSTILE = [
     "int", "gamma", "sin", "restrict", "jac", "jac_arm", "adj1_arm", "fwd1_arm", "jac_adj1_arm", "arm_compute",
     "compute_arm", "compute", "arm_jac", "arm_compute_jac", "arm_impl", "mbs", "mbs_abi", "mbs_batch", "casadi",
     "../../etc/passwd", "a/b", "a\\b", "*/ int main(){} /*", "a\nb", "a\0b", "ärm", "a\u0308rm", "机械臂", "🤖", "%s%n",
+    "math", "Math", "m", "test", "all", "arm_check", "check", "arm_default", "default_parameters", "arm_semi",
     "$(reboot)", "`id`", '"; rm -rf /', "a" * 200, "a" * 199 + "b", "\ud800", "_", "__", " ",
 ]  # fmt: skip
 KERNELS = ("impl", "sensors", "frames", "setup", "semi", "semi_res", "exp1", "exp2")
@@ -31,7 +32,8 @@ def demangle(prefix: str) -> str:
 def symbols(prefix: str) -> set[str]:
     """List every external name of a model, file names' stems included."""
     faces = {f"{o}{prefix}_{k}{a}" for o in ORDERS for k in KERNELS for a in ACCOUNTS}
-    return faces | {f"{prefix}_compute_{o}{k}" for o in ORDERS for k in KERNELS}
+    typed = {f"{prefix}_compute_{o}{k}" for o in ORDERS for k in KERNELS}
+    return faces | typed | {f"{prefix}_default_parameters"}
 
 
 @given(st.text(min_size=1))
@@ -47,6 +49,12 @@ def test_different_names_have_different_prefixes(one: str, other: str) -> None:
     assert (mangle(one) == mangle(other)) == (one == other)
 
 
+@pytest.mark.parametrize("name", ["math", "Math", "string", "m", "c", "test", "ALL_BUILD", "install"])
+def test_a_model_hides_no_header_library_or_target(name: str) -> None:
+    """`#include <math.h>`, `-lm` and `make test` go on to mean what they do."""
+    assert mangle(name) == f"Z{ord(name[0]):x}z{name[1:]}"
+
+
 def test_plain_names_are_kept() -> None:
     assert [mangle(name) for name in ("arm_pendulum", "UR5", "q2x")] == ["arm_pendulum", "UR5", "q2x"]
 
@@ -55,6 +63,12 @@ def test_no_symbol_belongs_to_two_models() -> None:
     found = {name: symbols(mangle(name)) for name in HOSTILE}
     shared = [(a, b) for a, b in itertools.combinations(HOSTILE, 2) if found[a] & found[b]]
     assert shared == []
+
+
+def test_no_target_of_cmake_belongs_to_two_models() -> None:
+    """A library and its check program, side by side in one project."""
+    targets = [target for name in HOSTILE for target in (mangle(name), f"{mangle(name)}_check")]
+    assert len(set(targets)) == len(targets)
 
 
 @pytest.mark.parametrize("name", ["a" * 200, "机械臂" * 40])

@@ -1,0 +1,28 @@
+"""Whole models as they are written for users: the arm, and a random tree with run-time parameters."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from mbsgen.pipeline import generate, write_families
+from tests.golden import ROOT
+from tests.random_trees import random_tree
+from tests.sample import write_sample
+
+
+@pytest.fixture(scope="session")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Generate the arm."""
+    out = tmp_path_factory.mktemp("generated") / "arm"
+    generate(ROOT / "models" / "arm_pendulum.yaml", out)
+    return out
+
+
+@pytest.fixture(scope="session")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Generate a tree of five bodies, branched, with both kinds of joints."""
+    found = random_tree(5, 5, runtime=True)
+    parameters = {p.name: p.value for p in found.parameters}
+    return write_sample(tmp_path_factory.mktemp("tree"), "tree", write_families(found), parameters)

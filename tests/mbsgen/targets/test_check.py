@@ -1,0 +1,169 @@
+"""The check program: content with whole models, in both precisions and under sanitizers; planted faults are found."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.replay import declare_inputs, replay
+from mbsgen.tape.types import Tape
+from mbsgen.targets.contract import Family
+from tests.mbsgen.targets.test_c import Requires, run
+from tests.mbsgen.targets.test_guards import guarded_tape
+from tests.sample import family, sample_families, sample_tape, write_sample
+
+SANITIZED = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+
+
+def build(folder: Path, target: Path, compiler: str, *flags: str) -> Path:
+    """Compile all C files of a folder to the check program, as its first lines say."""
+    run(compiler, "-std=c99", *flags, *sorted(folder.glob("*.c")), "-lm", "-o", target)
+    return target
+
+
+def check(program: Path) -> tuple[int, dict[str, str]]:
+    """Run a check program; give its exit status, and its verdicts by what was compared."""
+    done = subprocess.run([program], capture_output=True, text=True, check=False)
+    assert done.stderr == ""
+    *lines, last = done.stdout.splitlines()
+    verdicts = [re.fullmatch(r"(ok|FAULT) +(.*?): .*", line) for line in lines]
+    found = {v[2]: v[1] for v in verdicts if v}
+    assert len(found) == len(lines)
+    assert last == f"{list(found.values()).count('FAULT')} of {len(found)} comparisons found a fault"
+    return done.returncode, found
+
+
+@pytest.mark.parametrize("flags", [("-O0",), ("-O0", "-DMBS_REAL=float"), ("-O0", *SANITIZED)], ids=" ".join)
+@pytest.mark.parametrize("model", ["arm", "tree"])
+def test_whole_models_pass(
+    model: str, flags: tuple[str, ...], request: pytest.FixtureRequest, tmp_path: Path, requires: Requires
+) -> None:
+    """All kernels, on random states: no fault, no read or write out of place, nothing undefined, no leak."""
+    folder = request.getfixturevalue(model)
+    status, found = check(build(folder, tmp_path / "check", requires("gcc"), *flags))
+    assert (status, set(found.values())) == (0, {"ok"})
+    for name in ("impl", "sensors"):
+        assert f"jac_{name} against differences of {name}" in found
+        assert f"adj1_{name} against jac_{name}" in found
+        assert f"jac_adj1_{name} against differences of adj1_{name}" in found
+    assert "sensors against the last of frames" in found
+
+
+# -- planted faults -------------------------------------------------------------------------------------------------
+
+
+def changed(tape: Tape | None, output: str, change: Callable[[Builder, list[Scalar]], list[Scalar]]) -> Tape:
+    """Change the values of an output."""
+    assert tape is not None
+    builder = Builder()
+    values = replay(tape, builder, declare_inputs(tape, builder))
+    for o in tape.outputs:
+        results = [values[v] for v in o.values]
+        builder.output(o.name, o.sparsity, change(builder, results) if o.name == output else results)
+    return builder.build(tape.name)
+
+
+def turn_last(_: Builder, values: list[Scalar]) -> list[Scalar]:
+    return [*values[:-1], -values[-1]]
+
+
+def scale_first(builder: Builder, values: list[Scalar]) -> list[Scalar]:
+    return [builder.number(1.0 + 1e-5) * values[0], *values[1:]]
+
+
+def lose_first(builder: Builder, values: list[Scalar]) -> list[Scalar]:
+    """Take the root of a negative number."""
+    return [builder.sqrt(-builder.number(1.0) - values[0] * values[0]), *values[1:]]
+
+
+def without(tape: Tape | None, output: str) -> Tape:
+    """Leave an output out: its block counts as structurally zero."""
+    assert tape is not None
+    return replace(tape, outputs=tuple(o for o in tape.outputs if o.name != output))
+
+
+SOUND = family(sample_tape())
+JACOBIAN = "jac_impl against differences of impl"
+ADJOINT = "adj1_impl against jac_impl"
+SECOND = "jac_adj1_impl against differences of adj1_impl"
+PLANTED: Mapping[str, tuple[Family, set[str]]] = {
+    "nothing": (SOUND, set()),
+    "sign": (replace(SOUND, jac=changed(SOUND.jac, "jac_f_x", turn_last)), {JACOBIAN, ADJOINT}),
+    "digits": (replace(SOUND, jac=changed(SOUND.jac, "jac_g_x", scale_first)), {JACOBIAN, ADJOINT}),
+    "missing block": (replace(SOUND, jac=without(SOUND.jac, "jac_f_y")), {JACOBIAN, ADJOINT}),
+    "not a number": (replace(SOUND, jac=changed(SOUND.jac, "jac_f_x", lose_first)), {JACOBIAN, ADJOINT}),
+    "adjoint": (replace(SOUND, adj1=changed(SOUND.adj1, "adj_y", scale_first)), {ADJOINT, SECOND}),
+    "second": (replace(SOUND, jac_adj1=changed(SOUND.jac_adj1, "jac_adj_x_y", turn_last)), {SECOND}),
+    "second, missing": (replace(SOUND, jac_adj1=without(SOUND.jac_adj1, "jac_adj_x_adj_f")), {SECOND}),
+    "failing kernel": (family(guarded_tape()), {JACOBIAN, ADJOINT, SECOND}),  # inputs of random sign
+}
+
+
+@pytest.mark.parametrize("fault", PLANTED)
+def test_planted_faults_are_found_and_nothing_else(fault: str, tmp_path: Path, requires: Requires) -> None:
+    planted, expected = PLANTED[fault]
+    folder = write_sample(tmp_path / "sample", families=(sample_families()[0], planted))
+    status, found = check(build(folder, tmp_path / "check", requires("gcc"), "-O0"))
+    assert {name for name, verdict in found.items() if verdict == "FAULT"} == expected
+    assert status == bool(expected)
+
+
+def write_oscillator(folder: Path, **faults: float) -> Path:
+    """Write 2 qdd + qd + 3 q - u = 0 as all functions; a fault is what is added to a result."""
+    inputs = {
+        "impl": ("q", "qd", "qdd", "u"),
+        "semi": ("q", "qd"),
+        "semi_res": ("q", "qd", "qdd", "u"),
+        "exp1": ("q", "qd", "u"),
+        "exp2": ("q", "qd", "u"),
+        "sensors": ("q",),
+        "frames": ("q",),
+    }
+    families = []
+    for name, names in inputs.items():
+        b = Builder()
+        x = {i: b.vector(i, 1)[0] for i in names}
+        number = b.number
+
+        def off(output: str, value: Scalar, kernel: str = name, builder: Builder = b) -> Scalar:
+            fault = faults.get(f"{kernel}_{output}")
+            return value + builder.number(fault) if fault else value
+
+        c = x["qd"] + number(3.0) * x["q"] if "qd" in x else b.zero
+        if "qdd" in x:
+            b.output_dense("Phi", [[off("Phi", number(2.0) * x["qdd"] + c - x["u"])]])
+        elif name == "semi":
+            b.output_dense("M", [[off("M", number(2.0))]])
+            b.output_dense("c", [[off("c", c)]])
+        elif "u" in x:
+            b.output_dense("qdd", [[off("qdd", (x["u"] - c) / number(2.0))]])
+        else:
+            columns = 1 if name == "sensors" else 2
+            b.output_dense("p", [[off("p", x["q"]) for _ in range(columns)]] * 3)
+        families.append(Family(b.build(name)))
+    return write_sample(folder, families=tuple(families))
+
+
+RELATIONS: Mapping[str, set[str]] = {
+    "semi_res_Phi": {"semi_res against impl"},
+    "semi_M": {"semi (M) against impl"},
+    "semi_c": {"semi (c) against impl"},
+    "exp1_qdd": {"exp1 put into impl", "exp1 against exp2"},
+    "exp2_qdd": {"exp2 put into impl", "exp1 against exp2"},
+    "frames_p": {"sensors against the last of frames"},
+}
+
+
+@pytest.mark.parametrize("fault", RELATIONS)
+def test_functions_that_disagree_are_found(fault: str, tmp_path: Path, requires: Requires) -> None:
+    folder = write_oscillator(tmp_path / "oscillator", **{fault: 1e-4})
+    status, found = check(build(folder, tmp_path / "check", requires("gcc"), "-O0"))
+    assert set().union(*RELATIONS.values()) == set(found)
+    assert {name for name, verdict in found.items() if verdict == "FAULT"} == RELATIONS[fault]
+    assert status == 1
