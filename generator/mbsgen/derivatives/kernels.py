@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mbsgen.derivatives import forward, reverse
+from mbsgen.derivatives.vanishing import drop_vanishing
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.counts import count
 from mbsgen.tape.replay import declare_inputs, replay, replay_guards
@@ -30,10 +31,11 @@ def differentiate(tape: Tape, wrt: Sequence[str]) -> Derivatives:
 def jacobian(tape: Tape, wrt: Sequence[str]) -> Tape:
     """Write `jac_<name>`, by the direction that takes fewer flops."""
     name = f"jac_{tape.name}"
-    return min(
+    found = min(
         (forward.jacobian(tape, wrt, name), reverse.jacobian(tape, wrt, name)),
         key=lambda candidate: count(candidate).paper,
     )
+    return drop_vanishing(found)
 
 
 def _adjoint_jacobian(tape: Tape, adj1: Tape, wrt: Sequence[str]) -> Tape:
@@ -50,7 +52,7 @@ def _adjoint_jacobian(tape: Tape, adj1: Tape, wrt: Sequence[str]) -> Tape:
             hessian.write(row, col, upper=order[row] < order[col])
         for seed in seeds:
             forward.write_block(builder, adj1, f"adj_{row}", adj1.input(seed), gradients)
-    return builder.build(f"jac_adj1_{tape.name}")
+    return drop_vanishing(builder.build(f"jac_adj1_{tape.name}"))
 
 
 class _Hessian:
