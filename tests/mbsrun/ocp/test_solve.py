@@ -10,7 +10,7 @@ import pytest
 
 from mbsrun.ocp import schemes
 from mbsrun.ocp.guess import interpolate
-from mbsrun.ocp.problem import Bounds, Cost, End, Problem, SolverOptions
+from mbsrun.ocp.problem import Bounds, Cost, End, Problem, SolverOptions, cylindrical
 from mbsrun.ocp.program import Program
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.solution import UNREACHABLE, Failure, Solution
@@ -137,12 +137,13 @@ def test_the_mirrored_target_has_the_mirrored_motion(arm: Peer, reach: Problem, 
 
 def test_a_solver_serves_other_targets_starts_and_weights(arm: Peer, reach: Problem) -> None:
     """One program, three problems; each ends as a solver of its own ends."""
-    coarse = replace(reach, intervals=12, degree=3)
+    near = reach.with_target("hand", cylindrical(0.65, 0.01, 0.0))
+    coarse = replace(near, intervals=6, degree=3)
     solver = Solver(coarse, arm)
     problems = (
         coarse,
-        replace(coarse.with_target("hand", (0.5, 0.3, 0.05)), cost=Cost(2.0, 10.0)),
-        replace(coarse, start_qd=(0.2, 0.0, 0.0, 0.0, 0.0, 0.0)),
+        replace(coarse.with_target("hand", cylindrical(0.64, 0.0, 0.01)), cost=Cost(2.0, 10.0)),
+        replace(coarse, start_qd=(0.02, 0.0, 0.0, 0.0, 0.0, 0.0)),
     )
     for problem in problems:
         guess = interpolate(problem, solver.transcription.scheme, np.array(problem.start_q))
