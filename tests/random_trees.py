@@ -2,11 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import islice
+
 import numpy as np
 from numpy.typing import NDArray
-from sympy import Float, Integer, Symbol
+from sympy import Float, Integer, Rational, Symbol, tanh
 
-from mbsgen.model.tree import Body, Joint, Kind, Matrix, Motion, Parameter, Sensor, Tree, Vector
+from mbsgen.model.tree import (
+    COORDINATE,
+    RATE,
+    Body,
+    Joint,
+    Kind,
+    Matrix,
+    Motion,
+    Parameter,
+    Sensor,
+    Tree,
+    Vector,
+    Wrench,
+)
 
 Array = NDArray[np.float64]
 
@@ -54,6 +71,51 @@ def random_tree(seed: int, size: int, *, runtime: bool = False, tidy: bool = Fal
     return Tree(f"random{seed}", vector(np.array([0.3, -0.2, -9.81])), tuple(parameters), tuple(bodies), sensors)
 
 
+def with_wrenches(tree: Tree, seed: int) -> Tree:
+    """Pull at random bodies: forces and moments given and open, in the base's components and in the body's."""
+    rng = np.random.default_rng(seed + 500)
+
+    def vector() -> Vector:
+        return tuple(Float(x) for x in rng.uniform(-5, 5, 3))  # type: ignore[return-value]
+
+    kinds = [
+        (True, False, True),
+        (True, True, False),
+        (False, False, False),
+        (False, True, False),
+        (True, False, False),
+    ]
+    wrenches = tuple(
+        Wrench(
+            f"wrench{k}",
+            int(rng.integers(1, len(tree.bodies) + 1)) if k else len(tree.bodies),
+            vector(),
+            in_base,
+            None if force_open else vector(),
+            None if moment_open else vector(),
+        )
+        for k, (in_base, force_open, moment_open) in enumerate(kinds)
+    )
+    return replace(tree, wrenches=wrenches)
+
+
+def with_laws(tree: Tree) -> Tree:
+    """Give every other joint a spring, a damper and smoothed dry friction, in numbers and in a parameter."""
+    k = Symbol("stiffness")
+    law = -k * (COORDINATE - Rational(1, 5)) - 3 * RATE - 2 * tanh(RATE / Rational(1, 10)) + COORDINATE**2 * RATE
+    joints = [replace(b.joint, law=law) if i % 2 else b.joint for i, b in enumerate(tree.bodies)]
+    bodies = tuple(replace(b, joint=joint) for b, joint in zip(tree.bodies, joints, strict=True))
+    kind = tree.parameters[0].kind if tree.parameters else Kind.CONSTANT
+    return replace(tree, bodies=bodies, parameters=(*tree.parameters, Parameter("stiffness", k, 7.0, kind)))
+
+
+def law_forces(tree: Tree, q: Array, qd: Array) -> Array:
+    """Evaluate the joints' force laws at the default parameters, by SymPy."""
+    table = {p.symbol: p.value for p in tree.parameters}
+    laws = [body.joint.law for body in tree.bodies]
+    return np.array([law.subs({**table, COORDINATE: a, RATE: b}) for law, a, b in zip(laws, q, qd, strict=True)], float)
+
+
 def random_rotation(rng: np.random.Generator) -> Array:
     """Draw a rotation matrix."""
     q, r = np.linalg.qr(rng.normal(size=(3, 3)))
@@ -90,7 +152,7 @@ class Pinocchio:
     def __init__(self, tree: Tree) -> None:
         import pinocchio as pin
 
-        self._pin = pin
+        self._pin, self.tree = pin, tree
         self.model = pin.Model()
         self.model.gravity.linear = floats(tree, tree.gravity)
         kinds = {
@@ -119,10 +181,27 @@ class Pinocchio:
         theirs[self.order] = ours
         return theirs
 
-    def residual(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Compute Phi(q, qd, qdd)."""
-        tau = self._pin.rnea(self.model, self.data, self._theirs(q), self._theirs(qd), self._theirs(qdd))
-        return np.array(tau)[self.order]
+    def residual(self, q: Array, qd: Array, qdd: Array, w: Sequence[float] = ()) -> Array:
+        """Compute Phi(q, qd, qdd), less the forces that go with the external wrenches; `w` are the open ones."""
+        state = (self._theirs(q), self._theirs(qd), self._theirs(qdd))
+        return np.array(self._pin.rnea(self.model, self.data, *state, self._external_forces(q, w)))[self.order]
+
+    def _external_forces(self, q: Array, w: Sequence[float]) -> object:
+        pin, given = self._pin, iter(w)
+        pin.forwardKinematics(self.model, self.data, self._theirs(q))
+        forces = pin.StdVec_Force()
+        forces.extend([pin.Force.Zero() for _ in self.model.joints])
+        for wrench in self.tree.wrenches:
+            force, moment = (
+                np.array(list(islice(given, 3))) if v is None else floats(self.tree, v)
+                for v in (wrench.force, wrench.moment)
+            )
+            joint = self.order[wrench.body - 1] + 1
+            if wrench.in_base:
+                force, moment = (self.data.oMi[joint].rotation.T @ v for v in (force, moment))
+            moment = moment + np.cross(floats(self.tree, wrench.position), force)
+            forces[joint] += pin.Force(force, moment)
+        return forces
 
     def mass_matrix(self, q: Array) -> Array:
         """Compute M(q)."""

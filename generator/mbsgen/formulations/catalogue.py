@@ -35,6 +35,7 @@ MEANINGS: Mapping[str, str] = MappingProxyType(
         "qd": "joint velocities, rad/s or m/s",
         "qdd": "joint accelerations, rad/s2 or m/s2",
         "u": "forces of the actuated joints, in joint order, N m or N",
+        "w": "external forces and moments that the model leaves open, in its order, N and N m",
         PARAMETERS: "run-time parameters, in the manifest's order",
         SETUP: "what setup computes from the run-time parameters",
         "Phi": "residual Phi(q, qd, qdd) - Q(q, qd, u), N m or N",

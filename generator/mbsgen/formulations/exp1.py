@@ -24,14 +24,14 @@ PIVOT_TOLERANCE = 2.0e5
 
 
 def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
-    """Write `exp1`: inputs q, qd, u [, p]; output qdd, shape (n,). Fails at the joint whose pivot is lost."""
+    """Write `exp1`: inputs q, qd, u [, w] [, p]; output qdd, shape (n,). Fails at the joint whose pivot is lost."""
     builder = Builder()
     state = declare_state(tree, builder, accelerations=False)
-    chain = write_chain(tree, builder, state.q, state.p)
+    chain = write_chain(tree, builder, state)
     plan = find_plans(tree, reductions).elimination
     M, c = terms(chain, state, plan, reductions, absolute=reductions.absolute)
     segments = align(chain, group=reductions.share_frames)
-    Q = joint_forces(tree, builder, state.u)
+    Q = joint_forces(chain)
     forces = _absolute_forces(segments, Q) if reductions.absolute else Q
     n = len(segments)
     found = solve(builder, M, {i: forces[i - 1] - c[i - 1] for i in range(1, n + 1)}, n)

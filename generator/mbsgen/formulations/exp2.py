@@ -20,12 +20,12 @@ PIVOT_TOLERANCE = 1.0
 
 
 def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
-    """Write `exp2`: inputs q, qd, u [, p]; output qdd, shape (n,). Fails at the joint whose pivot is lost."""
+    """Write `exp2`: inputs q, qd, u [, w] [, p]; output qdd, shape (n,). Fails at the joint whose pivot is lost."""
     builder = Builder()
     state = declare_state(tree, builder, accelerations=False)
-    chain = write_chain(tree, builder, state.q, state.p)
+    chain = write_chain(tree, builder, state)
     plan = find_plans(tree, reductions).articulated
-    Q = joint_forces(tree, builder, state.u)
+    Q = joint_forces(chain)
     qdd, joints = accelerations(begin(chain, plan, reductions), state.qd, Q)
     largest = largest_inertias(chain)
     for i in range(len(tree.bodies), 0, -1):

@@ -39,16 +39,16 @@ class Wrench:
 
 
 def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
-    """Write `impl`: inputs q, qd, qdd, u [, p]; output Phi, shape (n,), N m or N: Phi(q, qd, qdd) - Q."""
+    """Write `impl`: inputs q, qd, qdd, u [, w] [, p]; output Phi, shape (n,), N m or N: Phi(q, qd, qdd) - Q."""
     builder = Builder()
     state = declare_state(tree, builder)
-    chain = write_chain(tree, builder, state.q, state.p)
+    chain = write_chain(tree, builder, state)
     if reductions.is_textbook:
         Phi = residual(chain, state.qd, state.qdd)
     else:
         plan = find_plans(tree, reductions).residual
         Phi = newton_euler(begin(chain, plan, reductions), state.qd, state.qdd)
-    Q = joint_forces(tree, builder, state.u)
+    Q = joint_forces(chain)
     builder.output_dense("Phi", [[phi - force] for phi, force in zip(Phi, Q, strict=True)])
     return finish(builder.build("impl"), reductions)
 
@@ -103,8 +103,9 @@ def _acceleration_field(OM: Vector[Scalar], OMp: Vector[Scalar]) -> Matrix[Scala
 
 def backward_dynamics(chain: Chain, link: Link, motion: Kinematics, load: dict[int, Wrench]) -> Wrench:
     """From the leaves to the base: what the joint of `link` carries (Newton and Euler about the body's origin)."""
-    F = motion.A.scale(link.m) + motion.K.apply(link.S)
-    N = _gyration(link.J, motion) + link.S.cross(motion.A)
+    external = _external_load(chain, link)
+    F = motion.A.scale(link.m) + motion.K.apply(link.S) - external.F
+    N = _gyration(link.J, motion) + link.S.cross(motion.A) - external.N
     for child in (x for x in chain.links if x.parent == link.number):
         force = child.R.apply(load[child.number].F)
         F = F + force
@@ -112,6 +113,23 @@ def backward_dynamics(chain: Chain, link: Link, motion: Kinematics, load: dict[i
     i = link.number
     chain.builder.label((*F, *N), [f"{x}{k}_{i}" for x in ("F", "N") for k in "123"])
     return Wrench(F, N)
+
+
+def _external_load(chain: Chain, link: Link) -> Wrench:
+    """Add up the external wrenches on a body."""
+    F, N = chain.still, chain.still
+    for pull in (x for x in chain.pulls if x.body == link.number):
+        force, moment = pull.force, pull.moment
+        if pull.in_base:
+            force, moment = (_carry_out(chain, link, v) for v in (force, moment))
+        F, N = F + force, N + moment + pull.position.cross(force)
+    return Wrench(F, N)
+
+
+def _carry_out(chain: Chain, link: Link, v: Vector[Scalar]) -> Vector[Scalar]:
+    """Take components from the base frame to the body's."""
+    before = _carry_out(chain, chain.links[link.parent - 1], v) if link.parent else v
+    return link.R.transposed.apply(before)
 
 
 def _gyration(J: Matrix[Scalar], motion: Kinematics) -> Vector[Scalar]:

@@ -9,16 +9,29 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 
 from sympy import Expr
 
 from mbsgen.algebra.rotations import axis_rotation
 from mbsgen.algebra.vectors import Matrix, Vector, outer
-from mbsgen.model.tree import Body, Joint, Kind, Motion, Tree
+from mbsgen.model.tree import COORDINATE, RATE, Body, Joint, Kind, Motion, Tree
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.lowering import lower
 
 PARAMETERS = "p"  # the input that holds run-time parameters
+
+
+@dataclass(frozen=True)
+class State:
+    """The inputs of a formulation, declared in a builder; those that it does not take are empty."""
+
+    q: list[Scalar]
+    qd: list[Scalar]
+    qdd: list[Scalar]
+    u: list[Scalar]
+    w: list[Scalar]
+    p: list[Scalar]
 
 
 @dataclass(frozen=True)
@@ -42,23 +55,47 @@ class Link:
 
 
 @dataclass(frozen=True)
+class Pull:
+    """An external wrench with its numbers."""
+
+    body: int
+    position: Vector[Scalar]  # of its point, in the body's frame
+    in_base: bool  # components in the base frame; else in the body's
+    force: Vector[Scalar]
+    moment: Vector[Scalar]
+
+
+@dataclass(frozen=True)
 class Chain:
     """A Tree in a builder: its numbers are written when they are asked for."""
 
     tree: Tree
     builder: Builder
-    q: Sequence[Scalar]
+    state: State
     symbols: dict[Expr, Scalar]  # parameters
 
     @cached_property
     def links(self) -> tuple[Link, ...]:
         """The bodies, each in its own frame."""
-        return tuple(_write_link(self, i, body, self.q[i - 1]) for i, body in enumerate(self.tree.bodies, 1))
+        return tuple(_write_link(self, i, body, self.state.q[i - 1]) for i, body in enumerate(self.tree.bodies, 1))
 
     @cached_property
     def gravity(self) -> Vector[Scalar]:
         """The acceleration of free fall, in the base frame."""
         return self.vector(self.tree.gravity)
+
+    @cached_property
+    def pulls(self) -> tuple[Pull, ...]:
+        """The external wrenches; what the model leaves open is taken from the input w."""
+        given = iter(self.state.w)
+
+        def components(vector: Sequence[Expr] | None) -> Vector[Scalar]:
+            return Vector.of(islice(given, 3)) if vector is None else self.vector(vector)
+
+        return tuple(
+            Pull(x.body, self.vector(x.position), x.in_base, components(x.force), components(x.moment))
+            for x in self.tree.wrenches
+        )
 
     def scalar(self, number: Expr) -> Scalar:
         """Write a number of the model."""
@@ -79,12 +116,12 @@ class Chain:
         return Vector(zero, zero, zero)
 
 
-def write_chain(tree: Tree, builder: Builder, q: Sequence[Scalar], p: Sequence[Scalar]) -> Chain:
-    """Begin a tree in a builder; `p` holds its run-time parameters in order."""
+def write_chain(tree: Tree, builder: Builder, state: State) -> Chain:
+    """Begin a tree in the builder that its state is declared in."""
     runtime = [x.symbol for x in tree.parameters if x.kind is Kind.RUNTIME]
-    symbols = dict(zip(runtime, p, strict=True))
+    symbols = dict(zip(runtime, state.p, strict=True))
     symbols |= {x.symbol: builder.number(x.value) for x in tree.parameters if x.kind is Kind.CONSTANT}
-    return Chain(tree, builder, q, symbols)
+    return Chain(tree, builder, state, symbols)
 
 
 def _write_link(chain: Chain, number: int, body: Body, q: Scalar) -> Link:
@@ -104,31 +141,32 @@ def _write_link(chain: Chain, number: int, body: Body, q: Scalar) -> Link:
     return Link(number, body.parent, body.joint, R, dpt, slide, m, S, J)
 
 
-@dataclass(frozen=True)
-class State:
-    """The inputs of a formulation, declared in a builder; those that it does not take are empty."""
-
-    q: list[Scalar]
-    qd: list[Scalar]
-    qdd: list[Scalar]
-    u: list[Scalar]
-    p: list[Scalar]
-
-
 def declare_state(
-    tree: Tree, builder: Builder, *, rates: bool = True, accelerations: bool = True, forces: bool = True
+    tree: Tree,
+    builder: Builder,
+    *,
+    rates: bool = True,
+    accelerations: bool = True,
+    forces: bool = True,
+    wrenches: bool = True,
 ) -> State:
-    """Declare q, and where wanted qd, qdd, u; and p if the tree has run-time parameters."""
+    """Declare q, and where wanted qd, qdd, u; w if the tree has open wrenches, and p if it has run-time parameters."""
     n = len(tree.bodies)
     q = builder.vector("q", n)
     qd = builder.vector("qd", n) if rates else []
     qdd = builder.vector("qdd", n) if accelerations else []
     u = builder.vector("u", sum(body.joint.actuated for body in tree.bodies)) if forces else []
+    left_open = 3 * sum(vector is None for x in tree.wrenches for vector in (x.force, x.moment))
+    w = builder.vector("w", left_open) if wrenches and left_open else []
     runtime = sum(x.kind is Kind.RUNTIME for x in tree.parameters)
-    return State(q, qd, qdd, u, builder.vector(PARAMETERS, runtime) if runtime else [])
+    return State(q, qd, qdd, u, w, builder.vector(PARAMETERS, runtime) if runtime else [])
 
 
-def joint_forces(tree: Tree, builder: Builder, u: Sequence[Scalar]) -> list[Scalar]:
-    """Spread u over the joints: Q = Qa + Qp, with no force in passive joints (Docquier et al., eq. 14)."""
-    active = iter(u)
-    return [next(active) if body.joint.actuated else builder.zero for body in tree.bodies]
+def joint_forces(chain: Chain) -> list[Scalar]:
+    """Add up Q = Qa + Qp: u in the actuated joints, and every joint's law (Docquier et al., eq. 14)."""
+    state, active = chain.state, iter(chain.state.u)
+    forces = []
+    for body, q, qd in zip(chain.tree.bodies, state.q, state.qd, strict=True):
+        own = next(active) if body.joint.actuated else chain.builder.zero
+        forces.append(own + lower(body.joint.law, chain.builder, {**chain.symbols, COORDINATE: q, RATE: qd}))
+    return forces

@@ -85,7 +85,7 @@ def _search(tree: Tree, write: Write, reductions: Reductions, *start: Plan) -> P
     """Search for the plan of one recursion; all trials share a builder, where most of what they write is known."""
     builder = Builder()
     state = declare_state(tree, builder)
-    chain = write_chain(tree, builder, state.q, state.p)
+    chain = write_chain(tree, builder, state)
     builder.cost((), {PARAMETERS})  # before anything is computed of the inputs
 
     def cost(plan: Plan) -> int | None:

@@ -25,8 +25,8 @@ class Pose:
 def build_sensors(tree: Tree) -> Tape:
     """Write `sensors`: inputs q [, p]; output position, shape (3, number of sensors) [m]."""
     builder = Builder()
-    state = declare_state(tree, builder, rates=False, accelerations=False, forces=False)
-    chain = write_chain(tree, builder, state.q, state.p)
+    state = declare_state(tree, builder, rates=False, accelerations=False, forces=False, wrenches=False)
+    chain = write_chain(tree, builder, state)
     columns = [_position(chain, sensor) for sensor in tree.sensors]
     entries = {(r, c): column[r] for c, column in enumerate(columns) for r in range(3)}
     builder.output_dense("position", [[entries[r, c] for c in range(len(columns))] for r in range(3)])
@@ -45,8 +45,8 @@ def _position(chain: Chain, sensor: Sensor) -> Vector[Scalar]:
 def build_frames(tree: Tree) -> Tape:
     """Write `frames`: inputs q [, p]; outputs p (3, F) [m] and R (3, 3 F) of all bodies, then all sensors."""
     builder = Builder()
-    state = declare_state(tree, builder, rates=False, accelerations=False, forces=False)
-    chain = write_chain(tree, builder, state.q, state.p)
+    state = declare_state(tree, builder, rates=False, accelerations=False, forces=False, wrenches=False)
+    chain = write_chain(tree, builder, state)
     one, zero = builder.number(1.0), builder.zero
     unit = Matrix.of([[one if r == c else zero for c in range(3)] for r in range(3)])
     poses = {0: Pose(chain.still, unit)}

@@ -22,10 +22,10 @@ from mbsgen.tape.types import Tape
 
 
 def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
-    """Write `semi`: inputs q, qd [, p]; outputs M, shape (n, n), and c, shape (n,)."""
+    """Write `semi`: inputs q, qd [, w] [, p]; outputs M, shape (n, n), and c, shape (n,)."""
     builder = Builder()
     state = declare_state(tree, builder, accelerations=False, forces=False)
-    chain = write_chain(tree, builder, state.q, state.p)
+    chain = write_chain(tree, builder, state)
     M, c = terms(chain, state, find_plans(tree, reductions).mass_matrix, reductions)
     n = len(tree.bodies)
     full = {(i - 1, j - 1): v for (i, j), v in M.items()} | {(j - 1, i - 1): v for (i, j), v in M.items()}
@@ -35,12 +35,12 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
 
 
 def build_residual(tree: Tree, reductions: Reductions = ALL) -> Tape:
-    """Write `semi_res`: inputs q, qd, qdd, u [, p]; output Phi, shape (n,): M qdd + c - Q."""
+    """Write `semi_res`: inputs q, qd, qdd, u [, w] [, p]; output Phi, shape (n,): M qdd + c - Q."""
     builder = Builder()
     state = declare_state(tree, builder)
-    chain = write_chain(tree, builder, state.q, state.p)
+    chain = write_chain(tree, builder, state)
     M, c = terms(chain, state, find_plans(tree, reductions).mass_matrix, reductions)
-    Q = joint_forces(tree, builder, state.u)
+    Q = joint_forces(chain)
 
     def row(i: int) -> Scalar:
         products = [v * state.qdd[a + b - i - 1] for (a, b), v in M.items() if i in (a, b)]

@@ -140,6 +140,11 @@ class Kinematics:
             v = segment.turn.transposed.apply(v) if segment.turn else v
         return station.step.into(v) if station.step else v
 
+    def arrive_from_base(self, segment: Segment, v: Vector[Scalar]) -> Vector[Scalar]:
+        """Take components from the base frame to where `segment` is written."""
+        before = self.arrive_from_base(self.segments[segment.parent - 1], v) if segment.parent else v
+        return self.arrive(segment, before)
+
     def depart(self, segment: Segment, v: Vector[Scalar]) -> Vector[Scalar]:
         """Take components from where `segment` is written to where its parent is."""
         station = self.stations[segment.number]

@@ -10,12 +10,12 @@ J = tr(P) 1 - P). In this form mass moves between bodies by sums alone.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from sympy import Expr
 
 from mbsgen.algebra.vectors import Matrix, Vector, outer
-from mbsgen.formulations.links import Chain
+from mbsgen.formulations.links import Chain, Pull
 from mbsgen.model.tree import Body, Motion
 from mbsgen.tape.builder import Builder, Scalar
 
@@ -45,6 +45,7 @@ class Segment:
     opens_group: bool  # its axis is not its predecessor's
     d: Vector[Scalar]  # its origin, at q = 0, from the parent's
     moments: Moments
+    pulls: tuple[Pull, ...]
 
     @property
     def across(self) -> tuple[int, int]:
@@ -73,8 +74,8 @@ def align(chain: Chain, *, group: bool = True) -> tuple[Segment, ...]:
         before = segments[body.parent - 1] if body.parent else None
         continues = group and before and is_revolute and before.is_revolute and turn is None and before.axis == axis
         d = turned[body.parent].apply(chain.vector(body.position))
-        moments = _moments(chain, body, turned[number])
-        segments.append(Segment(number, body.parent, is_revolute, axis, sense, turn, not continues, d, moments))
+        moments, pulls = _moments(chain, body, turned[number]), _pulls(chain, number, turned[number])
+        segments.append(Segment(number, body.parent, is_revolute, axis, sense, turn, not continues, d, moments, pulls))
     return tuple(segments)
 
 
@@ -97,6 +98,16 @@ def _moments(chain: Chain, body: Body, frame: Matrix[Scalar]) -> Moments:
     central = unit_matrix(chain.builder).scale(half_trace) - In
     S = l.scale(m)
     return Moments(m, S, frame.times(central).times(frame.transposed) + outer(S, l))
+
+
+def _pulls(chain: Chain, number: int, frame: Matrix[Scalar]) -> tuple[Pull, ...]:
+    """List the external wrenches on a body; components in the base frame stay."""
+
+    def turn(pull: Pull) -> Pull:
+        force, moment = (v if pull.in_base else frame.apply(v) for v in (pull.force, pull.moment))
+        return replace(pull, position=frame.apply(pull.position), force=force, moment=moment)
+
+    return tuple(turn(pull) for pull in chain.pulls if pull.body == number)
 
 
 def unit_vector(builder: Builder, axis: int) -> Vector[Scalar]:

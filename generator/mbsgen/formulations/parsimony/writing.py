@@ -25,4 +25,4 @@ def begin(chain: Chain, plan: Plan, reductions: Reductions) -> Writing:
     """Align, regroup and place the bodies. Raises NoSuchRegroupingError for a plan that does not fit."""
     segments = align(chain, group=reductions.share_frames)
     lumps = regroup(chain.builder, segments, plan) if reductions.regroup else keep(chain.builder, segments)
-    return Writing(chain, Kinematics(chain.builder, segments, plan, chain.q), lumps)
+    return Writing(chain, Kinematics(chain.builder, segments, plan, chain.state.q), lumps)
