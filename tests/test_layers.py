@@ -36,7 +36,7 @@ MBSGEN = Package(
         "formulations",
         "derivatives",
         "targets",
-        "report",
+        "report drawing",
         "pipeline",
         "cli",
         "__main__",

@@ -1,49 +1,64 @@
-"""The command line `mbsgen`: a model file in; a folder of C, a report, or a verdict out."""
+"""The command line `mbsgen`: a model file in; a folder of C, a report, a picture or a verdict out."""
 
 from __future__ import annotations
 
+import difflib
+import io
+import math
 import sys
+import textwrap
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import click
 from rich.console import Console
-from rich.table import Table
+from rich.text import Text
+from rich.tree import Tree as Branches
 
 from mbsgen import __version__
 from mbsgen.errors import MbsError
-from mbsgen.pipeline import Options, generate, make
-from mbsgen.report import COLUMNS, NOTE, Report, sections, write_json, write_markdown
+from mbsgen.model.tree import Tree
+from mbsgen.pipeline import Options, generate, make, read_tree, write_file
+from mbsgen.report import COLUMNS, NOTE, Report, Section, sections, write_json, write_markdown
 
+_UNCUT = 10_000  # characters in a line: neither a pipe nor a narrow terminal cuts anything off
 BAD_INPUT = 2  # exit code: a file or an argument that cannot be accepted; 0 is success
 
 MODEL = click.argument("model", type=click.Path(path_type=Path))
+
+
+HELP = """Turn the description of a multibody system into C kernels for its dynamics.
+
+\b
+  mbsgen MODEL -o DIR       generate the folder DIR: C, manifest, report
+  mbsgen show MODEL         print the tree of the bodies; with -o FILE, draw it
+  mbsgen report MODEL       count what the model costs, and write nothing
+  mbsgen check MODEL        tell every fault of the model file, and write nothing
+
+MODEL is a YAML file; models/ holds examples. A file that has the name of a subcommand is reached as ./NAME.
+
+Exit codes: 0 done; 2 the model or an argument cannot be accepted (nothing has been written).
+"""
 
 
 class ModelFirst(click.Group):
     """A group whose default command is `generate`: `mbsgen MODEL -o DIR`. A subcommand wins over a file of its name."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Put the default command before a first argument that is none."""
-        first = next((a for a in args if not a.startswith("-")), None)
-        if first is not None and first not in self.commands and not {"--help", "--version"} & set(args):
-            args = ["generate", *args]
-        return super().parse_args(ctx, args)
+        """Put the default command before arguments that begin with no command and no option of the group."""
+        own = {*self.commands, *ctx.help_option_names, "--version"}
+        return super().parse_args(ctx, ["generate", *args] if args and args[0] not in own else args)
 
 
-@click.group(cls=ModelFirst, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.group(
+    cls=ModelFirst,
+    help=HELP,
+    subcommand_metavar="[COMMAND] MODEL ...",
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
 @click.version_option(__version__, prog_name="mbsgen")
 def cli() -> None:
-    r"""Turn the description of a multibody system into C kernels for its dynamics.
-
-    \b
-      mbsgen MODEL -o DIR       generate DIR: kernels with their derivatives, header, manifest, report
-      mbsgen report MODEL       count what the model costs, and write nothing
-      mbsgen check MODEL        tell every fault of the model file, and write nothing
-
-    MODEL is a YAML file; models/ holds examples. A file that has the name of a subcommand is reached as ./NAME.
-
-    Exit codes: 0 done; 2 the model or an argument cannot be accepted (nothing has been written).
-    """
+    """Turn the description of a multibody system into C kernels: `mbsgen`."""
 
 
 @cli.command("generate")
@@ -51,14 +66,74 @@ def cli() -> None:
 @click.option("-o", "--output", "out", type=click.Path(path_type=Path), required=True, help="The folder to write.")
 @click.option("--runtime", is_flag=True, help="Make every number of the model a run-time parameter.")
 @click.option("--python", is_flag=True, help="Also write the kernels as a Python module, for any number type.")
-def generate_command(model: Path, out: Path, runtime: bool, python: bool) -> None:
-    """Generate the folder DIR from MODEL: kernels in C, header, manifest.json, report.md and report.json.
+@click.option("--matlab", is_flag=True, help="Also write the kernels as functions for Matlab and GNU Octave.")
+def generate_command(model: Path, out: Path, runtime: bool, python: bool, matlab: bool) -> None:
+    """Generate a folder from MODEL, the default command.
 
-    The flop table is printed. The folder appears as a whole, and replaces one that mbsgen wrote before.
+    It holds the kernels in C, their header, manifest.json, report.md and report.json.
+
+    What the kernels cost is printed. The folder appears as a whole, and replaces one that mbsgen wrote before.
     """
-    product = generate(model, out, Options(runtime=runtime, python=python))
+    product = generate(model, out, Options(runtime=runtime, python=python, matlab=matlab))
     print_report(product.report)
-    Console(stderr=True).print(f"wrote {len(product.files)} files to {out}", highlight=False)
+    click.echo(f"wrote {len(product.files)} files to {out}", err=True)
+
+
+@cli.command("show")
+@MODEL
+@click.option("-o", "--output", "out", type=click.Path(path_type=Path), help="The picture to write: .png or .svg.")
+@click.option("--at", "coordinates", metavar="q1=0.3,...", help="Coordinates to draw it at, rad or m; else 0.")
+def show_command(model: Path, out: Path | None, coordinates: str | None) -> None:
+    """Print the tree of MODEL; with -o, draw it.
+
+    The tree tells bodies, joints and masses. The picture shows it beside the mechanism in space.
+    """
+    from mbsgen.drawing import FORMATS, describe_joint, pose, render  # drawing takes long to load
+
+    form = "" if out is None else out.suffix.removeprefix(".").lower()
+    if out is not None and form not in FORMATS:
+        raise click.BadParameter(f"{out} is neither a .png nor a .svg", param_hint="-o")
+    tree = read_tree(model)
+    q = _read_coordinates(tree, coordinates or "")
+    masses = pose(tree, q).masses
+    branches = {0: Branches(Text(f"{tree.name}: base"))}
+    for i, (body, mass) in enumerate(zip(tree.bodies, masses, strict=True), 1):
+        limits = _describe_limits(body.joint.lower, body.joint.upper)
+        words = f" {body.joint.name}: {describe_joint(body)}{limits}, {mass:.6g} kg"
+        branches[i] = branches[body.parent].add(Text.assemble((body.name, "bold"), words))
+    for sensor in tree.sensors:
+        branches[sensor.body].add(Text(f"frame {sensor.name}", style="italic"))
+    Console(width=_UNCUT, highlight=False).print(branches[0])
+    if out is not None:
+        write_file(render(tree, q, form), out)
+        click.echo(f"wrote {out}", err=True)
+
+
+def _describe_limits(lower: float | None, upper: float | None) -> str:
+    if lower is None and upper is None:
+        return ""
+    return f", {'' if lower is None else f'{lower:.4g}'}..{'' if upper is None else f'{upper:.4g}'}"
+
+
+def _read_coordinates(tree: Tree, text: str) -> list[float]:
+    """Read `name=number,...` as the coordinates of all joints. Raises click.BadParameter with all that is wrong."""
+    values = {body.joint.name: 0.0 for body in tree.bodies}
+    faults = []
+    for part in filter(str.strip, text.split(",")):
+        name, _, written = (word.strip() for word in part.rpartition("="))
+        if name not in values:
+            near = difflib.get_close_matches(name, values, 1) or list(values)[:3]
+            faults.append(f"{part.strip()}: no joint is called {name!r}; there is {', '.join(near)}")
+            continue
+        try:
+            values[name] = float(written)
+        except ValueError:
+            values[name] = math.nan
+        if not math.isfinite(values[name]):
+            faults.append(f"{part.strip()}: {written!r} is no number; write, for example, {name}=0.3")
+    if faults:
+        raise click.BadParameter("\n  ".join(faults), param_hint="--at")
+    return list(values.values())
 
 
 @cli.command("report")
@@ -66,7 +141,7 @@ def generate_command(model: Path, out: Path, runtime: bool, python: bool) -> Non
 @click.option("--json", "form", flag_value="json", help="Print report.json.")
 @click.option("--markdown", "form", flag_value="markdown", help="Print report.md.")
 def report_command(model: Path, form: str | None) -> None:
-    """Count flops and equations of MODEL, for each formulation and each kernel."""
+    """Count what MODEL costs: flops and equations."""
     report = make(model).report
     if form is None:
         print_report(report)
@@ -77,27 +152,44 @@ def report_command(model: Path, form: str | None) -> None:
 @cli.command("check")
 @MODEL
 def check_command(model: Path) -> None:
-    """Read MODEL and generate it in memory; tell every fault of it."""
+    """Tell every fault of MODEL, and write nothing."""
     make(model)
-    Console(stderr=True).print(f"{model}: no fault found", highlight=False)
+    click.echo(f"{model}: no fault found", err=True)
 
 
 def print_report(report: Report) -> None:
-    """Print the flop table on stdout."""
-    console = Console()
-    for title, costs in sections(report):
-        table = Table(title=f"{title}: {report.model}", title_justify="left", caption_justify="left")
-        table.add_column("")
-        for column in COLUMNS:
-            table.add_column(column, justify="right")
-        for name, cost in costs.items():
-            table.add_row(name, *map(str, cost.row))
-        console.print(table)
-    console.print(NOTE, highlight=False)
+    """Print what a model costs on stdout: tables whose columns are the same, whatever takes them up."""
+    cells = [
+        (name, *map(str, cost.row)) for s in sections(report) for costs in s.groups for name, cost in costs.items()
+    ]
+    widths = [max(map(len, column)) for column in zip(("", *COLUMNS), *cells, strict=True)]
+    for section in sections(report):
+        click.echo(f"{section.title}: {report.model}\n")
+        click.echo("\n".join(_lay_out(section, widths)) + "\n")
+    click.echo(textwrap.fill(NOTE, 79))
+
+
+def _lay_out(section: Section, widths: Sequence[int]) -> Iterator[str]:
+    """Set a table in columns; a blank line parts what are not single rows."""
+
+    def line(*cells: str) -> str:
+        return "  ".join((cells[0].ljust(widths[0]), *map(str.rjust, cells[1:], widths[1:])))
+
+    yield line("", *COLUMNS)
+    yield "-" * len(line("", *COLUMNS))
+    before = 1
+    for costs in section.groups:
+        if max(before, len(costs)) > 1 and costs is not section.groups[0]:
+            yield ""
+        before = len(costs)
+        yield from (line(name, *map(str, cost.row)) for name, cost in costs.items())
 
 
 def main() -> None:
     """Run the command line; a user's errors are told without a traceback."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a name may not be in the encoding of the terminal
     try:
         cli()
     except MbsError as error:

@@ -7,7 +7,7 @@ Table 4 does; `kernels` counts what was generated.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from mbsgen.formulations.catalogue import FORMULATIONS
@@ -21,12 +21,13 @@ from mbsgen.tape.passes import hoist
 from mbsgen.tape.types import Tape
 
 LUMPED = Reductions(lump_runtime=True)
-COLUMNS = ("flops", "arithmetic", "+ -", "*", "/", "neg", "sqrt", "trig", "equations")
+COLUMNS = ("flops", "arith", "+ -", "*", "/", "neg", "sqrt", "trig", "other", "eqs")
 NOTE = (
-    "Flops are counted by the paper's convention (+ - * / sqrt sin cos and unary minus, one each); "
-    "arithmetic counts + - * /. Formulations have every number of the model at run time, setup apart; "
-    "kernels are counted as generated."
+    "flops: by the paper's convention, one each for + - * / sqrt sin cos and unary minus. arith: + - * / alone. "
+    "other: exp, tanh and the like, in neither. eqs: equations. Formulations have every number of the model at run "
+    "time, setup apart; kernels are counted as generated."
 )
+_DERIVATIVES = ("jac_", "adj1_")  # what the names of kernels that belong to another begin with
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Cost:
     def row(self) -> tuple[int, ...]:
         """List the cost in the order of COLUMNS."""
         f = self.flops
-        return (f.paper, f.arithmetic, f.add, f.mul, f.div, f.neg, f.sqrt, f.trig, self.equations)
+        return (f.paper, f.arithmetic, f.add, f.mul, f.div, f.neg, f.sqrt, f.trig, f.other, self.equations)
 
 
 @dataclass(frozen=True)
@@ -69,11 +70,26 @@ def _cost(tape: Tape) -> Cost:
     return Cost(counts.flops, counts.equations)
 
 
-def sections(report: Report) -> Iterator[tuple[str, Mapping[str, Cost]]]:
-    """Give the tables of a report: a title, and a cost for each row."""
-    yield "Formulations, parameters at run time", report.formulations
-    yield "Their setup", report.setups
-    yield "Kernels as generated", report.kernels
+@dataclass(frozen=True)
+class Section:
+    """A table of the report: rows in groups, each of what belongs together."""
+
+    title: str
+    groups: tuple[Mapping[str, Cost], ...]
+
+
+def sections(report: Report) -> tuple[Section, ...]:
+    """List the tables of a report; a kernel and its derivatives are a group."""
+    groups: list[dict[str, Cost]] = []
+    for name, cost in report.kernels.items():
+        if not groups or not name.startswith(_DERIVATIVES):
+            groups.append({})
+        groups[-1][name] = cost
+    return (
+        Section("Formulations, parameters at run time", (report.formulations,)),
+        Section("Their setup, once per change of parameters", (report.setups,)),
+        Section("Kernels as generated", tuple(groups)),
+    )
 
 
 def write_json(report: Report) -> str:
@@ -94,9 +110,9 @@ def _entry(cost: Cost) -> dict[str, object]:
 def write_markdown(report: Report) -> str:
     """Write `report.md`."""
     lines = [f"# What {_plain(report.model)} costs", "", NOTE]
-    for title, costs in sections(report):
-        lines += ["", f"## {title}", "", _line(("", *COLUMNS)), _line(["---", *["---:"] * len(COLUMNS)])]
-        lines += [_line((f"`{name}`", *map(str, cost.row))) for name, cost in costs.items()]
+    for section in sections(report):
+        lines += ["", f"## {section.title}", "", _line(("", *COLUMNS)), _line(["---", *["---:"] * len(COLUMNS)])]
+        lines += [_line((f"`{name}`", *map(str, cost.row))) for costs in section.groups for name, cost in costs.items()]
     return "\n".join(lines) + "\n"
 
 

@@ -1,0 +1,290 @@
+"""Drawing: Tree, joint coordinates -> a picture of the mechanism in space beside its tree.
+
+Every number comes of a tape: poses of that of `frames`, masses and centres of mass of one made here.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from io import BytesIO
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import TABLEAU_COLORS
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.transforms import Bbox
+from mpl_toolkits.mplot3d.axes3d import Axes3D
+from mpl_toolkits.mplot3d.proj3d import proj_transform
+from numpy.typing import NDArray
+
+from mbsgen.formulations.links import PARAMETERS, declare_state, write_chain
+from mbsgen.formulations.poses import build_frames
+from mbsgen.model.tree import Body, Kind, Motion, Tree
+from mbsgen.tape.builder import Builder
+from mbsgen.tape.interpreter import evaluate
+from mbsgen.tape.types import Tape
+
+Array = NDArray[np.float64]
+
+FORMATS = ("png", "svg")
+COLORS = tuple(color for color in TABLEAU_COLORS if color != "tab:gray")
+AXES = {Motion.REVOLUTE: "-", Motion.PRISMATIC: "--"}  # how joint axes are drawn
+TURNED = {Motion.REVOLUTE: "about", Motion.PRISMATIC: "along"}
+INK = "0.35"  # of what is no body
+_LONGEST = 24  # characters of a name in a picture
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A mechanism at one configuration, in the base frame."""
+
+    origins: Array  # of the bodies, shape (bodies, 3) [m]
+    axes: Array  # of their joints, unit vectors, shape (bodies, 3)
+    centres: Array  # of mass, shape (bodies, 3) [m]
+    masses: Array  # shape (bodies,) [kg]
+    sensors: Array  # shape (sensors, 3) [m]
+
+
+def pose(tree: Tree, q: Sequence[float]) -> Scene:
+    """Compute where everything is at the joint coordinates `q` [rad or m] and the default parameters."""
+    n, s = len(tree.bodies), len(tree.sensors)
+    p = [parameter.value for parameter in tree.parameters if parameter.kind is Kind.RUNTIME]
+    at = {"q": list(q), PARAMETERS: p}
+    frames, masses = (
+        {name: np.array(values, float) for name, values in evaluate(tape, at).items()}
+        for tape in (build_frames(tree), _build_masses(tree))
+    )
+    places = frames["p"].reshape(n + s, 3)
+    rotations = frames["R"].reshape(n + s, 3, 3).transpose(0, 2, 1)[:n]  # columns: axes of the bodies
+    axes = np.array([R[:, b.joint.axis] for R, b in zip(rotations, tree.bodies, strict=True)])
+    centres = places[:n] + np.einsum("brc,bc->br", rotations, masses["l"].reshape(n, 3))
+    return Scene(places[:n], axes, centres, masses["m"], places[n:])
+
+
+def _build_masses(tree: Tree) -> Tape:
+    builder = Builder()
+    state = declare_state(tree, builder, rates=False, accelerations=False, forces=False)
+    chain = write_chain(tree, builder, state.q, state.p)
+    l = [chain.vector(body.com) for body in tree.bodies]
+    builder.output_dense("m", [[chain.scalar(body.mass)] for body in tree.bodies])
+    builder.output_dense("l", [[v[r] for v in l] for r in range(3)])
+    return builder.build("masses")
+
+
+def describe_joint(body: Body) -> str:
+    """Tell what a body's joint does."""
+    joint = body.joint
+    kind = f"{joint.motion.value} {TURNED[joint.motion]} {'xyz'[joint.axis]}"
+    return kind if joint.actuated else f"{kind}, passive"
+
+
+def draw(tree: Tree, q: Sequence[float]) -> Figure:
+    """Draw the mechanism in space, and its tree beside it."""
+    scene = pose(tree, q)
+    height = max(6.5, 0.3 * len(tree.bodies) + 1.2)
+    figure = Figure(figsize=(13, height))
+    FigureCanvasAgg(figure)
+    space = figure.add_axes((0.0, 0.04, 0.56, 0.9), projection="3d")
+    assert isinstance(space, Axes3D)
+    _draw_mechanism(space, tree, scene)
+    _draw_tree(figure.add_axes((0.6, 0.04, 0.39, 0.9)), tree, scene.masses)
+    figure.suptitle(f"{_shorten(tree.name)} {_describe_coordinates(tree, q)}", parse_math=False)
+    return figure
+
+
+def _describe_coordinates(tree: Tree, q: Sequence[float]) -> str:
+    moved = [f"{_shorten(b.joint.name)} = {x:g}" for b, x in zip(tree.bodies, q, strict=True) if x]
+    if not moved:
+        return "at q = 0"
+    return f"at {', '.join(moved[:6])}{', ...' if len(moved) > 6 else ''}"
+
+
+def _shorten(name: str) -> str:
+    return name if len(name) <= _LONGEST else f"{name[: _LONGEST - 3]}..."
+
+
+def render(tree: Tree, q: Sequence[float], form: str) -> bytes:
+    """Draw a tree as a file of one of FORMATS; the same tree gives the same bytes."""
+    metadata: Mapping[str, None] = {"Software": None} if form == "png" else {"Date": None, "Creator": None}
+    stream = BytesIO()
+    with warnings.catch_warnings(), matplotlib.rc_context({"svg.hashsalt": "mbsgen"}):
+        warnings.filterwarnings(
+            "ignore", "Glyph .* missing from font"
+        )  # the picture shows a box; the text tree, the name
+        draw(tree, q).savefig(stream, format=form, dpi=150, metadata=dict(metadata))
+    return stream.getvalue()
+
+
+# -- in space -------------------------------------------------------------------------------------------------------
+
+
+def _draw_mechanism(space: Axes3D, tree: Tree, scene: Scene) -> None:
+    points = np.concatenate((np.zeros((1, 3)), scene.origins, scene.centres, scene.sensors))
+    size = float(np.ptp(points, axis=0).max()) or 1.0
+    reach = 0.09 * size
+    ends = np.concatenate((scene.origins + reach * scene.axes, scene.origins - reach * scene.axes))
+    _frame_up(space, np.concatenate((points, ends)))
+    heaviest = scene.masses.max(initial=0.0) or 1.0
+    for i, body in enumerate(tree.bodies):
+        color, origin = COLORS[i % len(COLORS)], scene.origins[i]
+        start = scene.origins[body.parent - 1] if body.parent else np.zeros(3)
+        carrier = COLORS[(body.parent - 1) % len(COLORS)] if body.parent else INK
+        _draw_line(space, start, origin, color=carrier, linewidth=4.5, alpha=0.9, solid_capstyle="round")
+        if scene.masses[i] > 0:
+            _draw_line(space, origin, scene.centres[i], color=color, linewidth=1.2, linestyle=":")
+            area = 25 + 200 * scene.masses[i] / heaviest
+            space.scatter(*scene.centres[i], s=area, color=color, edgecolors="white", depthshade=False, zorder=5)
+        arm = reach * scene.axes[i]
+        _draw_line(space, origin - arm, origin + arm, color="black", linewidth=1.1, linestyle=AXES[body.joint.motion])
+        space.quiver(*(origin + 0.7 * arm), *(0.3 * arm), color="black", linewidth=1.1, arrow_length_ratio=1.0)
+        space.scatter(*origin, s=22, color="white", edgecolors="black", depthshade=False, zorder=6)
+    for sensor, place in zip(tree.sensors, scene.sensors, strict=True):
+        origin = scene.origins[sensor.body - 1] if sensor.body else np.zeros(3)
+        carrier = COLORS[(sensor.body - 1) % len(COLORS)] if sensor.body else INK
+        _draw_line(space, origin, place, color=carrier, linewidth=4.5, alpha=0.9, solid_capstyle="round")
+        space.scatter(*place, s=55, color="black", marker="x", depthshade=False, zorder=7)
+    space.scatter(0, 0, 0, s=60, color=INK, marker="s", depthshade=False, zorder=4)
+    _draw_legend(space, tree)
+    _write_names(space, tree, scene, np.concatenate((points, ends)))
+
+
+def _draw_line(space: Axes3D, start: Array, end: Array, **style: object) -> None:
+    space.plot(*np.stack((start, end), axis=1), **style)
+
+
+def _frame_up(space: Axes3D, points: Array) -> None:
+    """Show all points, at the same scale in every direction."""
+    low, high = points.min(0), points.max(0)
+    middle, spans = (low + high) / 2, high - low
+    spans = np.maximum(1.08 * spans, 0.45 * spans.max())
+    for limit, centre, span in zip((space.set_xlim, space.set_ylim, space.set_zlim), middle, spans, strict=True):
+        limit(centre - span / 2, centre + span / 2)
+    space.set_box_aspect(spans)
+    for axis, name in zip((space.xaxis, space.yaxis, space.zaxis), "xyz", strict=True):
+        axis.set_label_text(f"{name} [m]")
+        axis.set_major_locator(matplotlib.ticker.MaxNLocator(5, steps=[1, 2, 5, 10]))
+    space.tick_params(labelsize=8)
+    space.view_init(elev=20, azim=-60)
+
+
+def _draw_legend(space: Axes3D, tree: Tree) -> None:
+    motions = [m for m in Motion if any(body.joint.motion is m for body in tree.bodies)]
+    entries = [
+        Line2D([], [], color="black", linestyle=AXES[m], linewidth=1.1, label=f"axis, {m.value}") for m in motions
+    ]
+    entries.append(Line2D([], [], color=INK, marker="o", linestyle=":", markersize=8, label="centre of mass"))
+    if tree.sensors:
+        entries.append(Line2D([], [], color="black", marker="x", linestyle="", label="frame"))
+    entries.append(Line2D([], [], color=INK, marker="s", linestyle="", label="base"))
+    space.legend(handles=entries, loc="upper left", frameon=False, fontsize=8)
+
+
+def _write_names(space: Axes3D, tree: Tree, scene: Scene, points: Array) -> None:
+    """Write the names of joints and frames where they are; those of one place in one label, and no two over another."""
+    names: dict[tuple[float, ...], list[str]] = {}
+    for i, body in enumerate(tree.bodies):
+        names.setdefault(tuple(np.round(scene.origins[i], 9)), []).append(_shorten(body.joint.name))
+    for sensor, place in zip(tree.sensors, scene.sensors, strict=True):
+        names.setdefault(tuple(np.round(place, 9)), []).append(f"[{_shorten(sensor.name)}]")
+    figure = space.get_figure()
+    assert isinstance(figure, Figure)
+    figure.draw_without_rendering()  # the projection is known thereafter
+    taken = [Bbox.from_bounds(x - 6, y - 6, 12, 12) for x, y in (_project(space, point) for point in points)]
+    for place, listed in names.items():
+        x, y = _project(space, np.array(place))
+        tip = figure.transFigure.inverted().transform((x, y))  # pixels are another size where the picture is saved
+        text = space.annotate(
+            "\n".join(", ".join(listed[k : k + 3]) for k in range(0, len(listed), 3)),
+            tip,
+            xycoords="figure fraction",
+            xytext=tip,
+            textcoords="figure fraction",
+            fontsize=8.5,
+            ha="center",
+            va="center",
+            zorder=10,
+            parse_math=False,
+            bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.75},
+            arrowprops={"arrowstyle": "-", "color": INK, "linewidth": 0.6},
+        )
+        box = text.get_window_extent()
+        room = _find_room(x, y, box.width + 8, box.height + 6, taken)
+        text.set_position(figure.transFigure.inverted().transform(room))
+        taken.append(text.get_window_extent())
+
+
+def _project(space: Axes3D, point: Array) -> tuple[float, float]:
+    x, y, _ = proj_transform(*point, space.get_proj())
+    across, up = space.transData.transform((x, y))
+    return float(across), float(up)
+
+
+def _find_room(x: float, y: float, width: float, height: float, taken: Sequence[Bbox]) -> tuple[float, float]:
+    """Find a centre near (x, y) for a box that lies on none of those; else the one that lies on the fewest."""
+    best, fewest = (x, y), len(taken) + 1
+    for reach in (0.0, 10.0, 22.0, 36.0, 52.0, 70.0, 90.0):
+        for turn in range(12):
+            angle = np.pi * (turn / 6 + 0.25)
+            centre = (
+                x + np.cos(angle) * (width / 2 + 8 + reach),
+                y + np.sin(angle) * (height / 2 + 8 + reach),
+            )
+            box = Bbox.from_bounds(centre[0] - width / 2, centre[1] - height / 2, width, height)
+            hits = sum(box.overlaps(other) for other in taken)
+            if hits < fewest:
+                best, fewest = centre, hits
+        if not fewest:
+            break
+    return best
+
+
+# -- the tree -------------------------------------------------------------------------------------------------------
+
+
+def _draw_tree(panel: Axes, tree: Tree, masses: Array) -> None:
+    """List the bodies, a line each, moved to the right by their depth; masses stand in a column."""
+    panel.axis("off")
+    rows, depths = list_rows(tree)
+    indent = min(0.05, 0.45 / max(1, *depths.values()))
+    panel.set_xlim(0, 1)
+    panel.set_ylim(max(len(rows), 14) + 0.5, -0.8)
+    size = 9.5 if len(rows) <= 30 else 8.0
+    panel.text(0.0, 0.0, "base", fontsize=size, va="center", color=INK)
+    panel.text(1.0, 0.0, "mass [kg]", fontsize=size, va="center", ha="right", color=INK)
+    heights = {0: 0.0}
+    for row, i in enumerate(rows, 1):
+        body, x = tree.bodies[i - 1], indent * depths[i]
+        trunk = x - indent + 0.012
+        panel.plot([trunk, trunk, x - 0.006], [heights[body.parent] + 0.35, row, row], color=INK, linewidth=0.8)
+        panel.plot(x + 0.008, row, "o", color=COLORS[(i - 1) % len(COLORS)], markersize=7)
+        name = panel.annotate(
+            _shorten(body.name), (x + 0.03, row), fontsize=size, va="center", weight="bold", parse_math=False
+        )
+        panel.annotate(
+            f"   {_shorten(body.joint.name)}: {describe_joint(body)}",
+            (1, 0.5),
+            xycoords=name,
+            fontsize=size,
+            va="center",
+            parse_math=False,
+        )
+        panel.text(1.0, row, f"{masses[i - 1]:.4g}" if masses[i - 1] else "0", fontsize=size, va="center", ha="right")
+        heights[i] = row
+
+
+def list_rows(tree: Tree) -> tuple[list[int], dict[int, int]]:
+    """Number the bodies from the base outwards, each before those it carries, and count their depths from 1."""
+    rows: list[int] = []
+    depths = {0: 0}
+    waiting = list(reversed(tree.children(0)))
+    while waiting:
+        i = waiting.pop()
+        rows.append(i)
+        depths[i] = depths[tree.bodies[i - 1].parent] + 1
+        waiting.extend(reversed(tree.children(i)))
+    return rows, depths
