@@ -41,6 +41,37 @@ typedef MBS_REAL mbs_real;
 #define MBS_SQRT_double sqrt
 #define MBS_SQRT_float sqrtf
 #define MBS_SQRT MBS_PASTE(MBS_SQRT_, MBS_REAL)
+#define MBS_EPSILON_double 2.2204460492503131e-16 /* DBL_EPSILON, FLT_EPSILON: from 1 to the next number */
+#define MBS_EPSILON_float 1.1920929e-07f
+#define MBS_EPSILON MBS_PASTE(MBS_EPSILON_, MBS_REAL)
+#define MBS_TAN_double tan
+#define MBS_TAN_float tanf
+#define MBS_TAN MBS_PASTE(MBS_TAN_, MBS_REAL)
+#define MBS_ASIN_double asin
+#define MBS_ASIN_float asinf
+#define MBS_ASIN MBS_PASTE(MBS_ASIN_, MBS_REAL)
+#define MBS_ACOS_double acos
+#define MBS_ACOS_float acosf
+#define MBS_ACOS MBS_PASTE(MBS_ACOS_, MBS_REAL)
+#define MBS_ATAN_double atan
+#define MBS_ATAN_float atanf
+#define MBS_ATAN MBS_PASTE(MBS_ATAN_, MBS_REAL)
+#define MBS_ATAN2_double atan2
+#define MBS_ATAN2_float atan2f
+#define MBS_ATAN2 MBS_PASTE(MBS_ATAN2_, MBS_REAL)
+#define MBS_EXP_double exp
+#define MBS_EXP_float expf
+#define MBS_EXP MBS_PASTE(MBS_EXP_, MBS_REAL)
+#define MBS_LOG_double log
+#define MBS_LOG_float logf
+#define MBS_LOG MBS_PASTE(MBS_LOG_, MBS_REAL)
+#define MBS_TANH_double tanh
+#define MBS_TANH_float tanhf
+#define MBS_TANH MBS_PASTE(MBS_TANH_, MBS_REAL)
+#define MBS_ABS_double fabs
+#define MBS_ABS_float fabsf
+#define MBS_ABS MBS_PASTE(MBS_ABS_, MBS_REAL)
+#define MBS_SIGN(x) ((x) > 0 ? (mbs_real)1 : (x) < 0 ? -(mbs_real)1 : (x)) /* not a number stays what it is */
 
 /* A function in CasADi's contract with the functions that describe it. Any arg[k] may be NULL (zeros), any res[k] may
  * be NULL (not wanted); only nonzeros are passed, column by column; iw and w are not used. */
