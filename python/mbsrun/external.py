@@ -7,7 +7,7 @@ from pathlib import Path
 
 import casadi as ca
 
-from mbsrun.kernel import HIDDEN, Kernels, generated
+from mbsrun.kernel import HIDDEN, Kernels, find_folder
 
 
 class Mechanism(Kernels):
@@ -32,10 +32,9 @@ class Mechanism(Kernels):
 
 
 def load(path: str | Path, parameters: Mapping[str, float] | None = None) -> Mechanism:
-    """Load the kernels of a generated folder, or of a model file (.yaml); compiled before, they are not compiled again.
+    """Load the kernels of a generated folder, or of a model file; what was made of it before is found again.
 
     `parameters` replace values of the model's run-time parameters, by the user's names.
     Raises InputError for a folder without a manifest or a model with faults, CompileError when the compiler fails.
     """
-    with generated(Path(path)) as folder:
-        return Mechanism(folder, parameters)
+    return Mechanism(find_folder(Path(path)), parameters)

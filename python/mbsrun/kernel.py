@@ -7,13 +7,13 @@ account of those arguments is compared with the manifest before anything is call
 from __future__ import annotations
 
 import copy
+import hashlib
 import math
+import os
 import re
-import tempfile
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -22,9 +22,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mbsgen import manifest as manifests
+from mbsgen import resources
 from mbsgen.errors import MbsError
 from mbsgen.manifest import Argument, Kernel, Manifest
-from mbsrun.library import CompileError, compile_folder
+from mbsrun.library import CompileError, building_place, cache_folder, compile_folder
 
 Array = NDArray[np.float64]
 
@@ -218,20 +219,50 @@ class Kernels:
         return results
 
 
-@contextmanager
-def generated(path: Path) -> Iterator[Path]:
-    """Give the generated folder at `path`; of a model file (.yaml), one that mbsgen makes and that is gone afterwards.
+def find_folder(path: Path) -> Path:
+    """Give the generated folder at `path`; for a model file, one in the user's cache, made by mbsgen if it is new.
 
-    Raises InputError with every fault of the model.
+    It is found again by the bytes of the model and of mbsgen, so a stale one is never met. Raises InputError with every
+    fault of the model, CompileError if the cache cannot be written.
     """
-    if path.suffix not in (".yaml", ".yml"):
-        yield path
-        return
+    if not (path.is_file() or path.suffix in (".yaml", ".yml")):
+        return path
+    folder = cache_folder(os.environ) / "models" / _fingerprint(path)
+    if folder.exists():
+        return folder
     from mbsgen.pipeline import generate  # here alone, and late: kernels are called without SymPy
 
-    with tempfile.TemporaryDirectory(prefix="mbsgen-") as place:
-        generate(path, Path(place) / "generated")
-        yield Path(place) / "generated"
+    with building_place(folder.parent) as place:
+        generate(path, place / "generated")
+        if folder.name != _fingerprint(path):  # it was changed meanwhile
+            return find_folder(path)
+        try:
+            (place / "generated").rename(folder)
+        except OSError:
+            if not folder.exists():  # else another process was faster, and made the same
+                raise
+    return folder
+
+
+def _fingerprint(model: Path) -> str:
+    """Name what mbsgen makes of a model file."""
+    try:
+        text = model.read_bytes()
+    except OSError:  # which mbsgen tells better
+        text = b""
+    return hashlib.sha256(_fingerprint_generator() + text).hexdigest()[:40]
+
+
+@cache
+def _fingerprint_generator() -> bytes:
+    """Hash the files that generation depends on."""
+    digest = hashlib.sha256()
+    for folder in (Path(resources.__file__).parent, resources.folder("templates"), resources.folder("csrc")):
+        for file in sorted(folder.rglob("*.*")):
+            if file.is_file() and file.suffix != ".pyc":
+                digest.update(hashlib.sha256(str(file.relative_to(folder)).encode()).digest())
+                digest.update(hashlib.sha256(file.read_bytes()).digest())
+    return digest.digest()
 
 
 def _open(library: Path, manifest: Manifest) -> tuple[cffi.FFI, Any]:

@@ -13,8 +13,9 @@ import re
 import shlex
 import subprocess
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -63,12 +64,8 @@ def compile_folder(folder: Path) -> Path:
     sources = [name for name in files if name.endswith(".c")]
     library = cache_folder(os.environ) / f"{manifest.prefix}-{_fingerprint(files, compiler)}.so"
     if not library.exists():
-        try:
-            library.parent.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryDirectory(prefix="building-", dir=library.parent) as place:
-                _build(compiler, files, sources, Path(place)).replace(library)
-        except OSError as error:
-            raise CompileError(f"cannot write to the cache {library.parent}: {error}; set XDG_CACHE_HOME") from None
+        with building_place(library.parent) as place:
+            _build(compiler, files, sources, place).replace(library)
     return library
 
 
@@ -76,6 +73,17 @@ def cache_folder(environment: Mapping[str, str]) -> Path:
     """Tell where compiled libraries are kept: $XDG_CACHE_HOME/mbsgen, else ~/.cache/mbsgen."""
     base = Path(environment.get("XDG_CACHE_HOME", ""))
     return (base if base.is_absolute() else Path.home() / ".cache") / "mbsgen"
+
+
+@contextmanager
+def building_place(cache: Path) -> Iterator[Path]:
+    """Give a folder to build in, from where a rename leads into the cache. CompileError if that cannot be written."""
+    try:
+        cache.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix="building-", dir=cache) as place:
+            yield Path(place)
+    except OSError as error:
+        raise CompileError(f"cannot write to the cache {cache}: {error}; set XDG_CACHE_HOME") from None
 
 
 def find_compiler(environment: Mapping[str, str]) -> Compiler:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +12,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
+import mbsgen.pipeline
+from mbsgen.errors import InputError
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.replay import declare_inputs, replay
 from mbsgen.tape.types import Tape
@@ -248,3 +252,94 @@ def test_ipopt_solves_with_them(k: Mechanism) -> None:
     assert solver.stats()["return_status"] == "Solve_Succeeded"
     assert solver.stats()["iter_count"] < 20
     np.testing.assert_allclose(solution["g"].full()[:, 0], goal, rtol=0, atol=1e-9)
+
+
+# -- model files ----------------------------------------------------------------------------------------------------
+
+MODEL = """\
+name: swing
+gravity: [0, 0, -9.81]
+bodies:
+  - name: arm
+    joint: {type: revolute, axis: y}
+    mass: 2
+    com: [0, 0, -0.5]
+    inertia: {xx: 0.1, yy: 0.1, zz: 0.1}
+"""
+
+
+@pytest.fixture
+def model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A model file, and an empty cache."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    path = tmp_path / "swing.yaml"
+    path.write_text(MODEL)
+    return path
+
+
+def kept(model: Path) -> list[Path]:
+    return sorted((model.parent / "cache" / "mbsgen" / "models").iterdir())
+
+
+def test_a_model_file_is_generated_once(model: Path) -> None:
+    """With gravity along -z: Phi = (0.1 + 2 0.5^2) qdd + 2 9.81 0.5 sin(q)."""
+    first = load(model)
+    assert first.impl(q=[0.3], qd=[0], qdd=[2], u=[0])["Phi"][0] == pytest.approx(1.2 + 9.81 * np.sin(0.3), rel=1e-14)
+    (folder,) = kept(model)
+    before = folder.stat().st_ino
+    elsewhere = model.with_name("copy of it")
+    elsewhere.write_text(MODEL)
+    assert load(elsewhere).library == first.library
+    assert [folder.stat().st_ino] == [before] == [f.stat().st_ino for f in kept(model)]
+
+
+def test_another_text_or_another_generator_makes_another_folder(model: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    library = load(model).library
+    model.write_text(MODEL.replace("mass: 2", "mass: 3"))
+    assert load(model).library != library
+    monkeypatch.setattr("mbsrun.kernel._fingerprint_generator", lambda: b"of another version")
+    load(model)
+    assert len(kept(model)) == 3
+
+
+def test_a_model_that_changes_while_it_is_generated_is_generated_again(
+    model: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is kept under the name of a text was made of that text."""
+    generate, texts = mbsgen.pipeline.generate, [MODEL.replace("mass: 2", "mass: 3")]
+
+    def disturbed(path: Path, out: Path) -> None:
+        if texts:
+            path.write_text(texts.pop())
+        generate(path, out)
+
+    monkeypatch.setattr("mbsgen.pipeline.generate", disturbed)
+    changed = load(model)
+    assert len(kept(model)) == 1
+    model.write_text(MODEL)
+    assert load(model).library != changed.library
+    assert len(kept(model)) == 2
+
+
+def test_a_refused_model_leaves_nothing_in_the_cache(model: Path) -> None:
+    model.write_text(MODEL.replace("mass: 2", "mass: -2"))
+    with pytest.raises(InputError, match=r"swing\.yaml:6: bodies\[0\]\.mass"):
+        load(model)
+    assert kept(model) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "message"), [("none.yaml", r"none\.yaml: there is no such file"), ("none", r"manifest\.json: there is no")]
+)
+def test_a_path_to_nothing_is_told(name: str, message: str, model: Path) -> None:
+    with pytest.raises(InputError, match=message):
+        load(model.with_name(name))
+
+
+def test_many_processes_may_load_a_model_at_once(model: Path) -> None:
+    script = "import sys, mbsrun; print(mbsrun.load(sys.argv[1]).library)"
+    command = [sys.executable, "-c", script, str(model)]
+    running = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(3)]
+    assert len({process.communicate()[0] for process in running}) == 1
+    assert [process.returncode for process in running] == [0, 0, 0]
+    assert len(kept(model)) == 1
