@@ -95,30 +95,37 @@ class Matrix(Generic[T]):
     @property
     def transposed(self) -> Matrix[T]:
         """The transpose."""
-        return Matrix.of(zip(*self.rows, strict=True))
+        a, b, c = self.rows
+        return Matrix((Vector(a.x, b.x, c.x), Vector(a.y, b.y, c.y), Vector(a.z, b.z, c.z)))
 
     def __add__(self, other: Matrix[T]) -> Matrix[T]:
-        return Matrix.of(a + b for a, b in zip(self.rows, other.rows, strict=True))
+        (a, b, c), (x, y, z) = self.rows, other.rows
+        return Matrix((a + x, b + y, c + z))
 
     def __sub__(self, other: Matrix[T]) -> Matrix[T]:
-        return Matrix.of(a - b for a, b in zip(self.rows, other.rows, strict=True))
+        (a, b, c), (x, y, z) = self.rows, other.rows
+        return Matrix((a - x, b - y, c - z))
 
     def scale(self, factor: T) -> Matrix[T]:
         """Multiply by a number."""
-        return Matrix.of(row.scale(factor) for row in self.rows)
+        a, b, c = self.rows
+        return Matrix((a.scale(factor), b.scale(factor), c.scale(factor)))
 
     def apply(self, v: Vector[T]) -> Vector[T]:
         """Multiply by a vector."""
-        return Vector.of(row.dot(v) for row in self.rows)
+        a, b, c = self.rows
+        return Vector(a.dot(v), b.dot(v), c.dot(v))
 
     def times(self, other: Matrix[T]) -> Matrix[T]:
         """Multiply by a matrix."""
-        columns = other.transposed.rows
-        return Matrix.of([row.dot(c) for c in columns] for row in self.rows)
+        x, y, z = other.transposed.rows
+        a, b, c = (Vector(row.dot(x), row.dot(y), row.dot(z)) for row in self.rows)
+        return Matrix((a, b, c))
 
     def column(self, k: int) -> Vector[T]:
         """Take a column."""
-        return Vector.of(row[k] for row in self.rows)
+        a, b, c = self.rows
+        return Vector(a[k], b[k], c[k])
 
     def map(self, function: Callable[[T], U]) -> Matrix[U]:
         """Apply a function to each entry."""
@@ -127,4 +134,4 @@ class Matrix(Generic[T]):
 
 def outer(a: Vector[T], b: Vector[T]) -> Matrix[T]:
     """Form a bT."""
-    return Matrix.of(b.scale(component) for component in a)
+    return Matrix((b.scale(a.x), b.scale(a.y), b.scale(a.z)))

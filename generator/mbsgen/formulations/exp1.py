@@ -35,7 +35,7 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
     forces = _absolute_forces(segments, Q) if reductions.absolute else Q
     n = len(segments)
     found = solve(builder, M, {i: forces[i - 1] - c[i - 1] for i in range(1, n + 1)}, n)
-    largest = largest_inertias(chain)
+    largest = largest_inertias(chain, segments)
     for i in range(n, 0, -1):
         builder.guard(found.pivots[i], largest[i], PIVOT_TOLERANCE, i)
     qdd = [found.x[i] for i in range(1, n + 1)]

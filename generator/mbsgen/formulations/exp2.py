@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from mbsgen.formulations.links import declare_state, joint_forces, write_chain
 from mbsgen.formulations.parsimony.articulated import accelerations
-from mbsgen.formulations.parsimony.segments import largest_inertias
+from mbsgen.formulations.parsimony.segments import align, largest_inertias
 from mbsgen.formulations.parsimony.writing import begin
 from mbsgen.formulations.planning import find_plans, finish
 from mbsgen.formulations.reductions import ALL, Reductions
@@ -24,10 +24,11 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
     builder = Builder()
     state = declare_state(tree, builder, accelerations=False)
     chain = write_chain(tree, builder, state)
+    segments = align(chain, group=reductions.share_frames)
     plan = find_plans(tree, reductions).articulated
     Q = joint_forces(chain)
-    qdd, joints = accelerations(begin(chain, plan, reductions), state.qd, Q)
-    largest = largest_inertias(chain)
+    qdd, joints = accelerations(begin(chain, segments, plan, reductions), state.qd, Q)
+    largest = largest_inertias(chain, segments)
     for i in range(len(tree.bodies), 0, -1):
         builder.guard(joints[i].pivot, largest[i], PIVOT_TOLERANCE, i)
     builder.output_dense("qdd", [[x] for x in qdd])

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from mbsgen.algebra.vectors import Matrix, Vector
 from mbsgen.formulations.links import Chain, Link, declare_state, joint_forces, write_chain
 from mbsgen.formulations.parsimony.residual import residual as newton_euler
+from mbsgen.formulations.parsimony.segments import align
 from mbsgen.formulations.parsimony.writing import begin
 from mbsgen.formulations.planning import find_plans, finish
 from mbsgen.formulations.reductions import ALL, Reductions
@@ -47,7 +48,9 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
         Phi = residual(chain, state.qd, state.qdd)
     else:
         plan = find_plans(tree, reductions).residual
-        Phi = newton_euler(begin(chain, plan, reductions), state.qd, state.qdd)
+        Phi = newton_euler(
+            begin(chain, align(chain, group=reductions.share_frames), plan, reductions), state.qd, state.qdd
+        )
     Q = joint_forces(chain)
     builder.output_dense("Phi", [[phi - force] for phi, force in zip(Phi, Q, strict=True)])
     return finish(builder.build("impl"), reductions)

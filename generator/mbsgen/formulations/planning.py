@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from mbsgen.formulations.links import PARAMETERS, Chain, State, declare_state, write_chain
+from mbsgen.formulations.links import PARAMETERS, declare_state, write_chain
 from mbsgen.formulations.parsimony.articulated import accelerations
 from mbsgen.formulations.parsimony.elimination import solve
 from mbsgen.formulations.parsimony.mass_matrix import mass_matrix
@@ -14,7 +14,7 @@ from mbsgen.formulations.parsimony.plan import NoSuchPlanError, Plan
 from mbsgen.formulations.parsimony.residual import residual
 from mbsgen.formulations.parsimony.search import search
 from mbsgen.formulations.parsimony.segments import align
-from mbsgen.formulations.parsimony.writing import begin
+from mbsgen.formulations.parsimony.writing import Writing, begin
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import NO_FORCE, Tree
 from mbsgen.tape.builder import Builder, Scalar
@@ -23,8 +23,6 @@ from mbsgen.tape.factoring import factor
 from mbsgen.tape.types import Tape
 
 ELIMINATED = 16  # larger trees write the M of EXP1 as that of SEMI: elimination takes most of the operations
-
-Write = Callable[[Chain, State, Plan], Sequence[Scalar]]
 
 
 @dataclass(frozen=True)
@@ -54,25 +52,22 @@ def dynamics_alone(tree: Tree, *, driven: bool) -> Tree:
 def _find_plans(tree: Tree, reductions: Reductions) -> Plans:
     n = len(tree.bodies)
 
-    def write_residual(chain: Chain, state: State, plan: Plan) -> Sequence[Scalar]:
-        return residual(begin(chain, plan, reductions), state.qd, state.qdd)
+    def write_residual(bench: Bench, plan: Plan) -> Sequence[Scalar]:
+        return residual(bench.begin(plan), bench.state.qd, bench.state.qdd)
 
-    def write_bias(chain: Chain, state: State, plan: Plan) -> Sequence[Scalar]:
-        return residual(begin(chain, plan, reductions), state.qd, [chain.builder.zero] * n)
+    def write_bias(bench: Bench, plan: Plan) -> Sequence[Scalar]:
+        return residual(bench.begin(plan), bench.state.qd, bench.at_rest)
 
-    def write_masses(chain: Chain, state: State, plan: Plan) -> Sequence[Scalar]:
-        M = mass_matrix(begin(chain, plan, reductions))
-        return [*M.values(), *write_bias(chain, state, bias)]
+    def write_masses(bench: Bench, plan: Plan) -> Sequence[Scalar]:
+        return [*mass_matrix(bench.begin(plan)).values(), *bench.bias(bias, absolute=False)]
 
-    def write_elimination(chain: Chain, state: State, plan: Plan) -> Sequence[Scalar]:
-        M = mass_matrix(begin(chain, plan, reductions), absolute=reductions.absolute)
-        right = residual(
-            begin(chain, bias, reductions), state.qd, [chain.builder.zero] * n, absolute=reductions.absolute
-        )
-        return list(solve(chain.builder, M, dict(enumerate(right, 1)), n).x.values())
+    def write_elimination(bench: Bench, plan: Plan) -> Sequence[Scalar]:
+        M = mass_matrix(bench.begin(plan), absolute=reductions.absolute)
+        right = bench.bias(bias, absolute=reductions.absolute)
+        return list(solve(bench.chain.builder, M, dict(enumerate(right, 1)), n).x.values())
 
-    def write_accelerations(chain: Chain, state: State, plan: Plan) -> Sequence[Scalar]:
-        return accelerations(begin(chain, plan, reductions), state.qd, state.qdd)[0]  # any n numbers will do for Q
+    def write_accelerations(bench: Bench, plan: Plan) -> Sequence[Scalar]:
+        return accelerations(bench.begin(plan), bench.state.qd, bench.state.qdd)[0]  # any n numbers will do for Q
 
     own = _search(tree, write_residual, reductions)
     bias = _search(tree, write_bias, reductions, own)
@@ -81,26 +76,50 @@ def _find_plans(tree: Tree, reductions: Reductions) -> Plans:
     return Plans(own, bias, masses, elimination, _search(tree, write_accelerations, reductions, own, bias))
 
 
-def _search(tree: Tree, write: Write, reductions: Reductions, *start: Plan) -> Plan:
-    """Search for the plan of one recursion; all trials share a builder, where most of what they write is known."""
-    builder = Builder()
-    state = declare_state(tree, builder)
-    chain = write_chain(tree, builder, state)
-    builder.cost((), {PARAMETERS})  # before anything is computed of the inputs
+class Bench:
+    """What the trials of one search share: a builder, in which most of what a plan writes is known already."""
+
+    def __init__(self, tree: Tree, reductions: Reductions) -> None:
+        builder = Builder()
+        self.state = declare_state(tree, builder)
+        self.chain = write_chain(tree, builder, self.state)
+        self.segments = align(self.chain, group=reductions.share_frames)
+        self.at_rest = [builder.zero] * len(tree.bodies)
+        self._reductions = reductions
+        self._biases: dict[tuple[Plan, bool], Sequence[Scalar]] = {}
+
+    def begin(self, plan: Plan) -> Writing:
+        """Begin to write by a plan."""
+        return begin(self.chain, self.segments, plan, self._reductions)
+
+    def bias(self, plan: Plan, *, absolute: bool) -> Sequence[Scalar]:
+        """Write c by a plan, once."""
+        key = (plan, absolute)
+        if key not in self._biases:
+            self._biases[key] = residual(self.begin(plan), self.state.qd, self.at_rest, absolute=absolute)
+        return self._biases[key]
+
+    def cost(self, values: Sequence[Scalar]) -> int:
+        """Count the operations of a trial, parameters' own apart."""
+        return self.chain.builder.cost(values, {PARAMETERS})
+
+
+def _search(tree: Tree, write: Callable[[Bench, Plan], Sequence[Scalar]], reductions: Reductions, *start: Plan) -> Plan:
+    bench = Bench(tree, reductions)
 
     def cost(plan: Plan) -> int | None:
         try:
-            return builder.cost(write(chain, state, plan), {PARAMETERS})
+            return bench.cost(write(bench, plan))
         except NoSuchPlanError:
             return None
 
     trials = _trials(len(tree.bodies)) if reductions.trials is None else reductions.trials
-    return search(align(chain, group=reductions.share_frames), cost, reductions, trials, start)
+    return search(bench.segments, cost, reductions, trials, start)
 
 
 def _trials(size: int) -> int:
     """Try fewer plans for larger trees: an evaluation's time grows with the size, and so does the number of choices."""
-    return 12 + 30_000 // (size + 4) ** 2
+    return 12 + 6_000 // (size + 4) ** 2
 
 
 def finish(tape: Tape, reductions: Reductions) -> Tape:

@@ -13,6 +13,7 @@ from mbsgen.formulations.links import Chain, State, declare_state, joint_forces,
 from mbsgen.formulations.parsimony.mass_matrix import Entries, mass_matrix
 from mbsgen.formulations.parsimony.plan import Plan
 from mbsgen.formulations.parsimony.residual import residual
+from mbsgen.formulations.parsimony.segments import align
 from mbsgen.formulations.parsimony.writing import begin
 from mbsgen.formulations.planning import find_plans, finish
 from mbsgen.formulations.reductions import ALL, Reductions
@@ -56,5 +57,6 @@ def terms(
     """Write one triangle of M by `plan`, and c; for relative or absolute rates."""
     at_rest = [chain.builder.zero] * len(chain.tree.bodies)
     bias = find_plans(chain.tree, reductions).bias
-    M = mass_matrix(begin(chain, plan, reductions), absolute=absolute)
-    return M, residual(begin(chain, bias, reductions), state.qd, at_rest, absolute=absolute)
+    segments = align(chain, group=reductions.share_frames)
+    M = mass_matrix(begin(chain, segments, plan, reductions), absolute=absolute)
+    return M, residual(begin(chain, segments, bias, reductions), state.qd, at_rest, absolute=absolute)

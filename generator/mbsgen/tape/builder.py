@@ -306,16 +306,15 @@ class Builder:
 
     def _mark_fixed(self, constant: Set[str]) -> bytearray:
         fixed = self._fixed
-        start = len(fixed)
-        for node in range(start, len(self._nodes)):
+        constants = [
+            range(first, first + source.sparsity.nnz) for source, first in self._inputs if source.name in constant
+        ]
+        for node in range(len(fixed), len(self._nodes)):
             key = self._nodes[node]
             if isinstance(key, tuple):
-                fixed.append(fixed[abs(key[1])] and (not key[2] or fixed[abs(key[2])]))
+                fixed.append(fixed[abs(key[1])] and (not key[2] or fixed[key[2]]))
             else:
-                fixed.append(key is not None)
-        for source, first in self._inputs:
-            if source.name in constant and first >= start:
-                fixed[first : first + source.sparsity.nnz] = bytes([1]) * source.sparsity.nnz
+                fixed.append(key is not None or any(node in places for places in constants))
         return fixed
 
     # -- the tape ---------------------------------------------------------------------------------------------

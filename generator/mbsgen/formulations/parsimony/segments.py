@@ -126,13 +126,12 @@ def children(segments: Sequence[Segment], number: int) -> tuple[Segment, ...]:
     return tuple(s for s in segments if s.parent == number)
 
 
-def largest_inertias(chain: Chain) -> dict[int, Scalar]:
+def largest_inertias(chain: Chain, segments: Sequence[Segment]) -> dict[int, Scalar]:
     """Bound what each joint can feel of what it carries, stretched out: moment of inertia, or mass.
 
     From parameters alone. By the triangle inequality in the norm (integral of r2 dm)^1/2; a slider's way is left out.
     """
     b = chain.builder
-    segments = align(chain)
     bounds: dict[int, Scalar] = {}
     second: dict[int, Scalar] = {}
     mass: dict[int, Scalar] = {}
