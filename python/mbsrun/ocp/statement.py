@@ -172,6 +172,9 @@ class _Reading:
         self.inputs = _Names("actuated coordinate", [manifest.coordinates[i].name for i in manifest.actuated])
         self.frames = _Names("frame", [f.name for f in manifest.frames])
         self.sensors = _Names("sensor", [f.name for f in manifest.frames if f.sensor])
+        self.open_inputs = [
+            i.name for i in manifest.kernel("impl").inputs if i.name not in ("q", "qd", "qdd", "u", "h") and i.nnz
+        ]
         self.limits = [
             (-math.inf if c.lower is None else c.lower, math.inf if c.upper is None else c.upper)
             for c in manifest.coordinates
@@ -185,6 +188,9 @@ class _Reading:
             self.constants[key] = self.number(("constants", key), expression)
         if not self.inputs.known:
             self.fault(("model",), "the model has no actuated coordinate", "give it one: there is nothing to control")
+        if self.open_inputs:
+            left = f"the model leaves {', '.join(self.open_inputs)} open, beside the inputs u"
+            self.fault(("model",), left, "give the external wrenches in the model: here they have no value")
         bounds = self.bounds(section.bounds)
         return Problem(
             name=name,

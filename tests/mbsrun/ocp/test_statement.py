@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from mbsgen.errors import Fault, InputError
+from mbsgen.manifest import Argument
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.statement import read_problem
@@ -204,6 +205,17 @@ def test_a_model_without_inputs_is_refused(tmp_path: Path, arm: Peer) -> None:
     passive.manifest = arm.manifest.model_copy(update={"coordinates": coordinates})
     with pytest.raises(InputError, match="no actuated coordinate"):
         read(tmp_path, GOOD.replace("inputs: {q4: [-3, 4]}", "inputs: {}"), passive)
+
+
+def test_a_model_with_open_wrenches_is_refused(tmp_path: Path, arm: Peer) -> None:
+    """An input that a problem file has no word for."""
+    pushed = Peer.__new__(Peer)
+    kernels = [
+        k.model_copy(update={"inputs": (*k.inputs, Argument(name="w", rows=3, cols=1))}) for k in arm.manifest.kernels
+    ]
+    pushed.manifest = arm.manifest.model_copy(update={"kernels": tuple(kernels)})
+    with pytest.raises(InputError, match="leaves w open"):
+        read(tmp_path, GOOD, pushed)
 
 
 def test_a_missing_file_is_told(arm: Peer) -> None:
