@@ -18,7 +18,8 @@ from rich.tree import Tree as Branches
 from mbsgen import __version__
 from mbsgen.errors import MbsError
 from mbsgen.model.tree import Tree
-from mbsgen.pipeline import Options, generate, make, read_tree, write_file
+from mbsgen.output import write_file
+from mbsgen.pipeline import Options, generate, make, read_tree
 from mbsgen.report import COLUMNS, NOTE, Report, Section, sections, write_json, write_markdown
 
 _UNCUT = 10_000  # characters in a line: neither a pipe nor a narrow terminal cuts anything off
@@ -103,10 +104,10 @@ def show_command(model: Path, out: Path | None, coordinates: str | None) -> None
         branches[i] = branches[body.parent].add(Text.assemble((body.name, "bold"), words))
     for sensor in tree.sensors:
         branches[sensor.body].add(Text(f"frame {sensor.name}", style="italic"))
-    Console(width=_UNCUT, highlight=False).print(branches[0])
     if out is not None:
         write_file(render(tree, q, form), out)
         click.echo(f"wrote {out}", err=True)
+    Console(width=_UNCUT, highlight=False).print(branches[0])
 
 
 def _describe_limits(lower: float | None, upper: float | None) -> str:
@@ -120,7 +121,10 @@ def _read_coordinates(tree: Tree, text: str) -> list[float]:
     values = {body.joint.name: 0.0 for body in tree.bodies}
     faults = []
     for part in filter(str.strip, text.split(",")):
-        name, _, written = (word.strip() for word in part.rpartition("="))
+        name, sign, written = (word.strip() for word in part.rpartition("="))
+        if not sign:
+            faults.append(f"{written}: it gives no joint a number; write, for example, {next(iter(values))}=0.3")
+            continue
         if name not in values:
             near = difflib.get_close_matches(name, values, 1) or list(values)[:3]
             faults.append(f"{part.strip()}: no joint is called {name!r}; there is {', '.join(near)}")

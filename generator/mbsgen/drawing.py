@@ -37,6 +37,7 @@ AXES = {Motion.REVOLUTE: "-", Motion.PRISMATIC: "--"}  # how joint axes are draw
 TURNED = {Motion.REVOLUTE: "about", Motion.PRISMATIC: "along"}
 INK = "0.35"  # of what is no body
 _LONGEST = 24  # characters of a name in a picture
+_MOST = 60  # bodies that are named in a picture
 
 
 @dataclass(frozen=True)
@@ -68,8 +69,8 @@ def pose(tree: Tree, q: Sequence[float]) -> Scene:
 
 def _build_masses(tree: Tree) -> Tape:
     builder = Builder()
-    state = declare_state(tree, builder, rates=False, accelerations=False, forces=False)
-    chain = write_chain(tree, builder, state.q, state.p)
+    state = declare_state(tree, builder, rates=False, accelerations=False, forces=False, wrenches=False)
+    chain = write_chain(tree, builder, state)
     l = [chain.vector(body.com) for body in tree.bodies]
     builder.output_dense("m", [[chain.scalar(body.mass)] for body in tree.bodies])
     builder.output_dense("l", [[v[r] for v in l] for r in range(3)])
@@ -86,7 +87,7 @@ def describe_joint(body: Body) -> str:
 def draw(tree: Tree, q: Sequence[float]) -> Figure:
     """Draw the mechanism in space, and its tree beside it."""
     scene = pose(tree, q)
-    height = max(6.5, 0.3 * len(tree.bodies) + 1.2)
+    height = max(6.5, 0.3 * min(len(tree.bodies), _MOST) + 1.2)
     figure = Figure(figsize=(13, height))
     FigureCanvasAgg(figure)
     space = figure.add_axes((0.0, 0.04, 0.56, 0.9), projection="3d")
@@ -126,7 +127,8 @@ def render(tree: Tree, q: Sequence[float], form: str) -> bytes:
 def _draw_mechanism(space: Axes3D, tree: Tree, scene: Scene) -> None:
     points = np.concatenate((np.zeros((1, 3)), scene.origins, scene.centres, scene.sensors))
     size = float(np.ptp(points, axis=0).max()) or 1.0
-    reach = 0.09 * size
+    reach = 0.09 * size * min(1.0, 15 / len(tree.bodies))
+    dot = min(1.0, 40 / len(tree.bodies))
     ends = np.concatenate((scene.origins + reach * scene.axes, scene.origins - reach * scene.axes))
     _frame_up(space, np.concatenate((points, ends)))
     heaviest = scene.masses.max(initial=0.0) or 1.0
@@ -137,12 +139,12 @@ def _draw_mechanism(space: Axes3D, tree: Tree, scene: Scene) -> None:
         _draw_line(space, start, origin, color=carrier, linewidth=4.5, alpha=0.9, solid_capstyle="round")
         if scene.masses[i] > 0:
             _draw_line(space, origin, scene.centres[i], color=color, linewidth=1.2, linestyle=":")
-            area = 25 + 200 * scene.masses[i] / heaviest
+            area = dot * (25 + 200 * scene.masses[i] / heaviest)
             space.scatter(*scene.centres[i], s=area, color=color, edgecolors="white", depthshade=False, zorder=5)
         arm = reach * scene.axes[i]
         _draw_line(space, origin - arm, origin + arm, color="black", linewidth=1.1, linestyle=AXES[body.joint.motion])
         space.quiver(*(origin + 0.7 * arm), *(0.3 * arm), color="black", linewidth=1.1, arrow_length_ratio=1.0)
-        space.scatter(*origin, s=22, color="white", edgecolors="black", depthshade=False, zorder=6)
+        space.scatter(*origin, s=22 * dot, color="white", edgecolors="black", depthshade=False, zorder=6)
     for sensor, place in zip(tree.sensors, scene.sensors, strict=True):
         origin = scene.origins[sensor.body - 1] if sensor.body else np.zeros(3)
         carrier = COLORS[(sensor.body - 1) % len(COLORS)] if sensor.body else INK
@@ -150,7 +152,10 @@ def _draw_mechanism(space: Axes3D, tree: Tree, scene: Scene) -> None:
         space.scatter(*place, s=55, color="black", marker="x", depthshade=False, zorder=7)
     space.scatter(0, 0, 0, s=60, color=INK, marker="s", depthshade=False, zorder=4)
     _draw_legend(space, tree)
-    _write_names(space, tree, scene, np.concatenate((points, ends)))
+    if len(tree.bodies) <= _MOST:
+        starts = np.concatenate((np.zeros((1, 3)), scene.origins))[[body.parent for body in tree.bodies]]
+        inner = [starts + part * (scene.origins - starts) for part in (0.15, 0.3, 0.5, 0.7, 0.85)]
+        _write_names(space, tree, scene, np.concatenate((points, ends, *inner)))
 
 
 def _draw_line(space: Axes3D, start: Array, end: Array, **style: object) -> None:
@@ -167,6 +172,7 @@ def _frame_up(space: Axes3D, points: Array) -> None:
     space.set_box_aspect(spans)
     for axis, name in zip((space.xaxis, space.yaxis, space.zaxis), "xyz", strict=True):
         axis.set_label_text(f"{name} [m]")
+        axis.labelpad = 9
         axis.set_major_locator(matplotlib.ticker.MaxNLocator(5, steps=[1, 2, 5, 10]))
     space.tick_params(labelsize=8)
     space.view_init(elev=20, azim=-60)
@@ -185,7 +191,7 @@ def _draw_legend(space: Axes3D, tree: Tree) -> None:
 
 
 def _write_names(space: Axes3D, tree: Tree, scene: Scene, points: Array) -> None:
-    """Write the names of joints and frames where they are; those of one place in one label, and no two over another."""
+    """Write the names of joints and frames near to where they are, one label for each place, clear of `points`."""
     names: dict[tuple[float, ...], list[str]] = {}
     for i, body in enumerate(tree.bodies):
         names.setdefault(tuple(np.round(scene.origins[i], 9)), []).append(_shorten(body.joint.name))
@@ -249,10 +255,11 @@ def _find_room(x: float, y: float, width: float, height: float, taken: Sequence[
 def _draw_tree(panel: Axes, tree: Tree, masses: Array) -> None:
     """List the bodies, a line each, moved to the right by their depth; masses stand in a column."""
     panel.axis("off")
-    rows, depths = list_rows(tree)
-    indent = min(0.05, 0.45 / max(1, *depths.values()))
+    listed, depths = list_rows(tree)
+    rows = listed[:_MOST]
+    indent = min(0.05, 0.45 / max(depths[i] for i in rows))
     panel.set_xlim(0, 1)
-    panel.set_ylim(max(len(rows), 14) + 0.5, -0.8)
+    panel.set_ylim(max(len(rows), 14) + 1.5, -0.8)
     size = 9.5 if len(rows) <= 30 else 8.0
     panel.text(0.0, 0.0, "base", fontsize=size, va="center", color=INK)
     panel.text(1.0, 0.0, "mass [kg]", fontsize=size, va="center", ha="right", color=INK)
@@ -275,6 +282,8 @@ def _draw_tree(panel: Axes, tree: Tree, masses: Array) -> None:
         )
         panel.text(1.0, row, f"{masses[i - 1]:.4g}" if masses[i - 1] else "0", fontsize=size, va="center", ha="right")
         heights[i] = row
+    if len(listed) > len(rows):
+        panel.text(0.0, len(rows) + 1, f"and {len(listed) - len(rows)} more bodies", va="center", color=INK)
 
 
 def list_rows(tree: Tree) -> tuple[list[int], dict[int, int]]:
