@@ -36,7 +36,7 @@ MBSGEN = Package(
         "formulations",
         "derivatives",
         "targets",
-        "report drawing",
+        "report drawing output",
         "pipeline",
         "cli",
         "__main__",

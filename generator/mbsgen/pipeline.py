@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import json
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mbsgen import __version__, manifest
 from mbsgen.derivatives.kernels import differentiate
-from mbsgen.errors import Fault, InputError
 from mbsgen.formulations.catalogue import FUNCTIONS, MEANINGS, SETUP
 from mbsgen.formulations.links import PARAMETERS
 from mbsgen.formulations.reductions import ALL, Reductions
@@ -19,6 +16,7 @@ from mbsgen.manifest import Coordinate, Frame, Manifest, Parameter
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree, with_runtime_numbers
 from mbsgen.model.tree import NO_FORCE, Kind, Tree
+from mbsgen.output import write_folder
 from mbsgen.report import Report, make_report, write_json, write_markdown
 from mbsgen.tape.passes import hoist
 from mbsgen.tape.types import Tape
@@ -146,53 +144,3 @@ def _describe(tree: Tree, unit: Unit, sources: Sources) -> Manifest:
         + tuple(Frame(name=s.name, parent=s.body - 1, sensor=True) for s in tree.sensors),
         kernels=sources.kernels,
     )
-
-
-def write_folder(files: Mapping[str, str], out: Path) -> None:
-    """Write a folder of files as a whole: it appears complete, in place of an earlier one, or not at all.
-
-    Raises InputError when `out` is something else than an empty folder or one that mbsgen wrote, or cannot be written.
-    """
-    if out.exists() and not _is_replaceable(out):
-        finding = "it exists, and is no folder that mbsgen wrote"
-        raise InputError([Fault(str(out), 0, "", finding, "name another folder with -o, or remove this one")])
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as aside:
-            fresh = Path(aside) / "fresh"
-            fresh.mkdir()
-            for name, text in files.items():
-                (fresh / name).parent.mkdir(exist_ok=True)
-                (fresh / name).write_text(text, encoding="utf-8", newline="\n")
-            if out.exists():
-                out.rename(Path(aside) / "old")
-            fresh.rename(out)
-    except OSError as error:
-        raise _refuse_output(out, error) from None
-
-
-def write_file(content: bytes, out: Path) -> None:
-    """Write a file. Raises InputError when it cannot be written."""
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_bytes(content)
-    except OSError as error:
-        raise _refuse_output(out, error) from None
-
-
-def _refuse_output(out: Path, error: OSError) -> InputError:
-    """Tell why a place cannot be written."""
-    finding = f"it cannot be written: {error.strerror}"
-    return InputError([Fault(str(out), 0, "", finding, "name a place with -o that can be")])
-
-
-def _is_replaceable(out: Path) -> bool:
-    if not out.is_dir():
-        return False
-    try:
-        content = json.loads((out / manifest.FILE_NAME).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return not any(out.iterdir())
-    except (OSError, ValueError, RecursionError):
-        return False
-    return isinstance(content, dict) and str(content.get("generator")).split()[:1] == ["mbsgen"]

@@ -1,0 +1,98 @@
+"""Output on disk: a folder that is there as a whole or not at all, and never in place of what others wrote."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import re
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+from mbsgen import manifest
+from mbsgen.errors import Fault, InputError
+
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # of Linux: <fcntl.h>, <linux/fs.h>
+# What mbsgen writes for a model of the prefix {0}, and what compilers and Python make of it in the same place.
+_OWN = (
+    r"{0}(_\w+)?\.(c|h|pc|py)|mbs_\w+\.[ch]|CMakeLists\.txt|manifest\.json|report\.(json|md)|matlab|matlab/{0}_\w+\.m"
+    r"|check|\w+\.o|__pycache__|__pycache__/.*"
+)
+
+
+def write_folder(files: Mapping[str, str], out: Path) -> None:
+    """Write files, path -> text, as a whole folder: it appears complete, in place of an earlier one, or not at all.
+
+    Raises InputError when `out` holds anything that mbsgen did not write, or cannot be written.
+    """
+    out = Path(os.path.realpath(out))  # of a link, what it leads to
+    strange = _find_strange(out)
+    if strange:
+        raise InputError([Fault(str(out), 0, "", strange, "name another folder with -o, or remove this one")])
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as aside:
+            fresh = Path(aside) / "fresh"
+            for name, text in files.items():
+                (fresh / name).parent.mkdir(parents=True, exist_ok=True)
+                (fresh / name).write_text(text, encoding="utf-8", newline="\n")
+            _replace(fresh, out)
+    except OSError as error:
+        raise _refuse(out, error) from None
+
+
+def write_file(content: bytes, out: Path) -> None:
+    """Write a file. Raises InputError when it cannot be written."""
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_bytes(content)
+    except OSError as error:
+        raise _refuse(out, error) from None
+
+
+def _refuse(out: Path, error: OSError) -> InputError:
+    """Tell why a place cannot be written."""
+    finding = f"it cannot be written: {error.strerror}"
+    return InputError([Fault(str(out), 0, "", finding, "name a place with -o that can be")])
+
+
+def _replace(fresh: Path, out: Path) -> None:
+    """Put a folder in the place of another; what was there is left beside `fresh`, or in its place.
+
+    A process that is killed leaves the old folder or the new one, and the hidden one beside them. Where folders cannot
+    be exchanged, one moment is left in which neither is in place: then the old one is in the hidden folder.
+    """
+    if not out.exists():
+        fresh.rename(out)
+    elif not _exchange(fresh, out):
+        out.rename(fresh.with_name("old"))
+        fresh.rename(out)
+
+
+def _exchange(one: Path, other: Path) -> bool:
+    """Exchange two folders in one step; tell whether it was done. Only Linux can, on most file systems."""
+    try:
+        renameat2 = ctypes.CDLL(None).renameat2
+    except AttributeError:
+        return False
+    names = os.fsencode(one), os.fsencode(other)
+    return bool(renameat2(_AT_FDCWD, names[0], _AT_FDCWD, names[1], _RENAME_EXCHANGE) == 0)
+
+
+def _find_strange(out: Path) -> str:
+    """Tell why what is at `out` is not to be replaced; empty if it may be, or if there is nothing."""
+    if Path.cwd().is_relative_to(out):
+        return "it is the folder you are in, and would be replaced by another of its name"
+    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
+        return ""
+    try:
+        told = json.loads((out / manifest.FILE_NAME).read_text(encoding="utf-8"))
+        if not told["generator"].startswith("mbsgen"):
+            raise ValueError
+        own = re.compile(_OWN.format(re.escape(told["prefix"])), re.ASCII)
+    except (OSError, ValueError, RecursionError, KeyError, TypeError, AttributeError):  # no such file, no such content
+        return "it exists, and is no folder that mbsgen wrote"
+    names = (path.relative_to(out).as_posix() for path in out.rglob("*"))
+    alien = sorted(name for name in names if not own.fullmatch(name))
+    return f"it holds {alien[0]}, which mbsgen did not write" if alien else ""
