@@ -29,6 +29,33 @@ FILES = (SOLUTION, TRAJECTORIES, MECHANISM)
 
 MESSAGES = Console(stderr=True)
 
+HELP = """Solve optimal control problems of multibody systems.
+
+\b
+  mbsrun solve PROBLEM -o DIR   solve, and write solution and pictures to DIR
+
+PROBLEM is a YAML file; models/ holds an example. Summaries go to stdout, progress and messages to stderr.
+"""
+
+SOLVE_HELP = """Solve the optimal control problem of the file PROBLEM.
+
+It is put on a grid by direct collocation, and solved by IPOPT with the exact derivatives of the generated kernels. The
+motion under the inputs found is then integrated by another method, and the two are compared.
+
+\b
+The output folder gets
+  solution.json       the problem, what the solver did, every number of the trajectory
+  trajectories.png    coordinates, velocities and inputs over time
+  mechanism.png       the mechanism on its way
+
+\b
+Exit codes
+  0   solved, and as accurate as the problem asks for
+  1   not solved, and nothing written; or solved, but short of the tolerance or
+      the accuracy asked for: then the solution is written, and says so
+  2   the problem, its model or an argument cannot be accepted; nothing written
+"""
+
 
 class NumberType(click.ParamType[float]):
     """A number, or an expression such as pi/2."""
@@ -43,19 +70,13 @@ class NumberType(click.ParamType[float]):
             self.fail(str(error), param, ctx)
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.group(help=HELP, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(package_name="mbsgen", prog_name="mbsrun")
 def cli() -> None:
-    r"""Solve optimal control problems of multibody systems.
-
-    \b
-      mbsrun solve PROBLEM -o DIR      solve a problem; write the solution and its pictures to DIR
-
-    PROBLEM is a YAML file; models/ holds an example. Summaries go to stdout, progress and messages to stderr.
-    """
+    """Solve optimal control problems: `mbsrun`."""
 
 
-@cli.command("solve")
+@cli.command("solve", help=SOLVE_HELP)
 @click.argument("file", metavar="PROBLEM", type=click.Path(path_type=Path))
 @click.option(
     "-o",
@@ -76,24 +97,7 @@ def cli() -> None:
 def solve_command(
     context: click.Context, file: Path, out: Path | None, target: tuple[float, float, float] | None
 ) -> None:
-    r"""Solve the optimal control problem of the file PROBLEM.
-
-    It is put on a grid by direct collocation, and solved by IPOPT with the exact derivatives of the generated kernels.
-    The motion under the inputs found is then integrated by another method, and the two are compared.
-
-    \b
-    The output folder gets
-      solution.json       the problem, what the solver did, and every number of the trajectory
-      trajectories.png    coordinates, velocities and inputs over time
-      mechanism.png       the mechanism on its way
-
-    \b
-    Exit codes
-      0   solved, and as accurate as the problem asks for
-      1   not solved, and nothing written; or solved, but short of the tolerance or of the
-          accuracy asked for: then the solution is written, and says so
-      2   the problem, its model or an argument cannot be accepted, and nothing written
-    """
+    """Read, solve, re-simulate, write, tell."""
     problem, plant = read_problem(file, load)
     if target is not None:
         problem = _retarget(problem, target)

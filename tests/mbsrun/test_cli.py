@@ -174,3 +174,12 @@ def test_help_and_version(arguments: list[str]) -> None:
     done = subprocess.run([sys.executable, "-m", "mbsrun", *arguments], capture_output=True, text=True, check=True)
     assert done.stdout.strip()
     assert done.stderr == ""
+
+
+@pytest.mark.parametrize(("arguments", "text"), [(["-h"], cli.HELP), (["solve", "-h"], cli.SOLVE_HELP)])
+def test_lists_in_the_help_keep_their_lines(run: Run, arguments: list[str], text: str) -> None:
+    """A terminal of 80 columns shows what is indented in the text as it is written."""
+    shown = run(*arguments).stdout.splitlines()
+    written = [line for line in text.splitlines() if line.startswith("  ")]
+    assert written
+    assert [line for line in written if f"  {line}" not in shown] == []
