@@ -1,0 +1,82 @@
+"""The examples of csrc/ are built as their first lines say, with the committed arm, and print what is true of it."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from mbsrun import load
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / "csrc" / "examples"
+ARM = ROOT / "generated" / "arm_pendulum"
+FLAGS = "CFLAGS=-std=c99 -O2 -Wall -Wextra -Wpedantic -Werror"
+Array = NDArray[np.float64]
+
+
+def run(*command: str | Path, cwd: Path) -> str:
+    """Run a command; a failure shows what it said."""
+    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.fixture
+def make(requires: Callable[[str], str], tmp_path: Path) -> Callable[[str], str]:
+    """Build an example by its Makefile, and run it."""
+
+    def build(name: str) -> str:
+        run(requires("make"), "-f", EXAMPLES / name / "Makefile", f"MODEL={ARM}", FLAGS, cwd=tmp_path)
+        return run(tmp_path / name, cwd=tmp_path)
+
+    return build
+
+
+def test_inverse_dynamics(make: Callable[[str], str]) -> None:
+    """The first state of the arm's reference, to the rounding of its kernel."""
+    state = json.loads((ROOT / "tests" / "reference" / "seed_arm_docquier.json").read_text())["states"][0]
+    source = (EXAMPLES / "inverse_dynamics" / "main.c").read_text()
+    for name in ("q", "qd", "qdd"):
+        assert f"{name}[JOINTS] = {{{', '.join(map(str, state[name]))}}}" in source
+    found = [float(x) for x in re.findall(r"joint \d: (\S+) N m", make("inverse_dynamics"))]
+    assert found == pytest.approx([float(x) for x in state["exact50"]["tau_id"]], rel=1e-13)
+
+
+def test_falling_arm(make: Callable[[str], str]) -> None:
+    """Another integrator, with accelerations from the residual's Jacobian; both err by less than 1e-7 in a second."""
+    rows = [[float(x) for x in row] for row in list(csv.reader(make("falling_arm").splitlines()))[1:]]
+    found, arm = np.array(rows), load(ARM)
+
+    def derive(_: float, x: Array) -> Array:
+        rest = {"q": x[:6], "qd": x[6:], "qdd": np.zeros(6), "u": np.zeros(4)}
+        qdd = np.linalg.solve(arm.jac_impl(**rest)["jac_Phi_qdd"], -arm.impl(**rest)["Phi"])
+        return np.concatenate([x[6:], qdd])
+
+    expected = solve_ivp(derive, (0, 1), found[0, 1:], "DOP853", found[:, 0], rtol=1e-10, atol=1e-10).y.T
+    assert found.shape == (101, 13)
+    assert np.ptp(found[:, 2]) > 1  # it does fall
+    np.testing.assert_allclose(found[:, 1:], expected, rtol=0, atol=1e-7 * np.abs(expected).max())
+
+
+def test_gravity_torques(requires: Callable[[str], str], tmp_path: Path) -> None:
+    """About the shoulder: the weight of each body, at its distance along x from there; the arm is stretched out."""
+    cmake = requires("cmake")
+    requires("g++")
+    run(cmake, "-S", EXAMPLES / "gravity_torques", "-B", tmp_path, f"-DMODEL={ARM}", cwd=tmp_path)
+    run(cmake, "--build", tmp_path, cwd=tmp_path)
+    told = run(tmp_path / "gravity_torques", cwd=tmp_path)
+    found = re.findall(r"q2 = *(\S+) rad: \S+ (\S+)", told)
+    assert len(found) == 5
+    moment = 9.81 * (2.5 * 0.1 + 2 * (0.3 + 0.1) + 0.5 * (0.6 + 0.1) + 1 * 0.7)  # in the arm's direction
+    upright = 9.81 * 0.2  # the pendulum, across it
+    for angle, torque in ((float(a), float(t)) for a, t in found):
+        assert torque == pytest.approx(-moment * np.cos(angle) - upright * np.sin(angle), rel=1e-9)
