@@ -32,7 +32,7 @@ HELP = """Turn the description of a multibody system into C kernels for its dyna
 
 \b
   mbsgen MODEL -o DIR       generate the folder DIR: C, manifest, report
-  mbsgen show MODEL         print the tree of the bodies; with -o FILE, draw it
+  mbsgen show MODEL         print the tree of its bodies; with -o, draw it
   mbsgen report MODEL       count what the model costs, and write nothing
   mbsgen check MODEL        tell every fault of the model file, and write nothing
 

@@ -1,0 +1,80 @@
+"""The report: counts are those of the tapes, the JSON keeps its form, and no table can be broken by a name."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from mbsgen.formulations.catalogue import FORMULATIONS
+from mbsgen.pipeline import Product, make, read_tree, write_families
+from mbsgen.report import COLUMNS, Report, sections, write_json, write_markdown
+from mbsgen.tape.counts import count
+from mbsgen.tape.types import Op
+
+ARM = Path(__file__).parents[2] / "models" / "arm_pendulum.yaml"
+FLOPS = ("paper", "arithmetic", "add", "mul", "div", "neg", "sqrt", "trig")
+
+
+@pytest.fixture(scope="module")
+def product() -> Product:
+    return make(ARM)
+
+
+@pytest.fixture(scope="module")
+def report(product: Product) -> Report:
+    return product.report
+
+
+def test_the_json_has_the_form_that_later_versions_are_compared_by(report: Report) -> None:
+    data = json.loads(write_json(report))
+    assert data["model"] == "arm_pendulum"
+    assert list(data["formulations"]) == list(FORMULATIONS)
+    entries = [entry for part in ("formulations", "setups", "kernels") for entry in data[part].values()]
+    for entry in entries:
+        assert set(entry) == {"flops", "equations"}
+        assert set(entry["flops"]) == {*FLOPS, "other"}
+        assert all(type(n) is int for n in (*entry["flops"].values(), entry["equations"]))
+
+
+def test_the_two_conventions_are_sums_of_the_kinds(report: Report) -> None:
+    for cost in (*report.formulations.values(), *report.setups.values(), *report.kernels.values()):
+        f = cost.flops
+        assert f.arithmetic == f.add + f.mul + f.div
+        assert f.paper == f.arithmetic + f.neg + f.sqrt + f.trig
+
+
+def test_kernels_cost_what_their_tapes_do(report: Report) -> None:
+    tapes = {tape.name: tape for family in write_families(read_tree(ARM)) for tape in family.tapes}
+    assert list(report.kernels) == list(tapes)
+    for name, tape in tapes.items():
+        cost, counts = report.kernels[name], count(tape)
+        assert (cost.flops, cost.equations) == (counts.flops, counts.equations)
+        assert cost.flops.paper + cost.flops.other == len(tape.operations)
+        assert cost.flops.trig == sum(op in (Op.SIN, Op.COS) for op, _, _ in tape.operations)
+
+
+def test_files_hold_what_is_reported(product: Product) -> None:
+    assert product.files["report.json"] == write_json(product.report)
+    assert product.files["report.md"] == write_markdown(product.report)
+
+
+def test_a_kernel_stands_with_its_derivatives(report: Report) -> None:
+    groups = sections(report)[2].groups
+    assert [name for group in groups for name in group] == list(report.kernels)
+    for group in groups:
+        first = next(iter(group))
+        assert [name for name in group if not name.endswith(first)] == []
+        assert not first.startswith(("jac_", "adj1_"))
+
+
+@pytest.mark.parametrize("name", ["arm", "a|b", "*a*", "<b>", "`x`", "a\\", "[a](b)", "# a"])
+def test_a_name_does_not_break_the_markdown(name: str, report: Report) -> None:
+    text = write_markdown(replace(report, model=name))
+    title, *rows = text.splitlines()
+    assert re.sub(r"\\(.)", r"\1", title) == f"# What {name} costs"
+    tables = [line for line in rows if line.startswith("|")]
+    assert {len(re.findall(r"(?<!\\)\|", line)) for line in tables} == {len(COLUMNS) + 2}
