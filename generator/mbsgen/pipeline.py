@@ -9,7 +9,7 @@ from pathlib import Path
 
 from mbsgen import __version__, manifest
 from mbsgen.derivatives.kernels import differentiate
-from mbsgen.formulations.catalogue import FUNCTIONS, MEANINGS, SETUP
+from mbsgen.formulations.catalogue import MEANINGS, SETUP, select_functions
 from mbsgen.formulations.links import PARAMETERS
 from mbsgen.formulations.reductions import ALL, Reductions
 from mbsgen.manifest import Coordinate, Frame, Manifest, Parameter
@@ -90,7 +90,7 @@ def read_tree(model: Path) -> Tree:
 def write_families(tree: Tree, reductions: Reductions = ALL) -> tuple[Family, ...]:
     """Write every function of a tree with its derivatives; what depends on parameters alone is split off as `setup`."""
     families = []
-    for name, entry in FUNCTIONS.items():
+    for name, entry in select_functions(tree).items():
         tape = entry.build(tree, reductions)
         family = Family(tape, title=entry.title, meanings=MEANINGS)
         if entry.differentiated:

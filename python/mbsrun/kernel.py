@@ -30,8 +30,11 @@ from mbsrun.library import CompileError, building_place, cache_folder, compile_f
 Array = NDArray[np.float64]
 
 HIDDEN = "h"  # what `setup` makes of the run-time parameters; filled in for the caller
-# Their columns are frames: matrices, even with one column.
-_MATRICES = {"in": frozenset({"adj_position"}), "out": frozenset({"position", "p", "R"})}
+# Matrices even with one column.
+_MATRICES = {
+    "in": frozenset({"adj_position", "adj_v", "adj_omega"}),
+    "out": frozenset({"position", "v", "omega", "J", "p", "R"}),
+}
 _BATCH = """
 typedef int (*mbs_kernel)(const double **arg, double **res, long long *iw, double *w, int mem);
 int mbs_batch(mbs_kernel f, long long states, long long n_in, const double **arg, const long long *arg_step,

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from mbsgen.formulations import exp1, exp2, impl, poses, semi
+from mbsgen.formulations import energy, exp1, exp2, impl, poses, semi, velocities
 from mbsgen.formulations.links import PARAMETERS
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Tree
@@ -22,6 +22,7 @@ class Entry:
     build: Callable[[Tree, Reductions], Tape]
     title: str  # for readers of the generated code
     differentiated: bool  # by all inputs but parameters
+    of_sensors: bool = False  # a tree without sensors has no such function
 
 
 def _plainly(build: Callable[[Tree], Tape]) -> Callable[[Tree, Reductions], Tape]:
@@ -42,6 +43,14 @@ MEANINGS: Mapping[str, str] = MappingProxyType(
         "M": "mass matrix, kg m2, kg m or kg",
         "c": "bias: what the joints' forces are at rest of the joints, N m or N",
         "position": "places of the sensors in the base frame, a column each, m",
+        "v": "velocities of the sensors in the base frame, a column each, m/s",
+        "omega": "angular velocities of the sensors in the base frame, a column each, rad/s",
+        "J": "six rows for each sensor: J qd is its velocity, then its angular velocity, in the base frame",
+        "kinetic": "kinetic energy, J",
+        "potential": "potential energy of gravity, 0 with all mass at the base's origin, J",
+        "momentum": "momentum in the base frame, kg m/s",
+        "angular_momentum": "moment of momentum about the base's origin, in the base frame, kg m2/s",
+        "com": "centre of mass in the base frame, m",
         "frames.p": "origins of the frames in the base frame, a column each, m",
         "R": "axes of the frames as columns, in the base frame",
     }
@@ -54,10 +63,22 @@ FUNCTIONS: Mapping[str, Entry] = MappingProxyType(
         "semi_res": Entry(semi.build_residual, "residual by mass matrix and bias: M qdd + c - Q", differentiated=False),
         "exp1": Entry(exp1.build, "accelerations by elimination in the mass matrix", differentiated=False),
         "exp2": Entry(exp2.build, "accelerations by articulated bodies, order N", differentiated=False),
-        "sensors": Entry(_plainly(poses.build_sensors), "places of the sensors", differentiated=True),
+        "sensors": Entry(_plainly(poses.build_sensors), "places of the sensors", differentiated=True, of_sensors=True),
+        "motion": Entry(
+            _plainly(velocities.build_motion), "velocities of the sensors", differentiated=True, of_sensors=True
+        ),
+        "jacobian": Entry(
+            _plainly(velocities.build_jacobian), "Jacobians of the sensors", differentiated=False, of_sensors=True
+        ),
+        "energy": Entry(_plainly(energy.build), "energy and momentum", differentiated=False),
         "frames": Entry(_plainly(poses.build_frames), "poses of all bodies and sensors", differentiated=False),
     }
 )
+
+
+def select_functions(tree: Tree) -> Mapping[str, Entry]:
+    """Select the functions that a tree has: all, but without sensors none of theirs."""
+    return {name: entry for name, entry in FUNCTIONS.items() if tree.sensors or not entry.of_sensors}
 
 
 @dataclass(frozen=True)

@@ -47,16 +47,22 @@ def build_frames(tree: Tree) -> Tape:
     builder = Builder()
     state = declare_state(tree, builder, rates=False, accelerations=False, forces=False, wrenches=False)
     chain = write_chain(tree, builder, state)
-    one, zero = builder.number(1.0), builder.zero
-    unit = Matrix.of([[one if r == c else zero for c in range(3)] for r in range(3)])
-    poses = {0: Pose(chain.still, unit)}
-    for link in chain.links:
-        poses[link.number] = _place(poses[link.parent], link.dpt, link.R)
+    poses = place_bodies(chain)
     drawn = [poses[link.number] for link in chain.links]
     drawn += [_place(poses[s.body], chain.vector(s.position), chain.matrix(s.orientation)) for s in tree.sensors]
     builder.output_dense("p", [[pose.p[r] for pose in drawn] for r in range(3)])
     builder.output_dense("R", [[pose.R[r, c] for pose in drawn for c in range(3)] for r in range(3)])
     return builder.build("frames")
+
+
+def place_bodies(chain: Chain) -> dict[int, Pose]:
+    """From the base to the leaves: the pose of every body; entry 0 is the base's."""
+    one, zero = chain.builder.number(1.0), chain.builder.zero
+    unit = Matrix.of([[one if r == c else zero for c in range(3)] for r in range(3)])
+    poses = {0: Pose(chain.still, unit)}
+    for link in chain.links:
+        poses[link.number] = _place(poses[link.parent], link.dpt, link.R)
+    return poses
 
 
 def _place(parent: Pose, position: Vector[Scalar], R: Matrix[Scalar]) -> Pose:

@@ -1,0 +1,101 @@
+"""Energy and momentum: Tree -> Tape of `energy`, which no reduction touches: every body counts as it is.
+
+The momentum of all that a joint carries is added up from the leaves to the base; its part along the joint is a row of
+M qd, so that the kinetic energy takes one product more for each joint.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import reduce
+from operator import add
+
+from mbsgen.algebra.vectors import Vector
+from mbsgen.formulations.links import Chain, Link, declare_state, write_chain
+from mbsgen.model.tree import Tree
+from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.types import Tape
+
+
+@dataclass(frozen=True)
+class Velocity:
+    """How a body moves, in its own frame."""
+
+    v: Vector[Scalar]  # of its origin
+    OM: Vector[Scalar]  # angular velocity
+
+
+@dataclass(frozen=True)
+class Momentum:
+    """Mass, its first moment, momentum and moment of momentum, about one origin and in its frame."""
+
+    m: Scalar
+    S: Vector[Scalar]
+    P: Vector[Scalar]
+    H: Vector[Scalar]
+
+    def __add__(self, other: Momentum) -> Momentum:
+        return Momentum(self.m + other.m, self.S + other.S, self.P + other.P, self.H + other.H)
+
+
+def build(tree: Tree) -> Tape:
+    """Write `energy`: inputs q, qd [, p]; outputs in the base frame, about its origin.
+
+    kinetic and potential, shape (1,) [J], the potential being 0 with all mass at the origin; momentum (3,) [kg m/s],
+    angular_momentum (3,) [kg m2/s], com (3,): the centre of mass [m], unless
+    no body has a mass.
+    """
+    builder = Builder()
+    state = declare_state(tree, builder, accelerations=False, forces=False, wrenches=False)
+    chain = write_chain(tree, builder, state)
+    carried = _add_up(chain)
+    twice = reduce(add, (_along(x, carried[x.number]) * qd for x, qd in zip(chain.links, state.qd, strict=True)))
+    whole = reduce(add, (_refer(x, carried[x.number]) for x in chain.links if not x.parent), _nothing(chain))
+    builder.output_dense("kinetic", [[builder.number(0.5) * twice]])
+    builder.output_dense("potential", [[-chain.gravity.dot(whole.S)]])
+    builder.output_dense("momentum", [[x] for x in whole.P])
+    builder.output_dense("angular_momentum", [[x] for x in whole.H])
+    if not whole.m.is_zero:
+        builder.output_dense("com", [[x / whole.m] for x in whole.S])
+    return builder.build("energy")
+
+
+def _nothing(chain: Chain) -> Momentum:
+    return Momentum(chain.builder.zero, chain.still, chain.still, chain.still)
+
+
+def _add_up(chain: Chain) -> dict[int, Momentum]:
+    """From the leaves to the base: the momentum of what each joint carries, about the joint in its body's frame."""
+    bodies = _move_bodies(chain)
+    carried: dict[int, Momentum] = {}
+    for link in reversed(chain.links):
+        beyond = (_refer(x, carried[x.number]) for x in chain.links if x.parent == link.number)
+        carried[link.number] = reduce(add, beyond, _own(link, bodies[link.number]))
+    return carried
+
+
+def _move_bodies(chain: Chain) -> dict[int, Velocity]:
+    """From the base to the leaves: velocities of every body; entry 0 is the base's."""
+    bodies = {0: Velocity(chain.still, chain.still)}
+    for link, qd in zip(chain.links, chain.state.qd, strict=True):
+        parent, to_body, axis = bodies[link.parent], link.R.transposed, link.joint.axis
+        v, OM = to_body.apply(parent.v + parent.OM.cross(link.dpt)), to_body.apply(parent.OM)
+        own = Velocity(v, OM.along(axis, qd)) if link.is_revolute else Velocity(v.along(axis, qd), OM)
+        bodies[link.number] = own
+    return bodies
+
+
+def _own(link: Link, body: Velocity) -> Momentum:
+    P = body.v.scale(link.m) + body.OM.cross(link.S)
+    return Momentum(link.m, link.S, P, link.J.apply(body.OM) + link.S.cross(body.v))
+
+
+def _refer(link: Link, own: Momentum) -> Momentum:
+    """Refer what a joint carries to its parent's origin, in the parent's frame."""
+    S, P = link.R.apply(own.S) + link.dpt.scale(own.m), link.R.apply(own.P)
+    return Momentum(own.m, S, P, link.R.apply(own.H) + link.dpt.cross(P))
+
+
+def _along(link: Link, carried: Momentum) -> Scalar:
+    """Take the part along a joint: its row of M qd."""
+    return (carried.H if link.is_revolute else carried.P)[link.joint.axis]

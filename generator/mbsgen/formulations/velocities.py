@@ -1,0 +1,86 @@
+"""Velocities of sensors: Tree -> Tape of `motion` (velocities) and `jacobian` (how the joints' velocities make them).
+
+All vectors are in the base frame: that takes fewer operations than body frames, and derivatives the more so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mbsgen.algebra.vectors import Vector
+from mbsgen.formulations.links import Chain, declare_state, write_chain
+from mbsgen.formulations.poses import Pose, place_bodies
+from mbsgen.model.tree import Sensor, Tree
+from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.types import Tape
+
+
+@dataclass(frozen=True)
+class Velocity:
+    """How a body moves."""
+
+    v: Vector[Scalar]  # of its origin
+    OM: Vector[Scalar]  # angular velocity
+
+
+def build_motion(tree: Tree) -> Tape:
+    """Write `motion`: inputs q, qd [, p]; outputs v [m/s] and omega [rad/s], shape (3, number of sensors)."""
+    builder = Builder()
+    state = declare_state(tree, builder, accelerations=False, forces=False, wrenches=False)
+    chain = write_chain(tree, builder, state)
+    poses = place_bodies(chain)
+    bodies = _move_bodies(chain, poses)
+    v = [
+        bodies[s.body].v + bodies[s.body].OM.cross(poses[s.body].R.apply(chain.vector(s.position)))
+        for s in tree.sensors
+    ]
+    omega = [bodies[s.body].OM for s in tree.sensors]
+    builder.output_dense("v", [[column[r] for column in v] for r in range(3)])
+    builder.output_dense("omega", [[column[r] for column in omega] for r in range(3)])
+    return builder.build("motion")
+
+
+def _move_bodies(chain: Chain, poses: dict[int, Pose]) -> dict[int, Velocity]:
+    """From the base to the leaves: velocities of every body; entry 0 is the base's."""
+    bodies = {0: Velocity(chain.still, chain.still)}
+    for link, qd in zip(chain.links, chain.state.qd, strict=True):
+        parent = bodies[link.parent]
+        v = parent.v + parent.OM.cross(poses[link.parent].R.apply(link.dpt))
+        own = poses[link.number].R.column(link.joint.axis).scale(qd)
+        bodies[link.number] = Velocity(v, parent.OM + own) if link.is_revolute else Velocity(v + own, parent.OM)
+    return bodies
+
+
+def build_jacobian(tree: Tree) -> Tape:
+    """Write `jacobian`: inputs q [, p]; output J, shape (6 * number of sensors, n), nonzeros only.
+
+    Six rows for each sensor: J qd is its velocity [m/s], then its angular velocity [rad/s]. Only the joints between a
+    sensor and the base have entries.
+    """
+    builder = Builder()
+    state = declare_state(tree, builder, rates=False, accelerations=False, forces=False, wrenches=False)
+    chain = write_chain(tree, builder, state)
+    poses = place_bodies(chain)
+    entries = {
+        (6 * k + row, column): value
+        for k, sensor in enumerate(tree.sensors)
+        for column, rows in _columns(chain, sensor, poses).items()
+        for row, value in enumerate(rows)
+    }
+    builder.output_nonzeros("J", 6 * len(tree.sensors), len(tree.bodies), entries)
+    return builder.build("jacobian")
+
+
+def _columns(chain: Chain, sensor: Sensor, poses: dict[int, Pose]) -> dict[int, list[Scalar]]:
+    """Write the columns of a sensor's Jacobian that are not zero, by the places of their coordinates in q."""
+    body = poses[sensor.body]
+    place = body.p + body.R.apply(chain.vector(sensor.position))
+    columns: dict[int, list[Scalar]] = {}
+    number = sensor.body
+    while number:
+        link, pose = chain.links[number - 1], poses[number]
+        axis = pose.R.column(link.joint.axis)
+        linear, angular = (axis.cross(place - pose.p), axis) if link.is_revolute else (axis, chain.still)
+        columns[number - 1] = [*linear, *angular]
+        number = link.parent
+    return columns
