@@ -89,6 +89,16 @@ class Frame(_Entry):
     sensor: bool
 
 
+class Wrench(_Entry):
+    """An external wrench that the model leaves open: entries of the input w, in the order of the manifest."""
+
+    name: str
+    frame: int  # index of the frame of the body that it acts on
+    in_base: bool  # components in the base frame; else in the body's
+    force: bool  # three entries are its force
+    moment: bool  # three more are its moment
+
+
 class Manifest(_Entry):
     """A generated folder, described."""
 
@@ -102,6 +112,7 @@ class Manifest(_Entry):
     coordinates: tuple[Coordinate, ...]
     parameters: tuple[Parameter, ...]  # run-time parameters, in the order of p
     frames: tuple[Frame, ...]
+    wrenches: tuple[Wrench, ...] = ()
     kernels: tuple[Kernel, ...]
 
     def kernel(self, name: str) -> Kernel:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
@@ -10,7 +11,7 @@ import pytest
 
 from mbsgen.pipeline import write_families
 from mbsrun import Mechanism, load
-from tests.random_trees import Pinocchio, random_tree, values_of
+from tests.random_trees import Pinocchio, law_forces, random_tree, values_of, with_laws, with_wrenches
 from tests.sample import write_sample
 
 SEEDS = [(1, False), (2, True), (3, False), (4, True)]
@@ -70,3 +71,40 @@ def test_casadi_sees_the_same_function_to_second_order(seed: int, runtime: bool,
         columns.append((ends[0] - ends[1]).full()[:, 0] / 2e-5)
     np.testing.assert_allclose(hessian, np.array(columns).T, rtol=0, atol=1e-8 * max(1.0, np.abs(hessian).max()))
     np.testing.assert_array_equal(hessian, hessian.T)
+
+
+@pytest.mark.parametrize("runtime", [False, True])
+def test_laws_and_open_wrenches_go_the_whole_way(runtime: bool, tmp_path: Path) -> None:
+    """Residual, derivative by w, and accelerations that the residual vanishes at; the tree has no sensors."""
+    tree = with_wrenches(with_laws(random_tree(6, 6, runtime=runtime)), 6)
+    parameters = {p.name: p.value for p in tree.parameters}
+    families = write_families(replace(tree, sensors=()))
+    k, peer = load(write_sample(tmp_path, "driven", families, parameters)), Pinocchio(tree)
+    assert not [kernel.name for kernel in k.manifest.kernels if kernel.name in ("sensors", "motion", "jacobian")]
+    actuated = [i for i, body in enumerate(tree.bodies) if body.joint.actuated]
+    state = draw_state(len(actuated), 6) | {"w": np.linspace(-4, 5, 9)}
+    q, qd, qdd, u, w = state.values()
+    forces = law_forces(tree, q, qd)
+    forces[actuated] += u
+    assert_close(k.impl(**state)["Phi"], peer.residual(q, qd, qdd, w) - forces)
+    zero = peer.residual(q, qd, qdd, 0 * w)
+    by_w = np.column_stack([peer.residual(q, qd, qdd, e) - zero for e in np.eye(9)])
+    assert_close(k.jac_impl(**state)["jac_Phi_w"], by_w)
+    assert_close(k.casadi("impl").jacobian()(*state.values(), 0)[4].full(), by_w)
+    driven = {name: state[name] for name in ("q", "qd", "u", "w")}
+    for kernel in ("exp1", "exp2"):
+        found = k.impl(**(state | {"qdd": k(kernel, **driven)["qdd"]}))["Phi"]
+        assert np.abs(found).max() <= 1e-10 * np.abs(forces).max()
+
+
+def test_velocities_are_the_jacobian_times_the_rates(tmp_path: Path) -> None:
+    """And the derivatives of positions along the motion."""
+    k, pinocchio, _ = build(tmp_path, 5, runtime=False)
+    state = draw_state(0, 5)
+    q, qd = state["q"], state["qd"]
+    motion, J = k.motion(q=q, qd=qd), k.jacobian(q=q)["J"]
+    assert motion["v"].shape == motion["omega"].shape == (3, 1)
+    assert_close(J @ qd, np.concatenate((motion["v"], motion["omega"]))[:, 0])
+    assert_close(k.jac_sensors(q=q)["jac_position_q"], J[:3])
+    energy = k.energy(q=q, qd=qd)
+    assert_close(energy["kinetic"], [qd @ pinocchio.mass_matrix(q) @ qd / 2])
