@@ -33,8 +33,8 @@ HELP = """Turn the description of a multibody system into C kernels for its dyna
 \b
   mbsgen MODEL -o DIR       generate the folder DIR: C, manifest, report
   mbsgen show MODEL         print the tree of its bodies; with -o, draw it
-  mbsgen report MODEL       count what the model costs, and write nothing
-  mbsgen check MODEL        tell every fault of the model file, and write nothing
+  mbsgen report MODEL       count what it costs, and write nothing
+  mbsgen check MODEL        tell every fault of the file, and write nothing
 
 MODEL is a YAML file; models/ holds examples. A file that has the name of a subcommand is reached as ./NAME.
 

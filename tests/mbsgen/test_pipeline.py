@@ -1,0 +1,197 @@
+"""Generation as a whole: the same bytes anywhere, the same numbers with run-time parameters, folders whole or not."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mbsgen import manifest
+from mbsgen.errors import InputError
+from mbsgen.model.reduction import with_runtime_numbers
+from mbsgen.model.tree import Kind, Tree
+from mbsgen.pipeline import Options, generate, make, read_tree, write_families, write_folder
+from mbsgen.tape.interpreter import evaluate
+from mbsgen.tape.types import Tape
+from tests.random_trees import random_tree
+
+ROOT = Path(__file__).parents[2]
+ALL = Options(runtime=True, python=True, matlab=True)
+BRANCHED = """\
+name: branched
+gravity: [0, 0.5, -9.81]
+parameters:
+  length: 0.4
+  mass: {value: 1.5, kind: runtime}
+bodies:
+  - name: trunk
+    joint: {name: turn, type: revolute, axis: [1, 2, 2]}
+    mass: mass
+    com: [0.1, 0, length/2]
+    inertia: [0.2, 0.3, 0.1]
+  - name: left
+    parent: trunk
+    joint: {name: swing, type: revolute, axis: y, position: [0, length, 0], actuated: false}
+    mass: 2*mass
+    com: [0, 0, -0.2]
+    inertia: [0.02, 0.03, 0.01]
+  - name: right
+    parent: trunk
+    joint: {name: slide, type: prismatic, axis: x, position: [0, -length, 0]}
+    mass: 0.7
+    com: [0.1, 0.2, 0.3]
+    inertia: [0.02, 0.03, 0.01]
+frames:
+  - {name: tip, body: left, position: [0, 0, -length]}
+"""
+GENERATE = """
+import pathlib, sys
+from mbsgen.pipeline import Options, generate
+generate(pathlib.Path("model.yaml"), pathlib.Path(sys.argv[1]), Options(python=True, matlab=True))
+"""
+Array = NDArray[np.float64]
+
+
+@pytest.fixture
+def model(tmp_path: Path) -> Path:
+    file = tmp_path / "model.yaml"
+    file.write_text(BRANCHED, encoding="utf-8")
+    return file
+
+
+def read_folder(folder: Path) -> dict[str, bytes]:
+    return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+
+
+def test_the_same_bytes_under_any_hash_seed(model: Path) -> None:
+    """Of a model with constant and with run-time parameters, in every target."""
+    folders = []
+    for seed in ("0", "1", "4242"):
+        out = model.parent / seed
+        command = [sys.executable, "-c", GENERATE, out.name]
+        environment = {**os.environ, "PYTHONHASHSEED": seed}
+        subprocess.run(command, cwd=model.parent, env=environment, check=True)
+        folders.append(read_folder(out))
+    assert folders[0] == folders[1] == folders[2]
+    assert {Path(name).suffix for name in folders[0]} >= {".c", ".h", ".py", ".m", ".json", ".md"}
+
+
+def test_no_file_tells_where_or_when_it_was_made(model: Path) -> None:
+    for name, text in make(model, ALL).files.items():
+        assert not Path(name).is_absolute()
+        for place in (str(model.parent), str(ROOT), str(Path.home()), model.name):
+            assert place not in text, name
+        assert not re.search(r"\b(19|20)\d\d-\d\d-\d\d\b|\b\d\d:\d\d:\d\d\b", text), name
+
+
+def test_the_hash_names_what_is_generated(model: Path) -> None:
+    """A comment or the order of keys change nothing; a number's last digit, a name, and an option do."""
+
+    def hash_of(text: str, *, runtime: bool = False) -> str:
+        model.write_text(text, encoding="utf-8")
+        return make(model, Options(runtime=runtime)).manifest.model_hash
+
+    plain = hash_of(BRANCHED)
+    assert hash_of("# a comment\n" + BRANCHED) == plain
+    others = [
+        hash_of(BRANCHED.replace("mass: 0.7\n", "mass: 0.7000000000000001\n")),
+        hash_of(BRANCHED.replace("name: branched", "name: other")),
+        hash_of(BRANCHED.replace("{value: 1.5,", "{value: 1.25,")),
+        hash_of(BRANCHED, runtime=True),
+    ]
+    assert len({plain, *others}) == 1 + len(others)
+
+
+@pytest.mark.parametrize("case", ["arm", "branched", "random"])
+def test_parameters_at_run_time_give_the_numbers_of_constants(case: str, model: Path) -> None:
+    """Every kernel: setup's results in, the same values out, to 1e-12 of the largest."""
+    if case == "random":
+        tree = random_tree(6, 5)
+    else:
+        tree = read_tree(model if case == "branched" else ROOT / "models" / "arm_pendulum.yaml")
+    constant, runtime = evaluated(tree), evaluated(with_runtime_numbers(tree))
+    assert next(iter(runtime)) == "setup"
+    for kernel, results in constant.items():
+        if kernel == "setup":
+            continue
+        for name, expected in results.items():
+            scale = max(1.0, np.abs(expected).max(initial=0))
+            assert np.abs(runtime[kernel][name] - expected).max(initial=0) <= 1e-12 * scale, f"{kernel}.{name}"
+
+
+def evaluated(tree: Tree) -> dict[str, dict[str, Array]]:
+    """Evaluate every kernel at inputs that depend on their names alone, as full matrices."""
+    families = write_families(tree)
+    own = {"p": [p.value for p in tree.parameters if p.kind is Kind.RUNTIME]}
+    if own["p"]:
+        assert families[0].value.name == "setup"
+        own |= evaluate(families[0].value, own)
+    return {tape.name: full(tape, evaluate(tape, draw(tape, own))) for family in families for tape in family.tapes}
+
+
+def draw(tape: Tape, own: Mapping[str, Sequence[float]]) -> dict[str, Sequence[float]]:
+    at = {}
+    for i in tape.inputs:
+        seed = int.from_bytes(hashlib.sha256(i.name.encode()).digest()[:4], "big")
+        at[i.name] = own.get(i.name) or np.random.default_rng(seed).uniform(-1, 1, i.sparsity.nnz).tolist()
+    return at
+
+
+def full(tape: Tape, values: Mapping[str, Sequence[float]]) -> dict[str, Array]:
+    matrices = {}
+    for o in tape.outputs:
+        matrices[o.name] = np.zeros((o.sparsity.rows, o.sparsity.cols))
+        for (r, c), value in zip(o.sparsity.entries, values[o.name], strict=True):
+            matrices[o.name][r, c] = value
+    return matrices
+
+
+def test_setup_is_generated_only_where_there_is_something_to_set_up(model: Path) -> None:
+    """Parameters that the file makes run-time ones are those of the manifest, in its order; --runtime adds the rest."""
+    some, all_ = make(model).manifest, make(model, Options(runtime=True)).manifest
+    assert [(p.name, p.value) for p in some.parameters] == [("mass", 1.5)]
+    assert {"length", "mass", "right.mass", "right.com.z", "gravity.y"} <= {p.name for p in all_.parameters}
+    model.write_text(BRANCHED.replace("{value: 1.5, kind: runtime}", "1.5"))
+    none = make(model).manifest
+    assert (none.parameters, [k.name for k in none.kernels if k.name == "setup"]) == ((), [])
+    assert all(i.name != "h" for k in none.kernels for i in k.inputs)
+
+
+def test_a_folder_is_replaced_as_a_whole(model: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    generate(model, out, ALL)
+    assert (out / "branched.py").is_file()
+    product = generate(model, out)
+    assert read_folder(out) == {name: text.encode() for name, text in product.files.items()}
+    assert manifest.read(out / manifest.FILE_NAME) == product.manifest
+
+
+def test_a_write_that_fails_leaves_what_was_there(model: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    generate(model, out)
+    before = read_folder(tmp_path)
+    with pytest.raises(InputError, match="cannot be written"):
+        write_folder({"good.c": "", "n" * 300: ""}, out)
+    with pytest.raises(InputError, match="cannot be written"):
+        write_folder({"good.c": "", "n" * 300: ""}, tmp_path / "new")
+    assert read_folder(tmp_path) == before
+    assert sorted(tmp_path.iterdir()) == [model, out]
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "null", '{"generator": "another 1.0"}', "[" * 100_000, "\xff"])
+def test_a_folder_with_another_manifest_is_left_alone(text: str, model: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / manifest.FILE_NAME).write_text(text, encoding="latin-1")
+    before = read_folder(tmp_path)
+    with pytest.raises(InputError, match="no folder that mbsgen wrote"):
+        generate(model, out)
+    assert read_folder(tmp_path) == before
