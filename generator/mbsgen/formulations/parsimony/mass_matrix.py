@@ -38,7 +38,8 @@ class Part:
     """What turns with a body when its absolute angle changes: not the bodies that continue its group."""
 
     S: Vector[Scalar]
-    Je: Vector[Scalar]  # J e_axis: the moment for a unit acceleration
+    Je: Vector[Scalar]  # J e_axis: the moment for a unit acceleration, with that of the bodies that only follow
+    axial: Scalar  # what the joint itself feels of it
 
 
 def mass_matrix(writing: Writing, *, absolute: bool = False) -> Entries:
@@ -64,13 +65,14 @@ def compose(kinematics: Kinematics, segment: Segment, lump: Lump, composites: di
         s, weight = kinematics.depart(child, carried.S), d.scale(carried.m)
         J = shift_inertia(kinematics.depart_tensor(child, carried.J), d, s, weight) + J
         S, m = S + s + weight, m + carried.m
-    alone = Part(S, J.column(axis))
+    alone = Part(S, J.column(axis), J[axis, axis])
     for child in (x for x in beyond if not x.opens_group):
         carried, d = composites[child.number], link(kinematics, child)
         s, weight = kinematics.depart(child, carried.S), d.scale(carried.m)
         follows = [-(d[r] * (s[axis] + weight[axis])) for r in range(3)]
-        follows[axis] = sum_across(segment, d, weight)
-        alone = Part(alone.S + weight, alone.Je + Vector.of(follows))
+        follows[axis] = sum_across(segment, d, s) + sum_across(segment, d, weight)
+        axial = alone.axial + sum_across(segment, d, weight)
+        alone = Part(alone.S + weight, alone.Je + Vector.of(follows), axial)
         J = shift_inertia(kinematics.depart_tensor(child, carried.J), d, s, weight) + J
         S, m = S + s + weight, m + carried.m
     return Composite(m, S, J, alone)
@@ -126,14 +128,15 @@ def unit_load(builder: Builder, segment: Segment, body: Composite, *, absolute: 
     if not segment.is_revolute:
         N = body.S.cross(e)
         return Load(e.scale(body.m), N, N)
-    part = body.alone if absolute else Part(body.S, body.J.column(segment.axis))
+    part = body.alone if absolute else Part(body.S, body.J.column(segment.axis), body.J[segment.axis, segment.axis])
     return Load(e.cross(part.S), part.Je, part.Je)
 
 
 def _column(kinematics: Kinematics, segment: Segment, body: Composite, *, absolute: bool) -> Entries:
     """Carry a joint's load down to the base, and take its part along every joint on the way."""
     load = unit_load(kinematics.builder, segment, body, absolute=absolute)
-    column = {(segment.number, segment.number): _along(load, segment)}
+    own = body.alone.axial if absolute and segment.is_revolute else _along(load, segment)
+    column = {(segment.number, segment.number): own}
     at = segment
     while at.parent:
         below = kinematics.segments[at.parent - 1]

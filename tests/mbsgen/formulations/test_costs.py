@@ -1,0 +1,107 @@
+"""What the formulations cost: the arm's figures, what reductions save, and how cost grows with size (Table 1)."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sympy import Float, Integer
+
+from mbsgen.formulations.catalogue import FORMULATIONS
+from mbsgen.formulations.links import PARAMETERS
+from mbsgen.formulations.planning import dynamics_alone
+from mbsgen.formulations.reductions import NONE, Reductions
+from mbsgen.model.reader import read_model
+from mbsgen.model.reduction import build_tree, with_runtime_numbers
+from mbsgen.model.tree import Body, Joint, Motion, Tree
+from mbsgen.tape.counts import Counts, count
+from mbsgen.tape.passes import hoist
+from tests.random_trees import exact_matrix, random_tree
+
+LUMPED = Reductions(lump_runtime=True)
+ARM = Path(__file__).parents[3] / "models" / "arm_pendulum.yaml"
+
+
+def cost(name: str, tree: Tree, reductions: Reductions) -> Counts:
+    """Count a formulation with parameters at run time, setup apart."""
+    row = FORMULATIONS[name]
+    tape = row.build(dynamics_alone(tree, driven=row.driven), reductions)
+    if any(i.name == PARAMETERS for i in tape.inputs):
+        _, (tape,) = hoist([tape], PARAMETERS, "h")
+    return count(tape)
+
+
+@cache
+def arm() -> Tree:
+    return with_runtime_numbers(build_tree(read_model(ARM)))
+
+
+@pytest.mark.parametrize(
+    ("name", "published", "reached"),
+    [("IMPL", 460, 230), ("SEMI", 830, 340), ("EXP1", 991, 460), ("EXP2", 1784, 510)],
+)
+def test_arm_takes_half_of_the_published_flops_or_less(name: str, published: int, reached: int):
+    """Table 4 of the paper, by its convention, all numbers of the model at run time."""
+    found = cost(name, arm(), LUMPED).paper
+    assert found <= reached
+    assert 2 * found <= published
+
+
+@pytest.mark.parametrize(("name", "published"), [("IMPL", 114), ("SEMI", 264), ("EXP1", 328), ("EXP2", 395)])
+def test_arm_takes_fewer_equations_than_published(name: str, published: int):
+    assert cost(name, arm(), LUMPED).equations < published
+
+
+@pytest.mark.parametrize("name", FORMULATIONS)
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_reductions_save_on_any_tree(name: str, seed: int):
+    tree = random_tree(seed, 7, tidy=seed != 1)
+    assert cost(name, tree, LUMPED).paper < cost(name, tree, NONE).paper
+
+
+@pytest.mark.parametrize("name", FORMULATIONS)
+def test_no_division_by_parameters_unless_it_is_allowed(name: str):
+    """Without leave to divide by what may be 0 at run time, setup has no division."""
+    row = FORMULATIONS[name]
+    tape = row.build(dynamics_alone(arm(), driven=row.driven), Reductions())
+    setup, _ = hoist([tape], PARAMETERS, "h")
+    constant_pivot = 1 if name == "EXP1" else 0  # the pendulum's inertia about its last axis, which is never 0
+    assert sum(op.name == "DIV" for op, _, _ in setup.operations) <= constant_pivot + (name == "EXP2")
+
+
+def chain(size: int) -> Tree:
+    """Make a uniform chain: axes z, y, x in turn, equal full inertias, links along x."""
+    inertia = exact_matrix(np.array([[0.3, 0.01, 0.02], [0.01, 0.4, 0.03], [0.02, 0.03, 0.5]]))
+    zero, one = Integer(0), Float(0.7)
+    bodies = tuple(
+        Body(
+            f"b{i}",
+            i,
+            Joint(f"q{i}", Motion.REVOLUTE, (2, 1, 0)[i % 3], True, None, None),
+            (one if i else zero, zero, zero),
+            exact_matrix(np.eye(3)),
+            Float(1.3),
+            (Float(0.3), Float(0.1), Float(0.2)),
+            inertia,
+        )
+        for i in range(size)
+    )
+    return Tree("chain", (zero, zero, Float(-9.81)), (), bodies, ())
+
+
+@pytest.mark.parametrize(
+    ("name", "flops", "equations"), [("IMPL", 1, 1), ("EXP2", 1, 1), ("SEMI", 2, 2), ("EXP1", 3, 2)]
+)
+def test_cost_is_a_polynomial_of_the_number_of_bodies(name: str, flops: int, equations: int):
+    """Table 1: differences of the given order are constant, three bodies at a time.
+
+    An equation of the elimination holds all that is subtracted from one entry of M: there are n2 of them.
+    """
+    fixed = Reductions(trials=1)
+    counts = [cost(name, chain(n), fixed) for n in range(9, 9 + 3 * (flops + 3), 3)]
+    for figures, degree in (([c.paper for c in counts], flops), ([c.equations for c in counts], equations)):
+        differences = np.diff(figures, degree)
+        assert len(set(differences)) == 1
+        assert differences[0] > 0

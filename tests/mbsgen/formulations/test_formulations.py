@@ -1,0 +1,208 @@
+"""The four formulations on random trees: against Pinocchio, against each other, with every reduction on and off."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mbsgen.formulations import exp1, exp2, impl, semi
+from mbsgen.formulations.reductions import ALL, NONE, Reductions
+from mbsgen.model.tree import Tree
+from mbsgen.tape.interpreter import DIGITS, evaluate, find_failure
+from mbsgen.tape.types import Tape
+from tests.random_trees import Pinocchio, random_tree, values_of
+from tests.reference_models import ARM, RANDOM_TREE, tree_from_reference
+
+Array = NDArray[np.float64]
+EPS = 2.0**-52
+SIZES = (1, 2, 3, 5, 8, 12, 16, 20, 30)
+FEW = replace(ALL, trials=12)  # plans do not change what is computed; few are tried where cost is not the question
+SWITCHED = {
+    "all": FEW,
+    "none": NONE,
+    "no regrouping": replace(FEW, regroup=False),
+    "no shared frames": replace(FEW, share_frames=False),
+    "no lumps": replace(FEW, lump=False),
+    "relative angles": replace(FEW, absolute=False),
+    "no factoring": replace(FEW, factor=False),
+    "lumps by parameters": replace(FEW, lump_runtime=True),
+}
+
+
+def driven(tree: Tree) -> Tree:
+    """Give every joint an actuator."""
+    return replace(tree, bodies=tuple(replace(b, joint=replace(b.joint, actuated=True)) for b in tree.bodies))
+
+
+@cache
+def tree_of(seed: int, *, runtime: bool = False) -> Tree:
+    n = SIZES[seed % len(SIZES)]
+    return driven(random_tree(seed, n, runtime=runtime, tidy=seed % 2 == 0))
+
+
+@cache
+def tape_of(name: str, tree: Tree, reductions: Reductions = FEW) -> Tape:
+    build = {
+        "impl": impl.build,
+        "semi": semi.build,
+        "semi_res": semi.build_residual,
+        "exp1": exp1.build,
+        "exp2": exp2.build,
+    }
+    return build[name](tree, reductions)
+
+
+def run(tape: Tape, tree: Tree, **arguments: Array) -> dict[str, Array]:
+    if values := values_of(tree):
+        arguments["p"] = np.array(values)
+    given = {i.name: list(arguments[i.name]) for i in tape.inputs}
+    return {name: np.array(found, float) for name, found in evaluate(tape, given).items()}
+
+
+def state(seed: int, n: int) -> tuple[Array, Array, Array, Array]:
+    rng = np.random.default_rng(seed + 500)
+    return rng.uniform(-3, 3, n), rng.uniform(-2, 2, n), rng.uniform(-3, 3, n), rng.uniform(-3, 3, n)
+
+
+def scaled_condition(M: Array) -> float:
+    d = 1 / np.sqrt(np.diag(M))
+    return float(np.linalg.cond(M * np.outer(d, d)))
+
+
+def assert_equals_pinocchio(tree: Tree, seed: int, reductions: Reductions) -> None:
+    """Phi, M, c to 1e-12 of the largest entry; qdd likewise, times the condition of the scaled mass matrix."""
+    n = len(tree.bodies)
+    q, qd, qdd, _ = state(seed, n)
+    peer = Pinocchio(tree)
+    M, Phi, c = peer.mass_matrix(q), peer.residual(q, qd, qdd), peer.residual(q, qd, 0 * qdd)
+    zero = np.zeros(n)
+    near = {"rtol": 0.0, "atol": 1e-12 * np.abs(Phi).max()}
+    for name in ("impl", "semi_res"):
+        found = run(tape_of(name, tree, reductions), tree, q=q, qd=qd, qdd=qdd, u=zero)["Phi"]
+        np.testing.assert_allclose(found, Phi, **near)
+    terms = run(tape_of("semi", tree, reductions), tree, q=q, qd=qd)
+    np.testing.assert_allclose(terms["M"].reshape(n, n), M, rtol=0, atol=1e-12 * np.abs(M).max())
+    np.testing.assert_allclose(terms["c"], c, rtol=0, atol=1e-12 * max(np.abs(c).max(), 1.0))
+    tolerance = 1e-13 * max(10.0, scaled_condition(M)) * np.abs(qdd).max()
+    for name in ("exp1", "exp2"):
+        found = run(tape_of(name, tree, reductions), tree, q=q, qd=qd, u=Phi)["qdd"]
+        np.testing.assert_allclose(found, qdd, rtol=0, atol=tolerance)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_formulations_equal_pinocchio(seed: int):
+    assert_equals_pinocchio(tree_of(seed), seed, FEW)
+
+
+@pytest.mark.parametrize("reductions", SWITCHED.values(), ids=SWITCHED)
+@pytest.mark.parametrize("seed", [3, 4, 13])
+def test_every_reduction_can_be_switched_off(seed: int, reductions: Reductions):
+    assert_equals_pinocchio(tree_of(seed), seed, reductions)
+
+
+@pytest.mark.parametrize("reductions", SWITCHED.values(), ids=SWITCHED)
+def test_reductions_hold_with_parameters_at_run_time(reductions: Reductions):
+    assert_equals_pinocchio(tree_of(4, runtime=True), 4, reductions)
+
+
+@pytest.mark.parametrize("path", [ARM, RANDOM_TREE], ids=lambda p: p.stem)
+def test_formulations_equal_the_reference_files(path):
+    """Against 50-digit values of another code, in each state of the file."""
+    tree, content = tree_from_reference(path), json.loads(path.read_text())
+    zero = np.zeros(len(tree.bodies))
+    for given in content["states"]:
+        q, qd, qdd, tau = (np.array(given[x]) for x in ("q", "qd", "qdd", "tau"))
+        exact = {k: np.array(v, dtype=float) for k, v in given["exact50"].items()}
+        M = exact["M"]
+        found = {
+            "tau_id": run(tape_of("impl", tree), tree, q=q, qd=qd, qdd=qdd, u=zero)["Phi"],
+            **{k: run(tape_of("semi", tree), tree, q=q, qd=qd)[v] for k, v in (("M", "M"), ("nle", "c"))},
+        }
+        for name, value in found.items():
+            expected = exact[name].ravel(order="F")
+            np.testing.assert_allclose(value, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+        for name in ("exp1", "exp2"):
+            qdd_found = run(tape_of(name, tree), tree, q=q, qd=qd, u=tau)["qdd"]
+            expected = exact["qdd_fd"] if "qdd_fd" in exact else exact["qdd"]
+            bound = 10 * EPS * scaled_condition(M) * np.abs(expected).max()
+            np.testing.assert_allclose(qdd_found, expected, rtol=0, atol=max(bound, 1e-12 * np.abs(expected).max()))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_mass_matrix_is_symmetric_and_positive(seed: int):
+    tree = tree_of(seed)
+    n = len(tree.bodies)
+    q, qd, *_ = state(seed, n)
+    M = run(tape_of("semi", tree), tree, q=q, qd=qd)["M"].reshape(n, n)
+    assert np.array_equal(M, M.T)
+    assert np.linalg.eigvalsh(M).min() > 0
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_columns_of_the_mass_matrix_are_unit_acceleration_residuals(seed: int):
+    """M e_i = Phi(q, 0, e_i) - Phi(q, 0, 0)."""
+    tree = tree_of(seed)
+    n = len(tree.bodies)
+    q, *_ = state(seed, n)
+    zero = np.zeros(n)
+    M = run(tape_of("semi", tree), tree, q=q, qd=zero)["M"].reshape(n, n)
+    at_rest = run(tape_of("impl", tree), tree, q=q, qd=zero, qdd=zero, u=zero)["Phi"]
+    for i, e in enumerate(np.eye(n)):
+        column = run(tape_of("impl", tree), tree, q=q, qd=zero, qdd=e, u=zero)["Phi"] - at_rest
+        np.testing.assert_allclose(column, M[:, i], rtol=0, atol=1e-12 * max(np.abs(M).max(), np.abs(at_rest).max()))
+
+
+@pytest.mark.parametrize("seed", range(7))
+def test_explicit_forms_agree_and_solve_the_implicit_one(seed: int):
+    """gamma = nu, and Phi(q, qd, gamma) = Q."""
+    tree = tree_of(seed)
+    n = len(tree.bodies)
+    q, qd, _, u = state(seed, n)
+    M = run(tape_of("semi", tree), tree, q=q, qd=qd)["M"].reshape(n, n)
+    one, two = (run(tape_of(name, tree), tree, q=q, qd=qd, u=u)["qdd"] for name in ("exp1", "exp2"))
+    np.testing.assert_allclose(one, two, rtol=0, atol=100 * EPS * scaled_condition(M) * np.abs(two).max())
+    for qdd in (one, two):
+        scale = np.abs(M) @ np.abs(qdd) + np.abs(u) + 1
+        rest = run(tape_of("impl", tree), tree, q=q, qd=qd, qdd=qdd, u=u)["Phi"]
+        assert (np.abs(rest) <= 1e-12 * scale.max()).all()
+
+
+@pytest.mark.parametrize("name", ["impl", "semi", "exp1", "exp2"])
+def test_float64_is_near_50_digits(name: str):
+    """The same tape at the same inputs; the error of the accelerations grows with the condition."""
+    tree = tree_of(4)
+    n = len(tree.bodies)
+    q, qd, qdd, u = state(7, n)
+    arguments = {"q": q, "qd": qd, "qdd": qdd, "u": u}
+    tape = tape_of(name, tree)
+    M = run(tape_of("semi", tree), tree, q=q, qd=qd)["M"].reshape(n, n)
+    given = {i.name: list(map(DIGITS.literal, arguments[i.name])) for i in tape.inputs}
+    exact = evaluate(tape, given, DIGITS)
+    for output, found in run(tape, tree, **arguments).items():
+        expected = np.array([float(x) for x in exact[output]])
+        bound = 100 * EPS * (scaled_condition(M) if name.startswith("exp") else 1) * np.abs(expected).max()
+        assert np.abs(found - expected).max() <= bound
+
+
+@pytest.mark.parametrize("seed", range(7))
+def test_no_guard_fails_where_the_mass_matrix_is_sound(seed: int):
+    tree = tree_of(seed)
+    q, qd, _, u = state(seed, len(tree.bodies))
+    for name in ("exp1", "exp2"):
+        assert find_failure(tape_of(name, tree), {"q": list(q), "qd": list(qd), "u": list(u)}) == 0
+
+
+def test_entries_between_branches_are_not_there():
+    """M of a tree with two branches on the base has no operation for bodies on different ones."""
+    tree = driven(random_tree(21, 6))
+    bodies = tuple(replace(b, parent=(0, 1, 2, 0, 4, 5)[i]) for i, b in enumerate(tree.bodies))
+    tape = semi.build(replace(tree, bodies=bodies))
+    M = np.array(tape.output("M").values).reshape(6, 6)
+    zero = {tape.first_literal + k for k, x in enumerate(tape.literals) if x == 0}
+    assert set(M[:3, 3:].ravel()) <= zero
+    assert len(zero) == 1
