@@ -8,18 +8,14 @@ difference or a literal to turn round before it spends an operation on it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence, Set
-from dataclasses import dataclass
-from types import MappingProxyType
 
 from mpmath import mpf
 
 from mbsgen.errors import TapeError
-from mbsgen.tape.types import EVEN, LITERALS, ODD, Guard, Input, Op, Output, Sparsity, Tape
+from mbsgen.tape.types import EVEN, LITERALS, ODD, Input, Op, Sparsity, Tape
+from mbsgen.tape.writer import Key, Ref, Result, Test, Writer, sign_of
 
-Ref = int
-_Key = tuple[Op, Ref, Ref]
 _ONE = LITERALS.mpf(1)
-_TURNABLE = ODD | {Op.ADD, Op.SUB, Op.MUL, Op.DIV}  # whose operands may decide the sign of the result
 
 
 class Scalar:
@@ -74,21 +70,6 @@ class Scalar:
         return self.builder.value(self.ref)
 
 
-@dataclass(frozen=True)
-class _Result:
-    name: str
-    sparsity: Sparsity
-    refs: tuple[Ref, ...]
-
-
-@dataclass(frozen=True)
-class _Test:
-    value: Ref
-    scale: Ref
-    tolerance: float
-    joint: int
-
-
 class Builder:
     """Collects operations, and builds the Tape of those that an output needs.
 
@@ -98,14 +79,14 @@ class Builder:
     def __init__(self, *, fold: bool = True, number: bool = True) -> None:
         self._fold = fold
         self._number = number
-        self._nodes: list[_Key | mpf | None] = [None]  # node 0 is never used; None: an entry of an input
-        self._known: dict[_Key, Ref] = {}
+        self._nodes: list[Key | mpf | None] = [None]  # node 0 is never used; None: an entry of an input
+        self._known: dict[Key, Ref] = {}
         self._literals: dict[mpf, Ref] = {}
         self._numbers: dict[float | mpf, Scalar] = {}
         self._fixed = bytearray(1)  # of each node: whether it is known before the inputs that vary; see `cost`
         self._inputs: list[tuple[Input, int]] = []  # with the node of the first nonzero
-        self._results: list[_Result] = []
-        self._tests: list[_Test] = []
+        self._results: list[Result] = []
+        self._tests: list[Test] = []
         self._labels: dict[int, str] = {}
 
     # -- what goes in and out ---------------------------------------------------------------------------------
@@ -123,7 +104,7 @@ class Builder:
 
     def output(self, name: str, sparsity: Sparsity, values: Sequence[Scalar]) -> None:
         """Declare an output by the values of its nonzeros."""
-        self._results.append(_Result(name, sparsity, tuple(v.ref for v in values)))
+        self._results.append(Result(name, sparsity, tuple(v.ref for v in values)))
 
     def output_dense(self, name: str, rows: Sequence[Sequence[Scalar]]) -> None:
         """Declare a dense output by rows."""
@@ -138,7 +119,7 @@ class Builder:
 
     def guard(self, value: Scalar, scale: Scalar, tolerance: float, joint: int) -> None:
         """Let the kernel fail at `joint` unless value > tolerance * epsilon * scale."""
-        self._tests.append(_Test(value.ref, scale.ref, tolerance, joint))
+        self._tests.append(Test(value.ref, scale.ref, tolerance, joint))
 
     def label(self, values: Iterable[Scalar], names: Iterable[str]) -> None:
         """Give values the field's names, for readers; a value keeps its first, inputs and literals their own."""
@@ -262,7 +243,7 @@ class Builder:
     def value(self, ref: Ref) -> float | None:
         """Return the number that `ref` stands for, or None if an input decides it."""
         found = self._value(abs(ref)) if ref else LITERALS.mpf(0)
-        return None if found is None else float(found) * _sign(ref)
+        return None if found is None else float(found) * sign_of(ref)
 
     def _value(self, node: Ref) -> mpf | None:
         found = self._nodes[node]
@@ -321,7 +302,7 @@ class Builder:
 
     def build(self, name: str) -> Tape:
         """Build the tape of the declared inputs and outputs; operations that no output needs are left out."""
-        return _Writer(self._nodes, self._inputs, self._results, self._tests, self._labels).tape(name)
+        return Writer(self._nodes, self._inputs, self._results, self._tests, self._labels).tape(name)
 
 
 def _call(op: Op, values: Sequence[mpf]) -> mpf:
@@ -333,159 +314,3 @@ def _call(op: Op, values: Sequence[mpf]) -> mpf:
     if not isinstance(result, LITERALS.mpf) or not LITERALS.isfinite(result):
         raise TapeError(f"{op.value[0]}({numbers}) has no value")
     return result
-
-
-class _Writer:
-    """Turns signed nodes into plain operations: decides which nodes are kept with their sign changed."""
-
-    def __init__(
-        self,
-        nodes: Sequence[_Key | mpf | None],
-        inputs: Sequence[tuple[Input, int]],
-        results: Sequence[_Result],
-        tests: Sequence[_Test],
-        labels: dict[int, str],
-    ) -> None:
-        self._nodes, self._inputs, self._results, self._labels = nodes, inputs, results, labels
-        self._tests = tests
-        self._uses = self._count_uses()
-        self._turned = self._choose_turned()
-        self._kept: dict[int, Ref] = {}  # node -> the node with the sign it is kept with
-        self._literals: dict[Ref, None] = {}  # in the order of their first use
-        self._written: dict[Ref, tuple[Op, Ref, Ref]] = {}  # result -> operation on kept references
-
-    def tape(self, name: str) -> Tape:
-        """Write the operations, then number the values."""
-        for source, first in self._inputs:
-            self._kept.update((node, node) for node in range(first, first + source.sparsity.nnz))
-        for node in sorted(self._uses):  # operands have smaller numbers than what uses them
-            key = self._nodes[node]
-            if isinstance(key, tuple):
-                self._write(node, *key)
-        outputs = [[self._with_sign(ref) for ref in result.refs] for result in self._results]
-        tested = [(self._as_kept(test.value), self._with_sign(test.scale)) for test in self._tests]
-        order = (
-            *(n for s, first in self._inputs for n in range(first, first + s.sparsity.nnz)),
-            *self._literals,
-        )
-        place = {ref: value for value, ref in enumerate((*order, *self._written))}
-        return Tape(
-            name,
-            tuple(source for source, _ in self._inputs),
-            tuple(self._literal(ref) for ref in self._literals),
-            tuple((op, place[a], place[b] if op.arity == 2 else -1) for op, a, b in self._written.values()),
-            tuple(
-                Output(result.name, result.sparsity, tuple(place[ref] for ref in refs))
-                for result, refs in zip(self._results, outputs, strict=True)
-            ),
-            tuple(
-                Guard(place[value], place[scale], test.tolerance, test.joint, negated=value != test.value)
-                for test, (value, scale) in zip(self._tests, tested, strict=True)
-            ),
-            MappingProxyType({place[node]: text for node, text in self._labels.items() if node in self._written}),
-        )
-
-    # -- which nodes are needed, and which are turned round ---------------------------------------------------
-
-    def _count_uses(self) -> dict[int, int]:
-        """Count how often each node that is needed is used; a guard takes a value with whatever sign it has."""
-        uses: dict[int, int] = {}
-        self._walk(uses, [ref for result in self._results for ref in result.refs])
-        tested = [ref for test in self._tests for ref in (test.value, test.scale)]
-        self._walk(uses, [ref for ref in tested if abs(ref) not in uses])
-        return uses
-
-    def _walk(self, uses: dict[int, int], refs: Iterable[Ref]) -> None:
-        stack = [abs(ref) for ref in refs if ref]
-        while stack:
-            node = stack.pop()
-            uses[node] = uses.get(node, 0) + 1
-            key = self._nodes[node]
-            if uses[node] == 1 and isinstance(key, tuple):
-                stack.extend(abs(operand) for operand in key[1:] if operand)
-
-    def _choose_turned(self) -> set[int]:
-        turned: set[int] = set()
-        wanted = {ref for result in self._results for ref in result.refs}
-        for ref in sorted(wanted, reverse=True):
-            if ref < 0 and -ref not in wanted:
-                self._turn(-ref, turned)
-        return turned
-
-    def _turn(self, node: int, turned: set[int]) -> bool:
-        """Try to compute `node` with the other sign at no cost, through operands that serve nothing else."""
-        key = self._nodes[node]
-        if not isinstance(key, tuple) or node in turned or key[0] not in _TURNABLE:
-            return False
-        op, a, b = key
-        free = op is Op.SUB or (op in (Op.MUL, Op.DIV) and (self._is_literal(a) or self._is_literal(b)))
-        operands = (a, b)[: op.arity]
-        if free or any(self._uses[x] == 1 and self._turn(x, turned) for x in operands):
-            turned.add(node)
-            return True
-        return False
-
-    # -- operations with their signs settled ------------------------------------------------------------------
-
-    def _write(self, node: int, op: Op, a: Ref, b: Ref) -> None:
-        sign = -1 if node in self._turned else 1
-        if op in (Op.ADD, Op.SUB):
-            x, y = self._keep(a), self._keep(b)
-            first, second = sign * _sign(x), sign * _sign(y) * (1 if op is Op.ADD else -1)
-            if first < 0 and second < 0:  # both against it: keep the sum with the other sign
-                sign, first, second = -sign, 1, 1
-            if first < 0:
-                x, y, first, second = y, x, second, first
-            self._record(sign * node, Op.ADD if second > 0 else Op.SUB, x, y)
-        elif op in (Op.MUL, Op.DIV):
-            x, y = self._keep(a), self._keep(b)
-            if _sign(x) * _sign(y) != sign and self._is_literal(a):
-                x = -x
-            elif _sign(x) * _sign(y) != sign and self._is_literal(b):
-                y = -y
-            self._record(_sign(x) * _sign(y) * node, op, x, y)
-        elif op in ODD or op in EVEN:
-            x = self._keep(a)
-            self._record(_sign(x) * node if op in ODD else node, op, x, 0)
-        else:
-            self._record(node, op, self._with_sign(a), self._with_sign(b) if op.arity == 2 else 0)
-
-    def _keep(self, node: int) -> Ref:
-        """Refer to a node with the sign it is kept with; a literal can have either, and starts with its own."""
-        return node if self._is_literal(node) else self._kept[node]
-
-    def _record(self, result: Ref, op: Op, a: Ref, b: Ref) -> None:
-        for ref in (a, b):
-            if ref and self._is_literal(ref):
-                self._literals[ref] = None
-        # A literal is written with its sign; any other operand is written as it is kept.
-        self._written[result] = (op, a, b)
-        self._kept[abs(result)] = result
-
-    def _with_sign(self, ref: Ref) -> Ref:
-        """Refer to a value with the sign wanted; spend an operation on the sign where it is kept with the other."""
-        if ref == 0 or self._is_literal(ref):
-            self._literals[ref] = None
-            return ref
-        kept = self._kept[abs(ref)]
-        if kept != ref and ref not in self._written:
-            self._written[ref] = (Op.NEG, kept, 0)
-        return ref
-
-    def _as_kept(self, ref: Ref) -> Ref:
-        """Refer to a value with whatever sign it is kept with."""
-        return self._with_sign(ref if ref == 0 or self._is_literal(ref) else self._kept[abs(ref)])
-
-    def _is_literal(self, ref: Ref) -> bool:
-        found = self._nodes[abs(ref)]
-        return found is not None and not isinstance(found, tuple)
-
-    def _literal(self, ref: Ref) -> mpf:
-        found = self._nodes[abs(ref)] if ref else LITERALS.mpf(0)
-        assert found is not None
-        assert not isinstance(found, tuple)
-        return found if ref >= 0 else -found
-
-
-def _sign(ref: Ref) -> int:
-    return 1 if ref > 0 else -1

@@ -73,6 +73,7 @@ class Station:
     step: Turn | None  # from the frame before the joint, or the predecessor's, to the one that the body is written in
     rest: Turn | None  # from there on to its own
     angle: Scalar | None  # of `rest`
+    sum: str  # the joints whose angles add up in it: `2p3`
     directions: tuple[Vector[Scalar], Vector[Scalar], Vector[Scalar]]  # own axes, by number, where the body is written
 
     def own(self, v: Vector[Scalar]) -> Vector[Scalar]:
@@ -94,7 +95,7 @@ class Movement:
     wp: Scalar
     A: Vector[Scalar]
     a0: Vector[Scalar]
-    U: Matrix[Scalar]  # symmetric use is not made of it: entry [r, c]
+    U: Matrix[Scalar]
 
     def field(self, v: Vector[Scalar]) -> Vector[Scalar]:
         """Form U v."""
@@ -114,19 +115,19 @@ class Kinematics:
 
     def _place(self, segment: Segment) -> Station:
         b = self.builder
-        if not segment.is_revolute:
-            axes = unit_vector(b, 0), unit_vector(b, 1), unit_vector(b, 2)
-            return Station(segment, None, None, None, axes)
-        angle = segment.signed(self._q[segment.number - 1])
-        before = None if segment.opens_group else self.stations[segment.parent].angle
-        total = angle if before is None else before + angle
-        turn = Turn(segment.axis, b.sin(total), b.cos(total))
-        own = self.plan[segment.number].own_frame
         axes = unit_vector(b, 0), unit_vector(b, 1), unit_vector(b, 2)
-        if own:
-            return Station(segment, turn, None, None, axes)
+        if not segment.is_revolute:
+            return Station(segment, None, None, None, "", axes)
+        angle, joints = segment.signed(self._q[segment.number - 1]), str(segment.number)
+        before = None if segment.opens_group else self.stations[segment.parent]
+        if before and before.angle:
+            angle, joints = before.angle + angle, f"{before.sum}{'p' if segment.sense > 0 else 'm'}{joints}"
+        turn = Turn(segment.axis, b.sin(angle), b.cos(angle))
+        b.label((turn.sine, turn.cosine), (f"S{joints}", f"C{joints}"))
+        if self.plan[segment.number].own_frame:
+            return Station(segment, turn, None, None, "", axes)
         x, y, z = (turn.back(e) for e in axes)
-        return Station(segment, None, turn, total, (x, y, z))
+        return Station(segment, None, turn, angle, joints, (x, y, z))
 
     def slide(self, segment: Segment) -> Scalar:
         """Return how far a prismatic joint is moved along its axis."""
@@ -209,6 +210,8 @@ class Kinematics:
         columns[j] = self._by_axis(segment, -(q * q + ww), pq + wp, wp_ + (wp_ - A[j]))
         columns[k] = self._by_axis(segment, pq - wp, -(p * p + ww), wq_ + (wq_ - A[k]))
         columns[a] = list(A)
+        i = segment.number
+        self.builder.label((w, wp, *a0), (f"w_{i}", f"wp_{i}", *(f"a{r}_{i}" for r in "123")))
         return Movement(p, q, w, wp, A, a0, Matrix.of(columns).transposed)
 
     @staticmethod

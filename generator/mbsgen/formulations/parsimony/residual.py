@@ -71,6 +71,7 @@ def _along(segment: Segment, load: Load, *, absolute: bool) -> Scalar:
 def join_loads(
     kinematics: Kinematics, segment: Segment, lump: Lump, movement: Movement, loads: dict[int, Load]
 ) -> Load:
+    """Add to a body's own load what its joints carry, and what acts on it from outside."""
     F, N, V = inertial_load(kinematics, segment, lump, movement)
     directions = directions_of(kinematics, segment, lump, movement)
     zero = kinematics.builder.zero
@@ -91,6 +92,8 @@ def join_loads(
     for pull in segment.pulls:
         force, moment = (_write_part(kinematics, segment, pull, v) for v in (pull.force, pull.moment))
         F, N = F - force, N - moment - kinematics.fixed(segment.number, pull.position).cross(force)
+    i = segment.number
+    kinematics.builder.label((*F, *(N + grouped)), [f"{x}{r}_{i}" for x in "FN" for r in "123"])
     return Load(F, N + grouped, N)
 
 
