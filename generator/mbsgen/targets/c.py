@@ -19,6 +19,7 @@ from mbsgen.tape.counts import count
 from mbsgen.tape.types import Input, Output, Sparsity
 from mbsgen.targets.agreement import compare
 from mbsgen.targets.contract import Face, Family, Slot, arguments, faces
+from mbsgen.targets.parts import Part, divide
 from mbsgen.targets.statements import Check, Result, Statement, wrap, write_body, write_literal
 
 ABI_HEADER = "mbs_abi.h"
@@ -169,6 +170,8 @@ class _View:
     parameters: tuple[_Parameter, ...]
     left_out: tuple[str, ...]
     unused: tuple[str, ...]
+    parts: tuple[Part, ...]
+    kept: tuple[str, ...]  # the values that outlive their part, as lines of declarations
     statements: tuple[Statement, ...]
     checks: tuple[Check, ...]
     results: tuple[Result, ...]
@@ -180,7 +183,8 @@ class _View:
 
 def _view(prefix: str, face: Face) -> _View:
     counts = count(face.tape)
-    body = write_body(face.tape)
+    divided = divide(write_body(face.tape), [i.name for i in face.tape.inputs])
+    body = divided.rest
     patterns = _name_patterns(face)
     empty = [a for a in map(_argument, arguments(face.tape)) if not a.nnz]
     return _View(
@@ -193,6 +197,8 @@ def _view(prefix: str, face: Face) -> _View:
         parameters=_parameters(prefix, face),
         left_out=tuple(f"{a.name}: {a.rows} x {a.cols}, without a nonzero: no argument" for a in empty),
         unused=body.unused,
+        parts=divided.parts,
+        kept=wrap(divided.kept),
         statements=body.statements,
         checks=body.checks,
         results=body.results,

@@ -46,7 +46,7 @@ C = Syntax(
     re.compile(
         "auto|break|case|char|const|continue|default|do|double|else|enum|extern|float|for|goto|if|inline|int|long|register|"
         "restrict|return|short|signed|sizeof|static|struct|switch|typedef|union|unsigned|void|volatile|while|"
-        "(a?sin|a?cos|a?tan|atan2|tanh|exp|log|sqrt|fabs)f?|linux|unix|mbs_real|NAN|INFINITY|NULL|EOF|"
+        "(a?sin|a?cos|a?tan|atan2|tanh|exp|log|sqrt|fabs)f?|linux|unix|mbs_.*|NAN|INFINITY|NULL|EOF|"
         "(MBS|FP|M|HUGE|MATH|INT|UINT|LONG)_.*"
     ),
 )

@@ -147,11 +147,17 @@ def random_tape(seed: int, size: int) -> Tape:
     )
 
 
+@pytest.mark.parametrize("length", [1000, 25, 1])
 @pytest.mark.parametrize("seed", range(8))
-def test_c_rounds_as_the_tape_does(seed: int, tmp_path: Path, requires: Requires) -> None:
-    """Without contraction, the same operations in the same order give the same bits, NaN included."""
+def test_c_rounds_as_the_tape_does(
+    seed: int, length: int, tmp_path: Path, requires: Requires, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without contraction, the same operations in the same order give the same bits, NaN included; in parts as well."""
+    monkeypatch.setattr("mbsgen.targets.parts.LENGTH", length)
     tape = random_tape(seed, 150)
     write_sample(tmp_path, families=(Family(tape),))
+    is_divided = "static void mbs_part2(" in (tmp_path / "sample_impl.c").read_text()
+    assert is_divided == (length < 1000)
     flags = ["-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared"]
     run(requires("gcc"), *flags, tmp_path / "sample_impl.c", "-lm", "-o", tmp_path / "lib.so")
     function = ctypes.CDLL(str(tmp_path / "lib.so")).sample_compute_impl

@@ -50,12 +50,14 @@ def compile_kernel(tmp_path: Path, compiler: str, *flags: str) -> Callable[..., 
     return ctypes.CDLL(str(library)).sample_compute_impl  # type: ignore[no-any-return]
 
 
+@pytest.mark.parametrize("length", [1000, 1])
 @pytest.mark.parametrize("real", ["double", "float"])
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_a_failed_guard_is_the_status_and_nothing_is_written(
-    compiler: str, real: str, tmp_path: Path, requires: Requires
+    compiler: str, real: str, length: int, tmp_path: Path, requires: Requires, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """At full optimisation, with contraction; pivots of a few epsilon fail on one side of the tolerance alone."""
+    monkeypatch.setattr("mbsgen.targets.parts.LENGTH", length)  # as one function, or in parts
     flags = ("-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", f"-DMBS_REAL={real}")
     kernel = compile_kernel(tmp_path, requires(compiler), *flags)
     number = np.float64 if real == "double" else np.float32
