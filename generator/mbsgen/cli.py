@@ -17,10 +17,11 @@ from rich.tree import Tree as Branches
 
 from mbsgen import __version__
 from mbsgen.errors import MbsError
+from mbsgen.formulations.catalogue import FORMULATIONS
 from mbsgen.model.tree import Tree
 from mbsgen.output import write_file
 from mbsgen.pipeline import Options, generate, make, read_tree
-from mbsgen.report import COLUMNS, NOTE, Report, Section, sections, write_json, write_markdown
+from mbsgen.report import COLUMNS, COMPARISON, NOTE, Report, Section, comparisons, sections, write_json, write_markdown
 
 _UNCUT = 10_000  # characters in a line: neither a pipe nor a narrow terminal cuts anything off
 BAD_INPUT = 2  # exit code: a file or an argument that cannot be accepted; 0 is success
@@ -144,9 +145,10 @@ def _read_coordinates(tree: Tree, text: str) -> list[float]:
 @MODEL
 @click.option("--json", "form", flag_value="json", help="Print report.json.")
 @click.option("--markdown", "form", flag_value="markdown", help="Print report.md.")
-def report_command(model: Path, form: str | None) -> None:
+@click.option("--compare", is_flag=True, help="Count without each reduction too: what it saves.")
+def report_command(model: Path, form: str | None, compare: bool) -> None:
     """Count what MODEL costs: flops and equations."""
-    report = make(model).report
+    report = make(model, Options(compare=compare)).report
     if form is None:
         print_report(report)
     else:
@@ -170,6 +172,14 @@ def print_report(report: Report) -> None:
     for section in sections(report):
         click.echo(f"{section.title}: {report.model}\n")
         click.echo("\n".join(_lay_out(section, widths)) + "\n")
+    if rows := comparisons(report):
+        click.echo(f"{COMPARISON}: {report.model}\n")
+        first = max(map(len, rows))
+        click.echo("  ".join(("".ljust(first), *(name.rjust(6) for name in FORMULATIONS))))
+        click.echo("-" * (first + 8 * len(FORMULATIONS)))
+        for title, row in rows.items():
+            click.echo("  ".join((title.ljust(first), *(str(row[name]).rjust(6) for name in FORMULATIONS))))
+        click.echo("")
     click.echo(textwrap.fill(NOTE, 79))
 
 

@@ -34,6 +34,7 @@ class Options:
     runtime: bool = False  # every number of the model a run-time parameter
     python: bool = False  # also the Python target
     matlab: bool = False  # also the Matlab target
+    compare: bool = False  # also count the formulations without each reduction
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ def make(model: Path, options: Options = Options()) -> Product:
     )
     sources = write_c(unit)
     described = _describe(tree, unit, sources)
-    report = make_report(tree, parametric, described.kernels)
+    report = make_report(written, parametric, described.kernels, compare=options.compare)
     files = {
         **sources.files,
         manifest.FILE_NAME: described.model_dump_json(indent=2) + "\n",

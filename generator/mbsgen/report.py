@@ -8,25 +8,43 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 from mbsgen.formulations.catalogue import FORMULATIONS
 from mbsgen.formulations.links import PARAMETERS
 from mbsgen.formulations.planning import dynamics_alone
-from mbsgen.formulations.reductions import Reductions
+from mbsgen.formulations.reductions import ALL, NONE, Reductions
 from mbsgen.manifest import Flops, Kernel
-from mbsgen.model.tree import Tree
+from mbsgen.model.tree import Kind, Tree
 from mbsgen.tape.counts import count
 from mbsgen.tape.passes import hoist
 from mbsgen.tape.types import Tape
 
 LUMPED = Reductions(lump_runtime=True)
+FEW = 12  # plans tried with a reduction switched off
+SWITCHED: Mapping[str, Reductions] = MappingProxyType(
+    {
+        "all reductions": LUMPED,
+        "inertia not regrouped": replace(LUMPED, regroup=False, trials=FEW),
+        "frames not shared": replace(LUMPED, share_frames=False, trials=FEW),
+        "masses not lumped": replace(LUMPED, lump=False, lump_runtime=False, trials=FEW),
+        "relative angles": replace(LUMPED, absolute=False),
+        "sums not factored": replace(LUMPED, factor=False),
+        "no reduction": replace(NONE, trials=1),
+    }
+)
+# What the authors print for their model (Docquier, Bruls, Fisette, Table 4): flops and equations.
+PUBLISHED: Mapping[str, Mapping[str, tuple[int, int]]] = MappingProxyType(
+    {"arm_pendulum": {"IMPL": (460, 114), "SEMI": (830, 264), "EXP1": (991, 328), "EXP2": (1784, 395)}}
+)
 COLUMNS = ("flops", "arith", "+ -", "*", "/", "neg", "sqrt", "trig", "other", "eqs")
 NOTE = (
     "flops: by the paper's convention, one each for + - * / sqrt sin cos and unary minus. arith: + - * / alone. "
     "other: exp, tanh and the like, in neither. eqs: equations. Formulations have every number of the model at run "
     "time, setup apart; kernels are counted as generated."
 )
+COMPARISON = "Flops of the formulations, compared"
 _DERIVATIVES = ("jac_", "adj1_")  # what the names of kernels that belong to another begin with
 
 
@@ -51,18 +69,42 @@ class Report:
     model: str
     formulations: Mapping[str, Cost]
     setups: Mapping[str, Cost]  # of the formulations, once per change of parameters
+    folded: Mapping[str, Cost]  # the formulations with every number of the model folded
     kernels: Mapping[str, Cost]
+    reductions: Mapping[str, Mapping[str, int]]  # flops of each formulation without each reduction; may be empty
 
 
-def make_report(tree: Tree, parametric: Tree, kernels: tuple[Kernel, ...]) -> Report:
-    """Count the formulations of `parametric`, whose numbers are run-time parameters, and the generated kernels."""
-    formulations, setups = {}, {}
-    for name, row in FORMULATIONS.items():
-        tape = row.build(dynamics_alone(parametric, driven=row.driven), LUMPED)
-        setup, (tape,) = hoist([tape], PARAMETERS, "h")
-        formulations[name] = _cost(tape)
-        setups[name] = _cost(setup)
-    return Report(tree.name, formulations, setups, {k.name: Cost(k.flops, k.equations) for k in kernels})
+def make_report(written: Tree, parametric: Tree, kernels: tuple[Kernel, ...], *, compare: bool = False) -> Report:
+    """Count the formulations and the generated kernels.
+
+    `written` is the tree of the model, `parametric` the same with every number a run-time parameter. Counting without
+    each reduction takes a while, and is done when it is asked for.
+    """
+    formulations, setups, folded = {}, {}, {}
+    for name in FORMULATIONS:
+        setup, tape = _write(name, parametric, LUMPED)
+        formulations[name], setups[name] = _cost(tape), _cost(setup)
+        row = FORMULATIONS[name]
+        folded[name] = _cost(row.build(dynamics_alone(_fold(written), driven=row.driven), ALL))
+    switched = SWITCHED if compare else {}
+    reductions = {
+        title: {name: count(_write(name, parametric, choice)[1]).paper for name in FORMULATIONS}
+        for title, choice in switched.items()
+    }
+    costs = {k.name: Cost(k.flops, k.equations) for k in kernels}
+    return Report(written.name, formulations, setups, folded, costs, reductions)
+
+
+def _fold(tree: Tree) -> Tree:
+    """Make every parameter a constant."""
+    return replace(tree, parameters=tuple(replace(p, kind=Kind.CONSTANT) for p in tree.parameters))
+
+
+def _write(name: str, tree: Tree, reductions: Reductions) -> tuple[Tape, Tape]:
+    """Write a formulation's dynamics alone; part what its parameters decide from the rest."""
+    row = FORMULATIONS[name]
+    setup, (tape,) = hoist([row.build(dynamics_alone(tree, driven=row.driven), reductions)], PARAMETERS, "h")
+    return setup, tape
 
 
 def _cost(tape: Tape) -> Cost:
@@ -87,19 +129,33 @@ def sections(report: Report) -> tuple[Section, ...]:
         groups[-1][name] = cost
     return (
         Section("Formulations, parameters at run time", (report.formulations,)),
-        Section("Their setup, once per change of parameters", (report.setups,)),
+        Section("Formulations, constants folded", (report.folded,)),
+        Section("Setup of the first, once per change of parameters", (report.setups,)),
         Section("Kernels as generated", tuple(groups)),
     )
 
 
+def comparisons(report: Report) -> dict[str, Mapping[str, int]]:
+    """Give flops of the formulations beside each other: published, and without each reduction, where there are any."""
+    published = PUBLISHED.get(report.model, {})
+    rows: dict[str, Mapping[str, int]] = dict(report.reductions)
+    if published:
+        rows |= {"published": {name: flops for name, (flops, _) in published.items()}}
+        rows |= {"published, equations": {name: equations for name, (_, equations) in published.items()}}
+    return rows
+
+
 def write_json(report: Report) -> str:
     """Write `report.json`, the stable form that later versions are compared by."""
-    data = {
+    data: dict[str, object] = {
         "model": report.model,
         "formulations": {name: _entry(cost) for name, cost in report.formulations.items()},
         "setups": {name: _entry(cost) for name, cost in report.setups.items()},
+        "folded": {name: _entry(cost) for name, cost in report.folded.items()},
         "kernels": {name: _entry(cost) for name, cost in report.kernels.items()},
     }
+    if report.reductions:
+        data["reductions"] = dict(report.reductions)
     return json.dumps(data, indent=2, ensure_ascii=False) + "\n"
 
 
@@ -113,6 +169,9 @@ def write_markdown(report: Report) -> str:
     for section in sections(report):
         lines += ["", f"## {section.title}", "", _line(("", *COLUMNS)), _line(["---", *["---:"] * len(COLUMNS)])]
         lines += [_line((f"`{name}`", *map(str, cost.row))) for costs in section.groups for name, cost in costs.items()]
+    if rows := comparisons(report):
+        lines += ["", f"## {COMPARISON}", "", _line(("", *FORMULATIONS)), _line(["---", *["---:"] * len(FORMULATIONS)])]
+        lines += [_line((title, *(str(row[name]) for name in FORMULATIONS))) for title, row in rows.items()]
     return "\n".join(lines) + "\n"
 
 

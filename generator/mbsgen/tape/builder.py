@@ -18,6 +18,9 @@ from mbsgen.tape.writer import Key, Ref, Result, Test, Writer, sign_of
 _ONE = LITERALS.mpf(1)
 
 
+SINGLE_EPSILON = 2.0**-23
+
+
 class Scalar:
     """A value under construction: reads like a number, writes to its builder."""
 
@@ -118,7 +121,13 @@ class Builder:
         self.output(name, sparsity, [nonzero[place] for place in sparsity.entries])
 
     def guard(self, value: Scalar, scale: Scalar, tolerance: float, joint: int) -> None:
-        """Let the kernel fail at `joint` unless value > tolerance * epsilon * scale."""
+        """Let the kernel fail at `joint` unless value > tolerance * epsilon * scale.
+
+        Of literals, what holds for float32 is settled now.
+        """
+        pivot, size = value.literal, scale.literal
+        if pivot is not None and size is not None and pivot > tolerance * SINGLE_EPSILON * size:
+            return
         self._tests.append(Test(value.ref, scale.ref, tolerance, joint))
 
     def label(self, values: Iterable[Scalar], names: Iterable[str]) -> None:

@@ -12,13 +12,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import add
 
 from mbsgen.algebra.vectors import Matrix, Vector, outer
 from mbsgen.formulations.parsimony.plan import Choice, Mass, NoSuchPlanError, Plan
 from mbsgen.formulations.parsimony.segments import Moments, Segment, children, unit_matrix
 from mbsgen.tape.builder import Builder, Scalar
 
-LARGEST_MOVE = 10.0  # times what the body has gathered
+LARGEST_MOVE = 10.0  # times the mass of all bodies
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,7 @@ def regroup(builder: Builder, segments: Sequence[Segment], plan: Plan) -> dict[i
     """Regroup from the leaves to the base. Raises NoSuchPlanError for a plan that does not fit."""
     lumps: dict[int, Lump] = {}
     gathered = {s.number: s.moments for s in segments}
+    total = reduce(add, (s.moments.m for s in segments))
     for segment in reversed(segments):
         beyond = children(segments, segment.number)
         balancing = [s for s in beyond if plan[s.number].mass is Mass.BALANCING]
@@ -53,7 +56,7 @@ def regroup(builder: Builder, segments: Sequence[Segment], plan: Plan) -> dict[i
             raise NoSuchPlanError("one child can balance a body, not several")
         own = gathered[segment.number]
         for child in (*(s for s in beyond if s not in balancing), *balancing):
-            lumps[child.number], moved = _part(builder, child, gathered[child.number], plan, own)
+            lumps[child.number], moved = _part(builder, child, gathered[child.number], plan, own, total)
             own = own + moved
         if balancing:
             own = Moments(own.m, _clear(builder, own.S, _lever(balancing[0])), own.P)
@@ -63,7 +66,9 @@ def regroup(builder: Builder, segments: Sequence[Segment], plan: Plan) -> dict[i
     return lumps
 
 
-def _part(builder: Builder, segment: Segment, own: Moments, plan: Plan, parent: Moments) -> tuple[Lump, Moments]:
+def _part(
+    builder: Builder, segment: Segment, own: Moments, plan: Plan, parent: Moments, total: Scalar
+) -> tuple[Lump, Moments]:
     """Part a body's moments: what stays, and what moves, about the parent's origin in the parent's frame."""
     zero, axis, choice = builder.zero, segment.axis, plan[segment.number]
     turn = segment.turn or unit_matrix(builder)
@@ -86,7 +91,7 @@ def _part(builder: Builder, segment: Segment, own: Moments, plan: Plan, parent: 
     elif choice.mass is Mass.POINT:
         staying, radius, direction = _percussion(segment, own, plan)
         m = own.m - staying
-    _check_size(m, own.m)
+    _check_size(m, total)
     moved = _on_axis(m, along, second, segment.d, e)
     P = _without_ring(builder, segment, own.P, ring)
     return Lump(own.m - m, _clear(builder, own.S, axis), P, ring, not choice.level, radius, direction), moved
@@ -105,9 +110,9 @@ def _rest_on_base(builder: Builder, segment: Segment, own: Moments, choice: Choi
     return Lump(zero, S, P, ring, levelled=True, radius=None, direction=0)
 
 
-def _check_size(moved: Scalar, own: Scalar) -> None:
-    """Refuse to move a mass that dwarfs the body's: the digits of both would be lost in their difference."""
-    if moved.literal is not None and own.literal is not None and abs(moved.literal) > LARGEST_MOVE * abs(own.literal):
+def _check_size(moved: Scalar, total: Scalar) -> None:
+    """Refuse to move a mass that dwarfs the mechanism's: digits would be lost in the differences that it makes."""
+    if moved.literal is not None and total.literal is not None and abs(moved.literal) > LARGEST_MOVE * total.literal:
         raise NoSuchPlanError("the mass to move is out of proportion")
 
 
