@@ -1,42 +1,21 @@
-"""Recursive Newton-Euler residual (IMPL): Tree -> Tape of Phi(q, qd, qdd) - Q(q, qd, u).
+"""Implicit form (IMPL): Tree -> Tape of the residual Phi(q, qd, qdd) - Q(q, qd, u).
 
-Docquier, Bruls, Fisette, eqs. (12)-(15); Luh, Walker, Paul (1980). O(n) equations.
-Vectors of body i are in body frame i; gravity enters as acceleration -g of the base.
+Docquier, Bruls, Fisette, eqs. (12)-(15). O(n) equations, by the reduced recursion of `parsimony.residual` or, with all
+reductions off, the textbook's.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
-from mbsgen.algebra.vectors import Matrix, Vector
-from mbsgen.formulations.links import Chain, Link, declare_state, joint_forces, write_chain
-from mbsgen.formulations.parsimony.residual import residual as newton_euler
+from mbsgen.formulations import textbook
+from mbsgen.formulations.links import declare_state, joint_forces, write_chain
+from mbsgen.formulations.parsimony.residual import residual
 from mbsgen.formulations.parsimony.segments import align
 from mbsgen.formulations.parsimony.writing import begin
 from mbsgen.formulations.planning import find_plans, finish
 from mbsgen.formulations.reductions import ALL, Reductions
 from mbsgen.model.tree import Tree
-from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.builder import Builder
 from mbsgen.tape.types import Tape
-
-
-@dataclass(frozen=True)
-class Kinematics:
-    """Motion of one body, in its own frame."""
-
-    OM: Vector[Scalar]  # angular velocity
-    OMp: Vector[Scalar]  # angular acceleration
-    K: Matrix[Scalar]  # OMp~ + OM~ OM~: takes a point's place to its acceleration from the origin's
-    A: Vector[Scalar]  # acceleration of the origin, less gravity
-
-
-@dataclass(frozen=True)
-class Wrench:
-    """Force, and moment about the body's origin, in the body's frame."""
-
-    F: Vector[Scalar]
-    N: Vector[Scalar]
 
 
 def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
@@ -45,108 +24,11 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
     state = declare_state(tree, builder)
     chain = write_chain(tree, builder, state)
     if reductions.is_textbook:
-        Phi = residual(chain, state.qd, state.qdd)
+        Phi = textbook.residual(chain, state.qd, state.qdd)
     else:
+        segments = align(chain, group=reductions.share_frames)
         plan = find_plans(tree, reductions).residual
-        Phi = newton_euler(
-            begin(chain, align(chain, group=reductions.share_frames), plan, reductions), state.qd, state.qdd
-        )
+        Phi = residual(begin(chain, segments, plan, reductions), state.qd, state.qdd)
     Q = joint_forces(chain)
     builder.output_dense("Phi", [[phi - force] for phi, force in zip(Phi, Q, strict=True)])
     return finish(builder.build("impl"), reductions)
-
-
-def residual(chain: Chain, qd: Sequence[Scalar], qdd: Sequence[Scalar]) -> list[Scalar]:
-    """Compute Phi(q, qd, qdd): the joint forces that make the chain move so."""
-    motion = forward_kinematics(chain, qd, qdd)
-    load: dict[int, Wrench] = {}
-    for link in reversed(chain.links):
-        load[link.number] = backward_dynamics(chain, link, motion[link.number], load)
-    return [(load[x.number].N if x.is_revolute else load[x.number].F)[x.joint.axis] for x in chain.links]
-
-
-def forward_kinematics(chain: Chain, qd: Sequence[Scalar], qdd: Sequence[Scalar]) -> dict[int, Kinematics]:
-    """From the base to the leaves: velocities and accelerations of every body; entry 0 is the base's."""
-    zero = chain.still
-    motion = {0: Kinematics(zero, zero, Matrix((zero, zero, zero)), -chain.gravity)}
-    for link, rate, acceleration in zip(chain.links, qd, qdd, strict=True):
-        motion[link.number] = _move(chain, link, motion[link.parent], rate, acceleration)
-    return motion
-
-
-def _move(chain: Chain, link: Link, parent: Kinematics, qd: Scalar, qdd: Scalar) -> Kinematics:
-    to_body, axis = link.R.transposed, link.joint.axis
-    carried = to_body.apply(parent.OM)
-    OMp = to_body.apply(parent.OMp)
-    A = to_body.apply(parent.A + parent.K.apply(link.dpt))
-    relative = chain.still.along(axis, qd)
-    if link.is_revolute:
-        OM = carried.along(axis, qd)
-        OMp = (OMp + carried.cross(relative)).along(axis, qdd)
-    else:
-        OM = carried
-        A = (A + carried.cross(relative) + carried.cross(relative)).along(axis, qdd)
-    i = link.number
-    chain.builder.label((*OM, *OMp, *A), [f"{x}{k}_{i}" for x in ("OM", "OMp", "A") for k in "123"])
-    return Kinematics(OM, OMp, _acceleration_field(OM, OMp), A)
-
-
-def _acceleration_field(OM: Vector[Scalar], OMp: Vector[Scalar]) -> Matrix[Scalar]:
-    """Form K = OMp~ + OM~ OM~."""
-    xx, yy, zz = OM.x * OM.x, OM.y * OM.y, OM.z * OM.z
-    xy, xz, yz = OM.x * OM.y, OM.x * OM.z, OM.y * OM.z
-    return Matrix.of(
-        [
-            [-(yy + zz), xy - OMp.z, xz + OMp.y],
-            [xy + OMp.z, -(xx + zz), yz - OMp.x],
-            [xz - OMp.y, yz + OMp.x, -(xx + yy)],
-        ]
-    )
-
-
-def backward_dynamics(chain: Chain, link: Link, motion: Kinematics, load: dict[int, Wrench]) -> Wrench:
-    """From the leaves to the base: what the joint of `link` carries (Newton and Euler about the body's origin)."""
-    external = _external_load(chain, link)
-    F = motion.A.scale(link.m) + motion.K.apply(link.S) - external.F
-    N = _gyration(link.J, motion) + link.S.cross(motion.A) - external.N
-    for child in (x for x in chain.links if x.parent == link.number):
-        force = child.R.apply(load[child.number].F)
-        F = F + force
-        N = N + child.R.apply(load[child.number].N) + child.dpt.cross(force)
-    i = link.number
-    chain.builder.label((*F, *N), [f"{x}{k}_{i}" for x in ("F", "N") for k in "123"])
-    return Wrench(F, N)
-
-
-def _external_load(chain: Chain, link: Link) -> Wrench:
-    """Add up the external wrenches on a body."""
-    F, N = chain.still, chain.still
-    for pull in (x for x in chain.pulls if x.body == link.number):
-        force, moment = pull.force, pull.moment
-        if pull.in_base:
-            force, moment = (_carry_out(chain, link, v) for v in (force, moment))
-        F, N = F + force, N + moment + pull.position.cross(force)
-    return Wrench(F, N)
-
-
-def _carry_out(chain: Chain, link: Link, v: Vector[Scalar]) -> Vector[Scalar]:
-    """Take components from the base frame to the body's."""
-    before = _carry_out(chain, chain.links[link.parent - 1], v) if link.parent else v
-    return link.R.transposed.apply(before)
-
-
-def _gyration(J: Matrix[Scalar], motion: Kinematics) -> Vector[Scalar]:
-    """Form J OMp + OM x J OM from differences of inertia and the entries of K, which other terms share."""
-    K, OM, OMp = motion.K, motion.OM, motion.OMp
-
-    def component(x: int) -> Scalar:
-        y, z = (x + 1) % 3, (x + 2) % 3
-        return (
-            J[x, x] * OMp[x]
-            + (J[z, z] - J[y, y]) * (OM[y] * OM[z])
-            - J[x, y] * K[z, x]
-            + J[x, z] * K[y, x]
-            + J[y, z] * (K[y, y] - K[z, z])
-        )
-
-    return Vector(component(0), component(1), component(2))
