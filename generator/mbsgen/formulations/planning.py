@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import replace
+from functools import cached_property, lru_cache
 
 from mbsgen.formulations.links import PARAMETERS, declare_state, write_chain
 from mbsgen.formulations.parsimony.articulated import accelerations
@@ -25,20 +25,75 @@ from mbsgen.tape.types import Tape
 ELIMINATED = 16  # larger trees write the M of EXP1 as that of SEMI: elimination takes most of the operations
 
 
-@dataclass(frozen=True)
 class Plans:
-    """How to write each recursion of a tree."""
+    """How to write each recursion of a tree; searched for when it is asked for."""
 
-    residual: Plan  # IMPL
-    bias: Plan  # c of SEMI and EXP1: the residual at qdd = 0
-    mass_matrix: Plan  # M of SEMI
-    elimination: Plan  # M of EXP1
-    articulated: Plan  # EXP2
+    def __init__(self, tree: Tree, reductions: Reductions) -> None:
+        self._tree, self._reductions = tree, reductions
+        self._size = len(tree.bodies)
+
+    @cached_property
+    def residual(self) -> Plan:
+        """IMPL."""
+        return self._search(lambda bench, plan: residual(bench.begin(plan), bench.state.qd, bench.state.qdd))
+
+    @cached_property
+    def bias(self) -> Plan:
+        """c of SEMI and EXP1: the residual at qdd = 0."""
+        return self._search(lambda bench, plan: bench.write_bias(plan, absolute=False), self.residual)
+
+    @cached_property
+    def mass_matrix(self) -> Plan:
+        """M of SEMI."""
+
+        def write(bench: Bench, plan: Plan) -> Sequence[Scalar]:
+            return [*mass_matrix(bench.begin(plan)).values(), *bench.bias(self.bias, absolute=False)]
+
+        return self._search(write, self.bias)
+
+    @cached_property
+    def elimination(self) -> Plan:
+        """M of EXP1."""
+        absolute = self._reductions.absolute
+
+        def write(bench: Bench, plan: Plan) -> Sequence[Scalar]:
+            M = mass_matrix(bench.begin(plan), absolute=absolute)
+            right = dict(enumerate(bench.bias(self.bias, absolute=absolute), 1))
+            return list(solve(bench.chain.builder, M, right, self._size).x.values())
+
+        return self._search(write, self.mass_matrix) if self._size <= ELIMINATED else self.mass_matrix
+
+    @cached_property
+    def articulated(self) -> Plan:
+        """EXP2."""
+
+        def write(bench: Bench, plan: Plan) -> Sequence[Scalar]:
+            return accelerations(bench.begin(plan), bench.state.qd, bench.state.qdd)[0]  # any n numbers will do for Q
+
+        return self._search(write, self.residual)
+
+    def _search(self, write: Callable[[Bench, Plan], Sequence[Scalar]], *start: Plan) -> Plan:
+        bench = Bench(self._tree, self._reductions)
+
+        def cost(plan: Plan) -> int | None:
+            try:
+                return bench.cost(write(bench, plan))
+            except NoSuchPlanError:
+                return None
+
+        wanted = self._reductions.trials
+        trials = _trials(self._size) if wanted is None else wanted
+        return search(bench.segments, cost, self._reductions, trials, start)
+
+
+@lru_cache(maxsize=8)
+def _plans(tree: Tree, reductions: Reductions) -> Plans:
+    return Plans(tree, reductions)
 
 
 def find_plans(tree: Tree, reductions: Reductions) -> Plans:
-    """Search for the plans of a tree; they do not depend on what drives it."""
-    return _find_plans(dynamics_alone(tree, driven=False), reductions)
+    """Find the plans of a tree; they do not depend on what drives it."""
+    return _plans(dynamics_alone(tree, driven=False), reductions)
 
 
 def dynamics_alone(tree: Tree, *, driven: bool) -> Tree:
@@ -46,34 +101,6 @@ def dynamics_alone(tree: Tree, *, driven: bool) -> Tree:
     joints = (replace(b.joint, actuated=driven, law=NO_FORCE) for b in tree.bodies)
     bodies = tuple(replace(b, joint=joint) for b, joint in zip(tree.bodies, joints, strict=True))
     return replace(tree, bodies=bodies, wrenches=(), sensors=())
-
-
-@lru_cache(maxsize=8)
-def _find_plans(tree: Tree, reductions: Reductions) -> Plans:
-    n = len(tree.bodies)
-
-    def write_residual(bench: Bench, plan: Plan) -> Sequence[Scalar]:
-        return residual(bench.begin(plan), bench.state.qd, bench.state.qdd)
-
-    def write_bias(bench: Bench, plan: Plan) -> Sequence[Scalar]:
-        return residual(bench.begin(plan), bench.state.qd, bench.at_rest)
-
-    def write_masses(bench: Bench, plan: Plan) -> Sequence[Scalar]:
-        return [*mass_matrix(bench.begin(plan)).values(), *bench.bias(bias, absolute=False)]
-
-    def write_elimination(bench: Bench, plan: Plan) -> Sequence[Scalar]:
-        M = mass_matrix(bench.begin(plan), absolute=reductions.absolute)
-        right = bench.bias(bias, absolute=reductions.absolute)
-        return list(solve(bench.chain.builder, M, dict(enumerate(right, 1)), n).x.values())
-
-    def write_accelerations(bench: Bench, plan: Plan) -> Sequence[Scalar]:
-        return accelerations(bench.begin(plan), bench.state.qd, bench.state.qdd)[0]  # any n numbers will do for Q
-
-    own = _search(tree, write_residual, reductions)
-    bias = _search(tree, write_bias, reductions, own)
-    masses = _search(tree, write_masses, reductions, bias)
-    elimination = _search(tree, write_elimination, reductions, masses) if n <= ELIMINATED else masses
-    return Plans(own, bias, masses, elimination, _search(tree, write_accelerations, reductions, own, bias))
 
 
 class Bench:
@@ -92,29 +119,20 @@ class Bench:
         """Begin to write by a plan."""
         return begin(self.chain, self.segments, plan, self._reductions)
 
+    def write_bias(self, plan: Plan, *, absolute: bool) -> Sequence[Scalar]:
+        """Write c by a plan."""
+        return residual(self.begin(plan), self.state.qd, self.at_rest, absolute=absolute)
+
     def bias(self, plan: Plan, *, absolute: bool) -> Sequence[Scalar]:
         """Write c by a plan, once."""
         key = (plan, absolute)
         if key not in self._biases:
-            self._biases[key] = residual(self.begin(plan), self.state.qd, self.at_rest, absolute=absolute)
+            self._biases[key] = self.write_bias(plan, absolute=absolute)
         return self._biases[key]
 
     def cost(self, values: Sequence[Scalar]) -> int:
         """Count the operations of a trial, parameters' own apart."""
         return self.chain.builder.cost(values, {PARAMETERS})
-
-
-def _search(tree: Tree, write: Callable[[Bench, Plan], Sequence[Scalar]], reductions: Reductions, *start: Plan) -> Plan:
-    bench = Bench(tree, reductions)
-
-    def cost(plan: Plan) -> int | None:
-        try:
-            return bench.cost(write(bench, plan))
-        except NoSuchPlanError:
-            return None
-
-    trials = _trials(len(tree.bodies)) if reductions.trials is None else reductions.trials
-    return search(bench.segments, cost, reductions, trials, start)
 
 
 def _trials(size: int) -> int:
