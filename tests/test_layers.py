@@ -36,7 +36,7 @@ MBSGEN = Package(
         "formulations",
         "derivatives",
         "targets",
-        "report drawing output",
+        "report drawing output scaling",
         "pipeline",
         "cli",
         "__main__",

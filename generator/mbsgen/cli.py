@@ -22,6 +22,7 @@ from mbsgen.model.tree import Tree
 from mbsgen.output import write_file
 from mbsgen.pipeline import Options, generate, make, read_tree
 from mbsgen.report import COLUMNS, COMPARISON, NOTE, Report, Section, comparisons, sections, write_json, write_markdown
+from mbsgen.scaling import LARGEST, PERIOD, Growth, count_chain, find_crossing
 
 _UNCUT = 10_000  # characters in a line: neither a pipe nor a narrow terminal cuts anything off
 BAD_INPUT = 2  # exit code: a file or an argument that cannot be accepted; 0 is success
@@ -35,6 +36,7 @@ HELP = """Turn the description of a multibody system into C kernels for its dyna
   mbsgen MODEL -o DIR       generate the folder DIR: C, manifest, report
   mbsgen show MODEL         print the tree of its bodies; with -o, draw it
   mbsgen report MODEL       count what it costs, and write nothing
+  mbsgen scaling            count how cost grows with the length of a chain
   mbsgen check MODEL        tell every fault of the file, and write nothing
 
 MODEL is a YAML file; models/ holds examples. A file that has the name of a subcommand is reached as ./NAME.
@@ -153,6 +155,31 @@ def report_command(model: Path, form: str | None, compare: bool) -> None:
         print_report(report)
     else:
         click.echo(write_json(report) if form == "json" else write_markdown(report), nl=False)
+
+
+@cli.command("scaling")
+@click.option(
+    "--to", "largest", type=click.IntRange(12, 1000), default=24, show_default=True, help="The longest chain."
+)
+def scaling_command(largest: int) -> None:
+    """Count the formulations for chains of growing length.
+
+    Uniform serial chains, axes z, y, x in turn, full inertias, numbers folded. SEMI and EXP1 are counted to 50 bodies.
+    """
+    sizes = range(PERIOD, largest + 1, PERIOD)
+    found = {}
+    for name in FORMULATIONS:
+        within = [n for n in sizes if n <= LARGEST[name]]
+        with click.progressbar(within, label=name, file=sys.stderr) as steps:
+            found[name] = Growth(name, {n: count_chain(name, n) for n in steps})
+    click.echo("bodies" + "".join(f"{name:>9} eqs  " for name in found))
+    for n in sizes:
+        cells = (g.counts.get(n) for g in found.values())
+        click.echo(f"{n:6}" + "".join(f"{c.paper:8}{c.equations:6}" if c else " " * 14 for c in cells))
+    for name, growth in found.items():
+        click.echo(f"{name}: flops of degree {growth.degree('flops')}, equations of {growth.degree('equations')}")
+    crossing = find_crossing(found["EXP1"].counts, found["EXP2"].counts)
+    click.echo(f"EXP2 takes fewer flops than EXP1 from {crossing} bodies on" if crossing else "EXP1 takes fewer flops")
 
 
 @cli.command("check")

@@ -5,9 +5,7 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
-import numpy as np
 import pytest
-from sympy import Float, Integer
 
 from mbsgen.formulations.catalogue import FORMULATIONS
 from mbsgen.formulations.links import PARAMETERS
@@ -15,10 +13,12 @@ from mbsgen.formulations.planning import dynamics_alone
 from mbsgen.formulations.reductions import NONE, Reductions
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree, with_runtime_numbers
-from mbsgen.model.tree import Body, Joint, Motion, Tree
+from mbsgen.model.tree import Tree
+from mbsgen.scaling import PERIOD, Growth, find_crossing, grow
 from mbsgen.tape.counts import Counts, count
 from mbsgen.tape.passes import hoist
-from tests.random_trees import exact_matrix, random_tree
+from mbsgen.tape.types import Op
+from tests.random_trees import random_tree
 
 LUMPED = Reductions(lump_runtime=True)
 ARM = Path(__file__).parents[3] / "models" / "arm_pendulum.yaml"
@@ -71,26 +71,6 @@ def test_no_division_by_parameters_unless_it_is_allowed(name: str):
     assert sum(op.name == "DIV" for op, _, _ in setup.operations) <= constant_pivot + (name == "EXP2")
 
 
-def chain(size: int) -> Tree:
-    """Make a uniform chain: axes z, y, x in turn, equal full inertias, links along x."""
-    inertia = exact_matrix(np.array([[0.3, 0.01, 0.02], [0.01, 0.4, 0.03], [0.02, 0.03, 0.5]]))
-    zero, one = Integer(0), Float(0.7)
-    bodies = tuple(
-        Body(
-            f"b{i}",
-            i,
-            Joint(f"q{i}", Motion.REVOLUTE, (2, 1, 0)[i % 3], True, None, None),
-            (one if i else zero, zero, zero),
-            exact_matrix(np.eye(3)),
-            Float(1.3),
-            (Float(0.3), Float(0.1), Float(0.2)),
-            inertia,
-        )
-        for i in range(size)
-    )
-    return Tree("chain", (zero, zero, Float(-9.81)), (), bodies, ())
-
-
 @pytest.mark.parametrize(
     ("name", "flops", "equations"), [("IMPL", 1, 1), ("EXP2", 1, 1), ("SEMI", 2, 2), ("EXP1", 3, 2)]
 )
@@ -99,9 +79,17 @@ def test_cost_is_a_polynomial_of_the_number_of_bodies(name: str, flops: int, equ
 
     An equation of the elimination holds all that is subtracted from one entry of M: there are n2 of them.
     """
-    fixed = Reductions(trials=1)
-    counts = [cost(name, chain(n), fixed) for n in range(9, 9 + 3 * (flops + 3), 3)]
-    for figures, degree in (([c.paper for c in counts], flops), ([c.equations for c in counts], equations)):
-        differences = np.diff(figures, degree)
-        assert len(set(differences)) == 1
-        assert differences[0] > 0
+    growth = grow(name, range(9, 9 + PERIOD * (flops + 4), PERIOD))
+    assert (growth.degree("flops"), growth.degree("equations")) == (flops, equations)
+
+
+def test_the_order_n_form_overtakes_elimination():
+    """In flops, between 8 and 16 bodies, as for other codes."""
+    one, two = (grow(name, range(6, 22, PERIOD)).counts for name in ("EXP1", "EXP2"))
+    crossing = find_crossing(one, two)
+    assert crossing is not None
+    assert 8 <= crossing <= 16
+
+
+def test_what_grows_without_a_rule_has_no_degree():
+    assert Growth("IMPL", {n: Counts({Op.ADD: 2**n}, n) for n in range(1, 8)}).degree("flops") is None

@@ -1,0 +1,96 @@
+"""How cost grows with size: flops and equations of the formulations for uniform serial chains (the paper's Table 1)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+from sympy import Expr, Float, Integer, Rational
+
+from mbsgen.formulations.catalogue import FORMULATIONS
+from mbsgen.formulations.planning import dynamics_alone
+from mbsgen.formulations.reductions import Reductions
+from mbsgen.model.tree import Body, Joint, Matrix, Motion, Tree
+from mbsgen.tape.counts import Counts, count
+
+PERIOD = 3  # axes repeat: what a body adds is the same three bodies later
+LARGEST: Mapping[str, int] = {"IMPL": 100, "SEMI": 50, "EXP1": 50, "EXP2": 100}
+ONE_PLAN = Reductions(trials=1)  # of the sensible beginnings, the best: the same for all sizes
+
+_ZERO, _ONE = Integer(0), Integer(1)
+_UNIT: Matrix = ((_ONE, _ZERO, _ZERO), (_ZERO, _ONE, _ZERO), (_ZERO, _ZERO, _ONE))
+
+
+def make_chain(size: int) -> Tree:
+    """Make a chain of equal bodies with full inertias; axes z, y, x in turn, links along x, gravity along -z."""
+    xx, xy, xz, yy, yz, zz = (Float(x) for x in (0.3, 0.01, 0.02, 0.4, 0.03, 0.5))
+    bodies = tuple(
+        Body(
+            name=f"body{i}",
+            parent=i - 1,
+            joint=Joint(f"q{i}", Motion.REVOLUTE, (2, 1, 0)[(i - 1) % PERIOD], True, None, None),
+            position=(_first_link(i), _ZERO, _ZERO),
+            orientation=_UNIT,
+            mass=Float(1.3),
+            com=(Float(0.3), Float(0.1), Float(0.2)),
+            inertia=((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)),
+        )
+        for i in range(1, size + 1)
+    )
+    return Tree(f"chain{size}", (_ZERO, _ZERO, Float(-9.81)), (), bodies, ())
+
+
+def _first_link(number: int) -> Expr:
+    return Rational(7, 10) if number > 1 else _ZERO
+
+
+@dataclass(frozen=True)
+class Growth:
+    """The cost of one formulation, by the number of bodies."""
+
+    formulation: str
+    counts: Mapping[int, Counts]
+
+    def degree(self, figure: str) -> int | None:
+        """Find the degree of the polynomial that "flops" or "equations" follow, by constant differences; None: none."""
+        values = [self._figure(n, figure) for n in sorted(self.counts)]
+        for degree in range(len(values) - 2):
+            rest = differences(values, degree)[-3:]
+            if len(set(rest)) == 1 and len(rest) == 3:
+                return degree
+        return None
+
+    def _figure(self, size: int, figure: str) -> int:
+        found = self.counts[size]
+        return found.paper if figure == "flops" else found.equations
+
+
+def differences(values: Sequence[int], order: int) -> list[int]:
+    """Take differences of neighbours, `order` times."""
+    rest = list(values)
+    for _ in range(order):
+        rest = [b - a for a, b in pairwise(rest)]
+    return rest
+
+
+def count_chain(formulation: str, size: int) -> Counts:
+    """Count a formulation of a chain, all numbers folded."""
+    row = FORMULATIONS[formulation]
+    return count(row.build(dynamics_alone(make_chain(size), driven=row.driven), ONE_PLAN))
+
+
+def grow(formulation: str, sizes: Sequence[int]) -> Growth:
+    """Count a formulation for chains of the given sizes."""
+    return Growth(formulation, {n: count_chain(formulation, n) for n in sizes})
+
+
+def find_crossing(slower: Mapping[int, Counts], faster: Mapping[int, Counts]) -> int | None:
+    """Find the smallest size from which on `faster` takes fewer flops, among the sizes counted for both."""
+    both = sorted(set(slower) & set(faster))
+    first = None
+    for n in reversed(both):
+        if faster[n].paper >= slower[n].paper:
+            break
+        first = n
+    return first
