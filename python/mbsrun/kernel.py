@@ -33,7 +33,7 @@ HIDDEN = "h"  # what `setup` makes of the run-time parameters; filled in for the
 # Matrices even with one column.
 _MATRICES = {
     "in": frozenset({"adj_position", "adj_v", "adj_omega"}),
-    "out": frozenset({"position", "v", "omega", "J", "p", "R"}),
+    "out": frozenset({"M", "position", "v", "omega", "J", "p", "R"}),
 }
 _BATCH = """
 typedef int (*mbs_kernel)(const double **arg, double **res, long long *iw, double *w, int mem);
