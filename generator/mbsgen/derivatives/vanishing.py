@@ -23,7 +23,7 @@ def drop_vanishing(tape: Tape) -> Tape:
     outputs = []
     for output in tape.outputs:
         columns = zip(*(values[output.name] for values in drawn), strict=True)
-        kept = [k for k, column in enumerate(columns) if any(abs(value) > VANISHED for value in column)]
+        kept = [k for k, column in enumerate(columns) if not all(abs(value) <= VANISHED for value in column)]
         outputs.append(_select(output, kept))
     if all(a.sparsity == b.sparsity for a, b in zip(outputs, tape.outputs, strict=True)):
         return tape
