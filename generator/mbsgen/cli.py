@@ -8,6 +8,7 @@ import math
 import sys
 import textwrap
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -18,6 +19,7 @@ from rich.tree import Tree as Branches
 from mbsgen import __version__
 from mbsgen.errors import MbsError
 from mbsgen.formulations.catalogue import FORMULATIONS
+from mbsgen.formulations.reductions import ALL
 from mbsgen.model.tree import Tree
 from mbsgen.output import write_file
 from mbsgen.pipeline import Options, generate, make, read_tree
@@ -25,6 +27,7 @@ from mbsgen.report import COLUMNS, COMPARISON, NOTE, Report, Section, comparison
 from mbsgen.scaling import LARGEST, PERIOD, Growth, count_chain, find_crossing
 
 _UNCUT = 10_000  # characters in a line: neither a pipe nor a narrow terminal cuts anything off
+SWITCHES = {name.replace("_", "-"): name for name in ("regroup", "share_frames", "lump", "absolute", "factor")}
 BAD_INPUT = 2  # exit code: a file or an argument that cannot be accepted; 0 is success
 
 MODEL = click.argument("model", type=click.Path(path_type=Path))
@@ -69,16 +72,25 @@ def cli() -> None:
 @MODEL
 @click.option("-o", "--output", "out", type=click.Path(path_type=Path), required=True, help="The folder to write.")
 @click.option("--runtime", is_flag=True, help="Make every number of the model a run-time parameter.")
+@click.option(
+    "--without",
+    multiple=True,
+    type=click.Choice(list(SWITCHES)),
+    help="Leave a reduction out; may be given several times. share-frames also keeps the sine of each angle apart.",
+)
 @click.option("--python", is_flag=True, help="Also write the kernels as a Python module, for any number type.")
 @click.option("--matlab", is_flag=True, help="Also write the kernels as functions for Matlab and GNU Octave.")
-def generate_command(model: Path, out: Path, runtime: bool, python: bool, matlab: bool) -> None:
+def generate_command(
+    model: Path, out: Path, runtime: bool, without: tuple[str, ...], python: bool, matlab: bool
+) -> None:
     """Generate a folder from MODEL, the default command.
 
     It holds the kernels in C, their header, manifest.json, report.md and report.json.
 
     What the kernels cost is printed. The folder appears as a whole, and replaces one that mbsgen wrote before.
     """
-    product = generate(model, out, Options(runtime=runtime, python=python, matlab=matlab))
+    reductions = replace(ALL, **{SWITCHES[name]: False for name in without})
+    product = generate(model, out, Options(runtime=runtime, python=python, matlab=matlab, reductions=reductions))
     print_report(product.report)
     click.echo(f"wrote {len(product.files)} files to {out}", err=True)
 

@@ -35,6 +35,7 @@ class Options:
     python: bool = False  # also the Python target
     matlab: bool = False  # also the Matlab target
     compare: bool = False  # also count the formulations without each reduction
+    reductions: Reductions = ALL  # what is done to lower the operation count
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ def make(model: Path, options: Options = Options()) -> Product:
     written = read_tree(model)
     parametric = with_runtime_numbers(written)
     tree = parametric if options.runtime else written
-    families = write_families(tree)
+    families = write_families(tree, options.reductions)
     unit = Unit(
         mangle(tree.name),
         __version__,

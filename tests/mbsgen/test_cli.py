@@ -14,8 +14,9 @@ from pathlib import Path
 import pytest
 
 from mbsgen import __version__
-from mbsgen.cli import BAD_INPUT, cli, main
+from mbsgen.cli import BAD_INPUT, SWITCHES, cli, main
 
+ARM = Path(__file__).parents[2] / "models" / "arm_pendulum.yaml"
 PENDULUM = """\
 name: pendulum
 gravity: [0, 0, -9.81]
@@ -268,3 +269,16 @@ def test_names_are_no_markup(mbsgen: Command) -> None:
         PENDULUM.replace("name: rod", "name: '[red]'").replace("parent: rod", "parent: '[red]'")
     )
     assert "[red] hinge" in mbsgen("show", "model.yaml").out
+
+
+def test_reductions_can_be_left_out(tmp_path: Path) -> None:
+    """Each name is accepted; without them a kernel takes more operations."""
+    flops = {}
+    for name, without in {"all": (), "none": SWITCHES}.items():
+        options = [f"--without={x}" for x in without]
+        with pytest.raises(SystemExit) as stopped:
+            cli(["generate", str(ARM), "-o", str(tmp_path / name), *options])
+        assert stopped.value.code == 0
+        report = json.loads((tmp_path / name / "report.json").read_text())
+        flops[name] = report["kernels"]["impl"]["flops"]["paper"]
+    assert flops["none"] > flops["all"]
