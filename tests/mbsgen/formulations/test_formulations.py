@@ -9,10 +9,11 @@ from functools import cache
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from sympy import Float, Integer
 
 from mbsgen.formulations import exp1, exp2, impl, semi
 from mbsgen.formulations.reductions import ALL, NONE, Reductions
-from mbsgen.model.tree import Tree
+from mbsgen.model.tree import Body, Joint, Motion, Tree
 from mbsgen.tape.interpreter import DIGITS, evaluate, find_failure
 from mbsgen.tape.types import Tape
 from tests.random_trees import Pinocchio, random_tree, values_of
@@ -206,3 +207,34 @@ def test_entries_between_branches_are_not_there():
     zero = {tape.first_literal + k for k, x in enumerate(tape.literals) if x == 0}
     assert set(M[:3, 3:].ravel()) <= zero
     assert len(zero) == 1
+
+
+def floating(tree: Tree) -> Tree:
+    """Set a tree on a floating base: its bodies on the last of three slides and three turns without mass between."""
+    zero, one = Integer(0), Integer(1)
+    still = (zero, zero, zero)
+    unit = ((one, zero, zero), (zero, one, zero), (zero, zero, one))
+    base = tuple(
+        Body(f"base{k}", k, Joint(f"f{k}", motion, k % 3, True, None, None), still, unit, zero, still, (still,) * 3)
+        for k, motion in enumerate((*(Motion.PRISMATIC,) * 3, *(Motion.REVOLUTE,) * 3))
+    )
+    trunk = replace(base[5], mass=Float(3.0), inertia=tree.bodies[0].inertia, com=tree.bodies[0].com)
+    limbs = tuple(replace(b, parent=b.parent + 6) for b in tree.bodies)
+    return replace(tree, bodies=(*base[:5], trunk, *limbs), sensors=())
+
+
+@pytest.mark.parametrize("name", ["exp1", "exp2"])
+def test_a_floating_base_falls_freely(name: str):
+    """At rest, without forces, it accelerates with gravity, and no joint moves."""
+    tree = floating(driven(random_tree(6, 5)))
+    n = len(tree.bodies)
+    q, *_ = state(6, n)
+    q[4] = 0.4  # far from the lock of the three turns
+    zero = np.zeros(n)
+    qdd = run(tape_of(name, tree), tree, q=q, qd=zero, u=zero)["qdd"]
+    gravity = [float(g) for g in tree.gravity]
+    np.testing.assert_allclose(qdd, [*gravity, *zero[3:]], rtol=0, atol=1e-12)
+
+
+def test_a_floating_base_equals_pinocchio():
+    assert_equals_pinocchio(floating(driven(random_tree(6, 5))), 6, FEW)
