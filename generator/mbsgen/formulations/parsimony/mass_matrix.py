@@ -104,10 +104,9 @@ def shift_inertia(J: Matrix[Scalar], d: Vector[Scalar], s: Vector[Scalar], weigh
 def own_inertia(builder: Builder, segment: Segment, lump: Lump, axes: Sequence[Vector[Scalar]]) -> Matrix[Scalar]:
     """Write a body's own inertia where the body is written; its ring turns about the axis unchanged."""
     trace = lump.P[0, 0] + lump.P[1, 1] + lump.P[2, 2]
-    across = trace if lump.levelled else trace + lump.ring
     along = trace + lump.ring + lump.ring
     total = Matrix.of(
-        [(along if r == segment.axis else across) if r == c else builder.zero for c in range(3)] for r in range(3)
+        [(along if r == segment.axis else trace) if r == c else builder.zero for c in range(3)] for r in range(3)
     )
     for t, a in enumerate(axes):
         for u, e in enumerate(axes):

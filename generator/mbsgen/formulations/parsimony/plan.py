@@ -29,7 +29,6 @@ class Choice:
     mass: Mass = Mass.PASSED
     scaled: bool = False  # directions across the axis have the length of the link, instead of 1; divides by it
     ring: int = 1  # which transverse second moment (0, 1: the first or second axis after the joint's) is spread evenly
-    level: bool = False  # the part of it along the axis stays, and the body's ring is felt as a whole
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,6 @@ class Lump:
     S: Vector[Scalar]  # nothing along the axis of a revolute joint
     P: Matrix[Scalar]  # without what the ring holds
     ring: Scalar  # second moment of the ring about the axis; its spin inertia is twice that
-    levelled: bool  # the ring's part along the axis was moved: the ring is a pure spin
     radius: Scalar | None  # a point mass: its distance from the origin ...
     direction: int  # ... along this axis
 
@@ -39,8 +38,7 @@ class Lump:
 def keep(builder: Builder, segments: Sequence[Segment]) -> dict[int, Lump]:
     """Leave every body what it has."""
     return {
-        s.number: Lump(s.moments.m, s.moments.S, s.moments.P, builder.zero, levelled=False, radius=None, direction=0)
-        for s in segments
+        s.number: Lump(s.moments.m, s.moments.S, s.moments.P, builder.zero, radius=None, direction=0) for s in segments
     }
 
 
@@ -77,10 +75,10 @@ def _part(
             raise NoSuchPlanError("mass cannot move along a prismatic joint")
         flat = own.P.map(lambda _: zero)
         moved = Moments(zero, own.S.map(lambda _: zero), turn.times(own.P).times(turn.transposed))
-        return Lump(own.m, own.S, flat, zero, levelled=True, radius=None, direction=0), moved
+        return Lump(own.m, own.S, flat, zero, radius=None, direction=0), moved
     ring = own.P[segment.across[choice.ring], segment.across[choice.ring]]
     e = turn.column(axis)
-    along, second = own.S[axis], own.P[axis, axis] if choice.level else own.P[axis, axis] + ring
+    along, second = own.S[axis], own.P[axis, axis] + ring
     m, radius, direction = own.m, None, 0
     if choice.mass is Mass.BALANCING:
         k = _lever(segment)
@@ -94,7 +92,7 @@ def _part(
     _check_size(m, total)
     moved = _on_axis(m, along, second, segment.d, e)
     P = _without_ring(builder, segment, own.P, ring)
-    return Lump(own.m - m, _clear(builder, own.S, axis), P, ring, not choice.level, radius, direction), moved
+    return Lump(own.m - m, _clear(builder, own.S, axis), P, ring, radius, direction), moved
 
 
 def _rest_on_base(builder: Builder, segment: Segment, own: Moments, choice: Choice) -> Lump:
@@ -103,11 +101,11 @@ def _rest_on_base(builder: Builder, segment: Segment, own: Moments, choice: Choi
     if choice.mass is not Mass.PASSED:
         raise NoSuchPlanError("the base takes all mass")
     if not segment.is_revolute:
-        return Lump(own.m, own.S, own.P.map(lambda _: zero), zero, levelled=True, radius=None, direction=0)
+        return Lump(own.m, own.S, own.P.map(lambda _: zero), zero, radius=None, direction=0)
     ring = own.P[segment.across[choice.ring], segment.across[choice.ring]]
     S = _clear(builder, own.S, segment.axis)
     P = _without_ring(builder, segment, own.P, ring)
-    return Lump(zero, S, P, ring, levelled=True, radius=None, direction=0)
+    return Lump(zero, S, P, ring, radius=None, direction=0)
 
 
 def _check_size(moved: Scalar, total: Scalar) -> None:

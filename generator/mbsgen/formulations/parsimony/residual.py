@@ -147,12 +147,12 @@ def inertial_load(
 
 
 def _ring_moment(builder: Builder, segment: Segment, lump: Lump, movement: Movement) -> Vector[Scalar]:
-    """Form the moment of a ring about the axis: its spin alone, or with what it is along the axis."""
+    """Form the moment of a ring about the axis, which is that of its spin alone."""
     j, k = segment.across
     spin = builder.number(2.0) * lump.ring
-    parts = {segment.axis: spin * movement.wp}
-    if lump.levelled:
-        parts |= {j: spin * (movement.w * movement.q), k: -(spin * (movement.w * movement.p))}
-    else:
-        parts |= {j: lump.ring * movement.U[segment.axis, k], k: -(lump.ring * movement.U[segment.axis, j])}
+    parts = {
+        segment.axis: spin * movement.wp,
+        j: spin * (movement.w * movement.q),
+        k: -(spin * (movement.w * movement.p)),
+    }
     return Vector.of(parts[t] for t in range(3))
