@@ -10,7 +10,7 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from types import NoneType, UnionType
-from typing import Annotated, Any, Generic, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, Generic, Literal, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
@@ -19,6 +19,8 @@ from pydantic_core import ErrorDetails
 from mbsgen.documents.places import MAX_FAULTS, Data, Place, abbreviate, lies_under, nearest, refuse
 from mbsgen.documents.reading import Document
 from mbsgen.errors import Fault
+
+MAX_ROUNDS = 3  # of stand-ins: what has got a type from an example may lack what goes with it
 
 Shape = TypeVar("Shape", bound=BaseModel)
 
@@ -68,16 +70,20 @@ def examine(document: Document, schema: type[Shape]) -> Examination[Shape]:
         return Examination(value, tuple(document.faults.values()), frozenset(document.faults))
     told = sorted(troubles, key=document.line)[: MAX_FAULTS + 1]
     faults = [
-        document.fault(place, *_explain(troubles[place], place, schema))
+        document.fault(place, *_explain(troubles[place], place, schema, document.data))
         for place in told
         if not lies_under(place, document.faults)
     ]
     data = copy.deepcopy(document.data)
     stand_ins: set[Place] = set()
-    for place, error in troubles.items():
-        if not lies_under(place, stand_ins):
-            stand_ins.add(_stand_in(data, place, error, schema))
-    value, _ = _load(data, schema)
+    for _ in range(MAX_ROUNDS):
+        for place, error in troubles.items():
+            if not lies_under(place, stand_ins):
+                stand_ins.add(_stand_in(data, place, error, schema))
+        value, errors = _load(data, schema)
+        troubles = _troubles(errors, data)
+        if value is not None:
+            break
     return Examination(value, (*document.faults.values(), *faults), frozenset(stand_ins.union(document.faults)))
 
 
@@ -109,10 +115,17 @@ def _place(error: ErrorDetails, data: Data) -> Place:
         elif not (error["type"] == "missing" and i == len(error["loc"]) - 1 and isinstance(step, str)):
             continue
         place = (*place, step)
+    if error["type"] in ("union_tag_not_found", "union_tag_invalid"):
+        place = (*place, _discriminator(error))
     return place
 
 
-def _explain(error: ErrorDetails, place: Place, schema: type[BaseModel]) -> tuple[str, str]:
+def _discriminator(error: ErrorDetails) -> str:
+    """Name the key whose value tells which member of a union a mapping is."""
+    return str(error["ctx"]["discriminator"]).strip("'")
+
+
+def _explain(error: ErrorDetails, place: Place, schema: type[BaseModel], data: Data) -> tuple[str, str]:
     """Put a pydantic error into finding and remedy."""
     context = error.get("ctx", {})
     if isinstance(wrong := context.get("error"), WrongValueError):
@@ -121,12 +134,15 @@ def _explain(error: ErrorDetails, place: Place, schema: type[BaseModel]) -> tupl
     match error["type"]:
         case "missing" | "too_short" | "too_long" if isinstance(error["input"], list):
             return f"found a list of {len(error['input'])}", _give_example("a list of another length", schema, place)
-        case "missing":
+        case "union_tag_invalid":
+            found = f"found {abbreviate(error['input'][place[-1]])}"
+            return found, f"give {context['expected_tags']}"
+        case "missing" | "union_tag_not_found":
             return "missing", _give_example("it", schema, place)
         case "extra_forbidden":
-            return "unknown key", _suggest(str(place[-1]), _keys(schema, place[:-1]))
+            return "unknown key", _suggest(str(place[-1]), _keys(schema, place[:-1], data))
         case "model_type" | "model_attributes_type" | "dict_type":
-            keys = _keys(schema, place)
+            keys = _keys(schema, place, data)
             return found, f"give a mapping{' of ' + ', '.join(keys) if keys else ''}"
         case "literal_error" | "enum":
             return found, f"give {context['expected']}"
@@ -237,8 +253,22 @@ def _example(schema: type[BaseModel], place: Place) -> Data:
     return next((slot.example for slot in _slots(schema, place) if slot.example is not None), None)
 
 
-def _keys(schema: type[BaseModel], place: Place) -> list[str]:
-    """List the keys that a schema knows at a place."""
+def _keys(schema: type[BaseModel], place: Place, data: Data) -> list[str]:
+    """List the keys that a schema knows at a place; of a union, those of the members that the data there may be."""
     choices = [c for slot in _slots(schema, place) for c in _choices(slot.annotation)]
     models = [c for c in choices if isinstance(c, type) and issubclass(c, BaseModel)]
+    inner: Any = data
+    for step in place:
+        inner = inner[step]
+    models = [model for model in models if _may_be(inner, model)] or models
     return list(dict.fromkeys(info.alias or name for model in models for name, info in model.model_fields.items()))
+
+
+def _may_be(data: Data, model: type[BaseModel]) -> bool:
+    """Tell whether a mapping has the words that a schema wants in places where it takes certain words only."""
+    if not isinstance(data, dict):
+        return True
+    words = {
+        name: get_args(x.annotation) for name, x in model.model_fields.items() if get_origin(x.annotation) is Literal
+    }
+    return all(data[name] in known for name, known in words.items() if name in data)
