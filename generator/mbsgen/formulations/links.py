@@ -15,7 +15,7 @@ from sympy import Expr
 
 from mbsgen.algebra.rotations import axis_rotation
 from mbsgen.algebra.vectors import Matrix, Vector, outer
-from mbsgen.model.tree import COORDINATE, RATE, Body, Joint, Kind, Motion, Tree
+from mbsgen.model.tree import COORDINATE, RATE, Body, Joint, Kind, Motion, Tree, Wrench
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.lowering import lower
 
@@ -89,11 +89,12 @@ class Chain:
         """The external wrenches; what the model leaves open is taken from the input w."""
         given = iter(self.state.w)
 
-        def components(vector: Sequence[Expr] | None) -> Vector[Scalar]:
-            return Vector.of(islice(given, 3)) if vector is None else self.vector(vector)
+        def components(wrench: Wrench, vector: Sequence[Expr] | None) -> Vector[Scalar]:
+            written = Vector.of(islice(given, 3)) if vector is None else self.vector(vector)
+            return written if wrench.in_base else self.matrix(wrench.orientation).apply(written)
 
         return tuple(
-            Pull(x.body, self.vector(x.position), x.in_base, components(x.force), components(x.moment))
+            Pull(x.body, self.vector(x.position), x.in_base, components(x, x.force), components(x, x.moment))
             for x in self.tree.wrenches
         )
 

@@ -10,13 +10,14 @@ from collections.abc import Container, Iterator
 
 import numpy as np
 
-from mbsgen.documents import Place
-from mbsgen.expressions import write
+from mbsgen.documents import Place, abbreviate
+from mbsgen.expressions import Expression, write
+from mbsgen.model.expansion import list_steps
 from mbsgen.model.findings import Finding
 from mbsgen.model.idleness import check_idle_joints
-from mbsgen.model.model import Body, Joint, Model, Placement
+from mbsgen.model.model import BASE, COORDINATE, RATE, ZERO, Body, Fixed, Joint, Law, Model, Placement, Wrench
 from mbsgen.model.naming import check_names
-from mbsgen.model.topology import check_tree
+from mbsgen.model.topology import check_tree, list_grounded
 from mbsgen.model.valuation import LARGEST, Valuation
 
 MAX_BODIES = 1000
@@ -26,18 +27,32 @@ INERTIA_TOLERANCE = 1e-9  # of the largest moment
 
 def find_faults(model: Model, doubtful: Container[Place] = frozenset()) -> list[Finding]:
     """Find all that is wrong with a model. A model without findings makes a Tree."""
-    if not 0 < len(model.bodies) <= MAX_BODIES:
-        return [Finding(("bodies",), f"{len(model.bodies)} bodies", f"give at least one, and at most {MAX_BODIES}")]
+    count = sum(max(1, len(body.joints)) for body in model.bodies)
+    if not 0 < count <= MAX_BODIES:
+        finding = f"{count} bodies{', those between joints included' if count > len(model.bodies) else ''}"
+        return [Finding(("bodies",), finding, f"give at least one, and at most {MAX_BODIES}")]
     findings = [*check_names(model, doubtful), *check_tree(model, doubtful)]
     valuation = Valuation(model.parameters, doubtful)
     valuation.triple(("gravity",), model.gravity)
     for i, body in enumerate(model.bodies):
-        findings += _check_joint(("bodies", i, "joint"), body.joint, valuation)
+        findings += _check_carrier(i, body, valuation)
         findings += _check_body(("bodies", i), body, valuation, allow_unphysical=model.allow_unphysical)
     for i, frame in enumerate(model.frames):
         _check_placement(("frames", i), frame.placement, valuation)
+    for i, wrench in enumerate(model.wrenches):
+        findings += _check_wrench(("wrenches", i), wrench, valuation)
     findings += valuation.findings
-    return findings or list(check_idle_joints(model))
+    return findings or [*check_idle_joints(model), *_check_motion(model)]
+
+
+def _check_carrier(i: int, body: Body, valuation: Valuation) -> Iterator[Finding]:
+    if isinstance(body.joint, Fixed):
+        _check_placement(("bodies", i, "joint"), body.joint.placement, valuation)
+    elif isinstance(body.joint, tuple) and len(body.joint) < 2:
+        finding = f"a sequence of {len(body.joint)} joints"
+        yield Finding(("bodies", i, "joint"), finding, "give two or more, or one joint by itself")
+    for step in list_steps(i, body):
+        yield from _check_joint(step.place, step.joint, valuation)
 
 
 def _check_joint(place: Place, joint: Joint, valuation: Valuation) -> Iterator[Finding]:
@@ -52,6 +67,33 @@ def _check_joint(place: Place, joint: Joint, valuation: Valuation) -> Iterator[F
     )
     if lower > upper:
         yield Finding((*place, "limits"), f"the lower limit {lower:g} is above the upper {upper:g}", "swap them")
+    yield from _check_law(place, joint.law, valuation)
+
+
+def _check_law(place: Place, law: Law, valuation: Valuation) -> Iterator[Finding]:
+    before = len(valuation.findings)
+    findings = [*_check_law_numbers(place, law, valuation)]
+    yield from findings
+    if not findings and len(valuation.findings) == before:
+        valuation.check_law((*place, "force"), law.total)
+
+
+def _check_law_numbers(place: Place, law: Law, valuation: Valuation) -> Iterator[Finding]:
+    """Spring, damper and friction take energy out; only the author's own expression may add some."""
+    given: dict[Place, Expression] = {("stiffness",): law.stiffness, ("damping",): law.damping}
+    if law.friction is not None:
+        given["friction", "torque"] = law.friction.torque
+        speed = valuation.number((*place, "friction", "speed"), law.friction.speed)
+        if speed <= 0:
+            yield Finding((*place, "friction", "speed"), f"a speed of {speed:g}", "give more than 0")
+    for key, expression in given.items():
+        value = valuation.number((*place, *key), expression)
+        if value < 0:
+            remedy = f"give 0 or more; a law of another kind goes into force, in {COORDINATE} and {RATE}"
+            yield Finding((*place, *key), f"{key[-1]} {value:g}", remedy)
+    valuation.number((*place, "rest"), law.rest)
+    if law.rest != ZERO and law.stiffness == ZERO:
+        yield Finding((*place, "rest"), "a rest position without a spring", "give a stiffness too")
 
 
 def _check_placement(place: Place, placement: Placement, valuation: Valuation) -> None:
@@ -78,3 +120,28 @@ def _check_body(place: Place, body: Body, valuation: Valuation, *, allow_unphysi
         finding = f"no body has the principal moments of inertia {a:.6g}, {b:.6g}, {c:.6g}"
         remedy = "none may be more than the sum of the others; mend them, or set allow_unphysical: true"
         yield Finding(place, finding, remedy)
+
+
+def _check_wrench(place: Place, wrench: Wrench, valuation: Valuation) -> Iterator[Finding]:
+    valuation.triple((*place, "position"), wrench.position)
+    if wrench.body == BASE:
+        yield Finding((*place, "body"), f"{BASE} does not move", "name the body that the wrench acts on")
+    idle = True
+    for key, vector in (("force", wrench.force), ("moment", wrench.moment)):
+        if vector is None:
+            idle = False
+        else:
+            values = valuation.triple((*place, key), vector)
+            idle = idle and not values.any() and not any(map(valuation.changes, vector))
+    if idle:
+        yield Finding(place, "a wrench without force and moment", "give one of them numbers, or input")
+
+
+def _check_motion(model: Model) -> Iterator[Finding]:
+    grounded = list_grounded(model)
+    if all(body.name in grounded for body in model.bodies):
+        yield Finding(("bodies",), "nothing moves", "give a body a joint that is not fixed")
+    for i, wrench in enumerate(model.wrenches):
+        if wrench.body in grounded:
+            finding = f"{abbreviate(wrench.body)} is fixed to {BASE}, and does not move"
+            yield Finding(("wrenches", i, "body"), finding, "take the wrench away")

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbsgen.documents import abbreviate
+from mbsgen.model.expansion import expand
 from mbsgen.model.findings import Finding
-from mbsgen.model.model import Model, Placement
+from mbsgen.model.model import Fixed, Joint, Model, Placement
 from mbsgen.model.topology import index_parents, walk_bodies
 from mbsgen.model.tree import Motion
 from mbsgen.model.valuation import Array, Valuation
@@ -24,11 +25,11 @@ GOLDEN = 0.6180339887498949
 
 @dataclass(frozen=True)
 class _Solid:
-    """A body at the chosen configuration, in the base's frame."""
+    """A body of an expanded model at the chosen configuration, in the base's frame."""
 
     rotation: Array  # of the body's frame
     origin: Array
-    axis: Array  # of its joint
+    axis: Array  # of its joint; 0 where it is fixed
     mass: float
     com: Array
     inertia: Array  # about com, in the body's frame
@@ -36,6 +37,8 @@ class _Solid:
 
 def check_idle_joints(model: Model) -> Iterator[Finding]:
     """Find the joints whose subtree has no inertia about their axis, or no mass along it."""
+    expansion = expand(model)
+    model = expansion.model
     parents, order = index_parents(model), walk_bodies(model)
     solids = _place_solids(model, parents, order)
     carried = [1] * len(order)  # bodies of each subtree
@@ -45,11 +48,13 @@ def check_idle_joints(model: Model) -> Iterator[Finding]:
             carried[parent] += carried[i]
     for rank, i in enumerate(order):
         joint = model.bodies[i].joint
+        if not isinstance(joint, Joint):
+            continue
         subtree = [solids[k] for k in order[rank : rank + carried[i]]]
         if not _is_felt(solids[i], subtree, joint.motion):
             what = "inertia about" if joint.motion is Motion.REVOLUTE else "mass along"
             finding = f"joint {abbreviate(joint.name)} moves nothing: what it carries has no {what} its axis"
-            yield Finding(("bodies", i, "joint"), finding, "give a body it carries mass, or take the joint away")
+            yield Finding(expansion.places[i], finding, "give a body it carries mass, or take the joint away")
 
 
 def _is_felt(carrier: _Solid, bodies: list[_Solid], motion: Motion) -> bool:
@@ -71,17 +76,23 @@ def _place_solids(model: Model, parents: list[int | None], order: list[int]) -> 
     solids: dict[int, _Solid] = {}
     for rank, i in enumerate(order):
         body, place, parent = model.bodies[i], ("bodies", i), parents[i]
+        joint = body.joint
+        assert not isinstance(joint, tuple), "an expanded model has no sequences"
         rotation, origin = np.eye(3), np.zeros(3)
         if parent is not None:
             rotation, origin = solids[parent].rotation, solids[parent].origin
-        origin = origin + rotation @ valuation.triple(place, body.joint.placement.position)
-        rotation = rotation @ _turn_placement(body.joint.placement, valuation)
-        axis = valuation.triple(place, body.joint.axis)
-        axis /= np.abs(axis).max()
-        axis /= np.linalg.norm(axis)
-        q = 0.5 + (rank * GOLDEN) % 1  # radians or metres, no two alike
-        turned = rotation @ _turn(axis, q) if body.joint.motion is Motion.REVOLUTE else rotation
-        slid = origin if body.joint.motion is Motion.REVOLUTE else origin + rotation @ axis * q
+        origin = origin + rotation @ valuation.triple(place, joint.placement.position)
+        rotation = rotation @ _turn_placement(joint.placement, valuation)
+        turned, slid, axis = rotation, origin, np.zeros(3)
+        if not isinstance(joint, Fixed):
+            axis = valuation.triple(place, joint.axis)
+            axis /= np.abs(axis).max()
+            axis /= np.linalg.norm(axis)
+            q = 0.5 + (rank * GOLDEN) % 1  # radians or metres, no two alike
+            if joint.motion is Motion.REVOLUTE:
+                turned = rotation @ _turn(axis, q)
+            else:
+                slid = origin + rotation @ axis * q
         solids[i] = _Solid(
             rotation=turned,
             origin=slid,

@@ -1,19 +1,25 @@
 """The Model: a mechanism as its author describes it, in expressions over named parameters; checked, then frozen.
 
 Bodies stand in any order and name their parents; joints turn about, or slide along, any axis. Lengths are in m, angles
-in rad, masses in kg. `reduction.build_tree` makes of it the Tree that the recursions read.
+in rad, masses in kg. A Model is read of a file (`reader`), or made in Python (`construction`), and can be written to a
+file (`writer`). `reduction.build_tree` makes of it the Tree that the recursions read.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
-from mbsgen.expressions import Expression
+from mbsgen.expressions import Call, Expression, Name, Negation, Number, Operation
 from mbsgen.model.tree import Kind, Motion
 
 BASE = "base"  # the name of what does not move
+COORDINATE, RATE = "q", "qd"  # a joint's own, in the expression of its force
 
 Triple = tuple[Expression, Expression, Expression]
+
+ZERO = Number(0.0)
+ORIGIN: Triple = (ZERO, ZERO, ZERO)
 
 
 @dataclass(frozen=True)
@@ -22,7 +28,7 @@ class Parameter:
 
     name: str
     value: Expression
-    kind: Kind
+    kind: Kind = Kind.CONSTANT
 
 
 @dataclass(frozen=True)
@@ -37,33 +43,86 @@ class Rotation:
 class Placement:
     """Where a frame stands in another: its origin, and rotations in turn, each about the axes turned so far."""
 
-    position: Triple
-    orientation: tuple[Rotation, ...]
+    position: Triple = ORIGIN
+    orientation: tuple[Rotation, ...] = ()
+
+
+HERE = Placement()
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Dry friction, smoothed: -torque tanh(qd/speed)."""
+
+    torque: Expression  # of a prismatic joint, the force [N m or N]
+    speed: Expression  # at which 3/4 of it are reached [rad/s or m/s]
+
+
+@dataclass(frozen=True)
+class Law:
+    """The force that a joint has of its own, in the direction of q: the sum of what is given [N m or N]."""
+
+    stiffness: Expression = ZERO
+    rest: Expression = ZERO  # q of the slack spring
+    damping: Expression = ZERO
+    friction: Friction | None = None
+    force: Expression = ZERO  # over parameters and the joint's own q and qd
+
+    @property
+    def total(self) -> Expression:
+        """The law as one expression over parameters, q and qd."""
+        total, *rest = [*self._terms()] or [ZERO]
+        for term in rest:
+            total = Operation("+", total, term)
+        return total
+
+    def _terms(self) -> Iterator[Expression]:
+        q, qd = Name(COORDINATE), Name(RATE)
+        if self.stiffness != ZERO:
+            yield Negation(Operation("*", self.stiffness, q if self.rest == ZERO else Operation("-", q, self.rest)))
+        if self.damping != ZERO:
+            yield Negation(Operation("*", self.damping, qd))
+        if self.friction is not None:
+            slope = Call("tanh", (Operation("/", qd, self.friction.speed),))
+            yield Negation(Operation("*", self.friction.torque, slope))
+        if self.force != ZERO:
+            yield self.force
+
+
+FREE = Law()
 
 
 @dataclass(frozen=True)
 class Joint:
-    """One degree of freedom between a body and its parent."""
+    """One degree of freedom: rotation about, or translation along, an axis."""
 
-    name: str
     motion: Motion
-    axis: Triple  # a direction of any length, in the body's frame
-    placement: Placement  # of the body's frame at q = 0, in the parent's
-    actuated: bool
-    lower: Expression | None  # None: unbounded
-    upper: Expression | None
+    axis: Triple  # a direction of any length, in the frame that moves
+    name: str | None = None  # None: that of its body, or derived from it (see `expansion`)
+    placement: Placement = HERE  # of the frame that moves, at q = 0, in the frame that carries it
+    actuated: bool = True
+    lower: Expression | None = None  # None: unbounded
+    upper: Expression | None = None
+    law: Law = FREE
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """What holds a body fast on its parent."""
+
+    placement: Placement = HERE  # of the body's frame, in the parent's
 
 
 @dataclass(frozen=True)
 class Inertia:
     """The inertia tensor about the centre of mass, in the body's axes."""
 
-    xx: Expression
-    yy: Expression
-    zz: Expression
-    xy: Expression
-    xz: Expression
-    yz: Expression
+    xx: Expression = ZERO
+    yy: Expression = ZERO
+    zz: Expression = ZERO
+    xy: Expression = ZERO
+    xz: Expression = ZERO
+    yz: Expression = ZERO
 
     @property
     def rows(self) -> tuple[Triple, Triple, Triple]:
@@ -73,23 +132,45 @@ class Inertia:
 
 @dataclass(frozen=True)
 class Body:
-    """A rigid body, and the joint that carries it."""
+    """A rigid body, and what carries it: a joint, a sequence of joints from the parent on, or nothing that moves."""
 
     name: str
-    parent: str  # a body's name, or `BASE`
-    joint: Joint
-    mass: Expression
-    com: Triple  # centre of mass, in the body's frame
-    inertia: Inertia
+    joint: Joint | Fixed | tuple[Joint, ...]
+    parent: str = BASE  # or a body's name
+    mass: Expression = ZERO
+    com: Triple = ORIGIN  # centre of mass, in the body's frame
+    inertia: Inertia = Inertia()
+
+    @property
+    def joints(self) -> tuple[Joint, ...]:
+        """The joints that carry the body, from the parent on."""
+        match self.joint:
+            case Fixed():
+                return ()
+            case Joint():
+                return (self.joint,)
+        return self.joint
 
 
 @dataclass(frozen=True)
 class Frame:
-    """A named frame on a body, of which the pose is wanted."""
+    """A named frame on a body, of which the pose is wanted: a sensor."""
 
     name: str
     body: str
-    placement: Placement
+    placement: Placement = HERE
+
+
+@dataclass(frozen=True)
+class Wrench:
+    """An external force and moment on a body, at a point fixed in it."""
+
+    name: str
+    body: str
+    position: Triple = ORIGIN  # of the point, in the body's frame
+    in_base: bool = True  # components in the base's frame; else in the body's
+    force: Triple | None = ORIGIN  # [N]; None: three numbers of the input w
+    moment: Triple | None = ORIGIN  # [N m]; None: three more
 
 
 @dataclass(frozen=True)
@@ -98,7 +179,8 @@ class Model:
 
     name: str
     gravity: Triple  # in the base's frame [m/s2]
-    parameters: tuple[Parameter, ...]
     bodies: tuple[Body, ...]
-    frames: tuple[Frame, ...]
-    allow_unphysical: bool  # take inertias that no body can have
+    parameters: tuple[Parameter, ...] = ()
+    frames: tuple[Frame, ...] = ()
+    wrenches: tuple[Wrench, ...] = ()
+    allow_unphysical: bool = False  # take inertias that no body can have

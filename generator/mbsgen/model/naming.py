@@ -12,8 +12,9 @@ from collections.abc import Container, Iterator, Sequence
 
 from mbsgen.documents import Place, abbreviate, lies_under
 from mbsgen.expressions import CONSTANTS, FUNCTIONS
+from mbsgen.model.expansion import list_steps
 from mbsgen.model.findings import Finding
-from mbsgen.model.model import BASE, Body, Model
+from mbsgen.model.model import BASE, COORDINATE, FREE, RATE, Model
 
 MAX_LENGTH = 64
 
@@ -21,30 +22,47 @@ Named = tuple[Place, str]
 
 
 def check_names(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
-    """Find names that are malformed, reserved, or alike. Names under a doubtful place are passed over."""
+    """Find names that are malformed, reserved, or alike, one a place. Those under a doubtful place are passed over."""
+    told: set[Place] = set()
+    for finding in _check_names(model, doubtful):
+        if finding.place not in told:
+            told.add(finding.place)
+            yield finding
 
+
+def _check_names(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
     def trusted(names: list[Named]) -> list[Named]:
         return [(place, name) for place, name in names if not lies_under(place, doubtful)]
 
     bodies = trusted([(("bodies", i, "name"), body.name) for i, body in enumerate(model.bodies)])
-    joints = trusted([_name_joint(i, body) for i, body in enumerate(model.bodies)])
+    between, joints = (trusted(names) for names in _name_steps(model))
     frames = trusted([(("frames", i, "name"), frame.name) for i, frame in enumerate(model.frames)])
+    wrenches = trusted([(("wrenches", i, "name"), wrench.name) for i, wrench in enumerate(model.wrenches)])
     parameters = trusted([(("parameters", p.name), p.name) for p in model.parameters])
-    for place, name in [*trusted([(("name",), model.name)]), *bodies, *joints, *frames]:
+    for place, name in [*trusted([(("name",), model.name)]), *bodies, *between, *joints, *frames, *wrenches]:
         yield from _check_form(place, name)
     for place, name in parameters:
         yield from _check_parameter(place, name)
+        if name in (COORDINATE, RATE) and any(j.law != FREE for body in model.bodies for j in body.joints):
+            yield Finding(place, f"in the force laws of joints {name} is the joint's own", "give another name")
     for place, name in bodies:
         if _normalise(name) == BASE:
             yield Finding(place, f"name {abbreviate(name)} is that of what does not move", "give the body another name")
-    for names in (bodies, joints, frames, parameters):
+    for names in (between + bodies, joints, frames, wrenches, parameters):
         yield from _check_alike(names)
 
 
-def _name_joint(i: int, body: Body) -> Named:
-    """Tell where a joint has its name from: if it has none of its own, from its body."""
-    own = body.joint.name != body.name
-    return ("bodies", i, "joint", "name") if own else ("bodies", i, "name"), body.joint.name
+def _name_steps(model: Model) -> tuple[list[Named], list[Named]]:
+    """Name the bodies between the joints of sequences, and the joints, each where its name comes from."""
+    between: list[Named] = []
+    joints: list[Named] = []
+    for i, body in enumerate(model.bodies):
+        of_body: Place = ("bodies", i, "name")
+        for step in list_steps(i, body):
+            joints.append(((*step.place, "name") if step.joint.name is not None else of_body, step.name))
+            if step.mover != body.name:
+                between.append((of_body, step.mover))
+    return between, joints
 
 
 def _check_form(place: Place, name: str) -> Iterator[Finding]:

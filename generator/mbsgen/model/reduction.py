@@ -1,8 +1,9 @@
 """Model -> Tree: bodies in order, and every joint about or along a positive coordinate axis of its body.
 
-A body whose joint has another axis gets a frame of its own: the author's, turned by a constant rotation C with
-a = C e_k. Its centre of mass, inertia, sensors and the joints it carries are written anew in that frame; sensors keep
-the pose that their author gave them.
+A sequence of joints has massless bodies between. A body that is fixed becomes one with what it is fixed to. A body
+whose joint has another axis gets a frame of its own: the author's, turned by a constant rotation C with a = C e_k.
+Masses, sensors, wrenches and the joints that a body carries are written anew in the frame where they end up; sensors
+keep the pose, and wrenches the axes, that their author gave them.
 """
 
 from __future__ import annotations
@@ -10,48 +11,50 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from sympy import Expr, Integer, Symbol
+from sympy import Expr, Symbol
 
 from mbsgen.expressions import Algebra, Expression, evaluate
 from mbsgen.model import model, tree
+from mbsgen.model.expansion import expand
 from mbsgen.model.model import BASE, Model
 from mbsgen.model.symbols import round_number, symbolic, to_double, total
 from mbsgen.model.topology import sort_bodies
-from mbsgen.model.tree import Kind, Matrix, Parameter, Tree, Vector
-
-ZERO, ONE = Integer(0), Integer(1)
-IDENTITY: Matrix = ((ONE, ZERO, ZERO), (ZERO, ONE, ZERO), (ZERO, ZERO, ONE))
+from mbsgen.model.tree import COORDINATE, IDENTITY, ONE, RATE, ZERO, Kind, Matrix, Parameter, Tree, Vector
 
 
 def build_tree(description: Model) -> Tree:
     """Make the Tree of a checked model."""
     parameters, reader = _read_parameters(description)
-    turned = {BASE: IDENTITY}  # C of each body: its axes in the Tree, in the author's frame
-    numbers = {BASE: 0}
-    bodies = []
-    for number, i in enumerate(sort_bodies(description), 1):
-        body = description.bodies[i]
-        axis, own = align(reader.direction(body.joint.axis))
-        bodies.append(_make_body(body, axis, own, turned[body.parent], numbers[body.parent], reader))
-        turned[body.name], numbers[body.name] = own, number
-    sensors = [
-        tree.Sensor(
-            name=frame.name,
-            body=numbers[frame.body],
-            position=_express(reader.vector(frame.placement.position), turned[frame.body]),
-            orientation=_product(_transpose(turned[frame.body]), reader.rotation(frame.placement)),
-        )
-        for frame in description.frames
-    ]
-    gravity = reader.vector(description.gravity)
-    return Tree(description.name, gravity, parameters, tuple(bodies), tuple(sensors))
+    expanded = expand(description).model
+    seats = {BASE: _Seat(0)}
+    carried: dict[int, list[_Lump]] = {0: []}  # what is fixed to the base is not felt
+    moving: list[_Mover] = []
+    for body in (expanded.bodies[i] for i in sort_bodies(expanded)):
+        assert not isinstance(body.joint, tuple), "an expanded model has no sequences"
+        seat = seats[body.parent].carry(body.joint.placement, reader)
+        if isinstance(body.joint, model.Joint):
+            axis, own = align(reader.direction(body.joint.axis))
+            moving.append(_Mover(body.name, body.joint, axis, seat.number, seat.position, _product(seat.axes, own)))
+            seat = _Seat(len(moving), axes=_transpose(own))
+            carried[seat.number] = []
+        seats[body.name] = seat
+        carried[seat.number].append(_read_lump(body, seat, reader))
+    return Tree(
+        name=description.name,
+        gravity=reader.vector(description.gravity),
+        parameters=parameters,
+        bodies=tuple(_make_body(mover, _merge(carried[i]), reader) for i, mover in enumerate(moving, 1)),
+        sensors=tuple(_make_sensor(frame, seats[frame.body], reader) for frame in description.frames),
+        wrenches=tuple(_make_wrench(wrench, seats[wrench.body], reader) for wrench in description.wrenches),
+    )
 
 
 def with_runtime_numbers(original: Tree) -> Tree:
-    """Make every number of gravity and bodies a parameter at run time, and every parameter one.
+    """Make every number of gravity, bodies and wrenches a parameter at run time, and every parameter one.
 
-    Zeros and orientations stay. An expression over parameters stays that expression; any other number becomes a
-    parameter of its own, named after its place, such as `hand.mass` or `hand.inertia.xy`. Tensors stay symmetric.
+    Zeros, orientations and the numbers in force laws stay. An expression over parameters stays that expression; any
+    other number becomes a parameter of its own, named after its place, such as `hand.mass` or `hand.inertia.xy`.
+    Tensors stay symmetric.
     """
     parameters = {p.name: replace(p, kind=Kind.RUNTIME) for p in original.parameters}
 
@@ -80,7 +83,16 @@ def with_runtime_numbers(original: Tree) -> Tree:
         )
         for body in original.bodies
     )
-    return replace(original, gravity=gravity, parameters=tuple(parameters.values()), bodies=bodies)
+    wrenches = tuple(
+        replace(
+            wrench,
+            position=release_vector(f"{wrench.name}.point", wrench.position),
+            force=wrench.force and release_vector(f"{wrench.name}.force", wrench.force),
+            moment=wrench.moment and release_vector(f"{wrench.name}.moment", wrench.moment),
+        )
+        for wrench in original.wrenches
+    )
+    return replace(original, gravity=gravity, parameters=tuple(parameters.values()), bodies=bodies, wrenches=wrenches)
 
 
 def align(direction: Vector) -> tuple[int, Matrix]:
@@ -114,8 +126,8 @@ def align(direction: Vector) -> tuple[int, Matrix]:
 
 _NUMBERS = symbolic({})
 _HALF_TURNS: tuple[Matrix, ...] = tuple(  # about z, x, x: they turn x, y, z round
-    ((Integer(x), ZERO, ZERO), (ZERO, Integer(y), ZERO), (ZERO, ZERO, Integer(z)))
-    for x, y, z in ((-1, -1, 1), (1, -1, -1), (1, -1, -1))
+    ((x, ZERO, ZERO), (ZERO, y, ZERO), (ZERO, ZERO, z))
+    for x, y, z in ((-ONE, -ONE, ONE), (ONE, -ONE, -ONE), (ONE, -ONE, -ONE))
 )
 
 
@@ -149,6 +161,11 @@ class _Reader:
         """Read a limit of a joint, which is constant."""
         return None if expression is None else to_double(evaluate(expression, self.values, self.algebra))
 
+    def law(self, law: model.Law) -> Expr:
+        """Read a joint's own force, over its q and qd."""
+        own = {model.COORDINATE: COORDINATE, model.RATE: RATE}
+        return evaluate(law.total, {**self.symbols, **own}, self.algebra)
+
     def rotation(self, placement: model.Placement) -> Matrix:
         """Read an orientation; constants enter by value, so that a quarter turn has its zeros."""
         product = IDENTITY
@@ -180,25 +197,129 @@ def _read_parameters(description: Model) -> tuple[tuple[Parameter, ...], _Reader
     return tuple(parameters), _Reader(symbolic(constants), symbols, values)
 
 
-def _make_body(body: model.Body, axis: int, own: Matrix, carrier: Matrix, parent: int, reader: _Reader) -> tree.Body:
-    placement = body.joint.placement
-    return tree.Body(
-        name=body.name,
-        parent=parent,
-        joint=tree.Joint(
-            name=body.joint.name,
-            motion=body.joint.motion,
-            axis=axis,
-            actuated=body.joint.actuated,
-            lower=reader.limit(body.joint.lower),
-            upper=reader.limit(body.joint.upper),
-        ),
-        position=_express(reader.vector(placement.position), carrier),
-        orientation=_product(_product(_transpose(carrier), reader.rotation(placement)), own),
-        mass=reader.number(body.mass),
-        com=_express(reader.vector(body.com), own),
-        inertia=_express_tensor(reader.matrix(body.inertia.rows), own),
+@dataclass(frozen=True)
+class _Seat:
+    """Where an author's frame is: in a body of the Tree."""
+
+    number: int  # of the body; 0: the base
+    position: Vector = (ZERO, ZERO, ZERO)
+    axes: Matrix = IDENTITY  # columns: the author's axes
+
+    def point(self, v: Vector) -> Vector:
+        """Find the place of a point that is given in the author's frame."""
+        x, y, z = (total((a, b)) for a, b in zip(self.position, self.vector(v), strict=True))
+        return x, y, z
+
+    def vector(self, v: Vector) -> Vector:
+        """Write a vector of the author's frame in the body's."""
+        return _express(v, _transpose(self.axes))
+
+    def carry(self, placement: model.Placement, reader: _Reader) -> _Seat:
+        """Find the seat of a frame that is placed on this one."""
+        return _Seat(
+            self.number,
+            self.point(reader.vector(placement.position)),
+            _product(self.axes, reader.rotation(placement)),
+        )
+
+
+@dataclass(frozen=True)
+class _Mover:
+    """A body of the Tree, but for its mass."""
+
+    name: str
+    joint: model.Joint
+    axis: int
+    parent: int
+    position: Vector
+    orientation: Matrix
+
+
+@dataclass(frozen=True)
+class _Lump:
+    """The mass of one body of the author's, in the frame of a body of the Tree."""
+
+    mass: Expr
+    com: Vector
+    inertia: Matrix  # about com
+
+    @property
+    def is_null(self) -> bool:
+        """Tell whether there is nothing, whatever the parameters."""
+        return self.mass is ZERO and all(entry is ZERO for row in self.inertia for entry in row)
+
+
+def _read_lump(body: model.Body, seat: _Seat, reader: _Reader) -> _Lump:
+    tensor = _express_tensor(reader.matrix(body.inertia.rows), _transpose(seat.axes))
+    return _Lump(reader.number(body.mass), seat.point(reader.vector(body.com)), tensor)
+
+
+def _merge(lumps: Sequence[_Lump]) -> _Lump:
+    """Make one body of those that are fixed together; the first one stands in where none has mass."""
+    first, *rest = [lump for lump in lumps if not lump.is_null] or lumps[:1]
+    if not rest:
+        return first
+    lumps = (first, *rest)
+    mass = total(lump.mass for lump in lumps)
+    com = first.com
+    if mass is not ZERO and any(lump.com != com for lump in lumps):
+        x, y, z = (_tidy(total(lump.mass * lump.com[k] for lump in lumps) / mass) for k in range(3))
+        com = x, y, z
+    pairs = [(i, j) for i in range(3) for j in range(i, 3)]
+    shifted = [_shift(lump, com) for lump in lumps]
+    tensor = _symmetric({(i, j): _tidy(total(tensor[i][j] for tensor in shifted)) for i, j in pairs})
+    return _Lump(_tidy(mass), com, tensor)
+
+
+def _shift(lump: _Lump, point: Vector) -> Matrix:
+    """Take a tensor about another point: I + m (d.d 1 - d dT), d from the centre of mass to it (Steiner)."""
+    d = [total((a, -b)) for a, b in zip(lump.com, point, strict=True)]
+    squared = total(x * x for x in d)
+    return _symmetric(
+        {
+            (i, j): total((lump.inertia[i][j], lump.mass * total((squared if i == j else ZERO, -d[i] * d[j]))))
+            for i in range(3)
+            for j in range(i, 3)
+        }
     )
+
+
+def _tidy(number: Expr) -> Expr:
+    return round_number(number) if number.is_number else number
+
+
+def _make_body(mover: _Mover, lump: _Lump, reader: _Reader) -> tree.Body:
+    assert mover.joint.name is not None, "the joints of an expanded model have names"
+    return tree.Body(
+        name=mover.name,
+        parent=mover.parent,
+        joint=tree.Joint(
+            name=mover.joint.name,
+            motion=mover.joint.motion,
+            axis=mover.axis,
+            actuated=mover.joint.actuated,
+            lower=reader.limit(mover.joint.lower),
+            upper=reader.limit(mover.joint.upper),
+            law=reader.law(mover.joint.law),
+        ),
+        position=mover.position,
+        orientation=mover.orientation,
+        mass=lump.mass,
+        com=lump.com,
+        inertia=lump.inertia,
+    )
+
+
+def _make_sensor(frame: model.Frame, seat: _Seat, reader: _Reader) -> tree.Sensor:
+    placed = seat.carry(frame.placement, reader)
+    return tree.Sensor(frame.name, placed.number, placed.position, placed.axes)
+
+
+def _make_wrench(wrench: model.Wrench, seat: _Seat, reader: _Reader) -> tree.Wrench:
+    force, moment = (None if v is None else reader.vector(v) for v in (wrench.force, wrench.moment))
+    position = seat.point(reader.vector(wrench.position))
+    axes = IDENTITY if wrench.in_base else seat.axes
+    return tree.Wrench(wrench.name, seat.number, position, wrench.in_base, force, moment, axes)
 
 
 def _express(v: Vector, C: Matrix) -> Vector:

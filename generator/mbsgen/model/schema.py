@@ -7,18 +7,19 @@ while the rest of a file is examined.
 
 from __future__ import annotations
 
+import json
 import math
 from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, PlainValidator, Tag
+from pydantic.json_schema import GenerateJsonSchema
 
 from mbsgen.documents import Section, WrongValueError, abbreviate
 from mbsgen.expressions import Expression, ExpressionError, Number, parse
-from mbsgen.model.model import BASE, Triple
+from mbsgen.model.compounds import UNITS
+from mbsgen.model.model import BASE, ORIGIN, ZERO, Triple
 from mbsgen.model.tree import Kind
 
-ZERO = Number(0.0)
-ORIGIN: Triple = (ZERO, ZERO, ZERO)
 _DIRECTION = "give x, y, z, -x, -y, -z or a direction such as [0, 0.6, 0.8]"
 
 
@@ -45,10 +46,8 @@ def read_limit(value: Any) -> Expression | None:
 
 def read_direction(value: Any) -> Triple:
     """Read a named axis or three numbers."""
-    if isinstance(value, str) and value[-1:] in ("x", "y", "z") and value[:-1] in ("", "-"):
-        length = -1.0 if value.startswith("-") else 1.0
-        x, y, z = (Number(length if axis == value[-1] else 0.0) for axis in "xyz")
-        return x, y, z
+    if isinstance(value, str) and value in UNITS:
+        return UNITS[value]
     if isinstance(value, list) and len(value) == 3:
         a, b, c = map(read_number, value)
         return a, b, c
@@ -59,9 +58,24 @@ def _tell_mappings(value: Any) -> str:
     return "mapping" if isinstance(value, dict) else "other"
 
 
-NumberField = Annotated[Expression, PlainValidator(read_number)]
-LimitField = Annotated[Expression | None, PlainValidator(read_limit)]
-DirectionField = Annotated[Triple, PlainValidator(read_direction)]
+def _tell_inputs(value: Any) -> str:
+    return "input" if isinstance(value, str) else "other"
+
+
+def _tell_lists(value: Any) -> str:
+    return "list" if isinstance(value, list) else "other"
+
+
+Written = float | str  # a number, or an expression
+NumberField = Annotated[Expression, PlainValidator(read_number, json_schema_input_type=Written)]
+LimitField = Annotated[Expression | None, PlainValidator(read_limit, json_schema_input_type=Written | None)]
+DirectionField = Annotated[
+    Triple,
+    PlainValidator(
+        read_direction,
+        json_schema_input_type=Literal["x", "y", "z", "-x", "-y", "-z"] | tuple[Written, Written, Written],
+    ),
+]
 TripleField = tuple[NumberField, NumberField, NumberField]
 
 
@@ -86,14 +100,92 @@ class PlacementSection(Section):
     orientation: tuple[RotationSection, ...] = Field((), examples=[[{"axis": "x", "angle": 0.5}]])
 
 
-class JointSection(PlacementSection):
-    """A joint: how it moves its body, and where that body's frame stands on the parent while q = 0."""
+class FrictionSection(Section):
+    """Dry friction, smoothed: -torque*tanh(qd/speed)."""
 
-    name: str | None = Field(None, examples=["q1"])  # else the body's
+    torque: NumberField = Field(examples=[0.5], description="Nm; of a prismatic joint, the force in N")
+    speed: NumberField = Field(examples=[0.01], description="at which 3/4 of it are reached, in rad/s or m/s")
+
+
+class SettingSection(Section):
+    """What an elementary joint may be given beside its axis."""
+
+    name: str | None = Field(None, examples=["q1"], description="else the body's, or made of it and the axis")
+    actuated: bool | None = Field(None, examples=[True], description="whether it takes an input u; else it is passive")
+    limits: tuple[LimitField, LimitField] = Field((None, None), examples=[[-1.0, 1.0]], description="rad or m")
+    stiffness: NumberField = Field(ZERO, examples=[10.0], description="of a spring: -stiffness*(q - rest)")
+    rest: NumberField = Field(ZERO, examples=[0.1], description="q where the spring is slack")
+    damping: NumberField = Field(ZERO, examples=[0.1], description="of a damper: -damping*qd")
+    friction: FrictionSection | None = Field(None, examples=[{"torque": 0.5, "speed": 0.01}])
+    force: NumberField = Field(
+        ZERO, examples=["-2*q**3"], description="Nm or N, added to all else: an expression over parameters, q and qd"
+    )
+
+
+class ElementarySection(PlacementSection, SettingSection):
+    """One degree of freedom, and where the frame that it moves stands on what carries it while q = 0."""
+
     type: Literal["revolute", "prismatic"] = Field(examples=["revolute"])
     axis: DirectionField = Field(examples=["z"])
-    actuated: bool = Field(True, examples=[True])
-    limits: tuple[LimitField, LimitField] = Field((None, None), examples=[[-1.0, 1.0]])
+
+
+class FixedSection(PlacementSection):
+    """What holds a body fast on its parent."""
+
+    type: Literal["fixed"] = Field(examples=["fixed"])
+
+
+class CompoundSection(PlacementSection):
+    """A usual sequence of joints, each in the frame that those before it moved."""
+
+    actuated: bool | None = Field(None, examples=[True], description="whether its joints take inputs u")
+    axes: dict[str, Annotated[SettingSection, Field(examples=[{}])]] = Field(
+        {},
+        examples=[{}],
+        description="settings of its elementary joints: x slides along x, rx turns about it",
+        json_schema_extra={"propertyNames": {"enum": ["x", "y", "z", "rx", "ry", "rz"]}},
+    )
+
+
+class CardanSection(CompoundSection):
+    """Two revolute joints with axes that meet."""
+
+    type: Literal["cardan", "universal"] = Field(examples=["cardan"])
+    order: Literal["xy", "xz", "yx", "yz", "zx", "zy"] = Field("xy", examples=["xy"])
+
+
+class SphericalSection(CompoundSection):
+    """Three revolute joints with axes that meet; they lock where the second is at a quarter turn."""
+
+    type: Literal["spherical"] = Field(examples=["spherical"])
+    order: Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"] = Field("zyx", examples=["zyx"])
+
+
+class PlanarSection(CompoundSection):
+    """Two prismatic joints along the axes of a plane, and a revolute joint about its normal."""
+
+    type: Literal["planar"] = Field(examples=["planar"])
+    plane: Literal["xy", "xz", "yz"] = Field("xy", examples=["xy"])
+
+
+class FloatingSection(CompoundSection):
+    """Three prismatic joints along x, y, z, then a spherical joint: a free body, passive unless told otherwise."""
+
+    type: Literal["floating"] = Field(examples=["floating"])
+    order: Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"] = Field("zyx", examples=["zyx"])
+
+
+_JOINT = {"type": "revolute", "axis": "z"}
+NamedSection = CardanSection | SphericalSection | PlanarSection | FloatingSection
+JointSection = ElementarySection | FixedSection | NamedSection
+OneJointField = Annotated[JointSection, Field(discriminator="type")]
+SequenceField = Annotated[
+    tuple[Annotated[ElementarySection, Field(examples=[_JOINT])], ...],
+    Field(min_length=2, examples=[[{"type": "revolute", "axis": "x"}, {"type": "revolute", "axis": "y"}]]),
+]
+JointField = Annotated[
+    Annotated[OneJointField, Tag("other")] | Annotated[SequenceField, Tag("list")], Discriminator(_tell_lists)
+]
 
 
 class TensorSection(Section):
@@ -108,16 +200,16 @@ class TensorSection(Section):
 
 
 class BodySection(Section):
-    """A rigid body, carried by a joint; without mass and inertia it only links joints."""
+    """A rigid body, and what carries it; without mass and inertia it only links joints."""
 
     name: str = Field(examples=["upperarm"])
-    parent: str = Field(BASE, examples=[BASE])
-    joint: JointSection = Field(examples=[{"type": "revolute", "axis": "z"}])
-    mass: NumberField = Field(ZERO, examples=[1.0])
-    com: TripleField = Field(ORIGIN, examples=[[0.1, 0.0, 0.0]])
+    parent: str = Field(BASE, examples=[BASE], description="the body that carries it, or base")
+    joint: JointField = Field(examples=[_JOINT], description="what carries it: a joint, or a list of them")
+    mass: NumberField = Field(ZERO, examples=[1.0], description="kg")
+    com: TripleField = Field(ORIGIN, examples=[[0.1, 0.0, 0.0]], description="centre of mass in the body's frame, m")
     inertia: Annotated[
         Annotated[TripleField, Tag("other")] | Annotated[TensorSection, Tag("mapping")], Discriminator(_tell_mappings)
-    ] = Field(ORIGIN, examples=[[0.1, 0.1, 0.1]])
+    ] = Field(ORIGIN, examples=[[0.1, 0.1, 0.1]], description="about the centre of mass, in the body's axes, kg m2")
 
 
 class FrameSection(PlacementSection):
@@ -125,6 +217,22 @@ class FrameSection(PlacementSection):
 
     name: str = Field(examples=["hand"])
     body: str = Field(examples=[BASE])
+
+
+WrenchField = Annotated[
+    Annotated[Literal["input"], Tag("input")] | Annotated[TripleField, Tag("other")], Discriminator(_tell_inputs)
+]
+
+
+class WrenchSection(Section):
+    """An external force and moment on a body: numbers, or inputs of the code."""
+
+    name: str = Field(examples=["wind"])
+    body: str = Field(examples=["upperarm"])
+    position: TripleField = Field(ORIGIN, examples=[[0.1, 0.0, 0.0]], description="its point, in the body's frame, m")
+    frame: Literal["base", "body"] = Field("base", examples=["base"], description="whose axes its components are along")
+    force: WrenchField = Field(ORIGIN, examples=[[0.0, 0.0, 1.0]], description="three numbers in N, or input")
+    moment: WrenchField = Field(ORIGIN, examples=[[0.0, 0.0, 1.0]], description="three numbers in Nm, or input")
 
 
 ParameterField = Annotated[
@@ -139,8 +247,32 @@ class ModelSection(Section):
     """A model file."""
 
     name: str = Field(examples=["arm"])
-    gravity: TripleField = Field(examples=[[0.0, 0.0, -9.81]])
+    gravity: TripleField = Field(examples=[[0.0, 0.0, -9.81]], description="in the base's frame, m/s2")
     parameters: dict[str, Annotated[ParameterField, Field(examples=[1.0])]] = Field({}, examples=[{"l1": 0.3}])
     bodies: tuple[Annotated[BodySection, Field(examples=[EXAMPLE])], ...] = Field(examples=[[EXAMPLE]])
-    frames: tuple[FrameSection, ...] = Field((), examples=[[]])
-    allow_unphysical: bool = Field(False, examples=[False])
+    frames: tuple[FrameSection, ...] = Field((), examples=[[]], description="sensors")
+    wrenches: tuple[WrenchSection, ...] = Field((), examples=[[]])
+    allow_unphysical: bool = Field(False, examples=[False], description="take inertias that no body has")
+
+
+# --- for editors -----------------------------------------------------------------------------------------------------
+
+
+class _JsonSchema(GenerateJsonSchema):
+    """A JSON Schema whose defaults are as a file has them."""
+
+    def encode_default(self, dft: Any) -> Any:
+        if isinstance(dft, Number):
+            return dft.value
+        return [*map(self.encode_default, dft)] if isinstance(dft, tuple) else super().encode_default(dft)
+
+
+def write_schema() -> str:
+    """Write the JSON Schema of model files: it helps an editor to complete and to check them."""
+    described = ModelSection.model_json_schema(schema_generator=_JsonSchema)
+    head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "mbsgen model"}
+    return json.dumps(head | {k: v for k, v in described.items() if k not in head}, indent=2) + "\n"
+
+
+if __name__ == "__main__":
+    print(write_schema(), end="")

@@ -13,7 +13,27 @@ from collections.abc import Callable, Iterable, Mapping
 from types import MappingProxyType
 
 from mpmath import MPContext, mpf
-from sympy import Add, Expr, Float, Integer, Pow, Rational, S, Symbol, cos, sin, sqrt
+from sympy import (
+    Abs,
+    Add,
+    Expr,
+    Float,
+    Integer,
+    Pow,
+    Rational,
+    S,
+    Symbol,
+    acos,
+    asin,
+    atan,
+    atan2,
+    cos,
+    exp,
+    log,
+    sin,
+    sqrt,
+    tanh,
+)
 
 from mbsgen.expressions import FUNCTIONS, Algebra, ExpressionError
 
@@ -21,8 +41,18 @@ _DIGITS = MPContext()
 _DIGITS.dps = 60
 _NOISE = _DIGITS.mpf(10) ** -50
 
-_SYMBOLIC: Mapping[str, Callable[..., Expr]] = MappingProxyType(  # functions that generated code can compute
-    {"sin": sin, "cos": cos, "tan": lambda x: sin(x) / cos(x), "sqrt": lambda x: _take_root(x)}
+_ROUNDING = ("sin", "cos", "tan", "sqrt")  # their results near 0 are 0 where the angle brings its rounding
+_KEPT = {"asin": asin, "acos": acos, "atan": atan, "atan2": atan2, "exp": exp, "log": log, "tanh": tanh, "abs": Abs}
+
+
+def _keep(function: type[Expr]) -> Callable[..., Expr]:
+    """Make a function whose calls stay as they are written: SymPy makes exp(re(x)) of abs(exp(x))."""
+    return lambda *arguments: function(*arguments, evaluate=False)
+
+
+_SYMBOLIC: Mapping[str, Callable[..., Expr]] = MappingProxyType(
+    {"sin": sin, "cos": cos, "tan": lambda x: sin(x) / cos(x), "sqrt": sqrt}
+    | {name: _keep(function) for name, function in _KEPT.items()}
 )
 
 
@@ -34,7 +64,7 @@ def exact(value: float) -> Expr:
 def symbolic(constants: Mapping[Symbol, Expr]) -> Algebra[Expr]:
     """Make the algebra of expressions over symbols, given the values of those that are constants.
 
-    A function of constants alone is a number; of run-time parameters only sin, cos, tan and sqrt can be had.
+    A function of constants alone is a number.
     """
 
     def function(name: str) -> Callable[..., Expr]:
@@ -42,10 +72,7 @@ def symbolic(constants: Mapping[Symbol, Expr]) -> Algebra[Expr]:
             values = [argument.xreplace(constants) for argument in arguments]
             if all(value.is_number for value in values):
                 return _compute(name, values)
-            if name in _SYMBOLIC:
-                return _SYMBOLIC[name](*arguments)
-            remedy = f"make the parameter constant; at run time there are {', '.join(_SYMBOLIC)}"
-            raise ExpressionError(f"{name} of a run-time parameter", remedy)
+            return _SYMBOLIC[name](*arguments)
 
         return apply
 
@@ -70,6 +97,13 @@ def total(terms: Iterable[Expr]) -> Expr:
             factor, rest = part.as_coeff_Mul()
             factors.setdefault(rest, []).append(factor)
     return Add(*(_add(like) * rest for rest, like in factors.items()))
+
+
+def check_powers(expression: Expr) -> None:
+    """Refuse powers that generated code does not compute, such as roots of roots. Raises ExpressionError."""
+    if any(not (2 * power.exp).is_integer for power in expression.atoms(Pow)):
+        finding = "a power that is neither whole nor a square root"
+        raise ExpressionError(finding, "keep to those, or to constant parameters")
 
 
 def round_number(number: Expr) -> Expr:
@@ -113,7 +147,7 @@ def _compute(name: str, values: list[Expr]) -> Expr:
     result = abs(operands[0]) if name == "abs" else getattr(_DIGITS, name)(*operands)
     if not isinstance(result, _DIGITS.mpf) or not _is_ordinary(result):
         raise ValueError(f"{name} has no real value here")
-    return _settle(result, abs(operands[0]) if name in _SYMBOLIC else _DIGITS.zero)  # an angle brings its rounding
+    return _settle(result, abs(operands[0]) if name in _ROUNDING else _DIGITS.zero)  # an angle brings its rounding
 
 
 def _is_ordinary(number: mpf) -> bool:
@@ -127,13 +161,6 @@ def _settle(number: mpf, size: mpf) -> Expr:
         if abs(number - whole) <= _NOISE * size:
             return Integer(int(whole))
     return Float(number._mpf_, precision=_DIGITS.prec)
-
-
-def _take_root(radicand: Expr) -> Expr:
-    root = sqrt(radicand)
-    if any(not (2 * power.exp).is_integer for power in root.atoms(Pow)):
-        raise ExpressionError("a root of a root of a run-time parameter", "make the parameter constant")
-    return root
 
 
 def _divide(numerator: Expr, denominator: Expr) -> Expr:

@@ -6,7 +6,7 @@ from collections.abc import Container, Iterator, Sequence
 
 from mbsgen.documents import Place, abbreviate, lies_under, nearest
 from mbsgen.model.findings import Finding
-from mbsgen.model.model import BASE, Model
+from mbsgen.model.model import BASE, Fixed, Model
 
 
 def sort_bodies(model: Model) -> list[int]:
@@ -38,13 +38,23 @@ def index_parents(model: Model) -> list[int | None]:
     return [places.get(body.parent) for body in model.bodies]
 
 
+def list_grounded(model: Model) -> frozenset[str]:
+    """Name what does not move: the base, and the bodies that are fixed to it, directly or by others."""
+    parents, grounded = index_parents(model), [False] * len(model.bodies)
+    for i in walk_bodies(model):
+        parent = parents[i]
+        grounded[i] = isinstance(model.bodies[i].joint, Fixed) and (parent is None or grounded[parent])
+    return frozenset((BASE, *(body.name for body, still in zip(model.bodies, grounded, strict=True) if still)))
+
+
 def check_tree(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
-    """Find parents and bodies of frames that do not exist, and loops of parents."""
+    """Find parents and bodies of frames and wrenches that do not exist, and loops of parents."""
     names = [body.name for body in model.bodies]
     if any(lies_under(("bodies", i, "name"), doubtful) for i in range(len(names))):
         return  # any name may be the one that is missed
     parents: list[tuple[Place, str]] = [(("bodies", i, "parent"), b.parent) for i, b in enumerate(model.bodies)]
     carriers: list[tuple[Place, str]] = [(("frames", i, "body"), f.body) for i, f in enumerate(model.frames)]
+    carriers += [(("wrenches", i, "body"), wrench.body) for i, wrench in enumerate(model.wrenches)]
     for place, name in [*parents, *carriers]:
         if name not in (BASE, *names) and not lies_under(place, doubtful):
             meant = nearest(name, [BASE, *names])

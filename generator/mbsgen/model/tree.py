@@ -19,6 +19,9 @@ NO_FORCE = Integer(0)
 Vector = tuple[Expr, Expr, Expr]
 Matrix = tuple[Vector, Vector, Vector]  # rows
 
+ZERO, ONE = Integer(0), Integer(1)
+IDENTITY: Matrix = ((ONE, ZERO, ZERO), (ZERO, ONE, ZERO), (ZERO, ZERO, ONE))
+
 
 class Motion(Enum):
     """What an elementary joint does along its axis."""
@@ -88,9 +91,10 @@ class Wrench:
     name: str
     body: int  # from 1
     position: Vector  # of the point, in the body's frame [m]
-    in_base: bool  # components in the base frame; else in the body's
+    in_base: bool  # components in the base frame; else along the axes that `orientation` tells
     force: Vector | None  # [N]; None: three entries of the input w
     moment: Vector | None  # [N m]; None: three more entries of w
+    orientation: Matrix = IDENTITY  # columns: the axes of the components, in the body's frame
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,11 @@ from sympy import Expr, Symbol
 
 from mbsgen.documents import Place, abbreviate, lies_under
 from mbsgen.expressions import Expression, ExpressionError, evaluate, names
+from mbsgen.model import model
 from mbsgen.model.findings import Finding
 from mbsgen.model.model import Parameter, Triple
-from mbsgen.model.symbols import exact, round_number, symbolic, to_double
-from mbsgen.model.tree import Kind
+from mbsgen.model.symbols import check_powers, exact, round_number, symbolic, to_double
+from mbsgen.model.tree import COORDINATE, RATE, Kind
 
 LARGEST = 1e150  # products of two numbers do not overflow
 GENERIC = 0.7390851332151607  # for a run-time parameter that is 0 now, and may be anything later
@@ -51,6 +52,18 @@ class Valuation:
             return math.nan
         return self.number(place, expression)
 
+    def check_law(self, place: Place, law: Expression) -> None:
+        """Find what keeps an expression over parameters, q and qd from being computed."""
+        values = {name: value for name, value in self._values.items() if name not in self._runtime}
+        own = {name: Symbol(name) for name in self._runtime} | {model.COORDINATE: COORDINATE, model.RATE: RATE}
+        needed = names(law) - {model.COORDINATE, model.RATE}
+        if not self._is_known(place, needed):
+            return
+        try:
+            check_powers(evaluate(law, values | own, self._algebra))
+        except ExpressionError as error:
+            self._find(place, error.finding, error.remedy)
+
     def changes(self, expression: Expression) -> bool:
         """Tell whether an expression depends on run-time parameters."""
         return not self._runtime.isdisjoint(names(expression))
@@ -78,21 +91,28 @@ class Valuation:
 
     def _evaluate(self, place: Place, expression: Expression) -> Expr | None:
         needed = names(expression)
-        if lies_under(place, self._doubtful) or needed & self._broken:
-            return None
-        for name in sorted(needed & self._later):
-            self._find(place, f"parameter {abbreviate(name)} is used before it is given", "put it further up")
+        if not self._is_known(place, needed):
             return None
         try:
             value = evaluate(expression, self._values, self._algebra)
             if needed & self._runtime:  # then the expression must have a form, beside its present value
-                evaluate(expression, self._values | {name: Symbol(name) for name in self._runtime}, self._algebra)
+                symbols = {name: Symbol(name) for name in self._runtime}
+                check_powers(evaluate(expression, self._values | symbols, self._algebra))
             if abs(to_double(value)) > LARGEST:
                 raise ExpressionError(f"a value of {to_double(value):g}", f"stay below {LARGEST:g}")
         except ExpressionError as error:
             self._find(place, error.finding, error.remedy)
             return None
         return value
+
+    def _is_known(self, place: Place, needed: frozenset[str]) -> bool:
+        """Tell whether something can be concluded of a place that needs these parameters."""
+        if lies_under(place, self._doubtful) or needed & self._broken:
+            return False
+        for name in sorted(needed & self._later):
+            self._find(place, f"parameter {abbreviate(name)} is used before it is given", "put it further up")
+            return False
+        return True
 
     def _find(self, place: Place, finding: str, remedy: str) -> None:
         self.findings.append(Finding(place, finding, remedy))

@@ -116,7 +116,7 @@ BAD: dict[str, tuple[str, str, int, str, str]] = {
     "a tower of exponentials": ("mass: 10", "mass: exp(exp(exp(9)))", 10, "bodies[0].mass", "has no value"),
     "a long expression": ("mass: 10", f"mass: {'1+' * 300}1", 10, "bodies[0].mass", "601 characters"),
     "a deep expression": ("mass: 10", f"mass: {'sin(' * 45}1{')' * 45}", 10, "bodies[0].mass", "nested deeper"),
-    "no form at run time": ("mass: m", "mass: exp(m)", 19, "bodies[1].mass", "exp of a run-time parameter"),
+    "no form at run time": ("mass: m", "mass: sqrt(2*sqrt(m))", 19, "bodies[1].mass", "neither whole nor"),
     # parameters
     "a later parameter": ("  g: 9.81", "  g: 5*l", 4, "parameters.g", "used before it is given"),
     "a parameter of itself": ("  g: 9.81", "  g: 2*g", 4, "parameters.g", "used before it is given"),
@@ -314,6 +314,269 @@ def test_what_may_look_wrong_is_accepted(old: str, new: str, tmp_path: Path) -> 
     file = tmp_path / "model.yaml"
     file.write_text(text, encoding="utf-8")
     assert len(read_model(file).bodies) == 3
+
+
+WALKER = """\
+name: walker
+gravity: [0, 0, -9.81]
+parameters:
+  k: 50
+  push: {value: 2, kind: runtime}
+bodies:
+  - name: trunk
+    joint:
+      type: floating
+      order: xyz
+      axes: {rz: {limits: [-1, 1], damping: 2}}
+    mass: 10
+    inertia: [1, 1, 1]
+  - name: pack
+    parent: trunk
+    joint: {type: fixed, position: [-0.2, 0, 0.1]}
+    mass: 2
+  - name: leg
+    parent: trunk
+    joint:
+      - {type: revolute, axis: x, stiffness: k, rest: 0.1}
+      - {type: prismatic, axis: z, friction: {torque: 1, speed: 0.01}, force: -k*q**3}
+    mass: 1
+    com: [0, 0.1, -0.3]
+    inertia: [0.1, 0.1, 0.01]
+  - name: arm
+    parent: pack
+    joint: {type: cardan, position: [0, 0.3, 0]}
+    mass: 1
+    com: [0, 0.3, 0]
+    inertia: [0.1, 0.01, 0.1]
+frames:
+  - {name: toe, body: leg}
+wrenches:
+  - {name: ground, body: leg, position: [0, 0, -0.5], frame: base, force: input}
+  - name: wind
+    body: pack
+    frame: body
+    force: [push, 0, 0]
+"""
+ARM = WALKER[WALKER.index("  - name: arm") : WALKER.index("frames:")]
+PACK = WALKER[WALKER.index("  - name: pack") : WALKER.index("  - name: leg")]
+
+# As above, of WALKER.
+BAD_PARTS: dict[str, tuple[str, str, int, str, str]] = {
+    # joints that have a name of their own
+    "unknown order": ("order: xyz", "order: xyx", 10, "bodies[0].joint.order", '"xyx"'),
+    "an order of another joint": ("order: xyz", "order: xy", 10, "bodies[0].joint.order", '"xy"'),
+    "a plane of a floating joint": ("order: xyz", "plane: xy", 10, "bodies[0].joint.plane", "unknown key"),
+    "an axis of a floating joint": ("order: xyz", "axis: x", 10, "bodies[0].joint.axis", "unknown key"),
+    "limits of a floating joint": ("order: xyz", "limits: [-1, 1]", 10, "bodies[0].joint.limits", "unknown key"),
+    "unknown axis of a joint": ("{rz: {limits", "{rw: {limits", 11, "bodies[0].joint.axes.rw", 'no axis "rw"'),
+    "an axis that a Cardan joint has not": (
+        "{type: cardan, ",
+        "{type: cardan, axes: {rz: {}}, ",
+        28,
+        "bodies[3].joint.axes.rz",
+        'no axis "rz"',
+    ),
+    "limits of an axis out of order": ("[-1, 1]", "[1, -1]", 11, "bodies[0].joint.axes.rz.limits", "is above"),
+    "limits of an axis by an unknown name": ("[-1, 1]", "[-1, w]", 11, "bodies[0].joint.axes.rz.limits[1]", '"w"'),
+    "a key of an axis": ("damping: 2}", "dampnig: 2}", 11, "bodies[0].joint.axes.rz.dampnig", "unknown key"),
+    "a place of an axis": ("damping: 2}", "position: 2}", 11, "bodies[0].joint.axes.rz.position", "unknown key"),
+    "a place of a Cardan joint": ("[0, 0.3, 0]}", "[0, y, 0]}", 28, "bodies[3].joint.position[1]", '"y"'),
+    "a type that is no word": ("type: floating", "type: [floating]", 9, "bodies[0].joint.type", '["floating"]'),
+    "no type of an order": ("      type: floating\n", "", 8, "bodies[0].joint.type", "missing"),
+    "a joint that is a word": (
+        "joint: {type: cardan, position: [0, 0.3, 0]}",
+        "joint: cardan",
+        28,
+        "bodies[3].joint",
+        '"cardan"',
+    ),
+    # sequences
+    "a sequence of one": (
+        "      - {type: prismatic, axis: z, friction: {torque: 1, speed: 0.01}, force: -k*q**3}\n",
+        "",
+        20,
+        "bodies[2].joint",
+        "list of 1",
+    ),
+    "an empty sequence": (
+        "joint: {type: cardan, position: [0, 0.3, 0]}",
+        "joint: []",
+        28,
+        "bodies[3].joint",
+        "list of 0",
+    ),
+    "a fixed joint in a sequence": (
+        "{type: revolute, axis: x, stiffness: k, rest: 0.1}",
+        "{type: fixed, axis: x}",
+        21,
+        "bodies[2].joint[0].type",
+        '"fixed"',
+    ),
+    "a floating joint in a sequence": (
+        "{type: revolute, axis: x, stiffness: k, rest: 0.1}",
+        "{type: floating, axis: x}",
+        21,
+        "bodies[2].joint[0].type",
+        '"floating"',
+    ),
+    "no direction in a sequence": ("axis: z,", "axis: [0, 0, 0],", 22, "bodies[2].joint[1].axis", "no direction"),
+    "a point on the axis of a sequence": (
+        ARM,
+        "  - {name: arm, mass: 1, parent: leg, joint: [{type: prismatic, axis: x}, {type: revolute, axis: y}]}\n",
+        26,
+        "bodies[3].joint[1]",
+        'joint "arm.ry" moves nothing',
+    ),
+    "a locked axis of a joint": (
+        "    com: [0, 0.3, 0]\n    inertia: [0.1, 0.01, 0.1]\n",
+        "    com: [0, 0.3, 0]\n",
+        28,
+        "bodies[3].joint",
+        'joint "arm.ry" moves nothing',
+    ),
+    "a name taken by a body between": ("name: arm", "name: trunk.rx", 26, "bodies[3].name", '"trunk.rx" is taken'),
+    "a name taken by a joint between": (
+        "{type: revolute, axis: x,",
+        "{name: trunk.x, type: revolute, axis: x,",
+        21,
+        "bodies[2].joint[0].name",
+        '"trunk.x" is taken',
+    ),
+    "an empty name of a joint between": (
+        "{type: revolute, axis: x,",
+        "{name: '', type: revolute, axis: x,",
+        21,
+        "bodies[2].joint[0].name",
+        "an empty name",
+    ),
+    "a name too long for its joints": ("name: arm", f"name: {'a' * 63}", 26, "bodies[3].name", "66 characters"),
+    "too many joints": (
+        ARM,
+        f"  - {{name: arm, mass: 1, joint: [{', '.join(['{type: prismatic, axis: x}'] * 992)}]}}\n",
+        6,
+        "bodies",
+        "1001 bodies, those between",
+    ),
+    # bodies that are fixed
+    "limits of what is fixed": (
+        "{type: fixed, ",
+        "{type: fixed, limits: [0, 1], ",
+        16,
+        "bodies[1].joint.limits",
+        "unknown key",
+    ),
+    "a place that is no number": ("[-0.2, 0, 0.1]", "[-0.2, 0, up]", 16, "bodies[1].joint.position[2]", '"up"'),
+    "its own fixed parent": (
+        "trunk\n    joint: {type: fixed",
+        "pack\n    joint: {type: fixed",
+        15,
+        "bodies[1].parent",
+        "loop",
+    ),
+    "a loop with a fixed body": (
+        "    parent: trunk\n    joint: {type: fixed",
+        "    parent: arm\n    joint: {type: fixed",
+        15,
+        "bodies[1].parent",
+        '"pack" -> "arm" -> "pack"',
+    ),
+    "a negative mass of a fixed body": ("mass: 2\n", "mass: -2\n", 17, "bodies[1].mass", "a mass of -2"),
+    "nothing that moves": (
+        WALKER[WALKER.index("  - name: trunk") :],
+        "  - {name: a, joint: {type: fixed}, mass: 1}\n  - {name: b, parent: a, joint: {type: fixed}}\n",
+        6,
+        "bodies",
+        "nothing moves",
+    ),
+    "a fixed body too light for a joint": (
+        ARM,
+        "  - {name: arm, parent: leg, joint: {type: revolute, axis: x}}\n"
+        "  - {name: dot, parent: arm, joint: {type: fixed}, mass: 1}\n",
+        26,
+        "bodies[3].joint",
+        'joint "arm" moves nothing',
+    ),
+    # joints' own forces
+    "a negative stiffness": ("stiffness: k", "stiffness: -k", 21, "bodies[2].joint[0].stiffness", "stiffness -50"),
+    "a negative damping": ("damping: 2", "damping: -2", 11, "bodies[0].joint.axes.rz.damping", "damping -2"),
+    "a negative friction": ("torque: 1", "torque: -1", 22, "bodies[2].joint[1].friction.torque", "torque -1"),
+    "friction without a speed": (", speed: 0.01", "", 22, "bodies[2].joint[1].friction.speed", "missing"),
+    "friction at rest": ("speed: 0.01", "speed: 0", 22, "bodies[2].joint[1].friction.speed", "a speed of 0"),
+    "friction that is a number": ("{torque: 1, speed: 0.01}", "1", 22, "bodies[2].joint[1].friction", "found 1"),
+    "a rest position alone": ("stiffness: k, ", "", 21, "bodies[2].joint[0].rest", "without a spring"),
+    "a stiffness in q": ("stiffness: k", "stiffness: k*q", 21, "bodies[2].joint[0].stiffness", 'unknown name "q"'),
+    "an unknown name in a force": ("-k*q**3", "-k*x**3", 22, "bodies[2].joint[1].force", 'unknown name "x"'),
+    "the acceleration in a force": ("-k*q**3", "-k*qdd", 22, "bodies[2].joint[1].force", 'unknown name "qdd"'),
+    "another joint in a force": ("-k*q**3", "trunk.x", 22, "bodies[2].joint[1].force", "no meaning"),
+    "code in a force": ("-k*q**3", "__import__('os').abort()", 22, "bodies[2].joint[1].force", "no meaning"),
+    "a call in a force": ("-k*q**3", "eval(q)", 22, "bodies[2].joint[1].force", 'unknown function "eval"'),
+    "a lambda in a force": ("-k*q**3", "'(lambda: q)()'", 22, "bodies[2].joint[1].force", "no meaning"),
+    "an attribute in a force": ("-k*q**3", "q.__class__", 22, "bodies[2].joint[1].force", "no meaning"),
+    "a condition in a force": (
+        "-k*q**3",
+        "1 if q else 0",
+        22,
+        "bodies[2].joint[1].force",
+        "no meaning",
+    ),
+    "a broken power in a force": ("-k*q**3", "-k*q**0.3", 22, "bodies[2].joint[1].force", "exponent"),
+    "a root of a root in a force": ("-k*q**3", "sqrt(sqrt(q))", 22, "bodies[2].joint[1].force", "neither whole nor"),
+    "a force that has no value": ("-k*q**3", "q/(k - 50)", 22, "bodies[2].joint[1].force", "has no value"),
+    "an infinite force": ("-k*q**3", ".inf", 22, "bodies[2].joint[1].force", "found inf"),
+    "a parameter called q": ("  k: 50", "  k: 50\n  q: 1", 5, "parameters.q", "the joint's own"),
+    "a parameter called qd": ("  k: 50", "  k: 50\n  qd: 1", 5, "parameters.qd", "the joint's own"),
+    # wrenches
+    "a wrench on a missing body": ("body: leg, pos", "body: lag, pos", 35, "wrenches[0].body", 'no body "lag"'),
+    "a wrench on the base": ("body: leg, pos", "body: base, pos", 35, "wrenches[0].body", "does not move"),
+    "a wrench on what is fixed to the base": (
+        "    parent: trunk\n    joint: {type: fixed",
+        "    joint: {type: fixed",
+        36,
+        "wrenches[1].body",
+        '"pack" is fixed to base',
+    ),
+    "no body of a wrench": ("body: leg, pos", "pos", 35, "wrenches[0].body", "missing"),
+    "a wrench of nothing": (", force: input", "", 35, "wrenches[0]", "without force and moment"),
+    "a wrench of zeros": ("[push, 0, 0]", "[k - 50, 0, 0]", 36, "wrenches[1]", "without force and moment"),
+    "an unknown input": ("force: input", "force: inputs", 35, "wrenches[0].force", '"inputs"'),
+    "an input among numbers": ("[push, 0, 0]", "[input, 0, 0]", 39, "wrenches[1].force[0]", 'unknown name "input"'),
+    "a force of two": ("[push, 0, 0]", "[push, 0]", 39, "wrenches[1].force", "list of 2"),
+    "a wrench in q": ("[push, 0, 0]", "[q, 0, 0]", 39, "wrenches[1].force[0]", 'unknown name "q"'),
+    "an unknown frame": ("frame: base", "frame: world", 35, "wrenches[0].frame", '"world"'),
+    "a frame that is a body": ("frame: body", "frame: pack", 38, "wrenches[1].frame", '"pack"'),
+    "two wrenches of a name": ("name: wind", "name: Ground", 36, "wrenches[1].name", 'hard to tell from "ground"'),
+    "a wrench that is a path": ("name: wind", "name: ../wind", 36, "wrenches[1].name", "looks like a path"),
+    "a key of a wrench": ("frame: body\n", "at: body\n", 38, "wrenches[1].at", "unknown key"),
+    "code in a wrench": ("[push, 0, 0]", "['open(\"x\")', 0, 0]", 39, "wrenches[1].force[0]", "no meaning"),
+}
+
+
+@pytest.mark.parametrize(("old", "new", "line", "path", "finding"), BAD_PARTS.values(), ids=BAD_PARTS.keys())
+def test_a_fault_of_a_joint_or_wrench_is_told_with_its_place(
+    old: str, new: str, line: int, path: str, finding: str, tmp_path: Path
+) -> None:
+    assert WALKER.count(old) >= 1
+    told = find_faults(WALKER.replace(old, new, 1), tmp_path)
+    assert [(fault.line, fault.path) for fault in told] == [(line, path)]
+    assert finding in told[0].finding
+    assert told[0].remedy
+
+
+def test_the_good_walker_is_good(tmp_path: Path) -> None:
+    file = tmp_path / "model.yaml"
+    file.write_text(WALKER, encoding="utf-8")
+    assert [len(body.joints) for body in read_model(file).bodies] == [6, 0, 2, 2]
+
+
+def test_a_wrong_type_does_not_hide_what_is_wrong_elsewhere(tmp_path: Path) -> None:
+    """Nothing follows from keys that might belong to the right type."""
+    text = (
+        WALKER.replace("type: floating", "type: flaoting").replace("mass: 2\n", "mass: -2\n").replace("k: 50", "k: x")
+    )
+    told = [(fault.path, fault.remedy) for fault in find_faults(text, tmp_path)]
+    types = "give 'revolute', 'prismatic', 'fixed', 'cardan', 'universal', 'spherical', 'planar', 'floating'"
+    assert told[1] == ("bodies[0].joint.type", types)
+    assert [path for path, _ in told] == ["parameters.k", "bodies[0].joint.type", "bodies[1].mass"]
 
 
 HOSTILE = {  # written so that reading them with care is quick, and without care is not

@@ -1,0 +1,72 @@
+"""The usual sequences of joints: what a file calls them, and the elementary joints that they are.
+
+A label tells what a joint does: `x` slides along x, `rx` turns about it, each in the frame that those before it moved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from mbsgen.expressions import Number
+from mbsgen.model.model import HERE, Joint, Placement, Triple
+from mbsgen.model.tree import Motion
+
+UNITS: Mapping[str, Triple] = MappingProxyType(
+    {
+        sign + axis: (Number(length * (axis == "x")), Number(length * (axis == "y")), Number(length * (axis == "z")))
+        for sign, length in (("", 1.0), ("-", -1.0))
+        for axis in "xyz"
+    }
+)
+
+
+@dataclass(frozen=True)
+class Compound:
+    """A sequence of joints that has a name."""
+
+    type: str
+    order: str  # of rotations; of a planar joint, the plane
+    labels: tuple[str, ...]
+    actuated: bool = True  # unless a model says otherwise
+
+
+def _turn(order: str) -> tuple[str, ...]:
+    return tuple(f"r{axis}" for axis in order)
+
+
+_PAIRS = ("xy", "xz", "yx", "yz", "zx", "zy")
+_TRIPLES = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
+_PLANES = {"xy": "z", "xz": "y", "yz": "x"}  # with their normals
+
+_ALL = (
+    *(Compound("cardan", order, _turn(order)) for order in _PAIRS),
+    *(Compound("universal", order, _turn(order)) for order in _PAIRS),
+    *(Compound("spherical", order, _turn(order)) for order in _TRIPLES),
+    *(Compound("planar", plane, (*plane, f"r{normal}")) for plane, normal in _PLANES.items()),
+    *(Compound("floating", order, ("x", "y", "z", *_turn(order)), actuated=False) for order in _TRIPLES),
+)
+COMPOUNDS: Mapping[tuple[str, str], Compound] = MappingProxyType({(c.type, c.order): c for c in _ALL})
+
+
+def make_joints(compound: Compound, placement: Placement = HERE, *, actuated: bool | None = None) -> tuple[Joint, ...]:
+    """Make the joints of a compound; the first one stands on the parent as `placement` tells."""
+    first, *rest = (
+        Joint(
+            Motion.REVOLUTE if label.startswith("r") else Motion.PRISMATIC,
+            UNITS[label[-1]],
+            actuated=compound.actuated if actuated is None else actuated,
+        )
+        for label in compound.labels
+    )
+    return (Joint(first.motion, first.axis, placement=placement, actuated=first.actuated), *rest)
+
+
+def recognise(joints: Sequence[Joint]) -> Compound | None:
+    """Find the compound whose joints move as these do, whatever their names, limits and forces."""
+    if any(joint.placement != HERE for joint in joints[1:]):
+        return None
+    motions = [(joint.motion, joint.axis) for joint in joints]
+    fitting = (c for c in _ALL if motions == [(joint.motion, joint.axis) for joint in make_joints(c)])
+    return next(fitting, None)
