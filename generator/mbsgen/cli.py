@@ -244,7 +244,7 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # a name may not be in the encoding of the terminal
     try:
-        cli()
+        cli(prog_name="mbsgen")
     except MbsError as error:
         click.echo(f"mbsgen: {error}" if "\n" not in str(error) else str(error), err=True)
         sys.exit(BAD_INPUT)
