@@ -1,0 +1,238 @@
+"""A Model made in Python: the parts with the defaults of a file, from numbers and text; checked as a file is.
+
+Wherever a number is wanted, an expression over the parameters may stand as text, such as `"l1/2"`:
+
+    rod = body("rod", revolute("y", damping=0.1), mass="m", com=(0, 0, "-l/2"), inertia=("m*l**2/12", "m*l**2/12", 0))
+    pendulum = make_model("pendulum", [rod], gravity=(0, 0, -9.81), parameters={"l": 1.2, "m": runtime(0.5)})
+
+Every function raises ValueError for what is no number, axis or order; `make_model` raises InputError with all that is
+wrong with the whole. Lengths are in m, angles in rad, masses in kg, inertias in kg m2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence, Sized
+from dataclasses import replace
+from numbers import Real
+from typing import Literal, TypedDict, Unpack
+
+from mbsgen.documents import WrongValueError, abbreviate, refuse, write_path
+from mbsgen.errors import Fault
+from mbsgen.expressions import Expression
+from mbsgen.model.checks import find_faults
+from mbsgen.model.compounds import COMPOUNDS, make_joints
+from mbsgen.model.model import (
+    BASE,
+    Body,
+    Fixed,
+    Frame,
+    Friction,
+    Inertia,
+    Joint,
+    Law,
+    Model,
+    Parameter,
+    Placement,
+    Rotation,
+    Triple,
+    Wrench,
+)
+from mbsgen.model.schema import read_direction, read_number
+from mbsgen.model.tree import Kind, Motion
+
+Quantity = Expression | float | str  # a number, or an expression as text
+Vector = Sequence[Quantity]  # three of them
+Direction = str | Vector  # x, y, z, -x, -y, -z, or a vector of any length but 0
+Turns = Sequence[tuple[str, Quantity]]  # axis and angle of rotations in turn, each about the axes turned so far
+Limits = tuple[Quantity | None, Quantity | None]  # None: unbounded
+
+
+class Setting(TypedDict, total=False):
+    """What a joint may be given beside its axis; what is left out is as in a file."""
+
+    name: str
+    position: Vector  # where the frame that moves stands while q = 0, on what carries it
+    orientation: Turns
+    actuated: bool
+    limits: Limits
+    stiffness: Quantity  # force: -stiffness (q - rest) - damping qd - T tanh(qd/v) + force
+    rest: Quantity
+    damping: Quantity
+    friction: tuple[Quantity, Quantity]  # T, v
+    force: Quantity  # over parameters, q and qd
+
+
+_ORIGIN = (0.0, 0.0, 0.0)
+
+
+def number(value: object) -> Expression:
+    """Read a number, or an expression as text. Raises ValueError."""
+    if isinstance(value, Expression):
+        return value
+    if isinstance(value, str):
+        return read_number(value)
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise WrongValueError(f"found {_show(value)}", "give a number, or an expression such as l1/2")
+    return read_number(float(value))
+
+
+def vector(values: object) -> Triple:
+    """Read three numbers. Raises ValueError."""
+    if isinstance(values, str) or not isinstance(values, Sized) or not isinstance(values, Iterable) or len(values) != 3:
+        raise WrongValueError(f"found {_show(values)}", "give three numbers, e.g. [0.1, 0, 0]")
+    a, b, c = map(number, values)
+    return a, b, c
+
+
+def runtime(value: Quantity) -> Parameter:
+    """Make a parameter that is an input of the code; `make_model` names it."""
+    return Parameter("", number(value), Kind.RUNTIME)
+
+
+def revolute(axis: Direction, **setting: Unpack[Setting]) -> Joint:
+    """Make a joint that turns about an axis [rad]."""
+    return _make_joint(Motion.REVOLUTE, axis, **setting)
+
+
+def prismatic(axis: Direction, **setting: Unpack[Setting]) -> Joint:
+    """Make a joint that slides along an axis [m]."""
+    return _make_joint(Motion.PRISMATIC, axis, **setting)
+
+
+def fixed(position: Vector = _ORIGIN, orientation: Turns = ()) -> Fixed:
+    """Hold a body fast on its parent."""
+    return Fixed(_place(position, orientation))
+
+
+def cardan(
+    order: str = "xy", *, position: Vector = _ORIGIN, orientation: Turns = (), actuated: bool = True
+) -> tuple[Joint, ...]:
+    """Make the two revolute joints of a Cardan, or universal, joint."""
+    return _make_compound("cardan", order, _place(position, orientation), actuated)
+
+
+def spherical(
+    order: str = "zyx", *, position: Vector = _ORIGIN, orientation: Turns = (), actuated: bool = True
+) -> tuple[Joint, ...]:
+    """Make three revolute joints about one point; where the second is at a quarter turn, they lock."""
+    return _make_compound("spherical", order, _place(position, orientation), actuated)
+
+
+def planar(
+    plane: str = "xy", *, position: Vector = _ORIGIN, orientation: Turns = (), actuated: bool = True
+) -> tuple[Joint, ...]:
+    """Make the joints of a body in a plane: along its two axes, and about its normal."""
+    return _make_compound("planar", plane, _place(position, orientation), actuated)
+
+
+def floating(
+    order: str = "zyx", *, position: Vector = _ORIGIN, orientation: Turns = (), actuated: bool = False
+) -> tuple[Joint, ...]:
+    """Make the joints of a free body: along x, y, z, and as a spherical joint; passive unless told otherwise."""
+    return _make_compound("floating", order, _place(position, orientation), actuated)
+
+
+def body(
+    name: str,
+    joint: Joint | Fixed | tuple[Joint, ...],
+    *,
+    parent: str = BASE,
+    mass: Quantity = 0.0,
+    com: Vector = _ORIGIN,
+    inertia: Vector | Inertia = _ORIGIN,
+) -> Body:
+    """Make a body; three numbers for its inertia are the diagonal of the tensor."""
+    tensor = inertia if isinstance(inertia, Inertia) else Inertia(*vector(inertia))
+    return Body(name, joint, parent, number(mass), vector(com), tensor)
+
+
+def inertia(
+    xx: Quantity, yy: Quantity, zz: Quantity, xy: Quantity = 0.0, xz: Quantity = 0.0, yz: Quantity = 0.0
+) -> Inertia:
+    """Make a full inertia tensor; products of inertia are the off-diagonal entries themselves, sign included."""
+    return Inertia(*map(number, (xx, yy, zz, xy, xz, yz)))
+
+
+def frame(name: str, body: str, *, position: Vector = _ORIGIN, orientation: Turns = ()) -> Frame:
+    """Make a sensor on a body."""
+    return Frame(name, body, _place(position, orientation))
+
+
+def wrench(
+    name: str,
+    body: str,
+    *,
+    position: Vector = _ORIGIN,
+    frame: Literal["base", "body"] = "base",
+    force: Vector | Literal["input"] = _ORIGIN,
+    moment: Vector | Literal["input"] = _ORIGIN,
+) -> Wrench:
+    """Make an external force and moment on a body, with components in the base's frame or in the body's."""
+    if frame not in ("base", "body"):
+        raise WrongValueError(f"found {_show(frame)}", "give base or body")
+    given = (None if isinstance(v, str) and v == "input" else vector(v) for v in (force, moment))
+    return Wrench(name, body, vector(position), frame == "base", *given)
+
+
+def make_model(
+    name: str,
+    bodies: Sequence[Body],
+    *,
+    gravity: Vector,
+    parameters: Mapping[str, Quantity | Parameter] | None = None,
+    frames: Sequence[Frame] = (),
+    wrenches: Sequence[Wrench] = (),
+    allow_unphysical: bool = False,
+) -> Model:
+    """Make a model of its parts. Raises InputError with all that is wrong with it, by the rules for files."""
+    named = tuple(
+        replace(value, name=key) if isinstance(value, Parameter) else Parameter(key, number(value))
+        for key, value in (parameters or {}).items()
+    )
+    made = Model(name, vector(gravity), tuple(bodies), named, tuple(frames), tuple(wrenches), allow_unphysical)
+    if findings := find_faults(made):
+        where = f"model {abbreviate(name)}"
+        raise refuse([Fault(where, 0, write_path(f.place), f.finding, f.remedy) for f in findings])
+    return made
+
+
+def _place(position: Vector, orientation: Turns) -> Placement:
+    turns = []
+    for axis, angle in orientation:
+        if axis not in ("x", "y", "z"):
+            raise WrongValueError(f"found {_show(axis)}", "give x, y or z")
+        turns.append(Rotation("xyz".index(axis), number(angle)))
+    return Placement(vector(position), tuple(turns))
+
+
+def _make_joint(
+    motion: Motion,
+    axis: Direction,
+    *,
+    name: str | None = None,
+    position: Vector = _ORIGIN,
+    orientation: Turns = (),
+    actuated: bool = True,
+    limits: Limits = (None, None),
+    stiffness: Quantity = 0.0,
+    rest: Quantity = 0.0,
+    damping: Quantity = 0.0,
+    friction: tuple[Quantity, Quantity] | None = None,
+    force: Quantity = 0.0,
+) -> Joint:
+    lower, upper = (None if limit is None else number(limit) for limit in limits)
+    dry = None if friction is None else Friction(number(friction[0]), number(friction[1]))
+    law = Law(number(stiffness), number(rest), number(damping), dry, number(force))
+    direction = read_direction(axis) if isinstance(axis, str) else vector(axis)
+    return Joint(motion, direction, name, _place(position, orientation), actuated, lower, upper, law)
+
+
+def _make_compound(type: str, order: str, placement: Placement, actuated: bool) -> tuple[Joint, ...]:
+    if (type, order) not in COMPOUNDS:
+        orders = [known.order for known in COMPOUNDS.values() if known.type == type]
+        raise WrongValueError(f"found {_show(order)}", f"give {', '.join(orders)}")
+    return make_joints(COMPOUNDS[type, order], placement, actuated=actuated)
+
+
+def _show(value: object) -> str:
+    return repr(value) if len(repr(value)) <= 40 else f"{repr(value)[:37]}..."

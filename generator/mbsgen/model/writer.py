@@ -1,0 +1,238 @@
+"""Model -> the text of a model file that `read_model` reads as the same Model.
+
+What is as it would be without saying is left out; joints that have a name for all of them get it.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+
+from mbsgen.expressions import Expression, Number, write
+from mbsgen.model.compounds import UNITS, Compound, recognise
+from mbsgen.model.model import (
+    BASE,
+    FREE,
+    HERE,
+    ORIGIN,
+    ZERO,
+    Body,
+    Fixed,
+    Frame,
+    Inertia,
+    Joint,
+    Law,
+    Model,
+    Parameter,
+    Placement,
+    Triple,
+    Wrench,
+)
+from mbsgen.model.tree import Kind
+
+MAX_WIDTH = 110  # of a line that holds a mapping or a list as a whole
+
+Value = str | Sequence["Value"] | Mapping[str, "Value"]  # strings are YAML already
+Mapped = dict[str, Value]
+
+
+def write_model(model: Model) -> str:
+    """Write a checked model as a model file."""
+    content: Mapped = {"name": _quote(model.name), "gravity": _write_triple(model.gravity)}
+    if model.parameters:
+        content["parameters"] = {_quote(parameter.name): _write_parameter(parameter) for parameter in model.parameters}
+    content["bodies"] = [_write_body(body) for body in model.bodies]
+    if model.frames:
+        content["frames"] = [_write_frame(frame) for frame in model.frames]
+    if model.wrenches:
+        content["wrenches"] = [_write_wrench(wrench) for wrench in model.wrenches]
+    if model.allow_unphysical:
+        content["allow_unphysical"] = _write_truth(True)
+    return "\n".join(_lay_out(content)) + "\n"
+
+
+# --- what is said ----------------------------------------------------------------------------------------------------
+
+
+def _write_parameter(parameter: Parameter) -> Value:
+    value = _write_number(parameter.value)
+    return value if parameter.kind is Kind.CONSTANT else {"value": value, "kind": parameter.kind.value}
+
+
+def _write_body(body: Body) -> Mapped:
+    content: Mapped = {"name": _quote(body.name)}
+    if body.parent != BASE:
+        content["parent"] = _quote(body.parent)
+    content["joint"] = _write_carrier(body.joint)
+    if body.mass != ZERO:
+        content["mass"] = _write_number(body.mass)
+    if body.com != ORIGIN:
+        content["com"] = _write_triple(body.com)
+    if body.inertia != Inertia():
+        content["inertia"] = _write_inertia(body.inertia)
+    return content
+
+
+def _write_carrier(joint: Joint | Fixed | tuple[Joint, ...]) -> Value:
+    match joint:
+        case Fixed():
+            return {"type": "fixed", **_write_placement(joint.placement)}
+        case Joint():
+            return _write_joint(joint)
+    compound = recognise(joint)
+    return [_write_joint(one) for one in joint] if compound is None else _write_compound(compound, joint)
+
+
+def _write_joint(joint: Joint) -> Mapped:
+    motion: Mapped = {"type": joint.motion.value, "axis": _write_axis(joint.axis)}
+    return _write_name(joint) | motion | _write_placement(joint.placement) | _write_setting(joint, actuated=True)
+
+
+def _write_compound(compound: Compound, joints: Sequence[Joint]) -> Mapped:
+    content: Mapped = {"type": compound.type, "plane" if compound.type == "planar" else "order": compound.order}
+    content |= _write_placement(joints[0].placement)
+    actuated = compound.actuated
+    if all(joint.actuated != actuated for joint in joints):
+        actuated = not actuated
+        content["actuated"] = _write_truth(actuated)
+    axes: Mapped = {}
+    for joint, label in zip(joints, compound.labels, strict=True):
+        if setting := _write_name(joint) | _write_setting(joint, actuated=actuated):
+            axes[label] = setting
+    return content | ({"axes": axes} if axes else {})
+
+
+def _write_name(joint: Joint) -> Mapped:
+    return {} if joint.name is None else {"name": _quote(joint.name)}
+
+
+def _write_setting(joint: Joint, *, actuated: bool) -> Mapped:
+    """Write what a joint is given beside name, axis and place; it is `actuated` without saying."""
+    content: Mapped = {}
+    if joint.actuated != actuated:
+        content["actuated"] = _write_truth(joint.actuated)
+    if (joint.lower, joint.upper) != (None, None):
+        content["limits"] = ["null" if x is None else _write_number(x) for x in (joint.lower, joint.upper)]
+    return content | _write_law(joint.law)
+
+
+def _write_law(law: Law) -> Mapped:
+    content: Mapped = {
+        key: _write_number(getattr(law, key))
+        for key in ("stiffness", "rest", "damping", "force")
+        if getattr(law, key) != getattr(FREE, key)
+    }
+    if law.friction is not None:
+        speed, torque = _write_number(law.friction.speed), _write_number(law.friction.torque)
+        content["friction"] = {"torque": torque, "speed": speed}
+    return content
+
+
+def _write_placement(placement: Placement) -> Mapped:
+    content: Mapped = {}
+    if placement.position != HERE.position:
+        content["position"] = _write_triple(placement.position)
+    if placement.orientation:
+        content["orientation"] = [
+            {"axis": "xyz"[turn.axis], "angle": _write_number(turn.angle)} for turn in placement.orientation
+        ]
+    return content
+
+
+def _write_inertia(inertia: Inertia) -> Value:
+    entries: Mapped = {name: _write_number(entry) for name, entry in vars(inertia).items() if entry != ZERO}
+    if entries.keys().isdisjoint(("xy", "xz", "yz")):
+        return _write_triple((inertia.xx, inertia.yy, inertia.zz))
+    return {"xx": _write_number(inertia.xx), "yy": _write_number(inertia.yy), "zz": _write_number(inertia.zz)} | entries
+
+
+def _write_frame(frame: Frame) -> Mapped:
+    return {"name": _quote(frame.name), "body": _quote(frame.body), **_write_placement(frame.placement)}
+
+
+def _write_wrench(wrench: Wrench) -> Mapped:
+    content: Mapped = {"name": _quote(wrench.name), "body": _quote(wrench.body)}
+    if wrench.position != ORIGIN:
+        content["position"] = _write_triple(wrench.position)
+    content["frame"] = "base" if wrench.in_base else "body"
+    for key, vector in (("force", wrench.force), ("moment", wrench.moment)):
+        if vector != ORIGIN:
+            content[key] = "input" if vector is None else _write_triple(vector)
+    return content
+
+
+def _write_axis(axis: Triple) -> Value:
+    return next((name for name, unit in UNITS.items() if unit == axis), None) or _write_triple(axis)
+
+
+def _write_triple(triple: Triple) -> Value:
+    return [_write_number(component) for component in triple]
+
+
+def _write_truth(truth: bool) -> str:
+    return "true" if truth else "false"
+
+
+def _write_number(expression: Expression) -> str:
+    """Write a number as one, and an expression as text, in quotes where YAML would read something else."""
+    text = write(expression)
+    return text if isinstance(expression, Number) else _quote(text)
+
+
+# --- how it is laid out ----------------------------------------------------------------------------------------------
+
+_PLAIN = re.compile(r"[\w(-][\w.+*/()-]*( [\w.+*/()-]+)*", re.ASCII)
+_MEANT = re.compile(r"[-+]?\.?\d[\w.+-]*|-?\.?(null|true|false|inf|nan)|- .*", re.IGNORECASE)  # numbers and words
+
+
+def _quote(text: str) -> str:
+    """Put text into quotes, unless YAML reads it as itself without."""
+    plain = _PLAIN.fullmatch(text) and not _MEANT.fullmatch(text)
+    return text if plain else json.dumps(text, ensure_ascii=False)
+
+
+def _lay_out(content: Mapped) -> Iterator[str]:
+    """Lay a file out: a line for each parameter, frame and wrench that fits into one, a paragraph for each body."""
+    for key, value in content.items():
+        if isinstance(value, str) or key == "gravity":
+            yield f"{key}: {_flow(value)}"
+            continue
+        yield f"\n{key}:"
+        if isinstance(value, Mapping):
+            yield from (line for name, inner in value.items() for line in _entry(name, inner, "  "))
+            continue
+        for i, item in enumerate(value):
+            yield from ([""] if i and key == "bodies" else [])
+            yield from _item(item, "  ", open=key == "bodies")
+
+
+def _entry(key: str, value: Value, indent: str) -> Iterator[str]:
+    line = f"{indent}{key}: {_flow(value)}"
+    if isinstance(value, str) or len(line) <= MAX_WIDTH:
+        yield line
+        return
+    yield f"{indent}{key}:"
+    if isinstance(value, Mapping):
+        yield from (line for name, inner in value.items() for line in _entry(name, inner, indent + "  "))
+    else:
+        yield from (line for item in value for line in _item(item, indent + "  "))
+
+
+def _item(value: Value, indent: str, *, open: bool = False) -> Iterator[str]:
+    line = f"{indent}- {_flow(value)}"
+    if not isinstance(value, Mapping) or (len(line) <= MAX_WIDTH and not open):
+        yield line
+        return
+    first, *rest = (line for key, inner in value.items() for line in _entry(key, inner, indent + "  "))
+    yield f"{indent}- {first.lstrip()}"
+    yield from rest
+
+
+def _flow(value: Value) -> str:
+    match value:
+        case str():
+            return value
+        case Mapping():
+            return "{" + ", ".join(f"{key}: {_flow(inner)}" for key, inner in value.items()) + "}"
+    return "[" + ", ".join(map(_flow, value)) + "]"

@@ -1,0 +1,157 @@
+"""What is written reads as the same model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mbsgen.documents.reading import MAX_BYTES
+from mbsgen.model.construction import (
+    Setting,
+    body,
+    cardan,
+    fixed,
+    floating,
+    frame,
+    inertia,
+    make_model,
+    planar,
+    prismatic,
+    revolute,
+    runtime,
+    spherical,
+    wrench,
+)
+from mbsgen.model.model import Body, Fixed, Joint, Model
+from mbsgen.model.reader import read_model
+from mbsgen.model.writer import MAX_WIDTH, write_model
+from tests.mbsgen.model.test_bad_models import GOOD, WALKER
+
+ROOT = Path(__file__).parents[3]
+MODELS = sorted(file for file in (ROOT / "models").glob("*.yaml") if not file.name.endswith(".ocp.yaml"))
+
+
+def reread(model: Model) -> Model:
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "model.yaml"
+        file.write_text(write_model(model), encoding="utf-8")
+        return read_model(file)
+
+
+@pytest.mark.parametrize("file", MODELS, ids=lambda file: file.stem)
+def test_models_that_ship_are_read_as_they_were(file: Path) -> None:
+    model = read_model(file)
+    assert reread(model) == model
+    assert max(map(len, write_model(model).splitlines())) <= MAX_WIDTH
+
+
+@pytest.mark.parametrize("text", [GOOD, WALKER], ids=["crane", "walker"])
+def test_models_of_many_parts_are_read_as_they_were(text: str, tmp_path: Path) -> None:
+    file = tmp_path / "model.yaml"
+    file.write_text(text, encoding="utf-8")
+    assert reread(read_model(file)) == read_model(file)
+
+
+# Names that YAML takes for something else, unless they are in quotes.
+NAMES = [
+    *("b", "true", "Null", "1e3", "0x1F", "010", "-1", "1.", "- x", "a: b", "c:", "#", "d #e", "'q'", '"', "{", "["),
+    *("a, b", "*x", "&x", "!x", "%", "@", "`", "?", "? x", "|", ">", "=", "é 鈎", "yes", "2*l", "<<", "x  y", "---"),
+]
+NUMBERS = ["l", "2*l", "-l/3", "atan2(l, m)", "-(l - 1)**2", "1e-3*l", "-1", "sqrt(2)*pi", 0, 1, -2.5, 1e-7, 0.1]
+PARAMETERS = {"l": 0.3, "m": runtime("1 + l"), "true": 5, "n": "2*l - true"}
+
+numbers, positive = st.sampled_from(NUMBERS), st.sampled_from(["l", "m/2", "l**2", 1, 2.5, 1e-3])
+vectors = st.tuples(numbers, numbers, numbers)
+turns = st.lists(st.tuples(st.sampled_from("xyz"), st.sampled_from([0.3, "pi/2", "-l", "l*m"])), max_size=3)
+axes = st.sampled_from(["x", "y", "-z", (0, 0.6, 0.8), (1, "l", 0), (0, 0, 2)])
+placements = {"position": vectors, "orientation": turns}
+limits = st.sampled_from([(None, None), (-1, 1), (None, "pi/2"), ("-l", None)])
+
+
+@st.composite
+def joint_settings(draw: st.DrawFn) -> Setting:
+    setting: Setting = {
+        "limits": draw(limits),
+        "actuated": draw(st.booleans()),
+        "damping": draw(positive),
+    }
+    if draw(st.booleans()):
+        setting["position"], setting["orientation"] = draw(vectors), draw(turns)
+    if draw(st.booleans()):
+        setting["stiffness"], setting["rest"] = draw(positive), draw(numbers)
+    if draw(st.booleans()):
+        setting["friction"] = draw(st.tuples(positive, positive))
+    if draw(st.booleans()):
+        setting["force"] = draw(st.sampled_from(["-l*q**3", "m*sin(q) - qd", "atan2(q, qd)", "-q*exp(-qd**2)"]))
+    return setting
+
+
+joints = st.one_of(
+    st.builds(lambda axis, setting: revolute(axis, **setting), axes, joint_settings()),
+    st.builds(lambda axis, setting: prismatic(axis, **setting), axes, joint_settings()),
+)
+compounds = st.one_of(
+    st.builds(cardan, st.sampled_from(["xy", "zx"]), actuated=st.booleans(), **placements),
+    st.builds(spherical, st.sampled_from(["zyx", "xzy"]), actuated=st.booleans(), **placements),
+    st.builds(planar, st.sampled_from(["xy", "xz"]), actuated=st.booleans(), **placements),
+    st.builds(floating, st.sampled_from(["zyx", "yxz"]), actuated=st.booleans(), **placements),
+)
+sequences = st.one_of(st.tuples(joints, joints), st.tuples(joints, joints, joints))
+carriers = st.one_of(joints, compounds, sequences, st.builds(fixed, **placements))
+
+
+@st.composite
+def models(draw: st.DrawFn) -> Model:
+    names = draw(st.lists(st.sampled_from(NAMES), min_size=3, max_size=6, unique=True))
+    bodies: list[Body] = []
+    for name in names:
+        joint = draw(carriers if bodies else joints)
+        parent = draw(st.sampled_from(["base", *(b.name for b in bodies)]))
+        tensor = inertia(2, 2.5, 3, 0.1, -0.2)
+        bodies.append(body(name, joint, parent=parent, mass=draw(positive), com=(0.31, "l", -0.7), inertia=tensor))
+    anywhere = st.sampled_from(names)
+    frames = [frame(name, draw(anywhere), position=draw(vectors), orientation=draw(turns)) for name in names[:2]]
+    moving = [b.name for b in bodies if not isinstance(b.joint, Fixed)]
+    wrenches = [
+        wrench(
+            name,
+            draw(st.sampled_from(moving)),
+            frame=draw(st.sampled_from(["base", "body"])),
+            position=draw(vectors),
+            force=draw(st.sampled_from(["input", (1, "l", 0)])),
+            moment=draw(st.sampled_from(["input", (0, 0, 0), ("m", -2, 0)])),
+        )
+        for name in names[1:]
+    ]
+    gravity, unphysical = draw(st.one_of(vectors, st.just((3e20, -1e15, 1e-300)))), draw(st.booleans())
+    return make_model(
+        names[0], bodies, gravity=gravity, parameters=PARAMETERS, frames=frames, wrenches=wrenches,
+        allow_unphysical=unphysical,
+    )  # fmt: skip
+
+
+@given(models())
+@settings(derandomize=True, deadline=None, max_examples=40)
+def test_random_models_are_read_as_they_were(model: Model) -> None:
+    assert reread(model) == model
+
+
+@pytest.mark.parametrize("joint", [cardan("zy"), spherical("yzx", actuated=False), planar("yz"), floating("xzy")])
+def test_joints_that_have_a_name_are_written_by_it(joint: tuple[Joint, ...]) -> None:
+    model = make_model("m", [body("b", joint, mass=1, com=(1, 2, 3), inertia=(1, 1, 1))], gravity=(0, 0, 0))
+    (line,) = (line for line in write_model(model).splitlines() if "joint:" in line)
+    assert "revolute" not in line
+    assert reread(model) == model
+
+
+def test_the_largest_model_still_fits_into_a_file() -> None:
+    law = {"limits": (-1.2345678, 1.2345678), "damping": 0.12345678, "position": (0.12345678,) * 3}
+    bodies = [
+        body(f"a body with a long name {i}", revolute("z", **law), mass=1.2345678, com=(0.12345678,) * 3)
+        for i in range(1000)
+    ]
+    assert len(write_model(make_model("m", bodies, gravity=(0, 0, 0)))) < MAX_BYTES
