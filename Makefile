@@ -5,7 +5,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test lint golden clean
+.PHONY: demo test lint golden schema clean
 
 demo: $(VENV)/installed
 	$(BIN)/mbsgen models/arm_pendulum.yaml -o build/arm_pendulum
@@ -23,6 +23,11 @@ lint: $(VENV)/installed-dev
 
 golden: $(VENV)/installed-dev
 	$(BIN)/python -m tests.golden
+
+schema: $(VENV)/installed-dev
+	@mkdir -p build
+	$(BIN)/python -m mbsgen.model.schema > build/model.schema.json
+	mv build/model.schema.json models/model.schema.json
 
 # The environment stays; remove $(VENV) by hand to start from nothing.
 clean:
