@@ -17,7 +17,7 @@ from mbsgen.model.findings import Finding
 from mbsgen.model.idleness import check_idle_joints
 from mbsgen.model.model import BASE, COORDINATE, RATE, ZERO, Body, Fixed, Joint, Law, Model, Placement, Wrench
 from mbsgen.model.naming import check_names
-from mbsgen.model.topology import check_tree, list_grounded
+from mbsgen.model.topology import check_tree, find_carriers
 from mbsgen.model.valuation import LARGEST, Valuation
 
 MAX_BODIES = 1000
@@ -42,7 +42,7 @@ def find_faults(model: Model, doubtful: Container[Place] = frozenset()) -> list[
     for i, wrench in enumerate(model.wrenches):
         findings += _check_wrench(("wrenches", i), wrench, valuation)
     findings += valuation.findings
-    return findings or [*check_idle_joints(model), *_check_motion(model)]
+    return findings or [*check_idle_joints(model), *_check_fixed(model)]
 
 
 def _check_carrier(i: int, body: Body, valuation: Valuation) -> Iterator[Finding]:
@@ -137,11 +137,21 @@ def _check_wrench(place: Place, wrench: Wrench, valuation: Valuation) -> Iterato
         yield Finding(place, "a wrench without force and moment", "give one of them numbers, or input")
 
 
-def _check_motion(model: Model) -> Iterator[Finding]:
-    grounded = list_grounded(model)
-    if all(body.name in grounded for body in model.bodies):
+def _check_fixed(model: Model) -> Iterator[Finding]:
+    """Find what goes wrong where bodies that are fixed to each other become one."""
+    carriers = find_carriers(model)
+    if set(carriers.values()) == {BASE}:
         yield Finding(("bodies",), "nothing moves", "give a body a joint that is not fixed")
     for i, wrench in enumerate(model.wrenches):
-        if wrench.body in grounded:
+        if carriers.get(wrench.body) == BASE:
             finding = f"{abbreviate(wrench.body)} is fixed to {BASE}, and does not move"
             yield Finding(("wrenches", i, "body"), finding, "take the wrench away")
+    valuation = Valuation(model.parameters, ())
+    groups: dict[str, list[int]] = {}
+    for i, body in enumerate(model.bodies):
+        groups.setdefault(carriers.get(body.name, body.name), []).append(i)
+    for group in (group for carrier, group in groups.items() if carrier != BASE):
+        changing = [i for i in group if valuation.changes(model.bodies[i].mass)]
+        if len(changing) > 1 and all(valuation.number((), model.bodies[i].mass) == 0 for i in group):
+            finding = "a mass of 0 on a body of mass 0: where their centre of mass is, cannot be told"
+            yield Finding(("bodies", changing[1], "mass"), finding, "let one of the parameters have another value")

@@ -100,8 +100,11 @@ def total(terms: Iterable[Expr]) -> Expr:
 
 
 def check_powers(expression: Expr) -> None:
-    """Refuse powers that generated code does not compute, such as roots of roots. Raises ExpressionError."""
-    if any(not (2 * power.exp).is_integer for power in expression.atoms(Pow)):
+    """Refuse powers that generated code does not compute, such as roots of roots. Raises ExpressionError.
+
+    It is a multiple that is looked at, for that is what will be written: SymPy makes 2*x**0.3 of 2*exp(0.3*log(x)).
+    """
+    if any(not (2 * power.exp).is_integer for power in (3 * expression).atoms(Pow)):
         finding = "a power that is neither whole nor a square root"
         raise ExpressionError(finding, "keep to those, or to constant parameters")
 

@@ -38,13 +38,13 @@ def index_parents(model: Model) -> list[int | None]:
     return [places.get(body.parent) for body in model.bodies]
 
 
-def list_grounded(model: Model) -> frozenset[str]:
-    """Name what does not move: the base, and the bodies that are fixed to it, directly or by others."""
-    parents, grounded = index_parents(model), [False] * len(model.bodies)
-    for i in walk_bodies(model):
-        parent = parents[i]
-        grounded[i] = isinstance(model.bodies[i].joint, Fixed) and (parent is None or grounded[parent])
-    return frozenset((BASE, *(body.name for body, still in zip(model.bodies, grounded, strict=True) if still)))
+def find_carriers(model: Model) -> dict[str, str]:
+    """Name what moves every body: itself, or what it is fixed to in the end, which may be the base."""
+    carriers = {BASE: BASE}
+    for body in (model.bodies[i] for i in walk_bodies(model)):
+        parent = carriers.get(body.parent, body.parent)  # which may be missing
+        carriers[body.name] = parent if isinstance(body.joint, Fixed) else body.name
+    return carriers
 
 
 def check_tree(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:

@@ -358,7 +358,6 @@ wrenches:
     force: [push, 0, 0]
 """
 ARM = WALKER[WALKER.index("  - name: arm") : WALKER.index("frames:")]
-PACK = WALKER[WALKER.index("  - name: pack") : WALKER.index("  - name: leg")]
 
 # As above, of WALKER.
 BAD_PARTS: dict[str, tuple[str, str, int, str, str]] = {
@@ -566,6 +565,20 @@ def test_the_good_walker_is_good(tmp_path: Path) -> None:
     file = tmp_path / "model.yaml"
     file.write_text(WALKER, encoding="utf-8")
     assert [len(body.joints) for body in read_model(file).bodies] == [6, 0, 2, 2]
+
+
+def test_a_centre_of_no_mass_is_refused(tmp_path: Path) -> None:
+    """One run-time mass may be 0 now; of two that are fixed together, the centre of mass would be 0/0."""
+    text = (
+        WALKER.replace("{value: 2, kind", "{value: 0, kind")
+        .replace("mass: 1\n", "mass: push\n")
+        .replace("[push,", "[1,")
+    )
+    file = tmp_path / "model.yaml"
+    file.write_text(text, encoding="utf-8")
+    read_model(file)
+    tip = "  - {name: tip, parent: arm, joint: {type: fixed, position: [0, 0.1, 0]}, mass: 2*push}\nframes:"
+    assert [(x.line, x.path) for x in find_faults(text.replace("frames:", tip), tmp_path)] == [(32, "bodies[4].mass")]
 
 
 def test_a_wrong_type_does_not_hide_what_is_wrong_elsewhere(tmp_path: Path) -> None:
