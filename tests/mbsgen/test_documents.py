@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import pytest
 from hypothesis import given, settings
@@ -233,6 +233,57 @@ def test_all_faults_come_together_sorted_by_line(tmp_path: Path) -> None:
         (12, 'extras.a["x y"]', "unknown key", "the keys here are radius, side, place"),
         (13, "extras.b", "found [1]", "give a finite number"),
     ]
+
+
+class Petrol(Section):
+    fuel: Literal["petrol", "diesel"] = Field(examples=["petrol"])
+    litres: float = Field(examples=[1.3])
+
+
+class Electric(Section):
+    fuel: Literal["none"] = Field(examples=["none"])
+    battery: float = Field(examples=[60.0])
+
+
+class Fleet(Section):
+    engines: tuple[Annotated[Petrol | Electric, Field(discriminator="fuel")], ...] = Field(examples=[[]])
+    plates: tuple[str, ...] = Field(min_length=2, examples=[["a", "b"]])
+    owner: str = Field(examples=["me"])
+
+
+FLEET = """\
+engines:
+  - {fuel: none, battery: 60}
+  - {fuel: petrol, batery: 60}
+  - {fuel: none, batery: 60}
+  - {fuel: water, battery: 60}
+  - {litres: 1.3}
+  - petrol
+plates: [a]
+owner: 7
+"""
+
+
+def test_a_word_tells_which_keys_belong_to_a_mapping(tmp_path: Path) -> None:
+    told = [(f.line, f.path, f.finding, f.remedy) for f in faults(FLEET, tmp_path, Fleet)]
+    assert told == [
+        (3, "engines[1].batery", "unknown key", "the keys here are fuel, litres"),
+        (3, "engines[1].litres", "missing", "give it, e.g. 1.3"),
+        (4, "engines[2].batery", "unknown key", "did you mean `battery`?"),
+        (4, "engines[2].battery", "missing", "give it, e.g. 60.0"),
+        (5, "engines[3].fuel", 'found "water"', "give 'petrol', 'diesel', 'none'"),
+        (6, "engines[4].fuel", "missing", 'give it, e.g. "petrol"'),
+        (7, "engines[5]", 'found "petrol"', "give a mapping of fuel, litres, battery"),
+        (8, "plates", "found a list of 1", "give at least 2"),
+        (9, "owner", "found 7", "give a string"),
+    ]
+
+
+def test_what_follows_from_a_stand_in_is_stood_in_for_too(tmp_path: Path) -> None:
+    """Water is taken for petrol; that litres are missing then, and a battery is too much, says nothing."""
+    examination = examine(read("engines: [{fuel: water, battery: 60}]\nplates: [a, b]\nowner: x\n", tmp_path), Fleet)
+    assert [f.path for f in examination.faults] == ["engines[0].fuel"]
+    assert examination.value == Fleet(engines=(Petrol(fuel="petrol", litres=1.3),), plates=("a", "b"), owner="x")
 
 
 def test_faults_of_yaml_and_of_shape_come_together(tmp_path: Path) -> None:

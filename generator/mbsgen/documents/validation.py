@@ -132,7 +132,9 @@ def _explain(error: ErrorDetails, place: Place, schema: type[BaseModel], data: D
         return wrong.finding, wrong.remedy
     found = f"found {abbreviate(error['input'])}"
     match error["type"]:
-        case "missing" | "too_short" | "too_long" if isinstance(error["input"], list):
+        case "too_short" if isinstance(error["input"], list):
+            return f"found a list of {len(error['input'])}", f"give at least {context['min_length']}"
+        case "missing" | "too_long" if isinstance(error["input"], list):
             return f"found a list of {len(error['input'])}", _give_example("a list of another length", schema, place)
         case "union_tag_invalid":
             found = f"found {abbreviate(error['input'][place[-1]])}"
