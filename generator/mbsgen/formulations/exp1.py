@@ -18,9 +18,9 @@ from mbsgen.model.tree import Tree
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.types import Tape
 
-# What a pivot has lost, relative to the largest inertia that its joint can feel, the result has lost too: below this
-# many epsilon, errors exceed 1e-6.
-PIVOT_TOLERANCE = 2.0e5
+# What a pivot has lost, relative to the largest inertia that its joint can feel, the result has lost too: it errs by up
+# to 2.5 epsilon over that ratio. From this many epsilon on, errors stay below 1e-6.
+PIVOT_TOLERANCE = 2.5e6
 
 
 def build(tree: Tree, reductions: Reductions = ALL) -> Tape:

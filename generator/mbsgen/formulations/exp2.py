@@ -15,8 +15,9 @@ from mbsgen.model.tree import Tree
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.types import Tape
 
-# A pivot must stand out of the rounding of the largest inertia that its joint can feel: what was subtracted to make it.
-PIVOT_TOLERANCE = 1.0
+# A pivot must stand out of the rounding of the largest inertia that its joint can feel: that bounds what was subtracted
+# to make it. Where that much was, a result that passes has a digit left; where nothing was, it has all.
+PIVOT_TOLERANCE = 8.0
 
 
 def build(tree: Tree, reductions: Reductions = ALL) -> Tape:

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence, Set
 from mpmath import mpf
 
 from mbsgen.errors import TapeError
-from mbsgen.tape.types import EVEN, LITERALS, ODD, Input, Op, Sparsity, Tape
+from mbsgen.tape.types import EVEN, LARGEST_THRESHOLD, LITERALS, ODD, Input, Op, Sparsity, Tape
 from mbsgen.tape.writer import Key, Ref, Result, Test, Writer, sign_of
 
 _ONE = LITERALS.mpf(1)
@@ -121,12 +121,13 @@ class Builder:
         self.output(name, sparsity, [nonzero[place] for place in sparsity.entries])
 
     def guard(self, value: Scalar, scale: Scalar, tolerance: float, joint: int) -> None:
-        """Let the kernel fail at `joint` unless value > tolerance * epsilon * scale.
+        """Let the kernel fail at `joint` unless value > threshold * scale, see Guard.
 
         Of literals, what holds for float32 is settled now.
         """
         pivot, size = value.literal, scale.literal
-        if pivot is not None and size is not None and pivot > tolerance * SINGLE_EPSILON * size:
+        threshold = min(tolerance * SINGLE_EPSILON, LARGEST_THRESHOLD)
+        if pivot is not None and size is not None and pivot > threshold * size:
             return
         self._tests.append(Test(value.ref, scale.ref, tolerance, joint))
 

@@ -47,7 +47,7 @@ def find_failure(tape: Tape, arguments: Mapping[str, Sequence[Any]], numbers: Nu
     values = _evaluate_values(tape, arguments, numbers)
     for guard in tape.guards:
         pivot = -values[guard.value] if guard.negated else values[guard.value]
-        if not pivot > guard.tolerance * numbers.epsilon * values[guard.scale]:
+        if not pivot > guard.threshold(numbers.epsilon) * values[guard.scale]:
             return guard.joint
     return 0
 

@@ -129,11 +129,15 @@ class Output:
     values: tuple[int, ...]
 
 
+LARGEST_THRESHOLD = 3.0e-5  # float32 is not asked for digits that it hardly has: two are left where a pivot just passes
+
+
 @dataclass(frozen=True)
 class Guard:
-    """A pivot that must stand out of rounding: value > tolerance * epsilon * scale; else the kernel fails at `joint`.
+    """A pivot that must stand out of rounding: value > threshold * scale; else the kernel fails at `joint`.
 
-    epsilon is that of the numbers computed with. A kernel that fails gives out nothing.
+    The threshold is tolerance * epsilon, but never above LARGEST_THRESHOLD; epsilon is that of the numbers computed
+    with. A kernel that fails gives out nothing.
     """
 
     value: int
@@ -141,6 +145,10 @@ class Guard:
     tolerance: float
     joint: int  # from 1
     negated: bool = False  # the tape has the pivot with its sign changed
+
+    def threshold(self, epsilon: float) -> float:
+        """Tell what part of its scale the pivot must exceed."""
+        return min(self.tolerance * epsilon, LARGEST_THRESHOLD)
 
 
 Operation = tuple[Op, int, int]  # (op, first operand, second operand or -1)

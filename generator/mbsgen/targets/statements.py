@@ -62,7 +62,7 @@ class Statement:
 
 @dataclass(frozen=True)
 class Check:
-    """A guard: unless value > tolerance * epsilon * scale, the kernel fails at `joint`."""
+    """A guard: unless value stands out of what rounding leaves of scale, the kernel fails at `joint`."""
 
     place: int  # the number of statements after which it can be tested
     value: str

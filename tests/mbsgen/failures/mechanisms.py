@@ -1,0 +1,185 @@
+"""Mechanisms on which formulations lose digits, and what their tapes give in float64, in float32 and in 50 digits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+from sympy import Expr, Float, Integer, Rational
+
+from mbsgen.formulations import exp1, exp2, impl, semi
+from mbsgen.formulations.reductions import NONE, Reductions
+from mbsgen.model.tree import Body, Joint, Matrix, Motion, Tree, Vector
+from mbsgen.tape.interpreter import DIGITS, FLOATS, Numbers, evaluate, find_failure
+from mbsgen.tape.types import Tape
+
+Array = NDArray[np.float64]
+Build = Callable[[Tree, Reductions], Tape]
+U = 2.0**-53  # half the distance from 1 to the next double: what one rounding loses
+EXPLICIT = ("exp1", "exp2")
+RESIDUALS = ("impl", "semi_res")
+REDUCED = Reductions(trials=1)  # of the sensible plans, the cheapest; others do not change what is computed
+REDUCTIONS = {"reduced": REDUCED, "textbook": NONE}
+FLOATS64 = replace(FLOATS, literal=np.float64)  # unlike Python's floats, they divide by 0 as C does
+FLOATS32 = Numbers(np.float32, FLOATS.functions, np.float32(2.0**-23))
+
+_ZERO, _ONE = Integer(0), Integer(1)
+_DOWN = (_ZERO, Float(-9.81), _ZERO)
+NOWHERE: Vector = (_ZERO, _ZERO, _ZERO)
+NOTHING: Matrix = (NOWHERE, NOWHERE, NOWHERE)
+UPRIGHT: Matrix = ((_ONE, _ZERO, _ZERO), (_ZERO, _ONE, _ZERO), (_ZERO, _ZERO, _ONE))
+_BUILDS: Mapping[str, Build] = {
+    "impl": impl.build,
+    "semi": semi.build,
+    "semi_res": semi.build_residual,
+    "exp1": exp1.build,
+    "exp2": exp2.build,
+}
+
+
+@cache
+def tape_of(name: str, tree: Tree, reductions: Reductions = REDUCED) -> Tape:
+    """Write a formulation of a tree."""
+    return _BUILDS[name](tree, reductions)
+
+
+# -- mechanisms ---------------------------------------------------------------------------------------------------
+
+
+def diagonal(xx: Expr, yy: Expr, zz: Expr) -> Matrix:
+    """Make the inertia of a body with three planes of symmetry."""
+    return ((xx, _ZERO, _ZERO), (_ZERO, yy, _ZERO), (_ZERO, _ZERO, zz))
+
+
+def numbers(*values: float) -> Vector:
+    """Take three floats into SymPy."""
+    x, y, z = (Float(value) if value else _ZERO for value in values)
+    return x, y, z
+
+
+def make_body(
+    number: int,
+    axis: int,
+    mass: Expr = _ZERO,
+    com: Vector = NOWHERE,
+    inertia: Matrix = NOTHING,
+    *,
+    position: Vector = NOWHERE,
+    motion: Motion = Motion.REVOLUTE,
+) -> Body:
+    """Make a body of a chain, with an actuated joint."""
+    joint = Joint(f"q{number}", motion, axis, True, None, None)
+    return Body(f"b{number}", number - 1, joint, position, UPRIGHT, mass, com, inertia)
+
+
+def make_tree(name: str, bodies: Sequence[Body], gravity: Vector = _DOWN) -> Tree:
+    """Put bodies into a tree."""
+    return Tree(name, gravity, (), tuple(bodies), ())
+
+
+def rods(axes: Sequence[int], factors: Sequence[Expr | int] = ()) -> Tree:
+    """Hang thin rods on each other, of 1 kg and 1 m along x, mass and inertia times a factor each."""
+    bodies = []
+    for number, axis in enumerate(axes, 1):
+        mass = Integer(1) * (factors[number - 1] if factors else 1)
+        across = mass / 12
+        place = (_ONE if number > 1 else _ZERO, _ZERO, _ZERO)
+        inertia = diagonal(across / 100, across, across)
+        bodies.append(make_body(number, axis, mass, (Rational(1, 2), _ZERO, _ZERO), inertia, position=place))
+    return make_tree("rods", bodies)
+
+
+def straight_chain(size: int) -> Tree:
+    """Hang rods on each other with axes all along z."""
+    return rods([2] * size)
+
+
+def spatial_chain(size: int, factors: Sequence[Expr | int] = ()) -> Tree:
+    """Hang rods on each other with axes along z, y, x in turn."""
+    return rods([(2, 1, 0)[k % 3] for k in range(size)], factors)
+
+
+def three_axes(axes: Sequence[int]) -> Tree:
+    """Turn one body about three axes through a point; what is between the joints has no mass."""
+    body = make_body(3, axes[2], Float(1), numbers(0.1, 0.2, 0.3), diagonal(Float(1), Float(2), Float(3)))
+    return make_tree("axes", [make_body(1, axes[0]), make_body(2, axes[1]), body])
+
+
+def elbow() -> Tree:
+    """Hold a point mass by two links without mass, with parallel axes."""
+    hand = make_body(2, 2, Float(1), numbers(0.4, 0, 0), position=numbers(0.7, 0, 0))
+    return make_tree("elbow", [make_body(1, 2), hand])
+
+
+# -- what their tapes give ----------------------------------------------------------------------------------------
+
+
+def draw_state(size: int, seed: int, *, q: Array | None = None) -> dict[str, Array]:
+    """Draw angles in (-pi, pi), unless they are given; rates, accelerations and forces in (-1, 1)."""
+    rng = np.random.default_rng(seed)
+    angles = rng.uniform(-np.pi, np.pi, size)
+    rest = {name: rng.uniform(-1, 1, size) for name in ("qd", "qdd", "u")}
+    return {"q": angles if q is None else q, **rest}
+
+
+def _take(tape: Tape, state: Mapping[str, Array], kind: Numbers) -> dict[str, list[object]]:
+    return {i.name: [kind.literal(float(x)) for x in state[i.name]] for i in tape.inputs}
+
+
+def compute(tape: Tape, state: Mapping[str, Array], kind: Numbers = FLOATS64) -> dict[str, Array]:
+    """Evaluate a tape; results are rounded to doubles."""
+    with np.errstate(all="ignore"):
+        found = evaluate(tape, _take(tape, state, kind), kind)
+    return {name: np.array([float(x) for x in values]) for name, values in found.items()}
+
+
+def compute_exactly(tape: Tape, state: Mapping[str, Array]) -> dict[str, Array]:
+    """Evaluate a tape in 50 digits, at the same doubles."""
+    return compute(tape, state, DIGITS)
+
+
+def status(tape: Tape, state: Mapping[str, Array], kind: Numbers = FLOATS64) -> int:
+    """Return the joint that the kernel fails at, or 0."""
+    with np.errstate(all="ignore"):
+        return find_failure(tape, _take(tape, state, kind), kind)
+
+
+def relative_error(found: Array, exact: Array) -> float:
+    """Compare by the largest entry."""
+    return float(np.abs(found - exact).max() / np.abs(exact).max())
+
+
+def error_of(name: str, tree: Tree, state: Mapping[str, Array], reductions: Reductions = REDUCED) -> float:
+    """Compare accelerations in float64 with those in 50 digits."""
+    tape = tape_of(name, tree, reductions)
+    return relative_error(compute(tape, state)["qdd"], compute_exactly(tape, state)["qdd"])
+
+
+def mass_matrix(tree: Tree, state: Mapping[str, Array]) -> tuple[Array, Array]:
+    """Compute M and c, exact to the last digit of a double."""
+    n = len(tree.bodies)
+    terms = compute_exactly(tape_of("semi", tree), state)
+    return terms["M"].reshape(n, n), terms["c"]
+
+
+def scale_of(tree: Tree, state: Mapping[str, Array], qdd: Array) -> Array:
+    """Compute |M| |qdd| + |c| + |u|: what the rows of the equations of motion are sums of."""
+    M, c = mass_matrix(tree, state)
+    scale: Array = np.abs(M) @ np.abs(qdd) + np.abs(c) + np.abs(state["u"])
+    return scale
+
+
+def scaled_condition(tree: Tree, state: Mapping[str, Array]) -> float:
+    """Compute the condition of D^-1/2 M D^-1/2, D the diagonal of M, by an inverse in 50 digits."""
+    n, tape = len(tree.bodies), tape_of("semi", tree)
+    M = evaluate(tape, _take(tape, state, DIGITS), DIGITS)["M"]
+    context = DIGITS.literal(1).context
+    scaled = context.matrix(n, n)
+    for i in range(n):
+        for j in range(n):
+            scaled[i, j] = M[i * n + j] / context.sqrt(M[i * n + i] * M[j * n + j])
+    norms = [np.linalg.norm(np.array(A.tolist(), dtype=float), 2) for A in (scaled, scaled**-1)]
+    return float(norms[0] * norms[1])

@@ -1,0 +1,96 @@
+"""Chains in single precision: EXP2 keeps its digits, and EXP1 fails where it has none left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mbsgen.formulations.reductions import NONE, Reductions
+from mbsgen.model.tree import Tree
+from tests.mbsgen.failures.compiled import Compiled
+from tests.mbsgen.failures.mechanisms import (
+    EXPLICIT,
+    FLOATS32,
+    REDUCED,
+    REDUCTIONS,
+    Array,
+    compute,
+    draw_state,
+    mass_matrix,
+    relative_error,
+    spatial_chain,
+    status,
+    straight_chain,
+    tape_of,
+)
+
+U32 = 2.0**-24
+SEEDS = range(6)
+
+
+def single_state(tree: Tree, seed: int) -> dict[str, Array]:
+    """Draw a state that single precision holds; straight chains are straight."""
+    size = len(tree.bodies)
+    is_straight = {body.joint.axis for body in tree.bodies} == {2}
+    state = draw_state(size, seed, q=np.zeros(size) if is_straight else None)
+    return {name: x.astype(np.float32).astype(float) for name, x in state.items()}
+
+
+def single_error(name: str, tree: Tree, seed: int, reductions: Reductions = REDUCED) -> float:
+    """Compare single precision with double."""
+    tape, state = tape_of(name, tree, reductions), single_state(tree, seed)
+    return relative_error(compute(tape, state, FLOATS32)["qdd"], compute(tape, state)["qdd"])
+
+
+@pytest.mark.parametrize(
+    ("size", "reductions"), [(6, REDUCED), (20, REDUCED), (6, NONE), (20, NONE), (50, NONE)], ids=str
+)
+def test_order_n_keeps_its_digits_in_a_straight_chain(size: int, reductions: Reductions):
+    tree = straight_chain(size)
+    for seed in SEEDS:
+        assert status(tape_of("exp2", tree, reductions), single_state(tree, seed), FLOATS32) == 0
+        assert single_error("exp2", tree, seed, reductions) <= 1e-5
+
+
+@pytest.mark.parametrize("size", [6, 20, 50])
+def test_order_n_in_a_spatial_chain(size: int):
+    """As in double precision, 100 u sqrt(cond M); 1e-5 at 6 and 20 bodies."""
+    tree = spatial_chain(size)
+    for seed in SEEDS:
+        state = single_state(tree, seed)
+        error = single_error("exp2", tree, seed)
+        assert error <= 100 * U32 * np.sqrt(np.linalg.cond(mass_matrix(tree, state)[0]))
+        assert size == 50 or error <= 1e-5
+
+
+@pytest.mark.parametrize("reductions", REDUCTIONS.values(), ids=REDUCTIONS)
+@pytest.mark.parametrize(
+    "tree", [straight_chain(6), straight_chain(20), straight_chain(50), spatial_chain(20), spatial_chain(50)],
+    ids=["straight6", "straight20", "straight50", "spatial20", "spatial50"],
+)  # fmt: skip
+def test_elimination_fails_where_digits_are_gone(tree: Tree, reductions: Reductions):
+    """Two digits, or a status; at 50 bodies always a status, at 6 none."""
+    tape = tape_of("exp1", tree, reductions)
+    failed = [status(tape, single_state(tree, seed), FLOATS32) != 0 for seed in SEEDS]
+    for seed in SEEDS:
+        assert failed[seed] or single_error("exp1", tree, seed, reductions) <= 1e-2
+    assert all(failed) if len(tree.bodies) == 50 else len(tree.bodies) > 6 or not any(failed)
+
+
+def test_single_precision_in_c(tmp_path: Path, requires: Callable[[str], str]) -> None:
+    """The status, and the digits, that the interpreter finds."""
+    for size, expected in ((10, False), (50, True)):
+        tree = straight_chain(size)
+        tapes = {name: tape_of(name, tree) for name in EXPLICIT}
+        kernels = Compiled(tmp_path / str(size), requires("gcc"), [*tapes.values()], real="float")
+        state = single_state(tree, 0)
+        failed, found = kernels(tapes["exp2"], state)
+        assert failed == 0
+        assert relative_error(found["qdd"], compute(tapes["exp2"], state)["qdd"]) <= 2e-5
+        failed, found = kernels(tapes["exp1"], state)
+        assert (failed != 0) == expected == (status(tapes["exp1"], state, FLOATS32) != 0)
+        if not expected:
+            assert relative_error(found["qdd"], compute(tapes["exp1"], state)["qdd"]) <= 1e-4
