@@ -12,6 +12,8 @@ from mbsgen.pipeline import Options, generate
 ROOT = Path(__file__).parents[1]
 GOLDEN: dict[str, Options] = {
     "arm_pendulum": Options(),
+    "cart_pole": Options(runtime=True, python=True, matlab=True),
+    "double_pendulum": Options(python=True),
 }
 
 

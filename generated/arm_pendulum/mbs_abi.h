@@ -44,6 +44,8 @@ typedef MBS_REAL mbs_real;
 #define MBS_EPSILON_double 2.2204460492503131e-16 /* DBL_EPSILON, FLT_EPSILON: from 1 to the next number */
 #define MBS_EPSILON_float 1.1920929e-07f
 #define MBS_EPSILON MBS_PASTE(MBS_EPSILON_, MBS_REAL)
+/* What part of its scale a pivot must exceed: so many epsilon, but in single precision not more than leaves it use. */
+#define MBS_THRESHOLD(t) ((t) * MBS_EPSILON < MBS_C(3e-5) ? (t) * MBS_EPSILON : MBS_C(3e-5))
 #define MBS_TAN_double tan
 #define MBS_TAN_float tanf
 #define MBS_TAN MBS_PASTE(MBS_TAN_, MBS_REAL)

@@ -1,0 +1,398 @@
+/* Comparisons of kernels that must agree; mbs_check.h tells what each compares. */
+#include "mbs_check.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define STATES 5
+
+/* What may differ, relative to the largest of the numbers that are compared. Faults of equations change leading digits.
+ *
+ * ROUNDING: two ways to one number differ by a few epsilon, and by more the more cancels on the way. DIFFERENCES: with
+ * steps of epsilon^(1/3), what central differences lose to rounding (epsilon / step) and to truncation (step^2) are both
+ * epsilon^(2/3), times the third derivatives. A factor each for models with stiff forces and numbers of unlike sizes.
+ * ACCELERATIONS: rounding times the condition number of the mass matrix, which no kernel tells: half of the digits. */
+#define ROUNDING (1e3 * (double)MBS_EPSILON)
+#define DIFFERENCES (1e2 * pow((double)MBS_EPSILON, 2.0 / 3.0))
+#define ACCELERATIONS sqrt((double)MBS_EPSILON)
+#define STEP pow((double)MBS_EPSILON, 1.0 / 3.0)
+
+const casadi_real *mbs_check_h = 0;
+
+/* -- calls ------------------------------------------------------------------------------------------------------ */
+
+/* A kernel with its inputs and results. */
+typedef struct {
+    const mbs_face *face;
+    casadi_real **in, **out;
+} call;
+
+/* A pattern is: rows, columns, then 1 (dense), or column pointers and rows. */
+static size_t count_nonzeros(const casadi_int *pattern)
+{
+    return (size_t)(pattern[2] == 1 ? pattern[0] * pattern[1] : pattern[2 + pattern[1]]);
+}
+
+/* The place of nonzero k in the matrix, column by column. */
+static casadi_int find_place(const casadi_int *pattern, casadi_int k)
+{
+    casadi_int column = 0;
+    if (pattern[2] == 1)
+        return k;
+    while (pattern[3 + column] <= k)
+        ++column;
+    return column * pattern[0] + pattern[3 + pattern[1] + k];
+}
+
+/* The entry at a row and column of a matrix that is given by its nonzeros. */
+static double find_entry(const casadi_int *pattern, const casadi_real *nonzeros, casadi_int row, casadi_int column)
+{
+    casadi_int k;
+    if (pattern[2] == 1)
+        return (double)nonzeros[column * pattern[0] + row];
+    for (k = pattern[2 + column]; k < pattern[3 + column]; ++k)
+        if (pattern[3 + pattern[1] + k] == row)
+            return (double)nonzeros[k];
+    return 0.0;
+}
+
+static void *allocate(size_t count, size_t size)
+{
+    void *memory = calloc(count ? count : 1, size);
+    if (!memory) {
+        fputs("out of memory\n", stderr);
+        exit(2);
+    }
+    return memory;
+}
+
+/* Draw numbers between -1 and 1 by a linear congruential generator (Numerical Recipes) that starts from the input's
+ * name and the state. Their 23 bits are exact in single precision too. */
+static void draw(casadi_real *values, size_t count, const char *name, int state)
+{
+    unsigned long x = 2166136261UL + (unsigned long)state;
+    size_t k;
+    for (; *name; ++name)
+        x = ((x ^ (unsigned char)*name) * 16777619UL) & 0xFFFFFFFFUL;
+    for (k = 0; k < count; ++k) {
+        x = (x * 1664525UL + 1013904223UL) & 0xFFFFFFFFUL;
+        values[k] = (casadi_real)((double)(x >> 8) / 8388608.0 - 1.0);
+    }
+}
+
+static call open_call(const mbs_face *face)
+{
+    const size_t n_in = (size_t)face->n_in(), n_out = (size_t)face->n_out();
+    call c;
+    size_t i;
+    c.face = face;
+    c.in = allocate(n_in, sizeof *c.in);
+    c.out = allocate(n_out, sizeof *c.out);
+    for (i = 0; i < n_in; ++i)
+        c.in[i] = allocate(count_nonzeros(face->sparsity_in((casadi_int)i)), sizeof **c.in);
+    for (i = 0; i < n_out; ++i)
+        c.out[i] = allocate(count_nonzeros(face->sparsity_out((casadi_int)i)), sizeof **c.out);
+    return c;
+}
+
+static void close_call(call c)
+{
+    casadi_int i;
+    for (i = 0; i < c.face->n_in(); ++i)
+        free(c.in[i]);
+    for (i = 0; i < c.face->n_out(); ++i)
+        free(c.out[i]);
+    free(c.in);
+    free(c.out);
+}
+
+/* Fill the inputs with those of a state. */
+static void set_state(call c, int state)
+{
+    casadi_int i;
+    for (i = 0; i < c.face->n_in(); ++i) {
+        const char *name = c.face->name_in(i);
+        const size_t count = count_nonzeros(c.face->sparsity_in(i));
+        if (strcmp(name, "h"))
+            draw(c.in[i], count, name, state);
+        else if (count)
+            memcpy(c.in[i], mbs_check_h, count * sizeof *c.in[i]);
+    }
+}
+
+/* The input of a name; NULL if there is none. */
+static casadi_real *find_input(call c, const char *name)
+{
+    casadi_int i;
+    for (i = 0; i < c.face->n_in(); ++i)
+        if (!strcmp(c.face->name_in(i), name))
+            return c.in[i];
+    return 0;
+}
+
+/* Set an input of a name, if there is one, to zeros. */
+static void clear_input(call c, const char *name)
+{
+    casadi_int i;
+    for (i = 0; i < c.face->n_in(); ++i)
+        if (!strcmp(c.face->name_in(i), name))
+            memset(c.in[i], 0, count_nonzeros(c.face->sparsity_in(i)) * sizeof *c.in[i]);
+}
+
+/* -- comparisons ------------------------------------------------------------------------------------------------ */
+
+/* A comparison so far. */
+typedef struct {
+    double worst; /* the largest difference, as a fraction of what is allowed */
+    int failed;   /* the status of a kernel that failed */
+} verdict;
+
+static void run(call c, verdict *v)
+{
+    const int status = c.face->call((const casadi_real **)c.in, c.out, 0, 0, 0);
+    if (status)
+        v->failed = status;
+}
+
+/* Judge a difference by what is allowed; one that is no number stays the worst. */
+static void judge(verdict *v, double difference, double allowed)
+{
+    const double part = difference == 0.0 ? 0.0 : fabs(difference) / allowed;
+    if (!(part <= v->worst) && v->worst == v->worst)
+        v->worst = part;
+}
+
+static int report(verdict v, double tolerance, const char *f, const char *relation, const char *g)
+{
+    const int is_fault = v.failed || !(v.worst <= 1.0);
+    printf("%-5s  %s %s %s: ", is_fault ? "FAULT" : "ok", f, relation, g);
+    if (v.failed)
+        printf("a kernel failed with status %d\n", v.failed);
+    else
+        printf("differ by %.1e, %.1e allowed\n", v.worst * tolerance, tolerance);
+    return is_fault;
+}
+
+static double maximum(double a, double b)
+{
+    return fabs(b) > a ? fabs(b) : a;
+}
+
+static double find_largest(const casadi_real *values, size_t count)
+{
+    double largest = 0.0;
+    size_t k;
+    for (k = 0; k < count; ++k)
+        largest = maximum(largest, (double)values[k]);
+    return largest;
+}
+
+/* Compare an input's column of a Jacobian, one result after the other, with the slope between two calls of f. */
+static void compare_column(verdict *v, call jac, call up, call down, double step, casadi_int input, casadi_int place)
+{
+    const mbs_face *f = up.face;
+    casadi_int o;
+    for (o = 0; o < f->n_out(); ++o) {
+        const casadi_int *pattern = f->sparsity_out(o), block = o * f->n_in() + input;
+        const casadi_int *blocks = jac.face->sparsity_out(block);
+        const size_t count = count_nonzeros(pattern);
+        const double size = find_largest(jac.out[block], count_nonzeros(blocks));
+        const double allowed = DIFFERENCES * maximum(size, find_largest(up.out[o], count));
+        size_t k;
+        for (k = 0; k < count; ++k) {
+            const double slope = ((double)up.out[o][k] - (double)down.out[o][k]) / step;
+            const casadi_int row = find_place(pattern, (casadi_int)k);
+            judge(v, slope - find_entry(blocks, jac.out[block], row, place), allowed);
+        }
+    }
+}
+
+int mbs_check_jacobian(const mbs_face *f, const mbs_face *jac)
+{
+    call up = open_call(f), down = open_call(f), derivative = open_call(jac);
+    verdict v = {0.0, 0};
+    int state;
+    for (state = 0; state < STATES && !v.failed; ++state) {
+        casadi_int i;
+        set_state(up, state);
+        set_state(down, state);
+        set_state(derivative, state);
+        run(derivative, &v);
+        for (i = 0; i < f->n_in(); ++i) {
+            const casadi_int *pattern = f->sparsity_in(i);
+            const casadi_int count = f->diff_in(i) ? (casadi_int)count_nonzeros(pattern) : 0;
+            casadi_int k;
+            for (k = 0; k < count; ++k) {
+                const casadi_real at = up.in[i][k];
+                up.in[i][k] = (casadi_real)((double)at + STEP);
+                down.in[i][k] = (casadi_real)((double)at - STEP);
+                run(up, &v);
+                run(down, &v);
+                compare_column(&v, derivative, up, down, (double)up.in[i][k] - (double)down.in[i][k], i,
+                               find_place(pattern, k));
+                up.in[i][k] = down.in[i][k] = at;
+            }
+        }
+    }
+    close_call(up);
+    close_call(down);
+    close_call(derivative);
+    return report(v, DIFFERENCES, jac->name, "against differences of", f->name);
+}
+
+int mbs_check_adjoint(const mbs_face *f, const mbs_face *jac, const mbs_face *adj1)
+{
+    const casadi_int n_in = f->n_in(), n_out = f->n_out();
+    call derivative = open_call(jac), adjoint = open_call(adj1);
+    verdict v = {0.0, 0};
+    int state;
+    for (state = 0; state < STATES; ++state) {
+        casadi_int i, o, r;
+        size_t k;
+        set_state(derivative, state);
+        set_state(adjoint, state);
+        run(derivative, &v);
+        run(adjoint, &v);
+        for (i = 0; i < n_in; ++i) {
+            const casadi_int *pattern = adj1->sparsity_out(i);
+            for (k = 0; k < count_nonzeros(pattern); ++k) {
+                const casadi_int place = find_place(pattern, (casadi_int)k);
+                double sum = 0.0, size = 0.0;
+                for (o = 0; o < n_out; ++o) {
+                    const casadi_int *seeds = adj1->sparsity_in(n_in + n_out + o);
+                    const casadi_int *blocks = jac->sparsity_out(o * n_in + i);
+                    const double largest = find_largest(derivative.out[o * n_in + i], count_nonzeros(blocks));
+                    for (r = 0; r < (casadi_int)count_nonzeros(seeds); ++r) {
+                        const double seed = (double)adjoint.in[n_in + n_out + o][r];
+                        sum += seed * find_entry(blocks, derivative.out[o * n_in + i], find_place(seeds, r), place);
+                        size += fabs(seed) * largest;
+                    }
+                }
+                judge(&v, sum - (double)adjoint.out[i][k], ROUNDING * size);
+            }
+        }
+    }
+    close_call(derivative);
+    close_call(adjoint);
+    return report(v, ROUNDING, adj1->name, "against", jac->name);
+}
+
+/* Compare the first result of f with the end of that of g. */
+static verdict compare_results(const mbs_face *f, const mbs_face *g, double tolerance)
+{
+    call a = open_call(f), b = open_call(g);
+    const size_t count = count_nonzeros(f->sparsity_out(0));
+    const size_t skipped = count_nonzeros(g->sparsity_out(0)) - count;
+    verdict v = {0.0, 0};
+    int state;
+    for (state = 0; state < STATES; ++state) {
+        double size;
+        size_t k;
+        set_state(a, state);
+        set_state(b, state);
+        run(a, &v);
+        run(b, &v);
+        size = find_largest(a.out[0], count);
+        for (k = 0; k < count; ++k)
+            judge(&v, (double)a.out[0][k] - (double)b.out[0][skipped + k], tolerance * size);
+    }
+    close_call(a);
+    close_call(b);
+    return v;
+}
+
+int mbs_check_equal(const mbs_face *f, const mbs_face *g)
+{
+    return report(compare_results(f, g, ROUNDING), ROUNDING, f->name, "against", g->name);
+}
+
+int mbs_check_tail(const mbs_face *f, const mbs_face *g)
+{
+    return report(compare_results(f, g, ROUNDING), ROUNDING, f->name, "against the last of", g->name);
+}
+
+int mbs_check_same_accelerations(const mbs_face *f, const mbs_face *g)
+{
+    return report(compare_results(f, g, ACCELERATIONS), ACCELERATIONS, f->name, "against", g->name);
+}
+
+int mbs_check_mass_matrix(const mbs_face *semi, const mbs_face *impl)
+{
+    call terms = open_call(semi), residual = open_call(impl), rest = open_call(impl);
+    const size_t n = count_nonzeros(impl->sparsity_out(0));
+    const casadi_int *M = semi->sparsity_out(0);
+    const casadi_real *qdd = find_input(residual, "qdd");
+    verdict v = {0.0, 0};
+    int state;
+    for (state = 0; state < STATES; ++state) {
+        size_t i, j;
+        double size;
+        set_state(terms, state);
+        set_state(residual, state);
+        set_state(rest, state);
+        clear_input(rest, "qdd");
+        run(terms, &v);
+        run(residual, &v);
+        run(rest, &v);
+        size = maximum(find_largest(terms.out[0], count_nonzeros(M)), find_largest(rest.out[0], n));
+        for (i = 0; i < n; ++i) {
+            double sum = (double)rest.out[0][i] - (double)residual.out[0][i];
+            for (j = 0; j < n; ++j)
+                sum += find_entry(M, terms.out[0], (casadi_int)i, (casadi_int)j) * (double)qdd[j];
+            judge(&v, sum, ROUNDING * size);
+        }
+    }
+    close_call(terms);
+    close_call(residual);
+    close_call(rest);
+    return report(v, ROUNDING, semi->name, "(M) against", impl->name);
+}
+
+int mbs_check_bias(const mbs_face *semi, const mbs_face *impl)
+{
+    call terms = open_call(semi), rest = open_call(impl);
+    const size_t n = count_nonzeros(impl->sparsity_out(0));
+    verdict v = {0.0, 0};
+    int state;
+    for (state = 0; state < STATES; ++state) {
+        size_t i;
+        set_state(terms, state);
+        set_state(rest, state);
+        clear_input(rest, "qdd");
+        clear_input(rest, "u");
+        run(terms, &v);
+        run(rest, &v);
+        for (i = 0; i < n; ++i)
+            judge(&v, (double)terms.out[1][i] - (double)rest.out[0][i], ROUNDING * find_largest(rest.out[0], n));
+    }
+    close_call(terms);
+    close_call(rest);
+    return report(v, ROUNDING, semi->name, "(c) against", impl->name);
+}
+
+int mbs_check_accelerations(const mbs_face *f, const mbs_face *impl)
+{
+    call forward = open_call(f), residual = open_call(impl), rest = open_call(impl);
+    const size_t n = count_nonzeros(impl->sparsity_out(0));
+    verdict v = {0.0, 0};
+    int state;
+    for (state = 0; state < STATES; ++state) {
+        size_t i;
+        set_state(forward, state);
+        set_state(residual, state);
+        set_state(rest, state);
+        clear_input(rest, "qdd");
+        run(forward, &v);
+        memcpy(find_input(residual, "qdd"), forward.out[0], n * sizeof *forward.out[0]);
+        run(residual, &v);
+        run(rest, &v);
+        for (i = 0; i < n; ++i)
+            judge(&v, (double)residual.out[0][i], ACCELERATIONS * find_largest(rest.out[0], n));
+    }
+    close_call(forward);
+    close_call(residual);
+    close_call(rest);
+    return report(v, ACCELERATIONS, f->name, "put into", impl->name);
+}

@@ -1,0 +1,91 @@
+/* What generated kernels share: the scalar type, the functions of <math.h> that go with it, CasADi's contract.
+ *
+ * -DMBS_REAL=float computes in single precision. casadi_real and casadi_int can be defined to suit another caller
+ * (acados: -Dcasadi_int=int). C99; needs nothing but <math.h>.
+ */
+#ifndef MBS_ABI_H
+#define MBS_ABI_H
+
+#ifndef MBS_REAL
+#define MBS_REAL double
+#endif
+#ifndef casadi_real
+#define casadi_real MBS_REAL
+#endif
+#ifndef casadi_int
+#define casadi_int long long int
+#endif
+
+#if defined(__cplusplus) && (defined(__GNUC__) || defined(_MSC_VER))
+#define MBS_RESTRICT __restrict
+#elif defined(__cplusplus)
+#define MBS_RESTRICT
+#else
+#define MBS_RESTRICT restrict
+#endif
+
+typedef MBS_REAL mbs_real;
+
+/* Pasting the name of the type chooses the function, and the suffix of a literal. */
+#define MBS_PASTE_(a, b) a##b
+#define MBS_PASTE(a, b) MBS_PASTE_(a, b)
+#define MBS_C_double(x) x
+#define MBS_C_float(x) x##f
+#define MBS_C(x) MBS_PASTE(MBS_C_, MBS_REAL)(x)
+#define MBS_SIN_double sin
+#define MBS_SIN_float sinf
+#define MBS_SIN MBS_PASTE(MBS_SIN_, MBS_REAL)
+#define MBS_COS_double cos
+#define MBS_COS_float cosf
+#define MBS_COS MBS_PASTE(MBS_COS_, MBS_REAL)
+#define MBS_SQRT_double sqrt
+#define MBS_SQRT_float sqrtf
+#define MBS_SQRT MBS_PASTE(MBS_SQRT_, MBS_REAL)
+#define MBS_EPSILON_double 2.2204460492503131e-16 /* DBL_EPSILON, FLT_EPSILON: from 1 to the next number */
+#define MBS_EPSILON_float 1.1920929e-07f
+#define MBS_EPSILON MBS_PASTE(MBS_EPSILON_, MBS_REAL)
+/* What part of its scale a pivot must exceed: so many epsilon, but in single precision not more than leaves it use. */
+#define MBS_THRESHOLD(t) ((t) * MBS_EPSILON < MBS_C(3e-5) ? (t) * MBS_EPSILON : MBS_C(3e-5))
+#define MBS_TAN_double tan
+#define MBS_TAN_float tanf
+#define MBS_TAN MBS_PASTE(MBS_TAN_, MBS_REAL)
+#define MBS_ASIN_double asin
+#define MBS_ASIN_float asinf
+#define MBS_ASIN MBS_PASTE(MBS_ASIN_, MBS_REAL)
+#define MBS_ACOS_double acos
+#define MBS_ACOS_float acosf
+#define MBS_ACOS MBS_PASTE(MBS_ACOS_, MBS_REAL)
+#define MBS_ATAN_double atan
+#define MBS_ATAN_float atanf
+#define MBS_ATAN MBS_PASTE(MBS_ATAN_, MBS_REAL)
+#define MBS_ATAN2_double atan2
+#define MBS_ATAN2_float atan2f
+#define MBS_ATAN2 MBS_PASTE(MBS_ATAN2_, MBS_REAL)
+#define MBS_EXP_double exp
+#define MBS_EXP_float expf
+#define MBS_EXP MBS_PASTE(MBS_EXP_, MBS_REAL)
+#define MBS_LOG_double log
+#define MBS_LOG_float logf
+#define MBS_LOG MBS_PASTE(MBS_LOG_, MBS_REAL)
+#define MBS_TANH_double tanh
+#define MBS_TANH_float tanhf
+#define MBS_TANH MBS_PASTE(MBS_TANH_, MBS_REAL)
+#define MBS_ABS_double fabs
+#define MBS_ABS_float fabsf
+#define MBS_ABS MBS_PASTE(MBS_ABS_, MBS_REAL)
+#define MBS_SIGN(x) ((x) > 0 ? (mbs_real)1 : (x) < 0 ? -(mbs_real)1 : (x)) /* not a number stays what it is */
+
+/* A function in CasADi's contract with the functions that describe it. Any arg[k] may be NULL (zeros), any res[k] may
+ * be NULL (not wanted); only nonzeros are passed, column by column; iw and w are not used. */
+#define MBS_DECLARE_CASADI(f) \
+    int f(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem); \
+    casadi_int f##_n_in(void); \
+    casadi_int f##_n_out(void); \
+    const char *f##_name_in(casadi_int i); \
+    const char *f##_name_out(casadi_int i); \
+    const casadi_int *f##_sparsity_in(casadi_int i); /* rows, columns, then 1, or column pointers and rows */ \
+    const casadi_int *f##_sparsity_out(casadi_int i); \
+    int f##_diff_in(casadi_int i); \
+    int f##_work(casadi_int *sz_arg, casadi_int *sz_res, casadi_int *sz_iw, casadi_int *sz_w)
+
+#endif
