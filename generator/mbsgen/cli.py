@@ -7,7 +7,7 @@ import io
 import math
 import sys
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,13 +21,14 @@ from mbsgen.errors import MbsError
 from mbsgen.formulations.catalogue import FORMULATIONS
 from mbsgen.formulations.reductions import ALL
 from mbsgen.model.tree import Tree
-from mbsgen.output import write_file
+from mbsgen.output import find_differences, write_file
 from mbsgen.pipeline import Options, generate, make, read_tree
 from mbsgen.report import COLUMNS, COMPARISON, NOTE, Report, Section, comparisons, sections, write_json, write_markdown
 from mbsgen.scaling import LARGEST, PERIOD, Growth, count_chain, find_crossing
 
 _UNCUT = 10_000  # characters in a line: neither a pipe nor a narrow terminal cuts anything off
 SWITCHES = {name.replace("_", "-"): name for name in ("regroup", "share_frames", "lump", "absolute", "factor")}
+DIFFERENT = 1  # exit code: a folder is not as it would be written
 BAD_INPUT = 2  # exit code: a file or an argument that cannot be accepted; 0 is success
 
 MODEL = click.argument("model", type=click.Path(path_type=Path))
@@ -44,7 +45,8 @@ HELP = """Turn the description of a multibody system into C kernels for its dyna
 
 MODEL is a YAML file; models/ holds examples. A file that has the name of a subcommand is reached as ./NAME.
 
-Exit codes: 0 done; 2 the model or an argument cannot be accepted (nothing has been written).
+Exit codes: 0 done; 1 with --check, the folder is not as it would be written; 2 the model or an argument cannot be
+accepted (nothing has been written).
 """
 
 
@@ -80,8 +82,9 @@ def cli() -> None:
 )
 @click.option("--python", is_flag=True, help="Also write the kernels as a Python module, for any number type.")
 @click.option("--matlab", is_flag=True, help="Also write the kernels as functions for Matlab and GNU Octave.")
+@click.option("--check", is_flag=True, help="Write nothing; fail if the folder is not as it would be written.")
 def generate_command(
-    model: Path, out: Path, runtime: bool, without: tuple[str, ...], python: bool, matlab: bool
+    model: Path, out: Path, runtime: bool, without: tuple[str, ...], python: bool, matlab: bool, check: bool
 ) -> None:
     """Generate a folder from MODEL, the default command.
 
@@ -90,9 +93,23 @@ def generate_command(
     What the kernels cost is printed. The folder appears as a whole, and replaces one that mbsgen wrote before.
     """
     reductions = replace(ALL, **{SWITCHES[name]: False for name in without})
-    product = generate(model, out, Options(runtime=runtime, python=python, matlab=matlab, reductions=reductions))
+    options = Options(runtime=runtime, python=python, matlab=matlab, reductions=reductions)
+    if check:
+        _check_folder(make(model, options).files, out)
+        return
+    product = generate(model, out, options)
     print_report(product.report)
     click.echo(f"wrote {len(product.files)} files to {out}", err=True)
+
+
+def _check_folder(files: Mapping[str, str], out: Path) -> None:
+    """Tell which files of a folder are not as they would be written, and exit."""
+    different = find_differences(files, out)
+    for name in different:
+        click.echo(f"{out / name}: not as generated now", err=True)
+    if different:
+        sys.exit(DIFFERENT)
+    click.echo(f"{out}: as generated now", err=True)
 
 
 @cli.command("show")

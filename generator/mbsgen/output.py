@@ -21,6 +21,15 @@ _OWN = (
 )
 
 
+def find_differences(files: Mapping[str, str], out: Path) -> tuple[str, ...]:
+    """List the files, by path, that `out` lacks or holds otherwise; what else it holds is left aside."""
+    return tuple(
+        name
+        for name, text in files.items()
+        if not (out / name).is_file() or (out / name).read_bytes() != text.encode("utf-8")
+    )
+
+
 def write_folder(files: Mapping[str, str], out: Path) -> None:
     """Write files, path -> text, as a whole folder: it appears complete, in place of an earlier one, or not at all.
 

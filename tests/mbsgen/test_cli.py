@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from mbsgen import __version__
-from mbsgen.cli import BAD_INPUT, SWITCHES, cli, main
+from mbsgen.cli import BAD_INPUT, DIFFERENT, SWITCHES, cli, main
 
 ARM = Path(__file__).parents[2] / "models" / "arm_pendulum.yaml"
 PENDULUM = """\
@@ -291,3 +291,16 @@ def test_scaling_counts_chains(mbsgen: Command) -> None:
     assert answer.code == 0
     found = dict(re.findall(r"(\w+): flops of degree (\d)", answer.out))
     assert found == {"IMPL": "1", "SEMI": "2", "EXP1": "3", "EXP2": "1"}
+
+
+def test_a_folder_can_be_checked_against_what_would_be_written(mbsgen: Command) -> None:
+    assert mbsgen("pendulum.yaml", "-o", "out").code == 0
+    assert mbsgen("pendulum.yaml", "-o", "out", "--check").code == 0
+    before = Path("out/manifest.json").read_bytes()
+    Path("out/pendulum.h").write_text("/* edited */\n")
+    answer = mbsgen("pendulum.yaml", "-o", "out", "--check")
+    assert (answer.code, answer.out) == (DIFFERENT, "")
+    assert "pendulum.h: not as generated now" in answer.err
+    assert Path("out/manifest.json").read_bytes() == before
+    assert mbsgen("pendulum.yaml", "-o", "nowhere", "--check").code == DIFFERENT
+    assert not Path("nowhere").exists()
