@@ -24,7 +24,7 @@ from mbsgen.model.tree import Tree
 from mbsgen.output import find_differences, write_file
 from mbsgen.pipeline import Options, generate, make, read_tree
 from mbsgen.report import COLUMNS, COMPARISON, NOTE, Report, Section, comparisons, sections, write_json, write_markdown
-from mbsgen.scaling import LARGEST, PERIOD, Growth, count_chain, find_crossing
+from mbsgen.scaling import LARGEST, PERIOD, find_crossing, grow
 
 _UNCUT = 10_000  # characters in a line: neither a pipe nor a narrow terminal cuts anything off
 SWITCHES = {name.replace("_", "-"): name for name in ("regroup", "share_frames", "lump", "absolute", "factor")}
@@ -200,7 +200,7 @@ def scaling_command(largest: int) -> None:
     for name in FORMULATIONS:
         within = [n for n in sizes if n <= LARGEST[name]]
         with click.progressbar(within, label=name, file=sys.stderr) as steps:
-            found[name] = Growth(name, {n: count_chain(name, n) for n in steps})
+            found[name] = grow(name, steps)
     click.echo("bodies" + "".join(f"{name:>9} eqs  " for name in found))
     for n in sizes:
         cells = (g.counts.get(n) for g in found.values())

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from sympy import Expr, Float, Integer, Rational
+from sympy import Float, Integer
 
 from mbsgen.formulations.catalogue import FORMULATIONS
 from mbsgen.formulations.planning import dynamics_alone
@@ -30,7 +30,7 @@ def make_chain(size: int) -> Tree:
             name=f"body{i}",
             parent=i - 1,
             joint=Joint(f"q{i}", Motion.REVOLUTE, (2, 1, 0)[(i - 1) % PERIOD], True, None, None),
-            position=(_first_link(i), _ZERO, _ZERO),
+            position=(Float(0.7) if i > 1 else _ZERO, _ZERO, _ZERO),
             orientation=_UNIT,
             mass=Float(1.3),
             com=(Float(0.3), Float(0.1), Float(0.2)),
@@ -39,10 +39,6 @@ def make_chain(size: int) -> Tree:
         for i in range(1, size + 1)
     )
     return Tree(f"chain{size}", (_ZERO, _ZERO, Float(-9.81)), (), bodies, ())
-
-
-def _first_link(number: int) -> Expr:
-    return Rational(7, 10) if number > 1 else _ZERO
 
 
 @dataclass(frozen=True)
@@ -80,7 +76,7 @@ def count_chain(formulation: str, size: int) -> Counts:
     return count(row.build(dynamics_alone(make_chain(size), driven=row.driven), ONE_PLAN))
 
 
-def grow(formulation: str, sizes: Sequence[int]) -> Growth:
+def grow(formulation: str, sizes: Iterable[int]) -> Growth:
     """Count a formulation for chains of the given sizes."""
     return Growth(formulation, {n: count_chain(formulation, n) for n in sizes})
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.replay import declare_inputs, leaves, operate, replay, replay_guards
@@ -23,11 +22,6 @@ def number_values(tape: Tape) -> Tape:
 def drop_dead(tape: Tape) -> Tape:
     """Leave out the operations that no output needs."""
     return _rebuild(tape, Builder(fold=False, number=False))
-
-
-def select_outputs(tape: Tape, names: Sequence[str]) -> Tape:
-    """Keep only the named outputs, and what they need."""
-    return drop_dead(replace(tape, outputs=tuple(tape.output(name) for name in names)))
 
 
 def _rebuild(tape: Tape, builder: Builder) -> Tape:

@@ -72,8 +72,8 @@ def join_loads(
     kinematics: Kinematics, segment: Segment, lump: Lump, movement: Movement, loads: dict[int, Load]
 ) -> Load:
     """Add to a body's own load what its joints carry, and what acts on it from outside."""
-    F, N, V = inertial_load(kinematics, segment, lump, movement)
     directions = directions_of(kinematics, segment, lump, movement)
+    F, N, V = inertial_load(kinematics.builder, segment, lump, movement, directions)
     zero = kinematics.builder.zero
     grouped = Vector(zero, zero, zero)
     for child in children(kinematics.segments, segment.number):
@@ -126,16 +126,14 @@ def directions_of(kinematics: Kinematics, segment: Segment, lump: Lump, movement
 
 
 def inertial_load(
-    kinematics: Kinematics, segment: Segment, lump: Lump, movement: Movement
+    builder: Builder, segment: Segment, lump: Lump, movement: Movement, directions: Sequence[Direction]
 ) -> tuple[Vector[Scalar], Vector[Scalar], list[Vector[Scalar]]]:
     """Form a body's own force, the moment of its ring, and its V by direction."""
-    directions = directions_of(kinematics, segment, lump, movement)
-    zero = kinematics.builder.zero
-    still = Vector(zero, zero, zero)
+    still = Vector(builder.zero, builder.zero, builder.zero)
     if lump.radius is not None:  # a point mass: its force acts at the end of its direction
         F = (movement.a0 + directions[lump.direction].Ue).scale(lump.m)
         V = [F if t == lump.direction else still for t in range(3)]
-        return F, _ring_moment(kinematics.builder, segment, lump, movement), V
+        return F, _ring_moment(builder, segment, lump, movement), V
     F, V = movement.a0.scale(lump.m), []
     for t, direction in enumerate(directions):
         F = F + direction.Ue.scale(direction.share(lump.S[t]))
@@ -143,7 +141,7 @@ def inertial_load(
         for u, other in enumerate(directions):
             v = v + other.Ue.scale(other.share(direction.share(lump.P[t, u])))
         V.append(v)
-    return F, _ring_moment(kinematics.builder, segment, lump, movement), V
+    return F, _ring_moment(builder, segment, lump, movement), V
 
 
 def _ring_moment(builder: Builder, segment: Segment, lump: Lump, movement: Movement) -> Vector[Scalar]:
