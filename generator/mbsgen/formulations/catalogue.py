@@ -60,9 +60,9 @@ FUNCTIONS: Mapping[str, Entry] = MappingProxyType(
     {
         "impl": Entry(impl.build, "residual of the equations of motion, recursive Newton-Euler", differentiated=True),
         "semi": Entry(semi.build, "mass matrix and bias: M qdd + c = Q", differentiated=False),
-        "semi_res": Entry(semi.build_residual, "residual by mass matrix and bias: M qdd + c - Q", differentiated=False),
-        "exp1": Entry(exp1.build, "accelerations by elimination in the mass matrix", differentiated=False),
-        "exp2": Entry(exp2.build, "accelerations by articulated bodies, order N", differentiated=False),
+        "semi_res": Entry(semi.build_residual, "residual by mass matrix and bias: M qdd + c - Q", differentiated=True),
+        "exp1": Entry(exp1.build, "accelerations by elimination in the mass matrix", differentiated=True),
+        "exp2": Entry(exp2.build, "accelerations by articulated bodies, order N", differentiated=True),
         "sensors": Entry(_plainly(poses.build_sensors), "places of the sensors", differentiated=True, of_sensors=True),
         "motion": Entry(
             _plainly(velocities.build_motion), "velocities of the sensors", differentiated=True, of_sensors=True
