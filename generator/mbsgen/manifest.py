@@ -58,6 +58,7 @@ class Kernel(_Entry):
     name: str  # "impl", "jac_impl", "adj1_impl", "jac_adj1_impl", "sensors", "frames", "setup"
     symbol: str  # the function in CasADi's contract, e.g. "jac_arm_pendulum_impl"
     function: str  # the typed C function, e.g. "arm_pendulum_compute_jac_impl"
+    sources: tuple[str, ...]  # the C files that it is compiled from, headers aside
     inputs: tuple[Argument, ...]
     outputs: tuple[Argument, ...]
     flops: Flops

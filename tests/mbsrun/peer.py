@@ -94,6 +94,7 @@ def _describe(name: str, function: ca.Function) -> Kernel:
         name=name,
         symbol=function.name(),
         function=function.name(),
+        sources=(),
         inputs=tuple(_argument(function.name_in(i), function.size_in(i)) for i in range(function.n_in())),
         outputs=tuple(_argument(function.name_out(i), function.size_out(i)) for i in range(function.n_out())),
         flops=_NONE,

@@ -71,7 +71,7 @@ def write_c(unit: Unit) -> Sources:
         f"{unit.prefix}.pc": _render("model.pc", **common),
         "CMakeLists.txt": _render("CMakeLists.txt", sources=tuple(sources), abi=ABI_HEADER, **common),
     }
-    return Sources(files, header, tuple(sources), tuple(map(_describe, found)))
+    return Sources(files, header, tuple(sources), tuple(_describe(unit.prefix, f) for f in found))
 
 
 def _write_check(unit: Unit, found: Sequence[Face], common: Mapping[str, object]) -> str:
@@ -99,7 +99,7 @@ def _environment() -> jinja2.Environment:
 # -- the manifest's side --------------------------------------------------------------------------------------------
 
 
-def _describe(face: Face) -> Kernel:
+def _describe(prefix: str, face: Face) -> Kernel:
     """Describe a kernel by the arguments of its tape; the empty ones that CasADi counts besides are left to the C."""
     counts = count(face.tape)
     slots = {slot.name: slot for slot in (*face.inputs, *face.outputs)}
@@ -107,11 +107,16 @@ def _describe(face: Face) -> Kernel:
         name=face.kernel,
         symbol=face.symbol,
         function=face.function,
+        sources=(_file(prefix, face),),
         inputs=tuple(_argument(i, slots[i.name].differentiable) for i in face.tape.inputs),
         outputs=tuple(map(_argument, face.tape.outputs)),
         flops=counts.flops,
         equations=counts.equations,
     )
+
+
+def _file(prefix: str, face: Face) -> str:
+    return f"{prefix}_{face.kernel}.c"
 
 
 def _argument(source: Input | Output, differentiable: bool = True) -> Argument:
@@ -188,7 +193,7 @@ def _view(prefix: str, face: Face) -> _View:
     patterns = _name_patterns(face)
     empty = [a for a in map(_argument, arguments(face.tape)) if not a.nnz]
     return _View(
-        file=f"{prefix}_{face.kernel}.c",
+        file=_file(prefix, face),
         symbol=face.symbol,
         function=face.function,
         title=face.family.describe(face.kernel),
