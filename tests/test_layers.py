@@ -51,6 +51,7 @@ MBSRUN = Package(
         "external",
         "ocp.schemes ocp.plant ocp.program ocp.trajectory",
         "ocp.problem",
+        "ocp.layout",
         "ocp.statement ocp.guess ocp.transcription ocp.solution",
         "ocp.solve",
         "ocp.resimulation",

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mbsgen.manifest import FORMAT, Argument, Coordinate, Flops, Frame, Kernel, Manifest
 
+_NAMES_OF_RESIDUAL = (["q", "qd", "qdd", "u"], ["Phi"])
 FREE = {"lower": None, "upper": None}
 _NONE = Flops(paper=0, arithmetic=0, add=0, mul=0, div=0, neg=0, sqrt=0, trig=0, other=0)
 
@@ -71,17 +72,33 @@ def pose_functions(q: ca.SX, sensors: ca.SX, p: ca.SX, R: ca.SX) -> dict[str, ca
 
 def residual_function(q: ca.SX, qd: ca.SX, qdd: ca.SX, u: ca.SX, Phi: ca.SX) -> ca.Function:
     """Make the function of the equations of motion."""
-    return ca.Function("peer_impl", [q, qd, qdd, u], [Phi], ["q", "qd", "qdd", "u"], ["Phi"], {"cse": True})
+    return ca.Function("peer_impl", [q, qd, qdd, u], [Phi], *_NAMES_OF_RESIDUAL, {"cse": True})
+
+
+def explicit_functions(residual: ca.Function) -> dict[str, ca.Function]:
+    """Solve the equations of motion for the accelerations: M(q) qdd = -Phi(q, qd, 0, u), M being dPhi/dqdd."""
+    q, qd, qdd, u = residual.sx_in()
+    M = ca.jacobian(residual(q, qd, qdd, u), qdd)
+    accelerations = ca.solve(M, -residual(q, qd, 0, u))
+    return {
+        "semi_res": ca.Function("peer_semi_res", [q, qd, qdd, u], [residual(q, qd, qdd, u)], *_NAMES_OF_RESIDUAL),
+        **{
+            k: ca.Function(f"peer_{k}", [q, qd, u], [accelerations], ["q", "qd", "u"], ["qdd"], {"cse": True})
+            for k in ("exp1", "exp2")
+        },
+    }
 
 
 def double_integrator() -> Peer:
     """A mass of 1 kg that is pushed along x: qdd = u; its place is a sensor."""
     q, qd, qdd, u = (ca.SX.sym(name) for name in ("q", "qd", "qdd", "u"))
     p = ca.vertcat(q, 0, 0)
+    residual = residual_function(q, qd, qdd, u, qdd - u)
     return Peer(
         "double integrator",
         {
-            "impl": residual_function(q, qd, qdd, u, qdd - u),
+            "impl": residual,
+            **explicit_functions(residual),
             **pose_functions(q, p, ca.horzcat(p, p), ca.horzcat(ca.SX.eye(3), ca.SX.eye(3))),
         },
         [Coordinate(name="slide", motion="prismatic", actuated=True, **FREE)],

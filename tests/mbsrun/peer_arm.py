@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from mbsgen.manifest import Coordinate, Frame
-from tests.mbsrun.peer import Peer, pose_functions, residual_function
+from tests.mbsrun.peer import Peer, explicit_functions, pose_functions, residual_function
 
 GRAVITY = 9.81
 
@@ -104,10 +104,12 @@ def peer_arm() -> Peer:
         for i, link in enumerate(LINKS, 1)
     ]
     bodies = [Frame(name=link.name, parent=i - 1, sensor=False) for i, link in enumerate(LINKS)]
+    residual = residual_function(q, qd, qdd, u, _residual(q, qd, qdd, u))
     return Peer(
         "peer arm",
         {
-            "impl": residual_function(q, qd, qdd, u, _residual(q, qd, qdd, u)),
+            "impl": residual,
+            **explicit_functions(residual),
             **pose_functions(q, ca.horzcat(*sensors), p, R),
         },
         joints,

@@ -10,11 +10,42 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Literal
+from enum import Enum
+from typing import Annotated
 
 from pydantic import BeforeValidator, PlainSerializer
 
 from mbsrun.ocp.schemes import Family
+
+
+class Representation(Enum):
+    """The equations of motion as constraints: a formulation, as a residual, an ODE, or algebraic in the accelerations.
+
+    Docquier, Bruls, Fisette, section 3.3.
+    """
+
+    IMPL = "IMPL"  # Phi(q, qd, z) - Q(q, qd, u) = 0
+    SEMI = "SEMI"  # M(q) z + c(q, qd) - Q(q, qd, u) = 0
+    EXP1_O = "EXP1-O"  # d/dt qd = gamma(q, qd, u)
+    EXP1_A = "EXP1-A"  # d/dt qd = z, z - gamma(q, qd, u) = 0
+    EXP2_O = "EXP2-O"  # the same two by the order-N recursion
+    EXP2_A = "EXP2-A"
+
+    @property
+    def kernel(self) -> str:
+        """Name the kernel."""
+        return {"IMPL": "impl", "SEMI": "semi_res", "EXP1": "exp1", "EXP2": "exp2"}[self.value[:4]]
+
+    @property
+    def is_explicit(self) -> bool:
+        """Tell whether the kernel gives accelerations, and not a residual."""
+        return self.value.startswith("EXP")
+
+    @property
+    def is_ode(self) -> bool:
+        """Tell whether accelerations are no variables."""
+        return self.value.endswith("-O")
+
 
 # A bound that there is not: infinite in a program, null in a file.
 Lower = Annotated[
@@ -82,7 +113,7 @@ class Problem:
     start_qd: tuple[float, ...]
     bounds: Bounds
     end: End
-    formulation: Literal["impl"] = "impl"
+    representation: Representation = Representation.IMPL
     guess: GuessOptions = field(default_factory=GuessOptions)
     solver: SolverOptions = field(default_factory=SolverOptions)
     accuracy: float = 1e-6  # the largest defect of an interval that counts as accurate, in rad and m, and these per s

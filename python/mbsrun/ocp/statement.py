@@ -31,7 +31,18 @@ from mbsgen.errors import Fault, InputError
 from mbsgen.expressions import CONSTANTS, FLOATS, FUNCTIONS, Expression, ExpressionError, Number, evaluate, names, parse
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Bounds, Cost, End, GuessOptions, Point, Problem, Range, SolverOptions, cylindrical
+from mbsrun.ocp.problem import (
+    Bounds,
+    Cost,
+    End,
+    GuessOptions,
+    Point,
+    Problem,
+    Range,
+    Representation,
+    SolverOptions,
+    cylindrical,
+)
 from mbsrun.ocp.schemes import DEGREES, Family
 
 MAX_INTERVALS = 10_000
@@ -147,7 +158,7 @@ class _ProblemSection(Section):
     intervals: int = Field(ge=1, le=MAX_INTERVALS, examples=[100])
     scheme: Family = Field(examples=["radau"])
     degree: int = Field(ge=DEGREES[0], le=DEGREES[-1], examples=[4])
-    formulation: Literal["impl"] = Field(default="impl", examples=["impl"])
+    representation: Representation = Field(default=Problem.representation, examples=["IMPL"])
     cost: _CostSection = Field(examples=[{"inputs": 1.0}])
     start: _StartSection = Field(examples=[{"pose": {}}])
     bounds: _BoundsSection = Field(default=_BoundsSection(), examples=[{}])
@@ -198,7 +209,7 @@ class _Reading:
             intervals=section.intervals,
             family=section.scheme,
             degree=section.degree,
-            formulation=section.formulation,
+            representation=section.representation,
             cost=self.cost(section.cost),
             start_q=self.start("pose", section.start.pose, bounds.q),
             start_qd=self.start("velocity", section.start.velocity, bounds.qd),

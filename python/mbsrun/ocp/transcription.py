@@ -1,7 +1,6 @@
 """Direct collocation: Problem and plant -> sparse nonlinear program.
 
-Variables, interval by interval: the state x_k = (q, qd) at the mesh point; at each collocation point the state x_kj and
-the acceleration z_kj; the inputs u_k, constant over the interval. At the end x_N. Constraints, in the same order:
+Variables are as `layout` says. Constraints, interval by interval:
 
     x_0 = start                                                                  2 n rows
     sum_r D_jr q_kr - h qd_kj = 0,  sum_r D_jr qd_kr - h z_kj = 0                2 n rows a point
@@ -9,8 +8,11 @@ the acceleration z_kj; the inputs u_k, constant over the interval. At the end x_
     x_(k+1) = sum_r e_r x_kr                                                     2 n rows an interval
     sensors at x_N, coordinates of x_N, qd_N = 0, z(T) = 0                       as the problem asks
 
-(Docquier, Bruls, Fisette, eqs. 5, 15, 22-27.) Start, targets and bounds are bounds of the program, the weights of the
-cost its parameters: one program serves all problems that differ in those only.
+for a residual; where the equations of motion are explicit, the third is z_kj - gamma(q_kj, qd_kj, u_k) = 0, or gamma
+takes the place of z_kj in the second, and of z(T). (Docquier, Bruls, Fisette, eqs. 5, 15, 22-27.)
+
+Start, targets and bounds are bounds of the program, the weights of the cost its parameters: one program serves all
+problems that differ in those only.
 """
 
 from __future__ import annotations
@@ -24,8 +26,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from mbsrun.ocp import schemes
+from mbsrun.ocp.layout import Layout, collocation_points, end, lay_out
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.problem import Problem, Representation
 from mbsrun.ocp.program import Block, Indices, Matrix, Program
 from mbsrun.ocp.schemes import Family, Scheme
 from mbsrun.ocp.trajectory import Trajectory, grid
@@ -41,22 +44,11 @@ class Structure:
     intervals: int
     family: Family
     degree: int
-    formulation: str
+    representation: Representation
     sensors: tuple[str, ...]
     coordinates: tuple[int, ...]
     velocity_zero: bool
     acceleration_zero: bool
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Where a trajectory lies among the variables; n coordinates, m inputs, N intervals with d points each."""
-
-    mesh: Indices  # (N + 1, 2 n): states at the mesh points
-    points: Indices  # (N, d, 2 n): states at the collocation points
-    accelerations: Indices  # (N, d, n): accelerations at the collocation points
-    inputs: Indices  # (N, m)
-    size: int
 
 
 @dataclass(frozen=True)
@@ -65,7 +57,7 @@ class Rows:
 
     start: Indices  # (2 n,)
     states: Indices  # (N, d, 2 n)
-    dynamics: Indices  # (N, d, n)
+    dynamics: Indices  # (N, d, n): those of the states that hold the equations of motion, for an ODE
     continuity: Indices  # (N, 2 n)
     sensors: Indices  # (targets, 3)
     coordinates: Indices  # (targets,)
@@ -113,15 +105,20 @@ class Transcription:
         x, layout = np.empty(self.layout.size), self.layout
         x[layout.mesh] = np.concatenate((trajectory.q, trajectory.qd), axis=1)
         x[layout.points] = np.concatenate((trajectory.point_q, trajectory.point_qd), axis=2)
-        x[layout.accelerations] = trajectory.point_qdd
+        if layout.accelerations.size:
+            x[layout.accelerations] = trajectory.point_qdd
         x[layout.inputs] = trajectory.u
         return x
 
     def unpack(self, x: Array) -> Trajectory:
         """Read a trajectory out of the variables."""
-        layout, n = self.layout, self.layout.accelerations.shape[2]
+        layout, n = self.layout, self.layout.n
         t, point_t = grid(self.structure.horizon, self.structure.intervals, self.scheme.points)
         mesh, points = x[layout.mesh], x[layout.points]
+        if layout.accelerations.size:
+            accelerations = x[layout.accelerations]
+        else:
+            accelerations = self.scheme.D @ np.concatenate((mesh[:-1, None], points), axis=1)[:, :, n:] / (t[1] - t[0])
         return Trajectory(
             t=t,
             q=mesh[:, :n],
@@ -130,7 +127,7 @@ class Transcription:
             point_t=point_t,
             point_q=points[:, :, :n],
             point_qd=points[:, :, n:],
-            point_qdd=x[layout.accelerations],
+            point_qdd=accelerations,
         )
 
 
@@ -141,7 +138,7 @@ def structure(problem: Problem) -> Structure:
         problem.intervals,
         problem.family,
         problem.degree,
-        problem.formulation,
+        problem.representation,
         tuple(name for name, _ in problem.end.sensors),
         tuple(i for i, _ in problem.end.coordinates),
         problem.end.velocity_zero,
@@ -154,33 +151,21 @@ def transcribe(problem: Problem, plant: Plant) -> Transcription:
     shape = structure(problem)
     scheme = schemes.build(shape.family, shape.degree)
     n, m = len(plant.manifest.coordinates), len(plant.manifest.actuated)
-    layout = _lay_out(n, m, shape.intervals, shape.degree)
+    layout = lay_out(n, m, shape.intervals, shape.degree, shape.representation)
     rows = _number_rows(n, shape)
     h = shape.horizon / shape.intervals
     sensors = [_sensor(layout, row, plant, name) for row, name in zip(rows.sensors, shape.sensors, strict=True)]
     cost = (_input_cost(layout, h), _rate_cost(layout, h))
-    blocks = (_dynamics(layout, rows, plant), *sensors)
+    blocks = (*_dynamics(layout, rows, shape, plant, h), *sensors)
     return Transcription(shape, scheme, layout, rows, Program(_linear(layout, rows, scheme, shape, h), cost, blocks))
-
-
-def _lay_out(n: int, m: int, N: int, d: int) -> Layout:
-    stride = 2 * n + d * 3 * n + m
-    first = np.arange(N + 1) * stride
-    points = first[:N, None, None] + 2 * n + np.arange(d)[:, None] * 3 * n + np.arange(3 * n)
-    return Layout(
-        mesh=first[:, None] + np.arange(2 * n),
-        points=points[:, :, : 2 * n],
-        accelerations=points[:, :, 2 * n :],
-        inputs=first[1:, None] - m + np.arange(m),
-        size=N * stride + 2 * n,
-    )
 
 
 def _number_rows(n: int, shape: Structure) -> Rows:
     N, d = shape.intervals, shape.degree
-    stride = d * 3 * n + 2 * n
+    at_point = (2 if shape.representation.is_ode else 3) * n
+    stride = d * at_point + 2 * n
     first = 2 * n + np.arange(N) * stride
-    points = first[:, None, None] + np.arange(d)[:, None] * 3 * n + np.arange(3 * n)
+    points = first[:, None, None] + np.arange(d)[:, None] * at_point + np.arange(at_point)
     sizes = (
         3 * len(shape.sensors),
         len(shape.coordinates),
@@ -192,8 +177,8 @@ def _number_rows(n: int, shape: Structure) -> Rows:
     return Rows(
         start=np.arange(2 * n),
         states=points[:, :, : 2 * n],
-        dynamics=points[:, :, 2 * n :],
-        continuity=first[:, None] + d * 3 * n + np.arange(2 * n),
+        dynamics=points[:, :, -n:],
+        continuity=first[:, None] + d * at_point + np.arange(2 * n),
         sensors=sensors.reshape(-1, 3),
         coordinates=coordinates,
         velocity=velocity,
@@ -203,39 +188,48 @@ def _number_rows(n: int, shape: Structure) -> Rows:
 
 
 def _linear(layout: Layout, rows: Rows, scheme: Scheme, shape: Structure, h: float) -> Matrix:
-    """Write every constraint that is linear; zeros of the scheme's end row are left out."""
-    n = layout.accelerations.shape[2]
+    """Write every constraint that is linear, and the linear parts of the others; zeros of the scheme are left out."""
+    n = layout.n
     A = _Entries((rows.size, layout.size))
     A.put(rows.start, layout.mesh[0], 1.0)
     nodes = [layout.mesh[:-1], *layout.points.transpose(1, 0, 2)]  # 0 and the points, each (N, 2 n)
     rates = np.concatenate((layout.points[:, :, n:], layout.accelerations), axis=2)
-    A.put(rows.states, rates, -h)
+    A.put(rows.states[:, :, : rates.shape[2]], rates, -h)
     for r, node in enumerate(nodes):
         for j in range(scheme.degree):
             A.put(rows.states[:, j], node, scheme.D[j, r])
         A.put(rows.continuity, node, -scheme.end[r])
     A.put(rows.continuity, layout.mesh[1:], 1.0)
+    if shape.representation.is_explicit and not shape.representation.is_ode:
+        A.put(rows.dynamics, layout.accelerations, 1.0)
     A.put(rows.coordinates, layout.mesh[-1, list(shape.coordinates)], 1.0)
     if shape.velocity_zero:
         A.put(rows.velocity, layout.mesh[-1, n:], 1.0)
-    if shape.acceleration_zero:
+    if shape.acceleration_zero and not shape.representation.is_ode:
         for j in range(scheme.degree):
             A.put(rows.acceleration, layout.accelerations[-1, j], scheme.end_of_points[j])
     return A.matrix()
 
 
-def _dynamics(layout: Layout, rows: Rows, plant: Plant) -> Block:
-    """Phi(q, qd, z) - Q(q, qd, u) at every collocation point."""
-    N, d, n = layout.accelerations.shape
-    inputs = np.broadcast_to(layout.inputs[:, None, :], (N, d, layout.inputs.shape[1]))
-    parts = (layout.points[:, :, :n], layout.points[:, :, n:], layout.accelerations, inputs)
-    columns = tuple(part.reshape(N * d, -1).T for part in parts)
-    return Block(plant.casadi("impl"), columns, rows.dynamics.reshape(N * d, -1).T)
+def _dynamics(layout: Layout, rows: Rows, shape: Structure, plant: Plant, h: float) -> list[Block]:
+    """Apply the kernel at every collocation point; and at the end, where accelerations are no variables."""
+    kernel = plant.casadi(shape.representation.kernel)
+    at = collocation_points(layout)
+    placed = rows.dynamics.reshape(-1, layout.n).T
+    if not shape.representation.is_explicit:
+        return [Block(kernel, (at.q, at.qd, at.qdd, at.u), placed)]
+    if not shape.representation.is_ode:
+        return [Block(kernel, (at.q, at.qd, at.u), placed, scale=-1.0)]
+    blocks = [Block(kernel, (at.q, at.qd, at.u), placed, scale=-h)]
+    if shape.acceleration_zero:
+        at = end(layout)
+        blocks.append(Block(kernel, (at.q, at.qd, at.u), rows.acceleration[:, None]))
+    return blocks
 
 
 def _sensor(layout: Layout, rows: Indices, plant: Plant, name: str) -> Block:
     """Position of a sensor at the end of the horizon, as a function of the coordinates that move it only."""
-    n = layout.accelerations.shape[2]
+    n = layout.n
     sensors = plant.casadi("sensors")
     place = [frame.name for frame in plant.manifest.frames if frame.sensor].index(name)
     felt = sensors.jacobian().sparsity_out(0).get_triplet()

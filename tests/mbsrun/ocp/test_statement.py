@@ -127,7 +127,7 @@ BAD = {  # what is changed in the good file: path, finding, remedy
     "half an interval": ("intervals: 10", "intervals: 1.5", "intervals", "found 1.5", "whole number"),
     "unknown scheme": ("legendre", "gauss", "scheme", '"gauss"', "'radau' or 'legendre'"),
     "degree": ("degree: 3", "degree: 10", "degree", "found 10", "9"),
-    "formulation": ("degree: 3", "degree: 3\nformulation: semi", "formulation", '"semi"', "'impl'"),
+    "representation": ("degree: 3", "degree: 3\nrepresentation: EXP3", "representation", '"EXP3"', "'IMPL'"),
     "negative weight": ("inputs: 1\n", "inputs: -1\n", "cost.inputs", "found -1", "not negative"),
     "no cost": ("inputs: 1\n  input_rates: 1e5", "inputs: 0", "cost", "every weight is 0", "positive weight"),
     "short pose": ("{q2: a, q3: -b, q4: a}", "[0, a]", "start.pose", "found 2 numbers", "give 6"),
