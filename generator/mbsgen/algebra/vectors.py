@@ -106,6 +106,10 @@ class Matrix(Generic[T]):
         (a, b, c), (x, y, z) = self.rows, other.rows
         return Matrix((a - x, b - y, c - z))
 
+    def __neg__(self) -> Matrix[T]:
+        a, b, c = self.rows
+        return Matrix((-a, -b, -c))
+
     def scale(self, factor: T) -> Matrix[T]:
         """Multiply by a number."""
         a, b, c = self.rows

@@ -14,6 +14,7 @@ from mbsgen.formulations.parsimony.plan import NoSuchPlanError, Plan
 from mbsgen.formulations.parsimony.residual import residual
 from mbsgen.formulations.parsimony.search import search
 from mbsgen.formulations.parsimony.segments import align
+from mbsgen.formulations.parsimony.sensitivities import sensitivities
 from mbsgen.formulations.parsimony.writing import Writing, begin
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import NO_FORCE, Tree
@@ -22,7 +23,7 @@ from mbsgen.tape.counts import count
 from mbsgen.tape.factoring import factor
 from mbsgen.tape.types import Tape
 
-ELIMINATED = 16  # larger trees write the M of EXP1 as that of SEMI: elimination takes most of the operations
+ELIMINATED = 16  # larger trees write the M of EXP1, and sensitivities, as the M of SEMI: a trial takes too long
 
 
 class Plans:
@@ -71,6 +72,16 @@ class Plans:
             return accelerations(bench.begin(plan), bench.state.qd, bench.state.qdd)[0]  # any n numbers will do for Q
 
         return self._search(write, self.residual)
+
+    @cached_property
+    def sensitivities(self) -> Plan:
+        """The derivatives of IMPL."""
+
+        def write(bench: Bench, plan: Plan) -> Sequence[Scalar]:
+            found = sensitivities(bench.begin(plan), bench.state.qd, bench.state.qdd)
+            return [*found.q.values(), *found.qd.values(), *found.qdd.values()]
+
+        return self._search(write, self.mass_matrix) if self._size <= ELIMINATED else self.mass_matrix
 
     def _search(self, write: Callable[[Bench, Plan], Sequence[Scalar]], *start: Plan) -> Plan:
         bench = Bench(self._tree, self._reductions)

@@ -2,45 +2,86 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from mbsgen.tape.builder import Builder, Scalar
 
 Entries = dict[tuple[int, int], Scalar]  # of a symmetric matrix, by numbers (ancestor, descendant), from 1
+Column = dict[int, Scalar]  # by number, from 1
 
 
 @dataclass(frozen=True)
 class Solution:
     """The solution, and the pivots by which it was found."""
 
-    x: dict[int, Scalar]
-    pivots: dict[int, Scalar]
+    x: Column
+    pivots: Column
 
 
-def solve(builder: Builder, matrix: Mapping[tuple[int, int], Scalar], b: Mapping[int, Scalar], size: int) -> Solution:
-    """Solve for the unknowns 1 to `size`; each later one is eliminated from those before it."""
-    H, right = dict(matrix), dict(b)
-    factors: Entries = {}
-    inverses: dict[int, Scalar] = {}
+@dataclass(frozen=True)
+class Factors:
+    """M = LT D L, with L of unit diagonal."""
+
+    builder: Builder
+    size: int
+    L: Entries  # by (ancestor, descendant)
+    D: Column
+    inverses: Column  # of D
+
+    def solve(self, b: Mapping[int, Scalar]) -> Column:
+        """Solve M x = b; entries that b leaves out are zero."""
+        return self.rise(self.descend(b))
+
+    def descend(self, b: Mapping[int, Scalar]) -> Column:
+        """Solve LT y = b, from the leaves to the base."""
+        y = {k: b.get(k, self.builder.zero) for k in range(1, self.size + 1)}
+        for k in range(self.size, 0, -1):
+            for i in self._ancestors(k):
+                y[i] = y[i] - self.L[i, k] * y[k]
+        return y
+
+    def rise(self, y: Mapping[int, Scalar], known: Mapping[int, Scalar] | None = None) -> Column:
+        """Solve D L x = y, from the base to the leaves; what is known of x is taken over."""
+        x: Column = dict(known or {})
+        for k in range(1, self.size + 1):
+            if k not in x:
+                value = y[k] * self.inverses[k]
+                for i in self._ancestors(k):
+                    value = value - self.L[i, k] * x[i]
+                x[k] = value
+        return x
+
+    def invert(self, columns: Iterable[int]) -> dict[int, Column]:
+        """Compute columns of the inverse of M; entries that two of them share by symmetry once."""
+        found: dict[int, Column] = {}
+        for j in sorted(columns, reverse=True):
+            y = self.descend({j: self.builder.number(1.0)})
+            found[j] = self.rise(y, {i: column[j] for i, column in found.items()})
+        return found
+
+    def _ancestors(self, k: int) -> Sequence[int]:
+        return [i for i in range(1, k) if (i, k) in self.L]
+
+
+def factorise(builder: Builder, matrix: Mapping[tuple[int, int], Scalar], size: int) -> Factors:
+    """Factorise a matrix of the unknowns 1 to `size`; each later one is eliminated from those before it."""
+    H = dict(matrix)
+    L: Entries = {}
+    inverses: Column = {}
     one = builder.number(1.0)
     for k in range(size, 0, -1):
         column = [i for i in range(1, k) if (i, k) in H and not H[i, k].is_zero]
         inverses[k] = one / H[k, k]
         for i in column:
-            factors[i, k] = H[i, k] * inverses[k]
+            L[i, k] = H[i, k] * inverses[k]
         for n, i in enumerate(column):
-            right[i] = right[i] - factors[i, k] * right[k]
             for j in column[n:]:
-                H[i, j] = H.get((i, j), builder.zero) - factors[i, k] * H[j, k]
-    x: dict[int, Scalar] = {}
-    for k in range(1, size + 1):
-        value = right[k] * inverses[k]
-        for i in _rows(factors, k):
-            value = value - factors[i, k] * x[i]
-        x[k] = value
-    return Solution(x, {k: H[k, k] for k in inverses})
+                H[i, j] = H.get((i, j), builder.zero) - L[i, k] * H[j, k]
+    return Factors(builder, size, L, {k: H[k, k] for k in inverses}, inverses)
 
 
-def _rows(factors: Entries, k: int) -> Sequence[int]:
-    return [i for i in range(1, k) if (i, k) in factors]
+def solve(builder: Builder, matrix: Mapping[tuple[int, int], Scalar], b: Mapping[int, Scalar], size: int) -> Solution:
+    """Solve for the unknowns 1 to `size` at once."""
+    factors = factorise(builder, matrix, size)
+    return Solution(factors.solve(b), factors.D)

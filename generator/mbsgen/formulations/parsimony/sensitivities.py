@@ -1,0 +1,251 @@
+"""Sensitivities of the residual: dPhi/dq, dPhi/dqd and dPhi/dqdd by one recursion over composite bodies.
+
+When joint j turns by dq, the points r beyond it move by (e x r) dq, r from the joint's origin. Seen from the body that
+turned, their accelerations change by a x e + e'' x r + 2 e' x v, where e is the axis, e' = om x e and e'' = U e its
+derivatives as a direction of the body before the joint, a the acceleration of the origin, and v the velocity of the
+point relative to it. By the rates: 2 e' x r + 2 e x v; by the accelerations: e x r. A slider's: e'', 2 e' and e.
+
+Each joint i thus asks three loads of what lies beyond it, taken as one body with its momentum: they are carried down
+to the base and give the entries (j, i) of ancestors j. The entries (i, j) take the first load alone, on the motion of
+the axis of j, besides one vector K carried along. Between parallel axes of a group, one changes by U (e x d).
+
+After Echeandia, Wensing (2021) and Singh, Russell, Wensing (2022), in the frames and regrouped masses of this folder.
+Velocities come twice, since none is needed once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mbsgen.algebra.vectors import Matrix, Vector, outer
+from mbsgen.formulations.parsimony.mass_matrix import Entries, link, own_inertia, shift_inertia
+from mbsgen.formulations.parsimony.motion import Kinematics, Movement
+from mbsgen.formulations.parsimony.regrouping import Lump
+from mbsgen.formulations.parsimony.residual import Load, join_loads
+from mbsgen.formulations.parsimony.segments import Segment, children, unit_vector
+from mbsgen.formulations.parsimony.writing import Writing
+from mbsgen.tape.builder import Builder, Scalar
+
+
+@dataclass(frozen=True)
+class Sensitivities:
+    """The nonzero entries (row, column) of the residual's derivatives, by body numbers from 1."""
+
+    q: Entries
+    qd: Entries
+    qdd: Entries  # the mass matrix
+
+
+@dataclass(frozen=True)
+class Composite:
+    """A body with all beyond it, about its origin, where it is written; with twice the velocities v relative to it."""
+
+    m: Scalar
+    S: Vector[Scalar]
+    J: Matrix[Scalar]
+    p: Vector[Scalar]  # integral of 2 v dm
+    L: Matrix[Scalar]  # integral of (2 v.r) 1 - 2 v rT dm
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A joint's axis, where its body is written, and how it moves with the body before the joint."""
+
+    e: Vector[Scalar]
+    doubled_rate: Vector[Scalar]  # 2 e'
+    rate: Vector[Scalar]  # e'
+    acceleration: Vector[Scalar]  # e''
+    turned: Vector[Scalar]  # a x e
+
+
+@dataclass(frozen=True)
+class Force:
+    """A force with its moment about the origin of the body that it is written at."""
+
+    F: Vector[Scalar]
+    N: Vector[Scalar]
+
+    def depart(self, kinematics: Kinematics, segment: Segment, d: Vector[Scalar]) -> Force:
+        """Refer it to the origin of the body before `segment`, which is at d from there, and write it there."""
+        F = kinematics.depart(segment, self.F)
+        return Force(F, kinematics.depart(segment, self.N) + d.cross(F))
+
+
+def sensitivities(writing: Writing, qd: Sequence[Scalar], qdd: Sequence[Scalar]) -> Sensitivities:
+    """Differentiate Phi(q, qd, qdd) of a chain; what drives it, and external wrenches, left out."""
+    return _Recursion(writing, qd, qdd).run()
+
+
+class _Recursion:
+    def __init__(self, writing: Writing, qd: Sequence[Scalar], qdd: Sequence[Scalar]) -> None:
+        self.kinematics, self.lumps, self.qd = writing.kinematics, writing.lumps, qd
+        self.builder = writing.chain.builder
+        self.two = self.builder.number(2.0)
+        self.movements = self.kinematics.move(writing.chain.gravity, qd, qdd)
+        self.axes = {s.number: self._axis(s, self.movements[s.number]) for s in self.kinematics.segments}
+        self.composites: dict[int, Composite] = {}
+        self.found = Sensitivities({}, {}, {})
+
+    def run(self) -> Sensitivities:
+        loads: dict[int, Load] = {}
+        for segment in reversed(self.kinematics.segments):
+            i = segment.number
+            loads[i] = join_loads(self.kinematics, segment, self.lumps[i], self.movements[i], loads)
+            self.composites[i] = self._compose(segment, self.lumps[i])
+            self._differentiate(segment, self.composites[i], loads[i])
+        return self.found
+
+    # -- the state of bodies ------------------------------------------------------------------------------------
+
+    def _axis(self, segment: Segment, movement: Movement) -> Axis:
+        e = unit_vector(self.builder, segment.axis)
+        rate = self.kinematics.angular_velocity(segment, movement).cross(e)
+        return Axis(e, rate.scale(self.two), rate, movement.A, movement.a0.cross(e))
+
+    def _doubled_velocity(self, segment: Segment) -> Vector[Scalar]:
+        """Return 2 om, where the body is written."""
+        return self.kinematics.angular_velocity(segment, self.movements[segment.number]).scale(self.two)
+
+    def _doubled_departure(self, child: Segment, d: Vector[Scalar]) -> Vector[Scalar]:
+        """Return twice the velocity of a child's origin relative to its parent's, where the parent is written."""
+        parent = self.kinematics.segments[child.parent - 1]
+        v = self._doubled_velocity(parent).cross(d)
+        if child.is_revolute:
+            return v
+        return v + axis_before(self.kinematics, child).scale(self.two * child.signed(self.qd[child.number - 1]))
+
+    def _compose(self, segment: Segment, lump: Lump) -> Composite:
+        """Add to a body what its joints carry."""
+        k, om = self.kinematics, self._doubled_velocity(segment)
+        axes = k.stations[segment.number].directions
+        m, S, J = lump.m, k.fixed(segment.number, lump.S), own_inertia(self.builder, segment, lump, axes)
+        p, L = om.cross(S), -cross_matrix(om).times(own_moments(self.builder, segment, lump, axes))
+        for child in children(k.segments, segment.number):
+            carried, d = self.composites[child.number], link(k, child)
+            v, s, weight = self._doubled_departure(child, d), k.depart(child, carried.S), d.scale(carried.m)
+            momentum = k.depart(child, carried.p)
+            J = shift_inertia(k.depart_tensor(child, carried.J), d, s, weight) + J
+            L = L + k.depart_tensor(child, carried.L) + turned_outer(v, s + weight) + turned_outer(momentum, d)
+            p, S, m = p + momentum + v.scale(carried.m), S + s + weight, m + carried.m
+        return Composite(m, S, J, p, L)
+
+    # -- loads, and what joints feel of them --------------------------------------------------------------------
+
+    def _differentiate(self, segment: Segment, body: Composite, load: Load) -> None:
+        """Write the column of a joint in the rows of its ancestors, and its row in their columns."""
+        by = _Loads.of(segment, body, self.axes[segment.number], load)
+        self._write_column(segment, segment, by)
+        at = segment
+        while at.parent:
+            d = link(self.kinematics, at)
+            by = by.depart(self.kinematics, at, d, self._doubled_departure(at, d))
+            below = self.kinematics.segments[at.parent - 1]
+            self._write_column(below, segment, by)
+            self._write_row(below, segment, by, None if at.opens_group else (at, d))
+            at = below
+
+    def _write_column(self, row: Segment, column: Segment, by: _Loads) -> None:
+        place, same = (row.number, column.number), row.sense == column.sense
+        for entries, load in ((self.found.q, by.q), (self.found.qd, by.qd), (self.found.qdd, by.qdd)):
+            felt = (load.N if row.is_revolute else load.F)[row.axis]
+            entries[place] = felt if same else -felt
+        self.found.qdd[column.number, row.number] = self.found.qdd[place]
+
+    def _write_row(
+        self, column: Segment, row: Segment, by: _Loads, through: tuple[Segment, Vector[Scalar]] | None
+    ) -> None:
+        """Write the entries of a row in the column of an ancestor; `through` leads to it if its axis is parallel."""
+        axis, first, same = self.axes[column.number], by.qdd, row.sense == column.sense
+        if through:
+            at, d = through
+            change = axis.e.cross(d)
+            field = self.movements[column.number].field(change)
+            slopes = (field.dot(first.F), self._doubled_velocity(column).cross(change).dot(first.F))
+            for entries, more in zip((self.found.q, self.found.qd), slopes, strict=True):
+                before = entries[row.number, at.number]
+                entries[row.number, column.number] = (before if at.sense == column.sense else -before) + (
+                    more if same else -more
+                )
+            return
+        if column.is_revolute:
+            q = axis.turned.dot(first.F) + axis.acceleration.dot(first.N) + axis.rate.dot(by.K)
+            qd = axis.doubled_rate.dot(first.N) + by.K[column.axis]
+        else:
+            q, qd = axis.acceleration.dot(first.F), axis.doubled_rate.dot(first.F)
+        self.found.q[row.number, column.number] = q if same else -q
+        self.found.qd[row.number, column.number] = qd if same else -qd
+
+
+@dataclass(frozen=True)
+class _Loads:
+    """What a joint asks of all beyond it for a unit of its coordinate, rate and acceleration; and K.
+
+    e.K is the moment of 2 e x v about the joint: K = integral of 2 v x (e x r) dm.
+    """
+
+    q: Force
+    qd: Force
+    qdd: Force
+    K: Vector[Scalar]
+
+    @staticmethod
+    def of(segment: Segment, body: Composite, axis: Axis, load: Load) -> _Loads:
+        """Form the loads where the joint's body is written."""
+        e, S, p = axis.e, body.S, body.p
+        if not segment.is_revolute:
+            m, rate, acceleration = body.m, axis.doubled_rate, axis.acceleration
+            q = Force(acceleration.scale(m), S.cross(acceleration) + e.cross(load.F))
+            return _Loads(q, Force(rate.scale(m), S.cross(rate)), Force(e.scale(m), S.cross(e)), p.cross(e))
+        K = body.L.rows[segment.axis]
+        qdd = Force(e.cross(S), body.J.column(segment.axis))
+        qd = Force(
+            axis.doubled_rate.cross(S) + e.cross(p), body.J.apply(axis.doubled_rate) + body.L.column(segment.axis)
+        )
+        q = Force(
+            e.cross(load.F) + axis.turned.scale(body.m) + axis.acceleration.cross(S) + axis.rate.cross(p),
+            e.cross(load.N) + S.cross(axis.turned) + body.J.apply(axis.acceleration) + body.L.apply(axis.rate),
+        )
+        return _Loads(q, qd, qdd, K)
+
+    def depart(self, kinematics: Kinematics, segment: Segment, d: Vector[Scalar], v: Vector[Scalar]) -> _Loads:
+        """Carry the loads to the body before `segment`, whose origin is at -d and moves by -v, twice, from there."""
+        q, qd, qdd = (x.depart(kinematics, segment, d) for x in (self.q, self.qd, self.qdd))
+        return _Loads(q, qd, qdd, kinematics.depart(segment, self.K) + v.cross(qdd.F))
+
+
+def axis_before(kinematics: Kinematics, child: Segment) -> Vector[Scalar]:
+    """Return a joint's axis, where its parent is written."""
+    e = child.turn.column(child.axis) if child.turn else unit_vector(kinematics.builder, child.axis)
+    return kinematics.fixed(child.parent, e)
+
+
+def cross_matrix(v: Vector[Scalar]) -> Matrix[Scalar]:
+    """Return the matrix of v x."""
+    zero = v.x.builder.zero
+    return Matrix.of([[zero, -v.z, v.y], [v.z, zero, -v.x], [-v.y, v.x, zero]])
+
+
+def turned_outer(a: Vector[Scalar], b: Vector[Scalar]) -> Matrix[Scalar]:
+    """Form (a.b) 1 - a bT."""
+
+    def entry(r: int, c: int) -> Scalar:
+        if r != c:
+            return -(a[r] * b[c])
+        j, k = (r + 1) % 3, (r + 2) % 3
+        return a[j] * b[j] + a[k] * b[k]
+
+    return Matrix.of([entry(r, c) for c in range(3)] for r in range(3))
+
+
+def own_moments(builder: Builder, segment: Segment, lump: Lump, axes: Sequence[Vector[Scalar]]) -> Matrix[Scalar]:
+    """Write a body's own second moments where the body is written; those of its ring are the same in all its turns."""
+    along = builder.zero - lump.ring
+    total = Matrix.of(
+        [(along if r == segment.axis else lump.ring) if r == c else builder.zero for c in range(3)] for r in range(3)
+    )
+    for t, a in enumerate(axes):
+        for u, e in enumerate(axes):
+            if not lump.P[t, u].is_zero:
+                total = total + outer(a, e).scale(lump.P[t, u])
+    return total
