@@ -42,9 +42,9 @@ class Turn:
     def back_tensor(self, B: Matrix[Scalar]) -> Matrix[Scalar]:
         """Take a matrix back out of the turned frame: 11 operations across the axis, 12 along it.
 
-        The diagonal across the axis changes by the product of sines: at small angles, where a stretched chain has large
-        entries beside small ones, nothing of one leaks into the other by rounding. Where one is the structural zero,
-        the other form costs less, in which an entry is what the product of cosines leaves.
+        The diagonal changes by what a sine multiplies: in a chain that is stretched or folded, whose links have little
+        inertia along and much across, nothing of the one leaks into the other. By cosines it would, by rounding, but
+        that is cheaper where an entry of the diagonal is the structural zero.
         """
         a, j, k = self.axis, (self.axis + 1) % 3, (self.axis + 2) % 3
         c, s = self.cosine, self.sine
