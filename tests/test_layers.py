@@ -46,12 +46,14 @@ MBSGEN = Package(
 MBSRUN = Package(
     source=ROOT / "python" / "mbsrun",
     layers=(
-        "library",
+        "cache",
+        "library models",
+        "binding",
         "kernel",
         "external",
         "ocp.schemes ocp.plant ocp.program ocp.trajectory",
         "ocp.problem",
-        "ocp.layout",
+        "ocp.layout ocp.quantities",
         "ocp.statement ocp.guess ocp.transcription ocp.solution",
         "ocp.solve",
         "ocp.resimulation",
@@ -62,7 +64,7 @@ MBSRUN = Package(
     ),
     foreign=("sympy", "mbsgen"),
     guests=("mbsgen.errors", "mbsgen.resources", "mbsgen.manifest", "mbsgen.expressions", "mbsgen.documents"),
-    lazy={"kernel": "mbsgen.pipeline"},  # a model file given for a generated folder
+    lazy={"models": "mbsgen.pipeline"},  # a model file given for a generated folder
 )
 
 
@@ -165,6 +167,7 @@ def test_importing_a_whole_package_leaves_the_stranger_out(package: Package, str
 
 
 PLANTED = {
+    "beside": ("library", "from mbsrun.models import f\n", ["library:1 imports mbsrun.models.f"]),
     "nothing": ("library", "import numpy\nfrom mbsgen.manifest import Manifest\n", []),
     "downward": ("kernel", "from mbsrun import library\nfrom mbsrun.library import load\n", []),
     "upward": ("library", "\nfrom mbsrun.kernel import Kernel\n", ["library:2 imports mbsrun.kernel.Kernel"]),
@@ -179,8 +182,8 @@ PLANTED = {
     "stranger": ("cli", "def f():\n    import sympy.core\n", ["cli:2 imports sympy.core"]),
     "namesake": ("cli", "import sympy_of_another_name\n", []),
     "generator": ("cli", "from mbsgen import tape\n", ["cli:1 imports mbsgen.tape"]),
-    "lazy": ("kernel", "def f():\n    from mbsgen.pipeline import generate\n", []),
-    "eager": ("kernel", "from mbsgen.pipeline import generate\n", ["kernel:1 imports mbsgen.pipeline.generate"]),
+    "lazy": ("models", "def f():\n    from mbsgen.pipeline import generate\n", []),
+    "eager": ("models", "from mbsgen.pipeline import generate\n", ["models:1 imports mbsgen.pipeline.generate"]),
     "elsewhere": ("cli", "def f():\n    import mbsgen.pipeline\n", ["cli:2 imports mbsgen.pipeline"]),
     "typing": ("cli", "if TYPE_CHECKING:\n    import sympy\n", ["cli:2 imports sympy"]),
     "homeless": ("attic", "", ["attic has no place in the order"]),

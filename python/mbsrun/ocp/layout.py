@@ -1,17 +1,24 @@
 """Where a motion lies among the variables of a program, and where functions of it are applied.
 
 Interval by interval: the state x_k = (q, qd) at the mesh point; at each collocation point the state x_kj and, unless
-the equations of motion are an ODE, the acceleration z_kj; the inputs u_k, constant over the interval. At the end x_N.
+the equations of motion are an ODE, the acceleration z_kj; the inputs u_k, constant over the interval. At the end x_N,
+and the horizon T where it is free.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
 
 from mbsrun.ocp.problem import Representation
 from mbsrun.ocp.program import Indices, Matrix
+from mbsrun.ocp.schemes import Scheme
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -22,6 +29,7 @@ class Layout:
     points: Indices  # (N, d, 2 n): states at the collocation points
     accelerations: Indices  # (N, d, n): accelerations at the collocation points; (N, d, 0) for an ODE
     inputs: Indices  # (N, m)
+    horizon: int | None  # T, where it is free
     size: int
 
     @property
@@ -30,7 +38,9 @@ class Layout:
         return int(self.mesh.shape[1]) // 2
 
 
-def lay_out(n: int, m: int, intervals: int, degree: int, representation: Representation) -> Layout:
+def lay_out(
+    n: int, m: int, intervals: int, degree: int, representation: Representation, horizon_is_free: bool
+) -> Layout:
     """Number the variables."""
     N, d, at_point = intervals, degree, (2 if representation.is_ode else 3) * n
     stride = 2 * n + d * at_point + m
@@ -41,7 +51,8 @@ def lay_out(n: int, m: int, intervals: int, degree: int, representation: Represe
         points=points[:, :, : 2 * n],
         accelerations=points[:, :, 2 * n :],
         inputs=first[1:, None] - m + np.arange(m),
-        size=N * stride + 2 * n,
+        horizon=N * stride + 2 * n if horizon_is_free else None,
+        size=N * stride + 2 * n + horizon_is_free,
     )
 
 
@@ -49,23 +60,38 @@ def lay_out(n: int, m: int, intervals: int, degree: int, representation: Represe
 class Places:
     """Where functions of the motion are applied: parts of the variables as a block takes them."""
 
-    q: Indices | Matrix  # (n, places)
-    qd: Indices | Matrix
+    q: Indices  # (n, places)
+    qd: Indices
     qdd: Indices | Matrix  # (0, places) where accelerations are no variables
     u: Indices  # (m, places)
+    s: Array  # (places,): time over the horizon
 
 
-def collocation_points(layout: Layout) -> Places:
+def at_points(layout: Layout, scheme: Scheme) -> Places:
     """Give all collocation points, interval by interval."""
     N, d, _ = layout.points.shape
     n = layout.n
     inputs = np.broadcast_to(layout.inputs[:, None, :], (N, d, layout.inputs.shape[1]))
     parts = (layout.points[:, :, :n], layout.points[:, :, n:], layout.accelerations, inputs)
     q, qd, qdd, u = (part.reshape(N * d, -1).T for part in parts)
-    return Places(q, qd, qdd, u)
+    return Places(q, qd, qdd, u, (np.arange(N)[:, None] + scheme.points).ravel() / N)
 
 
-def end(layout: Layout) -> Places:
-    """Give the end of the horizon, with the inputs of the last interval."""
-    q, qd = layout.mesh[-1].reshape(2, -1, 1)
-    return Places(q, qd, np.zeros((0, 1), dtype=np.int64), layout.inputs[-1, :, None])
+def at_mesh(layout: Layout, scheme: Scheme, k: Sequence[int]) -> Places:
+    """Give some mesh points, with the inputs of the interval before; the first has those of the interval after.
+
+    Accelerations there are those of the polynomial through the points of that interval.
+    """
+    at, points = np.array(k, dtype=np.int64), layout.accelerations
+    interval, n = np.maximum(at - 1, 0), layout.n
+    q, qd = layout.mesh[at].T.reshape(2, n, at.size)
+    s = at / len(layout.inputs)
+    if not points.size:
+        return Places(q, qd, np.zeros((0, at.size), dtype=np.int64), layout.inputs[interval].T, s)
+    basis = np.where(at[:, None] == 0, scheme.start_of_points, scheme.end_of_points)  # (places, d)
+    col = points[interval]  # (places, d, n)
+    row = np.broadcast_to(np.arange(at.size * n).reshape(-1, 1, n), col.shape)
+    value = np.broadcast_to(basis[:, :, None], col.shape)
+    qdd = sparse.coo_array((value.ravel(), (row.ravel(), col.ravel())), (at.size * n, layout.size)).tocsc()
+    qdd.eliminate_zeros()
+    return Places(q, qd, qdd, layout.inputs[interval].T, s)

@@ -1,7 +1,8 @@
 """An optimal control problem, as a value; `statement` reads it from a file.
 
     minimise    k1 * integral of |u|^2  +  k2 * sum over the N - 1 steps of  h |(u_(k+1) - u_k) / h|^2
-    subject to  the equations of motion, (q, qd)(0) given, bounds at all times, and what must hold at T
+                + integrals of expressions of the motion + expressions of its end
+    subject to  the equations of motion, (q, qd)(0) given, bounds and constraints at all times, and what must hold at T
 
 with inputs u that are constant over each of the N intervals of length h = T / N (Docquier, Bruls, Fisette, eqs. 22-27).
 """
@@ -11,7 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, PlainSerializer
 
@@ -57,11 +58,31 @@ Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class Cost:
-    """The weights of the cost."""
+class Term:
+    """A term of the cost: an expression, as `quantities` reads it, and its weight."""
 
-    inputs: float  # k1
-    input_rates: float  # k2
+    expression: str
+    weight: float
+
+
+@dataclass(frozen=True)
+class Cost:
+    """The weights of the cost, and what else is paid for."""
+
+    inputs: float = 0.0  # k1
+    input_rates: float = 0.0  # k2
+    running: tuple[Term, ...] = ()  # integrated over the horizon
+    terminal: tuple[Term, ...] = ()  # at its end
+
+    @property
+    def weights(self) -> tuple[float, ...]:
+        """Give the weight of every term, in order."""
+        return (self.inputs, self.input_rates, *(term.weight for term in self.running + self.terminal))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name every term."""
+        return ("inputs", "input rates", *(term.expression for term in self.running + self.terminal))
 
 
 @dataclass(frozen=True)
@@ -81,6 +102,18 @@ class End:
     coordinates: tuple[tuple[int, float], ...] = ()  # index into q, value
     velocity_zero: bool = False
     acceleration_zero: bool = False
+    velocities: tuple[tuple[int, float], ...] = ()  # index into qd, value
+    accelerations: tuple[tuple[int, float], ...] = ()  # index into qdd, value
+    sensor_velocities: tuple[tuple[str, Point], ...] = ()  # name, velocity in the base frame [m/s]
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """An expression, as `quantities` reads it, that stays within a range."""
+
+    expression: str
+    range: Range
+    at: Literal["start", "path", "end"] = "path"
 
 
 @dataclass(frozen=True)
@@ -104,7 +137,7 @@ class Problem:
     """All that a solve needs to know beside the model."""
 
     name: str
-    horizon: float  # T [s]
+    horizon: float  # T [s]; where it is free, the guess
     intervals: int  # N
     family: Family
     degree: int
@@ -114,6 +147,10 @@ class Problem:
     bounds: Bounds
     end: End
     representation: Representation = Representation.IMPL
+    horizon_range: Range | None = None  # where the horizon is free: its bounds [s]
+    free_start: tuple[int, ...] = ()  # indices into (q, qd) of what is not given at the start: there it is a guess
+    constraints: tuple[Constraint, ...] = ()
+    constants: tuple[tuple[str, float], ...] = ()  # that expressions read
     guess: GuessOptions = field(default_factory=GuessOptions)
     solver: SolverOptions = field(default_factory=SolverOptions)
     accuracy: float = 1e-6  # the largest defect of an interval that counts as accurate, in rad and m, and these per s

@@ -38,6 +38,7 @@ class Scheme:
     D: Array  # (d, d + 1): derivative at point j of the basis polynomial of node r
     end: Array  # (d + 1,): value at 1 of the basis polynomial of node r
     end_of_points: Array  # (d,): the same for the basis on the points alone
+    start_of_points: Array  # (d,): value of that basis at 0
     weights: Array  # (d,): the integral over [0, 1] is sum(weights * values at the points)
 
     @property
@@ -57,8 +58,9 @@ def build(family: Family, degree: int) -> Scheme:
         degree=degree,
         points=points,
         D=_differentiation(nodes)[1:],
-        end=_values_at_one(nodes),
-        end_of_points=_values_at_one(points),
+        end=_values(nodes, 1.0),
+        end_of_points=_values(points, 1.0),
+        start_of_points=_values(points, 0.0),
         weights=_weights(points),
     )
 
@@ -87,11 +89,11 @@ def _differentiation(nodes: Array) -> Array:
     return np.asarray(D)
 
 
-def _values_at_one(nodes: Array) -> Array:
-    """Evaluate the basis at 1; at a node that is 1 the row is exactly a unit vector."""
-    if nodes[-1] == 1.0:
-        return np.asarray(np.eye(len(nodes))[-1])
-    terms = _barycentric(nodes) / (1.0 - nodes)
+def _values(nodes: Array, s: float) -> Array:
+    """Evaluate the basis at s; at a node the row is exactly a unit vector."""
+    if s in nodes:
+        return np.asarray((nodes == s).astype(np.float64))
+    terms = _barycentric(nodes) / (s - nodes)
     return np.asarray(terms / terms.sum())
 
 

@@ -46,15 +46,24 @@ class Size:
 
 @dataclass(frozen=True)
 class CostTerms:
-    """The cost at the solution, by term, weights included."""
+    """The cost at the solution, by term, weights included: inputs, their rates, and the problem's expressions."""
 
-    inputs: float
-    input_rates: float
+    terms: tuple[tuple[str, float], ...]
+
+    @property
+    def inputs(self) -> float:
+        """Give the integral of |u|^2."""
+        return self.terms[0][1]
+
+    @property
+    def input_rates(self) -> float:
+        """Give the sum of the squared rates."""
+        return self.terms[1][1]
 
     @property
     def total(self) -> float:
         """Sum the terms."""
-        return self.inputs + self.input_rates
+        return sum(value for _, value in self.terms)
 
 
 @dataclass(frozen=True)

@@ -85,17 +85,17 @@ class Solver:
             raise ValueError(f"{problem.name} differs in structure from what was transcribed; make a Solver for it")
         transcription = self.transcription
         lower, upper = transcription.variable_bounds(problem)
-        values = transcription.constraint_values(problem)
+        g_lower, g_upper = transcription.constraint_bounds(problem)
         ipopt, callback = self._solver(problem)
-        callback.begin(watch, values)
+        callback.begin(watch, g_lower, g_upper)
         begin = time.perf_counter()
         answer = ipopt(
             x0=transcription.pack(guess),
-            p=transcription.weights(problem),
+            p=transcription.parameters(problem),
             lbx=lower,
             ubx=upper,
-            lbg=values,
-            ubg=values,
+            lbg=g_lower,
+            ubg=g_upper,
         )
         callback.end()
         run = _run(ipopt.stats(), time.perf_counter() - begin)
@@ -108,8 +108,7 @@ class Solver:
     def _solution(self, problem: Problem, run: Run, x: Array) -> Solution:
         manifest, transcription = self.plant.manifest, self.transcription
         program, trajectory = transcription.program, transcription.unpack(x)
-        lower, upper = transcription.variable_bounds(problem)
-        g = program.constraint(x, transcription.weights(problem)).full().ravel()
+        g = program.constraint(x, transcription.parameters(problem)).full().ravel()
         names = tuple(c.name for c in manifest.coordinates)
         return Solution(
             problem=problem,
@@ -124,22 +123,22 @@ class Solver:
                 program.jacobian.nnz_out(1),
                 program.hessian.nnz_out(0),
             ),
-            cost=_cost(problem, trajectory),
+            cost=CostTerms(tuple(transcription.cost_terms(problem, x).items())),
             violation=Violation(
-                float(np.abs(g - transcription.constraint_values(problem)).max()),
-                float(np.maximum(lower - x, x - upper).max(initial=0.0)),
+                _excess(g, *transcription.constraint_bounds(problem)),
+                _excess(x, *transcription.variable_bounds(problem)),
             ),
             trajectory=trajectory,
         )
 
     def _solver(self, problem: Problem) -> tuple[ca.Function, _Callback]:
         """Make IPOPT with the options of a problem, once for all that have the same."""
-        weight = max(problem.cost.inputs, problem.cost.input_rates)
+        weight = max(map(abs, problem.cost.weights))
         options = replace(problem.solver, objective_scaling=problem.solver.objective_scaling or 1 / weight)
         if options not in self._solvers:
             program = self.transcription.program
-            callback = _Callback(program.variables, program.constraints, len(program.H))
-            x, p = ca.MX.sym("x", program.variables), ca.MX.sym("p", len(program.H))
+            callback = _Callback(program.variables, program.constraints, program.parameters)
+            x, p = ca.MX.sym("x", program.variables), ca.MX.sym("p", program.parameters)
             nlp: dict[str, Any] = {"x": x, "p": p, "f": program.objective(x, p), "g": program.constraint(x, p)}
             settings: dict[str, Any] = {
                 "grad_f": program.gradient,
@@ -181,14 +180,14 @@ class _Callback(ca.Callback):
         sizes = {"x": variables, "f": 1, "g": constraints, "lam_x": variables, "lam_g": constraints}
         self._patterns = [ca.Sparsity.dense(sizes.get(name, parameters)) for name in ca.nlpsol_out()]
         self._watch: Watch | None = None
-        self._values: Array = np.zeros(0)
+        self._bounds: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
         self._iteration = 0
         self._error: Exception | None = None
         self.construct("watch")
 
-    def begin(self, watch: Watch | None, values: Array) -> None:
-        """Count from 0 again; `values` is what g must equal."""
-        self._watch, self._values, self._iteration, self._error = watch, values, 0, None
+    def begin(self, watch: Watch | None, lower: Array, upper: Array) -> None:
+        """Count from 0 again; g must lie within the bounds."""
+        self._watch, self._bounds, self._iteration, self._error = watch, (lower, upper), 0, None
 
     def end(self) -> None:
         """Raise what the watch raised, which CasADi would turn into a warning."""
@@ -208,7 +207,7 @@ class _Callback(ca.Callback):
         if self._watch is not None:
             cost, g = float(arguments[1]), arguments[2].full().ravel()
             try:
-                self._watch(Progress(self._iteration, cost, float(np.abs(g - self._values).max())))
+                self._watch(Progress(self._iteration, cost, _excess(g, *self._bounds)))
             except Exception as error:
                 self._error = error
                 return [ca.DM(1)]  # asks IPOPT to stop
@@ -221,10 +220,6 @@ def _run(statistics: dict[str, Any], seconds: float) -> Run:
     return Run(statistics["return_status"], statistics["iter_count"], seconds, evaluating)
 
 
-def _cost(problem: Problem, trajectory: Trajectory) -> CostTerms:
-    """Compute the cost from the inputs."""
-    h, u = problem.horizon / problem.intervals, trajectory.u
-    return CostTerms(
-        problem.cost.inputs * h * float((u**2).sum()),
-        problem.cost.input_rates * float((np.diff(u, axis=0) ** 2).sum()) / h,
-    )
+def _excess(values: Array, lower: Array, upper: Array) -> float:
+    """Tell by how much values leave their bounds: the largest."""
+    return float(np.maximum(lower - values, values - upper).max(initial=0.0))

@@ -6,30 +6,34 @@ Variables are as `layout` says. Constraints, interval by interval:
     sum_r D_jr q_kr - h qd_kj = 0,  sum_r D_jr qd_kr - h z_kj = 0                2 n rows a point
     Phi(q_kj, qd_kj, z_kj) - Q(q_kj, qd_kj, u_k) = 0                             n rows a point
     x_(k+1) = sum_r e_r x_kr                                                     2 n rows an interval
-    sensors at x_N, coordinates of x_N, qd_N = 0, z(T) = 0                       as the problem asks
+    sensors at x_N, coordinates of x_N, qd_N = 0, z(T) = 0, ...                  as the problem asks
 
 for a residual; where the equations of motion are explicit, the third is z_kj - gamma(q_kj, qd_kj, u_k) = 0, or gamma
-takes the place of z_kj in the second, and of z(T). (Docquier, Bruls, Fisette, eqs. 5, 15, 22-27.)
+takes the place of z_kj in the second, and of z(T). (Docquier, Bruls, Fisette, eqs. 5, 15, 22-27.) A constraint along
+the path holds at all collocation points, and with Legendre points, which leave them out, at the mesh points after the
+start, unless it tells of accelerations.
 
-Start, targets and bounds are bounds of the program, the weights of the cost its parameters: one program serves all
-problems that differ in those only.
+Start, targets and bounds are bounds of the program; weights of the cost and constants of expressions are its
+parameters: one program serves all problems that differ in those only.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import pairwise
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
+from mbsgen.expressions import names, parse
 from mbsrun.ocp import schemes
-from mbsrun.ocp.layout import Layout, collocation_points, end, lay_out
+from mbsrun.ocp.layout import Layout, Places, at_mesh, at_points, lay_out
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem, Representation
 from mbsrun.ocp.program import Block, Indices, Matrix, Program
+from mbsrun.ocp.quantities import Quantity, formulate, list_quantities
 from mbsrun.ocp.schemes import Family, Scheme
 from mbsrun.ocp.trajectory import Trajectory, grid
 
@@ -40,15 +44,23 @@ Array = NDArray[np.float64]
 class Structure:
     """What of a problem shapes its program; problems with equal structures share one."""
 
-    horizon: float
+    horizon: float | None  # None where it is free
     intervals: int
     family: Family
     degree: int
     representation: Representation
+    start_is_free: bool
+    running: tuple[str, ...]  # expressions
+    terminal: tuple[str, ...]
+    constraints: tuple[tuple[str, str], ...]  # expression, where it holds
+    constants: tuple[str, ...]
     sensors: tuple[str, ...]
     coordinates: tuple[int, ...]
     velocity_zero: bool
     acceleration_zero: bool
+    velocities: tuple[int, ...]
+    accelerations: tuple[int, ...]
+    sensor_velocities: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -63,6 +75,10 @@ class Rows:
     coordinates: Indices  # (targets,)
     velocity: Indices  # (n,), or empty
     acceleration: Indices  # (n,), or empty
+    velocities: Indices  # (targets,)
+    accelerations: Indices  # (targets,)
+    sensor_velocities: Indices  # (targets, 3)
+    constraints: tuple[Indices, ...]  # of each, (places,)
     size: int
 
 
@@ -76,12 +92,12 @@ class Transcription:
     rows: Rows
     program: Program
 
-    def weights(self, problem: Problem) -> Array:
-        """Give the parameters of the program."""
-        return np.array([problem.cost.inputs, problem.cost.input_rates])
+    def parameters(self, problem: Problem) -> Array:
+        """Give the parameters of the program: weights, constants."""
+        return np.array([*problem.cost.weights, *(value for _, value in problem.constants)])
 
     def variable_bounds(self, problem: Problem) -> tuple[Array, Array]:
-        """Bound the states at mesh and collocation points, and the inputs."""
+        """Bound the states at mesh and collocation points, the inputs, and the horizon."""
         lower, upper = np.full(self.layout.size, -np.inf), np.full(self.layout.size, np.inf)
         states = np.array(problem.bounds.q + problem.bounds.qd)
         for index, bounds in (
@@ -90,15 +106,34 @@ class Transcription:
             (self.layout.inputs, np.array(problem.bounds.u).reshape(-1, 2)),
         ):
             lower[index], upper[index] = bounds.T
+        if problem.horizon_range is not None:
+            lower[self.layout.horizon], upper[self.layout.horizon] = problem.horizon_range
         return lower, upper
 
-    def constraint_values(self, problem: Problem) -> Array:
-        """Give what g must equal: the start, what the end asks for, and zeros."""
-        values = np.zeros(self.rows.size)
-        values[self.rows.start] = problem.start_q + problem.start_qd
-        values[self.rows.sensors] = np.array([p for _, p in problem.end.sensors]).reshape(-1, 3)
-        values[self.rows.coordinates] = [value for _, value in problem.end.coordinates]
-        return values
+    def constraint_bounds(self, problem: Problem) -> tuple[Array, Array]:
+        """Bound g: by the start, by what the end asks for, by the ranges of constraints; all else is 0."""
+        rows, end = self.rows, problem.end
+        lower = np.zeros(rows.size)
+        lower[rows.start] = problem.start_q + problem.start_qd
+        for row, targets in (
+            (rows.sensors, end.sensors),
+            (rows.coordinates, end.coordinates),
+            (rows.velocities, end.velocities),
+            (rows.accelerations, end.accelerations),
+            (rows.sensor_velocities, end.sensor_velocities),
+        ):
+            lower[row] = np.array([value for _, value in targets]).reshape(row.shape)
+        upper = lower.copy()
+        free = rows.start[list(problem.free_start)]
+        lower[free], upper[free] = -np.inf, np.inf
+        for row, constraint in zip(rows.constraints, problem.constraints, strict=True):
+            lower[row], upper[row] = constraint.range
+        return lower, upper
+
+    def cost_terms(self, problem: Problem, x: Array) -> dict[str, float]:
+        """Compute the terms of the cost, weights included."""
+        terms = self.program.terms(x, self.parameters(problem)).full().ravel() * problem.cost.weights
+        return dict(zip(problem.cost.names, terms.tolist(), strict=True))
 
     def pack(self, trajectory: Trajectory) -> Array:
         """Put a trajectory on this grid into the variables."""
@@ -108,17 +143,23 @@ class Transcription:
         if layout.accelerations.size:
             x[layout.accelerations] = trajectory.point_qdd
         x[layout.inputs] = trajectory.u
+        if layout.horizon is not None:
+            x[layout.horizon] = trajectory.t[-1]
         return x
 
     def unpack(self, x: Array) -> Trajectory:
         """Read a trajectory out of the variables."""
         layout, n = self.layout, self.layout.n
-        t, point_t = grid(self.structure.horizon, self.structure.intervals, self.scheme.points)
+        fixed = self.structure.horizon
+        t, point_t = grid(
+            float(x[layout.horizon]) if fixed is None else fixed, self.structure.intervals, self.scheme.points
+        )
         mesh, points = x[layout.mesh], x[layout.points]
         if layout.accelerations.size:
             accelerations = x[layout.accelerations]
         else:
-            accelerations = self.scheme.D @ np.concatenate((mesh[:-1, None], points), axis=1)[:, :, n:] / (t[1] - t[0])
+            nodes = np.concatenate((mesh[:-1, None], points), axis=1)
+            accelerations = self.scheme.D @ nodes[:, :, n:] / (t[1] - t[0])
         return Trajectory(
             t=t,
             q=mesh[:, :n],
@@ -133,146 +174,300 @@ class Transcription:
 
 def structure(problem: Problem) -> Structure:
     """Read off what shapes the program of a problem."""
+    cost, end = problem.cost, problem.end
     return Structure(
-        problem.horizon,
-        problem.intervals,
-        problem.family,
-        problem.degree,
-        problem.representation,
-        tuple(name for name, _ in problem.end.sensors),
-        tuple(i for i, _ in problem.end.coordinates),
-        problem.end.velocity_zero,
-        problem.end.acceleration_zero,
+        horizon=problem.horizon if problem.horizon_range is None else None,
+        intervals=problem.intervals,
+        family=problem.family,
+        degree=problem.degree,
+        representation=problem.representation,
+        start_is_free=bool(problem.free_start),
+        running=tuple(term.expression for term in cost.running),
+        terminal=tuple(term.expression for term in cost.terminal),
+        constraints=tuple((constraint.expression, constraint.at) for constraint in problem.constraints),
+        constants=tuple(name for name, _ in problem.constants),
+        sensors=tuple(name for name, _ in end.sensors),
+        coordinates=tuple(i for i, _ in end.coordinates),
+        velocity_zero=end.velocity_zero,
+        acceleration_zero=end.acceleration_zero,
+        velocities=tuple(i for i, _ in end.velocities),
+        accelerations=tuple(i for i, _ in end.accelerations),
+        sensor_velocities=tuple(name for name, _ in end.sensor_velocities),
     )
 
 
 def transcribe(problem: Problem, plant: Plant) -> Transcription:
-    """Build the program of a problem; of start, targets, weights and bounds no value enters it."""
-    shape = structure(problem)
-    scheme = schemes.build(shape.family, shape.degree)
-    n, m = len(plant.manifest.coordinates), len(plant.manifest.actuated)
-    layout = lay_out(n, m, shape.intervals, shape.degree, shape.representation)
-    rows = _number_rows(n, shape)
-    h = shape.horizon / shape.intervals
-    sensors = [_sensor(layout, row, plant, name) for row, name in zip(rows.sensors, shape.sensors, strict=True)]
-    cost = (_input_cost(layout, h), _rate_cost(layout, h))
-    blocks = (*_dynamics(layout, rows, shape, plant, h), *sensors)
-    return Transcription(shape, scheme, layout, rows, Program(_linear(layout, rows, scheme, shape, h), cost, blocks))
+    """Build the program of a problem; of start, targets, weights, constants and bounds no value enters it."""
+    return _Writer(structure(problem), plant).write()
 
 
-def _number_rows(n: int, shape: Structure) -> Rows:
-    N, d = shape.intervals, shape.degree
-    at_point = (2 if shape.representation.is_ode else 3) * n
-    stride = d * at_point + 2 * n
-    first = 2 * n + np.arange(N) * stride
-    points = first[:, None, None] + np.arange(d)[:, None] * at_point + np.arange(at_point)
-    sizes = (
-        3 * len(shape.sensors),
-        len(shape.coordinates),
-        n * shape.velocity_zero,
-        n * shape.acceleration_zero,
-    )
-    ends = 2 * n + N * stride + np.cumsum((0, *sizes))
-    sensors, coordinates, velocity, acceleration = (np.arange(start, stop) for start, stop in pairwise(ends))
-    return Rows(
-        start=np.arange(2 * n),
-        states=points[:, :, : 2 * n],
-        dynamics=points[:, :, -n:],
-        continuity=first[:, None] + d * at_point + np.arange(2 * n),
-        sensors=sensors.reshape(-1, 3),
-        coordinates=coordinates,
-        velocity=velocity,
-        acceleration=acceleration,
-        size=int(ends[-1]),
-    )
+class _Writer:
+    """Writes the program of a structure, group by group of its constraints and costs."""
+
+    def __init__(self, shape: Structure, plant: Plant) -> None:
+        self.shape, self.plant = shape, plant
+        self.scheme = schemes.build(shape.family, shape.degree)
+        n, m = len(plant.manifest.coordinates), len(plant.manifest.actuated)
+        is_free = shape.horizon is None
+        self.layout = lay_out(n, m, shape.intervals, shape.degree, shape.representation, is_free)
+        self.h = (1.0 if shape.horizon is None else shape.horizon) / shape.intervals  # times T, where that is free
+        self.A = _Entries()
+        self.blocks: list[Block] = []
+        self.size = 0
+        self.weights = 2 + len(shape.running) + len(shape.terminal)
+
+    def write(self) -> Transcription:
+        shape, last = self.shape, self.layout.mesh[-1]
+        q, qd = last.reshape(2, -1)
+        every = tuple(range(q.size))
+        start = self.write_states(self.layout.mesh[0])
+        states, dynamics, continuity = self.write_collocation()
+        rows = Rows(
+            start=start,
+            states=states,
+            dynamics=dynamics,
+            continuity=continuity,
+            sensors=self.write_sensors([_sensor(last, self.plant, name) for name in shape.sensors]),
+            coordinates=self.write_states(q[list(shape.coordinates)]),
+            velocity=self.write_states(qd[: qd.size * shape.velocity_zero]),
+            acceleration=self.write_accelerations(every if shape.acceleration_zero else ()),
+            velocities=self.write_states(qd[list(shape.velocities)]),
+            accelerations=self.write_accelerations(shape.accelerations),
+            sensor_velocities=self.write_sensors(
+                [_sensor_velocity(last, self.plant, name) for name in shape.sensor_velocities]
+            ),
+            constraints=self.write_constraints(),
+            size=self.size,
+        )
+        H, costs = self.write_cost()
+        A = self.A.matrix((self.size, self.layout.size))
+        program = Program(A, H, tuple(self.blocks), costs, len(self.shape.constants))
+        return Transcription(self.shape, self.scheme, self.layout, rows, program)
+
+    def take(self, *shape: int) -> Indices:
+        """Number some rows."""
+        first, self.size = self.size, self.size + int(np.prod(shape))
+        return np.arange(first, self.size).reshape(shape)
+
+    # --- the motion ---
+
+    def write_collocation(self) -> tuple[Indices, Indices, Indices]:
+        layout, scheme, representation = self.layout, self.scheme, self.shape.representation
+        n, (N, d, _) = layout.n, layout.points.shape
+        at_point = (2 if representation.is_ode else 3) * n
+        interval = self.take(N, d * at_point + 2 * n)
+        points, continuity = interval[:, : d * at_point].reshape(N, d, at_point), interval[:, d * at_point :]
+        states, dynamics = points[:, :, : 2 * n], points[:, :, -n:]
+        nodes = [layout.mesh[:-1], *layout.points.transpose(1, 0, 2)]  # 0 and the points, each (N, 2 n)
+        for r, node in enumerate(nodes):
+            for j in range(d):
+                self.A.put(states[:, j], node, scheme.D[j, r])
+            self.A.put(continuity, node, -scheme.end[r])
+        self.A.put(continuity, layout.mesh[1:], 1.0)
+        rates = np.concatenate((layout.points[:, :, n:], layout.accelerations), axis=2)
+        self.write_rates(states[:, :, : rates.shape[2]], rates)
+        self.write_dynamics(dynamics.reshape(N * d, n).T)
+        return states, dynamics, continuity
+
+    def write_rates(self, rows: Indices, rates: Indices) -> None:
+        """Write -h times what the states' derivatives are, where that is a variable."""
+        if self.layout.horizon is None:
+            self.A.put(rows, rates, -self.h)
+            return
+        v = ca.SX.sym("v", rates.shape[2])
+        columns, placed = (part.reshape(-1, rates.shape[2]).T for part in (rates, rows))
+        identity = ca.Function("rates", [v], [v])
+        self.blocks.append(Block(identity, (columns,), placed, scale=-self.h, factor=self.layout.horizon))
+
+    def write_dynamics(self, rows: Indices) -> None:
+        """Apply the kernel at every collocation point."""
+        representation, places = self.shape.representation, at_points(self.layout, self.scheme)
+        kernel = self.plant.casadi(representation.kernel)
+        explicit = (places.q, places.qd, places.u)
+        if not representation.is_explicit:
+            self.blocks.append(Block(kernel, (places.q, places.qd, places.qdd, places.u), rows))
+        elif representation.is_ode:
+            self.blocks.append(Block(kernel, explicit, rows, scale=-self.h, factor=self.layout.horizon))
+        else:
+            self.A.put(rows.T.reshape(self.layout.accelerations.shape), self.layout.accelerations, 1.0)
+            self.blocks.append(Block(kernel, explicit, rows, scale=-1.0))
+
+    # --- what is asked for ---
+
+    def write_states(self, states: Indices) -> Indices:
+        """Write some states, to be given a value."""
+        rows = self.take(states.size)
+        self.A.put(rows, states, 1.0)
+        return rows
+
+    def write_sensors(self, sensors: Sequence[tuple[ca.Function, tuple[Indices, ...]]]) -> Indices:
+        """Write functions of the state at the end that have three results."""
+        rows = self.take(len(sensors), 3)
+        for row, (function, columns) in zip(rows, sensors, strict=True):
+            self.blocks.append(Block(function, columns, row[:, None]))
+        return rows
+
+    def write_accelerations(self, which: Sequence[int]) -> Indices:
+        """Write some accelerations at the end."""
+        rows = self.take(len(which))
+        if not which:
+            return rows
+        end = self.mesh_point(self.shape.intervals)
+        if not self.shape.representation.is_ode:
+            self.A.put_matrix(rows, sparse.csr_array(end.qdd)[list(which)])
+            return rows
+        kernel = self.plant.casadi(self.shape.representation.kernel)
+        if len(which) < self.layout.n:
+            arguments = [ca.MX.sym(kernel.name_in(i), kernel.size1_in(i)) for i in range(kernel.n_in())]
+            kernel = ca.Function("some", arguments, [kernel(*arguments)[list(which)]])
+        self.blocks.append(Block(kernel, (end.q, end.qd, end.u), rows[:, None]))
+        return rows
+
+    def write_constraints(self) -> tuple[Indices, ...]:
+        """Write the constraints by expressions; those of one kind are one function, applied at the same places."""
+        N, shape = self.shape.intervals, self.shape
+        kinds = list_quantities(self.plant.manifest)
+        path_mesh = [*([0] * shape.start_is_free), *(range(1, N + 1) if shape.family is Family.LEGENDRE else ())]
+        on_path = [i for i, (_, at) in enumerate(shape.constraints) if at == "path"]
+        of_states = [i for i in on_path if not _speaks_of(shape.constraints[i][0], "qdd", kinds)]
+        rows: list[list[Indices]] = [[] for _ in shape.constraints]
+        for chosen, places in (
+            (on_path, at_points(self.layout, self.scheme)),
+            (of_states, at_mesh(self.layout, self.scheme, path_mesh)),
+            ([i for i, (_, at) in enumerate(shape.constraints) if at == "start"], self.mesh_point(0)),
+            ([i for i, (_, at) in enumerate(shape.constraints) if at == "end"], self.mesh_point(N)),
+        ):
+            if chosen and places.s.size:
+                taken = self.take(len(chosen), places.s.size)
+                self.blocks.append(self.apply([shape.constraints[i][0] for i in chosen], places, taken))
+                for i, row in zip(chosen, taken, strict=True):
+                    rows[i].append(row)
+        return tuple(np.concatenate(parts) for parts in rows)
+
+    def mesh_point(self, k: int) -> Places:
+        return at_mesh(self.layout, self.scheme, [k])
+
+    def apply(self, texts: Sequence[str], places: Places, rows: Indices, scale: Array | float = 1.0) -> Block:
+        """Apply expressions at some places."""
+        shape, layout = self.shape, self.layout
+        formula = formulate(texts, shape.constants, self.plant, shape.representation, shape.horizon)
+        parts = {"q": places.q, "qd": places.qd, "qdd": places.qdd, "u": places.u}
+        if layout.horizon is not None:
+            parts["T"] = np.full((1, places.s.size), layout.horizon)
+        return Block(
+            function=formula.function,
+            columns=tuple(parts[kind] for kind in formula.inputs if kind in parts),
+            rows=rows,
+            parameters=self.weights + np.arange(len(shape.constants) * ("constants" in formula.inputs)),
+            data=places.s[None] if "s" in formula.inputs else None,
+            scale=scale,
+        )
+
+    # --- the cost ---
+
+    def write_cost(self) -> tuple[tuple[Matrix, ...], tuple[Block, ...]]:
+        """Give the quadratic terms, a matrix for each weight, and the others."""
+        shape, layout = self.shape, self.layout
+        running, terminal = len(shape.running), len(shape.terminal)
+        blocks = []
+        if running:
+            places = at_points(layout, self.scheme)
+            rows = np.broadcast_to(2 + np.arange(running)[:, None], (running, places.s.size))
+            integral = self.h * np.tile(self.scheme.weights, shape.intervals)
+            blocks.append(replace(self.apply(shape.running, places, rows, integral), factor=layout.horizon))
+        if terminal:
+            rows = 2 + running + np.arange(terminal)[:, None]
+            blocks.append(self.apply(shape.terminal, self.mesh_point(shape.intervals), rows))
+        nothing = sparse.csc_array((layout.size, layout.size))
+        others = (nothing,) * (running + terminal)
+        if layout.horizon is None:
+            return (_input_cost(layout, self.h), _rate_cost(layout, self.h), *others), tuple(blocks)
+        return (nothing, nothing, *others), (*_input_costs(layout, layout.horizon), *blocks)
 
 
-def _linear(layout: Layout, rows: Rows, scheme: Scheme, shape: Structure, h: float) -> Matrix:
-    """Write every constraint that is linear, and the linear parts of the others; zeros of the scheme are left out."""
-    n = layout.n
-    A = _Entries((rows.size, layout.size))
-    A.put(rows.start, layout.mesh[0], 1.0)
-    nodes = [layout.mesh[:-1], *layout.points.transpose(1, 0, 2)]  # 0 and the points, each (N, 2 n)
-    rates = np.concatenate((layout.points[:, :, n:], layout.accelerations), axis=2)
-    A.put(rows.states[:, :, : rates.shape[2]], rates, -h)
-    for r, node in enumerate(nodes):
-        for j in range(scheme.degree):
-            A.put(rows.states[:, j], node, scheme.D[j, r])
-        A.put(rows.continuity, node, -scheme.end[r])
-    A.put(rows.continuity, layout.mesh[1:], 1.0)
-    if shape.representation.is_explicit and not shape.representation.is_ode:
-        A.put(rows.dynamics, layout.accelerations, 1.0)
-    A.put(rows.coordinates, layout.mesh[-1, list(shape.coordinates)], 1.0)
-    if shape.velocity_zero:
-        A.put(rows.velocity, layout.mesh[-1, n:], 1.0)
-    if shape.acceleration_zero and not shape.representation.is_ode:
-        for j in range(scheme.degree):
-            A.put(rows.acceleration, layout.accelerations[-1, j], scheme.end_of_points[j])
-    return A.matrix()
+def _speaks_of(text: str, kind: str, known: Mapping[str, Quantity]) -> bool:
+    """Tell whether an expression needs a kind of quantity."""
+    return any(known[name].kind == kind for name in names(parse(text)) if name in known)
 
 
-def _dynamics(layout: Layout, rows: Rows, shape: Structure, plant: Plant, h: float) -> list[Block]:
-    """Apply the kernel at every collocation point; and at the end, where accelerations are no variables."""
-    kernel = plant.casadi(shape.representation.kernel)
-    at = collocation_points(layout)
-    placed = rows.dynamics.reshape(-1, layout.n).T
-    if not shape.representation.is_explicit:
-        return [Block(kernel, (at.q, at.qd, at.qdd, at.u), placed)]
-    if not shape.representation.is_ode:
-        return [Block(kernel, (at.q, at.qd, at.u), placed, scale=-1.0)]
-    blocks = [Block(kernel, (at.q, at.qd, at.u), placed, scale=-h)]
-    if shape.acceleration_zero:
-        at = end(layout)
-        blocks.append(Block(kernel, (at.q, at.qd, at.u), rows.acceleration[:, None]))
-    return blocks
-
-
-def _sensor(layout: Layout, rows: Indices, plant: Plant, name: str) -> Block:
+def _sensor(last: Indices, plant: Plant, name: str) -> tuple[ca.Function, tuple[Indices, ...]]:
     """Position of a sensor at the end of the horizon, as a function of the coordinates that move it only."""
-    n = layout.n
-    sensors = plant.casadi("sensors")
-    place = [frame.name for frame in plant.manifest.frames if frame.sensor].index(name)
+    n = last.size // 2
+    sensors, place = plant.casadi("sensors"), _find_sensor(plant, name)
     felt = sensors.jacobian().sparsity_out(0).get_triplet()
     moving = sorted({j for i, j in zip(*felt, strict=True) if i // 3 == place})
     some, q = ca.MX.sym("q", len(moving)), ca.MX.zeros(n)
     q[moving] = some
     function = ca.Function("sensor", [some], [sensors(q)[:, place]], ["q"], ["position"])
-    return Block(function, (layout.mesh[-1, moving, None],), rows[:, None])
+    return function, (last[moving, None],)
+
+
+def _sensor_velocity(last: Indices, plant: Plant, name: str) -> tuple[ca.Function, tuple[Indices, ...]]:
+    """Velocity of a sensor at the end of the horizon."""
+    n = last.size // 2
+    q, qd = ca.MX.sym("q", n), ca.MX.sym("qd", n)
+    v = plant.casadi("motion")(q=q, qd=qd)["v"][:, _find_sensor(plant, name)]
+    return ca.Function("sensor_velocity", [q, qd], [v]), (last[:n, None], last[n:, None])
+
+
+def _find_sensor(plant: Plant, name: str) -> int:
+    return [frame.name for frame in plant.manifest.frames if frame.sensor].index(name)
 
 
 def _input_cost(layout: Layout, h: float) -> Matrix:
     """Hessian of the integral of |u|^2."""
-    H = _Entries((layout.size, layout.size))
+    H = _Entries()
     H.put(layout.inputs, layout.inputs, 2 * h)
-    return H.matrix()
+    return H.matrix((layout.size, layout.size))
 
 
 def _rate_cost(layout: Layout, h: float) -> Matrix:
     """Hessian of the sum over the N - 1 steps of h |(u_(k+1) - u_k) / h|^2."""
-    H = _Entries((layout.size, layout.size))
+    H = _Entries()
     before, after = layout.inputs[:-1], layout.inputs[1:]
     for row in (before, after):
         for col in (before, after):
             H.put(row, col, 2 / h if row is col else -2 / h)
-    return H.matrix()
+    return H.matrix((layout.size, layout.size))
+
+
+def _input_costs(layout: Layout, horizon: int) -> list[Block]:
+    """Give the same two terms as functions of the inputs and the horizon."""
+    N, m = layout.inputs.shape
+    u, before, T = ca.SX.sym("u", m), ca.SX.sym("before", m), ca.SX.sym("T")
+    rate = N * ca.sumsqr(u - before) / T
+    inputs = Block(
+        ca.Function("inputs", [u], [ca.sumsqr(u)]),
+        (layout.inputs.T,),
+        np.zeros((1, N), dtype=np.int64),
+        scale=1 / N,
+        factor=horizon,
+    )
+    if N == 1:
+        return [inputs]
+    columns = (layout.inputs[:-1].T, layout.inputs[1:].T, np.full((1, N - 1), horizon))
+    rates = Block(ca.Function("rates", [before, u, T], [rate]), columns, np.ones((1, N - 1), dtype=np.int64))
+    return [inputs, rates]
 
 
 class _Entries:
     """Entries of a sparse matrix, collected; exact zeros are left out, entries of one place are summed."""
 
-    def __init__(self, shape: tuple[int, int]) -> None:
-        self.shape = shape
+    def __init__(self) -> None:
         self.parts: list[tuple[Indices, Indices, Array]] = []
 
-    def put(self, row: ArrayLike, col: ArrayLike, value: float) -> None:
-        row, col = np.broadcast_arrays(row, col)
-        if value != 0.0:
-            self.parts.append((row.ravel(), col.ravel(), np.full(row.size, value)))
+    def put(self, row: ArrayLike, col: ArrayLike, value: ArrayLike) -> None:
+        row, col, values = np.broadcast_arrays(row, col, np.asarray(value, dtype=np.float64))
+        kept = values.ravel() != 0.0
+        self.parts.append((row.ravel()[kept], col.ravel()[kept], values.ravel()[kept]))
 
-    def matrix(self) -> Matrix:
-        if not self.parts:
-            return sparse.csc_array(self.shape)
+    def put_matrix(self, rows: Indices, matrix: sparse.csr_array) -> None:
+        """Put a matrix with rows of its own."""
+        coo = matrix.tocoo()
+        self.put(rows[coo.coords[0]], coo.coords[1], coo.data)
+
+    def matrix(self, shape: tuple[int, int]) -> Matrix:
         row, col, value = (np.concatenate(part) for part in zip(*self.parts, strict=True))
-        matrix = sparse.coo_array((value, (row, col)), shape=self.shape).tocsc()
+        matrix = sparse.coo_array((value, (row, col)), shape=shape).tocsc()
         matrix.sum_duplicates()
         return matrix

@@ -202,7 +202,7 @@ def tiny(arm: Peer, reach: Problem) -> tuple[Program, np.ndarray, np.ndarray]:
     problem = replace(reach, intervals=2, degree=1, cost=Cost(1.0, 1.0), end=end)
     transcription = transcribe(problem, arm)
     x0 = np.random.default_rng(3).uniform(-0.5, 0.5, transcription.layout.size)
-    return transcription.program, transcription.weights(problem), x0
+    return transcription.program, transcription.parameters(problem), x0
 
 
 def test_ipopt_finds_no_fault_in_the_derivatives(

@@ -84,7 +84,7 @@ def test_derivatives_equal_casadis_of_the_same_program(
     x, p = ca.MX.sym("x", program.variables), ca.MX.sym("p", 2)
     nlp = {"x": x, "p": p, "f": program.objective(x, p), "g": program.constraint(x, p)}
     whole = ca.nlpsol("whole", "ipopt", nlp, {"ipopt.print_level": 0})
-    at = RNG.uniform(-1, 1, program.variables), transcription.weights(problem)
+    at = RNG.uniform(-1, 1, program.variables), transcription.parameters(problem)
     multipliers = (0.7, RNG.uniform(-1, 1, program.constraints))
     for name, ours, arguments in (
         ("nlp_grad_f", program.gradient, at),
@@ -105,7 +105,7 @@ def test_polynomials_of_its_degree_meet_the_collocation(arm: Peer, reach: Proble
     transcription = transcribe(problem, arm)
     motion, acceleration = polynomial_motion(problem, transcription)
     rows = transcription.rows
-    g = transcription.program.constraint(transcription.pack(motion), transcription.weights(problem)).full().ravel()
+    g = transcription.program.constraint(transcription.pack(motion), transcription.parameters(problem)).full().ravel()
     small_enough = 1e-12
     assert np.abs(g[rows.states]).max() < small_enough
     assert np.abs(g[rows.continuity]).max() < small_enough
@@ -122,7 +122,7 @@ def test_dynamics_hold_at_every_collocation_point(arm: Peer, reach: Problem) -> 
     problem = small(reach, Family.RADAU, 4)
     transcription = transcribe(problem, arm)
     motion, _ = polynomial_motion(problem, transcription)
-    g = transcription.program.constraint(transcription.pack(motion), transcription.weights(problem)).full().ravel()
+    g = transcription.program.constraint(transcription.pack(motion), transcription.parameters(problem)).full().ravel()
     for k in range(problem.intervals):
         for j in range(problem.degree):
             q, qd, qdd = motion.point_q[k, j], motion.point_qd[k, j], motion.point_qdd[k, j]
@@ -153,7 +153,7 @@ def test_cost_is_the_stated_one(arm: Peer, reach: Problem) -> None:
     u, h = transcription.unpack(x).u, problem.horizon / problem.intervals
     rates = (u[1:] - u[:-1]) / h
     expected = 3.0 * h * (u**2).sum() + 0.5 * h * (rates**2).sum()
-    assert float(transcription.program.objective(x, transcription.weights(problem))) == pytest.approx(
+    assert float(transcription.program.objective(x, transcription.parameters(problem))) == pytest.approx(
         expected, rel=1e-14
     )
 
@@ -190,9 +190,9 @@ def test_ends_in_coordinates(arm: Peer, reach: Problem) -> None:
     problem = replace(small(reach, Family.RADAU, 2), end=end)
     transcription = transcribe(problem, arm)
     motion, _ = polynomial_motion(problem, transcription)
-    g = transcription.program.constraint(transcription.pack(motion), transcription.weights(problem)).full().ravel()
+    g = transcription.program.constraint(transcription.pack(motion), transcription.parameters(problem)).full().ravel()
     assert g[transcription.rows.coordinates] == pytest.approx(motion.q[-1, [0, 4]], abs=1e-14)
-    assert list(transcription.constraint_values(problem)[transcription.rows.coordinates]) == [0.25, -0.5]
+    assert list(transcription.constraint_bounds(problem)[0][transcription.rows.coordinates]) == [0.25, -0.5]
     assert transcription.rows.velocity.size == transcription.rows.sensors.size == 0
 
 
