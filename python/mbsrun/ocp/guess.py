@@ -1,8 +1,14 @@
-"""A first guess: a pose that meets the targets, by inverse kinematics, and a smooth motion of the joints towards it."""
+"""A first guess: a motion on a problem's grid, and the inputs that go with it.
+
+The motion is rest at the start, or the joints move smoothly to a pose that meets the targets, found by inverse
+kinematics; or it is one that was found before, read on another grid. Inputs are what balances it: the torques that hold
+each pose, or the inverse dynamics of the motion.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +18,10 @@ from scipy.stats import qmc
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.schemes import Scheme
-from mbsrun.ocp.trajectory import Trajectory, grid
+from mbsrun.ocp.trajectory import Trajectory, grid, resample
 
 Array = NDArray[np.float64]
+Inputs = Literal["zero", "static", "dynamic"]
 
 REACHED = 1e-5  # the largest distance from the targets that counts as none [m, rad]
 STARTS = 20  # poses to search from, before a target counts as out of reach
@@ -47,21 +54,51 @@ def find_pose(problem: Problem, plant: Plant) -> Pose:
     return pose if pose.is_reached else kinematics.search(())
 
 
+def rest(problem: Problem, scheme: Scheme) -> Trajectory:
+    """Stay at the start, at rest. Inputs are 0."""
+    return interpolate(replace(problem, start_qd=(0.0,) * len(problem.start_q)), scheme, np.array(problem.start_q))
+
+
 def interpolate(problem: Problem, scheme: Scheme, q: Array) -> Trajectory:
-    """Move from the start to the pose q, at rest in both: a polynomial of degree 5 in time. Inputs are 0."""
-    t, point_t = grid(problem.horizon, problem.intervals, scheme.points)
-    start = np.array(problem.start_q)
+    """Move from the start, with its velocity, to rest at the pose q: a polynomial of degree 5 in time. Inputs are 0."""
+    T, start, speed = problem.horizon, np.array(problem.start_q), np.array(problem.start_qd)
+    way = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])  # in t / T; from 0 to 1, at rest at both ends
+    run_out = np.polynomial.Polynomial([0, 1, 0, -6, 8, -3])  # leaves 0 at speed 1, and is back at 0, at rest
 
-    def move(t: Array) -> tuple[Array, Array, Array]:
-        s, T, way = (t / problem.horizon)[..., None], problem.horizon, q - start
-        return (
-            start + way * s**3 * (10 - 15 * s + 6 * s**2),
-            way * s**2 * (30 - 60 * s + 30 * s**2) / T,
-            way * s * (60 - 180 * s + 120 * s**2) / T**2,
+    def read(t: Array, order: int) -> Array:
+        s = (t / T)[..., None]
+        w, r = (p.deriv(order) if order else p for p in (way, run_out))
+        return np.asarray((start if order == 0 else 0.0) + (w(s) * (q - start) + r(s) * speed * T) / T**order)
+
+    t, point_t = grid(T, problem.intervals, scheme.points)
+    u = np.zeros((problem.intervals, len(problem.bounds.u)))
+    return Trajectory(t, read(t, 0), read(t, 1), u, point_t, *(read(point_t, order) for order in range(3)))
+
+
+def adapt(trajectory: Trajectory, problem: Problem, scheme: Scheme) -> Trajectory:
+    """Read a motion, found on whatever grid, on the grid of a problem."""
+    return resample(trajectory, *grid(problem.horizon, problem.intervals, scheme.points))
+
+
+def balance(trajectory: Trajectory, problem: Problem, plant: Plant, inputs: Inputs) -> Trajectory:
+    """Give a motion its inputs: 0, what holds each pose at rest, or the inverse dynamics of the motion.
+
+    Passive joints are left out of balance as little as may be, in the sense of least squares. Over an interval the mean
+    of its collocation points counts; inputs stay within their bounds.
+    """
+    u = np.zeros_like(trajectory.u)
+    if inputs != "zero":
+        N, d, n = trajectory.point_q.shape
+        rates = (trajectory.point_qd, trajectory.point_qdd)
+        q, qd, qdd = (
+            np.ascontiguousarray(a.reshape(N * d, n))
+            for a in (trajectory.point_q, *(rate * (inputs == "dynamic") for rate in rates))
         )
-
-    mesh_q, mesh_qd, _ = move(t)
-    return Trajectory(t, mesh_q, mesh_qd, np.zeros((problem.intervals, len(problem.bounds.u))), point_t, *move(point_t))
+        none = np.zeros((N * d, u.shape[1]))
+        Phi = plant("impl", q=q, qd=qd, qdd=qdd, u=none)["Phi"]
+        B = -plant("jac_impl", q=q, qd=qd, qdd=qdd, u=none)["jac_Phi_u"]
+        u = (np.linalg.pinv(B) @ Phi[..., None])[..., 0].reshape(N, d, -1).mean(axis=1)
+    return replace(trajectory, u=np.clip(u, *np.array(problem.bounds.u).reshape(-1, 2).T))
 
 
 class _Kinematics:

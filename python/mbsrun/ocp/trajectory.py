@@ -47,3 +47,55 @@ def grid(
     """Give the times of the mesh points (N + 1,), and of the collocation points (N, d), `points` being in (0, 1]."""
     t = np.linspace(0.0, horizon, intervals + 1)
     return t, t[:-1, None] + points * (horizon / intervals)
+
+
+def resample(trajectory: Trajectory, t: NDArray[np.float64], point_t: NDArray[np.float64]) -> Trajectory:
+    """Read a motion on another grid: mesh points t (N + 1,), collocation points point_t (N, d), both from time 0 on.
+
+    States are those of the collocation's polynomials, accelerations those of the polynomials through the points alone,
+    inputs the means over the new intervals. Where the horizons differ, the motion is made slower or faster as a whole.
+    """
+    pace = float(trajectory.t[-1] / t[-1])
+    mesh, points = (_Reading(trajectory, np.asarray(times) * pace) for times in (t, point_t))
+    impulses = np.diff(trajectory.t)[:, None] * trajectory.u
+    integral = np.concatenate((np.zeros_like(impulses[:1]), np.cumsum(impulses, axis=0)))
+    sums = np.stack([np.interp(t * pace, trajectory.t, column) for column in integral.T], axis=-1)
+    return Trajectory(
+        t=t,
+        q=mesh.states(trajectory.q, trajectory.point_q),
+        qd=mesh.states(trajectory.qd, trajectory.point_qd) * pace,
+        u=np.diff(sums, axis=0) / (np.diff(t) * pace)[:, None],
+        point_t=point_t,
+        point_q=points.states(trajectory.q, trajectory.point_q),
+        point_qd=points.states(trajectory.qd, trajectory.point_qd) * pace,
+        point_qdd=points.accelerations(trajectory.point_qdd) * pace**2,
+    )
+
+
+class _Reading:
+    """Evaluates the polynomials of a motion at given times, each in the interval that it lies in."""
+
+    def __init__(self, trajectory: Trajectory, times: NDArray[np.float64]) -> None:
+        t = trajectory.t
+        self.interval = np.clip(np.searchsorted(t, times, side="left") - 1, 0, len(t) - 2)
+        place = (times - t[self.interval]) / np.diff(t)[self.interval]
+        nodes = (trajectory.point_t[0] - t[0]) / (t[1] - t[0])  # the same in every interval
+        self.with_start = _lagrange(np.concatenate(([0.0], nodes)), place)
+        self.without = _lagrange(nodes, place)
+
+    def states(self, mesh: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Read what is a polynomial through its values at the interval's start and at the points."""
+        nodes = np.concatenate((mesh[:-1, None], points), axis=1)[self.interval]
+        return np.asarray(np.einsum("...r,...rn->...n", self.with_start, nodes))
+
+    def accelerations(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Read what is a polynomial through its values at the points."""
+        return np.asarray(np.einsum("...r,...rn->...n", self.without, points[self.interval]))
+
+
+def _lagrange(nodes: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Evaluate the basis polynomials of the nodes at x: shape (*x.shape, nodes)."""
+    gaps = nodes[:, None] - nodes
+    np.fill_diagonal(gaps, 1.0)
+    others = np.where(np.eye(len(nodes), dtype=bool), 1.0, x[..., None, None] - nodes)
+    return np.asarray((others / gaps).prod(axis=-1))

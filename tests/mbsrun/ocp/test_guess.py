@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mbsrun.ocp import schemes
-from mbsrun.ocp.guess import REACHED, find_pose, interpolate
+from mbsrun.ocp.guess import REACHED, adapt, balance, find_pose, interpolate, rest
 from mbsrun.ocp.problem import Bounds, End, GuessOptions, Problem, cylindrical
 from mbsrun.ocp.schemes import Family
 from tests.mbsrun.peer import Peer
@@ -81,3 +81,65 @@ def test_the_motion_is_smooth_and_rests_at_both_ends(reach: Problem) -> None:
     assert motion.qd[1:-1] == pytest.approx((motion.q[2:] - motion.q[:-2]) / (2 * h), abs=2 * h**2 * 4)
     assert motion.point_q[:, -1] == pytest.approx(motion.q[1:], abs=1e-15)
     assert (motion.u == 0).all()
+
+
+def test_the_motion_leaves_with_the_velocity_of_the_start(reach: Problem) -> None:
+    start_qd = (0.5, -0.2, 0.1, 0.0, 0.3, -0.4)
+    motion = interpolate(replace(reach, start_qd=start_qd), schemes.build(Family.RADAU, 4), np.zeros(6))
+    assert motion.q[[0, -1]] == pytest.approx(np.array([reach.start_q, np.zeros(6)]), abs=1e-15)
+    assert motion.qd[[0, -1]] == pytest.approx(np.array([start_qd, np.zeros(6)]), abs=1e-14)
+
+
+def test_rest_stays_at_the_start(reach: Problem) -> None:
+    """Whatever velocity the problem starts with: a constant motion has none."""
+    motion = rest(replace(reach, start_qd=(1.0,) * 6), schemes.build(Family.LEGENDRE, 3))
+    assert motion.point_q == pytest.approx(np.broadcast_to(reach.start_q, (100, 3, 6)), abs=1e-15)
+    assert not np.any(motion.qd)
+    assert not np.any(motion.point_qdd)
+
+
+def test_inputs_hold_or_move_what_they_can(arm: Peer, reach: Problem) -> None:
+    """Residuals of the actuated joints vanish on the mean of every interval: at rest, or in motion."""
+    motion = interpolate(reach, schemes.build(Family.RADAU, 4), np.array([1.0, 0.5, -1.0, 0.5, 0.0, 0.0]))
+    for inputs, moves in (("static", 0.0), ("dynamic", 1.0)):
+        u = balance(motion, reach, arm, inputs).u
+        q, qd, qdd = (
+            array.reshape(400, 6) for array in (motion.point_q, moves * motion.point_qd, moves * motion.point_qdd)
+        )
+        Phi = arm("impl", q=q, qd=qd, qdd=qdd, u=np.repeat(u, 4, axis=0))["Phi"]
+        assert np.abs(Phi.reshape(100, 4, 6).mean(axis=1)[:, :4]).max() < 1e-12
+        assert np.abs(u).max() > 1
+    assert not np.any(balance(motion, reach, arm, "zero").u)
+
+
+def test_inputs_of_a_guess_stay_within_their_bounds(arm: Peer, reach: Problem) -> None:
+    weak = replace(reach, bounds=replace(reach.bounds, u=((-2.0, -1.0),) * 4))
+    u = balance(interpolate(weak, schemes.build(Family.RADAU, 4), np.zeros(6)), weak, arm, "static").u
+    assert (u.min(), u.max()) == (-2.0, -1.0)
+
+
+@pytest.mark.parametrize(
+    ("family", "degree", "N"), [(Family.RADAU, 4, 7), (Family.LEGENDRE, 5, 100), (Family.RADAU, 5, 33)]
+)
+def test_a_motion_is_read_on_any_grid(arm: Peer, reach: Problem, family: Family, degree: int, N: int) -> None:
+    """The interpolation is a polynomial of degree 5: read from a grid of degree 5, it is what that grid would give."""
+    pose = np.array([1.0, 0.5, -1.0, 0.5, 0.2, -0.1])
+    fine = balance(interpolate(reach, schemes.build(Family.LEGENDRE, 5), pose), reach, arm, "static")
+    other = replace(reach, intervals=N)
+    scheme = schemes.build(family, degree)
+    expected, found = interpolate(other, scheme, pose), adapt(fine, other, scheme)
+    for name in ("t", "q", "qd", "point_t", "point_q", "point_qd", "point_qdd"):
+        assert getattr(found, name) == pytest.approx(getattr(expected, name), abs=1e-10), name
+    impulse = fine.u.sum(axis=0) / 100
+    assert found.u.sum(axis=0) / N == pytest.approx(impulse, rel=1e-12)
+
+
+def test_a_motion_is_slowed_down(reach: Problem) -> None:
+    """Over twice the time: the same way at half the speed."""
+    scheme = schemes.build(Family.RADAU, 5)
+    fast = interpolate(reach, scheme, np.zeros(6))
+    slow = adapt(fast, replace(reach, horizon=2 * reach.horizon), scheme)
+    assert slow.t[-1] == 4
+    assert slow.q == pytest.approx(fast.q, abs=1e-12)
+    assert slow.qd == pytest.approx(fast.qd / 2, abs=1e-11)
+    assert slow.point_qdd == pytest.approx(fast.point_qdd / 4, abs=1e-9)
