@@ -23,7 +23,20 @@ from mbsgen.formulations.reductions import ALL
 from mbsgen.model.tree import Tree
 from mbsgen.output import find_differences, write_file
 from mbsgen.pipeline import Options, generate, make, read_tree
-from mbsgen.report import COLUMNS, COMPARISON, NOTE, Report, Section, comparisons, sections, write_json, write_markdown
+from mbsgen.report import (
+    COLUMNS,
+    COMPARISON,
+    DIFFERENTIATION,
+    NOTE,
+    WAYS,
+    Report,
+    Section,
+    comparisons,
+    sections,
+    ways_taken,
+    write_json,
+    write_markdown,
+)
 from mbsgen.scaling import LARGEST, PERIOD, find_crossing, grow
 
 _UNCUT = 10_000  # characters in a line: neither a pipe nor a narrow terminal cuts anything off
@@ -236,7 +249,17 @@ def print_report(report: Report) -> None:
         for title, row in rows.items():
             click.echo("  ".join((title.ljust(first), *(str(row[name]).rjust(6) for name in FORMULATIONS))))
         click.echo("")
+    _print_ways(report)
     click.echo(textwrap.fill(NOTE, 79))
+
+
+def _print_ways(report: Report) -> None:
+    rows = ways_taken(report)
+    first = max(map(len, rows), default=0)
+    click.echo(f"{DIFFERENTIATION}: {report.model}\n")
+    for title, cells in {"": WAYS, **rows}.items():
+        click.echo("  ".join((title.ljust(first), *(cell.rjust(9) for cell in cells))))
+    click.echo("")
 
 
 def _lay_out(section: Section, widths: Sequence[int]) -> Iterator[str]:

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mbsgen import __version__, manifest
-from mbsgen.derivatives.kernels import differentiate
+from mbsgen.derivatives.dynamics import Dynamics
+from mbsgen.derivatives.kernels import differentiable, differentiate
 from mbsgen.formulations.catalogue import MEANINGS, SETUP, select_functions
 from mbsgen.formulations.links import PARAMETERS
 from mbsgen.formulations.reductions import ALL, Reductions
@@ -59,7 +60,8 @@ def make(model: Path, options: Options = Options()) -> Product:
     written = read_tree(model)
     parametric = with_runtime_numbers(written)
     tree = parametric if options.runtime else written
-    families = write_families(tree, options.reductions)
+    dynamics = Dynamics(tree, options.reductions)
+    families = write_families(tree, options.reductions, dynamics)
     unit = Unit(
         mangle(tree.name),
         __version__,
@@ -70,7 +72,7 @@ def make(model: Path, options: Options = Options()) -> Product:
     )
     sources = write_c(unit)
     described = _describe(tree, unit, sources)
-    report = make_report(written, parametric, described.kernels, compare=options.compare)
+    report = make_report(written, parametric, described.kernels, dynamics.flops, compare=options.compare)
     files = {
         **sources.files,
         manifest.FILE_NAME: described.model_dump_json(indent=2) + "\n",
@@ -89,17 +91,22 @@ def read_tree(model: Path) -> Tree:
     return build_tree(read_model(model))
 
 
-def write_families(tree: Tree, reductions: Reductions = ALL) -> tuple[Family, ...]:
-    """Write every function of a tree with its derivatives; what depends on parameters alone is split off as `setup`."""
-    families = []
+def write_families(tree: Tree, reductions: Reductions = ALL, dynamics: Dynamics | None = None) -> tuple[Family, ...]:
+    """Write every function of a tree with its derivatives; what depends on parameters alone is split off as `setup`.
+
+    `dynamics` writes those of the formulations, and can tell afterwards what each way of writing them takes.
+    """
+    families: list[Family] = []
+    dynamics = dynamics or Dynamics(tree, reductions)
     for name, entry in select_functions(tree).items():
         tape = entry.build(tree, reductions)
-        family = Family(tape, title=entry.title, meanings=MEANINGS)
-        if entry.differentiated:
-            found = differentiate(tape, [i.name for i in tape.inputs if i.name != PARAMETERS])
-            family = Family(tape, found.jac, found.adj1, found.jac_adj1, title=entry.title, meanings=MEANINGS)
         assert tape.name == name, "the catalogue calls a tape by its own name"
-        families.append(family)
+        if not entry.differentiated:
+            families.append(Family(tape, title=entry.title, meanings=MEANINGS))
+            continue
+        found = dynamics.differentiate(tape) if entry.of_dynamics else differentiate(tape, differentiable(tape))
+        families.append(Family(tape, found.jac, found.adj1, found.jac_adj1, title=entry.title, meanings=MEANINGS))
+        families.append(Family(found.lin, title=f"{entry.title}, with its Jacobians", meanings=MEANINGS))
     if any(p.kind is Kind.RUNTIME for p in tree.parameters):
         return _split_setup(families)
     return tuple(families)

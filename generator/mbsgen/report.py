@@ -45,7 +45,9 @@ NOTE = (
     "time, setup apart; kernels are counted as generated."
 )
 COMPARISON = "Flops of the formulations, compared"
-_DERIVATIVES = ("jac_", "adj1_")  # what the names of kernels that belong to another begin with
+DIFFERENTIATION = "Flops of the derivatives, by the way of writing them; the fewest are generated"
+WAYS = ("tape", "recursion", "implicit")  # differentiating the tape, the recursion, or by the implicit function theorem
+_DERIVATIVES = ("jac_", "adj1_", "lin_")  # what the names of kernels that belong to another begin with
 
 
 @dataclass(frozen=True)
@@ -72,9 +74,17 @@ class Report:
     folded: Mapping[str, Cost]  # the formulations with every number of the model folded
     kernels: Mapping[str, Cost]
     reductions: Mapping[str, Mapping[str, int]]  # flops of each formulation without each reduction; may be empty
+    ways: Mapping[str, Mapping[str, int]]  # flops of the derivatives of the formulations, by the way of writing them
 
 
-def make_report(written: Tree, parametric: Tree, kernels: tuple[Kernel, ...], *, compare: bool = False) -> Report:
+def make_report(
+    written: Tree,
+    parametric: Tree,
+    kernels: tuple[Kernel, ...],
+    ways: Mapping[str, Mapping[str, int]],
+    *,
+    compare: bool = False,
+) -> Report:
     """Count the formulations and the generated kernels.
 
     `written` is the tree of the model, `parametric` the same with every number a run-time parameter. Counting without
@@ -92,7 +102,7 @@ def make_report(written: Tree, parametric: Tree, kernels: tuple[Kernel, ...], *,
         for title, choice in switched.items()
     }
     costs = {k.name: Cost(k.flops, k.equations) for k in kernels}
-    return Report(written.name, formulations, setups, folded, costs, reductions)
+    return Report(written.name, formulations, setups, folded, costs, reductions, ways)
 
 
 def _fold(tree: Tree) -> Tree:
@@ -145,6 +155,11 @@ def comparisons(report: Report) -> dict[str, Mapping[str, int]]:
     return rows
 
 
+def ways_taken(report: Report) -> dict[str, tuple[str, ...]]:
+    """Give the flops of derivatives in each of WAYS; empty where one is not written."""
+    return {name: tuple(str(found.get(way, "")) for way in WAYS) for name, found in report.ways.items()}
+
+
 def write_json(report: Report) -> str:
     """Write `report.json`, the stable form that later versions are compared by."""
     data: dict[str, object] = {
@@ -153,6 +168,7 @@ def write_json(report: Report) -> str:
         "setups": {name: _entry(cost) for name, cost in report.setups.items()},
         "folded": {name: _entry(cost) for name, cost in report.folded.items()},
         "kernels": {name: _entry(cost) for name, cost in report.kernels.items()},
+        "ways": {name: dict(ways) for name, ways in report.ways.items()},
     }
     if report.reductions:
         data["reductions"] = dict(report.reductions)
@@ -172,6 +188,8 @@ def write_markdown(report: Report) -> str:
     if rows := comparisons(report):
         lines += ["", f"## {COMPARISON}", "", _line(("", *FORMULATIONS)), _line(["---", *["---:"] * len(FORMULATIONS)])]
         lines += [_line((title, *(str(row[name]) for name in FORMULATIONS))) for title, row in rows.items()]
+    lines += ["", f"## {DIFFERENTIATION}", "", _line(("", *WAYS)), _line(["---", *["---:"] * len(WAYS)])]
+    lines += [_line((f"`{name}`", *row)) for name, row in ways_taken(report).items()]
     return "\n".join(lines) + "\n"
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from mbsgen.derivatives import forward, reverse
 from mbsgen.derivatives.vanishing import drop_vanishing
+from mbsgen.formulations.links import PARAMETERS
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.counts import count
 from mbsgen.tape.replay import declare_inputs, replay, replay_guards
@@ -18,14 +19,33 @@ class Derivatives:
     """The derivatives of one tape f by chosen inputs."""
 
     jac: Tape  # jac_f: blocks jac_<out>_<in>
+    lin: Tape  # lin_f: the outputs of f, and those of jac_f
     adj1: Tape  # adj1_f: adj_<in> = sum over outputs of (d out / d in)T adj_<out>
     jac_adj1: Tape  # jac_adj1_f: blocks jac_adj_<in>_<in> and jac_adj_<in>_adj_<out>
+
+
+def differentiable(tape: Tape) -> list[str]:
+    """List what a tape is differentiated by: all inputs but parameters."""
+    return [i.name for i in tape.inputs if i.name != PARAMETERS]
 
 
 def differentiate(tape: Tape, wrt: Sequence[str]) -> Derivatives:
     """Write the first and second derivatives of `tape` by the inputs `wrt`."""
     adj1 = reverse.adjoint(tape, wrt, f"adj1_{tape.name}")
-    return Derivatives(jacobian(tape, wrt), adj1, _adjoint_jacobian(tape, adj1, wrt))
+    jac = jacobian(tape, wrt)
+    return Derivatives(jac, linearise(tape, jac), adj1, adjoint_jacobian(tape, adj1, wrt))
+
+
+def linearise(tape: Tape, jac: Tape) -> Tape:
+    """Write `lin_<name>`: a function and its Jacobians at one state; what both need is computed once."""
+    builder = Builder()
+    inputs = declare_inputs(tape, builder)
+    for part in (tape, jac):
+        values = replay(part, builder, inputs)
+        for o in part.outputs:
+            builder.output(o.name, o.sparsity, [values[v] for v in o.values])
+        replay_guards(part, builder, values)
+    return builder.build(f"lin_{tape.name}")
 
 
 def jacobian(tape: Tape, wrt: Sequence[str]) -> Tape:
@@ -38,8 +58,8 @@ def jacobian(tape: Tape, wrt: Sequence[str]) -> Tape:
     return drop_vanishing(found)
 
 
-def _adjoint_jacobian(tape: Tape, adj1: Tape, wrt: Sequence[str]) -> Tape:
-    """Differentiate the adjoint forward; its second derivatives are symmetric: one triangle is computed."""
+def adjoint_jacobian(tape: Tape, adj1: Tape, wrt: Sequence[str]) -> Tape:
+    """Write `jac_adj1_<name>` from the adjoint, forward; of its symmetric second derivatives, one triangle."""
     builder = Builder()
     values = replay(adj1, builder, declare_inputs(adj1, builder))
     replay_guards(adj1, builder, values)

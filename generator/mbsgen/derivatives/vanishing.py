@@ -7,7 +7,10 @@ An expression that is 0 to 35 of 50 digits at several points drawn at random is 
 from __future__ import annotations
 
 import random
+from collections.abc import Sequence
 from dataclasses import replace
+
+from mpmath import mpf
 
 from mbsgen.tape.interpreter import DIGITS, evaluate
 from mbsgen.tape.passes import drop_dead
@@ -18,16 +21,21 @@ VANISHED = DIGITS.literal("1e-35")
 
 
 def drop_vanishing(tape: Tape) -> Tape:
-    """Leave out of every output the nonzeros that vanish identically, and what only they need."""
+    """Leave out of every block `jac_…` the nonzeros that vanish identically, and what only they need."""
     drawn = [evaluate(tape, _draw(tape, seed), DIGITS) for seed in range(POINTS)]
     outputs = []
     for output in tape.outputs:
         columns = zip(*(values[output.name] for values in drawn), strict=True)
-        kept = [k for k, column in enumerate(columns) if not all(abs(value) <= VANISHED for value in column)]
+        is_block = output.name.startswith("jac_")  # a function's own values stay where it has them
+        kept = [k for k, column in enumerate(columns) if not (is_block and _vanishes(column))]
         outputs.append(_select(output, kept))
     if all(a.sparsity == b.sparsity for a, b in zip(outputs, tape.outputs, strict=True)):
         return tape
     return drop_dead(replace(tape, outputs=tuple(outputs)))
+
+
+def _vanishes(column: Sequence[mpf]) -> bool:
+    return all(abs(value) <= VANISHED for value in column)
 
 
 def _draw(tape: Tape, seed: int) -> dict[str, list[object]]:

@@ -23,6 +23,7 @@ class Entry:
     title: str  # for readers of the generated code
     differentiated: bool  # by all inputs but parameters
     of_sensors: bool = False  # a tree without sensors has no such function
+    of_dynamics: bool = False  # a form of the equations of motion: its derivatives may be written by mechanics
 
 
 def _plainly(build: Callable[[Tree], Tape]) -> Callable[[Tree, Reductions], Tape]:
@@ -58,11 +59,25 @@ MEANINGS: Mapping[str, str] = MappingProxyType(
 
 FUNCTIONS: Mapping[str, Entry] = MappingProxyType(
     {
-        "impl": Entry(impl.build, "residual of the equations of motion, recursive Newton-Euler", differentiated=True),
+        "impl": Entry(
+            impl.build,
+            "residual of the equations of motion, recursive Newton-Euler",
+            differentiated=True,
+            of_dynamics=True,
+        ),
         "semi": Entry(semi.build, "mass matrix and bias: M qdd + c = Q", differentiated=False),
-        "semi_res": Entry(semi.build_residual, "residual by mass matrix and bias: M qdd + c - Q", differentiated=True),
-        "exp1": Entry(exp1.build, "accelerations by elimination in the mass matrix", differentiated=True),
-        "exp2": Entry(exp2.build, "accelerations by articulated bodies, order N", differentiated=True),
+        "semi_res": Entry(
+            semi.build_residual,
+            "residual by mass matrix and bias: M qdd + c - Q",
+            differentiated=True,
+            of_dynamics=True,
+        ),
+        "exp1": Entry(
+            exp1.build, "accelerations by elimination in the mass matrix", differentiated=True, of_dynamics=True
+        ),
+        "exp2": Entry(
+            exp2.build, "accelerations by articulated bodies, order N", differentiated=True, of_dynamics=True
+        ),
         "sensors": Entry(_plainly(poses.build_sensors), "places of the sensors", differentiated=True, of_sensors=True),
         "motion": Entry(
             _plainly(velocities.build_motion), "velocities of the sensors", differentiated=True, of_sensors=True

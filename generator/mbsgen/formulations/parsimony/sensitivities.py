@@ -30,8 +30,9 @@ from mbsgen.tape.builder import Builder, Scalar
 
 @dataclass(frozen=True)
 class Sensitivities:
-    """The nonzero entries (row, column) of the residual's derivatives, by body numbers from 1."""
+    """The residual, and the nonzero entries (row, column) of its derivatives, by body numbers from 1."""
 
+    Phi: dict[int, Scalar]
     q: Entries
     qd: Entries
     qdd: Entries  # the mass matrix
@@ -85,7 +86,7 @@ class _Recursion:
         self.movements = self.kinematics.move(writing.chain.gravity, qd, qdd)
         self.axes = {s.number: self._axis(s, self.movements[s.number]) for s in self.kinematics.segments}
         self.composites: dict[int, Composite] = {}
-        self.found = Sensitivities({}, {}, {})
+        self.found = Sensitivities({}, {}, {}, {})
 
     def run(self) -> Sensitivities:
         loads: dict[int, Load] = {}
@@ -93,6 +94,7 @@ class _Recursion:
             i = segment.number
             loads[i] = join_loads(self.kinematics, segment, self.lumps[i], self.movements[i], loads)
             self.composites[i] = self._compose(segment, self.lumps[i])
+            self.found.Phi[i] = segment.signed((loads[i].N if segment.is_revolute else loads[i].F)[segment.axis])
             self._differentiate(segment, self.composites[i], loads[i])
         return self.found
 

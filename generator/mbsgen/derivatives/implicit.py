@@ -1,0 +1,200 @@
+"""Derivatives of the accelerations by the implicit function theorem, from those of the residual.
+
+Phi(q, qd, u, qdd) = 0 defines y(x) = qdd of x = (q, qd, u, w). With M = dPhi/dqdd, which depends on q alone:
+
+    y = -M^-1 Phi(x, 0),    dy/dx = -M^-1 dPhi/dx,    (dy/dx)T lambda = (dPhi/dx)T mu,    mu = -M^-1 lambda,
+
+and with H the second derivatives of muT Phi, of which those by qdd twice vanish,
+
+    d2(lambdaT y)/dx2 = Hxx + Hxy dy/dx + (Hxy dy/dx)T.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from mbsgen.formulations.parsimony.elimination import Entries, Factors, factorise
+from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.replay import replay
+from mbsgen.tape.types import Input, Tape
+
+ACCELERATIONS, RESIDUAL = "qdd", "Phi"
+Block = dict[tuple[int, int], Scalar]  # by (row, column), from 0
+Inputs = Mapping[str, Sequence[Scalar]]
+
+
+@dataclass(frozen=True)
+class Residual:
+    """The residual with its derivatives, as `impl` has them."""
+
+    value: Tape
+    jac: Tape
+    adj1: Tape
+    jac_adj1: Tape
+
+
+def jacobian(tape: Tape, residual: Residual, wrt: Sequence[str]) -> Tape:
+    """Write the Jacobian of `tape`: x -> qdd, by the columns `wrt`; its pivots are guarded as in `tape`."""
+    return _write_slopes(_State.declare(tape, residual), wrt, f"jac_{tape.name}")
+
+
+def linearisation(tape: Tape, residual: Residual, wrt: Sequence[str]) -> Tape:
+    """Write the accelerations, and their Jacobian."""
+    state = _State.declare(tape, residual)
+    state.builder.output_dense(ACCELERATIONS, [[x] for x in state.inputs[ACCELERATIONS]])
+    return _write_slopes(state, wrt, f"lin_{tape.name}")
+
+
+def _write_slopes(state: _State, wrt: Sequence[str], name: str) -> Tape:
+    for x, block in state.slopes(wrt).items():
+        state.builder.output_nonzeros(f"jac_{ACCELERATIONS}_{x}", state.size, state.tape.input(x).sparsity.nnz, block)
+    return state.finish(name)
+
+
+def adjoint(tape: Tape, residual: Residual, wrt: Sequence[str]) -> Tape:
+    """Write the adjoint of `tape`."""
+    state = _State.declare(tape, residual, seeded=True)
+    found = state.replay(residual.adj1, {**state.inputs, f"adj_{RESIDUAL}": state.multipliers})
+    for name in wrt:
+        pattern = tape.input(name).sparsity
+        state.builder.output(f"adj_{name}", pattern, found[f"adj_{name}"].column(pattern.nnz, state.builder))
+    return state.finish(f"adj1_{tape.name}")
+
+
+def adjoint_jacobian(tape: Tape, residual: Residual, wrt: Sequence[str]) -> Tape:
+    """Write the Jacobian of the adjoint of `tape`."""
+    state = _State.declare(tape, residual, seeded=True)
+    found = state.replay(residual.jac_adj1, {**state.inputs, f"adj_{RESIDUAL}": state.multipliers})
+    slopes = state.slopes(wrt)
+    mixed = {a: found[f"jac_adj_{a}_{ACCELERATIONS}"].entries for a in wrt}
+    sizes = {name: tape.input(name).sparsity.nnz for name in wrt}
+    for n, a in enumerate(wrt):
+        for b in wrt:
+            one, other = (a, b) if n >= wrt.index(b) else (b, a)  # each pair is formed once
+            block = dict(found[f"jac_adj_{one}_{other}"].entries)
+            _accumulate(block, _product(mixed[one], slopes[other]))
+            _accumulate(block, _transposed(_product(mixed[other], slopes[one])))
+            state.builder.output_nonzeros(
+                f"jac_adj_{a}_{b}", sizes[a], sizes[b], block if one == a else _transposed(block)
+            )
+        state.builder.output_nonzeros(f"jac_adj_{a}_adj_{ACCELERATIONS}", sizes[a], state.size, _transposed(slopes[a]))
+    return state.finish(f"jac_adj1_{tape.name}")
+
+
+def _product(A: Block, B: Block) -> Block:
+    rows: dict[int, list[tuple[int, Scalar]]] = {}
+    for (r, c), value in B.items():
+        rows.setdefault(r, []).append((c, value))
+    total: Block = {}
+    for (r, k), left in A.items():
+        _accumulate(total, {(r, c): left * right for c, right in rows.get(k, [])})
+    return total
+
+
+def _accumulate(total: Block, more: Block) -> None:
+    for place, value in more.items():
+        total[place] = total[place] + value if place in total else value
+
+
+def _transposed(block: Block) -> Block:
+    return {(c, r): value for (r, c), value in block.items()}
+
+
+@dataclass(frozen=True)
+class _Found:
+    """An output of a tape that was replayed."""
+
+    entries: Block
+
+    def column(self, size: int, builder: Builder) -> list[Scalar]:
+        return [self.entries.get((k, 0), builder.zero) for k in range(size)]
+
+
+@dataclass(frozen=True)
+class _State:
+    """What all derivatives begin with: the accelerations, by the factors of M."""
+
+    builder: Builder
+    tape: Tape
+    residual: Residual
+    inputs: Inputs  # of the residual, with the accelerations that make it vanish
+    factors: Factors
+    multipliers: list[Scalar]  # mu; empty without seeds
+
+    @staticmethod
+    def declare(tape: Tape, residual: Residual, *, seeded: bool = False) -> _State:
+        builder = Builder()
+        given = {i.name: builder.input(i.name, i.sparsity) for i in tape.inputs}
+        size = tape.output(ACCELERATIONS).sparsity.rows
+        at_rest = given | {ACCELERATIONS: [builder.zero] * size}
+        M = _replay(builder, residual.jac, at_rest)[f"jac_{RESIDUAL}_{ACCELERATIONS}"].entries
+        upper: Entries = {(i + 1, j + 1): value for (i, j), value in M.items() if i <= j}
+        factors = factorise(builder, upper, size)
+        bias = _replay(builder, residual.value, at_rest)[RESIDUAL].entries
+        qdd = factors.solve({i + 1: -value for (i, _), value in bias.items()})
+        multipliers: list[Scalar] = []
+        if seeded:
+            seeds = builder.input(f"adj_{ACCELERATIONS}", tape.output(ACCELERATIONS).sparsity)
+            mu = factors.solve({i: -seed for i, seed in enumerate(seeds, 1)})
+            multipliers = [mu[i] for i in range(1, size + 1)]
+        inputs = given | {ACCELERATIONS: [qdd[i] for i in range(1, size + 1)]}
+        state = _State(builder, tape, residual, inputs, factors, multipliers)
+        state._guard()
+        return state
+
+    @property
+    def size(self) -> int:
+        return self.factors.size
+
+    def replay(self, tape: Tape, inputs: Inputs) -> dict[str, _Found]:
+        return _replay(self.builder, tape, inputs)
+
+    @cached_property
+    def _slopes_of_residual(self) -> dict[str, _Found]:
+        return self.replay(self.residual.jac, self.inputs)
+
+    def slopes(self, wrt: Sequence[str]) -> dict[str, Block]:
+        """Solve for dy/dx, by columns. Columns that a unit vector makes are those of the inverse of M."""
+        found: dict[str, Block] = {}
+        for name in wrt:
+            columns: dict[int, dict[int, Scalar]] = {}
+            for (r, c), value in self._slopes_of_residual[f"jac_{RESIDUAL}_{name}"].entries.items():
+                columns.setdefault(c, {})[r + 1] = -value
+            units = {c: next(iter(b)) for c, b in columns.items() if len(b) == 1 and _is_one(next(iter(b.values())))}
+            inverse = self.factors.invert(units.values())
+            found[name] = {
+                (i - 1, c): value
+                for c, b in columns.items()
+                for i, value in (inverse[units[c]] if c in units else self.factors.solve(b)).items()
+                if not value.is_zero
+            }
+        return found
+
+    def _guard(self) -> None:
+        """Guard the pivots by the scales and tolerances of the tape's own."""
+        values = replay(self.tape, self.builder, self.inputs)
+        for guard in self.tape.guards:
+            pivot = self.factors.D[guard.joint]
+            self.builder.guard(pivot, values[guard.scale], guard.tolerance, guard.joint)
+
+    def finish(self, name: str) -> Tape:
+        return self.builder.build(name)
+
+
+def _is_one(value: Scalar) -> bool:
+    return value.literal == 1.0
+
+
+def _replay(builder: Builder, tape: Tape, inputs: Inputs) -> dict[str, _Found]:
+    """Replay a tape, and give its outputs by place."""
+    values = replay(tape, builder, {i.name: _nonzeros(i, inputs) for i in tape.inputs})
+    return {
+        o.name: _Found({place: values[v] for place, v in zip(o.sparsity.entries, o.values, strict=True)})
+        for o in tape.outputs
+    }
+
+
+def _nonzeros(given: Input, inputs: Inputs) -> Sequence[Scalar]:
+    return inputs[given.name]
