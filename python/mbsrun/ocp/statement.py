@@ -1,8 +1,9 @@
 """Problem files: YAML -> Problem.
 
-A file names a model beside it, a horizon, a collocation, the weights of the cost, a start, bounds, what must hold at
-the end, and how to guess. Lengths are in m, angles in rad, times in s. A number may be an expression over the file's
+A file names a model beside it, a horizon, a collocation, the cost, a start, bounds, constraints, what must hold at the
+end, and how to guess. Lengths are in m, angles in rad, times in s. A number may be an expression over the file's
 `constants`, such as `acos(0.55/0.6)` or `-2*alpha`; coordinates, frames and sensors go by their names in the model.
+Terms of the cost and constraints are expressions of the motion as well, which stay what was written.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from mbsgen.manifest import Manifest
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import (
     Bounds,
+    Constraint,
     Cost,
     End,
     GuessOptions,
@@ -41,8 +43,10 @@ from mbsrun.ocp.problem import (
     Range,
     Representation,
     SolverOptions,
+    Term,
     cylindrical,
 )
+from mbsrun.ocp.quantities import list_quantities
 from mbsrun.ocp.schemes import DEGREES, Family
 
 MAX_INTERVALS = 10_000
@@ -84,6 +88,12 @@ def _read_number(value: Any) -> Expression:
     return Number(float(value))
 
 
+def _read_formula(value: Any) -> str:
+    """Admit an expression; it is kept as text."""
+    _read_number(value)
+    return str(value)
+
+
 def _check_model(path: str) -> str:
     """Admit model files only: a folder of C would be code to run, and a problem file comes from anywhere."""
     if not path.endswith((".yaml", ".yml")):
@@ -103,20 +113,51 @@ NumbersField = Annotated[  # one for each coordinate, or by name and else 0
     Annotated[tuple[NumberField, ...], Tag("list")] | Annotated[dict[str, NumberField], Tag("mapping")],
     Discriminator(_form),
 ]
+StartField = Annotated[  # the same; null: not given
+    Annotated[tuple[LimitField, ...], Tag("list")] | Annotated[dict[str, LimitField], Tag("mapping")],
+    Discriminator(_form),
+]
+RestField = Annotated[  # of all coordinates, or of some, by name
+    Annotated[Literal["zero"], Tag("list")] | Annotated[dict[str, NumberField], Tag("mapping")], Discriminator(_form)
+]
+FormulaField = Annotated[str, PlainValidator(_read_formula), Field(examples=["q_NAME**2"])]
 RangesField = Annotated[  # the same for all, or by name
     Annotated[RangeField, Tag("list")] | Annotated[dict[str, RangeField], Tag("mapping")], Discriminator(_form)
 ]
 Limits = tuple[Expression | None, Expression | None]
 
 
+class _HorizonSection(Section):
+    guess: NumberField = Field(examples=[1.0])
+    range: RangeField = Field(examples=[[0.1, 10.0]])
+
+
+HorizonField = Annotated[
+    Annotated[NumberField, Tag("list")] | Annotated[_HorizonSection, Tag("mapping")], Discriminator(_form)
+]
+
+
+class _TermSection(Section):
+    expression: FormulaField
+    weight: NumberField = Field(default=Number(1.0), examples=[1.0])
+
+
 class _CostSection(Section):
-    inputs: NumberField = Field(default=Number(1.0), examples=[1.0])
+    inputs: NumberField | None = Field(default=None, examples=[1.0])  # 1 where nothing else is paid for
     input_rates: NumberField = Field(default=Number(0.0), examples=[0.0])
+    running: tuple[_TermSection, ...] = Field(default=(), examples=[[{"expression": "q_NAME**2", "weight": 1.0}]])
+    terminal: tuple[_TermSection, ...] = Field(default=(), examples=[[{"expression": "T", "weight": 1.0}]])
+
+
+class _ConstraintSection(Section):
+    expression: FormulaField
+    range: RangeField = Field(examples=[[None, 1.0]])
+    at: Literal["start", "path", "end"] = Field(default="path", examples=["path"])
 
 
 class _StartSection(Section):
-    pose: NumbersField = Field(examples=[{}])
-    velocity: NumbersField = Field(default={}, examples=[{}])
+    pose: StartField = Field(examples=[{}])
+    velocity: StartField = Field(default={}, examples=[{}])
 
 
 class _BoundsSection(Section):
@@ -134,11 +175,18 @@ class _PositionSection(Section):
     height: NumberField | None = Field(default=None, examples=[1.0])
 
 
+class _VelocitySection(Section):
+    x: NumberField = Field(default=Number(0.0), examples=[0.0])
+    y: NumberField = Field(default=Number(0.0), examples=[0.0])
+    z: NumberField = Field(default=Number(0.0), examples=[0.0])
+
+
 class _EndSection(Section):
     sensors: dict[str, _PositionSection] = Field(default={}, examples=[{}])
     pose: dict[str, NumberField] = Field(default={}, examples=[{}])
-    velocity: Literal["zero"] | None = Field(default=None, examples=["zero"])
-    acceleration: Literal["zero"] | None = Field(default=None, examples=["zero"])
+    velocity: RestField | None = Field(default=None, examples=["zero"])
+    acceleration: RestField | None = Field(default=None, examples=["zero"])
+    sensor_velocities: dict[str, _VelocitySection] = Field(default={}, examples=[{}])
 
 
 class _GuessSection(Section):
@@ -154,7 +202,7 @@ class _SolverSection(Section):
 class _ProblemSection(Section):
     model: Annotated[str, AfterValidator(_check_model)] = Field(examples=["model.yaml"])
     constants: dict[str, NumberField] = Field(default={}, examples=[{}])
-    horizon: NumberField = Field(examples=[1.0])
+    horizon: HorizonField = Field(examples=[1.0])
     intervals: int = Field(ge=1, le=MAX_INTERVALS, examples=[100])
     scheme: Family = Field(examples=["radau"])
     degree: int = Field(ge=DEGREES[0], le=DEGREES[-1], examples=[4])
@@ -163,6 +211,7 @@ class _ProblemSection(Section):
     start: _StartSection = Field(examples=[{"pose": {}}])
     bounds: _BoundsSection = Field(default=_BoundsSection(), examples=[{}])
     end: _EndSection = Field(default=_EndSection(), examples=[{}])
+    constraints: tuple[_ConstraintSection, ...] = Field(default=(), examples=[[]])
     guess: _GuessSection = Field(default=_GuessSection(), examples=[{}])
     accuracy: NumberField = Field(default=Number(Problem.accuracy), examples=[1e-6])
     solver: _SolverSection = Field(default=_SolverSection(), examples=[{}])
@@ -186,6 +235,8 @@ class _Reading:
         self.open_inputs = [
             i.name for i in manifest.kernel("impl").inputs if i.name not in ("q", "qd", "qdd", "u", "h") and i.nnz
         ]
+        self.quantities = list_quantities(manifest)
+        self.used: set[str] = set()  # constants that formulas read
         self.limits = [
             (-math.inf if c.lower is None else c.lower, math.inf if c.upper is None else c.upper)
             for c in manifest.coordinates
@@ -194,7 +245,8 @@ class _Reading:
     def problem(self, name: str, section: _ProblemSection) -> Problem:
         """Make the problem; it is one only if there are no faults."""
         for key, expression in section.constants.items():
-            if not key.isascii() or not key.isidentifier() or key in CONSTANTS or key in FUNCTIONS:
+            is_taken = key in CONSTANTS or key in FUNCTIONS or key in self.quantities
+            if not key.isascii() or not key.isidentifier() or is_taken:
                 self.fault(("constants", key), "no name for a constant", "give a word that means nothing else")
             self.constants[key] = self.number(("constants", key), expression)
         if not self.inputs.known:
@@ -203,52 +255,103 @@ class _Reading:
             left = f"the model leaves {', '.join(self.open_inputs)} open, beside the inputs u"
             self.fault(("model",), left, "give the external wrenches in the model: here they have no value")
         bounds = self.bounds(section.bounds)
+        horizon, horizon_range = self.horizon(section.horizon)
+        start_q, free_q = self.start("pose", section.start.pose, bounds.q)
+        start_qd, free_qd = self.start("velocity", section.start.velocity, bounds.qd)
+        cost, end = self.cost(section.cost), self.end(section.end, bounds)
+        constraints = tuple(self.constraint(i, part) for i, part in enumerate(section.constraints))
         return Problem(
             name=name,
-            horizon=self.number(("horizon",), section.horizon, least=math.ulp(0)),
+            horizon=horizon,
             intervals=section.intervals,
             family=section.scheme,
             degree=section.degree,
             representation=section.representation,
-            cost=self.cost(section.cost),
-            start_q=self.start("pose", section.start.pose, bounds.q),
-            start_qd=self.start("velocity", section.start.velocity, bounds.qd),
+            cost=cost,
+            start_q=start_q,
+            start_qd=start_qd,
             bounds=bounds,
-            end=self.end(section.end, bounds),
+            end=end,
+            horizon_range=horizon_range,
+            free_start=(*free_q, *(len(start_q) + i for i in free_qd)),
+            constraints=constraints,
+            constants=tuple((key, self.constants[key]) for key in section.constants if key in self.used),
             guess=self.guess(section.guess),
             accuracy=self.number(("accuracy",), section.accuracy, least=math.ulp(0)),
             solver=self.solver(section.solver),
         )
 
+    def horizon(self, section: Expression | _HorizonSection) -> tuple[float, Range | None]:
+        """Give the horizon, or the guess of it and its range."""
+        if not isinstance(section, _HorizonSection):
+            return self.number(("horizon",), section, least=math.ulp(0)), None
+        guess = self.number(("horizon", "guess"), section.guess, least=math.ulp(0))
+        lower, upper = self.range(("horizon", "range"), section.range)
+        if lower <= 0:
+            self.fault(("horizon", "range"), f"the least is {lower:g}", "give a positive one")
+        elif guess < lower or guess > upper:
+            self.fault(("horizon", "guess"), f"{guess:g} is out of [{lower:g}, {upper:g}]", "guess within the range")
+        return guess, (lower, upper)
+
     def cost(self, section: _CostSection) -> Cost:
-        cost = Cost(
-            self.number(("cost", "inputs"), section.inputs, least=0),
-            self.number(("cost", "input_rates"), section.input_rates, least=0),
-        )
-        if cost.inputs == cost.input_rates == 0:
+        running = tuple(self.term("running", i, term) for i, term in enumerate(section.running))
+        terminal = tuple(self.term("terminal", i, term) for i, term in enumerate(section.terminal))
+        rates = self.number(("cost", "input_rates"), section.input_rates, least=0)
+        if section.inputs is None:
+            inputs = 0.0 if running or terminal or rates else 1.0
+        else:
+            inputs = self.number(("cost", "inputs"), section.inputs, least=0)
+        cost = Cost(inputs, rates, running, terminal)
+        if not any(cost.weights):
             self.fault(("cost",), "every weight is 0", "give inputs or input_rates a positive weight")
         return cost
 
+    def term(self, key: str, i: int, section: _TermSection) -> Term:
+        place: Place = ("cost", key, i)
+        self.formula((*place, "expression"), section.expression)
+        return Term(section.expression, self.number((*place, "weight"), section.weight))
+
+    def constraint(self, i: int, section: _ConstraintSection) -> Constraint:
+        place: Place = ("constraints", i)
+        self.formula((*place, "expression"), section.expression)
+        return Constraint(section.expression, self.range((*place, "range"), section.range), section.at)
+
+    def formula(self, place: Place, text: str) -> None:
+        """Look up what an expression of the motion speaks of."""
+        for name in sorted(names(parse(text))):
+            if name in self.constants:
+                self.used.add(name)
+            elif name not in self.quantities:
+                meant = nearest(name, [*self.quantities, *self.constants])
+                remedy = f"did you mean {abbreviate(meant)}?" if meant else "there are t, T, q_NAME, u_NAME, x_SENSOR"
+                self.fault(place, f"unknown name {abbreviate(name)}", remedy)
+
     def start(
-        self, key: str, given: tuple[Expression, ...] | dict[str, Expression], bounds: Sequence[Range]
-    ) -> tuple[float, ...]:
+        self, key: str, given: tuple[Expression | None, ...] | dict[str, Expression | None], bounds: Sequence[Range]
+    ) -> tuple[tuple[float, ...], tuple[int, ...]]:
+        """Give each coordinate its value, and the indices of those that have none; a guess for these is in bounds."""
         place: Place = ("start", key)
         known = self.coordinates.known
         if isinstance(given, tuple) and len(given) != len(known):
             self.fault(place, f"found {len(given)} numbers", f"give {len(known)}: {', '.join(known)}")
-            return (0.0,) * len(known)
+            return (0.0,) * len(known), ()
         named = dict(zip(known, given, strict=True)) if isinstance(given, tuple) else given
         values = [0.0] * len(known)
         places: list[Place] = [place] * len(known)
+        free = []
         for k, (name, expression) in enumerate(named.items()):
             inner = (*place, k if isinstance(given, tuple) else name)
-            i, value = self.find(inner, name, self.coordinates), self.number(inner, expression)
+            i = self.find(inner, name, self.coordinates)
+            value = 0.0 if expression is None else self.number(inner, expression)
+            if i is not None and expression is None:
+                free.append(i)
+                value = min(max(value, bounds[i][0]), bounds[i][1])
             if i is not None:
                 values[i], places[i] = value, inner
         for inner, name, value, (lower, upper) in zip(places, known, values, bounds, strict=True):
             if value < lower or value > upper:
                 self.fault(inner, f"{name} = {value:g} is out of [{lower:g}, {upper:g}]", "start within the bounds")
-        return tuple(values)
+        return tuple(values), tuple(sorted(free))
 
     def bounds(self, section: _BoundsSection) -> Bounds:
         free = (-math.inf, math.inf)
@@ -281,21 +384,40 @@ class _Reading:
         return (lower, upper)
 
     def end(self, section: _EndSection, bounds: Bounds) -> End:
-        sensors = []
+        sensors, velocities = [], []
         for name, position in section.sensors.items():
             place = ("end", "sensors", name)
             self.find(place, name, self.sensors)
             sensors.append((name, self.position(place, position)))
-        coordinates = []
-        for name, expression in section.pose.items():
-            place = ("end", "pose", name)
+        for name, velocity in section.sensor_velocities.items():
+            place = ("end", "sensor_velocities", name)
+            self.find(place, name, self.sensors)
+            x, y, z = (self.number((*place, key), getattr(velocity, key)) for key in ("x", "y", "z"))
+            velocities.append((name, (x, y, z)))
+        return End(
+            sensors=tuple(sensors),
+            coordinates=self.targets("pose", section.pose, bounds.q),
+            velocity_zero=section.velocity == "zero",
+            acceleration_zero=section.acceleration == "zero",
+            velocities=self.targets("velocity", section.velocity, bounds.qd),
+            accelerations=self.targets("acceleration", section.acceleration, ()),
+            sensor_velocities=tuple(velocities),
+        )
+
+    def targets(
+        self, key: str, given: dict[str, Expression] | str | None, bounds: Sequence[Range]
+    ) -> tuple[tuple[int, float], ...]:
+        """Read what some coordinates must be at the end."""
+        targets = []
+        for name, expression in (given if isinstance(given, dict) else {}).items():
+            place = ("end", key, name)
             i, value = self.find(place, name, self.coordinates), self.number(place, expression)
             if i is not None:
-                coordinates.append((i, value))
-                lower, upper = bounds.q[i]
+                targets.append((i, value))
+                lower, upper = bounds[i] if bounds else (-math.inf, math.inf)
                 if value < lower or value > upper:
                     self.fault(place, f"{value:g} is out of [{lower:g}, {upper:g}]", "end within the bounds")
-        return End(tuple(sensors), tuple(coordinates), section.velocity is not None, section.acceleration is not None)
+        return tuple(targets)
 
     def position(self, place: Place, section: _PositionSection) -> Point:
         given = {key: value for key in _PositionSection.model_fields if (value := getattr(section, key)) is not None}
