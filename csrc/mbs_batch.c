@@ -1,16 +1,15 @@
-/* Call a kernel once per state of a batch. Compiled into a model's library beside its kernels. */
+/* Call a kernel once per state of a batch. */
 #include "mbs_batch.h"
 
-int mbs_batch(mbs_kernel f, casadi_int states, casadi_int n_in, const casadi_real **arg, const casadi_int *arg_step,
-              casadi_int n_out, casadi_real **res, const casadi_int *res_step, casadi_int *failed)
+casadi_int mbs_batch(mbs_kernel f, casadi_int states, casadi_int n_in, const casadi_real **arg,
+                     const casadi_int *arg_step, casadi_int n_out, casadi_real **res, const casadi_int *res_step,
+                     int *status)
 {
-    casadi_int state, k;
+    casadi_int state, k, failures = 0;
     for (state = 0; state < states; ++state) {
-        const int status = f(arg, res, 0, 0, 0);
-        if (status) {
-            *failed = state;
-            return status;
-        }
+        status[state] = f(arg, res, 0, 0, 0);
+        if (status[state])
+            ++failures;
         for (k = 0; k < n_in; ++k)
             if (arg[k])
                 arg[k] += arg_step[k];
@@ -18,5 +17,5 @@ int mbs_batch(mbs_kernel f, casadi_int states, casadi_int n_in, const casadi_rea
             if (res[k])
                 res[k] += res_step[k];
     }
-    return 0;
+    return failures;
 }

@@ -12,10 +12,11 @@ extern "C" {
 typedef int (*mbs_kernel)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem);
 
 /* Call f `states` times; after each call arg[k] and res[k] advance by their steps (0: the same for all states).
- * Pointers may be NULL, as in CasADi's contract. Stops at the first state where f fails: returns its status, and puts
- * the state's number, from 0, into `failed`. Else returns 0. */
-int mbs_batch(mbs_kernel f, casadi_int states, casadi_int n_in, const casadi_real **arg, const casadi_int *arg_step,
-              casadi_int n_out, casadi_real **res, const casadi_int *res_step, casadi_int *failed);
+ * Pointers may be NULL, as in CasADi's contract. What f returns for each state goes into `status`; where it is not 0,
+ * the results of that state are not written. Returns how many those are. */
+casadi_int mbs_batch(mbs_kernel f, casadi_int states, casadi_int n_in, const casadi_real **arg,
+                     const casadi_int *arg_step, casadi_int n_out, casadi_real **res, const casadi_int *res_step,
+                     int *status);
 
 #ifdef __cplusplus
 }

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import casadi as ca
 
-from mbsrun.kernel import HIDDEN, Kernels, find_folder
+from mbsrun.kernel import DERIVATIVES, HIDDEN, Kernels
+from mbsrun.models import find_folder
 
 
 class Mechanism(Kernels):
@@ -20,8 +21,9 @@ class Mechanism(Kernels):
         derivative; it can be mapped, over threads as well. A serialised function holds the library's path.
         Raises ArgumentError for a kernel that there is not.
         """
-        kernel = self._entry(name).kernel  # by the manifest: a name that only libm knows would be found there
-        external = ca.external(kernel.symbol, str(self.library))
+        kernel = self._binder.describe(name)  # a name that only libm knows would be found there
+        family = [order + name for order in DERIVATIVES if order + name in self._binder.kernels]
+        external = ca.external(kernel.symbol, str(self.compile(*family)))
         names, outputs = [a.name for a in kernel.inputs], [a.name for a in kernel.outputs]
         if external.name_in() == names and external.name_out() == outputs and HIDDEN not in names:
             return external

@@ -1,58 +1,30 @@
-"""The NumPy face of generated kernels: arrays by name in, arrays by name out, one state or a batch of them.
-
-Calls go through the functions in CasADi's contract, since they take any kernel's arguments alike; the library's own
-account of those arguments is compared with the manifest before anything is called.
-"""
+"""The NumPy face of generated kernels: arrays by name in, arrays by name out, one state or a batch of them."""
 
 from __future__ import annotations
 
 import copy
-import hashlib
 import math
 import os
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import cache, cached_property, partial
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
-import cffi
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from scipy import sparse as scipy_sparse
 
 from mbsgen import manifest as manifests
 from mbsgen import resources
 from mbsgen.errors import MbsError
-from mbsgen.manifest import Argument, Kernel, Manifest
-from mbsrun.library import CompileError, building_place, cache_folder, compile_folder
+from mbsgen.manifest import Kernel, Manifest
+from mbsrun.binding import HIDDEN, ArgumentError, Array, Entry, Port, Status, bind, load_batch
+from mbsrun.library import Compiler, compile_library, find_compiler
 
-Array = NDArray[np.float64]
+__all__ = ["HIDDEN", "ArgumentError", "Array", "KernelError", "Kernels"]
 
-HIDDEN = "h"  # what `setup` makes of the run-time parameters; filled in for the caller
-# Matrices even with one column.
-_MATRICES = {
-    "in": frozenset({"adj_position", "adj_v", "adj_omega"}),
-    "out": frozenset({"M", "position", "v", "omega", "J", "p", "R"}),
-}
-_BATCH = """
-typedef int (*mbs_kernel)(const double **arg, double **res, long long *iw, double *w, int mem);
-int mbs_batch(mbs_kernel f, long long states, long long n_in, const double **arg, const long long *arg_step,
-              long long n_out, double **res, const long long *res_step, long long *failed);
-"""
-_FACE = """
-int {0}(const double **arg, double **res, long long *iw, double *w, int mem);
-long long {0}_n_in(void);
-long long {0}_n_out(void);
-const char *{0}_name_in(long long i);
-const char *{0}_name_out(long long i);
-const long long *{0}_sparsity_in(long long i);
-const long long *{0}_sparsity_out(long long i);
-"""
-
-
-class ArgumentError(MbsError):
-    """A kernel that is called with what it does not take, or that there is not."""
+DERIVATIVES = ("", "jac_", "adj1_", "jac_adj1_")
 
 
 class KernelError(MbsError):
@@ -63,59 +35,20 @@ class KernelError(MbsError):
         super().__init__(f"{kernel} failed at joint {joint}, in state {state} (from 0) of those given")
 
 
-@dataclass(frozen=True)
-class _Port:
-    """An argument, and where the C function takes it."""
-
-    argument: Argument
-    position: int
-    is_vector: bool  # a column that is passed as a one-dimensional array
-
-    @cached_property
-    def shape(self) -> tuple[int, ...]:
-        """Shape of one state's array."""
-        a = self.argument
-        return (a.rows,) if self.is_vector else (a.rows, a.cols)
-
-    @cached_property
-    def places(self) -> tuple[NDArray[np.intp], NDArray[np.intp]] | None:
-        """Rows and columns of the nonzeros; None where every entry is one."""
-        a = self.argument
-        if a.row is None or a.colind is None:
-            return None
-        return np.array(a.row, dtype=np.intp), np.repeat(np.arange(a.cols), np.diff(a.colind))
-
-
-@dataclass(frozen=True)
-class _Entry:
-    """A kernel of the library."""
-
-    kernel: Kernel
-    function: Any
-    n_in: int
-    n_out: int
-    inputs: tuple[_Port, ...]
-    outputs: tuple[_Port, ...]
-
-
 class Kernels:
-    """The kernels of a generated folder, compiled and loaded.
+    """The kernels of a generated folder; each is compiled and loaded when it is first called.
 
-    `k("impl", q=…, qd=…, qdd=…, u=…)` and `k.impl(q=…, …)` call a kernel; see `__call__`.
+    `k("impl", q=…, qd=…, qdd=…, u=…)` and `k.impl(q=…, …)` call a kernel; see `__call__`. Kernels can be called from
+    several threads at once.
     """
 
     manifest: Manifest
-    library: Path
     parameters: Mapping[str, float]  # the run-time parameters in use, by the user's names
 
     def __init__(self, folder: str | Path, parameters: Mapping[str, float] | None = None) -> None:
-        """Compile the folder, unless it is in the cache, and load it. `parameters` replace the model's values."""
-        folder = Path(folder)
-        self.manifest = manifests.read(folder / manifests.FILE_NAME)
-        self.library = compile_folder(folder)
-        self._ffi, self._lib = _open(self.library, self.manifest)
-        self._entries = {k.name: _bind(self._ffi, self._lib, k) for k in self.manifest.kernels}
-        self._hidden = np.zeros(0)
+        """Read the folder's manifest. `parameters` replace the model's values."""
+        self._binder = _Binder(Path(folder))
+        self.manifest = self._binder.manifest
         self._set_parameters({p.name: p.value for p in self.manifest.parameters}, parameters or {})
 
     def with_parameters(self, **parameters: float) -> Self:
@@ -124,45 +57,97 @@ class Kernels:
         other._set_parameters(self.parameters, parameters)
         return other
 
+    def compile(self, *names: str) -> Path:
+        """Compile the named kernels, several at once, and give a shared library that holds them.
+
+        Nothing needs this: it gathers the compiling that first calls would do one by one.
+        """
+        return self._binder.compile([self._binder.describe(name) for name in names])
+
     def __call__(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> dict[str, Array]:
         """Call a kernel; return its results by name.
 
         A column is an array of shape (rows,), a matrix one of (rows, cols); Jacobians, positions and rotations are
         matrices even with one column. Any input may have a leading batch axis; results then have it too, and inputs
-        without one are the same for all states. sparse: give the nonzeros only, column by column, shape (nnz,).
-        Inputs without an entry may be left out. Raises ArgumentError for inputs that do not fit, KernelError where a
-        state cannot be computed.
+        without one are the same for all states. sparse: give the nonzeros only, column by column, shape (nnz,), of
+        which `matrix` makes a matrix. Inputs without an entry may be left out. Raises ArgumentError for inputs that do
+        not fit, KernelError where a state cannot be computed.
         """
-        entry = self._entry(name)
-        arrays = self._collect(entry, inputs)
+        entry = self._binder.bind(name)
+        done = None if sparse else entry.call_once(inputs, self._hidden_for(entry))
+        if done is None:
+            results, status = self.attempt(name, sparse=sparse, **inputs)
+            failed = np.flatnonzero(status)
+            if failed.size:
+                raise self._tell(name, int(status.flat[failed[0]]), int(failed[0]))
+            return results
+        if done[0]:
+            raise self._tell(name, done[0], 0)
+        return done[1]
+
+    def attempt(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> tuple[dict[str, Array], Status]:
+        """Call a kernel as `__call__` does, but return the status of each state beside the results.
+
+        The status, shape () or (batch,), is 0, or k where the kernel failed at joint k, from 1; the results of such a
+        state are not a number. Raises ArgumentError.
+        """
+        entry = self._binder.bind(name)
+        arrays = _collect(entry, inputs)
         batches = {array.shape[0] for port, array in arrays if array.ndim > len(port.shape)}
         if len(batches) > 1:
             raise ArgumentError(
                 f"{name}: the inputs have batches of {sorted(batches)} states; give all the same number"
             )
-        states = batches.pop() if batches else 1
-        nonzeros = self._run(entry, [(port, _gather(name, port, array)) for port, array in arrays], states)
+        given = [(port, _gather(name, port, array)) for port, array in arrays]
+        hidden = [(port, self._hidden[None]) for port in entry.inputs if port.argument.name == HIDDEN]
+        status, nonzeros = entry.call(self._binder.batch, given + hidden, batches.pop() if batches else 1)
         results = {
             port.argument.name: values if sparse else _scatter(port, values)
             for port, values in zip(entry.outputs, nonzeros, strict=True)
         }
-        is_batch = any(array.ndim > len(port.shape) for port, array in arrays)
-        return results if is_batch else {key: value[0] for key, value in results.items()}
+        if any(array.ndim > len(port.shape) for port, array in arrays):
+            return results, status
+        return {key: value[0] for key, value in results.items()}, status.reshape(())
+
+    def jac(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> dict[str, Array]:
+        """Call `jac_<name>`: the Jacobians `jac_<result>_<input>`; rows are entries of the result."""
+        return self(f"jac_{name}", sparse=sparse, **inputs)
+
+    def adj(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> dict[str, Array]:
+        """Call `adj1_<name>`: the gradients `adj_<input>` of the sum of results weighted by inputs `adj_<result>`."""
+        return self(f"adj1_{name}", sparse=sparse, **inputs)
+
+    def hess(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> dict[str, Array]:
+        """Call `jac_adj1_<name>`: second derivatives of the sum of results weighted by inputs `adj_<result>`.
+
+        `jac_adj_<a>_<b>` is the block of its Hessian by the inputs a, down the rows, and b.
+        """
+        return self(f"jac_adj1_{name}", sparse=sparse, **inputs)
+
+    def matrix(self, name: str, result: str, nonzeros: Array) -> scipy_sparse.csc_array:
+        """Make a sparse matrix of what the kernel `name` gave for a result with `sparse=True`, for one state."""
+        kernel = self._binder.describe(name)
+        a = next((a for a in kernel.outputs if a.name == result), None)
+        if a is None:
+            raise ArgumentError(
+                f"{name} has no result {result!r}; there are {', '.join(o.name for o in kernel.outputs)}"
+            )
+        if np.shape(nonzeros) != (a.nnz,):
+            raise ArgumentError(
+                f"{name}: {result} has {a.nnz} nonzeros; an array of shape {np.shape(nonzeros)} is given"
+            )
+        row = np.tile(np.arange(a.rows), a.cols) if a.row is None else np.array(a.row, dtype=int)
+        colind = np.arange(a.cols + 1) * a.rows if a.colind is None else np.array(a.colind, dtype=int)
+        return scipy_sparse.csc_array((nonzeros, row, colind), shape=(a.rows, a.cols))
 
     def __getattr__(self, name: str) -> Callable[..., dict[str, Array]]:
         """Give a kernel as a function."""
-        if name.startswith("_") or name not in self.__dict__.get("_entries", {}):
+        if name.startswith("_") or name not in self._binder.kernels:
             raise AttributeError(f"{type(self).__name__} has no attribute or kernel {name!r}")
         return partial(self, name)
 
     def __dir__(self) -> list[str]:
-        return [*super().__dir__(), *self._entries]
-
-    def _entry(self, name: str) -> _Entry:
-        entry = self._entries.get(name)
-        if entry is None:
-            raise ArgumentError(f"{self.manifest.model} has no kernel {name!r}; there are {', '.join(self._entries)}")
-        return entry
+        return [*super().__dir__(), *self._binder.kernels]
 
     def _set_parameters(self, present: Mapping[str, float], changes: Mapping[str, float]) -> None:
         unknown = [name for name in changes if name not in present]
@@ -173,146 +158,88 @@ class Kernels:
         if wrong:
             raise ArgumentError(f"{', '.join(wrong)}: a parameter must be a finite number")
         self.parameters = {name: float(changes.get(name, value)) for name, value in present.items()}
-        if "setup" in self._entries:
-            self._hidden = self("setup", p=list(self.parameters.values()))[HIDDEN]
+        self.__dict__.pop("_hidden", None)
 
-    def _collect(self, entry: _Entry, inputs: Mapping[str, ArrayLike]) -> list[tuple[_Port, Array]]:
-        """Pair ports with arrays; all that does not fit is told at once."""
-        ports = {port.argument.name: port for port in entry.inputs}
-        wanted = {name: port for name, port in ports.items() if name != HIDDEN}
-        faults = [f"{name}: there is no such input" for name in inputs if name not in wanted]
-        arrays = []
-        for name, port in wanted.items():
-            if name not in inputs:
-                faults += [f"{name}: missing, shape {_text(port.shape)}"] if port.argument.nnz else []
-                continue
-            array = _read(inputs[name])
-            if array is None:
-                faults.append(f"{name}: not an array of real numbers, shape {_text(port.shape)} expected")
-            elif array.shape[-len(port.shape) :] != port.shape or array.ndim > len(port.shape) + 1:
-                batch = _text(("batch", *port.shape))
-                faults.append(f"{name}: shape {_text(array.shape)} given, {_text(port.shape)} or {batch} expected")
-            else:
-                arrays.append((port, array))
-        if faults:
-            raise ArgumentError("\n".join(f"{entry.kernel.name}: {fault}" for fault in faults))
-        hidden = [(port, self._hidden) for name, port in ports.items() if name == HIDDEN]
-        return arrays + hidden
+    @cached_property
+    def _hidden(self) -> Array:
+        """What the kernels need of the parameters; computed when one is first called."""
+        if "setup" not in self._binder.kernels:
+            return np.zeros(0)
+        return self("setup", p=list(self.parameters.values()))[HIDDEN]
 
-    def _run(self, entry: _Entry, inputs: list[tuple[_Port, Array]], states: int) -> list[Array]:
-        """Call the kernel for every state; inputs and results by nonzeros, one row a state."""
-        ffi = self._ffi
-        arg, arg_step = ffi.new("const double *[]", entry.n_in), ffi.new("long long[]", entry.n_in)
-        res, res_step = ffi.new("double *[]", entry.n_out), ffi.new("long long[]", entry.n_out)
-        for port, nonzeros in inputs:
-            arg[port.position] = ffi.from_buffer("double[]", nonzeros.data)
-            arg_step[port.position] = nonzeros.shape[1] if nonzeros.shape[0] == states else 0
-        results = [np.empty((states, port.argument.nnz)) for port in entry.outputs]
-        for port, nonzeros in zip(entry.outputs, results, strict=True):
-            res[port.position] = ffi.from_buffer("double[]", nonzeros.data)
-            res_step[port.position] = nonzeros.shape[1]
-        failed = ffi.new("long long *")
-        status = self._lib.mbs_batch(
-            entry.function, states, entry.n_in, arg, arg_step, entry.n_out, res, res_step, failed
-        )
-        if status:
-            names = [c.name for c in self.manifest.coordinates]
-            joint = names[status - 1] if 0 < status <= len(names) else f"number {status}"
-            raise KernelError(entry.kernel.name, joint, failed[0])
-        return results
+    def _hidden_for(self, entry: Entry) -> Array | None:
+        return self._hidden if entry.takes_hidden else None
+
+    def _tell(self, name: str, status: int, state: int) -> KernelError:
+        names = [c.name for c in self.manifest.coordinates]
+        return KernelError(name, names[status - 1] if 0 < status <= len(names) else f"number {status}", state)
 
 
-def find_folder(path: Path) -> Path:
-    """Give the generated folder at `path`; for a model file, one in the user's cache, made by mbsgen if it is new.
+class _Binder:
+    """A generated folder, of which each kernel is compiled and bound once it is asked for."""
 
-    It is found again by the bytes of the model and of mbsgen, so a stale one is never met. Raises InputError with every
-    fault of the model, CompileError if the cache cannot be written.
-    """
-    if not (path.is_file() or path.suffix in (".yaml", ".yml")):
-        return path
-    folder = cache_folder(os.environ) / "models" / _fingerprint(path)
-    if folder.exists():
-        return folder
-    from mbsgen.pipeline import generate  # here alone, and late: kernels are called without SymPy
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.manifest = manifests.read(folder / manifests.FILE_NAME)
+        self.kernels = {kernel.name: kernel for kernel in self.manifest.kernels}
+        self._entries: dict[str, Entry] = {}
+        own = re.compile(rf"(jac_|adj1_|jac_adj1_)?{re.escape(self.manifest.prefix)}_\w+", re.ASCII)
+        strange = [kernel.symbol for kernel in self.manifest.kernels if not own.fullmatch(kernel.symbol)]
+        if strange:  # `gamma` would be found in libm
+            raise ArgumentError(
+                f"the manifest of {self.manifest.model} names {strange}, which cannot be its C functions"
+            )
 
-    with building_place(folder.parent) as place:
-        generate(path, place / "generated")
-        if folder.name != _fingerprint(path):  # it was changed meanwhile
-            return find_folder(path)
-        try:
-            (place / "generated").rename(folder)
-        except OSError:
-            if not folder.exists():  # else another process was faster, and made the same
-                raise
-    return folder
+    def describe(self, name: str) -> Kernel:
+        """Look a kernel up. Raises ArgumentError with those there are."""
+        kernel = self.kernels.get(name)
+        if kernel is None:
+            raise ArgumentError(f"{self.manifest.model} has no kernel {name!r}; there are {', '.join(self.kernels)}")
+        return kernel
 
+    def bind(self, name: str) -> Entry:
+        """Give a kernel that can be called."""
+        entry = self._entries.get(name)
+        if entry is None:
+            kernel = self.describe(name)
+            entry = self._entries[name] = bind(self.compile([kernel]), kernel)
+        return entry
 
-def _fingerprint(model: Path) -> str:
-    """Name what mbsgen makes of a model file."""
-    try:
-        text = model.read_bytes()
-    except OSError:  # which mbsgen tells better
-        text = b""
-    return hashlib.sha256(_fingerprint_generator() + text).hexdigest()[:40]
+    def compile(self, kernels: Sequence[Kernel]) -> Path:
+        """Compile kernels to one library."""
+        sources = [source for kernel in kernels for source in kernel.sources]
+        return compile_library(self.folder, self.manifest.prefix, sources, self._compiler)
 
+    @cached_property
+    def batch(self) -> object:
+        """The loop over the states of a batch."""
+        return load_batch(compile_library(resources.folder("csrc"), "mbs_batch", ["mbs_batch.c"], self._compiler))
 
-@cache
-def _fingerprint_generator() -> bytes:
-    """Hash the files that generation depends on."""
-    digest = hashlib.sha256()
-    for folder in (Path(resources.__file__).parent, resources.folder("templates"), resources.folder("csrc")):
-        for file in sorted(folder.rglob("*.*")):
-            if file.is_file() and file.suffix != ".pyc":
-                digest.update(hashlib.sha256(str(file.relative_to(folder)).encode()).digest())
-                digest.update(hashlib.sha256(file.read_bytes()).digest())
-    return digest.digest()
-
-
-def _open(library: Path, manifest: Manifest) -> tuple[cffi.FFI, Any]:
-    ffi = cffi.FFI()
-    symbols = [kernel.symbol for kernel in manifest.kernels]
-    own = re.compile(rf"(jac_|adj1_|jac_adj1_)?{re.escape(manifest.prefix)}_\w+", re.ASCII)
-    strange = [symbol for symbol in symbols if not own.fullmatch(symbol)]
-    if strange:  # `gamma` would be found in libm
-        raise ArgumentError(f"the manifest of {manifest.model} names {strange}, which cannot be its C functions")
-    ffi.cdef(_BATCH + "".join(map(_FACE.format, symbols)))
-    try:
-        return ffi, ffi.dlopen(str(library))
-    except OSError as error:
-        raise CompileError(f"{library} cannot be loaded: {error}; remove it, it will be compiled again") from None
+    @cached_property
+    def _compiler(self) -> Compiler:
+        return find_compiler(os.environ)
 
 
-def _bind(ffi: cffi.FFI, lib: Any, kernel: Kernel) -> _Entry:
-    """Find a kernel's arguments in the library; ArgumentError where manifest and library differ."""
-    try:
-        function, n_in, n_out = (getattr(lib, kernel.symbol + end) for end in ("", "_n_in", "_n_out"))
-        inputs = _ports(ffi, lib, kernel, "in", kernel.inputs)
-        outputs = _ports(ffi, lib, kernel, "out", kernel.outputs)
-    except (AttributeError, LookupError):  # a function of libm would be found by its name, but not its account
-        finding = "the manifest and the C files disagree"
-        raise ArgumentError(f"{kernel.symbol}: {finding}; generate the folder again") from None
-    return _Entry(kernel, function, n_in(), n_out(), inputs, outputs)
-
-
-def _ports(ffi: cffi.FFI, lib: Any, kernel: Kernel, side: str, arguments: tuple[Argument, ...]) -> tuple[_Port, ...]:
-    size, names, sparsity = (getattr(lib, f"{kernel.symbol}_{x}_{side}") for x in ("n", "name", "sparsity"))
-    positions = {ffi.string(names(i)): i for i in range(size())}
-    ports = []
-    for argument in arguments:
-        position = positions[argument.name.encode()]
-        pattern = sparsity(position)
-        if any(pattern[i] != x for i, x in enumerate(_compress(argument))):
-            raise LookupError(argument.name)
-        is_matrix = argument.name.startswith("jac_") or argument.name in _MATRICES[side]
-        ports.append(_Port(argument, position, argument.cols == 1 and not is_matrix))
-    return tuple(ports)
-
-
-def _compress(argument: Argument) -> list[int]:
-    """Write a pattern as the library does."""
-    if argument.row is None or argument.colind is None:
-        return [argument.rows, argument.cols, 1]
-    return [argument.rows, argument.cols, *argument.colind, *argument.row]
+def _collect(entry: Entry, inputs: Mapping[str, ArrayLike]) -> list[tuple[Port, Array]]:
+    """Pair ports with arrays; all that does not fit is told at once."""
+    wanted = {port.argument.name: port for port in entry.inputs if port.argument.name != HIDDEN}
+    faults = [f"{name}: there is no such input" for name in inputs if name not in wanted]
+    arrays = []
+    for name, port in wanted.items():
+        if name not in inputs:
+            faults += [f"{name}: missing, shape {_text(port.shape)}"] if port.argument.nnz else []
+            continue
+        array = _read(inputs[name])
+        if array is None:
+            faults.append(f"{name}: not an array of real numbers, shape {_text(port.shape)} expected")
+        elif array.shape[-len(port.shape) :] != port.shape or array.ndim > len(port.shape) + 1:
+            batch = _text(("batch", *port.shape))
+            faults.append(f"{name}: shape {_text(array.shape)} given, {_text(port.shape)} or {batch} expected")
+        else:
+            arrays.append((port, array))
+    if faults:
+        raise ArgumentError("\n".join(f"{entry.kernel.name}: {fault}" for fault in faults))
+    return arrays
 
 
 def _read(value: ArrayLike) -> Array | None:
@@ -324,7 +251,7 @@ def _read(value: ArrayLike) -> Array | None:
     return array.astype(np.float64) if array.dtype.kind in "fiu" else None
 
 
-def _gather(kernel: str, port: _Port, array: Array) -> Array:
+def _gather(kernel: str, port: Port, array: Array) -> Array:
     """Take the nonzeros of each state: shape (states, nnz)."""
     a = port.argument
     if not a.nnz:
@@ -338,7 +265,7 @@ def _gather(kernel: str, port: _Port, array: Array) -> Array:
     return nonzeros
 
 
-def _scatter(port: _Port, nonzeros: Array) -> Array:
+def _scatter(port: Port, nonzeros: Array) -> Array:
     """Spread the nonzeros of each state: shape (states, *shape)."""
     a, states = port.argument, nonzeros.shape[0]
     if port.places is None:

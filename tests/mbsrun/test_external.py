@@ -124,7 +124,7 @@ def test_parameters_are_baked_in(k: Mechanism) -> None:
 
 
 def test_casadi_takes_no_derivative_by_the_hidden_input(k: Mechanism) -> None:
-    bare = ca.external("sample_impl", str(k.library))
+    bare = ca.external("sample_impl", str(k.compile("impl", "jac_impl")))
     assert [bare.is_diff_in(i) for i in range(5)] == [True, True, True, True, False]
     h = ca.MX.sym("h", 2)
     assert ca.jacobian(bare(**STATE, h=h)["f"], h).nnz() == 0
@@ -289,15 +289,15 @@ def test_a_model_file_is_generated_once(model: Path) -> None:
     before = folder.stat().st_ino
     elsewhere = model.with_name("copy of it")
     elsewhere.write_text(MODEL)
-    assert load(elsewhere).library == first.library
+    assert load(elsewhere).compile("impl") == first.compile("impl")
     assert [folder.stat().st_ino] == [before] == [f.stat().st_ino for f in kept(model)]
 
 
 def test_another_text_or_another_generator_makes_another_folder(model: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    library = load(model).library
+    library = load(model).compile("impl")
     model.write_text(MODEL.replace("mass: 2", "mass: 3"))
-    assert load(model).library != library
-    monkeypatch.setattr("mbsrun.kernel._fingerprint_generator", lambda: b"of another version")
+    assert load(model).compile("impl") != library
+    monkeypatch.setattr("mbsrun.models._fingerprint_generator", lambda: b"of another version")
     load(model)
     assert len(kept(model)) == 3
 
@@ -317,7 +317,7 @@ def test_a_model_that_changes_while_it_is_generated_is_generated_again(
     changed = load(model)
     assert len(kept(model)) == 1
     model.write_text(MODEL)
-    assert load(model).library != changed.library
+    assert load(model).compile("impl") != changed.compile("impl")
     assert len(kept(model)) == 2
 
 
@@ -337,7 +337,7 @@ def test_a_path_to_nothing_is_told(name: str, message: str, model: Path) -> None
 
 
 def test_many_processes_may_load_a_model_at_once(model: Path) -> None:
-    script = "import sys, mbsrun; print(mbsrun.load(sys.argv[1]).library)"
+    script = "import sys, mbsrun; print(mbsrun.load(sys.argv[1]).compile('impl', 'frames'))"
     command = [sys.executable, "-c", script, str(model)]
     running = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(3)]
     assert len({process.communicate()[0] for process in running}) == 1

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
+from mbsgen import manifest as manifests
 from mbsgen.errors import InputError
-from mbsrun.library import CompileError, cache_folder, compile_folder, find_compiler
+from mbsrun import load
+from mbsrun.cache import ABANDONED, CacheError, cache_folder
+from mbsrun.library import LARGE, CompileError, choose_level, compile_library, find_compiler
 from tests.sample import write_sample
 
 FAST_MATH = ["-ffast-math", "-Ofast", "-funsafe-math-optimizations", "-ffinite-math-only", "-fassociative-math"]
@@ -26,28 +29,64 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "cache" / "mbsgen"
 
 
+def compile_folder(folder: Path) -> Path:
+    """Compile all of a folder to one library."""
+    manifest = manifests.read(folder / manifests.FILE_NAME)
+    return compile_library(folder, manifest.prefix, manifest.sources, find_compiler(os.environ))
+
+
+def kept(cache: Path, suffix: str) -> list[str]:
+    """List what the cache holds, by the part of the name before the hash."""
+    return sorted(path.name.rpartition("-")[0] for path in cache.glob(f"compiled/*/*{suffix}"))
+
+
+def all_files(cache: Path) -> list[Path]:
+    return [path for path in cache.rglob("*") if path.is_file()]
+
+
 def test_a_folder_is_compiled_once(tmp_path: Path, own_cache: Path) -> None:
     folder = write_sample(tmp_path / "sample")
     library = compile_folder(folder)
-    assert library.parent == own_cache
-    before = library.stat().st_mtime_ns
+    before = {path: path.stat().st_ino for path in all_files(own_cache)}
     assert compile_folder(write_sample(tmp_path / "copy")) == library
-    assert library.stat().st_mtime_ns == before
-    assert list(own_cache.iterdir()) == [library]
+    assert {path: path.stat().st_ino for path in all_files(own_cache)} == before
+    assert kept(own_cache, ".so") == ["sample"]
+    assert sorted(path.suffix for path in before) == [".o"] * 6 + [".so"]
 
 
-def test_other_sources_and_other_flags_make_another_library(
-    tmp_path: Path, own_cache: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_what_is_called_is_compiled(tmp_path: Path, own_cache: Path) -> None:
+    """A call compiles its kernel, and `setup` if it needs that; CasADi's face the kernel with its derivatives."""
+    k = load(write_sample(tmp_path / "sample"))
+    assert all_files(own_cache) == []
+    k.impl(x=[1, 1, 1], y=[1, 1], z=[0])
+    assert kept(own_cache, ".o") == ["sample_impl", "sample_setup"]
+    objects = set(own_cache.rglob("*.o"))
+    k.casadi("impl")
+    family = ["sample_adj1_impl", "sample_impl", "sample_jac_adj1_impl", "sample_jac_impl"]
+    assert kept(own_cache, ".o") == sorted([*family, "sample_setup"])
+    assert objects < set(own_cache.rglob("*.o"))
+    k.impl(x=[[1, 1, 1]], y=[1, 1], z=[0])
+    assert "mbs_batch" in kept(own_cache, ".o")
+
+
+def test_a_change_compiles_what_it_concerns(tmp_path: Path, own_cache: Path) -> None:
+    """A source, itself; a header, all that includes it."""
+    folder = write_sample(tmp_path / "sample")
+    compile_folder(folder)
+    for name, made in (("sample_impl.c", 1), ("sample.h", 6), ("mbs_abi.h", 6), ("mbs_check.h", 0)):
+        before = set(own_cache.rglob("*.o"))
+        with (folder / name).open("a") as file:
+            file.write("/* changed */\n")
+        compile_folder(folder)
+        assert len(set(own_cache.rglob("*.o")) - before) == made, name
+
+
+def test_other_flags_make_another_library(tmp_path: Path, own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = write_sample(tmp_path / "sample")
     plain = compile_folder(folder)
     monkeypatch.setenv("CFLAGS", "-O0")
     assert compile_folder(folder) != plain
-    monkeypatch.delenv("CFLAGS")
-    source = folder / "sample_impl.c"
-    source.write_text(source.read_text() + "/* changed */\n")
-    assert compile_folder(folder) != plain
-    assert len(list(own_cache.iterdir())) == 3
+    assert len(list(own_cache.rglob("*.so"))) == 2
 
 
 def test_another_compiler_of_the_same_name_makes_another_library(
@@ -60,20 +99,90 @@ def test_another_compiler_of_the_same_name_makes_another_library(
         wrapper.write_text(f'#!/bin/sh\nexec cc "$@" -DVERSION={version}\n')
         wrapper.chmod(0o755)
         compile_folder(folder)
-    assert len(list(own_cache.iterdir())) == 2
+    assert len(list(own_cache.rglob("*.so"))) == 2
 
 
-def test_many_processes_may_compile_at_once(tmp_path: Path, own_cache: Path) -> None:
+@pytest.mark.usefixtures("own_cache")
+def test_large_sources_are_optimised_less_unless_the_user_says_otherwise(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The compiler is given the level before the user's flags, of which the last counts."""
+    assert choose_level(b" " * LARGE) == "-O1"
+    assert choose_level(b" " * (LARGE - 1)) == "-O3"
+    wrapper, log = tmp_path / "cc", tmp_path / "log"
+    wrapper.write_text(f'#!/bin/sh\necho "$@" >> {log}\nexec cc "$@"\n')
+    wrapper.chmod(0o755)
+    monkeypatch.setenv("CC", str(wrapper))
+    monkeypatch.setenv("CFLAGS", "-O2")
+    compile_folder(write_sample(tmp_path / "sample"))
+    told = [line.split() for line in log.read_text().splitlines() if " -c " in line]
+    assert {tuple(word for word in line if word.startswith("-O")) for line in told} == {("-O3", "-O2")}
+
+
+SCRIPT = "import sys, mbsrun; k = mbsrun.load(sys.argv[1]); print(k.compile('impl', 'setup'), k.setup(p=[2, 3])['h'])"
+
+
+FORKED = """
+import os, sys, mbsrun
+is_first = all(os.fork() for _ in range(31))  # a new process gets 0, and forks no more
+k = mbsrun.load(sys.argv[1])
+os.write(1, f"{k.compile('impl', 'setup')} {k.setup(p=[2, 3])['h']}\\n".encode())
+for _ in range(31 if is_first else 0):
+    assert os.wait()[1] == 0
+"""
+
+
+def test_32_processes_may_compile_at_once(tmp_path: Path, own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All get the same library, and each object is compiled by one of them."""
+    wrapper, log = tmp_path / "cc", tmp_path / "log"
+    wrapper.write_text(f'#!/bin/sh\necho "$@" >> {log}\nexec cc "$@"\n')
+    wrapper.chmod(0o755)
+    monkeypatch.setenv("CC", str(wrapper))
     folder = write_sample(tmp_path / "sample")
-    script = "import sys, mbsrun; k = mbsrun.load(sys.argv[1]); print(k.library, k.setup(p=[2, 3])['h'])"
+    done = subprocess.run([sys.executable, "-c", FORKED, str(folder)], capture_output=True, text=True, check=True)
+    told = done.stdout.splitlines()
+    assert (len(told), len(set(told))) == (32, 1)
+    assert log.read_text().count(" -c ") == 2
+    assert not list(own_cache.rglob("*.lock"))
 
-    def load(_: int) -> str:
-        command = [sys.executable, "-c", script, str(folder)]
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
-    with ThreadPoolExecutor(6) as pool:
-        told = set(pool.map(load, range(6)))
-    assert told == {f"{next(own_cache.iterdir())} [6. 2.]\n"}
+@pytest.mark.parametrize("ending", ["-c", "-shared"])
+def test_a_process_killed_in_the_middle_of_writing_leaves_nothing_that_is_met(
+    ending: str, tmp_path: Path, own_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The compiler writes half a file, and the process that called it is killed; the next one is not deceived."""
+    wrapper, once = tmp_path / "cc", tmp_path / "once"
+    wrapper.write_text(f"""#!/bin/sh
+case " $* " in *" {ending} "*)
+    if [ -e {once} ]; then
+        while [ "$1" != -o ]; do shift; done
+        printf half > "$2"
+        rm {once}
+        kill -9 $PPID
+    fi ;;
+esac
+exec cc "$@"
+""")
+    wrapper.chmod(0o755)
+    once.write_text("")
+    monkeypatch.setenv("CC", str(wrapper))
+    command = [sys.executable, "-c", SCRIPT, str(write_sample(tmp_path / "sample"))]
+    assert subprocess.run(command, capture_output=True, check=False).returncode == -signal.SIGKILL
+    assert not once.exists()
+    (left,) = (path for path in own_cache.glob("building-*/*") if path.suffix in (".o", ".so"))
+    assert left.read_text() == "half"
+    again = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert again.stdout.endswith("[6. 2.]\n"), again.stderr
+
+
+def test_what_killed_processes_left_is_removed_after_a_day(tmp_path: Path, own_cache: Path) -> None:
+    old, fresh = own_cache / "building-old", own_cache / "building-fresh"
+    for place in (old, fresh):
+        place.mkdir(parents=True)
+        (place / "half.o").write_text("half")
+    os.utime(old, (0, old.stat().st_mtime - ABANDONED - 1))
+    compile_folder(write_sample(tmp_path / "sample"))
+    assert [old.exists(), fresh.exists()] == [False, True]
 
 
 def test_a_missing_compiler_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -87,7 +196,8 @@ def test_a_failing_compiler_is_told_with_its_words(tmp_path: Path, own_cache: Pa
     (folder / "sample_impl.c").write_text("#error here it ends\n")
     with pytest.raises(CompileError, match=r"(?s)cc .*sample_impl\.c.*failed with status 1:.*here it ends"):
         compile_folder(folder)
-    assert list(own_cache.iterdir()) == []
+    assert not list(own_cache.rglob("sample_impl*"))
+    assert not list(own_cache.glob("building-*"))
 
 
 @pytest.mark.parametrize("variable", ["CFLAGS", "CC"])
@@ -127,7 +237,7 @@ def test_the_cache_follows_the_xdg_rules(tmp_path: Path, monkeypatch: pytest.Mon
 def test_a_cache_that_cannot_be_written_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    with pytest.raises(CompileError, match=r"cannot write to the cache .*; set XDG_CACHE_HOME"):
+    with pytest.raises(CacheError, match=r"cannot write to the cache .*; set XDG_CACHE_HOME"):
         compile_folder(write_sample(tmp_path / "sample"))
 
 
@@ -136,6 +246,15 @@ def test_a_manifest_cannot_name_other_files(name: str, tmp_path: Path) -> None:
     folder = write_sample(tmp_path / "sample")
     told = json.loads((folder / "manifest.json").read_text())
     (folder / "manifest.json").write_text(json.dumps({**told, "sources": [name]}))
+    with pytest.raises(CompileError, match="cannot be a generated file"):
+        compile_folder(folder)
+
+
+@pytest.mark.parametrize("name", ["../sample.h", "/etc/passwd", "a b.h", "$(id).h"])
+def test_a_source_cannot_include_other_files(name: str, tmp_path: Path) -> None:
+    folder = write_sample(tmp_path / "sample")
+    with (folder / "sample_impl.c").open("a") as file:
+        file.write(f'#include "{name}"\n')
     with pytest.raises(CompileError, match="cannot be a generated file"):
         compile_folder(folder)
 

@@ -1,0 +1,246 @@
+"""C functions called on arrays: one state with as little in between as Python allows, or many states in one C loop.
+
+Calls go through the functions in CasADi's contract, since they take any kernel's arguments alike; the library's own
+account of those arguments is compared with the manifest before anything is called.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import cffi
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mbsgen.errors import MbsError
+from mbsgen.manifest import Argument, Kernel
+from mbsrun.library import CompileError
+
+Array = NDArray[np.float64]
+Status = NDArray[np.int32]
+
+HIDDEN = "h"  # what `setup` makes of the run-time parameters; filled in for the caller
+# Matrices even with one column.
+_MATRICES = {
+    "in": frozenset({"adj_position", "adj_v", "adj_omega"}),
+    "out": frozenset({"M", "position", "v", "omega", "J", "p", "R"}),
+}
+_BATCH = """
+long long mbs_batch(int (*f)(const double **arg, double **res, long long *iw, double *w, int mem), long long states,
+                    long long n_in, const double **arg, const long long *arg_step,
+                    long long n_out, double **res, const long long *res_step, int *status);
+"""
+_FACE = """
+int {0}(const double **arg, double **res, long long *iw, double *w, int mem);
+long long {0}_n_in(void);
+long long {0}_n_out(void);
+const char *{0}_name_in(long long i);
+const char *{0}_name_out(long long i);
+const long long *{0}_sparsity_in(long long i);
+const long long *{0}_sparsity_out(long long i);
+"""
+_POINTERS, _STEPS = "double *[]", "long long[]"
+_NULL = cffi.FFI().NULL
+
+
+class ArgumentError(MbsError):
+    """A kernel that is called with what it does not take, or that there is not."""
+
+
+@dataclass(frozen=True)
+class Port:
+    """An argument, and where the C function takes it."""
+
+    argument: Argument
+    position: int
+    is_vector: bool  # a column that is passed as a one-dimensional array
+
+    @cached_property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of one state's array."""
+        a = self.argument
+        return (a.rows,) if self.is_vector else (a.rows, a.cols)
+
+    @cached_property
+    def places(self) -> tuple[NDArray[np.intp], NDArray[np.intp]] | None:
+        """Rows and columns of the nonzeros; None where every entry is one."""
+        a = self.argument
+        if a.row is None or a.colind is None:
+            return None
+        return np.array(a.row, dtype=np.intp), np.repeat(np.arange(a.cols), np.diff(a.colind))
+
+    def spread(self) -> NDArray[np.intp]:
+        """Tell for each entry, row by row, which of the nonzeros it is; -1: none."""
+        a = self.argument
+        if self.places is None:
+            return np.arange(a.nnz, dtype=np.intp).reshape(a.cols, a.rows).T.ravel()
+        numbers = np.full((a.rows, a.cols), -1, dtype=np.intp)
+        numbers[self.places] = np.arange(a.nnz)
+        return numbers.ravel()
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A kernel, bound to its function in a loaded library."""
+
+    kernel: Kernel
+    ffi: cffi.FFI
+    function: Any
+    n_in: int
+    n_out: int
+    inputs: tuple[Port, ...]
+    outputs: tuple[Port, ...]
+    free: list[_Desk] = field(default_factory=list)  # taken and put back whole, so that threads do not meet
+
+    @cached_property
+    def takes_hidden(self) -> bool:
+        """Whether run-time parameters matter to it."""
+        return any(port.argument.name == HIDDEN for port in self.inputs)
+
+    def call_once(self, inputs: Mapping[str, ArrayLike], hidden: Array | None) -> tuple[int, dict[str, Array]] | None:
+        """Call for one state; give the status and dense results, or None where the inputs are not plainly that."""
+        try:
+            desk = self.free.pop()
+        except IndexError:
+            desk = _Desk(self)
+        if not desk.lay(inputs):
+            self.free.append(desk)
+            return None
+        if desk.hidden is not None and hidden is not None:
+            desk.arg[desk.hidden] = self.ffi.from_buffer("double[]", hidden.data)
+        status = self.function(desk.arg, desk.res, _NULL, _NULL, 0)
+        results = {} if status else desk.read()
+        self.free.append(desk)
+        return status, results
+
+    def call(self, batch: Any, inputs: Sequence[tuple[Port, Array]], states: int) -> tuple[Status, list[Array]]:
+        """Call `mbs_batch` of the library `batch`; inputs by nonzeros, a row for each state or one for all.
+
+        Gives the status of each state, shape (states,), and nonzeros, shapes (states, nnz): NaN where it is not 0.
+        """
+        ffi = self.ffi
+        arg, arg_step = ffi.new(f"const {_POINTERS}", self.n_in), ffi.new(_STEPS, self.n_in)
+        res, res_step = ffi.new(_POINTERS, self.n_out), ffi.new(_STEPS, self.n_out)
+        for port, nonzeros in inputs:
+            arg[port.position] = ffi.from_buffer("double[]", nonzeros.data)
+            arg_step[port.position] = nonzeros.shape[1] if nonzeros.shape[0] == states else 0
+        results = [np.empty((states, port.argument.nnz)) for port in self.outputs]
+        for port, nonzeros in zip(self.outputs, results, strict=True):
+            res[port.position] = ffi.from_buffer("double[]", nonzeros.data)
+            res_step[port.position] = nonzeros.shape[1]
+        status = np.zeros(states, dtype=np.int32)
+        told = ffi.from_buffer("int[]", status.data)
+        if batch.mbs_batch(self.function, states, self.n_in, arg, arg_step, self.n_out, res, res_step, told):
+            for nonzeros in results:
+                nonzeros[status != 0] = np.nan
+        return status, results
+
+
+class _Desk:
+    """Room for the arguments of one call: laid out once, since that takes longer than most calls."""
+
+    def __init__(self, entry: Entry) -> None:
+        ffi = entry.ffi
+        given = [port for port in entry.inputs if port.argument.nnz and port.argument.name != HIDDEN]
+        self.hidden = next((port.position for port in entry.inputs if port.argument.name == HIDDEN), None)
+        self.is_plain = all(port.places is None for port in given)
+        self.given = np.zeros(sum(port.argument.nnz for port in given))
+        self.found = np.zeros(sum(port.argument.nnz for port in entry.outputs) + 1)  # the last, [-1], stays 0
+        self.arg, self.res = ffi.new(f"const {_POINTERS}", entry.n_in), ffi.new(_POINTERS, entry.n_out)
+        self.slots: list[tuple[str, tuple[int, ...], Array]] = []
+        start, room = 0, ffi.from_buffer("double[]", self.given.data)
+        for port in given:
+            a = port.argument
+            self.arg[port.position] = room + start
+            block = self.given[start : start + a.nnz]
+            slot = block if port.is_vector or port.places else block.reshape(a.cols, a.rows).T
+            self.slots.append((a.name, port.shape, slot))
+            start += a.nnz
+        start, room = 0, ffi.from_buffer("double[]", self.found.data)
+        spread, self.results, end = [np.zeros(0, dtype=np.intp)], [], 0
+        for port in entry.outputs:
+            self.res[port.position] = room + start
+            numbers = port.spread()
+            spread.append(np.where(numbers < 0, -1, numbers + start))
+            self.results.append((port.argument.name, end, end + numbers.size, None if port.is_vector else port.shape))
+            start, end = start + port.argument.nnz, end + numbers.size
+        self.spread = np.concatenate(spread)
+
+    def lay(self, inputs: Mapping[str, ArrayLike]) -> bool:
+        """Copy the inputs to where the function reads them; tell whether all are there, and fit one state."""
+        if not self.is_plain or len(inputs) != len(self.slots):
+            return False
+        for name, shape, slot in self.slots:
+            array = inputs.get(name)
+            if type(array) is not np.ndarray:
+                try:
+                    array = np.asarray(array)
+                except ValueError:
+                    return False
+            if array.shape != shape or array.dtype.kind not in "fiu":
+                return False
+            slot[...] = array
+        return True
+
+    def read(self) -> dict[str, Array]:
+        """Copy the results from where the function wrote them."""
+        entries = self.found.take(self.spread)
+        return {
+            name: entries[start:end] if shape is None else entries[start:end].reshape(shape)
+            for name, start, end, shape in self.results
+        }
+
+
+def bind(library: Path, kernel: Kernel) -> Entry:
+    """Load a library and find a kernel's arguments in it.
+
+    Raises CompileError for a library that cannot be loaded, ArgumentError where it and the manifest differ.
+    """
+    ffi = cffi.FFI()
+    ffi.cdef(_FACE.format(kernel.symbol))
+    lib = _load(ffi, library)
+    try:
+        function, n_in, n_out = (getattr(lib, kernel.symbol + end) for end in ("", "_n_in", "_n_out"))
+        inputs = tuple(_find_ports(ffi, lib, kernel, "in", kernel.inputs))
+        outputs = tuple(_find_ports(ffi, lib, kernel, "out", kernel.outputs))
+    except (AttributeError, LookupError):  # a function of libm would be found by its name, but not its account
+        finding = "the manifest and the C files disagree"
+        raise ArgumentError(f"{kernel.symbol}: {finding}; generate the folder again") from None
+    return Entry(kernel, ffi, function, n_in(), n_out(), inputs, outputs)
+
+
+def load_batch(library: Path) -> Any:
+    """Load the library of `mbs_batch`."""
+    ffi = cffi.FFI()
+    ffi.cdef(_BATCH)
+    return _load(ffi, library)
+
+
+def _load(ffi: cffi.FFI, library: Path) -> Any:
+    try:
+        return ffi.dlopen(str(library))
+    except OSError as error:
+        raise CompileError(f"{library} cannot be loaded: {error}; remove it, it will be compiled again") from None
+
+
+def _find_ports(ffi: cffi.FFI, lib: Any, kernel: Kernel, side: str, arguments: tuple[Argument, ...]) -> Iterator[Port]:
+    size, names, sparsity = (getattr(lib, f"{kernel.symbol}_{x}_{side}") for x in ("n", "name", "sparsity"))
+    positions = {ffi.string(names(i)): i for i in range(size())}
+    for argument in arguments:
+        position = positions[argument.name.encode()]
+        pattern = sparsity(position)
+        if any(pattern[i] != x for i, x in enumerate(_compress(argument))):
+            raise LookupError(argument.name)
+        is_matrix = argument.name.startswith("jac_") or argument.name in _MATRICES[side]
+        yield Port(argument, position, argument.cols == 1 and not is_matrix)
+
+
+def _compress(argument: Argument) -> list[int]:
+    """Write a pattern as the library does."""
+    if argument.row is None or argument.colind is None:
+        return [argument.rows, argument.cols, 1]
+    return [argument.rows, argument.cols, *argument.colind, *argument.row]
