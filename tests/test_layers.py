@@ -52,7 +52,7 @@ MBSRUN = Package(
         "kernel",
         "external",
         "ocp.schemes ocp.plant ocp.program ocp.trajectory",
-        "ocp.problem",
+        "animation ocp.problem",
         "ocp.layout ocp.quantities",
         "ocp.statement ocp.guess ocp.transcription ocp.solution",
         "ocp.solve",

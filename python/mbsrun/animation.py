@@ -1,0 +1,133 @@
+"""A motion that plays in a browser: times and coordinates -> one HTML file that needs no network and no other file.
+
+The page is `templates/html/animation.html` with the script beside it; the motion goes into it as JSON, the poses in
+base64: 20 bytes a frame and picture. Names come from untrusted files: no character of them can end the block that they
+stand in, the script only ever shows them as text, and the page's policy admits that script and nothing else.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicHermiteSpline, make_interp_spline
+from scipy.spatial.transform import Rotation
+
+from mbsgen import resources
+from mbsrun.ocp.plant import Plant
+
+Array = NDArray[np.float64]
+
+RATE = 25.0  # pictures a second; the page draws what lies between
+MAX_PICTURES = 1500
+_ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
+
+
+@dataclass(frozen=True)
+class Marker:
+    """A point to show, such as a target; in the base frame, m."""
+
+    name: str
+    position: tuple[float, float, float]
+
+
+def write_animation(
+    path: Path,
+    kernels: Plant,
+    times: ArrayLike,
+    q: ArrayLike,
+    *,
+    qd: ArrayLike | None = None,
+    title: str | None = None,
+    markers: Sequence[Marker] = (),
+) -> None:
+    """Write the page that plays the motion q (K, n) at `times` (K,), which increase.
+
+    Between them q is taken to be linear, or cubic where its rates qd (K, n) are given. The title is the model's name
+    unless another is given. The same motion gives the same bytes. Raises ValueError for arrays that do not fit.
+    """
+    path.write_text(render_animation(kernels, times, q, qd=qd, title=title, markers=markers), encoding="utf-8")
+
+
+def render_animation(
+    kernels: Plant,
+    times: ArrayLike,
+    q: ArrayLike,
+    *,
+    qd: ArrayLike | None = None,
+    title: str | None = None,
+    markers: Sequence[Marker] = (),
+) -> str:
+    """Return the text of the page; see `write_animation`."""
+    t, coordinates = np.asarray(times, dtype=np.float64), np.asarray(q, dtype=np.float64)
+    rates = None if qd is None else np.asarray(qd, dtype=np.float64)
+    n = len(kernels.manifest.coordinates)
+    if t.ndim != 1 or not t.size or coordinates.shape != (t.size, n) or (np.diff(t) <= 0).any():
+        raise ValueError(f"times of shape {t.shape} must increase, and q of shape {coordinates.shape} have {n} columns")
+    if rates is not None and rates.shape != coordinates.shape:
+        raise ValueError(f"qd has shape {rates.shape}, q {coordinates.shape}")
+    grid = choose_times(float(t[0]), float(t[-1]))
+    poses = kernels("frames", q=_interpolate(t, coordinates, rates, grid))
+    motion = {
+        "title": kernels.manifest.model if title is None else title,
+        "start": float(t[0]),
+        "end": float(t[-1]),
+        "times": len(grid),
+        "frames": _describe_frames(kernels),
+        "markers": [{"name": m.name, "at": [float(x) for x in m.position]} for m in markers],
+        "places": _encode(poses["p"].swapaxes(1, 2), "<f4"),
+        "turns": _encode(_quaternions(poses["R"]), "<i2"),
+    }
+    return _fill_page(json.dumps(motion, ensure_ascii=False, allow_nan=False).translate(_ESCAPES))
+
+
+def choose_times(start: float, end: float) -> Array:
+    """Choose the times of the pictures: RATE of them a second, both ends, at most MAX_PICTURES."""
+    count = min(int(np.ceil((end - start) * RATE)) + 1, MAX_PICTURES)
+    return np.linspace(start, end, count)
+
+
+def _interpolate(t: Array, q: Array, qd: Array | None, grid: Array) -> Array:
+    if len(t) == 1:
+        return q
+    spline = make_interp_spline(t, q, k=1) if qd is None else CubicHermiteSpline(t, q, qd)
+    return np.asarray(spline(grid))
+
+
+def _describe_frames(kernels: Plant) -> list[dict[str, object]]:
+    coordinates = kernels.manifest.coordinates
+    return [
+        {
+            "name": frame.name,
+            "parent": frame.parent,
+            "sensor": frame.sensor,
+            "slide": not frame.sensor and coordinates[i].motion == "prismatic",
+        }
+        for i, frame in enumerate(kernels.manifest.frames)
+    ]
+
+
+def _quaternions(R: Array) -> Array:
+    """Turn rotations (K, 3, 3 F) into quaternions x, y, z, w (K, F, 4), scaled to the range of 16 bits."""
+    matrices = R.reshape(len(R), 3, -1, 3).transpose(0, 2, 1, 3)
+    quaternions = Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_quat(canonical=True)
+    return np.asarray(np.rint(quaternions * 32767).reshape(len(R), -1, 4))
+
+
+def _encode(values: Array, number: str) -> str:
+    return base64.b64encode(np.ascontiguousarray(values).astype(number).tobytes()).decode("ascii")
+
+
+def _fill_page(motion: str) -> str:
+    folder = resources.folder("templates") / "html"
+    script = (folder / "animation.js").read_text(encoding="utf-8")
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
+    page = (folder / "animation.html").read_text(encoding="utf-8")
+    page = page.replace("@SCRIPT_HASH@", f"sha256-{digest}").replace("@SCRIPT@", script)
+    return page.replace("@MOTION@", motion)  # last: what it says is not looked at again

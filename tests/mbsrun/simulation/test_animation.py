@@ -1,0 +1,147 @@
+"""The page that plays a motion: what it holds, and what names from untrusted files cannot make of it."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+from dataclasses import dataclass
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mbsgen.manifest import Manifest
+from mbsrun import Mechanism
+from mbsrun.animation import MAX_PICTURES, RATE, Marker, choose_times, render_animation, write_animation
+
+HOSTILE = "</script><script>alert(1)</script><!-- \u2028 & @SCRIPT@ é"
+
+
+class Page(HTMLParser):
+    """Collects what a browser would take for scripts, and every address that it might ask for."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.scripts: list[tuple[str, str]] = []  # type, text
+        self.addresses: list[str] = []
+        self.policy = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = dict(attrs)
+        self.addresses += [value or "" for key, value in attrs if key in ("src", "href", "action", "srcset")]
+        if tag == "script":
+            self.scripts.append((given.get("type") or "", ""))
+        if given.get("http-equiv") == "Content-Security-Policy":
+            self.policy = given["content"] or ""
+
+    def handle_data(self, data: str) -> None:
+        if self.cdata_elem == "script":
+            kind, text = self.scripts[-1]
+            self.scripts[-1] = (kind, text + data)
+
+    @property
+    def motion(self) -> dict[str, Any]:
+        return json.loads(self.scripts[0][1])
+
+
+@dataclass(frozen=True)
+class Renamed:
+    """A mechanism under another model's manifest."""
+
+    plant: Mechanism
+    manifest: Manifest
+
+    def __call__(self, name: str, /, **inputs: Any) -> dict[str, Any]:
+        return self.plant(name, **inputs)
+
+    def casadi(self, name: str) -> Any:
+        return self.plant.casadi(name)
+
+
+def swing(count: int) -> tuple[Any, Any, Any]:
+    t = np.linspace(0, 2, count)
+    return t, np.sin(3 * t)[:, None], 3 * np.cos(3 * t)[:, None]
+
+
+def decode(motion: dict[str, Any]) -> tuple[Any, Any]:
+    """Give places (K, F, 3) and quaternions (K, F, 4), as the page's script reads them."""
+    shape = (motion["times"], len(motion["frames"]))
+    places = np.frombuffer(base64.b64decode(motion["places"]), "<f4").reshape(*shape, 3)
+    turns = np.frombuffer(base64.b64decode(motion["turns"]), "<i2").reshape(*shape, 4)
+    return places, turns / 32767
+
+
+def test_the_page_holds_the_poses_of_the_motion(pendulum: Mechanism) -> None:
+    """The rod's tip is at (-sin q, 0, -cos q), and its frame turned about y by q: (0, sin q/2, 0, cos q/2).
+
+    Tolerances are the roundings of float32 and of 16 bits, and h^4/384 max |q''''| of the cubic between given times.
+    """
+    t, q, qd = swing(41)
+    motion = Page(render_animation(pendulum, t, q, qd=qd, markers=[Marker("goal", (1, 2, 3))])).motion
+    grid = np.linspace(0, 2, motion["times"])
+    angle = np.sin(3 * grid)
+    places, turns = decode(motion)
+    cubic = 0.05**4 / 384 * 81
+    tip = np.stack((-np.sin(angle), 0 * angle, -np.cos(angle)), axis=1)
+    assert np.abs(places[:, 1] - tip).max() < cubic + 1e-7
+    assert np.abs(turns[:, 1, 1] - np.sin(angle / 2)).max() < cubic + 2e-5
+    assert np.abs(turns[:, 1, 3] - np.cos(angle / 2)).max() < cubic + 2e-5
+    assert motion["title"] == "pendulum"
+    assert motion["markers"] == [{"name": "goal", "at": [1.0, 2.0, 3.0]}]
+    assert [frame["parent"] for frame in motion["frames"]] == [-1, 0]
+
+
+def test_names_stay_names(pendulum: Mechanism) -> None:
+    """However a model, a frame or a target is called, the page has the same two scripts, and reads the name back."""
+    t, q, _ = swing(3)
+    frames = tuple(frame.model_copy(update={"name": HOSTILE}) for frame in pendulum.manifest.frames)
+    hostile = Renamed(pendulum, pendulum.manifest.model_copy(update={"model": HOSTILE, "frames": frames}))
+    plain, page = (Page(render_animation(plant, t, q)) for plant in (pendulum, hostile))
+    marked = Page(render_animation(pendulum, t, q, title=HOSTILE, markers=[Marker(HOSTILE, (0, 0, 0))]))
+    for found in (page, marked):
+        assert [kind for kind, _ in found.scripts] == ["application/json", ""]
+        assert found.scripts[1] == plain.scripts[1]
+        assert found.motion["title"] == HOSTILE
+    assert {frame["name"] for frame in page.motion["frames"]} == {HOSTILE}
+    assert marked.motion["markers"][0]["name"] == HOSTILE
+
+
+def test_the_page_asks_for_nothing_and_admits_its_own_script_only(pendulum: Mechanism) -> None:
+    t, q, _ = swing(3)
+    text = render_animation(pendulum, t, q)
+    page = Page(text)
+    assert page.addresses == []
+    assert not re.search(r"https?:|url\(|@import|fetch\(|import\(|innerHTML|eval", text)
+    digest = base64.b64encode(hashlib.sha256(page.scripts[1][1].encode()).digest()).decode()
+    assert f"script-src 'sha256-{digest}'" in page.policy
+    assert "default-src 'none'" in page.policy
+
+
+def test_the_same_motion_gives_the_same_bytes(pendulum: Mechanism, tmp_path: Path) -> None:
+    t, q, qd = swing(50)
+    for name in ("one", "two"):
+        write_animation(tmp_path / name, pendulum, t, q, qd=qd)
+    assert (tmp_path / "one").read_bytes() == (tmp_path / "two").read_bytes()
+
+
+@pytest.mark.parametrize(("end", "count"), [(0.0, 1), (1.0, 26), (0.01, 2), (1e5, MAX_PICTURES)])
+def test_pictures_are_as_many_as_the_eye_sees(end: float, count: int) -> None:
+    grid = choose_times(0.0, end)
+    assert len(grid) == count
+    assert (grid[0], grid[-1]) == (0.0, end)
+    assert (np.diff(grid) <= 1 / RATE).all() or count == MAX_PICTURES
+
+
+@pytest.mark.parametrize(
+    ("t", "q"), [([0, 1], [[0.0]]), ([1, 0], [[0.0], [0.0]]), ([0], [[0.0, 1.0]]), ([], np.zeros((0, 1)))]
+)
+def test_arrays_that_do_not_fit_are_refused(pendulum: Mechanism, t: Any, q: Any) -> None:
+    with pytest.raises(ValueError, match="shape"):
+        render_animation(pendulum, t, q)
+    with pytest.raises(ValueError, match="qd has shape"):
+        render_animation(pendulum, [0, 1], [[0], [1]], qd=[[0]])
