@@ -63,9 +63,12 @@ class Peer:
 
 
 def pose_functions(q: ca.SX, sensors: ca.SX, p: ca.SX, R: ca.SX) -> dict[str, ca.Function]:
-    """Make the functions of positions."""
+    """Make the functions of positions, and the velocities of sensors."""
+    qd = ca.SX.sym("qd", q.numel())
+    v = ca.reshape(ca.jacobian(sensors, q) @ qd, *sensors.shape)
     return {
         "sensors": ca.Function("peer_sensors", [q], [sensors], ["q"], ["position"], {"cse": True}),
+        "motion": ca.Function("peer_motion", [q, qd], [v], ["q", "qd"], ["v"], {"cse": True}),
         "frames": ca.Function("peer_frames", [q], [p, R], ["q"], ["p", "R"], {"cse": True}),
     }
 

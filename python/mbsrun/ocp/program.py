@@ -220,14 +220,19 @@ def _jacobian(block: Block, x: ca.MX, p: ca.MX, results: ca.MX) -> list[_Triplet
 
 def _derivative(block: Block, x: ca.MX, p: ca.MX, lam: ca.MX) -> list[_Triplets]:
     """Give the derivative of lam' F as columns, a part for each input; `lam` place by place."""
-    adjoint = block.function.reverse(1)
+    adjoint, jacobian = block.function.reverse(1), block.function.jacobian()
     n = block.function.n_in()
     weights = ca.reshape(lam, block.rows.shape[0], block.places)
     unread = ca.MX(adjoint.size1_in(n), block.places * adjoint.size2_in(n))
     products = adjoint.map(block.places).call([*_arguments(block, x, p), unread, weights])[: len(block.columns)]
-    parts = [
-        _scatter(block, adjoint.sparsity_out(i), i, None, ca.vec(product.nz[:])) for i, product in enumerate(products)
-    ]
+    parts = []
+    for i, product in enumerate(products):
+        felt = sorted(
+            set(jacobian.sparsity_out(i).get_triplet()[1])
+        )  # an adjoint may be dense where F's Jacobian is not
+        pattern = ca.Sparsity.triplet(product.size1(), 1, felt, [0] * len(felt))
+        values = ca.project(product, ca.repmat(pattern, 1, block.places))
+        parts.append(_scatter(block, pattern, i, None, ca.vec(values.nz[:])))
     if block.factor is None:
         return parts
     zero = np.zeros(block.rows.size, dtype=np.int64)

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from mbsrun.ocp.problem import Bounds, Cost, End, Problem, Representation
+from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Problem, Representation, Term
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.trajectory import Trajectory, grid
 from mbsrun.ocp.transcription import Transcription, structure, transcribe
@@ -61,6 +61,170 @@ def test_sizes_of_table_3(
     program = transcribe(replace(reach, representation=representation), arm).program
     nonzeros = (program.jacobian.nnz_out(1), program.hessian.nnz_out(0))
     assert (program.variables, program.constraints, *nonzeros) == sizes
+
+
+def rich(reach: Problem, representation: Representation, family: Family, free: bool) -> Problem:
+    """Ask for everything that a problem can ask for."""
+    return replace(
+        small(reach, family, 2),
+        representation=representation,
+        horizon_range=(1.0, 3.0) if free else None,
+        free_start=(1, 8),
+        cost=Cost(
+            3.0,
+            0.5,
+            (Term("(q_q2 - a)**2 + u_q1*qd_q1", 2.0), Term("t*sin(q_q3) + T*y_hand", 0.25), Term("1", 0.125)),
+            (Term("T**2 + z_hand*q_q5", 4.0), Term("qdd_q2**2", 0.1)),
+        ),
+        end=End(
+            sensors=(("hand", (0.1, 0.2, 0.3)),),
+            coordinates=((4, 0.25),),
+            velocities=((1, 0.5), (2, -0.5)),
+            accelerations=((0, 1.5), (5, -1.0)),
+            sensor_velocities=(("pendulum", (0.1, 0.0, -0.1)),),
+        ),
+        constraints=(
+            Constraint("x_hand**2 + b*t", (-1.0, 2.0)),
+            Constraint("qdd_q1 - u_q1", (-np.inf, 3.0)),
+            Constraint("qdd_q3 + q_q1", (0.0, 0.0), "start"),
+            Constraint("vx_hand - a*T", (0.0, np.inf), "end"),
+        ),
+        constants=(("a", 0.3), ("b", -0.7)),
+    )
+
+
+RICH = [
+    (Representation.IMPL, Family.RADAU, False),
+    (Representation.IMPL, Family.LEGENDRE, True),
+    (Representation.SEMI, Family.RADAU, True),
+    (Representation.EXP1_O, Family.LEGENDRE, False),
+    (Representation.EXP2_O, Family.RADAU, True),
+    (Representation.EXP1_A, Family.LEGENDRE, True),
+]
+
+
+@pytest.mark.parametrize(("representation", "family", "free"), RICH)
+def test_derivatives_of_everything_equal_casadis(
+    arm: Peer, reach: Problem, representation: Representation, family: Family, free: bool
+) -> None:
+    """Gradient, Jacobian and Hessian at a random point, with no more nonzeros than CasADi finds."""
+    problem = rich(reach, representation, family, free)
+    transcription = transcribe(problem, arm)
+    program = transcription.program
+    x, p = ca.MX.sym("x", program.variables), ca.MX.sym("p", program.parameters)
+    nlp = {"x": x, "p": p, "f": program.objective(x, p), "g": program.constraint(x, p)}
+    whole = ca.nlpsol("whole", "ipopt", nlp, {"ipopt.print_level": 0})
+    at = RNG.uniform(0.5, 1, program.variables), transcription.parameters(problem)
+    multipliers = (0.7, RNG.uniform(-1, 1, program.constraints))
+    for name, ours, arguments in (
+        ("nlp_grad_f", program.gradient, at),
+        ("nlp_jac_g", program.jacobian, at),
+        ("nlp_hess_l", program.hessian, (*at, *multipliers)),
+    ):
+        expected, found = (f.call([ca.DM(a) for a in arguments])[-1] for f in (whole.get_function(name), ours))
+        scale = np.abs(expected.full()).max()
+        assert np.abs((found - expected).full()).max() <= 1e-10 * scale, name
+        assert found.nnz() <= expected.nnz(), name
+
+
+@pytest.mark.parametrize(("representation", "family", "free"), RICH)
+def test_everything_means_what_it_says(
+    arm: Peer, reach: Problem, representation: Representation, family: Family, free: bool
+) -> None:
+    """Terms of the cost and rows of constraints, computed from the trajectory without the program."""
+    problem = rich(reach, representation, family, free)
+    transcription = transcribe(problem, arm)
+    rows, scheme, N = transcription.rows, transcription.scheme, problem.intervals
+    x = RNG.uniform(0.5, 1, transcription.layout.size)
+    motion = transcription.unpack(x)
+    T = motion.t[-1]
+    assert (x[-1] if free else problem.horizon) == T
+    q, qd, u = motion.point_q, motion.point_qd, np.repeat(motion.u[:, None], problem.degree, axis=1)
+    hand, last_hand = (arm("sensors", q=a.reshape(-1, 6))["position"][:, :, 0] for a in (q, motion.q))
+    last = {"q": motion.q[-1], "qd": motion.qd[-1]}
+    if representation.is_ode:
+        qdd = arm("exp1", q=q.reshape(-1, 6), qd=qd.reshape(-1, 6), u=u.reshape(-1, 4))["qdd"].reshape(q.shape)
+        end_qdd = arm("exp1", **last, u=motion.u[-1])["qdd"]
+        start_qdd = arm("exp1", q=motion.q[0], qd=motion.qd[0], u=motion.u[0])["qdd"]
+    else:
+        qdd = motion.point_qdd
+        end_qdd, start_qdd = scheme.end_of_points @ qdd[-1], scheme.start_of_points @ qdd[0]
+    weights = scheme.weights * T / N
+
+    def integral(values: np.ndarray) -> float:
+        return float((values.reshape(N, -1) @ weights).sum())
+
+    costs = transcription.cost_terms(problem, x)
+    assert list(costs.values()) == pytest.approx(
+        [
+            3.0 * T / N * (motion.u**2).sum(),
+            0.5 * N / T * (np.diff(motion.u, axis=0) ** 2).sum(),
+            2.0 * integral((q[..., 1] - 0.3) ** 2 + u[..., 0] * qd[..., 0]),
+            0.25 * integral(motion.point_t * np.sin(q[..., 2]) + T * hand[:, 1].reshape(N, -1)),
+            0.125 * T,
+            4.0 * (T**2 + last_hand[-1, 2] * motion.q[-1, 4]),
+            0.1 * end_qdd[1] ** 2,
+        ],
+        rel=1e-12,
+    )
+    p = transcription.parameters(problem)
+    assert float(transcription.program.objective(x, p)) == pytest.approx(sum(costs.values()), rel=1e-12)
+    g = transcription.program.constraint(x, p).full().ravel()
+    close = {"rel": 1e-9, "abs": 1e-9}
+    path = hand[:, 0] ** 2 - 0.7 * motion.point_t.ravel()
+    mesh = last_hand[:, 0] ** 2 - 0.7 * motion.t
+    after = mesh if family is Family.LEGENDRE else mesh[:1]
+    assert g[rows.constraints[0]] == pytest.approx(np.concatenate((path, after)), **close)
+    assert g[rows.constraints[1]] == pytest.approx((qdd[..., 0] - u[..., 0]).ravel(), **close)
+    assert g[rows.constraints[2]] == pytest.approx([start_qdd[2] + motion.q[0, 0]], **close)
+    v = arm("motion", **last)["v"]
+    assert g[rows.constraints[3]] == pytest.approx([v[0, 0] - 0.3 * T], **close)
+    assert g[rows.sensor_velocities[0]] == pytest.approx(v[:, 1], **close)
+    assert g[rows.velocities] == pytest.approx(motion.qd[-1, [1, 2]], **close)
+    assert g[rows.accelerations] == pytest.approx(end_qdd[[0, 5]], **close)
+
+
+def test_bounds_of_everything(arm: Peer, reach: Problem) -> None:
+    """A free horizon and a free start keep to their ranges, constraints to theirs."""
+    problem = rich(reach, Representation.IMPL, Family.RADAU, True)
+    transcription = transcribe(problem, arm)
+    rows, layout = transcription.rows, transcription.layout
+    lower, upper = transcription.variable_bounds(problem)
+    assert (lower[layout.horizon], upper[layout.horizon]) == (1.0, 3.0)
+    lower, upper = transcription.constraint_bounds(problem)
+    assert np.isneginf(lower[rows.start[[1, 8]]]).all()
+    assert np.isposinf(upper[rows.start[[1, 8]]]).all()
+    assert (
+        list(lower[rows.start[[0, 2]]]) == list(upper[rows.start[[0, 2]]]) == [problem.start_q[0], problem.start_q[2]]
+    )
+    assert set(zip(lower[rows.constraints[0]], upper[rows.constraints[0]], strict=True)) == {(-1.0, 2.0)}
+    assert set(upper[rows.constraints[3]]) == {np.inf}
+    assert list(lower[rows.velocities]) == list(upper[rows.velocities]) == [0.5, -0.5]
+    assert list(lower[rows.sensor_velocities[0]]) == [0.1, 0.0, -0.1]
+
+
+def test_constants_are_parameters(arm: Peer, reach: Problem) -> None:
+    """Constants, weights and ranges belong to a solve; a program knows only what is asked for."""
+    problem = rich(reach, Representation.EXP1_A, Family.RADAU, True)
+    other = replace(
+        problem,
+        constants=(("a", 1.0), ("b", 0.0)),
+        horizon=1.5,
+        horizon_range=(1.2, 2.0),
+        constraints=tuple(replace(c, range=(0.0, 0.0)) for c in problem.constraints),
+        cost=replace(problem.cost, inputs=0.0, running=tuple(replace(t, weight=0.0) for t in problem.cost.running)),
+    )
+    assert structure(other) == structure(problem)
+    assert structure(replace(problem, horizon_range=None)) != structure(problem)
+    assert structure(replace(problem, constraints=problem.constraints[1:])) != structure(problem)
+    transcription = transcribe(problem, arm)
+    x = RNG.uniform(0.5, 1, transcription.layout.size)
+    f, g = transcription.program.objective, transcription.program.constraint
+    first, second = (transcription.parameters(p) for p in (problem, other))
+    difference = (g(x, second) - g(x, first)).full().ravel()
+    t = transcription.unpack(x).point_t.ravel()
+    assert difference[transcription.rows.constraints[0]][: t.size] == pytest.approx(0.7 * t, abs=1e-12)
+    assert float(f(x, second)) != float(f(x, first))
 
 
 VARIANTS = [
