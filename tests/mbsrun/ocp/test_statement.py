@@ -9,7 +9,7 @@ import pytest
 
 from mbsgen.errors import Fault, InputError
 from mbsgen.manifest import Argument
-from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.problem import Constraint, Cost, Problem, Representation, Term
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.statement import read_problem
 from tests.mbsrun.peer import Peer
@@ -86,6 +86,83 @@ def test_everything_that_a_file_can_say(tmp_path: Path, arm: Peer) -> None:
     assert problem.accuracy == 1e-4
     assert (problem.solver.tolerance, problem.solver.max_iterations) == (1e-6, 50)
     assert problem.solver.objective_scaling == 1e-5
+
+
+RICH = """\
+model: arm.yaml
+constants: {a: 0.3, b: 2*a, unread: 1}
+horizon: {guess: 1 + b, range: [a, null]}
+intervals: 10
+scheme: radau
+degree: 3
+representation: EXP2-O
+cost:
+  running: [{expression: (q_q2 - a)**2, weight: 2*b}]
+  terminal: [{expression: T}, {expression: z_hand, weight: -1}]
+start:
+  pose: {q1: null, q2: a}
+  velocity: [0, 0, null, 0, 0, 0]
+end:
+  velocity: {q1: a, q5: 0}
+  acceleration: {q6: -1}
+  sensor_velocities:
+    hand: {x: 1}
+constraints:
+  - {expression: vx_hand*t - qdd_q6 - b, range: [null, 1]}
+  - {expression: u_q1, range: [0, 0], at: start}
+"""
+
+
+def test_free_horizons_expressions_and_constraints(tmp_path: Path, arm: Peer) -> None:
+    """What is paid for is what is given: inputs are free of charge where something else has a price."""
+    problem = read(tmp_path, RICH, arm)
+    assert problem.horizon == 1.6
+    assert problem.horizon_range == (0.3, math.inf)
+    assert problem.representation is Representation.EXP2_O
+    assert problem.cost == Cost(0.0, 0.0, (Term("(q_q2 - a)**2", 1.2),), (Term("T", 1.0), Term("z_hand", -1.0)))
+    assert problem.start_q == (0, 0.3, 0, 0, 0, 0)
+    assert problem.free_start == (0, 8)
+    assert problem.end.velocities == ((0, 0.3), (4, 0.0))
+    assert problem.end.accelerations == ((5, -1.0),)
+    assert not problem.end.velocity_zero
+    assert problem.end.sensor_velocities == (("hand", (1.0, 0.0, 0.0)),)
+    assert problem.constraints == (
+        Constraint("vx_hand*t - qdd_q6 - b", (-math.inf, 1.0)),
+        Constraint("u_q1", (0.0, 0.0), "start"),
+    )
+    assert problem.constants == (("a", 0.3), ("b", 0.6))
+
+
+BAD_RICH = {  # what is changed in the rich file: path, finding, remedy
+    "quantity": ("(q_q2 - a)", "(q_q7 - a)", "cost.running[0].expression", 'unknown name "q_q7"', "did you mean"),
+    "input of a passive joint": ("u_q1,", "u_q6,", "constraints[1].expression", '"u_q6"', "did you mean"),
+    "code": ("vx_hand*t", "vx_hand.T", "constraints[0].expression", '"."', "use numbers"),
+    "list": ("expression: T}", "expression: [T]}", "cost.terminal[0].expression", "found", "give a number"),
+    "constant that is a quantity": ("unread: 1", "T: 1", "constants.T", "no name for a constant", "give a word"),
+    "negative horizon": ("[a, null]", "[-1, null]", "horizon.range", "the least is -1", "positive"),
+    "no least horizon": ("[a, null]", "[null, 3]", "horizon.range", "the least is -inf", "positive"),
+    "guess out of range": ("[a, null]", "[a, 1]", "horizon.guess", "1.6 is out of [0.3, 1]", "within the range"),
+    "place": ("at: start", "at: middle", "constraints[1].at", '"middle"', "'start'"),
+    "range": ("[null, 1]", "[2, 1]", "constraints[0].range", "2 is above 1", "[lower, upper]"),
+    "end velocity": ("{q1: a,", "{q9: a,", "end.velocity.q9", 'no coordinate "q9"', "q5, q6"),
+    "velocity of no sensor": ("    hand:", "    foot:", "end.sensor_velocities.foot", "no sensor", "hand, pendulum"),
+    "weight": ("2*b", "2*c", "cost.running[0].weight", 'unknown name "c"', "a, b"),
+    "representation": ("EXP2-O", "EXP2", "representation", '"EXP2"', "'EXP2-A'"),
+}
+
+
+@pytest.mark.parametrize(("old", "new", "path", "finding", "remedy"), BAD_RICH.values(), ids=BAD_RICH.keys())
+def test_a_bad_rich_file_is_refused_at_the_place(
+    tmp_path: Path, arm: Peer, old: str, new: str, path: str, finding: str, remedy: str
+) -> None:
+    assert RICH.count(old) == 1
+    with pytest.raises(InputError) as refusal:
+        read(tmp_path, RICH.replace(old, new), arm)
+    (fault,) = refusal.value.faults
+    assert fault.path == path
+    assert finding in fault.finding
+    assert remedy in fault.remedy
+    assert fault.line == RICH[: RICH.index(old)].count("\n") + 1
 
 
 def test_the_model_is_looked_for_beside_the_file(tmp_path: Path, arm: Peer) -> None:
