@@ -57,7 +57,11 @@ class Dynamics:
             },
         )
         adj1 = self._choose("adj1_impl", {"tape": lambda: reverse.adjoint(tape, wrt, "adj1_impl")})
-        jac_adj1 = self._choose("jac_adj1_impl", {"tape": lambda: kernels.adjoint_jacobian(tape, adj1, wrt)})
+        jac_adj1 = self._choose(
+            "jac_adj1_impl",
+            {"recursion": lambda: recursion.adjoint_jacobian(self._tree, self._reductions)}
+            | ({"tape": lambda: kernels.adjoint_jacobian(tape, adj1, wrt)} if self._is_compared else {}),
+        )
         return tape, Derivatives(jac, lin, adj1, jac_adj1)
 
     def _of_residual(self, tape: Tape) -> Derivatives:

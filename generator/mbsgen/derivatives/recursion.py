@@ -1,73 +1,144 @@
-"""The Jacobian of the residual by the recursion of its sensitivities: Tree -> Tape of `jac_impl` or `lin_impl`.
+"""Derivatives of the residual by mechanics: Tree -> Tapes of `jac_impl`, `lin_impl` and `jac_adj1_impl`.
 
-What the recursion leaves out, the forces of joints and external wrenches, is a residual too: that of the same tree
-without mass. It is differentiated as a tape.
+What the recursions leave out, the forces of joints and external wrenches, is a residual too: that of the same tree
+without mass. It is differentiated as a tape, and added.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from sympy import Integer
 
-from mbsgen.derivatives import forward
+from mbsgen.derivatives import forward, kernels, reverse
 from mbsgen.formulations import impl
-from mbsgen.formulations.links import PARAMETERS, State, declare_state, write_chain
+from mbsgen.formulations.links import State, declare_state, write_chain
+from mbsgen.formulations.parsimony.curvatures import Curvatures, curvatures
+from mbsgen.formulations.parsimony.mass_matrix import Entries
 from mbsgen.formulations.parsimony.segments import align
 from mbsgen.formulations.parsimony.sensitivities import Sensitivities, sensitivities
-from mbsgen.formulations.parsimony.writing import begin
+from mbsgen.formulations.parsimony.writing import Writing, begin
 from mbsgen.formulations.planning import dynamics_alone, find_plans, finish
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Tree
-from mbsgen.tape.builder import Builder
+from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.replay import replay
 from mbsgen.tape.types import Tape
 
-_NONE = (Integer(0),) * 3
+Block = dict[tuple[int, int], Scalar]  # by (row, column), from 0
+NOTHING = (Integer(0),) * 3
 
 
 def jacobian(tree: Tree, reductions: Reductions) -> Tape:
     """Write `jac_impl`: inputs of `impl`; outputs jac_Phi_q, jac_Phi_qd, jac_Phi_qdd, jac_Phi_u [, jac_Phi_w]."""
-    return _write(tree, reductions, "jac_impl", valued=False)
+    writer = _Writer.declare(tree, reductions)
+    found = sensitivities(writer.begin(), writer.state.qd, writer.state.qdd)
+    forces = _forces(tree, reductions)
+    writer.write_blocks(_jacobian_blocks(found), forward.jacobian(forces, kernels.differentiable(forces), "jac_impl"))
+    return writer.finish("jac_impl")
 
 
 def linearisation(tree: Tree, reductions: Reductions) -> Tape:
     """Write `lin_impl`: outputs Phi and those of `jac_impl`."""
-    return _write(tree, reductions, "lin_impl", valued=True)
-
-
-def _write(tree: Tree, reductions: Reductions, name: str, *, valued: bool) -> Tape:
-    builder = Builder()
-    state = declare_state(tree, builder)
-    n = len(tree.bodies)
-    found = _differentiate(tree, builder, state, reductions)
-    named = {"jac_Phi_q": found.q, "jac_Phi_qd": found.qd, "jac_Phi_qdd": found.qdd}
-    blocks = {name: {(i - 1, j - 1): v for (i, j), v in block.items()} for name, block in named.items()}
+    writer = _Writer.declare(tree, reductions)
+    found = sensitivities(writer.begin(), writer.state.qd, writer.state.qdd)
     forces = _forces(tree, reductions)
-    slopes = forward.jacobian(forces, [i.name for i in forces.inputs if i.name != PARAMETERS], name)
-    given = {"q": state.q, "qd": state.qd, "qdd": state.qdd, "u": state.u, "w": state.w, PARAMETERS: state.p}
-    if valued:
-        values = replay(forces, builder, given)
-        (output,) = forces.outputs
-        builder.output_dense("Phi", [[found.Phi[i] + values[v]] for i, v in enumerate(output.values, 1)])
-    values = replay(slopes, builder, given)
-    for output in slopes.outputs:
-        block = blocks.get(output.name, {})
-        for place, value in zip(output.sparsity.entries, output.values, strict=True):
-            block[place] = block[place] + values[value] if place in block else values[value]
-        builder.output_nonzeros(output.name, n, output.sparsity.cols, block)
-    return finish(builder.build(name), reductions)
+    writer.write_blocks({"Phi": {(i - 1, 0): value for i, value in found.Phi.items()}}, forces)
+    writer.write_blocks(_jacobian_blocks(found), forward.jacobian(forces, kernels.differentiable(forces), "jac_impl"))
+    return writer.finish("lin_impl")
 
 
-def _differentiate(tree: Tree, builder: Builder, state: State, reductions: Reductions) -> Sensitivities:
-    chain = write_chain(dynamics_alone(tree, driven=False), builder, state)
-    segments = align(chain, group=reductions.share_frames)
-    plan = find_plans(tree, reductions).sensitivities
-    return sensitivities(begin(chain, segments, plan, reductions), state.qd, state.qdd)
+def adjoint_jacobian(tree: Tree, reductions: Reductions) -> Tape:
+    """Write `jac_adj1_impl`: inputs of `impl` and adj_Phi; outputs jac_adj_<in>_<in> and jac_adj_<in>_adj_Phi."""
+    writer = _Writer.declare(tree, reductions)
+    multipliers = writer.seed("adj_Phi", len(tree.bodies))
+    blocks = _second_blocks(*curvatures(writer.begin(), writer.state.qd, writer.state.qdd, multipliers))
+    forces = _forces(tree, reductions)
+    wrt = kernels.differentiable(forces)
+    adj1 = reverse.adjoint(forces, wrt, "adj1_impl")
+    writer.write_blocks(blocks, kernels.adjoint_jacobian(forces, adj1, wrt))
+    return writer.finish("jac_adj1_impl")
 
 
 def _forces(tree: Tree, reductions: Reductions) -> Tape:
     """Write the residual of the tree without mass."""
-    bodies = tuple(replace(body, mass=Integer(0), com=_NONE, inertia=(_NONE, _NONE, _NONE)) for body in tree.bodies)
-    massless = replace(tree, gravity=_NONE, bodies=bodies)
-    return impl.build(massless, replace(reductions, trials=1))
+    bodies = tuple(
+        replace(body, mass=Integer(0), com=NOTHING, inertia=(NOTHING, NOTHING, NOTHING)) for body in tree.bodies
+    )
+    return impl.build(replace(tree, gravity=NOTHING, bodies=bodies), replace(reductions, trials=1))
+
+
+def _jacobian_blocks(found: Sensitivities) -> dict[str, Block]:
+    named = {"jac_Phi_q": found.q, "jac_Phi_qd": found.qd, "jac_Phi_qdd": found.qdd}
+    return {name: _from_zero(entries) for name, entries in named.items()}
+
+
+def _second_blocks(first: Sensitivities, second: Curvatures) -> dict[str, Block]:
+    q_qd, q_qdd = _from_zero(second.q_qd), _from_zero(second.q_qdd)
+    blocks = {
+        "jac_adj_q_q": _mirrored(_from_zero(second.q_q)),
+        "jac_adj_q_qd": q_qd,
+        "jac_adj_q_qdd": q_qdd,
+        "jac_adj_qd_q": transposed(q_qd),
+        "jac_adj_qd_qd": _mirrored(_from_zero(second.qd_qd)),
+        "jac_adj_qdd_q": transposed(q_qdd),
+    }
+    for name, entries in (("q", first.q), ("qd", first.qd), ("qdd", first.qdd)):
+        blocks[f"jac_adj_{name}_adj_Phi"] = transposed(_from_zero(entries))
+    return blocks
+
+
+def _from_zero(entries: Entries) -> Block:
+    return {(i - 1, j - 1): value for (i, j), value in entries.items()}
+
+
+def transposed(block: Block) -> Block:
+    """Swap rows and columns."""
+    return {(c, r): value for (r, c), value in block.items()}
+
+
+def _mirrored(block: Block) -> Block:
+    return block | transposed(block)
+
+
+@dataclass(frozen=True)
+class _Writer:
+    """What is written to: a tree's state, and where its recursions begin."""
+
+    tree: Tree
+    reductions: Reductions
+    builder: Builder
+    state: State
+    given: dict[str, Sequence[Scalar]]  # the nonzeros of all inputs
+
+    @staticmethod
+    def declare(tree: Tree, reductions: Reductions) -> _Writer:
+        builder = Builder()
+        state = declare_state(tree, builder)
+        return _Writer(tree, reductions, builder, state, dict(vars(state)))
+
+    def seed(self, name: str, size: int) -> list[Scalar]:
+        seeds = self.builder.vector(name, size)
+        self.given[name] = seeds
+        return seeds
+
+    def begin(self) -> Writing:
+        chain = write_chain(dynamics_alone(self.tree, driven=False), self.builder, self.state)
+        segments = align(chain, group=self.reductions.share_frames)
+        return begin(chain, segments, find_plans(self.tree, self.reductions).sensitivities, self.reductions)
+
+    def write_blocks(self, blocks: Mapping[str, Block], forces: Tape) -> None:
+        """Declare the outputs of `forces`, each with its block of inertia added."""
+        values = replay(forces, self.builder, self.given)
+        for output in forces.outputs:
+            block = dict(blocks.get(output.name, {}))
+            for place, value in zip(output.sparsity.entries, output.values, strict=True):
+                block[place] = block[place] + values[value] if place in block else values[value]
+            if output.sparsity.is_dense:
+                self.builder.output(output.name, output.sparsity, [block[place] for place in output.sparsity.entries])
+            else:
+                self.builder.output_nonzeros(output.name, output.sparsity.rows, output.sparsity.cols, block)
+
+    def finish(self, name: str) -> Tape:
+        return finish(self.builder.build(name), self.reductions)

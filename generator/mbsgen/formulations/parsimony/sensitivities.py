@@ -15,8 +15,9 @@ Velocities come twice, since none is needed once.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Protocol, Self, TypeVar
 
 from mbsgen.algebra.vectors import Matrix, Vector, outer
 from mbsgen.formulations.parsimony.mass_matrix import Entries, link, own_inertia, shift_inertia
@@ -73,12 +74,30 @@ class Force:
         return Force(F, kinematics.depart(segment, self.N) + d.cross(F))
 
 
+@dataclass(frozen=True)
+class Step:
+    """A step down between parallel axes: `at` stands beyond; turning about either axis differs by a way `change`."""
+
+    at: Segment
+    change: Vector[Scalar]  # e x d
+
+
+class Carried(Protocol):
+    """What is carried down to the base."""
+
+    def depart(self, kinematics: Kinematics, segment: Segment, d: Vector[Scalar], v: Vector[Scalar]) -> Self:
+        """Carry it to the body before `segment`, whose origin is at -d and moves by -v, twice, from there."""
+
+
+L = TypeVar("L", bound=Carried)
+
+
 def sensitivities(writing: Writing, qd: Sequence[Scalar], qdd: Sequence[Scalar]) -> Sensitivities:
     """Differentiate Phi(q, qd, qdd) of a chain; what drives it, and external wrenches, left out."""
-    return _Recursion(writing, qd, qdd).run()
+    return Recursion(writing, qd, qdd).run()
 
 
-class _Recursion:
+class Recursion:
     def __init__(self, writing: Writing, qd: Sequence[Scalar], qdd: Sequence[Scalar]) -> None:
         self.kinematics, self.lumps, self.qd = writing.kinematics, writing.lumps, qd
         self.builder = writing.chain.builder
@@ -93,9 +112,9 @@ class _Recursion:
         for segment in reversed(self.kinematics.segments):
             i = segment.number
             loads[i] = join_loads(self.kinematics, segment, self.lumps[i], self.movements[i], loads)
-            self.composites[i] = self._compose(segment, self.lumps[i])
+            self.composites[i] = self.compose(segment, self.lumps[i])
             self.found.Phi[i] = segment.signed((loads[i].N if segment.is_revolute else loads[i].F)[segment.axis])
-            self._differentiate(segment, self.composites[i], loads[i])
+            self.differentiate(segment, self.composites[i], loads[i])
         return self.found
 
     # -- the state of bodies ------------------------------------------------------------------------------------
@@ -105,27 +124,33 @@ class _Recursion:
         rate = self.kinematics.angular_velocity(segment, movement).cross(e)
         return Axis(e, rate.scale(self.two), rate, movement.A, movement.a0.cross(e))
 
-    def _doubled_velocity(self, segment: Segment) -> Vector[Scalar]:
+    def doubled_velocity(self, segment: Segment) -> Vector[Scalar]:
         """Return 2 om, where the body is written."""
         return self.kinematics.angular_velocity(segment, self.movements[segment.number]).scale(self.two)
 
-    def _doubled_departure(self, child: Segment, d: Vector[Scalar]) -> Vector[Scalar]:
+    def doubled_departure(self, child: Segment, d: Vector[Scalar]) -> Vector[Scalar]:
         """Return twice the velocity of a child's origin relative to its parent's, where the parent is written."""
         parent = self.kinematics.segments[child.parent - 1]
-        v = self._doubled_velocity(parent).cross(d)
+        v = self.doubled_velocity(parent).cross(d)
         if child.is_revolute:
             return v
         return v + axis_before(self.kinematics, child).scale(self.two * child.signed(self.qd[child.number - 1]))
 
-    def _compose(self, segment: Segment, lump: Lump) -> Composite:
+    def own(self, segment: Segment, lump: Lump) -> Composite:
+        """Describe a body alone."""
+        om, axes = self.doubled_velocity(segment), self.kinematics.stations[segment.number].directions
+        S = self.kinematics.fixed(segment.number, lump.S)
+        P = own_moments(self.builder, segment, lump, axes)
+        J = own_inertia(self.builder, segment, lump, axes)
+        return Composite(lump.m, S, J, om.cross(S), -cross_matrix(om).times(P))
+
+    def compose(self, segment: Segment, lump: Lump) -> Composite:
         """Add to a body what its joints carry."""
-        k, om = self.kinematics, self._doubled_velocity(segment)
-        axes = k.stations[segment.number].directions
-        m, S, J = lump.m, k.fixed(segment.number, lump.S), own_inertia(self.builder, segment, lump, axes)
-        p, L = om.cross(S), -cross_matrix(om).times(own_moments(self.builder, segment, lump, axes))
+        k, own = self.kinematics, self.own(segment, lump)
+        m, S, J, p, L = own.m, own.S, own.J, own.p, own.L
         for child in children(k.segments, segment.number):
             carried, d = self.composites[child.number], link(k, child)
-            v, s, weight = self._doubled_departure(child, d), k.depart(child, carried.S), d.scale(carried.m)
+            v, s, weight = self.doubled_departure(child, d), k.depart(child, carried.S), d.scale(carried.m)
             momentum = k.depart(child, carried.p)
             J = shift_inertia(k.depart_tensor(child, carried.J), d, s, weight) + J
             L = L + k.depart_tensor(child, carried.L) + turned_outer(v, s + weight) + turned_outer(momentum, d)
@@ -134,41 +159,39 @@ class _Recursion:
 
     # -- loads, and what joints feel of them --------------------------------------------------------------------
 
-    def _differentiate(self, segment: Segment, body: Composite, load: Load) -> None:
+    def differentiate(self, segment: Segment, body: Composite, load: Load) -> None:
         """Write the column of a joint in the rows of its ancestors, and its row in their columns."""
-        by = _Loads.of(segment, body, self.axes[segment.number], load)
-        self._write_column(segment, segment, by)
+        for below, by, through in self.descend(segment, Loads.of(segment, body, self.axes[segment.number], load)):
+            self._write_column(below, segment, by)
+            if below is not segment:
+                self._write_row(below, segment, by, through)
+
+    def descend(self, segment: Segment, by: L) -> Iterator[tuple[Segment, L, Step | None]]:
+        """Carry loads from a body down to the base; also tell the last step, if it was between parallel axes."""
+        yield segment, by, None
         at = segment
         while at.parent:
             d = link(self.kinematics, at)
-            by = by.depart(self.kinematics, at, d, self._doubled_departure(at, d))
+            by = by.depart(self.kinematics, at, d, self.doubled_departure(at, d))
             below = self.kinematics.segments[at.parent - 1]
-            self._write_column(below, segment, by)
-            self._write_row(below, segment, by, None if at.opens_group else (at, d))
+            yield below, by, None if at.opens_group else Step(at, self.axes[below.number].e.cross(d))
             at = below
 
-    def _write_column(self, row: Segment, column: Segment, by: _Loads) -> None:
+    def _write_column(self, row: Segment, column: Segment, by: Loads) -> None:
         place, same = (row.number, column.number), row.sense == column.sense
         for entries, load in ((self.found.q, by.q), (self.found.qd, by.qd), (self.found.qdd, by.qdd)):
             felt = (load.N if row.is_revolute else load.F)[row.axis]
             entries[place] = felt if same else -felt
         self.found.qdd[column.number, row.number] = self.found.qdd[place]
 
-    def _write_row(
-        self, column: Segment, row: Segment, by: _Loads, through: tuple[Segment, Vector[Scalar]] | None
-    ) -> None:
-        """Write the entries of a row in the column of an ancestor; `through` leads to it if its axis is parallel."""
+    def _write_row(self, column: Segment, row: Segment, by: Loads, through: Step | None) -> None:
+        """Write the entries of a row in the column of an ancestor."""
         axis, first, same = self.axes[column.number], by.qdd, row.sense == column.sense
         if through:
-            at, d = through
-            change = axis.e.cross(d)
-            field = self.movements[column.number].field(change)
-            slopes = (field.dot(first.F), self._doubled_velocity(column).cross(change).dot(first.F))
-            for entries, more in zip((self.found.q, self.found.qd), slopes, strict=True):
-                before = entries[row.number, at.number]
-                entries[row.number, column.number] = (before if at.sense == column.sense else -before) + (
-                    more if same else -more
-                )
+            field = self.movements[column.number].field(through.change)
+            turning = self.doubled_velocity(column).cross(through.change)
+            for entries, more in ((self.found.q, field.dot(first.F)), (self.found.qd, turning.dot(first.F))):
+                add_to(entries, through, column, row, more, by_column=True)
             return
         if column.is_revolute:
             q = axis.turned.dot(first.F) + axis.acceleration.dot(first.N) + axis.rate.dot(by.K)
@@ -179,8 +202,19 @@ class _Recursion:
         self.found.qd[row.number, column.number] = qd if same else -qd
 
 
+def add_to(
+    entries: Entries, through: Step, below: Segment, segment: Segment, more: Scalar, *, by_column: bool = False
+) -> None:
+    """Write the entry of `below` and `segment`, which is that of the parallel axis before, and `more`."""
+    place, before = (below.number, segment.number), (through.at.number, segment.number)
+    if by_column:
+        place, before = place[::-1], before[::-1]
+    known = entries[before] if through.at.sense == below.sense else -entries[before]
+    entries[place] = known + (more if below.sense == segment.sense else -more)
+
+
 @dataclass(frozen=True)
-class _Loads:
+class Loads:
     """What a joint asks of all beyond it for a unit of its coordinate, rate and acceleration; and K.
 
     e.K is the moment of 2 e x v about the joint: K = integral of 2 v x (e x r) dm.
@@ -192,13 +226,13 @@ class _Loads:
     K: Vector[Scalar]
 
     @staticmethod
-    def of(segment: Segment, body: Composite, axis: Axis, load: Load) -> _Loads:
+    def of(segment: Segment, body: Composite, axis: Axis, load: Load) -> Loads:
         """Form the loads where the joint's body is written."""
         e, S, p = axis.e, body.S, body.p
         if not segment.is_revolute:
             m, rate, acceleration = body.m, axis.doubled_rate, axis.acceleration
             q = Force(acceleration.scale(m), S.cross(acceleration) + e.cross(load.F))
-            return _Loads(q, Force(rate.scale(m), S.cross(rate)), Force(e.scale(m), S.cross(e)), p.cross(e))
+            return Loads(q, Force(rate.scale(m), S.cross(rate)), Force(e.scale(m), S.cross(e)), p.cross(e))
         K = body.L.rows[segment.axis]
         qdd = Force(e.cross(S), body.J.column(segment.axis))
         qd = Force(
@@ -208,12 +242,12 @@ class _Loads:
             e.cross(load.F) + axis.turned.scale(body.m) + axis.acceleration.cross(S) + axis.rate.cross(p),
             e.cross(load.N) + S.cross(axis.turned) + body.J.apply(axis.acceleration) + body.L.apply(axis.rate),
         )
-        return _Loads(q, qd, qdd, K)
+        return Loads(q, qd, qdd, K)
 
-    def depart(self, kinematics: Kinematics, segment: Segment, d: Vector[Scalar], v: Vector[Scalar]) -> _Loads:
+    def depart(self, kinematics: Kinematics, segment: Segment, d: Vector[Scalar], v: Vector[Scalar]) -> Loads:
         """Carry the loads to the body before `segment`, whose origin is at -d and moves by -v, twice, from there."""
         q, qd, qdd = (x.depart(kinematics, segment, d) for x in (self.q, self.qd, self.qdd))
-        return _Loads(q, qd, qdd, kinematics.depart(segment, self.K) + v.cross(qdd.F))
+        return Loads(q, qd, qdd, kinematics.depart(segment, self.K) + v.cross(qdd.F))
 
 
 def axis_before(kinematics: Kinematics, child: Segment) -> Vector[Scalar]:
