@@ -113,6 +113,10 @@ class Kernels:
         """Call `jac_<name>`: the Jacobians `jac_<result>_<input>`; rows are entries of the result."""
         return self(f"jac_{name}", sparse=sparse, **inputs)
 
+    def lin(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> dict[str, Array]:
+        """Call `lin_<name>`: what `<name>` and `jac_<name>` give, for less than both."""
+        return self(f"lin_{name}", sparse=sparse, **inputs)
+
     def adj(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> dict[str, Array]:
         """Call `adj1_<name>`: the gradients `adj_<input>` of the sum of results weighted by inputs `adj_<result>`."""
         return self(f"adj1_{name}", sparse=sparse, **inputs)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import cffi
@@ -196,6 +197,87 @@ def test_a_failing_state_is_named(tmp_path: Path) -> None:
         failing.impl(x=[1, 1], y=y)
     assert (told.value.kernel, told.value.joint, told.value.state) == ("impl", "joint 2", 2)
     np.testing.assert_array_equal(failing.impl(x=[3, 5], y=y[:2])["f"], [[3, 5], [3, 5]])
+
+
+def test_every_state_of_a_batch_can_be_attempted(tmp_path: Path) -> None:
+    """Each has its status, and no number where that is not 0; the others are as if they were alone."""
+    failing = load(write_sample(tmp_path, families=(Family(guarded_tape()),)))
+    y = np.ones((4, 3))
+    y[1, 1] = np.nan
+    y[3, 0] = 0
+    results, status = failing.attempt("impl", x=[3, 5], y=y)
+    assert status.tolist() == [0, 3, 0, 2]
+    np.testing.assert_array_equal(results["f"], [[3, 5], [np.nan] * 2, [3, 5], [np.nan] * 2])
+    for i in range(4):
+        alone, alone_status = failing.attempt("impl", x=[3, 5], y=y[i])
+        assert (alone_status.shape, int(alone_status)) == ((), status[i])
+        np.testing.assert_array_equal(alone["f"], results["f"][i])
+    with pytest.raises(KernelError, match=r"impl failed at joint joint 2, in state 0"):
+        failing.impl(x=[3, 5], y=y[1])
+
+
+def test_derivatives_are_called_by_the_name_of_their_function(k: Kernels) -> None:
+    own = sample_families()[1]
+    for call, tape in ((k.jac, own.jac), (k.adj, own.adj1), (k.hess, own.jac_adj1)):
+        assert tape is not None
+        inputs = draw(tape, 10)
+        assert_close(call("impl", **inputs), k(tape.name, **inputs), tolerance=0)
+    with pytest.raises(ArgumentError, match="no kernel 'jac_setup'"):
+        k.jac("setup", p=[1, 2])
+
+
+def test_a_sparse_matrix_is_the_dense_one(k: Kernels) -> None:
+    """Of results with a pattern, and of dense ones; weights with a pattern are read."""
+    for name, tape in (("jac_impl", tapes()[1]), ("jac_adj1_impl", tapes()[3])):
+        inputs = draw(tape, 11)
+        dense, nonzeros = k(name, **inputs), k(name, sparse=True, **inputs)
+        for key, value in dense.items():
+            found = k.matrix(name, key, nonzeros[key])
+            np.testing.assert_array_equal(found.toarray(), value)
+            assert found.nnz == nonzeros[key].size
+    with pytest.raises(ArgumentError, match="jac_impl has no result 'jac_f'; there are jac_f_x"):
+        k.matrix("jac_impl", "jac_f", np.zeros(1))
+    with pytest.raises(ArgumentError, match=r"jac_f_x has 7 nonzeros; an array of shape \(3,\) is given"):
+        k.matrix("jac_impl", "jac_f_x", np.zeros(3))
+
+
+def test_results_are_the_callers_own(k: Kernels) -> None:
+    """What a call returned, or was given, no later call changes."""
+    inputs = {name: array.copy() for name, array in draw(sample_tape(), 12).items()}
+    first = k.impl(**inputs)
+    kept = {name: value.copy() for name, value in first.items()}
+    k.impl(**draw(sample_tape(), 13))
+    for name, value in kept.items():
+        np.testing.assert_array_equal(first[name], value)
+    for name, array in draw(sample_tape(), 12).items():
+        np.testing.assert_array_equal(inputs[name], array)
+
+
+def test_numbers_of_other_types_are_converted(k: Kernels) -> None:
+    """Whole numbers, single precision, lists; strides of any kind."""
+    expected = k.impl(x=np.array([1.0, 2.0, 3.0]), y=np.array([4.0, 5.0]), z=np.zeros(1))
+    for kind in (np.int64, np.float32, list):
+        make = list if kind is list else (lambda v, kind=kind: np.array(v, dtype=kind))
+        assert_close(k.impl(x=make([1, 2, 3]), y=make([4, 5]), z=make([0])), expected, tolerance=0)
+    backwards = np.array([3.0, 2.0, 1.0])[::-1]
+    assert_close(k.impl(x=backwards, y=[4, 5], z=[0]), expected, tolerance=0)
+
+
+def test_kernels_may_be_called_by_many_threads(folder: Path) -> None:
+    """With parameters of their own, and each with its own inputs."""
+    lengths = [0.5 + i for i in range(4)]
+    variants = [load(folder, {"length": length}) for length in lengths]
+    shared = load(folder)
+    states = draw(sample_tape(), 14, states=400)
+
+    def call(which: int) -> list[np.ndarray]:
+        k = variants[which % 4] if which < 4 else shared.with_parameters(length=lengths[which % 4])
+        return [k.impl(**{name: array[i] for name, array in states.items()})["f"] for i in range(400)]
+
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(call, range(8)))
+    for which in range(8):
+        np.testing.assert_array_equal(found[which], variants[which % 4].impl(**states)["f"])
 
 
 def test_null_means_zeros_in_and_not_wanted_out(k: Kernels) -> None:
