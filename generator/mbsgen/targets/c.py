@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import accumulate
+from itertools import count as count_from
 
 import jinja2
 from mpmath import mpf
@@ -16,14 +18,15 @@ from mpmath import mpf
 from mbsgen import resources
 from mbsgen.manifest import Argument, Flops, Kernel
 from mbsgen.tape.counts import count
+from mbsgen.tape.ordering import arrange
 from mbsgen.tape.types import Input, Output, Sparsity
 from mbsgen.targets.agreement import compare
 from mbsgen.targets.contract import Face, Family, Slot, arguments, faces
-from mbsgen.targets.parts import Part, divide
-from mbsgen.targets.statements import Check, Result, Statement, wrap, write_body, write_literal
+from mbsgen.targets.parts import Line, Part, divide
+from mbsgen.targets.statements import Check, Turns, wrap, write_body, write_literal
 
 ABI_HEADER = "mbs_abi.h"
-_COPIED = (ABI_HEADER, "mbs_check.h", "mbs_check.c")  # from csrc
+_COPIED = (ABI_HEADER, "mbs_sincos.h", "mbs_check.h", "mbs_check.c")  # from csrc
 
 
 @dataclass(frozen=True)
@@ -147,6 +150,24 @@ class _Parameter:
 
 
 @dataclass(frozen=True)
+class _Unwanted:
+    """Where the nonzeros of a result go that the caller does not want."""
+
+    name: str
+    place: int
+
+
+@dataclass(frozen=True)
+class _Function:
+    """A function that computes a part of a kernel: its parameters, how it is called, its lines."""
+
+    name: str
+    parameters: tuple[str, ...]
+    arguments: tuple[str, ...]
+    lines: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class _Pattern:
     name: str
     lines: tuple[str, ...]
@@ -175,11 +196,12 @@ class _View:
     parameters: tuple[_Parameter, ...]
     left_out: tuple[str, ...]
     unused: tuple[str, ...]
-    parts: tuple[Part, ...]
+    has_angles: bool
+    unwanted: tuple[_Unwanted, ...]
+    unwanted_size: int
+    lines: tuple[str, ...]  # of the body, where it is not in parts
+    parts: tuple[_Function, ...]
     kept: tuple[str, ...]  # the values that outlive their part, as lines of declarations
-    statements: tuple[Statement, ...]
-    checks: tuple[Check, ...]
-    results: tuple[Result, ...]
     zeros: int  # nonzeros of the largest input
     patterns: tuple[_Pattern, ...]
     inputs: _Table
@@ -188,8 +210,10 @@ class _View:
 
 def _view(prefix: str, face: Face) -> _View:
     counts = count(face.tape)
-    divided = divide(write_body(face.tape), [i.name for i in face.tape.inputs])
-    body = divided.rest
+    body = write_body(arrange(face.tape))
+    divided = divide(body, [i.name for i in face.tape.inputs])
+    is_whole = len(divided.parts) == 1
+    unwanted = tuple(accumulate((o.sparsity.nnz for o in face.tape.outputs), initial=0))
     patterns = _name_patterns(face)
     empty = [a for a in map(_argument, arguments(face.tape)) if not a.nnz]
     return _View(
@@ -202,16 +226,57 @@ def _view(prefix: str, face: Face) -> _View:
         parameters=_parameters(prefix, face),
         left_out=tuple(f"{a.name}: {a.rows} x {a.cols}, without a nonzero: no argument" for a in empty),
         unused=body.unused,
-        parts=divided.parts,
+        has_angles=any(isinstance(s, Turns) for s in body.statements),
+        unwanted=tuple(
+            _Unwanted(o.name, place) for o, place in zip(face.tape.outputs, unwanted, strict=False) if o.values
+        ),
+        unwanted_size=unwanted[-1],
+        lines=_write_lines(divided.parts[0].lines) if is_whole else (),
+        parts=() if is_whole else tuple(_write_function(part) for part in divided.parts),
         kept=wrap(divided.kept),
-        statements=body.statements,
-        checks=body.checks,
-        results=body.results,
         zeros=max((i.sparsity.nnz for i in face.tape.inputs), default=0),
         patterns=tuple(_Pattern(name, wrap(map(str, _compress(pattern)))) for pattern, name in patterns.items()),
         inputs=_table(face.inputs, patterns),
         outputs=_table(face.outputs, patterns),
     )
+
+
+def _write_function(part: Part) -> _Function:
+    return _Function(
+        part.name,
+        tuple(f"const mbs_real *MBS_RESTRICT {name}" for name in part.inputs)
+        + tuple(f"mbs_real *MBS_RESTRICT {name}" for name in part.results)
+        + ("mbs_values *MBS_RESTRICT mbs_kept",) * part.keeps,
+        (*part.inputs, *part.results, *("&mbs_kept",) * part.keeps),
+        _write_lines(part.lines),
+    )
+
+
+def _write_lines(lines: Sequence[Line]) -> tuple[str, ...]:
+    text: list[str] = []
+    suffixes = map(str, count_from(1))
+    for line in lines:
+        match line:
+            case Turns():
+                text += _write_turns(line, next(suffixes))
+            case Check():
+                text.append(f"if (!({line.value} > MBS_THRESHOLD({line.tolerance}) * {line.scale}))")
+                text.append(f"    return {line.joint};")
+            case _:
+                text.append(f"{line.target} = {line.expression};")
+    return tuple(text)
+
+
+def _write_turns(turns: Turns, suffix: str) -> list[str]:
+    angles, sines, cosines = (f"mbs_{kind}{suffix}" for kind in ("angles", "sines", "cosines"))
+    count = len(turns.turns)
+    text = [f"const mbs_real {angles}[] = {{"]
+    text += [f"    {line}" for line in wrap(turn.angle for turn in turns.turns)]
+    text += ["};", f"mbs_real {sines}[{count}], {cosines}[{count}];"]
+    text.append(f"mbs_sincos({count}, {angles}, {sines}, {cosines});")
+    for k, turn in enumerate(turns.turns):
+        text += [f"{name} = {of}[{k}];" for name, of in ((turn.sine, sines), (turn.cosine, cosines)) if name]
+    return text
 
 
 def _parameters(prefix: str, face: Face) -> tuple[_Parameter, ...]:

@@ -1,95 +1,145 @@
-"""Long bodies in parts: C functions of bounded length, since compilers take more than linear time for one.
+"""The lines of a C function, and long ones in parts: functions of bounded length.
 
-Each part computes some of the statements. What later parts or the results read of them is kept in a struct, by name.
+Compilers take more than linear time for one function. What a part computes and a later one reads is kept in a struct,
+by name.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from mbsgen.targets.statements import Body, Statement
+from mbsgen.targets.statements import Body, Check, Statement, Turn, Turns
 
-# Statements of a part, at least. gcc 12 takes 19 s for a body of 9000 statements, most of it to allocate registers, and
+# Lines of a part, at least. gcc 12 takes 19 s for a body of 9000 statements, most of it to allocate registers, and
 # a third of that for parts of 500 to 1000; the kernel is as fast.
 LENGTH = 1000
 _WORD = re.compile(r"\b[A-Za-z]\w*")
 
 
 @dataclass(frozen=True)
+class Store:
+    """A nonzero of a result: `target = expression`."""
+
+    result: str
+    target: str
+    expression: str
+
+
+Line = Statement | Turns | Check | Store
+
+
+@dataclass(frozen=True)
 class Part:
-    """A function for a part of the statements."""
+    """Lines that are a function of their own, or the whole body. Targets are written with what declares them."""
 
     name: str
     inputs: tuple[str, ...]  # of the kernel's, those that it reads
-    statements: tuple[Statement, ...]  # their targets with what declares them
+    results: tuple[str, ...]  # of the kernel's, those that it writes nonzeros of
+    keeps: bool  # something of what it computes, or reads what another part kept
+    lines: tuple[Line, ...]
 
 
 @dataclass(frozen=True)
 class Division:
-    """A body in parts, with what remains for the kernel itself; a body of no great length remains whole."""
+    """A body in parts, to be run in turn; a body of no great length is a single one."""
 
     parts: tuple[Part, ...]
     kept: tuple[str, ...]  # values that outlive their part
-    rest: Body
 
 
 def divide(body: Body, inputs: Sequence[str]) -> Division:
     """Divide the body of a kernel with the given inputs, once it has the length of two parts."""
-    count = len(body.statements) // LENGTH
-    if count < 2:
-        return Division((), (), body)
-    size = -(-len(body.statements) // count)
-    slices = [body.statements[k : k + size] for k in range(0, len(body.statements), size)]
-    kept = _find_kept(body, slices)
-    parts = tuple(_write_part(f"mbs_part{k}", statements, kept, inputs) for k, statements in enumerate(slices, 1))
-    return Division(parts, tuple(s.target for s in body.statements if s.target in kept), _write_rest(body, kept))
+    lines = order_lines(body)
+    count = max(1, len(lines) // LENGTH)
+    size = max(1, -(-len(lines) // count))
+    slices = [lines[k : k + size] for k in range(0, len(lines), size)] or [()]
+    kept = _find_kept(slices)
+    parts = (_write_part(f"mbs_part{k}", part, kept, inputs) for k, part in enumerate(slices, 1))
+    return Division(tuple(parts), tuple(kept))
 
 
-def _find_kept(body: Body, slices: Sequence[Sequence[Statement]]) -> set[str]:
-    """Find the values that are read outside the part that computes them."""
-    kept = _read(s.expression for r in body.results for s in r.statements)
-    kept |= _read(text for c in body.checks for text in (c.value, c.scale))
-    for statements in slices:
-        kept |= _read(s.expression for s in statements) - {s.target for s in statements}
-    return kept & {s.target for s in body.statements}
+def order_lines(body: Body) -> tuple[Line, ...]:
+    """Set all of a body in one order: checks as early as they can stand, nonzeros after the last check likewise."""
+    last = max((c.place for c in body.checks), default=0)
+    others: list[tuple[int, Line]] = [(c.place, c) for c in body.checks]
+    others += [
+        (max(place, last), Store(r.name, s.target, s.expression))
+        for r in body.results
+        for s, place in zip(r.statements, r.places, strict=True)
+    ]
+    lines: list[Line] = []
+    done = 0
+    for place, line in sorted(others, key=lambda other: other[0]):  # checks and nonzeros keep their order
+        lines += body.statements[done:place]
+        lines.append(line)
+        done = place
+    return (*lines, *body.statements[done:])
 
 
-def _write_part(name: str, statements: Sequence[Statement], kept: set[str], inputs: Sequence[str]) -> Part:
-    read = _read(s.expression for s in statements)
-    written = tuple(
-        Statement(
-            f"mbs_kept->{s.target}" if s.target in kept else f"const mbs_real {s.target}",
-            _take(s.expression, kept, "mbs_kept->"),
-        )
-        for s in statements
+def _find_kept(slices: Sequence[Sequence[Line]]) -> dict[str, None]:
+    """Find the values that are read outside the part that computes them, in the order in which they are computed."""
+    defined = [{name: None for line in part for name in _names(line)} for part in slices]
+    outside: set[str] = set()
+    for part, own in zip(slices, defined, strict=True):
+        outside |= _read(text for line in part for text in _texts(line)) - own.keys()
+    return {name: None for own in defined for name in own if name in outside}
+
+
+def _write_part(name: str, lines: Sequence[Line], kept: Mapping[str, None], inputs: Sequence[str]) -> Part:
+    read = _read(text for line in lines for text in _texts(line))
+    results = dict.fromkeys(line.result for line in lines if isinstance(line, Store))
+    return Part(
+        name,
+        inputs=tuple(x for x in inputs if x in read),
+        results=tuple(results),
+        keeps=not kept.keys().isdisjoint(read.union(*map(_names, lines))),
+        lines=tuple(_write_line(line, kept) for line in lines),
     )
-    return Part(name, tuple(x for x in inputs if x in read), written)
 
 
-def _write_rest(body: Body, kept: set[str]) -> Body:
-    """Write what comes after the parts."""
+def _write_line(line: Line, kept: Mapping[str, None]) -> Line:
+    """Declare what a line computes, or put it where it is kept; read the kept values from there."""
+
+    def declare(name: str) -> str:
+        return name and (f"mbs_kept->{name}" if name in kept else f"const mbs_real {name}")
 
     def take(text: str) -> str:
-        return _take(text, kept, "mbs_kept.")
+        return _WORD.sub(lambda found: f"mbs_kept->{found[0]}" if found[0] in kept else found[0], text)
 
-    return replace(
-        body,
-        statements=(),
-        checks=tuple(replace(c, value=take(c.value), scale=take(c.scale)) for c in body.checks),
-        results=tuple(
-            replace(r, statements=tuple(replace(s, expression=take(s.expression)) for s in r.statements))
-            for r in body.results
-        ),
-    )
+    match line:
+        case Statement():
+            return Statement(declare(line.target), take(line.expression))
+        case Turns():
+            return Turns(tuple(Turn(take(t.angle), declare(t.sine), declare(t.cosine)) for t in line.turns))
+        case Check():
+            return replace(line, value=take(line.value), scale=take(line.scale))
+        case Store():
+            return replace(line, expression=take(line.expression))
+
+
+def _names(line: Line) -> tuple[str, ...]:
+    """List the values that a line computes."""
+    match line:
+        case Statement():
+            return (line.target,)
+        case Turns():
+            return tuple(name for turn in line.turns for name in (turn.sine, turn.cosine) if name)
+    return ()
+
+
+def _texts(line: Line) -> tuple[str, ...]:
+    """List the expressions of a line."""
+    match line:
+        case Turns():
+            return tuple(turn.angle for turn in line.turns)
+        case Check():
+            return (line.value, line.scale)
+        case _:
+            return (line.expression,)
 
 
 def _read(expressions: Iterable[str]) -> set[str]:
     """Collect the names in expressions."""
     return {name for text in expressions for name in _WORD.findall(text)}
-
-
-def _take(expression: str, names: set[str], source: str) -> str:
-    """Read the named values from where they are kept."""
-    return _WORD.sub(lambda found: source + found[0] if found[0] in names else found[0], expression)

@@ -37,6 +37,7 @@ class Syntax:
     calls: Mapping[Op, str]
     taken: re.Pattern[str]
     nonzeros: Callable[[str, Sparsity], list[str]] = write_nonzeros  # of an argument of this name and pattern
+    turns: bool = False  # sines and cosines side by side are computed together
 
 
 # Keywords of C, and what <math.h> or the ABI header may define as macros, are no names of local variables.
@@ -47,8 +48,9 @@ C = Syntax(
         "auto|break|case|char|const|continue|default|do|double|else|enum|extern|float|for|goto|if|inline|int|long|register|"
         "restrict|return|short|signed|sizeof|static|struct|switch|typedef|union|unsigned|void|volatile|while|"
         "(a?sin|a?cos|a?tan|atan2|tanh|exp|log|sqrt|fabs)f?|linux|unix|mbs_.*|NAN|INFINITY|NULL|EOF|"
-        "(MBS|FP|M|HUGE|MATH|INT|UINT|LONG)_.*"
+        "(MBS|FP|M|HUGE|MATH|INT|UINT|LONG|DBL|FLT|LDBL|DECIMAL)_.*"
     ),
+    turns=True,
 )
 
 
@@ -58,6 +60,22 @@ class Statement:
 
     target: str
     expression: str
+
+
+@dataclass(frozen=True)
+class Turn:
+    """An angle, and the names of its sine and cosine; empty for one that nothing reads."""
+
+    angle: str
+    sine: str
+    cosine: str
+
+
+@dataclass(frozen=True)
+class Turns:
+    """Angles whose sines and cosines are computed together."""
+
+    turns: tuple[Turn, ...]
 
 
 @dataclass(frozen=True)
@@ -77,13 +95,14 @@ class Result:
 
     name: str
     statements: tuple[Statement, ...]
+    places: tuple[int, ...]  # the number of the body's statements after which each can stand
 
 
 @dataclass(frozen=True)
 class Body:
     """A function's body: what is computed for all results, the guards in the order of their tests, the results."""
 
-    statements: tuple[Statement, ...]
+    statements: tuple[Statement | Turns, ...]
     checks: tuple[Check, ...]
     results: tuple[Result, ...]
     unused: tuple[str, ...]  # inputs that nothing reads
@@ -97,10 +116,19 @@ def write_body(tape: Tape, syntax: Syntax = C) -> Body:
     names = _choose_names(tape, syntax)
     texts = _write_leaves(tape, syntax)  # of every value, ready to stand as an operand
     places = [0] * len(texts)  # the number of statements after which a value is known
-    statements: list[Statement] = []
+    statements: list[Statement | Turns] = []
+    turning: dict[str, dict[Op, str]] = {}  # of the angles of the next Turns, the names of sine and cosine
     taken = {*names.values(), *(x.name for x in arguments(tape))}
     free = (name for k in count(1) if (name := f"t{k}") not in taken)
     for value, (op, a, b) in enumerate(tape.operations, tape.first_operation):
+        if syntax.turns and op in (Op.SIN, Op.COS) and uses[value]:
+            texts.append(names.get(value) or next(free))
+            turning.setdefault(_bare(texts[a]), {})[op] = texts[value]
+            places.append(len(statements) + 1)
+            continue
+        if turning:
+            statements.append(_write_turns(turning))
+            turning = {}
         expression = _write(syntax, op, texts[a], texts[b] if op.arity == 2 else "")
         if uses[value] == 1 and value not in names and len(expression) <= INLINED:
             texts.append(expression if op in syntax.calls else f"({expression})")
@@ -111,6 +139,8 @@ def write_body(tape: Tape, syntax: Syntax = C) -> Body:
         else:
             texts.append("")
         places.append(len(statements))
+    if turning:
+        statements.append(_write_turns(turning))
     results = tuple(
         Result(
             o.name,
@@ -118,6 +148,7 @@ def write_body(tape: Tape, syntax: Syntax = C) -> Body:
                 Statement(x, _bare(texts[v]))
                 for x, v in zip(syntax.nonzeros(o.name, o.sparsity), o.values, strict=True)
             ),
+            tuple(places[v] for v in o.values),
         )
         for o in tape.outputs
         if o.values
@@ -152,6 +183,10 @@ def _write(syntax: Syntax, op: Op, a: str, b: str) -> str:
     if op is Op.NEG:
         return f"-{a}"
     return f"{syntax.calls[op]}({', '.join(map(_bare, (a, b)[: op.arity]))})"
+
+
+def _write_turns(turning: Mapping[str, Mapping[Op, str]]) -> Turns:
+    return Turns(tuple(Turn(angle, names.get(Op.SIN, ""), names.get(Op.COS, "")) for angle, names in turning.items()))
 
 
 def _write_checks(tape: Tape, syntax: Syntax, texts: Sequence[str], places: Sequence[int]) -> tuple[Check, ...]:

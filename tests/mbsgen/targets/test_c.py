@@ -156,7 +156,7 @@ def test_c_rounds_as_the_tape_does(
     monkeypatch.setattr("mbsgen.targets.parts.LENGTH", length)
     tape = random_tape(seed, 150)
     write_sample(tmp_path, families=(Family(tape),))
-    is_divided = "static void mbs_part2(" in (tmp_path / "sample_impl.c").read_text()
+    is_divided = "static MBS_APART int mbs_part2(" in (tmp_path / "sample_impl.c").read_text()
     assert is_divided == (length < 1000)
     flags = ["-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared"]
     run(requires("gcc"), *flags, tmp_path / "sample_impl.c", "-lm", "-o", tmp_path / "lib.so")
