@@ -10,8 +10,8 @@ Variables are as `layout` says. Constraints, interval by interval:
 
 for a residual; where the equations of motion are explicit, the third is z_kj - gamma(q_kj, qd_kj, u_k) = 0, or gamma
 takes the place of z_kj in the second, and of z(T). (Docquier, Bruls, Fisette, eqs. 5, 15, 22-27.) A constraint along
-the path holds at all collocation points, and with Legendre points, which leave them out, at the mesh points after the
-start, unless it tells of accelerations.
+the path holds at all collocation points, and if it speaks of states alone, which do not jump there, at all mesh points:
+with Radau points these are among them, and a start that is given is as it is.
 
 Start, targets and bounds are bounds of the program; weights of the cost and constants of expressions are its
 parameters: one program serves all problems that differ in those only.
@@ -329,7 +329,7 @@ class _Writer:
         kinds = list_quantities(self.plant.manifest)
         path_mesh = [*([0] * shape.start_is_free), *(range(1, N + 1) if shape.family is Family.LEGENDRE else ())]
         on_path = [i for i, (_, at) in enumerate(shape.constraints) if at == "path"]
-        of_states = [i for i in on_path if not _speaks_of(shape.constraints[i][0], "qdd", kinds)]
+        of_states = [i for i in on_path if not _speaks_of_jumps(shape.constraints[i][0], kinds)]
         rows: list[list[Indices]] = [[] for _ in shape.constraints]
         for chosen, places in (
             (on_path, at_points(self.layout, self.scheme)),
@@ -385,9 +385,9 @@ class _Writer:
         return (nothing, nothing, *others), (*_input_costs(layout, layout.horizon), *blocks)
 
 
-def _speaks_of(text: str, kind: str, known: Mapping[str, Quantity]) -> bool:
-    """Tell whether an expression needs a kind of quantity."""
-    return any(known[name].kind == kind for name in names(parse(text)) if name in known)
+def _speaks_of_jumps(text: str, known: Mapping[str, Quantity]) -> bool:
+    """Tell whether an expression needs what jumps where an interval ends: inputs or accelerations."""
+    return any(known[name].kind in ("u", "qdd") for name in names(parse(text)) if name in known)
 
 
 def _sensor(last: Indices, plant: Plant, name: str) -> tuple[ca.Function, tuple[Indices, ...]]:

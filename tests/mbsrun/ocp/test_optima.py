@@ -1,0 +1,156 @@
+"""Problems with optima in closed form, and orders of convergence: free horizons, path constraints, all schemes."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+from mbsgen.manifest import Coordinate, Frame
+from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Problem, Representation, Term
+from mbsrun.ocp.schemes import Family
+from mbsrun.ocp.solution import Solution
+from mbsrun.ocp.solve import solve
+from tests.mbsrun.peer import FREE, Peer, double_integrator, explicit_functions, pose_functions, residual_function
+
+G = 9.81
+FREE_RANGE = (-np.inf, np.inf)
+FASTEST = Cost(terminal=(Term("T", 1.0),))
+
+
+def mechanism(names: tuple[str, ...], residual: ca.SX, symbols: tuple[ca.SX, ...]) -> Peer:
+    """Make a mechanism of its equations of motion alone; all coordinates are driven."""
+    function = residual_function(*symbols, residual)
+    p, R = ca.SX.zeros(3), ca.SX.eye(3)
+    poses = pose_functions(symbols[0], p, ca.horzcat(p, p), ca.horzcat(R, R))
+    return Peer(
+        "by hand",
+        {"impl": function, **explicit_functions(function), **poses},
+        [Coordinate(name=name, motion="prismatic", actuated=True, **FREE) for name in names],
+        [Frame(name="body", parent=-1, sensor=False), Frame(name="place", parent=0, sensor=True)],
+    )
+
+
+def bead() -> Peer:
+    """A bead of 1 kg in a vertical plane, under two forces."""
+    q, qd, qdd, u = symbols = tuple(ca.SX.sym(name, 2) for name in ("q", "qd", "qdd", "u"))
+    return mechanism(("x", "z"), qdd - u + ca.vertcat(0, G) + 0 * (q + qd), symbols)
+
+
+def pendulum() -> Peer:
+    """A pendulum of length g."""
+    q, qd, qdd, u = symbols = tuple(ca.SX.sym(name) for name in ("q", "qd", "qdd", "u"))
+    return mechanism(("q",), qdd + ca.sin(q) - u + 0 * qd, symbols)
+
+
+def optimum(problem: Problem, plant: Peer) -> Solution:
+    outcome = solve(problem, plant)
+    assert isinstance(outcome, Solution)
+    return outcome
+
+
+@pytest.mark.parametrize("representation", [Representation.IMPL, Representation.EXP1_O])
+def test_fastest_push_is_full_force_both_ways(representation: Representation) -> None:
+    """A mass of 1 kg over 1 m from rest to rest under |u| <= 4: T = 2 sqrt(1/4), by full force, switched half way.
+
+    With an even number of intervals the switch falls on the grid, and the optimum is free of discretisation.
+    """
+    problem = Problem(
+        name="fastest push",
+        horizon=2.0,
+        intervals=10,
+        family=Family.RADAU,
+        degree=2,
+        cost=FASTEST,
+        start_q=(0.0,),
+        start_qd=(0.0,),
+        bounds=Bounds((FREE_RANGE,), (FREE_RANGE,), ((-4.0, 4.0),)),
+        end=End(coordinates=((0, 1.0),), velocity_zero=True),
+        representation=representation,
+        horizon_range=(0.1, 10.0),
+    )
+    solution = optimum(problem, double_integrator())
+    assert solution.cost.total == pytest.approx(1.0, abs=1e-7)
+    assert solution.trajectory.t[-1] == pytest.approx(1.0, abs=1e-7)
+    assert solution.trajectory.u[:, 0] == pytest.approx([4.0] * 5 + [-4.0] * 5, abs=1e-5)
+
+
+def brachistochrone(N: int) -> Problem:
+    """From rest at 0 to (1, -1/2), along a wire: its force does no work."""
+    free = (FREE_RANGE,) * 2
+    return Problem(
+        name="brachistochrone",
+        horizon=1.0,
+        intervals=N,
+        family=Family.LEGENDRE,
+        degree=1,
+        cost=FASTEST,
+        start_q=(0.0, 0.0),
+        start_qd=(0.0, 0.0),
+        bounds=Bounds(free, free, free),
+        end=End(coordinates=((0, 1.0), (1, -0.5))),
+        representation=Representation.EXP1_O,
+        horizon_range=(0.1, 3.0),
+        constraints=(Constraint("u_x*qd_x + u_z*qd_z", (0.0, 0.0)),),
+    )
+
+
+def test_brachistochrone_is_a_cycloid() -> None:
+    """x = R (a - sin a), z = -R (1 - cos a), a = t sqrt(g / R): the time is met with order 2 (implicit midpoint)."""
+    end = brentq(lambda a: (a - np.sin(a)) / (1 - np.cos(a)) - 2.0, 0.1, 6.0)
+    R = 0.5 / (1 - np.cos(end))
+    T = end * np.sqrt(R / G)
+    errors = []
+    for N in (10, 20, 40):
+        solution = optimum(brachistochrone(N), bead())
+        errors.append(solution.cost.total - T)
+    assert np.log2(np.array(errors[:-1]) / errors[1:]) == pytest.approx([2, 2], abs=0.1)
+    a = solution.trajectory.t * np.sqrt(G / R)
+    cycloid = np.stack((R * (a - np.sin(a)), -R * (1 - np.cos(a))), axis=1)
+    assert np.abs(solution.trajectory.q - cycloid).max() < 1e-3
+
+
+ORDERS = [(Family.RADAU, 1, 1), (Family.RADAU, 2, 3), (Family.RADAU, 3, 5), (Family.LEGENDRE, 1, 2)]
+ORDERS += [(Family.LEGENDRE, 2, 4), (Family.LEGENDRE, 3, 6)]
+
+
+@pytest.mark.parametrize(("family", "degree", "order"), ORDERS)
+def test_orders_with_inputs_that_are_given(family: Family, degree: int, order: int) -> None:
+    """Error at the end of a pendulum's swing: order 2 d - 1 with Radau points, 2 d with Legendre points."""
+    motion = solve_ivp(lambda _, y: [y[1], 0.5 - np.sin(y[0])], (0, 2), [1.0, 0.0], "DOP853", rtol=1e-13, atol=1e-13)
+    errors = []
+    for N in (8, 16):
+        problem = Problem(
+            name="swing",
+            horizon=2.0,
+            intervals=N,
+            family=family,
+            degree=degree,
+            cost=Cost(1.0),
+            start_q=(1.0,),
+            start_qd=(0.0,),
+            bounds=Bounds((FREE_RANGE,), (FREE_RANGE,), ((0.5, 0.5),)),
+            end=End(),
+        )
+        trajectory = optimum(problem, pendulum()).trajectory
+        errors.append(np.linalg.norm([trajectory.q[-1, 0], trajectory.qd[-1, 0]] - motion.y[:, -1]))
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.25)
+
+
+def test_a_running_cost_is_integrated_as_exactly_as_the_scheme_can() -> None:
+    """A mass that moves at constant speed: the integral of (q + t)^4, a polynomial of degree 4, by 3 Radau points."""
+    problem = Problem(
+        name="drift",
+        horizon=2.0,
+        intervals=2,
+        family=Family.RADAU,
+        degree=3,
+        cost=Cost(running=(Term("(q_slide + t)**4", 1.0),)),
+        start_q=(0.0,),
+        start_qd=(0.5,),
+        bounds=Bounds((FREE_RANGE,), (FREE_RANGE,), ((0.0, 0.0),)),
+        end=End(),
+    )
+    assert optimum(problem, double_integrator()).cost.total == pytest.approx(1.5**4 * 2**5 / 5, rel=1e-9)
