@@ -45,6 +45,10 @@ class Entry:
     size: int  # bytes
     used: float  # when it was last used, s since the epoch
 
+    def is_being_made(self, now: float) -> bool:
+        """Tell whether a process may be at work on it."""
+        return self.kind == "unfinished" and now - self.used <= ABANDONED
+
 
 def cache_folder(environment: Mapping[str, str]) -> Path:
     """Tell where the cache is: $XDG_CACHE_HOME/mbsgen, else ~/.cache/mbsgen."""

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import os
 import sys
+import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import click
+from rich import box, filesize
 from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
 from mbsgen.errors import MbsError
 from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
+from mbsrun.cache import Entry, cache_folder, list_entries, remove
 from mbsrun.external import load
 from mbsrun.ocp.pictures import draw_mechanism, plot_trajectories
 from mbsrun.ocp.plant import Plant
@@ -27,12 +34,17 @@ TRAJECTORIES = "trajectories.png"
 MECHANISM = "mechanism.png"
 FILES = (SOLUTION, TRAJECTORIES, MECHANISM)
 
+DAY = 86400.0  # s
+UNCUT = 200  # characters in a line where nobody sees a terminal's width
+KINDS = {"generated": "generated", "object": "objects", "library": "libraries", "unfinished": "unfinished"}
+
 MESSAGES = Console(stderr=True)
 
 HELP = """Solve optimal control problems of multibody systems.
 
 \b
   mbsrun solve PROBLEM -o DIR   solve, and write solution and pictures to DIR
+  mbsrun cache                  tell what was generated and compiled, or clear it
 
 PROBLEM is a YAML file; models/ holds an example. Summaries go to stdout, progress and messages to stderr.
 """
@@ -54,6 +66,12 @@ Exit codes
   1   not solved, and nothing written; or solved, but short of the tolerance or
       the accuracy asked for: then the solution is written, and says so
   2   the problem, its model or an argument cannot be accepted; nothing written
+"""
+
+
+CACHE_HELP = """Tell what was generated and compiled for `mbsrun`, or remove it.
+
+What is removed is made again when it is needed; what another process is making now stays.
 """
 
 
@@ -126,6 +144,30 @@ def solve_command(
     context.exit(NOT_SOLVED if shortcomings else 0)
 
 
+@cli.command("cache", help=CACHE_HELP)
+@click.option("--clear", is_flag=True, help="Remove all of it.")
+@click.option(
+    "--older-than",
+    "days",
+    metavar="DAYS",
+    type=click.FloatRange(min=0),
+    help="Remove what was not used for so many days.",
+)
+def cache_command(clear: bool, days: float | None) -> None:
+    """List the cache by model; remove entries."""
+    if clear and days is not None:
+        raise click.UsageError("--clear removes everything; give it, or --older-than, but not both")
+    place = cache_folder(os.environ)
+    entries = list_entries(place)
+    if not clear and days is None:
+        _print_cache(place, entries)
+        return
+    now = time.time()
+    chosen = [e for e in entries if (clear or now - e.used > DAY * (days or 0.0)) and not e.is_being_made(now)]
+    remove(chosen)
+    click.echo(f"removed {len(chosen)} of {_count(entries)}, {filesize.decimal(sum(e.size for e in chosen))}")
+
+
 def main() -> None:
     """Run the command line; a user's errors are told without a traceback."""
     try:
@@ -136,6 +178,27 @@ def main() -> None:
     except OSError as error:
         _say(f"{error.filename}: {error.strerror}" if error.filename else str(error))
         sys.exit(BAD_INPUT)
+
+
+def _print_cache(place: Path, entries: Sequence[Entry]) -> None:
+    """Print a line for each model, and one for what is no model's."""
+    table = Table(box=box.SIMPLE)
+    table.add_column("model")
+    for column in (*KINDS.values(), "size", "last used"):
+        table.add_column(column, justify="right")
+    for model in sorted({entry.model for entry in entries}):
+        own = [entry for entry in entries if entry.model == model]
+        counts = (sum(entry.kind == kind for entry in own) for kind in KINDS)
+        last = time.strftime("%Y-%m-%d %H:%M", time.localtime(max(entry.used for entry in own)))
+        table.add_row(Text(model or "-"), *map(str, counts), filesize.decimal(sum(e.size for e in own)), last)
+    out = Console(highlight=False, width=None if sys.stdout.isatty() else UNCUT)
+    if entries:
+        out.print(table)
+    out.print(Text(f"{_count(entries)}, {filesize.decimal(sum(e.size for e in entries))}, in {place}"), soft_wrap=True)
+
+
+def _count(entries: Sequence[Entry]) -> str:
+    return f"{len(entries)} {'entry' if len(entries) == 1 else 'entries'}"
 
 
 def _retarget(problem: Problem, target: tuple[float, float, float]) -> Problem:

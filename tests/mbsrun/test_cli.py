@@ -5,18 +5,23 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import cos, pi, sin
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from rich import filesize
 
-from mbsrun import cli
+from mbsrun import cli, load
+from mbsrun.cli import DAY
 from mbsrun.ocp.solution import ACCEPTABLE, Solution, read_solution
 from mbsrun.ocp.solve import solve
 from tests.mbsrun.peer_arm import peer_arm
+from tests.sample import write_sample
 
 PAPER = (Path(__file__).parents[2] / "models" / "arm_reach.ocp.yaml").read_text("utf-8")
 TARGET = "{radius: 0.65, azimuth: 0.01, height: 0}"  # a small step aside: solved in a tenth of a second
@@ -183,3 +188,69 @@ def test_lists_in_the_help_keep_their_lines(run: Run, arguments: list[str], text
     written = [line for line in text.splitlines() if line.startswith("  ")]
     assert written
     assert [line for line in written if f"  {line}" not in shown] == []
+
+
+# -- the cache ------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def filled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A cache with a compiled kernel, last used two days ago, another of today, and what a process is making."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    k = load(write_sample(tmp_path / "sample"))
+    library = k.compile("setup")
+    place = tmp_path / "cache" / "mbsgen"
+    for path in place.rglob("*setup*.o"):
+        os.utime(path, (0, time.time() - 2 * DAY))
+    os.utime(library, (0, time.time() - 2 * DAY))
+    k.compile("impl")
+    (place / "building-now").mkdir()
+    return place
+
+
+def test_the_cache_is_told_by_model(run: Run, filled: Path) -> None:
+    found = run("cache")
+    assert (found.exit_code, found.stderr) == (0, "")
+    (line,) = (line.split() for line in found.stdout.splitlines() if "sample" in line.split())
+    assert line[:5] == ["sample", "0", "2", "2", "0"]
+    size = sum(path.stat().st_size for path in filled.rglob("*") if path.is_file())
+    assert f"5 entries, {filesize.decimal(size)}, in {filled}" in found.stdout
+
+
+def test_an_empty_cache_is_told(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "none"))
+    assert run("cache").stdout == f"0 entries, 0 bytes, in {tmp_path / 'none' / 'mbsgen'}\n"
+    assert run("cache", "--clear").stdout == "removed 0 of 0 entries, 0 bytes\n"
+
+
+def test_what_was_not_used_lately_is_removed(run: Run, filled: Path) -> None:
+    assert run("cache", "--older-than", "3").stdout.startswith("removed 0 of 5 entries")
+    assert run("cache", "--older-than", "1").stdout.startswith("removed 2 of 5 entries")
+    assert sorted(path.suffix for path in filled.rglob("sample*") if path.is_file()) == [".o", ".so"]
+
+
+def test_the_cache_is_cleared_but_for_what_is_being_made(run: Run, filled: Path) -> None:
+    """And what was removed is compiled again when it is called."""
+    assert run("cache", "--clear").stdout.startswith("removed 4 of 5 entries")
+    assert [path.name for path in filled.rglob("*") if path.name not in ("compiled", "sample")] == ["building-now"]
+    os.utime(filled / "building-now", (0, time.time() - 2 * DAY))
+    assert run("cache", "--clear").stdout.startswith("removed 1 of 1 entry")
+    k = load(filled.parents[1] / "sample")
+    np.testing.assert_array_equal(k.setup(p=[2, 3])["h"], [6, 2])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("--older-than", "-1"), "-1.0 is not in the range x>=0"),
+        (("--older-than", "soon"), "'soon' is not a valid float"),
+        (("--clear", "--older-than", "1"), "--clear removes everything; give it, or --older-than, but not both"),
+    ],
+)
+def test_what_the_cache_command_does_not_take_is_told(
+    run: Run, filled: Path, arguments: tuple[str, ...], told: str
+) -> None:
+    found = run("cache", *arguments)
+    assert found.exit_code == 2
+    assert told in found.stderr
+    assert len(list(filled.rglob("sample*.o"))) == 2
