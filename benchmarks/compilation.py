@@ -1,0 +1,124 @@
+"""Source -> shared library, once: what was compiled before, of the same text with the same flags, is found again.
+
+C is compiled by the compiler and with the flags of `mbsrun.library` (CC, CFLAGS), so that what is compared differs in
+its equations alone; C++ by CXX with the flags that bear on speed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shlex
+import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import casadi as ca
+
+from mbsgen import resources
+from mbsrun.library import find_compiler
+
+HERE = Path(__file__).parent
+TIMING = resources.folder("csrc") / "timing"
+# CasADi's small functions are global: a compiler that lets anyone replace them would not inline them.
+EXPORTED = ("-fvisibility=hidden", "-DGCC_HASCLASSVISIBILITY")
+FAST = ("-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fPIC", "-DNDEBUG")
+# What Boost must be told to hold Pinocchio's lists of types, as Pinocchio's own CMake files do; and that `get` may be
+# asked for a joint that a collection does not have.
+BOOST = (
+    "-DBOOST_MPL_LIMIT_LIST_SIZE=30",
+    "-DBOOST_MPL_LIMIT_VECTOR_SIZE=30",
+    "-DBOOST_MPL_CFG_NO_PREPROCESSED_HEADERS",
+    "-DBOOST_FUSION_INVOKE_MAX_ARITY=12",
+    "-DBOOST_VARIANT_USE_RELAXED_GET_BY_DEFAULT",
+)
+
+
+class BuildError(Exception):
+    """A peer or kernel that does not compile; says what the compiler said."""
+
+
+@dataclass(frozen=True)
+class Workshop:
+    """Where things are compiled, and by what."""
+
+    folder: Path
+    includes: Path | None  # the headers of Pinocchio, Boost and Eigen; None where they are not installed
+
+    @cached_property
+    def c(self) -> tuple[str, ...]:
+        """Command and flags for C."""
+        compiler = find_compiler(os.environ)
+        return (*compiler.command, "-O3", *compiler.flags, *EXPORTED)
+
+    @cached_property
+    def cxx(self) -> tuple[str, ...]:
+        """Command and flags for C++ with Pinocchio."""
+        assert self.includes is not None, "asked for only where there are headers"
+        include = ("-isystem", str(self.includes), "-isystem", str(self.includes / "eigen3"))
+        return (*shlex.split(os.environ.get("CXX", "c++")), "-std=c++17", *BOOST, *include)
+
+    def compile_c(self, source: Path, name: str) -> Path:
+        """Compile one C file as a library."""
+        return self._build(name, (*self.c, "-shared"), (source,), ("-lm",))
+
+    def compile_timing(self) -> Path:
+        """Compile the timing loop."""
+        flags = ("-fPIC", "-shared", "-D_POSIX_C_SOURCE=199309L", f"-I{resources.folder('csrc')}")
+        command = (*find_compiler(os.environ).command, "-std=c99", "-O3", *flags)
+        return self._build("timing", command, (TIMING / "mbs_timing.c", TIMING / "mbs_timing.h"), ())
+
+    def compile_pinocchio(self) -> Path:
+        """Compile Pinocchio's algorithms over doubles, in CasADi's contract."""
+        sources = (HERE / "cpp" / "pinocchio.cpp", HERE / "cpp" / "mechanism.hpp")
+        return self._build("pinocchio", (*self.cxx, *FAST, "-shared"), sources, ())
+
+    def compile_tracer(self) -> Path:
+        """Compile the program that traces Pinocchio's algorithms with CasADi's symbols."""
+        casadi = Path(ca.__file__).parent
+        sources = (HERE / "cpp" / "trace.cpp", HERE / "cpp" / "mechanism.hpp")
+        link = (f"-L{casadi}", "-lcasadi", f"-Wl,-rpath,{casadi}")
+        return self._build("trace", (*self.cxx, "-O0", "-isystem", str(casadi / "include")), sources, link)
+
+    def _build(self, name: str, command: Sequence[str], sources: Sequence[Path], link: Sequence[str]) -> Path:
+        """Compile the first of `sources`; the others are what it includes."""
+        digest = hashlib.sha256(repr((command, link)).encode())
+        for source in sources:
+            digest.update(source.read_bytes())
+        target = self.folder / f"{name}-{digest.hexdigest()[:16]}"
+        if not target.exists():
+            self.folder.mkdir(parents=True, exist_ok=True)
+            unfinished = target.with_suffix(f".{os.getpid()}")
+            run((*command, str(sources[0]), "-o", str(unfinished), *link))
+            unfinished.replace(target)
+        return target
+
+
+def find_includes() -> Path | None:
+    """Find the headers that come with the packages pin and cmeel-eigen."""
+    try:
+        import pinocchio
+    except ImportError:
+        return None
+    prefix = next((p for p in Path(pinocchio.__file__).parents if p.name == "cmeel.prefix"), None)
+    include = prefix / "include" if prefix else None
+    found = include and (include / "pinocchio" / "multibody.hpp").exists() and (include / "eigen3" / "Eigen").exists()
+    return include if found else None
+
+
+def run(command: Sequence[str]) -> str:
+    """Run a program and return what it prints. Raises BuildError."""
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+    except OSError as error:
+        raise BuildError(f"cannot run {command[0]}: {error.strerror}") from None
+    if done.returncode:
+        raise BuildError(f"{shlex.join(command)}\nfailed with status {done.returncode}:\n{done.stderr.strip()[-4000:]}")
+    return done.stdout
+
+
+def of_model(workshop: Workshop, name: str) -> Workshop:
+    """Give the same workshop in a folder of its own."""
+    return replace(workshop, folder=workshop.folder / name)

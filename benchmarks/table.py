@@ -1,0 +1,163 @@
+"""Studies -> rows of figures and ratios, as tables for the terminal, as JSON, and as a chart.
+
+A row compares a kernel with the best that each author has for the same function of the mechanism: the fewest
+operations, and, apart from that, the shortest time. A ratio is the median over the rounds of the author's time by ours
+in the same round, so that it stands where the machine was busy with other work; times are the shortest round's.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import matplotlib.figure
+import numpy as np
+from rich.table import Table
+
+from benchmarks.candidates import AUTHORS, OURS
+from benchmarks.study import Measurement, Study
+
+# What a row is called, our kernel, and the functions that others may compute it by.
+ROWS: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "IMPL": ("impl", ("impl",)),
+    "SEMI": ("semi", ("semi",)),
+    "EXP1": ("exp1", ("exp1",)),
+    "EXP2": ("exp2", ("exp2",)),
+    "Jacobian of IMPL": ("jac_impl", ("jac_impl",)),
+    "Jacobian of SEMI's residual": ("jac_semi_res", ("jac_semi_res",)),
+    "Jacobian of EXP1": ("jac_exp1", ("jac_exp1", "jac_exp2")),
+    "Jacobian of EXP2": ("jac_exp2", ("jac_exp1", "jac_exp2")),
+    "Hessian of IMPL": ("jac_adj1_impl", ("jac_adj1_impl",)),
+    "Hessian of SEMI's residual": ("jac_adj1_semi_res", ("jac_adj1_semi_res",)),
+    "Hessian of EXP1": ("jac_adj1_exp1", ("jac_adj1_exp1", "jac_adj1_exp2")),
+    "Hessian of EXP2": ("jac_adj1_exp2", ("jac_adj1_exp1", "jac_adj1_exp2")),
+}
+
+
+@dataclass(frozen=True)
+class Cell:
+    """The best of one author for one row; None where nothing was counted, or timed."""
+
+    flops: int | None
+    flops_by: str | None
+    ns: float | None  # of the quickest round
+    ns_median: float | None
+    ns_by: str | None
+    flops_ratio: float | None  # by ours
+    ns_ratio: float | None
+
+
+@dataclass(frozen=True)
+class Row:
+    """One function of one mechanism, by every author."""
+
+    title: str
+    cells: Mapping[str, Cell]
+
+
+def compare(study: Study) -> tuple[Row, ...]:
+    """Compare a study's measurements, row by row; rows of kernels that were not measured are left out."""
+    kernels = {m.candidate.function: m for m in study.measurements if m.candidate.author == OURS}
+    rows = []
+    for title, (kernel, functions) in ROWS.items():
+        if kernel not in kernels:
+            continue
+        ours = kernels[kernel]
+        cells = {OURS: _choose(ours, [ours])}
+        for author in AUTHORS:
+            found = [
+                m for m in study.measurements if m.candidate.author == author and m.candidate.function in functions
+            ]
+            if author != OURS and found:
+                cells[author] = _choose(ours, found)
+        rows.append(Row(title, cells))
+    return tuple(rows)
+
+
+def _choose(ours: Measurement, found: Sequence[Measurement]) -> Cell:
+    """Choose the fewest operations and the shortest time among one author's ways."""
+    counted = [(m.candidate.flops, m.candidate.way) for m in found if m.candidate.flops is not None]
+    timed = [(float(m.times.min()), m) for m in found if m.times is not None]
+    flops, flops_by = min(counted, default=(None, None))
+    ns, quickest = min(timed, key=lambda entry: entry[0], default=(None, None))
+    times = None if quickest is None else quickest.times
+    own = ours.candidate.flops
+    return Cell(
+        flops=flops,
+        flops_by=flops_by,
+        ns=ns,
+        ns_median=None if times is None else float(np.median(times)),
+        ns_by=None if quickest is None else quickest.candidate.way,
+        flops_ratio=flops / own if flops and own else None,
+        ns_ratio=None if times is None or ours.times is None else float(np.median(times / ours.times)),
+    )
+
+
+def authors_of(rows: Iterable[Row]) -> tuple[str, ...]:
+    """List who has a cell in any row, in the order of AUTHORS."""
+    present = {author for row in rows for author in row.cells}
+    return tuple(author for author in AUTHORS if author in present)
+
+
+def make_tables(model: str, rows: Sequence[Row]) -> tuple[Table, Table]:
+    """Lay out flops and times, each with ratios to ours."""
+    return (
+        _make_table(f"{model}: operations + - * / and roots", rows, "flops", "flops_ratio", "{:.0f}"),
+        _make_table(f"{model}: nanoseconds per call", rows, "ns", "ns_ratio", "{:.0f}"),
+    )
+
+
+def _make_table(title: str, rows: Sequence[Row], figure: str, ratio: str, form: str) -> Table:
+    authors = [a for a in authors_of(rows) if any(getattr(r.cells.get(a), figure, None) is not None for r in rows)]
+    table = Table(title=title, title_justify="left")
+    table.add_column("")
+    for author in authors:
+        table.add_column(author, justify="right")
+        if author != OURS:
+            table.add_column("ratio", justify="right")
+    for row in rows:
+        line = [row.title]
+        for author in authors:
+            cell = row.cells.get(author)
+            value = getattr(cell, figure, None)
+            line.append("–" if value is None else form.format(value))
+            if author != OURS:
+                times = getattr(cell, ratio, None)
+                line.append("–" if times is None else f"[{'green' if times > 1 else 'red'}]{times:.2f}")
+        table.add_row(*line)
+    return table
+
+
+def write_json(comparisons: Mapping[str, Sequence[Row]], rounds: int) -> str:
+    """Write everything that the tables show, and the medians."""
+    content = {
+        "rounds": rounds,
+        "authors": dict(AUTHORS),
+        "models": {
+            model: {row.title: {author: asdict(cell) for author, cell in row.cells.items()} for row in rows}
+            for model, rows in comparisons.items()
+        },
+    }
+    return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
+
+
+def draw_chart(comparisons: Mapping[str, Sequence[Row]], path: Path) -> None:
+    """Draw how many times longer than ours others take, a panel for each model."""
+    figure = matplotlib.figure.Figure(figsize=(11, 0.8 + 3.4 * len(comparisons)), layout="constrained")
+    axes = figure.subplots(len(comparisons), 1, squeeze=False)[:, 0]
+    for ax, (model, rows) in zip(axes, comparisons.items(), strict=True):
+        others = [author for author in authors_of(rows) if author != OURS]
+        width = 0.8 / max(1, len(others))
+        for k, author in enumerate(others):
+            found = [(i, row.cells[author].ns_ratio) for i, row in enumerate(rows) if author in row.cells]
+            bars = [(i, ratio) for i, ratio in found if ratio is not None]
+            ax.bar([i - 0.4 + (k + 0.5) * width for i, _ in bars], [r for _, r in bars], width, label=author)
+        ax.axhline(1, color="black", linewidth=0.8)
+        ax.set_yscale("log")
+        ax.set_xticks(range(len(rows)), [row.title.replace(" of ", "\nof ") for row in rows], fontsize=7)
+        ax.set_ylabel("time by mbsgen's")
+        ax.set_title(model)
+        ax.legend(fontsize=8)
+    figure.savefig(path, dpi=150)
