@@ -4,25 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 
 from mbsgen.formulations.links import PARAMETERS, declare_state, write_chain
 from mbsgen.formulations.parsimony.articulated import accelerations
 from mbsgen.formulations.parsimony.elimination import solve
 from mbsgen.formulations.parsimony.mass_matrix import mass_matrix
 from mbsgen.formulations.parsimony.plan import NoSuchPlanError, Plan
+from mbsgen.formulations.parsimony.proportions import Proportions
+from mbsgen.formulations.parsimony.regrouping import restrain
 from mbsgen.formulations.parsimony.residual import residual
-from mbsgen.formulations.parsimony.search import search
-from mbsgen.formulations.parsimony.segments import align
+from mbsgen.formulations.parsimony.search import Restraint, leave, search
+from mbsgen.formulations.parsimony.segments import Moments, align
 from mbsgen.formulations.parsimony.sensitivities import sensitivities
 from mbsgen.formulations.parsimony.writing import Writing, begin
 from mbsgen.formulations.reductions import Reductions
-from mbsgen.model.tree import NO_FORCE, Tree
+from mbsgen.model.tree import NO_FORCE, Kind, Tree
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.counts import count
 from mbsgen.tape.factoring import factor
 from mbsgen.tape.types import Tape
 
+LARGEST_GROWTH = 16.0  # of what rounding loses in EXP2, by moving inertia between bodies
 ELIMINATED = 16  # larger trees write the M of EXP1, and sensitivities, as the M of SEMI: a trial takes too long
 
 
@@ -71,7 +74,7 @@ class Plans:
         def write(bench: Bench, plan: Plan) -> Sequence[Scalar]:
             return accelerations(bench.begin(plan), bench.state.qd, bench.state.qdd)[0]  # any n numbers will do for Q
 
-        return self._search(write, self.residual)
+        return self._search(write, self.residual, restrain=_restraint(self._tree, self._reductions))
 
     @cached_property
     def sensitivities(self) -> Plan:
@@ -83,7 +86,9 @@ class Plans:
 
         return self._search(write, self.mass_matrix) if self._size <= ELIMINATED else self.mass_matrix
 
-    def _search(self, write: Callable[[Bench, Plan], Sequence[Scalar]], *start: Plan) -> Plan:
+    def _search(
+        self, write: Callable[[Bench, Plan], Sequence[Scalar]], *start: Plan, restrain: Restraint = leave
+    ) -> Plan:
         bench = Bench(self._tree, self._reductions)
 
         def cost(plan: Plan) -> int | None:
@@ -94,7 +99,29 @@ class Plans:
 
         wanted = self._reductions.trials
         trials = _trials(self._size) if wanted is None else wanted
-        return search(bench.segments, cost, self._reductions, trials, start)
+        return search(bench.segments, cost, self._reductions, trials, start, restrain)
+
+
+def _restraint(tree: Tree, reductions: Reductions) -> Restraint:
+    """Leave where it is what would dwarf the inertia that it moves to, at the parameters' values."""
+    if not reductions.regroup:
+        return leave
+    builder = Builder()
+    known = replace(tree, parameters=tuple(replace(p, kind=Kind.CONSTANT) for p in tree.parameters))
+    segments = align(write_chain(known, builder, declare_state(known, builder)), group=reductions.share_frames)
+    proportions = Proportions(segments)
+
+    def fits(number: int, moved: Moments) -> bool:
+        return proportions.growth(number, moved) <= LARGEST_GROWTH
+
+    @cache
+    def restrain_plan(plan: Plan) -> Plan | None:
+        try:
+            return restrain(builder, segments, plan, fits)
+        except NoSuchPlanError:
+            return None
+
+    return restrain_plan
 
 
 @lru_cache(maxsize=8)

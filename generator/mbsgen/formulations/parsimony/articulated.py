@@ -76,7 +76,7 @@ def _gather(kinematics: Kinematics, segment: Segment, lump: Lump, carried: dict[
     whole = Inertia(M, cross_matrix(b, -S), own_inertia(b, segment, lump, axes))
     for child in children(kinematics.segments, segment.number):
         beyond, d = carried[child.number], link(kinematics, child)
-        M, B, J = (kinematics.depart_tensor(child, x) for x in (beyond.M, beyond.B, beyond.J))
+        M, B, J = (kinematics.depart_tensor(child, x, faithful=True) for x in (beyond.M, beyond.B, beyond.J))
         whole = _add(whole, _shift(b, Inertia(M, B, J), d))
     return whole
 

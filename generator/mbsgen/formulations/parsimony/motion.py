@@ -39,29 +39,38 @@ class Turn:
         """Take components back out of the turned frame."""
         return self._turn(v, -self.sine)
 
-    def back_tensor(self, B: Matrix[Scalar]) -> Matrix[Scalar]:
+    def back_tensor(self, B: Matrix[Scalar], *, faithful: bool = False) -> Matrix[Scalar]:
         """Take a matrix back out of the turned frame: 11 operations across the axis, 12 along it.
 
         The diagonal changes by what a sine multiplies: in a chain that is stretched or folded, whose links have little
-        inertia along and much across, nothing of the one leaks into the other. By cosines it would, by rounding, but
-        that is cheaper where an entry of the diagonal is the structural zero.
+        inertia along and much across, nothing of the one leaks into the other. By cosines it would, by rounding; but
+        that may save operations where an entry of the diagonal is the structural zero. `faithful`: not even there.
         """
         a, j, k = self.axis, (self.axis + 1) % 3, (self.axis + 2) % 3
         c, s = self.cosine, self.sine
+        change, both = B[j, j] - B[k, k], B[j, k] + B[k, j]
+        by_sine, by_cosine = s * change + c * both, c * change - s * both
+        across = {
+            (j, j): B[j, j] - s * by_sine,
+            (k, k): B[k, k] + s * by_sine,
+            (j, k): c * by_sine - B[k, j],
+            (k, j): c * by_sine - B[j, k],
+        }
         if B[j, j].is_zero or B[k, k].is_zero:
-            g = c * (B[j, j] - B[k, k]) - s * (B[j, k] + B[k, j])
-            across = B[k, k] + c * g, B[j, j] - c * g, B[j, k] + s * g, B[k, j] + s * g
-        else:
-            h = s * (B[j, j] - B[k, k]) + c * (B[j, k] + B[k, j])
-            across = B[j, j] - s * h, B[k, k] + s * h, c * h - B[k, j], c * h - B[j, k]
-        entries = {
-            **dict(zip(((j, j), (k, k), (j, k), (k, j)), across, strict=True)),
+            images = {(j, j): B[k, k] + c * by_cosine, (k, k): B[j, j] - c * by_cosine}
+            if not faithful:
+                across = images | {(j, k): B[j, k] + s * by_cosine, (k, j): B[k, j] + s * by_cosine}
+            elif both.is_zero:  # then each entry is a product
+                kept = (j, j) if B[k, k].is_zero else (k, k)
+                across[kept] = images[kept]
+        along = {
             (j, a): c * B[j, a] - s * B[k, a],
             (k, a): c * B[k, a] + s * B[j, a],
             (a, j): c * B[a, j] - s * B[a, k],
             (a, k): c * B[a, k] + s * B[a, j],
             (a, a): B[a, a],
         }
+        entries = across | along
         return Matrix.of([entries[r, q] for q in range(3)] for r in range(3))
 
     def _turn(self, v: Vector[Scalar], sine: Scalar) -> Vector[Scalar]:
@@ -166,14 +175,14 @@ class Kinematics:
         """Write a vector that is fixed in body `number`, given in its own frame, where the body is written."""
         return self.stations[number].written(v) if number else v
 
-    def depart_tensor(self, segment: Segment, B: Matrix[Scalar]) -> Matrix[Scalar]:
+    def depart_tensor(self, segment: Segment, B: Matrix[Scalar], *, faithful: bool = False) -> Matrix[Scalar]:
         """Take a matrix from where `segment` is written to where its parent is."""
         station = self.stations[segment.number]
-        B = station.step.back_tensor(B) if station.step else B
+        B = station.step.back_tensor(B, faithful=faithful) if station.step else B
         if segment.opens_group:
             B = segment.turn.times(B).times(segment.turn.transposed) if segment.turn else B
             rest = self.stations[segment.parent].rest if segment.parent else None
-            B = rest.back_tensor(B) if rest else B
+            B = rest.back_tensor(B, faithful=faithful) if rest else B
         return B
 
     # -- how they move ------------------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ class Mass(Enum):
 
     PASSED = "passed"  # all of it to the parent: no division
     BALANCING = "balancing"  # so much that the parent's first moment along the link vanishes; divides by its length
+    KEPT = "kept"  # nothing moves, nor any other inertia that the joint cannot feel
     POINT = "point"  # what stays makes the body a point mass at its centre of percussion; divides by its inertia
 
 

@@ -10,8 +10,8 @@ gone.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
 
@@ -21,6 +21,8 @@ from mbsgen.formulations.parsimony.segments import Moments, Segment, children, u
 from mbsgen.tape.builder import Builder, Scalar
 
 LARGEST_MOVE = 10.0  # times the mass of all bodies
+
+Fits = Callable[[int, Moments], bool]  # whether these moments may move from a body to its parent
 
 
 @dataclass(frozen=True)
@@ -48,12 +50,9 @@ def regroup(builder: Builder, segments: Sequence[Segment], plan: Plan) -> dict[i
     gathered = {s.number: s.moments for s in segments}
     total = reduce(add, (s.moments.m for s in segments))
     for segment in reversed(segments):
-        beyond = children(segments, segment.number)
-        balancing = [s for s in beyond if plan[s.number].mass is Mass.BALANCING]
-        if len(balancing) > 1:
-            raise NoSuchPlanError("one child can balance a body, not several")
+        beyond, balancing = _carried(segments, segment, plan)
         own = gathered[segment.number]
-        for child in (*(s for s in beyond if s not in balancing), *balancing):
+        for child in (*beyond, *balancing):
             lumps[child.number], moved = _part(builder, child, gathered[child.number], plan, own, total)
             own = own + moved
         if balancing:
@@ -64,11 +63,56 @@ def regroup(builder: Builder, segments: Sequence[Segment], plan: Plan) -> dict[i
     return lumps
 
 
+def restrain(builder: Builder, segments: Sequence[Segment], plan: Plan, fits: Fits) -> Plan:
+    """Change a plan where what it moves does not fit: move something else, or nothing. Raises NoSuchPlanError.
+
+    What is kept counts as moved for the bodies nearer to the base. So in a long chain all of these keep theirs, and not
+    one here and there: cost grows evenly with the number of bodies.
+    """
+    gathered = {s.number: s.moments for s in segments}
+    total = reduce(add, (s.moments.m for s in segments))
+    for segment in reversed(segments):
+        beyond, balancing = _carried(segments, segment, plan)
+        own = gathered[segment.number]
+        for child in (*beyond, *balancing):
+            for choice in _alternatives(plan[child.number]):
+                plan = plan.put(child.number, choice)
+                _, moved = _part(builder, child, gathered[child.number], plan, own, total)
+                if fits(child.number, moved):
+                    break
+            else:
+                plan = plan.put(child.number, replace(choice, mass=Mass.KEPT))
+            own = own + moved
+        gathered[segment.number] = own
+    return plan
+
+
+def _carried(
+    segments: Sequence[Segment], segment: Segment, plan: Plan
+) -> tuple[tuple[Segment, ...], tuple[Segment, ...]]:
+    """List the children of a body: those that do not balance it, and the one that does, if any."""
+    beyond = children(segments, segment.number)
+    balancing = tuple(s for s in beyond if plan[s.number].mass is Mass.BALANCING)
+    if len(balancing) > 1:
+        raise NoSuchPlanError("one child can balance a body, not several")
+    return tuple(s for s in beyond if s not in balancing), balancing
+
+
+def _alternatives(choice: Choice) -> Iterator[Choice]:
+    """List what a body may move, in the order of trial: what is planned; the free mass, with either ring."""
+    if choice.mass is not Mass.PASSED:
+        yield choice
+    yield replace(choice, mass=Mass.PASSED)
+    yield replace(choice, mass=Mass.PASSED, ring=1 - choice.ring)
+
+
 def _part(
     builder: Builder, segment: Segment, own: Moments, plan: Plan, parent: Moments, total: Scalar
 ) -> tuple[Lump, Moments]:
     """Part a body's moments: what stays, and what moves, about the parent's origin in the parent's frame."""
     zero, axis, choice = builder.zero, segment.axis, plan[segment.number]
+    if choice.mass is Mass.KEPT:
+        return Lump(own.m, own.S, own.P, zero, radius=None, direction=0), _nothing(builder)
     turn = segment.turn or unit_matrix(builder)
     if not segment.is_revolute:
         if choice.mass is not Mass.PASSED:
@@ -93,6 +137,11 @@ def _part(
     moved = _on_axis(m, along, second, segment.d, e)
     P = _without_ring(builder, segment, own.P, ring)
     return Lump(own.m - m, _clear(builder, own.S, axis), P, ring, radius, direction), moved
+
+
+def _nothing(builder: Builder) -> Moments:
+    still = Vector(builder.zero, builder.zero, builder.zero)
+    return Moments(builder.zero, still, Matrix((still, still, still)))
 
 
 def _rest_on_base(builder: Builder, segment: Segment, own: Moments, choice: Choice) -> Lump:

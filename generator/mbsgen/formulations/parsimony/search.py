@@ -11,10 +11,21 @@ from mbsgen.formulations.parsimony.segments import Segment, children
 from mbsgen.formulations.reductions import Reductions
 
 Cost = Callable[[Plan], int | None]  # None: the plan does not fit the model
+Restraint = Callable[[Plan], Plan | None]  # what is left of a plan by other criteria; None: it does not fit
+
+
+def leave(plan: Plan) -> Plan:
+    """Leave a plan as it is: no restraint."""
+    return plan
 
 
 def search(
-    segments: Sequence[Segment], cost: Cost, reductions: Reductions, trials: int, start: Sequence[Plan] = ()
+    segments: Sequence[Segment],
+    cost: Cost,
+    reductions: Reductions,
+    trials: int,
+    start: Sequence[Plan] = (),
+    restrain: Restraint = leave,
 ) -> Plan:
     """Return the best plan found in about `trials` evaluations of `cost`, from the given plans and sensible others."""
     known: dict[Plan, int | None] = {}
@@ -25,19 +36,21 @@ def search(
         return known[plan]
 
     best, fewest = None, 0
-    for plan in (*_beginnings(segments, reductions), *start):
-        found = evaluate(plan)
-        if found is not None and (best is None or found < fewest):
+    for plan in map(restrain, (*_beginnings(segments, reductions), *start)):
+        found = evaluate(plan) if plan is not None else None
+        if plan is not None and found is not None and (best is None or found < fewest):
             best, fewest = plan, found
     assert best is not None, "the plainest plan fits every model"
     improved = True
-    while improved and len(known) < trials:
+    while improved:
         improved = False
         for segment in reversed(segments):
             for choice in _alternatives(segments, segment, best[segment.number], reductions):
-                plan = best.put(segment.number, choice)
-                found = evaluate(plan) if len(known) < trials or plan in known else None
-                if found is not None and found < fewest:
+                if len(known) >= trials:
+                    return best
+                plan = restrain(best.put(segment.number, choice))
+                found = evaluate(plan) if plan is not None else None
+                if plan is not None and found is not None and found < fewest:
                     best, fewest, improved = plan, found, True
     return best
 

@@ -1,0 +1,132 @@
+"""How large the inertia that regrouping moves is, beside what is there: the digits that moving it costs.
+
+What a joint carries is added to the body that carries it, in the articulated recursion: IA = I + what the joints leave.
+Regrouping takes a part out of what the joints leave, and puts it into I; rounded to u, the sum is then lost to
+u (1 + growth), with the largest ratio of the moved to IA, by kinetic energy over all motions, as growth. IA is no less
+than the body's own inertia, as joints only give way; nor than what the child's own leaves. As what moves lies on the
+joint's axis, both bounds hold in any position. A body without inertia has what its joints leave, in one position that
+is nothing special.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsgen.algebra.vectors import Matrix, Vector
+from mbsgen.formulations.parsimony.segments import Moments, Segment, children
+from mbsgen.tape.builder import Scalar
+
+Array = NDArray[np.float64]
+
+ANGLE = 1.0  # rad: where the joints beyond a body without inertia stand
+NEGLIGIBLE = 1e-9  # what is below that part of its scale counts as none
+
+
+class Proportions:
+    """The inertias of a chain's bodies, and what they feel of what moves. All numbers of the chain must be literals."""
+
+    def __init__(self, segments: Sequence[Segment]) -> None:
+        self._segments = {s.number: s for s in segments}
+        self._left: dict[
+            int, Array
+        ] = {}  # of each body's least inertia, with its joint free, about the parent's origin
+        self._least: dict[int, Array] = {}
+        for segment in reversed(segments):
+            beyond = [s.number for s in children(segments, segment.number)]
+            self._least[segment.number] = least = self._bound(segment, beyond)
+            self._left[segment.number] = _free(segment, least)
+
+    def _bound(self, segment: Segment, beyond: Sequence[int]) -> Array:
+        """Bound what a body feels of itself and of all beyond it."""
+        own = _spatial(segment.moments)
+        if _weakest(own) > NEGLIGIBLE:
+            return own
+        return own + sum((self._carry(number, ANGLE) for number in beyond), np.zeros((6, 6)))
+
+    def _carry(self, number: int, angle: float) -> Array:
+        """Refer what a joint leaves to its parent's origin, in the parent's frame, with the joint turned."""
+        segment = self._segments[number]
+        turn = _numbers(segment.turn) if segment.turn else np.eye(3)
+        if segment.is_revolute:
+            turn = turn @ _rotation(segment.axis, angle)
+        both = np.kron(np.eye(2), turn)
+        lever = np.eye(6)
+        lever[:3, 3:] = -_cross(_vector(segment.d))
+        carried: Array = lever.T @ both @ self._left[number] @ both.T @ lever
+        return carried
+
+    def growth(self, number: int, moved: Moments) -> float:
+        """Tell what moves from body `number`, about its parent's origin, in terms of what is there."""
+        inertia = _spatial(moved)
+        there = self._least[self._segments[number].parent], self._carry(number, 0.0)
+        return min(_ratio(inertia, x) for x in there)
+
+
+def _vector(v: Vector[Scalar]) -> Array:
+    return np.array([_number(x) for x in v])
+
+
+def _numbers(A: Matrix[Scalar]) -> Array:
+    return np.array([[_number(x) for x in row] for row in A.rows])
+
+
+def _number(x: Scalar) -> float:
+    assert x.literal is not None, "the numbers of the chain are known"
+    return x.literal
+
+
+def _spatial(moments: Moments) -> Array:
+    """Make the 6 x 6 inertia: force and moment for the acceleration of the origin and the angular one."""
+    P, lever = _numbers(moments.P), _cross(_vector(moments.S))
+    J = np.trace(P) * np.eye(3) - P
+    return np.block([[_number(moments.m) * np.eye(3), -lever], [lever, J]])
+
+
+def _cross(v: Array) -> Array:
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+
+
+def _rotation(axis: int, angle: float) -> Array:
+    """Make the rotation about a coordinate axis: columns are the turned axes."""
+    j, k = (axis + 1) % 3, (axis + 2) % 3
+    R = np.eye(3)
+    R[j, j] = R[k, k] = np.cos(angle)
+    R[k, j] = np.sin(angle)
+    R[j, k] = -R[k, j]
+    return R
+
+
+def _free(segment: Segment, inertia: Array) -> Array:
+    """Let a joint give way."""
+    along = segment.axis + (3 if segment.is_revolute else 0)
+    pivot = inertia[along, along]
+    felt = inertia[:, along]
+    return inertia - np.outer(felt, felt) / pivot if pivot > 0 else inertia
+
+
+def _scale(inertia: Array) -> Array:
+    diagonal = np.sqrt(np.abs(np.diag(inertia)))
+    return np.where(diagonal > 0, diagonal, 1.0)
+
+
+def _weakest(inertia: Array) -> float:
+    """Find the smallest eigenvalue, with the diagonal scaled to 1."""
+    scale = _scale(inertia)
+    return float(np.linalg.eigvalsh(inertia / np.outer(scale, scale)).min())
+
+
+def _ratio(moved: Array, there: Array) -> float:
+    """Find the largest ratio of one inertia to another over all motions, in magnitude."""
+    scale = np.outer(_scale(there), _scale(there))
+    values, vectors = np.linalg.eigh(there / scale)
+    felt = vectors.T @ (moved / scale) @ vectors
+    is_there = values > NEGLIGIBLE
+    rest = felt[~is_there]
+    if np.abs(rest).max(initial=0.0) > NEGLIGIBLE * np.abs(felt).max():
+        return np.inf
+    size = np.sqrt(values[is_there])
+    ratios = np.linalg.eigvalsh(felt[np.ix_(is_there, is_there)] / np.outer(size, size))
+    return float(np.abs(ratios).max(initial=0.0))
