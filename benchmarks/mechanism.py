@@ -11,9 +11,16 @@ from mbsgen.model.tree import NO_FORCE, Body, Motion, Tree
 
 def write_mechanism(tree: Tree) -> str:
     """Write a mechanism as `cpp/mechanism.hpp` reads it. Raises ValueError for what the peers have no part for."""
-    faults = [b.joint.name for b in tree.bodies if b.joint.motion is not Motion.REVOLUTE or b.joint.law != NO_FORCE]
+    faults = [
+        body.joint.name
+        for i, body in enumerate(tree.bodies)
+        if body.parent != i or body.joint.motion is not Motion.REVOLUTE or body.joint.law != NO_FORCE
+    ]
     if faults or tree.wrenches:
-        raise ValueError(f"{tree.name}: only revolute joints without forces are compared; found {faults or 'wrenches'}")
+        raise ValueError(
+            f"{tree.name}: {', '.join(faults) or 'external forces'}: only chains of revolute joints are compared, "
+            "without forces but the actuators'"
+        )
     values = {parameter.symbol: parameter.value for parameter in tree.parameters}
 
     def numbers(expressions: Iterable[Expr]) -> list[str]:
