@@ -215,3 +215,12 @@ class Pinocchio:
         self._pin.computeRNEADerivatives(self.model, self.data, *state)
         pick = np.ix_(self.order, self.order)
         return np.array(self.data.dtau_dq)[pick], np.array(self.data.dtau_dv)[pick]
+
+    def acceleration_derivatives(self, q: Array, qd: Array, forces: Array) -> tuple[Array, Array, Array]:
+        """Compute the derivatives of qdd by q, by qd and by the joints' forces."""
+        state = (self._theirs(q), self._theirs(qd), self._theirs(forces))
+        self._pin.computeABADerivatives(self.model, self.data, *state)
+        pick = np.ix_(self.order, self.order)
+        upper = np.triu(self.data.Minv)
+        inverse = upper + np.triu(upper, 1).T
+        return np.array(self.data.ddq_dq)[pick], np.array(self.data.ddq_dv)[pick], inverse[pick]

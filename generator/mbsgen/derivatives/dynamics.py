@@ -20,96 +20,145 @@ from mbsgen.model.tree import Tree
 from mbsgen.tape.counts import count
 from mbsgen.tape.types import Tape
 
-RESIDUALS, ACCELERATIONS = ("impl", "semi_res"), ("exp1", "exp2")
+ACCELERATIONS = ("exp1", "exp2")
 COMPARED = 12  # bodies: in larger trees, only the way that always won is written
 
-Ways = Mapping[str, Mapping[str, int]]  # of each derivative: flops, by the paper's convention, by the way
+Ways = Mapping[str, Callable[[], Tape]]  # by name: `tape`, `recursion` or `implicit`
 
 
 class Dynamics:
-    """The derivatives of a tree's formulations; written when they are asked for."""
+    """The derivatives of a tree's formulations."""
 
     def __init__(self, tree: Tree, reductions: Reductions) -> None:
-        self._tree, self._reductions = tree, reductions
-        self._is_compared = len(tree.bodies) <= COMPARED
-        self.flops: dict[str, dict[str, int]] = {}
+        self._choice = _Choice(reductions, is_compared=len(tree.bodies) <= COMPARED)
+        self._residual = _OfResidual(tree, reductions, self._choice)
 
     def differentiate(self, tape: Tape) -> Derivatives:
-        """Write the derivatives of a formulation, by all its inputs but parameters."""
-        return self._differentiate_accelerations(tape) if tape.name in ACCELERATIONS else self._of_residual(tape)
+        """Differentiate a formulation by all its inputs but parameters."""
+        if tape.name in ACCELERATIONS:
+            return _OfAccelerations(tape, self._residual, self._choice)
+        return self._residual if tape.name == "impl" else _Renamed(tape, self._residual)
 
-    # -- residuals ----------------------------------------------------------------------------------------------
+    @property
+    def flops(self) -> Mapping[str, Mapping[str, int]]:
+        """Tell what each derivative that was asked for takes by each way, by the paper's convention."""
+        return self._choice.flops
 
-    @cached_property
-    def _residual(self) -> tuple[Tape, Derivatives]:
-        tape = impl.build(self._tree, self._reductions)
-        wrt = differentiable(tape)
-        jac = self._choose(
-            "jac_impl",
-            {"recursion": lambda: recursion.jacobian(self._tree, self._reductions)}
-            | ({"tape": lambda: kernels.jacobian(tape, wrt)} if self._is_compared else {}),
-        )
-        lin = self._choose(
-            "lin_impl",
-            {
-                "recursion": lambda: recursion.linearisation(self._tree, self._reductions),
-                "tape": lambda: kernels.linearise(tape, jac),
-            },
-        )
-        adj1 = self._choose("adj1_impl", {"tape": lambda: reverse.adjoint(tape, wrt, "adj1_impl")})
-        jac_adj1 = self._choose(
-            "jac_adj1_impl",
-            {"recursion": lambda: recursion.adjoint_jacobian(self._tree, self._reductions)}
-            | ({"tape": lambda: kernels.adjoint_jacobian(tape, adj1, wrt)} if self._is_compared else {}),
-        )
-        return tape, Derivatives(jac, lin, adj1, jac_adj1)
 
-    def _of_residual(self, tape: Tape) -> Derivatives:
-        _, found = self._residual
+class _Choice:
+    """Writes derivatives in all ways, and keeps the one with the fewest flops."""
 
-        def named(of_impl: Tape) -> Tape:
-            return replace(of_impl, name=of_impl.name.replace("impl", tape.name))
+    def __init__(self, reductions: Reductions, *, is_compared: bool) -> None:
+        self._reductions, self._is_compared = reductions, is_compared
+        self.flops: dict[str, dict[str, int]] = {}
 
-        return Derivatives(*map(named, (found.jac, found.lin, found.adj1, found.jac_adj1)))
-
-    # -- accelerations ------------------------------------------------------------------------------------------
-
-    def _differentiate_accelerations(self, tape: Tape) -> Derivatives:
-        value, found = self._residual
-        residual = implicit.Residual(value, found.jac, found.adj1, found.jac_adj1)
-        wrt, name = differentiable(tape), tape.name
-        adj1_by_tape = reverse.adjoint(tape, wrt, f"adj1_{name}")
-
-        def both(implied: Callable[[], Tape], by_tape: Callable[[], Tape]) -> dict[str, Callable[[], Tape]]:
-            return {"implicit": implied} | ({"tape": by_tape} if self._is_compared else {})
-
-        jac = self._choose(
-            f"jac_{name}", both(lambda: implicit.jacobian(tape, residual, wrt), lambda: kernels.jacobian(tape, wrt))
-        )
-        lin = self._choose(
-            f"lin_{name}",
-            {
-                "implicit": lambda: implicit.linearisation(tape, residual, wrt),
-                "tape": lambda: kernels.linearise(tape, jac),
-            },
-        )
-        return Derivatives(
-            jac,
-            lin,
-            self._choose(f"adj1_{name}", both(lambda: implicit.adjoint(tape, residual, wrt), lambda: adj1_by_tape)),
-            self._choose(
-                f"jac_adj1_{name}",
-                both(
-                    lambda: implicit.adjoint_jacobian(tape, residual, wrt),
-                    lambda: kernels.adjoint_jacobian(tape, adj1_by_tape, wrt),
-                ),
-            ),
-        )
-
-    def _choose(self, name: str, ways: Mapping[str, Callable[[], Tape]]) -> Tape:
-        """Write a derivative in all ways, and keep the one with the fewest flops."""
-        written = {way: finish(write(), self._reductions) for way, write in ways.items()}
+    def among(self, name: str, ways: Ways, others: Ways) -> Tape:
+        """Choose among `ways` and, in trees that are not too large for that, `others`."""
+        tried = {**ways, **others} if self._is_compared else ways
+        written = {way: finish(write(), self._reductions) for way, write in tried.items()}
         if not name.startswith("adj1_"):  # the results of an adjoint stay dense
             written = {way: drop_vanishing(tape) for way, tape in written.items()}
         self.flops[name] = {way: count(tape).paper for way, tape in written.items()}
         return min(written.values(), key=lambda tape: count(tape).paper)
+
+
+class _OfResidual(Derivatives):
+    def __init__(self, tree: Tree, reductions: Reductions, choice: _Choice) -> None:
+        tape = impl.build(tree, reductions)
+        super().__init__(tape, differentiable(tape))
+        self._tree, self._reductions, self._choice = tree, reductions, choice
+
+    @cached_property
+    def jac(self) -> Tape:
+        return self._choice.among(
+            "jac_impl",
+            {"recursion": lambda: recursion.jacobian(self._tree, self._reductions)},
+            {"tape": lambda: kernels.jacobian(self.tape, self.wrt)},
+        )
+
+    @cached_property
+    def lin(self) -> Tape:
+        return self._choice.among(
+            "lin_impl",
+            {"recursion": lambda: recursion.linearisation(self._tree, self._reductions)},
+            {"tape": lambda: kernels.linearise(self.tape, self.jac)},
+        )
+
+    @cached_property
+    def adj1(self) -> Tape:
+        return self._choice.among("adj1_impl", {"tape": lambda: reverse.adjoint(self.tape, self.wrt, "adj1_impl")}, {})
+
+    @cached_property
+    def jac_adj1(self) -> Tape:
+        return self._choice.among(
+            "jac_adj1_impl",
+            {"recursion": lambda: recursion.adjoint_jacobian(self._tree, self._reductions)},
+            {"tape": lambda: kernels.adjoint_jacobian(self.tape, self.adj1, self.wrt)},
+        )
+
+
+class _Renamed(Derivatives):
+    """The derivatives of the residual, for another form of it."""
+
+    def __init__(self, tape: Tape, residual: Derivatives) -> None:
+        super().__init__(tape, residual.wrt)
+        self._residual = residual
+
+    def _rename(self, found: Tape) -> Tape:
+        return replace(found, name=found.name.replace(self._residual.tape.name, self.tape.name))
+
+    @cached_property
+    def jac(self) -> Tape:
+        return self._rename(self._residual.jac)
+
+    @cached_property
+    def lin(self) -> Tape:
+        return self._rename(self._residual.lin)
+
+    @cached_property
+    def adj1(self) -> Tape:
+        return self._rename(self._residual.adj1)
+
+    @cached_property
+    def jac_adj1(self) -> Tape:
+        return self._rename(self._residual.jac_adj1)
+
+
+class _OfAccelerations(Derivatives):
+    def __init__(self, tape: Tape, residual: Derivatives, choice: _Choice) -> None:
+        super().__init__(tape, differentiable(tape))
+        self._residual, self._choice = residual, choice
+
+    @cached_property
+    def jac(self) -> Tape:
+        return self._choice.among(
+            f"jac_{self.tape.name}",
+            {"implicit": lambda: implicit.jacobian(self.tape, self._residual, self.wrt)},
+            {"tape": lambda: kernels.jacobian(self.tape, self.wrt)},
+        )
+
+    @cached_property
+    def lin(self) -> Tape:
+        return self._choice.among(
+            f"lin_{self.tape.name}",
+            {"implicit": lambda: implicit.linearisation(self.tape, self._residual, self.wrt)},
+            {"tape": lambda: kernels.linearise(self.tape, self.jac)},
+        )
+
+    @cached_property
+    def adj1(self) -> Tape:
+        name = f"adj1_{self.tape.name}"
+        return self._choice.among(
+            name,
+            {"implicit": lambda: implicit.adjoint(self.tape, self._residual, self.wrt)},
+            {"tape": lambda: reverse.adjoint(self.tape, self.wrt, name)},
+        )
+
+    @cached_property
+    def jac_adj1(self) -> Tape:
+        by_tape = Derivatives(self.tape, self.wrt)
+        return self._choice.among(
+            f"jac_adj1_{self.tape.name}",
+            {"implicit": lambda: implicit.adjoint_jacobian(self.tape, self._residual, self.wrt)},
+            {"tape": lambda: by_tape.jac_adj1},
+        )

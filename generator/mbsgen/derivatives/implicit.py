@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+from mbsgen.derivatives.kernels import Derivatives
 from mbsgen.formulations.parsimony.elimination import Entries, Factors, factorise
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.replay import replay
@@ -25,22 +26,15 @@ Block = dict[tuple[int, int], Scalar]  # by (row, column), from 0
 Inputs = Mapping[str, Sequence[Scalar]]
 
 
-@dataclass(frozen=True)
-class Residual:
-    """The residual with its derivatives, as `impl` has them."""
+def jacobian(tape: Tape, residual: Derivatives, wrt: Sequence[str]) -> Tape:
+    """Write the Jacobian of `tape`: x -> qdd, by the columns `wrt`, from the derivatives of the residual.
 
-    value: Tape
-    jac: Tape
-    adj1: Tape
-    jac_adj1: Tape
-
-
-def jacobian(tape: Tape, residual: Residual, wrt: Sequence[str]) -> Tape:
-    """Write the Jacobian of `tape`: x -> qdd, by the columns `wrt`; its pivots are guarded as in `tape`."""
+    The pivots of M are guarded as those of `tape` are.
+    """
     return _write_slopes(_State.declare(tape, residual), wrt, f"jac_{tape.name}")
 
 
-def linearisation(tape: Tape, residual: Residual, wrt: Sequence[str]) -> Tape:
+def linearisation(tape: Tape, residual: Derivatives, wrt: Sequence[str]) -> Tape:
     """Write the accelerations, and their Jacobian."""
     state = _State.declare(tape, residual)
     state.builder.output_dense(ACCELERATIONS, [[x] for x in state.inputs[ACCELERATIONS]])
@@ -53,7 +47,7 @@ def _write_slopes(state: _State, wrt: Sequence[str], name: str) -> Tape:
     return state.finish(name)
 
 
-def adjoint(tape: Tape, residual: Residual, wrt: Sequence[str]) -> Tape:
+def adjoint(tape: Tape, residual: Derivatives, wrt: Sequence[str]) -> Tape:
     """Write the adjoint of `tape`."""
     state = _State.declare(tape, residual, seeded=True)
     found = state.replay(residual.adj1, {**state.inputs, f"adj_{RESIDUAL}": state.multipliers})
@@ -63,9 +57,10 @@ def adjoint(tape: Tape, residual: Residual, wrt: Sequence[str]) -> Tape:
     return state.finish(f"adj1_{tape.name}")
 
 
-def adjoint_jacobian(tape: Tape, residual: Residual, wrt: Sequence[str]) -> Tape:
+def adjoint_jacobian(tape: Tape, residual: Derivatives, wrt: Sequence[str]) -> Tape:
     """Write the Jacobian of the adjoint of `tape`."""
     state = _State.declare(tape, residual, seeded=True)
+    assert residual.jac_adj1, "second derivatives are made of the residual's"
     found = state.replay(residual.jac_adj1, {**state.inputs, f"adj_{RESIDUAL}": state.multipliers})
     slopes = state.slopes(wrt)
     mixed = {a: found[f"jac_adj_{a}_{ACCELERATIONS}"].entries for a in wrt}
@@ -118,13 +113,13 @@ class _State:
 
     builder: Builder
     tape: Tape
-    residual: Residual
+    residual: Derivatives
     inputs: Inputs  # of the residual, with the accelerations that make it vanish
     factors: Factors
     multipliers: list[Scalar]  # mu; empty without seeds
 
     @staticmethod
-    def declare(tape: Tape, residual: Residual, *, seeded: bool = False) -> _State:
+    def declare(tape: Tape, residual: Derivatives, *, seeded: bool = False) -> _State:
         builder = Builder()
         given = {i.name: builder.input(i.name, i.sparsity) for i in tape.inputs}
         size = tape.output(ACCELERATIONS).sparsity.rows
@@ -132,7 +127,7 @@ class _State:
         M = _replay(builder, residual.jac, at_rest)[f"jac_{RESIDUAL}_{ACCELERATIONS}"].entries
         upper: Entries = {(i + 1, j + 1): value for (i, j), value in M.items() if i <= j}
         factors = factorise(builder, upper, size)
-        bias = _replay(builder, residual.value, at_rest)[RESIDUAL].entries
+        bias = _replay(builder, residual.tape, at_rest)[RESIDUAL].entries
         qdd = factors.solve({i + 1: -value for (i, _), value in bias.items()})
         multipliers: list[Scalar] = []
         if seeded:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from functools import cached_property
 
 from mbsgen.derivatives import forward, reverse
 from mbsgen.derivatives.vanishing import drop_vanishing
@@ -14,14 +14,31 @@ from mbsgen.tape.replay import declare_inputs, replay, replay_guards
 from mbsgen.tape.types import Tape
 
 
-@dataclass(frozen=True)
 class Derivatives:
-    """The derivatives of one tape f by chosen inputs."""
+    """The derivatives of one tape f by chosen inputs; each is written when it is asked for."""
 
-    jac: Tape  # jac_f: blocks jac_<out>_<in>
-    lin: Tape  # lin_f: the outputs of f, and those of jac_f
-    adj1: Tape  # adj1_f: adj_<in> = sum over outputs of (d out / d in)T adj_<out>
-    jac_adj1: Tape  # jac_adj1_f: blocks jac_adj_<in>_<in> and jac_adj_<in>_adj_<out>
+    def __init__(self, tape: Tape, wrt: Sequence[str]) -> None:
+        self.tape, self.wrt = tape, tuple(wrt)
+
+    @cached_property
+    def jac(self) -> Tape:
+        """`jac_f`: blocks jac_<out>_<in>."""
+        return jacobian(self.tape, self.wrt)
+
+    @cached_property
+    def lin(self) -> Tape:
+        """`lin_f`: the outputs of f, and those of jac_f."""
+        return linearise(self.tape, self.jac)
+
+    @cached_property
+    def adj1(self) -> Tape:
+        """`adj1_f`: adj_<in> = sum over outputs of (d out / d in)T adj_<out>."""
+        return reverse.adjoint(self.tape, self.wrt, f"adj1_{self.tape.name}")
+
+    @cached_property
+    def jac_adj1(self) -> Tape:
+        """`jac_adj1_f`: blocks jac_adj_<in>_<in> and jac_adj_<in>_adj_<out>."""
+        return adjoint_jacobian(self.tape, self.adj1, self.wrt)
 
 
 def differentiable(tape: Tape) -> list[str]:
@@ -30,10 +47,8 @@ def differentiable(tape: Tape) -> list[str]:
 
 
 def differentiate(tape: Tape, wrt: Sequence[str]) -> Derivatives:
-    """Write the first and second derivatives of `tape` by the inputs `wrt`."""
-    adj1 = reverse.adjoint(tape, wrt, f"adj1_{tape.name}")
-    jac = jacobian(tape, wrt)
-    return Derivatives(jac, linearise(tape, jac), adj1, adjoint_jacobian(tape, adj1, wrt))
+    """Differentiate `tape` by the inputs `wrt`, operation by operation."""
+    return Derivatives(tape, wrt)
 
 
 def linearise(tape: Tape, jac: Tape) -> Tape:

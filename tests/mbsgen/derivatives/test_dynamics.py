@@ -1,0 +1,169 @@
+"""Derivatives of the formulations: every way of writing them gives the same, and what Pinocchio and mechanics say."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mbsgen.derivatives import implicit, kernels, recursion
+from mbsgen.derivatives.dynamics import Dynamics
+from mbsgen.derivatives.kernels import Derivatives, differentiable
+from mbsgen.formulations import exp1, exp2, impl, semi
+from mbsgen.formulations.reductions import ALL, NONE, Reductions
+from mbsgen.model.reader import read_model
+from mbsgen.model.reduction import build_tree
+from mbsgen.model.tree import Tree
+from mbsgen.tape.counts import count
+from mbsgen.tape.interpreter import DIGITS, evaluate
+from mbsgen.tape.types import Tape
+from tests.mbsgen.derivatives.test_derivatives import arguments, matrix
+from tests.random_trees import Pinocchio, random_tree, with_laws, with_wrenches
+
+MODELS = Path(__file__).parents[3] / "models"
+EXACTLY, TO_ROUNDING = 1e-38, 1e-13  # the latter where rotations are given as doubles, and not quite orthogonal
+
+
+def trees() -> Iterator[object]:
+    """Yield trees of all shapes: both motions, branches, right and odd angles, wrenches and laws, run-time numbers."""
+    yield pytest.param(random_tree(1, 4), TO_ROUNDING, id="odd angles")
+    yield pytest.param(random_tree(4, 5, tidy=True), EXACTLY, id="right angles")
+    yield pytest.param(with_laws(with_wrenches(random_tree(2, 3), 2)), TO_ROUNDING, id="driven")
+    yield pytest.param(random_tree(3, 4, runtime=True), TO_ROUNDING, id="run time")
+    yield from (pytest.param(model(name), EXACTLY, id=name) for name in ("branched", "double_pendulum"))
+
+
+def model(name: str) -> Tree:
+    return build_tree(read_model(MODELS / f"{name}.yaml"))
+
+
+def all_of(found: Derivatives) -> tuple[Tape, ...]:
+    return found.jac, found.lin, found.adj1, found.jac_adj1
+
+
+def entries(tape: Tape, at: dict[str, list[float]]) -> dict[tuple[str, int, int], object]:
+    """Evaluate every nonzero of a tape in 50 digits."""
+    values = evaluate(tape, {i.name: [DIGITS.literal(x) for x in at[i.name]] for i in tape.inputs}, DIGITS)
+    return {
+        (o.name, *place): value
+        for o in tape.outputs
+        for place, value in zip(o.sparsity.entries, values[o.name], strict=True)
+    }
+
+
+def assert_same(found: Tape, expected: Tape, tolerance: float) -> None:
+    """Demand the same results, of 50 digits; what only one of two patterns holds must vanish."""
+    at = arguments(expected, 5)
+    a, b = entries(found, at), entries(expected, at)
+    size = max(map(abs, b.values()))
+    assert all(abs(a.get(place, 0) - b.get(place, 0)) <= tolerance * size for place in a.keys() | b.keys())
+
+
+@pytest.mark.parametrize("reductions", [ALL, NONE], ids=["reduced", "plain"])
+@pytest.mark.parametrize(("tree", "tolerance"), list(trees()))
+def test_recursions_give_what_differentiated_tapes_give(tree: Tree, tolerance: float, reductions: Reductions):
+    tape = impl.build(tree, reductions)
+    expected = kernels.differentiate(tape, differentiable(tape))
+    assert_same(recursion.jacobian(tree, reductions), expected.jac, tolerance)
+    assert_same(recursion.linearisation(tree, reductions), expected.lin, tolerance)
+    assert_same(recursion.adjoint_jacobian(tree, reductions), expected.jac_adj1, tolerance)
+
+
+@pytest.mark.parametrize("formulation", [exp1, exp2], ids=["exp1", "exp2"])
+@pytest.mark.parametrize(("tree", "tolerance"), list(trees()))
+def test_the_implicit_function_theorem_gives_what_differentiated_tapes_give(tree: Tree, tolerance: float, formulation):
+    tape, value = formulation.build(tree), impl.build(tree)
+    wrt = differentiable(tape)
+    of_value, expected = kernels.differentiate(value, differentiable(value)), kernels.differentiate(tape, wrt)
+    assert_same(implicit.jacobian(tape, of_value, wrt), expected.jac, tolerance)
+    assert_same(implicit.linearisation(tape, of_value, wrt), expected.lin, tolerance)
+    assert_same(implicit.adjoint(tape, of_value, wrt), expected.adj1, tolerance)
+    assert_same(implicit.adjoint_jacobian(tape, of_value, wrt), expected.jac_adj1, tolerance)
+
+
+def test_patterns_do_not_depend_on_the_way():
+    tree = model("branched")
+    dynamics = Dynamics(tree, ALL)
+    for build in (impl.build, semi.build_residual, exp1.build, exp2.build):
+        tape = build(tree)
+        found, plain = dynamics.differentiate(tape), kernels.differentiate(tape, differentiable(tape))
+        for a, b in zip(all_of(found), all_of(plain), strict=True):
+            assert a.name == b.name
+            assert a.inputs == b.inputs
+            assert [(o.name, o.sparsity) for o in a.outputs] == [(o.name, o.sparsity) for o in b.outputs]
+
+
+def test_pivots_are_guarded_as_those_of_the_value_are():
+    tree = random_tree(1, 3)
+    for build in (exp1.build, exp2.build):
+        tape = build(tree)
+        found = Dynamics(tree, ALL).differentiate(tape)
+        for derivative in all_of(found):
+            assert [(g.joint, g.tolerance) for g in derivative.guards] == [(g.joint, g.tolerance) for g in tape.guards]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_derivatives_of_the_accelerations_equal_pinocchios(seed: int):
+    """Against computeABADerivatives, scaled by the condition of M."""
+    tree = random_tree(seed, (5, 8, 12)[seed])
+    found = Dynamics(tree, ALL).differentiate(exp2.build(tree)).jac
+    at = arguments(found, seed)
+    values = evaluate(found, at)
+    q, qd = np.array(at["q"]), np.array(at["qd"])
+    actuated = [k for k, body in enumerate(tree.bodies) if body.joint.actuated]
+    forces = np.zeros(len(tree.bodies))
+    forces[actuated] = at["u"]
+    peer = Pinocchio(tree)
+    by_q, by_qd, by_force = peer.acceleration_derivatives(q, qd, forces)
+    condition = np.linalg.cond(peer.mass_matrix(q))
+    for source, expected in (("q", by_q), ("qd", by_qd), ("u", by_force[:, actuated])):
+        error = np.abs(matrix(found, f"jac_qdd_{source}", values) - expected).max()
+        assert error <= 1e-14 * condition * np.abs(expected).max()
+
+
+def second(found: Derivatives, at: dict[str, list[float]], row: str, column: str) -> np.ndarray:
+    return matrix(found.jac_adj1, f"jac_adj_{row}_{column}", evaluate(found.jac_adj1, at))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_first_and_second_derivatives_obey_the_conditions_of_helmholtz(seed: int):
+    """dPhi/dqd + (dPhi/dqd)T = 2 dM/dt, with the rate of M from second derivatives: lambdaT M differentiated by q."""
+    tree = random_tree(seed, 6)
+    found = Dynamics(tree, ALL).differentiate(impl.build(tree))
+    at = arguments(found.jac_adj1, seed)
+    by_qd = matrix(found.jac, "jac_Phi_qd", evaluate(found.jac, at))
+    lam, qd = np.array(at["adj_Phi"]), np.array(at["qd"])
+    rate = second(found, at, "q", "qdd").T @ qd
+    assert (by_qd + by_qd.T) @ lam == pytest.approx(2 * rate, rel=1e-11, abs=1e-11 * np.abs(rate).max())
+
+
+def test_flops_of_the_arm():
+    """Below what CasADi's differentiation of a short Newton-Euler with base parameters takes: 2036, and 3342.
+
+    Constants folded, divisions and square roots counted, unary minus, sines and cosines not.
+    """
+    tree = model("arm_pendulum")
+    dynamics = Dynamics(tree, ALL)
+    of_impl, of_exp2 = (dynamics.differentiate(build(tree)) for build in (impl.build, exp2.build))
+    assert count(of_impl.jac).arithmetic < 1100
+    assert count(of_exp2.jac).arithmetic < 2150
+    value, jac = count(impl.build(tree)).paper, count(of_impl.jac).paper
+    assert count(of_impl.lin).paper < value + jac  # what both need is computed once
+    for name, found in dynamics.flops.items():
+        if "recursion" in found and "tape" in found:
+            assert found["recursion"] < found["tape"], name
+        if "implicit" in found and "tape" in found:
+            assert found["implicit"] < found["tape"], name
+
+
+def test_adjoints_are_transposed_jacobians_applied():
+    tree = random_tree(2, 4)
+    tape = exp1.build(tree)
+    found = Dynamics(tree, ALL).differentiate(tape)
+    at = arguments(found.adj1, 1)
+    J, adj = evaluate(found.jac, {k: v for k, v in at.items() if k != "adj_qdd"}), evaluate(found.adj1, at)
+    for source in ("q", "qd", "u"):
+        expected = matrix(found.jac, f"jac_qdd_{source}", J).T @ at["adj_qdd"]
+        assert adj[f"adj_{source}"] == pytest.approx(expected, rel=1e-10, abs=1e-12)
