@@ -48,6 +48,13 @@ class Representation(Enum):
         return self.value.endswith("-O")
 
 
+class Form(Enum):
+    """What of the collocation's polynomials are variables."""
+
+    STANDARD = "standard"  # states and accelerations at the points
+    INTEGRAL = "integral"  # accelerations at the points; states there are their integrals
+
+
 # A bound that there is not: infinite in a program, null in a file.
 Lower = Annotated[
     float, BeforeValidator(lambda x: -math.inf if x is None else x), PlainSerializer(lambda x: _finite(x))
@@ -118,18 +125,23 @@ class Constraint:
 
 @dataclass(frozen=True)
 class GuessOptions:
-    """How the first guess is made: the joints move smoothly from the start to a pose that meets the end's targets."""
+    """How the first guess is made: a motion of the joints, and the inputs that go with it."""
 
-    upright: tuple[str, ...] = ()  # frames whose z axis points up in that pose
+    upright: tuple[str, ...] = ()  # frames whose z axis points up in the pose that meets the end's targets
+    motion: Literal["interpolation", "rest"] = "interpolation"  # from the start to that pose; or staying at the start
+    inputs: Literal["zero", "static", "dynamic"] = "dynamic"  # 0, what holds each pose, or what makes the motion
+    solution: str | None = None  # a solution's file to start from instead, beside the problem's
 
 
 @dataclass(frozen=True)
 class SolverOptions:
-    """What IPOPT is told."""
+    """What solves the program, and what it is told."""
 
     tolerance: float = 1e-8
     max_iterations: int = 500
-    objective_scaling: float | None = None  # None: one over the larger weight of the cost
+    objective_scaling: float | None = None  # None: one over the largest weight of the cost
+    method: Literal["ipopt", "sqpmethod", "fatrop"] = "ipopt"
+    options: tuple[tuple[str, float | int | str], ...] = ()  # by name, as `methods` admits them
 
 
 @dataclass(frozen=True)
@@ -147,6 +159,7 @@ class Problem:
     bounds: Bounds
     end: End
     representation: Representation = Representation.IMPL
+    form: Form = Form.STANDARD
     horizon_range: Range | None = None  # where the horizon is free: its bounds [s]
     free_start: tuple[int, ...] = ()  # indices into (q, qd) of what is not given at the start: there it is a guess
     constraints: tuple[Constraint, ...] = ()

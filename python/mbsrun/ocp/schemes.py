@@ -42,6 +42,11 @@ class Scheme:
     weights: Array  # (d,): the integral over [0, 1] is sum(weights * values at the points)
 
     @property
+    def integration(self) -> Array:
+        """Give A, (d, d): values at the points are the value at 0 plus A times the derivatives at the points."""
+        return np.asarray(np.linalg.inv(self.D[:, 1:]))
+
+    @property
     def exactness(self) -> int:
         """Give the highest degree of a polynomial that the quadrature integrates exactly."""
         return 2 * self.degree - (2 if self.family is Family.RADAU else 1)

@@ -9,7 +9,7 @@ Terms of the cost and constraints are expressions of the motion as well, which s
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -31,12 +31,14 @@ from mbsgen.documents import (
 from mbsgen.errors import Fault, InputError
 from mbsgen.expressions import CONSTANTS, FLOATS, FUNCTIONS, Expression, ExpressionError, Number, evaluate, names, parse
 from mbsgen.manifest import Manifest
+from mbsrun.ocp.methods import METHODS, Amount
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import (
     Bounds,
     Constraint,
     Cost,
     End,
+    Form,
     GuessOptions,
     Point,
     Problem,
@@ -98,6 +100,12 @@ def _check_model(path: str) -> str:
     """Admit model files only: a folder of C would be code to run, and a problem file comes from anywhere."""
     if not path.endswith((".yaml", ".yml")):
         raise WrongValueError(f"found {abbreviate(path)}", "give a model file (.yaml), from this file's folder")
+    return path
+
+
+def _check_solution(path: str) -> str:
+    if not path.endswith(".json"):
+        raise WrongValueError(f"found {abbreviate(path)}", "give a solution's file (.json), from this file's folder")
     return path
 
 
@@ -191,12 +199,17 @@ class _EndSection(Section):
 
 class _GuessSection(Section):
     upright: tuple[str, ...] = Field(default=(), examples=[[]])
+    motion: Literal["interpolation", "rest"] = Field(default="interpolation", examples=["interpolation"])
+    inputs: Literal["zero", "static", "dynamic"] = Field(default="dynamic", examples=["dynamic"])
+    solution: Annotated[str, AfterValidator(_check_solution)] | None = Field(default=None, examples=["solution.json"])
 
 
 class _SolverSection(Section):
     tolerance: NumberField = Field(default=Number(SolverOptions.tolerance), examples=[1e-8])
     max_iterations: int = Field(default=SolverOptions.max_iterations, ge=1, examples=[500])
     objective_scaling: NumberField | None = Field(default=None, examples=[1.0])
+    method: Literal["ipopt", "sqpmethod", "fatrop"] = Field(default="ipopt", examples=["ipopt"])
+    options: dict[str, bool | int | float | str] = Field(default={}, examples=[{}])
 
 
 class _ProblemSection(Section):
@@ -207,6 +220,7 @@ class _ProblemSection(Section):
     scheme: Family = Field(examples=["radau"])
     degree: int = Field(ge=DEGREES[0], le=DEGREES[-1], examples=[4])
     representation: Representation = Field(default=Problem.representation, examples=["IMPL"])
+    form: Form = Field(default=Problem.form, examples=["standard"])
     cost: _CostSection = Field(examples=[{"inputs": 1.0}])
     start: _StartSection = Field(examples=[{"pose": {}}])
     bounds: _BoundsSection = Field(default=_BoundsSection(), examples=[{}])
@@ -260,6 +274,14 @@ class _Reading:
         start_qd, free_qd = self.start("velocity", section.start.velocity, bounds.qd)
         cost, end = self.cost(section.cost), self.end(section.end, bounds)
         constraints = tuple(self.constraint(i, part) for i, part in enumerate(section.constraints))
+        if section.form is Form.INTEGRAL and section.representation.is_ode:
+            self.fault(
+                ("form",), f"{section.representation.value} has no accelerations to integrate", "take EXP1-A or IMPL"
+            )
+        if section.form is Form.INTEGRAL and horizon_range is not None:
+            self.fault(
+                ("form",), "the integral form needs a horizon that is given", "take standard, or give the horizon"
+            )
         return Problem(
             name=name,
             horizon=horizon,
@@ -267,6 +289,7 @@ class _Reading:
             family=section.scheme,
             degree=section.degree,
             representation=section.representation,
+            form=section.form,
             cost=cost,
             start_q=start_q,
             start_qd=start_qd,
@@ -430,7 +453,7 @@ class _Reading:
     def guess(self, section: _GuessSection) -> GuessOptions:
         for i, name in enumerate(section.upright):
             self.find(("guess", "upright", i), name, self.frames)
-        return GuessOptions(section.upright)
+        return GuessOptions(section.upright, section.motion, section.inputs, section.solution)
 
     def solver(self, section: _SolverSection) -> SolverOptions:
         place, scaling = ("solver",), section.objective_scaling
@@ -440,7 +463,33 @@ class _Reading:
             objective_scaling=None
             if scaling is None
             else self.number((*place, "objective_scaling"), scaling, least=math.ulp(0)),
+            method=section.method,
+            options=tuple(self.options(section)),
         )
+
+    def options(self, section: _SolverSection) -> Iterator[tuple[str, float | int | str]]:
+        """Check what the solver shall be told against what it may be told."""
+        known = METHODS[section.method].options
+        for name, given in section.options.items():
+            place: Place = ("solver", "options", name)
+            if name not in known:
+                meant = nearest(name, list(known))
+                remedy = f"did you mean {abbreviate(meant)}?" if meant else f"there are {', '.join(known)}"
+                self.fault(place, f"{section.method} takes no option {abbreviate(name)} here", remedy)
+                continue
+            option, value = known[name], given
+            if isinstance(value, bool):  # what YAML makes of yes and no
+                value = "yes" if value else "no"
+            elif isinstance(option, Amount) and isinstance(value, str):  # 1e-3 is text in YAML
+                try:
+                    value = evaluate(parse(value), self.constants, FLOATS)
+                except ExpressionError as error:
+                    self.fault(place, error.finding, error.remedy)
+                    continue
+            if option.admits(value):
+                yield name, int(value) if isinstance(option, Amount) and option.whole else value
+            else:
+                self.fault(place, f"found {abbreviate(given)}", f"give {option.wanted}")
 
     def number(self, place: Place, expression: Expression, least: float = -math.inf) -> float:
         """Compute an expression; NaN, which no further check minds, where that fails or gives less than `least`."""

@@ -9,9 +9,11 @@ Variables are as `layout` says. Constraints, interval by interval:
     sensors at x_N, coordinates of x_N, qd_N = 0, z(T) = 0, ...                  as the problem asks
 
 for a residual; where the equations of motion are explicit, the third is z_kj - gamma(q_kj, qd_kj, u_k) = 0, or gamma
-takes the place of z_kj in the second, and of z(T). (Docquier, Bruls, Fisette, eqs. 5, 15, 22-27.) A constraint along
-the path holds at all collocation points, and if it speaks of states alone, which do not jump there, at all mesh points:
-with Radau points these are among them, and a start that is given is as it is.
+takes the place of z_kj in the second, and of z(T). (Docquier, Bruls, Fisette, eqs. 5, 15, 22-27.) In the integral form
+the second is solved, and states at the points are bounded by rows of their own where they have bounds.
+
+A constraint along the path holds at all collocation points, and if it speaks of states alone, which do not jump there,
+at all mesh points: with Radau points these are among them, and a start that is given is as it is.
 
 Start, targets and bounds are bounds of the program; weights of the cost and constants of expressions are its
 parameters: one program serves all problems that differ in those only.
@@ -29,9 +31,9 @@ from scipy import sparse
 
 from mbsgen.expressions import names, parse
 from mbsrun.ocp import schemes
-from mbsrun.ocp.layout import Layout, Places, at_mesh, at_points, lay_out
+from mbsrun.ocp.layout import Layout, Places, at_mesh, at_points, integrals, lay_out
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem, Representation
+from mbsrun.ocp.problem import Form, Problem, Representation
 from mbsrun.ocp.program import Block, Indices, Matrix, Program
 from mbsrun.ocp.quantities import Quantity, formulate, list_quantities
 from mbsrun.ocp.schemes import Family, Scheme
@@ -49,6 +51,8 @@ class Structure:
     family: Family
     degree: int
     representation: Representation
+    form: Form
+    bounded: tuple[int, ...]  # indices into (q, qd) of states whose bounds are constraints: in the integral form
     start_is_free: bool
     running: tuple[str, ...]  # expressions
     terminal: tuple[str, ...]
@@ -68,9 +72,10 @@ class Rows:
     """Where each constraint lies."""
 
     start: Indices  # (2 n,)
-    states: Indices  # (N, d, 2 n)
+    states: Indices  # (N, d, 2 n); (N, d, 0) in the integral form
     dynamics: Indices  # (N, d, n): those of the states that hold the equations of motion, for an ODE
     continuity: Indices  # (N, 2 n)
+    inner: Indices  # (N, points, bounded states): in the integral form
     sensors: Indices  # (targets, 3)
     coordinates: Indices  # (targets,)
     velocity: Indices  # (n,), or empty
@@ -97,12 +102,12 @@ class Transcription:
         return np.array([*problem.cost.weights, *(value for _, value in problem.constants)])
 
     def variable_bounds(self, problem: Problem) -> tuple[Array, Array]:
-        """Bound the states at mesh and collocation points, the inputs, and the horizon."""
+        """Bound the states at mesh and collocation points where they are variables, the inputs, and the horizon."""
         lower, upper = np.full(self.layout.size, -np.inf), np.full(self.layout.size, np.inf)
         states = np.array(problem.bounds.q + problem.bounds.qd)
         for index, bounds in (
             (self.layout.mesh, states),
-            (self.layout.points, states),
+            *([(self.layout.points, states)] if self.layout.points.size else []),
             (self.layout.inputs, np.array(problem.bounds.u).reshape(-1, 2)),
         ):
             lower[index], upper[index] = bounds.T
@@ -126,6 +131,8 @@ class Transcription:
         upper = lower.copy()
         free = rows.start[list(problem.free_start)]
         lower[free], upper[free] = -np.inf, np.inf
+        states = np.array(problem.bounds.q + problem.bounds.qd)[list(self.structure.bounded)].reshape(-1, 2)
+        lower[rows.inner], upper[rows.inner] = states.T
         for row, constraint in zip(rows.constraints, problem.constraints, strict=True):
             lower[row], upper[row] = constraint.range
         return lower, upper
@@ -139,7 +146,8 @@ class Transcription:
         """Put a trajectory on this grid into the variables."""
         x, layout = np.empty(self.layout.size), self.layout
         x[layout.mesh] = np.concatenate((trajectory.q, trajectory.qd), axis=1)
-        x[layout.points] = np.concatenate((trajectory.point_q, trajectory.point_qd), axis=2)
+        if layout.points.size:
+            x[layout.points] = np.concatenate((trajectory.point_q, trajectory.point_qd), axis=2)
         if layout.accelerations.size:
             x[layout.accelerations] = trajectory.point_qdd
         x[layout.inputs] = trajectory.u
@@ -154,7 +162,13 @@ class Transcription:
         t, point_t = grid(
             float(x[layout.horizon]) if fixed is None else fixed, self.structure.intervals, self.scheme.points
         )
-        mesh, points = x[layout.mesh], x[layout.points]
+        mesh = x[layout.mesh]
+        if layout.points.size:
+            points = x[layout.points]
+        else:
+            shape = layout.accelerations.shape
+            parts = [(part @ x).reshape(shape) for part in integrals(layout, self.scheme, t[1] - t[0])]
+            points = np.concatenate(parts, axis=2)
         if layout.accelerations.size:
             accelerations = x[layout.accelerations]
         else:
@@ -175,12 +189,16 @@ class Transcription:
 def structure(problem: Problem) -> Structure:
     """Read off what shapes the program of a problem."""
     cost, end = problem.cost, problem.end
+    states = problem.bounds.q + problem.bounds.qd
+    bounded = [i for i, bounds in enumerate(states) if np.isfinite(bounds).any()]
     return Structure(
         horizon=problem.horizon if problem.horizon_range is None else None,
         intervals=problem.intervals,
         family=problem.family,
         degree=problem.degree,
         representation=problem.representation,
+        form=problem.form,
+        bounded=tuple(bounded) if problem.form is Form.INTEGRAL else (),
         start_is_free=bool(problem.free_start),
         running=tuple(term.expression for term in cost.running),
         terminal=tuple(term.expression for term in cost.terminal),
@@ -209,8 +227,11 @@ class _Writer:
         self.scheme = schemes.build(shape.family, shape.degree)
         n, m = len(plant.manifest.coordinates), len(plant.manifest.actuated)
         is_free = shape.horizon is None
-        self.layout = lay_out(n, m, shape.intervals, shape.degree, shape.representation, is_free)
+        if shape.form is Form.INTEGRAL and (is_free or shape.representation.is_ode):
+            raise ValueError("the integral form is for horizons that are fixed, and accelerations that are variables")
+        self.layout = lay_out(n, m, shape.intervals, shape.degree, shape.representation, shape.form, is_free)
         self.h = (1.0 if shape.horizon is None else shape.horizon) / shape.intervals  # times T, where that is free
+        self.points = at_points(self.layout, self.scheme, self.h)
         self.A = _Entries()
         self.blocks: list[Block] = []
         self.size = 0
@@ -227,6 +248,7 @@ class _Writer:
             states=states,
             dynamics=dynamics,
             continuity=continuity,
+            inner=self.write_inner_bounds(),
             sensors=self.write_sensors([_sensor(last, self.plant, name) for name in shape.sensors]),
             coordinates=self.write_states(q[list(shape.coordinates)]),
             velocity=self.write_states(qd[: qd.size * shape.velocity_zero]),
@@ -252,22 +274,53 @@ class _Writer:
     # --- the motion ---
 
     def write_collocation(self) -> tuple[Indices, Indices, Indices]:
-        layout, scheme, representation = self.layout, self.scheme, self.shape.representation
-        n, (N, d, _) = layout.n, layout.points.shape
-        at_point = (2 if representation.is_ode else 3) * n
+        """Write the equations of motion, and what ties states to each other; give its rows."""
+        layout, n = self.layout, self.layout.n
+        N, d, width = layout.points.shape
+        at_point = width + n * (not self.shape.representation.is_ode)
         interval = self.take(N, d * at_point + 2 * n)
         points, continuity = interval[:, : d * at_point].reshape(N, d, at_point), interval[:, d * at_point :]
-        states, dynamics = points[:, :, : 2 * n], points[:, :, -n:]
-        nodes = [layout.mesh[:-1], *layout.points.transpose(1, 0, 2)]  # 0 and the points, each (N, 2 n)
-        for r, node in enumerate(nodes):
-            for j in range(d):
-                self.A.put(states[:, j], node, scheme.D[j, r])
-            self.A.put(continuity, node, -scheme.end[r])
+        states, dynamics = points[:, :, :width], points[:, :, -n:]
         self.A.put(continuity, layout.mesh[1:], 1.0)
-        rates = np.concatenate((layout.points[:, :, n:], layout.accelerations), axis=2)
-        self.write_rates(states[:, :, : rates.shape[2]], rates)
+        if self.shape.form is Form.STANDARD:
+            self.write_states_at_points(states, continuity)
+        else:
+            self.write_integrals(continuity)
         self.write_dynamics(dynamics.reshape(N * d, n).T)
         return states, dynamics, continuity
+
+    def write_inner_bounds(self) -> Indices:
+        """Write the states at the points that have bounds, where they are no variables and no mesh points."""
+        N, d, n = self.shape.intervals, self.scheme.degree, self.layout.n
+        inner = d - (self.shape.family is Family.RADAU)  # the last Radau point is the next mesh point
+        rows = self.take(N, inner, len(self.shape.bounded))
+        for k, i in enumerate(self.shape.bounded):
+            states = self.points.q if i < n else self.points.qd
+            assert not isinstance(states, np.ndarray)
+            at = np.arange(N * d * n).reshape(N, d, n)[:, :inner, i % n]
+            self.A.put_matrix(rows[:, :, k].ravel(), sparse.csr_array(states)[at.ravel()])
+        return rows
+
+    def write_states_at_points(self, states: Indices, continuity: Indices) -> None:
+        """Differentiate the states at the points, and read the states at the interval's end off them."""
+        layout, scheme, n = self.layout, self.scheme, self.layout.n
+        nodes = [layout.mesh[:-1], *layout.points.transpose(1, 0, 2)]  # 0 and the points, each (N, 2 n)
+        for r, node in enumerate(nodes):
+            for j in range(scheme.degree):
+                self.A.put(states[:, j], node, scheme.D[j, r])
+            self.A.put(continuity, node, -scheme.end[r])
+        rates = np.concatenate((layout.points[:, :, n:], layout.accelerations), axis=2)
+        self.write_rates(states[:, :, : rates.shape[2]], rates)
+
+    def write_integrals(self, continuity: Indices) -> None:
+        """Read the states at the interval's end off those at its start and the accelerations."""
+        layout, n, h = self.layout, self.layout.n, self.h
+        end, A = self.scheme.end[1:], self.scheme.integration
+        self.A.put(continuity, layout.mesh[:-1], -1.0)
+        self.A.put(continuity[:, :n], layout.mesh[:-1, n:], -h * end @ self.scheme.points)
+        for j in range(self.scheme.degree):
+            self.A.put(continuity[:, :n], layout.accelerations[:, j], -(h**2) * (end @ A @ A)[j])
+            self.A.put(continuity[:, n:], layout.accelerations[:, j], -h * (end @ A)[j])
 
     def write_rates(self, rows: Indices, rates: Indices) -> None:
         """Write -h times what the states' derivatives are, where that is a variable."""
@@ -281,7 +334,7 @@ class _Writer:
 
     def write_dynamics(self, rows: Indices) -> None:
         """Apply the kernel at every collocation point."""
-        representation, places = self.shape.representation, at_points(self.layout, self.scheme)
+        representation, places = self.shape.representation, self.points
         kernel = self.plant.casadi(representation.kernel)
         explicit = (places.q, places.qd, places.u)
         if not representation.is_explicit:
@@ -332,7 +385,7 @@ class _Writer:
         of_states = [i for i in on_path if not _speaks_of_jumps(shape.constraints[i][0], kinds)]
         rows: list[list[Indices]] = [[] for _ in shape.constraints]
         for chosen, places in (
-            (on_path, at_points(self.layout, self.scheme)),
+            (on_path, self.points),
             (of_states, at_mesh(self.layout, self.scheme, path_mesh)),
             ([i for i, (_, at) in enumerate(shape.constraints) if at == "start"], self.mesh_point(0)),
             ([i for i, (_, at) in enumerate(shape.constraints) if at == "end"], self.mesh_point(N)),
@@ -371,7 +424,7 @@ class _Writer:
         running, terminal = len(shape.running), len(shape.terminal)
         blocks = []
         if running:
-            places = at_points(layout, self.scheme)
+            places = self.points
             rows = np.broadcast_to(2 + np.arange(running)[:, None], (running, places.s.size))
             integral = self.h * np.tile(self.scheme.weights, shape.intervals)
             blocks.append(replace(self.apply(shape.running, places, rows, integral), factor=layout.horizon))

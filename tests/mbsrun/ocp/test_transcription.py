@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Problem, Representation, Term
+from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Form, Problem, Representation, Term
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.trajectory import Trajectory, grid
 from mbsrun.ocp.transcription import Transcription, structure, transcribe
@@ -93,6 +94,76 @@ def rich(reach: Problem, representation: Representation, family: Family, free: b
     )
 
 
+def integral(problem: Problem, representation: Representation) -> Problem:
+    bounds = Bounds(problem.bounds.q, ((-7.0, np.inf), *problem.bounds.qd[1:]), problem.bounds.u)
+    return replace(problem, representation=representation, form=Form.INTEGRAL, free_start=(), bounds=bounds)
+
+
+INTEGRAL = [(r, f) for r in (Representation.IMPL, Representation.EXP2_A) for f in Family]
+
+
+@pytest.mark.parametrize(("representation", "family"), INTEGRAL)
+def test_derivatives_of_the_integral_form(
+    arm: Peer, reach: Problem, representation: Representation, family: Family
+) -> None:
+    """Against CasADi's, which differentiates through the integrals."""
+    check_derivatives(integral(rich(reach, representation, family, False), representation), arm)
+
+
+@pytest.mark.parametrize(("representation", "family"), INTEGRAL)
+def test_the_integral_form_is_the_standard_form_solved(
+    arm: Peer, reach: Problem, representation: Representation, family: Family
+) -> None:
+    """States at the points from accelerations: put into the standard form they satisfy it, and all else is equal."""
+    problem = integral(rich(reach, representation, family, False), representation)
+    standard = replace(problem, form=Form.STANDARD)
+    ours, theirs = transcribe(problem, arm), transcribe(standard, arm)
+    x = RNG.uniform(0.5, 1, ours.layout.size)
+    y = theirs.pack(ours.unpack(x))
+    assert ours.pack(ours.unpack(x)) == pytest.approx(x, abs=1e-14)
+    g = ours.program.constraint(x, ours.parameters(problem)).full().ravel()
+    expected = theirs.program.constraint(y, theirs.parameters(problem)).full().ravel()
+    assert np.abs(expected[theirs.rows.states]).max() < 1e-12
+    for name in ("start", "dynamics", "continuity", "sensors", "acceleration", "accelerations", "sensor_velocities"):
+        assert g[getattr(ours.rows, name)] == pytest.approx(expected[getattr(theirs.rows, name)], abs=1e-11), name
+    for row, other in zip(ours.rows.constraints, theirs.rows.constraints, strict=True):
+        assert g[row] == pytest.approx(expected[other], abs=1e-11)
+    assert ours.cost_terms(problem, x) == pytest.approx(theirs.cost_terms(problem, y), rel=1e-12)
+
+
+@pytest.mark.parametrize("family", Family)
+def test_bounds_hold_at_points_that_are_no_variables(arm: Peer, reach: Problem, family: Family) -> None:
+    """A row for each state with a bound at each point that is no mesh point, with its bounds."""
+    problem = integral(small(reach, family, 3), Representation.IMPL)
+    transcription = transcribe(problem, arm)
+    rows = transcription.rows.inner
+    bounded = [1, 2, 3, 4, 5, 6]
+    inner = 2 if family is Family.RADAU else 3
+    assert rows.shape == (3, inner, 6)
+    x = RNG.uniform(-1, 1, transcription.layout.size)
+    motion = transcription.unpack(x)
+    states = np.concatenate((motion.point_q, motion.point_qd), axis=2)[:, :inner, bounded]
+    g = transcription.program.constraint(x, transcription.parameters(problem)).full().ravel()
+    assert g[rows] == pytest.approx(states, abs=1e-13)
+    lower, upper = transcription.constraint_bounds(problem)
+    assert (lower[rows] == np.array([*reach.bounds.q[1:], (-7.0, np.inf)])[:, 0]).all()
+    assert (upper[rows] == np.array([*reach.bounds.q[1:], (-7.0, np.inf)])[:, 1]).all()
+
+
+def test_sizes_of_the_integral_form(arm: Peer, reach: Problem) -> None:
+    """100 (12 + 4 * 6 + 4) + 12 variables; 100 (4 * 6 + 12) + 27 constraints and 5 bounded states at 3 inner points."""
+    program = transcribe(replace(reach, form=Form.INTEGRAL), arm).program
+    assert (program.variables, program.constraints) == (4012, 3627 + 100 * 3 * 5)
+
+
+@pytest.mark.parametrize(
+    "change", [{"representation": Representation.EXP1_O}, {"horizon_range": (1.0, 3.0)}], ids=["ODE", "free horizon"]
+)
+def test_what_has_no_integral_form_is_refused(arm: Peer, reach: Problem, change: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="the integral form is for"):
+        transcribe(replace(reach, form=Form.INTEGRAL, **change), arm)
+
+
 RICH = [
     (Representation.IMPL, Family.RADAU, False),
     (Representation.IMPL, Family.LEGENDRE, True),
@@ -108,7 +179,10 @@ def test_derivatives_of_everything_equal_casadis(
     arm: Peer, reach: Problem, representation: Representation, family: Family, free: bool
 ) -> None:
     """Gradient, Jacobian and Hessian at a random point, with no more nonzeros than CasADi finds."""
-    problem = rich(reach, representation, family, free)
+    check_derivatives(rich(reach, representation, family, free), arm)
+
+
+def check_derivatives(problem: Problem, arm: Peer) -> None:
     transcription = transcribe(problem, arm)
     program = transcription.program
     x, p = ca.MX.sym("x", program.variables), ca.MX.sym("p", program.parameters)
