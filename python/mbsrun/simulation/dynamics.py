@@ -1,0 +1,147 @@
+"""The equations of motion in a formulation: accelerations, residuals, and the Jacobians of both.
+
+    impl    Phi(q, qd, qdd) - Q = 0, accelerations from M = d Phi / d qdd
+    semi    M(q) qdd + c(q, qd) - Q = 0, accelerations by Cholesky's decomposition of M
+    exp1, exp2    qdd directly; the residual is qdd - qdd(q, qd, Q)
+
+All take one state or a batch: q, qd, qdd (..., n) and the inputs v (..., m), u and then w.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsgen.errors import MbsError
+from mbsrun.kernel import Kernels
+from mbsrun.simulation.methods import Formulation
+from mbsrun.simulation.motion import Effort
+
+Array = NDArray[np.float64]
+
+LOST = 1e3  # a pivot below n LOST epsilon of its diagonal entry has lost its digits
+
+
+class SingularError(MbsError):
+    """A mass matrix that cannot be solved with, and the joint where that shows."""
+
+    def __init__(self, joint: str) -> None:
+        self.joint = joint
+        super().__init__(f"the mass matrix is singular at joint {joint}")
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """A model's equations of motion in one formulation; counts what it is asked."""
+
+    kernels: Kernels
+    formulation: Formulation
+    effort: Effort = field(default_factory=Effort)
+    _taken: dict[str, frozenset[str]] = field(default_factory=dict)  # by kernel: the inputs that it takes
+
+    @cached_property
+    def size(self) -> int:
+        """Count the coordinates."""
+        return len(self.kernels.manifest.coordinates)
+
+    @cached_property
+    def forces_count(self) -> int:
+        """Count the entries of u; those of w follow them."""
+        return len(self.kernels.manifest.actuated)
+
+    def accelerations(self, q: Array, qd: Array, v: Array) -> Array:
+        """Solve for qdd, shape (..., n). Raises KernelError and SingularError."""
+        self.effort.evaluations += _states(q)
+        if self._is_direct:
+            return self.call(self.formulation.value, q, qd, v)["qdd"]
+        rest = np.zeros_like(q)
+        if self.formulation is Formulation.IMPL:
+            M = self.call("jac_impl", q, qd, v, rest)["jac_Phi_qdd"]
+            return -self._solve(M, self.call("impl", q, qd, v, rest)["Phi"])
+        return -self._solve(self.call("semi", q, qd, v)["M"], self.call("semi_res", q, qd, v, rest)["Phi"])
+
+    def slopes(self, q: Array, qd: Array, v: Array) -> tuple[Array, Array]:
+        """Differentiate the accelerations by q and by qd, shapes (..., n, n)."""
+        self.effort.jacobians += _states(q)
+        if self._is_direct:
+            by_q, by_qd = self._pick(f"jac_{self.formulation.value}", "qdd", ("q", "qd"), q, qd, v)
+            return by_q, by_qd
+        name = self._residual_name
+        K, C, M = self._pick(f"jac_{name}", "Phi", ("q", "qd", "qdd"), q, qd, v, self.accelerations(q, qd, v))
+        return -np.asarray(np.linalg.solve(M, K)), -np.asarray(np.linalg.solve(M, C))
+
+    def residual(self, q: Array, qd: Array, qdd: Array, v: Array) -> Array:
+        """Evaluate the residual, shape (..., n)."""
+        self.effort.evaluations += _states(q)
+        if self._is_direct:
+            return qdd - self.call(self.formulation.value, q, qd, v)["qdd"]
+        return self.call(self._residual_name, q, qd, v, qdd)["Phi"]
+
+    def stiffnesses(self, q: Array, qd: Array, qdd: Array, v: Array) -> tuple[Array, Array, Array]:
+        """Differentiate the residual by q, qd and qdd, shapes (..., n, n)."""
+        self.effort.jacobians += _states(q)
+        if self._is_direct:
+            K, C = self._pick(f"jac_{self.formulation.value}", "qdd", ("q", "qd"), q, qd, v)
+            return -K, -C, np.broadcast_to(np.eye(self.size), K.shape)
+        K, C, M = self._pick(f"jac_{self._residual_name}", "Phi", ("q", "qd", "qdd"), q, qd, v, qdd)
+        return K, C, M
+
+    def forces(self, q: Array, qd: Array, v: Array) -> Array:
+        """Compute the generalised forces of all but gravity, shape (..., n): inputs, and the joints' own."""
+        bias = self.call("semi", q, qd, v)["c"]
+        return bias - self.call("semi_res", q, qd, v, np.zeros_like(q))["Phi"]
+
+    def call(self, name: str, q: Array, qd: Array, v: Array, qdd: Array | None = None) -> Mapping[str, Array]:
+        """Call a kernel with what it takes of these."""
+        forces = self.forces_count
+        given = {"q": q, "qd": qd, "u": v[..., :forces], "w": v[..., forces:], "qdd": qdd}
+        taken = self._taken.get(name)
+        if taken is None:
+            inputs = self.kernels.manifest.kernel(name).inputs
+            taken = self._taken[name] = frozenset(a.name for a in inputs if a.nnz)
+        wanted: dict[str, Any] = {key: x for key, x in given.items() if key in taken and x is not None}
+        return self.kernels(name, **wanted)
+
+    @property
+    def _is_direct(self) -> bool:
+        return self.formulation in (Formulation.EXP1, Formulation.EXP2)
+
+    @property
+    def _residual_name(self) -> str:
+        return "impl" if self.formulation is Formulation.IMPL else "semi_res"
+
+    def _pick(self, name: str, result: str, by: tuple[str, ...], q: Array, *rest: Array) -> tuple[Array, ...]:
+        """Call a Jacobian kernel; blocks without an entry are 0."""
+        blocks = self.call(name, q, *rest)
+        zero = np.zeros((*q.shape, self.size))
+        return tuple(blocks.get(f"jac_{result}_{x}", zero) for x in by)
+
+    def _solve(self, M: Array, right: Array) -> Array:
+        try:
+            L = np.linalg.cholesky(M)
+        except np.linalg.LinAlgError:
+            raise SingularError(self._find_pivot(M)) from None
+        pivots = np.diagonal(L, axis1=-2, axis2=-1) ** 2
+        if (pivots <= self.size * LOST * np.finfo(float).eps * np.diagonal(M, axis1=-2, axis2=-1)).any():
+            raise SingularError(self._find_pivot(M))
+        return np.asarray(np.linalg.solve(M, right[..., None])[..., 0])
+
+    def _find_pivot(self, M: Array) -> str:
+        """Name the joint whose pivot is lost first: the leading block up to it has no Cholesky factor, or a bad one."""
+        n = self.size
+        for matrix in M.reshape(-1, n, n):
+            for j in range(n):
+                block = matrix[: j + 1, : j + 1]
+                pivot = block[j, j] - block[j, :j] @ np.linalg.lstsq(block[:j, :j], block[:j, j], rcond=None)[0]
+                if not pivot > n * LOST * np.finfo(float).eps * block[j, j]:
+                    return self.kernels.manifest.coordinates[j].name
+        return self.kernels.manifest.coordinates[-1].name
+
+
+def _states(q: Array) -> int:
+    return 1 if q.ndim == 1 else len(q)

@@ -1,0 +1,223 @@
+"""Explicit steps of a fixed length, in C: see csrc/mbs_simulate.h. Hairer, Norsett, Wanner, chapter II; for symplectic
+Euler Hairer, Lubich, Wanner, "Geometric Numerical Integration", chapter I.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import cffi
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsgen import resources
+from mbsrun.binding import HIDDEN, Entry, bind
+from mbsrun.kernel import Kernels
+from mbsrun.library import compile_library, find_compiler
+from mbsrun.simulation.drive import Piece
+from mbsrun.simulation.dynamics import Dynamics
+from mbsrun.simulation.methods import Formulation
+from mbsrun.simulation.motion import Chunk, Halt, HaltError, Settings
+
+Array = NDArray[np.float64]
+
+STEPS = 4096  # taken in C at a time
+RUNAWAY = -1  # the C functions' status of a state that is not finite
+
+_CDEF = """
+typedef int (*mbs_kernel)(const double **arg, double **res, long long *iw, double *w, int mem);
+typedef struct {
+    long long n, m;
+    double *q, *qd, *v, *qdd;
+    mbs_kernel rate; const double **rate_arg; double **rate_res;
+    mbs_kernel mass; const double **mass_arg; double **mass_res;
+    const double *M; long long entries; const long long *place; double *matrix;
+} mbs_plant;
+long long mbs_simulate_rk(const mbs_plant *plant, long long stages, const double *A, const double *b, double h,
+                          long long steps, const double *v, long long v_step, double *states, double *work,
+                          int *status);
+long long mbs_simulate_symplectic(const mbs_plant *plant, double h, long long steps, const double *v,
+                                  long long v_step, double *states, int *status);
+"""
+
+
+@dataclass(frozen=True)
+class Tableau:
+    """Coefficients of an explicit Runge-Kutta method."""
+
+    A: tuple[tuple[float, ...], ...]
+    b: tuple[float, ...]
+
+    @property
+    def c(self) -> Array:
+        """Tell where in a step the stages lie."""
+        return np.asarray(np.array(self.A).sum(axis=1))
+
+
+TABLEAUS: Mapping[str, Tableau] = MappingProxyType(
+    {
+        "euler": Tableau(((0.0,),), (1.0,)),
+        "rk4": Tableau(
+            ((0.0, 0.0, 0.0, 0.0), (0.5, 0.0, 0.0, 0.0), (0.0, 0.5, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)),
+            (1 / 6, 1 / 3, 1 / 3, 1 / 6),
+        ),
+    }
+)
+
+
+def integrate(dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: Settings) -> Iterator[Chunk]:
+    """Go through a piece by steps of equal length, at most `settings.step`; hand on what was reached.
+
+    Raises HaltError where a kernel fails or a state is not finite.
+    """
+    plant = _Plant(dynamics)
+    tableau = TABLEAUS.get(settings.method)
+    count = count_steps(piece, settings.step)
+    h, c = (piece.end - piece.start) / count, np.zeros(1) if tableau is None else tableau.c
+    states = np.concatenate((q, qd))[None]
+    for first in range(0, count, STEPS):
+        steps = min(STEPS, count - first)
+        times: Array = piece.start + h * (first + np.arange(steps + 1, dtype=np.float64))
+        inputs = sample(piece, (times[:-1, None] + h * c).ravel())
+        done, status, states = plant.run(states[-1], tableau, h, steps, inputs)
+        dynamics.effort.steps += done
+        dynamics.effort.evaluations += (done + bool(status)) * len(c)
+        if done:
+            q, qd = np.split(states[: done + 1], 2, axis=1)
+            yield Chunk(times[: done + 1], q, qd)
+        if status:
+            raise HaltError(tell(dynamics.kernels, status, times[done], states[done]))
+    return
+
+
+def count_steps(piece: Piece, step: float) -> int:
+    """Tell how many equal steps, none longer than asked for but by rounding, a piece takes."""
+    return max(1, int(np.ceil((piece.end - piece.start) / step * (1 - 1e-12))))
+
+
+def sample(piece: Piece, times: Array) -> Array:
+    """Give the inputs at times of a piece, (K, m); one row where they are the same at all."""
+    return np.ascontiguousarray(piece.values(times[:1] if piece.is_constant else times))
+
+
+def tell(kernels: Kernels, status: int, time: float, state: Array) -> Halt:
+    """Put a status of the C functions, met in the step after `time`, into words."""
+    names = [c.name for c in kernels.manifest.coordinates]
+    if status == RUNAWAY:
+        fastest = names[int(np.abs(state[len(names) :]).argmax())]
+        return Halt(
+            float(time),
+            fastest,
+            "the motion runs away: its numbers overflow",
+            "take a smaller step or an implicit method",
+        )
+    joint = names[status - 1] if status <= len(names) else None
+    return Halt(float(time), joint, SINGULAR, "start elsewhere, or keep away from this configuration")
+
+
+SINGULAR = "the accelerations cannot be computed here: the mass matrix is singular, or has lost its digits"
+
+
+class _Plant:
+    """A formulation as the C functions take it, with the memory that they work on."""
+
+    def __init__(self, dynamics: Dynamics) -> None:
+        self.ffi, self.lib = _load()
+        ffi, n = self.ffi, dynamics.size
+        kernels, forces = dynamics.kernels, dynamics.forces_count
+        rate, mass = _KERNELS[dynamics.formulation]
+        rate_entry, mass_entry = _bind(kernels, rate), _bind(kernels, mass) if mass else None
+        self.memory: dict[str, Array] = {
+            "q": np.zeros(n),
+            "qd": np.zeros(n),
+            "qdd": np.zeros(n),
+            "rest": np.zeros(n),
+            "v": np.zeros(forces + count_wrench_entries(kernels) + 1),
+            "matrix": np.zeros(n * n),
+        }
+        if HIDDEN in {a.name for k in kernels.manifest.kernels for a in k.inputs}:
+            self.memory[HIDDEN] = kernels("setup", p=list(kernels.parameters.values()))[HIDDEN]
+        inputs = {name: self._pointer(name) for name in ("q", "qd", "v", "matrix")}
+        inputs |= {"u": inputs["v"], "w": inputs["v"] + forces, "qdd": self._pointer("rest")}
+        if HIDDEN in self.memory:
+            inputs[HIDDEN] = self._pointer(HIDDEN)
+        self.kept: list[Any] = [rate_entry, mass_entry]  # that C is given pointers to
+        p: Any = ffi.new("mbs_plant *")
+        self.plant = p
+        p.n, p.m = n, len(self.memory["v"]) - 1
+        p.q, p.qd, p.v, p.qdd, p.matrix = inputs["q"], inputs["qd"], inputs["v"], self._pointer("qdd"), inputs["matrix"]
+        p.rate, p.rate_arg, p.rate_res = self._lay(rate_entry, inputs, rate_entry.outputs[0].argument.name, p.qdd)
+        if mass_entry is not None:
+            (port,) = (x for x in mass_entry.outputs if x.argument.name in ("M", "jac_Phi_qdd"))
+            self.memory["M"] = np.zeros(port.argument.nnz)
+            numbers = port.spread()
+            place = self.places = np.flatnonzero(numbers >= 0)[np.argsort(numbers[numbers >= 0])].astype(np.int64)
+            p.M, p.entries = self._pointer("M"), port.argument.nnz
+            p.place = ffi.from_buffer("long long[]", place.data)
+            p.mass, p.mass_arg, p.mass_res = self._lay(mass_entry, inputs, port.argument.name, self._pointer("M"))
+
+    def run(self, state: Array, tableau: Tableau | None, h: float, steps: int, inputs: Array) -> tuple[int, int, Array]:
+        """Take steps; inputs (steps * stages, m), or one row for all. Gives how many, the status, states (K, 2 n)."""
+        ffi, n = self.ffi, len(state) // 2
+        states = np.empty((steps + 1, 2 * n))
+        states[0] = state
+        status = ffi.new("int *")
+        v, path = ffi.from_buffer("double[]", inputs.data), ffi.from_buffer("double[]", states.data)
+        v_step = inputs.shape[1] if len(inputs) > 1 else 0
+        if tableau is None:
+            done = self.lib.mbs_simulate_symplectic(self.plant, h, steps, v, v_step, path, status)
+        else:
+            A, b = (ffi.new("double[]", list(np.ravel(x))) for x in (tableau.A, tableau.b))
+            work = ffi.new("double[]", 2 * n * len(tableau.b))
+            done = self.lib.mbs_simulate_rk(self.plant, len(tableau.b), A, b, h, steps, v, v_step, path, work, status)
+        return done, status[0], states
+
+    def _pointer(self, name: str) -> Any:
+        return self.ffi.cast("double *", self.memory[name].ctypes.data)
+
+    def _lay(self, entry: Entry, inputs: Mapping[str, Any], wanted: str, place: Any) -> tuple[Any, Any, Any]:
+        """Make the argument lists of a kernel, of whose results one is wanted."""
+        arg, res = self.ffi.new("const double *[]", entry.n_in), self.ffi.new("double *[]", entry.n_out)
+        for port in entry.inputs:
+            arg[port.position] = inputs[port.argument.name]
+        for port in entry.outputs:
+            if port.argument.name == wanted:
+                res[port.position] = place
+        self.kept += [arg, res]
+        function = self.ffi.cast("mbs_kernel", int(entry.ffi.cast("intptr_t", entry.function)))
+        return function, arg, res
+
+
+_KERNELS: Mapping[Formulation, tuple[str, str | None]] = MappingProxyType(
+    {
+        Formulation.IMPL: ("impl", "jac_impl"),
+        Formulation.SEMI: ("semi_res", "semi"),
+        Formulation.EXP1: ("exp1", None),
+        Formulation.EXP2: ("exp2", None),
+    }
+)
+
+
+def count_wrench_entries(kernels: Kernels) -> int:
+    """Count the entries of w."""
+    return sum(3 * wrench.force + 3 * wrench.moment for wrench in kernels.manifest.wrenches)
+
+
+def _bind(kernels: Kernels, name: str) -> Entry:
+    return bind(kernels.compile(name), kernels.manifest.kernel(name))
+
+
+@cache
+def _load() -> tuple[cffi.FFI, Any]:
+    ffi = cffi.FFI()
+    ffi.cdef(_CDEF)
+    library: Path = compile_library(
+        resources.folder("csrc"), "mbs_simulate", ["mbs_simulate.c"], find_compiler(os.environ)
+    )
+    return ffi, ffi.dlopen(str(library))

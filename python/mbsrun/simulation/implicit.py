@@ -1,0 +1,181 @@
+"""Implicit steps of a fixed length on the residual: no mass matrix is formed, and any formulation will do.
+
+    R(t, q, qd, qdd) = 0
+
+Generalised alpha: Chung, Hulbert, Journal of Applied Mechanics 60 (1993); as here Arnold, Bruls, Multibody System
+Dynamics 18 (2007), equations (5) to (12). Collocation: Hairer, Wanner, "Solving Ordinary Differential Equations II",
+section IV.5; the unknowns are the accelerations z of the stages, with Z = A z and A Z for velocities and coordinates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsrun.kernel import KernelError
+from mbsrun.ocp import schemes
+from mbsrun.simulation.drive import Piece
+from mbsrun.simulation.dynamics import Dynamics, SingularError
+from mbsrun.simulation.explicit import SINGULAR, count_steps
+from mbsrun.simulation.motion import Chunk, Halt, HaltError, Settings
+
+Array = NDArray[np.float64]
+
+STEPS = 512  # handed on at a time
+ITERATIONS = 25
+CONVERGED = 1e-10  # a change of the state, relative or absolute; Newton's error is then about its square
+
+
+class _StuckError(Exception):
+    """Newton's method does not converge; joint: where the last change was largest."""
+
+    def __init__(self, joint: str) -> None:
+        super().__init__(joint)
+        self.joint = joint
+
+
+@dataclass
+class _State:
+    q: Array
+    qd: Array
+    qdd: Array
+
+
+Step = Callable[["_State", float, float], "_State"]  # state, its time, length of the step -> the next state
+
+
+def integrate(dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: Settings) -> Iterator[Chunk]:
+    """Go through a piece by steps of equal length, at most `settings.step`; hand on what was reached.
+
+    Raises HaltError where a kernel fails, or Newton's method does.
+    """
+    count = count_steps(piece, settings.step)
+    h = (piece.end - piece.start) / count
+    done, time = [_State(q, qd, np.zeros_like(q))], piece.start
+    try:
+        step = _make_step(dynamics, piece, settings)
+        done = [_State(q, qd, _consistent(dynamics, piece, q, qd))]
+        for k in range(count):
+            time = piece.start + k * h
+            done.append(step(done[-1], time, h))
+            dynamics.effort.steps += 1
+            if len(done) > STEPS:
+                yield _gather(done, piece.start + h * (k + 1), h)
+                done = done[-1:]
+    except (KernelError, SingularError, _StuckError, np.linalg.LinAlgError) as error:
+        if len(done) > 1:
+            yield _gather(done, time, h)
+        raise HaltError(_tell(error, time)) from None
+    if len(done) > 1:
+        yield _gather(done, piece.end, h)
+
+
+def _gather(done: list[_State], end: float, h: float) -> Chunk:
+    t = end - h * np.arange(len(done), dtype=np.float64)[::-1]
+    return Chunk(t, np.array([state.q for state in done]), np.array([state.qd for state in done]))
+
+
+def _tell(error: Exception, time: float) -> Halt:
+    joint = getattr(error, "joint", None)
+    if isinstance(error, _StuckError):
+        finding = f"Newton's method does not converge within {ITERATIONS} iterations"
+        return Halt(time, joint, finding, "take a smaller step")
+    return Halt(time, joint, SINGULAR, "start elsewhere, or keep away from this configuration")
+
+
+def _consistent(dynamics: Dynamics, piece: Piece, q: Array, qd: Array) -> Array:
+    """Solve the residual at the piece's start for the accelerations; it is linear in them."""
+    v, rest = piece.at(piece.start), np.zeros_like(q)
+    M = dynamics.stiffnesses(q, qd, rest, v)[2]
+    return -np.asarray(np.linalg.solve(M, dynamics.residual(q, qd, rest, v)))
+
+
+def _make_step(dynamics: Dynamics, piece: Piece, settings: Settings) -> Step:
+    if settings.method == "generalized-alpha":
+        return _make_alpha(dynamics, piece, settings.rho)
+    family = schemes.Family.RADAU if settings.method == "radau-iia" else schemes.Family.LEGENDRE
+    return _make_collocation(dynamics, piece, schemes.build(family, settings.stages))
+
+
+def _make_alpha(dynamics: Dynamics, piece: Piece, rho: float) -> Step:
+    """Unknown: qdd at the step's end. `a` is the method's own acceleration, which follows qdd."""
+    alpha_m, alpha_f = (2 * rho - 1) / (rho + 1), rho / (rho + 1)
+    gamma = 0.5 + alpha_f - alpha_m
+    beta = 0.25 * (gamma + 0.5) ** 2
+    ratio = (1 - alpha_f) / (1 - alpha_m)  # d a / d qdd
+    memory: dict[str, Array] = {}
+
+    def step(state: _State, time: float, h: float) -> _State:
+        a, v = memory.get("a", state.qdd), piece.at(time + h)
+
+        def advance(qdd: Array) -> tuple[Array, Array, Array]:
+            new = ((1 - alpha_f) * qdd + alpha_f * state.qdd - alpha_m * a) / (1 - alpha_m)
+            q = state.q + h * state.qd + h * h * ((0.5 - beta) * a + beta * new)
+            return q, state.qd + h * ((1 - gamma) * a + gamma * new), new
+
+        def correct(qdd: Array) -> Array:
+            q, qd, _ = advance(qdd)
+            K, C, M = dynamics.stiffnesses(q, qd, qdd, v)
+            matrix = M + h * gamma * ratio * C + h * h * beta * ratio * K
+            return -np.asarray(np.linalg.solve(matrix, dynamics.residual(q, qd, qdd, v)))
+
+        qdd = _iterate(dynamics, correct, state.qdd, state, h)
+        q, qd, memory["a"] = advance(qdd)
+        return _State(q, qd, qdd)
+
+    return step
+
+
+def _make_collocation(dynamics: Dynamics, piece: Piece, scheme: schemes.Scheme) -> Step:
+    """Unknowns: qdd at the stages, (s, n)."""
+    A, b, c, s, n = np.linalg.inv(scheme.D[:, 1:]), scheme.weights, scheme.points, scheme.degree, dynamics.size
+    A2, bA = A @ A, scheme.weights @ A
+    values = _values_at(c)
+
+    def step(state: _State, time: float, h: float) -> _State:
+        v = piece.values(time + h * c)
+
+        def correct(z: Array) -> Array:
+            qd = state.qd + h * A @ z
+            q = state.q + h * c[:, None] * state.qd + h * h * A2 @ z
+            K, C, M = dynamics.stiffnesses(q, qd, z, v)
+            blocks = h * A[:, :, None, None] * C[:, None] + h * h * A2[:, :, None, None] * K[:, None]
+            blocks[range(s), range(s)] += M
+            matrix = blocks.transpose(0, 2, 1, 3).reshape(s * n, s * n)
+            residual = dynamics.residual(q, qd, z, v).ravel()
+            return -np.asarray(np.linalg.solve(matrix, residual)).reshape(s, n)
+
+        z = _iterate(dynamics, correct, np.tile(state.qdd, (s, 1)), state, h)
+        q = state.q + h * state.qd + h * h * bA @ z
+        return _State(q, state.qd + h * b @ z, values @ z)
+
+    return step
+
+
+def _values_at(points: Array) -> Array:
+    """Evaluate at 1 the basis polynomials of the points: the guess for the next step's stages."""
+    gaps = points[:, None] - points
+    np.fill_diagonal(gaps, 1.0)
+    tops = np.tile(1.0 - points, (len(points), 1))
+    np.fill_diagonal(tops, 1.0)
+    return np.asarray((tops / gaps).prod(axis=1))
+
+
+def _iterate(dynamics: Dynamics, correct: Callable[[Array], Array], guess: Array, state: _State, h: float) -> Array:
+    """Newton's method for accelerations, until what they change of the state is within CONVERGED."""
+    z, scale = guess, h / (1 + np.abs(state.qd)) + h * h / (1 + np.abs(state.q))
+    change = np.zeros_like(z)
+    for _ in range(ITERATIONS):
+        dynamics.effort.iterations += 1
+        change = correct(z)
+        z = z + change
+        size = float(np.max(np.abs(change) * scale))
+        if size <= CONVERGED:
+            return z
+        if not np.isfinite(size):
+            break
+    worst = np.nan_to_num(np.abs(change) * scale, nan=np.inf).reshape(-1, dynamics.size).max(axis=0).argmax()
+    raise _StuckError(dynamics.kernels.manifest.coordinates[int(worst)].name)

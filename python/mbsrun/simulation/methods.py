@@ -1,0 +1,54 @@
+"""The methods of integration, and the formulations that they work on, by the names that a user says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from types import MappingProxyType
+
+
+class Formulation(Enum):
+    """How the equations of motion are evaluated."""
+
+    IMPL = "impl"  # residual; for accelerations solved with its Jacobian by qdd
+    SEMI = "semi"  # mass matrix and bias
+    EXP1 = "exp1"  # accelerations, by elimination in the mass matrix
+    EXP2 = "exp2"  # accelerations, by articulated bodies
+
+
+class Family(Enum):
+    """Who takes the steps."""
+
+    EXPLICIT = "explicit, fixed step"
+    IMPLICIT = "implicit, fixed step"
+    ADAPTIVE = "adaptive"
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to integrate."""
+
+    family: Family
+    order: int | None  # None: varies
+    title: str
+    stability: float | None = None  # explicit: how far along the negative real axis h lambda may lie
+
+
+METHODS: Mapping[str, Method] = MappingProxyType(
+    {
+        "euler": Method(Family.EXPLICIT, 1, "explicit Euler", 2.0),
+        "symplectic-euler": Method(Family.EXPLICIT, 1, "symplectic (semi-implicit) Euler", 2.0),
+        "rk4": Method(Family.EXPLICIT, 4, "the classical Runge-Kutta method", 2.785),
+        "dop853": Method(Family.ADAPTIVE, 8, "explicit Runge-Kutta of Dormand and Prince", 6.1),
+        "rk45": Method(Family.ADAPTIVE, 5, "explicit Runge-Kutta of Dormand and Prince", 3.3),
+        "lsoda": Method(Family.ADAPTIVE, None, "Adams or BDF, as the stiffness asks for"),
+        "radau": Method(Family.ADAPTIVE, 5, "implicit Runge-Kutta, three Radau IIA stages"),
+        "bdf": Method(Family.ADAPTIVE, None, "backward differentiation formulas"),
+        "generalized-alpha": Method(Family.IMPLICIT, 2, "generalised alpha of Chung and Hulbert"),
+        "radau-iia": Method(Family.IMPLICIT, None, "Radau collocation: order 2 stages - 1; 1 stage is implicit Euler"),
+        "gauss": Method(
+            Family.IMPLICIT, None, "Gauss collocation: order 2 stages; 1 stage is the implicit midpoint rule"
+        ),
+    }
+)

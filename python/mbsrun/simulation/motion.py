@@ -1,0 +1,115 @@
+"""What a simulation is asked for, and what it gives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsrun.simulation.methods import Formulation
+
+Array = NDArray[np.float64]
+
+STORED = 1000  # states that are kept of a motion, about, unless another distance of outputs is asked for
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to integrate. Times in s."""
+
+    duration: float
+    method: str = "dop853"
+    formulation: Formulation = Formulation.EXP2
+    step: float = 1e-3  # of methods with a fixed step; the last of a piece may be shorter
+    rtol: float = 1e-9  # of adaptive methods: tolerance of a step, relative,
+    atol: float = 1e-9  # and absolute (rad, m; rad/s, m/s)
+    stages: int = 2  # of radau-iia and gauss
+    rho: float = 0.8  # of generalized-alpha: what part of the highest frequencies' amplitude a step keeps
+    output_step: float | None = None  # between the states that are kept; None: duration / STORED
+    max_steps: int = 100_000_000  # taken before giving up; adaptive: attempted
+
+
+@dataclass(frozen=True)
+class Halt:
+    """Why a simulation ended early."""
+
+    time: float
+    joint: str | None  # where; None where no joint can be named
+    finding: str
+    remedy: str
+
+    def __str__(self) -> str:
+        place = f", joint {self.joint}" if self.joint else ""
+        return f"stopped at t = {self.time:.6g} s{place}: {self.finding}; {self.remedy}"
+
+
+@dataclass
+class Effort:
+    """What the integration took; counted while it goes on."""
+
+    steps: int = 0  # accepted
+    rejected: int | None = 0  # None: the method does not tell
+    evaluations: int = 0  # of accelerations or residuals, in one state each
+    jacobians: int = 0
+    iterations: int = 0  # of Newton's method
+    seconds: float = 0.0  # of processor time
+
+
+@dataclass(frozen=True, eq=False)
+class Energy:
+    """Energies [J] at the times of a motion, (K,) each."""
+
+    kinetic: Array
+    potential: Array  # of gravity
+    work: Array  # done so far by all other forces: inputs, springs, dampers, friction, wrenches
+
+    @property
+    def total(self) -> Array:
+        """Sum kinetic and potential energy."""
+        return self.kinetic + self.potential
+
+    @property
+    def drift(self) -> Array:
+        """Tell how far the total is from its start and the work done since: what the integration errs by."""
+        return np.asarray(self.total - self.total[0] - self.work)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A motion of n coordinates under m inputs, at K times; with `halt`, the part that was reached."""
+
+    settings: Settings
+    t: Array  # (K,)
+    q: Array  # (K, n)
+    qd: Array  # (K, n)
+    inputs: Array  # (K, m): u, then w; where they jump, those that follow
+    energy: Energy | None  # None where a kernel fails on the way
+    effort: Effort
+    halt: Halt | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def is_complete(self) -> bool:
+        """Tell whether the end was reached."""
+        return self.halt is None
+
+
+class HaltError(Exception):
+    """Raised by an integrator, after what it reached has been handed on."""
+
+    def __init__(self, halt: Halt) -> None:
+        super().__init__(str(halt))
+        self.halt = halt
+
+
+@dataclass(frozen=True, eq=False)
+class Chunk:
+    """Some steps in a row, as an integrator hands them on; the first state is the last of the chunk before."""
+
+    t: Array  # (k + 1,)
+    q: Array  # (k + 1, n)
+    qd: Array  # (k + 1, n)
+    dense: Callable[[Array, NDArray[np.intp]], tuple[Array, Array]] | None = field(default=None)
+    # times (j,) and the steps (j,) that they lie in, from 0 -> q, qd (j, n) by the method's own interpolation

@@ -1,0 +1,222 @@
+"""Model, inputs, start, settings -> Motion: the pieces of the inputs, one after the other, by the method's steps."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mbsrun.kernel import KernelError, Kernels
+from mbsrun.simulation import adaptive, explicit, implicit
+from mbsrun.simulation.drive import Drive, Piece, input_labels
+from mbsrun.simulation.dynamics import Dynamics, SingularError
+from mbsrun.simulation.energy import add_up_work
+from mbsrun.simulation.methods import METHODS, Family, Formulation
+from mbsrun.simulation.motion import STORED, Chunk, Effort, Energy, Halt, HaltError, Motion, Settings
+
+Array = NDArray[np.float64]
+Integrator = Callable[[Dynamics, Piece, Array, Array, Settings], Iterator[Chunk]]
+
+INTEGRATORS: Mapping[Family, Integrator] = MappingProxyType(
+    {
+        Family.EXPLICIT: explicit.integrate,
+        Family.IMPLICIT: implicit.integrate,
+        Family.ADAPTIVE: adaptive.integrate,
+    }
+)
+STIFF = 500.0  # what decays so many times within a motion is fast; only then is stiffness spoken of
+
+
+def simulate(
+    kernels: Kernels,
+    drive: Drive,
+    q: ArrayLike,
+    qd: ArrayLike,
+    settings: Settings,
+    show: Callable[[float], None] = lambda _: None,
+) -> Motion:
+    """Integrate the motion from q, qd (n,) at time 0 under the inputs of `drive`; `show` is told the time reached.
+
+    What cannot be integrated on is no exception: the motion then tells in `halt` why it ends early. Raises ValueError
+    for arguments that do not fit, DriveError for inputs without a value.
+    """
+    start = _check(kernels, drive, q, qd, settings)
+    dynamics, integrate = Dynamics(kernels, settings.formulation), INTEGRATORS[METHODS[settings.method].family]
+    record = _Record(kernels, settings, *start)
+    halt: Halt | None = None
+    for piece in drive.until(settings.duration):
+        record.open(piece)
+        try:
+            for chunk in _timed(integrate(dynamics, piece, *record.last, settings), dynamics.effort):
+                record.add(chunk)
+                show(float(chunk.t[-1]))
+        except HaltError as error:
+            halt = error.halt
+            break
+        finally:
+            record.close()
+    return record.finish(drive, dynamics.effort, halt)
+
+
+def _check(kernels: Kernels, drive: Drive, q: ArrayLike, qd: ArrayLike, settings: Settings) -> tuple[Array, Array]:
+    n, m = len(kernels.manifest.coordinates), len(input_labels(kernels.manifest))
+    start = np.array(q, dtype=np.float64), np.array(qd, dtype=np.float64)
+    if any(x.shape != (n,) or not np.isfinite(x).all() for x in start):
+        raise ValueError(f"q and qd must be {n} finite numbers each")
+    if drive.pieces[0].at(0.0).shape != (m,):
+        raise ValueError(f"the inputs have shape {drive.pieces[0].at(0.0).shape}, ({m},) expected")
+    if settings.method not in METHODS:
+        raise ValueError(f"no method {settings.method!r}; there are {', '.join(METHODS)}")
+    lengths = {"duration": settings.duration, "step": settings.step, "rtol": settings.rtol, "atol": settings.atol}
+    lengths |= {"output_step": settings.duration if settings.output_step is None else settings.output_step}
+    for name, value in lengths.items():
+        if not (np.isfinite(value) and value > 0):
+            raise ValueError(f"{name} = {value} must be a positive number")
+    if settings.duration > drive.end:
+        raise ValueError(f"the inputs end at {drive.end} s, before the duration of {settings.duration} s")
+    return start
+
+
+def _timed(chunks: Iterator[Chunk], effort: Effort) -> Iterator[Chunk]:
+    """Hand chunks on, and add up the processor time that making them took."""
+    while True:
+        before = time.process_time()
+        try:
+            chunk = next(chunks, None)
+        finally:
+            effort.seconds += time.process_time() - before
+        if chunk is None:
+            return
+        yield chunk
+
+
+class _Record:
+    """Keeps some of the states that are handed on, and the work done until then."""
+
+    def __init__(self, kernels: Kernels, settings: Settings, q: Array, qd: Array) -> None:
+        self.kernels, self.settings = kernels, settings
+        self.observer = Dynamics(kernels, settings.formulation)  # its calls are not the integrator's
+        self.distance = settings.output_step or settings.duration / STORED
+        self.t, self.q, self.qd, self.work = [0.0], [q], [qd], [0.0]
+        self.last, self.last_time, self.done = (q, qd), 0.0, 0.0
+        self.piece: Piece | None = None
+        self.work_is_known = True
+        self.steps = 0
+
+    def open(self, piece: Piece) -> None:
+        """Begin a piece."""
+        self.piece, self.steps = piece, 0
+
+    def add(self, chunk: Chunk) -> None:
+        """Take steps: keep the states that are wanted."""
+        assert self.piece is not None, "a chunk lies in a piece"
+        if chunk.dense is not None:
+            chunk, chosen = self._refine(chunk)
+        else:
+            stride = max(1, round(self.distance / (chunk.t[1] - chunk.t[0])))
+            numbers = self.steps + 1 + np.arange(len(chunk.t) - 1)
+            chosen = np.flatnonzero(numbers % stride == 0) + 1
+            self.steps += len(numbers)
+        work = self.done + np.concatenate(([0.0], np.cumsum(self._add_up(chunk))))
+        self._keep(chunk, work, chosen)
+        self.last, self.last_time, self.done = (chunk.q[-1], chunk.qd[-1]), float(chunk.t[-1]), float(work[-1])
+
+    def close(self) -> None:
+        """End a piece: what was reached last is kept in any case."""
+        if self.t[-1] != self.last_time:
+            self.t.append(self.last_time)
+            self.q.append(self.last[0])
+            self.qd.append(self.last[1])
+            self.work.append(self.done)
+
+    def finish(self, drive: Drive, effort: Effort, halt: Halt | None) -> Motion:
+        """Make the motion of all that was kept."""
+        t, q, qd = np.array(self.t), np.array(self.q), np.array(self.qd)
+        inputs = np.empty((len(t), len(input_labels(self.kernels.manifest))))
+        for piece in drive.until(self.settings.duration):  # a later piece has the last word where two meet
+            inside = (t >= piece.start) & (t <= piece.end)
+            inputs[inside] = piece.values(t[inside])
+        energies = self.kernels("energy", q=q, qd=qd)
+        energy = Energy(energies["kinetic"][:, 0], energies["potential"][:, 0], np.array(self.work))
+        return Motion(
+            settings=self.settings,
+            t=t,
+            q=q,
+            qd=qd,
+            inputs=inputs,
+            energy=energy if self.work_is_known else None,
+            effort=effort,
+            halt=halt,
+            warnings=(*_find_exceeded_limits(self.kernels, t, q), *self._find_stiffness(effort, t, q, qd, inputs)),
+        )
+
+    def _keep(self, chunk: Chunk, work: Array, chosen: NDArray[np.intp]) -> None:
+        self.t += chunk.t[chosen].tolist()
+        self.q += list(chunk.q[chosen])
+        self.qd += list(chunk.qd[chosen])
+        self.work += work[chosen].tolist()
+
+    def _refine(self, chunk: Chunk) -> tuple[Chunk, NDArray[np.intp]]:
+        """Cut steps where outputs are wanted; give the finer chunk, and which of its times those are."""
+        assert chunk.dense is not None, "only steps with an interpolation are cut"
+        dense, (first, last) = chunk.dense, chunk.t[[0, -1]]
+        wanted = self.distance * np.arange(np.ceil(first / self.distance), np.floor(last / self.distance) + 1)
+        wanted = wanted[(wanted > first) & (wanted < last)]
+        t = np.union1d(chunk.t, wanted)
+        step = np.clip(np.searchsorted(chunk.t, t, side="left") - 1, 0, len(chunk.t) - 2)
+        q, qd = dense(t, step)
+        whole = np.isin(t, chunk.t)  # there, what the integrator has, not what it interpolates
+        q[whole], qd[whole] = chunk.q, chunk.qd
+
+        def dense_in_parts(times: Array, part: NDArray[np.intp]) -> tuple[Array, Array]:
+            return dense(times, step[part + 1])
+
+        return Chunk(t, q, qd, dense_in_parts), np.flatnonzero(np.isin(t, wanted))
+
+    def _add_up(self, chunk: Chunk) -> Array:
+        assert self.piece is not None, "a chunk lies in a piece"
+        if self.work_is_known:
+            try:
+                return add_up_work(self.observer, self.piece, chunk)
+            except (KernelError, SingularError):
+                self.work_is_known = False
+        return np.zeros(len(chunk.t) - 1)
+
+    def _find_stiffness(self, effort: Effort, t: Array, q: Array, qd: Array, inputs: Array) -> list[str]:
+        """Say where stability, not accuracy, sets the length of explicit steps."""
+        method = METHODS[self.settings.method]
+        if method.stability is None or not t[-1]:
+            return []
+        dynamics = Dynamics(self.kernels, Formulation.IMPL)
+        try:
+            found = [adaptive.find_stability(dynamics, q[k], qd[k], inputs[k]) for k in (0, len(t) // 2)]
+        except (KernelError, SingularError, np.linalg.LinAlgError):
+            return []
+        decay, joint = max(found)
+        is_fixed = method.family is Family.EXPLICIT
+        step = self.settings.step if is_fixed else t[-1] / max(effort.steps, 1)
+        limit = method.stability if is_fixed else 0.5 * method.stability
+        if decay * step < limit or (not is_fixed and decay * t[-1] < STIFF):
+            return []
+        return [
+            f"stiff: motion of joint {joint} decays at {decay:.3g} 1/s, so that explicit steps must stay below "
+            f"{method.stability / decay:.2g} s; an implicit method (radau, radau-iia) takes longer ones"
+        ]
+
+
+def _find_exceeded_limits(kernels: Kernels, t: Array, q: Array) -> list[str]:
+    found = []
+    for coordinate, column in zip(kernels.manifest.coordinates, q.T, strict=True):
+        for limit, sign in ((coordinate.lower, -1), (coordinate.upper, 1)):
+            if limit is None:
+                continue
+            beyond = np.flatnonzero(sign * (column - limit) > 1e-9 * max(1.0, abs(limit)))
+            if beyond.size:
+                found.append(
+                    f"joint {coordinate.name} is beyond its limit {limit:.4g} from t = {t[beyond[0]]:.4g} s on; "
+                    "nothing stops it there"
+                )
+    return found
