@@ -52,7 +52,7 @@ MBSRUN = Package(
         "kernel",
         "external",
         "ocp.schemes ocp.plant ocp.program ocp.trajectory",
-        "animation ocp.problem",
+        "animation simulation ocp.methods ocp.problem",
         "ocp.layout ocp.quantities",
         "ocp.statement ocp.guess ocp.transcription ocp.solution",
         "ocp.solve",

@@ -54,6 +54,17 @@ def find_pose(problem: Problem, plant: Plant) -> Pose:
     return pose if pose.is_reached else kinematics.search(())
 
 
+def make_guess(problem: Problem, plant: Plant, scheme: Scheme) -> Trajectory | Pose:
+    """Make the guess that a problem describes; where no pose meets its targets, give the nearest one found."""
+    motion = rest(problem, scheme)
+    if problem.guess.motion == "interpolation":
+        pose = find_pose(problem, plant)
+        if not pose.is_reached:
+            return pose
+        motion = interpolate(problem, scheme, pose.q)
+    return balance(motion, problem, plant, problem.guess.inputs)
+
+
 def rest(problem: Problem, scheme: Scheme) -> Trajectory:
     """Stay at the start, at rest. Inputs are 0."""
     return interpolate(replace(problem, start_qd=(0.0,) * len(problem.start_q)), scheme, np.array(problem.start_q))
@@ -97,7 +108,8 @@ def balance(trajectory: Trajectory, problem: Problem, plant: Plant, inputs: Inpu
         none = np.zeros((N * d, u.shape[1]))
         Phi = plant("impl", q=q, qd=qd, qdd=qdd, u=none)["Phi"]
         B = -plant("jac_impl", q=q, qd=qd, qdd=qdd, u=none)["jac_Phi_u"]
-        u = (np.linalg.pinv(B) @ Phi[..., None])[..., 0].reshape(N, d, -1).mean(axis=1)
+        if np.isfinite(B).all():
+            u = np.nan_to_num((np.linalg.pinv(B) @ Phi[..., None])[..., 0].reshape(N, d, -1).mean(axis=1))
     return replace(trajectory, u=np.clip(u, *np.array(problem.bounds.u).reshape(-1, 2).T))
 
 

@@ -22,16 +22,25 @@ FORMAT: Literal["mbsrun solution 1"] = "mbsrun solution 1"
 SOLVED = "Solve_Succeeded"
 ACCEPTABLE = "Solved_To_Acceptable_Level"
 UNREACHABLE = "Target_Out_Of_Reach"
+BAD_BOUNDS = "Bad_Bounds"
+BAD_GUESS = "Bad_Guess"
 
 
 @dataclass(frozen=True)
 class Run:
     """What the solver did."""
 
-    status: str  # IPOPT's word; UNREACHABLE where it was not asked
+    status: str  # the solver's word; UNREACHABLE, BAD_BOUNDS or BAD_GUESS where it was not asked
     iterations: int
     seconds: float  # from the call to the answer
     seconds_evaluating: float  # of them, for functions and derivatives; the rest is linear algebra and the solver's own
+    cpu_seconds: float = 0.0  # the same, of processor time, which other programs do not lengthen
+    cpu_seconds_evaluating: float = 0.0
+
+    @property
+    def cpu_seconds_solving(self) -> float:
+        """Give the processor time of linear algebra, and of the solver's own."""
+        return self.cpu_seconds - self.cpu_seconds_evaluating
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ import pytest
 
 from mbsrun.ocp import schemes
 from mbsrun.ocp.guess import interpolate
-from mbsrun.ocp.problem import Bounds, Cost, End, Problem, SolverOptions, cylindrical
+from mbsrun.ocp.problem import Bounds, Cost, End, Problem, SolverOptions, Term, cylindrical
 from mbsrun.ocp.program import Program
 from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.solution import UNREACHABLE, Failure, Solution
+from mbsrun.ocp.solution import BAD_BOUNDS, BAD_GUESS, UNREACHABLE, Failure, Solution
 from mbsrun.ocp.solve import Progress, Solver, solve
 from mbsrun.ocp.transcription import transcribe
 from tests.mbsrun.peer import Peer, double_integrator, pose_functions, residual_function
@@ -182,6 +182,31 @@ def test_what_a_watch_raises_comes_out() -> None:
         solve(push(8), double_integrator(), grumble)
 
 
+# --- guesses -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("motion", ["rest", "interpolation"])
+@pytest.mark.parametrize("inputs", ["zero", "static", "dynamic"])
+def test_every_guess_leads_to_the_optimum(arm: Peer, reach: Problem, motion: str, inputs: str) -> None:
+    """A small step aside has one minimum."""
+    near = replace(reach.with_target("hand", cylindrical(0.65, 0.05, 0.0)), intervals=10, degree=3)
+    chosen = replace(near, guess=replace(near.guess, motion=motion, inputs=inputs))
+    outcome, usual = solve(chosen, arm), solve(near, arm)
+    assert isinstance(outcome, Solution)
+    assert isinstance(usual, Solution)
+    assert outcome.cost.total == pytest.approx(usual.cost.total, rel=1e-7)
+
+
+def test_a_solution_of_another_grid_is_a_guess(arm: Peer, reach: Problem, reached: Solution) -> None:
+    """Half the intervals and another degree, from the optimum: fewer iterations than from afar."""
+    coarse = replace(reach, intervals=50, degree=3)
+    far, near = solve(coarse, arm), solve(coarse, arm, guess=reached.trajectory)
+    assert isinstance(far, Solution)
+    assert isinstance(near, Solution)
+    assert near.cost.total == pytest.approx(far.cost.total, rel=1e-8)
+    assert near.run.iterations < far.run.iterations
+
+
 # --- derivatives as IPOPT sees them --------------------------------------------------------------------------------
 
 
@@ -240,6 +265,58 @@ def test_a_target_out_of_reach_is_a_failure_at_once(arm: Peer, reach: Problem) -
     assert outcome.run.status == UNREACHABLE
     assert outcome.run.iterations == 0
     assert "0.8 m" in outcome.finding
+
+
+def test_bounds_that_cross_are_a_failure_that_names_them(arm: Peer, reach: Problem) -> None:
+    bounds = replace(reach.bounds, qd=(*reach.bounds.qd[:2], (1.0, -1.0), *reach.bounds.qd[3:]))
+    outcome = Solver(replace(reach, intervals=2), arm).solve(
+        replace(reach, intervals=2, bounds=bounds),
+        interpolate(replace(reach, intervals=2), schemes.build(Family.RADAU, 4), np.array(reach.start_q)),
+    )
+    assert isinstance(outcome, Failure)
+    assert outcome.run.status == BAD_BOUNDS
+    assert "velocity q3 are [1, -1]" in outcome.finding
+
+
+@pytest.mark.parametrize("bad", [(np.nan, 1.0), (np.inf, np.inf), (-np.inf, -np.inf)])
+def test_bounds_that_no_number_keeps_are_a_failure(bad: tuple[float, float]) -> None:
+    outcome = solve(replace(push(8), bounds=Bounds((FREE_RANGE,), (FREE_RANGE,), (bad,))), double_integrator())
+    assert isinstance(outcome, Failure)
+    assert outcome.run.status == BAD_BOUNDS
+
+
+def test_a_guess_that_is_not_finite_is_a_failure() -> None:
+    """F23: what is returned is never the guess; here nothing is."""
+    guess = interpolate(push(8), schemes.build(Family.RADAU, 2), np.array([np.nan]))
+    outcome = Solver(push(8), double_integrator()).solve(push(8), guess)
+    assert isinstance(outcome, Failure)
+    assert outcome.run.status == BAD_GUESS
+
+
+def test_a_stationary_guess_is_not_taken_for_an_optimum() -> None:
+    """F23: a cost without lower bound, guessed at its saddle: q(T)^3 from rest; IPOPT alone reports success there."""
+    fall = replace(
+        push(4),
+        cost=Cost(0.0, 0.0, terminal=(Term("q_slide**3", 1.0),)),
+        end=End(),
+        solver=SolverOptions(max_iterations=60),
+    )
+    solver = Solver(fall, double_integrator())
+    still = interpolate(fall, solver.transcription.scheme, np.zeros(1))
+    run, _ = solver._call(fall, solver.transcription.pack(still), None)
+    assert (run.status, run.iterations) == ("Solve_Succeeded", 0)
+    assert isinstance(solver.solve(fall, still), Failure)
+
+
+def test_an_optimum_survives_being_moved_a_little() -> None:
+    """From the optimum itself: nothing to improve, so it is moved, and found again."""
+    solver = Solver(push(8), double_integrator())
+    first = solve(push(8), double_integrator())
+    assert isinstance(first, Solution)
+    again = solver.solve(push(8), first.trajectory)
+    assert isinstance(again, Solution)
+    assert again.run.iterations > 0
+    assert again.cost.total == pytest.approx(first.cost.total, rel=1e-9)
 
 
 def test_an_infeasible_problem_is_a_failure() -> None:

@@ -12,7 +12,6 @@ from mbsgen.manifest import Argument
 from mbsrun.ocp.problem import Constraint, Cost, Problem, Representation, Term
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.statement import read_problem
-from tests.mbsrun.ocp.conftest import MODELS
 from tests.mbsrun.peer import Peer
 
 GOOD = """\
@@ -316,41 +315,3 @@ def test_a_model_with_open_wrenches_is_refused(tmp_path: Path, arm: Peer) -> Non
 def test_a_missing_file_is_told(arm: Peer) -> None:
     with pytest.raises(InputError, match="there is no such file"):
         read_problem(Path("nowhere.ocp.yaml"), lambda _: arm)
-
-
-SOLVER_OPTIONS = {
-    "a word": ("mu_strategy: adaptive", (("mu_strategy", "adaptive"),)),
-    "a number": ("mu_init: 0.01", (("mu_init", 0.01),)),
-    "a number that YAML takes for text": ("mu_init: 1e-3", (("mu_init", 1e-3),)),
-    "a whole number": ("mumps_pivot_order: 5", (("mumps_pivot_order", 5),)),
-    "what YAML takes for a switch": ("recalc_y: yes", (("recalc_y", "yes"),)),
-}
-
-
-@pytest.mark.parametrize(("text", "expected"), SOLVER_OPTIONS.values(), ids=SOLVER_OPTIONS.keys())
-def test_options_of_the_solver(arm: Peer, tmp_path: Path, text: str, expected: tuple[tuple[str, float | str]]) -> None:
-    file = tmp_path / "task.ocp.yaml"
-    file.write_text((MODELS / "arm_reach.ocp.yaml").read_text("utf-8") + f"solver: {{options: {{{text}}}}}\n", "utf-8")
-    assert read_problem(file, lambda _: arm)[0].solver.options == expected
-
-
-WRONG_OPTIONS = {
-    "unknown": ("options: {mu_strateg: adaptive}", 'did you mean "mu_strategy"?'),
-    "a file to write": ("options: {output_file: /tmp/x}", "ipopt takes no option"),
-    "a library to load": ("options: {hsllib: evil.so}", "ipopt takes no option"),
-    "another solver's": ("method: sqpmethod, options: {mu_init: 1}", "sqpmethod takes no option"),
-    "a word that is none": ("options: {mu_strategy: 3}", "one of monotone, adaptive"),
-    "a number out of range": ("options: {mumps_pivtol: 2}", "a number from 0 to 1"),
-    "a number that is not whole": ("options: {acceptable_iter: 1.5}", "a whole number from 0"),
-    "an expression that is none": ("options: {mu_init: 1+}", "solver.options.mu_init"),
-    "an unknown solver": ("method: magic", "solver.method"),
-}
-
-
-@pytest.mark.parametrize(("text", "message"), WRONG_OPTIONS.values(), ids=WRONG_OPTIONS.keys())
-def test_options_that_the_solver_must_not_be_told(arm: Peer, tmp_path: Path, text: str, message: str) -> None:
-    file = tmp_path / "task.ocp.yaml"
-    file.write_text((MODELS / "arm_reach.ocp.yaml").read_text("utf-8") + f"solver: {{{text}}}\n", "utf-8")
-    with pytest.raises(InputError) as refusal:
-        read_problem(file, lambda _: arm)
-    assert message in str(refusal.value)

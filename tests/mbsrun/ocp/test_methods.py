@@ -1,0 +1,105 @@
+"""The solvers that a problem may choose: they agree, take the options that are listed, and no others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pytest
+
+from mbsgen.errors import InputError
+from mbsrun.ocp.guess import interpolate
+from mbsrun.ocp.methods import METHODS, Amount, Order
+from mbsrun.ocp.problem import Problem, SolverOptions, cylindrical
+from mbsrun.ocp.solution import Solution
+from mbsrun.ocp.solve import Progress, solve
+from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.transcription import transcribe
+from tests.mbsrun.ocp.conftest import MODELS
+from tests.mbsrun.ocp.test_solve import push
+from tests.mbsrun.peer import Peer, double_integrator
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_solver_finds_the_optimum(method: Literal["ipopt", "sqpmethod", "fatrop"]) -> None:
+    """12 / (1 - 1/N^2), as above; the watch is told the true cost, whatever scale the solver sees."""
+    seen: list[Progress] = []
+    options = SolverOptions(method=method, objective_scaling=0.01)
+    outcome = solve(replace(push(8), solver=options), double_integrator(), seen.append)
+    assert isinstance(outcome, Solution)
+    assert outcome.cost.total == pytest.approx(12 / (1 - 1 / 64), rel=1e-6)
+    assert all(p.cost == pytest.approx(outcome.cost.total, rel=1e-3) for p in seen[-1:])
+
+
+def test_solvers_agree_on_an_arm(arm: Peer, reach: Problem) -> None:
+    """IPOPT and the SQP method, each with the program's own derivatives."""
+    near = replace(reach.with_target("hand", cylindrical(0.65, 0.1, 0.0)), intervals=6, degree=3)
+    costs = []
+    for method in ("ipopt", "sqpmethod"):
+        outcome = solve(replace(near, solver=SolverOptions(method=method)), arm)
+        assert isinstance(outcome, Solution)
+        costs.append(outcome.cost.total)
+    assert costs[1] == pytest.approx(costs[0], rel=1e-6)
+
+
+@pytest.mark.parametrize(("method", "name"), [(m, name) for m, method in METHODS.items() for name in method.options])
+def test_every_option_is_one_of_the_solver(method: str, name: str) -> None:
+    """CasADi and IPOPT refuse what they do not know, and values that they do not take."""
+    option = METHODS[method].options[name]
+    least = option.least if isinstance(option, Amount) else 0.0
+    value = option.words[-1] if not isinstance(option, Amount) else int(max(least, 1)) if option.whole else least + 0.25
+    assert option.admits(value)
+    transcription = transcribe(push(4), double_integrator())
+    order = Order(transcription.program, 1e-8, 100, 1.0, {name: value}, None)
+    guess = interpolate(push(4), transcription.scheme, np.array([1.0]))
+    lower, upper = transcription.variable_bounds(push(4))
+    g_lower, g_upper = transcription.constraint_bounds(push(4))
+    solver = METHODS[method].make(order)
+    p = transcription.parameters(push(4))
+    solver(x0=transcription.pack(guess), p=p, lbx=lower, ubx=upper, lbg=g_lower, ubg=g_upper)
+    assert "Invalid_Option" not in str(solver.stats()["return_status"])
+
+
+@pytest.mark.parametrize("name", ["output_file", "option_file_name", "linear_solver", "hsllib", "print_level", "tol"])
+def test_options_that_touch_files_or_libraries_are_none(name: str) -> None:
+    assert all(name not in method.options for method in METHODS.values())
+
+
+SOLVER_OPTIONS = {
+    "a word": ("mu_strategy: adaptive", (("mu_strategy", "adaptive"),)),
+    "a number": ("mu_init: 0.01", (("mu_init", 0.01),)),
+    "a number that YAML takes for text": ("mu_init: 1e-3", (("mu_init", 1e-3),)),
+    "a whole number": ("mumps_pivot_order: 5", (("mumps_pivot_order", 5),)),
+    "what YAML takes for a switch": ("recalc_y: yes", (("recalc_y", "yes"),)),
+}
+
+
+@pytest.mark.parametrize(("text", "expected"), SOLVER_OPTIONS.values(), ids=SOLVER_OPTIONS.keys())
+def test_options_of_the_solver(arm: Peer, tmp_path: Path, text: str, expected: tuple[tuple[str, float | str]]) -> None:
+    file = tmp_path / "task.ocp.yaml"
+    file.write_text((MODELS / "arm_reach.ocp.yaml").read_text("utf-8") + f"solver: {{options: {{{text}}}}}\n", "utf-8")
+    assert read_problem(file, lambda _: arm)[0].solver.options == expected
+
+
+WRONG_OPTIONS = {
+    "unknown": ("options: {mu_strateg: adaptive}", 'did you mean "mu_strategy"?'),
+    "a file to write": ("options: {output_file: /tmp/x}", "ipopt takes no option"),
+    "a library to load": ("options: {hsllib: evil.so}", "ipopt takes no option"),
+    "another solver's": ("method: sqpmethod, options: {mu_init: 1}", "sqpmethod takes no option"),
+    "a word that is none": ("options: {mu_strategy: 3}", "one of monotone, adaptive"),
+    "a number out of range": ("options: {mumps_pivtol: 2}", "a number from 0 to 1"),
+    "a number that is not whole": ("options: {acceptable_iter: 1.5}", "a whole number from 0"),
+    "an expression that is none": ("options: {mu_init: 1+}", "solver.options.mu_init"),
+    "an unknown solver": ("method: magic", "solver.method"),
+}
+
+
+@pytest.mark.parametrize(("text", "message"), WRONG_OPTIONS.values(), ids=WRONG_OPTIONS.keys())
+def test_options_that_the_solver_must_not_be_told(arm: Peer, tmp_path: Path, text: str, message: str) -> None:
+    file = tmp_path / "task.ocp.yaml"
+    file.write_text((MODELS / "arm_reach.ocp.yaml").read_text("utf-8") + f"solver: {{{text}}}\n", "utf-8")
+    with pytest.raises(InputError) as refusal:
+        read_problem(file, lambda _: arm)
+    assert message in str(refusal.value)
