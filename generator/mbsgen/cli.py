@@ -18,7 +18,7 @@ from rich.tree import Tree as Branches
 
 from mbsgen import __version__
 from mbsgen.errors import MbsError
-from mbsgen.formulations.catalogue import FORMULATIONS
+from mbsgen.formulations.catalogue import FORMULATIONS, FUNCTIONS
 from mbsgen.formulations.reductions import ALL
 from mbsgen.model.tree import Tree
 from mbsgen.output import find_differences, write_file
@@ -95,9 +95,29 @@ def cli() -> None:
 )
 @click.option("--python", is_flag=True, help="Also write the kernels as a Python module, for any number type.")
 @click.option("--matlab", is_flag=True, help="Also write the kernels as functions for Matlab and GNU Octave.")
+@click.option(
+    "--functions",
+    metavar="NAME,...",
+    help=f"Only these functions, with their derivatives: {', '.join(FUNCTIONS)}; by default all that the model has.",
+)
+@click.option(
+    "--derivatives",
+    type=click.IntRange(0, 2),
+    default=2,
+    show_default=True,
+    help="Up to which order derivatives are generated. CasADi needs both for exact Hessians.",
+)
 @click.option("--check", is_flag=True, help="Write nothing; fail if the folder is not as it would be written.")
 def generate_command(
-    model: Path, out: Path, runtime: bool, without: tuple[str, ...], python: bool, matlab: bool, check: bool
+    model: Path,
+    out: Path,
+    runtime: bool,
+    without: tuple[str, ...],
+    python: bool,
+    matlab: bool,
+    functions: str | None,
+    derivatives: int,
+    check: bool,
 ) -> None:
     """Generate a folder from MODEL, the default command.
 
@@ -106,7 +126,14 @@ def generate_command(
     What the kernels cost is printed. The folder appears as a whole, and replaces one that mbsgen wrote before.
     """
     reductions = replace(ALL, **{SWITCHES[name]: False for name in without})
-    options = Options(runtime=runtime, python=python, matlab=matlab, reductions=reductions)
+    options = Options(
+        runtime=runtime,
+        python=python,
+        matlab=matlab,
+        reductions=reductions,
+        functions=None if functions is None else tuple(filter(None, map(str.strip, functions.split(",")))),
+        derivatives=derivatives,
+    )
     if check:
         _check_folder(make(model, options).files, out)
         return

@@ -1,7 +1,8 @@
-"""The pipeline: model.yaml -> Model -> Tree -> tapes -> derivatives -> setup split off -> C, manifest, report."""
+"""The pipeline: model.yaml or Model -> Tree -> tapes -> derivatives -> setup split off -> C, manifest, report."""
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -10,10 +11,12 @@ from pathlib import Path
 from mbsgen import __version__, manifest
 from mbsgen.derivatives.dynamics import Dynamics
 from mbsgen.derivatives.kernels import differentiable, differentiate
-from mbsgen.formulations.catalogue import MEANINGS, SETUP, select_functions
+from mbsgen.errors import MbsError
+from mbsgen.formulations.catalogue import FUNCTIONS, MEANINGS, SETUP, Entry, select_functions
 from mbsgen.formulations.links import PARAMETERS
 from mbsgen.formulations.reductions import ALL, Reductions
 from mbsgen.manifest import Coordinate, Frame, Manifest, Parameter, Wrench
+from mbsgen.model.model import Model
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree, with_runtime_numbers
 from mbsgen.model.tree import NO_FORCE, Kind, Tree
@@ -36,6 +39,8 @@ class Options:
     python: bool = False  # also the Python target
     matlab: bool = False  # also the Matlab target
     compare: bool = False  # also count the formulations without each reduction
+    functions: tuple[str, ...] | None = None  # which functions of the catalogue; None: all that the model has
+    derivatives: int = 2  # up to which order
     reductions: Reductions = ALL  # what is done to lower the operation count
 
 
@@ -48,26 +53,33 @@ class Product:
     files: Mapping[str, str]  # path in the folder -> text
 
 
-def generate(model: Path, out: Path, options: Options = Options()) -> Product:
-    """Make everything of a model file, and write it to the folder `out`. Raises InputError; then nothing is written."""
+class OptionError(MbsError):
+    """Options that a model cannot be generated with."""
+
+
+def generate(model: Path | Model, out: Path, options: Options = Options()) -> Product:
+    """Make everything of a model, and write it to the folder `out`. Where `make` raises, nothing is written."""
     product = make(model, options)
     write_folder(product.files, out)
     return product
 
 
-def make(model: Path, options: Options = Options()) -> Product:
-    """Make everything of a model file. Raises InputError with every fault of the file."""
+def make(model: Path | Model, options: Options = Options()) -> Product:
+    """Make everything of a model file, or of a model made in Python.
+
+    Raises InputError with every fault of the file, OptionError for functions that there are not.
+    """
     written = read_tree(model)
     parametric = with_runtime_numbers(written)
     tree = parametric if options.runtime else written
     dynamics = Dynamics(tree, options.reductions)
-    families = write_families(tree, options.reductions, dynamics)
+    families = write_families(tree, options, dynamics)
     unit = Unit(
         mangle(tree.name),
         __version__,
         _hash(tree, families),
         families,
-        tuple(p.value for p in tree.parameters if p.kind is Kind.RUNTIME),
+        tuple(p.value for p in tree.parameters if p.kind is Kind.RUNTIME and families[0].value.name == "setup"),
         only_driven=not tree.wrenches and all(body.joint.law == NO_FORCE for body in tree.bodies),
     )
     sources = write_c(unit)
@@ -86,30 +98,49 @@ def make(model: Path, options: Options = Options()) -> Product:
     return Product(described, report, files)
 
 
-def read_tree(model: Path) -> Tree:
+def read_tree(model: Path | Model) -> Tree:
     """Read a model file as a Tree. Raises InputError with every fault of the file."""
-    return build_tree(read_model(model))
+    return build_tree(model if isinstance(model, Model) else read_model(model))
 
 
-def write_families(tree: Tree, reductions: Reductions = ALL, dynamics: Dynamics | None = None) -> tuple[Family, ...]:
-    """Write every function of a tree with its derivatives; what depends on parameters alone is split off as `setup`.
+def write_families(tree: Tree, options: Options = Options(), dynamics: Dynamics | None = None) -> tuple[Family, ...]:
+    """Write functions of a tree with their derivatives; what depends on parameters alone is split off as `setup`.
 
     `dynamics` writes those of the formulations, and can tell afterwards what each way of writing them takes.
     """
     families: list[Family] = []
-    dynamics = dynamics or Dynamics(tree, reductions)
-    for name, entry in select_functions(tree).items():
-        tape = entry.build(tree, reductions)
+    dynamics = dynamics or Dynamics(tree, options.reductions)
+    for name, entry in _choose_functions(tree, options.functions).items():
+        tape = entry.build(tree, options.reductions)
         assert tape.name == name, "the catalogue calls a tape by its own name"
-        if not entry.differentiated:
+        if not (entry.differentiated and options.derivatives):
             families.append(Family(tape, title=entry.title, meanings=MEANINGS))
             continue
         found = dynamics.differentiate(tape) if entry.of_dynamics else differentiate(tape, differentiable(tape))
-        families.append(Family(tape, found.jac, found.adj1, found.jac_adj1, title=entry.title, meanings=MEANINGS))
+        second = found.jac_adj1 if options.derivatives > 1 else None
+        families.append(Family(tape, found.jac, found.adj1, second, title=entry.title, meanings=MEANINGS))
         families.append(Family(found.lin, title=f"{entry.title}, with its Jacobians", meanings=MEANINGS))
     if any(p.kind is Kind.RUNTIME for p in tree.parameters):
         return _split_setup(families)
     return tuple(families)
+
+
+def _choose_functions(tree: Tree, names: tuple[str, ...] | None) -> Mapping[str, Entry]:
+    """Choose functions by name, in the order of the catalogue; all that is wrong with the names is told at once."""
+    present = select_functions(tree)
+    if names is None:
+        return present
+    faults = [] if names else [f"no function is named; there are {', '.join(present)}"]
+    for name in dict.fromkeys(names):
+        if name in FUNCTIONS and name not in present:
+            faults.append(f"{name} is of sensors, and {tree.name} has none; name some under `frames:`")
+        elif name not in FUNCTIONS:
+            near = difflib.get_close_matches(name, present, 1)
+            remedy = f"is {near[0]} meant?" if near else f"there are {', '.join(present)}"
+            faults.append(f"there is no function {name!r}; {remedy}")
+    if faults:
+        raise OptionError("\n".join(f"functions: {fault}" for fault in faults))
+    return {name: entry for name, entry in present.items() if name in names}
 
 
 def _split_setup(families: list[Family]) -> tuple[Family, ...]:
@@ -123,6 +154,8 @@ def _split_setup(families: list[Family]) -> tuple[Family, ...]:
         replace(f, value=rest[f.value.name], jac=found(f.jac), adj1=found(f.adj1), jac_adj1=found(f.jac_adj1))
         for f in families
     ]
+    if not setup.output(SETUP).sparsity.nnz:  # parameters matter to none of the functions chosen
+        return tuple(split)
     return (Family(setup, title="what the kernels need of the run-time parameters", meanings=MEANINGS), *split)
 
 

@@ -304,3 +304,19 @@ def test_a_folder_can_be_checked_against_what_would_be_written(mbsgen: Command) 
     assert Path("out/manifest.json").read_bytes() == before
     assert mbsgen("pendulum.yaml", "-o", "nowhere", "--check").code == DIFFERENT
     assert not Path("nowhere").exists()
+
+
+def test_functions_and_derivatives_can_be_chosen(mbsgen: Command, tmp_path: Path) -> None:
+    """Spaces and repetitions do no harm; names that there are not are told with those meant."""
+    assert mbsgen("pendulum.yaml", "-o", "out", "--functions", "impl, sensors,impl", "--derivatives", "1").code == 0
+    kernels = json.loads((tmp_path / "out" / "manifest.json").read_text())["kernels"]
+    assert [k["name"] for k in kernels] == [
+        f"{p}{f}" for f in ("impl", "sensors") for p in ("", "jac_", "adj1_", "lin_")
+    ]
+    refused = mbsgen("pendulum.yaml", "-o", "other", "--functions", "imlp")
+    assert (refused.code, refused.err) == (
+        BAD_INPUT,
+        "mbsgen: functions: there is no function 'imlp'; is impl meant?\n",
+    )
+    assert not (tmp_path / "other").exists()
+    assert mbsgen("pendulum.yaml", "-o", "other", "--derivatives", "3").code == BAD_INPUT

@@ -7,7 +7,7 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from mbsgen import manifest
 from mbsgen.errors import InputError
+from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import with_runtime_numbers
 from mbsgen.model.tree import Kind, Tree
-from mbsgen.pipeline import Options, generate, make, read_tree, write_families, write_folder
+from mbsgen.pipeline import OptionError, Options, generate, make, read_tree, write_families, write_folder
 from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.types import Tape
 from tests.random_trees import random_tree
@@ -54,7 +55,7 @@ frames:
 """
 GENERATE = """
 import pathlib, sys
-from mbsgen.pipeline import Options, generate
+from mbsgen.pipeline import OptionError, Options, generate
 generate(pathlib.Path("model.yaml"), pathlib.Path(sys.argv[1]), Options(python=True, matlab=True))
 """
 Array = NDArray[np.float64]
@@ -195,3 +196,62 @@ def test_a_folder_with_another_manifest_is_left_alone(text: str, model: Path, tm
     with pytest.raises(InputError, match="no folder that mbsgen wrote"):
         generate(model, out)
     assert read_folder(tmp_path) == before
+
+
+def kernels(model: Path, **options: object) -> list[str]:
+    return [kernel.name for kernel in make(model, Options(**options)).manifest.kernels]
+
+
+def test_only_chosen_functions_are_generated(model: Path) -> None:
+    """With their derivatives, in the catalogue's order, and with the setup that they need; no other than among all."""
+    names = kernels(model, functions=("frames", "exp1"))
+    family = ["exp1", "jac_exp1", "adj1_exp1", "jac_adj1_exp1", "lin_exp1"]
+    assert names == ["setup", *family, "frames"]
+    model.write_text(BRANCHED.replace("{value: 1.5, kind: runtime}", "1.5"))
+    some, all_ = make(model, Options(functions=("sensors",))), make(model)
+    for kernel in some.manifest.kernels:
+        assert kernel == all_.manifest.kernel(kernel.name)
+
+
+@pytest.mark.parametrize(
+    ("order", "prefixes"),
+    [(0, {""}), (1, {"", "jac_", "adj1_", "lin_"}), (2, {"", "jac_", "adj1_", "jac_adj1_", "lin_"})],
+)
+def test_derivatives_are_generated_up_to_an_order(order: int, prefixes: set[str], model: Path) -> None:
+    names = kernels(model, functions=("impl", "sensors", "exp2"), derivatives=order)
+    assert set(names) - {"setup"} == {*(p + f for p in prefixes for f in ("impl", "sensors", "exp2"))}
+
+
+@pytest.mark.parametrize("functions", [("frames",), ("impl", "semi"), ("sensors", "frames")])
+@pytest.mark.parametrize("order", [0, 1])
+def test_a_part_passes_its_own_check(
+    functions: tuple[str, ...], order: int, model: Path, tmp_path: Path, requires: Callable[[str], str]
+) -> None:
+    """The check program compares what there is."""
+    out = tmp_path / "out"
+    generate(model, out, Options(functions=functions, derivatives=order))
+    subprocess.run(
+        [requires("cc"), "-O1", f"-I{out}", *map(str, out.glob("*.c")), "-lm", "-o", str(out / "check")], check=True
+    )
+    assert subprocess.run([out / "check"], check=False).returncode == 0
+
+
+def test_functions_that_there_are_not_are_told_at_once(model: Path) -> None:
+    model.write_text(BRANCHED.partition("frames:")[0])
+    with pytest.raises(OptionError) as told:
+        make(model, Options(functions=("imlp", "motion", "xyz", "impl")))
+    known = "impl, semi, semi_res, exp1, exp2, energy, frames"
+    assert str(told.value).splitlines() == [
+        "functions: there is no function 'imlp'; is impl meant?",
+        "functions: motion is of sensors, and branched has none; name some under `frames:`",
+        f"functions: there is no function 'xyz'; there are {known}",
+    ]
+    with pytest.raises(OptionError, match=f"no function is named; there are {known}"):
+        make(model, Options(functions=()))
+
+
+def test_a_model_made_in_python_is_generated_like_its_file(model: Path, tmp_path: Path) -> None:
+    made = read_model(model)
+    product = generate(made, tmp_path / "out", Options(functions=("impl",)))
+    assert product.files == make(model, Options(functions=("impl",))).files
+    assert read_folder(tmp_path / "out") == {name: text.encode() for name, text in product.files.items()}
