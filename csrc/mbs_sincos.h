@@ -23,6 +23,8 @@
 
 #ifdef MBS_LIBM
 
+#define MBS_PACK 1
+
 static inline void mbs_sincos(int n, const mbs_real *x, mbs_real *s, mbs_real *c)
 {
     int i;
@@ -71,21 +73,40 @@ static inline void mbs_sincos(int n, const mbs_real *x, mbs_real *s, mbs_real *c
 #define MBS_BITS_double unsigned long long
 #define MBS_BITS_float unsigned int
 typedef MBS_PASTE(MBS_BITS_, MBS_REAL) mbs_word;
-#if defined(__GNUC__) && defined(__AVX__) && !defined(MBS_SCALAR)
-#define MBS_PACK_SIZE 32
-#elif defined(__GNUC__) && !defined(MBS_SCALAR)
-#define MBS_PACK_SIZE 16
+#define MBS_SIZE_double 8
+#define MBS_SIZE_float 4
+#if !defined(__GNUC__) || defined(MBS_SCALAR)
+#define MBS_PACK 1
+#elif defined(__AVX__)
+#define MBS_PACK (32 / MBS_PASTE(MBS_SIZE_, MBS_REAL))
+#else
+#define MBS_PACK (16 / MBS_PASTE(MBS_SIZE_, MBS_REAL))
 #endif
-#ifdef MBS_PACK_SIZE
-#define MBS_PACK ((int)(MBS_PACK_SIZE / sizeof(mbs_real)))
+/* The next loop and all entries, written out: only then do the numbers stay in registers, at any optimisation. */
+#if defined(__clang__)
+#define MBS_UNROLLED _Pragma("clang loop unroll(full)")
+#elif defined(__GNUC__) && __GNUC__ >= 8
+#define MBS_UNROLLED _Pragma("GCC unroll 16")
+#else
+#define MBS_UNROLLED
+#endif
+#if MBS_PACK == 8
+#define MBS_EACH(x) x(0) x(1) x(2) x(3) x(4) x(5) x(6) x(7)
+#elif MBS_PACK == 4
+#define MBS_EACH(x) x(0) x(1) x(2) x(3)
+#elif MBS_PACK == 2
+#define MBS_EACH(x) x(0) x(1)
+#else
+#define MBS_EACH(x) x(0)
+#endif
+#if MBS_PACK > 1
 #define MBS_ENTRY(pack, i) (pack)[i]
 #define MBS_COLD __attribute__((noinline, cold))
-typedef mbs_real mbs_pack __attribute__((vector_size(MBS_PACK_SIZE)));
-typedef mbs_word mbs_bits __attribute__((vector_size(MBS_PACK_SIZE)));
+typedef mbs_real mbs_pack __attribute__((vector_size(MBS_PACK * sizeof(mbs_real))));
+typedef mbs_word mbs_bits __attribute__((vector_size(MBS_PACK * sizeof(mbs_real))));
 #define mbs_to_bits(pack) ((mbs_bits)(pack))
 #define mbs_from_bits(bits) ((mbs_pack)(bits))
 #else
-#define MBS_PACK 1
 #define MBS_ENTRY(pack, i) (pack)
 #define MBS_COLD
 typedef mbs_real mbs_pack;
@@ -127,38 +148,43 @@ static inline void mbs_sincos_pack(const mbs_pack *x, mbs_pack *s, mbs_pack *c)
 }
 
 /* Replace what is beyond the limit, or was computed of no number. */
-static MBS_COLD void mbs_sincos_far(int n, const mbs_real *x, mbs_real *s, mbs_real *c)
+static MBS_COLD void mbs_sincos_far(const mbs_pack *x, mbs_pack *s, mbs_pack *c)
 {
-    int i;
-    for (i = 0; i < n; ++i)
-        if (!(MBS_ABS(x[i]) <= MBS_SINCOS_LIMIT)) {
-            s[i] = MBS_SIN(x[i]);
-            c[i] = MBS_COS(x[i]);
-        }
+#define MBS_REPLACE(j) \
+    if (!(MBS_ABS(MBS_ENTRY(*x, j)) <= MBS_SINCOS_LIMIT)) { \
+        MBS_ENTRY(*s, j) = MBS_SIN(MBS_ENTRY(*x, j)); \
+        MBS_ENTRY(*c, j) = MBS_COS(MBS_ENTRY(*x, j)); \
+    }
+    MBS_EACH(MBS_REPLACE)
 }
 
 static inline void mbs_sincos(int n, const mbs_real *x, mbs_real *s, mbs_real *c)
 {
-    mbs_pack squares = {0};
-    mbs_real sum = 0;
-    int i, j;
+    int i;
+    MBS_UNROLLED
     for (i = 0; i < n; i += MBS_PACK) {
-        mbs_pack angle = {0}, sine, cosine;
-        for (j = 0; j < MBS_PACK && i + j < n; ++j)
-            MBS_ENTRY(angle, j) = x[i + j];
-        squares += angle * angle;
+#define MBS_TAKE(j) x[i + (j)],
+        const mbs_pack angle = {MBS_EACH(MBS_TAKE)};
+        const mbs_pack squares = angle * angle;
+        mbs_pack sine, cosine;
+        mbs_real sum = 0;
         mbs_sincos_pack(&angle, &sine, &cosine);
-        for (j = 0; j < MBS_PACK && i + j < n; ++j) {
-            s[i + j] = MBS_ENTRY(sine, j);
-            c[i + j] = MBS_ENTRY(cosine, j);
+#define MBS_ADD(j) sum += MBS_ENTRY(squares, j);
+        MBS_EACH(MBS_ADD)
+        if (!(sum <= MBS_SINCOS_LIMIT * MBS_SINCOS_LIMIT)) {
+            mbs_pack far = angle, far_sine = sine, far_cosine = cosine; /* only these need be in memory */
+            mbs_sincos_far(&far, &far_sine, &far_cosine);
+            sine = far_sine;
+            cosine = far_cosine;
         }
+#define MBS_PUT(j) s[i + (j)] = MBS_ENTRY(sine, j), c[i + (j)] = MBS_ENTRY(cosine, j);
+        MBS_EACH(MBS_PUT)
     }
-    for (j = 0; j < MBS_PACK; ++j)
-        sum += MBS_ENTRY(squares, j);
-    if (!(sum <= MBS_SINCOS_LIMIT * MBS_SINCOS_LIMIT))
-        mbs_sincos_far(n, x, s, c);
 }
 
 #endif
+
+/* The length of arrays of n angles, and of their sines: what is behind the angles must be 0. */
+#define MBS_PADDED(n) (((n) + MBS_PACK - 1) / MBS_PACK * MBS_PACK)
 
 #endif

@@ -270,9 +270,9 @@ def _write_lines(lines: Sequence[Line]) -> tuple[str, ...]:
 def _write_turns(turns: Turns, suffix: str) -> list[str]:
     angles, sines, cosines = (f"mbs_{kind}{suffix}" for kind in ("angles", "sines", "cosines"))
     count = len(turns.turns)
-    text = [f"const mbs_real {angles}[] = {{"]
+    text = [f"const mbs_real {angles}[MBS_PADDED({count})] = {{"]
     text += [f"    {line}" for line in wrap(turn.angle for turn in turns.turns)]
-    text += ["};", f"mbs_real {sines}[{count}], {cosines}[{count}];"]
+    text += ["};", f"mbs_real {sines}[MBS_PADDED({count})], {cosines}[MBS_PADDED({count})];"]
     text.append(f"mbs_sincos({count}, {angles}, {sines}, {cosines});")
     for k, turn in enumerate(turns.turns):
         text += [f"{name} = {of}[{k}];" for name, of in ((turn.sine, sines), (turn.cosine, cosines)) if name]
