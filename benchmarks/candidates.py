@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 
 _INTEGERS = ctypes.POINTER(ctypes.c_longlong)
 Array = NDArray[np.float64]
-OURS, TAPE, CASADI, PINOCCHIO = "mbsgen", "AD of our equations", "Pinocchio in CasADi", "Pinocchio"
+OURS, TAPE, SHORT = "mbsgen", "AD of our equations", "short recursion in CasADi"
+CASADI, PINOCCHIO = "Pinocchio in CasADi", "Pinocchio"
 AUTHORS: Mapping[str, str] = {
     OURS: "the generated kernels",
     TAPE: "the generated equations over CasADi's SX, differentiated by CasADi, with cse, as C",
+    SHORT: "a short Newton-Euler recursion with base inertial parameters in CasADi's SX, with cse, as C",
     CASADI: "Pinocchio's algorithms traced in CasADi's SX, with cse, as C",
     PINOCCHIO: "Pinocchio's algorithms in C++",
 }

@@ -14,12 +14,14 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.afternoon import write_functions
 from benchmarks.candidates import (
     AUTHORS,
     CASADI,
     LARGEST,
     OURS,
     PINOCCHIO,
+    SHORT,
     TAPE,
     Call,
     Candidate,
@@ -89,6 +91,7 @@ def study(model: Path, workshop: Workshop, depth: Depth, report: Report) -> Stud
     report("differentiating our equations by CasADi")
     tape = read_tape(own.folder / "generated", product.manifest, DIFFERENTIATED)
     candidates += _make_functions(TAPE, _derive(tape, depth), own, report)
+    candidates += _make_functions(SHORT, _differentiate_short(write_functions(tree)), own, report)
     if workshop.includes is not None:
         report("compiling Pinocchio")
         peer = workshop.compile_pinocchio()
@@ -135,6 +138,15 @@ def _differentiate_traced(functions: dict[str, ca.Function], depth: Depth) -> Na
         for name, way in (("impl", "impl"), ("exp1", "exp"))
     ]
     return values + analytic + _derive(functions, depth)
+
+
+def _differentiate_short(functions: dict[str, ca.Function]) -> Named:
+    return [
+        ("impl", eliminate(functions["impl"], "value_impl")),
+        ("exp1", eliminate(functions["exp"], "value_exp")),
+        ("jac_impl", jacobian(functions["impl"], "jac_impl")),
+        ("jac_exp1", eliminate(functions["jac_exp"], "jac_exp")),
+    ]
 
 
 def _load(path: Path) -> dict[str, ca.Function]:

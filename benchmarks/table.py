@@ -104,30 +104,30 @@ def authors_of(rows: Iterable[Row]) -> tuple[str, ...]:
 def make_tables(model: str, rows: Sequence[Row]) -> tuple[Table, Table]:
     """Lay out flops and times, each with ratios to ours."""
     return (
-        _make_table(f"{model}: operations + - * / and roots", rows, "flops", "flops_ratio", "{:.0f}"),
-        _make_table(f"{model}: nanoseconds per call", rows, "ns", "ns_ratio", "{:.0f}"),
+        _make_table(f"{model}: operations + - * / and roots", rows, "flops", "flops_ratio"),
+        _make_table(f"{model}: nanoseconds per call", rows, "ns", "ns_ratio"),
     )
 
 
-def _make_table(title: str, rows: Sequence[Row], figure: str, ratio: str, form: str) -> Table:
+def _make_table(title: str, rows: Sequence[Row], figure: str, ratio: str) -> Table:
     authors = [a for a in authors_of(rows) if any(getattr(r.cells.get(a), figure, None) is not None for r in rows)]
     table = Table(title=title, title_justify="left")
-    table.add_column("")
+    table.add_column("", no_wrap=True)
     for author in authors:
         table.add_column(author, justify="right")
-        if author != OURS:
-            table.add_column("ratio", justify="right")
     for row in rows:
-        line = [row.title]
-        for author in authors:
-            cell = row.cells.get(author)
-            value = getattr(cell, figure, None)
-            line.append("–" if value is None else form.format(value))
-            if author != OURS:
-                times = getattr(cell, ratio, None)
-                line.append("–" if times is None else f"[{'green' if times > 1 else 'red'}]{times:.2f}")
-        table.add_row(*line)
+        found = [row.cells.get(author) for author in authors]
+        table.add_row(row.title, *(_write_cell(getattr(c, figure, None), getattr(c, ratio, None)) for c in found))
     return table
+
+
+def _write_cell(value: float | None, ratio: float | None) -> str:
+    """Write a figure over how many times ours it is; ours stands alone."""
+    if value is None:
+        return "–"
+    if ratio is None or ratio == 1.0:
+        return f"{value:.0f}"
+    return f"{value:.0f} [{'green' if ratio > 1 else 'red'}]{ratio:5.2f}"
 
 
 def write_json(comparisons: Mapping[str, Sequence[Row]], rounds: int) -> str:
@@ -153,9 +153,14 @@ def draw_chart(comparisons: Mapping[str, Sequence[Row]], path: Path) -> None:
         for k, author in enumerate(others):
             found = [(i, row.cells[author].ns_ratio) for i, row in enumerate(rows) if author in row.cells]
             bars = [(i, ratio) for i, ratio in found if ratio is not None]
+            if not bars:
+                continue
             ax.bar([i - 0.4 + (k + 0.5) * width for i, _ in bars], [r for _, r in bars], width, label=author)
         ax.axhline(1, color="black", linewidth=0.8)
         ax.set_yscale("log")
+        ax.yaxis.set_major_formatter("{x:g}")
+        ax.yaxis.set_minor_formatter("")
+        ax.set_xlim(-0.6, len(rows) - 0.4)
         ax.set_xticks(range(len(rows)), [row.title.replace(" of ", "\nof ") for row in rows], fontsize=7)
         ax.set_ylabel("time by mbsgen's")
         ax.set_title(model)
