@@ -11,6 +11,7 @@ import pytest
 
 from mbsrun import Mechanism, load
 from mbsrun.ocp.problem import Problem, Representation
+from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import solve
 from mbsrun.ocp.statement import read_problem
@@ -63,8 +64,20 @@ def test_a_post_is_passed_by(read: Callable[[str], tuple[Problem, Mechanism]]) -
 def test_the_fastest_reach_is_at_its_limits(read: Callable[[str], tuple[Problem, Mechanism]]) -> None:
     """Minimum time of a two-link arm: at almost all times some motor gives all it can."""
     problem, plant = read("planar_arm_fastest")
-    trajectory = optimum(problem, plant).trajectory
+    solution = resimulate(optimum(problem, plant), plant)
+    trajectory = solution.trajectory
+    assert solution.resimulation is not None
+    assert solution.resimulation.is_accurate
     limits = np.array(problem.bounds.u)[:, 1]
     saturated = (np.abs(trajectory.u) > limits - 1e-3).any(axis=1)
     assert saturated.mean() > 0.9
     assert trajectory.t[-1] < problem.horizon
+
+
+def test_the_page_on_problem_files_opens_with_one(requires: Callable[[str], str], tmp_path: Path) -> None:
+    """Its first example is whole, and is solved."""
+    requires("cc")
+    page = (MODELS.parent / "docs" / "problem.md").read_text("utf-8")
+    (tmp_path / "page.ocp.yaml").write_text(page.split("```yaml\n")[1].split("```")[0], "utf-8")
+    problem, plant = read_problem(tmp_path / "page.ocp.yaml", lambda path: load(MODELS / path.name))
+    assert optimum(problem, plant).cost.total == pytest.approx(58.8, rel=0.01)

@@ -48,7 +48,7 @@ def plot_trajectories(solution: Solution, manifest: Manifest, path: Path) -> Non
     _name(velocities, "Joint velocities", r"\dot{q}", _unit(manifest.coordinates, "rad/s", "m/s"))
     _name(inputs, "Inputs", "u", _unit(actuated, "N m", "N"))
     inputs.set_xlabel("time [s]")
-    inputs.set_xlim(0, solution.problem.horizon)
+    inputs.set_xlim(0, solution.trajectory.t[-1])
     figure.legend(loc="outside lower center", ncols=3, frameon=False)
     figure.suptitle(_title(solution))
     _save(figure, path)
@@ -61,7 +61,7 @@ def draw_mechanism(solution: Solution, plant: Plant, path: Path) -> None:
     figure = Figure(figsize=(8, 7), layout="constrained")
     axes = figure.add_subplot(projection="3d")
     assert isinstance(axes, Axes3D)
-    times = Normalize(0, solution.problem.horizon)
+    times = Normalize(0, solution.trajectory.t[-1])
     for k in np.linspace(0, len(p) - 1, min(POSES, len(p))).round().astype(int):
         _draw_pose(axes, frames, p[k], TIME(times(trajectory.t[k])), 3.0 if k in (0, len(p) - 1) else 1.2)
     targets = dict(solution.problem.end.sensors)

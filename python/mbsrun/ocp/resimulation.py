@@ -26,7 +26,7 @@ TOLERANCE = 1e-13  # relative and absolute
 def resimulate(solution: Solution, plant: Plant) -> Solution:
     """Return the solution with its re-simulation."""
     trajectory = solution.trajectory
-    step = solution.problem.horizon / solution.problem.intervals
+    step = float(trajectory.t[1] - trajectory.t[0])
     states = np.concatenate((trajectory.q, trajectory.qd), axis=1)
     ends = integrate(plant, states[:-1], trajectory.u, step)
     defects = None if ends is None else np.abs(ends - states[1:]).max(axis=1)
