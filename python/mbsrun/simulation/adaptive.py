@@ -19,7 +19,7 @@ from mbsrun.simulation.drive import Piece
 from mbsrun.simulation.dynamics import Dynamics, SingularError
 from mbsrun.simulation.explicit import SINGULAR
 from mbsrun.simulation.methods import METHODS
-from mbsrun.simulation.motion import Chunk, Halt, HaltError, Settings
+from mbsrun.simulation.motion import MAX_STEPS, Chunk, Halt, HaltError, Settings
 
 Array = NDArray[np.float64]
 
@@ -47,8 +47,8 @@ def integrate(dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: S
             times.append(float(solver.t))
             states.append(solver.y.copy())
             pictures.append(solver.dense_output())
-            if effort.steps > settings.max_steps:
-                raise _give_up(dynamics, solver, f"{settings.max_steps} steps were not enough")
+            if effort.steps > MAX_STEPS:
+                raise _give_up(dynamics, solver, f"{MAX_STEPS} steps were not enough")
             if len(pictures) == STEPS:
                 yield _gather(times, states, pictures, n)
                 times, states, pictures = times[-1:], states[-1:], []

@@ -64,7 +64,7 @@ def hold(values: ArrayLike) -> Drive:
     return Drive((Piece(0.0, np.inf, lambda t: np.broadcast_to(held, (len(t), held.size)), True),))
 
 
-def step(times: ArrayLike, values: ArrayLike) -> Drive:
+def hold_steps(times: ArrayLike, values: ArrayLike) -> Drive:
     """Hold values[k] from times[k] to times[k + 1]: times (N + 1,) from 0 on, increasing; values (N, m)."""
     knots, held = np.asarray(times, dtype=np.float64), np.asarray(values, dtype=np.float64)
     if held.ndim != 2 or knots.shape != (len(held) + 1,) or knots[0] != 0 or (np.diff(knots) <= 0).any():

@@ -12,6 +12,7 @@ from mbsrun.simulation.methods import Formulation
 
 Array = NDArray[np.float64]
 
+MAX_STEPS = 100_000_000
 STORED = 1000  # states that are kept of a motion, about, unless another distance of outputs is asked for
 
 
@@ -22,13 +23,12 @@ class Settings:
     duration: float
     method: str = "dop853"
     formulation: Formulation = Formulation.EXP2
-    step: float = 1e-3  # of methods with a fixed step; the last of a piece may be shorter
+    step: float = 1e-3  # of methods with a fixed step, at most: a piece of the inputs has steps of equal length
     rtol: float = 1e-9  # of adaptive methods: tolerance of a step, relative,
     atol: float = 1e-9  # and absolute (rad, m; rad/s, m/s)
     stages: int = 2  # of radau-iia and gauss
     rho: float = 0.8  # of generalized-alpha: what part of the highest frequencies' amplitude a step keeps
     output_step: float | None = None  # between the states that are kept; None: duration / STORED
-    max_steps: int = 100_000_000  # taken before giving up; adaptive: attempted
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from mbsrun.simulation.drive import Drive, Piece, input_labels
 from mbsrun.simulation.dynamics import Dynamics, SingularError
 from mbsrun.simulation.energy import add_up_work
 from mbsrun.simulation.methods import METHODS, Family, Formulation
-from mbsrun.simulation.motion import STORED, Chunk, Effort, Energy, Halt, HaltError, Motion, Settings
+from mbsrun.simulation.motion import MAX_STEPS, STORED, Chunk, Effort, Energy, Halt, HaltError, Motion, Settings
 
 Array = NDArray[np.float64]
 Integrator = Callable[[Dynamics, Piece, Array, Array, Settings], Iterator[Chunk]]
@@ -75,6 +75,8 @@ def _check(kernels: Kernels, drive: Drive, q: ArrayLike, qd: ArrayLike, settings
     for name, value in lengths.items():
         if not (np.isfinite(value) and value > 0):
             raise ValueError(f"{name} = {value} must be a positive number")
+    if METHODS[settings.method].family is not Family.ADAPTIVE and settings.duration / settings.step > MAX_STEPS:
+        raise ValueError(f"step = {settings.step} takes more than {MAX_STEPS} steps")
     if settings.duration > drive.end:
         raise ValueError(f"the inputs end at {drive.end} s, before the duration of {settings.duration} s")
     return start

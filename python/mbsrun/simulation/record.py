@@ -1,0 +1,147 @@
+"""The folder of a simulated motion: every number, the plots, and the page that plays it.
+
+Files are the same for the same motion, but for the time that the run took. Names of the model are shown, and stand in
+no file name.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import TABLEAU_COLORS
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from mbsgen.manifest import Manifest
+from mbsrun.animation import write_animation
+from mbsrun.external import Mechanism
+from mbsrun.kernel import Kernels
+from mbsrun.simulation.drive import input_labels
+from mbsrun.simulation.methods import METHODS, Family
+from mbsrun.simulation.motion import Motion, Settings
+
+Array = NDArray[np.float64]
+
+FORMAT = "mbsrun simulation 1"
+SUMMARY, TRAJECTORY, PLOTS, ANIMATION = "simulation.json", "trajectory.csv", "plots.png", "animation.html"
+FILES = (SUMMARY, TRAJECTORY, PLOTS, ANIMATION)
+COLORS = tuple(TABLEAU_COLORS)
+NAMED = 12  # coordinates that a legend still names
+
+
+def write_motion(motion: Motion, kernels: Mechanism, folder: Path) -> None:
+    """Write the folder of a motion; what is in the way of its files is replaced."""
+    folder.mkdir(parents=True, exist_ok=True)
+    manifest = kernels.manifest
+    (folder / SUMMARY).write_text(_summarise(motion, kernels), encoding="utf-8")
+    (folder / TRAJECTORY).write_text(_tabulate(motion, manifest), encoding="utf-8")
+    plot_motion(motion, manifest, folder / PLOTS)
+    title = manifest.model if motion.halt is None else f"{manifest.model}, incomplete: {motion.halt}"
+    write_animation(folder / ANIMATION, kernels, motion.t, motion.q, qd=motion.qd, title=title)
+
+
+def describe_settings(settings: Settings) -> dict[str, object]:
+    """List those settings that mattered to the method."""
+    family = METHODS[settings.method].family
+    wanted = ["duration", "method"]
+    wanted += ["rtol", "atol"] if family is Family.ADAPTIVE else ["step"]
+    wanted += ["stages"] if settings.method in ("radau-iia", "gauss") else []
+    wanted += ["rho"] if settings.method == "generalized-alpha" else []
+    return {name: getattr(settings, name) for name in wanted} | {"formulation": settings.formulation.value}
+
+
+def _summarise(motion: Motion, kernels: Kernels) -> str:
+    manifest, energy, halt = kernels.manifest, motion.energy, motion.halt
+    summary = {
+        "format": FORMAT,
+        "complete": motion.is_complete,
+        "halt": None if halt is None else asdict(halt),
+        "warnings": list(motion.warnings),
+        "model": manifest.model,
+        "model_hash": manifest.model_hash,
+        "parameters": dict(kernels.parameters),
+        "settings": describe_settings(motion.settings),
+        "coordinates": [c.name for c in manifest.coordinates],
+        "inputs": list(input_labels(manifest)),
+        "effort": asdict(motion.effort),
+        "energy": None
+        if energy is None
+        else {
+            "start": float(energy.total[0]),
+            "end": float(energy.total[-1]),
+            "work": float(energy.work[-1]),
+            "largest_drift": float(np.abs(energy.drift).max()),
+        },
+        "end": {"t": float(motion.t[-1]), "q": motion.q[-1].tolist(), "qd": motion.qd[-1].tolist()},
+    }
+    return json.dumps(summary, indent=1, ensure_ascii=False) + "\n"
+
+
+def _tabulate(motion: Motion, manifest: Manifest) -> str:
+    """Write a line for each time, with every digit; names are bracketed, so that no cell begins like a formula."""
+    names = [c.name for c in manifest.coordinates]
+    header = ["t", *(f"q[{x}]" for x in names), *(f"qd[{x}]" for x in names)]
+    header += [f"input[{x}]" for x in input_labels(manifest)]
+    columns = [motion.t[:, None], motion.q, motion.qd, motion.inputs]
+    if motion.energy is not None:
+        header += ["kinetic", "potential", "work"]
+        columns += [x[:, None] for x in (motion.energy.kinetic, motion.energy.potential, motion.energy.work)]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(np.concatenate(columns, axis=1).tolist())
+    return text.getvalue()
+
+
+def plot_motion(motion: Motion, manifest: Manifest, path: Path) -> None:
+    """Plot coordinates, velocities, inputs and energies over time, and write the picture."""
+    rows = 3 + bool(motion.inputs.shape[1])
+    figure = Figure(figsize=(8, 2.6 * rows), layout="constrained")
+    axes = list(figure.subplots(rows, 1, sharex=True))
+    units = dict.fromkeys({"revolute": "rad", "prismatic": "m"}[c.motion] for c in manifest.coordinates)
+    _plot(axes[0], motion.t, motion.q, [c.name for c in manifest.coordinates], f"$q$ [{', '.join(units)}]")
+    _plot(axes[1], motion.t, motion.qd, (), rf"$\dot{{q}}$ [{', '.join(f'{unit}/s' for unit in units)}]")
+    if motion.inputs.shape[1]:
+        _plot(axes[2], motion.t, motion.inputs, input_labels(manifest), "inputs [N m, N]")
+    _plot_energy(axes[-1], motion)
+    axes[-1].set_xlabel("time [s]")
+    axes[-1].set_xlim(motion.t[0], motion.t[-1] or 1.0)
+    figure.suptitle(
+        _plain(manifest.model) + ("" if motion.halt is None else f": incomplete\n{_plain(str(motion.halt))}")
+    )
+    figure.savefig(path, dpi=120, metadata={"Software": None})  # a version there would change the bytes
+
+
+def _plot(axes: Axes, t: Array, values: Array, names: Sequence[str], label: str) -> None:
+    for i, column in enumerate(values.T):
+        axes.plot(t, column, color=COLORS[i % len(COLORS)], label=_plain(names[i]) if names else None)
+    axes.set_ylabel(label)
+    axes.grid(alpha=0.3)
+    if names and len(names) <= NAMED:
+        axes.legend(loc="upper left", bbox_to_anchor=(1, 1), frameon=False, fontsize="small")
+
+
+def _plot_energy(axes: Axes, motion: Motion) -> None:
+    axes.set_ylabel("energy [J]")
+    axes.grid(alpha=0.3)
+    if motion.energy is None:
+        axes.text(0.5, 0.5, "unknown: a kernel fails on the way", transform=axes.transAxes, ha="center")
+        return
+    energy = motion.energy
+    for name, values in (("kinetic", energy.kinetic), ("potential", energy.potential)):
+        axes.plot(motion.t, values, label=name, linewidth=1)
+    axes.plot(motion.t, energy.total, label="total", color="black")
+    axes.plot(motion.t, energy.total[0] + energy.work, "--", label="start + work", color="tab:red")
+    axes.legend(loc="upper left", bbox_to_anchor=(1, 1), frameon=False, fontsize="small")
+
+
+def _plain(name: str) -> str:
+    """Keep a name of the user's from being read as a formula, or as an instruction to leave it out."""
+    return "\u200b" + name.replace("$", r"\$") if name.startswith("_") else name.replace("$", r"\$")

@@ -1,0 +1,322 @@
+"""What to simulate, in words: a settings file and the options of a command line -> start, inputs and settings.
+
+Options are laid over the file's data before anything is checked, so both are read by the same rules. Numbers may be
+expressions over the file's `constants`, inputs and wrenches over those and the time t.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, Field, PlainValidator
+
+from mbsgen.documents import (
+    Data,
+    Document,
+    Place,
+    Section,
+    WrongValueError,
+    abbreviate,
+    examine,
+    lies_under,
+    nearest,
+    read_document,
+    refuse,
+    write_path,
+)
+from mbsgen.errors import Fault
+from mbsgen.expressions import CONSTANTS, FLOATS, FUNCTIONS, Expression, ExpressionError, Number, evaluate, names, parse
+from mbsgen.manifest import Manifest, Wrench
+from mbsrun.ocp.schemes import DEGREES
+from mbsrun.simulation.drive import TIME, Drive, express
+from mbsrun.simulation.methods import METHODS, Family, Formulation
+from mbsrun.simulation.motion import MAX_STEPS, Settings
+
+Array = NDArray[np.float64]
+
+COMMAND_LINE = "command line"
+MAX_OUTPUTS = 1_000_000  # states kept
+
+
+@dataclass(frozen=True, eq=False)
+class Statement:
+    """What to simulate: n coordinates, m inputs."""
+
+    settings: Settings
+    q: Array  # (n,)
+    qd: Array  # (n,)
+    drive: Drive
+    parameters: Mapping[str, float]  # run-time parameters with other values than the model's
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Start and inputs out of another file: where that gives them, this one need not."""
+
+    drive: Drive
+    q: Array  # (n,)
+    qd: Array  # (n,)
+
+
+def read_statement(
+    file: Path | None, options: dict[str, Data], manifest: Manifest, recording: Recording | None = None
+) -> Statement:
+    """Read a settings file, if there is one, with options laid over it: nested as in a file.
+
+    A recording takes the place of `inputs`, and of a start that is not given. Raises InputError with every fault.
+    """
+    document = Document("", {}, {}, {}) if file is None else read_document(file)
+    merged = replace(
+        document, data=_overlay(document.data, options) if isinstance(document.data, dict) else document.data
+    )
+    examination = examine(merged, _SettingsSection)
+    reading = _Reading(merged, manifest, examination.stand_ins, recording)
+    faults = list(examination.faults)
+    if examination.value is not None:
+        statement = reading.statement(examination.value)
+        faults += reading.faults
+    if examination.value is None or faults:
+        spelled = tuple(write_path(place) for place in _leaves(options))
+        raise refuse([_attribute(fault, spelled, file) for fault in faults])
+    return statement
+
+
+def _overlay(below: Data, above: Data) -> Data:
+    if isinstance(below, dict) and isinstance(above, dict):
+        return {**below, **{key: _overlay(below.get(key), value) for key, value in above.items()}}
+    return above
+
+
+def _leaves(options: Data, place: Place = ()) -> Iterator[Place]:
+    if isinstance(options, dict):
+        for key, value in options.items():
+            yield from _leaves(value, (*place, key))
+    else:
+        yield place
+
+
+def _attribute(fault: Fault, options: tuple[str, ...], file: Path | None) -> Fault:
+    """Name the command line where an option is at fault, or where there is no file."""
+    if file is None or any(fault.path.startswith(option) for option in options):
+        return replace(fault, file=COMMAND_LINE, line=0)
+    return fault
+
+
+# --- schema --------------------------------------------------------------------------------------------------------
+
+
+def _read_number(value: Any) -> Expression:
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise WrongValueError(f"found {abbreviate(value)}", "give a number, or an expression such as pi/2")
+    if isinstance(value, str):
+        try:
+            return parse(value)
+        except ExpressionError as error:
+            raise WrongValueError(error.finding, error.remedy) from None
+    if not math.isfinite(value):
+        raise WrongValueError(f"found {value}", "give a finite number")
+    return Number(float(value))
+
+
+def _check_method(name: str) -> str:
+    if name not in METHODS:
+        raise WrongValueError(f"found {abbreviate(name)}", f"give one of {', '.join(METHODS)}")
+    return name
+
+
+NumberField = Annotated[Expression, PlainValidator(_read_number), Field(examples=[1.0])]
+VectorField = tuple[NumberField, NumberField, NumberField]
+
+
+class _StartSection(Section):
+    pose: dict[str, NumberField] = Field(default={}, examples=[{}])
+    velocity: dict[str, NumberField] = Field(default={}, examples=[{}])
+
+
+class _WrenchSection(Section):
+    force: VectorField | None = Field(default=None, examples=[[0.0, 0.0, 1.0]])
+    moment: VectorField | None = Field(default=None, examples=[[0.0, 0.0, 1.0]])
+
+
+class _SettingsSection(Section):
+    constants: dict[str, NumberField] = Field(default={}, examples=[{}])
+    parameters: dict[str, NumberField] = Field(default={}, examples=[{}])
+    duration: NumberField | None = Field(default=None, examples=[10.0])
+    method: Annotated[str, AfterValidator(_check_method)] = Field(default="dop853", examples=["dop853"])
+    formulation: Formulation = Field(default=Settings.formulation, examples=["exp2"])
+    step: NumberField = Field(default=Number(Settings.step), examples=[1e-3])
+    output_step: NumberField | None = Field(default=None, examples=[0.01])
+    rtol: NumberField = Field(default=Number(Settings.rtol), examples=[1e-9])
+    atol: NumberField = Field(default=Number(Settings.atol), examples=[1e-9])
+    stages: int = Field(default=Settings.stages, ge=DEGREES[0], le=DEGREES[-1], examples=[2])
+    rho: NumberField = Field(default=Number(Settings.rho), examples=[0.8])
+    start: _StartSection = Field(default=_StartSection(), examples=[{}])
+    inputs: dict[str, NumberField] = Field(default={}, examples=[{}])
+    wrenches: dict[str, _WrenchSection] = Field(default={}, examples=[{}])
+
+
+# --- meaning -------------------------------------------------------------------------------------------------------
+
+
+class _Reading:
+    """Gives numbers and names their meaning in a model, and collects the faults of those that have none."""
+
+    def __init__(
+        self, document: Document, manifest: Manifest, stand_ins: frozenset[Place], recording: Recording | None
+    ) -> None:
+        self.document, self.manifest, self.stand_ins, self.recording = document, manifest, stand_ins, recording
+        self.faults: list[Fault] = []
+        self.constants: dict[str, float] = {}
+        self.coordinates = [c.name for c in manifest.coordinates]
+
+    def statement(self, section: _SettingsSection) -> Statement:
+        """Make the statement; it is one only if there are no faults."""
+        for key, expression in section.constants.items():
+            if not key.isascii() or not key.isidentifier() or key in (*CONSTANTS, *FUNCTIONS, TIME):
+                self.fault(("constants", key), "no name for a constant", "give a word that means nothing else")
+            self.constants[key] = self.number(("constants", key), expression)
+        settings, drive = self.settings(section), self.drive(section)
+        q, qd = self.start(section.start)
+        known = [p.name for p in self.manifest.parameters]
+        parameters = {}
+        for name, expression in section.parameters.items():
+            if self.find(("parameters", name), name, known, "run-time parameter") is not None:
+                parameters[name] = self.number(("parameters", name), expression)
+        return Statement(settings, q, qd, drive, parameters)
+
+    def settings(self, section: _SettingsSection) -> Settings:
+        """Read how to integrate."""
+        positive = math.ulp(0)
+        settings = Settings(
+            duration=self.duration(section.duration),
+            method=section.method,
+            formulation=section.formulation,
+            step=self.number(("step",), section.step, positive),
+            rtol=self.number(("rtol",), section.rtol, positive),
+            atol=self.number(("atol",), section.atol, positive),
+            stages=section.stages,
+            rho=self.number(("rho",), section.rho, 0.0),
+            output_step=None
+            if section.output_step is None
+            else self.number(("output_step",), section.output_step, positive),
+        )
+        if settings.rho > 1:
+            self.fault(("rho",), f"found {settings.rho:g}", "give a number from 0 to 1")
+        if settings.duration / settings.step > MAX_STEPS and METHODS[settings.method].family is not Family.ADAPTIVE:
+            finding = f"{settings.duration / settings.step:.3g} steps would be taken"
+            self.fault(("step",), finding, f"take a longer step, {MAX_STEPS} of them at most")
+        if settings.output_step and settings.duration / settings.output_step > MAX_OUTPUTS:
+            finding = f"{settings.duration / settings.output_step:.3g} states would be kept"
+            self.fault(("output_step",), finding, f"keep at most {MAX_OUTPUTS}")
+        return settings
+
+    def duration(self, expression: Expression | None) -> float:
+        """Read the duration; a recording has one of its own."""
+        end = math.inf if self.recording is None else self.recording.drive.end
+        if expression is None:
+            if math.isinf(end):
+                self.fault(("duration",), "missing", "give how long to simulate, in s")
+            return end
+        duration = self.number(("duration",), expression, math.ulp(0))
+        if duration > end:
+            self.fault(("duration",), f"found {duration:g}", f"give at most {end:g}: there the recorded inputs end")
+        return duration
+
+    def start(self, section: _StartSection) -> tuple[Array, Array]:
+        """Read the state at time 0: by name, else the recording's, else 0."""
+        starts = []
+        for key, given, recorded in (("pose", section.pose, "q"), ("velocity", section.velocity, "qd")):
+            values = np.zeros(len(self.coordinates))
+            if self.recording is not None:
+                values = np.array(getattr(self.recording, recorded), dtype=np.float64)
+            for name, expression in given.items():
+                i = self.find(("start", key, name), name, self.coordinates, "coordinate")
+                if i is not None:
+                    values[i] = self.number(("start", key, name), expression)
+            starts.append(values)
+        return starts[0], starts[1]
+
+    def drive(self, section: _SettingsSection) -> Drive:
+        """Read the inputs over time; what is not named is 0."""
+        actuated = [self.coordinates[i] for i in self.manifest.actuated]
+        expressions: list[Expression] = [Number(0.0)] * len(actuated)
+        labels = [f"joint {name}" for name in actuated]
+        for name, expression in section.inputs.items():
+            i = self.find(("inputs", name), name, actuated, "actuated coordinate")
+            if i is not None and self.formula(("inputs", name), expression):
+                expressions[i] = expression
+        known = [wrench.name for wrench in self.manifest.wrenches]
+        for name in section.wrenches:
+            self.find(("wrenches", name), name, known, "wrench with inputs")
+        for wrench in self.manifest.wrenches:
+            for part, vector in self.wrench(wrench, section.wrenches.get(wrench.name, _WrenchSection())):
+                expressions += vector
+                labels += [f"{wrench.name}, {part} along {axis}" for axis in "xyz"]
+        if self.recording is not None:
+            if section.inputs or section.wrenches:
+                place = ("inputs",) if section.inputs else ("wrenches",)
+                self.fault(place, "the inputs are those of a solution", "give one or the other")
+            return self.recording.drive
+        return express(expressions, labels, {k: v for k, v in self.constants.items() if math.isfinite(v)})
+
+    def wrench(self, wrench: Wrench, section: _WrenchSection) -> Iterator[tuple[str, list[Expression]]]:
+        """Read the inputs of a wrench: its force, its moment, or both."""
+        for part, is_input, given in (
+            ("force", wrench.force, section.force),
+            ("moment", wrench.moment, section.moment),
+        ):
+            place: Place = ("wrenches", wrench.name, part)
+            if given is not None and not is_input:
+                self.fault(place, f"the {part} of this wrench is not an input", "leave it out, or change the model")
+            if is_input:
+                vector: list[Expression] = [Number(0.0)] * 3
+                for i, expression in enumerate(given or ()):
+                    if self.formula((*place, i), expression):
+                        vector[i] = expression
+                yield part, vector
+
+    def number(self, place: Place, expression: Expression, least: float = -math.inf) -> float:
+        """Compute an expression; NaN, which no further check minds, where that fails or gives less than `least`."""
+        if lies_under(place, self.stand_ins) or any(math.isnan(self.constants.get(n, 0)) for n in names(expression)):
+            return math.nan
+        try:
+            value = evaluate(expression, self.constants, FLOATS)
+        except ExpressionError as error:
+            self.fault(place, error.finding, error.remedy)
+            return math.nan
+        if value < least:
+            wanted = "a positive number" if least > 0 else "a number that is not negative"
+            self.fault(place, f"found {value:g}", f"give {wanted}")
+            return math.nan
+        return value
+
+    def formula(self, place: Place, expression: Expression) -> bool:
+        """Tell whether the names of an expression are known: constants, and the time."""
+        unknown = sorted(names(expression) - {TIME, *self.constants})
+        for name in unknown:
+            known = [TIME, *self.constants]
+            meant = nearest(name, known)
+            remedy = f"did you mean {abbreviate(meant)}?" if meant else f"known here are {', '.join(known)}"
+            self.fault(place, f"unknown name {abbreviate(name)}", remedy)
+        is_known = not unknown and all(math.isfinite(self.constants.get(n, 0)) for n in names(expression))
+        return is_known and not lies_under(place, self.stand_ins)
+
+    def find(self, place: Place, name: str, known: list[str], kind: str) -> int | None:
+        """Look a name up; where it is unknown, tell it."""
+        if name in known:
+            return known.index(name)
+        meant = nearest(name, known)
+        remedy = f"did you mean {abbreviate(meant)}?" if meant else f"there are {', '.join(known) or 'none'}"
+        self.fault(place, f"the model has no {kind} {abbreviate(name)}", remedy)
+        return None
+
+    def fault(self, place: Place, finding: str, remedy: str) -> None:
+        """Keep a fault, unless it follows from one that has been told."""
+        if not lies_under(place, self.stand_ins):
+            self.faults.append(self.document.fault(place, finding, remedy))
