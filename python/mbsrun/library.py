@@ -20,8 +20,9 @@ from mbsgen.errors import MbsError
 from mbsrun.cache import COMPILED, cache_folder, find_or_make
 
 # ISO C, but contraction to fused multiply-add, which gcc's -std=c99 would turn off. Never fast-math: it drops NaN
-# checks, reassociates, and makes the loading process flush denormals.
-FLAGS = ("-std=c99", "-march=native", "-ffp-contract=fast", "-fPIC", "-fno-math-errno")
+# checks, reassociates, and makes the loading process flush denormals. gcc's vectors in straight-line
+# code, of numbers brought together from all over, would make it slower.
+FLAGS = ("-std=c99", "-march=native", "-ffp-contract=fast", "-fPIC", "-fno-tree-slp-vectorize", "-fno-math-errno")
 LARGE = 300_000  # bytes of a source from which on it is compiled with less optimisation
 ACCEPTED = re.compile(
     r"-O[0-3gs]?|-g[0-3]?|-pipe|-std=(c|gnu)(99|11|17|18|2x|23)|-ffp-contract=(off|on|fast)|-f(no-)?math-errno"
