@@ -1,8 +1,8 @@
 """Studies -> rows of figures and ratios, as tables for the terminal, as JSON, and as a chart.
 
 A row compares a kernel with the best that each author has for the same function of the mechanism: the fewest
-operations, and, apart from that, the shortest time. A ratio is the median over the rounds of the author's time by ours
-in the same round, so that it stands where the machine was busy with other work; times are the shortest round's.
+operations, and, apart from that, the shortest time. Times are those of the shortest round, and so are the ratios, which
+other work on the machine disturbs least; medians over the rounds are kept beside them.
 """
 
 from __future__ import annotations
@@ -48,6 +48,7 @@ class Cell:
     ns_by: str | None
     flops_ratio: float | None  # by ours
     ns_ratio: float | None
+    ns_ratio_median: float | None  # over the rounds, of the author's time by ours in the same round
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,8 @@ def _choose(ours: Measurement, found: Sequence[Measurement]) -> Cell:
         ns_median=None if times is None else float(np.median(times)),
         ns_by=None if quickest is None else quickest.candidate.way,
         flops_ratio=flops / own if flops and own else None,
-        ns_ratio=None if times is None or ours.times is None else float(np.median(times / ours.times)),
+        ns_ratio=None if times is None or ours.times is None else float(times.min() / ours.times.min()),
+        ns_ratio_median=None if times is None or ours.times is None else float(np.median(times / ours.times)),
     )
 
 

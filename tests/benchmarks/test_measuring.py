@@ -151,14 +151,14 @@ def measurement(author: str, function: str, way: str, flops: int | None, times: 
     return Measurement(Candidate(author, function, way, flops, None), None if times is None else np.array(times))
 
 
-def test_a_row_takes_the_best_of_each_author_and_ratios_within_rounds() -> None:
-    """In the second of three rounds the machine was slow, for both alike: the ratio does not see it."""
+def test_a_row_takes_the_best_of_each_author() -> None:
+    """In the second of three rounds the machine was slow, for both alike: ratios within a round do not see it."""
     study = Study(
         "arm",
         (
             measurement(OURS, "jac_exp1", "jac_exp1", 100, [10.0, 40.0, 11.0]),
             measurement(TAPE, "jac_exp1", "slow, short", 150, [50.0, 200.0, 55.0]),
-            measurement(TAPE, "jac_exp2", "quick, long", 180, [30.0, 120.0, 33.0]),
+            measurement(TAPE, "jac_exp2", "quick, long", 180, [25.0, 120.0, 33.0]),
             measurement(TAPE, "jac_exp1", "counted", 400, None),
             measurement(TAPE, "jac_impl", "another row's", 1, [1.0, 1.0, 1.0]),
         ),
@@ -167,8 +167,8 @@ def test_a_row_takes_the_best_of_each_author_and_ratios_within_rounds() -> None:
     cell = row.cells[TAPE]
     assert row.title == "Jacobian of EXP1"
     assert (cell.flops, cell.flops_by, cell.flops_ratio) == (150, "slow, short", 1.5)
-    assert (cell.ns, cell.ns_by, cell.ns_ratio, cell.ns_median) == (30.0, "quick, long", pytest.approx(3.0), 33.0)
-    assert row.cells[OURS].ns_ratio == 1.0
+    assert (cell.ns, cell.ns_by, cell.ns_ratio) == (25.0, "quick, long", 2.5)
+    assert (cell.ns_median, cell.ns_ratio_median) == (33.0, 3.0)
 
 
 def test_a_quick_run_measures_and_writes_everything(tmp_path: Path) -> None:
