@@ -155,7 +155,7 @@ class Solver:
                 program.jacobian.nnz_out(1),
                 program.hessian.nnz_out(0),
             ),
-            cost=CostTerms(tuple(transcription.cost_terms(problem, x).items())),
+            cost=CostTerms(transcription.cost_terms(problem, x)),
             violation=Violation(
                 _excess(g, *transcription.constraint_bounds(problem)),
                 _excess(x, *transcription.variable_bounds(problem)),

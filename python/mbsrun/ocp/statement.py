@@ -52,7 +52,9 @@ from mbsrun.ocp.quantities import list_quantities
 from mbsrun.ocp.schemes import DEGREES, Family
 
 MAX_INTERVALS = 10_000
+MAX_EXPRESSIONS = 100  # of one kind
 
+T = TypeVar("T")
 SomePlant = TypeVar("SomePlant", bound=Plant)
 
 
@@ -94,6 +96,12 @@ def _read_formula(value: Any) -> str:
     """Admit an expression; it is kept as text."""
     _read_number(value)
     return str(value)
+
+
+def _check_count(sections: tuple[T, ...]) -> tuple[T, ...]:
+    if len(sections) > MAX_EXPRESSIONS:
+        raise WrongValueError(f"found {len(sections)} expressions", f"give at most {MAX_EXPRESSIONS}")
+    return sections
 
 
 def _check_model(path: str) -> str:
@@ -153,8 +161,8 @@ class _TermSection(Section):
 class _CostSection(Section):
     inputs: NumberField | None = Field(default=None, examples=[1.0])  # 1 where nothing else is paid for
     input_rates: NumberField = Field(default=Number(0.0), examples=[0.0])
-    running: tuple[_TermSection, ...] = Field(default=(), examples=[[{"expression": "q_NAME**2", "weight": 1.0}]])
-    terminal: tuple[_TermSection, ...] = Field(default=(), examples=[[{"expression": "T", "weight": 1.0}]])
+    running: Annotated[tuple[_TermSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
+    terminal: Annotated[tuple[_TermSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
 
 
 class _ConstraintSection(Section):
@@ -225,7 +233,9 @@ class _ProblemSection(Section):
     start: _StartSection = Field(examples=[{"pose": {}}])
     bounds: _BoundsSection = Field(default=_BoundsSection(), examples=[{}])
     end: _EndSection = Field(default=_EndSection(), examples=[{}])
-    constraints: tuple[_ConstraintSection, ...] = Field(default=(), examples=[[]])
+    constraints: Annotated[tuple[_ConstraintSection, ...], AfterValidator(_check_count)] = Field(
+        default=(), examples=[[]]
+    )
     guess: _GuessSection = Field(default=_GuessSection(), examples=[{}])
     accuracy: NumberField = Field(default=Number(Problem.accuracy), examples=[1e-6])
     solver: _SolverSection = Field(default=_SolverSection(), examples=[{}])

@@ -137,10 +137,10 @@ class Transcription:
             lower[row], upper[row] = constraint.range
         return lower, upper
 
-    def cost_terms(self, problem: Problem, x: Array) -> dict[str, float]:
-        """Compute the terms of the cost, weights included."""
+    def cost_terms(self, problem: Problem, x: Array) -> tuple[tuple[str, float], ...]:
+        """Compute the terms of the cost, by name, weights included."""
         terms = self.program.terms(x, self.parameters(problem)).full().ravel() * problem.cost.weights
-        return dict(zip(problem.cost.names, terms.tolist(), strict=True))
+        return tuple(zip(problem.cost.names, terms.tolist(), strict=True))
 
     def pack(self, trajectory: Trajectory) -> Array:
         """Put a trajectory on this grid into the variables."""

@@ -154,6 +154,13 @@ BAD_RICH = {  # what is changed in the rich file: path, finding, remedy
         "horizon that is given",
         "standard",
     ),
+    "too many terms": (
+        "{expression: T}",
+        ", ".join(["{expression: T}"] * 101),
+        "cost.terminal",
+        "102",
+        "100",
+    ),
     "representation": ("EXP2-O", "EXP2", "representation", '"EXP2"', "'EXP2-A'"),
 }
 
