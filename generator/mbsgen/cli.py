@@ -95,6 +95,7 @@ def cli() -> None:
 )
 @click.option("--python", is_flag=True, help="Also write the kernels as a Python module, for any number type.")
 @click.option("--matlab", is_flag=True, help="Also write the kernels as functions for Matlab and GNU Octave.")
+@click.option("--acados", is_flag=True, help="Also write the functions that acados asks for, under its names.")
 @click.option(
     "--functions",
     metavar="NAME,...",
@@ -115,6 +116,7 @@ def generate_command(
     without: tuple[str, ...],
     python: bool,
     matlab: bool,
+    acados: bool,
     functions: str | None,
     derivatives: int,
     check: bool,
@@ -130,6 +132,7 @@ def generate_command(
         runtime=runtime,
         python=python,
         matlab=matlab,
+        acados=acados,
         reductions=reductions,
         functions=None if functions is None else tuple(filter(None, map(str.strip, functions.split(",")))),
         derivatives=derivatives,

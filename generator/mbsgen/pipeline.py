@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,8 +22,10 @@ from mbsgen.model.reduction import build_tree, with_runtime_numbers
 from mbsgen.model.tree import NO_FORCE, Kind, Tree
 from mbsgen.output import write_folder
 from mbsgen.report import Report, make_report, write_json, write_markdown
+from mbsgen.tape.counts import count
 from mbsgen.tape.passes import hoist
 from mbsgen.tape.types import Tape
+from mbsgen.targets import acados
 from mbsgen.targets.c import Sources, Unit, write_c
 from mbsgen.targets.contract import Family
 from mbsgen.targets.matlab import write_matlab
@@ -38,6 +40,7 @@ class Options:
     runtime: bool = False  # every number of the model a run-time parameter
     python: bool = False  # also the Python target
     matlab: bool = False  # also the Matlab target
+    acados: bool = False  # also the functions that acados asks for, under its names
     compare: bool = False  # also count the formulations without each reduction
     functions: tuple[str, ...] | None = None  # which functions of the catalogue; None: all that the model has
     derivatives: int = 2  # up to which order
@@ -120,9 +123,21 @@ def write_families(tree: Tree, options: Options = Options(), dynamics: Dynamics 
         second = found.jac_adj1 if options.derivatives > 1 else None
         families.append(Family(tape, found.jac, found.adj1, second, title=entry.title, meanings=MEANINGS))
         families.append(Family(found.lin, title=f"{entry.title}, with its Jacobians", meanings=MEANINGS))
+    special = _write_acados(families) if options.acados else ()  # whose parameters are acados' own
     if any(p.kind is Kind.RUNTIME for p in tree.parameters):
-        return _split_setup(families)
-    return tuple(families)
+        return (*_split_setup(families), *special)
+    return (*families, *special)
+
+
+def _write_acados(families: Sequence[Family]) -> tuple[Family, ...]:
+    tapes = {tape.name: tape for family in families for tape in family.tapes}
+    explicit = [name for name in acados.EXPLICIT if name in tapes]
+    if acados.RESIDUAL not in tapes and not explicit:
+        raise OptionError(
+            f"acados: its functions are made of {acados.RESIDUAL}, {' or '.join(acados.EXPLICIT)}; name one"
+        )
+    cheapest = min(explicit, key=lambda name: count(tapes.get(f"lin_{name}", tapes[name])).paper, default="")
+    return acados.write_acados(tapes, cheapest)
 
 
 def _choose_functions(tree: Tree, names: tuple[str, ...] | None) -> Mapping[str, Entry]:

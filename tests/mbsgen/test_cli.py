@@ -320,3 +320,10 @@ def test_functions_and_derivatives_can_be_chosen(mbsgen: Command, tmp_path: Path
     )
     assert not (tmp_path / "other").exists()
     assert mbsgen("pendulum.yaml", "-o", "other", "--derivatives", "3").code == BAD_INPUT
+
+
+def test_functions_for_acados_are_written_beside_the_kernels(mbsgen: Command, tmp_path: Path) -> None:
+    options = ("--acados", "--functions", "impl", "--derivatives", "0")
+    assert mbsgen("pendulum.yaml", "-o", "out", *options).code == 0
+    assert {"pendulum_impl.c", "pendulum_impl_dae_fun.c"} <= {path.name for path in (tmp_path / "out").iterdir()}
+    assert mbsgen("pendulum.yaml", "-o", "out", "--check", *options).code == 0
