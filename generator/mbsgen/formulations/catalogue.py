@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from mbsgen.formulations import energy, exp1, exp2, impl, poses, semi, velocities
+from mbsgen.formulations import condition, energy, exp1, exp2, impl, poses, semi, velocities
 from mbsgen.formulations.links import PARAMETERS
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Tree
@@ -47,6 +47,8 @@ MEANINGS: Mapping[str, str] = MappingProxyType(
         "v": "velocities of the sensors in the base frame, a column each, m/s",
         "omega": "angular velocities of the sensors in the base frame, a column each, rad/s",
         "J": "six rows for each sensor: J qd is its velocity, then its angular velocity, in the base frame",
+        "elimination": "by joint, what rounding is multiplied by in exp1: M_ii times the same entry of M^-1",
+        "articulated": "by joint, what rounding is multiplied by in exp2: |inertia| times |what it gives way|",
         "kinetic": "kinetic energy, J",
         "potential": "potential energy of gravity, 0 with all mass at the base's origin, J",
         "momentum": "momentum in the base frame, kg m/s",
@@ -85,6 +87,7 @@ FUNCTIONS: Mapping[str, Entry] = MappingProxyType(
         "jacobian": Entry(
             _plainly(velocities.build_jacobian), "Jacobians of the sensors", differentiated=False, of_sensors=True
         ),
+        "condition": Entry(condition.build, "how many digits exp1 and exp2 lose at a position", differentiated=False),
         "energy": Entry(_plainly(energy.build), "energy and momentum", differentiated=False),
         "frames": Entry(_plainly(poses.build_frames), "poses of all bodies and sensors", differentiated=False),
     }

@@ -28,9 +28,9 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
     segments = align(chain, group=reductions.share_frames)
     plan = find_plans(tree, reductions).articulated
     Q = joint_forces(chain)
-    qdd, joints = accelerations(begin(chain, segments, plan, reductions), state.qd, Q)
+    qdd, bodies = accelerations(begin(chain, segments, plan, reductions), state.qd, Q)
     largest = largest_inertias(chain, segments)
     for i in range(len(tree.bodies), 0, -1):
-        builder.guard(joints[i].pivot, largest[i], PIVOT_TOLERANCE, i)
+        builder.guard(bodies[i].pivot, largest[i], PIVOT_TOLERANCE, i)
     builder.output_dense("qdd", [[x] for x in qdd])
     return finish(builder.build("exp2"), reductions)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sympy import Expr, Float, Integer, Rational
 
-from mbsgen.formulations import exp1, exp2, impl, semi
+from mbsgen.formulations import condition, exp1, exp2, impl, semi
 from mbsgen.formulations.reductions import NONE, Reductions
 from mbsgen.model.tree import Body, Joint, Matrix, Motion, Tree, Vector
 from mbsgen.tape.interpreter import DIGITS, FLOATS, Numbers, evaluate, find_failure
@@ -37,6 +37,7 @@ _BUILDS: Mapping[str, Build] = {
     "semi_res": semi.build_residual,
     "exp1": exp1.build,
     "exp2": exp2.build,
+    "condition": condition.build,
 }
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 from mbsgen.algebra.vectors import Matrix, Vector
 from mbsgen.formulations.parsimony.mass_matrix import link, own_inertia
@@ -33,13 +34,14 @@ class Inertia:
 
 
 @dataclass(frozen=True)
-class Joint:
-    """A joint's part in the elimination."""
+class Body:
+    """A body's part in the elimination."""
 
-    pivot: Scalar  # the inertia that it feels: D
-    force: Scalar  # u: what its force has to spare over the bias
-    KF: Vector[Scalar]  # load along its axis, for a unit force
+    parts: tuple[Inertia, ...]  # what its origin feels: of itself, and of what each of its joints carries
+    pivot: Scalar  # the inertia that its own joint feels: D
+    KF: Vector[Scalar]  # load along its joint's axis, for a unit force
     KN: Vector[Scalar]
+    left: Inertia  # what is left with its joint free
 
 
 @dataclass(frozen=True)
@@ -50,35 +52,45 @@ class Increment:
     OMp: Vector[Scalar]
 
 
-def accelerations(writing: Writing, qd: Sequence[Scalar], Q: Sequence[Scalar]) -> tuple[list[Scalar], dict[int, Joint]]:
-    """Compute qdd, and what each joint's elimination was made with."""
+def accelerations(writing: Writing, qd: Sequence[Scalar], Q: Sequence[Scalar]) -> tuple[list[Scalar], dict[int, Body]]:
+    """Compute qdd, and what it was found with."""
     kinematics, lumps = writing.kinematics, writing.lumps
-    b, segments = kinematics.builder, kinematics.segments
-    movements = kinematics.move(writing.chain.gravity, qd, [b.zero] * len(segments))
-    joints: dict[int, Joint] = {}
+    segments = kinematics.segments
+    movements = kinematics.move(writing.chain.gravity, qd, [kinematics.builder.zero] * len(segments))
+    bodies = articulate(writing)
+    spare: dict[int, Scalar] = {}  # what a joint's force has to spare over the bias: u
     loads: dict[int, Load] = {}
-    carried: dict[int, Inertia] = {}
     for segment in reversed(segments):
         i = segment.number
+        force = segment.signed(Q[i - 1])
         bias = join_loads(kinematics, segment, lumps[i], movements[i], loads)
-        whole = _gather(kinematics, segment, lumps[i], carried)
-        joints[i], carried[i] = _free(b, segment, whole, bias, segment.signed(Q[i - 1]))
-        loads[i] = _hook(segment, bias, joints[i], segment.signed(Q[i - 1]))
-    return _accelerate(kinematics, joints), joints
+        spare[i] = force - (bias.N if segment.is_revolute else bias.F)[segment.axis]
+        loads[i] = _hook(segment, bias, bodies[i], spare[i], force)
+    return _accelerate(kinematics, bodies, spare), bodies
 
 
-def _gather(kinematics: Kinematics, segment: Segment, lump: Lump, carried: dict[int, Inertia]) -> Inertia:
-    """Add to a body's own inertia what its joints carry."""
+def articulate(writing: Writing) -> dict[int, Body]:
+    """From the leaves to the base: what each body feels of all beyond it, and what its joint takes of that."""
+    kinematics = writing.kinematics
+    bodies: dict[int, Body] = {}
+    for segment in reversed(kinematics.segments):
+        parts = _gather(kinematics, segment, writing.lumps[segment.number], bodies)
+        bodies[segment.number] = _free(kinematics.builder, segment, parts)
+    return bodies
+
+
+def _gather(kinematics: Kinematics, segment: Segment, lump: Lump, bodies: dict[int, Body]) -> tuple[Inertia, ...]:
+    """List a body's own inertia, and what each of its joints carries."""
     b = kinematics.builder
     axes = kinematics.stations[segment.number].directions
     S = kinematics.fixed(segment.number, lump.S)
     M = Matrix.of([lump.m if r == c else b.zero for c in range(3)] for r in range(3))
-    whole = Inertia(M, cross_matrix(b, -S), own_inertia(b, segment, lump, axes))
+    parts = [Inertia(M, cross_matrix(b, -S), own_inertia(b, segment, lump, axes))]
     for child in children(kinematics.segments, segment.number):
-        beyond, d = carried[child.number], link(kinematics, child)
+        beyond, d = bodies[child.number].left, link(kinematics, child)
         M, B, J = (kinematics.depart_tensor(child, x, faithful=True) for x in (beyond.M, beyond.B, beyond.J))
-        whole = _add(whole, _shift(b, Inertia(M, B, J), d))
-    return whole
+        parts.append(_shift(b, Inertia(M, B, J), d))
+    return tuple(parts)
 
 
 def _add(first: Inertia, second: Inertia) -> Inertia:
@@ -94,14 +106,14 @@ def _shift(builder: Builder, inertia: Inertia, d: Vector[Scalar]) -> Inertia:
     return Inertia(inertia.M, B, symmetric(upper))
 
 
-def _free(builder: Builder, segment: Segment, whole: Inertia, bias: Load, force: Scalar) -> tuple[Joint, Inertia]:
+def _free(builder: Builder, segment: Segment, parts: tuple[Inertia, ...]) -> Body:
     """Eliminate a joint: what it takes of a load, and the inertia that is left to its parent."""
-    e, zero = segment.axis, builder.zero
+    e, zero, whole = segment.axis, builder.zero, reduce(_add, parts)
     if segment.is_revolute:
-        UF, UN, spare = whole.B.column(e), whole.J.column(e), force - bias.N[e]
+        UF, UN = whole.B.column(e), whole.J.column(e)
         pivot = UN[e]
     else:
-        UF, UN, spare = whole.M.column(e), whole.B.rows[e], force - bias.F[e]
+        UF, UN = whole.M.column(e), whole.B.rows[e]
         pivot = UF[e]
     inverse = builder.number(1.0) / pivot
     KF, KN = UF.scale(inverse), UN.scale(inverse)
@@ -124,33 +136,33 @@ def _free(builder: Builder, segment: Segment, whole: Inertia, bias: Load, force:
     B = left(whole.B, KF, UN, turned, mirror=False)
     if slid:
         B = Matrix.of([zero if r == e else B[r, c] for c in range(3)] for r in range(3))
-    return Joint(pivot, spare, KF, KN), Inertia(M, B, J)
+    return Body(parts, pivot, KF, KN, Inertia(M, B, J))
 
 
-def _hook(segment: Segment, bias: Load, joint: Joint, force: Scalar) -> Load:
+def _hook(segment: Segment, bias: Load, body: Body, spare: Scalar, force: Scalar) -> Load:
     """Add a joint's share to the bias; along its axis, the load is then the joint's force."""
-    F, N = list(bias.F + joint.KF.scale(joint.force)), list(bias.N + joint.KN.scale(joint.force))
+    F, N = list(bias.F + body.KF.scale(spare)), list(bias.N + body.KN.scale(spare))
     (N if segment.is_revolute else F)[segment.axis] = force
     return Load(Vector.of(F), Vector.of(N), Vector.of(N))
 
 
-def _accelerate(kinematics: Kinematics, joints: dict[int, Joint]) -> list[Scalar]:
+def _accelerate(kinematics: Kinematics, bodies: dict[int, Body], spare: dict[int, Scalar]) -> list[Scalar]:
     """From the base to the leaves: share out the increments."""
     zero = kinematics.builder.zero
     still = Vector(zero, zero, zero)
     increments = {0: Increment(still, still)}
     qdd = []
     for segment in kinematics.segments:
-        parent, joint = increments[segment.parent], joints[segment.number]
+        parent, body = increments[segment.parent], bodies[segment.number]
         lever = parent.OMp.cross(link(kinematics, segment)) if segment.parent else still
         a, OMp = kinematics.arrive(segment, parent.a + lever), kinematics.arrive(segment, parent.OMp)
         axis = segment.axis
         before = (OMp if segment.is_revolute else a)[axis]
-        rest = [(joint.KN, OMp), (joint.KF, a)]
-        total = joint.force / joint.pivot
+        rest = [(body.KN, OMp), (body.KF, a)]
+        total = spare[segment.number] / body.pivot
         for K, motion in rest:
             for r in range(3):
-                if r != axis or (K is joint.KF) == segment.is_revolute:
+                if r != axis or (K is body.KF) == segment.is_revolute:
                     total = total - K[r] * motion[r]
         own = Vector.of(total if r == axis else x for r, x in enumerate(OMp if segment.is_revolute else a))
         increments[segment.number] = Increment(a, own) if segment.is_revolute else Increment(own, OMp)
