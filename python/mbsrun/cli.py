@@ -6,6 +6,7 @@ import os
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +23,12 @@ from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
 from mbsgen.manifest import Manifest
 from mbsrun.cache import Entry, cache_folder, list_entries, remove
 from mbsrun.external import load
-from mbsrun.ocp.pictures import draw_mechanism, plot_trajectories
+from mbsrun.ocp.methods import METHODS as SOLVERS
+from mbsrun.ocp.pictures import animate, draw_mechanism, plot_trajectories
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem, cylindrical
+from mbsrun.ocp.problem import Inputs, Problem, Representation, SolverName, cylindrical
 from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.solution import Failure, Solution, read_solution, write_solution
+from mbsrun.ocp.solution import Failure, Solution, read_guess, read_solution, write_solution
 from mbsrun.ocp.solve import Progress, solve
 from mbsrun.ocp.statement import read_problem
 from mbsrun.simulation.drive import hold_steps, input_labels
@@ -43,7 +45,8 @@ BAD_INPUT = 2
 SOLUTION = "solution.json"
 TRAJECTORIES = "trajectories.png"
 MECHANISM = "mechanism.png"
-FILES = (SOLUTION, TRAJECTORIES, MECHANISM)
+ANIMATION = "animation.html"
+FILES = (SOLUTION, TRAJECTORIES, MECHANISM, ANIMATION)
 
 DAY = 86400.0  # s
 UNCUT = 200  # characters in a line where nobody sees a terminal's width
@@ -63,14 +66,16 @@ MODEL and PROBLEM are YAML files; models/ holds examples. Summaries go to stdout
 
 SOLVE_HELP = """Solve the optimal control problem of the file PROBLEM.
 
-It is put on a grid by direct collocation, and solved by IPOPT with the exact derivatives of the generated kernels. The
-motion under the inputs found is then integrated by another method, and the two are compared.
+It is put on a grid by direct collocation, and solved by IPOPT with the exact derivatives of the generated kernels, from
+the guess that the problem describes, or from another solution. The motion under the inputs found is then integrated by
+another method, and the two are compared.
 
 \b
 The output folder gets
   solution.json       the problem, what the solver did, every number of the trajectory
   trajectories.png    coordinates, velocities and inputs over time
   mechanism.png       the mechanism on its way
+  animation.html      plays the motion in any browser
 
 \b
 Exit codes
@@ -168,14 +173,42 @@ def cli() -> None:
     help="Another target for the sensor that the problem has a target for: radius [m], azimuth [rad] and height [m] "
     "about the base's z axis. Expressions will do: --target 0.63 pi/2 -0.1",
 )
+@click.option(
+    "--guess",
+    "other",
+    type=click.Path(path_type=Path),
+    metavar="SOLUTION",
+    help="A solution.json to start from; its grid, horizon and representation may be others.",
+)
+@click.option(
+    "--guess-inputs",
+    type=click.Choice(["zero", "static", "dynamic"]),
+    help="The inputs of a guess that is made here: 0, what holds its poses, or what makes its motion.",
+)
+@click.option(
+    "--representation",
+    type=click.Choice([r.value for r in Representation], case_sensitive=False),
+    help="How the equations of motion become constraints; by default as the problem says.",
+)
+@click.option("--solver", type=click.Choice(list(SOLVERS)), help="What solves the program; by default ipopt.")
 @click.pass_context
 def solve_command(
-    context: click.Context, file: Path, out: Path | None, target: tuple[float, float, float] | None
+    context: click.Context,
+    /,
+    file: Path,
+    out: Path | None,
+    target: tuple[float, float, float] | None,
+    other: Path | None,
+    **choices: Any,
 ) -> None:
     """Read, solve, re-simulate, write, tell."""
     problem, plant = read_problem(file, load)
     if target is not None:
         problem = _retarget(problem, target)
+    problem = _choose(problem, **choices)
+    if other is None and problem.guess.solution is not None:
+        other = file.parent / problem.guess.solution
+    guess = None if other is None else read_guess(other, plant.manifest)
     out = out or Path(f"{problem.name}.solution")
     with MESSAGES.status("making the program") as status:
 
@@ -184,7 +217,7 @@ def solve_command(
                 f"iteration {progress.iteration}: cost {progress.cost:.8g}, violation {progress.violation:.1e}"
             )
 
-        outcome = solve(problem, plant, show)
+        outcome = solve(problem, plant, show, guess)
         if isinstance(outcome, Solution):
             status.update("integrating again")
             outcome = resimulate(outcome, plant)
@@ -391,11 +424,25 @@ def _retarget(problem: Problem, target: tuple[float, float, float]) -> Problem:
     return problem.with_target(sensors[0], cylindrical(*target))
 
 
+def _choose(
+    problem: Problem, representation: str | None, solver: SolverName | None, guess_inputs: Inputs | None
+) -> Problem:
+    """Let the options win over the problem; what another solver was to be told goes with it."""
+    if representation is not None:
+        problem = replace(problem, representation=Representation(representation))
+    if guess_inputs is not None:
+        problem = replace(problem, guess=replace(problem.guess, inputs=guess_inputs))
+    if solver is not None and solver != problem.solver.method:
+        problem = replace(problem, solver=replace(problem.solver, method=solver, options=()))
+    return problem
+
+
 def _write(solution: Solution, plant: Plant, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     write_solution(solution, out / SOLUTION)
     plot_trajectories(solution, plant.manifest, out / TRAJECTORIES)
     draw_mechanism(solution, plant, out / MECHANISM)
+    animate(solution, plant, out / ANIMATION)
 
 
 def _print_summary(solution: Solution) -> None:
@@ -404,12 +451,14 @@ def _print_summary(solution: Solution) -> None:
     rows = {
         "problem": f"{solution.problem.name}, model {solution.model}",
         "status": f"{run.status}, {run.iterations} iterations",
-        "time": f"{run.seconds:.2f} s, of which {run.seconds_evaluating:.2f} s evaluating functions and derivatives",
+        "time": f"{run.seconds:.2f} s",
+        "  processor": f"{run.cpu_seconds:.2f} s: {run.cpu_seconds_evaluating:.2f} s for functions and derivatives, "
+        f"{run.cpu_seconds_solving:.2f} s for linear algebra and the rest",
+        "horizon": f"{solution.trajectory.t[-1]:.10g} s",
         "program": f"{size.variables} variables, {size.constraints} constraints",
         "nonzeros": f"{size.jacobian_nonzeros} in the Jacobian, {size.hessian_nonzeros} in the Hessian's triangle",
         "cost": f"{cost.total:.10g}",
-        "  inputs": f"{cost.inputs:.10g}",
-        "  input rates": f"{cost.input_rates:.10g}",
+        **{f"  {name} ": f"{value:.10g}" for name, value in cost.terms if value != 0},
         "violation": f"{solution.violation.constraints:.1e} of constraints, {solution.violation.bounds:.1e} of bounds",
         "defect": f"{_number(check.defect)} in an interval, at most; {solution.problem.accuracy:.1e} asked for",
         "open loop": f"{_number(check.open_loop_error)} off at the end, under the inputs alone",

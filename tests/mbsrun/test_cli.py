@@ -59,19 +59,19 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 @pytest.fixture
 def quick(run: Run, monkeypatch: pytest.MonkeyPatch) -> Run:
     """The same, with empty files for pictures."""
-    for name in ("plot_trajectories", "draw_mechanism"):
+    for name in ("plot_trajectories", "draw_mechanism", "animate"):
         monkeypatch.setattr(cli, name, lambda *arguments: arguments[-1].touch())
     return run
 
 
 def test_a_problem_is_solved(run: Run) -> None:
-    """Exit code 0; the summary on stdout, what was written on stderr; a solution and two pictures."""
+    """Exit code 0; the summary on stdout, what was written on stderr; a solution, two pictures and an animation."""
     result = run("solve", "task.ocp.yaml", "-o", "out")
     assert result.exit_code == 0, result.stderr
     for word in ("task, model peer arm", "Solve_Succeeded", "variables", "cost", "defect", "open loop"):
         assert word in result.stdout
-    assert "wrote out/solution.json, out/trajectories.png, out/mechanism.png" in result.stderr
-    assert sorted(os.listdir("out")) == ["mechanism.png", "solution.json", "trajectories.png"]
+    assert "wrote out/solution.json, out/trajectories.png, out/mechanism.png, out/animation.html" in result.stderr
+    assert sorted(os.listdir("out")) == ["animation.html", "mechanism.png", "solution.json", "trajectories.png"]
     solution = read_solution(Path("out/solution.json"))
     assert f"{solution.cost.total:.10g}" in result.stdout
     assert solution.resimulation is not None
@@ -88,6 +88,32 @@ def test_another_target(quick: Run) -> None:
     assert result.exit_code == 0, result.stderr
     ((_, target),) = read_solution(Path("out/solution.json")).problem.end.sensors
     assert target == pytest.approx((0.65 * cos(pi / 100), -0.65 * sin(pi / 100), -0.001))
+
+
+def test_another_solution_is_a_guess(quick: Run) -> None:
+    """Of another grid; given on the command line, or named in the problem, beside its file."""
+    assert quick("solve", "task.ocp.yaml", "-o", "out").exit_code == 0
+    first = read_solution(Path("out/solution.json"))
+    finer = COARSE.replace("intervals: 10", "intervals: 12")
+    for arguments, text in (
+        (("--guess", "out/solution.json"), finer),
+        ((), finer.replace("upright:", "solution: out/solution.json\n  upright:")),
+    ):
+        result = quick("solve", "task.ocp.yaml", "-o", "again", *arguments, text=text)
+        assert result.exit_code == 0, result.stderr
+        second = read_solution(Path("again/solution.json"))
+        assert second.problem.intervals == 12
+        assert second.run.iterations < first.run.iterations
+
+
+def test_representation_solver_and_guess_are_chosen(quick: Run) -> None:
+    """The command line wins over the file, and what the file tells another solver is dropped."""
+    text = COARSE + "solver: {options: {mu_strategy: adaptive}}\n"
+    chosen = ("--guess-inputs", "static", "--solver", "sqpmethod", "--representation", "impl")
+    result = quick("solve", "task.ocp.yaml", "-o", "out", *chosen, text=text)
+    assert result.exit_code == 0, result.stderr
+    problem = read_solution(Path("out/solution.json")).problem
+    assert (problem.guess.inputs, problem.solver.method, problem.solver.options) == ("static", "sqpmethod", ())
 
 
 def test_a_target_out_of_reach_is_not_solved(quick: Run) -> None:
@@ -143,6 +169,17 @@ BAD = {
     "a missing file": (["solve", "nowhere.ocp.yaml"], COARSE, "there is no such file"),
     "a bad file": (["solve", "task.ocp.yaml"], "horizon: 2\n", "task.ocp.yaml:1: model: missing"),
     "a target that is no number": (["solve", "task.ocp.yaml", "--target", "1", "2", "up"], COARSE, "unknown name"),
+    "a guess that is missing": (
+        ["solve", "task.ocp.yaml", "--guess", "none.json"],
+        COARSE,
+        "none.json: cannot be read",
+    ),
+    "a guess that is no solution": (
+        ["solve", "task.ocp.yaml", "--guess", "task.ocp.yaml"],
+        COARSE,
+        "solve the problem",
+    ),
+    "an unknown solver": (["solve", "task.ocp.yaml", "--solver", "magic"], COARSE, "'magic' is not one of"),
     "a target of two numbers": (["solve", "task.ocp.yaml", "--target", "1", "2"], COARSE, "3 arguments"),
     "a target for no sensor": (
         ["solve", "task.ocp.yaml", "--target", "1", "2", "3"],

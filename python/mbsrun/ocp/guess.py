@@ -8,7 +8,6 @@ each pose, or the inverse dynamics of the motion.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +15,11 @@ from scipy.optimize import least_squares
 from scipy.stats import qmc
 
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.problem import Inputs, Problem
 from mbsrun.ocp.schemes import Scheme
 from mbsrun.ocp.trajectory import Trajectory, grid, resample
 
 Array = NDArray[np.float64]
-Inputs = Literal["zero", "static", "dynamic"]
 
 REACHED = 1e-5  # the largest distance from the targets that counts as none [m, rad]
 STARTS = 20  # poses to search from, before a target counts as out of reach

@@ -1,4 +1,4 @@
-"""Pictures of a solution: trajectories over time (Docquier, Bruls, Fisette, Fig. 8), and the mechanism in motion."""
+"""Pictures of a solution: trajectories over time (Docquier, Bruls, Fisette, Fig. 8), and the mechanism on its way."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 from numpy.typing import NDArray
 
 from mbsgen.manifest import Coordinate, Frame, Manifest
+from mbsrun.animation import Marker, write_animation
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.solution import Solution
 
@@ -76,6 +77,15 @@ def draw_mechanism(solution: Solution, plant: Plant, path: Path) -> None:
     axes.legend(loc="upper left", frameon=False)
     figure.suptitle(_title(solution))
     _save(figure, path)
+
+
+def animate(solution: Solution, plant: Plant, path: Path) -> None:
+    """Write a page that plays the motion, with the targets of its sensors."""
+    trajectory, targets = solution.trajectory, solution.problem.end.sensors
+    markers = [Marker(f"target of {name}", position) for name, position in targets]
+    write_animation(
+        path, plant, trajectory.t, trajectory.q, qd=trajectory.qd, title=solution.problem.name, markers=markers
+    )
 
 
 def _draw_pose(axes: Axes3D, frames: Sequence[Frame], p: Array, color: object, width: float) -> None:

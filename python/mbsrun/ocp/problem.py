@@ -62,6 +62,8 @@ Lower = Annotated[
 Upper = Annotated[float, BeforeValidator(lambda x: math.inf if x is None else x), PlainSerializer(lambda x: _finite(x))]
 Range = tuple[Lower, Upper]
 Point = tuple[float, float, float]
+Inputs = Literal["zero", "static", "dynamic"]  # of a guess
+SolverName = Literal["ipopt", "sqpmethod", "fatrop"]
 
 
 @dataclass(frozen=True)
@@ -129,7 +131,7 @@ class GuessOptions:
 
     upright: tuple[str, ...] = ()  # frames whose z axis points up in the pose that meets the end's targets
     motion: Literal["interpolation", "rest"] = "interpolation"  # from the start to that pose; or staying at the start
-    inputs: Literal["zero", "static", "dynamic"] = "dynamic"  # 0, what holds each pose, or what makes the motion
+    inputs: Inputs = "dynamic"  # 0, what holds each pose, or what makes the motion
     solution: str | None = None  # a solution's file to start from instead, beside the problem's
 
 
@@ -140,7 +142,7 @@ class SolverOptions:
     tolerance: float = 1e-8
     max_iterations: int = 500
     objective_scaling: float | None = None  # None: one over the largest weight of the cost
-    method: Literal["ipopt", "sqpmethod", "fatrop"] = "ipopt"
+    method: SolverName = "ipopt"
     options: tuple[tuple[str, float | int | str], ...] = ()  # by name, as `methods` admits them
 
 

@@ -14,6 +14,7 @@ from typing import Literal
 from pydantic import TypeAdapter, ValidationError
 
 from mbsgen.errors import Fault, InputError
+from mbsgen.manifest import Manifest
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.trajectory import Trajectory
 
@@ -155,3 +156,18 @@ def read_solution(path: Path) -> Solution:
         first = error.errors(include_url=False)[0]
         place = ".".join(map(str, first["loc"]))
         raise InputError([Fault(str(path), 0, place, first["msg"], "solve the problem again")]) from None
+
+
+def read_guess(path: Path, manifest: Manifest) -> Trajectory:
+    """Read the motion of a solution, to start another from. Raises InputError for one of another mechanism."""
+    solution = read_solution(path)
+    coordinates = tuple(c.name for c in manifest.coordinates)
+    inputs = tuple(coordinates[i] for i in manifest.actuated)
+    for kind, found, wanted in (
+        ("coordinates", solution.coordinates, coordinates),
+        ("inputs", solution.inputs, inputs),
+    ):
+        if found != wanted:
+            finding = f"its {kind} are {', '.join(found)}; those of {manifest.model} are {', '.join(wanted)}"
+            raise InputError([Fault(str(path), 0, "", finding, "give a solution for this mechanism")])
+    return solution.trajectory
