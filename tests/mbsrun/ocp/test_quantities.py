@@ -1,0 +1,94 @@
+"""Expressions of a motion as functions: what they mean, and what they need."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from mbsgen.expressions import ExpressionError
+from mbsrun.ocp.problem import Representation
+from mbsrun.ocp.quantities import formulate, list_quantities
+from tests.mbsrun.peer import Peer
+
+RNG = np.random.default_rng(2)
+Q, QD, QDD = RNG.uniform(-1, 1, (3, 6))
+U = RNG.uniform(-1, 1, 4)
+VALUES = {"q": Q, "qd": QD, "qdd": QDD, "u": U, "T": 2.0, "constants": [0.25, 3.0], "s": 0.75}
+
+
+def evaluate(text: str, arm: Peer, representation: Representation, horizon: float | None) -> tuple[float, set[str]]:
+    formula = formulate([text], ["a", "b"], arm, representation, horizon)
+    return float(formula.function(*(VALUES[name] for name in formula.inputs))), set(formula.inputs)
+
+
+def test_every_quantity_is_what_its_name_says(arm: Peer) -> None:
+    """Coordinates by index, inputs by actuated index, sensors by kernels."""
+    position, v = arm("sensors", q=Q)["position"], arm("motion", q=Q, qd=QD)["v"]
+    expected = {"t": 1.5, "T": 2.0}
+    for i in range(6):
+        expected |= {f"q_q{i + 1}": Q[i], f"qd_q{i + 1}": QD[i], f"qdd_q{i + 1}": QDD[i]}
+    expected |= {f"u_q{i + 1}": U[i] for i in range(4)}
+    for k, sensor in enumerate(("hand", "pendulum")):
+        for i, axis in enumerate("xyz"):
+            expected |= {f"{axis}_{sensor}": position[i, k], f"v{axis}_{sensor}": v[i, k]}
+    assert set(list_quantities(arm.manifest)) == set(expected)
+    for horizon in (2.0, None):
+        for name, value in expected.items():
+            assert evaluate(name, arm, Representation.IMPL, horizon)[0] == pytest.approx(value, rel=1e-14)
+
+
+FUNCTIONS = {
+    "sin(q_q1)*exp(-t) + cos(qd_q2)/b": np.sin(Q[0]) * np.exp(-1.5) + np.cos(QD[1]) / 3,
+    "-(abs(q_q1) - a)**3*sqrt(T)": -((abs(Q[0]) - 0.25) ** 3) * np.sqrt(2),
+    "atan2(q_q1, u_q4) + tanh(t) - log(b)**-2": np.arctan2(Q[0], U[3]) + np.tanh(1.5) - np.log(3) ** -2,
+    "asin(a) + acos(a)*atan(b) - tan(pi/5)": np.arcsin(0.25) + np.arccos(0.25) * np.arctan(3) - np.tan(np.pi / 5),
+    "1": 1.0,
+}
+
+
+@pytest.mark.parametrize(("text", "value"), FUNCTIONS.items())
+def test_functions_and_operators(arm: Peer, text: str, value: float) -> None:
+    assert evaluate(text, arm, Representation.EXP1_A, None)[0] == pytest.approx(value, rel=1e-14)
+
+
+def test_accelerations_of_an_ode_are_the_kernels(arm: Peer) -> None:
+    """They are no variables there, so the expression needs what the kernel does."""
+    qdd = arm("exp1", q=Q, qd=QD, u=U)["qdd"]
+    value, inputs = evaluate("qdd_q2*a", arm, Representation.EXP1_O, 2.0)
+    assert value == pytest.approx(qdd[1] * 0.25, rel=1e-12)
+    assert inputs == {"q", "qd", "u", "constants"}
+
+
+INPUTS = {
+    "q_q1 + t": {"q", "s", "T"},
+    "T": {"T"},
+    "x_hand*a": {"q", "constants"},
+    "vx_hand": {"q", "qd"},
+    "u_q1*qdd_q1": {"u", "qdd"},
+}
+
+
+@pytest.mark.parametrize(("text", "inputs"), INPUTS.items())
+def test_a_function_asks_for_what_it_needs(arm: Peer, text: str, inputs: set[str]) -> None:
+    assert evaluate(text, arm, Representation.IMPL, None)[1] == inputs
+    assert evaluate(text, arm, Representation.IMPL, 2.0)[1] - {"s"} == inputs - {"T", "s"}
+
+
+def test_nothing_is_differentiated_by_constants_and_time(arm: Peer) -> None:
+    formula = formulate(["a*q_q1**2*t"], ["a"], arm, Representation.IMPL, None)
+    jacobian = formula.function.jacobian()
+    nonzeros = {name: jacobian.sparsity_out(i).nnz() for i, name in enumerate(formula.inputs)}
+    assert nonzeros == {"q": 1, "T": 1, "constants": 0, "s": 0}
+
+
+@pytest.mark.parametrize("text", ["q_q7", "c", "u_q5", "__import__", "q_q1.real", "q_q1[0]", "exec(1)"])
+def test_what_means_nothing_is_refused(arm: Peer, text: str) -> None:
+    with pytest.raises(ExpressionError):
+        formulate([text], ["a"], arm, Representation.IMPL, 1.0)
+
+
+def test_a_formula_is_a_casadi_function(arm: Peer) -> None:
+    formula = formulate(["x_hand", "q_q1*a"], ["a"], arm, Representation.IMPL, 1.0)
+    assert isinstance(formula.function, ca.Function)
+    assert formula.function.size_out(0) == (2, 1)
