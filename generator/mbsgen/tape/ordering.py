@@ -7,11 +7,13 @@ and that is what long kernels spend their time with.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 
 from mbsgen.tape.types import Op, Tape
 
 _TRIGONOMETRIC = (Op.SIN, Op.COS)
+Operands = Sequence[tuple[int, ...]]  # of each operation
 
 
 def arrange(tape: Tape) -> Tape:
@@ -19,84 +21,78 @@ def arrange(tape: Tape) -> Tape:
 
     What sines and cosines are taken of is computed first, so that all of them can be computed together.
     """
-    orders = (range(len(tape.operations)), _follow_results(tape))
-    return min((_permute(tape, _gather_angles(tape, order)) for order in orders), key=_count_kept)
+    operands = [(a,) if b < 0 else (a, b) for _, a, b in tape.operations]
+    stages = _find_stages(tape, operands)
+    orders = (range(len(operands)), _follow_results(tape, operands))
+    gathered = [sorted(order, key=stages.__getitem__) for order in orders]
+    return _permute(tape, min(gathered, key=lambda order: _count_kept(tape.first_operation, operands, order)))
 
 
-def _follow_results(tape: Tape) -> list[int]:
+def _follow_results(tape: Tape, operands: Operands) -> list[int]:
     """Order the operations by the results that need them, in depth: the guards come first, as they are tested."""
     first = tape.first_operation
-    depths = _measure(tape)
+    depths = [0] * first  # the operations between each value and the leaves
+    for used in operands:
+        depths.append(1 + max(depths[x] for x in used))
     roots = [v for g in tape.guards for v in (g.value, g.scale)] + [v for o in tape.outputs for v in o.values]
-    done: set[int] = set()
+    done = [False] * len(operands)
     order: list[int] = []
     for root in roots:
-        stack = [(root, False)]
+        stack = [root - first]
         while stack:
-            value, are_operands_done = stack.pop()
-            if value < first or value in done:
+            k = stack[-1]
+            if k < 0 or done[k]:
+                stack.pop()
                 continue
-            if are_operands_done:
-                done.add(value)
-                order.append(value - first)
+            missing = [x - first for x in operands[k] if x >= first and not done[x - first]]
+            if missing:
+                stack.append(max(missing, key=lambda x: depths[first + x]))  # the deepest operand is taken first
             else:
-                op, *operands = tape.operations[value - first]
-                stack.append((value, True))  # the deepest operand is taken first
-                stack += [(x, False) for x in sorted(operands[: op.arity], key=depths.__getitem__)]
+                done[k] = True
+                order.append(k)
     return order
 
 
-def _measure(tape: Tape) -> list[int]:
-    """Count the operations between each value and the leaves."""
-    depths = [0] * tape.first_operation
-    for op, *operands in tape.operations:
-        depths.append(1 + max(depths[x] for x in operands[: op.arity]))
-    return depths
-
-
-def _gather_angles(tape: Tape, order: range | list[int]) -> list[int]:
-    """Move sines and cosines together, and what they are taken of before them; else the order remains.
+def _find_stages(tape: Tape, operands: Operands) -> list[int]:
+    """Number the operations so that sorting by it moves sines together, and what they are taken of before them.
 
     There are several such groups where angles depend on sines.
     """
     first = tape.first_operation
+    are_sines = [op in _TRIGONOMETRIC for op, _, _ in tape.operations]
     levels = [0] * first  # how many sines, one of the other, a value depends on
-    for op, *operands in tape.operations:
-        levels.append(max(levels[x] for x in operands[: op.arity]) + (op in _TRIGONOMETRIC))
+    for is_sine, used in zip(are_sines, operands, strict=True):
+        levels.append(max(levels[x] for x in used) + is_sine)
     last = 1 + max(levels, default=0)
-    stages = [last] * len(levels)  # the group that a value is in, or is needed for
-    for value in range(len(levels) - 1, first - 1, -1):
-        op, *operands = tape.operations[value - first]
-        stage = levels[value] if op in _TRIGONOMETRIC else stages[value]
-        stages[value] = stage
-        for x in operands[: op.arity]:
-            stages[x] = min(stages[x], stage)
-    return sorted(order, key=lambda k: (stages[first + k], tape.operations[k][0] in _TRIGONOMETRIC))
+    groups = [last] * len(levels)  # the group that a value is in, or is needed for
+    for k in range(len(operands) - 1, -1, -1):
+        if are_sines[k]:
+            groups[first + k] = levels[first + k]
+        for x in operands[k]:
+            groups[x] = min(groups[x], groups[first + k])
+    return [2 * group + is_sine for group, is_sine in zip(groups[first:], are_sines, strict=True)]
 
 
-def _permute(tape: Tape, order: list[int]) -> Tape:
+def _permute(tape: Tape, order: Sequence[int]) -> Tape:
     """Write the operations of these places, and no others, in this order."""
     first = tape.first_operation
-    numbers = {value: value for value in range(first)} | {first + k: first + n for n, k in enumerate(order)}
-    operations = tuple(
-        (op, numbers[a], numbers[b] if b >= 0 else b) for op, a, b in (tape.operations[k] for k in order)
-    )
+    numbers = {value: value for value in range(-1, first)} | {first + k: first + n for n, k in enumerate(order)}
+    ordered = (tape.operations[k] for k in order)
     return replace(
         tape,
-        operations=operations,
+        operations=tuple((op, numbers[a], numbers[b]) for op, a, b in ordered),
         outputs=tuple(replace(o, values=tuple(numbers[v] for v in o.values)) for o in tape.outputs),
         guards=tuple(replace(g, value=numbers[g.value], scale=numbers[g.scale]) for g in tape.guards),
         labels={numbers[v]: label for v, label in tape.labels.items() if v in numbers},
     )
 
 
-def _count_kept(tape: Tape) -> int:
-    """Sum up, over the operations, the values that later ones read."""
-    first = tape.first_operation
-    last = {x: k for k, (op, *operands) in enumerate(tape.operations) for x in operands[: op.arity]}
-    ends = Counter(k for x, k in last.items() if x >= first)
+def _count_kept(first: int, operands: Operands, order: Sequence[int]) -> int:
+    """Sum up, over the operations in an order, the values that later ones read."""
+    last = {x: n for n, k in enumerate(order) for x in operands[k] if x >= first}
+    ends = Counter(last.values())
     kept = total = 0
-    for k in range(len(tape.operations)):
-        kept += (first + k in last) - ends[k]
+    for n, k in enumerate(order):
+        kept += (first + k in last) - ends[n]
         total += kept
     return total
