@@ -6,16 +6,21 @@ Table 4 does; `kernels` counts what was generated.
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import chain
 from types import MappingProxyType
+
+from sympy import Expr
 
 from mbsgen.formulations.catalogue import FORMULATIONS
 from mbsgen.formulations.links import PARAMETERS
 from mbsgen.formulations.planning import dynamics_alone
 from mbsgen.formulations.reductions import ALL, NONE, Reductions
 from mbsgen.manifest import Flops, Kernel
+from mbsgen.model.symbols import exact, to_double
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.tape.counts import count
 from mbsgen.tape.passes import hoist
@@ -34,9 +39,11 @@ SWITCHED: Mapping[str, Reductions] = MappingProxyType(
         "no reduction": replace(NONE, trials=1),
     }
 )
-# What the authors print for their model (Docquier, Bruls, Fisette, Table 4): flops and equations.
+# What was published for a mechanism, whatever its name: flops and equations.
 PUBLISHED: Mapping[str, Mapping[str, tuple[int, int]]] = MappingProxyType(
-    {"arm_pendulum": {"IMPL": (460, 114), "SEMI": (830, 264), "EXP1": (991, 328), "EXP2": (1784, 395)}}
+    {  # by `identify`. Docquier, Bruls, Fisette, Table 4: the arm with a pendulum of their Table 2
+        "d688b205c36105a7": {"IMPL": (460, 114), "SEMI": (830, 264), "EXP1": (991, 328), "EXP2": (1784, 395)}
+    }
 )
 COLUMNS = ("flops", "arith", "+ -", "*", "/", "neg", "sqrt", "trig", "other", "eqs")
 NOTE = (
@@ -75,6 +82,7 @@ class Report:
     kernels: Mapping[str, Cost]
     reductions: Mapping[str, Mapping[str, int]]  # flops of each formulation without each reduction; may be empty
     ways: Mapping[str, Mapping[str, int]]  # flops of the derivatives of the formulations, by the way of writing them
+    published: Mapping[str, tuple[int, int]]  # flops and equations that others have told; may be empty
 
 
 def make_report(
@@ -102,7 +110,22 @@ def make_report(
         for title, choice in switched.items()
     }
     costs = {k.name: Cost(k.flops, k.equations) for k in kernels}
-    return Report(written.name, formulations, setups, folded, costs, reductions, ways)
+    published = PUBLISHED.get(identify(written), {})
+    return Report(written.name, formulations, setups, folded, costs, reductions, ways, published)
+
+
+def identify(tree: Tree) -> str:
+    """Name a mechanism by what its dynamics depend on, in doubles: not by its name or those of its parts."""
+    values = {p.symbol: exact(p.value) for p in tree.parameters}
+
+    def read(*numbers: Expr) -> list[str]:
+        return [to_double(number.xreplace(values)).hex() for number in numbers]
+
+    told = []
+    for b in tree.bodies:
+        numbers = read(*b.position, *chain(*b.orientation), b.mass, *b.com, *chain(*b.inertia))
+        told.append((b.parent, b.joint.motion.value, b.joint.axis, str(b.joint.law), numbers))
+    return hashlib.sha256(repr((read(*tree.gravity), told, len(tree.wrenches))).encode()).hexdigest()[:16]
 
 
 def _fold(tree: Tree) -> Tree:
@@ -147,11 +170,10 @@ def sections(report: Report) -> tuple[Section, ...]:
 
 def comparisons(report: Report) -> dict[str, Mapping[str, int]]:
     """Give flops of the formulations beside each other: published, and without each reduction, where there are any."""
-    published = PUBLISHED.get(report.model, {})
     rows: dict[str, Mapping[str, int]] = dict(report.reductions)
-    if published:
-        rows |= {"published": {name: flops for name, (flops, _) in published.items()}}
-        rows |= {"published, equations": {name: equations for name, (_, equations) in published.items()}}
+    if report.published:
+        rows |= {"published": {name: flops for name, (flops, _) in report.published.items()}}
+        rows |= {"published, equations": {name: equations for name, (_, equations) in report.published.items()}}
     return rows
 
 
