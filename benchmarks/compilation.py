@@ -10,7 +10,7 @@ import hashlib
 import os
 import shlex
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -24,6 +24,9 @@ HERE = Path(__file__).parent
 TIMING = resources.folder("csrc") / "timing"
 # CasADi's small functions are global: a compiler that lets anyone replace them would not inline them.
 EXPORTED = ("-fvisibility=hidden", "-DGCC_HASCLASSVISIBILITY")
+# The flags of the kernels are chosen for them; what passes CasADi is compiled with gcc's vectors in straight-line code
+# too, and whichever is quicker counts.
+VARIANTS: Mapping[str, tuple[str, ...]] = {"": (), ", vectors": ("-ftree-slp-vectorize",)}
 FAST = ("-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fPIC", "-DNDEBUG")
 # What Boost must be told to hold Pinocchio's lists of types, as Pinocchio's own CMake files do; and that `get` may be
 # asked for a joint that a collection does not have.
@@ -60,9 +63,9 @@ class Workshop:
         include = ("-isystem", str(self.includes), "-isystem", str(self.includes / "eigen3"))
         return (*shlex.split(os.environ.get("CXX", "c++")), "-std=c++17", *BOOST, *include)
 
-    def compile_c(self, source: Path, name: str) -> Path:
-        """Compile one C file as a library."""
-        return self._build(name, (*self.c, "-shared"), (source,), ("-lm",))
+    def compile_c(self, source: Path, name: str, flags: Sequence[str] = ()) -> Path:
+        """Compile one C file as a library, with further flags."""
+        return self._build(name, (*self.c, *flags, "-shared"), (source,), ("-lm",))
 
     def compile_timing(self) -> Path:
         """Compile the timing loop."""

@@ -30,7 +30,7 @@ from benchmarks.candidates import (
     dense,
     load_code,
 )
-from benchmarks.compilation import BuildError, Workshop, of_model, run
+from benchmarks.compilation import VARIANTS, BuildError, Workshop, of_model, run
 from benchmarks.mechanism import write_mechanism
 from benchmarks.symbolic import adjoint_jacobian, count_arithmetic, eliminate, jacobian, read_tape
 from benchmarks.timing import Sizes, Stopwatch, draw_states, find_disagreements, measure_rounds, one_core
@@ -160,10 +160,18 @@ def _make_functions(author: str, named: Named, workshop: Workshop, report: Repor
     small = [(target, function) for target, function in named if function.n_instructions() <= LARGEST]
     sources = [_write_source(function, own.folder) for _, function in small]
     report(f"compiling: {AUTHORS[author]}")
+    jobs = [(*entry, source, variant) for entry, source in zip(small, sources, strict=True) for variant in VARIANTS]
+
+    def make(job: tuple[str, ca.Function, Path, str]) -> Candidate:
+        target, function, source, variant = job
+        name = function.name()
+        code = load_code(own.compile_c(source, name, VARIANTS[variant]), name)
+        return Candidate(author, target, f"{name}{variant}", count_arithmetic(function), code)
+
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-        libraries = list(pool.map(lambda s: own.compile_c(s, s.stem), sources))
-    codes = {f.name(): load_code(lib, f.name()) for (_, f), lib in zip(small, libraries, strict=True)}
-    return [Candidate(author, target, f.name(), count_arithmetic(f), codes.get(f.name())) for target, f in named]
+        compiled = list(pool.map(make, jobs))
+    large = [(target, function) for target, function in named if function.n_instructions() > LARGEST]
+    return compiled + [Candidate(author, target, f.name(), count_arithmetic(f), None) for target, f in large]
 
 
 def _write_source(function: ca.Function, folder: Path) -> Path:
