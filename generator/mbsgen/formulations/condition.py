@@ -15,6 +15,7 @@ leaves of IA to the parent, in the frames that EXP2 writes them in.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import reduce
 from operator import add
 
@@ -42,7 +43,7 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
     """
     builder = Builder()
     state = declare_state(tree, builder, rates=False, accelerations=False, forces=False, wrenches=False)
-    chain = write_chain(tree, builder, state)
+    chain = write_chain(replace(tree, wrenches=()), builder, state)  # M knows none; their inputs are not declared
     segments = align(chain, group=reductions.share_frames)
     writing = begin(chain, segments, find_plans(tree, reductions).articulated, reductions)
     bodies = articulate(writing)
