@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 
 RATE = 25.0  # pictures a second; the page draws what lies between
 MAX_PICTURES = 1500
+FAR = 1e12  # m; what has run away further is shown there
 _ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
 
 
@@ -81,7 +82,7 @@ def render_animation(
         "times": len(grid),
         "frames": _describe_frames(kernels),
         "markers": [{"name": m.name, "at": [float(x) for x in m.position]} for m in markers],
-        "places": _encode(poses["p"].swapaxes(1, 2), "<f4"),
+        "places": _encode(np.clip(poses["p"].swapaxes(1, 2), -FAR, FAR), "<f4"),
         "turns": _encode(_quaternions(poses["R"]), "<i2"),
     }
     return _fill_page(json.dumps(motion, ensure_ascii=False, allow_nan=False).translate(_ESCAPES))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import time
@@ -27,7 +28,19 @@ from mbsrun.ocp.methods import METHODS as SOLVERS
 from mbsrun.ocp.pictures import animate, draw_mechanism, plot_trajectories
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Inputs, Problem, Representation, SolverName, cylindrical
+from mbsrun.ocp.record import Attempt, open_record
 from mbsrun.ocp.resimulation import resimulate
+from mbsrun.ocp.search import (
+    OutOfTimeError,
+    Protocol,
+    Search,
+    Study,
+    Summary,
+    Targets,
+    identify,
+    list_open_tasks,
+    summarise,
+)
 from mbsrun.ocp.solution import Failure, Solution, read_guess, read_solution, write_solution
 from mbsrun.ocp.solve import Progress, solve
 from mbsrun.ocp.statement import read_problem
@@ -59,6 +72,7 @@ HELP = """Simulate multibody systems, and solve optimal control problems of thei
 \b
   mbsrun simulate MODEL -o DIR  integrate a motion, and write it, plots and an animation to DIR
   mbsrun solve PROBLEM -o DIR   solve, and write solution and pictures to DIR
+  mbsrun sweep PROBLEM -o FILE  solve for a grid of targets, by a protocol, and tell what it took
   mbsrun cache                  tell what was generated and compiled, or clear it
 
 MODEL and PROBLEM are YAML files; models/ holds examples. Summaries go to stdout, progress and messages to stderr.
@@ -85,6 +99,28 @@ Exit codes
   2   the problem, its model or an argument cannot be accepted; nothing written
 """
 
+
+SWEEP_HELP = """Solve PROBLEM for a grid of targets, in several representations, and sum up.
+
+Targets are places for the one sensor that has a target, on a cylinder about the base's z axis; the usual grid is the 21
+times 11 of Docquier, Bruls, Fisette. Every attempt goes into the file -o as it ends: the command can be stopped, and
+given again to go on, with more targets, costs, representations, or the other protocol.
+
+\b
+Protocols
+  paper    for each representation the interpolation with inputs 0, and no restart;
+           what fails or ends in a higher minimum than any that is known is counted
+  robust   interpolations with the inputs of their motion; where input rates are free,
+           random bumps; then the solutions of neighbours, and of other representations,
+           until nothing is new
+
+\b
+Exit codes
+  0   every task was solved by the robust protocol, and none is in a higher minimum;
+      or the paper protocol is through
+  1   some are not, or the time is over
+  2   the problem, its model or an argument cannot be accepted
+"""
 
 SIMULATE_HELP = """Integrate the motion of MODEL, and write it with its energy, plots and an animation.
 
@@ -232,6 +268,107 @@ def solve_command(
     for shortcoming in shortcomings:
         _say(f"warning: {shortcoming}")
     context.exit(NOT_SOLVED if shortcomings else 0)
+
+
+@cli.command("sweep", help=SWEEP_HELP)
+@click.argument("file", metavar="PROBLEM", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    "out",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="The file to keep the attempts in; by default NAME.sweep here, for a problem file NAME.ocp.yaml.",
+)
+@click.option("--protocol", type=click.Choice(["paper", "robust"]), default="robust", help="By default robust.")
+@click.option("--radius", type=NumberType(), default=0.63, help="Of the cylinder [m]; by default 0.63.")
+@click.option(
+    "--azimuths",
+    type=(NumberType(), NumberType(), click.IntRange(1, 1000)),
+    default=(-math.pi / 2, math.pi / 2, 21),
+    metavar="FROM TO COUNT",
+    help="By default -pi/2 pi/2 21.",
+)
+@click.option(
+    "--heights",
+    type=(NumberType(), NumberType(), click.IntRange(1, 1000)),
+    default=(-0.1, 0.1, 11),
+    metavar="FROM TO COUNT",
+    help="By default -0.1 0.1 11.",
+)
+@click.option(
+    "--every",
+    type=(click.IntRange(1), click.IntRange(1)),
+    default=(1, 1),
+    metavar="I J",
+    help="Take every I-th azimuth and every J-th height only; by default all.",
+)
+@click.option(
+    "--cost",
+    "costs",
+    type=(NumberType(), NumberType()),
+    multiple=True,
+    metavar="K1 K2",
+    help="Weights of inputs and of their rates, in place of the problem's cost; may be given several times.",
+)
+@click.option(
+    "--representation",
+    "names",
+    type=click.Choice([r.value for r in Representation], case_sensitive=False),
+    multiple=True,
+    help="By default all; the first given is the one that looks for better minima.",
+)
+@click.option(
+    "--bump",
+    "bumped",
+    metavar="NAME",
+    multiple=True,
+    help="A coordinate that random bumps move; by default all that are actuated.",
+)
+@click.option("--minutes", type=click.FloatRange(min=0), default=math.inf, help="Stop after so much time.")
+@click.pass_context
+def sweep_command(
+    context: click.Context,
+    /,
+    file: Path,
+    out: Path | None,
+    protocol: Protocol,
+    costs: tuple[tuple[float, float], ...],
+    names: tuple[str, ...],
+    bumped: tuple[str, ...],
+    minutes: float,
+    **grid: Any,
+) -> None:
+    """Read, search, sum up."""
+    problem, plant = read_problem(file, load)
+    sensor = _find_sensor(problem, "PROBLEM")
+    targets = Targets(
+        grid["radius"],
+        tuple(np.linspace(*grid["azimuths"]).tolist()),
+        tuple(np.linspace(*grid["heights"]).tolist()),
+        grid["every"],
+    )
+    study = Study(
+        problem,
+        sensor,
+        targets,
+        costs or ((problem.cost.inputs, problem.cost.input_rates),),
+        tuple(Representation(name) for name in names) or tuple(Representation),
+        _find_bumped(bumped, plant.manifest),
+    )
+    is_through = True
+    with open_record(out or Path(f"{problem.name}.sweep"), identify(study, plant.manifest)) as record:
+        with MESSAGES.status("making the program") as status:
+            try:
+                Search(study, plant, record, lambda attempt, _: status.update(_tell(attempt)), 60 * minutes).run(
+                    protocol
+                )
+            except OutOfTimeError:
+                is_through = False
+        attempts = list(record.attempts())
+    _print_summaries(summarise(attempts))
+    if not is_through:
+        _say("the time is over; give the command again to go on")
+    context.exit(0 if is_through and (protocol == "paper" or not list_open_tasks(study, attempts)) else NOT_SOLVED)
 
 
 @cli.command("cache", help=CACHE_HELP)
@@ -405,7 +542,7 @@ def _print_motion(motion: Motion, manifest: Manifest) -> None:
         "time": f"{effort.seconds:.3g} s of processor",
     }
     if energy is None:
-        rows["energy"] = "unknown: a kernel fails on the way"
+        rows["energy"] = "unknown: it overflows, or a kernel fails on the way"
     else:
         total, drift = energy.total, np.abs(energy.drift).max()
         rows["energy"] = f"{total[0]:.8g} J at the start, {total[-1]:.8g} J at the end, {energy.work[-1]:.4g} J of work"
@@ -415,13 +552,46 @@ def _print_motion(motion: Motion, manifest: Manifest) -> None:
 
 
 def _retarget(problem: Problem, target: tuple[float, float, float]) -> Problem:
+    return problem.with_target(_find_sensor(problem, "--target"), cylindrical(*target))
+
+
+def _find_sensor(problem: Problem, argument: str) -> str:
+    """Name the one sensor that has a target."""
     sensors = [name for name, _ in problem.end.sensors]
     if len(sensors) != 1:
         raise click.BadParameter(
             f"the problem has targets for {', '.join(sensors) or 'no sensor'}; it must have one for one sensor",
-            param_hint="--target",
+            param_hint=argument,
         )
-    return problem.with_target(sensors[0], cylindrical(*target))
+    return sensors[0]
+
+
+def _find_bumped(names: Sequence[str], manifest: Manifest) -> tuple[int, ...]:
+    """Find coordinates by name; all that are actuated, if there is none."""
+    known = [c.name for c in manifest.coordinates]
+    for name in names:
+        if name not in known:
+            raise click.BadParameter(f"the model has no coordinate {name!r}: {', '.join(known)}", param_hint="--bump")
+    return tuple(known.index(name) for name in names) or tuple(manifest.actuated)
+
+
+def _tell(attempt: Attempt) -> str:
+    task, cost = attempt.task, "-" if attempt.cost is None else f"{attempt.cost:.8g}"
+    return f"{attempt.part}: target {task.place}, {task.representation}: {attempt.status}, cost {cost}"
+
+
+def _print_summaries(summaries: Sequence[Summary]) -> None:
+    table = Table(box=box.SIMPLE)
+    for column in ("cost", "representation", "part"):
+        table.add_column(column)
+    for column in ("attempts", "solved", "higher minima", "iterations", "CPU s, median", "CPU s, all"):
+        table.add_column(column, justify="right")
+    for s in summaries:
+        least, median, most = s.iterations
+        texts = (f"({s.weights[0]:g}, {s.weights[1]:g})", s.representation, s.part)
+        numbers = (str(s.attempts), str(s.solved), str(s.higher), f"{median:g} ({least:g}-{most:g})")
+        table.add_row(*texts, *numbers, f"{s.cpu_median:.2f}", f"{s.cpu_seconds:.1f}")
+    Console(highlight=False, width=None if sys.stdout.isatty() else UNCUT).print(table)
 
 
 def _choose(

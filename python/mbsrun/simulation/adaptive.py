@@ -41,6 +41,8 @@ def integrate(dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: S
         while solver.status == "running":
             before = solver.nfev
             _step(solver, dynamics)
+            if solver.t == times[-1]:
+                raise _give_up(dynamics, solver, "the step has become too short to advance the time")
             tried = 1 if attempts is None else (solver.nfev - before) // attempts
             effort.rejected = None if effort.rejected is None else effort.rejected + tried - 1
             effort.steps += 1

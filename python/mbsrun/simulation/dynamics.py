@@ -92,9 +92,13 @@ class Dynamics:
         return K, C, M
 
     def forces(self, q: Array, qd: Array, v: Array) -> Array:
-        """Compute the generalised forces of all but gravity, shape (..., n): inputs, and the joints' own."""
+        """Compute the generalised forces that change the kinetic energy, shape (..., n): all, with gravity.
+
+        Of the bias c, the part c(q, qd) - c(q, 0) is the inertia's own; the rest is that of gravity and of wrenches.
+        """
+        at_rest = self.call("semi", q, np.zeros_like(qd), v)["c"]
         bias = self.call("semi", q, qd, v)["c"]
-        return bias - self.call("semi_res", q, qd, v, np.zeros_like(q))["Phi"]
+        return bias - at_rest - self.call("semi_res", q, qd, v, np.zeros_like(q))["Phi"]
 
     def call(self, name: str, q: Array, qd: Array, v: Array, qdd: Array | None = None) -> Mapping[str, Array]:
         """Call a kernel with what it takes of these."""
@@ -125,13 +129,13 @@ class Dynamics:
         try:
             L = np.linalg.cholesky(M)
         except np.linalg.LinAlgError:
-            raise SingularError(self._find_pivot(M)) from None
+            raise SingularError(self.find_pivot(M)) from None
         pivots = np.diagonal(L, axis1=-2, axis2=-1) ** 2
         if (pivots <= self.size * LOST * np.finfo(float).eps * np.diagonal(M, axis1=-2, axis2=-1)).any():
-            raise SingularError(self._find_pivot(M))
+            raise SingularError(self.find_pivot(M))
         return np.asarray(np.linalg.solve(M, right[..., None])[..., 0])
 
-    def _find_pivot(self, M: Array) -> str:
+    def find_pivot(self, M: Array) -> str:
         """Name the joint whose pivot is lost first: the leading block up to it has no Cholesky factor, or a bad one."""
         n = self.size
         for matrix in M.reshape(-1, n, n):

@@ -1,7 +1,10 @@
-"""The energies of a motion, and the work of all forces but gravity: the power qd . Q, by Gauss quadrature in each step.
+"""The energies of a motion, and the work of all forces but gravity.
 
-States within a step are the integrator's own interpolation, or else the quintic that has its coordinates, velocities
-and accelerations at both ends; with three nodes a step the work errs by O(h^6).
+The work of all forces is the integral of their power, by Gauss quadrature in each step; that of gravity is what the
+potential energy has lost. (A model's own wrenches are part of its bias, and cannot be told from gravity there.)
+
+It is summed over the stages of an implicit method; else over three Gauss nodes in each step, at which the motion is the
+integrator's own interpolation, or the quintic that has its coordinates, velocities and accelerations at both ends.
 """
 
 from __future__ import annotations
@@ -14,7 +17,7 @@ from numpy.typing import NDArray
 
 from mbsrun.simulation.drive import Piece
 from mbsrun.simulation.dynamics import Dynamics
-from mbsrun.simulation.motion import Chunk
+from mbsrun.simulation.motion import Chunk, Stages
 
 Array = NDArray[np.float64]
 
@@ -23,20 +26,30 @@ WEIGHTS = np.polynomial.legendre.leggauss(3)[1] / 2
 
 
 def add_up_work(dynamics: Dynamics, piece: Piece, chunk: Chunk) -> Array:
-    """Integrate the power over each step, shape (k,). Raises KernelError and SingularError."""
+    """Compute the work of all forces but gravity in each step, shape (k,). Raises KernelError and SingularError."""
+    stages, length = chunk.stages or _place_nodes(dynamics, piece, chunk), np.diff(chunk.t)
+    k, s, n = stages.q.shape
+    q, qd = stages.q.reshape(k * s, n), stages.qd.reshape(k * s, n)
+    power = (dynamics.forces(q, qd, piece.values(stages.t.ravel())) * qd).sum(axis=1)
+    potential = dynamics.kernels("energy", q=chunk.q, qd=chunk.qd)["potential"][:, 0]
+    return np.asarray(length * (power.reshape(k, s) @ stages.weights) + np.diff(potential))
+
+
+def _place_nodes(dynamics: Dynamics, piece: Piece, chunk: Chunk) -> Stages:
+    """Read the motion at the nodes of Gauss's quadrature."""
     length = np.diff(chunk.t)
-    times = (chunk.t[:-1, None] + length[:, None] * NODES).ravel()
-    if chunk.dense is not None:
-        q, qd = chunk.dense(times, np.repeat(np.arange(len(length)), NODES.size))
-    else:
+    t = chunk.t[:-1, None] + length[:, None] * NODES
+    if chunk.dense is None:
         qdd = dynamics.accelerations(chunk.q, chunk.qd, piece.values(chunk.t))
         q, qd = _interpolate(length, chunk.q, chunk.qd, qdd)
-    power = (dynamics.forces(q, qd, piece.values(times)) * qd).sum(axis=1)
-    return np.asarray(length * (power.reshape(-1, NODES.size) @ WEIGHTS))
+    else:
+        q, qd = chunk.dense(t.ravel(), np.repeat(np.arange(len(length)), NODES.size))
+        q, qd = (x.reshape(*t.shape, -1) for x in (q, qd))
+    return Stages(t, q, qd, WEIGHTS)
 
 
 def _interpolate(length: Array, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array]:
-    """Evaluate the quintics at the nodes: q, qd of shape (k NODES, n)."""
+    """Evaluate the quintics at the nodes: q, qd of shape (k, NODES, n)."""
     h = length[:, None, None]
     data = {
         "q": (q[:-1, None], q[1:, None]),
@@ -48,8 +61,7 @@ def _interpolate(length: Array, q: Array, qd: Array, qdd: Array) -> tuple[Array,
         for polynomial, end in zip(_BASIS[name], ends, strict=True):
             place = place + polynomial(NODES)[:, None] * end
             rate = rate + polynomial.deriv()(NODES)[:, None] * end / h
-    n = q.shape[1]
-    return np.reshape(place, (-1, n)), np.reshape(rate, (-1, n))
+    return place, rate
 
 
 Polynomial = np.polynomial.Polynomial

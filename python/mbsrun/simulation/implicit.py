@@ -20,7 +20,7 @@ from mbsrun.ocp import schemes
 from mbsrun.simulation.drive import Piece
 from mbsrun.simulation.dynamics import Dynamics, SingularError
 from mbsrun.simulation.explicit import SINGULAR, count_steps
-from mbsrun.simulation.motion import Chunk, Halt, HaltError, Settings
+from mbsrun.simulation.motion import Chunk, Halt, HaltError, Settings, Stages
 
 Array = NDArray[np.float64]
 
@@ -37,14 +37,27 @@ class _StuckError(Exception):
         self.joint = joint
 
 
-@dataclass
+@dataclass(frozen=True, eq=False)
 class _State:
+    """Where a step ends; with the stages on the way there, (s, n)."""
+
     q: Array
     qd: Array
     qdd: Array
+    stage_q: Array
+    stage_qd: Array
 
 
-Step = Callable[["_State", float, float], "_State"]  # state, its time, length of the step -> the next state
+Step = Callable[[_State, float, float], _State]  # state, its time, length of the step -> the next state
+
+
+@dataclass(frozen=True, eq=False)
+class _Scheme:
+    """A method: how it steps, and where in a step (s,) and with what weights (s,) it sums up what happens."""
+
+    step: Step
+    points: Array
+    weights: Array
 
 
 def integrate(dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: Settings) -> Iterator[Chunk]:
@@ -53,29 +66,32 @@ def integrate(dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: S
     Raises HaltError where a kernel fails, or Newton's method does.
     """
     count = count_steps(piece, settings.step)
-    h = (piece.end - piece.start) / count
-    done, time = [_State(q, qd, np.zeros_like(q))], piece.start
+    h, time = (piece.end - piece.start) / count, piece.start
+    scheme = _choose_scheme(dynamics, piece, settings)
+    done: list[_State] = []
     try:
-        step = _make_step(dynamics, piece, settings)
-        done = [_State(q, qd, _consistent(dynamics, piece, q, qd))]
+        done.append(_State(q, qd, _consistent(dynamics, piece, q, qd), q[None], qd[None]))
         for k in range(count):
             time = piece.start + k * h
-            done.append(step(done[-1], time, h))
+            done.append(scheme.step(done[-1], time, h))
             dynamics.effort.steps += 1
             if len(done) > STEPS:
-                yield _gather(done, piece.start + h * (k + 1), h)
+                yield _gather(done, piece.start + h * (k + 1), h, scheme)
                 done = done[-1:]
     except (KernelError, SingularError, _StuckError, np.linalg.LinAlgError) as error:
         if len(done) > 1:
-            yield _gather(done, time, h)
+            yield _gather(done, time, h, scheme)
         raise HaltError(_tell(error, time)) from None
     if len(done) > 1:
-        yield _gather(done, piece.end, h)
+        yield _gather(done, piece.end, h, scheme)
 
 
-def _gather(done: list[_State], end: float, h: float) -> Chunk:
+def _gather(done: list[_State], end: float, h: float, scheme: _Scheme) -> Chunk:
     t = end - h * np.arange(len(done), dtype=np.float64)[::-1]
-    return Chunk(t, np.array([state.q for state in done]), np.array([state.qd for state in done]))
+    q, qd = np.array([state.q for state in done]), np.array([state.qd for state in done])
+    stage_q, stage_qd = np.array([x.stage_q for x in done[1:]]), np.array([x.stage_qd for x in done[1:]])
+    stages = Stages(t[:-1, None] + h * scheme.points, stage_q, stage_qd, scheme.weights)
+    return Chunk(t, q, qd, stages=stages)
 
 
 def _tell(error: Exception, time: float) -> Halt:
@@ -90,17 +106,20 @@ def _consistent(dynamics: Dynamics, piece: Piece, q: Array, qd: Array) -> Array:
     """Solve the residual at the piece's start for the accelerations; it is linear in them."""
     v, rest = piece.at(piece.start), np.zeros_like(q)
     M = dynamics.stiffnesses(q, qd, rest, v)[2]
-    return -np.asarray(np.linalg.solve(M, dynamics.residual(q, qd, rest, v)))
+    try:
+        return -np.asarray(np.linalg.solve(M, dynamics.residual(q, qd, rest, v)))
+    except np.linalg.LinAlgError:
+        raise SingularError(dynamics.find_pivot(M)) from None
 
 
-def _make_step(dynamics: Dynamics, piece: Piece, settings: Settings) -> Step:
+def _choose_scheme(dynamics: Dynamics, piece: Piece, settings: Settings) -> _Scheme:
     if settings.method == "generalized-alpha":
         return _make_alpha(dynamics, piece, settings.rho)
     family = schemes.Family.RADAU if settings.method == "radau-iia" else schemes.Family.LEGENDRE
     return _make_collocation(dynamics, piece, schemes.build(family, settings.stages))
 
 
-def _make_alpha(dynamics: Dynamics, piece: Piece, rho: float) -> Step:
+def _make_alpha(dynamics: Dynamics, piece: Piece, rho: float) -> _Scheme:
     """Unknown: qdd at the step's end. `a` is the method's own acceleration, which follows qdd."""
     alpha_m, alpha_f = (2 * rho - 1) / (rho + 1), rho / (rho + 1)
     gamma = 0.5 + alpha_f - alpha_m
@@ -124,12 +143,12 @@ def _make_alpha(dynamics: Dynamics, piece: Piece, rho: float) -> Step:
 
         qdd = _iterate(dynamics, correct, state.qdd, state, h)
         q, qd, memory["a"] = advance(qdd)
-        return _State(q, qd, qdd)
+        return _State(q, qd, qdd, np.stack((state.q, q)), np.stack((state.qd, qd)))
 
-    return step
+    return _Scheme(step, np.array([0.0, 1.0]), np.array([0.5, 0.5]))
 
 
-def _make_collocation(dynamics: Dynamics, piece: Piece, scheme: schemes.Scheme) -> Step:
+def _make_collocation(dynamics: Dynamics, piece: Piece, scheme: schemes.Scheme) -> _Scheme:
     """Unknowns: qdd at the stages, (s, n)."""
     A, b, c, s, n = np.linalg.inv(scheme.D[:, 1:]), scheme.weights, scheme.points, scheme.degree, dynamics.size
     A2, bA = A @ A, scheme.weights @ A
@@ -138,9 +157,11 @@ def _make_collocation(dynamics: Dynamics, piece: Piece, scheme: schemes.Scheme) 
     def step(state: _State, time: float, h: float) -> _State:
         v = piece.values(time + h * c)
 
+        def advance(z: Array) -> tuple[Array, Array]:
+            return state.q + h * c[:, None] * state.qd + h * h * A2 @ z, state.qd + h * A @ z
+
         def correct(z: Array) -> Array:
-            qd = state.qd + h * A @ z
-            q = state.q + h * c[:, None] * state.qd + h * h * A2 @ z
+            q, qd = advance(z)
             K, C, M = dynamics.stiffnesses(q, qd, z, v)
             blocks = h * A[:, :, None, None] * C[:, None] + h * h * A2[:, :, None, None] * K[:, None]
             blocks[range(s), range(s)] += M
@@ -150,9 +171,9 @@ def _make_collocation(dynamics: Dynamics, piece: Piece, scheme: schemes.Scheme) 
 
         z = _iterate(dynamics, correct, np.tile(state.qdd, (s, 1)), state, h)
         q = state.q + h * state.qd + h * h * bA @ z
-        return _State(q, state.qd + h * b @ z, values @ z)
+        return _State(q, state.qd + h * b @ z, values @ z, *advance(z))
 
-    return step
+    return _Scheme(step, c, b)
 
 
 def _values_at(points: Array) -> Array:

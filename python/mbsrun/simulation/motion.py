@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,7 +85,7 @@ class Motion:
     q: Array  # (K, n)
     qd: Array  # (K, n)
     inputs: Array  # (K, m): u, then w; where they jump, those that follow
-    energy: Energy | None  # None where a kernel fails on the way
+    energy: Energy | None  # None where it overflows, or a kernel fails on the way
     effort: Effort
     halt: Halt | None = None
     warnings: tuple[str, ...] = ()
@@ -105,11 +105,22 @@ class HaltError(Exception):
 
 
 @dataclass(frozen=True, eq=False)
+class Stages:
+    """States within k steps at which a method itself sums up what happens there: s in each step."""
+
+    t: Array  # (k, s)
+    q: Array  # (k, s, n)
+    qd: Array  # (k, s, n)
+    weights: Array  # (s,): an integral over a step is the step's length times their sum over the stages
+
+
+@dataclass(frozen=True, eq=False)
 class Chunk:
     """Some steps in a row, as an integrator hands them on; the first state is the last of the chunk before."""
 
     t: Array  # (k + 1,)
     q: Array  # (k + 1, n)
     qd: Array  # (k + 1, n)
-    dense: Callable[[Array, NDArray[np.intp]], tuple[Array, Array]] | None = field(default=None)
+    dense: Callable[[Array, NDArray[np.intp]], tuple[Array, Array]] | None = None
     # times (j,) and the steps (j,) that they lie in, from 0 -> q, qd (j, n) by the method's own interpolation
+    stages: Stages | None = None

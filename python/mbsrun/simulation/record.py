@@ -132,7 +132,9 @@ def _plot_energy(axes: Axes, motion: Motion) -> None:
     axes.set_ylabel("energy [J]")
     axes.grid(alpha=0.3)
     if motion.energy is None:
-        axes.text(0.5, 0.5, "unknown: a kernel fails on the way", transform=axes.transAxes, ha="center")
+        axes.text(
+            0.5, 0.5, "unknown: it overflows, or a kernel fails on the way", transform=axes.transAxes, ha="center"
+        )
         return
     energy = motion.energy
     for name, values in (("kinetic", energy.kinetic), ("potential", energy.potential)):

@@ -27,6 +27,7 @@ INTEGRATORS: Mapping[Family, Integrator] = MappingProxyType(
         Family.ADAPTIVE: adaptive.integrate,
     }
 )
+DRIFT = 0.01  # of the energy that is exchanged; more is told
 STIFF = 500.0  # what decays so many times within a motion is fast; only then is stiffness spoken of
 
 
@@ -143,16 +144,18 @@ class _Record:
             inputs[inside] = piece.values(t[inside])
         energies = self.kernels("energy", q=q, qd=qd)
         energy = Energy(energies["kinetic"][:, 0], energies["potential"][:, 0], np.array(self.work))
+        warnings = [*_find_exceeded_limits(self.kernels, t, q), *self._find_stiffness(effort, t, q, qd, inputs)]
+        is_known = self.work_is_known and bool(np.isfinite(energy.drift).all())
         return Motion(
             settings=self.settings,
             t=t,
             q=q,
             qd=qd,
             inputs=inputs,
-            energy=energy if self.work_is_known else None,
+            energy=energy if is_known else None,
             effort=effort,
             halt=halt,
-            warnings=(*_find_exceeded_limits(self.kernels, t, q), *self._find_stiffness(effort, t, q, qd, inputs)),
+            warnings=(*warnings, *(_find_drift(energy) if is_known else ())),
         )
 
     def _keep(self, chunk: Chunk, work: Array, chosen: NDArray[np.intp]) -> None:
@@ -182,7 +185,8 @@ class _Record:
         assert self.piece is not None, "a chunk lies in a piece"
         if self.work_is_known:
             try:
-                return add_up_work(self.observer, self.piece, chunk)
+                with np.errstate(all="ignore"):  # a motion that runs away has no number for its energy
+                    return add_up_work(self.observer, self.piece, chunk)
             except (KernelError, SingularError):
                 self.work_is_known = False
         return np.zeros(len(chunk.t) - 1)
@@ -207,6 +211,13 @@ class _Record:
             f"stiff: motion of joint {joint} decays at {decay:.3g} 1/s, so that explicit steps must stay below "
             f"{method.stability / decay:.2g} s; an implicit method (radau, radau-iia) takes longer ones"
         ]
+
+
+def _find_drift(energy: Energy) -> list[str]:
+    drift, exchanged = float(np.abs(energy.drift).max()), float(np.ptp(energy.kinetic) + np.ptp(energy.potential))
+    if drift <= DRIFT * exchanged:
+        return []
+    return [f"energy drifts by {drift:.2g} J, where {exchanged:.2g} J are exchanged; take a smaller step or tolerance"]
 
 
 def _find_exceeded_limits(kernels: Kernels, t: Array, q: Array) -> list[str]:
