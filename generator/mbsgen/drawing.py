@@ -22,7 +22,7 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 from numpy.typing import NDArray
 
-from mbsgen.formulations.links import PARAMETERS, declare_state, write_chain
+from mbsgen.formulations.links import DESIGN, PARAMETERS, declare_state, write_chain
 from mbsgen.formulations.poses import build_frames
 from mbsgen.model.tree import Body, Kind, Motion, Tree
 from mbsgen.tape.builder import Builder
@@ -54,8 +54,9 @@ class Scene:
 def pose(tree: Tree, q: Sequence[float]) -> Scene:
     """Compute where everything is at the joint coordinates `q` [rad or m] and the default parameters."""
     n, s = len(tree.bodies), len(tree.sensors)
-    p = [parameter.value for parameter in tree.parameters if parameter.kind is Kind.RUNTIME]
-    at = {"q": list(q), PARAMETERS: p}
+    at = {"q": list(q)}
+    for name, kind in ((PARAMETERS, Kind.RUNTIME), (DESIGN, Kind.DIFFERENTIATED)):
+        at[name] = [parameter.value for parameter in tree.parameters if parameter.kind is kind]
     frames, masses = (
         {name: np.array(values, float) for name, values in evaluate(tape, at).items()}
         for tape in (build_frames(tree), _build_masses(tree))

@@ -112,6 +112,7 @@ class Manifest(_Entry):
     sources: tuple[str, ...]  # C files to compile, in order
     coordinates: tuple[Coordinate, ...]
     parameters: tuple[Parameter, ...]  # run-time parameters, in the order of p
+    design: tuple[Parameter, ...] = ()  # differentiated parameters, in the order of theta
     frames: tuple[Frame, ...]
     wrenches: tuple[Wrench, ...] = ()
     kernels: tuple[Kernel, ...]

@@ -83,6 +83,7 @@ def make(model: Path | Model, options: Options = Options()) -> Product:
         _hash(tree, families),
         families,
         tuple(p.value for p in tree.parameters if p.kind is Kind.RUNTIME and families[0].value.name == "setup"),
+        design=tuple(p.value for p in tree.parameters if p.kind is Kind.DIFFERENTIATED),
         only_driven=not tree.wrenches and all(body.joint.law == NO_FORCE for body in tree.bodies),
     )
     sources = write_c(unit)
@@ -182,6 +183,10 @@ def _hash(tree: Tree, families: tuple[Family, ...]) -> str:
     return hashlib.sha256(f"{text}{tapes!r}".encode()).hexdigest()
 
 
+def _list_parameters(tree: Tree, kind: Kind) -> tuple[Parameter, ...]:
+    return tuple(Parameter(name=p.name, value=p.value) for p in tree.parameters if p.kind is kind)
+
+
 def _describe(tree: Tree, unit: Unit, sources: Sources) -> Manifest:
     joints = [body.joint for body in tree.bodies]
     return Manifest(
@@ -196,7 +201,8 @@ def _describe(tree: Tree, unit: Unit, sources: Sources) -> Manifest:
             Coordinate(name=j.name, motion=j.motion.value, actuated=j.actuated, lower=j.lower, upper=j.upper)
             for j in joints
         ),
-        parameters=tuple(Parameter(name=p.name, value=p.value) for p in tree.parameters if p.kind is Kind.RUNTIME),
+        parameters=_list_parameters(tree, Kind.RUNTIME),
+        design=_list_parameters(tree, Kind.DIFFERENTIATED),
         frames=tuple(Frame(name=b.name, parent=b.parent - 1, sensor=False) for b in tree.bodies)
         + tuple(Frame(name=s.name, parent=s.body - 1, sensor=True) for s in tree.sensors),
         wrenches=tuple(

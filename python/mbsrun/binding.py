@@ -23,6 +23,7 @@ from mbsrun.library import CompileError
 Array = NDArray[np.float64]
 Status = NDArray[np.int32]
 
+DESIGN = "theta"  # the differentiated parameters; filled in for the caller who gives none
 HIDDEN = "h"  # what `setup` makes of the run-time parameters; filled in for the caller
 # Matrices even with one column.
 _MATRICES = {
@@ -100,6 +101,11 @@ class Entry:
     def takes_hidden(self) -> bool:
         """Whether run-time parameters matter to it."""
         return any(port.argument.name == HIDDEN for port in self.inputs)
+
+    @cached_property
+    def takes_design(self) -> bool:
+        """Whether differentiated parameters matter to it."""
+        return any(port.argument.name == DESIGN for port in self.inputs)
 
     def call_once(self, inputs: Mapping[str, ArrayLike], hidden: Array | None) -> tuple[int, dict[str, Array]] | None:
         """Call for one state; give the status and dense results, or None where the inputs are not plainly that."""

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import casadi as ca
 
+from mbsrun.binding import DESIGN
 from mbsrun.kernel import DERIVATIVES, HIDDEN, Kernels
 from mbsrun.models import find_folder
 
@@ -14,8 +15,10 @@ from mbsrun.models import find_folder
 class Mechanism(Kernels):
     """The kernels of a generated folder, for NumPy and for CasADi."""
 
-    def casadi(self, name: str) -> ca.Function:
-        """Give a kernel as a CasADi function of the manifest's inputs, run-time parameters at their present values.
+    def casadi(self, name: str, *, design: bool = False) -> ca.Function:
+        """Give a kernel as a CasADi function of the manifest's inputs, parameters at their present values.
+
+        design: differentiated parameters, `theta`, are an input of it.
 
         CasADi finds the generated `jac_`, `adj1_` and `jac_adj1_` kernels beside it, and uses them wherever it needs a
         derivative; it can be mapped, over threads as well. A serialised function holds the library's path.
@@ -25,10 +28,13 @@ class Mechanism(Kernels):
         family = [order + name for order in DERIVATIVES if order + name in self._binder.kernels]
         external = ca.external(kernel.symbol, str(self.compile(*family)))
         names, outputs = [a.name for a in kernel.inputs], [a.name for a in kernel.outputs]
-        if external.name_in() == names and external.name_out() == outputs and HIDDEN not in names:
+        fixed = {HIDDEN: self._hidden} if HIDDEN in names else {}
+        if DESIGN in names and not design:
+            fixed[DESIGN] = self._design
+        if external.name_in() == names and external.name_out() == outputs and not fixed:
             return external
-        inputs = {name: ca.MX.sym(name, external.sparsity_in(name)) for name in names if name != HIDDEN}
-        results = external(**inputs, **({HIDDEN: self._hidden} if HIDDEN in names else {}))
+        inputs = {name: ca.MX.sym(name, external.sparsity_in(name)) for name in names if name not in fixed}
+        results = external(**inputs, **fixed)
         chosen = [results[name] for name in outputs]
         return ca.Function(kernel.symbol, list(inputs.values()), chosen, list(inputs), outputs)
 

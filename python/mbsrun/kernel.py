@@ -19,7 +19,7 @@ from mbsgen import manifest as manifests
 from mbsgen import resources
 from mbsgen.errors import MbsError
 from mbsgen.manifest import Kernel, Manifest
-from mbsrun.binding import HIDDEN, ArgumentError, Array, Entry, Port, Status, bind, load_batch
+from mbsrun.binding import DESIGN, HIDDEN, ArgumentError, Array, Entry, Port, Status, bind, load_batch
 from mbsrun.library import Compiler, compile_library, find_compiler
 
 __all__ = ["HIDDEN", "ArgumentError", "Array", "KernelError", "Kernels"]
@@ -43,16 +43,17 @@ class Kernels:
     """
 
     manifest: Manifest
-    parameters: Mapping[str, float]  # the run-time parameters in use, by the user's names
+    parameters: Mapping[str, float]  # the run-time and differentiated parameters in use, by the user's names
 
     def __init__(self, folder: str | Path, parameters: Mapping[str, float] | None = None) -> None:
         """Read the folder's manifest. `parameters` replace the model's values."""
         self._binder = _Binder(Path(folder))
         self.manifest = self._binder.manifest
-        self._set_parameters({p.name: p.value for p in self.manifest.parameters}, parameters or {})
+        given = (*self.manifest.parameters, *self.manifest.design)
+        self._set_parameters({p.name: p.value for p in given}, parameters or {})
 
     def with_parameters(self, **parameters: float) -> Self:
-        """Return the same kernels with other values of the named run-time parameters."""
+        """Return the same kernels with other values of the named parameters."""
         other = copy.copy(self)
         other._set_parameters(self.parameters, parameters)
         return other
@@ -70,10 +71,13 @@ class Kernels:
         A column is an array of shape (rows,), a matrix one of (rows, cols); Jacobians, positions and rotations are
         matrices even with one column. Any input may have a leading batch axis; results then have it too, and inputs
         without one are the same for all states. sparse: give the nonzeros only, column by column, shape (nnz,), of
-        which `matrix` makes a matrix. Inputs without an entry may be left out. Raises ArgumentError for inputs that do
+        which `matrix` makes a matrix. Inputs without an entry may be left out, and `theta`, the differentiated parameters,
+        where their present values are meant. Raises ArgumentError for inputs that do
         not fit, KernelError where a state cannot be computed.
         """
         entry = self._binder.bind(name)
+        if entry.takes_design:
+            inputs.setdefault(DESIGN, self._design)
         done = None if sparse else entry.call_once(inputs, self._hidden_for(entry))
         if done is None:
             results, status = self.attempt(name, sparse=sparse, **inputs)
@@ -92,6 +96,8 @@ class Kernels:
         state are not a number. Raises ArgumentError.
         """
         entry = self._binder.bind(name)
+        if entry.takes_design:
+            inputs.setdefault(DESIGN, self._design)
         arrays = _collect(entry, inputs)
         batches = {array.shape[0] for port, array in arrays if array.ndim > len(port.shape)}
         if len(batches) > 1:
@@ -162,14 +168,20 @@ class Kernels:
         if wrong:
             raise ArgumentError(f"{', '.join(wrong)}: a parameter must be a finite number")
         self.parameters = {name: float(changes.get(name, value)) for name, value in present.items()}
-        self.__dict__.pop("_hidden", None)
+        for cached in ("_hidden", "_design"):
+            self.__dict__.pop(cached, None)
 
     @cached_property
     def _hidden(self) -> Array:
         """What the kernels need of the parameters; computed when one is first called."""
         if "setup" not in self._binder.kernels:
             return np.zeros(0)
-        return self("setup", p=list(self.parameters.values()))[HIDDEN]
+        return self("setup", p=[self.parameters[p.name] for p in self.manifest.parameters])[HIDDEN]
+
+    @cached_property
+    def _design(self) -> Array:
+        """The differentiated parameters."""
+        return np.array([self.parameters[p.name] for p in self.manifest.design])
 
     def _hidden_for(self, entry: Entry) -> Array | None:
         return self._hidden if entry.takes_hidden else None

@@ -16,7 +16,7 @@ from mbsgen.derivatives.vanishing import drop_vanishing
 from mbsgen.formulations import impl
 from mbsgen.formulations.planning import finish
 from mbsgen.formulations.reductions import Reductions
-from mbsgen.model.tree import Tree
+from mbsgen.model.tree import Kind, Tree
 from mbsgen.tape.counts import count
 from mbsgen.tape.types import Tape
 
@@ -30,7 +30,7 @@ class Dynamics:
     """The derivatives of a tree's formulations."""
 
     def __init__(self, tree: Tree, reductions: Reductions) -> None:
-        self._choice = _Choice(reductions, is_compared=len(tree.bodies) <= COMPARED)
+        self._choice = _Choice(reductions, is_compared=len(tree.bodies) <= COMPARED or _has_design(tree))
         self._residual = _OfResidual(tree, reductions, self._choice)
 
     def differentiate(self, tape: Tape) -> Derivatives:
@@ -43,6 +43,11 @@ class Dynamics:
     def flops(self) -> Mapping[str, Mapping[str, int]]:
         """Tell what each derivative that was asked for takes by each way, by the paper's convention."""
         return self._choice.flops
+
+
+def _has_design(tree: Tree) -> bool:
+    """Tell whether a tree has differentiated parameters, of which the recursions know nothing."""
+    return any(parameter.kind is Kind.DIFFERENTIATED for parameter in tree.parameters)
 
 
 class _Choice:
@@ -68,11 +73,14 @@ class _OfResidual(Derivatives):
         super().__init__(tape, differentiable(tape))
         self._tree, self._reductions, self._choice = tree, reductions, choice
 
+    def _by_recursion(self, write: Callable[[Tree, Reductions], Tape]) -> Ways:
+        return {} if _has_design(self._tree) else {"recursion": lambda: write(self._tree, self._reductions)}
+
     @cached_property
     def jac(self) -> Tape:
         return self._choice.among(
             "jac_impl",
-            {"recursion": lambda: recursion.jacobian(self._tree, self._reductions)},
+            self._by_recursion(recursion.jacobian),
             {"tape": lambda: kernels.jacobian(self.tape, self.wrt)},
         )
 
@@ -80,7 +88,7 @@ class _OfResidual(Derivatives):
     def lin(self) -> Tape:
         return self._choice.among(
             "lin_impl",
-            {"recursion": lambda: recursion.linearisation(self._tree, self._reductions)},
+            self._by_recursion(recursion.linearisation),
             {"tape": lambda: kernels.linearise(self.tape, self.jac)},
         )
 
@@ -92,7 +100,7 @@ class _OfResidual(Derivatives):
     def jac_adj1(self) -> Tape:
         return self._choice.among(
             "jac_adj1_impl",
-            {"recursion": lambda: recursion.adjoint_jacobian(self._tree, self._reductions)},
+            self._by_recursion(recursion.adjoint_jacobian),
             {"tape": lambda: kernels.adjoint_jacobian(self.tape, self.adj1, self.wrt)},
         )
 

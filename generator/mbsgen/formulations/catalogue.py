@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from mbsgen.formulations import condition, energy, exp1, exp2, impl, poses, semi, velocities
-from mbsgen.formulations.links import PARAMETERS
+from mbsgen.formulations.links import DESIGN, PARAMETERS
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Tree
 from mbsgen.tape.types import Tape
@@ -38,6 +38,7 @@ MEANINGS: Mapping[str, str] = MappingProxyType(
         "qdd": "joint accelerations, rad/s2 or m/s2",
         "u": "forces of the actuated joints, in joint order, N m or N",
         "w": "external forces and moments that the model leaves open, in its order, N and N m",
+        DESIGN: "differentiated parameters, in the manifest's order",
         PARAMETERS: "run-time parameters, in the manifest's order",
         SETUP: "what setup computes from the run-time parameters",
         "Phi": "residual Phi(q, qd, qdd) - Q(q, qd, u), N m or N",

@@ -20,6 +20,7 @@ from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.lowering import lower
 
 PARAMETERS = "p"  # the input that holds run-time parameters
+DESIGN = "theta"  # the input that holds differentiated parameters
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class State:
     qdd: list[Scalar]
     u: list[Scalar]
     w: list[Scalar]
+    theta: list[Scalar]
     p: list[Scalar]
 
 
@@ -119,8 +121,9 @@ class Chain:
 
 def write_chain(tree: Tree, builder: Builder, state: State) -> Chain:
     """Begin a tree in the builder that its state is declared in."""
-    runtime = [x.symbol for x in tree.parameters if x.kind is Kind.RUNTIME]
-    symbols = dict(zip(runtime, state.p, strict=True))
+    symbols: dict[Expr, Scalar] = {}
+    for kind, given in ((Kind.RUNTIME, state.p), (Kind.DIFFERENTIATED, state.theta)):
+        symbols |= dict(zip((x.symbol for x in tree.parameters if x.kind is kind), given, strict=True))
     symbols |= {x.symbol: builder.number(x.value) for x in tree.parameters if x.kind is Kind.CONSTANT}
     return Chain(tree, builder, state, symbols)
 
@@ -151,7 +154,7 @@ def declare_state(
     forces: bool = True,
     wrenches: bool = True,
 ) -> State:
-    """Declare q, and where wanted qd, qdd, u; w if the tree has open wrenches, and p if it has run-time parameters."""
+    """Declare q, and where wanted qd, qdd, u; w for open wrenches, theta and p for parameters, if there are any."""
     n = len(tree.bodies)
     q = builder.vector("q", n)
     qd = builder.vector("qd", n) if rates else []
@@ -159,8 +162,12 @@ def declare_state(
     u = builder.vector("u", sum(body.joint.actuated for body in tree.bodies)) if forces else []
     left_open = 3 * sum(vector is None for x in tree.wrenches for vector in (x.force, x.moment))
     w = builder.vector("w", left_open) if wrenches and left_open else []
-    runtime = sum(x.kind is Kind.RUNTIME for x in tree.parameters)
-    return State(q, qd, qdd, u, w, builder.vector(PARAMETERS, runtime) if runtime else [])
+
+    def declare(name: str, kind: Kind) -> list[Scalar]:
+        size = sum(x.kind is kind for x in tree.parameters)
+        return builder.vector(name, size) if size else []
+
+    return State(q, qd, qdd, u, w, declare(DESIGN, Kind.DIFFERENTIATED), declare(PARAMETERS, Kind.RUNTIME))
 
 
 def joint_forces(chain: Chain) -> list[Scalar]:

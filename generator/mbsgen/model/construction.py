@@ -89,6 +89,11 @@ def runtime(value: Quantity) -> Parameter:
     return Parameter("", number(value), Kind.RUNTIME)
 
 
+def differentiated(value: Quantity) -> Parameter:
+    """Make a parameter that is an input of the code, and one of those that it is differentiated by."""
+    return Parameter("", number(value), Kind.DIFFERENTIATED)
+
+
 def revolute(axis: Direction, **setting: Unpack[Setting]) -> Joint:
     """Make a joint that turns about an axis [rad]."""
     return _make_joint(Motion.REVOLUTE, axis, **setting)

@@ -50,13 +50,13 @@ def build_tree(description: Model) -> Tree:
 
 
 def with_runtime_numbers(original: Tree) -> Tree:
-    """Make every number of gravity, bodies and wrenches a parameter at run time, and every parameter one.
+    """Make every number of gravity, bodies and wrenches a parameter at run time, and every constant one.
 
     Zeros, orientations and the numbers in force laws stay. An expression over parameters stays that expression; any
     other number becomes a parameter of its own, named after its place, such as `hand.mass` or `hand.inertia.xy`.
     Tensors stay symmetric.
     """
-    parameters = {p.name: replace(p, kind=Kind.RUNTIME) for p in original.parameters}
+    parameters = {p.name: replace(p, kind=Kind.RUNTIME) if p.kind is Kind.CONSTANT else p for p in original.parameters}
 
     def release(name: str, number: Expr) -> Expr:
         if number.free_symbols or number.is_zero:

@@ -80,7 +80,7 @@ TripleField = tuple[NumberField, NumberField, NumberField]
 
 
 class ParameterSection(Section):
-    """A parameter with its kind: constants are folded into the code, run-time parameters are an input of it."""
+    """A parameter with its kind: constants are folded into the code, others are inputs of it."""
 
     value: NumberField = Field(examples=[1.0])
     kind: Kind = Field(Kind.CONSTANT, examples=["constant"])

@@ -35,6 +35,7 @@ class Kind(Enum):
 
     CONSTANT = "constant"  # folded
     RUNTIME = "runtime"  # an input of `setup`
+    DIFFERENTIATED = "differentiated"  # an input of every kernel, by which its derivatives are taken too
 
 
 @dataclass(frozen=True)

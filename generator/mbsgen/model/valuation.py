@@ -35,7 +35,7 @@ class Valuation:
         self._algebra = symbolic({})
         self._values: dict[str, Expr] = {}
         self._broken: set[str] = set()  # parameters without a value
-        self._runtime: set[str] = set()
+        self._variable: set[str] = set()
         self._later = {parameter.name for parameter in parameters}
         for parameter in parameters:
             self._define(parameter, generic)
@@ -47,15 +47,15 @@ class Valuation:
 
     def constant(self, place: Place, expression: Expression) -> float:
         """Give an expression its value, which is not to change at run time."""
-        for name in sorted(names(expression) & self._runtime):
+        for name in sorted(names(expression) & self._variable):
             self._find(place, f"this depends on the run-time parameter {abbreviate(name)}", "use constants here")
             return math.nan
         return self.number(place, expression)
 
     def check_law(self, place: Place, law: Expression) -> None:
         """Find what keeps an expression over parameters, q and qd from being computed."""
-        values = {name: value for name, value in self._values.items() if name not in self._runtime}
-        own = {name: Symbol(name) for name in self._runtime} | {model.COORDINATE: COORDINATE, model.RATE: RATE}
+        values = {name: value for name, value in self._values.items() if name not in self._variable}
+        own = {name: Symbol(name) for name in self._variable} | {model.COORDINATE: COORDINATE, model.RATE: RATE}
         needed = names(law) - {model.COORDINATE, model.RATE}
         if not self._is_known(place, needed):
             return
@@ -66,7 +66,7 @@ class Valuation:
 
     def changes(self, expression: Expression) -> bool:
         """Tell whether an expression depends on run-time parameters."""
-        return not self._runtime.isdisjoint(names(expression))
+        return not self._variable.isdisjoint(names(expression))
 
     def triple(self, place: Place, triple: Triple) -> Array:
         """Give three expressions their values."""
@@ -74,17 +74,17 @@ class Valuation:
 
     def _define(self, parameter: Parameter, generic: bool) -> None:
         place = ("parameters", parameter.name)
-        changing = sorted(names(parameter.value) & self._runtime)
+        changing = sorted(names(parameter.value) & self._variable)
         for name in changing:
             finding = f"its value depends on the run-time parameter {abbreviate(name)}"
             self._find(place, finding, "write the expression where it is used, or make that parameter constant")
         value = None if changing else self._evaluate(place, parameter.value)
         self._later.discard(parameter.name)
-        if parameter.kind is Kind.RUNTIME:
-            self._runtime.add(parameter.name)
+        if parameter.kind is not Kind.CONSTANT:
+            self._variable.add(parameter.name)
         if value is None:
             self._broken.add(parameter.name)
-        elif generic and parameter.kind is Kind.RUNTIME and value == 0:
+        elif generic and parameter.kind is not Kind.CONSTANT and value == 0:
             self._values[parameter.name] = exact(GENERIC)
         else:
             self._values[parameter.name] = round_number(value)
@@ -95,8 +95,8 @@ class Valuation:
             return None
         try:
             value = evaluate(expression, self._values, self._algebra)
-            if needed & self._runtime:  # then the expression must have a form, beside its present value
-                symbols = {name: Symbol(name) for name in self._runtime}
+            if needed & self._variable:  # then the expression must have a form, beside its present value
+                symbols = {name: Symbol(name) for name in self._variable}
                 check_powers(evaluate(expression, self._values | symbols, self._algebra))
             if abs(to_double(value)) > LARGEST:
                 raise ExpressionError(f"a value of {to_double(value):g}", f"stay below {LARGEST:g}")

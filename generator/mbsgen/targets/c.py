@@ -38,6 +38,7 @@ class Unit:
     model_hash: str
     families: tuple[Family, ...]
     parameters: tuple[float, ...] = ()  # values of the run-time parameters, for those who give none
+    design: tuple[float, ...] = ()  # values of the differentiated parameters
     only_driven: bool = True  # no force but u acts in the joints
 
 
@@ -55,16 +56,18 @@ def write_c(unit: Unit) -> Sources:
     """Write every kernel of `unit` in C, and what makes a library of them; the same unit gives the same text."""
     found = [face for family in unit.families for face in faces(family, unit.prefix)]
     views = [_view(unit.prefix, face) for face in found]
-    header, parameters = f"{unit.prefix}.h", tuple(write_literal(mpf(x)) for x in unit.parameters)
+    header = f"{unit.prefix}.h"
+    parameters, design = (tuple(write_literal(mpf(x)) for x in values) for values in (unit.parameters, unit.design))
     common = {
         "prefix": unit.prefix,
         "version": unit.version,
         "model_hash": unit.model_hash,
         "header": header,
         "parameters": parameters,
+        "design": design,
     }
     sources = {view.file: _render("kernel.c", kernel=view, **common) for view in views}
-    if parameters:
+    if parameters or design:
         sources[f"{unit.prefix}_default_parameters.c"] = _render("parameters.c", **common)
     files = {
         header: _render("model.h", kernels=views, **common),
