@@ -83,7 +83,7 @@ def integrate(dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: S
     states = np.concatenate((q, qd))[None]
     for first in range(0, count, STEPS):
         steps = min(STEPS, count - first)
-        times: Array = piece.start + h * (first + np.arange(steps + 1, dtype=np.float64))
+        times = place_steps(piece, first + np.arange(steps + 1), count)
         inputs = sample(piece, (times[:-1, None] + h * c).ravel())
         done, status, states = plant.run(states[-1], tableau, h, steps, inputs)
         dynamics.effort.steps += done
@@ -99,6 +99,12 @@ def integrate(dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: S
 def count_steps(piece: Piece, step: float) -> int:
     """Tell how many equal steps, none longer than asked for but by rounding, a piece takes."""
     return max(1, int(np.ceil((piece.end - piece.start) / step * (1 - 1e-12))))
+
+
+def place_steps(piece: Piece, numbers: NDArray[np.intp], count: int) -> Array:
+    """Give the times at which so many steps of `count` are done; the last is the piece's end to the last digit."""
+    times = piece.start + (piece.end - piece.start) / count * numbers
+    return np.where(numbers == count, piece.end, times)
 
 
 def sample(piece: Piece, times: Array) -> Array:

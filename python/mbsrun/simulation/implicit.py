@@ -19,7 +19,7 @@ from mbsrun.kernel import KernelError
 from mbsrun.ocp import schemes
 from mbsrun.simulation.drive import Piece
 from mbsrun.simulation.dynamics import Dynamics, SingularError
-from mbsrun.simulation.explicit import SINGULAR, count_steps
+from mbsrun.simulation.explicit import SINGULAR, count_steps, place_steps
 from mbsrun.simulation.motion import Chunk, Halt, HaltError, Settings, Stages
 
 Array = NDArray[np.float64]
@@ -66,7 +66,7 @@ def integrate(dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: S
     Raises HaltError where a kernel fails, or Newton's method does.
     """
     count = count_steps(piece, settings.step)
-    h, time = (piece.end - piece.start) / count, piece.start
+    h, time, k = (piece.end - piece.start) / count, piece.start, 0
     scheme = _choose_scheme(dynamics, piece, settings)
     done: list[_State] = []
     try:
@@ -76,21 +76,22 @@ def integrate(dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: S
             done.append(scheme.step(done[-1], time, h))
             dynamics.effort.steps += 1
             if len(done) > STEPS:
-                yield _gather(done, piece.start + h * (k + 1), h, scheme)
+                yield _gather(done, piece, k + 1, count, scheme)
                 done = done[-1:]
     except (KernelError, SingularError, _StuckError, np.linalg.LinAlgError) as error:
         if len(done) > 1:
-            yield _gather(done, time, h, scheme)
+            yield _gather(done, piece, k, count, scheme)
         raise HaltError(_tell(error, time)) from None
     if len(done) > 1:
-        yield _gather(done, piece.end, h, scheme)
+        yield _gather(done, piece, count, count, scheme)
 
 
-def _gather(done: list[_State], end: float, h: float, scheme: _Scheme) -> Chunk:
-    t = end - h * np.arange(len(done), dtype=np.float64)[::-1]
+def _gather(done: list[_State], piece: Piece, last: int, count: int, scheme: _Scheme) -> Chunk:
+    """Bundle states, the last of which is reached with step number `last` of `count`."""
+    t = place_steps(piece, last + 1 - len(done) + np.arange(len(done)), count)
     q, qd = np.array([state.q for state in done]), np.array([state.qd for state in done])
     stage_q, stage_qd = np.array([x.stage_q for x in done[1:]]), np.array([x.stage_qd for x in done[1:]])
-    stages = Stages(t[:-1, None] + h * scheme.points, stage_q, stage_qd, scheme.weights)
+    stages = Stages(t[:-1, None] + np.diff(t)[:, None] * scheme.points, stage_q, stage_qd, scheme.weights)
     return Chunk(t, q, qd, stages=stages)
 
 

@@ -1,0 +1,252 @@
+"""What simulations refuse, where they stop, and what the command writes and says."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mbsgen.errors import InputError
+from mbsgen.expressions import FLOATS, FUNCTIONS, evaluate, parse
+from mbsrun import Mechanism, cli
+from mbsrun.simulation import METHODS, Formulation, Settings, simulate
+from mbsrun.simulation.drive import ARRAYS, DriveError, express, hold, hold_steps
+from mbsrun.simulation.statement import Statement, read_statement
+
+REST = hold(np.zeros(4))
+
+
+@pytest.mark.parametrize("formulation", Formulation)
+@pytest.mark.parametrize("method", ["rk4", "symplectic-euler", "dop853", "gauss", "generalized-alpha"])
+def test_a_singular_configuration_stops_with_time_and_joint(
+    lock: Mechanism, method: str, formulation: Formulation
+) -> None:
+    """At the lock no method goes on, nor gives a number; with another start each does."""
+    settings = Settings(0.01, method, formulation)
+    motion = simulate(lock, hold(np.zeros(3)), [0, np.pi / 2, 0], [0.1, 0, 0], settings)
+    assert motion.halt is not None
+    assert motion.halt.time == 0
+    assert motion.halt.joint in ("first", "third")
+    assert "singular" in motion.halt.finding
+    assert len(motion.t) == 1
+    assert simulate(lock, hold(np.zeros(3)), [0, 1, 0], [0.1, 0, 0], settings).is_complete
+
+
+@pytest.mark.parametrize("method", [m for m in METHODS if m not in ("radau-iia", "radau")])
+def test_a_motion_that_runs_away_keeps_what_it_reached(bench: Mechanism, method: str) -> None:
+    """x'' = x^3 from x = 2, x' = 2 sqrt 2 is x = sqrt 2 / (t* - t): infinite at t* = 1/sqrt 2.
+
+    Adaptive methods stop there; those with a fixed step soon after, when the numbers overflow.
+    """
+    settings = Settings(2.0, method, output_step=0.01)
+    motion = simulate(bench.with_parameters(b=1.0), REST, [0, 0, 2], [0, 0, 2 * np.sqrt(2)], settings)
+    assert motion.halt is not None
+    assert motion.halt.joint == "runner"
+    assert motion.halt.time == pytest.approx(np.sqrt(0.5), abs=0.03 if "euler" in method else 0.01)
+    assert motion.t[-1] <= motion.halt.time + 1e-12
+    assert np.isfinite(motion.q).all()
+    early = np.searchsorted(motion.t, 0.3)
+    first_order = "euler" in method
+    assert motion.q[early, 2] == pytest.approx(np.sqrt(2) / (np.sqrt(0.5) - 0.3), rel=0.02 if first_order else 1e-4)
+
+
+def test_settings_that_cannot_be_are_refused(bench: Mechanism) -> None:
+    q = [0, 0, 0]
+    with pytest.raises(ValueError, match="3 finite numbers"):
+        simulate(bench, REST, [0], q, Settings(1.0))
+    with pytest.raises(ValueError, match="3 finite numbers"):
+        simulate(bench, REST, q, [0, 0, np.nan], Settings(1.0))
+    with pytest.raises(ValueError, match=r"\(4,\) expected"):
+        simulate(bench, hold([0.0]), q, q, Settings(1.0))
+    with pytest.raises(ValueError, match="no method 'rk5'"):
+        simulate(bench, REST, q, q, Settings(1.0, "rk5"))
+    with pytest.raises(ValueError, match="step = 0"):
+        simulate(bench, REST, q, q, Settings(1.0, "rk4", step=0.0))
+    with pytest.raises(ValueError, match="more than"):
+        simulate(bench, REST, q, q, Settings(1.0, "rk4", step=1e-12))
+    with pytest.raises(ValueError, match="inputs end at"):
+        simulate(bench, hold_steps([0, 0.5], np.zeros((1, 4))), q, q, Settings(1.0))
+    for times in ([0, 1, 1], [0.5, 1, 2], [0, 1]):
+        with pytest.raises(ValueError, match="from 0 on"):
+            hold_steps(times, np.zeros((2, 4)))
+
+
+def test_expressions_over_time_are_those_of_the_language() -> None:
+    """Functions and operators give on arrays what they give on floats; what has no value is told with its time."""
+    for name, count in FUNCTIONS.items():
+        expression = parse(f"{name}({', '.join(['t'] * count)}) + 2*t**-2 - pi/t")
+        t = np.array([0.3, 0.7])
+        expected = [evaluate(expression, {"t": x}, FLOATS) for x in t]
+        assert np.allclose(evaluate(expression, {"t": t}, ARRAYS), expected, rtol=1e-14)
+    drive = express([parse("1/(t - 2)")], ["joint q1"], {})
+    with pytest.raises(DriveError, match=r"joint q1 has no finite value at t = 2 s"):
+        drive.pieces[0].at(2.0)
+
+
+# --- settings --------------------------------------------------------------------------------------------------------
+
+SETTINGS = """\
+constants: {a: 2*pi}
+duration: a
+method: rk4
+start: {pose: {bob: a/4, slider: 0.1}, velocity: {runner: 1}}
+inputs: {slider: a*t}
+wrenches: {push: {force: [0, t**2, 1]}}
+parameters: {c: 3}
+"""
+
+
+def read(folder: Path, text: str, bench: Mechanism, **options: Any) -> Statement:
+    file = folder / "settings.yaml"
+    file.write_text(text, encoding="utf-8")
+    return read_statement(file, options, bench.manifest)
+
+
+def test_a_settings_file_says_all(tmp_path: Path, bench: Mechanism) -> None:
+    statement = read(tmp_path, SETTINGS, bench)
+    assert statement.settings == Settings(2 * np.pi, "rk4")
+    assert statement.q.tolist() == [np.pi / 2, 0.1, 0]
+    assert statement.qd.tolist() == [0, 0, 1]
+    assert statement.drive.pieces[0].at(0.5).tolist() == [np.pi, 0, 0.25, 1]
+    assert statement.parameters == {"c": 3}
+
+
+def test_options_win_over_the_file(tmp_path: Path, bench: Mechanism) -> None:
+    statement = read(tmp_path, SETTINGS, bench, method="gauss", stages=3, start={"pose": {"slider": "a/2"}})
+    assert (statement.settings.method, statement.settings.stages) == ("gauss", 3)
+    assert statement.q.tolist() == [np.pi / 2, np.pi, 0], "what an option does not name stays"
+
+
+FAULTS = {
+    "coordinate": ("start: {pose: {bop: 1}}", 'start.pose.bop: the model has no coordinate "bop"; did you mean "bob"?'),
+    "passive": ("inputs: {runner: 1}", 'no actuated coordinate "runner"'),
+    "wrench": ("wrenches: {pull: {force: [0, 0, 1]}}", 'no wrench with inputs "pull"'),
+    "moment": ("wrenches: {push: {moment: [0, 0, 1]}}", "the moment of this wrench is not an input"),
+    "name": ("inputs: {slider: x*t}", 'unknown name "x"'),
+    "time": ("start: {pose: {bob: t}}", 'unknown name "t"'),
+    "code": ("inputs: {slider: __import__('os')}", "has no meaning in an expression"),
+    "method": ("method: rk5", 'found "rk5"; give one of euler'),
+    "step": ("step: 0", "step: found 0; give a positive number"),
+    "steps": ("step: 1e-12\nmethod: rk4", "1e+12 steps would be taken"),
+    "outputs": ("output_step: 1e-9", "states would be kept"),
+    "rho": ("rho: 2", "give a number from 0 to 1"),
+    "stages": ("stages: 10", "stages: found 10"),
+    "constant": ("constants: {t: 1}", "no name for a constant"),
+    "parameter": ("parameters: {z: 1}", 'no run-time parameter "z"'),
+    "key": ("durration: 1", "did you mean `duration`?"),
+}
+
+
+@pytest.mark.parametrize(("text", "told"), FAULTS.values(), ids=FAULTS.keys())
+def test_faults_are_told_with_their_lines(tmp_path: Path, bench: Mechanism, text: str, told: str) -> None:
+    with pytest.raises(InputError) as error:
+        read(tmp_path, f"duration: 1\n{text}\n", bench)
+    assert "settings.yaml:2:" in str(error.value)
+    assert told in str(error.value)
+
+
+def test_all_faults_are_told_at_once_and_those_of_options_as_such(tmp_path: Path, bench: Mechanism) -> None:
+    with pytest.raises(InputError) as error:
+        read(tmp_path, "rho: 2\nstep: -1\n", bench, start={"velocity": {"bop": "1"}}, rtol="x")
+    lines = str(error.value).splitlines()
+    assert len(lines) == 5
+    assert sum(line.startswith("command line: ") for line in lines) == 2
+    assert any("duration: missing" in line for line in lines)
+
+
+# --- command ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Result:
+    exit_code: object
+    stdout: str
+    stderr: str
+
+
+Run = Callable[..., Result]
+
+
+@pytest.fixture
+def run(tmp_path: Path, bench_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Simulate the bench, in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments: str) -> Result:
+        monkeypatch.setattr(sys, "argv", ["mbsrun", "simulate", str(bench_file), *arguments])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        return Result(end.value.code, *capsys.readouterr())
+
+    return call
+
+
+def test_the_command_writes_and_tells(run: Run) -> None:
+    result = run("--duration", "1", "--method", "rk4", "--pose", "bob=pi/2", "--input", "slider=sin(t)", "-o", "out")
+    assert result.exit_code == 0, result.stderr
+    for word in ("bench, 3 coordinates", "rk4", "step 0.001", "1000, 0 rejected", "energy drift"):
+        assert word in result.stdout
+    assert sorted(os.listdir("out")) == ["animation.html", "plots.png", "simulation.json", "trajectory.csv"]
+    with Path("out/trajectory.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 1001
+    assert float(rows[0]["q[bob]"]) == np.pi / 2
+    assert float(rows[-1]["input[slider]"]) == pytest.approx(np.sin(1))
+    summary = json.loads(Path("out/simulation.json").read_text("utf-8"))
+    assert summary["complete"] is True
+    assert summary["end"]["q"] == [float(rows[-1][f"q[{name}]"]) for name in ("bob", "slider", "runner")]
+    assert summary["energy"]["largest_drift"] < 1e-8
+
+
+def test_the_same_command_writes_the_same_bytes_but_for_the_time_taken(run: Run) -> None:
+    for out in ("one", "two"):
+        run("--duration", "0.1", "--pose", "bob=1", "-o", out)
+    for name in ("animation.html", "plots.png", "trajectory.csv"):
+        assert Path("one", name).read_bytes() == Path("two", name).read_bytes()
+    one, two = (json.loads(Path(out, "simulation.json").read_text("utf-8")) for out in ("one", "two"))
+    one["effort"].pop("seconds")
+    two["effort"].pop("seconds")
+    assert one == two
+
+
+def test_a_motion_that_ends_early_is_written_as_incomplete(run: Run) -> None:
+    """Exit code 1; time and joint on stderr; what was reached in files that say so."""
+    result = run("--duration", "2", "--pose", "runner=2", "--velocity", "runner=3", "--parameter", "b=1", "-o", "out")
+    assert result.exit_code == 1
+    assert "stopped at t = 0.6" in result.stderr
+    assert "joint runner" in result.stderr
+    assert "incomplete" in result.stderr
+    assert "Traceback" not in result.stderr
+    summary = json.loads(Path("out/simulation.json").read_text("utf-8"))
+    assert summary["complete"] is False
+    assert summary["halt"]["joint"] == "runner"
+    assert "incomplete" in Path("out/animation.html").read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("--duration", "1", "--pose", "bop=1"), 'did you mean "bob"?'),
+        (("--duration", "1", "--pose", "bob"), "give NAME=VALUE"),
+        (("--duration", "1", "--pose", "bob=1", "--pose", "bob=2"), "given twice"),
+        (("--duration", "1", "--method", "rk5"), "rk5"),
+        (("--duration", "1", "--input", "slider=1/(t - 0.5)", "--method", "rk4", "--step", "0.1"), "at t = 0.5 s"),
+        (("--settings", "none.yaml"), "there is no such file"),
+        (("--solution", "none.json"), "none.json"),
+        ((), "duration: missing"),
+    ],
+)
+def test_what_cannot_be_accepted_writes_nothing(run: Run, arguments: tuple[str, ...], told: str) -> None:
+    result = run(*arguments, "-o", "out")
+    assert result.exit_code == 2
+    assert told in result.stderr
+    assert "Traceback" not in result.stderr
+    assert not Path("out").exists()
