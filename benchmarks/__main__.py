@@ -8,9 +8,9 @@ import click
 from rich.console import Console
 from rich.status import Status
 
-from benchmarks.compilation import BuildError, Workshop, find_includes
+from benchmarks.compilation import BuildError, Workshop, describe_machine, find_includes
 from benchmarks.study import Depth, DisagreementError, study
-from benchmarks.table import compare, draw_chart, make_tables, write_json
+from benchmarks.table import compare, draw_chart, make_tables, write_json, write_markdown
 from mbsgen.errors import MbsError
 
 ROOT = Path(__file__).parents[1]
@@ -53,9 +53,13 @@ def main(models: tuple[Path, ...], out: Path, rounds: int, hessians: bool, quick
                 console.print(table)
     except (MbsError, BuildError, DisagreementError, ArithmeticError, ValueError) as error:
         raise click.ClickException(str(error)) from None
-    (out / "benchmarks.json").write_text(write_json(comparisons, rounds), encoding="utf-8")
+    machine = describe_machine()
+    (out / "benchmarks.json").write_text(write_json(comparisons, machine, rounds), encoding="utf-8")
+    (out / "benchmarks.md").write_text(write_markdown(comparisons, machine, rounds), encoding="utf-8")
     draw_chart(comparisons, out / "benchmarks.png")
-    console.print(f"{out / 'benchmarks.json'} holds the figures, {out / 'benchmarks.png'} a chart of the ratios.")
+    console.print(
+        f"{out / 'benchmarks.json'} holds the figures, and benchmarks.md beside it; benchmarks.png charts the ratios."
+    )
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import platform
 import shlex
 import subprocess
 from collections.abc import Mapping, Sequence
@@ -37,6 +38,20 @@ BOOST = (
     "-DBOOST_FUSION_INVOKE_MAX_ARITY=12",
     "-DBOOST_VARIANT_USE_RELAXED_GET_BY_DEFAULT",
 )
+
+
+def describe_machine() -> str:
+    """Name the processor and the compiler that times are of."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:  # not Linux
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    compiler = find_compiler(os.environ)
+    said = subprocess.run([*compiler.command, "--version"], capture_output=True, text=True, check=False).stdout
+    return (
+        f"{names[0] if names else platform.processor() or platform.machine()}, {said.splitlines()[0] if said else ''}"
+    )
 
 
 class BuildError(Exception):

@@ -133,9 +133,39 @@ def _write_cell(value: float | None, ratio: float | None) -> str:
     return f"{value:.0f} [{'green' if ratio > 1 else 'red'}]{ratio:#.3g}"
 
 
-def write_json(comparisons: Mapping[str, Sequence[Row]], rounds: int) -> str:
+def write_markdown(comparisons: Mapping[str, Sequence[Row]], machine: str, rounds: int) -> str:
+    """Write the tables for a page: each figure with how many times ours it is."""
+    lines = [
+        "# What was measured",
+        "",
+        f"{machine}; the shortest of {rounds} rounds. A figure in brackets tells how many times ours it is. Who is",
+        "compared, and how, tells the [page of the benchmarks](../README.md).",
+    ]
+    for model, rows in comparisons.items():
+        lines += [
+            *_lay_out(f"{model}: operations + − × ÷ √", rows, "flops", "flops_ratio"),
+            *_lay_out(f"{model}: nanoseconds per call", rows, "ns", "ns_ratio"),
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _lay_out(title: str, rows: Sequence[Row], figure: str, ratio: str) -> list[str]:
+    authors = [a for a in authors_of(rows) if any(getattr(r.cells.get(a), figure, None) is not None for r in rows)]
+
+    def cell(found: Cell | None) -> str:
+        value, times = getattr(found, figure, None), getattr(found, ratio, None)
+        if value is None:
+            return "–"
+        return f"{value:.0f}" if times is None or times == 1.0 else f"{value:.0f} ({times:#.3g})"
+
+    body = [f"| {row.title} | {' | '.join(cell(row.cells.get(a)) for a in authors)} |" for row in rows]
+    return ["", f"## {title}", "", f"| | {' | '.join(authors)} |", "|---|" + "---:|" * len(authors), *body]
+
+
+def write_json(comparisons: Mapping[str, Sequence[Row]], machine: str, rounds: int) -> str:
     """Write everything that the tables show, and the medians."""
     content = {
+        "machine": machine,
         "rounds": rounds,
         "authors": dict(AUTHORS),
         "models": {
