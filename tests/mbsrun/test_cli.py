@@ -165,7 +165,35 @@ def test_an_acceptable_solution_is_written_with_a_warning(quick: Run, monkeypatc
     assert read_solution(Path("out/solution.json")).is_only_acceptable
 
 
+SWEEP = ("sweep", "task.ocp.yaml", "--radius", "0.64", "--azimuths", "0", "0.02", "2", "--heights", "0", "0", "1")
+
+
+def test_a_sweep_solves_all_targets_and_goes_on(run: Run) -> None:
+    """A line for each part, and for what all of them reached; the paper's protocol goes into the same file."""
+    text = COARSE.replace("intervals: 10", "intervals: 5")
+    result = run(*SWEEP, "--representation", "IMPL", text=text)
+    assert result.exit_code == 0, result.stderr
+    for part in ("interpolation", "neighbours", "result"):
+        assert part in result.stdout
+    again = run(*SWEEP, "--representation", "IMPL", text=text)
+    assert (again.exit_code, again.stdout) == (0, result.stdout)
+    paper = run(*SWEEP, "--representation", "IMPL", "--protocol", "paper", text=text)
+    assert paper.exit_code == 0, paper.stderr
+    assert "paper" in paper.stdout
+    assert "result" in paper.stdout
+    other = run(*SWEEP, "--representation", "IMPL", text=text.replace("horizon: 2", "horizon: 3"))
+    assert other.exit_code == 2
+    assert "record of another problem" in other.stderr
+
+
+def test_a_sweep_without_time_is_not_through(run: Run) -> None:
+    result = run(*SWEEP, "--representation", "IMPL", "--minutes", "0")
+    assert result.exit_code == 1
+    assert "the time is over" in result.stderr
+
+
 BAD = {
+    "a sweep that bumps what there is not": (["sweep", "task.ocp.yaml", "--bump", "q9"], COARSE, "no coordinate 'q9'"),
     "a missing file": (["solve", "nowhere.ocp.yaml"], COARSE, "there is no such file"),
     "a bad file": (["solve", "task.ocp.yaml"], "horizon: 2\n", "task.ocp.yaml:1: model: missing"),
     "a target that is no number": (["solve", "task.ocp.yaml", "--target", "1", "2", "up"], COARSE, "unknown name"),
@@ -210,7 +238,7 @@ def test_subcommands_win_over_files_of_the_same_name(quick: Run) -> None:
     assert Path("out/solution.json").exists()
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["solve", "--help"], ["--version"]])
+@pytest.mark.parametrize("arguments", [["--help"], ["solve", "--help"], ["sweep", "--help"], ["--version"]])
 def test_help_and_version(arguments: list[str]) -> None:
     """From a process of its own, as a user calls it."""
     done = subprocess.run([sys.executable, "-m", "mbsrun", *arguments], capture_output=True, text=True, check=True)
@@ -218,7 +246,9 @@ def test_help_and_version(arguments: list[str]) -> None:
     assert done.stderr == ""
 
 
-@pytest.mark.parametrize(("arguments", "text"), [(["-h"], cli.HELP), (["solve", "-h"], cli.SOLVE_HELP)])
+@pytest.mark.parametrize(
+    ("arguments", "text"), [(["-h"], cli.HELP), (["solve", "-h"], cli.SOLVE_HELP), (["sweep", "-h"], cli.SWEEP_HELP)]
+)
 def test_lists_in_the_help_keep_their_lines(run: Run, arguments: list[str], text: str) -> None:
     """A terminal of 80 columns shows what is indented in the text as it is written."""
     shown = run(*arguments).stdout.splitlines()

@@ -7,6 +7,7 @@ each pose, or the inverse dynamics of the motion.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -87,6 +88,30 @@ def interpolate(problem: Problem, scheme: Scheme, q: Array) -> Trajectory:
 def adapt(trajectory: Trajectory, problem: Problem, scheme: Scheme) -> Trajectory:
     """Read a motion, found on whatever grid, on the grid of a problem."""
     return resample(trajectory, *grid(problem.horizon, problem.intervals, scheme.points))
+
+
+def bump(trajectory: Trajectory, coordinates: Sequence[int], rng: np.random.Generator) -> Trajectory:
+    """Add smooth random bumps to some coordinates, of up to 1 rad or m; both ends keep state and acceleration."""
+    T = float(trajectory.t[-1])
+    once = 64 * np.polynomial.Polynomial([0, 1]) ** 3 * np.polynomial.Polynomial([1, -1]) ** 3  # in t / T; 1 at 1/2
+    there_and_back = once * np.polynomial.Polynomial([-2, 4])
+    shapes = [a * once + b * there_and_back for a, b in rng.uniform(-1.0, 1.0, (len(coordinates), 2))]
+
+    def add(values: Array, t: Array, order: int) -> Array:
+        bumped = values.copy()
+        for i, shape in zip(coordinates, shapes, strict=True):
+            bumped[..., i] += (shape.deriv(order) if order else shape)(t / T) / T**order
+        return bumped
+
+    t, point_t = trajectory.t, trajectory.point_t
+    return replace(
+        trajectory,
+        q=add(trajectory.q, t, 0),
+        qd=add(trajectory.qd, t, 1),
+        point_q=add(trajectory.point_q, point_t, 0),
+        point_qd=add(trajectory.point_qd, point_t, 1),
+        point_qdd=add(trajectory.point_qdd, point_t, 2),
+    )
 
 
 def balance(trajectory: Trajectory, problem: Problem, plant: Plant, inputs: Inputs) -> Trajectory:

@@ -1,0 +1,207 @@
+"""Searches over a grid of targets: what they try, what they keep, and that they go on where they were."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mbsgen.errors import InputError
+from mbsrun.ocp import schemes
+from mbsrun.ocp.guess import bump, interpolate
+from mbsrun.ocp.problem import Problem, Representation
+from mbsrun.ocp.record import Attempt, Record, Task, open_record
+from mbsrun.ocp.schemes import Family
+from mbsrun.ocp.search import (
+    OutOfTimeError,
+    Protocol,
+    Search,
+    Study,
+    Targets,
+    identify,
+    list_open_tasks,
+    summarise,
+)
+from mbsrun.ocp.solution import UNREACHABLE
+from tests.mbsrun.peer import Peer
+
+TARGETS = Targets(0.64, (0.0, 0.02, 0.04), (0.0,), every=(2, 1))
+
+
+@pytest.fixture
+def study(reach: Problem, monkeypatch: pytest.MonkeyPatch) -> Study:
+    """Two small steps aside on a coarse grid, with few bumps: a solve takes some hundredths of a second."""
+    monkeypatch.setattr("mbsrun.ocp.search.BUMPS", 2)
+    coarse = replace(reach, intervals=5, degree=2)
+    return Study(coarse, "hand", TARGETS, ((1.0, 10.0), (1.0, 0.0)), (Representation.IMPL,), (0, 3))
+
+
+def carry_out(study: Study, arm: Peer, path: Path, protocol: Protocol, seconds: float = 1e9) -> list[Attempt]:
+    """Search; return what was tried this time."""
+    seen: list[Attempt] = []
+    with open_record(path, identify(study, arm.manifest)) as record:
+        Search(study, arm, record, lambda attempt, _: seen.append(attempt), seconds).run(protocol)
+        assert seen == list(record.attempts())[-len(seen) or 10**9 :]
+    return seen
+
+
+def test_places_and_neighbours() -> None:
+    """Every second azimuth: the place beside is two indices on."""
+    targets = Targets(0.64, (0.0, 0.02, 0.04, 0.06, 0.08), (-0.01, 0.0), every=(2, 1))
+    assert targets.places == ((0, 0), (0, 1), (2, 0), (2, 1), (4, 0), (4, 1))
+    assert set(targets.neighbours((2, 0))) == {(0, 0), (4, 0), (2, 1)}
+    assert targets.position((2, 1)) == pytest.approx((0.64 * np.cos(0.04), 0.64 * np.sin(0.04), 0.0))
+
+
+def test_robust_search_leaves_no_task_open_and_goes_on(study: Study, arm: Peer, tmp_path: Path) -> None:
+    """Both costs; bumps only where input rates are free. Given again, nothing is left to try."""
+    seen = carry_out(study, arm, tmp_path / "record", "robust")
+    assert list_open_tasks(study, seen) == []
+    parts = {(attempt.part, attempt.task.weights) for attempt in seen}
+    assert ("bumps", (1.0, 0.0)) in parts
+    assert ("bumps", (1.0, 10.0)) not in parts
+    assert {part for part, _ in parts} >= {"interpolation", "neighbours"}
+    assert carry_out(study, arm, tmp_path / "record", "robust") == []
+
+
+def test_a_search_that_was_stopped_goes_on(study: Study, arm: Peer, tmp_path: Path) -> None:
+    """After two attempts: nothing is tried twice, and the end is that of a search in one go."""
+    smooth = replace(study, costs=((1.0, 10.0),))
+    before: list[Attempt] = []
+
+    def stop(attempt: Attempt, _: bool) -> None:
+        before.append(attempt)
+        if len(before) == 2:
+            raise KeyboardInterrupt
+
+    with open_record(tmp_path / "record", identify(smooth, arm.manifest)) as record, pytest.raises(KeyboardInterrupt):
+        Search(smooth, arm, record, stop).run("robust")
+    after = carry_out(smooth, arm, tmp_path / "record", "robust")
+    whole = carry_out(smooth, arm, tmp_path / "other", "robust")
+    assert len(before) == 2
+    assert [timeless(attempt) for attempt in before + after] == [timeless(attempt) for attempt in whole]
+
+
+def test_a_search_ends_when_its_time_is_over(study: Study, arm: Peer, tmp_path: Path) -> None:
+    with pytest.raises(OutOfTimeError):
+        carry_out(study, arm, tmp_path / "record", "robust", seconds=0.0)
+
+
+def timeless(attempt: Attempt) -> Attempt:
+    return replace(attempt, cpu_seconds=0.0, cpu_seconds_evaluating=0.0)
+
+
+def test_paper_protocol_is_one_solve_of_each(study: Study, arm: Peer, tmp_path: Path) -> None:
+    seen = carry_out(replace(study, costs=((1.0, 10.0),)), arm, tmp_path / "record", "paper")
+    assert [attempt.task.place for attempt in seen] == list(TARGETS.places)
+    assert {(attempt.part, attempt.guess) for attempt in seen} == {("paper", "zero")}
+
+
+def test_what_is_out_of_reach_is_recorded_and_open(
+    study: Study, arm: Peer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mbsrun.ocp.guess.STARTS", 2)
+    far = replace(study, targets=Targets(1.5, (0.0,), (0.0,)), costs=((1.0, 10.0),))
+    seen = carry_out(far, arm, tmp_path / "record", "robust")
+    assert {attempt.status for attempt in seen} == {UNREACHABLE}
+    assert len(list_open_tasks(far, seen)) == 1
+
+
+def test_higher_minima_are_counted_across_representations_and_parts() -> None:
+    """Two places: one solved alike; at the other the paper's attempt fails in one, and is 1 % above in another."""
+
+    def attempt(place: int, representation: str, part: str, cost: float | None) -> Attempt:
+        task = Task((place, 0), (1.0, 0.0), representation)
+        return Attempt(task, part, "zero", "Solve_Succeeded" if cost else "Failed", 10 * place, 2.0, 1.0, cost)
+
+    attempts = [
+        attempt(1, "IMPL", "paper", 5.0),
+        attempt(2, "IMPL", "paper", 1.01),
+        attempt(1, "SEMI", "paper", 5.0 + 1e-7),
+        attempt(2, "SEMI", "paper", None),
+        attempt(2, "SEMI", "interpolation", 1.0),
+    ]
+    by_part = {(s.representation, s.part): s for s in summarise(attempts)}
+    assert (by_part["IMPL", "paper"].solved, by_part["IMPL", "paper"].higher) == (2, 1)
+    assert (by_part["SEMI", "paper"].attempts, by_part["SEMI", "paper"].solved) == (2, 1)
+    assert by_part["SEMI", "paper"].higher == 0
+    assert by_part["IMPL", "paper"].iterations == (10, 15, 20)
+    assert by_part["IMPL", "paper"].cpu_seconds == 4.0
+    assert by_part["SEMI", "result"].solved == 1
+    assert ("IMPL", "result") not in by_part
+
+
+def test_representations_exchange_what_they_found(study: Study, arm: Peer, tmp_path: Path) -> None:
+    """One finds a worse motion at one place: it is started again from the other's, and ends alike."""
+    two = replace(study, costs=((1.0, 10.0),), representations=(Representation.IMPL, Representation.SEMI))
+    semi = Peer.__new__(Peer)
+    semi.__dict__.update(arm.__dict__)
+    semi._functions = {**arm._functions, "semi_res": arm._functions["impl"]}
+    with open_record(tmp_path / "record", identify(two, arm.manifest)) as record:
+        search = Search(two, semi, record)
+        search.run("robust")
+        task = Task((2, 0), (1.0, 10.0), "SEMI")
+        cost, motion = record.best_cost(task), record.best_motion(task)
+        assert cost is not None
+        record._connection.execute("update best set cost = cost * 2 where representation = 'SEMI'")
+        assert search._exchange((1.0, 10.0))
+        assert record.best_cost(task) == pytest.approx(cost, rel=1e-7)
+        again = record.best_motion(task)
+    assert motion is not None
+    assert again is not None
+    assert again.q == pytest.approx(motion.q, abs=1e-5)
+
+
+def test_a_record_keeps_every_bit_of_the_best(reach: Problem, tmp_path: Path) -> None:
+    """Of two motions, the cheaper; costs that differ by rounding are the same."""
+    first = interpolate(reach, schemes.build(Family.RADAU, 4), np.arange(6.0) / 7)
+    second = replace(first, u=first.u + 1)
+    task = Task((0, 0), (1.0, 0.0), "IMPL")
+
+    def add(record: Record, guess: str, cost: float, motion: object) -> bool:
+        attempt = Attempt(task, "bumps", guess, "Solve_Succeeded", 1, 1.0, 1.0, cost)
+        return record.add(attempt, motion)  # type: ignore[arg-type]
+
+    with open_record(tmp_path / "record", "study") as record:
+        assert add(record, "0", 5.0, first)
+        assert not add(record, "1", 5.0 * (1 - 1e-8), second)
+        assert record.find(task, "bumps", "1")
+        assert not record.find(task, "bumps", "2")
+    with open_record(tmp_path / "record", "study") as record:
+        kept = record.best_motion(task)
+        assert kept is not None
+        assert np.array_equal(kept.point_q, first.point_q)
+        assert np.array_equal(kept.u, first.u)
+
+
+def test_other_files_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "text").write_text("not a database, but long enough to be looked at" * 40, "utf-8")
+    with open_record(tmp_path / "record", "one"):
+        pass
+    for name, study, message in (
+        ("text", "one", "cannot be used as a record"),
+        ("record", "two", "record of another problem"),
+        (".", "one", "cannot be"),
+    ):
+        with pytest.raises(InputError, match=message), open_record(tmp_path / name, study):
+            pass
+
+
+def test_bumps_leave_both_ends_as_they_are(reach: Problem) -> None:
+    """State and acceleration at the ends; elsewhere rates are the derivatives of what they belong to."""
+    scheme = schemes.build(Family.RADAU, 4)
+    motion = interpolate(reach, scheme, np.zeros(6))
+    bumped = bump(motion, (0, 3), np.random.default_rng(1))
+    for end in (0, -1):
+        assert bumped.q[end] == pytest.approx(motion.q[end], abs=1e-12)
+        assert bumped.qd[end] == pytest.approx(motion.qd[end], abs=1e-12)
+    assert bumped.point_qdd[-1, -1] == pytest.approx(motion.point_qdd[-1, -1], abs=1e-11)
+    change = np.abs(bumped.q - motion.q).max(axis=0)
+    assert (change[[0, 3]] > 0.01).all()
+    assert not change[[1, 2, 4, 5]].any()
+    slopes = scheme.D @ np.concatenate((bumped.q[:-1, None], bumped.point_q), axis=1) / motion.t[1]
+    assert slopes == pytest.approx(bumped.point_qd, abs=1e-6)
+    slopes = scheme.D @ np.concatenate((bumped.qd[:-1, None], bumped.point_qd), axis=1) / motion.t[1]
+    assert slopes == pytest.approx(bumped.point_qdd, abs=1e-5)
