@@ -113,7 +113,10 @@ def test_the_hash_names_what_is_generated(model: Path) -> None:
 
 @pytest.mark.parametrize("case", ["arm", "branched", "random"])
 def test_parameters_at_run_time_give_the_numbers_of_constants(case: str, model: Path) -> None:
-    """Every kernel: setup's results in, the same values out, to 1e-12 of the largest."""
+    """Every kernel: setup's results in, the same values out, to 1e-12 of the largest.
+
+    But for `condition.articulated`, which tells what the operations of EXP2 lose: of others when parameters vary.
+    """
     if case == "random":
         tree = random_tree(6, 5)
     else:
@@ -124,6 +127,8 @@ def test_parameters_at_run_time_give_the_numbers_of_constants(case: str, model: 
         if kernel == "setup":
             continue
         for name, expected in results.items():
+            if name == "articulated":
+                continue
             scale = max(1.0, np.abs(expected).max(initial=0))
             assert np.abs(runtime[kernel][name] - expected).max(initial=0) <= 1e-12 * scale, f"{kernel}.{name}"
 
@@ -240,7 +245,7 @@ def test_functions_that_there_are_not_are_told_at_once(model: Path) -> None:
     model.write_text(BRANCHED.partition("frames:")[0])
     with pytest.raises(OptionError) as told:
         make(model, Options(functions=("imlp", "motion", "xyz", "impl")))
-    known = "impl, semi, semi_res, exp1, exp2, energy, frames"
+    known = "impl, semi, semi_res, exp1, exp2, condition, energy, frames"
     assert str(told.value).splitlines() == [
         "functions: there is no function 'imlp'; is impl meant?",
         "functions: motion is of sensors, and branched has none; name some under `frames:`",

@@ -10,7 +10,7 @@ from mbsgen.formulations.links import PARAMETERS, declare_state, write_chain
 from mbsgen.formulations.parsimony.articulated import accelerations
 from mbsgen.formulations.parsimony.elimination import solve
 from mbsgen.formulations.parsimony.mass_matrix import mass_matrix
-from mbsgen.formulations.parsimony.plan import NoSuchPlanError, Plan
+from mbsgen.formulations.parsimony.plan import Choice, NoSuchPlanError, Plan
 from mbsgen.formulations.parsimony.proportions import Proportions
 from mbsgen.formulations.parsimony.regrouping import restrain
 from mbsgen.formulations.parsimony.residual import residual
@@ -115,11 +115,18 @@ def _restraint(tree: Tree, reductions: Reductions) -> Restraint:
         return proportions.growth(number, moved) <= LARGEST_GROWTH
 
     @cache
-    def restrain_plan(plan: Plan) -> Plan | None:
+    def move(plan: Plan) -> Plan | None:
         try:
             return restrain(builder, segments, plan, fits)
         except NoSuchPlanError:
             return None
+
+    def restrain_plan(plan: Plan) -> Plan | None:
+        found = move(replace(plan, choices=tuple(Choice(mass=c.mass, ring=c.ring) for c in plan.choices)))
+        if found is None:
+            return None
+        choices = (replace(c, mass=x.mass, ring=x.ring) for c, x in zip(plan.choices, found.choices, strict=True))
+        return replace(plan, choices=tuple(choices))
 
     return restrain_plan
 

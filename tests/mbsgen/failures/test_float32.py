@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbsgen.formulations.reductions import NONE, Reductions
+from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Tree
 from tests.mbsgen.failures.compiled import Compiled
 from tests.mbsgen.failures.mechanisms import (
@@ -45,25 +45,27 @@ def single_error(name: str, tree: Tree, seed: int, reductions: Reductions = REDU
     return relative_error(compute(tape, state, FLOATS32)["qdd"], compute(tape, state)["qdd"])
 
 
-@pytest.mark.parametrize(
-    ("size", "reductions"), [(6, REDUCED), (20, REDUCED), (6, NONE), (20, NONE), (50, NONE)], ids=str
-)
-def test_order_n_keeps_its_digits_in_a_straight_chain(size: int, reductions: Reductions):
-    tree = straight_chain(size)
-    for seed in SEEDS:
-        assert status(tape_of("exp2", tree, reductions), single_state(tree, seed), FLOATS32) == 0
-        assert single_error("exp2", tree, seed, reductions) <= 1e-5
+CHAINS = {"straight": straight_chain, "spatial": spatial_chain}
 
 
-@pytest.mark.parametrize("size", [6, 20, 50])
-def test_order_n_in_a_spatial_chain(size: int):
-    """As in double precision, 100 u sqrt(cond M); 1e-5 at 6 and 20 bodies."""
-    tree = spatial_chain(size)
+@pytest.mark.parametrize("reductions", REDUCTIONS.values(), ids=REDUCTIONS)
+@pytest.mark.parametrize("size", [6, 10, 20, 50])
+@pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
+def test_order_n_keeps_its_digits(chain: Callable[[int], Tree], size: int, reductions: Reductions):
+    """1e-5; and as in double precision, 100 u sqrt(cond M). At 50 bodies, a status may come that need not."""
+    tree, failures = chain(size), 0
     for seed in SEEDS:
-        state = single_state(tree, seed)
-        error = single_error("exp2", tree, seed)
-        assert error <= 100 * U32 * np.sqrt(np.linalg.cond(mass_matrix(tree, state)[0]))
-        assert size == 50 or error <= 1e-5
+        state, error = single_state(tree, seed), single_error("exp2", tree, seed, reductions)
+        failures += status(tape_of("exp2", tree, reductions), state, FLOATS32) != 0
+        assert error <= min(1e-5, 100 * U32 * np.sqrt(np.linalg.cond(mass_matrix(tree, state)[0])))
+    assert failures <= (chain is spatial_chain and size == 50)
+
+
+def test_order_n_where_it_loses_most():
+    """Of 200 states of the chain of 50 bodies, the two in which it errs by more than 1e-5: by no more than 2e-5."""
+    tree = spatial_chain(50)
+    for seed in (96, 178):
+        assert single_error("exp2", tree, seed) <= 2e-5
 
 
 @pytest.mark.parametrize("reductions", REDUCTIONS.values(), ids=REDUCTIONS)
@@ -89,7 +91,7 @@ def test_single_precision_in_c(tmp_path: Path, requires: Callable[[str], str]) -
         state = single_state(tree, 0)
         failed, found = kernels(tapes["exp2"], state)
         assert failed == 0
-        assert relative_error(found["qdd"], compute(tapes["exp2"], state)["qdd"]) <= 2e-5
+        assert relative_error(found["qdd"], compute(tapes["exp2"], state)["qdd"]) <= 1e-5
         failed, found = kernels(tapes["exp1"], state)
         assert (failed != 0) == expected == (status(tapes["exp1"], state, FLOATS32) != 0)
         if not expected:
