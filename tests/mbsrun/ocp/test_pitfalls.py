@@ -1,0 +1,160 @@
+"""Where optimal control goes wrong without a word: coarse meshes, many minima, motions that double every instant."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from mbsgen.manifest import Coordinate, Frame
+from mbsrun.ocp.guess import interpolate
+from mbsrun.ocp.problem import Bounds, Cost, End, Problem, Term
+from mbsrun.ocp.resimulation import resimulate
+from mbsrun.ocp.schemes import Family
+from mbsrun.ocp.solution import Failure, Solution
+from mbsrun.ocp.solve import Solver, solve
+from tests.mbsrun.peer import FREE, Peer, pose_functions, residual_function
+
+FREE_RANGE = (-np.inf, np.inf)
+
+
+def cart_pole() -> Peer:
+    """A cart of 1 kg and a pole with 0.3 kg at 0.5 m, hanging at 0 (M. Kelly, SIAM Review 59 (2017), section 6)."""
+    q, qd, qdd, u = ca.SX.sym("q", 2), ca.SX.sym("qd", 2), ca.SX.sym("qdd", 2), ca.SX.sym("u")
+    m1, m2, l, g = 1.0, 0.3, 0.5, 9.81
+    s, c = ca.sin(q[1]), ca.cos(q[1])
+    Phi = ca.vertcat(
+        (m1 + m2) * qdd[0] + m2 * l * (c * qdd[1] - s * qd[1] ** 2) - u,
+        m2 * l * (c * qdd[0] + l * qdd[1] + g * s),
+    )
+    p = ca.horzcat(ca.vertcat(q[0], 0, 0), ca.vertcat(q[0] + l * s, 0, -l * c))
+    coordinates = [
+        Coordinate(name="cart", motion="prismatic", actuated=True, **FREE),
+        Coordinate(name="pole", motion="revolute", actuated=False, **FREE),
+    ]
+    frames = [Frame(name=name, parent=i - 1, sensor=False) for i, name in enumerate(("cart", "pole"))]
+    R = ca.horzcat(ca.SX.eye(3), ca.SX.eye(3))
+    functions = {"impl": residual_function(q, qd, qdd, u, Phi), **pose_functions(q, p, p, R)}
+    return Peer("cart-pole", functions, coordinates, frames)
+
+
+def swing_up(N: int, degree: int) -> Problem:
+    """Swing the pole up in 2 s, 1 m on, with the least integral of the force squared, of at most 20 N."""
+    return Problem(
+        name="swing-up",
+        horizon=2.0,
+        intervals=N,
+        family=Family.RADAU,
+        degree=degree,
+        cost=Cost(1.0),
+        start_q=(0.0, 0.0),
+        start_qd=(0.0, 0.0),
+        bounds=Bounds(((-2.0, 2.0), FREE_RANGE), (FREE_RANGE,) * 2, ((-20.0, 20.0),)),
+        end=End(coordinates=((0, 1.0), (1, np.pi)), velocity_zero=True),
+    )
+
+
+@pytest.fixture(scope="module")
+def plant() -> Peer:
+    return cart_pole()
+
+
+def test_success_on_a_coarse_mesh_is_not_accuracy(plant: Peer) -> None:
+    """Degree 3: IPOPT succeeds on each mesh; the defect tells which to believe, and falls by orders as N doubles."""
+    defects = []
+    for N in (4, 10, 20, 40):
+        outcome = solve(swing_up(N, 3), plant)
+        assert isinstance(outcome, Solution)
+        assert outcome.run.status == "Solve_Succeeded"
+        check = resimulate(outcome, plant).resimulation
+        assert check is not None
+        assert check.defect is not None
+        assert check.open_loop_error is not None
+        assert check.is_accurate == (check.defect <= 1e-6)
+        assert check.open_loop_error > check.defect  # the plant amplifies it
+        defects.append(check.defect)
+    assert defects[0] > 1e-2
+    assert (np.diff(np.log2(defects)) < -2).all()
+
+
+def test_a_fine_mesh_is_accurate(plant: Peer) -> None:
+    """Degree 5, 80 intervals: the force is constant on each, so the cost is above the continuous optimum, 58.81."""
+    outcome = solve(swing_up(80, 5), plant)
+    assert isinstance(outcome, Solution)
+    check = resimulate(outcome, plant).resimulation
+    assert check is not None
+    assert check.is_accurate
+    assert 58.8076 < outcome.cost.total < 1.01 * 58.8076
+
+
+def test_random_starts_end_in_several_minima(plant: Peer) -> None:
+    """Forty starts: the published optimum is one of several local minima, and what fails is told as a failure."""
+    problem = swing_up(25, 3)
+    solver, found, failed = Solver(problem, plant), Counter[float](), 0
+    smooth = interpolate(problem, solver.transcription.scheme, np.array([1.0, np.pi]))
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        u = rng.uniform(-20, 20, smooth.u.shape)
+        noise = rng.normal(0, 1, smooth.point_q.shape)
+        start = replace(smooth, u=u, point_q=smooth.point_q + noise, q=smooth.q + rng.normal(0, 1, smooth.q.shape))
+        outcome = solver.solve(problem, start)
+        if isinstance(outcome, Failure):
+            failed += 1
+            assert outcome.run.status != "Solve_Succeeded"
+        else:
+            found[round(outcome.cost.total, 2)] += 1
+    assert sum(found.values()) + failed == 40
+    assert len(found) > 1
+    assert min(found) < 1.05 * 58.8076
+
+
+def unstable(rate: float) -> Peer:
+    """x'' = rate^2 sin x + u: small motions grow by exp(rate t)."""
+    q, qd, qdd, u = (ca.SX.sym(name) for name in ("q", "qd", "qdd", "u"))
+    p = ca.vertcat(q, 0, 0)
+    return Peer(
+        "unstable",
+        {
+            "impl": residual_function(q, qd, qdd, u, qdd - rate**2 * ca.sin(q) - u),
+            **pose_functions(q, p, p, ca.SX.eye(3)),
+        },
+        [Coordinate(name="x", motion="prismatic", actuated=True, **FREE)],
+        [Frame(name="x", parent=-1, sensor=False)],
+    )
+
+
+@pytest.mark.parametrize("rate", [5.0, 10.0, 20.0])
+def test_collocation_solves_what_shooting_cannot(rate: float) -> None:
+    """exp(rate T) is up to 2e17: from a guess of zeros, in at most 50 iterations; intervals bound the growth."""
+    problem = Problem(
+        name="unstable",
+        horizon=2.0,
+        intervals=40,
+        family=Family.RADAU,
+        degree=4,
+        cost=Cost(1.0),
+        start_q=(1.0,),
+        start_qd=(0.0,),
+        bounds=Bounds((FREE_RANGE,), (FREE_RANGE,), (FREE_RANGE,)),
+        end=End(coordinates=((0, 0.0),)),
+    )
+    plant = unstable(rate)
+    solver = Solver(problem, plant)
+    zeros = interpolate(replace(problem, start_q=(0.0,)), solver.transcription.scheme, np.zeros(1))
+    outcome = solver.solve(problem, zeros)
+    assert isinstance(outcome, Solution)
+    assert outcome.run.iterations <= 50
+    assert abs(outcome.trajectory.q[-1, 0]) < 1e-7
+
+
+@pytest.mark.parametrize("family", Family)
+def test_a_cost_at_degree_one_is_not_halved(plant: Peer, family: Family) -> None:
+    """The force squared as an expression, by the scheme's quadrature, is h |u|^2 exactly; CasADi's weight is 1/2."""
+    problem = replace(swing_up(80, 1), family=family, cost=Cost(running=(Term("u_cart**2", 1.0),)))
+    outcome = solve(problem, plant)
+    assert isinstance(outcome, Solution)
+    assert outcome.cost.total == pytest.approx((outcome.trajectory.u**2).sum() * 2.0 / 80, rel=1e-12)
+    assert float(ca.collocation_coeff([1.0])[2]) == 0.5
