@@ -71,9 +71,9 @@ class Kernels:
         A column is an array of shape (rows,), a matrix one of (rows, cols); Jacobians, positions and rotations are
         matrices even with one column. Any input may have a leading batch axis; results then have it too, and inputs
         without one are the same for all states. sparse: give the nonzeros only, column by column, shape (nnz,), of
-        which `matrix` makes a matrix. Inputs without an entry may be left out, and `theta`, the differentiated parameters,
-        where their present values are meant. Raises ArgumentError for inputs that do
-        not fit, KernelError where a state cannot be computed.
+        which `matrix` makes a matrix. Inputs without an entry may be left out, and `theta`, the differentiated
+        parameters, where their present values are meant. Raises ArgumentError for inputs that do not fit, KernelError
+        where a state cannot be computed.
         """
         entry = self._binder.bind(name)
         if entry.takes_design:

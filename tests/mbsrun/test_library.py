@@ -169,8 +169,8 @@ exec cc "$@"
     command = [sys.executable, "-c", SCRIPT, str(write_sample(tmp_path / "sample"))]
     assert subprocess.run(command, capture_output=True, check=False).returncode == -signal.SIGKILL
     assert not once.exists()
-    (left,) = (path for path in own_cache.glob("building-*/*") if path.suffix in (".o", ".so"))
-    assert left.read_text() == "half"
+    left = [path.read_bytes() for path in own_cache.glob("building-*/*") if path.suffix in (".o", ".so")]
+    assert b"half" in left  # beside what was compiled at the same time, and may have been finished
     again = subprocess.run(command, capture_output=True, text=True, check=False)
     assert again.stdout.endswith("[6. 2.]\n"), again.stderr
 

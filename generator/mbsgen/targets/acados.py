@@ -1,6 +1,6 @@
 """The functions that acados asks of a model, made of tapes: under its names, with its arguments.
 
-    x = (q, qd), xdot = (qd, qdd), u = u, no z, t unused, p = run-time parameters, then the external forces w
+    x = (q, qd), xdot = (qd, qdd), u = u, no z, t unused, p = run-time parameters, then differentiated ones, then w
 
     impl_dae_*      0 = f(x, xdot, u, p) = (xdot_q - qd, Phi(q, qd, xdot_qd, u, w))
     expl_*          xdot = f(x, u, p) = (qd, qdd(q, qd, u, w))
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
+from itertools import islice
 
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.replay import replay, replay_guards
@@ -29,7 +30,7 @@ MEANINGS = {
     "xdot": "its rate",
     "t": "time: not used",
     "z": "algebraic variables: there are none",
-    "p": "run-time parameters, then the external forces w",
+    "p": "run-time parameters, then differentiated ones, then the external forces w",
     "multiplier": "weights of the residuals",
     "Sx": "sensitivity of x to the initial state",
     "Sp": "sensitivity of x to u",
@@ -194,9 +195,9 @@ def _size(tape: Tape, name: str) -> int:
 
 def _read_p(tape: Tape, builder: Builder) -> dict[str, list[Scalar]]:
     """Declare acados' p, the last input, and part it."""
-    runtime, wrenches = _size(tape, "p"), _size(tape, "w")
-    p = builder.vector("p", runtime + wrenches)
-    return {"p": p[:runtime], "w": p[runtime:]}
+    sizes = {name: _size(tape, name) for name in ("p", "theta", "w")}
+    p = iter(builder.vector("p", sum(sizes.values())))
+    return {name: list(islice(p, size)) for name, size in sizes.items()}
 
 
 def _read_matrix(builder: Builder, name: str, rows: int, cols: int) -> Block:

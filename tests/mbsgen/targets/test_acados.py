@@ -16,13 +16,13 @@ from mbsgen.tape.types import Tape
 from tests.mbsgen.test_pipeline import BRANCHED
 
 MODEL = (
-    BRANCHED
+    BRANCHED.replace("length: 0.4", "length: {value: 0.4, kind: differentiated}")
     + """\
 wrenches:
   - {name: push, body: left, force: input}
 """
 )
-N, M, P = 3, 2, 4  # joints, actuated joints, the mass and the three entries of the force
+N, M, P = 3, 2, 5  # joints, actuated joints; the mass, the length and the three entries of the force
 SIZES = {"x": 2 * N, "xdot": 2 * N, "u": M, "z": 0, "multiplier": 2 * N, "t": 1, "p": P, "lambdaX": 2 * N}
 STEP = DIGITS.literal(10) ** -15  # the error of a central difference is of the order of its square
 CLOSE = 1e-25
