@@ -39,7 +39,7 @@ class Marker:
 
 
 def write_animation(
-    path: Path,
+    path: str | Path,
     kernels: Plant,
     times: ArrayLike,
     q: ArrayLike,
@@ -53,7 +53,7 @@ def write_animation(
     Between them q is taken to be linear, or cubic where its rates qd (K, n) are given. The title is the model's name
     unless another is given. The same motion gives the same bytes. Raises ValueError for arrays that do not fit.
     """
-    path.write_text(render_animation(kernels, times, q, qd=qd, title=title, markers=markers), encoding="utf-8")
+    Path(path).write_text(render_animation(kernels, times, q, qd=qd, title=title, markers=markers), encoding="utf-8")
 
 
 def render_animation(

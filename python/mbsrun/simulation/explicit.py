@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen import resources
-from mbsrun.binding import HIDDEN, Entry, bind
+from mbsrun.binding import DESIGN, HIDDEN, Entry, bind
 from mbsrun.kernel import Kernels
 from mbsrun.library import compile_library, find_compiler
 from mbsrun.simulation.drive import Piece
@@ -147,12 +147,10 @@ class _Plant:
             "v": np.zeros(forces + count_wrench_entries(kernels) + 1),
             "matrix": np.zeros(n * n),
         }
-        if HIDDEN in {a.name for k in kernels.manifest.kernels for a in k.inputs}:
-            self.memory[HIDDEN] = kernels("setup", p=list(kernels.parameters.values()))[HIDDEN]
+        self.memory |= _compute_parameters(kernels)
         inputs = {name: self._pointer(name) for name in ("q", "qd", "v", "matrix")}
         inputs |= {"u": inputs["v"], "w": inputs["v"] + forces, "qdd": self._pointer("rest")}
-        if HIDDEN in self.memory:
-            inputs[HIDDEN] = self._pointer(HIDDEN)
+        inputs |= {name: self._pointer(name) for name in (HIDDEN, DESIGN) if name in self.memory}
         self.kept: list[Any] = [rate_entry, mass_entry]  # that C is given pointers to
         p: Any = ffi.new("mbs_plant *")
         self.plant = p
@@ -213,6 +211,17 @@ _KERNELS: Mapping[Formulation, tuple[str, str | None]] = MappingProxyType(
 def count_wrench_entries(kernels: Kernels) -> int:
     """Count the entries of w."""
     return sum(3 * wrench.force + 3 * wrench.moment for wrench in kernels.manifest.wrenches)
+
+
+def _compute_parameters(kernels: Kernels) -> dict[str, Array]:
+    """Give the inputs of kernels that come from parameters: as they are, or by `setup`."""
+    manifest, values = kernels.manifest, kernels.parameters
+    found = {}
+    if manifest.parameters:
+        found[HIDDEN] = kernels("setup", p=[values[p.name] for p in manifest.parameters])[HIDDEN]
+    if manifest.design:
+        found[DESIGN] = np.array([values[p.name] for p in manifest.design])
+    return found
 
 
 def _bind(kernels: Kernels, name: str) -> Entry:

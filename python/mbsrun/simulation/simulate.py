@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mbsrun.kernel import KernelError, Kernels
+from mbsrun.kernel import ArgumentError, KernelError, Kernels
 from mbsrun.simulation import adaptive, explicit, implicit
 from mbsrun.simulation.drive import Drive, Piece, input_labels
 from mbsrun.simulation.dynamics import Dynamics, SingularError
@@ -42,7 +42,8 @@ def simulate(
     """Integrate the motion from q, qd (n,) at time 0 under the inputs of `drive`; `show` is told the time reached.
 
     What cannot be integrated on is no exception: the motion then tells in `halt` why it ends early. Raises ValueError
-    for arguments that do not fit, DriveError for inputs without a value.
+    for arguments that do not fit, ArgumentError for kernels that were not generated, DriveError for inputs without a
+    value.
     """
     start = _check(kernels, drive, q, qd, settings)
     dynamics, integrate = Dynamics(kernels, settings.formulation), INTEGRATORS[METHODS[settings.method].family]
@@ -78,9 +79,24 @@ def _check(kernels: Kernels, drive: Drive, q: ArrayLike, qd: ArrayLike, settings
             raise ValueError(f"{name} = {value} must be a positive number")
     if METHODS[settings.method].family is not Family.ADAPTIVE and settings.duration / settings.step > MAX_STEPS:
         raise ValueError(f"step = {settings.step} takes more than {MAX_STEPS} steps")
+    _check_kernels(kernels, settings)
     if settings.duration > drive.end:
         raise ValueError(f"the inputs end at {drive.end} s, before the duration of {settings.duration} s")
     return start
+
+
+def _check_kernels(kernels: Kernels, settings: Settings) -> None:
+    """Demand what the formulation needs, and what energies, warnings and pictures are computed from."""
+    residual = {Formulation.IMPL: "impl", Formulation.SEMI: "semi_res"}
+    own = residual.get(settings.formulation, settings.formulation.value)
+    needed = {own, "semi", "semi_res", "energy", "frames"}
+    needed |= {"impl", "jac_impl"} if adaptive.is_explicit(settings.method) else {f"jac_{own}"}
+    missing = sorted(needed - {kernel.name for kernel in kernels.manifest.kernels})
+    if missing:
+        raise ArgumentError(
+            f"{kernels.manifest.model} was generated without {', '.join(missing)}; generate all functions, "
+            "with first derivatives"
+        )
 
 
 def _timed(chunks: Iterator[Chunk], effort: Effort) -> Iterator[Chunk]:

@@ -183,10 +183,10 @@ class _Reading:
             self.constants[key] = self.number(("constants", key), expression)
         settings, drive = self.settings(section), self.drive(section)
         q, qd = self.start(section.start)
-        known = [p.name for p in self.manifest.parameters]
+        known = [p.name for p in (*self.manifest.parameters, *self.manifest.design)]
         parameters = {}
         for name, expression in section.parameters.items():
-            if self.find(("parameters", name), name, known, "run-time parameter") is not None:
+            if self.find(("parameters", name), name, known, "parameter that may be changed") is not None:
                 parameters[name] = self.number(("parameters", name), expression)
         return Statement(settings, q, qd, drive, parameters)
 

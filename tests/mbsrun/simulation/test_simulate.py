@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,7 +17,8 @@ import pytest
 
 from mbsgen.errors import InputError
 from mbsgen.expressions import FLOATS, FUNCTIONS, evaluate, parse
-from mbsrun import Mechanism, cli
+from mbsrun import Mechanism, cli, load
+from mbsrun.kernel import ArgumentError
 from mbsrun.simulation import METHODS, Formulation, Settings, simulate
 from mbsrun.simulation.drive import ARRAYS, DriveError, express, hold, hold_steps
 from mbsrun.simulation.statement import Statement, read_statement
@@ -140,7 +142,7 @@ FAULTS = {
     "rho": ("rho: 2", "give a number from 0 to 1"),
     "stages": ("stages: 10", "stages: found 10"),
     "constant": ("constants: {t: 1}", "no name for a constant"),
-    "parameter": ("parameters: {z: 1}", 'no run-time parameter "z"'),
+    "parameter": ("parameters: {z: 1}", 'no parameter that may be changed "z"'),
     "key": ("durration: 1", "did you mean `duration`?"),
 }
 
@@ -250,3 +252,42 @@ def test_what_cannot_be_accepted_writes_nothing(run: Run, arguments: tuple[str, 
     assert told in result.stderr
     assert "Traceback" not in result.stderr
     assert not Path("out").exists()
+
+
+# --- kinds of parameters, and what was left out ----------------------------------------------------------------------
+
+FALLING = """
+name: falling
+gravity: [0, 0, -9.81]
+parameters:
+  drag: {value: 0.5, kind: runtime}
+  m: {value: 2, kind: differentiated}
+bodies:
+  - name: stone
+    joint: {type: prismatic, axis: z, damping: drag}
+    mass: m
+"""
+
+
+@pytest.fixture(scope="module")
+def falling(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("falling") / "falling.yaml"
+    file.write_text(FALLING, encoding="utf-8")
+    return file
+
+
+@pytest.mark.parametrize("formulation", Formulation)
+def test_parameters_of_both_kinds_reach_the_steps_in_c(falling: Path, formulation: Formulation) -> None:
+    """A stone with drag falls with the speed (m g/d) (1 - exp(-d t/m)); RK4 with h = 1e-2 errs by less than 1e-10."""
+    for m, d in ((2.0, 0.5), (3.0, 1.5)):
+        stone = load(falling).with_parameters(m=m, drag=d)
+        motion = simulate(stone, hold([0.0]), [0], [0], Settings(1.0, "rk4", formulation, step=1e-2))
+        assert motion.qd[-1, 0] == pytest.approx(-m * 9.81 / d * (1 - np.exp(-d / m)), abs=1e-10)
+
+
+def test_kernels_that_were_left_out_are_named(falling: Path, tmp_path: Path) -> None:
+    run_mbsgen = [sys.executable, "-c", "from mbsgen.cli import main; main()"]
+    generate = [*run_mbsgen, str(falling), "-o", str(tmp_path / "out"), "--functions", "exp2,energy"]
+    subprocess.run(generate, check=True, capture_output=True)
+    with pytest.raises(ArgumentError, match="was generated without frames, impl, jac_impl, semi, semi_res"):
+        simulate(load(tmp_path / "out"), hold([0.0]), [0], [0], Settings(1.0))
