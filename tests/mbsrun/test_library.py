@@ -159,6 +159,7 @@ case " $* " in *" {ending} "*)
         printf half > "$2"
         rm {once}
         kill -9 $PPID
+        exit 1
     fi ;;
 esac
 exec cc "$@"
