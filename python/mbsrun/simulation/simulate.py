@@ -27,6 +27,7 @@ INTEGRATORS: Mapping[Family, Integrator] = MappingProxyType(
         Family.ADAPTIVE: adaptive.integrate,
     }
 )
+BEYOND = 1e-6  # of a limit or of 1 rad or m, from where on it is told
 DRIFT = 0.01  # of the energy that is exchanged; more is told
 STIFF = 500.0  # what decays so many times within a motion is fast; only then is stiffness spoken of
 
@@ -242,7 +243,7 @@ def _find_exceeded_limits(kernels: Kernels, t: Array, q: Array) -> list[str]:
         for limit, sign in ((coordinate.lower, -1), (coordinate.upper, 1)):
             if limit is None:
                 continue
-            beyond = np.flatnonzero(sign * (column - limit) > 1e-9 * max(1.0, abs(limit)))
+            beyond = np.flatnonzero(sign * (column - limit) > BEYOND * max(1.0, abs(limit)))
             if beyond.size:
                 found.append(
                     f"joint {coordinate.name} is beyond its limit {limit:.4g} from t = {t[beyond[0]]:.4g} s on; "

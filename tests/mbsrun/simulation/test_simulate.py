@@ -17,6 +17,7 @@ import pytest
 
 from mbsgen.errors import InputError
 from mbsgen.expressions import FLOATS, FUNCTIONS, evaluate, parse
+from mbsgen.resources import folder
 from mbsrun import Mechanism, cli, load
 from mbsrun.kernel import ArgumentError
 from mbsrun.simulation import METHODS, Formulation, Settings, simulate
@@ -91,6 +92,14 @@ def test_expressions_over_time_are_those_of_the_language() -> None:
     drive = express([parse("1/(t - 2)")], ["joint q1"], {})
     with pytest.raises(DriveError, match=r"joint q1 has no finite value at t = 2 s"):
         drive.pieces[0].at(2.0)
+
+
+def test_the_loops_are_clean_c(requires: Callable[[str], str], tmp_path: Path) -> None:
+    source = folder("csrc") / "mbs_simulate.c"
+    strict = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
+    command = [requires("cc"), *strict, "-c", str(source), "-o", str(tmp_path / "simulate.o")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 # --- settings --------------------------------------------------------------------------------------------------------
