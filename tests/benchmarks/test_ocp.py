@@ -1,0 +1,68 @@
+"""The benchmark of optimal control: the peer solves the same program, and the table says so."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from benchmarks.afternoon import write_functions
+from benchmarks.ocp.__main__ import MODELS, main, write_place
+from benchmarks.ocp.peer import Peer, list_settings, write_dynamics
+from mbsgen.pipeline import read_tree
+from mbsrun.ocp.problem import Problem, Representation
+from mbsrun.ocp.statement import read_problem
+from tests.mbsrun.peer_arm import peer_arm
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    return read_problem(MODELS / "arm_reach.ocp.yaml", lambda _: peer_arm())[0]
+
+
+@pytest.fixture(scope="module")
+def dynamics() -> dict[str, ca.Function]:
+    return write_dynamics(write_functions(read_tree(MODELS / "arm_pendulum.yaml")))
+
+
+def test_the_peer_has_the_same_mechanics(dynamics: dict[str, ca.Function]) -> None:
+    """Residual, its other form, accelerations and the hand's place: those of the arm made by hand."""
+    arm, rng = peer_arm(), np.random.default_rng(2)
+    q, qd, qdd, u = rng.uniform(-1, 1, 6), rng.uniform(-1, 1, 6), rng.uniform(-1, 1, 6), rng.uniform(-1, 1, 4)
+    Phi = arm("impl", q=q, qd=qd, qdd=qdd, u=u)["Phi"]
+    for name in ("impl", "semi"):
+        assert dynamics[name](q, qd, qdd, u).full().ravel() == pytest.approx(Phi, abs=1e-12)
+    found = dynamics["exp"](q, qd, u).full().ravel()
+    assert np.abs(arm("impl", q=q, qd=qd, qdd=found, u=u)["Phi"]).max() < 1e-11
+    symbol = ca.SX.sym("q", 6)
+    place = ca.Function("place", [symbol], [write_place(symbol)])
+    assert place(q).full().ravel() == pytest.approx(arm("sensors", q=q)["position"][:, 0], abs=1e-14)
+
+
+@pytest.mark.parametrize("name", ["IMPL", "EXP1-O"])
+def test_the_peer_has_the_program_of_the_paper(problem: Problem, dynamics: dict[str, ca.Function], name: str) -> None:
+    """Table 3: 8812 variables and 8427 constraints, or 6412 and 6027 for an ODE."""
+    chosen = replace(problem, representation=Representation(name))
+    symbol = ca.SX.sym("q", 6)
+    place = ca.Function("place", [symbol], [write_place(symbol)])
+    peer = Peer(chosen, dynamics, place, list_settings(chosen)["tuned"], is_compiled=False)
+    assert (peer.variables, peer.constraints) == ((8812, 8427) if name == "IMPL" else (6412, 6027))
+
+
+def test_a_quick_run_measures_both(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], requires: Callable[[str], str]
+) -> None:
+    """Both find the same optimum from the same guess, under the same options in as many iterations."""
+    requires("cc")
+    assert main(["--quick", "--representation", "IMPL", "-o", str(tmp_path / "out")]) == 0
+    rows = {row["way"]: row for row in json.loads((tmp_path / "out" / "ocp.json").read_text("utf-8"))["rows"]}
+    ours, peer = rows["mbsgen"], rows["CasADi, interpreted, tuned"]
+    assert peer["cost"] == pytest.approx(ours["cost"], rel=1e-6)
+    assert abs(peer["iterations"] - ours["iterations"]) <= 2
+    assert (peer["variables"], peer["constraints"]) == (ours["variables"], ours["constraints"])
+    assert "CasADi, interpreted, defaults" in capsys.readouterr().out
