@@ -42,10 +42,8 @@ class Op(Enum):
     ABS = ("fabs", 1)
     SIGN = ("sign", 1)  # -1, 0 or 1: what the derivative of |x| is taken to be, 0 where there is none
 
-    @property
-    def arity(self) -> int:
-        """Count the operands."""
-        return self.value[1]
+    def __init__(self, _: str, arity: int) -> None:
+        self.arity = arity  # not a property: it is asked of every operation of a tape, many times over
 
     __hash__ = object.__hash__  # members are singletons; Enum's own hash is slower
 

@@ -10,6 +10,12 @@ from mbsgen.tape.types import LITERALS, Input, Op, Output, Sparsity, Tape
 X = Input("x", Sparsity.dense(2))
 
 
+def test_operations_know_the_number_of_their_operands():
+    """Besides the four of arithmetic, atan2 alone takes two; each member holds its own number, without a call."""
+    assert {op.name for op in Op if op.arity == 2} == {"ADD", "SUB", "MUL", "DIV", "ATAN2"}
+    assert all(vars(op)["arity"] == op.value[1] and op.arity in (1, 2) for op in Op)
+
+
 def test_an_operation_uses_earlier_values_only():
     with pytest.raises(TapeError, match="does not precede"):
         Tape("f", (X,), (), ((Op.ADD, 0, 2),), ())
