@@ -102,11 +102,12 @@ def make_ways(problem: Problem, plant: Mechanism, is_quick: bool) -> Iterator[Wa
     dynamics = write_dynamics(write_functions(read_tree(MODELS / "arm_pendulum.yaml")))
     q = ca.SX.sym("q", len(problem.start_q))
     place = ca.Function("place", [q], [write_place(q)])
-    for is_compiled in (False,) if is_quick else (False, True):
-        for name, ipopt in list_settings(problem).items():
-            peer = Peer(problem, dynamics, place, ipopt, is_compiled)
-            way = f"CasADi, {'compiled' if is_compiled else 'interpreted'}, {name}"
-            yield Way(way, peer.seconds_building, peer.variables, peer.constraints, partial(peer.solve, guess))
+    settings = list_settings(problem)
+    peers = [(False, name) for name in settings] + [(True, "tuned")] * (not is_quick)
+    for is_compiled, name in peers:
+        peer = Peer(problem, dynamics, place, settings[name], is_compiled)
+        way = f"CasADi, {'compiled' if is_compiled else 'interpreted'}, {name}"
+        yield Way(way, peer.seconds_building, peer.variables, peer.constraints, partial(peer.solve, guess))
 
 
 def write_place(q: ca.SX) -> ca.SX:
