@@ -29,6 +29,7 @@ from tests.mbsgen.failures.mechanisms import (
     numbers,
     scaled_condition,
     spatial_chain,
+    status,
     straight_chain,
     tape_of,
 )
@@ -86,6 +87,15 @@ def test_errors_are_what_is_told(states: list[tuple[Tree, dict[str, Array]]], re
         errors = [error_of(name, tree, state, reductions) for tree, state in states]
         assert all(error <= ABOVE * e + ALWAYS for error, e in zip(errors, expected, strict=True))
         assert max(e / x for e, x in zip(errors, expected, strict=True)) >= 1 / BELOW or max(expected) <= ALWAYS
+
+
+@pytest.mark.parametrize("name", LOCKS)
+@pytest.mark.parametrize("distance", [1e-4, 1e-5, 1e-6, 1e-7, 1e-8])
+def test_no_lock_is_silent(name: str, distance: float):
+    """Six digits, or a status: an elbow of numbers that are known at run time only, too."""
+    for tree, state in lock_states(name, distance):
+        for form in EXPLICIT:
+            assert status(tape_of(form, tree), state) == 1 or error_of(form, tree, state) <= 1e-6
 
 
 @pytest.mark.parametrize("size", [5, 20, 50])
