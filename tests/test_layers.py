@@ -36,7 +36,9 @@ MBSGEN = Package(
         "formulations",
         "derivatives",
         "targets",
-        "report drawing output scaling",
+        "families",
+        "evidence",
+        "report drawing output scaling oracle",
         "pipeline",
         "cli",
         "__main__",
@@ -59,12 +61,19 @@ MBSRUN = Package(
         "ocp.resimulation ocp.search",
         "ocp.pictures",
         "ocp",
+        "study.points study.mechanisms study.reference study.machine",
+        "study.candidates",
+        "study.kernels study.motions",
+        "study.advice study.pictures",
+        "study.commands",
+        "study",
         "cli",
         "__main__",
     ),
     foreign=("sympy", "mbsgen"),
     guests=("mbsgen.errors", "mbsgen.resources", "mbsgen.manifest", "mbsgen.expressions", "mbsgen.documents"),
-    lazy={"models": "mbsgen.pipeline"},  # a model file given for a generated folder
+    # a model file given for a generated folder; its equations in 50 digits
+    lazy={"models": "mbsgen.pipeline", "study.reference": "mbsgen.oracle"},
 )
 
 

@@ -20,6 +20,7 @@ from mbsgen import __version__
 from mbsgen.errors import MbsError
 from mbsgen.formulations.catalogue import FORMULATIONS, FUNCTIONS
 from mbsgen.formulations.reductions import ALL
+from mbsgen.model.scene import EVERYTHING
 from mbsgen.model.tree import Tree
 from mbsgen.output import find_differences, write_file
 from mbsgen.pipeline import Options, generate, make, read_tree
@@ -33,6 +34,7 @@ from mbsgen.report import (
     Section,
     comparisons,
     sections,
+    tables_of_scene,
     ways_taken,
     write_json,
     write_markdown,
@@ -108,6 +110,7 @@ def cli() -> None:
     show_default=True,
     help="Up to which order derivatives are generated. CasADi needs both for exact Hessians.",
 )
+@click.option("--scene", type=click.Path(path_type=Path), help="A file that tells what is wanted of the model.")
 @click.option("--check", is_flag=True, help="Write nothing; fail if the folder is not as it would be written.")
 def generate_command(
     model: Path,
@@ -119,6 +122,7 @@ def generate_command(
     acados: bool,
     functions: str | None,
     derivatives: int,
+    scene: Path | None,
     check: bool,
 ) -> None:
     """Generate a folder from MODEL, the default command.
@@ -136,6 +140,7 @@ def generate_command(
         reductions=reductions,
         functions=None if functions is None else tuple(filter(None, map(str.strip, functions.split(",")))),
         derivatives=derivatives,
+        scene=EVERYTHING if scene is None else scene,
     )
     if check:
         _check_folder(make(model, options).files, out)
@@ -284,6 +289,12 @@ def print_report(report: Report) -> None:
 
 
 def _print_ways(report: Report) -> None:
+    for title, header, table in tables_of_scene(report):
+        widths = [max(len(row[k]) for row in (header, *table)) for k in range(len(header))]
+        click.echo(f"{title}: {report.model}\n")
+        for row in (header, *table):
+            click.echo("  ".join((row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:]))))
+        click.echo("")
     rows = ways_taken(report)
     first = max(map(len, rows), default=0)
     click.echo(f"{DIFFERENTIATION}: {report.model}\n")

@@ -2,49 +2,31 @@
 
 from __future__ import annotations
 
-import difflib
 import hashlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from mbsgen import __version__, manifest
 from mbsgen.derivatives.dynamics import Dynamics
-from mbsgen.derivatives.kernels import differentiable, differentiate
-from mbsgen.errors import MbsError
-from mbsgen.formulations.catalogue import FUNCTIONS, MEANINGS, SETUP, Entry, select_functions
-from mbsgen.formulations.links import PARAMETERS
-from mbsgen.formulations.reductions import ALL, Reductions
+from mbsgen.evidence import gather
+from mbsgen.families import DEFAULT, OptionError, Options, write_families
+from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.manifest import Coordinate, Frame, Manifest, Parameter, Wrench
 from mbsgen.model.model import Model
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree, with_runtime_numbers
+from mbsgen.model.scene import EVERYTHING, Scene, read_scene, stage
 from mbsgen.model.tree import NO_FORCE, Kind, Tree
 from mbsgen.output import write_folder
 from mbsgen.report import Report, make_report, write_json, write_markdown
-from mbsgen.tape.counts import count
-from mbsgen.tape.passes import hoist
-from mbsgen.tape.types import Tape
-from mbsgen.targets import acados
 from mbsgen.targets.c import Sources, Unit, write_c
 from mbsgen.targets.contract import Family
 from mbsgen.targets.matlab import write_matlab
 from mbsgen.targets.names import mangle
 from mbsgen.targets.python import write_python
 
-
-@dataclass(frozen=True)
-class Options:
-    """What to generate, besides the C of every function."""
-
-    runtime: bool = False  # every number of the model a run-time parameter
-    python: bool = False  # also the Python target
-    matlab: bool = False  # also the Matlab target
-    acados: bool = False  # also the functions that acados asks for, under its names
-    compare: bool = False  # also count the formulations without each reduction
-    functions: tuple[str, ...] | None = None  # which functions of the catalogue; None: all that the model has
-    derivatives: int = 2  # up to which order
-    reductions: Reductions = ALL  # what is done to lower the operation count
+__all__ = ["OptionError", "Options", "Product", "generate", "make", "read_tree", "write_families"]
 
 
 @dataclass(frozen=True)
@@ -56,27 +38,25 @@ class Product:
     files: Mapping[str, str]  # path in the folder -> text
 
 
-class OptionError(MbsError):
-    """Options that a model cannot be generated with."""
-
-
-def generate(model: Path | Model, out: Path, options: Options = Options()) -> Product:
+def generate(model: Path | Model, out: Path, options: Options = DEFAULT) -> Product:
     """Make everything of a model, and write it to the folder `out`. Where `make` raises, nothing is written."""
     product = make(model, options)
     write_folder(product.files, out)
     return product
 
 
-def make(model: Path | Model, options: Options = Options()) -> Product:
+def make(model: Path | Model, options: Options = DEFAULT) -> Product:
     """Make everything of a model file, or of a model made in Python.
 
     Raises InputError with every fault of the file, OptionError for functions that there are not.
     """
-    written = read_tree(model)
+    whole = model if isinstance(model, Model) else read_model(model)
+    scene = _read_scene(options, whole)
+    written = build_tree(stage(whole, scene))
     parametric = with_runtime_numbers(written)
     tree = parametric if options.runtime else written
     dynamics = Dynamics(tree, options.reductions)
-    families = write_families(tree, options, dynamics)
+    families = write_families(tree, options, dynamics, scene)
     unit = Unit(
         mangle(tree.name),
         __version__,
@@ -88,7 +68,8 @@ def make(model: Path | Model, options: Options = Options()) -> Product:
     )
     sources = write_c(unit)
     described = _describe(tree, unit, sources)
-    report = make_report(written, parametric, described.kernels, dynamics.flops, compare=options.compare)
+    evidence = None if scene == EVERYTHING else gather(whole, scene, options)
+    report = make_report(written, parametric, described.kernels, dynamics.flops, evidence, compare=options.compare)
     files = {
         **sources.files,
         manifest.FILE_NAME: described.model_dump_json(indent=2) + "\n",
@@ -107,72 +88,10 @@ def read_tree(model: Path | Model) -> Tree:
     return build_tree(model if isinstance(model, Model) else read_model(model))
 
 
-def write_families(tree: Tree, options: Options = Options(), dynamics: Dynamics | None = None) -> tuple[Family, ...]:
-    """Write functions of a tree with their derivatives; what depends on parameters alone is split off as `setup`.
-
-    `dynamics` writes those of the formulations, and can tell afterwards what each way of writing them takes.
-    """
-    families: list[Family] = []
-    dynamics = dynamics or Dynamics(tree, options.reductions)
-    for name, entry in _choose_functions(tree, options.functions).items():
-        tape = entry.build(tree, options.reductions)
-        assert tape.name == name, "the catalogue calls a tape by its own name"
-        if not (entry.differentiated and options.derivatives):
-            families.append(Family(tape, title=entry.title, meanings=MEANINGS))
-            continue
-        found = dynamics.differentiate(tape) if entry.of_dynamics else differentiate(tape, differentiable(tape))
-        second = found.jac_adj1 if options.derivatives > 1 else None
-        families.append(Family(tape, found.jac, found.adj1, second, title=entry.title, meanings=MEANINGS))
-        families.append(Family(found.lin, title=f"{entry.title}, with its Jacobians", meanings=MEANINGS))
-    special = _write_acados(families) if options.acados else ()  # whose parameters are acados' own
-    if any(p.kind is Kind.RUNTIME for p in tree.parameters):
-        return (*_split_setup(families), *special)
-    return (*families, *special)
-
-
-def _write_acados(families: Sequence[Family]) -> tuple[Family, ...]:
-    tapes = {tape.name: tape for family in families for tape in family.tapes}
-    explicit = [name for name in acados.EXPLICIT if name in tapes]
-    if acados.RESIDUAL not in tapes and not explicit:
-        raise OptionError(
-            f"acados: its functions are made of {acados.RESIDUAL}, {' or '.join(acados.EXPLICIT)}; name one"
-        )
-    cheapest = min(explicit, key=lambda name: count(tapes.get(f"lin_{name}", tapes[name])).paper, default="")
-    return acados.write_acados(tapes, cheapest)
-
-
-def _choose_functions(tree: Tree, names: tuple[str, ...] | None) -> Mapping[str, Entry]:
-    """Choose functions by name, in the order of the catalogue; all that is wrong with the names is told at once."""
-    present = select_functions(tree)
-    if names is None:
-        return present
-    faults = [] if names else [f"no function is named; there are {', '.join(present)}"]
-    for name in dict.fromkeys(names):
-        if name in FUNCTIONS and name not in present:
-            faults.append(f"{name} is of sensors, and {tree.name} has none; name some under `frames:`")
-        elif name not in FUNCTIONS:
-            near = difflib.get_close_matches(name, present, 1)
-            remedy = f"is {near[0]} meant?" if near else f"there are {', '.join(present)}"
-            faults.append(f"there is no function {name!r}; {remedy}")
-    if faults:
-        raise OptionError("\n".join(f"functions: {fault}" for fault in faults))
-    return {name: entry for name, entry in present.items() if name in names}
-
-
-def _split_setup(families: list[Family]) -> tuple[Family, ...]:
-    setup, hoisted = hoist([tape for family in families for tape in family.tapes], PARAMETERS, SETUP)
-    rest = {tape.name: tape for tape in hoisted}
-
-    def found(tape: Tape | None) -> Tape | None:
-        return tape and rest[tape.name]
-
-    split = [
-        replace(f, value=rest[f.value.name], jac=found(f.jac), adj1=found(f.adj1), jac_adj1=found(f.jac_adj1))
-        for f in families
-    ]
-    if not setup.output(SETUP).sparsity.nnz:  # parameters matter to none of the functions chosen
-        return tuple(split)
-    return (Family(setup, title="what the kernels need of the run-time parameters", meanings=MEANINGS), *split)
+def _read_scene(options: Options, model: Model) -> Scene:
+    if isinstance(options.scene, Scene):
+        return options.scene
+    return read_scene(options.scene, model, {name: entry.results for name, entry in FUNCTIONS.items()})
 
 
 def _hash(tree: Tree, families: tuple[Family, ...]) -> str:

@@ -15,6 +15,7 @@ from types import MappingProxyType
 
 from sympy import Expr
 
+from mbsgen.evidence import Evidence, describe
 from mbsgen.formulations.catalogue import FORMULATIONS
 from mbsgen.formulations.links import PARAMETERS
 from mbsgen.formulations.planning import dynamics_alone
@@ -52,6 +53,7 @@ NOTE = (
     "time, setup apart; kernels are counted as generated."
 )
 COMPARISON = "Flops of the formulations, compared"
+SCENE = "Flops of the functions of the scene, as one thing after the other is left out"
 DIFFERENTIATION = "Flops of the derivatives, by the way of writing them; the fewest are generated"
 WAYS = ("tape", "recursion", "implicit")  # differentiating the tape, the recursion, or by the implicit function theorem
 _DERIVATIVES = ("jac_", "adj1_", "lin_")  # what the names of kernels that belong to another begin with
@@ -82,6 +84,7 @@ class Report:
     kernels: Mapping[str, Cost]
     reductions: Mapping[str, Mapping[str, int]]  # flops of each formulation without each reduction; may be empty
     ways: Mapping[str, Mapping[str, int]]  # flops of the derivatives of the formulations, by the way of writing them
+    evidence: Evidence | None  # of the scene; None without one
     published: Mapping[str, tuple[int, int]]  # flops and equations that others have told; may be empty
 
 
@@ -90,6 +93,7 @@ def make_report(
     parametric: Tree,
     kernels: tuple[Kernel, ...],
     ways: Mapping[str, Mapping[str, int]],
+    evidence: Evidence | None = None,
     *,
     compare: bool = False,
 ) -> Report:
@@ -111,7 +115,7 @@ def make_report(
     }
     costs = {k.name: Cost(k.flops, k.equations) for k in kernels}
     published = PUBLISHED.get(identify(written), {})
-    return Report(written.name, formulations, setups, folded, costs, reductions, ways, published)
+    return Report(written.name, formulations, setups, folded, costs, reductions, ways, evidence, published)
 
 
 def identify(tree: Tree) -> str:
@@ -182,6 +186,14 @@ def ways_taken(report: Report) -> dict[str, tuple[str, ...]]:
     return {name: tuple(str(found.get(way, "")) for way in WAYS) for name, found in report.ways.items()}
 
 
+def tables_of_scene(report: Report) -> list[tuple[str, tuple[str, ...], list[tuple[str, ...]]]]:
+    """Lay out what a scene saves: a title, the header, rows; nothing without a scene."""
+    if report.evidence is None:
+        return []
+    names = tuple(next(iter(report.evidence.flops.values())))
+    return [(SCENE, ("", *names), describe(report.evidence, names))]
+
+
 def write_json(report: Report) -> str:
     """Write `report.json`, the stable form that later versions are compared by."""
     data: dict[str, object] = {
@@ -192,6 +204,8 @@ def write_json(report: Report) -> str:
         "kernels": {name: _entry(cost) for name, cost in report.kernels.items()},
         "ways": {name: dict(ways) for name, ways in report.ways.items()},
     }
+    if report.evidence is not None:
+        data["scene"] = {"flops": dict(report.evidence.flops), "deviations": dict(report.evidence.deviations)}
     if report.reductions:
         data["reductions"] = dict(report.reductions)
     return json.dumps(data, indent=2, ensure_ascii=False) + "\n"
@@ -210,6 +224,9 @@ def write_markdown(report: Report) -> str:
     if rows := comparisons(report):
         lines += ["", f"## {COMPARISON}", "", _line(("", *FORMULATIONS)), _line(["---", *["---:"] * len(FORMULATIONS)])]
         lines += [_line((title, *(str(row[name]) for name in FORMULATIONS))) for title, row in rows.items()]
+    for title, header, table in tables_of_scene(report):
+        lines += ["", f"## {title}", "", _line(header), _line(["---", *["---:"] * (len(header) - 1)])]
+        lines += map(_line, table)
     lines += ["", f"## {DIFFERENTIATION}", "", _line(("", *WAYS)), _line(["---", *["---:"] * len(WAYS)])]
     lines += [_line((f"`{name}`", *row)) for name, row in ways_taken(report).items()]
     return "\n".join(lines) + "\n"

@@ -10,6 +10,7 @@ from mbsgen.derivatives.vanishing import drop_vanishing
 from mbsgen.formulations.links import PARAMETERS
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.counts import count
+from mbsgen.tape.passes import merge
 from mbsgen.tape.replay import declare_inputs, replay, replay_guards
 from mbsgen.tape.types import Tape
 
@@ -53,14 +54,7 @@ def differentiate(tape: Tape, wrt: Sequence[str]) -> Derivatives:
 
 def linearise(tape: Tape, jac: Tape) -> Tape:
     """Write `lin_<name>`: a function and its Jacobians at one state; what both need is computed once."""
-    builder = Builder()
-    inputs = declare_inputs(tape, builder)
-    for part in (tape, jac):
-        values = replay(part, builder, inputs)
-        for o in part.outputs:
-            builder.output(o.name, o.sparsity, [values[v] for v in o.values])
-        replay_guards(part, builder, values)
-    return builder.build(f"lin_{tape.name}")
+    return merge((tape, jac), f"lin_{tape.name}")
 
 
 def jacobian(tape: Tape, wrt: Sequence[str]) -> Tape:

@@ -21,6 +21,7 @@ class Entry:
 
     build: Callable[[Tree, Reductions], Tape]
     title: str  # for readers of the generated code
+    results: tuple[str, ...]
     differentiated: bool  # by all inputs but parameters
     of_sensors: bool = False  # a tree without sensors has no such function
     of_dynamics: bool = False  # a form of the equations of motion: its derivatives may be written by mechanics
@@ -65,32 +66,68 @@ FUNCTIONS: Mapping[str, Entry] = MappingProxyType(
         "impl": Entry(
             impl.build,
             "residual of the equations of motion, recursive Newton-Euler",
+            results=("Phi",),
             differentiated=True,
             of_dynamics=True,
         ),
-        "semi": Entry(semi.build, "mass matrix and bias: M qdd + c = Q", differentiated=False),
+        "semi": Entry(semi.build, "mass matrix and bias: M qdd + c = Q", results=("M", "c"), differentiated=False),
         "semi_res": Entry(
             semi.build_residual,
             "residual by mass matrix and bias: M qdd + c - Q",
+            results=("Phi",),
             differentiated=True,
             of_dynamics=True,
         ),
         "exp1": Entry(
-            exp1.build, "accelerations by elimination in the mass matrix", differentiated=True, of_dynamics=True
+            exp1.build,
+            "accelerations by elimination in the mass matrix",
+            results=("qdd",),
+            differentiated=True,
+            of_dynamics=True,
         ),
         "exp2": Entry(
-            exp2.build, "accelerations by articulated bodies, order N", differentiated=True, of_dynamics=True
+            exp2.build,
+            "accelerations by articulated bodies, order N",
+            results=("qdd",),
+            differentiated=True,
+            of_dynamics=True,
         ),
-        "sensors": Entry(_plainly(poses.build_sensors), "places of the sensors", differentiated=True, of_sensors=True),
+        "sensors": Entry(
+            _plainly(poses.build_sensors),
+            "places of the sensors",
+            results=("position",),
+            differentiated=True,
+            of_sensors=True,
+        ),
         "motion": Entry(
-            _plainly(velocities.build_motion), "velocities of the sensors", differentiated=True, of_sensors=True
+            _plainly(velocities.build_motion),
+            "velocities of the sensors",
+            results=("v", "omega"),
+            differentiated=True,
+            of_sensors=True,
         ),
         "jacobian": Entry(
-            _plainly(velocities.build_jacobian), "Jacobians of the sensors", differentiated=False, of_sensors=True
+            _plainly(velocities.build_jacobian),
+            "Jacobians of the sensors",
+            results=("J",),
+            differentiated=False,
+            of_sensors=True,
         ),
-        "condition": Entry(condition.build, "how many digits exp1 and exp2 lose at a position", differentiated=False),
-        "energy": Entry(_plainly(energy.build), "energy and momentum", differentiated=False),
-        "frames": Entry(_plainly(poses.build_frames), "poses of all bodies and sensors", differentiated=False),
+        "condition": Entry(
+            condition.build,
+            "how many digits exp1 and exp2 lose at a position",
+            results=("elimination", "articulated"),
+            differentiated=False,
+        ),
+        "energy": Entry(
+            _plainly(energy.build),
+            "energy and momentum",
+            results=("kinetic", "potential", "momentum", "angular_momentum", "com"),
+            differentiated=False,
+        ),
+        "frames": Entry(
+            _plainly(poses.build_frames), "poses of all bodies and sensors", results=("p", "R"), differentiated=False
+        ),
     }
 )
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.replay import declare_inputs, leaves, operate, replay, replay_guards
@@ -30,6 +31,42 @@ def _rebuild(tape: Tape, builder: Builder) -> Tape:
         builder.output(output.name, output.sparsity, [values[v] for v in output.values])
     replay_guards(tape, builder, values)
     return builder.build(tape.name)
+
+
+def merge(tapes: Sequence[Tape], name: str) -> Tape:
+    """Make one tape of several, of the inputs of all: what they share is computed once. Results keep their names."""
+    builder = Builder()
+    inputs: dict[str, list[Scalar]] = {}
+    for given in dict.fromkeys(i for tape in tapes for i in tape.inputs):
+        inputs[given.name] = builder.input(given.name, given.sparsity)
+    for tape in tapes:
+        values = replay(tape, builder, inputs)
+        for o in tape.outputs:
+            builder.output(o.name, o.sparsity, [values[v] for v in o.values])
+        replay_guards(tape, builder, values)
+    return builder.build(name)
+
+
+def set_zero(tape: Tape, names: Collection[str]) -> Tape:
+    """Let inputs be zero, and take them away."""
+    builder = Builder()
+    inputs = {i.name: builder.input(i.name, i.sparsity) for i in tape.inputs if i.name not in names}
+    inputs |= {i.name: [builder.zero] * i.sparsity.nnz for i in tape.inputs if i.name in names}
+    values = replay(tape, builder, inputs)
+    for o in tape.outputs:
+        found = [values[v] for v in o.values]
+        if o.sparsity.is_dense:
+            builder.output(o.name, o.sparsity, found)
+        else:
+            places = dict(zip(o.sparsity.entries, found, strict=True))
+            builder.output_nonzeros(o.name, o.sparsity.rows, o.sparsity.cols, places)
+    replay_guards(tape, builder, values)
+    return builder.build(tape.name)
+
+
+def keep_results(tape: Tape, names: Collection[str]) -> Tape:
+    """Leave out all results but some, and what only they need."""
+    return drop_dead(replace(tape, outputs=tuple(o for o in tape.outputs if o.name in names)))
 
 
 def hoist(tapes: Sequence[Tape], source: str, target: str) -> tuple[Tape, tuple[Tape, ...]]:

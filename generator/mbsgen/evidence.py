@@ -1,0 +1,204 @@
+"""Evidence for a scene: what each thing left out saves, and that what is left agrees with the whole model.
+
+The reduced functions are compared with those of the whole model at random states, in which locked joints stand where
+they are locked. Accelerations are put into the whole model's residual, whose rows of moving joints must vanish then:
+the others hold what locks the joints.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsgen.derivatives.dynamics import Dynamics
+from mbsgen.families import Options, write_families
+from mbsgen.formulations import impl
+from mbsgen.formulations.catalogue import FUNCTIONS
+from mbsgen.formulations.reductions import Reductions
+from mbsgen.model.model import Model
+from mbsgen.model.reduction import build_tree
+from mbsgen.model.scene import EVERYTHING, Scene, stage
+from mbsgen.model.tree import Kind, Tree
+from mbsgen.model.valuation import Valuation
+from mbsgen.tape.counts import count
+from mbsgen.tape.interpreter import FLOATS, evaluate
+from mbsgen.tape.types import Tape
+
+POINTS = 3  # random states
+_OF_ALL_MASS = ("potential", "com")  # they do not count what does not move
+Array = NDArray[np.float64]
+State = dict[str, Array]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a scene saves, and what it changes."""
+
+    flops: Mapping[str, Mapping[str, int]]  # of functions, by what has been left out so far
+    deviations: Mapping[str, float]  # of functions from the whole model's, relative to the largest result
+
+
+def gather(model: Model, scene: Scene, options: Options) -> Evidence:
+    """Count what each part of a scene saves, and compare the rest with the whole model."""
+    plain = replace(options, derivatives=0, acados=False)
+    flops = {title: _count(build_tree(stage(model, part)), plain, part) for title, part in _steps(scene)}
+    return Evidence(flops, _compare(model, scene, plain))
+
+
+def _steps(scene: Scene) -> Iterator[tuple[str, Scene]]:
+    """Apply one part of a scene after the other."""
+    present = replace(EVERYTHING, functions=scene.functions, together=scene.together)
+    yield "the whole model", present
+    for title, names in (
+        ("kinds of parameters", ("parameters",)),
+        ("joints locked", ("locked",)),
+        ("no gravity", ("gravity",)),
+        ("no motion", ("motion",)),
+        ("sensors and wrenches left out", ("sensors", "wrenches")),
+        ("results left out", ("results",)),
+    ):
+        changed = replace(present, **{name: getattr(scene, name) for name in names})
+        if changed != present:
+            present = changed
+            yield title, present
+
+
+def _tapes(tree: Tree, options: Options, scene: Scene) -> dict[str, Tape]:
+    families = write_families(tree, options, Dynamics(tree, options.reductions), scene)
+    return {family.value.name: family.value for family in families}
+
+
+def _count(tree: Tree, options: Options, scene: Scene) -> dict[str, int]:
+    return {name: count(tape).paper for name, tape in _tapes(tree, options, scene).items() if name != "setup"}
+
+
+def _compare(model: Model, scene: Scene, options: Options) -> dict[str, float]:
+    whole = replace(EVERYTHING, parameters=scene.parameters, gravity=scene.gravity)
+    fixed = replace(scene, parameters=tuple((p.name, Kind.CONSTANT) for p in model.parameters))
+    comparison = _Comparison.begin(model, replace(whole, parameters=fixed.parameters), fixed, options.reductions)
+    reduced = _tapes(comparison.reduced, replace(options, runtime=False), fixed)
+    deviations: dict[str, float] = {}
+    for name, tape in reduced.items():
+        if name in FUNCTIONS and name != "condition":
+            deviations[name] = max(comparison.deviate(tape, seed) for seed in range(POINTS))
+    return deviations
+
+
+@dataclass(frozen=True)
+class _Comparison:
+    """The whole model and what a scene leaves of it, with constant parameters."""
+
+    whole: Tree
+    reduced: Tree
+    at: Array  # the coordinates that locked joints have; others are 0
+    moving: list[int]  # the numbers, from 0, of the whole model's coordinates that are left
+    reductions: Reductions
+    scene: Scene
+
+    @staticmethod
+    def begin(model: Model, whole_scene: Scene, scene: Scene, reductions: Reductions) -> _Comparison:
+        whole, reduced = build_tree(stage(model, whole_scene)), build_tree(stage(model, scene))
+        valuation = Valuation(model.parameters, ())
+        locked = {name: valuation.number(("locked", name), value) for name, value in scene.locked}
+        names = [body.joint.name for body in whole.bodies]
+        at = np.array([locked.get(name, 0.0) for name in names])
+        moving = [k for k, name in enumerate(names) if name not in locked]
+        return _Comparison(whole, reduced, at, moving, reductions, scene)
+
+    def deviate(self, tape: Tape, seed: int) -> float:
+        """Compare one reduced function at a random state."""
+        state = self._draw(seed)
+        found = _evaluate(tape, self._reduce(state))
+        if tape.name in ("exp1", "exp2"):
+            qdd = np.zeros(len(self.whole.bodies))
+            qdd[self.moving] = found["qdd"][:, 0]
+            rows = _evaluate(impl.build(self.whole, self.reductions), state | {"qdd": qdd})["Phi"][self.moving]
+            still = _evaluate(impl.build(self.whole, self.reductions), state | {"qdd": 0 * qdd})["Phi"][self.moving]
+            return float(np.abs(rows).max() / np.abs(still).max())
+        expected = _evaluate(FUNCTIONS[tape.name].build(self.whole, self.reductions), state)
+        compared = {name: values for name, values in found.items() if not (self._is_grounded and name in _OF_ALL_MASS)}
+        return max(
+            (_differ(values, self._pick(tape.name, name, expected[name])) for name, values in compared.items()),
+            default=0.0,
+        )
+
+    @property
+    def _is_grounded(self) -> bool:
+        """Tell whether a body is locked to the base, which has no mass."""
+        return any(body.parent == 0 and k not in self.moving for k, body in enumerate(self.whole.bodies))
+
+    def _draw(self, seed: int) -> State:
+        source = random.Random(seed)
+        n, m = len(self.whole.bodies), sum(body.joint.actuated for body in self.whole.bodies)
+        forces = 3 * sum(v is None for x in self.whole.wrenches for v in (x.force, x.moment))
+        sizes = {"q": n, "qd": n, "qdd": n, "u": m, "w": forces}
+        state = {name: np.array([source.uniform(-1.0, 1.0) for _ in range(size)]) for name, size in sizes.items()}
+        still = [k for k in range(n) if k not in self.moving]
+        state["q"][still] = self.at[still]
+        state["qd"][still] = state["qdd"][still] = 0.0
+        if not self.scene.motion:
+            state["qd"][:] = 0.0
+        kept = [x.name for x in self.reduced.wrenches]
+        state["w"] *= [
+            x.name in kept for x in self.whole.wrenches for v in (x.force, x.moment) if v is None for _ in "xyz"
+        ]
+        return state
+
+    def _reduce(self, state: State) -> State:
+        """Take from a state of the whole model what the reduced one has of it."""
+        driven = [k for k, body in enumerate(self.whole.bodies) if body.joint.actuated]
+        kept = [x.name for x in self.reduced.wrenches]
+        left = [x.name in kept for x in self.whole.wrenches for v in (x.force, x.moment) if v is None for _ in "xyz"]
+        return {
+            **{name: state[name][self.moving] for name in ("q", "qd", "qdd")},
+            "u": state["u"][[k in self.moving for k in driven]],
+            "w": state["w"][np.array(left, dtype=bool)],
+        }
+
+    def _pick(self, function: str, result: str, values: Array) -> Array:
+        """Take from a result of the whole model the rows and columns that are left."""
+        sensors = [k for k, x in enumerate(self.whole.sensors) if x.name in {s.name for s in self.reduced.sensors}]
+        match function, result:
+            case ("impl" | "semi_res" | "semi", "Phi" | "c"):
+                return values[self.moving]
+            case "semi", "M":
+                return values[np.ix_(self.moving, self.moving)]
+            case "sensors" | "motion", _:
+                return values[:, sensors]
+            case "jacobian", _:
+                return values[np.ix_([6 * k + r for k in sensors for r in range(6)], self.moving)]
+            case "frames", _:
+                places = [_frames(self.whole).index(frame) for frame in _frames(self.reduced)]
+                return values[:, places if result == "p" else [3 * k + r for k in places for r in range(3)]]
+        return values
+
+
+def _frames(tree: Tree) -> list[tuple[str, str]]:
+    return [("body", b.name) for b in tree.bodies] + [("sensor", s.name) for s in tree.sensors]
+
+
+def _evaluate(tape: Tape, state: State) -> State:
+    """Evaluate a tape to full matrices."""
+    values = evaluate(tape, {i.name: list(state[i.name]) for i in tape.inputs}, FLOATS)
+    results = {}
+    for output in tape.outputs:
+        results[output.name] = np.zeros((output.sparsity.rows, output.sparsity.cols))
+        for place, value in zip(output.sparsity.entries, values[output.name], strict=True):
+            results[output.name][place] = value
+    return results
+
+
+def _differ(found: Array, expected: Array) -> float:
+    size = max(float(np.abs(expected).max(initial=0.0)), float(np.abs(found).max(initial=0.0)))
+    return float(np.abs(found - expected).max(initial=0.0)) / size if size else 0.0
+
+
+def describe(evidence: Evidence, names: Sequence[str]) -> list[tuple[str, ...]]:
+    """Lay evidence out in rows: a title, then a cell for each function."""
+    rows = [(title, *(str(flops.get(name, "")) for name in names)) for title, flops in evidence.flops.items()]
+    found = evidence.deviations
+    return [*rows, ("differs from the whole by", *(f"{found[n]:.1e}" if n in found else "" for n in names))]

@@ -1,0 +1,154 @@
+"""Families: the functions of a tree that are wanted, each with its derivatives, as tapes.
+
+What depends on run-time parameters alone is split off as `setup`. Of a scene, what concerns functions is done here.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from mbsgen.derivatives.dynamics import Dynamics
+from mbsgen.derivatives.kernels import differentiable, differentiate
+from mbsgen.errors import MbsError
+from mbsgen.formulations.catalogue import FUNCTIONS, MEANINGS, SETUP, Entry, select_functions
+from mbsgen.formulations.links import PARAMETERS
+from mbsgen.formulations.reductions import ALL, Reductions
+from mbsgen.model.scene import EVERYTHING, Scene
+from mbsgen.model.tree import Kind, Tree
+from mbsgen.tape.counts import count
+from mbsgen.tape.passes import hoist, keep_results, merge, set_zero
+from mbsgen.tape.types import Tape
+from mbsgen.targets import acados
+from mbsgen.targets.contract import Family
+
+_RATE = "qd"  # what is zero where nothing moves
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to generate, besides the C of every function."""
+
+    runtime: bool = False  # every number of the model a run-time parameter
+    python: bool = False  # also the Python target
+    matlab: bool = False  # also the Matlab target
+    acados: bool = False  # also the functions that acados asks for, under its names
+    compare: bool = False  # also count the formulations without each reduction
+    functions: tuple[str, ...] | None = None  # which functions of the catalogue; None: those of the scene
+    derivatives: int = 2  # up to which order; at most that of the scene
+    scene: Path | Scene = EVERYTHING  # what is wanted of the model
+    reductions: Reductions = ALL  # what is done to lower the operation count
+
+
+DEFAULT = Options()
+
+
+class OptionError(MbsError):
+    """Options that a model cannot be generated with."""
+
+
+def write_families(
+    tree: Tree, options: Options = DEFAULT, dynamics: Dynamics | None = None, scene: Scene = EVERYTHING
+) -> tuple[Family, ...]:
+    """Write functions of a tree with their derivatives; what depends on parameters alone is split off as `setup`.
+
+    `dynamics` writes those of the formulations, and can tell afterwards what each way of writing them takes.
+    Of the scene, what concerns functions counts here; `stage` has taken the rest out of the tree.
+    """
+    families: list[Family] = []
+    dynamics = dynamics or Dynamics(tree, options.reductions)
+    chosen = options.functions if options.functions is not None else scene.functions
+    parts = [part for _, group in scene.together for part in group]
+    read = dict(scene.results)
+    wanted = None if chosen is None else tuple(dict.fromkeys((*chosen, *parts)))
+    for name, entry in _choose_functions(tree, wanted).items():
+        tape = entry.build(tree, options.reductions)
+        assert tape.name == name, "the catalogue calls a tape by its own name"
+        tape = keep_results(tape, read[name]) if name in read else tape
+        if not (entry.differentiated and min(options.derivatives, scene.derivatives)):
+            families.append(Family(tape, title=entry.title, meanings=MEANINGS))
+            continue
+        found = dynamics.differentiate(tape) if entry.of_dynamics else differentiate(tape, differentiable(tape))
+        second = found.jac_adj1 if min(options.derivatives, scene.derivatives) > 1 else None
+        families.append(Family(tape, found.jac, found.adj1, second, title=entry.title, meanings=MEANINGS))
+        families.append(Family(found.lin, title=f"{entry.title}, with its Jacobians", meanings=MEANINGS))
+    families = _finish(families, scene, chosen)
+    special = _write_acados(families) if options.acados else ()  # whose parameters are acados' own
+    if any(p.kind is Kind.RUNTIME for p in tree.parameters):
+        return (*_split_setup(families), *special)
+    return (*families, *special)
+
+
+def _finish(families: Sequence[Family], scene: Scene, chosen: Sequence[str] | None) -> list[Family]:
+    """Let what stands still be zero, join what is wanted together, and leave out what was only needed for that."""
+    still = families if scene.motion else [_let_rest(family) for family in families]
+    by_name = {family.value.name: family for family in still}
+    joined = []
+    for name, parts in scene.together:
+        members = [by_name[part] for part in parts]
+        jacs = [family.jac for family in members if family.jac is not None]
+        value, jac = merge([family.value for family in members], name), merge(jacs, f"jac_{name}") if jacs else None
+        joined.append(Family(value, jac, title=" and ".join(parts), meanings=MEANINGS))
+    kept = [f for f in still if chosen is None or f.value.name.removeprefix("lin_") in chosen]
+    return [*kept, *joined]
+
+
+def _let_rest(family: Family) -> Family:
+    """Make the velocities zero, and no input; derivatives by them go."""
+
+    def rest(tape: Tape | None) -> Tape | None:
+        if tape is None:
+            return None
+        moving = {o.name for o in tape.outputs if _RATE in o.name.split("_")}
+        return set_zero(keep_results(tape, {o.name for o in tape.outputs} - moving), {_RATE})
+
+    value = rest(family.value)
+    assert value is not None, "a family has a value"
+    return replace(family, value=value, jac=rest(family.jac), adj1=rest(family.adj1), jac_adj1=rest(family.jac_adj1))
+
+
+def _write_acados(families: Sequence[Family]) -> tuple[Family, ...]:
+    tapes = {tape.name: tape for family in families for tape in family.tapes}
+    explicit = [name for name in acados.EXPLICIT if name in tapes]
+    if acados.RESIDUAL not in tapes and not explicit:
+        raise OptionError(
+            f"acados: its functions are made of {acados.RESIDUAL}, {' or '.join(acados.EXPLICIT)}; name one"
+        )
+    cheapest = min(explicit, key=lambda name: count(tapes.get(f"lin_{name}", tapes[name])).paper, default="")
+    return acados.write_acados(tapes, cheapest)
+
+
+def _choose_functions(tree: Tree, names: tuple[str, ...] | None) -> Mapping[str, Entry]:
+    """Choose functions by name, in the order of the catalogue; all that is wrong with the names is told at once."""
+    present = select_functions(tree)
+    if names is None:
+        return present
+    faults = [] if names else [f"no function is named; there are {', '.join(present)}"]
+    for name in dict.fromkeys(names):
+        if name in FUNCTIONS and name not in present:
+            faults.append(f"{name} is of sensors, and {tree.name} has none; name some under `frames:`")
+        elif name not in FUNCTIONS:
+            near = difflib.get_close_matches(name, present, 1)
+            remedy = f"is {near[0]} meant?" if near else f"there are {', '.join(present)}"
+            faults.append(f"there is no function {name!r}; {remedy}")
+    if faults:
+        raise OptionError("\n".join(f"functions: {fault}" for fault in faults))
+    return {name: entry for name, entry in present.items() if name in names}
+
+
+def _split_setup(families: list[Family]) -> tuple[Family, ...]:
+    setup, hoisted = hoist([tape for family in families for tape in family.tapes], PARAMETERS, SETUP)
+    rest = {tape.name: tape for tape in hoisted}
+
+    def found(tape: Tape | None) -> Tape | None:
+        return tape and rest[tape.name]
+
+    split = [
+        replace(f, value=rest[f.value.name], jac=found(f.jac), adj1=found(f.adj1), jac_adj1=found(f.jac_adj1))
+        for f in families
+    ]
+    if not setup.output(SETUP).sparsity.nnz:  # parameters matter to none of the functions chosen
+        return tuple(split)
+    return (Family(setup, title="what the kernels need of the run-time parameters", meanings=MEANINGS), *split)

@@ -1,0 +1,172 @@
+"""The scene: what one use wants of a model. Whatever it does not need is left out of what is generated.
+
+A scene stands in a YAML file of its own, beside the model. It names functions, joints that are locked, sensors and
+wrenches that matter, kinds of parameters, whether there is gravity and motion, which results are read, and which
+functions are wanted at one state.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from pydantic import Field
+
+from mbsgen.documents import Document, Place, Section, abbreviate, examine, nearest, read_document, refuse
+from mbsgen.errors import Fault
+from mbsgen.expressions import Expression, names
+from mbsgen.model.expansion import list_steps
+from mbsgen.model.locking import lock
+from mbsgen.model.model import ORIGIN, Model
+from mbsgen.model.schema import NumberField
+from mbsgen.model.tree import Kind
+
+NAME = re.compile(r"[a-z][a-z0-9_]{0,30}", re.ASCII)
+
+
+class SceneSection(Section):
+    """The shape of a scene file."""
+
+    functions: tuple[str, ...] | None = Field(None, examples=[["impl"]], description="only these; else all")
+    derivatives: int = Field(2, ge=0, le=2, examples=[2], description="up to which order")
+    locked: dict[str, NumberField] = Field({}, examples=[{"q1": 0.0}], description="joints that do not move, rad or m")
+    parameters: dict[str, Kind] = Field({}, examples=[{}], description="kinds, in place of those of the model")
+    sensors: tuple[str, ...] | None = Field(None, examples=[["tip"]], description="only these frames; else all")
+    wrenches: tuple[str, ...] | None = Field(None, examples=[["push"]], description="only these; else all")
+    gravity: bool = Field(True, examples=[True], description="false: there is none")
+    motion: bool = Field(True, examples=[True], description="false: velocities are zero, and no input")
+    results: dict[str, tuple[str, ...]] = Field({}, examples=[{"energy": ["kinetic"]}], description="of functions")
+    together: dict[str, tuple[str, ...]] = Field(
+        {}, examples=[{"step": ["impl", "sensors"]}], description="functions of one state, as one function of this name"
+    )
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What is wanted; by default all that a model has."""
+
+    functions: tuple[str, ...] | None = None
+    derivatives: int = 2
+    locked: tuple[tuple[str, Expression], ...] = ()
+    parameters: tuple[tuple[str, Kind], ...] = ()
+    sensors: tuple[str, ...] | None = None
+    wrenches: tuple[str, ...] | None = None
+    gravity: bool = True
+    motion: bool = True
+    results: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    together: tuple[tuple[str, tuple[str, ...]], ...] = ()
+
+
+EVERYTHING = Scene()
+
+
+def read_scene(path: Path, model: Model, functions: Mapping[str, Sequence[str]]) -> Scene:
+    """Read a scene file for a model; `functions` are those that can be generated, with their results.
+
+    Raises InputError with every fault of the file.
+    """
+    document = read_document(path)
+    examination = examine(document, SceneSection)
+    faults, section = list(examination.faults), examination.value
+    if section is not None:
+        faults += _Judgement(document, model, functions, examination.stand_ins).find_faults(section)
+    if faults or section is None:
+        raise refuse(faults)
+    return Scene(
+        functions=section.functions,
+        derivatives=section.derivatives,
+        locked=tuple(section.locked.items()),
+        parameters=tuple(section.parameters.items()),
+        sensors=section.sensors,
+        wrenches=section.wrenches,
+        gravity=section.gravity,
+        motion=section.motion,
+        results=tuple(section.results.items()),
+        together=tuple(section.together.items()),
+    )
+
+
+def stage(model: Model, scene: Scene) -> Model:
+    """Leave out of a model what a scene does not need."""
+    kinds = dict(scene.parameters)
+    kept = lock(model, dict(scene.locked))
+    return replace(
+        kept,
+        gravity=kept.gravity if scene.gravity else ORIGIN,
+        parameters=tuple(replace(p, kind=kinds.get(p.name, p.kind)) for p in kept.parameters),
+        frames=tuple(f for f in kept.frames if scene.sensors is None or f.name in scene.sensors),
+        wrenches=tuple(w for w in kept.wrenches if scene.wrenches is None or w.name in scene.wrenches),
+    )
+
+
+@dataclass(frozen=True)
+class _Judgement:
+    """Compares a scene with its model."""
+
+    document: Document
+    model: Model
+    functions: Mapping[str, Sequence[str]]
+    doubtful: frozenset[Place]
+
+    def find_faults(self, section: SceneSection) -> list[Fault]:
+        found = (*self._check_names(section), *self._check_locked(section), *self._check_together(section))
+        return [fault for place, fault in found if place not in self.doubtful]
+
+    def _check_names(self, section: SceneSection) -> Iterator[tuple[Place, Fault]]:
+        joints = [step.name for i, body in enumerate(self.model.bodies) for step in list_steps(i, body)]
+        lists: tuple[tuple[str, str, Sequence[str] | None, Sequence[str]], ...] = (
+            ("functions", "function", section.functions, list(self.functions)),
+            ("sensors", "frame", section.sensors, [f.name for f in self.model.frames]),
+            ("wrenches", "wrench", section.wrenches, [w.name for w in self.model.wrenches]),
+        )
+        for key, kind, given, known in lists:
+            for k, name in enumerate(given or ()):
+                yield from self._find((key, k), kind, name, known)
+        for name in section.locked:
+            yield from self._find(("locked", name), "joint", name, joints)
+        for name in section.parameters:
+            yield from self._find(("parameters", name), "parameter", name, [p.name for p in self.model.parameters])
+        for name, results in section.results.items():
+            yield from self._find(("results", name), "function", name, list(self.functions))
+            for k, result in enumerate(results if name in self.functions else ()):
+                yield from self._find(("results", name, k), "result", result, self.functions[name])
+
+    def _check_locked(self, section: SceneSection) -> Iterator[tuple[Place, Fault]]:
+        joints = {step.name for i, body in enumerate(self.model.bodies) for step in list_steps(i, body)}
+        if joints <= set(section.locked):
+            yield self._tell(("locked",), "no joint is left that moves", "leave one out")
+        constants = {p.name for p in self.model.parameters if self._kind(p.name, p.kind, section) is Kind.CONSTANT}
+        for name, expression in section.locked.items():
+            if strange := sorted(names(expression) - constants):
+                finding = f"the place of a locked joint depends on {', '.join(map(abbreviate, strange))}"
+                yield self._tell(("locked", name), finding, "use numbers and constant parameters of the model")
+
+    @staticmethod
+    def _kind(name: str, kind: Kind, section: SceneSection) -> Kind:
+        return section.parameters.get(name, kind)
+
+    def _check_together(self, section: SceneSection) -> Iterator[tuple[Place, Fault]]:
+        for name, parts in section.together.items():
+            place: Place = ("together", name)
+            if not NAME.fullmatch(name) or name in self.functions or name == "setup":
+                remedy = "give small letters, digits and _, at most 31, and not the name of a function"
+                yield self._tell(place, f"{abbreviate(name)} cannot be the name of a function", remedy)
+            if len(parts) < 2 or len(set(parts)) < len(parts):
+                yield self._tell(place, f"found {abbreviate(list(parts))}", "give two functions or more, each once")
+            for k, part in enumerate(parts):
+                yield from self._find((*place, k), "function", part, list(self.functions))
+            results = [result for part in parts if part in self.functions for result in self.functions[part]]
+            for result in sorted({r for r in results if results.count(r) > 1}):
+                yield self._tell(place, f"more than one of them has a result {result}", "leave all but one out")
+
+    def _find(self, place: Place, kind: str, name: str, known: Sequence[str]) -> Iterator[tuple[Place, Fault]]:
+        if name in known:
+            return
+        meant = nearest(name, known)
+        remedy = f"did you mean `{meant}`?" if meant else f"there are {', '.join(known) or 'none'}"
+        yield self._tell(place, f"no {kind} {abbreviate(name)}", remedy)
+
+    def _tell(self, place: Place, finding: str, remedy: str) -> tuple[Place, Fault]:
+        return place, self.document.fault(place, finding, remedy)

@@ -1,0 +1,185 @@
+"""Scenes: what is left out is gone, and what is left agrees with the whole model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from mbsgen.errors import InputError
+from mbsgen.evidence import gather
+from mbsgen.expressions import Number, parse
+from mbsgen.families import Options, write_families
+from mbsgen.formulations import impl
+from mbsgen.formulations.catalogue import FUNCTIONS
+from mbsgen.formulations.reductions import ALL, Reductions
+from mbsgen.model.construction import body, frame, make_model, prismatic, revolute
+from mbsgen.model.model import Model
+from mbsgen.model.reader import read_model
+from mbsgen.model.reduction import build_tree
+from mbsgen.model.scene import EVERYTHING, Scene, read_scene, stage
+from mbsgen.model.tree import Kind
+from mbsgen.pipeline import make
+from mbsgen.tape.counts import count
+
+MODELS = Path(__file__).parents[2] / "models"
+RESULTS = {name: entry.results for name, entry in FUNCTIONS.items()}
+FEW = Reductions(trials=1)
+
+
+def linkage() -> Model:
+    """A slider, a joint about an odd axis, a branch, and joints in sequence; a parameter that says where to lock."""
+    inertia = (0.02, 0.03, 0.04)
+    odd = revolute((0.6, 0.0, 0.8), position=(0.1, 0.2, 0.0), orientation=[("x", 0.4), ("z", -0.7)])
+    return make_model(
+        "linkage",
+        [
+            body("cart", joint=prismatic((0.0, 1.0, 1.0)), mass=2.0, com=(0.1, 0, 0), inertia=inertia),
+            body("arm", parent="cart", joint=odd, mass=1.0, com=(0.3, 0.1, 0), inertia=inertia),
+            body(
+                "wrist",
+                parent="arm",
+                joint=[
+                    revolute("x", name="a", position=(0.5, 0, 0)),
+                    revolute("-y", name="b"),
+                    revolute("z", name="c"),
+                ],
+                mass=0.5,
+                com=(0, 0.1, 0.2),
+                inertia=inertia,
+            ),
+            body("flap", parent="cart", joint=revolute("y", position=(0, 0, 0.3)), mass=0.3, com=(0.2, 0, 0)),
+        ],
+        gravity=(0, 0.5, -9.81),
+        parameters={"angle": 0.4},
+        frames=[frame("tip", body="wrist", position=(0.1, 0, 0)), frame("edge", body="flap", position=(0.4, 0, 0))],
+    )
+
+
+LOCKS = [
+    {"cart": Number(0.3)},
+    {"arm": parse("angle")},
+    {"a": parse("-angle/2"), "flap": Number(1.1)},
+    {"c": Number(0.7)},
+    {"b": Number(-0.2)},
+    {"arm": Number(0.2), "a": Number(0.1), "b": Number(0.3), "c": Number(-0.5)},
+]
+
+
+@pytest.mark.parametrize("locked", LOCKS, ids=lambda locked: "+".join(locked))
+def test_what_is_left_agrees_with_the_whole(locked: dict[str, object]):
+    """Residuals, mass matrix, accelerations, sensors, energies and poses, to rounding, with joints locked."""
+    scene = Scene(locked=tuple(locked.items()))
+    evidence = gather(linkage(), scene, Options(reductions=FEW))
+    assert set(evidence.deviations) == set(FUNCTIONS) - {"condition"}
+    assert max(evidence.deviations.values()) < 1e-13
+    before, after = evidence.flops["the whole model"], evidence.flops["joints locked"]
+    assert sum(after.values()) < sum(before.values())
+
+
+def test_without_motion_only_statics_is_left():
+    model = read_model(MODELS / "double_pendulum.yaml")
+    scene = Scene(functions=("impl", "semi"), motion=False)
+    families = {f.value.name: f for f in write_families(build_tree(stage(model, scene)), Options(), None, scene)}
+    value, jac = families["impl"].value, families["impl"].jac
+    assert jac is not None
+    assert "qd" not in [i.name for i in (*value.inputs, *jac.inputs)]
+    assert [o.name for o in jac.outputs] == ["jac_Phi_q", "jac_Phi_qdd", "jac_Phi_u"]
+    assert count(value).paper < count(impl.build(build_tree(model))).paper
+    assert max(gather(model, scene, Options()).deviations.values()) < 1e-15
+
+
+def test_without_gravity_nothing_falls():
+    model = read_model(MODELS / "double_pendulum.yaml")
+    tree = build_tree(stage(model, Scene(gravity=False)))
+    assert all(component == 0 for component in tree.gravity)
+    assert max(gather(model, Scene(gravity=False), Options()).deviations.values()) < 1e-14
+
+
+def test_sensors_and_results_that_nobody_reads_cost_nothing():
+    scene = Scene(functions=("sensors", "energy"), sensors=("edge",), results=(("energy", ("kinetic",)),))
+    flops = gather(linkage(), scene, Options(reductions=FEW)).flops
+    assert flops["sensors and wrenches left out"]["sensors"] < flops["the whole model"]["sensors"]
+    assert flops["results left out"]["energy"] < flops["the whole model"]["energy"]
+
+
+def test_functions_wanted_together_share_what_they_can():
+    model = read_model(MODELS / "double_pendulum.yaml")
+    scene = Scene(functions=(), together=(("step", ("impl", "sensors")),))
+    (step,) = write_families(build_tree(model), Options(), None, scene)
+    apart = {f.value.name: f.value for f in write_families(build_tree(model), Options(functions=("impl", "sensors")))}
+    assert [o.name for o in step.value.outputs] == ["Phi", "position"]
+    assert count(step.value).paper < count(apart["impl"]).paper + count(apart["sensors"]).paper
+    assert step.jac is not None
+    assert {"jac_Phi_q", "jac_position_q"} <= {o.name for o in step.jac.outputs}
+
+
+def test_planar_motion_has_planar_equations():
+    """With all of its inertia given, a planar double pendulum takes what one of thin rods takes."""
+
+    def chain(*inertia: float) -> Model:
+        parts = [
+            body("upper", joint=revolute("y"), mass=1.5, com=(0, 0, -0.5), inertia=inertia),
+            body(
+                "lower",
+                parent="upper",
+                joint=revolute("y", position=(0, 0, -1)),
+                mass=0.8,
+                com=(0, 0, -0.3),
+                inertia=inertia,
+            ),
+        ]
+        return make_model("chain", parts, gravity=(0, 0, -9.81))
+
+    thin, thick = (count(impl.build(build_tree(chain(*x)), ALL)).paper for x in ((0.1, 0.1, 0), (0.1, 0.2, 0.15)))
+    assert thick == thin
+
+
+def test_kinds_of_parameters_are_the_scenes():
+    scene = Scene(parameters=(("angle", Kind.RUNTIME),))
+    assert [p.kind for p in stage(linkage(), scene).parameters] == [Kind.RUNTIME]
+
+
+def test_a_scene_without_wishes_changes_nothing():
+    model = linkage()
+    assert stage(model, EVERYTHING) == model
+
+
+def test_every_fault_of_a_scene_is_told_at_once(tmp_path: Path):
+    path = tmp_path / "scene.yaml"
+    path.write_text(
+        "functions: [imple]\nlocked: {arm: 0, wrst: 1}\nsensors: [top]\nparameters: {angel: runtime}\n"
+        "results: {energy: [heat]}\ntogether: {impl: [impl, semi_res]}\nmotoin: false\n"
+    )
+    with pytest.raises(InputError) as caught:
+        read_scene(path, linkage(), RESULTS)
+    text = str(caught.value)
+    for found in ("imple", "wrst", "top", "angel", "heat", "cannot be the name", "a result Phi", "motoin"):
+        assert found in text
+    assert "did you mean `impl`?" in text
+
+
+@pytest.mark.parametrize(
+    ("text", "finding"),
+    [
+        ("locked: {cart: 0, arm: 0, a: 0, b: 0, c: 0, flap: 0}", "no joint is left that moves"),
+        ("parameters: {angle: runtime}\nlocked: {arm: angle}", "depends on"),
+        ("derivatives: 3", "derivatives"),
+        ("together: {step: [impl]}", "give two functions or more"),
+    ],
+)
+def test_what_cannot_be_is_refused(text: str, finding: str, tmp_path: Path):
+    path = tmp_path / "scene.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=finding):
+        read_scene(path, linkage(), RESULTS)
+
+
+def test_a_scene_file_is_followed(tmp_path: Path):
+    path = tmp_path / "scene.yaml"
+    path.write_text("functions: [exp2]\nderivatives: 1\nlocked: {q2: pi/6}\n")
+    product = make(MODELS / "double_pendulum.yaml", Options(scene=path))
+    assert [kernel.name for kernel in product.manifest.kernels] == ["exp2", "jac_exp2", "adj1_exp2", "lin_exp2"]
+    assert [c.name for c in product.manifest.coordinates] == ["q1"]
+    assert product.report.evidence is not None
+    assert "differs from the whole" in product.files["report.md"]
