@@ -88,7 +88,7 @@ def make_ours(name: str, problem: Problem, plant: Mechanism, guess: Trajectory) 
     return Way(name, time.perf_counter() - begin, program.variables, program.constraints, solve)
 
 
-def make_ways(problem: Problem, plant: Mechanism, is_quick: bool) -> Iterator[Way]:
+def make_ways(problem: Problem, plant: Mechanism, is_interpreted: bool) -> Iterator[Way]:
     """Make all ways for the representation of a problem, from the same guess."""
     guess = make_guess(problem, plant, schemes.build(problem.family, problem.degree))
     assert isinstance(guess, Trajectory), "the target is within reach"
@@ -103,7 +103,7 @@ def make_ways(problem: Problem, plant: Mechanism, is_quick: bool) -> Iterator[Wa
     q = ca.SX.sym("q", len(problem.start_q))
     place = ca.Function("place", [q], [write_place(q)])
     settings = list_settings(problem)
-    peers = [(False, name) for name in settings] + [(True, "tuned")] * (not is_quick)
+    peers = [(False, name) for name in settings] + [(True, "tuned")] * (not is_interpreted)
     for is_compiled, name in peers:
         peer = Peer(problem, dynamics, place, settings[name], is_compiled)
         way = f"CasADi, {'compiled' if is_compiled else 'interpreted'}, {name}"
@@ -166,6 +166,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         action="store_true",
         help="a coarse mesh, IMPL and EXP1-O, one round, no peer compiled, kernels from the cache",
     )
+    parser.add_argument("--interpreted", action="store_true", help="leave out what CasADi compiles, which takes long")
     parser.add_argument("--rounds", type=int, default=3)
     names = [r.value for r in Representation]
     parser.add_argument("--representation", action="append", choices=names, help="by default all")
@@ -182,7 +183,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         rows: list[Row] = []
         for name in given.representation or (["IMPL", "EXP1-O"] if given.quick else names):
             chosen = replace(problem, representation=Representation(name))
-            rows += measure(list(make_ways(chosen, plant, given.quick)), name, 1 if given.quick else given.rounds)
+            rows += measure(
+                list(make_ways(chosen, plant, given.quick or given.interpreted)),
+                name,
+                1 if given.quick else given.rounds,
+            )
     Console(width=None if sys.stdout.isatty() else 160).print(show(rows, None if given.quick else seconds_generating))
     given.output.mkdir(parents=True, exist_ok=True)
     figures = {"seconds_generating": seconds_generating, "rows": [asdict(row) for row in rows]}
