@@ -53,8 +53,8 @@ NOTE = (
     "time, setup apart; kernels are counted as generated."
 )
 COMPARISON = "Flops of the formulations, compared"
-SCENE = "Flops of the functions of the scene, as one thing after the other is left out"
-DIFFERENTIATION = "Flops of the derivatives, by the way of writing them; the fewest are generated"
+SCENE = "Flops of the functions, with ever more left out"
+DIFFERENTIATION = "Flops of the derivatives, by the way of writing them"
 WAYS = ("tape", "recursion", "implicit")  # differentiating the tape, the recursion, or by the implicit function theorem
 _DERIVATIVES = ("jac_", "adj1_", "lin_")  # what the names of kernels that belong to another begin with
 
