@@ -51,6 +51,7 @@ from mbsrun.simulation.record import FILES as MOTION_FILES
 from mbsrun.simulation.record import describe_settings, write_motion
 from mbsrun.simulation.simulate import simulate
 from mbsrun.simulation.statement import Recording, read_statement
+from mbsrun.study.commands import chart
 
 NOT_SOLVED = 1  # exit codes; 0 is a solution as accurate as the problem asks for
 BAD_INPUT = 2
@@ -73,6 +74,7 @@ HELP = """Simulate multibody systems, and solve optimal control problems of thei
   mbsrun simulate MODEL -o DIR  integrate a motion, and write it, plots and an animation to DIR
   mbsrun solve PROBLEM -o DIR   solve, and write solution and pictures to DIR
   mbsrun sweep PROBLEM -o FILE  solve for a grid of targets, by a protocol, and tell what it took
+  mbsrun chart kernels MODEL    draw speed against accuracy of kernels, or of simulation
   mbsrun cache                  tell what was generated and compiled, or clear it
 
 MODEL and PROBLEM are YAML files; models/ holds examples. Summaries go to stdout, progress and messages to stderr.
@@ -110,9 +112,8 @@ given again to go on, with more targets, costs, representations, or the other pr
 Protocols
   paper    for each representation the interpolation with inputs 0, and no restart;
            what fails or ends in a higher minimum than any that is known is counted
-  robust   interpolations with the inputs of their motion; where input rates are free,
-           random bumps; then the solutions of neighbours, and of other representations,
-           until nothing is new
+  robust   interpolations with the inputs of their motion; random bumps on them; then
+           the solutions of neighbours, and of other representations, until nothing is new
 
 \b
 Exit codes
@@ -458,6 +459,9 @@ def simulate_command(
     if motion.halt is not None:
         _say(f"{motion.halt}; what was written is incomplete")
         context.exit(NOT_SOLVED)
+
+
+cli.add_command(chart)
 
 
 def main() -> None:

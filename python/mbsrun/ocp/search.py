@@ -6,7 +6,8 @@ restart; what fails or ends in a higher minimum is counted (Docquier, Bruls, Fis
 The *robust* protocol does what it takes to solve every task in its best minimum:
 
     interpolation   each representation, from the interpolation with the inputs of its inverse dynamics
-    bumps           where input rates are free, the first representation, from interpolations with smooth random bumps
+    bumps           the first representation, from interpolations with smooth random bumps, which break symmetries too;
+                    more of them where input rates are free, which makes many minima
     neighbours      the first representation, from the best motion of each neighbouring target, until nothing is new
     exchange        each representation that is in a higher minimum, from the best motion of another
 
@@ -37,7 +38,8 @@ Protocol = Literal["paper", "robust"]
 Place = tuple[int, int]
 Weights = tuple[float, float]
 
-BUMPS = 6  # for each target
+BUMPS = 6  # for each target, where input rates are free
+FEW_BUMPS = 2  # where they are not
 ROUNDS = 5  # of neighbours and exchange, at most
 
 
@@ -120,8 +122,7 @@ class Search:
 
     def _search(self, weights: Weights) -> None:
         self._interpolate(weights, "interpolation", "dynamic")
-        if weights[1] == 0:
-            self._bump(weights)
+        self._bump(weights, BUMPS if weights[1] == 0 else FEW_BUMPS)
         for _ in range(ROUNDS):
             self._visit_neighbours(weights)
             if not self._exchange(weights):
@@ -136,10 +137,10 @@ class Search:
 
                 self._attempt(place, weights, representation, part, inputs, guess)
 
-    def _bump(self, weights: Weights) -> None:
+    def _bump(self, weights: Weights, times: int) -> None:
         scout = self.study.representations[0]
         for place in self.study.targets.places:
-            for k in range(BUMPS):
+            for k in range(times):
 
                 def guess(problem: Problem, place: Place = place, k: int = k) -> Trajectory | None:
                     motion = self._move(problem, place, "zero")
