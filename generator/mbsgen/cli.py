@@ -293,13 +293,13 @@ def _print_ways(report: Report) -> None:
         widths = [max(len(row[k]) for row in (header, *table)) for k in range(len(header))]
         click.echo(f"{title}: {report.model}\n")
         for row in (header, *table):
-            click.echo("  ".join((row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:]))))
+            click.echo("  ".join((row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:]))).rstrip())
         click.echo("")
     rows = ways_taken(report)
     first = max(map(len, rows), default=0)
     click.echo(f"{DIFFERENTIATION}: {report.model}\n")
     for title, cells in {"": WAYS, **rows}.items():
-        click.echo("  ".join((title.ljust(first), *(cell.rjust(9) for cell in cells))))
+        click.echo("  ".join((title.ljust(first), *(cell.rjust(9) for cell in cells))).rstrip())
     click.echo("")
 
 
