@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -14,24 +15,38 @@ from mbsgen import resources
 from mbsrun.cache import MODELS, cache_folder, find_or_make
 
 
-def find_folder(path: Path) -> Path:
+@dataclass(frozen=True)
+class Extent:
+    """What is generated of a model file."""
+
+    functions: tuple[str, ...] | None = None  # None: all
+    derivatives: int = 2
+    python: bool = False  # the equations as a Python module, too
+
+
+WHOLE = Extent()
+
+
+def find_folder(path: Path, extent: Extent = WHOLE) -> Path:
     """Give the generated folder at `path`; for a model file, one in the cache, which mbsgen makes if it is new.
 
-    Raises InputError with every fault of the model, CacheError if the cache cannot be written.
+    A folder that is given holds what it holds. Raises InputError with every fault of the model, OptionError for
+    functions that it does not have, CacheError if the cache cannot be written.
     """
     if not (path.is_file() or path.suffix in (".yaml", ".yml")):
         return path
 
     def make(building: Path) -> Path:
-        from mbsgen.pipeline import generate  # here alone, and late: kernels are called without SymPy
+        from mbsgen.pipeline import Options, generate  # here alone, and late: kernels are called without SymPy
 
-        generate(path, building / "generated")
-        if fingerprint(path) != name:
+        options = Options(functions=extent.functions, derivatives=extent.derivatives, python=extent.python)
+        generate(path, building / "generated", options)
+        if fingerprint(path, extent) != name:
             raise _ChangedError
         return building / "generated"
 
     while True:
-        name = fingerprint(path)
+        name = fingerprint(path, extent)
         try:
             return find_or_make(cache_folder(os.environ) / MODELS / name, make)
         except _ChangedError:
@@ -42,13 +57,14 @@ class _ChangedError(Exception):
     """A model file that was changed while it was generated from."""
 
 
-def fingerprint(model: Path) -> str:
+def fingerprint(model: Path, extent: Extent = WHOLE) -> str:
     """Name what mbsgen makes of a model file."""
     try:
         text = model.read_bytes()
     except OSError:  # which mbsgen tells better
         text = b""
-    return hashlib.sha256(_fingerprint_generator() + text).hexdigest()[:40]
+    told = b"" if extent == WHOLE else repr(extent).encode()
+    return hashlib.sha256(_fingerprint_generator() + told + text).hexdigest()[:40]
 
 
 @cache

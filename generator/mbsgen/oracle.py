@@ -1,0 +1,41 @@
+"""Equations of motion in 50 digits, by the textbook's recursion: what generated kernels are measured against.
+
+The recursion is written without any reduction, and its numbers are the model's, before any of them is folded. So an
+error against it holds all that a kernel loses: by the way it is written, by its coefficients, and by arithmetic.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from mbsgen.formulations.links import declare_state, joint_forces, write_chain
+from mbsgen.formulations.textbook import residual
+from mbsgen.model.reader import read_model
+from mbsgen.model.reduction import build_tree
+from mbsgen.tape.builder import Builder
+from mbsgen.tape.interpreter import DIGITS, evaluate
+
+
+class Oracle:
+    """The equations of motion of a model file: Phi(q, qd, qdd) = Q(q, qd, u)."""
+
+    def __init__(self, model: Path) -> None:
+        """Read a model file. Raises InputError with every fault of it."""
+        tree, builder = build_tree(read_model(model)), Builder()
+        state = declare_state(tree, builder)
+        chain = write_chain(tree, builder, state)
+        for name, column in (("Phi", residual(chain, state.qd, state.qdd)), ("Q", joint_forces(chain))):
+            builder.output_dense(name, [[entry] for entry in column])
+        self._tape = builder.build("equations")
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Name what it takes: q, qd, qdd, u, and those of w, theta and p that the model has."""
+        return tuple(i.name for i in self._tape.inputs)
+
+    def evaluate(self, arguments: Mapping[str, Sequence[Any]]) -> dict[str, list[Any]]:
+        """Compute Phi and Q, (n,) each, N m or N, of numbers that mpmath can take in exactly."""
+        given = {name: [DIGITS.literal(x) for x in arguments[name]] for name in self.inputs}
+        return evaluate(self._tape, given, DIGITS)

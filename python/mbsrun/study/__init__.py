@@ -1,0 +1,1 @@
+"""Speed against accuracy: what kernels and simulations cost, and what they err by, measured and drawn."""

@@ -1,0 +1,93 @@
+"""Mechanisms to measure on: a user's model, and chains of any length."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsgen.errors import Fault, InputError
+from mbsgen.manifest import Manifest
+from mbsrun.external import Mechanism
+from mbsrun.models import Extent, find_folder
+
+Array = NDArray[np.float64]
+
+AXES = "zyx"  # of a chain's joints, in turn
+RANGES = {"qd": 3.0, "qdd": 10.0, "u": 20.0, "w": 10.0}  # states are drawn between minus and plus these
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A model file, and what is generated of it."""
+
+    model: Path
+    extent: Extent
+
+    @cached_property
+    def folder(self) -> Path:
+        """Give the generated folder."""
+        if self.model.is_dir():
+            finding = "it is a folder; what kernels err by is measured against the model that they were made of"
+            raise InputError([Fault(str(self.model), 0, "", finding, "give the model file")])
+        return find_folder(self.model, self.extent)
+
+    @cached_property
+    def kernels(self) -> Mechanism:
+        """Give the kernels."""
+        return Mechanism(self.folder)
+
+    @property
+    def manifest(self) -> Manifest:
+        """Describe the kernels."""
+        return self.kernels.manifest
+
+
+def write_chain(size: int, folder: Path) -> Path:
+    """Write the model file of a chain of equal bodies: axes z, y, x in turn, links along x, full inertias."""
+    lines = [f"name: chain{size}", "gravity: [0, 0, -9.81]", "bodies:"]
+    for i in range(1, size + 1):
+        place = ", position: [0.7, 0, 0]" if i > 1 else ""
+        lines += [
+            f"  - name: body{i}",
+            *([f"    parent: body{i - 1}"] if i > 1 else []),
+            f"    joint: {{name: q{i}, type: revolute, axis: {AXES[(i - 1) % 3]}{place}}}",
+            "    mass: 1.3",
+            "    com: [0.3, 0.1, 0.2]",
+            "    inertia: {xx: 0.3, yy: 0.4, zz: 0.5, xy: 0.01, xz: 0.02, yz: 0.03}",
+        ]
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"chain{size}.yaml"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def draw_states(manifest: Manifest, parameters: Mapping[str, float], count: int, seed: int = 1) -> dict[str, Array]:
+    """Draw states: an array (count, size) for each input of a residual; u and w as well, parameters at their values.
+
+    All numbers but the parameters are such as single precision has, so that every kernel can be given the same.
+    """
+    rng = np.random.default_rng(seed)
+    n = len(manifest.coordinates)
+    wrench = sum(3 * x.force + 3 * x.moment for x in manifest.wrenches)
+    sizes = {"qd": n, "qdd": n, "u": len(manifest.actuated), "w": wrench}
+    q = np.column_stack([rng.uniform(*_range(c.motion, c.lower, c.upper), count) for c in manifest.coordinates])
+    states = {"q": q} | {name: rng.uniform(-RANGES[name], RANGES[name], (count, k)) for name, k in sizes.items()}
+    states = {name: values.astype(np.float32).astype(np.float64) for name, values in states.items()}
+    for name, given in (("p", manifest.parameters), ("theta", manifest.design)):
+        states[name] = np.tile([parameters[p.name] for p in given], (count, 1))
+    return states
+
+
+def _range(motion: str, lower: float | None, upper: float | None) -> tuple[float, float]:
+    """Give where a coordinate is drawn from: its limits, or a turn, or two metres, up to the limit that there is."""
+    width = 2 * np.pi if motion == "revolute" else 2.0
+    if lower is not None:
+        return lower, lower + width if upper is None else upper
+    if upper is not None:
+        return upper - width, upper
+    return -width / 2, width / 2

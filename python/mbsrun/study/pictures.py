@@ -1,0 +1,157 @@
+"""Charts of speed against accuracy: every point labelled, failures drawn at the edges, references with their accuracy.
+
+A point stands at the shortest time of its rounds, with a line to their median; left is faster, low is more accurate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.colors import TABLEAU_COLORS
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
+
+from mbsrun.study.kernels import KERNELS, SLOPES
+from mbsrun.study.motions import Standard
+from mbsrun.study.points import Cost, KernelPoint, MotionPoint
+
+COLORS = tuple(TABLEAU_COLORS)
+MARKERS = {"float64": "o", "float32": "s"}
+EXACT = 1e-17  # where an error of 0 is drawn
+ROUNDINGS = {"float64": 2.0**-53, "float32": 2.0**-24}
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A point of a chart."""
+
+    series: str
+    label: str
+    cost: Cost | None
+    error: float | None
+    marker: str = "o"
+    is_failure: bool = False
+
+
+def draw_kernels(points: Sequence[KernelPoint], folder: Path) -> list[Path]:
+    """Draw kernels.png and kernels_backward.png, a row for each mechanism, and derivatives.png; give their paths."""
+    pictures = {
+        "kernels": (tuple(KERNELS), "error", "largest error, by the largest entry of a result"),
+        "kernels_backward": (tuple(KERNELS), "backward", "largest backward error"),
+        "derivatives": (tuple(SLOPES), "error", "largest error, by the largest entry of a block"),
+    }
+    paths = []
+    for name, (tasks, number, axis) in pictures.items():
+        shown = [p for p in points if p.task in tasks and (number == "error" or _has_backward(p, points))]
+        if shown:
+            paths.append(folder / f"{name}.png")
+            _draw_tasks(shown, number, axis, paths[-1])
+    return paths
+
+
+def draw_motions(points: Sequence[MotionPoint], standard: Standard, folder: Path) -> list[Path]:
+    """Draw simulation.png: error of place and drift of energy against processor time; give its path."""
+    figure = Figure(figsize=(15, 8), layout="constrained")
+    left, right = figure.subplots(1, 2, sharex=True)
+    for axes, number in ((left, "error"), (right, "drift")):
+        marks = [
+            Mark(
+                f"{p.method}, {p.formulation}",
+                f"{p.value:.1e}",
+                p.seconds,
+                getattr(p, number),
+                is_failure=bool(p.finding),
+            )
+            for p in points
+        ]
+        _draw_marks(axes, marks, lines=True)
+        axes.set_xlabel("processor time [s]")
+    left.set_ylabel("largest error at the end [rad, m; rad/s, m/s]")
+    left.axhspan(standard.accuracy / 100, standard.accuracy, color="0.9", zorder=0)
+    left.set_title(f"below {standard.accuracy:.0e} (grey) the reference is no better: {standard.title}", fontsize=9)
+    right.set_ylabel("largest drift of energy, by the energy that is exchanged")
+    right.set_title("labels: step [s] or tolerance; x: failed", fontsize=9)
+    figure.suptitle(f"{_plain(points[0].mechanism)}, {standard.duration:g} s: simulation, speed against accuracy")
+    handles, labels = left.get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=7)
+    path = folder / "simulation.png"
+    figure.savefig(path, dpi=110, metadata={"Software": None})
+    return [path]
+
+
+def _plain(name: str) -> str:
+    """Keep a name of the user's from being read as a formula."""
+    return name.replace("$", r"\$")
+
+
+def _has_backward(point: KernelPoint, points: Sequence[KernelPoint]) -> bool:
+    """Tell whether backward errors are known of a point's task."""
+    return any(p.backward is not None for p in points if p.task == point.task)
+
+
+def _draw_tasks(points: Sequence[KernelPoint], number: str, axis: str, path: Path) -> None:
+    rows = list(dict.fromkeys(p.mechanism for p in points))
+    columns = list(dict.fromkeys(p.task for p in points))
+    figure = Figure(figsize=(5.5 * len(columns), 1 + 4.2 * len(rows)), layout="constrained")
+    grid = figure.subplots(len(rows), len(columns), squeeze=False)
+    for r, mechanism in enumerate(rows):
+        for c, task in enumerate(columns):
+            own = [p for p in points if (p.mechanism, p.task) == (mechanism, task)]
+            _draw_marks(grid[r, c], [_mark(p, number) for p in own])
+            for precision, rounding in ROUNDINGS.items():
+                if any(p.precision == precision for p in own):
+                    grid[r, c].axhline(rounding, color="0.6", linewidth=0.8, linestyle=":")
+            joints = own[0].joints if own else 0
+            grid[r, c].set_title(f"{_plain(mechanism)}, {joints} joints: {task}", fontsize=9)
+            grid[r, c].set_xlabel("time of a call [ns]")
+            grid[r, c].legend(fontsize=7, loc="best")
+        grid[r, 0].set_ylabel(axis, fontsize=8)
+    told = "circles: float64, squares: float32, dotted: half a unit in the last place; x: failed"
+    figure.suptitle(told, fontsize=9)
+    figure.savefig(path, dpi=110, metadata={"Software": None})
+
+
+def _mark(point: KernelPoint, number: str) -> Mark:
+    way, label = point.way, point.flags
+    if "differences" in way:
+        way, label = way.rsplit(", ", 1)
+    is_failure = point.failed > 0 or bool(point.finding)
+    return Mark(way, label, point.ns, getattr(point, number), MARKERS[point.precision], is_failure)
+
+
+def _draw_marks(axes: Axes, marks: Sequence[Mark], *, lines: bool = False) -> None:
+    """Draw marks by series; what has no time or no error stands at the right or the upper edge."""
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.margins(0.12)
+    axes.grid(color="0.9", linewidth=0.5)
+    last = max((m.cost.median for m in marks if m.cost), default=1.0) * 1.5
+    worst = max(1.0, *(m.error for m in marks if m.error is not None), *(0.0 for _ in "one"))
+    for i, series in enumerate(dict.fromkeys(m.series for m in marks)):
+        own, color = [m for m in marks if m.series == series], COLORS[i % len(COLORS)]
+        style = ("-", "--", ":")[i // len(COLORS) % 3]
+        places = [(m.cost.shortest if m.cost else last, worst if m.error is None else max(m.error, EXACT)) for m in own]
+        axes.plot([], [], color=color, marker="o", linestyle=style if lines else "", markersize=4, label=series)
+        if lines:
+            whole = [place for place, m in zip(places, own, strict=True) if m.error is not None]
+            axes.plot(*zip(*whole, strict=True), color=color, linewidth=0.8, linestyle=style) if whole else None
+        for k, (m, (x, y)) in enumerate(zip(own, places, strict=True)):
+            if m.cost:
+                axes.plot([x, m.cost.median], [y, y], color=color, linewidth=0.8)
+            size = 6 if m.is_failure else 4
+            axes.plot(x, y, color=color, marker="x" if m.is_failure else m.marker, markersize=size, linestyle="")
+            axes.annotate(
+                m.label,
+                (x, y),
+                (3, (6, -8, 13, -15)[k % 4]),
+                textcoords="offset points",
+                fontsize=5.5,
+                color=color,
+                arrowprops={"arrowstyle": "-", "color": color, "linewidth": 0.3},
+            )
