@@ -16,10 +16,11 @@ from sympy import Expr, Symbol
 from mbsgen.expressions import Algebra, Expression, evaluate
 from mbsgen.model import model, tree
 from mbsgen.model.expansion import expand
+from mbsgen.model.laws import name_numbers
 from mbsgen.model.model import BASE, Model
 from mbsgen.model.symbols import round_number, symbolic, to_double, total
 from mbsgen.model.topology import sort_bodies
-from mbsgen.model.tree import COORDINATE, IDENTITY, ONE, RATE, ZERO, Kind, Matrix, Parameter, Tree, Vector
+from mbsgen.model.tree import COORDINATE, IDENTITY, ONE, RATE, ZERO, Kind, LooseLaw, Matrix, Parameter, Tree, Vector
 
 
 def build_tree(description: Model) -> Tree:
@@ -50,11 +51,11 @@ def build_tree(description: Model) -> Tree:
 
 
 def with_runtime_numbers(original: Tree) -> Tree:
-    """Make every number of gravity, bodies and wrenches a parameter at run time, and every constant one.
+    """Make every number of gravity, bodies, force laws and wrenches a parameter at run time, and every constant one.
 
-    Zeros, orientations and the numbers in force laws stay. An expression over parameters stays that expression; any
-    other number becomes a parameter of its own, named after its place, such as `hand.mass` or `hand.inertia.xy`.
-    Tensors stay symmetric.
+    Zeros and orientations stay. An expression over parameters stays that expression; any other number becomes a
+    parameter of its own, named after its place, such as `hand.mass` or `hand.inertia.xy`; in force laws as `laws`
+    tells. Tensors stay symmetric. A law that is not of a Model keeps its numbers.
     """
     parameters = {p.name: replace(p, kind=Kind.RUNTIME) if p.kind is Kind.CONSTANT else p for p in original.parameters}
 
@@ -72,6 +73,12 @@ def with_runtime_numbers(original: Tree) -> Tree:
         upper = {(i, j): release(f"{name}.{'xyz'[i]}{'xyz'[j]}", tensor[i][j]) for i in range(3) for j in range(i, 3)}
         return _symmetric(upper)
 
+    def release_law(joint: tree.Joint) -> tree.Joint:
+        if joint.loose is None:
+            return joint
+        parameters.update((number.name, number) for number in joint.loose.numbers)
+        return replace(joint, law=joint.loose.law, loose=None)
+
     gravity = release_vector("gravity", original.gravity)
     bodies = tuple(
         replace(
@@ -80,6 +87,7 @@ def with_runtime_numbers(original: Tree) -> Tree:
             mass=release(f"{body.name}.mass", body.mass),
             com=release_vector(f"{body.name}.com", body.com),
             inertia=release_tensor(f"{body.name}.inertia", body.inertia),
+            joint=release_law(body.joint),
         )
         for body in original.bodies
     )
@@ -125,6 +133,7 @@ def align(direction: Vector) -> tuple[int, Matrix]:
 
 
 _NUMBERS = symbolic({})
+_OWN: Mapping[str, Expr] = {model.COORDINATE: COORDINATE, model.RATE: RATE}
 _HALF_TURNS: tuple[Matrix, ...] = tuple(  # about z, x, x: they turn x, y, z round
     ((x, ZERO, ZERO), (ZERO, y, ZERO), (ZERO, ZERO, z))
     for x, y, z in ((-ONE, -ONE, ONE), (ONE, -ONE, -ONE), (ONE, -ONE, -ONE))
@@ -163,8 +172,17 @@ class _Reader:
 
     def law(self, law: model.Law) -> Expr:
         """Read a joint's own force, over its q and qd."""
-        own = {model.COORDINATE: COORDINATE, model.RATE: RATE}
-        return evaluate(law.total, {**self.symbols, **own}, self.algebra)
+        return evaluate(law.total, {**self.symbols, **_OWN}, self.algebra)
+
+    def loose_law(self, law: model.Law, joint: str) -> LooseLaw | None:
+        """Read a joint's own force over a parameter for each of its numbers; None where there are none."""
+        named = name_numbers(law, joint)
+        values = {name: self.number(number) for name, number in named.numbers.items()}
+        symbols = {name: ZERO if value == 0 else Symbol(name) for name, value in values.items()}
+        loose = evaluate(named.law.total, {**self.symbols, **_OWN, **symbols}, self.algebra)
+        present = [name for name, symbol in symbols.items() if symbol in loose.free_symbols]
+        numbers = tuple(Parameter(name, Symbol(name), to_double(values[name]), Kind.RUNTIME) for name in present)
+        return LooseLaw(loose, numbers) if numbers else None
 
     def rotation(self, placement: model.Placement) -> Matrix:
         """Read an orientation; constants enter by value, so that a quarter turn has its zeros."""
@@ -301,6 +319,7 @@ def _make_body(mover: _Mover, lump: _Lump, reader: _Reader) -> tree.Body:
             lower=reader.limit(mover.joint.lower),
             upper=reader.limit(mover.joint.upper),
             law=reader.law(mover.joint.law),
+            loose=reader.loose_law(mover.joint.law, mover.joint.name),
         ),
         position=mover.position,
         orientation=mover.orientation,

@@ -7,7 +7,7 @@ Numbers are SymPy expressions in parameter symbols; a number 0 is structural.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 from sympy import Expr, Integer, Symbol
@@ -49,6 +49,14 @@ class Parameter:
 
 
 @dataclass(frozen=True)
+class LooseLaw:
+    """A force law whose numbers are parameters at run time."""
+
+    law: Expr
+    numbers: tuple[Parameter, ...]
+
+
+@dataclass(frozen=True)
 class Joint:
     """One degree of freedom: rotation (rad) or translation (m) about or along an axis of the body's frame."""
 
@@ -59,6 +67,7 @@ class Joint:
     lower: float | None  # None: unbounded
     upper: float | None
     law: Expr = NO_FORCE  # Qp(q, qd): force added to the actuator's, in COORDINATE, RATE and parameters [N m or N]
+    loose: LooseLaw | None = field(default=None, repr=False)  # the same law; None: no number in it can change
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sympy import Symbol
+from sympy import Expr, Symbol
 
 from mbsgen.formulations import exp2, impl
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree, with_runtime_numbers
+from mbsgen.model.symbols import exact
 from mbsgen.model.tree import COORDINATE, NO_FORCE, RATE, Kind, Tree
 from mbsgen.tape.interpreter import evaluate
 from tests.mbsgen.model.test_joints import make_fixed_description, pose_described, to_direction
@@ -187,9 +188,47 @@ def test_numbers_of_wrenches_become_parameters_too(tmp_path: Path) -> None:
     )
     freed = with_runtime_numbers(read_text(text, tmp_path))
     names = ["k", "r", "T", "gravity.z", "wheel.mass", "wheel.inertia.xx", "wheel.inertia.yy", "wheel.inertia.zz"]
-    assert [p.name for p in freed.parameters] == [*names, "wheel.point.x", "wheel.force.y"]
+    assert [p.name for p in freed.parameters] == [*names, "wheel.damping", "wheel.point.x", "wheel.force.y"]
     assert {p.kind for p in freed.parameters} == {Kind.RUNTIME}
     assert freed.wrenches[0].moment is None
+
+
+def law_values(tree: Tree, law: Expr) -> Expr:
+    return law.xreplace({p.symbol: exact(p.value) for p in tree.parameters})
+
+
+@pytest.mark.parametrize(
+    ("law", "numbers"),
+    [
+        ("stiffness: 20, rest: 0.1, damping: 0.5", {"stiffness": 20, "rest": 0.1, "damping": 0.5}),
+        ("friction: {torque: 0.8, speed: 2**-6}", {"friction.torque": 0.8, "friction.speed": 1 / 64}),
+        ("force: -3/2*q**3 + 0.1*qd", {"force.1": -1.5, "force.2": 0.1}),
+        ("force: T*sin(2*q - 1/4)/8 + abs(qd)*tanh(3*qd)", {f"force.{k}": x for k, x in enumerate((2, 0.25, 8, 3), 1)}),
+        ("stiffness: 2*k, rest: -r, damping: 0.5, force: 0*q + T", {"damping": 0.5}),  # expressions, and a zero
+        ("force: pi*q + 3*qd", {"force.1": 3}),  # pi is what it is
+        ("force: 3*exp(2*log(T))*qd", {"force.1": 3, "force.2": 2}),
+        ("damping: 0, stiffness: 0*k, rest: 1", {}),
+    ],
+)
+def test_numbers_of_laws_become_parameters_too(law: str, numbers: dict[str, float], tmp_path: Path) -> None:
+    """Named after their place in the file; with their values the law is what it was, with others it is another."""
+    tree = read_text(WHEEL.format(law=law), tmp_path)
+    freed = with_runtime_numbers(tree)
+    (before,), (after,) = tree.bodies, freed.bodies
+    own = {p.name: p.value for p in freed.parameters if p.symbol in after.joint.law.free_symbols and "." in p.name}
+    assert own == {f"wheel.{name}": value for name, value in numbers.items()}
+    for q, qd in ((0.4, -0.7), (-1.2, 0.03)):
+        point = {COORDINATE: exact(q), RATE: exact(qd)}
+        expected, found = (law_values(t, b.joint.law).xreplace(point) for t, b in ((tree, before), (freed, after)))
+        assert float(found) == pytest.approx(float(expected), rel=1e-14)
+    assert after.joint.loose is None
+
+
+def test_a_spring_at_run_time_has_the_stiffness_and_the_rest_of_its_caller(tmp_path: Path) -> None:
+    tree = with_runtime_numbers(read_text(WHEEL.format(law="stiffness: 20, rest: 0.1, damping: 0.5"), tmp_path))
+    given = {p.name: p.value for p in tree.parameters} | {"wheel.stiffness": 7.0, "wheel.rest": -0.3}
+    at = {"q": [0.4], "qd": [2.0], "qdd": [0.0], "u": [0.0], "p": list(given.values())}
+    assert evaluate(impl.build(tree), at)["Phi"] == pytest.approx([7 * 0.7 + 0.5 * 2], rel=1e-15)
 
 
 def test_forward_dynamics_knows_them_all(tmp_path: Path) -> None:

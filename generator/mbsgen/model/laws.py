@@ -1,0 +1,69 @@
+"""The numbers in a joint's own force, by name: Law -> the same Law over names, and what each name stands for.
+
+A number that fills a place is called after it, such as `elbow.damping` or `elbow.friction.torque`. In `force`, whatever
+depends on nothing is one number, and they are counted as they are written: -3/2*q**3 + 0.1*qd has `elbow.force.1`,
+-3/2, and `elbow.force.2`. Exponents stay, and so does pi; an expression over parameters in another place stays whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import count
+from types import MappingProxyType
+
+from mbsgen.expressions import Call, Constant, Expression, Name, Negation, Operation, Power, names
+from mbsgen.model.model import ZERO, Friction, Law
+
+
+@dataclass(frozen=True)
+class NamedLaw:
+    """A law without numbers of its own."""
+
+    law: Law
+    numbers: Mapping[str, Expression]  # without names in them
+
+
+def name_numbers(law: Law, joint: str) -> NamedLaw:
+    """Put a name in place of each number in the law of a joint."""
+    numbers: dict[str, Expression] = {}
+
+    def take(name: str, expression: Expression) -> Expression:
+        if not _is_number(expression):
+            return expression
+        numbers[name] = expression
+        return Name(name)
+
+    counted = (f"{joint}.force.{k}" for k in count(1))
+
+    def take_all(expression: Expression) -> Expression:
+        if _is_number(expression):
+            return take(next(counted), expression)
+        match expression:
+            case Negation(operand):
+                return Negation(take_all(operand))
+            case Operation(_, left, right):
+                return replace(expression, left=take_all(left), right=take_all(right))
+            case Power(base):
+                return replace(expression, base=take_all(base))
+            case Call(_, arguments):
+                return replace(expression, arguments=tuple(map(take_all, arguments)))
+        return expression
+
+    named = Law(
+        stiffness=take(f"{joint}.stiffness", law.stiffness),
+        rest=take(f"{joint}.rest", law.rest),
+        damping=take(f"{joint}.damping", law.damping),
+        friction=law.friction
+        and Friction(
+            torque=take(f"{joint}.friction.torque", law.friction.torque),
+            speed=take(f"{joint}.friction.speed", law.friction.speed),
+        ),
+        force=take_all(law.force),
+    )
+    return NamedLaw(named, MappingProxyType(numbers))
+
+
+def _is_number(expression: Expression) -> bool:
+    """Tell whether this can have another value: pi and a plain 0 cannot, and names have theirs."""
+    return not (names(expression) or isinstance(expression, Constant) or expression == ZERO)
