@@ -63,18 +63,22 @@ def pose(tree: Tree, q: Sequence[float]) -> Scene:
     )
     places = frames["p"].reshape(n + s, 3)
     rotations = frames["R"].reshape(n + s, 3, 3).transpose(0, 2, 1)[:n]  # columns: axes of the bodies
-    axes = np.array([R[:, b.joint.axis] for R, b in zip(rotations, tree.bodies, strict=True)])
-    centres = places[:n] + np.einsum("brc,bc->br", rotations, masses["l"].reshape(n, 3))
+    axes, centres = (np.einsum("brc,bc->br", rotations, masses[name].reshape(n, 3)) for name in ("axis", "l"))
+    centres += places[:n]
     return Scene(places[:n], axes, centres, masses["m"], places[n:])
 
 
 def _build_masses(tree: Tree) -> Tape:
+    """Write `masses`: inputs q [, p]; outputs m, and by body its centre of mass l and its joint's axis, in its axes."""
     builder = Builder()
     state = declare_state(tree, builder, rates=False, accelerations=False, forces=False, wrenches=False)
     chain = write_chain(tree, builder, state)
-    l = [chain.vector(body.com) for body in tree.bodies]
+    written = [chain.matrix(body.axes).transposed for body in tree.bodies]  # into the author's axes
+    l = [turn.apply(chain.vector(body.com)) for turn, body in zip(written, tree.bodies, strict=True)]
+    e = [turn.column(body.joint.axis) for turn, body in zip(written, tree.bodies, strict=True)]
     builder.output_dense("m", [[chain.scalar(body.mass)] for body in tree.bodies])
     builder.output_dense("l", [[v[r] for v in l] for r in range(3)])
+    builder.output_dense("axis", [[v[r] for v in e] for r in range(3)])
     return builder.build("masses")
 
 

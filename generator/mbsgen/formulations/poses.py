@@ -1,6 +1,6 @@
 """Poses of bodies and sensors: Tree -> Tape of `sensors` (positions) and `frames` (positions and rotations).
 
-All results are in the base frame.
+All results are in the base frame. The axes of a body are its author's, whatever frame the recursions see it in.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def build_frames(tree: Tree) -> Tape:
     state = declare_state(tree, builder, rates=False, accelerations=False, forces=False, wrenches=False)
     chain = write_chain(tree, builder, state)
     poses = place_bodies(chain)
-    drawn = [poses[link.number] for link in chain.links]
+    drawn = [Pose(poses[i].p, poses[i].R.times(chain.matrix(b.axes))) for i, b in enumerate(tree.bodies, 1)]
     drawn += [_place(poses[s.body], chain.vector(s.position), chain.matrix(s.orientation)) for s in tree.sensors]
     builder.output_dense("p", [[pose.p[r] for pose in drawn] for r in range(3)])
     builder.output_dense("R", [[pose.R[r, c] for pose in drawn for c in range(3)] for r in range(3)])

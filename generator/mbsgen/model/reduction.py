@@ -3,7 +3,7 @@
 A sequence of joints has massless bodies between. A body that is fixed becomes one with what it is fixed to. A body
 whose joint has another axis gets a frame of its own: the author's, turned by a constant rotation C with a = C e_k.
 Masses, sensors, wrenches and the joints that a body carries are written anew in the frame where they end up; sensors
-keep the pose, and wrenches the axes, that their author gave them.
+keep the pose, bodies and wrenches the axes, that their author gave them.
 """
 
 from __future__ import annotations
@@ -35,8 +35,9 @@ def build_tree(description: Model) -> Tree:
         seat = seats[body.parent].carry(body.joint.placement, reader)
         if isinstance(body.joint, model.Joint):
             axis, own = align(reader.direction(body.joint.axis))
-            moving.append(_Mover(body.name, body.joint, axis, seat.number, seat.position, _product(seat.axes, own)))
-            seat = _Seat(len(moving), axes=_transpose(own))
+            orientation, author = _product(seat.axes, own), _transpose(own)
+            moving.append(_Mover(body.name, body.joint, axis, seat.number, seat.position, orientation, author))
+            seat = _Seat(len(moving), axes=author)
             carried[seat.number] = []
         seats[body.name] = seat
         carried[seat.number].append(_read_lump(body, seat, reader))
@@ -251,6 +252,7 @@ class _Mover:
     parent: int
     position: Vector
     orientation: Matrix
+    axes: Matrix
 
 
 @dataclass(frozen=True)
@@ -326,6 +328,7 @@ def _make_body(mover: _Mover, lump: _Lump, reader: _Reader) -> tree.Body:
         mass=lump.mass,
         com=lump.com,
         inertia=lump.inertia,
+        axes=mover.axes,
     )
 
 

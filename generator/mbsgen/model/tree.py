@@ -82,6 +82,7 @@ class Body:
     mass: Expr  # [kg]
     com: Vector  # l: centre of mass, in the body's frame [m]
     inertia: Matrix  # In: about the centre of mass, in the body's frame [kg m2]
+    axes: Matrix = IDENTITY  # columns: the axes that the author gave the body, in the body's frame
 
 
 @dataclass(frozen=True)

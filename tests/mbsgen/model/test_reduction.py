@@ -15,10 +15,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from sympy import Float, Integer, Rational, Symbol
 
+from mbsgen.drawing import pose
+from mbsgen.formulations.poses import build_frames
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import align, build_tree, with_runtime_numbers
 from mbsgen.model.symbols import exact
 from mbsgen.model.tree import Kind, Motion, Tree
+from mbsgen.tape.interpreter import evaluate
 
 Array = NDArray[np.float64]
 Pose = tuple[Array, Array]  # rotation, origin
@@ -138,6 +141,7 @@ def test_a_tree_moves_as_its_description_says(seed: int, tmp_path: Path) -> None
         xx, xy, xz, yy, yz, zz = (entry[key] for key in ("xx", "xy", "xz", "yy", "yz", "zz"))
         tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         np.testing.assert_allclose(pt, p, rtol=0, atol=CLOSE)
+        np.testing.assert_allclose(Rt @ to_floats(reduced.axes), R, rtol=0, atol=CLOSE)
         np.testing.assert_allclose(pt + Rt @ to_floats(reduced.com), p + R @ np.array(body["com"]), rtol=0, atol=CLOSE)
         np.testing.assert_allclose(Rt @ to_floats(reduced.inertia) @ Rt.T, R @ tensor @ R.T, rtol=0, atol=CLOSE)
     for frame, sensor in zip(description["frames"], tree.sensors, strict=True):
@@ -145,6 +149,33 @@ def test_a_tree_moves_as_its_description_says(seed: int, tmp_path: Path) -> None
         Rt, pt = moved[sensor.body]
         np.testing.assert_allclose(pt + Rt @ to_floats(sensor.position), p, rtol=0, atol=CLOSE)
         np.testing.assert_allclose(Rt @ to_floats(sensor.orientation), R, rtol=0, atol=CLOSE)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_frames_and_pictures_show_bodies_in_the_axes_of_their_author(seed: int, tmp_path: Path) -> None:
+    """And joints and masses where the description has them, whatever frames the Tree puts its bodies into."""
+    axes = [AXES[i] for i in np.random.default_rng(seed).permutation(len(AXES))]
+    description = make_description(seed, axes)
+    tree, n = read(description, tmp_path), len(axes)
+    rng = np.random.default_rng(seed)
+    q = {body.name: float(rng.uniform(-3, 3)) for body in tree.bodies}
+    described = pose_described(description, q)
+    found = evaluate(build_frames(tree), {"q": list(q.values())})
+    p, R = (np.array(found[name], float).reshape(2 * n, 3, -1) for name in ("p", "R"))
+    scene = pose(tree, list(q.values()))
+    bodies = {body["name"]: body for body in description["bodies"]}
+    for k, name in enumerate(q):
+        Rd, pd = described[name]
+        np.testing.assert_allclose(p[k, :, 0], pd, rtol=0, atol=CLOSE)
+        np.testing.assert_allclose(R[k].T, Rd, rtol=0, atol=CLOSE)
+        np.testing.assert_allclose(scene.centres[k], pd + Rd @ bodies[name]["com"], rtol=0, atol=CLOSE)
+        axis = bodies[name]["joint"]["axis"]
+        a = np.array(NAMED[axis] if isinstance(axis, str) else axis, float)
+        np.testing.assert_allclose(scene.axes[k], Rd @ a / np.linalg.norm(a), rtol=0, atol=CLOSE)
+    for k, frame in enumerate(description["frames"], n):
+        Rd, pd = place(described[frame["body"]], frame)
+        np.testing.assert_allclose(p[k, :, 0], pd, rtol=0, atol=CLOSE)
+        np.testing.assert_allclose(R[k].T, Rd, rtol=0, atol=CLOSE)
 
 
 @pytest.mark.parametrize("direction", [*STRAIGHT, *SKEW], ids=str)
