@@ -10,6 +10,7 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import click
 from rich.console import Console
@@ -20,6 +21,8 @@ from mbsgen import __version__
 from mbsgen.errors import MbsError
 from mbsgen.formulations.catalogue import FORMULATIONS, FUNCTIONS
 from mbsgen.formulations.reductions import ALL
+from mbsgen.importing import Choices, Notice, import_model, is_foreign, write_imported
+from mbsgen.model.model import Model
 from mbsgen.model.scene import EVERYTHING
 from mbsgen.model.tree import Tree
 from mbsgen.output import find_differences, write_file
@@ -57,8 +60,10 @@ HELP = """Turn the description of a multibody system into C kernels for its dyna
   mbsgen report MODEL       count what it costs, and write nothing
   mbsgen scaling            count how cost grows with the length of a chain
   mbsgen check MODEL        tell every fault of the file, and write nothing
+  mbsgen import ROBOT       make a model file of URDF or MJCF
 
-MODEL is a YAML file; models/ holds examples. A file that has the name of a subcommand is reached as ./NAME.
+MODEL is a YAML file, as models/ holds examples, or one of URDF or MJCF. A file that has the name of a subcommand is
+reached as ./NAME.
 
 Exit codes: 0 done; 1 with --check, the folder is not as it would be written; 2 the model or an argument cannot be
 accepted (nothing has been written).
@@ -142,10 +147,11 @@ def generate_command(
         derivatives=derivatives,
         scene=EVERYTHING if scene is None else scene,
     )
+    source = _read(model)
     if check:
-        _check_folder(make(model, options).files, out)
+        _check_folder(make(source, options).files, out)
         return
-    product = generate(model, out, options)
+    product = generate(source, out, options)
     print_report(product.report)
     click.echo(f"wrote {len(product.files)} files to {out}", err=True)
 
@@ -174,7 +180,7 @@ def show_command(model: Path, out: Path | None, coordinates: str | None) -> None
     form = "" if out is None else out.suffix.removeprefix(".").lower()
     if out is not None and form not in FORMATS:
         raise click.BadParameter(f"{out} is neither a .png nor a .svg", param_hint="-o")
-    tree = read_tree(model)
+    tree = read_tree(_read(model))
     q = _read_coordinates(tree, coordinates or "")
     masses = pose(tree, q).masses
     branches = {0: Branches(Text(f"{tree.name}: base"))}
@@ -227,7 +233,7 @@ def _read_coordinates(tree: Tree, text: str) -> list[float]:
 @click.option("--compare", is_flag=True, help="Count without each reduction too: what it saves.")
 def report_command(model: Path, form: str | None, compare: bool) -> None:
     """Count what MODEL costs: flops and equations."""
-    report = make(model, Options(compare=compare)).report
+    report = make(_read(model), Options(compare=compare)).report
     if form is None:
         print_report(report)
     else:
@@ -263,8 +269,124 @@ def scaling_command(largest: int) -> None:
 @MODEL
 def check_command(model: Path) -> None:
     """Tell every fault of MODEL, and write nothing."""
-    make(model)
+    make(_read(model))
     click.echo(f"{model}: no fault found", err=True)
+
+
+@cli.command("import")
+@click.argument("robot", type=click.Path(path_type=Path))
+@click.option("-o", "--output", "out", type=click.Path(path_type=Path), help="The model file to write; else stdout.")
+@click.option("--name", help="The model's name; else that in the file.")
+@click.option(
+    "--base",
+    type=click.Choice(["fixed", "floating"]),
+    default="fixed",
+    show_default=True,
+    help="Whether the root link of URDF stands, or floats.",
+)
+@click.option("--gravity", metavar="X,Y,Z", help="In m/s2; else that of MJCF, or 0,0,-9.81.")
+@click.option("--sensor", "sensors", multiple=True, metavar="NAME", help="A link, body or site that becomes a frame.")
+@click.option("--lock", "locks", multiple=True, metavar="JOINT=VALUE", help="Hold a joint at a coordinate, rad or m.")
+@click.option(
+    "--mimic",
+    type=click.Choice(["refuse", "free", "lock"]),
+    default="refuse",
+    show_default=True,
+    help="What becomes of joints that follow others.",
+)
+@click.option(
+    "--friction-speed",
+    type=click.FloatRange(0, 1e6, min_open=True),
+    default=Choices.friction_speed,
+    show_default=True,
+    help="Where dry friction reaches 3/4 of its force, rad/s or m/s.",
+)
+@click.option(
+    "--quarter-turns",
+    type=click.FloatRange(0, 0.01),
+    default=Choices.quarter_turns,
+    show_default=True,
+    help="Take angles that are this near to quarter turns as such, rad.",
+)
+@click.option("--allow-unphysical", is_flag=True, help="Take even inertias that are far from what a body can have.")
+def import_command(
+    robot: Path,
+    out: Path | None,
+    name: str | None,
+    base: Literal["fixed", "floating"],
+    gravity: str | None,
+    sensors: tuple[str, ...],
+    locks: tuple[str, ...],
+    mimic: Literal["refuse", "free", "lock"],
+    friction_speed: float,
+    quarter_turns: float,
+    allow_unphysical: bool,
+) -> None:
+    """Make a model file of ROBOT, a file of URDF or MJCF.
+
+    What is changed or left out is told on stderr, and in comments of the model file.
+    """
+    choices = Choices(
+        name=name,
+        base=base,
+        gravity=None if gravity is None else _read_gravity(gravity),
+        sensors=tuple(dict.fromkeys(sensors)),
+        locked=tuple(map(_read_lock, locks)),
+        mimic=mimic,
+        friction_speed=friction_speed,
+        quarter_turns=quarter_turns,
+        allow_unphysical=allow_unphysical,
+    )
+    imported = import_model(robot, choices)
+    _tell(imported.notices)
+    text = write_imported(imported)
+    if out is None:
+        click.echo(text, nl=False)
+        return
+    write_file(text.encode(), out)
+    click.echo(f"wrote {out}", err=True)
+
+
+def _read(model: Path) -> Path | Model:
+    """Read a model that is to be imported, and tell what is known about it; give the path of any other."""
+    if not is_foreign(model):
+        return model
+    imported = import_model(model)
+    _tell(imported.notices)
+    return imported.model
+
+
+def _tell(notices: Sequence[Notice]) -> None:
+    for notice in notices:
+        click.echo(str(notice), err=True)
+
+
+def _read_gravity(text: str) -> tuple[float, float, float]:
+    values = [_read_finite(word) for word in text.split(",")]
+    if len(values) != 3 or not all(map(math.isfinite, values)):
+        raise click.BadParameter(
+            f"{text!r} is not three numbers; write, for example, 0,0,-9.81", param_hint="--gravity"
+        )
+    x, y, z = values
+    return x, y, z
+
+
+def _read_lock(text: str) -> tuple[str, float]:
+    name, sign, written = text.rpartition("=")
+    value = _read_finite(written)
+    if not sign or not math.isfinite(value):
+        raise click.BadParameter(
+            f"{text!r} gives no joint a number; write, for example, finger=0.02", param_hint="--lock"
+        )
+    return name.strip(), value
+
+
+def _read_finite(text: str) -> float:
+    """Read a number; nan is what is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 def print_report(report: Report) -> None:

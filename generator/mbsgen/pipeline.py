@@ -12,6 +12,7 @@ from mbsgen.derivatives.dynamics import Dynamics
 from mbsgen.evidence import gather
 from mbsgen.families import DEFAULT, OptionError, Options, write_families
 from mbsgen.formulations.catalogue import FUNCTIONS
+from mbsgen.importing import import_model, is_foreign
 from mbsgen.manifest import Coordinate, Frame, Manifest, Parameter, Wrench
 from mbsgen.model.model import Model
 from mbsgen.model.reader import read_model
@@ -50,7 +51,7 @@ def make(model: Path | Model, options: Options = DEFAULT) -> Product:
 
     Raises InputError with every fault of the file, OptionError for functions that there are not.
     """
-    whole = model if isinstance(model, Model) else read_model(model)
+    whole = read(model)
     scene = _read_scene(options, whole)
     written = build_tree(stage(whole, scene))
     parametric = with_runtime_numbers(written)
@@ -84,8 +85,15 @@ def make(model: Path | Model, options: Options = DEFAULT) -> Product:
 
 
 def read_tree(model: Path | Model) -> Tree:
-    """Read a model file as a Tree. Raises InputError with every fault of the file."""
-    return build_tree(model if isinstance(model, Model) else read_model(model))
+    """Read a model file, or one to import, as a Tree. Raises InputError with every fault of the file."""
+    return build_tree(read(model))
+
+
+def read(model: Path | Model) -> Model:
+    """Read a model file, or one of URDF or MJCF by its suffix. Raises InputError with every fault of the file."""
+    if isinstance(model, Model):
+        return model
+    return import_model(model).model if is_foreign(model) else read_model(model)
 
 
 def _read_scene(options: Options, model: Model) -> Scene:

@@ -1,0 +1,358 @@
+"""What the readers of all formats share: bodies with clean names, put together to a Model, and judged as a whole.
+
+A `Draft` takes bodies as a file has them: a pose, joints about or along any axes, a solid. Joints that are to be held
+become part of poses; names that a model cannot have are changed, and told.
+"""
+
+from __future__ import annotations
+
+import unicodedata
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from mbsgen.documents import Place, abbreviate, nearest
+from mbsgen.errors import Fault
+from mbsgen.expressions import Number
+from mbsgen.importing.findings import Findings, Notice
+from mbsgen.importing.markup import Element
+from mbsgen.importing.poses import ORIGIN, Array, Pose, Writer, turn, write_triple
+from mbsgen.importing.solids import NOTHING, Solid, add, find_miss, show_moments, write_inertia
+from mbsgen.model.checks import find_faults
+from mbsgen.model.compounds import UNITS
+from mbsgen.model.expansion import label_joints
+from mbsgen.model.model import BASE, FREE, Body, Fixed, Frame, Friction, Joint, Law, Model, Triple
+from mbsgen.model.naming import MAX_LENGTH
+from mbsgen.model.topology import find_carriers
+from mbsgen.model.tree import Motion
+
+GRAVITY = (0.0, 0.0, -9.81)
+TOLERANCE = 1e-9  # of the largest moment: what a file's digits leave of an inertia that is just possible
+SLIGHT = 1e-9  # m2: less than this times its mass, and a body is a point
+GROSS = 0.5  # of the largest moment, of bodies fixed to each other together: beyond this, nothing computed means much
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What a file leaves open, or a model cannot have as the file says it."""
+
+    name: str | None = None  # of the model; None: that of the file
+    base: Literal["fixed", "floating"] = "fixed"  # how the root link of URDF stands
+    gravity: tuple[float, float, float] | None = None  # None: that of the file, or 9.81 m/s2 down the z axis
+    sensors: tuple[str, ...] = ()  # links, bodies and sites that become frames
+    locked: tuple[tuple[str, float], ...] = ()  # joints that are held, and where [rad or m]
+    mimic: Literal["refuse", "free", "lock"] = "refuse"  # what becomes of joints that follow others
+    friction_speed: float = 0.01  # at which 3/4 of dry friction are reached [rad/s or m/s]
+    quarter_turns: float = 1e-11  # angles nearer than this to a quarter turn are taken as one [rad]
+    allow_unphysical: bool = False  # take even inertias that are far from what a body can have
+
+
+@dataclass(frozen=True)
+class Limit:
+    """What bounds a joint beside its range, for a problem file: velocity and force, where the file gives them."""
+
+    joint: str
+    velocity: float | None = None  # [rad/s or m/s]
+    effort: float | None = None  # [N m or N]
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A model of a file in another format, and what there is to know about it."""
+
+    model: Model
+    notices: tuple[Notice, ...]  # what was done with parts of the file, and left out; first what alters the motion
+    limits: tuple[Limit, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Move:
+    """One degree of freedom as a file has it."""
+
+    motion: Motion
+    axis: Array  # in the frame that moves
+    source: Element
+    name: str | None = None
+    pose: Pose = ORIGIN  # of the frame that moves at q = 0, in the frame before it
+    actuated: bool = True
+    lower: float | None = None
+    upper: float | None = None
+    law: Law = FREE
+    velocity: float | None = None
+    effort: float | None = None
+
+    def at(self, q: float) -> Pose:
+        """Give the pose of the frame that moves, in the frame before it."""
+        if self.motion is Motion.REVOLUTE:
+            return self.pose @ Pose(turn(self.axis, q), np.zeros(3))
+        return self.pose @ Pose(np.eye(3), self.axis / np.linalg.norm(self.axis) * q, ())
+
+
+def move_freely(source: Element, pose: Pose = ORIGIN) -> list[Move]:
+    """Make the six joints of a free body: along x, y, z of what carries it, then about z, y, x; without a motor."""
+    return [
+        Move(motion, np.eye(3)[axis], source, pose=ORIGIN if i else pose, actuated=False)
+        for i, (motion, axis) in enumerate(
+            [*((Motion.PRISMATIC, k) for k in (0, 1, 2)), *((Motion.REVOLUTE, k) for k in (2, 1, 0))]
+        )
+    ]
+
+
+def make_law(
+    stiffness: float = 0.0, rest: float = 0.0, damping: float = 0.0, friction: float = 0.0, speed: float = 0.01
+) -> Law:
+    """Make the force that a joint has of its own; a spring without stiffness has no rest."""
+    dry = Friction(Number(friction), Number(speed)) if friction else None
+    return Law(Number(stiffness), Number(rest if stiffness else 0.0), Number(damping), dry)
+
+
+@dataclass
+class Draft:
+    """A model that comes about, and where everything in it is from."""
+
+    findings: Findings
+    choices: Choices
+    writer: Writer = field(init=False)
+    bodies: list[Body] = field(default_factory=list)
+    frames: list[Frame] = field(default_factory=list)
+    limits: list[Limit] = field(default_factory=list)
+    _solids: dict[str, Solid] = field(default_factory=dict)  # by the name of the body
+    _sources: dict[str, Element] = field(default_factory=dict)  # of bodies
+    _fixed: dict[str, Pose] = field(default_factory=dict)  # of bodies without joints, on their parents
+    _moves: dict[tuple[str, int], Element] = field(default_factory=dict)  # of joints: body, place in its sequence
+    _names: dict[str, set[str]] = field(default_factory=dict)
+    _locked: set[str] = field(default_factory=set)
+    _sensors: set[str] = field(default_factory=set)
+    _joints: list[str] = field(default_factory=list)  # that there are in the file
+    _visible: list[str] = field(default_factory=list)  # what may become a sensor
+
+    def __post_init__(self) -> None:
+        self.writer = Writer(self.choices.quarter_turns)
+
+    def add_body(self, name: str, parent: str, pose: Pose, moves: Sequence[Move], solid: Solid, source: Element) -> str:
+        """Add a body on a body of the draft, and give the name that it has in the model.
+
+        `pose` is that of the first joint's frame, or of a fixed body's, in the frame of the parent; the frame of the
+        last joint is the body's. Joints that the choices hold become part of poses.
+        """
+        pending = pose
+        kept: list[tuple[Move, Pose]] = []
+        for move in moves:
+            held = self._find_held(move)
+            if held is None:
+                kept.append((move, pending @ move.pose))
+                pending = ORIGIN
+            else:
+                pending = pending @ move.at(held)
+        is_shifted = not pending.is_straight or pending.position.any()
+        own = self._choose_name("body", name, source)
+        if kept and is_shifted:  # a held joint came last: what moves is one frame, the body another, fixed on it
+            carrier = self._choose_name("body", f"{own}.carrier", source)
+            self._append(carrier, parent, self._make_joint(carrier, kept), NOTHING, source)
+            self._append_fixed(own, carrier, pending, solid, source)
+        elif kept:
+            self._append(own, parent, self._make_joint(own, kept), solid, source)
+        else:
+            self._append_fixed(own, parent, pending, solid, source)
+        return own
+
+    def add_frame(self, name: str, body: str, pose: Pose, source: Element) -> None:
+        """Add a sensor on a body of the draft, if the choices ask for it."""
+        self._visible.append(name)
+        if name in self.choices.sensors and name not in self._sensors:
+            self._sensors.add(name)
+            self.frames.append(Frame(self._choose_name("frame", name, source), body, self.writer.placement(pose)))
+
+    def finish(self, name: str, gravity: Sequence[float], root: Element) -> Imported:
+        """Put the model together and judge it. Raises InputError with all faults of the file."""
+        self._check_choices()
+        allowed = self._check_solids()
+        if self.findings.faults:
+            raise self.findings.refuse()
+        model = Model(
+            name=self._choose_name("model", self.choices.name or name, root),
+            gravity=write_triple(self.choices.gravity or gravity),
+            bodies=tuple(self.bodies),
+            frames=tuple(self.frames),
+            allow_unphysical=not allowed,
+        )
+        self._check_model(model, root)
+        self._tell_fixed(model)
+        self._tell_angles()
+        ordered = sorted(self.findings.notices, key=lambda n: (not n.alters, n.line == 0, n.file, n.line, n.path))
+        return Imported(model, tuple(dict.fromkeys(ordered)), tuple(self.limits))
+
+    # --- parts -------------------------------------------------------------------------------------------------------
+
+    def _append(
+        self, name: str, parent: str, joint: Joint | Fixed | tuple[Joint, ...], solid: Solid, source: Element
+    ) -> None:
+        body = Body(name, joint, parent, Number(solid.mass), write_triple(solid.com), write_inertia(solid.inertia))
+        self.bodies.append(body)
+        self._solids[name] = solid
+        self._sources[name] = source
+
+    def _append_fixed(self, name: str, parent: str, pose: Pose, solid: Solid, source: Element) -> None:
+        self._append(name, parent, Fixed(self.writer.placement(pose)), solid, source)
+        self._fixed[name] = pose
+
+    def _find_held(self, move: Move) -> float | None:
+        if move.name is None:
+            return None
+        self._joints.append(move.name)
+        for name, value in self.choices.locked:
+            if name == move.name:
+                self._locked.add(name)
+                self.findings.tell(move.source, f"held at {value:g}")
+                return value
+        return None
+
+    def _make_joint(self, body: str, kept: Sequence[tuple[Move, Pose]]) -> Joint | tuple[Joint, ...]:
+        joints = []
+        for i, (move, pose) in enumerate(kept):
+            name = None if move.name is None else self._choose_name("joint", move.name, move.source)
+            lower, upper = (None if limit is None else Number(limit) for limit in (move.lower, move.upper))
+            joints.append(
+                Joint(
+                    move.motion, _write_axis(move.axis), None if name == body and len(kept) == 1 else name,
+                    self.writer.placement(pose), move.actuated, lower, upper, move.law,
+                )
+            )  # fmt: skip
+            self._moves[body, i] = move.source
+        for (move, _), joint, label in zip(kept, joints, label_joints(joints), strict=True):
+            if move.velocity is not None or move.effort is not None:
+                derived = body if len(joints) == 1 else f"{body}.{label}"
+                self.limits.append(Limit(joint.name or derived, move.velocity, move.effort))
+        return joints[0] if len(joints) == 1 else tuple(joints)
+
+    def _choose_name(self, kind: str, wanted: str, source: Element) -> str:
+        """Give a name that a model can have, and that no other of its kind looks like; a change is told."""
+        taken = self._names.setdefault(kind, {_fold(BASE)} if kind == "body" else set())
+        clean = "".join("_" if _is_unfit(c) else c for c in wanted).strip().lstrip(".~") or kind
+        clean = clean[: MAX_LENGTH - 8].strip()
+        name, number = clean, 1
+        while _fold(name) in taken:
+            number += 1
+            name = f"{clean}_link" if number == 2 and _fold(clean) == BASE else f"{clean}_{number}"
+        taken.add(_fold(name))
+        if wanted and name != wanted:
+            self.findings.tell(source, f"{kind} {abbreviate(wanted)} is called {abbreviate(name)} in the model")
+        return name
+
+    # --- judgement ---------------------------------------------------------------------------------------------------
+
+    def _check_choices(self) -> None:
+        chosen = (
+            ("joint to be held", [name for name, _ in self.choices.locked], self._locked, self._joints),
+            ("link, body or site to be a sensor", list(self.choices.sensors), self._sensors, self._visible),
+        )
+        for what, wanted, met, there in chosen:
+            for name in wanted:
+                if name not in met:
+                    meant = nearest(name, there)
+                    remedy = f"did you mean {abbreviate(meant)}?" if meant else f"there are {_list(there)}"
+                    finding = f"there is no {what} that is called {abbreviate(name)}"
+                    self.findings.faults.append(Fault(self.findings.file, 0, "", finding, remedy))
+
+    def _check_solids(self) -> bool:
+        """Tell whether all inertias are possible; what a file gets slightly wrong is told, what is far off a fault."""
+        possible = True
+        for name, solid in self._solids.items():
+            source = self._sources[name]
+            miss = find_miss(solid)
+            if solid.mass < 0:
+                self.findings.fault(source, f"a mass of {solid.mass:g} kg", "give 0 or more")
+            elif solid.mass == 0 and solid.inertia.any():
+                self.findings.warn(source, f"it has an inertia of {show_moments(solid)} without a mass; it is kept")
+                possible = False
+            elif miss > TOLERANCE:
+                text = f"no body has the principal moments of inertia {show_moments(solid)}"
+                self.findings.warn(source, f"{text}: they miss by {miss:.2g} of the largest; they are kept")
+                possible = False
+        if not self.choices.allow_unphysical:
+            self._check_groups()
+        return possible
+
+    def _check_groups(self) -> None:
+        """Judge bodies that are fixed to each other as one: what is wrong with a light one may not matter."""
+        for name, members in self._group().items():
+            whole = add(solid.seen_from(pose) for member, pose in members for solid in (self._solids[member],))
+            if name != BASE and np.abs(whole.inertia).max() > SLIGHT * whole.mass > 0 and find_miss(whole) > GROSS:
+                worst = max((member for member, _ in members), key=lambda member: find_miss(self._solids[member]))
+                with_others = f", with the {len(members) - 1} that are fixed to it" if len(members) > 1 else ""
+                text = f"no body has the principal moments of inertia {show_moments(whole)}{with_others}"
+                remedy = "none may be negative, nor more than the sum of the others; mend them, or --allow-unphysical"
+                self.findings.fault(self._sources[worst], text, remedy)
+
+    def _group(self) -> dict[str, list[tuple[str, Pose]]]:
+        """List the bodies that each moving one, or the base, carries without a joint, with their poses on it."""
+        carriers: dict[str, tuple[str, Pose]] = {BASE: (BASE, ORIGIN)}
+        groups: dict[str, list[tuple[str, Pose]]] = {}
+        for body in self.bodies:  # parents come first
+            carrier, pose = body.name, ORIGIN
+            if body.name in self._fixed:
+                carrier, outer = carriers[body.parent]
+                pose = outer @ self._fixed[body.name]
+            carriers[body.name] = carrier, pose
+            groups.setdefault(carrier, []).append((body.name, pose))
+        return groups
+
+    def _check_model(self, model: Model, root: Element) -> None:
+        """Tell what is wrong with the model at the elements that it is from."""
+        for found in find_faults(model):
+            remedy = found.remedy
+            if found.finding == "nothing moves":
+                remedy = "give it a joint that is not fixed, or free its root link (--base floating)"
+            if "moves nothing" in found.finding:
+                remedy += ", or hold it where it is (--lock)"
+            self.findings.fault(self._locate(model, found.place) or root, found.finding, remedy)
+        if self.findings.faults:
+            raise self.findings.refuse()
+
+    def _locate(self, model: Model, place: Place) -> Element | None:
+        match place:
+            case ("bodies", int(i), "joint", *rest):
+                name, k = model.bodies[i].name, rest[0] if rest and isinstance(rest[0], int) else 0
+                return self._moves.get((name, k), self._sources[name])
+            case ("bodies", int(i), *_):
+                return self._sources[model.bodies[i].name]
+        return None
+
+    def _tell_fixed(self, model: Model) -> None:
+        carriers = find_carriers(model)
+        for body in model.bodies:
+            mass, carrier = self._solids[body.name].mass, carriers[body.name]
+            if body.name in self._fixed and mass:
+                where = "stands on the base, where nothing feels it" if carrier == BASE else f"moves with {carrier}"
+                self.findings.tell(self._sources[body.name], f"fixed: its mass of {mass:g} kg {where}")
+
+    def _tell_angles(self) -> None:
+        if doubtful := self.writer.doubtful:
+            self.findings.sum_up(
+                f"{len(doubtful)} angles are near a quarter turn, but off by up to {max(doubtful):.2g} rad; they are "
+                f"kept. Taken as quarter turns (--quarter-turns {max(doubtful) * 1.01:.1g}), they make shorter code"
+            )
+
+
+def _write_axis(axis: Array) -> Triple:
+    """Write a direction; those of the coordinate axes in their own form, whatever their length."""
+    present = [k for k in range(3) if axis[k] != 0]
+    if len(present) == 1:
+        return UNITS[("-" if axis[present[0]] < 0 else "") + "xyz"[present[0]]]
+    return write_triple(axis)
+
+
+def _is_unfit(character: str) -> bool:
+    category = unicodedata.category(character)
+    return character in "/\\" or category[0] == "C" or category in ("Zl", "Zp")
+
+
+def _fold(name: str) -> str:
+    return unicodedata.normalize("NFKC", unicodedata.normalize("NFKC", name).casefold())
+
+
+def _list(names: Sequence[str]) -> str:
+    shown = ", ".join(map(abbreviate, names[:8]))
+    return f"{shown}, ..." if len(names) > 8 else shown or "none"

@@ -1,0 +1,115 @@
+"""What is found while a file is imported: faults, all at once, and notices of what the model says otherwise."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from mbsgen.documents import abbreviate, refuse
+from mbsgen.errors import Fault, InputError
+from mbsgen.importing.markup import Element
+
+MAX_DIGITS = 64  # characters of one number
+_NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
+
+
+@dataclass(frozen=True)
+class Notice:
+    """What was done with a part of the file; `alters` where the model moves otherwise than the file says."""
+
+    file: str
+    line: int  # 0: the whole file
+    path: str
+    text: str
+    alters: bool
+
+    def __str__(self) -> str:
+        place = f"{self.file}:{self.line}: {self.path}" if self.line else self.file
+        return f"{place}: {'warning: ' if self.alters else ''}{self.text}"
+
+    def without_folder(self) -> Notice:
+        """Give the notice as it is the same on every machine."""
+        return replace(self, file=re.split(r"[/\\]", self.file)[-1])
+
+
+class Findings:
+    """Collects faults and notices."""
+
+    def __init__(self, file: str) -> None:
+        self.file = file
+        self.faults: list[Fault] = []
+        self.notices: list[Notice] = []
+
+    def fault(self, element: Element, finding: str, remedy: str) -> None:
+        """Keep what is wrong with an element."""
+        self.faults.append(element.fault(finding, remedy))
+
+    def tell(self, element: Element, text: str) -> None:
+        """Keep what was done with an element."""
+        self.notices.append(Notice(element.file, element.line, element.path, text, alters=False))
+
+    def warn(self, element: Element, text: str) -> None:
+        """Keep how the model moves otherwise than an element says."""
+        self.notices.append(Notice(element.file, element.line, element.path, text, alters=True))
+
+    def sum_up(self, text: str) -> None:
+        """Keep what was done with the file as a whole."""
+        self.notices.append(Notice(self.file, 0, "", text, alters=False))
+
+    def refuse(self) -> InputError:
+        """Make the error of all faults."""
+        return refuse(self.faults)
+
+    def numbers(
+        self,
+        element: Element,
+        name: str,
+        default: tuple[float, ...],
+        *,
+        count: int | None = None,
+        attributes: Mapping[str, str] | None = None,
+    ) -> tuple[float, ...]:
+        """Read an attribute of `count` numbers, by default as many as the default has; what is at fault is the default.
+
+        `attributes` are those of the element with what it inherits.
+        """
+        text = (element.attributes if attributes is None else attributes).get(name)
+        if text is None:
+            return default
+        words = text.split()
+        wanted = len(default) if count is None else count
+        if len(words) != wanted:
+            finding = f"{name} has {len(words)} numbers" if len(words) <= MAX_DIGITS else f"{name} is too long"
+            self.fault(element, f"{finding}: {abbreviate(text)}", f"give {wanted}")
+            return default
+        values = [_read_number(word) for word in words]
+        if any(map(math.isnan, values)):
+            if "${" in text or "$(" in text:
+                remedy = "this is xacro: run `xacro FILE > robot.urdf` first"
+            else:
+                remedy = "give finite numbers, such as 0.3 or 1e-3"
+            self.fault(element, f"{name} is {abbreviate(text)}", remedy)
+            return default
+        return tuple(values)
+
+    def number(self, element: Element, name: str, default: float, attributes: Mapping[str, str] | None = None) -> float:
+        """Read an attribute of one number."""
+        return self.numbers(element, name, (default,), attributes=attributes)[0]
+
+    def choice(self, element: Element, name: str, words: tuple[str, ...], attributes: Mapping[str, str]) -> str:
+        """Read an attribute that is one of some words; the first is the default."""
+        word = attributes.get(name, words[0])
+        if word not in words:
+            self.fault(element, f"{name} is {abbreviate(word)}", f"give {', '.join(words)}")
+            return words[0]
+        return word
+
+
+def _read_number(word: str) -> float:
+    """Read a finite number; nan is what is none."""
+    if len(word) > MAX_DIGITS or not _NUMBER.fullmatch(word):
+        return math.nan
+    value = float(word)
+    return (value or 0.0) if math.isfinite(value) else math.nan  # no -0

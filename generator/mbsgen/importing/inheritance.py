@@ -1,0 +1,116 @@
+"""MJCF: included files and default classes, resolved to plain elements and attributes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from mbsgen.documents import abbreviate, nearest
+from mbsgen.errors import InputError
+from mbsgen.importing.findings import Findings
+from mbsgen.importing.markup import Element, read_markup
+
+MAIN = "main"
+MAX_FILES = 50
+MAX_INCLUSION = 10  # files in files
+_GENERAL = frozenset(  # actuators that inherit what `general` has
+    ["motor", "position", "velocity", "intvelocity", "damper", "cylinder", "muscle", "adhesion", "general"]
+)
+
+
+def include_files(root: Element, findings: Findings) -> Element:
+    """Put the content of included files where they are included: files in the folder of the first one, or below it."""
+    return _Inclusion(Path(root.file).resolve().parent, findings).expand(root, (Path(root.file).resolve(),))
+
+
+class _Inclusion:
+    """Reads included files."""
+
+    def __init__(self, folder: Path, findings: Findings) -> None:
+        self._folder = folder
+        self._findings = findings
+        self._count = 0
+
+    def expand(self, element: Element, files: tuple[Path, ...]) -> Element:
+        """Expand what is below an element of the last of `files`, each of which included the next."""
+        children: list[Element] = []
+        for child in element.children:
+            if child.tag == "include":
+                children += self._include(child, files)
+            elif any(below.tag == "include" for below in child.walk()):
+                children.append(self.expand(child, files))
+            else:
+                children.append(child)
+        return replace(element, children=tuple(children))
+
+    def _include(self, element: Element, files: tuple[Path, ...]) -> tuple[Element, ...]:
+        name = element.attributes.get("file", "")
+        self._count += 1
+        if self._count > MAX_FILES or len(files) > MAX_INCLUSION:
+            self._findings.fault(element, "very many files include each other", "put them into one")
+            return ()
+        try:
+            path = (self._folder / name).resolve()
+        except (OSError, ValueError, RuntimeError):
+            path = Path("/")
+        if not name or not path.is_relative_to(self._folder):
+            remedy = "include files of the model's own folder, by a relative path"
+            self._findings.fault(element, f"{abbreviate(name)} is not in the folder of the model", remedy)
+            return ()
+        if path in files:
+            self._findings.fault(element, f"{abbreviate(name)} includes itself", "take the inclusion away")
+            return ()
+        try:
+            included = read_markup(path)
+        except InputError as error:
+            self._findings.faults += error.faults
+            self._findings.fault(element, f"{abbreviate(name)} cannot be included", "mend that file")
+            return ()
+        return self.expand(included, (*files, path)).children
+
+
+class Defaults:
+    """The default classes of a file: attributes by class and tag."""
+
+    def __init__(self, root: Element, findings: Findings) -> None:
+        self._findings = findings
+        self._classes: dict[str, dict[str, dict[str, str]]] = {MAIN: {}}
+        for section in root.all("default"):
+            self._read(section, MAIN)
+
+    def _read(self, section: Element, outer: str) -> None:
+        top = outer == MAIN and section.path.count("/") == 1
+        name = section.attributes.get("class", MAIN if top else "")
+        if not name:
+            self._findings.fault(section, "a default without a class", "name its class")
+            return
+        if top:
+            name = MAIN  # whatever its class is called
+            if "class" in section.attributes:
+                self._classes.setdefault(section.attributes["class"], self._classes[MAIN])
+        settings = self._classes.setdefault(name, {tag: dict(own) for tag, own in self._classes[outer].items()})
+        for element in section.children:
+            if element.tag != "default":
+                settings.setdefault(element.tag, {}).update(element.attributes)
+        for inner in section.all("default"):
+            self._read(inner, name)
+
+    def resolve(self, element: Element, active: str) -> Mapping[str, str]:
+        """Give the attributes of an element with those of its class, or of the one that is active around it."""
+        name = element.attributes.get("class", active)
+        if name not in self._classes:
+            self.check(element, name)
+            name = MAIN
+        settings = self._classes[name]
+        general = settings.get("general", {}) if element.tag in _GENERAL else {}
+        return {**general, **settings.get(element.tag, {}), **element.attributes}
+
+    def check(self, element: Element, name: str) -> str:
+        """Give a class that there is; a fault where there is none of the name."""
+        if name in self._classes:
+            return name
+        meant = nearest(name, list(self._classes))
+        remedy = f"did you mean {abbreviate(meant)}?" if meant else "define it under <default>"
+        self._findings.fault(element, f"there is no default class {abbreviate(name)}", remedy)
+        return MAIN

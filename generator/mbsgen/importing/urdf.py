@@ -1,0 +1,274 @@
+"""URDF -> Draft of a model: one body a link, in the link's own frame.
+
+A link's frame is that of the joint that carries it, as in URDF, so a model's coordinates are those of the file. Roll,
+pitch and yaw are turns about z by yaw, about y by pitch, about x by roll. Bodies stand depth first, joints in the order
+of the file.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from mbsgen.documents import abbreviate, nearest
+from mbsgen.importing.drafting import GRAVITY, Choices, Draft, Imported, Move, make_law, move_freely
+from mbsgen.importing.findings import Findings
+from mbsgen.importing.markup import Element
+from mbsgen.importing.poses import ORIGIN, Array, Pose, place
+from mbsgen.importing.solids import NOTHING, Solid
+from mbsgen.model.model import BASE
+from mbsgen.model.tree import Motion
+
+KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+READ = frozenset(
+    {
+        *("robot", "link", "joint", "inertial", "mass", "inertia", "origin", "axis", "limit", "dynamics", "mimic"),
+        *("parent", "child", "transmission"),
+    }
+)
+_XACRO = ("include", "property", "macro", "arg", "if", "unless", "insert_block", "call")
+MACROS = frozenset(f"xacro:{word}" for word in _XACRO)
+
+
+def read_urdf(root: Element, choices: Choices, findings: Findings) -> Imported:
+    """Make a model of a URDF file. Raises InputError with all faults of it."""
+    for element in root.walk():
+        if element.tag in MACROS:
+            findings.fault(element, f"{element.tag} is xacro", "run `xacro FILE > robot.urdf`, and import that")
+    if findings.faults:
+        raise findings.refuse()
+    return _Robot(root, choices, findings).read()
+
+
+class _Robot:
+    """A URDF file while it is read."""
+
+    def __init__(self, root: Element, choices: Choices, findings: Findings) -> None:
+        self._root = root
+        self._choices = choices
+        self._findings = findings
+        held = () if choices.mimic != "lock" else tuple(self._hold_mimics())
+        self._draft = Draft(findings, replace(choices, locked=(*choices.locked, *held)))
+
+    def _hold_mimics(self) -> Iterator[tuple[str, float]]:
+        """Give the joints that follow others, and where they are when those are at 0."""
+        for joint in self._root.all("joint"):
+            mimic = joint.first("mimic")
+            if mimic is not None and joint.attributes.get("type") in ("revolute", "continuous", "prismatic"):
+                yield joint.attributes.get("name", ""), self._findings.number(mimic, "offset", 0.0)
+
+    def read(self) -> Imported:
+        """Read the file, and put the model together."""
+        links = self._index("link")
+        self._index("joint")
+        carried: dict[str, list[tuple[Element, str]]] = {name: [] for name in links}
+        carriers: dict[str, Element] = {}
+        for joint in self._root.all("joint"):
+            parent, child = (self._find_link(joint, key, links) for key in ("parent", "child"))
+            if child is not None and child in carriers:
+                line = carriers[child].line
+                remedy = "a tree has one; loops of bodies are not part of a model"
+                self._findings.fault(joint, f"link {abbreviate(child)} has a second joint, after line {line}", remedy)
+            elif parent is not None and child is not None:
+                carriers[child] = joint
+                carried[parent].append((joint, child))
+        roots = [name for name in links if name not in carriers]
+        if len(roots) != 1 and not self._findings.faults:
+            shown = ", ".join(map(abbreviate, roots[:5]))
+            finding = f"{len(roots)} links stand on no joint: {shown}" if roots else "no link to begin with"
+            self._findings.fault(self._root, finding, "let exactly one link be no joint's child")
+        if self._findings.faults:
+            raise self._findings.refuse()
+        self._add_links(roots[0], links, carried)
+        self._tell_transmissions()
+        self._tell_ignored()
+        return self._draft.finish(self._root.attributes.get("name", "robot"), GRAVITY, self._root)
+
+    def _index(self, tag: str) -> dict[str, Element]:
+        found: dict[str, Element] = {}
+        for element in self._root.all(tag):
+            name = element.attributes.get("name", "")
+            if not name:
+                self._findings.fault(element, f"a {tag} without a name", "give it one")
+            elif name in found:
+                finding = f"{tag} {abbreviate(name)} is already in line {found[name].line}"
+                self._findings.fault(element, finding, "give one of them another name")
+            found.setdefault(name, element)
+        return found
+
+    def _find_link(self, joint: Element, key: str, links: dict[str, Element]) -> str | None:
+        element = joint.first(key)
+        name = None if element is None else element.attributes.get("link")
+        if name is None or element is None:
+            self._findings.fault(joint, f"a joint without a {key}", f'give it <{key} link="..."/>')
+            return None
+        if name not in links:
+            meant = nearest(name, list(links))
+            remedy = f"did you mean {abbreviate(meant)}?" if meant else "name a link of the file"
+            self._findings.fault(element, f"there is no link {abbreviate(name)}", remedy)
+            return None
+        return name
+
+    def _add_links(self, root: str, links: dict[str, Element], carried: dict[str, list[tuple[Element, str]]]) -> None:
+        first = links[root]
+        moves = move_freely(first) if self._choices.base == "floating" else []
+        waiting: list[tuple[str, str, Pose, list[Move]]] = [(root, BASE, ORIGIN, moves)]
+        reached = set()
+        while waiting:
+            name, parent, pose, moves = waiting.pop()
+            reached.add(name)
+            own = self._draft.add_body(name, parent, pose, moves, self._read_solid(links[name]), links[name])
+            self._draft.add_frame(name, own, ORIGIN, links[name])
+            for joint, child in reversed(carried[name]):
+                waiting.append((child, own, self._read_origin(joint), [*self._read_moves(joint)]))
+        if self._choices.base == "fixed" and self._read_solid(first).mass:
+            self._findings.tell(first, "the root link stands fast on the base; --base floating frees it")
+        for name in links.keys() - reached:
+            self._findings.fault(links[name], "it hangs in a loop of joints", "let its chain begin at the root link")
+
+    # --- parts of links ----------------------------------------------------------------------------------------------
+
+    def _read_origin(self, element: Element) -> Pose:
+        origin = element.first("origin")
+        if origin is None:
+            return ORIGIN
+        position = self._findings.numbers(origin, "xyz", (0.0, 0.0, 0.0))
+        roll, pitch, yaw = map(self._draft.writer.snap, self._findings.numbers(origin, "rpy", (0.0, 0.0, 0.0)))
+        return place(position, [(k, angle) for k, angle in ((2, yaw), (1, pitch), (0, roll)) if angle])
+
+    def _read_solid(self, link: Element) -> Solid:
+        inertial = link.first("inertial")
+        if inertial is None:
+            return NOTHING
+        mass, tensor = inertial.first("mass"), inertial.first("inertia")
+        for element, tag in ((mass, "mass"), (tensor, "inertia")):
+            if element is None:
+                self._findings.fault(inertial, f"an inertial without <{tag}>", "give it one, or leave the inertial out")
+        if mass is None or tensor is None:
+            return NOTHING
+        xx, yy, zz, xy, xz, yz = (
+            self._findings.number(tensor, f"i{axes}", 0.0) for axes in ("xx", "yy", "zz", "xy", "xz", "yz")
+        )
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        own = Solid(self._findings.number(mass, "value", 0.0), np.zeros(3), inertia)
+        return own.seen_from(self._read_origin(inertial))
+
+    # --- joints ------------------------------------------------------------------------------------------------------
+
+    def _read_moves(self, joint: Element) -> Iterator[Move]:
+        kind = joint.attributes.get("type", "")
+        name = joint.attributes.get("name", "")
+        match kind:
+            case "fixed":
+                self._refuse_mimic(joint)
+            case "floating":
+                self._refuse_mimic(joint)
+                yield from move_freely(joint)
+            case "planar":
+                self._refuse_mimic(joint)
+                normal = self._read_axis(joint)
+                first = np.eye(3)[int(np.argmin(np.abs(normal)))]
+                first = first - (first @ normal) / (normal @ normal) * normal
+                first /= np.linalg.norm(first)
+                second = np.cross(normal / np.linalg.norm(normal), first)
+                yield Move(Motion.PRISMATIC, first, joint, actuated=False)
+                yield Move(Motion.PRISMATIC, second, joint, actuated=False)
+                yield Move(Motion.REVOLUTE, normal, joint, actuated=False)
+            case "revolute" | "continuous" | "prismatic":
+                yield self._read_move(joint, kind, name)
+            case _:
+                self._findings.fault(joint, f"type is {abbreviate(kind)}", f"give {', '.join(KINDS)}")
+
+    def _read_move(self, joint: Element, kind: str, name: str) -> Move:
+        lower = upper = velocity = effort = None
+        limit = joint.first("limit")
+        if limit is None and kind != "continuous":
+            self._findings.tell(joint, "it has no <limit>: it is unbounded")
+        if limit is not None:
+            if kind != "continuous" and not limit.attributes.keys().isdisjoint(("lower", "upper")):
+                lower, upper = (self._findings.number(limit, key, 0.0) for key in ("lower", "upper"))
+                if lower > upper:
+                    self._findings.fault(limit, f"lower is {lower:g}, and upper {upper:g}", "swap them")
+            elif kind != "continuous":
+                self._findings.tell(limit, "it has neither lower nor upper: the joint is unbounded")
+            velocity, effort = (
+                self._findings.number(limit, key, 0.0) if key in limit.attributes else None
+                for key in ("velocity", "effort")
+            )
+        self._read_mimic(joint, name)
+        dynamics = joint.first("dynamics")
+        damping = friction = 0.0
+        if dynamics is not None:
+            damping, friction = (self._read_loss(dynamics, key) for key in ("damping", "friction"))
+        if friction:
+            speed = self._choices.friction_speed
+            self._findings.tell(joint, f"dry friction of {friction:g}, smoothed: tanh(qd/{speed:g})")
+        return Move(
+            Motion.PRISMATIC if kind == "prismatic" else Motion.REVOLUTE,
+            self._read_axis(joint),
+            joint,
+            name=name,
+            lower=lower,
+            upper=upper,
+            law=make_law(damping=damping, friction=friction, speed=self._choices.friction_speed),
+            velocity=velocity,
+            effort=effort,
+        )
+
+    def _read_loss(self, dynamics: Element, key: str) -> float:
+        value = self._findings.number(dynamics, key, 0.0)
+        if value < 0:
+            self._findings.fault(dynamics, f"{key} is {value:g}", "give 0 or more")
+            return 0.0
+        return value
+
+    def _read_axis(self, joint: Element) -> Array:
+        element = joint.first("axis")
+        axis = (1.0, 0.0, 0.0) if element is None else self._findings.numbers(element, "xyz", (1.0, 0.0, 0.0))
+        if not any(axis) and element is not None:
+            self._findings.fault(element, "an axis without direction", "give a nonzero one, e.g. 0 0 1")
+            axis = (1.0, 0.0, 0.0)
+        return np.array(axis)
+
+    def _read_mimic(self, joint: Element, name: str) -> None:
+        mimic = joint.first("mimic")
+        if mimic is None or any(held == name for held, _ in self._draft.choices.locked):
+            return
+        follows = abbreviate(mimic.attributes.get("joint", ""))
+        if self._choices.mimic == "free":
+            self._findings.warn(mimic, f"the joint follows {follows}; here it moves on its own")
+            return
+        remedy = f"hold it (--lock {name}=0), hold all such joints (--mimic lock), or free them (--mimic free)"
+        self._findings.fault(mimic, f"the joint follows {follows}, which a model cannot say", remedy)
+
+    def _refuse_mimic(self, joint: Element) -> None:
+        if joint.first("mimic") is not None:
+            self._findings.tell(joint, "a mimic of a joint that turns or slides about no single axis has no meaning")
+
+    # --- the rest ----------------------------------------------------------------------------------------------------
+
+    def _tell_transmissions(self) -> None:
+        for transmission in self._root.all("transmission"):
+            for element in transmission.walk():
+                if element.tag == "mechanicalReduction" and element.text not in ("", "1", "1.0"):
+                    self._findings.tell(
+                        transmission, f"gear ratio {abbreviate(element.text)}: the input u is the force at the joint"
+                    )
+                elif element.tag in ("rotorInertia", "motorInertia"):
+                    self._findings.warn(element, f"rotor inertia {abbreviate(element.text)}: a model has none yet")
+
+    def _tell_ignored(self) -> None:
+        seen: Counter[str] = Counter()
+        packaged = set()
+        for element in self._root.walk():
+            if element.tag == "mesh" and "filename" in element.attributes:
+                packaged.add(element.attributes["filename"])
+        for parent in (self._root, *self._root.all("link", "joint")):
+            seen.update(child.tag for child in parent.children if child.tag not in READ)
+        if seen:
+            counts = ", ".join(f"{count} {tag[:40]}" for tag, count in sorted(seen.items()))
+            meshes = f"; {len(packaged)} mesh files, package:// among them, were not looked for" if packaged else ""
+            self._findings.sum_up(f"of no meaning for the dynamics: {counts}{meshes}")
