@@ -51,7 +51,7 @@ from mbsrun.simulation.record import FILES as MOTION_FILES
 from mbsrun.simulation.record import describe_settings, write_motion
 from mbsrun.simulation.simulate import simulate
 from mbsrun.simulation.statement import Recording, read_statement
-from mbsrun.study.commands import chart
+from mbsrun.study.commands import advise_command, chart
 
 NOT_SOLVED = 1  # exit codes; 0 is a solution as accurate as the problem asks for
 BAD_INPUT = 2
@@ -75,6 +75,7 @@ HELP = """Simulate multibody systems, and solve optimal control problems of thei
   mbsrun solve PROBLEM -o DIR   solve, and write solution and pictures to DIR
   mbsrun sweep PROBLEM -o FILE  solve for a grid of targets, by a protocol, and tell what it took
   mbsrun chart kernels MODEL    draw speed against accuracy of kernels, or of simulation
+  mbsrun advise MODEL           tell what is fastest for a model, at an accuracy
   mbsrun cache                  tell what was generated and compiled, or clear it
 
 MODEL and PROBLEM are YAML files; models/ holds examples. Summaries go to stdout, progress and messages to stderr.
@@ -462,6 +463,7 @@ def simulate_command(
 
 
 cli.add_command(chart)
+cli.add_command(advise_command)
 
 
 def main() -> None:

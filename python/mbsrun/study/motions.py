@@ -78,12 +78,13 @@ class Depth:
     """How much is measured."""
 
     families: tuple[tuple[str, Formulation], ...] = FAMILIES
-    divisions: tuple[int, ...] = (1, 2, 4, 8, 16, 32, 64)  # of the pace, for methods with fixed steps
+    divisions: tuple[int, ...] = (1, 2, 4, 8, 16, 32, 64)  # of the pace, for implicit methods with fixed steps
+    shorter: tuple[int, ...] = (1, 4, 16, 64, 256, 1024)  # for explicit ones, whose steps cost little
     tolerances: tuple[float, ...] = (1e-3, 1e-5, 1e-7, 1e-9, 1e-11)
     rounds: int = 3
 
 
-QUICK = Depth((("rk4", EXP2), ("dop853", EXP2), ("gauss", IMPL)), (1, 4), (1e-4, 1e-8), 1)
+QUICK = Depth((("rk4", EXP2), ("dop853", EXP2), ("gauss", IMPL)), (1, 4), (1, 16, 64), (1e-4, 1e-8), 1)
 
 
 def draw_course(mechanism: Mechanism, duration: float) -> Course:
@@ -145,10 +146,10 @@ class _Bench:
     def _judge(self, value: float, motion: Motion, seconds: Array) -> MotionPoint:
         settings, energy = motion.settings, motion.energy
         is_adaptive = METHODS[settings.method].family is Family.ADAPTIVE
-        error = float(np.abs(_end(motion) - self.standard.state).max()) if motion.is_complete else None
-        drift = None
+        error = np.abs(_end(motion) - self.standard.state).max() if motion.is_complete else np.nan
+        drift = np.nan
         if energy is not None:
-            drift = float(np.abs(energy.drift).max() / (np.ptp(energy.kinetic) + np.ptp(energy.potential) or 1.0))
+            drift = np.abs(energy.drift).max() / (np.ptp(energy.kinetic) + np.ptp(energy.potential) or 1.0)
         return MotionPoint(
             mechanism=self.course.mechanism.manifest.model,
             method=settings.method,
@@ -156,8 +157,8 @@ class _Bench:
             setting="tolerance" if is_adaptive else "step",
             value=value,
             seconds=sum_up(seconds) if motion.is_complete else None,
-            error=error if error is not None and np.isfinite(error) else None,
-            drift=drift,
+            error=float(error) if np.isfinite(error) else None,
+            drift=float(drift) if np.isfinite(drift) else None,
             evaluations=motion.effort.evaluations,
             finding="" if motion.halt is None else str(motion.halt),
         )
@@ -166,7 +167,8 @@ class _Bench:
 def _list_levels(method: str, standard: Standard, depth: Depth) -> list[tuple[float, Settings]]:
     if METHODS[method].family is Family.ADAPTIVE:
         return [(x, Settings(standard.duration, method, rtol=x, atol=x)) for x in depth.tolerances]
-    steps = [standard.duration / (standard.steps * x) for x in depth.divisions]
+    divisions = depth.shorter if METHODS[method].family is Family.EXPLICIT else depth.divisions
+    steps = [standard.duration / (standard.steps * x) for x in divisions]
     return [(x, Settings(standard.duration, method, step=x)) for x in steps]
 
 

@@ -20,7 +20,7 @@ from mbsrun.study.points import Cost, KernelPoint, MotionPoint
 
 COLORS = tuple(TABLEAU_COLORS)
 MARKERS = {"float64": "o", "float32": "s"}
-EXACT = 1e-17  # where an error of 0 is drawn
+EXACT, WORST = 1e-17, 100.0  # where smaller and larger errors are drawn, and those that are not known
 ROUNDINGS = {"float64": 2.0**-53, "float32": 2.0**-24}
 
 
@@ -54,7 +54,7 @@ def draw_kernels(points: Sequence[KernelPoint], folder: Path) -> list[Path]:
 
 def draw_motions(points: Sequence[MotionPoint], standard: Standard, folder: Path) -> list[Path]:
     """Draw simulation.png: error of place and drift of energy against processor time; give its path."""
-    figure = Figure(figsize=(15, 8), layout="constrained")
+    figure = Figure(figsize=(20, 11), layout="constrained")
     left, right = figure.subplots(1, 2, sharex=True)
     for axes, number in ((left, "error"), (right, "drift")):
         marks = [
@@ -73,7 +73,7 @@ def draw_motions(points: Sequence[MotionPoint], standard: Standard, folder: Path
     left.axhspan(standard.accuracy / 100, standard.accuracy, color="0.9", zorder=0)
     left.set_title(f"below {standard.accuracy:.0e} (grey) the reference is no better: {standard.title}", fontsize=9)
     right.set_ylabel("largest drift of energy, by the energy that is exchanged")
-    right.set_title("labels: step [s] or tolerance; x: failed", fontsize=9)
+    right.set_title(f"labels: step [s] or tolerance; x: failed, or beyond {WORST:g}", fontsize=9)
     figure.suptitle(f"{_plain(points[0].mechanism)}, {standard.duration:g} s: simulation, speed against accuracy")
     handles, labels = left.get_legend_handles_labels()
     figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=7)
@@ -132,11 +132,12 @@ def _draw_marks(axes: Axes, marks: Sequence[Mark], *, lines: bool = False) -> No
     axes.margins(0.12)
     axes.grid(color="0.9", linewidth=0.5)
     last = max((m.cost.median for m in marks if m.cost), default=1.0) * 1.5
-    worst = max(1.0, *(m.error for m in marks if m.error is not None), *(0.0 for _ in "one"))
+    worst = min(WORST, max(1.0, *(3 * m.error for m in marks if m.error is not None), 1.0))
     for i, series in enumerate(dict.fromkeys(m.series for m in marks)):
         own, color = [m for m in marks if m.series == series], COLORS[i % len(COLORS)]
         style = ("-", "--", ":")[i // len(COLORS) % 3]
-        places = [(m.cost.shortest if m.cost else last, worst if m.error is None else max(m.error, EXACT)) for m in own]
+        heights = [worst if m.error is None else min(max(m.error, EXACT), WORST) for m in own]
+        places = [(m.cost.shortest if m.cost else last, y) for m, y in zip(own, heights, strict=True)]
         axes.plot([], [], color=color, marker="o", linestyle=style if lines else "", markersize=4, label=series)
         if lines:
             whole = [place for place, m in zip(places, own, strict=True) if m.error is not None]
@@ -144,8 +145,9 @@ def _draw_marks(axes: Axes, marks: Sequence[Mark], *, lines: bool = False) -> No
         for k, (m, (x, y)) in enumerate(zip(own, places, strict=True)):
             if m.cost:
                 axes.plot([x, m.cost.median], [y, y], color=color, linewidth=0.8)
-            size = 6 if m.is_failure else 4
-            axes.plot(x, y, color=color, marker="x" if m.is_failure else m.marker, markersize=size, linestyle="")
+            is_cross = m.is_failure or y == WORST
+            marker, size = ("x", 6) if is_cross else (m.marker, 4)
+            axes.plot(x, y, color=color, marker=marker, markersize=size, linestyle="")
             axes.annotate(
                 m.label,
                 (x, y),

@@ -63,7 +63,24 @@ class MotionPoint:
     finding: str = ""  # why the end was not reached
 
 
-Point = TypeVar("Point", KernelPoint, MotionPoint)
+@dataclass(frozen=True)
+class SolvePoint:
+    """A way to put a problem on a grid, with what its solve takes and what it errs by."""
+
+    mechanism: str
+    representation: str
+    family: str  # of collocation points
+    degree: int
+    intervals: int
+    seconds: Cost | None  # of processor time; None: not solved
+    defect: float | None  # the largest error of an interval, by re-simulation [rad, m; rad/s, m/s]
+    cost: float | None  # at the optimum
+    iterations: int
+    finding: str = ""  # why there is no solution
+
+
+Point = TypeVar("Point", KernelPoint, MotionPoint, SolvePoint)
+AnyPoint = KernelPoint | MotionPoint | SolvePoint
 
 
 class Store(Generic[Point]):
@@ -104,7 +121,7 @@ class Store(Generic[Point]):
         return bundles
 
 
-def write_table(points: Sequence[KernelPoint] | Sequence[MotionPoint], folder: Path, name: str) -> tuple[Path, Path]:
+def write_table(points: Sequence[AnyPoint], folder: Path, name: str) -> tuple[Path, Path]:
     """Write points as NAME.csv, a column for each number, and as NAME.json."""
     flat = [_flatten(point) for point in points]
     table, whole = folder / f"{name}.csv", folder / f"{name}.json"
@@ -116,7 +133,7 @@ def write_table(points: Sequence[KernelPoint] | Sequence[MotionPoint], folder: P
     return table, whole
 
 
-def _flatten(point: KernelPoint | MotionPoint) -> dict[str, object]:
+def _flatten(point: AnyPoint) -> dict[str, object]:
     row: dict[str, object] = {}
     for field in fields(point):
         value = getattr(point, field.name)
