@@ -29,6 +29,11 @@ bench: $(VENV)/installed-bench
 bench-ocp: $(VENV)/installed
 	$(BIN)/python -m benchmarks.ocp $(BENCH)
 
+# Charts of speed against accuracy: minutes. STUDY=--quick for less; stopped, it goes on where it was.
+study: $(VENV)/installed
+	$(BIN)/mbsrun chart kernels models/arm_pendulum.yaml -o build/study $(STUDY)
+	$(BIN)/mbsrun chart simulation models/arm_pendulum.yaml -o build/study $(STUDY)
+
 golden: $(VENV)/installed-dev
 	$(BIN)/python -m tests.golden
 
