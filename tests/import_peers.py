@@ -24,6 +24,7 @@ from mbsgen.tape.types import Input, Sparsity
 
 Array = NDArray[np.float64]
 STATES = 3
+SMALL = 1e-3  # what is smaller may be the rounding of a 0
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,7 @@ class Kernels:
         self.tree = build_tree(strip_forces(imported.model))
         self.joints = [body.joint.name for body in self.tree.bodies]
         families = write_families(self.tree, Options(functions=functions, derivatives=derivatives))
+        self._wanted = [*functions, *(f"jac_{name}" for name in functions if derivatives and name != "semi")]
         self._tapes = {tape.name: tape for family in families for tape in family.tapes}
 
     def draw_states(self, seed: int = 0) -> list[State]:
@@ -65,8 +67,11 @@ class Kernels:
         n = len(self.joints)
         return [State(*rng.uniform(-1.2, 1.2, (4, n))) for _ in range(STATES)]
 
-    def evaluate(self, name: str, state: State) -> dict[str, Array]:
-        """Evaluate a function; matrices are full."""
+    def compute(self, state: State) -> dict[str, Array]:
+        """Compute all results; matrices are full."""
+        return {key: value for name in self._wanted for key, value in self._evaluate(name, state).items()}
+
+    def _evaluate(self, name: str, state: State) -> dict[str, Array]:
         tape = self._tapes[name]
         given = {"q": state.q, "qd": state.qd, "qdd": state.qdd, "u": state.Q}
         values = evaluate(tape, {i.name: _take(i, given) for i in tape.inputs})
@@ -223,8 +228,8 @@ def _quaternion(angles: Array) -> Array:
 
 
 def largest_miss(found: Mapping[str, Array], expected: Mapping[str, Array]) -> dict[str, float]:
-    """Tell, for each result, the largest difference, relative to the largest entry."""
+    """Tell, for each result, the largest difference, relative to the largest entry, or to SMALL."""
     return {
-        name: float(np.abs(found[name] - expected[name]).max() / np.abs(expected[name]).max())
+        name: float(np.abs(found[name] - expected[name]).max() / max(SMALL, np.abs(expected[name]).max()))
         for name in found.keys() & expected.keys()
     }

@@ -60,7 +60,7 @@ HELP = """Turn the description of a multibody system into C kernels for its dyna
   mbsgen report MODEL       count what it costs, and write nothing
   mbsgen scaling            count how cost grows with the length of a chain
   mbsgen check MODEL        tell every fault of the file, and write nothing
-  mbsgen import ROBOT       make a model file of URDF or MJCF
+  mbsgen import MODEL       make a model file of URDF or MJCF
 
 MODEL is a YAML file, as models/ holds examples, or one of URDF or MJCF. A file that has the name of a subcommand is
 reached as ./NAME.
@@ -274,7 +274,7 @@ def check_command(model: Path) -> None:
 
 
 @cli.command("import")
-@click.argument("robot", type=click.Path(path_type=Path))
+@MODEL
 @click.option("-o", "--output", "out", type=click.Path(path_type=Path), help="The model file to write; else stdout.")
 @click.option("--name", help="The model's name; else that in the file.")
 @click.option(
@@ -310,7 +310,7 @@ def check_command(model: Path) -> None:
 )
 @click.option("--allow-unphysical", is_flag=True, help="Take even inertias that are far from what a body can have.")
 def import_command(
-    robot: Path,
+    model: Path,
     out: Path | None,
     name: str | None,
     base: Literal["fixed", "floating"],
@@ -322,7 +322,7 @@ def import_command(
     quarter_turns: float,
     allow_unphysical: bool,
 ) -> None:
-    """Make a model file of ROBOT, a file of URDF or MJCF.
+    """Make a model file of MODEL, a file of URDF or MJCF.
 
     What is changed or left out is told on stderr, and in comments of the model file.
     """
@@ -337,7 +337,7 @@ def import_command(
         quarter_turns=quarter_turns,
         allow_unphysical=allow_unphysical,
     )
-    imported = import_model(robot, choices)
+    imported = import_model(model, choices)
     _tell(imported.notices)
     text = write_imported(imported)
     if out is None:

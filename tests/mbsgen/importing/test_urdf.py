@@ -1,0 +1,282 @@
+"""URDF is imported as Pinocchio reads it, and what a model cannot say is told."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mbsgen.errors import InputError
+from mbsgen.expressions import Number
+from mbsgen.importing import Choices, Imported, import_model, write_imported
+from mbsgen.importing.drafting import Limit
+from mbsgen.model.model import Body, Fixed, Friction, Joint
+from mbsgen.model.reader import read_model
+from tests.import_peers import Kernels, PinocchioPeer, largest_miss
+
+# Sums of a few dozen products of numbers near 1; M of these trees has a condition below 1e3.
+TOLERANCE = 1e-12
+DEFAULT = Choices()
+NAMES = ("trunk", "arm", "hand", "slider", "tool", "wheel", "foot")
+
+LINK = """<link name="{name}">
+  <inertial><origin xyz="{com}" rpy="{rpy}"/><mass value="{mass}"/>
+    <inertia ixx="0.02" ixy="0.001" ixz="-0.002" iyy="0.03" iyz="0.003" izz="0.025"/></inertial>
+</link>"""
+
+
+def link(name: str, mass: float = 1.0, com: str = "0.1 -0.2 0.05", rpy: str = "0.3 -0.2 0.5") -> str:
+    return LINK.format(name=name, mass=mass, com=com, rpy=rpy)
+
+
+def joint(name: str, kind: str, parent: str, child: str, inner: str = "", rpy: str = "0.1 0.7 -0.4") -> str:
+    return (
+        f'<joint name="{name}" type="{kind}"><origin xyz="0.2 0.1 -0.3" rpy="{rpy}"/>'
+        f'<parent link="{parent}"/><child link="{child}"/>{inner}</joint>'
+    )
+
+
+LIMIT = '<limit lower="-1" upper="2" effort="5" velocity="3"/>'
+LOSSES = '<dynamics damping="0.5" friction="0.2"/>'
+TREE = "\n".join(
+    [
+        *(link(name, mass) for mass, name in enumerate(NAMES, 1)),
+        joint("shoulder", "revolute", "trunk", "arm", f'<axis xyz="0 1 0"/>{LIMIT}{LOSSES}'),
+        joint("weld", "fixed", "arm", "hand"),
+        joint("slide", "prismatic", "hand", "slider", f'<axis xyz="0.6 0 -0.8"/>{LIMIT}', "1.5707963267948966 0 0"),
+        joint("grip", "fixed", "slider", "tool", rpy="0 0 3.141592653589793"),
+        joint("roll", "continuous", "trunk", "wheel", '<axis xyz="0 0 -2"/>'),
+        joint("ankle", "revolute", "wheel", "foot", LIMIT),
+    ]
+)
+
+
+def write(folder: Path, inner: str, name: str = "machine") -> Path:
+    path = folder / "machine.urdf"
+    path.write_text(f'<?xml version="1.0"?>\n<robot name="{name}">\n{inner}\n</robot>\n', encoding="utf-8")
+    return path
+
+
+def body(imported: Imported, name: str) -> Body:
+    return next(body for body in imported.model.bodies if body.name == name)
+
+
+def only_joint(imported: Imported, name: str) -> Joint:
+    found = body(imported, name).joint
+    assert isinstance(found, Joint)
+    return found
+
+
+def faults_of(path: Path, choices: Choices = DEFAULT) -> list[str]:
+    with pytest.raises(InputError) as caught:
+        import_model(path, choices)
+    return [str(fault).removeprefix(f"{path}:") for fault in caught.value.faults]
+
+
+def told(imported: Imported) -> list[str]:
+    return [str(notice.without_folder()).removeprefix("machine.urdf:") for notice in imported.notices]
+
+
+@pytest.mark.parametrize("floating", [False, True], ids=["fixed", "floating"])
+@pytest.mark.parametrize("locked", [{}, {"shoulder": 0.7}, {"slide": -0.3, "ankle": 1.1}], ids=["all", "one", "two"])
+def test_the_equations_are_pinocchios(tmp_path: Path, floating: bool, locked: dict[str, float]) -> None:
+    """Phi, M, c, qdd and first derivatives: fixed links, turned inertias, every axis, joints held anywhere."""
+    path = write(tmp_path, TREE)
+    choices = Choices(base="floating" if floating else "fixed", locked=tuple(locked.items()))
+    kernels = Kernels(import_model(path, choices), ("impl", "semi", "exp2"), derivatives=0 if floating else 1)
+    peer = PinocchioPeer(path, kernels.joints, floating=floating, locked=locked)
+    for state in kernels.draw_states():
+        for name, miss in largest_miss(kernels.compute(state), peer.compute(state)).items():
+            assert miss < TOLERANCE, name
+
+
+def test_what_is_written_is_read_as_the_same_model(tmp_path: Path) -> None:
+    imported = import_model(write(tmp_path, TREE), Choices(base="floating", sensors=("tool",)))
+    file = tmp_path / "machine.yaml"
+    file.write_text(write_imported(imported), encoding="utf-8")
+    assert read_model(file) == imported.model
+
+
+def test_a_planar_joint_is_two_slides_and_a_turn(tmp_path: Path) -> None:
+    """As a chain of the three joints that it is, which Pinocchio reads: slides across the normal, a turn about it."""
+    normal = np.array([2.0, -1.0, 2.0]) / 3
+    path = write(tmp_path, link("a") + link("b") + joint("p", "planar", "a", "b", '<axis xyz="2 -1 2"/>'))
+    kernels = Kernels(import_model(path), ("impl",))
+    first, second, turned = (np.array([x.value for x in j.axis]) for j in body(import_model(path), "b").joints)  # type: ignore[union-attr]
+    np.testing.assert_allclose(np.cross(first, second), normal, atol=1e-15)
+    np.testing.assert_allclose(turned / 3, normal, atol=1e-15)
+
+    def step(name: str, kind: str, parent: str, child: str, axis: np.ndarray, origin: str) -> str:
+        ends = f'<parent link="{parent}"/><child link="{child}"/>'
+        along = f'<axis xyz="{" ".join(map(str, axis))}"/>'
+        return f'<joint name="{name}" type="{kind}">{origin}{ends}{along}{LIMIT}</joint>'
+
+    origin = '<origin xyz="0.2 0.1 -0.3" rpy="0.1 0.7 -0.4"/>'
+    chain = (
+        link("a") + link("b") + '<link name="m"/><link name="n"/>'
+        + step("b.t", "prismatic", "a", "m", first, origin)
+        + step("b.t2", "prismatic", "m", "n", second, "")
+        + step("b.r", "revolute", "n", "b", normal, "")
+    )  # fmt: skip
+    peer = PinocchioPeer(write(tmp_path, chain), kernels.joints, floating=False)
+    for state in kernels.draw_states():
+        assert largest_miss(kernels.compute(state), peer.compute(state))["Phi"] < TOLERANCE
+
+
+def test_limits_forces_and_bounds_are_carried_over(tmp_path: Path) -> None:
+    imported = import_model(write(tmp_path, TREE), Choices(friction_speed=0.1))
+    shoulder = only_joint(imported, "arm")
+    assert (shoulder.name, shoulder.lower, shoulder.upper) == ("shoulder", Number(-1.0), Number(2.0))
+    assert shoulder.law.damping == Number(0.5)
+    assert shoulder.law.friction == Friction(Number(0.2), Number(0.1))
+    assert (only_joint(imported, "wheel").lower, only_joint(imported, "wheel").upper) == (None, None)
+    assert Limit("shoulder", velocity=3.0, effort=5.0) in imported.limits
+    text = write_imported(imported)
+    assert '#       "shoulder": [-3.0, 3.0]' in text
+    assert '#       "shoulder": [-5.0, 5.0]' in text
+
+
+def test_each_fixed_mass_is_told_of(tmp_path: Path) -> None:
+    imported = import_model(write(tmp_path, TREE))
+    found = [line.partition(": ")[2] for line in told(imported) if "fixed: " in line]
+    assert found == [
+        "robot/link[trunk]: fixed: its mass of 1 kg stands on the base, where nothing feels it",
+        "robot/link[hand]: fixed: its mass of 3 kg moves with arm",
+        "robot/link[tool]: fixed: its mass of 5 kg moves with slider",
+    ]
+    assert isinstance(body(imported, "hand").joint, Fixed)
+
+
+def test_what_has_no_meaning_for_the_dynamics_is_told_once(tmp_path: Path) -> None:
+    mesh = '<geometry><mesh filename="package://x/{0}.stl"/></geometry>'
+    shown = f"<visual>{mesh.format(1)}</visual><collision>{mesh.format(2)}</collision>"
+    extra = f'{link("a").replace("</link>", shown + "</link>")}{link("b")}<material name="red"/><gazebo/>'
+    gears = (
+        '<transmission name="t"><joint name="j"/><actuator name="m"><mechanicalReduction>50</mechanicalReduction>'
+        "<rotorInertia>1e-4</rotorInertia></actuator></transmission>"
+    )
+    lines = told(import_model(write(tmp_path, extra + joint("j", "revolute", "a", "b", LIMIT) + gears)))
+    assert len([line for line in lines if "no meaning" in line]) == 1
+    assert any("1 collision, 1 gazebo, 1 material, 1 visual; 2 mesh files" in line for line in lines)
+    assert any('gear ratio "50"' in line for line in lines)
+    assert any("warning: rotor inertia" in line for line in lines)
+
+
+def test_joints_that_follow_others(tmp_path: Path) -> None:
+    """None is dropped in silence: refused, or held where the leading joint at 0 puts it, or free."""
+    follower = joint("two", "revolute", "b", "c", LIMIT + '<mimic joint="one" multiplier="2" offset="0.25"/>')
+    path = write(tmp_path, link("a") + link("b") + link("c") + joint("one", "revolute", "a", "b", LIMIT) + follower)
+    (fault,) = faults_of(path)
+    assert 'robot/joint[two]/mimic: the joint follows "one"' in fault
+    assert "--lock two=0" in fault
+    held = import_model(path, Choices(mimic="lock"))
+    assert isinstance(body(held, "c").joint, Fixed)
+    assert held.model.bodies == import_model(path, Choices(locked=(("two", 0.25),))).model.bodies
+    free = import_model(path, Choices(mimic="free"))
+    assert only_joint(free, "c").name == "two"
+    altered = [notice.text for notice in free.notices if notice.alters]
+    assert altered == ['the joint follows "one"; here it moves on its own']
+
+
+def test_names_that_a_model_cannot_have_are_changed_and_told(tmp_path: Path) -> None:
+    names = ("base", "arm/left", "ARM_LEFT", "x" * 100)
+    links = "".join(map(link, names))
+    pairs = enumerate(pairwise(names))
+    joints = "".join(joint(f"j{i}", "revolute", a, b, LIMIT) for i, (a, b) in pairs)
+    imported = import_model(write(tmp_path, links + joints, name="my/../robot"))
+    assert [b.name for b in imported.model.bodies] == ["base_link", "arm_left", "ARM_LEFT_2", "x" * 56]
+    assert imported.model.name == "my_.._robot"
+    assert len([line for line in told(imported) if "is called" in line]) == 5
+
+
+@pytest.mark.parametrize(
+    ("value", "warned", "refused"), [(0.05, False, False), (0.06, True, False), (0.5, False, True)]
+)
+def test_inertias_that_no_body_has(tmp_path: Path, value: float, warned: bool, refused: bool) -> None:
+    """0.02 + 0.03 bounds the third moment: slightly more is imported and told, far more is a fault."""
+    tensor = f'<mass value="1"/><inertia ixx="0.02" iyy="0.03" izz="{value}"/>'
+    inner = link("a") + f'<link name="b"><inertial>{tensor}</inertial></link>' + joint("j", "revolute", "a", "b", LIMIT)
+    path = write(tmp_path, inner)
+    if refused:
+        (fault,) = faults_of(path)
+        assert "robot/link[b]: no body has the principal moments of inertia 0.02, 0.03, 0.5" in fault
+        assert import_model(path, Choices(allow_unphysical=True)).model.allow_unphysical
+        return
+    imported = import_model(path)
+    assert imported.model.allow_unphysical == warned
+    found = [notice.text for notice in imported.notices if notice.alters]
+    assert [text for text in found if "miss by 0.17 of the largest" in text] == found
+    assert len(found) == warned
+
+
+def test_all_faults_of_a_file_are_told_at_once(tmp_path: Path) -> None:
+    inner = "\n".join(
+        [
+            link("a"),
+            link("b", com="0 0"),
+            '<link name="c"><inertial><mass value="nan"/></inertial></link>',
+            joint("one", "revolute", "a", "b", '<limit lower="2" upper="1"/>').replace("\n", ""),
+            joint("two", "screw", "b", "c"),
+        ]
+    )
+    found = "\n".join(faults_of(write(tmp_path, inner)))
+    for text in (
+        'robot/link[b]/inertial/origin: xyz has 2 numbers: "0 0"; give 3',
+        "robot/link[c]/inertial: an inertial without <inertia>",
+        "robot/joint[one]/limit: lower is 2, and upper 1; swap them",
+        'robot/joint[two]: type is "screw"; give revolute',
+    ):
+        assert text in found
+    assert len(found.splitlines()) == 4
+
+
+@pytest.mark.parametrize(
+    ("inner", "text"),
+    [
+        (link("a") + link("a"), 'link "a" is already in line'),
+        (link("a") + link("b"), '2 links stand on no joint: "a", "b"'),
+        (link("a") + link("b") + joint("j", "fixed", "a", "c"), 'there is no link "c"'),
+        (link("a") + link("b") + joint("j", "fixed", "a", "b") + joint("k", "fixed", "a", "b"), "has a second joint"),
+        (link("a") + link("b") + joint("j", "fixed", "a", "b"), "nothing moves; give it a joint that is not fixed"),
+        (link("a") + link("b") + joint("j", "fixed", "a", "b") + joint("k", "fixed", "b", "a"), "no link to begin"),
+        ('<xacro:include filename="x"/>', "xacro:include is xacro; run `xacro FILE > robot.urdf`"),
+        (link("a", com="${x} 0 0") + link("b") + joint("j", "revolute", "a", "b"), "this is xacro: run `xacro FILE"),
+        (link("a") + '<link name="b"/>' + joint("j", "revolute", "a", "b"), "moves nothing"),
+        (link("a") + link("b", mass=-1) + joint("j", "revolute", "a", "b"), "a mass of -1 kg"),
+        (link("a") + link("b") + joint("j", "revolute", "a", "b", '<axis xyz="0 0 0"/>'), "without direction"),
+        (
+            "".join(map(link, "abc"))
+            + joint("j", "revolute", "b", "c", LIMIT)
+            + joint("k", "revolute", "c", "b", LIMIT),
+            "hangs in a loop",
+        ),
+    ],
+)
+def test_faults(tmp_path: Path, inner: str, text: str) -> None:
+    assert text in "\n".join(faults_of(write(tmp_path, inner)))
+
+
+def test_choices_that_name_nothing_are_faults(tmp_path: Path) -> None:
+    found = faults_of(write(tmp_path, TREE), Choices(sensors=("tol",), locked=(("Shoulder", 0.0),)))
+    assert any('no joint to be held that is called "Shoulder"; did you mean "shoulder"?' in line for line in found)
+    assert any('to be a sensor that is called "tol"; did you mean "tool"?' in line for line in found)
+
+
+def test_angles_near_quarter_turns(tmp_path: Path) -> None:
+    """Eleven digits of pi/2 are pi/2; six are kept, and told, unless the user takes them too."""
+
+    def turned(digits: str, choices: Choices = DEFAULT) -> tuple[str, list[str]]:
+        inner = link("a") + link("b") + joint("j", "revolute", "a", "b", LIMIT, rpy=f"{digits} 0 0")
+        imported = import_model(write(tmp_path, inner), choices)
+        return write_imported(imported), [line for line in told(imported) if "quarter turn" in line]
+
+    assert "angle: pi/2" in turned("1.57079632679")[0]
+    text, lines = turned("1.570796")
+    assert "angle: 1.570796" in text
+    assert len(lines) == 1
+    assert "off by up to 3.3e-07 rad" in lines[0]
+    text, lines = turned("1.570796", Choices(quarter_turns=1e-6))
+    assert "angle: pi/2" in text
+    assert lines == []
