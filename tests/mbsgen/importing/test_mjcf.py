@@ -1,0 +1,246 @@
+"""MJCF is imported as MuJoCo reads it, and what a model cannot say is told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mbsgen.errors import InputError
+from mbsgen.expressions import Number
+from mbsgen.importing import Choices, Imported, import_model, write_imported
+from mbsgen.importing.drafting import Limit
+from mbsgen.model.model import Body, Fixed, Joint, Law
+from mbsgen.model.reader import read_model
+from tests.import_peers import Kernels, MujocoPeer, State, largest_miss
+
+# Sums of some hundred products of numbers near 1, and a solution with an M of condition below 1e4.
+TOLERANCE = 1e-11
+DEFAULT = Choices()
+
+INERTIAL = '<inertial pos="0.1 -0.05 0.2" quat="0.9 0.1 -0.2 0.3" mass="1.5" diaginertia="0.02 0.03 0.025"/>'
+FULL = '<inertial pos="0 0.1 0.2" mass="0.7" fullinertia="0.02 0.03 0.025 0.001 -0.002 0.003"/>'
+
+TREE = f"""
+<compiler angle="degree" eulerseq="zYx"/>
+<option gravity="0.5 0 -9"/>
+<default>
+  <joint axis="0 1 0" pos="0.05 0 0.1"/>
+  <geom density="700"/>
+  <default class="slider"><joint type="slide" axis="1 0 2"/></default>
+</default>
+<worldbody>
+  <body name="trunk" pos="0 0 1" euler="10 20 30"><freejoint/>{INERTIAL}
+    <body name="arm" pos="0.3 0 0" axisangle="0 1 1 40">
+      <joint name="pan" range="-45 90"/><joint name="tilt" axis="1 1 0" pos="0 0.1 0" ref="15"/>{FULL}
+      <body name="ball" pos="0 0 0.4" xyaxes="0 1 0 -1 0 0"><joint type="ball" name="wrist"/>{INERTIAL}
+        <body name="weld" pos="0.1 0 0" zaxis="1 0 1"><geom type="box" size="0.1 0.2 0.05"/></body>
+      </body>
+    </body>
+    <body name="cart" childclass="slider" pos="0 0.2 0"><joint name="rail" ref="0.3" range="-1 1"/>
+      <frame pos="0.1 0 0" quat="0.8 0.6 0 0">
+        <geom type="capsule" fromto="0 0 0 0.1 0.2 0.3" size="0.05" mass="0.4"/>
+        <body name="tip"><joint class="main" name="turn"/><geom type="cylinder" size="0.1 0.2" pos="0.1 0 0"/>
+          <geom type="sphere" size="0.1" pos="0 0 0.3"/>
+          <geom type="ellipsoid" size="0.1 0.2 0.15" euler="20 0 40"/></body>
+      </frame>
+    </body>
+  </body>
+</worldbody>"""
+
+
+def write(folder: Path, inner: str, file: str = "machine.xml", root: str = "mujoco") -> Path:
+    path = folder / file
+    path.write_text(f'<{root} model="machine">\n{inner}\n</{root}>\n', encoding="utf-8")
+    return path
+
+
+def world(inner: str) -> str:
+    return f"<worldbody>{inner}</worldbody>"
+
+
+def pendulum(joint: str, inertial: str = INERTIAL) -> str:
+    return world(f'<body name="rod">{joint}{inertial}</body>')
+
+
+def body(imported: Imported, name: str) -> Body:
+    return next(body for body in imported.model.bodies if body.name == name)
+
+
+def only_joint(imported: Imported, name: str) -> Joint:
+    found = body(imported, name).joint
+    assert isinstance(found, Joint)
+    return found
+
+
+def warnings(imported: Imported) -> list[str]:
+    return [str(notice.without_folder()).removeprefix("machine.xml:") for notice in imported.notices if notice.alters]
+
+
+def faults_of(path: Path, choices: Choices = DEFAULT) -> str:
+    with pytest.raises(InputError) as caught:
+        import_model(path, choices)
+    return str(caught.value)
+
+
+def assert_mujoco_agrees(path: Path, imported: Imported) -> None:
+    kernels, peer = Kernels(imported, ("impl", "semi", "exp2")), MujocoPeer(path)
+    for state in kernels.draw_states():
+        for name, miss in largest_miss(kernels.compute(state), peer.compute(state)).items():
+            assert miss < TOLERANCE, name
+
+
+def test_the_equations_are_mujocos(tmp_path: Path) -> None:
+    """Every orientation, joint, shape and default; anchors off the bodies' origins; frames; references."""
+    path = write(tmp_path, TREE)
+    imported = import_model(path)
+    assert [only_joint(imported, "tip").name, len(imported.model.bodies)] == ["turn", 6]
+    assert_mujoco_agrees(path, imported)
+
+
+def test_what_is_written_is_read_as_the_same_model(tmp_path: Path) -> None:
+    imported = import_model(write(tmp_path, TREE), Choices(sensors=("tip",)))
+    file = tmp_path / "machine.yaml"
+    file.write_text(write_imported(imported), encoding="utf-8")
+    assert read_model(file) == imported.model
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        'angle="radian" inertiafromgeom="true"',
+        'settotalmass="7"',
+        'inertiagrouprange="0 2"',
+        'eulerseq="XYZ"',
+        'autolimits="false"',
+    ],
+)
+def test_settings_of_the_compiler(tmp_path: Path, settings: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)  # MuJoCo logs what it warns of where it runs
+    geoms = '<geom type="box" size="0.1 0.2 0.3"/><geom type="sphere" size="0.2" pos="1 0 0" group="3"/>'
+    hinge = '<joint axis="0 0 1" pos="0.1 0 0" ref="0.2" limited="true" range="-1 1"/>'
+    outer = f'<body name="b" pos="0 1 0">{hinge}{INERTIAL}{geoms}</body>'
+    inner = f'<body name="a" euler="0.4 0.5 0.6">{hinge}{geoms}{outer}</body>'
+    path = write(tmp_path, f"<compiler {settings}/>{world(inner)}")
+    assert_mujoco_agrees(path, import_model(path))
+
+
+def test_springs_and_dampers_are_mujocos(tmp_path: Path) -> None:
+    """The force of a joint's own, at rest of dry friction: stiffness (springref - q) - damping qd, as qfrc_passive."""
+    import mujoco
+
+    path = write(tmp_path, pendulum('<joint stiffness="3" springref="30" damping="0.5" ref="20" pos="0 0 0.1"/>'))
+    law = only_joint(import_model(path), "rod").law
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    data.qpos[0], data.qvel[0] = 0.7, -1.3
+    mujoco.mj_forward(model, data)
+    stiffness, rest, damping = (x.value for x in (law.stiffness, law.rest, law.damping) if isinstance(x, Number))
+    np.testing.assert_allclose(stiffness * (rest - 0.7) + damping * 1.3, data.qfrc_passive[0], rtol=1e-14)
+
+
+def test_friction_and_actuators(tmp_path: Path) -> None:
+    """Driven joints have an input, with the force that bounds it; where no joint is driven, all have one."""
+    two = world(
+        f'<body name="a"><joint name="one" frictionloss="0.3"/>{INERTIAL}'
+        f'<body name="b"><joint name="two"/>{INERTIAL}</body></body>'
+    )
+    free = import_model(write(tmp_path, two))
+    assert [only_joint(free, name).actuated for name in "ab"] == [True, True]
+    assert only_joint(free, "a").law.friction is not None
+    driven = '<actuator><motor name="m" joint="two" gear="20" ctrlrange="-2 1"/></actuator>'
+    imported = import_model(write(tmp_path, two + driven))
+    assert [only_joint(imported, name).actuated for name in "ab"] == [False, True]
+    assert imported.limits == (Limit("two", effort=40.0),)
+    assert any("not that before gear 20" in notice.text for notice in imported.notices)
+
+
+def test_locked_joints_and_sensors(tmp_path: Path) -> None:
+    inner = (
+        f'<body name="a"><joint name="one" axis="0 0 1"/>{INERTIAL}<site name="eye" pos="1 0 0"/>'
+        f'<body name="b" pos="1 0 0"><joint name="two" axis="0 1 0" pos="0 0 0.5"/>{INERTIAL}</body></body>'
+    )
+    imported = import_model(write(tmp_path, world(inner)), Choices(locked=(("two", 0.5),), sensors=("eye", "b")))
+    assert isinstance(body(imported, "b").joint, Fixed)
+    assert [frame.name for frame in imported.model.frames] == ["eye", "b"]
+    assert "no joint to be held" in faults_of(write(tmp_path, world(inner)), Choices(locked=(("three", 0),)))
+
+
+def test_what_alters_the_motion_is_told_one_by_one(tmp_path: Path) -> None:
+    inner = world(
+        f'<body name="a" gravcomp="1"><joint name="one" armature="0.1"/>{INERTIAL}'
+        f'<body name="b" pos="1 0 0"><joint type="ball" damping="0.2"/>{INERTIAL}</body></body>'
+    )
+    acting = (
+        '<equality><weld body1="a" body2="b"/></equality>'
+        '<tendon><fixed name="t"><joint joint="one" coef="1"/></fixed></tendon>'
+        '<actuator><position name="p" joint="one" kp="5"/><motor name="m" tendon="t"/></actuator>'
+    )
+    imported = import_model(write(tmp_path, f'<option density="1.2"/>{inner}{acting}'))
+    found = "\n".join(warnings(imported))
+    for text in (
+        "body[a]: warning: gravcomp",
+        "joint[one]: warning: armature 0.1: a model has no rotor inertia yet",
+        "joint: warning: damping of a ball is left out",
+        "equality/weld: warning: weld (equality) is not part of a model",
+        "tendon/fixed[t]: warning: fixed (tendon)",
+        'position[p]: warning: position of joint "one": gains and dynamics are left out',
+        "motor[m]: warning: motor: only actuators of joints become inputs",
+        "option: warning: density: the forces of a fluid",
+    ):
+        assert text in found
+    assert len(found.splitlines()) == 8
+
+
+@pytest.mark.parametrize(
+    ("inner", "text"),
+    [
+        ("", "there is no <worldbody>"),
+        (pendulum('<joint axis="0 0 0"/>'), "an axis without direction"),
+        (pendulum('<joint type="screw"/>'), 'type is "screw"; give hinge, slide, ball, free'),
+        (pendulum('<joint damping="1 2"/>'), "damping has 2 numbers"),
+        (pendulum('<joint class="x"/>'), 'there is no default class "x"'),
+        (pendulum("<joint/>", '<geom type="mesh" mesh="m"/>'), "the inertia of a mesh is not computed here"),
+        (pendulum("<joint/>", '<geom type="box" size="1 1"/>'), "a box of 2 sizes; give 3"),
+        (pendulum("<joint/>", '<geom size="0"/>'), "the size of a sphere is 0"),
+        (pendulum("<joint/>", ""), "moves nothing"),
+        (pendulum("<joint/>", INERTIAL.replace("0.025", "0.5")), "no body has the principal moments"),
+        (pendulum("<joint/>", INERTIAL.replace("0.9 0.1 -0.2 0.3", "0 0 0 0")), "quat is 0"),
+        (pendulum("<joint/>", INERTIAL + '<body euler="1 2 3" quat="1 0 0 0"/>'), "turned by quat and euler"),
+        (pendulum("<joint/>", INERTIAL + f"<body><freejoint/>{INERTIAL}</body>"), "a free joint within the tree"),
+        (pendulum("<joint/>", INERTIAL + '<replicate count="2"/>'), "replicate makes bodies by rules of its own"),
+        (pendulum("<joint/>", INERTIAL + "<bodi/>"), "no part of a body is called bodi"),
+        ('<compiler coordinate="global"/>' + pendulum("<joint/>"), "global coordinates"),
+        ('<compiler eulerseq="abc"/>' + pendulum("<joint/>"), "eulerseq is"),
+    ],
+)
+def test_faults(tmp_path: Path, inner: str, text: str) -> None:
+    assert text in faults_of(write(tmp_path, inner))
+
+
+def test_included_files_are_read_from_the_folder_of_the_model_alone(tmp_path: Path) -> None:
+    folder = tmp_path / "robot"
+    (folder / "parts").mkdir(parents=True)
+    write(folder / "parts", pendulum("<joint/>"), root="mujocoinclude")
+    assert body(import_model(write(folder, '<include file="parts/machine.xml"/>')), "rod").mass == Number(1.5)
+    write(tmp_path, pendulum("<joint/>"), file="outside.xml", root="mujocoinclude")
+    (folder / "link.xml").symlink_to(tmp_path / "outside.xml")
+    for name in ("../outside.xml", str(tmp_path / "outside.xml"), "link.xml"):
+        assert "is not in the folder of the model" in faults_of(write(folder, f'<include file="{name}"/>'))
+    assert "includes itself" in faults_of(write(folder, '<include file="machine.xml"/>'))
+    assert "there is no such file" in faults_of(write(folder, '<include file="none.xml"/>'))
+
+
+def test_forces_without_a_spring_have_no_rest(tmp_path: Path) -> None:
+    assert only_joint(import_model(write(tmp_path, pendulum('<joint springref="20"/>'))), "rod").law == Law()
+
+
+def test_a_free_body_starts_where_the_file_says(tmp_path: Path) -> None:
+    inner = world(f'<body name="a" pos="0 0 2" euler="0 0 90"><freejoint/>{INERTIAL}</body>')
+    imported = import_model(write(tmp_path, inner))
+    assert any("the file puts the body at 0, 0, 2, and turns it" in notice.text for notice in imported.notices)
+    kernels = Kernels(imported, ("impl",))
+    n = len(kernels.joints)
+    still = State(np.zeros(n), np.zeros(n), np.array([0.0, 0.0, -9.81, 0, 0, 0]), np.zeros(n))
+    np.testing.assert_allclose(kernels.compute(still)["Phi"], 0, atol=1e-14)
