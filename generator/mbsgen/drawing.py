@@ -46,7 +46,7 @@ class Scene:
 
     origins: Array  # of the bodies, shape (bodies, 3) [m]
     axes: Array  # of their joints, unit vectors, shape (bodies, 3)
-    centres: Array  # of mass, shape (bodies, 3) [m]
+    centres: Array  # of mass, shape (bodies, 3) [m]; the origin of a body that has none
     masses: Array  # shape (bodies,) [kg]
     sensors: Array  # shape (sensors, 3) [m]
 
@@ -63,21 +63,21 @@ def pose(tree: Tree, q: Sequence[float]) -> Scene:
     )
     places = frames["p"].reshape(n + s, 3)
     rotations = frames["R"].reshape(n + s, 3, 3).transpose(0, 2, 1)[:n]  # columns: axes of the bodies
-    axes, centres = (np.einsum("brc,bc->br", rotations, masses[name].reshape(n, 3)) for name in ("axis", "l"))
-    centres += places[:n]
+    axes, first = (np.einsum("brc,bc->br", rotations, masses[name].reshape(n, 3)) for name in ("axis", "S"))
+    centres = places[:n] + np.divide(first.T, masses["m"], where=masses["m"] != 0, out=np.zeros((3, n))).T
     return Scene(places[:n], axes, centres, masses["m"], places[n:])
 
 
 def _build_masses(tree: Tree) -> Tape:
-    """Write `masses`: inputs q [, p]; outputs m, and by body its centre of mass l and its joint's axis, in its axes."""
+    """Write `masses`: inputs q [, p]; outputs m, and by body its first moment S and its joint's axis, in its axes."""
     builder = Builder()
     state = declare_state(tree, builder, rates=False, accelerations=False, forces=False, wrenches=False)
     chain = write_chain(tree, builder, state)
     written = [chain.matrix(body.axes).transposed for body in tree.bodies]  # into the author's axes
-    l = [turn.apply(chain.vector(body.com)) for turn, body in zip(written, tree.bodies, strict=True)]
+    S = [turn.apply(link.S) for turn, link in zip(written, chain.links, strict=True)]
     e = [turn.column(body.joint.axis) for turn, body in zip(written, tree.bodies, strict=True)]
-    builder.output_dense("m", [[chain.scalar(body.mass)] for body in tree.bodies])
-    builder.output_dense("l", [[v[r] for v in l] for r in range(3)])
+    builder.output_dense("m", [[link.m] for link in chain.links])
+    builder.output_dense("S", [[v[r] for v in S] for r in range(3)])
     builder.output_dense("axis", [[v[r] for v in e] for r in range(3)])
     return builder.build("masses")
 

@@ -128,6 +128,8 @@ def identify(tree: Tree) -> str:
     told = []
     for b in tree.bodies:
         numbers = read(*b.position, *chain(*b.orientation), b.mass, *b.com, *chain(*b.inertia))
+        for lump in b.lumps:
+            numbers += read(lump.mass, *lump.com, *chain(*lump.inertia))
         told.append((b.parent, b.joint.motion.value, b.joint.axis, str(b.joint.law), numbers))
     return hashlib.sha256(repr((read(*tree.gravity), told, len(tree.wrenches))).encode()).hexdigest()[:16]
 

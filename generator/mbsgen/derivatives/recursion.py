@@ -64,7 +64,8 @@ def adjoint_jacobian(tree: Tree, reductions: Reductions) -> Tape:
 def _forces(tree: Tree, reductions: Reductions) -> Tape:
     """Write the residual of the tree without mass."""
     bodies = tuple(
-        replace(body, mass=Integer(0), com=NOTHING, inertia=(NOTHING, NOTHING, NOTHING)) for body in tree.bodies
+        replace(body, mass=Integer(0), com=NOTHING, inertia=(NOTHING, NOTHING, NOTHING), lumps=())
+        for body in tree.bodies
     )
     return impl.build(replace(tree, gravity=NOTHING, bodies=bodies), replace(reductions, trials=1))
 

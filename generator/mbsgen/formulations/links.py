@@ -15,7 +15,7 @@ from sympy import Expr
 
 from mbsgen.algebra.rotations import axis_rotation
 from mbsgen.algebra.vectors import Matrix, Vector, outer
-from mbsgen.model.tree import COORDINATE, RATE, Body, Joint, Kind, Motion, Tree, Wrench
+from mbsgen.model.tree import COORDINATE, RATE, Body, Joint, Kind, Lump, Motion, Tree, Wrench
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.lowering import lower
 
@@ -138,11 +138,19 @@ def _write_link(chain: Chain, number: int, body: Body, q: Scalar) -> Link:
     else:
         slide = chain.still.along(body.joint.axis, q)
         dpt = dpt + placed.apply(slide)
-    m, l = lower(body.mass, b, chain.symbols), chain.vector(body.com)
-    S = l.scale(m)
-    unit = Matrix.of([[one if r == c else zero for c in range(3)] for r in range(3)])
-    J = chain.matrix(body.inertia) + unit.scale(S.dot(l)) - outer(S, l)
+    m, S, J = _write_moments(chain, body)
+    for lump in body.lumps:
+        more = _write_moments(chain, lump)
+        m, S, J = m + more[0], S + more[1], J + more[2]
     return Link(number, body.parent, body.joint, R, dpt, slide, m, S, J)
+
+
+def _write_moments(chain: Chain, part: Body | Lump) -> tuple[Scalar, Vector[Scalar], Matrix[Scalar]]:
+    m, l = chain.scalar(part.mass), chain.vector(part.com)
+    S = l.scale(m)
+    zero, squared = chain.builder.zero, S.dot(l)
+    turning = Matrix.of([[squared if r == c else zero for c in range(3)] for r in range(3)])
+    return m, S, chain.matrix(part.inertia) + turning - outer(S, l)
 
 
 def declare_state(

@@ -146,12 +146,3 @@ def _check_fixed(model: Model) -> Iterator[Finding]:
         if carriers.get(wrench.body) == BASE:
             finding = f"{abbreviate(wrench.body)} is fixed to {BASE}, and does not move"
             yield Finding(("wrenches", i, "body"), finding, "take the wrench away")
-    valuation = Valuation(model.parameters, ())
-    groups: dict[str, list[int]] = {}
-    for i, body in enumerate(model.bodies):
-        groups.setdefault(carriers.get(body.name, body.name), []).append(i)
-    for group in (group for carrier, group in groups.items() if carrier != BASE):
-        changing = [i for i in group if valuation.changes(model.bodies[i].mass)]
-        if len(changing) > 1 and all(valuation.number((), model.bodies[i].mass) == 0 for i in group):
-            finding = "a mass of 0 on a body of mass 0: where their centre of mass is, cannot be told"
-            yield Finding(("bodies", changing[1], "mass"), finding, "let one of the parameters have another value")

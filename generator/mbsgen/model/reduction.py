@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 from sympy import Expr, Symbol
 
@@ -20,7 +21,20 @@ from mbsgen.model.laws import name_numbers
 from mbsgen.model.model import BASE, Model
 from mbsgen.model.symbols import round_number, symbolic, to_double, total
 from mbsgen.model.topology import sort_bodies
-from mbsgen.model.tree import COORDINATE, IDENTITY, ONE, RATE, ZERO, Kind, LooseLaw, Matrix, Parameter, Tree, Vector
+from mbsgen.model.tree import (
+    COORDINATE,
+    IDENTITY,
+    ONE,
+    RATE,
+    ZERO,
+    Kind,
+    LooseLaw,
+    Lump,
+    Matrix,
+    Parameter,
+    Tree,
+    Vector,
+)
 
 
 def build_tree(description: Model) -> Tree:
@@ -28,7 +42,7 @@ def build_tree(description: Model) -> Tree:
     parameters, reader = _read_parameters(description)
     expanded = expand(description).model
     seats = {BASE: _Seat(0)}
-    carried: dict[int, list[_Lump]] = {0: []}  # what is fixed to the base is not felt
+    carried: dict[int, list[Lump]] = {0: []}  # what is fixed to the base is not felt
     moving: list[_Mover] = []
     for body in (expanded.bodies[i] for i in sort_bodies(expanded)):
         assert not isinstance(body.joint, tuple), "an expanded model has no sequences"
@@ -45,7 +59,7 @@ def build_tree(description: Model) -> Tree:
         name=description.name,
         gravity=reader.vector(description.gravity),
         parameters=parameters,
-        bodies=tuple(_make_body(mover, _merge(carried[i]), reader) for i, mover in enumerate(moving, 1)),
+        bodies=tuple(_make_body(mover, *_merge(carried[i]), reader=reader) for i, mover in enumerate(moving, 1)),
         sensors=tuple(_make_sensor(frame, seats[frame.body], reader) for frame in description.frames),
         wrenches=tuple(_make_wrench(wrench, seats[wrench.body], reader) for wrench in description.wrenches),
     )
@@ -74,6 +88,19 @@ def with_runtime_numbers(original: Tree) -> Tree:
         upper = {(i, j): release(f"{name}.{'xyz'[i]}{'xyz'[j]}", tensor[i][j]) for i in range(3) for j in range(i, 3)}
         return _symmetric(upper)
 
+    def release_mass(part: Massive) -> Massive:
+        return replace(
+            part,
+            mass=release(f"{part.name}.mass", part.mass),
+            com=release_vector(f"{part.name}.com", part.com),
+            inertia=release_tensor(f"{part.name}.inertia", part.inertia),
+        )
+
+    def release_body(body: tree.Body) -> tree.Body:
+        placed = replace(body, position=release_vector(f"{body.name}.position", body.position))
+        joint, lumps = release_law(body.joint), tuple(map(release_mass, body.lumps))
+        return replace(release_mass(placed), joint=joint, lumps=lumps)
+
     def release_law(joint: tree.Joint) -> tree.Joint:
         if joint.loose is None:
             return joint
@@ -81,17 +108,7 @@ def with_runtime_numbers(original: Tree) -> Tree:
         return replace(joint, law=joint.loose.law, loose=None)
 
     gravity = release_vector("gravity", original.gravity)
-    bodies = tuple(
-        replace(
-            body,
-            position=release_vector(f"{body.name}.position", body.position),
-            mass=release(f"{body.name}.mass", body.mass),
-            com=release_vector(f"{body.name}.com", body.com),
-            inertia=release_tensor(f"{body.name}.inertia", body.inertia),
-            joint=release_law(body.joint),
-        )
-        for body in original.bodies
-    )
+    bodies = tuple(map(release_body, original.bodies))
     wrenches = tuple(
         replace(
             wrench,
@@ -132,6 +149,8 @@ def align(direction: Vector) -> tuple[int, Matrix]:
     ]
     return k, _product(_matrix(turn), near)
 
+
+Massive = TypeVar("Massive", tree.Body, Lump)
 
 _NUMBERS = symbolic({})
 _OWN: Mapping[str, Expr] = {model.COORDINATE: COORDINATE, model.RATE: RATE}
@@ -255,43 +274,47 @@ class _Mover:
     axes: Matrix
 
 
-@dataclass(frozen=True)
-class _Lump:
-    """The mass of one body of the author's, in the frame of a body of the Tree."""
-
-    mass: Expr
-    com: Vector
-    inertia: Matrix  # about com
-
-    @property
-    def is_null(self) -> bool:
-        """Tell whether there is nothing, whatever the parameters."""
-        return self.mass is ZERO and all(entry is ZERO for row in self.inertia for entry in row)
+def _is_null(lump: Lump) -> bool:
+    """Tell whether there is nothing, whatever the parameters."""
+    return lump.mass is ZERO and all(entry is ZERO for row in lump.inertia for entry in row)
 
 
-def _read_lump(body: model.Body, seat: _Seat, reader: _Reader) -> _Lump:
+def _read_lump(body: model.Body, seat: _Seat, reader: _Reader) -> Lump:
     tensor = _express_tensor(reader.matrix(body.inertia.rows), _transpose(seat.axes))
-    return _Lump(reader.number(body.mass), seat.point(reader.vector(body.com)), tensor)
+    return Lump(body.name, reader.number(body.mass), seat.point(reader.vector(body.com)), tensor)
 
 
-def _merge(lumps: Sequence[_Lump]) -> _Lump:
-    """Make one body of those that are fixed together; the first one stands in where none has mass."""
-    first, *rest = [lump for lump in lumps if not lump.is_null] or lumps[:1]
+def _merge(lumps: Sequence[Lump]) -> list[Lump]:
+    """Make few lumps of those that are fixed together; the first one stands in where none has mass.
+
+    One is made of all whose masses are numbers, and of all at one place. The others stay apart: their centre of mass
+    would be 0/0 where their masses are 0 at run time.
+    """
+    present = [lump for lump in lumps if not _is_null(lump)] or lumps[:1]
+    if all(lump.com == present[0].com for lump in present):
+        return [_join(present)]
+    groups: dict[object, list[Lump]] = {}
+    for lump in present:
+        groups.setdefault(None if lump.mass.is_number else lump.com, []).append(lump)
+    return [_join(group) for group in groups.values()]
+
+
+def _join(lumps: Sequence[Lump]) -> Lump:
+    """Make one of lumps with masses of numbers, or at one place."""
+    first, *rest = lumps
     if not rest:
         return first
-    lumps = (first, *rest)
-    mass = total(lump.mass for lump in lumps)
-    com = first.com
+    mass, com = total(lump.mass for lump in lumps), first.com
     if mass is not ZERO and any(lump.com != com for lump in lumps):
         x, y, z = (_tidy(total(lump.mass * lump.com[k] for lump in lumps) / mass) for k in range(3))
         com = x, y, z
     pairs = [(i, j) for i in range(3) for j in range(i, 3)]
     shifted = [_shift(lump, com) for lump in lumps]
     tensor = _symmetric({(i, j): _tidy(total(tensor[i][j] for tensor in shifted)) for i, j in pairs})
-    return _Lump(_tidy(mass), com, tensor)
+    return Lump(first.name, _tidy(mass), com, tensor)
 
 
-def _shift(lump: _Lump, point: Vector) -> Matrix:
+def _shift(lump: Lump, point: Vector) -> Matrix:
     """Take a tensor about another point: I + m (d.d 1 - d dT), d from the centre of mass to it (Steiner)."""
     d = [total((a, -b)) for a, b in zip(lump.com, point, strict=True)]
     squared = total(x * x for x in d)
@@ -308,7 +331,7 @@ def _tidy(number: Expr) -> Expr:
     return round_number(number) if number.is_number else number
 
 
-def _make_body(mover: _Mover, lump: _Lump, reader: _Reader) -> tree.Body:
+def _make_body(mover: _Mover, lump: Lump, *lumps: Lump, reader: _Reader) -> tree.Body:
     assert mover.joint.name is not None, "the joints of an expanded model have names"
     return tree.Body(
         name=mover.name,
@@ -329,6 +352,7 @@ def _make_body(mover: _Mover, lump: _Lump, reader: _Reader) -> tree.Body:
         com=lump.com,
         inertia=lump.inertia,
         axes=mover.axes,
+        lumps=lumps,
     )
 
 

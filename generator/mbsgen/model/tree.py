@@ -71,6 +71,16 @@ class Joint:
 
 
 @dataclass(frozen=True)
+class Lump:
+    """A mass fixed to a body, beside the body's own."""
+
+    name: str  # of the author's body that it was
+    mass: Expr  # [kg]
+    com: Vector  # centre of mass, in the frame of the body of the Tree [m]
+    inertia: Matrix  # about it, in that frame [kg m2]
+
+
+@dataclass(frozen=True)
 class Body:
     """A rigid body and the joint that carries it."""
 
@@ -83,6 +93,7 @@ class Body:
     com: Vector  # l: centre of mass, in the body's frame [m]
     inertia: Matrix  # In: about the centre of mass, in the body's frame [kg m2]
     axes: Matrix = IDENTITY  # columns: the axes that the author gave the body, in the body's frame
+    lumps: tuple[Lump, ...] = ()  # further masses; their common centre is as parameters tell, if there is one
 
 
 @dataclass(frozen=True)

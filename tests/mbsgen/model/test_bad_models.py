@@ -567,18 +567,18 @@ def test_the_good_walker_is_good(tmp_path: Path) -> None:
     assert [len(body.joints) for body in read_model(file).bodies] == [6, 0, 2, 2]
 
 
-def test_a_centre_of_no_mass_is_refused(tmp_path: Path) -> None:
-    """One run-time mass may be 0 now; of two that are fixed together, the centre of mass would be 0/0."""
+def test_run_time_masses_may_be_0_of_bodies_that_are_fixed_together_too(tmp_path: Path) -> None:
+    """No centre of mass is computed of them: it would be 0/0."""
     text = (
         WALKER.replace("{value: 2, kind", "{value: 0, kind")
         .replace("mass: 1\n", "mass: push\n")
         .replace("[push,", "[1,")
     )
-    file = tmp_path / "model.yaml"
-    file.write_text(text, encoding="utf-8")
-    read_model(file)
     tip = "  - {name: tip, parent: arm, joint: {type: fixed, position: [0, 0.1, 0]}, mass: 2*push}\nframes:"
-    assert [(x.line, x.path) for x in find_faults(text.replace("frames:", tip), tmp_path)] == [(32, "bodies[4].mass")]
+    file = tmp_path / "model.yaml"
+    for accepted in (text, text.replace("frames:", tip)):
+        file.write_text(accepted, encoding="utf-8")
+        read_model(file)
 
 
 def test_a_wrong_type_does_not_hide_what_is_wrong_elsewhere(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from sympy import Expr, Symbol
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.symbols import exact
-from mbsgen.model.tree import Motion, Tree
+from mbsgen.model.tree import Body, Motion, Tree
 from tests.mbsgen.model.test_reduction import (
     AXES,
     CLOSE,
@@ -173,19 +173,39 @@ bodies:
 """
     symbolic = build(text.format(m="{value: 1, kind: runtime}", c="{value: 0, kind: runtime}"), tmp_path).bodies[0]
     m, c = map(Symbol, "mc")
-    assert symbolic.mass == m + 2
-    assert {m, c} <= symbolic.inertia[1][1].free_symbols
-    for values in ({"m": 3.5, "c": -0.2}, {"m": 0.5, "c": 4.0}):
-        numeric = build(text.format(**values), tmp_path).bodies[0]
-        table = {Symbol(name): exact(value) for name, value in values.items()}
+    (load,) = symbolic.lumps
+    assert (symbolic.mass, load.mass, load.name) == (2, m, "load")
+    assert c in load.com[0].free_symbols
+    for values in ({"m": 3.5, "c": -0.2}, {"m": 0.5, "c": 4.0}, {"m": 0.0, "c": 1.0}):
+        R = Rotation.from_euler("y", 0.4).as_matrix()
+        mass, com = values["m"], [0.6, 0, 0] + R @ [values["c"], 0.1, 0]
+        tensor = np.diag([mass / 10, mass / 12, mass / 15])
+        tensor[0, 2] = tensor[2, 0] = 0.01
+        own = (2.0, np.array([0.3, 0, 0.1]), np.diag([0.1, 0.2, 0.2]))
+        expected = add_moments([own, (mass, com, R @ tensor @ R.T)])
+        for found, sum_of_both in zip(evaluate_moments(symbolic, values), expected, strict=True):
+            np.testing.assert_allclose(found, sum_of_both, rtol=1e-14, atol=1e-15)
 
-        def restore(number: Expr, table: dict[Expr, Expr] = table) -> float:
-            return float(number.subs(table))
 
-        for name in ("com", "inertia"):
-            found = [restore(number) for number in np.ravel(getattr(symbolic, name))]
-            expected = [restore(number) for number in np.ravel(getattr(numeric, name))]
-            assert found == pytest.approx(expected, rel=1e-14, abs=1e-16)
+Moments = tuple[float, Array, Array]
+
+
+def evaluate_moments(body: Body, values: dict[str, float]) -> Moments:
+    """Evaluate the moments of a body and its lumps."""
+    table = {Symbol(name): exact(value) for name, value in values.items()}
+
+    def restore(numbers: object) -> Array:
+        return np.vectorize(lambda x: float(x.subs(table)), otypes=[float])(np.array(numbers, dtype=object))
+
+    return add_moments([(float(restore(x.mass)), restore(x.com), restore(x.inertia)) for x in (body, *body.lumps)])
+
+
+def add_moments(parts: list[Moments]) -> Moments:
+    """Add up mass, first moment and tensor about the origin, of masses with their centres and tensors about them."""
+    mass, first, second = 0.0, np.zeros(3), np.zeros((3, 3))
+    for m, l, In in parts:
+        mass, first, second = mass + m, first + m * l, second + In + m * (l @ l * np.eye(3) - np.outer(l, l))
+    return mass, first, second
 
 
 TYPES = {

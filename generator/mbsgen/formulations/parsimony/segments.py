@@ -16,7 +16,7 @@ from sympy import Expr
 
 from mbsgen.algebra.vectors import Matrix, Vector, outer
 from mbsgen.formulations.links import Chain, Pull
-from mbsgen.model.tree import Body, Motion
+from mbsgen.model.tree import Body, Lump, Motion
 from mbsgen.tape.builder import Builder, Scalar
 
 
@@ -74,7 +74,10 @@ def align(chain: Chain, *, group: bool = True) -> tuple[Segment, ...]:
         before = segments[body.parent - 1] if body.parent else None
         continues = group and before and is_revolute and before.is_revolute and turn is None and before.axis == axis
         d = turned[body.parent].apply(chain.vector(body.position))
-        moments, pulls = _moments(chain, body, turned[number]), _pulls(chain, number, turned[number])
+        moments = _moments(chain, body, turned[number])
+        for lump in body.lumps:
+            moments = moments + _moments(chain, lump, turned[number])
+        pulls = _pulls(chain, number, turned[number])
         segments.append(Segment(number, body.parent, is_revolute, axis, sense, turn, not continues, d, moments, pulls))
     return tuple(segments)
 
@@ -92,8 +95,8 @@ def _is_step(entry: Expr) -> bool:
     return bool(entry.is_number) and entry in (0, 1, -1)
 
 
-def _moments(chain: Chain, body: Body, frame: Matrix[Scalar]) -> Moments:
-    m, l, In = chain.scalar(body.mass), frame.apply(chain.vector(body.com)), chain.matrix(body.inertia)
+def _moments(chain: Chain, part: Body | Lump, frame: Matrix[Scalar]) -> Moments:
+    m, l, In = chain.scalar(part.mass), frame.apply(chain.vector(part.com)), chain.matrix(part.inertia)
     half_trace = (In[0, 0] + In[1, 1] + In[2, 2]) * chain.builder.number(0.5)
     central = unit_matrix(chain.builder).scale(half_trace) - In
     S = l.scale(m)
