@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from scipy.spatial.transform import Rotation
-from sympy import Expr, Symbol
+from sympy import Symbol
 
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
