@@ -5,7 +5,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test lint bench bench-ocp golden schema clean
+.PHONY: demo test lint bench bench-ocp study golden schema clean
 
 demo: $(VENV)/installed
 	$(BIN)/mbsgen models/arm_pendulum.yaml -o build/arm_pendulum

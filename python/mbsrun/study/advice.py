@@ -38,6 +38,11 @@ class Option:
         return self.cost is not None and self.error is not None and self.error <= accuracy and not self.finding
 
     @property
+    def digits(self) -> float:
+        """Give the order of the error, in thirds of a decade: what differs by less is equally accurate."""
+        return -math.inf if not self.error else round(3 * math.log10(self.error))
+
+    @property
     def price(self) -> float:
         """Give the shortest time of the rounds: what other programs lengthen is not the option's."""
         return math.inf if self.cost is None else self.cost.shortest
@@ -63,10 +68,11 @@ class Advice:
         """Give the most accurate of those that are accurate enough and as fast as the fastest; None where none is."""
         good = [o for o in self.options if o.need == need and o.meets(self.accuracy)]
         limit = ALIKE * min((o.price for o in good), default=0.0)
-        return min((o for o in good if o.price <= limit), key=lambda o: (o.error, o.price), default=None)
+        return min((o for o in good if o.price <= limit), key=lambda o: (o.digits, o.price), default=None)
 
     def shortlist(self, need: str) -> list[Option]:
-        """Give of each series the cheapest that is accurate enough, else the most accurate; what failed comes last."""
+        """Give of each series what is chosen, or the cheapest that is accurate enough, else the most accurate."""
+        chosen = self.choose(need)
 
         def rank(option: Option) -> tuple[bool, float]:
             good = option.meets(self.accuracy)
@@ -76,7 +82,8 @@ class Advice:
         for option in self.options:
             if option.need == need:
                 series.setdefault(option.choices[:-1], []).append(option)
-        return sorted((min(own, key=rank) for own in series.values()), key=rank)
+        first = (chosen if chosen in own else min(own, key=rank) for own in series.values())
+        return sorted((option for option in first if option is not None), key=rank)
 
     @property
     def is_complete(self) -> bool:

@@ -23,7 +23,7 @@ from mbsrun.study import kernels, motions, problems
 from mbsrun.study.advice import Advice, Option, advise_control, advise_optimisation, advise_simulation
 from mbsrun.study.mechanisms import Subject
 from mbsrun.study.pictures import draw_kernels, draw_motions
-from mbsrun.study.points import KernelPoint, MotionPoint, SolvePoint, Store, write_table
+from mbsrun.study.points import Cost, KernelPoint, MotionPoint, SolvePoint, Store, write_table
 
 Report = Callable[[str, int, int], None]
 
@@ -234,7 +234,7 @@ def _print_advice(advice: Advice) -> None:
         table.add_column("")
         for option in options:
             verdict = option.finding or ("" if option.meets(advice.accuracy) else "not accurate enough")
-            time, spread = (_format_time(option), f"{option.cost.spread:.0%}") if option.cost else ("-", "-")
+            time, spread = (_format_time(option), _format_spread(option.cost)) if option.cost else ("-", "-")
             error = "-" if option.error is None else f"{option.error:.1e}"
             marked = "taken" if option is best else verdict
             choices = dict(option.choices)
@@ -258,6 +258,10 @@ def _tell(option: Option) -> str:
 def _format_time(option: Option) -> str:
     """Write the shortest time, with its unit."""
     return f"{option.price:.3g} {option.unit}"
+
+
+def _format_spread(cost: Cost) -> str:
+    return "timed once" if cost.rounds == 1 else f"{cost.spread:.0%}"
 
 
 @contextmanager

@@ -23,7 +23,7 @@ from mbsrun.models import Extent
 from mbsrun.study.candidates import VARIABLES, Candidate, add_hidden, compile_kernel, difference, differentiate
 from mbsrun.study.machine import Variant, Watch, measure_costs
 from mbsrun.study.mechanisms import Subject, draw_states, write_chain
-from mbsrun.study.points import Cost, KernelPoint, Store
+from mbsrun.study.points import KernelPoint, Store
 from mbsrun.study.reference import Moment, Reference
 
 Array = NDArray[np.float64]
@@ -140,7 +140,7 @@ class _Bench:
         timed = [(draft, watch) for draft, watch in drafts if watch is not None]
         costs = measure_costs([watch for _, (watch, _) in timed], self.depth.rounds)
         cost_of = {
-            id(draft): Cost(cost.shortest * calls, cost.median * calls, cost.spread)
+            id(draft): replace(cost, shortest=cost.shortest * calls, median=cost.median * calls)
             for (draft, (_, calls)), cost in zip(timed, costs, strict=True)
         }
         return [replace(draft, ns=cost_of.get(id(draft))) for draft, _ in drafts]

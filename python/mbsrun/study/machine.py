@@ -185,7 +185,7 @@ def measure_costs(watches: Sequence[Watch], rounds: int) -> list[Cost]:
 def sum_up(rounds: Array) -> Cost:
     """Sum up the times of several rounds."""
     first, median, third = (float(x) for x in np.quantile(rounds, (0.25, 0.5, 0.75)))
-    return Cost(float(rounds.min()), median, (third - first) / median)
+    return Cost(float(rounds.min()), median, (third - first) / median, len(rounds))
 
 
 def _compile_timing(precision: Precision) -> Path:

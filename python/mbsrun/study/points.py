@@ -26,6 +26,7 @@ class Cost:
     shortest: float
     median: float
     spread: float  # what lies between the quarters of the rounds, by the median: how restless the machine was
+    rounds: int
 
 
 @dataclass(frozen=True)

@@ -28,8 +28,11 @@ bodies:
 """
 
 
+STEPS = (("2", 1.0, 1e-7), ("1", 1.05, 1e-9))
+
+
 def option(name: str, time: float, error: float | None, finding: str = "") -> Option:
-    return Option("motion", (("method", name), ("step", "1")), Cost(time, time, 0.1), "s", error, finding)
+    return Option("motion", (("method", name), ("step", "1")), Cost(time, time, 0.1, 3), "s", error, finding)
 
 
 def test_the_fastest_that_is_accurate_enough_is_chosen() -> None:
@@ -37,6 +40,7 @@ def test_the_fastest_that_is_accurate_enough_is_chosen() -> None:
         option("fast", 1.0, 1e-3),
         option("good", 2.0, 1e-7),
         option("alike", 2.1, 1e-9),
+        option("no better", 2.15, 0.9e-9),
         option("slow", 5.0, 1e-12),
         option("broken", 0.1, 1e-12, "failed in one state of 256"),
         Option("motion", (("method", "dead"), ("step", "1")), None, "s", None, "stopped"),
@@ -53,6 +57,9 @@ def test_the_fastest_that_is_accurate_enough_is_chosen() -> None:
     listed = Advice("m", "simulate", 1e-6, "", options, ()).shortlist("motion")
     assert {o.choices[0][1] for o in listed} == {o.choices[0][1] for o in options}
     assert listed[0].choices[0][1] == "good"
+    steps = [Option("motion", (("method", "m"), ("step", x)), Cost(t, t, 0.1, 3), "s", e, "") for x, t, e in STEPS]
+    stepped = Advice("m", "simulate", 1e-6, "", tuple(steps), ())
+    assert stepped.shortlist("motion") == [stepped.choose("motion")] == [steps[1]]
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from mbsgen.errors import InputError
+from mbsrun.models import Extent
 from mbsrun.study import kernels
 from mbsrun.study.kernels import ACCELERATIONS, MASS, RESIDUAL, SINGLE, SLOPES_R, USUAL, VALUES, Depth
 from mbsrun.study.machine import Variant
@@ -82,7 +83,7 @@ def test_kernels_of_all_kinds_keep_their_digits(cart: Path, tmp_path: Path) -> N
 
 def test_errors_tell_precisions_apart(tmp_path: Path) -> None:
     """Single precision errs by more than a hundred thousand times what double precision does."""
-    subject = Subject(write_chain(3, tmp_path), VALUES)
+    subject = Subject(write_chain(3, tmp_path), Extent(("impl", "semi_res"), 0))
     points = kernels.measure_task(subject, RESIDUAL, LITTLE, Store(tmp_path / "points.jsonl", KernelPoint))
     double, single = ([p.error or 0.0 for p in points if p.precision == x] for x in U)
     assert min(single) > 1e5 * max(double)
@@ -93,7 +94,7 @@ def test_flags_reach_the_compiler(tmp_path: Path) -> None:
 
     Kernels with few sines call the C library's in any case.
     """
-    subject = Subject(write_chain(5, tmp_path), VALUES)
+    subject = Subject(write_chain(5, tmp_path), Extent(("impl", "semi_res"), 0))
     depth = Depth((), (USUAL, Variant(contract=False), Variant(libm=True), Variant(level="-O0")), 1, 12)
     points = kernels.measure_task(subject, RESIDUAL, depth, Store(tmp_path / "points.jsonl", KernelPoint))
     assert len({p.flags for p in points}) == 4
@@ -125,7 +126,7 @@ def test_failures_are_points_and_are_drawn(locked: Path, tmp_path: Path) -> None
 
 def test_a_study_that_was_killed_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Bundles that were kept are not measured again; the one whose line was cut off is, and no other."""
-    subject = Subject(write_chain(2, tmp_path), VALUES)
+    subject = Subject(write_chain(2, tmp_path), Extent(("impl", "semi", "semi_res"), 0))
     path = tmp_path / "points.jsonl"
     first = [kernels.measure_task(subject, task, LITTLE, Store(path, KernelPoint)) for task in (RESIDUAL, MASS)]
     measured: list[str] = []
