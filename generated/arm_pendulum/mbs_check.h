@@ -30,6 +30,9 @@ typedef struct {
 /* What `setup` made of the run-time parameters: the input `h` of every kernel. To be set before all comparisons. */
 extern const casadi_real *mbs_check_h;
 
+/* The differentiated parameters: the input `theta` of every kernel that has it. To be set like these. */
+extern const casadi_real *mbs_check_theta;
+
 /* jac is the Jacobian of f, entries left out of its pattern included: against central differences. */
 int mbs_check_jacobian(const mbs_face *f, const mbs_face *jac);
 

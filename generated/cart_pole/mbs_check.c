@@ -19,7 +19,7 @@
 #define ACCELERATIONS sqrt((double)MBS_EPSILON)
 #define STEP pow((double)MBS_EPSILON, 1.0 / 3.0)
 
-const casadi_real *mbs_check_h = 0;
+const casadi_real *mbs_check_h = 0, *mbs_check_theta = 0;
 
 /* -- calls ------------------------------------------------------------------------------------------------------ */
 
@@ -115,10 +115,11 @@ static void set_state(call c, int state)
     for (i = 0; i < c.face->n_in(); ++i) {
         const char *name = c.face->name_in(i);
         const size_t count = count_nonzeros(c.face->sparsity_in(i));
-        if (strcmp(name, "h"))
+        const casadi_real *given = !strcmp(name, "h") ? mbs_check_h : !strcmp(name, "theta") ? mbs_check_theta : 0;
+        if (!given)
             draw(c.in[i], count, name, state);
         else if (count)
-            memcpy(c.in[i], mbs_check_h, count * sizeof *c.in[i]);
+            memcpy(c.in[i], given, count * sizeof *c.in[i]);
     }
 }
 

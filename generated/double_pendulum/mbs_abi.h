@@ -24,6 +24,13 @@
 #define MBS_RESTRICT restrict
 #endif
 
+/* A function that is not to become a part of another again. */
+#if defined(__GNUC__)
+#define MBS_APART __attribute__((noinline))
+#else
+#define MBS_APART
+#endif
+
 typedef MBS_REAL mbs_real;
 
 /* Pasting the name of the type chooses the function, and the suffix of a literal. */
