@@ -10,11 +10,14 @@ import pytest
 
 from mbsgen import manifest
 from mbsgen.manifest import Manifest
+from mbsgen.pipeline import generate, write_families
 from mbsgen.targets.contract import Family
 from tests.mbsgen.targets.test_c import Requires, run
 from tests.mbsgen.targets.test_guards import guarded_tape
+from tests.random_trees import random_tree, with_wrenches
 from tests.sample import write_sample
 
+ROOT = Path(__file__).parents[3]
 PROBE = Path(__file__).parent / "probe.c"
 SANITIZERS = {"gcc": "address,undefined", "clang": "memory"}  # the latter tells what is read before it is written
 
@@ -39,8 +42,24 @@ def build(folder: Path, told: Manifest, target: Path, compiler: str, *flags: str
     return target
 
 
+@pytest.fixture(scope="module")
+def folded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Generate a model of numbers that are folded: results that are literals, zeros that are left out, a sensor."""
+    out = tmp_path_factory.mktemp("folded") / "cart_pole"
+    generate(ROOT / "models" / "cart_pole.yaml", out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Generate a tree with every input there is but theta: its numbers are parameters, some wrenches are open."""
+    tree = with_wrenches(random_tree(0, 2, runtime=True), 5)
+    parameters = {p.name: p.value for p in tree.parameters}
+    return write_sample(tmp_path_factory.mktemp("opened"), "opened", write_families(tree), parameters)
+
+
 @pytest.mark.parametrize("compiler", SANITIZERS)
-@pytest.mark.parametrize("model", ["arm", "tree"])
+@pytest.mark.parametrize("model", ["folded", "opened"])
 def test_kernels_write_all_nonzeros_and_nothing_else(
     model: str, compiler: str, request: pytest.FixtureRequest, tmp_path: Path, requires: Requires
 ) -> None:
