@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -90,10 +91,19 @@ def read_tree(model: Path | Model) -> Tree:
 
 
 def read(model: Path | Model) -> Model:
-    """Read a model file, or one of URDF or MJCF by its suffix. Raises InputError with every fault of the file."""
+    """Read a model file, or one of URDF or MJCF by its suffix. Raises InputError with every fault of the file.
+
+    Where the model of another format moves otherwise than its file says, Python's warnings tell how.
+    """
     if isinstance(model, Model):
         return model
-    return import_model(model).model if is_foreign(model) else read_model(model)
+    if not is_foreign(model):
+        return read_model(model)
+    imported = import_model(model)
+    for notice in imported.notices:
+        if notice.alters:
+            warnings.warn(str(notice), stacklevel=3)
+    return imported.model
 
 
 def _read_scene(options: Options, model: Model) -> Scene:

@@ -12,6 +12,7 @@ from mbsgen.errors import Fault, InputError
 from mbsgen.importing.markup import Element
 
 MAX_DIGITS = 64  # characters of one number
+SMALLEST, LARGEST = 1e-60, 1e60  # products of a few numbers neither vanish nor overflow
 _NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 
 
@@ -89,7 +90,7 @@ class Findings:
             if "${" in text or "$(" in text:
                 remedy = "this is xacro: run `xacro FILE > robot.urdf` first"
             else:
-                remedy = "give finite numbers, such as 0.3 or 1e-3"
+                remedy = f"give numbers such as 0.3 or 1e-3: 0, or {SMALLEST:g} to {LARGEST:g} in size"
             self.fault(element, f"{name} is {abbreviate(text)}", remedy)
             return default
         return tuple(values)
@@ -108,8 +109,8 @@ class Findings:
 
 
 def _read_number(word: str) -> float:
-    """Read a finite number; nan is what is none."""
+    """Read a number of ordinary size; nan is what is none."""
     if len(word) > MAX_DIGITS or not _NUMBER.fullmatch(word):
         return math.nan
     value = float(word)
-    return (value or 0.0) if math.isfinite(value) else math.nan  # no -0
+    return value if SMALLEST <= abs(value) <= LARGEST else 0.0 if value == 0 else math.nan  # no -0

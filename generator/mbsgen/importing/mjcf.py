@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbsgen.documents import abbreviate
+from mbsgen.documents import abbreviate, nearest
 from mbsgen.importing.drafting import GRAVITY, Choices, Draft, Imported, Move, make_law, move_freely
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.geometry import SHAPES, SIZES, SPANNED, WEIGHTLESS, make_solid
@@ -27,6 +27,7 @@ from mbsgen.model.tree import Motion
 
 DENSITY = 1000.0  # of water, MuJoCo's default [kg/m3]
 TURNS = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
+JOINTS = ("joint", "freejoint")
 KINDS = ("hinge", "slide", "ball", "free")
 COPIES = ("composite", "flexcomp", "replicate", "attach", "plugin")  # what makes bodies of other text
 ALTERING = ("equality", "tendon", "deformable", "extension")  # sections of what acts on bodies
@@ -84,6 +85,7 @@ class _Scene:
         self._scale = self._find_scale(worlds)
         for world in worlds:
             self._add_bodies(world)
+        self._check_actuators()
         self._tell_sections()
         return self._draft.finish(self._root.attributes.get("model", "scene"), gravity, self._root)
 
@@ -143,6 +145,18 @@ class _Scene:
                     self._findings.warn(element, "armature: a model has no rotor inertia yet")
                 driven[joint] = self._find_effort(element, attributes, abs(gear))
         return driven
+
+    def _check_actuators(self) -> None:
+        """Find actuators of joints that there are not."""
+        there = [j.attributes["name"] for j in self._root.walk() if j.tag in JOINTS and "name" in j.attributes]
+        for section in self._root.all("actuator"):
+            for element in section.children:
+                attributes = self._defaults.resolve(element, MAIN)
+                joint = attributes.get("joint", attributes.get("jointinparent"))
+                if joint is not None and joint not in there:
+                    meant = nearest(joint, there)
+                    remedy = f"did you mean {abbreviate(meant)}?" if meant else "name a joint of the file"
+                    self._findings.fault(element, f"there is no joint {abbreviate(joint)}", remedy)
 
     def _find_effort(self, element: Element, attributes: Mapping[str, str], gear: float) -> float | None:
         ranges = [
@@ -268,7 +282,7 @@ class _Scene:
     # --- joints ------------------------------------------------------------------------------------------------------
 
     def _is_free(self, parts: list[_Placed]) -> bool:
-        return any(self._read_kind(part) == "free" for part in parts if part.element.tag in ("joint", "freejoint"))
+        return any(self._read_kind(part) == "free" for part in parts if part.element.tag in JOINTS)
 
     def _read_kind(self, part: _Placed) -> str:
         if part.element.tag == "freejoint":
@@ -280,7 +294,7 @@ class _Scene:
         """Read the joints of a body; the second is where the last one's anchor is in the body."""
         moves: list[Move] = []
         anchor = np.zeros(3)
-        for part in (part for part in parts if part.element.tag in ("joint", "freejoint")):
+        for part in (part for part in parts if part.element.tag in JOINTS):
             kind = self._read_kind(part)
             attributes = self._defaults.resolve(part.element, part.active)
             if kind == "free":

@@ -13,6 +13,7 @@ from mbsgen.importing import Choices, Imported, import_model, write_imported
 from mbsgen.importing.drafting import Limit
 from mbsgen.model.model import Body, Fixed, Joint, Law
 from mbsgen.model.reader import read_model
+from mbsgen.pipeline import read
 from tests.import_peers import Kernels, MujocoPeer, State, largest_miss
 
 # Sums of some hundred products of numbers near 1, and a solution with an M of condition below 1e4.
@@ -177,7 +178,11 @@ def test_what_alters_the_motion_is_told_one_by_one(tmp_path: Path) -> None:
         '<tendon><fixed name="t"><joint joint="one" coef="1"/></fixed></tendon>'
         '<actuator><position name="p" joint="one" kp="5"/><motor name="m" tendon="t"/></actuator>'
     )
-    imported = import_model(write(tmp_path, f'<option density="1.2"/>{inner}{acting}'))
+    path = write(tmp_path, f'<option density="1.2"/>{inner}{acting}')
+    imported = import_model(path)
+    with pytest.warns(UserWarning) as caught:
+        assert read(path) == imported.model
+    assert len(caught) == 8
     found = "\n".join(warnings(imported))
     for text in (
         "body[a]: warning: gravcomp",
@@ -211,6 +216,7 @@ def test_what_alters_the_motion_is_told_one_by_one(tmp_path: Path) -> None:
         (pendulum("<joint/>", INERTIAL + f"<body><freejoint/>{INERTIAL}</body>"), "a free joint within the tree"),
         (pendulum("<joint/>", INERTIAL + '<replicate count="2"/>'), "replicate makes bodies by rules of its own"),
         (pendulum("<joint/>", INERTIAL + "<bodi/>"), "no part of a body is called bodi"),
+        (pendulum('<joint name="q"/>') + '<actuator><motor joint="Q"/></actuator>', 'no joint "Q"; did you mean "q"?'),
         ('<compiler coordinate="global"/>' + pendulum("<joint/>"), "global coordinates"),
         ('<compiler eulerseq="abc"/>' + pendulum("<joint/>"), "eulerseq is"),
     ],
