@@ -180,7 +180,7 @@ def test_what_alters_the_motion_is_told_one_by_one(tmp_path: Path) -> None:
     )
     path = write(tmp_path, f'<option density="1.2"/>{inner}{acting}')
     imported = import_model(path)
-    with pytest.warns(UserWarning) as caught:
+    with pytest.warns(UserWarning, match="warning: ") as caught:
         assert read(path) == imported.model
     assert len(caught) == 8
     found = "\n".join(warnings(imported))
