@@ -267,7 +267,7 @@ def _format_spread(cost: Cost) -> str:
 @contextmanager
 def show_progress() -> Iterator[Report]:
     """Show on stderr what is being done, and the time left."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("beginning", total=None)
         yield lambda text, done, total: progress.update(task, description=text, completed=done, total=total)

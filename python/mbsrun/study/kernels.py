@@ -79,14 +79,12 @@ def measure_kernels(
 
     Raises InputError for a model with faults, CompileError.
     """
+    own = Subject(model, DERIVATIVES if depth.derivatives else VALUES)
+    report(f"{own.manifest.model}: generating", 0, 1)  # a model with faults is refused before anything is written
+    chains = [Subject(write_chain(size, folder / "models"), VALUES) for size in depth.sizes]
+    jobs = [(own, task) for task in (*KERNELS, *(SLOPES if depth.derivatives else ()))]
+    jobs += [(chain, task) for chain in chains for task in KERNELS]
     store = Store(folder / "kernels.jsonl", KernelPoint)
-    jobs: list[tuple[Subject, str]] = []
-    for path, extent in (
-        (model, DERIVATIVES if depth.derivatives else VALUES),
-        *((write_chain(size, folder / "models"), VALUES) for size in depth.sizes),
-    ):
-        tasks = [*KERNELS, *(SLOPES if extent is DERIVATIVES else ())]
-        jobs += [(Subject(path, extent), task) for task in tasks]
     points: list[KernelPoint] = []
     for done, (subject, task) in enumerate(jobs):
         report(f"{subject.model.stem}: {task}", done, len(jobs))
