@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import math
+import random
 from pathlib import Path
 from typing import Annotated, Literal
 
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import Field
@@ -18,6 +20,7 @@ from mbsgen.documents import (
     abbreviate,
     examine,
     read_document,
+    reading,
     validate,
     write_path,
 )
@@ -346,3 +349,56 @@ def test_paths_are_written_as_users_read_them() -> None:
 )
 def test_values_are_shown_short(value: object, text: str) -> None:
     assert abbreviate(value) == text  # type: ignore[arg-type]
+
+
+@pytest.mark.skipif(not yaml.__with_libyaml__, reason="PyYAML has been built without libyaml")
+def test_both_parsers_read_the_same() -> None:
+    """What libyaml reads without a fault, PyYAML's own parser reads as the same data in the same lines."""
+    models = [
+        file.read_text(encoding="utf-8") for file in sorted((Path(__file__).parents[2] / "models").glob("*.yaml"))
+    ]
+    tokens = (
+        *":-{}[],#\"'|>?~%@`\t ",
+        "&a ",
+        "*a ",
+        "!x ",
+        "\n",
+        "  ",
+        "1e400",
+        "0x1",
+        ": ",
+        "- ",
+        "---\n",
+        "\u00e9",
+        "<<: ",
+    )
+    rng = random.Random(1)
+    read = 0
+    for _ in range(150):
+        text = rng.choice(models)[: rng.randrange(100, 900)]
+        for _ in range(rng.randrange(3)):
+            place = rng.randrange(len(text))
+            text = text[:place] + rng.choice(tokens) + text[place + rng.randrange(3) :]
+        fast = reading._read_fast("f", text)
+        if fast is not None:
+            read += 1
+            slow = reading._read("f", text, yaml.SafeLoader)
+            assert (repr(fast.data), fast.lines, slow.faults) == (repr(slow.data), slow.lines, {})
+    assert 30 < read < 150
+
+
+@pytest.mark.parametrize("text", ["a: [1]\t\nb:\t2", "a: {b?c: 1}", "a: {b: 1", "a: &x 1", "a: 1\na: 2"])
+def test_what_may_be_wrong_is_told_by_one_parser(text: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """So errors and their places are the same where there is no libyaml."""
+
+    def tell() -> object:
+        try:
+            return reading.read_document(file).faults
+        except InputError as error:
+            return error.faults
+
+    file = tmp_path / "f.yaml"
+    file.write_text(text, encoding="utf-8")
+    told = tell()
+    monkeypatch.setattr(yaml, "__with_libyaml__", False)
+    assert tell() == told
