@@ -7,8 +7,9 @@ Within a group of parallel axes the unknowns are absolute angles, whose M has fe
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
-from mbsgen.formulations.links import declare_state, joint_forces, write_chain
+from mbsgen.formulations.links import check_pivot, declare_state, joint_forces, write_chain
 from mbsgen.formulations.parsimony.elimination import solve
 from mbsgen.formulations.parsimony.segments import Segment, align, largest_inertias
 from mbsgen.formulations.planning import find_plans, finish
@@ -34,7 +35,7 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
     Q = joint_forces(chain)
     forces = _absolute_forces(segments, Q) if reductions.absolute else Q
     n = len(segments)
-    found = solve(builder, M, {i: forces[i - 1] - c[i - 1] for i in range(1, n + 1)}, n)
+    found = solve(builder, M, {i: forces[i - 1] - c[i - 1] for i in range(1, n + 1)}, n, partial(check_pivot, tree))
     largest = largest_inertias(chain, segments)
     for i in range(n, 0, -1):
         builder.guard(found.pivots[i], largest[i], PIVOT_TOLERANCE, i)

@@ -15,6 +15,7 @@ from sympy import Expr
 
 from mbsgen.algebra.rotations import axis_rotation
 from mbsgen.algebra.vectors import Matrix, Vector, outer
+from mbsgen.errors import TapeError
 from mbsgen.model.tree import COORDINATE, RATE, Body, Joint, Kind, Lump, Motion, Tree, Wrench
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.lowering import lower
@@ -176,6 +177,13 @@ def declare_state(
         return builder.vector(name, size) if size else []
 
     return State(q, qd, qdd, u, w, declare(DESIGN, Kind.DIFFERENTIATED), declare(PARAMETERS, Kind.RUNTIME))
+
+
+def check_pivot(tree: Tree, number: int, pivot: Scalar) -> None:
+    """Refuse a joint that feels nothing whatever the state. Raises TapeError; a model that was checked has none."""
+    if pivot.is_zero:
+        finding = f"joint {tree.bodies[number - 1].joint.name!r} moves nothing, so its acceleration is not determined"
+        raise TapeError(f"{tree.name}: {finding}; give a body it carries mass, or take the joint away")
 
 
 def joint_forces(chain: Chain) -> list[Scalar]:

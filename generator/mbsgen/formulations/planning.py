@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property, lru_cache, partial
 
-from mbsgen.formulations.links import PARAMETERS, declare_state, write_chain
+from mbsgen.formulations.links import PARAMETERS, check_pivot, declare_state, write_chain
 from mbsgen.formulations.parsimony.articulated import accelerations
 from mbsgen.formulations.parsimony.elimination import solve
 from mbsgen.formulations.parsimony.mass_matrix import mass_matrix
@@ -63,7 +63,7 @@ class Plans:
         def write(bench: Bench, plan: Plan) -> Sequence[Scalar]:
             M = mass_matrix(bench.begin(plan), absolute=absolute)
             right = dict(enumerate(bench.bias(self.bias, absolute=absolute), 1))
-            return list(solve(bench.chain.builder, M, right, self._size).x.values())
+            return list(solve(bench.chain.builder, M, right, self._size, partial(check_pivot, self._tree)).x.values())
 
         return self._search(write, self.mass_matrix) if self._size <= ELIMINATED else self.mass_matrix
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
@@ -11,7 +12,8 @@ import pytest
 from numpy.typing import NDArray
 from sympy import Float, Integer
 
-from mbsgen.formulations import exp1, exp2, impl, semi
+from mbsgen.errors import TapeError
+from mbsgen.formulations import condition, exp1, exp2, impl, semi
 from mbsgen.formulations.reductions import ALL, NONE, Reductions
 from mbsgen.model.tree import Body, Joint, Motion, Tree
 from mbsgen.tape.interpreter import DIGITS, evaluate, find_failure
@@ -238,3 +240,14 @@ def test_a_floating_base_falls_freely(name: str):
 
 def test_a_floating_base_equals_pinocchio():
     assert_equals_pinocchio(floating(driven(random_tree(6, 5))), 6, FEW)
+
+
+@pytest.mark.parametrize("reductions", [ALL, NONE], ids=["reduced", "plain"])
+@pytest.mark.parametrize("build", [exp1.build, exp2.build, condition.build], ids=["exp1", "exp2", "condition"])
+def test_a_joint_that_moves_nothing_is_named(build: Callable[..., Tape], reductions: Reductions) -> None:
+    """Of a Tree that no model's checks have seen: the last body has no mass."""
+    tree = random_tree(3, 3)
+    nothing = (Integer(0),) * 3
+    leaf = replace(tree.bodies[2], mass=Integer(0), com=nothing, inertia=(nothing,) * 3)
+    with pytest.raises(TapeError, match=r"random3: joint 'q3' moves nothing.*; give a body it carries mass"):
+        build(replace(tree, bodies=(*tree.bodies[:2], leaf)), reductions)

@@ -15,12 +15,14 @@ from dataclasses import dataclass
 from functools import reduce
 
 from mbsgen.algebra.vectors import Matrix, Vector
+from mbsgen.formulations.links import check_pivot
 from mbsgen.formulations.parsimony.mass_matrix import link, own_inertia
 from mbsgen.formulations.parsimony.motion import Kinematics
 from mbsgen.formulations.parsimony.regrouping import Lump
 from mbsgen.formulations.parsimony.residual import Load, join_loads
 from mbsgen.formulations.parsimony.segments import Segment, children
 from mbsgen.formulations.parsimony.writing import Writing
+from mbsgen.model.tree import Tree
 from mbsgen.tape.builder import Builder, Scalar
 
 
@@ -75,7 +77,7 @@ def articulate(writing: Writing) -> dict[int, Body]:
     bodies: dict[int, Body] = {}
     for segment in reversed(kinematics.segments):
         parts = _gather(kinematics, segment, writing.lumps[segment.number], bodies)
-        bodies[segment.number] = _free(kinematics.builder, segment, parts)
+        bodies[segment.number] = _free(writing.chain.tree, segment, parts)
     return bodies
 
 
@@ -106,8 +108,9 @@ def _shift(builder: Builder, inertia: Inertia, d: Vector[Scalar]) -> Inertia:
     return Inertia(inertia.M, B, symmetric(upper))
 
 
-def _free(builder: Builder, segment: Segment, parts: tuple[Inertia, ...]) -> Body:
+def _free(tree: Tree, segment: Segment, parts: tuple[Inertia, ...]) -> Body:
     """Eliminate a joint: what it takes of a load, and the inertia that is left to its parent."""
+    builder = parts[0].M[0, 0].builder
     e, zero, whole = segment.axis, builder.zero, reduce(_add, parts)
     if segment.is_revolute:
         UF, UN = whole.B.column(e), whole.J.column(e)
@@ -115,6 +118,7 @@ def _free(builder: Builder, segment: Segment, parts: tuple[Inertia, ...]) -> Bod
     else:
         UF, UN = whole.M.column(e), whole.B.rows[e]
         pivot = UF[e]
+    check_pivot(tree, segment.number, pivot)
     inverse = builder.number(1.0) / pivot
     KF, KN = UF.scale(inverse), UN.scale(inverse)
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from mbsgen.tape.builder import Builder, Scalar
 
 Entries = dict[tuple[int, int], Scalar]  # of a symmetric matrix, by numbers (ancestor, descendant), from 1
+Check = Callable[[int, Scalar], None]  # of a pivot, with its number
 Column = dict[int, Scalar]  # by number, from 1
 
 
@@ -64,14 +65,20 @@ class Factors:
         return [i for i in range(1, k) if (i, k) in self.L]
 
 
-def factorise(builder: Builder, matrix: Mapping[tuple[int, int], Scalar], size: int) -> Factors:
-    """Factorise a matrix of the unknowns 1 to `size`; each later one is eliminated from those before it."""
+def factorise(
+    builder: Builder, matrix: Mapping[tuple[int, int], Scalar], size: int, check: Check = lambda *_: None
+) -> Factors:
+    """Factorise a matrix of the unknowns 1 to `size`; each later one is eliminated from those before it.
+
+    `check` sees each pivot, with its number, before anything is divided by it.
+    """
     H = dict(matrix)
     L: Entries = {}
     inverses: Column = {}
     one = builder.number(1.0)
     for k in range(size, 0, -1):
         column = [i for i in range(1, k) if (i, k) in H and not H[i, k].is_zero]
+        check(k, H[k, k])
         inverses[k] = one / H[k, k]
         for i in column:
             L[i, k] = H[i, k] * inverses[k]
@@ -81,7 +88,9 @@ def factorise(builder: Builder, matrix: Mapping[tuple[int, int], Scalar], size: 
     return Factors(builder, size, L, {k: H[k, k] for k in inverses}, inverses)
 
 
-def solve(builder: Builder, matrix: Mapping[tuple[int, int], Scalar], b: Mapping[int, Scalar], size: int) -> Solution:
+def solve(
+    builder: Builder, matrix: Mapping[tuple[int, int], Scalar], b: Mapping[int, Scalar], size: int, check: Check
+) -> Solution:
     """Solve for the unknowns 1 to `size` at once."""
-    factors = factorise(builder, matrix, size)
+    factors = factorise(builder, matrix, size, check)
     return Solution(factors.solve(b), factors.D)
