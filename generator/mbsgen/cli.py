@@ -269,7 +269,7 @@ def scaling_command(largest: int) -> None:
 @MODEL
 def check_command(model: Path) -> None:
     """Tell every fault of MODEL, and write nothing."""
-    make(_read(model))
+    read_tree(_read(model))
     click.echo(f"{model}: no fault found", err=True)
 
 
