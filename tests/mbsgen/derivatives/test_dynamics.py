@@ -167,3 +167,67 @@ def test_adjoints_are_transposed_jacobians_applied():
     for source in ("q", "qd", "u"):
         expected = matrix(found.jac, f"jac_qdd_{source}", J).T @ at["adj_qdd"]
         assert adj[f"adj_{source}"] == pytest.approx(expected, rel=1e-10, abs=1e-12)
+
+
+@pytest.fixture(scope="module", params=[impl.build, exp2.build], ids=["impl", "exp2"])
+def arm(request: pytest.FixtureRequest) -> tuple[Tape, Derivatives]:
+    """The arm's residual, differentiated by recursion, and its accelerations, by the implicit function theorem."""
+    tree = model("arm_pendulum")
+    tape = request.param(tree)
+    return tape, Dynamics(tree, ALL).differentiate(tape)
+
+
+def column(tape: Tape, at: dict[str, list[float]]) -> np.ndarray:
+    (values,) = evaluate(tape, at).values()
+    return np.array(values)
+
+
+def moved(at: dict[str, list[float]], along: dict[str, list[float]], h: float) -> dict[str, list[float]]:
+    return {name: list(np.array(at[name]) + h * np.array(along[name])) for name in at}
+
+
+def slope_of(tape: Tape, found: Derivatives, at: dict[str, list[float]], along: dict[str, list[float]]) -> np.ndarray:
+    values, (result,) = evaluate(found.jac, at), (o.name for o in tape.outputs)
+    return sum(matrix(found.jac, f"jac_{result}_{x}", values) @ np.array(along[x]) for x in differentiable(tape))
+
+
+def test_the_arms_derivatives_equal_differences_of_fourth_order(arm: tuple[Tape, Derivatives]):
+    """The V of the error over h has its bottom below 1e-10."""
+    tape, found = arm
+    at, along = arguments(tape, 1), arguments(tape, 2)
+    exact = slope_of(tape, found, at, along)
+    errors = []
+    for h in (1e-2, 3e-3, 1e-3, 3e-4):
+        a, b, c, d = (column(tape, moved(at, along, k * h)) for k in (-2, -1, 1, 2))
+        errors.append(np.abs((a - 8 * b + 8 * c - d) / (12 * h) - exact).max() / np.abs(exact).max())
+    assert min(errors) <= 1e-10
+
+
+def test_the_arms_taylor_remainder_is_quadratic(arm: tuple[Tape, Derivatives]):
+    """Slope 1.95 to 2.05 for h from 3e-2 to 3e-7, fitted where the remainder stands out of rounding."""
+    tape, found = arm
+    at, along = arguments(tape, 3), arguments(tape, 4)
+    exact, here = slope_of(tape, found, at, along), column(tape, at)
+    steps = 3.0 * 10.0 ** -np.arange(2, 8)
+    rests = np.array([np.abs(column(tape, moved(at, along, h)) - here - h * exact).max() for h in steps])
+    kept = rests > 1e3 * 2.0**-53 * np.abs(here).max()
+    assert kept.sum() >= 3
+    assert 1.95 <= np.polyfit(np.log(steps[kept]), np.log(rests[kept]), 1)[0] <= 2.05
+
+
+def test_the_arms_hessians_are_symmetric_and_its_patterns_structural(arm: tuple[Tape, Derivatives]):
+    tape, found = arm
+    wrt = differentiable(tape)
+    seen: dict[str, np.ndarray] = {}
+    for seed in range(20):
+        at = arguments(found.jac_adj1, seed)
+        values = evaluate(found.jac_adj1, at)
+        for row in wrt:
+            for other in wrt:
+                block = matrix(found.jac_adj1, f"jac_adj_{row}_{other}", values)
+                mirror = matrix(found.jac_adj1, f"jac_adj_{other}_{row}", values)
+                assert np.abs(block - mirror.T).max(initial=0.0) <= 1e-13 * max(1.0, np.abs(block).max(initial=0.0))
+        jac = evaluate(found.jac, {i.name: at[i.name] for i in found.jac.inputs})
+        for name, entries_found in jac.items():
+            seen[name] = np.maximum(seen.get(name, 0), np.abs(np.array(entries_found, float)))
+    assert all((peak > 0).all() for peak in seen.values())
