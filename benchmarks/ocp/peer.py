@@ -51,7 +51,8 @@ class Peer:
         self.problem = problem
         representation, N, d = problem.representation, problem.intervals, problem.degree
         n, m, h = len(problem.start_q), len(problem.bounds.u), problem.horizon / problem.intervals
-        C, D, _ = (c.full() for c in ca.collocation_coeff(ca.collocation_points(d, problem.family.value)))
+        points_of_scheme = ca.collocation_points(d, problem.family.value)
+        C, D, _ = (ca.sparsify(c, 1e-12) for c in ca.collocation_coeff(points_of_scheme))  # Radau's D is 1 at the end
         has_z = not representation.is_ode
         w: list[ca.MX] = []
         bounds: list[Array] = []
@@ -64,11 +65,11 @@ class Peer:
 
         mesh, points, z, u = [new("x0", 2 * n, states)], [], [], []
         for k in range(N):
-            u.append(new(f"u{k}", m, np.array(problem.bounds.u).reshape(-1, 2)))
             for j in range(d):
                 points.append(new(f"x{k}_{j}", 2 * n, states))
                 if has_z:
                     z.append(new(f"z{k}_{j}", n))
+            u.append(new(f"u{k}", m, np.array(problem.bounds.u).reshape(-1, 2)))
             mesh.append(new(f"x{k + 1}", 2 * n, states))
         X, U = ca.horzcat(*points), ca.horzcat(*(u[i // d] for i in range(N * d)))
         kernel = dynamics[{"IMPL": "impl", "SEMI": "semi"}.get(representation.value, "exp")]
@@ -104,6 +105,7 @@ class Peer:
         self._solver = ca.nlpsol("peer", "ipopt", nlp, options)
         self._lower, self._upper = np.concatenate(bounds).T
         self.variables, self.constraints = int(nlp["x"].numel()), int(nlp["g"].numel())
+        self.jacobian_nonzeros = int(self._solver.get_function("nlp_jac_g").nnz_out(1))
         self.seconds_building = time.perf_counter() - begin
 
     def solve(self, guess: Trajectory) -> Effort:
@@ -118,12 +120,11 @@ class Peer:
     def _pack(self, guess: Trajectory) -> Array:
         parts = [guess.q[0], guess.qd[0]]
         for k in range(self.problem.intervals):
-            parts.append(guess.u[k])
             for j in range(self.problem.degree):
                 parts += [guess.point_q[k, j], guess.point_qd[k, j]]
                 if not self.problem.representation.is_ode:
                     parts.append(guess.point_qdd[k, j])
-            parts += [guess.q[k + 1], guess.qd[k + 1]]
+            parts += [guess.u[k], guess.q[k + 1], guess.qd[k + 1]]
         return np.concatenate(parts)
 
 
