@@ -27,6 +27,7 @@ PARTS = {
     "cart_pole": (2, 1, 1, 1),
     "double_pendulum": (2, 0, 0, 1),
     "pendulum": (1, 0, 1, 1),
+    "planar_arm": (2, 0, 2, 1),
     "quadruped": (18, 3, 12, 4),
     "six_axis": (6, 0, 6, 1),
 }

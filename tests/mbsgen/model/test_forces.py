@@ -187,8 +187,9 @@ def test_numbers_of_wrenches_become_parameters_too(tmp_path: Path) -> None:
         "wrenches:\n  - {name: wheel, body: wheel, position: [1, 0, 0], force: [0, 2, k], moment: input}\n"
     )
     freed = with_runtime_numbers(read_text(text, tmp_path))
-    names = ["k", "r", "T", "gravity.z", "wheel.mass", "wheel.inertia.xx", "wheel.inertia.yy", "wheel.inertia.zz"]
-    assert [p.name for p in freed.parameters] == [*names, "wheel.damping", "wheel.point.x", "wheel.force.y"]
+    inertia = ["wheel.mass", "wheel.inertia.xx", "wheel.inertia.yy", "wheel.inertia.zz"]
+    names = ["k", "r", "T", "gravity.z", "wheel.damping", *inertia, "wheel.point.x", "wheel.force.y"]
+    assert [p.name for p in freed.parameters] == names
     assert {p.kind for p in freed.parameters} == {Kind.RUNTIME}
     assert freed.wrenches[0].moment is None
 
