@@ -396,10 +396,10 @@ def test_a_model_that_changes_while_it_is_generated_is_generated_again(
     """What is kept under the name of a text was made of that text."""
     generate, texts = mbsgen.pipeline.generate, [MODEL.replace("mass: 2", "mass: 3")]
 
-    def disturbed(path: Path, out: Path) -> None:
+    def disturbed(path: Path, out: Path, options: mbsgen.pipeline.Options) -> None:
         if texts:
             path.write_text(texts.pop())
-        generate(path, out)
+        generate(path, out, options)
 
     monkeypatch.setattr("mbsgen.pipeline.generate", disturbed)
     changed = load(model)
