@@ -23,6 +23,7 @@ from mbsgen.errors import Fault, InputError, MbsError
 from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
 from mbsgen.manifest import Manifest
 from mbsrun.cache import Entry, cache_folder, list_entries, remove
+from mbsrun.circumstances import describe_circumstances
 from mbsrun.external import load
 from mbsrun.ocp.methods import METHODS as SOLVERS
 from mbsrun.ocp.pictures import animate, draw_mechanism, plot_trajectories
@@ -31,12 +32,14 @@ from mbsrun.ocp.problem import Inputs, Problem, Representation, SolverName, cyli
 from mbsrun.ocp.record import Attempt, open_record
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.search import (
+    Alone,
     OutOfTimeError,
-    Protocol,
+    ProtocolName,
     Search,
     Study,
     Summary,
     Targets,
+    describe,
     identify,
     list_open_tasks,
     summarise,
@@ -44,7 +47,6 @@ from mbsrun.ocp.search import (
 from mbsrun.ocp.solution import Failure, Solution, read_guess, read_solution, write_solution
 from mbsrun.ocp.solve import Progress, solve
 from mbsrun.ocp.statement import read_problem
-from mbsrun.simulation.drive import hold_steps, input_labels
 from mbsrun.simulation.methods import METHODS, Formulation
 from mbsrun.simulation.motion import Motion
 from mbsrun.simulation.record import FILES as MOTION_FILES
@@ -52,6 +54,7 @@ from mbsrun.simulation.record import describe_settings, write_motion
 from mbsrun.simulation.simulate import simulate
 from mbsrun.simulation.statement import Recording, read_statement
 from mbsrun.study.commands import advise_command, chart
+from mbsrun.study.study_command import study_command
 
 NOT_SOLVED = 1  # exit codes; 0 is a solution as accurate as the problem asks for
 BAD_INPUT = 2
@@ -74,6 +77,7 @@ HELP = """Simulate multibody systems, and solve optimal control problems of thei
   mbsrun simulate MODEL -o DIR  integrate a motion, and write it, plots and an animation to DIR
   mbsrun solve PROBLEM -o DIR   solve, and write solution and pictures to DIR
   mbsrun sweep PROBLEM -o FILE  solve for a grid of targets, by a protocol, and tell what it took
+  mbsrun study PROBLEM          solve for all targets, formulations and costs of a paper, and report
   mbsrun chart kernels MODEL    draw speed against accuracy of kernels, or of simulation
   mbsrun advise MODEL           tell what is fastest for a model, at an accuracy
   mbsrun cache                  tell what was generated and compiled, or clear it
@@ -333,7 +337,7 @@ def sweep_command(
     /,
     file: Path,
     out: Path | None,
-    protocol: Protocol,
+    protocol: ProtocolName,
     costs: tuple[tuple[float, float], ...],
     names: tuple[str, ...],
     bumped: tuple[str, ...],
@@ -358,10 +362,12 @@ def sweep_command(
         _find_bumped(bumped, plant.manifest),
     )
     is_through = True
-    with open_record(out or Path(f"{problem.name}.sweep"), identify(study, plant.manifest)) as record:
+    about = (identify(study, plant.manifest), describe(study, plant.manifest))
+    with open_record(out or Path(f"{problem.name}.sweep"), *about) as record:
         with MESSAGES.status("making the program") as status:
+            crew = Alone(plant, describe_circumstances())
             try:
-                Search(study, plant, record, lambda attempt, _: status.update(_tell(attempt)), 60 * minutes).run(
+                Search(study, crew, record, lambda attempt, _: status.update(_tell(attempt)), 60 * minutes).run(
                     protocol
                 )
             except OutOfTimeError:
@@ -464,6 +470,7 @@ def simulate_command(
 
 cli.add_command(chart)
 cli.add_command(advise_command)
+cli.add_command(study_command)
 
 
 def main() -> None:
@@ -524,7 +531,6 @@ def _read_recording(path: Path, manifest: Manifest) -> Recording:
     """Take start and inputs of a solution; it must be one of this model."""
     found = read_solution(path)
     names = tuple(c.name for c in manifest.coordinates)
-    inputs = input_labels(manifest)
     if (found.coordinates, found.inputs) != (names, inputs):
         told = f"it is of model {found.model}, with coordinates {', '.join(found.coordinates)}"
         raise InputError([Fault(str(path), 0, "", told, f"give one of a model with {', '.join(names)}")])

@@ -1,13 +1,16 @@
-"""What a search has tried: every attempt, and the best motion found for each task, in one SQLite file.
+"""What searches have tried: every attempt, and the best motions found for each task, in one SQLite file.
 
-Each attempt is committed as it ends, so that a search that was stopped goes on where it was.
+An attempt is one transaction, on the disk before the next begins: a process that is killed loses what it was at, and
+nothing else. One file holds any number of studies. Of the motions, one is kept for a task, a protocol and a round,
+where it is better than all of the rounds before; so what a round starts from does not depend on the order in which
+attempts come in, nor on whether the search was interrupted.
 """
 
 from __future__ import annotations
 
 import io
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -17,18 +20,25 @@ import numpy as np
 from mbsgen.errors import Fault, InputError
 from mbsrun.ocp.trajectory import Trajectory
 
-FORMAT = "mbsrun record 1"
+FORMAT = "mbsrun record 2"
 SAME = 1e-6  # relative difference of costs within which two optima are one
 
+Key = tuple[object, ...]  # tells which attempt: task, protocol, part, guess
+
 _TABLES = """
-create table about (format text, study text);
+create table about (format text);
+create table studies (id integer primary key, identity text unique, told text);
+create table circumstances (id integer primary key, told text unique);
 create table attempts (
-  place_i integer, place_j integer, inputs real, input_rates real, representation text, part text, guess text,
-  status text, iterations integer, cpu_seconds real, cpu_seconds_evaluating real, cost real,
-  primary key (place_i, place_j, inputs, input_rates, representation, part, guess));
+  study integer, place_i integer, place_j integer, inputs real, input_rates real, representation text,
+  protocol text, part text, guess text, round integer, status text, iterations integer, cpu_seconds real,
+  cpu_seconds_evaluating real, cost real, defect real, variables integer, constraints integer,
+  jacobian_nonzeros integer, hessian_nonzeros integer, circumstances integer,
+  primary key (study, place_i, place_j, inputs, input_rates, representation, protocol, part, guess));
 create table best (
-  place_i integer, place_j integer, inputs real, input_rates real, representation text, cost real, motion blob,
-  primary key (place_i, place_j, inputs, input_rates, representation));
+  study integer, place_i integer, place_j integer, inputs real, input_rates real, representation text,
+  protocol text, round integer, cost real, motion blob,
+  primary key (study, place_i, place_j, inputs, input_rates, representation, protocol, round));
 """
 
 
@@ -51,91 +61,153 @@ class Attempt:
     """A solve of a task."""
 
     task: Task
-    part: str  # of a protocol
+    protocol: str
+    part: str  # of the protocol
     guess: str  # what it started from
+    round: int  # of the protocol, from 0
     status: str
     iterations: int
     cpu_seconds: float
     cpu_seconds_evaluating: float
     cost: float | None  # None: no solution
+    defect: float | None = None  # the largest error of an interval, where the attempt was re-simulated
+    variables: int | None = None  # of the program, where there is a solution
+    constraints: int | None = None
+    jacobian_nonzeros: int | None = None
+    hessian_nonzeros: int | None = None  # of the triangle
+
+    @property
+    def key(self) -> Key:
+        """Tell which attempt it is, whatever came of it."""
+        return (*self.task.row, self.protocol, self.part, self.guess)
+
+
+@dataclass(frozen=True)
+class Best:
+    """The lowest cost of a task, and the round that found it."""
+
+    cost: float
+    round: int
 
 
 class Record:
-    """The file, open."""
+    """The file, open, as far as it is of one study."""
 
-    def __init__(self, connection: sqlite3.Connection) -> None:
+    def __init__(self, connection: sqlite3.Connection, study: str, told: str = "") -> None:
+        """Take part in a file: `study` identifies what the attempts have in common, `told` says it for a reader."""
         self._connection = connection
+        self._study = self._number("studies", "identity", study)
+        if told:
+            with connection:
+                connection.execute("update studies set told = ? where id = ?", (told, self._study))
 
-    def find(self, task: Task, part: str, guess: str) -> bool:
-        """Tell whether something was tried."""
-        query = f"select 1 from attempts where {_IS_TASK} and part = ? and guess = ?"
-        return self._connection.execute(query, (*task.row, part, guess)).fetchone() is not None
+    def of(self, study: str, told: str = "") -> Record:
+        """Give another study of the same file."""
+        return Record(self._connection, study, told)
 
-    def add(self, attempt: Attempt, motion: Trajectory | None) -> bool:
-        """Keep an attempt, and its motion if it is the best of its task by more than rounding; tell whether it is."""
-        task, best = attempt.task, self.best_cost(attempt.task)
-        is_better = motion is not None and attempt.cost is not None
-        if is_better and best is not None:
-            is_better = attempt.cost is not None and attempt.cost < best - SAME * abs(best)
+    def find(self, key: Key) -> bool:
+        """Tell whether an attempt was made, by its key."""
+        query = f"select 1 from attempts where {_IS_TASK} and protocol = ? and part = ? and guess = ?"
+        return self._connection.execute(query, (self._study, *key)).fetchone() is not None
+
+    def add(self, attempt: Attempt, motion: Trajectory | None, circumstances: str = "") -> bool:
+        """Keep an attempt, and its motion if it is the best of its task so far; tell whether it is.
+
+        It is if no earlier round has one that costs as little to rounding, and no other of its own round one that costs
+        as little at all. What was kept before is not kept twice.
+        """
+        is_better = motion is not None and attempt.cost is not None and self._is_best(attempt, attempt.cost)
+        held = self._number("circumstances", "told", circumstances)
+        numbers = tuple(getattr(attempt, name) for name in _NUMBERS)
+        row = (self._study, *attempt.key, attempt.round, attempt.status, *numbers, held)
         with self._connection:
-            row = (*task.row, attempt.part, attempt.guess, attempt.status, attempt.iterations)
-            numbers = (attempt.cpu_seconds, attempt.cpu_seconds_evaluating, attempt.cost)
-            self._connection.execute("insert into attempts values (?,?,?,?,?,?,?,?,?,?,?,?)", (*row, *numbers))
-            if is_better and motion is not None:
-                values = (*task.row, attempt.cost, _pack(motion))
-                self._connection.execute("insert or replace into best values (?,?,?,?,?,?,?)", values)
+            done = self._connection.execute(f"insert or ignore into attempts values ({_marks(row)})", row)
+            if is_better and motion is not None and done.rowcount:
+                task = (self._study, *attempt.task.row, attempt.protocol, attempt.round)
+                values = (*task, attempt.cost, _pack(motion))
+                self._connection.execute(f"insert or replace into best values ({_marks(values)})", values)
         return is_better
 
-    def best_cost(self, task: Task) -> float | None:
-        """Give the lowest cost found for a task."""
-        found = self._connection.execute(f"select cost from best where {_IS_TASK}", task.row).fetchone()
-        return None if found is None else float(found[0])
+    def best(self, protocol: str, before: int | None = None) -> Mapping[Task, Best]:
+        """Give the best of every task that a protocol has solved, in the rounds before one, or in all."""
+        query = "select place_i, place_j, inputs, input_rates, representation, cost, round from best"
+        query += " where study = ? and protocol = ? and round < ? order by round"
+        found = self._connection.execute(query, (self._study, protocol, _LAST if before is None else before))
+        return {Task((row[0], row[1]), (row[2], row[3]), row[4]): Best(row[5], row[6]) for row in found}
 
-    def best_motion(self, task: Task) -> Trajectory | None:
-        """Give the motion of lowest cost."""
-        found = self._connection.execute(f"select motion from best where {_IS_TASK}", task.row).fetchone()
+    def best_motion(self, task: Task, protocol: str, before: int | None = None) -> Trajectory | None:
+        """Give the motion of the best."""
+        query = f"select motion from best where {_IS_TASK} and protocol = ? and round < ? order by round desc limit 1"
+        values = (self._study, *task.row, protocol, _LAST if before is None else before)
+        found = self._connection.execute(query, values).fetchone()
         return None if found is None else _unpack(found[0])
 
     def attempts(self) -> Iterator[Attempt]:
         """List what was tried, in order."""
-        for row in self._connection.execute("select * from attempts order by rowid"):
-            yield Attempt(Task((row[0], row[1]), (row[2], row[3]), row[4]), *row[5:])
+        for attempt, _ in self.list_all():
+            yield attempt
+
+    def list_all(self) -> Iterator[tuple[Attempt, str]]:
+        """List what was tried, in order, with the circumstances of each."""
+        query = f"""select place_i, place_j, inputs, input_rates, representation, protocol, part, guess, round, status,
+            {", ".join(_NUMBERS)}, told from attempts join circumstances on circumstances.id = circumstances
+            where study = ? order by attempts.rowid"""
+        for row in self._connection.execute(query, (self._study,)):
+            yield Attempt(Task((row[0], row[1]), (row[2], row[3]), row[4]), *row[5:-1]), row[-1]
+
+    def _is_best(self, attempt: Attempt, cost: float) -> bool:
+        query = f"select cost from best where {_IS_TASK} and protocol = ? and round "
+        values = (self._study, *attempt.task.row, attempt.protocol, attempt.round)
+        before = self._connection.execute(f"{query} < ? order by round desc limit 1", values).fetchone()
+        beside = self._connection.execute(f"{query} = ?", values).fetchone()
+        if before is not None and cost >= before[0] - SAME * abs(before[0]):
+            return False
+        return beside is None or cost < float(beside[0])
+
+    def _number(self, table: str, column: str, text: str) -> int:
+        """Give the number of a text in a table of texts."""
+        with self._connection:
+            self._connection.execute(f"insert or ignore into {table} ({column}) values (?)", (text,))
+        found = self._connection.execute(f"select id from {table} where {column} = ?", (text,)).fetchone()
+        return int(found[0])
 
 
-_IS_TASK = "place_i = ? and place_j = ? and inputs = ? and input_rates = ? and representation = ?"
+_IS_TASK = "study = ? and place_i = ? and place_j = ? and inputs = ? and input_rates = ? and representation = ?"
+_NUMBERS = tuple(field.name for field in fields(Attempt))[6:]
+_LAST = 2**31
 
 
 @contextmanager
-def open_record(path: Path, study: str) -> Iterator[Record]:
+def open_record(path: Path, study: str, told: str = "") -> Iterator[Record]:
     """Open the record of a study, or begin one. Raises InputError for a file that is something else."""
     try:
         connection = sqlite3.connect(path)
     except sqlite3.Error as error:
         raise _refuse(path, f"cannot be opened: {error}", "check the path") from None
     try:
-        _check(connection, path, study)
-        yield Record(connection)
+        _check(connection, path)
+        yield Record(connection, study, told)
     except sqlite3.Error as error:
         raise _refuse(path, f"cannot be used as a record: {error}", "give another file") from None
     finally:
         connection.close()
 
 
-def _check(connection: sqlite3.Connection, path: Path, study: str) -> None:
-    """Begin an empty file; demand of others that they are of this study."""
+def _check(connection: sqlite3.Connection, path: Path) -> None:
+    """Begin an empty file; demand of others that they are of this version."""
     if not connection.execute("select count(*) from sqlite_master").fetchone()[0]:
-        with connection:
-            connection.executescript(_TABLES)
-            connection.execute("insert into about values (?, ?)", (FORMAT, study))
-    about = connection.execute("select format, study from about").fetchone()
+        connection.executescript(f"begin; {_TABLES} insert into about values ('{FORMAT}'); commit;")
+    about = connection.execute("select format from about").fetchone()
     if about is None or about[0] != FORMAT:
         raise _refuse(path, "it is no record of this version", "give another file")
-    if about[1] != study:
-        raise _refuse(path, "it is the record of another problem, or of another model", "give another file")
 
 
 def _refuse(path: Path, finding: str, remedy: str) -> InputError:
     return InputError([Fault(str(path), 0, "", finding, remedy)])
+
+
+def _marks(row: tuple[object, ...]) -> str:
+    return ",".join("?" * len(row))
 
 
 def _pack(motion: Trajectory) -> bytes:

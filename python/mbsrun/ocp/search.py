@@ -11,36 +11,45 @@ The *robust* protocol does what it takes to solve every task in its best minimum
     neighbours      the first representation, from the best motion of each neighbouring target, until nothing is new
     exchange        each representation that is in a higher minimum, from the best motion of another
 
+A protocol goes on in rounds. What a round tries depends on what the rounds before have found, and on nothing else: its
+trials can be carried out anywhere, at once and in any order, and a search that was interrupted comes to the same end.
 Every attempt is recorded with its effort; what is in the record is not tried again.
 """
 
 from __future__ import annotations
 
 import hashlib
+import itertools
+import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections import OrderedDict
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from mbsgen.manifest import Manifest
 from mbsrun.ocp import schemes, solution
-from mbsrun.ocp.guess import Pose, adapt, balance, bump, find_pose, interpolate
+from mbsrun.ocp.guess import Pose, adapt, balance, bump, find_pose, interpolate, rest
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Inputs, Point, Problem, Representation, cylindrical
-from mbsrun.ocp.record import SAME, Attempt, Record, Task
-from mbsrun.ocp.solution import Solution
+from mbsrun.ocp.record import SAME, Attempt, Best, Key, Record, Task
+from mbsrun.ocp.resimulation import resimulate
+from mbsrun.ocp.solution import Failure, Solution
 from mbsrun.ocp.solve import Solver
 from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.transcription import Structure, structure
 
-Protocol = Literal["paper", "robust"]
+ProtocolName = Literal["paper", "robust"]
 Place = tuple[int, int]
 Weights = tuple[float, float]
 
 BUMPS = 6  # for each target, where input rates are free
 FEW_BUMPS = 2  # where they are not
-ROUNDS = 5  # of neighbours and exchange, at most
+ROUNDS = 100  # at most
+SOLVERS = 12  # that are kept for the next trial: the representations, standard and otherwise
 
 
 @dataclass(frozen=True)
@@ -68,28 +77,282 @@ class Targets:
         return cylindrical(self.radius, self.azimuths[place[0]], self.heights[place[1]])
 
 
+ONE = Targets(0.0, (0.0,), (0.0,))  # one place, which stands for the problem's own target
+
+
 @dataclass(frozen=True)
 class Study:
     """What is to be solved: one problem for every target, cost and representation."""
 
     problem: Problem
-    sensor: str
+    sensor: str | None  # that has the targets; None: the problem is taken as it is, at the one place of `ONE`
     targets: Targets
     costs: tuple[Weights, ...]
     representations: tuple[Representation, ...]
     bumped: tuple[int, ...]  # coordinates that bumps move
 
+    def state(self, task: Task) -> Problem:
+        """State the problem of a task."""
+        problem = self.problem
+        if self.sensor is not None:
+            problem = problem.with_target(self.sensor, self.targets.position(task.place))
+        cost = replace(problem.cost, inputs=task.weights[0], input_rates=task.weights[1])
+        return replace(problem, cost=cost, representation=Representation(task.representation))
+
 
 def identify(study: Study, manifest: Manifest) -> str:
     """Name what the attempts in a record have in common: grid and problem, but for target, weights, representation."""
-    problem = replace(
-        study.problem.with_target(study.sensor, (0.0, 0.0, 0.0)),
-        cost=replace(study.problem.cost, inputs=0.0, input_rates=0.0),
-        representation=Representation.IMPL,
-    )
     targets = study.targets
-    text = repr((manifest.model_hash, problem, targets.radius, targets.azimuths, targets.heights))
+    text = repr((manifest.model_hash, _strip(study), targets.radius, targets.azimuths, targets.heights))
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def describe(study: Study, manifest: Manifest) -> str:
+    """Say the same for a reader, as JSON: model, grid, and the problem with its options."""
+    targets = study.targets
+    told = {
+        "model": manifest.model,
+        "model_hash": manifest.model_hash,
+        "sensor": study.sensor,
+        "radius": targets.radius,
+        "azimuths": targets.azimuths,
+        "heights": targets.heights,
+        "problem": TypeAdapter(Problem).dump_python(_strip(study), mode="json"),
+    }
+    return json.dumps(told, ensure_ascii=False)
+
+
+def _strip(study: Study) -> Problem:
+    """Take from the problem what differs between tasks."""
+    problem = study.problem
+    if study.sensor is not None:
+        problem = problem.with_target(study.sensor, (0.0, 0.0, 0.0))
+    return replace(problem, cost=replace(problem.cost, inputs=0.0, input_rates=0.0), representation=Representation.IMPL)
+
+
+# --- what is to be tried -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Interpolation:
+    """Start from the motion that the problem's guess describes, with these inputs."""
+
+    inputs: Inputs
+
+
+@dataclass(frozen=True)
+class Bumps:
+    """Start from that motion with random bumps, and with the inputs that make it."""
+
+    number: int
+
+
+@dataclass(frozen=True)
+class Found:
+    """Start from the best motion of a task that the protocol has found in the rounds before."""
+
+    origin: Task
+
+
+Start = Interpolation | Bumps | Found
+
+
+@dataclass(frozen=True)
+class Trial:
+    """An attempt that is to be made."""
+
+    task: Task
+    protocol: str
+    part: str
+    guess: str  # names the start
+    start: Start
+    round: int = 0
+    is_checked: bool = False  # by re-simulation
+
+    @property
+    def key(self) -> Key:
+        """Tell which attempt it is, as the record does."""
+        return (*self.task.row, self.protocol, self.part, self.guess)
+
+
+def plan_round(
+    study: Study,
+    protocol: ProtocolName,
+    number: int,
+    best: Mapping[Task, Best],
+    tried: Collection[Key],
+) -> list[Trial]:
+    """List the trials of a round of a protocol; there is none after the last round.
+
+    `best` is what the rounds before have found, and `tried` the keys of what they have tried.
+    """
+    if protocol == "paper":
+        return list_interpolations(study, "paper", "paper", "zero") if number == 0 else []
+    if number == 0:
+        return list_interpolations(study, "robust", "interpolation", "dynamic") + _list_bumps(study)
+    if number >= ROUNDS:
+        return []
+    near = [trial for trial in _list_neighbours(study, best, number) if trial.key not in tried]
+    return near or [trial for trial in _list_exchanges(study, best, number) if trial.key not in tried]
+
+
+def list_interpolations(study: Study, protocol: str, part: str, inputs: Inputs) -> list[Trial]:
+    """Start every task of a study from the interpolation with some inputs."""
+    return [
+        Trial(Task(place, weights, representation.value), protocol, part, inputs, Interpolation(inputs))
+        for weights in study.costs
+        for representation in study.representations
+        for place in study.targets.places
+    ]
+
+
+def _list_bumps(study: Study) -> list[Trial]:
+    scout = study.representations[0].value
+    return [
+        Trial(Task(place, weights, scout), "robust", "bumps", str(k), Bumps(k))
+        for weights in study.costs
+        for place in study.targets.places
+        for k in range(BUMPS if weights[1] == 0 else FEW_BUMPS)
+    ]
+
+
+def _list_neighbours(study: Study, best: Mapping[Task, Best], number: int) -> Iterator[Trial]:
+    """Start every target from its neighbours."""
+    scout = study.representations[0].value
+    for weights in study.costs:
+        for place in study.targets.places:
+            for near in study.targets.neighbours(place):
+                origin = Task(near, weights, scout)
+                if origin in best:
+                    yield _start_from(origin, best[origin], Task(place, weights, scout), "neighbours", number)
+
+
+def _list_exchanges(study: Study, best: Mapping[Task, Best], number: int) -> Iterator[Trial]:
+    """Start what is in a higher minimum from what is in the lowest."""
+    for weights in study.costs:
+        for place in study.targets.places:
+            tasks = [Task(place, weights, r.value) for r in study.representations]
+            costs = {task: best[task].cost for task in tasks if task in best}
+            if costs:
+                lowest = min(costs, key=lambda task: costs[task])
+                for task in tasks:
+                    if is_higher(costs.get(task), costs[lowest]):
+                        yield _start_from(lowest, best[lowest], task, "exchange", number)
+
+
+def _start_from(origin: Task, best: Best, task: Task, part: str, number: int) -> Trial:
+    name = f"{origin.place[0]},{origin.place[1]} {origin.representation} {best.cost:.9g}"
+    return Trial(task, "robust", part, name, Found(origin), number)
+
+
+# --- trying it -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Order:
+    """A trial, with the motion that it starts from where that is one that was found."""
+
+    study: Study
+    trial: Trial
+    motion: Trajectory | None
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What came of a trial."""
+
+    attempt: Attempt
+    motion: Trajectory | None
+    circumstances: str = ""  # versions and machine
+
+
+class Bench:
+    """Makes attempts in one process: a program is built once for each structure, and solved again and again."""
+
+    def __init__(self, plant: Plant, circumstances: str = "") -> None:
+        """Take a model's kernels; `circumstances` are told with every outcome."""
+        self.plant, self.circumstances = plant, circumstances
+        self._solvers: OrderedDict[Structure, Solver] = OrderedDict()
+        self._poses: dict[tuple[object, ...], Pose] = {}
+
+    def carry_out(self, order: Order) -> Outcome:
+        """Solve what a trial is about, from where it starts."""
+        trial, problem = order.trial, order.study.state(order.trial.task)
+        guess = self._make_guess(order, problem)
+        if guess is None:
+            return self._tell(trial, solution.Run(solution.UNREACHABLE, 0, 0.0, 0.0), None)
+        found = self._find_solver(problem).solve(problem, guess)
+        if isinstance(found, Failure) or found.is_only_acceptable:
+            return self._tell(trial, found.run, None)
+        return self._tell(trial, found.run, resimulate(found, self.plant) if trial.is_checked else found)
+
+    def _tell(self, trial: Trial, run: solution.Run, found: Solution | None) -> Outcome:
+        effort = (run.status, run.iterations, run.cpu_seconds, run.cpu_seconds_evaluating)
+        named = (trial.task, trial.protocol, trial.part, trial.guess, trial.round)
+        if found is None:
+            return Outcome(Attempt(*named, *effort, None), None, self.circumstances)
+        size, check = found.size, found.resimulation
+        attempt = Attempt(
+            *named,
+            *effort,
+            found.cost.total,
+            defect=None if check is None else check.defect,
+            variables=size.variables,
+            constraints=size.constraints,
+            jacobian_nonzeros=size.jacobian_nonzeros,
+            hessian_nonzeros=size.hessian_nonzeros,
+        )
+        return Outcome(attempt, found.trajectory, self.circumstances)
+
+    def _find_solver(self, problem: Problem) -> Solver:
+        shape = structure(problem)
+        solver = self._solvers.pop(shape, None) or Solver(problem, self.plant)
+        self._solvers[shape] = solver
+        if len(self._solvers) > SOLVERS:
+            self._solvers.popitem(last=False)
+        return solver
+
+    def _make_guess(self, order: Order, problem: Problem) -> Trajectory | None:
+        """Make the motion that a trial starts from; None where its target is out of reach."""
+        scheme, start = schemes.build(problem.family, problem.degree), order.trial.start
+        if isinstance(start, Found):
+            assert order.motion is not None, "a trial that starts from a motion is ordered with it"
+            return adapt(order.motion, problem, scheme)
+        motion = self._move(problem)
+        if motion is None:
+            return None
+        if isinstance(start, Interpolation):
+            return balance(motion, problem, self.plant, start.inputs)
+        rng = np.random.default_rng((*order.trial.task.place, start.number))
+        return balance(bump(motion, order.study.bumped, rng), problem, self.plant, "dynamic")
+
+    def _move(self, problem: Problem) -> Trajectory | None:
+        scheme = schemes.build(problem.family, problem.degree)
+        if problem.guess.motion == "rest":
+            return rest(problem, scheme)
+        key = (problem.start_q, problem.bounds.q, problem.end.sensors, problem.end.coordinates, problem.guess.upright)
+        if key not in self._poses:
+            self._poses[key] = find_pose(problem, self.plant)
+        pose = self._poses[key]
+        return interpolate(problem, scheme, pose.q) if pose.is_reached else None
+
+
+class Crew(Protocol):
+    """Who makes attempts: this process, or many."""
+
+    def carry_out(self, orders: Iterable[Order]) -> Iterator[Outcome]:
+        """Carry orders out, and give what came of each as it comes; no order is taken long before its turn."""
+
+
+class Alone:
+    """Makes attempts one by one, in this process."""
+
+    def __init__(self, plant: Plant, circumstances: str = "") -> None:
+        self._bench = Bench(plant, circumstances)
+
+    def carry_out(self, orders: Iterable[Order]) -> Iterator[Outcome]:
+        """Carry orders out in order."""
+        yield from map(self._bench.carry_out, orders)
 
 
 class OutOfTimeError(Exception):
@@ -100,140 +363,46 @@ Watch = Callable[[Attempt, bool], None]  # the attempt, and whether it is the be
 
 
 class Search:
-    """Carries a study out."""
+    """Carries a study out; this process alone writes to the record."""
 
     def __init__(
-        self, study: Study, plant: Plant, record: Record, watch: Watch | None = None, seconds: float = float("inf")
+        self, study: Study, crew: Crew, record: Record, watch: Watch | None = None, seconds: float = float("inf")
     ) -> None:
-        """Begin; after `seconds` the next attempt raises OutOfTimeError."""
-        self.study, self.plant, self.record, self.watch = study, plant, record, watch
-        self.scheme = schemes.build(study.problem.family, study.problem.degree)
+        """Begin; after `seconds` no further attempt begins, and OutOfTimeError is raised when those under way end."""
+        self.study, self.crew, self.record, self.watch = study, crew, record, watch
         self.end = time.monotonic() + seconds
-        self._solvers: dict[Representation, Solver] = {}
-        self._poses: dict[Place, Pose] = {}
 
-    def run(self, protocol: Protocol) -> None:
-        """Follow a protocol for every cost."""
-        for weights in self.study.costs:
-            if protocol == "paper":
-                self._interpolate(weights, "paper", "zero")
-            else:
-                self._search(weights)
-
-    def _search(self, weights: Weights) -> None:
-        self._interpolate(weights, "interpolation", "dynamic")
-        self._bump(weights, BUMPS if weights[1] == 0 else FEW_BUMPS)
-        for _ in range(ROUNDS):
-            self._visit_neighbours(weights)
-            if not self._exchange(weights):
+    def run(self, protocol: ProtocolName, plan: Callable[[int, int], None] | None = None) -> None:
+        """Follow a protocol; `plan` is told of every round how many trials it has, and how many of them are done."""
+        for number in itertools.count():
+            before = {attempt.key for attempt in self.record.attempts() if attempt.round < number}
+            trials = plan_round(self.study, protocol, number, self.record.best(protocol, number), before)
+            if not trials:
                 return
+            self.try_all(trials, plan)
 
-    def _interpolate(self, weights: Weights, part: str, inputs: Inputs) -> None:
-        for representation in self.study.representations:
-            for place in self.study.targets.places:
-
-                def guess(problem: Problem, place: Place = place) -> Trajectory | None:
-                    return self._move(problem, place, inputs)
-
-                self._attempt(place, weights, representation, part, inputs, guess)
-
-    def _bump(self, weights: Weights, times: int) -> None:
-        scout = self.study.representations[0]
-        for place in self.study.targets.places:
-            for k in range(times):
-
-                def guess(problem: Problem, place: Place = place, k: int = k) -> Trajectory | None:
-                    motion = self._move(problem, place, "zero")
-                    if motion is None:
-                        return None
-                    rng = np.random.default_rng((*place, k))
-                    return balance(bump(motion, self.study.bumped, rng), problem, self.plant, "dynamic")
-
-                self._attempt(place, weights, scout, "bumps", str(k), guess)
-
-    def _visit_neighbours(self, weights: Weights) -> None:
-        """Start every target from its neighbours, again and again, until no neighbour has a motion not yet tried."""
-        scout, targets = self.study.representations[0], self.study.targets
-        is_new = True
-        while is_new:
-            is_new = False
-            for place in targets.places:
-                for near in targets.neighbours(place):
-                    is_new |= self._start_from(Task(near, weights, scout.value), place, scout, "neighbours")
-
-    def _exchange(self, weights: Weights) -> bool:
-        """Start what is in a higher minimum from what is in the lowest; tell whether anything was tried."""
-        is_new = False
-        for place in self.study.targets.places:
-            tasks = [Task(place, weights, r.value) for r in self.study.representations]
-            costs = {task: cost for task in tasks if (cost := self.record.best_cost(task)) is not None}
-            if not costs:
-                continue
-            lowest = min(costs, key=lambda task: costs[task])
-            for representation, task in zip(self.study.representations, tasks, strict=True):
-                if is_higher(costs.get(task), costs[lowest]):
-                    is_new |= self._start_from(lowest, place, representation, "exchange")
-        return is_new
-
-    def _start_from(self, origin: Task, place: Place, representation: Representation, part: str) -> bool:
-        """Start from the best motion of another task; tell whether that is new."""
-        cost = self.record.best_cost(origin)
-        if cost is None:
-            return False
-        name = f"{origin.place[0]},{origin.place[1]} {origin.representation} {cost:.9g}"
-
-        def guess(problem: Problem) -> Trajectory | None:
-            motion = self.record.best_motion(origin)
-            return None if motion is None else adapt(motion, problem, self.scheme)
-
-        return self._attempt(place, origin.weights, representation, part, name, guess)
-
-    def _move(self, problem: Problem, place: Place, inputs: Inputs) -> Trajectory | None:
-        if place not in self._poses:
-            self._poses[place] = find_pose(problem, self.plant)
-        pose = self._poses[place]
-        if not pose.is_reached:
-            return None
-        return balance(interpolate(problem, self.scheme, pose.q), problem, self.plant, inputs)
-
-    def _attempt(
-        self,
-        place: Place,
-        weights: Weights,
-        representation: Representation,
-        part: str,
-        name: str,
-        guess: Callable[[Problem], Trajectory | None],
-    ) -> bool:
-        """Solve, unless that was tried; tell whether it was not."""
-        task = Task(place, weights, representation.value)
-        if self.record.find(task, part, name):
-            return False
-        if time.monotonic() > self.end:
+    def try_all(self, trials: Sequence[Trial], plan: Callable[[int, int], None] | None = None) -> None:
+        """Make the attempts that are not in the record."""
+        left = [trial for trial in trials if not self.record.find(trial.key)]
+        if plan is not None:
+            plan(len(trials), len(trials) - len(left))
+        for outcome in self.crew.carry_out(self._order(left)):
+            is_best = self.record.add(outcome.attempt, outcome.motion, outcome.circumstances)
+            if self.watch is not None:
+                self.watch(outcome.attempt, is_best)
+        if not all(self.record.find(trial.key) for trial in left):
             raise OutOfTimeError
-        problem = replace(
-            self.study.problem.with_target(self.study.sensor, self.study.targets.position(place)),
-            cost=replace(self.study.problem.cost, inputs=weights[0], input_rates=weights[1]),
-            representation=representation,
-        )
-        motion = guess(problem)
-        if motion is None:
-            self._keep(Attempt(task, part, name, solution.UNREACHABLE, 0, 0.0, 0.0, None), None)
-            return True
-        if representation not in self._solvers:
-            self._solvers[representation] = Solver(problem, self.plant)
-        outcome = self._solvers[representation].solve(problem, motion)
-        run = outcome.run
-        solved = outcome if isinstance(outcome, Solution) and not outcome.is_only_acceptable else None
-        effort = (run.status, run.iterations, run.cpu_seconds, run.cpu_seconds_evaluating)
-        cost = None if solved is None else solved.cost.total
-        self._keep(Attempt(task, part, name, *effort, cost), None if solved is None else solved.trajectory)
-        return True
 
-    def _keep(self, attempt: Attempt, motion: Trajectory | None) -> None:
-        is_best = self.record.add(attempt, motion)
-        if self.watch is not None:
-            self.watch(attempt, is_best)
+    def _order(self, trials: Sequence[Trial]) -> Iterator[Order]:
+        """Order trials while there is time."""
+        for trial in trials:
+            if time.monotonic() > self.end:
+                return
+            start = trial.start
+            motion = None
+            if isinstance(start, Found):
+                motion = self.record.best_motion(start.origin, trial.protocol, trial.round)
+            yield Order(self.study, trial, motion)
 
 
 # --- what came of it -----------------------------------------------------------------------------------------------
@@ -292,7 +461,7 @@ def summarise(attempts: Sequence[Attempt]) -> list[Summary]:
     for attempt in attempts:
         task = attempt.task
         groups.setdefault((task.weights, task.representation, attempt.part), []).append(attempt)
-        if attempt.part != "paper":
+        if attempt.protocol == "robust":
             best = results.setdefault((task.weights, task.representation, "result"), {})
             held = best.get(task.place)
             if held is None or (attempt.cost is not None and (held.cost is None or attempt.cost < held.cost)):

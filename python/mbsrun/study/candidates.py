@@ -126,7 +126,7 @@ def difference(subject: Subject, name: str, variant: Variant) -> Iterator[Candid
 def differentiate(subject: Subject, name: str, variant: Variant) -> Candidate | str:
     """Differentiate the equations of a generated kernel by CasADi, as C; or say why that is not compiled."""
     kernel = subject.manifest.kernel(name)
-    function = _trace(_load_equations(subject), kernel)
+    function = trace(load_equations(subject), kernel)
     inputs, (out,) = function.sx_in(), function.name_out()
     names = [x for x in VARIABLES if x in function.name_in()]
     chosen = [inputs[function.name_in().index(x)] for x in names]
@@ -152,7 +152,7 @@ def add_hidden(subject: Subject, states: States) -> dict[str, Array]:
     return {**states, HIDDEN: np.tile(subject.kernels("setup", p=states["p"][0])[HIDDEN], (len(states["q"]), 1))}
 
 
-def _load_equations(subject: Subject) -> ModuleType:
+def load_equations(subject: Subject) -> ModuleType:
     """Import the Python module that mbsgen wrote into the cache."""
     name = subject.manifest.prefix
     specification = importlib.util.spec_from_file_location(name, subject.folder / f"{name}.py")
@@ -163,7 +163,7 @@ def _load_equations(subject: Subject) -> ModuleType:
     return module
 
 
-def _trace(equations: ModuleType, kernel: Kernel) -> ca.Function:
+def trace(equations: ModuleType, kernel: Kernel) -> ca.Function:
     """Write a kernel with one dense result in CasADi's symbols."""
     inputs = [ca.SX.sym(a.name, a.rows) for a in kernel.inputs]
     results = getattr(equations, kernel.name)(*(x.elements() for x in inputs), functions=ca)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sqlite3
 from collections import Counter
-from dataclasses import replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +15,15 @@ from mbsgen.errors import InputError
 from mbsrun.ocp import schemes
 from mbsrun.ocp.guess import bump, interpolate
 from mbsrun.ocp.problem import Problem, Representation
-from mbsrun.ocp.record import Attempt, Record, Task, open_record
+from mbsrun.ocp.record import Attempt, Best, Record, Task, open_record
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.search import (
+    Alone,
+    Bench,
+    Order,
+    Outcome,
     OutOfTimeError,
-    Protocol,
+    ProtocolName,
     Search,
     Study,
     Targets,
@@ -26,6 +32,7 @@ from mbsrun.ocp.search import (
     summarise,
 )
 from mbsrun.ocp.solution import UNREACHABLE
+from mbsrun.ocp.trajectory import Trajectory
 from tests.mbsrun.peer import Peer
 
 TARGETS = Targets(0.64, (0.0, 0.02, 0.04), (0.0,), every=(2, 1))
@@ -40,11 +47,11 @@ def study(reach: Problem, monkeypatch: pytest.MonkeyPatch) -> Study:
     return Study(coarse, "hand", TARGETS, ((1.0, 10.0), (1.0, 0.0)), (Representation.IMPL,), (0, 3))
 
 
-def carry_out(study: Study, arm: Peer, path: Path, protocol: Protocol, seconds: float = 1e9) -> list[Attempt]:
+def carry_out(study: Study, arm: Peer, path: Path, protocol: ProtocolName, seconds: float = 1e9) -> list[Attempt]:
     """Search; return what was tried this time."""
     seen: list[Attempt] = []
     with open_record(path, identify(study, arm.manifest)) as record:
-        Search(study, arm, record, lambda attempt, _: seen.append(attempt), seconds).run(protocol)
+        Search(study, Alone(arm), record, lambda attempt, _: seen.append(attempt), seconds).run(protocol)
         assert seen == list(record.attempts())[-len(seen) or 10**9 :]
     return seen
 
@@ -79,7 +86,7 @@ def test_a_search_that_was_stopped_goes_on(study: Study, arm: Peer, tmp_path: Pa
             raise KeyboardInterrupt
 
     with open_record(tmp_path / "record", identify(smooth, arm.manifest)) as record, pytest.raises(KeyboardInterrupt):
-        Search(smooth, arm, record, stop).run("robust")
+        Search(smooth, Alone(arm), record, stop).run("robust")
     after = carry_out(smooth, arm, tmp_path / "record", "robust")
     whole = carry_out(smooth, arm, tmp_path / "other", "robust")
     assert len(before) == 2
@@ -116,7 +123,9 @@ def test_higher_minima_are_counted_across_representations_and_parts() -> None:
 
     def attempt(place: int, representation: str, part: str, cost: float | None) -> Attempt:
         task = Task((place, 0), (1.0, 0.0), representation)
-        return Attempt(task, part, "zero", "Solve_Succeeded" if cost else "Failed", 10 * place, 2.0, 1.0, cost)
+        protocol = "paper" if part == "paper" else "robust"
+        status = "Solve_Succeeded" if cost else "Failed"
+        return Attempt(task, protocol, part, "zero", 0, status, 10 * place, 2.0, 1.0, cost)
 
     attempts = [
         attempt(1, "IMPL", "paper", 5.0),
@@ -135,6 +144,22 @@ def test_higher_minima_are_counted_across_representations_and_parts() -> None:
     assert ("IMPL", "result") not in by_part
 
 
+@dataclass
+class Pessimist:
+    """Makes attempts as they are ordered, the last first; at one place SEMI's interpolation costs a percent more."""
+
+    bench: Bench
+
+    def carry_out(self, orders: Iterable[Order]) -> Iterator[Outcome]:
+        for order in reversed(list(orders)):
+            outcome = self.bench.carry_out(order)
+            attempt = outcome.attempt
+            if (attempt.task.representation, attempt.task.place, attempt.part) == ("SEMI", (2, 0), "interpolation"):
+                assert attempt.cost is not None
+                outcome = replace(outcome, attempt=replace(attempt, cost=attempt.cost * 1.01))
+            yield outcome
+
+
 def test_representations_exchange_what_they_found(study: Study, arm: Peer, tmp_path: Path) -> None:
     """One finds a worse motion at one place: it is started again from the other's, and ends alike."""
     two = replace(study, costs=((1.0, 10.0),), representations=(Representation.IMPL, Representation.SEMI))
@@ -142,52 +167,68 @@ def test_representations_exchange_what_they_found(study: Study, arm: Peer, tmp_p
     semi.__dict__.update(arm.__dict__)
     semi._functions = {**arm._functions, "semi_res": arm._functions["impl"]}
     with open_record(tmp_path / "record", identify(two, arm.manifest)) as record:
-        search = Search(two, semi, record)
-        search.run("robust")
-        task = Task((2, 0), (1.0, 10.0), "SEMI")
-        cost, motion = record.best_cost(task), record.best_motion(task)
-        assert cost is not None
-        record._connection.execute("update best set cost = cost * 2 where representation = 'SEMI'")
-        assert search._exchange((1.0, 10.0))
-        assert record.best_cost(task) == pytest.approx(cost, rel=1e-7)
-        again = record.best_motion(task)
-    assert motion is not None
-    assert again is not None
-    assert again.q == pytest.approx(motion.q, abs=1e-5)
+        Search(two, Pessimist(Bench(semi)), record).run("robust")
+        attempts = list(record.attempts())
+        best = record.best("robust")
+    exchanged = [attempt for attempt in attempts if attempt.part == "exchange"]
+    assert Task((2, 0), (1.0, 10.0), "SEMI") in [attempt.task for attempt in exchanged]
+    costs = [best[Task((2, 0), (1.0, 10.0), name)].cost for name in ("IMPL", "SEMI")]
+    assert costs[1] == pytest.approx(costs[0], rel=1e-7)
+    assert list_open_tasks(two, attempts) == []
+
+
+def test_the_order_in_which_attempts_come_in_decides_nothing(study: Study, arm: Peer, tmp_path: Path) -> None:
+    """A round depends on the rounds before alone: done backwards, a search tries the same, and ends alike."""
+
+    class Backwards(Alone):
+        def carry_out(self, orders: Iterable[Order]) -> Iterator[Outcome]:
+            return super().carry_out(reversed(list(orders)))
+
+    three = replace(study, targets=replace(TARGETS, every=(1, 1)), costs=((1.0, 0.0),))
+    found: list[dict[object, Attempt]] = []
+    for crew in (Alone(arm), Backwards(arm)):
+        with open_record(tmp_path / type(crew).__name__, identify(three, arm.manifest)) as record:
+            Search(three, crew, record).run("robust")
+            found.append({attempt.key: timeless(attempt) for attempt in record.attempts()})
+    assert found[0] == found[1]
 
 
 def test_a_record_keeps_every_bit_of_the_best(reach: Problem, tmp_path: Path) -> None:
-    """Of two motions, the cheaper; costs that differ by rounding are the same."""
+    """Of two motions, the cheaper; costs that differ by rounding are the same. What a round started from stays."""
     first = interpolate(reach, schemes.build(Family.RADAU, 4), np.arange(6.0) / 7)
     second = replace(first, u=first.u + 1)
     task = Task((0, 0), (1.0, 0.0), "IMPL")
 
-    def add(record: Record, guess: str, cost: float, motion: object) -> bool:
-        attempt = Attempt(task, "bumps", guess, "Solve_Succeeded", 1, 1.0, 1.0, cost)
-        return record.add(attempt, motion)  # type: ignore[arg-type]
+    def add(record: Record, guess: str, number: int, cost: float, motion: Trajectory) -> bool:
+        attempt = Attempt(task, "robust", "bumps", guess, number, "Solve_Succeeded", 1, 1.0, 1.0, cost)
+        return record.add(attempt, motion, "a machine")
 
     with open_record(tmp_path / "record", "study") as record:
-        assert add(record, "0", 5.0, first)
-        assert not add(record, "1", 5.0 * (1 - 1e-8), second)
-        assert record.find(task, "bumps", "1")
-        assert not record.find(task, "bumps", "2")
+        assert add(record, "0", 0, 5.0, first)
+        assert not add(record, "1", 1, 5.0 * (1 - 1e-8), second)
+        assert add(record, "2", 2, 4.0, second)
+        assert record.find((*task.row, "robust", "bumps", "1"))
+        assert not record.find((*task.row, "robust", "bumps", "3"))
+        assert not record.find((*task.row, "paper", "bumps", "1"))
+        assert not record.of("another").find((*task.row, "robust", "bumps", "1"))
     with open_record(tmp_path / "record", "study") as record:
-        kept = record.best_motion(task)
+        assert {told for _, told in record.list_all()} == {"a machine"}
+        assert record.best("robust") == {task: Best(4.0, 2)}
+        assert record.best("paper") == {}
+        kept = record.best_motion(task, "robust", 2)  # before round 2
         assert kept is not None
         assert np.array_equal(kept.point_q, first.point_q)
         assert np.array_equal(kept.u, first.u)
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
+    """A text, a database of something else, a record of another version, a folder."""
     (tmp_path / "text").write_text("not a database, but long enough to be looked at" * 40, "utf-8")
-    with open_record(tmp_path / "record", "one"):
-        pass
-    for name, study, message in (
-        ("text", "one", "cannot be used as a record"),
-        ("record", "two", "record of another problem"),
-        (".", "one", "cannot be"),
-    ):
-        with pytest.raises(InputError, match=message), open_record(tmp_path / name, study):
+    for name, statement in (("other", "create table t (a)"), ("old", "create table about (format text, study text)")):
+        with sqlite3.connect(tmp_path / name) as connection:
+            connection.execute(statement)
+    for name, message in (("text", "cannot be"), ("other", "cannot be"), ("old", "no record of this"), (".", "cannot")):
+        with pytest.raises(InputError, match=message), open_record(tmp_path / name, "one"):
             pass
 
 

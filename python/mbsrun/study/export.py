@@ -1,0 +1,58 @@
+"""All attempts of a record as one table, CSV or Parquet, a row for each, with versions and machine."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Literal
+
+from mbsgen.errors import MbsError
+from mbsrun.ocp.record import Attempt
+from mbsrun.ocp.search import Study
+
+Form = Literal["csv", "parquet"]
+Row = dict[str, object]
+
+
+class ExportError(MbsError):
+    """A form that cannot be written here."""
+
+
+def list_rows(study: Study, attempts: Iterable[tuple[Attempt, str]]) -> list[Row]:
+    """Lay attempts out as rows with one name for each number."""
+    plain = [field.name for field in fields(Attempt) if field.name != "task"]
+    rows: list[Row] = []
+    for attempt, told in attempts:
+        task, problem = attempt.task, study.problem
+        i, j = task.place
+        row: Row = {"problem": problem.name, "place_i": i, "place_j": j}
+        row["azimuth"] = study.targets.azimuths[i] if study.sensor is not None else None
+        row["height"] = study.targets.heights[j] if study.sensor is not None else None
+        row |= {"inputs": task.weights[0], "input_rates": task.weights[1], "representation": task.representation}
+        row |= {"scheme": problem.family.value, "degree": problem.degree, "intervals": problem.intervals}
+        row |= {"tolerance": problem.solver.tolerance, "max_iterations": problem.solver.max_iterations}
+        row |= {name: getattr(attempt, name) for name in plain}
+        row |= json.loads(told) if told else {}
+        rows.append(row)
+    return rows
+
+
+def export(rows: Sequence[Row], path: Path, form: Form) -> Path:
+    """Write rows to `path` with the form's suffix; give the file. Raises ExportError."""
+    path = path.with_suffix(f".{form}")
+    columns = list(dict.fromkeys(name for row in rows for name in row))
+    if form == "csv":
+        with path.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.DictWriter(file, columns)
+            writer.writeheader()
+            writer.writerows(rows)
+        return path
+    try:
+        from pyarrow import Table, parquet
+    except ImportError:
+        raise ExportError("Parquet needs pyarrow: pip install 'mbsgen[study]'; or give --export csv") from None
+    parquet.write_table(Table.from_pylist([{name: row.get(name) for name in columns} for row in rows]), path)
+    return path

@@ -1,0 +1,124 @@
+"""What a run of the paper's protocol found, as its tables, figures and statements want it.
+
+A set of tasks has one cost. The paper's first is without smoothing, its second with a price for the inputs' rates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsrun.ocp.problem import Representation
+from mbsrun.ocp.record import Attempt, Task
+from mbsrun.ocp.search import Place, Study, Weights, find_lowest, is_higher
+from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.study.growth import Growth
+
+Array = NDArray[np.float64]
+
+FIGURES = ("cost", "iterations", "cpu", "cpu per iteration")
+
+
+@dataclass(frozen=True)
+class Effort:
+    """What the four functions take, from the generator's report; parameters at run time."""
+
+    flops: int  # by the paper's convention
+    equations: int
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """All attempts of a study, and what stands beside them."""
+
+    study: Study
+    attempts: tuple[Attempt, ...]
+    motions: tuple[tuple[Weights, Trajectory], ...]  # to the target of Fig. 8, by cost
+    efforts: tuple[tuple[str, Effort], ...]  # by formulation
+    growth: tuple[Growth, ...]
+
+    @cached_property
+    def lowest(self) -> dict[tuple[Place, Weights], float]:
+        """Give the lowest cost that any attempt of any protocol found."""
+        return find_lowest(self.attempts)
+
+    @property
+    def representations(self) -> tuple[str, ...]:
+        """Name the representations that the study compares."""
+        return tuple(r.value for r in self.study.representations)
+
+    @property
+    def rough(self) -> Weights | None:
+        """Give the cost without smoothing."""
+        return next((w for w in self.study.costs if w[1] == 0), None)
+
+    @property
+    def smooth(self) -> Weights | None:
+        """Give the cost with smoothing."""
+        return next((w for w in self.study.costs if w[1] > 0), None)
+
+    def pick(self, weights: Weights, representation: str, protocol: str = "paper") -> list[Attempt]:
+        """List the attempts of a set in a representation."""
+        return [
+            a
+            for a in self.attempts
+            if (a.protocol, a.task.weights, a.task.representation) == (protocol, weights, representation)
+        ]
+
+    def is_measured(self, weights: Weights | None, *names: str) -> bool:
+        """Tell whether a set has been solved in some representations, at any place."""
+        return weights is not None and all(any(a.cost is not None for a in self.pick(weights, n)) for n in names)
+
+    def values(self, weights: Weights, representation: str, figure: str) -> Array:
+        """Give a figure of all attempts of the paper's protocol that were solved."""
+        solved = [a for a in self.pick(weights, representation) if a.cost is not None]
+        return np.array([read_figure(a, figure) for a in solved])
+
+    def higher(self, weights: Weights, representation: str) -> list[Place]:
+        """List the places where a representation ended in a higher minimum than the lowest known."""
+        return [
+            a.task.place
+            for a in self.pick(weights, representation)
+            if a.cost is not None and is_higher(a.cost, self.lowest[a.task.place, weights])
+        ]
+
+    def size(self, representation: str) -> tuple[int, int, int, int] | None:
+        """Give variables, constraints and nonzeros of a program that was solved."""
+        for a in self.attempts:
+            if a.task.representation == representation and a.variables is not None:
+                return (a.variables, a.constraints or 0, a.jacobian_nonzeros or 0, a.hessian_nonzeros or 0)
+        return None
+
+
+def read_figure(attempt: Attempt, figure: str) -> float:
+    """Read one number of an attempt that was solved."""
+    if figure == "cost":
+        assert attempt.cost is not None, "asked for of what was solved"
+        return attempt.cost
+    if figure == "iterations":
+        return float(attempt.iterations)
+    return attempt.cpu_seconds if figure == "cpu" else 1e3 * attempt.cpu_seconds / max(attempt.iterations, 1)
+
+
+def find_outliers(values: Array) -> Array:
+    """Give what lies beyond the whiskers of a box plot: more than 1.5 boxes away from the box."""
+    if not values.size:
+        return values
+    lower, upper = np.percentile(values, (25, 75))
+    reach = 1.5 * (upper - lower)
+    return np.asarray(values[(values < lower - reach) | (values > upper + reach)])
+
+
+def find_shown_task(study: Study, weights: Weights) -> Task:
+    """Find the task of Fig. 8: the last azimuth and the lowest height, in the first representation."""
+    place = max(study.targets.places, key=lambda p: (study.targets.azimuths[p[0]], -study.targets.heights[p[1]]))
+    return Task(place, weights, study.representations[0].value)
+
+
+def is_dae_of_explicit(representation: str) -> bool:
+    """Tell whether accelerations are variables though the form is explicit: EXP1-A, EXP2-A."""
+    kind = Representation(representation)
+    return kind.is_explicit and not kind.is_ode

@@ -1,0 +1,162 @@
+"""The tables of Docquier, Bruls, Fisette, from the results of a run, with what they print beside."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbsrun.ocp.record import SAME
+from mbsrun.ocp.search import summarise
+from mbsrun.study.figures import list_sets, name_set
+from mbsrun.study.results import FIGURES, Results, find_outliers
+from mbsrun.study.sheets import Cell, Table
+from mbsrun.study.statements import PAPER_EFFORTS, PAPER_SIZES, judge_all
+
+PAPER_COMPLEXITY = {"IMPL": "N", "SEMI": "N²", "EXP1": "N² + N³", "EXP2": "N"}  # Table 1
+
+
+def tabulate(results: Results) -> list[Table]:
+    """Make all tables that there are numbers for."""
+    makers = (_tabulate_complexity, _tabulate_sizes, _tabulate_efforts, _tabulate_success, _tabulate_boxes)
+    return [table for make in makers if (table := make(results)) is not None]
+
+
+def tabulate_statements(results: Results) -> Table:
+    """Hold what the paper says in words against the run."""
+    rows = tuple(
+        (number, s.place, s.words, found.verdict, found.numbers, s.meaning)
+        for number, (s, found) in enumerate(judge_all(results), 1)
+    )
+    counts: dict[str, int] = {}
+    for row in rows:
+        counts[row[3]] = counts.get(row[3], 0) + 1
+    note = "; ".join(f"{verdict}: {count}" for verdict, count in sorted(counts.items()))
+    columns: tuple[str, ...] = ("", "where", "what the paper says", "by this run", "numbers", "taken to mean")
+    return Table("Statements of the paper", columns, rows, f"{note}. Words are the paper's, shortened.")
+
+
+def tabulate_robust(results: Results) -> Table | None:
+    """Sum up the parts of the robust protocol."""
+    rows: list[tuple[Cell, ...]] = []
+    for s in summarise([a for a in results.attempts if a.protocol == "robust"]):
+        least, median, most = s.iterations
+        told = (name_set(s.weights), s.representation, s.part, s.attempts, s.solved, s.higher)
+        rows.append((*told, median, least, most, _round(s.cpu_median), _round(s.cpu_seconds)))
+    if not rows:
+        return None
+    columns: tuple[str, ...] = (
+        "cost",
+        "representation",
+        "part",
+        "attempts",
+        "solved",
+        "in a higher minimum",
+        "iterations, median",
+    )
+    columns += ("least", "most", "CPU s, median", "CPU s, all")
+    note = (
+        f'"result" is what all parts reached for each target. Costs within {SAME:g} of each other are the same minimum.'
+    )
+    return Table("Robust protocol", columns, tuple(rows), note)
+
+
+def _tabulate_complexity(results: Results) -> Table | None:
+    if not results.growth:
+        return None
+    sizes = [n for n, _ in results.growth[0].flops]
+    rows = tuple(
+        (
+            g.formulation,
+            PAPER_COMPLEXITY[g.formulation],
+            "none" if g.degree is None else g.degree,
+            *(count for _, count in g.flops),
+        )
+        for g in results.growth
+    )
+    columns: tuple[str, ...] = ("formulation", "paper", "degree found", *(f"N = {n}" for n in sizes))
+    note = "Flops of chains of N equal bodies with full inertias; the degree of the polynomial in N, by differences."
+    return Table("Table 1: complexity", columns, rows, note)
+
+
+def _tabulate_sizes(results: Results) -> Table | None:
+    rows: list[tuple[Cell, ...]] = []
+    for name in results.representations:
+        size = results.size(name)
+        if size is not None:
+            rows.append((name, *(value for pair in zip(size, PAPER_SIZES[name], strict=True) for value in pair)))
+    if not rows:
+        return None
+    figures = ("variables", "constraints", "nonzeros of the Jacobian", "nonzeros of the Hessian")
+    columns: tuple[str, ...] = ("representation", *(column for figure in figures for column in (figure, "paper")))
+    return Table("Table 3: size of the NLP", columns, tuple(rows), "The paper's numbers are for N = 100, degree 4.")
+
+
+def _tabulate_efforts(results: Results) -> Table | None:
+    if not results.efforts:
+        return None
+    rows = tuple(
+        (name, effort.flops, PAPER_EFFORTS[name][0], effort.equations, PAPER_EFFORTS[name][1])
+        for name, effort in results.efforts
+    )
+    note = "Φ; M and c; γ; ν, with every number of the model at run time; by the paper's convention of counting."
+    return Table("Table 4: operations", ("formulation", "flops", "paper", "equations", "paper"), rows, note)
+
+
+def _tabulate_success(results: Results) -> Table | None:
+    rows: list[tuple[Cell, ...]] = []
+    for weights in list_sets(results):
+        for name in results.representations:
+            own = results.pick(weights, name)
+            solved, higher = sum(a.cost is not None for a in own), len(results.higher(weights, name))
+            rates = (_share(solved, len(own)), _share(solved - higher, len(own)))
+            rows.append((name_set(weights), name, len(own), solved, rates[0], higher, rates[1]))
+    if not rows:
+        return None
+    columns: tuple[str, ...] = (
+        "cost",
+        "representation",
+        "tasks",
+        "solved",
+        "success %",
+        "in a higher minimum",
+        "in the lowest %",
+    )
+    note = "The lowest minimum is that of all attempts in the record, of both protocols and in all representations."
+    return Table("Success rates", columns, tuple(rows), note)
+
+
+def _tabulate_boxes(results: Results) -> Table | None:
+    """Give the numbers of the box plots."""
+    rows: list[tuple[Cell, ...]] = []
+    for weights in list_sets(results):
+        for figure in FIGURES:
+            for name in results.representations:
+                values = results.values(weights, name, figure)
+                if values.size:
+                    marks = np.percentile(values, (25, 50, 75))
+                    told = (*marks, values.mean(), values.min(), values.max())
+                    row = tuple(_round(float(x)) for x in told)
+                    rows.append((name_set(weights), figure, name, values.size, *row, find_outliers(values).size))
+    if not rows:
+        return None
+    columns: tuple[str, ...] = (
+        "cost",
+        "figure",
+        "representation",
+        "solved",
+        "25 %",
+        "median",
+        "75 %",
+        "mean",
+        "least",
+        "most",
+    )
+    note = "CPU in s, CPU per iteration in ms. Outliers: more than 1.5 boxes away from the box."
+    return Table("Numbers of Fig. 9 to 11", (*columns, "outliers"), tuple(rows), note)
+
+
+def _share(part: int, whole: int) -> float | None:
+    return round(100 * part / whole, 1) if whole else None
+
+
+def _round(value: float) -> float:
+    return float(f"{value:.5g}")
