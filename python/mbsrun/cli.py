@@ -47,6 +47,7 @@ from mbsrun.ocp.search import (
 from mbsrun.ocp.solution import Failure, Solution, read_guess, read_solution, write_solution
 from mbsrun.ocp.solve import Progress, solve
 from mbsrun.ocp.statement import read_problem
+from mbsrun.simulation.drive import hold_steps, input_labels
 from mbsrun.simulation.methods import METHODS, Formulation
 from mbsrun.simulation.motion import Motion
 from mbsrun.simulation.record import FILES as MOTION_FILES
@@ -531,6 +532,7 @@ def _read_recording(path: Path, manifest: Manifest) -> Recording:
     """Take start and inputs of a solution; it must be one of this model."""
     found = read_solution(path)
     names = tuple(c.name for c in manifest.coordinates)
+    inputs = input_labels(manifest)
     if (found.coordinates, found.inputs) != (names, inputs):
         told = f"it is of model {found.model}, with coordinates {', '.join(found.coordinates)}"
         raise InputError([Fault(str(path), 0, "", told, f"give one of a model with {', '.join(names)}")])
