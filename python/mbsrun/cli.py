@@ -25,6 +25,7 @@ from mbsgen.manifest import Manifest
 from mbsrun.cache import Entry, cache_folder, list_entries, remove
 from mbsrun.circumstances import describe_circumstances
 from mbsrun.external import load
+from mbsrun.lab.commands import lab_command
 from mbsrun.ocp.methods import METHODS as SOLVERS
 from mbsrun.ocp.pictures import animate, draw_mechanism, plot_trajectories
 from mbsrun.ocp.plant import Plant
@@ -81,6 +82,7 @@ HELP = """Simulate multibody systems, and solve optimal control problems of thei
   mbsrun study PROBLEM          solve for all targets, formulations and costs of a paper, and report
   mbsrun chart kernels MODEL    draw speed against accuracy of kernels, or of simulation
   mbsrun advise MODEL           tell what is fastest for a model, at an accuracy
+  mbsrun lab                    run the cases in which methods fail, and judge
   mbsrun cache                  tell what was generated and compiled, or clear it
 
 MODEL and PROBLEM are YAML files; models/ holds examples. Summaries go to stdout, progress and messages to stderr.
@@ -472,6 +474,7 @@ def simulate_command(
 cli.add_command(chart)
 cli.add_command(advise_command)
 cli.add_command(study_command)
+cli.add_command(lab_command)
 
 
 def main() -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -22,6 +22,8 @@ class Extent:
     functions: tuple[str, ...] | None = None  # None: all
     derivatives: int = 2
     python: bool = False  # the equations as a Python module, too
+    scene: Path | None = None  # a scene file: what is wanted of the model
+    without: tuple[str, ...] = ()  # reductions of the operation count that are switched off, by their fields' names
 
 
 WHOLE = Extent()
@@ -40,6 +42,8 @@ def find_folder(path: Path, extent: Extent = WHOLE) -> Path:
         from mbsgen.pipeline import Options, generate  # here alone, and late: kernels are called without SymPy
 
         options = Options(functions=extent.functions, derivatives=extent.derivatives, python=extent.python)
+        reductions = replace(options.reductions, **dict.fromkeys(extent.without, False))
+        options = replace(options, reductions=reductions, scene=extent.scene or options.scene)
         generate(path, building / "generated", options)
         if fingerprint(path, extent) != name:
             raise _ChangedError
@@ -59,16 +63,20 @@ class _ChangedError(Exception):
 
 def fingerprint(model: Path, extent: Extent = WHOLE) -> str:
     """Name what mbsgen makes of a model file."""
-    try:
-        text = model.read_bytes()
-    except OSError:  # which mbsgen tells better
-        text = b""
     told = b"" if extent == WHOLE else repr(extent).encode()
-    return hashlib.sha256(_fingerprint_generator() + told + text).hexdigest()[:40]
+    texts = [_read(file) for file in (extent.scene, model) if file is not None]
+    return hashlib.sha256(fingerprint_generator() + told + b"".join(texts)).hexdigest()[:40]
+
+
+def _read(file: Path) -> bytes:
+    try:
+        return file.read_bytes()
+    except OSError:  # which mbsgen tells better
+        return b""
 
 
 @cache
-def _fingerprint_generator() -> bytes:
+def fingerprint_generator() -> bytes:
     """Hash the files that generation depends on."""
     digest = hashlib.sha256()
     for folder in (Path(resources.__file__).parent, resources.folder("templates"), resources.folder("csrc")):

@@ -385,7 +385,7 @@ def test_another_text_or_another_generator_makes_another_folder(model: Path, mon
     library = load(model).compile("impl")
     model.write_text(MODEL.replace("mass: 2", "mass: 3"))
     assert load(model).compile("impl") != library
-    monkeypatch.setattr("mbsrun.models._fingerprint_generator", lambda: b"of another version")
+    monkeypatch.setattr("mbsrun.models.fingerprint_generator", lambda: b"of another version")
     load(model)
     assert len(kept(model)) == 3
 

@@ -14,9 +14,12 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 
 @dataclass(frozen=True)
@@ -80,8 +83,7 @@ class SolvePoint:
     finding: str = ""  # why there is no solution
 
 
-Point = TypeVar("Point", KernelPoint, MotionPoint, SolvePoint)
-AnyPoint = KernelPoint | MotionPoint | SolvePoint
+Point = TypeVar("Point", bound="DataclassInstance")
 
 
 class Store(Generic[Point]):
@@ -122,7 +124,7 @@ class Store(Generic[Point]):
         return bundles
 
 
-def write_table(points: Sequence[AnyPoint], folder: Path, name: str) -> tuple[Path, Path]:
+def write_table(points: Sequence[DataclassInstance], folder: Path, name: str) -> tuple[Path, Path]:
     """Write points as NAME.csv, a column for each number, and as NAME.json."""
     flat = [_flatten(point) for point in points]
     table, whole = folder / f"{name}.csv", folder / f"{name}.json"
@@ -134,11 +136,11 @@ def write_table(points: Sequence[AnyPoint], folder: Path, name: str) -> tuple[Pa
     return table, whole
 
 
-def _flatten(point: AnyPoint) -> dict[str, object]:
+def _flatten(point: DataclassInstance) -> dict[str, object]:
     row: dict[str, object] = {}
     for field in fields(point):
         value = getattr(point, field.name)
-        if field.name in ("ns", "seconds"):
+        if field.name in ("ns", "ns_whole", "seconds"):
             row |= {f"{field.name}_{x.name}": None if value is None else getattr(value, x.name) for x in fields(Cost)}
         else:
             row[field.name] = value

@@ -1,0 +1,236 @@
+"""The cases: what goes wrong with some method somewhere, what is demanded here, and the trials that measure it.
+
+u is 2^-53, half the distance from 1 to the next double; errors are of accelerations, by the largest, against 50 digits.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+from mbsrun.lab import chains, compilation, derivatives, expressions, inertias, integration, locks, optimisation
+from mbsrun.lab.case import Case, Trial
+from mbsrun.ocp.problem import Representation
+
+NO_INTERPRETER = "Beyond 200 bodies nothing is generated here: source and compiling time grow too large."
+
+CASES: tuple[Case, ...] = (
+    Case(
+        "F01",
+        "a long straight chain",
+        "A planar chain of N equal thin rods, stretched, random velocities and torques; cond M grows as N^4.",
+        "EXP2 errs by 1e-12 at most at every N, EXP1 by 10 u cond(M); exact accelerations leave 10 u of a residual.",
+        (
+            *(Trial(f"{n} links", partial(chains.measure_straight, size=n), n > 10) for n in (2, 5, 10, 20, 50)),
+            *(Trial(f"{n} links", partial(chains.measure_long, size=n), is_long=True) for n in (100, 200)),
+        ),
+        f"EXP1 above 50 links, where its n^2 entries are no way to go. {NO_INTERPRETER}",
+    ),
+    Case(
+        "F02",
+        "a long chain in space",
+        "The same rods, axes along z, y, x in turn, angles at random.",
+        "EXP2 errs by 100 u sqrt(cond M) at most, EXP1 by 10 u cond(M); residuals as in F01.",
+        tuple(Trial(f"{n} links", partial(chains.measure_spatial, size=n), n > 10) for n in (5, 10, 20, 50)),
+        NO_INTERPRETER,
+    ),
+    Case(
+        "F03",
+        "a heavy tip",
+        "The chain of F02; the last rod's mass and inertia times 1e4, 1e8, 1e12.",
+        "Backward errors of 1e-14 at most; errors of 10 u times the condition of M scaled to a diagonal of ones; the "
+        "digits lost are told by `condition` to a factor of 16, or by a status.",
+        tuple(
+            Trial(f"{n} links, times {r:.0e}", partial(chains.measure_heavy_tip, size=n, ratio=r), n > 10)
+            for n in (10, 50)
+            for r in chains.RATIOS
+        ),
+    ),
+    Case(
+        "F04",
+        "light tips and bases",
+        "The chain of F02 with 10 links: ratios of 1e8 and 1e12 that only scale M, whose condition reaches 1e16.",
+        "Errors of 1e-11 at most, no status, and no false alarm: `condition` tells of 1e-11 at most.",
+        tuple(Trial(name, partial(chains.measure_harmless, name=name)) for name in chains.HARMLESS),
+    ),
+    Case(
+        "F05",
+        "joints that lock",
+        "One body on three axes through a point, or at an elbow, 0.1 to 1e-12 rad from a lock, and at it.",
+        "An error of 1e-6 at most, or a status that names the joint; never a wrong number in silence. EXP2 has 1e-11 "
+        "down to 1e-7 rad from a Cardan joint's lock; residuals are right to 1e-14 everywhere.",
+        tuple(Trial(name, partial(locks.measure_lock, lock=name)) for name in ("Cardan", "wrist", "elbow")),
+    ),
+    Case(
+        "F06",
+        "joints that move nothing",
+        "A leaf without mass, a slide without mass, a point mass on its joint's axis.",
+        "Refused with the model, by the joint's name; where a run-time parameter makes it so, a status names it, and "
+        "residuals are finite.",
+        tuple(Trial(name, partial(locks.measure_weightless, name=name)) for name in locks.WEIGHTLESS),
+    ),
+    Case(
+        "F07",
+        "inertias that no body has",
+        "Negative masses and moments, moments against the triangle, products too large, not a number, infinite.",
+        "Refused with the model; where the file says `allow_unphysical`, taken.",
+        (
+            *(Trial(x, partial(inertias.measure_strange, name=x)) for x in inertias.STRANGE if "1e" not in x),
+            Trial("where the file allows it", inertias.measure_allowed),
+        ),
+    ),
+    Case(
+        "F08",
+        "tiny and huge masses",
+        "A chain of six links with masses of 1e-150 and 1e150 kg, alone and between others; 1e-310 and 1e200 kg.",
+        "Finite, right to 1e-12, and no status from 1e-150 to 1e150 kg; refused beyond.",
+        (
+            *(Trial(name, partial(inertias.measure_sizes, name=name)) for name in inertias.SIZES),
+            *(Trial(x, partial(inertias.measure_strange, name=x)) for x in inertias.STRANGE if "1e" in x),
+        ),
+    ),
+    Case(
+        "F09",
+        "a distant centre of mass",
+        "A body of 1 kg and 1 kg m2 whose centre of mass is 1 to 1e4 m from its origin.",
+        "What is lost is 4 u (1 + m c2 / I) at most, with all reductions and with none.",
+        tuple(Trial(f"{c:g} m away", partial(inertias.measure_offset, offset=c)) for c in inertias.OFFSETS),
+    ),
+    Case(
+        "F10",
+        "a law that should not be multiplied out",
+        "A force by the square of a length, (cos q - cos r)^2 + (sin q - sin r)^2, near where it vanishes.",
+        "Errors of ten times those of the law as written by hand, at most.",
+        tuple(Trial(f"{d:g} rad away", partial(expressions.measure_spring, distance=d)) for d in (1e-4, 1e-6)),
+    ),
+    Case(
+        "F11",
+        "an inverse that should not be written",
+        "Chains of 3 to 8 links: an adjugate would divide by a determinant, and lose digits.",
+        "No more than two divisions for each joint, and errors of 10 u cond(M) at most.",
+        tuple(Trial(f"{n} links", partial(expressions.measure_inverse, size=n)) for n in (3, 5, 8)),
+    ),
+    Case(
+        "F12",
+        "sums of angles",
+        "Torques that are the sine of a sum of two or three angles up to 1e12 rad, and of an arm that folds.",
+        "4 u (1 + |q1| + |q2| + …) at any angle; within a turn 10 u with two angles, 20 u with three.",
+        tuple(Trial(f"{k} angles", partial(expressions.measure_sums, parallel=k)) for k in (2, 3)),
+    ),
+    Case(
+        "F13",
+        "huge angles",
+        "M and c at angles of 1e8 rad; the sine of 1e22.",
+        "1e-13 by addition theorems, what a sum has lost with sums of angles; sin(1e22) to 4 u.",
+        (Trial("1e8 rad", expressions.measure_huge), Trial("1e22 rad", expressions.measure_sine)),
+    ),
+    Case(
+        "F14",
+        "compilers that know better",
+        "Levels of optimisation, contraction, and flags that give up IEEE arithmetic.",
+        "Results agree to 1e-13; fast-math and its parts are refused; 1e-310 / 2 is not 0 after loading kernels.",
+        (Trial("flags", compilation.measure_flags), Trial("refusals", compilation.measure_refusals)),
+    ),
+    Case(
+        "F15",
+        "single precision",
+        "The chains of F01 and F02 in float32, six states each.",
+        "EXP2 errs by 1e-5 at most up to 50 links; EXP1 by 1e-2, or there is a status.",
+        tuple(
+            Trial(f"{n} links, {kind}", partial(chains.measure_single, kind=kind, size=n), n > 20)
+            for kind in ("straight", "spatial")
+            for n in (6, 20, 50)
+        ),
+    ),
+    Case(
+        "F16",
+        "drift off constraints",
+        "A pendulum of a point mass on a rod by RK4, 10 s with steps of 1e-2 s.",
+        "No drift off the rod beyond 4 roundings; the place is off by twice what it is in Cartesian coordinates "
+        "without stabilisation, at most.",
+        (Trial("10 s", integration.measure_rod),),
+        "Baumgarte's stabilisation itself: trees have no constraints to stabilise.",
+    ),
+    Case(
+        "F17",
+        "energy and phase",
+        "The same pendulum: orders of methods, RK4 over 2000 s, the midpoint rule.",
+        "Orders to a tenth; RK4's loss of energy goes with T h^5; Gauss collocation's error of energy does not grow. "
+        "The error of the place is told beside it: a small one does not follow from the other.",
+        (
+            Trial("orders", integration.measure_orders),
+            Trial("RK4, 200 s", partial(integration.measure_runge_kutta, long=False)),
+            Trial("RK4, 2000 s", partial(integration.measure_runge_kutta, long=True), is_long=True),
+            Trial("midpoint rule", integration.measure_midpoint),
+        ),
+    ),
+    Case(
+        "F18",
+        "stiff joints",
+        "A slider with spring and damper of eigenvalue -1.33e5 1/s, beside the pendulum.",
+        "Explicit methods take t lambda / 3.3 steps and warn; implicit ones take fewer than 2000 evaluations in 10 s, "
+        "and agree with a run ten times as tight to 1e-6.",
+        (Trial("explicit", integration.measure_explicit), Trial("implicit", integration.measure_implicit)),
+    ),
+    Case(
+        "F19",
+        "collocation too coarse",
+        "The swing-up of a cart-pole on meshes of 4 to 80 intervals, in all representations.",
+        "The defect by re-simulation is told, and decides what counts as accurate; it falls with order 2 at least; "
+        "80 intervals of degree 5 have 1e-6, and one cost in all representations to 1e-8.",
+        (
+            Trial("degree 3", optimisation.measure_meshes, is_long=True),
+            Trial("degree 5, 80 intervals", optimisation.measure_fine_mesh, is_long=True),
+        ),
+    ),
+    Case(
+        "F20",
+        "quadrature at degree 1",
+        "Weights of all schemes; a cost as an expression at degree 1, where some tables have half of it.",
+        "Weights sum to 1, and integrate 2d - 2 (Radau) or 2d - 1 (Legendre) powers, to 1e-12; the cost is its sum.",
+        (Trial("weights", optimisation.measure_quadrature), Trial("cost", optimisation.measure_halved_cost)),
+    ),
+    Case(
+        "F21",
+        "local minima",
+        "The swing-up from forty random starts, the same for all representations.",
+        "Failures are told as such, and the best minimum is no worse than the published one by 5 %; the others are "
+        "told with their numbers.",
+        tuple(
+            Trial(r.value, partial(optimisation.measure_minima, representation=r), is_long=True) for r in Representation
+        ),
+    ),
+    Case(
+        "F22",
+        "motions that run away",
+        "x'' = rate^2 sin x + u for 2 s from a guess of zeros; exp(rate T) up to 2e17.",
+        "Solved in 50 iterations at most, in all representations, and the end is met to 1e-7.",
+        tuple(Trial(f"rate {r:g}", partial(optimisation.measure_runaway, rate=r)) for r in (5.0, 10.0, 20.0)),
+        "Single shooting, which is not offered.",
+    ),
+    Case(
+        "F23",
+        "what solvers say",
+        "Too little force, a guess that is not a number, a saddle, too many equations, contradictions, a constraint "
+        "twice, a start at a lock.",
+        "A failure in the solver's word wherever there is no solution; the guess never comes back as one.",
+        (
+            Trial("statuses", optimisation.measure_statuses),
+            Trial("a start at a lock", optimisation.measure_locked_start),
+        ),
+    ),
+    Case(
+        "F24",
+        "redundant loop constraints",
+        "Closed loops of which constraints depend on each other.",
+        "Ranks found and told.",
+        exemption="Mechanisms are trees: there are no loops to be closed.",
+    ),
+    Case(
+        "F25",
+        "derivatives",
+        "A spatial chain of four links: Jacobians, Hessians and their patterns.",
+        "Jacobians are those of differences of fourth order to 1e-10; Taylor's remainder is of order 2; Hessians are "
+        "symmetric to 1e-13; no entry of a pattern vanishes everywhere.",
+        (Trial("4 links", derivatives.measure_derivatives),),
+    ),
+)

@@ -1,0 +1,146 @@
+"""Chains: long ones, heavy and light bodies, single precision (F01 to F04, F15)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from mbsrun.lab.case import Bench, Finding, Loss, check, demand, tell
+from mbsrun.lab.digits import EXPLICIT, RESIDUAL, Specimen, U, measure_losses, specimen
+from mbsrun.lab.mechanisms import States, describe_spatial, describe_straight, draw, round_to_single
+
+ROUNDING, SINGLE = U["float64"], U["float32"]
+RATIOS = (1e4, 1e8, 1e12)
+ALWAYS = 1e-13  # what forces and accelerations lose beside what `condition` looks at
+ABOVE = 16.0  # an error may be so many times what is told: docs/accuracy.md
+NO_ALARM = 1e-11
+SEEDS = range(6)  # of states in single precision
+LIGHT, HEAVY = 1e-12, 1e12
+HARMLESS: Mapping[str, Sequence[float]] = {
+    "a light tip": [1.0] * 9 + [LIGHT],
+    "a heavy base": [1e8] + [1.0] * 9,
+    "a light base": [1e-8] + [1.0] * 9,
+    "heavy and light in turn": [HEAVY, 1.0] * 5,
+    "light and heavy in turn": [1.0, HEAVY] * 5,
+}
+
+
+def measure_chain(bench: Bench, mechanism: str, size: int, text: str, states: States) -> tuple[Specimen, list[Loss]]:
+    """Measure a chain of equal rods."""
+    chosen = specimen(bench, text, *EXPLICIT.values(), *RESIDUAL.values(), "condition")
+    return chosen, measure_losses(bench, mechanism, size, chosen, states)
+
+
+def measure_straight(bench: Bench, size: int) -> list[Finding]:
+    """F01: EXP2 keeps 1e-12 at any length; EXP1 has what the condition of M leaves; residuals are not touched."""
+    states = draw(size, [size], q=0.0)
+    chosen, losses = measure_chain(bench, "straight chain", size, describe_straight(size), states)
+    bounds = {"EXP1": 10 * ROUNDING * losses[0].condition, "EXP2": 1e-12}
+    return [_check_error(x, bounds[x.way]) for x in losses] + _check_residuals(chosen, states)
+
+
+def measure_long(bench: Bench, size: int) -> list[Finding]:
+    """F01 beyond what EXP1 is generated for: EXP2, and the residual."""
+    chosen = specimen(bench, describe_straight(size), "exp2", "impl")
+    states = draw(size, [size], q=0.0)
+    (exact,) = chosen.find_exact(states)
+    statuses, found = chosen.evaluate("exp2", states)
+    if statuses[0]:
+        return [demand("EXP2", "status", False, f"fails at {chosen.joint(int(statuses[0]))}")]
+    error = np.abs(found[0]["qdd"][:, 0] - exact.rounded).max() / np.abs(exact.rounded).max()
+    remark = f"condition {np.linalg.cond(exact.M):.1e}"
+    return [check("EXP2", "error", error, 1e-12, remark), *_check_residuals(chosen, states, ("IMPL",))]
+
+
+def measure_spatial(bench: Bench, size: int) -> list[Finding]:
+    """F02: 100 u sqrt(cond M) for EXP2, 10 u cond M for EXP1."""
+    states = draw(size, [size])
+    chosen, losses = measure_chain(bench, "spatial chain", size, describe_spatial(size), states)
+    condition = losses[0].condition
+    bounds = {"EXP1": 10 * ROUNDING * condition, "EXP2": 100 * ROUNDING * np.sqrt(condition)}
+    return [_check_error(x, bounds[x.way]) for x in losses] + _check_residuals(chosen, states)
+
+
+def weigh_tip(bench: Bench, size: int, ratio: float) -> list[Loss]:
+    """Measure a chain whose last rod is `ratio` times as heavy."""
+    chosen = specimen(bench, describe_spatial(size, [1.0] * (size - 1) + [ratio]), *EXPLICIT.values(), "condition")
+    return measure_losses(bench, "heavy tip", ratio, chosen, draw(size, [size]))
+
+
+def measure_heavy_tip(bench: Bench, size: int, ratio: float) -> list[Finding]:
+    """F03: errors as the scaled condition allows, small backward errors, and digits lost are told."""
+    findings = []
+    for loss in weigh_tip(bench, size, ratio):
+        if loss.failed:
+            is_told = loss.told is None or loss.told >= 1e-9
+            remark = f"status at {loss.failed}; an error of {loss.told or float('inf'):.0e} is told"
+            findings.append(demand(loss.way, "status instead of an error", is_told, remark))
+            continue
+        allowed = 10 * ROUNDING * loss.scaled
+        findings.append(_check_error(loss, allowed))
+        findings.append(check(loss.way, "backward error", loss.backward or 0.0, 1e-14))
+        findings.append(_check_told(loss))
+    residual = specimen(bench, describe_spatial(size, [1.0] * (size - 1) + [ratio]), *RESIDUAL.values())
+    return findings + _check_residuals(residual, draw(size, [size]))
+
+
+def weigh_links(bench: Bench, name: str) -> tuple[Specimen, States, list[Loss]]:
+    """Measure a chain with light and heavy rods, where all accelerations are of order 1."""
+    factors = HARMLESS[name]
+    chosen = specimen(bench, describe_spatial(10, factors), *EXPLICIT.values(), *RESIDUAL.values(), "condition")
+    states = chosen.balance(draw(10, [3, 4, 5]))
+    return chosen, states, measure_losses(bench, "harmless ratio", max(factors) / min(factors), chosen, states)
+
+
+def measure_harmless(bench: Bench, name: str) -> list[Finding]:
+    """F04: forces are such that all accelerations are of order 1; M is ill conditioned, but not when it is scaled."""
+    chosen, states, losses = weigh_links(bench, name)
+    findings = [_check_error(x, NO_ALARM) for x in losses]
+    for x in losses:
+        told = float("inf") if x.told is None else x.told
+        findings.append(check(x.way, "false alarm", told, NO_ALARM, f"condition {x.condition:.0e}"))
+    return findings + _check_residuals(chosen, states, bound=NO_ALARM)
+
+
+def measure_single(bench: Bench, kind: str, size: int) -> list[Finding]:
+    """F15: EXP2 has 1e-5; EXP1 has two digits, or a status."""
+    text = describe_straight(size) if kind == "straight" else describe_spatial(size)
+    chosen = specimen(bench, text, *EXPLICIT.values(), "condition")
+    states = round_to_single(draw(size, SEEDS, q=0.0 if kind == "straight" else None))
+    findings = []
+    for loss in measure_losses(bench, f"{kind} chain", size, chosen, states, "float32"):
+        if loss.error is None:
+            is_right = loss.way.startswith("EXP1") and loss.failed.startswith("q")
+            findings.append(demand(loss.way, "status", is_right, f"status at {loss.failed}"))
+        else:
+            findings.append(check(loss.way, "error", loss.error, 1e-2 if loss.way.startswith("EXP1") else 1e-5))
+    return findings
+
+
+def _check_error(loss: Loss, bound: float) -> Finding:
+    if loss.error is None:
+        return demand(loss.way, "error", False, f"status at {loss.failed}")
+    return check(loss.way, "error", loss.error, bound, f"condition {loss.condition:.1e}, scaled {loss.scaled:.1e}")
+
+
+def _check_told(loss: Loss) -> Finding:
+    """Compare an error with what `condition` tells."""
+    if loss.told is None:
+        return tell(loss.way, "error where no digit is promised", loss.error or 0.0)
+    remark = f"{loss.told:.0e} is told"
+    return check(loss.way, "error beyond what is told", loss.error or 0.0, ABOVE * loss.told + ALWAYS, remark)
+
+
+def _check_residuals(
+    chosen: Specimen, states: States, ways: Sequence[str] = tuple(RESIDUAL), bound: float = 10 * ROUNDING
+) -> list[Finding]:
+    """Put exact accelerations into the residuals: what is left, by what they are sums of."""
+    findings = []
+    exact = chosen.find_exact(states)
+    at = {**states, "qdd": np.array([x.rounded for x in exact])}
+    for way in ways:
+        for truth, found in zip(exact, chosen.evaluate(RESIDUAL[way], at)[1], strict=True):
+            left = np.abs(found["Phi"]).max() / truth.scale(truth.qdd).max()
+            findings.append(check(way, "residual at the exact accelerations", left, bound))
+    return findings

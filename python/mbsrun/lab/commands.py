@@ -1,0 +1,128 @@
+"""The command `mbsrun lab`."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from mbsrun.lab.case import Case, Finding, Verdict, judge
+from mbsrun.lab.cases import CASES
+from mbsrun.lab.maps import draw_maps, measure_maps
+from mbsrun.lab.record import name_verdict, open_bench, run_cases, write_findings
+from mbsrun.study.commands import UNCUT, show_progress
+
+NOT_MET = 1
+
+LAB_HELP = """Run the laboratory: CASES in which methods lose digits, diverge or mislead, each with its criterion.
+
+Without CASES all of them; `--list` tells which there are. What is found is kept in the output folder as it comes, so a
+run that was stopped goes on; another version of the program, or another compiler, measures anew.
+
+\b
+The output folder gets
+  verdicts.csv, verdicts.json   for each case and way the number closest to its bound, or furthest beyond
+  findings.csv, findings.json   every number
+  map_*.png, .csv, .json        where digits go: against the condition, over mass ratio and length, towards a lock
+  findings.jsonl, losses.jsonl  what was found so far
+
+\b
+Exit codes
+  0   all criteria are met
+  1   some are not, or a case could not be run to its end
+  2   there is no such case
+"""
+
+
+@click.command("lab", help=LAB_HELP)
+@click.argument("names", metavar="[CASES]...", nargs=-1)
+@click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), default="laboratory")
+@click.option("--list", "listed", is_flag=True, help="Tell the cases and their criteria, and run nothing.")
+@click.option("--quick", is_flag=True, help="Leave long trials out: chains of 20 and more, swing-ups.")
+@click.option("--maps/--no-maps", default=None, help="Draw the maps; by default where all cases are run.")
+@click.pass_context
+def lab_command(
+    context: click.Context, /, names: tuple[str, ...], out: Path, listed: bool, quick: bool, maps: bool | None
+) -> None:
+    """Run, write, tell."""
+    cases = _choose(names)
+    if listed:
+        _print_cases(cases)
+        return
+    written: list[Path] = []
+    with show_progress() as report:
+        findings = run_cases(cases, out, report, quick=quick)
+        written += write_findings(cases, findings, out)
+        if maps or (maps is None and not names):
+            written += draw_maps(measure_maps(open_bench(out), report, quick=quick), out)
+    _print_verdicts(cases, findings)
+    click.echo(f"wrote {', '.join(map(str, written))}", err=True)
+    context.exit(0 if all(finding.is_met for finding in findings) else NOT_MET)
+
+
+def _choose(names: Sequence[str]) -> list[Case]:
+    known = {case.id: case for case in CASES}
+    wanted = [name.upper() for name in names]
+    strange = [name for name in wanted if name not in known]
+    if strange:
+        raise click.UsageError(f"there is no case {', '.join(strange)}; there are {', '.join(known)}")
+    return [case for case in CASES if not wanted or case.id in wanted]
+
+
+def _print_cases(cases: Sequence[Case]) -> None:
+    table = Table("case", "what is done", "what is demanded", box=box.SIMPLE)
+    for case in cases:
+        exempt = f" Does not apply: {case.exemption}" if case.exemption else ""
+        table.add_row(case.id, Text(f"{case.title}. {case.setup}"), Text(case.criterion + exempt))
+    _console().print(table)
+
+
+def _print_verdicts(cases: Sequence[Case], findings: Sequence[Finding]) -> None:
+    table = Table("case", "way", "closest to its bound", box=box.SIMPLE)
+    for column in ("value", "bound"):
+        table.add_column(column, justify="right")
+    for column in ("in", "met", ""):
+        table.add_column(column)
+    verdicts = judge(findings)
+    for case in cases:
+        own = [x for x in verdicts if x.case == case.id]
+        for number, verdict in enumerate(own):
+            table.add_row(f"{case.id} {case.title}" if number == 0 else "", *map(Text, _list_cells(verdict)))
+        if not case.trials:
+            table.add_row(f"{case.id} {case.title}", "-", "", "", "", "", "", Text(f"does not apply: {case.exemption}"))
+    console = _console()
+    console.print(table)
+    for finding in findings:
+        if not finding.is_met:
+            console.print(
+                f"not met: {finding.case}, {finding.trial}, {finding.way}: {finding.quantity} {_write(finding.value)} "
+                f"against {_write(finding.bound)}; {finding.remark}",
+                markup=False,
+            )
+
+
+def _list_cells(verdict: Verdict) -> tuple[str, ...]:
+    return (
+        verdict.way,
+        verdict.quantity,
+        _write(verdict.value),
+        _write(verdict.bound),
+        verdict.trial,
+        f"{verdict.met} of {verdict.total}",
+        name_verdict(verdict),
+    )
+
+
+def _write(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2g}"
+
+
+def _console() -> Console:
+    return Console(highlight=False, width=shutil.get_terminal_size().columns if sys.stdout.isatty() else UNCUT)

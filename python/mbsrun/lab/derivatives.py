@@ -1,0 +1,102 @@
+"""Derivatives: against differences of fourth order, by Taylor's remainder, in symmetry and in pattern (F25)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsrun.external import Mechanism
+from mbsrun.lab.case import Bench, Finding, check, demand
+from mbsrun.lab.digits import KERNELS, U
+from mbsrun.lab.mechanisms import describe_spatial, draw, write
+from mbsrun.models import Extent, find_folder
+
+Array = NDArray[np.float64]
+State = Mapping[str, Any]
+
+SIZE = 4  # joints
+DIFFERENCES = (2e-3, 1e-3, 5e-4, 2.5e-4)  # steps of differences, of which the best is taken for each block
+STEPS = tuple(3 * 10.0**-k for k in range(2, 8))  # of Taylor's remainder
+POINTS = 20  # at which patterns are looked at
+VARIABLES = {"IMPL": ("q", "qd", "qdd"), "SEMI": ("q", "qd", "qdd"), "EXP1": ("q", "qd", "u"), "EXP2": ("q", "qd", "u")}
+
+
+def measure_derivatives(bench: Bench) -> list[Finding]:
+    """F25: Jacobians to 1e-10 of differences, remainders of order 2, symmetric Hessians, no entry more than needed."""
+    extent = Extent((*KERNELS.values(),), 2)
+    plant = Mechanism(find_folder(write(bench.folder, describe_spatial(SIZE)), extent))
+    findings = []
+    for way, kernel in KERNELS.items():
+        inputs = [a.name for a in plant.manifest.kernel(kernel).inputs]
+        state = {name: x[0] for name, x in draw(SIZE, [1]).items() if name in inputs}
+        findings.append(check(way, "difference from 4th-order differences", _difference(plant, way, state), 1e-10))
+        slope = _measure_slope(plant, way, state)
+        findings.append(check(way, "slope of Taylor's remainder, off 2", abs(slope - 2), 0.05, f"slope {slope:.3f}"))
+        findings.append(check(way, "asymmetry of the Hessian", _measure_asymmetry(plant, way, state), 1e-13))
+        findings.append(_compare_pattern(plant, way))
+    return findings
+
+
+def _name_result(way: str) -> str:
+    return "qdd" if way.startswith("EXP") else "Phi"
+
+
+def _difference(plant: Mechanism, way: str, state: State) -> float:
+    """Compare each block of the Jacobian with central differences of fourth order, by its largest entry."""
+    kernel, result, worst = KERNELS[way], _name_result(way), 0.0
+    jacobians = plant.jac(kernel, **state)
+    for name in VARIABLES[way]:
+        block, off = jacobians[f"jac_{result}_{name}"], []
+        for step in DIFFERENCES:
+            columns = []
+            for unit in step * np.eye(SIZE):
+                at = [plant(kernel, **{**state, name: state[name] + k * unit})[result] for k in (1, -1, 2, -2)]
+                columns.append((8 * (at[0] - at[1]) - (at[2] - at[3])) / (12 * step))
+            off.append(float(np.abs(np.array(columns).T - block).max() / np.abs(block).max()))
+        worst = max(worst, min(off))
+    return worst
+
+
+def _measure_slope(plant: Mechanism, way: str, state: State) -> float:
+    """Fit the order at which |f(x + h d) - f(x) - h J d| vanishes, where rounding does not hide it."""
+    kernel, result = KERNELS[way], _name_result(way)
+    d = {name: np.random.default_rng(2).uniform(-1, 1, SIZE) for name in VARIABLES[way]}
+    value, jacobians = plant(kernel, **state)[result], plant.jac(kernel, **state)
+    slope = np.sum([jacobians[f"jac_{result}_{name}"] @ d[name] for name in VARIABLES[way]], axis=0)
+    kept = []
+    for h in STEPS:
+        at: dict[str, Any] = {**state, **{name: state[name] + h * d[name] for name in VARIABLES[way]}}
+        moved = plant(kernel, **at)[result]
+        rest = float(np.abs(moved - value - h * slope).max())
+        if rest > 1e3 * U["float64"] * float(np.abs(value).max()):
+            kept.append((np.log(h), np.log(rest)))
+    h_, rest_ = np.array(kept).T
+    return float(np.polyfit(h_, rest_, 1)[0])
+
+
+def _measure_asymmetry(plant: Mechanism, way: str, state: State) -> float:
+    kernel, result = KERNELS[way], _name_result(way)
+    weights: dict[str, Any] = {f"adj_{result}": np.random.default_rng(3).uniform(-1, 1, SIZE)}
+    blocks = plant.hess(kernel, **state, **weights)
+    names = [name for name in VARIABLES[way] if f"jac_adj_{name}_{name}" in blocks]
+    worst, size = 0.0, max(float(np.abs(block).max(initial=0.0)) for block in blocks.values())
+    for a in names:
+        for b in names:
+            pair = blocks.get(f"jac_adj_{a}_{b}"), blocks.get(f"jac_adj_{b}_{a}")
+            if pair[0] is not None and pair[1] is not None:
+                worst = max(worst, float(np.abs(pair[0] - pair[1].T).max(initial=0.0)) / size)
+    return worst
+
+
+def _compare_pattern(plant: Mechanism, way: str) -> Finding:
+    """Count entries that the generated pattern has and that vanish at all of some random states."""
+    kernel = plant.manifest.kernel(f"jac_{KERNELS[way]}")
+    names = [a.name for a in kernel.inputs]
+    states = {name: x for name, x in draw(SIZE, range(POINTS)).items() if name in names}
+    found = plant.jac(KERNELS[way], sparse=True, **states)
+    idle = sum(int((~np.any(values != 0, axis=0)).sum()) for values in found.values())
+    entries = sum(values.shape[1] for values in found.values())
+    return demand(way, "pattern is what does not vanish", idle == 0, f"{entries} entries, {idle} of them vanish")

@@ -1,0 +1,117 @@
+"""Inertias that no body has, and sizes beyond what products of two hold (F07, F08); distant origins (F09)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from mbsgen.errors import InputError
+from mbsrun.lab.case import Bench, Finding, check, demand
+from mbsrun.lab.digits import EXPLICIT, KERNELS, RESIDUAL, U, relate, specimen
+from mbsrun.lab.mechanisms import describe_spatial, draw, write
+from mbsrun.models import Extent, find_folder
+
+TINY, HUGE = 1e-150, 1e150
+SIZES: Mapping[str, Sequence[float]] = {
+    "tiny": [TINY] * 6,
+    "huge": [HUGE] * 6,
+    "tiny between others": [TINY, 1.0] * 3,
+    "huge between others": [HUGE, 1.0] * 3,
+}
+TEXTBOOK = ("regroup", "share_frames", "lump", "absolute", "factor")  # reductions to switch off for it
+OFFSETS = tuple(10.0**k for k in range(5))  # m
+
+_BODY = """
+name: strange
+gravity: [0, 0, -9.81]
+bodies:
+  - name: body
+    joint: {{name: q1, type: revolute, axis: z}}
+    mass: {mass}
+    com: [0.1, 0, 0]
+    inertia: {inertia}
+"""
+STRANGE = {
+    "a negative mass": {"mass": "-1", "inertia": "[1, 1, 1]"},
+    "a negative moment of inertia": {"mass": "1", "inertia": "[-1, 1, 1]"},
+    "moments against the triangle": {"mass": "1", "inertia": "[1, 1, 3]"},
+    "products too large": {"mass": "1", "inertia": "{xx: 1, yy: 1, zz: 1, xy: 2}"},
+    "a mass that is not a number": {"mass": ".nan", "inertia": "[1, 1, 1]"},
+    "an infinite mass": {"mass": ".inf", "inertia": "[1, 1, 1]"},
+    "a mass below 1e-150": {"mass": "1e-310", "inertia": "[1e-310, 1e-310, 1e-310]"},
+    "a mass above 1e150": {"mass": "1e200", "inertia": "[1e200, 1e200, 1e200]"},
+}
+ALLOWED = ("a negative mass", "moments against the triangle")  # where the file says so
+_OFFSET = """
+name: offset
+gravity: [0, -9.81, 0]
+bodies:
+  - name: x
+    joint: {{type: prismatic, axis: x}}
+  - name: y
+    parent: x
+    joint: {{type: prismatic, axis: y}}
+  - name: body
+    parent: y
+    joint: {{type: revolute, axis: z}}
+    mass: 1
+    com: [{c}, {c}/3, {c}/7]
+    inertia: [1, 1, 1]
+"""
+
+
+def measure_strange(bench: Bench, name: str) -> list[Finding]:
+    """F07: refused with line and path."""
+    try:
+        find_folder(write(bench.folder, _BODY.format(**STRANGE[name])), Extent(("impl",), 0))
+    except InputError as error:
+        fault = error.faults[0]
+        return [demand("check of models", "refusal", fault.line > 0 and "bodies[0]" in fault.path, fault.finding)]
+    return [demand("check of models", "refusal", False, "the model is accepted")]
+
+
+def measure_allowed(bench: Bench) -> list[Finding]:
+    """F07: what published robots break is taken where the file says so."""
+    findings = []
+    for name in ALLOWED[1:]:
+        text = _BODY.format(**STRANGE[name]) + "allow_unphysical: true\n"
+        found = specimen(bench, text, "exp2").evaluate("exp2", draw(1, [1]))[1][0]
+        findings.append(demand("check of models", "consent", np.isfinite(found["qdd"]).all(), f"{name}: accepted"))
+    return findings
+
+
+def measure_sizes(bench: Bench, name: str) -> list[Finding]:
+    """F08: from 1e-150 to 1e150 kg nothing overflows, and no status mistakes light for lost."""
+    chosen = specimen(bench, describe_spatial(6, SIZES[name]), *KERNELS.values())
+    states = chosen.balance(draw(6, [1, 2, 3]))
+    exact = chosen.find_exact(states)
+    findings = []
+    for way, kernel in EXPLICIT.items():
+        for status, found, truth in zip(*chosen.evaluate(kernel, states), exact, strict=True):
+            if status:
+                findings.append(demand(way, "error", False, f"status at {chosen.joint(int(status))}"))
+            else:
+                findings.append(check(way, "error", relate(found["qdd"][:, 0], truth.rounded), 1e-12))
+    for way, kernel in RESIDUAL.items():
+        results = chosen.evaluate(kernel, states)[1]
+        findings += [demand(way, "finite residual", np.isfinite(x["Phi"]).all(), "finite") for x in results]
+    return findings
+
+
+def measure_offset(bench: Bench, offset: float) -> list[Finding]:
+    """F09: with a centre of mass at c, what is left of I in m c2 is lost to 4 u (1 + m c2 / I), reduced or not."""
+    bound = 4 * U["float64"] * (1 + offset**2 * (1 + 1 / 9 + 1 / 49))
+    findings = []
+    for label, without in (("", ()), (", unreduced", TEXTBOOK)):
+        chosen = specimen(bench, _OFFSET.format(c=offset), *KERNELS.values(), without=without)
+        states = draw(3, range(5))
+        exact = chosen.find_exact(states)
+        for way, kernel in KERNELS.items():
+            for found, truth in zip(chosen.evaluate(kernel, states)[1], exact, strict=True):
+                if way in EXPLICIT:
+                    error = relate(found["qdd"][:, 0], truth.rounded)
+                else:
+                    error = relate(found["Phi"], np.array([[float(x)] for x in truth.moment.residual()]))
+                findings.append(check(way + label, "error", error, bound))
+    return findings

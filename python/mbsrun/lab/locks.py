@@ -1,0 +1,122 @@
+"""Joints that lock, and joints that move nothing (F05, F06)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from mbsgen.errors import InputError
+from mbsrun.lab.case import Bench, Finding, Loss, check, demand
+from mbsrun.lab.digits import EXPLICIT, KERNELS, RESIDUAL, Specimen, measure_losses, relate, specimen
+from mbsrun.lab.mechanisms import LOCKS, States, describe_elbow, describe_lock, draw, write
+from mbsrun.models import Extent, find_folder
+
+DISTANCES = (*(10.0**-k for k in range(1, 13)), 0.0)  # rad
+SIX_DIGITS = 1e-6
+SEEDS = range(5)
+SAFE = 1e-7  # rad: how close to the lock of a Cardan joint EXP2 has to get
+FIRST = "q1"  # the joint that locks
+
+_ARM = """
+name: weightless
+gravity: [0, -9.81, 0]
+parameters: {{m: {{value: {value}, kind: {kind}}}}}
+bodies:
+  - name: arm
+    joint: {{name: q1, type: revolute, axis: z}}
+    mass: 1
+    com: [0.5, 0, 0]
+  - name: tip
+    parent: arm
+"""
+WEIGHTLESS = {
+    "a leaf without mass": """
+    joint: {name: q2, type: revolute, axis: z, position: [1, 0, 0]}
+    mass: m
+    com: [0.2, 0, 0]
+""",
+    "a slide without mass": """
+    joint: {name: q2, type: prismatic, axis: x}
+    mass: m
+""",
+    "a point mass on its axis": """
+    joint: {name: q2, type: revolute, axis: x}
+    mass: 1
+    com: [0.3, m, 0]
+""",
+}
+
+
+def approach(bench: Bench, lock: str, distance: float) -> tuple[Specimen, States, list[Loss]]:
+    """Measure five states with the second joint `distance` from where the first one locks."""
+    is_elbow = lock == "elbow"
+    text = describe_elbow() if is_elbow else describe_lock(LOCKS[lock])
+    chosen = specimen(bench, text, *EXPLICIT.values(), *RESIDUAL.values(), "condition")
+    states = draw(2 if is_elbow else 3, SEEDS)
+    states["q"][:, 1] = (np.pi / 2 if lock == "Cardan" else 0.0) - distance
+    return chosen, states, measure_losses(bench, lock, distance, chosen, states)
+
+
+def measure_lock(bench: Bench, lock: str) -> list[Finding]:
+    """F05: six digits, or a status that names the joint; residuals are finite and right."""
+    findings = []
+    for distance in DISTANCES:
+        chosen, states, losses = approach(bench, lock, distance)
+        findings += [_check_loss(x) for x in losses]
+        if lock == "Cardan" and distance >= SAFE:
+            findings += [_check_safe(x) for x in losses if x.way == "EXP2"]
+        findings += _check_residuals(chosen, states)
+    return findings
+
+
+def measure_weightless(bench: Bench, name: str) -> list[Finding]:
+    """F06: refused with the model, by the joint's name; where a run-time parameter makes it so, a status names it."""
+    refused = write(bench.folder, _ARM.format(value=0, kind="constant") + WEIGHTLESS[name])
+    findings = [_check_refusal(refused)]
+    text = _ARM.format(value=1, kind="runtime") + WEIGHTLESS[name]
+    chosen = specimen(bench, text, *KERNELS.values())
+    pair = {x: np.array([[0.3, 0.2]]) for x in ("q", "qd", "qdd")} | {"u": np.array([[1.0, 0.5]])}
+    hidden = chosen.subject.kernels.with_parameters(m=0.0)("setup", p=[0.0])
+    states = {**pair, **{key: value[None] for key, value in hidden.items()}}
+    for way, kernel in EXPLICIT.items():
+        status = int(chosen.evaluate(kernel, states)[0][0])
+        told = f"status {status}: joint {chosen.joint(status)}" if status else "status 0"
+        findings.append(demand(way, "status at run time", chosen.joint(status) == "q2", told))
+    for way, kernel in RESIDUAL.items():
+        values = chosen.evaluate(kernel, states)[1][0]["Phi"]
+        findings.append(demand(way, "finite residual", np.isfinite(values).all(), "finite"))
+    return findings
+
+
+def _check_refusal(model: Path) -> Finding:
+    try:
+        find_folder(model, Extent(("impl",), 0))
+    except InputError as error:
+        return demand("check of models", "refusal", "q2" in str(error), error.faults[0].finding)
+    return demand("check of models", "refusal", False, "the model is accepted")
+
+
+def _check_loss(loss: Loss) -> Finding:
+    where = f"{loss.number:.0e} from the lock"
+    if loss.error is None:
+        return demand(loss.way, "status", loss.failed == FIRST, f"{where}: status at {loss.failed}")
+    return check(loss.way, "error without a status", loss.error, SIX_DIGITS, where)
+
+
+def _check_safe(loss: Loss) -> Finding:
+    where = f"{loss.number:.0e} from the lock"
+    if loss.error is None:
+        return demand(loss.way, "status that is none too early", False, where)
+    return check(loss.way, "error down to 1e-7", loss.error, 1e-11, where)
+
+
+def _check_residuals(chosen: Specimen, states: States) -> list[Finding]:
+    """Compare residuals with those in 50 digits."""
+    findings = []
+    moments = [chosen.reference.at({name: x[k] for name, x in states.items()}) for k in range(len(states["q"]))]
+    for way, kernel in RESIDUAL.items():
+        for moment, found in zip(moments, chosen.evaluate(kernel, states)[1], strict=True):
+            exact = np.array([[float(x)] for x in moment.residual()])
+            findings.append(check(way, "error of the residual", relate(found["Phi"], exact), 1e-14))
+    return findings

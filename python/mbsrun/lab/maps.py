@@ -1,0 +1,182 @@
+"""Maps of where digits go, drawn from losses: against the condition, over mass ratio and length, towards a lock.
+
+A status is drawn as a cross at the upper edge, or as an empty field that says so: what failed is on the map too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, fields
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from mbsrun.lab import chains, locks
+from mbsrun.lab.case import Bench, Loss, Report
+from mbsrun.lab.digits import EXPLICIT
+from mbsrun.lab.mechanisms import describe_spatial, describe_straight, draw
+from mbsrun.lab.record import write_table
+
+LENGTHS = (2, 5, 10, 20)
+RATIOS = tuple(10.0**k for k in range(0, 13, 2))
+FLOOR, TOP = 1e-17, 10.0  # between which errors are drawn
+COLORS = {"EXP1": "tab:red", "EXP2": "tab:blue"}
+NOWHERE = 1e-14  # rad: where the lock itself is drawn
+_COLUMNS = tuple(field.name for field in fields(Loss))
+
+
+def measure_maps(bench: Bench, report: Report, *, quick: bool = False) -> list[Loss]:
+    """Measure what the maps show; what cases measured is taken from the store."""
+    lengths, ratios = (LENGTHS[:2], RATIOS[::3]) if quick else (LENGTHS, RATIOS)
+    jobs = [partial(chains.weigh_tip, bench, size, ratio) for size in lengths for ratio in ratios]
+    jobs += [partial(_take_lock, bench, lock, d) for lock in ("Cardan", "wrist", "elbow") for d in locks.DISTANCES]
+    jobs += [partial(_take_harmless, bench, name) for name in chains.HARMLESS]
+    jobs += [partial(_take_chain, bench, kind, size) for kind in ("straight", "spatial") for size in lengths]
+    losses: list[Loss] = []
+    for done, job in enumerate(jobs):
+        report("maps", done, len(jobs))
+        losses += job()
+    return losses
+
+
+def draw_maps(losses: Sequence[Loss], folder: Path) -> list[Path]:
+    """Draw the maps, each with its table; give their paths."""
+    paths = _write(losses, "map_condition", "Digits lost, and the condition and `condition` that tell of them", folder)
+    tips = [x for x in losses if x.mechanism == "heavy tip"]
+    paths += _write(tips, "map_mass_ratio", "Digits lost by mass ratio of the tip, and length of the chain", folder)
+    near = [x for x in losses if x.mechanism in _list_locks(losses)]
+    paths += _write(near, "map_lock", "Digits lost by the distance from a lock", folder)
+    for name, figure in (
+        ("map_condition", _draw_condition(losses)),
+        ("map_mass_ratio", _draw_ratios(tips)),
+        ("map_lock", _draw_locks(near)),
+    ):
+        paths.append(folder / f"{name}.png")
+        figure.savefig(paths[-1], dpi=90, metadata={"Software": None})
+    return paths
+
+
+def _take_lock(bench: Bench, lock: str, distance: float) -> list[Loss]:
+    return locks.approach(bench, lock, distance)[2]
+
+
+def _take_harmless(bench: Bench, name: str) -> list[Loss]:
+    return chains.weigh_links(bench, name)[2]
+
+
+def _take_chain(bench: Bench, kind: str, size: int) -> list[Loss]:
+    text, q = (describe_straight(size), 0.0) if kind == "straight" else (describe_spatial(size), None)
+    return chains.measure_chain(bench, f"{kind} chain", size, text, draw(size, [size], q=q))[1]
+
+
+def _write(losses: Sequence[Loss], name: str, title: str, folder: Path) -> list[Path]:
+    rows = [[asdict(loss)[key] for key in _COLUMNS] for loss in losses]
+    note = (
+        "number: ratio of masses, or distance from the lock [rad]; condition, scaled: of the mass matrix, and of it "
+        "scaled to a diagonal of ones; told: the error to expect by the kernel `condition`, empty where it promises "
+        "no digit; error: of accelerations against 50 digits, empty where a status named a joint instead"
+    )
+    return write_table(folder, name, title, _COLUMNS, rows, note)
+
+
+def _list_locks(losses: Sequence[Loss]) -> list[str]:
+    known = ("Cardan", "wrist", "elbow")
+    return [name for name in known if any(x.mechanism == name for x in losses)]
+
+
+def _draw_condition(losses: Sequence[Loss]) -> Figure:
+    figure = Figure(figsize=(15, 5.5), layout="constrained")
+    panels = figure.subplots(1, 3, sharey=True)
+    titles = (
+        ("condition", "condition of M: raises false alarms"),
+        ("scaled", "condition of M, scaled to a diagonal of ones"),
+        ("told", "error that `condition` tells"),
+    )
+    markers = dict(zip(dict.fromkeys(x.mechanism for x in losses), "ovs^D*Ph", strict=False))
+    for axes, (name, title) in zip(panels, titles, strict=True):
+        for loss in losses:
+            x = getattr(loss, name)
+            x = TOP if x is None and name == "told" else x
+            _place(axes, loss, float(np.clip(x, FLOOR, 1e35)), markers[loss.mechanism])
+        axes.set_xscale("log")
+        axes.set_xlabel(title)
+        ends = np.array(axes.get_xlim())
+        line = ends if name == "told" else ends * 2.0**-53
+        axes.plot(ends, line, color="0.6", linewidth=0.8, linestyle=":", zorder=0)
+        axes.set_xlim(*ends)
+        _finish(axes)
+    panels[0].set_ylabel("error of the accelerations")
+    for mechanism, marker in markers.items():
+        panels[2].plot([], [], marker=marker, color="0.4", linestyle="", label=mechanism)
+    for way, color in COLORS.items():
+        panels[2].plot([], [], marker="o", color=color, linestyle="", label=way)
+    panels[2].legend(fontsize=7, loc="upper left")
+    figure.suptitle("dotted: u times what stands on the axis, or what is told itself; x: a status instead", fontsize=9)
+    return figure
+
+
+def _draw_ratios(losses: Sequence[Loss]) -> Figure:
+    figure = Figure(figsize=(13, 4.2), layout="constrained")
+    ways = list(EXPLICIT)
+    lengths = sorted({x.joints for x in losses})
+    ratios = sorted({x.number for x in losses})
+    grid = figure.subplots(1, len(ways), squeeze=False)
+    for axes, way in zip(grid[0], ways, strict=True):
+        field = np.full((len(lengths), len(ratios)), np.nan)
+        for loss in (x for x in losses if x.way == way):
+            r, c = lengths.index(loss.joints), ratios.index(loss.number)
+            told = "no digit" if loss.told is None else f"{loss.told:.0e}"
+            if loss.error is not None:
+                field[r, c] = max(loss.error, FLOOR)
+            told = f"status\n({told})" if loss.error is None else f"{loss.error:.0e}\n({told})"
+            axes.text(c, r, told, ha="center", va="center", fontsize=7)
+        image = axes.imshow(field, norm=LogNorm(1e-16, 1e-2), cmap="YlOrRd", origin="lower", aspect="auto")
+        axes.set_xticks(range(len(ratios)), [f"{x:.0e}" for x in ratios])
+        axes.set_yticks(range(len(lengths)), [str(x) for x in lengths])
+        axes.set_xlabel("mass of the last rod, by that of the others")
+        axes.set_ylabel("rods")
+        axes.set_title(f"{way}: error (in brackets: as told by `condition`)", fontsize=9)
+        figure.colorbar(image, ax=axes)
+    return figure
+
+
+def _draw_locks(losses: Sequence[Loss]) -> Figure:
+    names = _list_locks(losses)
+    figure = Figure(figsize=(5 * len(names), 4.6), layout="constrained")
+    grid = figure.subplots(1, len(names), squeeze=False, sharey=True)
+    for axes, name in zip(grid[0], names, strict=True):
+        for way, color in COLORS.items():
+            own = [x for x in losses if x.mechanism == name and x.way == way]
+            for loss in own:
+                _place(axes, loss, max(loss.number, NOWHERE), "o")
+            told = [(max(x.number, NOWHERE), min(TOP, x.told)) for x in own if x.told is not None]
+            axes.plot(*zip(*told, strict=True), color=color, marker="_", linestyle="", label=f"{way}, told")
+            axes.plot([], [], color=color, marker="o", linestyle="", label=way)
+        axes.set_xscale("log")
+        axes.axhline(locks.SIX_DIGITS, color="0.5", linewidth=0.8, linestyle=":")
+        axes.set_xlabel(f"distance from the lock [rad]; {NOWHERE:g} stands for 0")
+        axes.set_title(f"{name}: x: a status instead of an error", fontsize=9)
+        axes.legend(fontsize=7)
+        _finish(axes)
+    grid[0, 0].set_ylabel("error of the accelerations")
+    return figure
+
+
+def _place(axes: Axes, loss: Loss, x: float, marker: str) -> None:
+    color = COLORS[loss.way]
+    if loss.error is None:
+        axes.plot(x, TOP, marker="x", color=color, markersize=5, linestyle="")
+    else:
+        axes.plot(
+            x, min(max(loss.error, FLOOR), TOP), marker=marker, color=color, markersize=4, linestyle="", alpha=0.7
+        )
+
+
+def _finish(axes: Axes) -> None:
+    axes.set_yscale("log")
+    axes.set_ylim(FLOOR / 2, 3 * TOP)
+    axes.grid(color="0.9", linewidth=0.5)

@@ -1,0 +1,122 @@
+"""A run of the laboratory: trials one after the other, kept as they come, and tables of what they found.
+
+What goes wrong in a trial itself is a finding of it, which is not kept: the next run tries again.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, fields, replace
+from functools import cache
+from pathlib import Path
+
+from mbsrun.lab.case import Bench, Case, Finding, Loss, Report, Trial, Verdict, demand, judge
+from mbsrun.library import find_compiler
+from mbsrun.models import fingerprint_generator
+from mbsrun.study.points import Store
+
+KEPT = ("findings.jsonl", "losses.jsonl")
+MODELS = "models"
+
+
+def open_bench(folder: Path) -> Bench:
+    """Prepare a folder to work in. Raises CompileError where there is no compiler."""
+    return Bench(folder / MODELS, Store(folder / KEPT[1], Loss), _fingerprint())
+
+
+def run_cases(cases: Sequence[Case], folder: Path, report: Report, *, quick: bool = False) -> list[Finding]:
+    """Run cases; what was found before by the same program is taken from the folder. `quick` leaves long trials out."""
+    bench = open_bench(folder)
+    store = Store(folder / KEPT[0], Finding)
+    jobs = [(case, trial) for case in cases for trial in case.trials if not (quick and trial.is_long)]
+    findings: list[Finding] = []
+    for done, (case, trial) in enumerate(jobs):
+        report(f"{case.id} {case.title}: {trial.name}", done, len(jobs))
+        findings += _run_trial(case, trial, bench, store)
+    return findings
+
+
+def _run_trial(case: Case, trial: Trial, bench: Bench, store: Store[Finding]) -> list[Finding]:
+    def measure() -> list[Finding]:
+        return [replace(x, case=case.id, trial=trial.name) for x in trial.measure(bench)]
+
+    try:
+        return store.find_or_measure((bench.program, case.id, trial.name), measure)
+    except Exception as error:  # whatever it is, the other trials go on
+        broken = demand("the trial itself", "end", False, f"{type(error).__name__}: {error}")
+        return [replace(broken, case=case.id, trial=trial.name)]
+
+
+def write_findings(cases: Sequence[Case], findings: Sequence[Finding], folder: Path) -> list[Path]:
+    """Write verdicts and findings as CSV, and as JSON with title, columns, rows and note."""
+    titles = {case.id: case.title for case in cases}
+    verdicts: list[list[object]] = [
+        [
+            x.case,
+            titles[x.case],
+            x.way,
+            x.quantity,
+            x.value,
+            x.bound,
+            x.trial,
+            x.met,
+            x.total,
+            name_verdict(x),
+            x.remark,
+        ]
+        for x in judge(findings)
+    ]
+    exempt: list[list[object]] = [
+        [c.id, c.title, *[None] * 7, "does not apply", c.exemption] for c in cases if not c.trials
+    ]
+    columns = ["case", "title", "way", "quantity", "value", "bound", "trial", "met", "of", "verdict", "remark"]
+    note = "; ".join(f"{case.id}: {case.criterion}" for case in cases)
+    title = "Where methods fail: verdicts by formulation, method or representation"
+    rows = sorted(verdicts + exempt, key=lambda row: str(row[0]))
+    paths = write_table(folder, "verdicts", title, columns, rows, note)
+    names = [field.name for field in fields(Finding)]
+    order = ["case", "trial", *(name for name in names if name not in ("case", "trial"))]
+    listed = [[asdict(finding)[name] for name in order] for finding in findings]
+    note = "A bound is what the value must not exceed; without one nothing is demanded, or no number decides."
+    return paths + write_table(folder, "findings", "All findings of the laboratory", order, listed, note)
+
+
+def write_table(
+    folder: Path, name: str, title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], note: str
+) -> list[Path]:
+    """Write a table as NAME.csv, and as NAME.json with title, columns, rows and note."""
+    folder.mkdir(parents=True, exist_ok=True)
+    table, whole = folder / f"{name}.csv", folder / f"{name}.json"
+    with table.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows([columns, *rows])
+    told = {"title": title, "columns": list(columns), "note": note}
+    head = "".join(f" {json.dumps(key)}: {json.dumps(value, ensure_ascii=False)},\n" for key, value in told.items())
+    lines = ",\n".join(f"  {json.dumps([_finite(cell) for cell in row], ensure_ascii=False)}" for row in rows)
+    whole.write_text(f'{{\n{head} "rows": [\n{lines}\n ]\n}}\n', encoding="utf-8")
+    return [table, whole]
+
+
+def _finite(cell: object) -> object:
+    """Leave out what JSON has no number for."""
+    return None if isinstance(cell, float) and not math.isfinite(cell) else cell
+
+
+def name_verdict(verdict: Verdict) -> str:
+    """Say in a word whether a criterion is met."""
+    return "met" if verdict.is_met else "not met"
+
+
+@cache
+def _fingerprint() -> str:
+    """Name the version of all that findings depend on: both packages, and the compiler."""
+    digest = hashlib.sha256(fingerprint_generator())
+    for file in sorted(Path(__file__).parents[1].rglob("*.py")):
+        digest.update(hashlib.sha256(file.read_bytes()).digest())
+    compiler = find_compiler(os.environ)
+    digest.update(repr((compiler.command, compiler.flags, compiler.macros)).encode())
+    return digest.hexdigest()
