@@ -37,6 +37,12 @@ class Peer:
             kernels=tuple(_describe(name, function) for name, function in self._functions.items()),
         )
 
+    def with_functions(self, functions: Mapping[str, ca.Function]) -> Peer:
+        """Return the same with more functions."""
+        known = {name: function for name, function in self._functions.items() if name != "jac_impl"}
+        m = self.manifest
+        return Peer(m.model, {**known, **functions}, m.coordinates, m.frames)
+
     def casadi(self, name: str) -> ca.Function:
         """Give a kernel as a CasADi function."""
         return self._functions[name]

@@ -4,9 +4,8 @@ Interval by interval: the state x_k = (q, qd) at the mesh point; at each colloca
 the equations of motion are an ODE, the acceleration z_kj; the inputs u_k, constant over the interval. At the end x_N,
 and the horizon T where it is free.
 
-In the integral form the states at the points are no variables. With A the scheme's integration matrix, c its points:
-
-    qd_kj = qd_k + h sum_l A_jl z_kl,   q_kj = q_k + h c_j qd_k + h^2 sum_l (A A)_jl z_kl
+In the integral form the states at the points are no variables: they are linear in x_k and the accelerations at the
+stages of an integrator, which are those at the points unless the integrator says otherwise (see `integrators`).
 """
 
 from __future__ import annotations
@@ -15,23 +14,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-from mbsrun.ocp.problem import Form, Representation
+from mbsrun.ocp.integrators import Integrator, Reading
 from mbsrun.ocp.program import Indices, Matrix
-from mbsrun.ocp.schemes import Scheme
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Where a motion lies among the variables; n coordinates, m inputs, N intervals with d points each."""
+    """Where a motion lies among the variables; n coordinates, m inputs, N intervals, S stages each."""
 
     mesh: Indices  # (N + 1, 2 n): states at the mesh points
-    points: Indices  # (N, d, 2 n): states at the collocation points; (N, d, 0) in the integral form
-    accelerations: Indices  # (N, d, n): accelerations at the collocation points; (N, d, 0) for an ODE
+    points: Indices  # (N, S, 2 n): states at the stages; (N, S, 0) in the integral form
+    accelerations: Indices  # (N, S, n): accelerations at the stages; (N, S, 0) for an ODE
     inputs: Indices  # (N, m)
     horizon: int | None  # T, where it is free
     size: int
@@ -43,14 +41,21 @@ class Layout:
 
 
 def lay_out(
-    n: int, m: int, intervals: int, degree: int, representation: Representation, form: Form, horizon_is_free: bool
+    n: int,
+    m: int,
+    intervals: int,
+    stages: int,
+    *,
+    has_states: bool,
+    has_accelerations: bool,
+    horizon_is_free: bool,
 ) -> Layout:
-    """Number the variables."""
-    N, d, states = intervals, degree, 2 * n * (form is Form.STANDARD)
-    at_point = states + n * (not representation.is_ode)
-    stride = 2 * n + d * at_point + m
+    """Number the variables; `has_states` and `has_accelerations` tell what the stages have of their own."""
+    N, S, states = intervals, stages, 2 * n * has_states
+    at_stage = states + n * has_accelerations
+    stride = 2 * n + S * at_stage + m
     first = np.arange(N + 1) * stride
-    points = first[:N, None, None] + 2 * n + np.arange(d)[:, None] * at_point + np.arange(at_point)
+    points = first[:N, None, None] + 2 * n + np.arange(S)[:, None] * at_stage + np.arange(at_stage)
     return Layout(
         mesh=first[:, None] + np.arange(2 * n),
         points=points[:, :, :states],
@@ -72,59 +77,96 @@ class Places:
     s: Array  # (places,): time over the horizon
 
 
-def at_points(layout: Layout, scheme: Scheme, h: float) -> Places:
-    """Give all collocation points, interval by interval; h is the length of an interval, for the integral form."""
-    N, d, _ = layout.points.shape
-    n = layout.n
-    inputs = np.broadcast_to(layout.inputs[:, None, :], (N, d, layout.inputs.shape[1]))
-    qdd, u = (part.reshape(N * d, -1).T for part in (layout.accelerations, inputs))
-    s = (np.arange(N)[:, None] + scheme.points).ravel() / N
-    if not layout.points.size:
-        return Places(*integrals(layout, scheme, h), qdd, u, s)
-    q, qd = (part.reshape(N * d, n).T for part in np.split(layout.points, 2, axis=2))
-    return Places(q, qd, qdd, u, s)
+def at_points(layout: Layout, integrator: Integrator, h: float) -> Places:
+    """Give all points of the scheme, interval by interval; h is the length of an interval, for the integral form."""
+    return _at(layout, integrator.points, h)
 
 
-def integrals(layout: Layout, scheme: Scheme, h: float) -> tuple[Matrix, Matrix]:
-    """Give q and qd at the points, each (N d n, variables), as linear functions of the variables."""
-    N, d, n = layout.accelerations.shape
-    A = scheme.integration
-    row = np.arange(N * d * n).reshape(N, d, n)
-    q, qd = (np.broadcast_to(part[:, None, :], row.shape) for part in np.split(layout.mesh[:-1], 2, axis=1))
-    shape = (row.size, layout.size)
+def at_stages(layout: Layout, integrator: Integrator, h: float) -> Places:
+    """Give all stages of the integrator, likewise."""
+    return _at(layout, integrator.stages, h)
+
+
+def _at(layout: Layout, reading: Reading, h: float) -> Places:
+    n, N, k = layout.n, len(layout.inputs), len(reading.c)
+    u = np.repeat(layout.inputs, k, axis=0).T
+    s = (np.arange(N)[:, None] + reading.c).ravel() / N
+    accelerations = layout.accelerations.reshape(N * layout.accelerations.shape[1], -1).T
+    if layout.points.size:
+        q, qd = (part.reshape(N * k, n).T for part in np.split(layout.points, 2, axis=2))
+        return Places(q, qd, accelerations, u, s)
+    motion = read_motion(layout, reading, h)
+    return Places(motion.q, motion.qd, accelerations if reading.are_stages else motion.qdd, u, s)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A motion at k places of every interval, as linear functions of the variables, each (N k n, variables)."""
+
+    q: Matrix
+    qd: Matrix
+    qdd: Matrix
+
+
+def read_motion(layout: Layout, reading: Reading, h: float) -> Motion:
+    """Read a motion off the states at the mesh points and the accelerations at the stages."""
+    (N, _, n), k = layout.accelerations.shape, len(reading.c)
+    row = np.arange(N * k * n).reshape(N, k, n)
+    q, qd = np.split(layout.mesh[:-1], 2, axis=1)
 
     def matrix(parts: Sequence[tuple[Indices, Array]], weights: Array) -> Matrix:
-        """Put columns with a value for each point, and accelerations with weights, (d, d)."""
-        columns = [col.ravel() for col, _ in parts]
-        values = [np.broadcast_to(value[:, None], row.shape).ravel() for _, value in parts]
-        rows = [row.ravel()] * len(parts)
-        for j in range(d):
-            z = layout.accelerations  # (N, d, n): of all points, for the one point j
-            rows.append(np.broadcast_to(row[:, None, j], z.shape).ravel())
-            columns.append(z.ravel())
-            values.append(np.broadcast_to(weights[j][:, None], z.shape).ravel())
-        triplets = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
-        return sparse.coo_array(triplets, shape).tocsc()
+        """Put columns with a value for each place, and accelerations with weights, (k, S)."""
+        entries = Entries()
+        for col, value in parts:
+            entries.put(row, col[:, None, :], value[:, None])
+        entries.put(row[:, :, None, :], layout.accelerations[:, None], weights[:, :, None])
+        return entries.matrix((row.size, layout.size))
 
-    one = np.ones(d)
-    return matrix([(q, one), (qd, h * scheme.points)], h**2 * A @ A), matrix([(qd, one)], h * A)
+    one = np.ones(k)
+    return Motion(
+        q=matrix([(q, one), (qd, h * reading.c)], h**2 * reading.P),
+        qd=matrix([(qd, one)], h * reading.V),
+        qdd=matrix([], reading.W),
+    )
 
 
-def at_mesh(layout: Layout, scheme: Scheme, k: Sequence[int]) -> Places:
+def at_mesh(layout: Layout, integrator: Integrator, k: Sequence[int]) -> Places:
     """Give some mesh points, with the inputs of the interval before; the first has those of the interval after.
 
-    Accelerations there are those of the polynomial through the points of that interval.
+    Accelerations there are read off the stages of that interval.
     """
-    at, points = np.array(k, dtype=np.int64), layout.accelerations
+    at, stages = np.array(k, dtype=np.int64), layout.accelerations
     interval, n = np.maximum(at - 1, 0), layout.n
     q, qd = layout.mesh[at].T.reshape(2, n, at.size)
     s = at / len(layout.inputs)
-    if not points.size:
+    if not stages.size:
         return Places(q, qd, np.zeros((0, at.size), dtype=np.int64), layout.inputs[interval].T, s)
-    basis = np.where(at[:, None] == 0, scheme.start_of_points, scheme.end_of_points)  # (places, d)
-    col = points[interval]  # (places, d, n)
-    row = np.broadcast_to(np.arange(at.size * n).reshape(-1, 1, n), col.shape)
-    value = np.broadcast_to(basis[:, :, None], col.shape)
-    qdd = sparse.coo_array((value.ravel(), (row.ravel(), col.ravel())), (at.size * n, layout.size)).tocsc()
-    qdd.eliminate_zeros()
-    return Places(q, qd, qdd, layout.inputs[interval].T, s)
+    qdd = Entries()
+    weights = integrator.ends.W[(at > 0).astype(np.int64)]  # (places, S)
+    qdd.put(np.arange(at.size * n).reshape(-1, 1, n), stages[interval], weights[:, :, None])
+    return Places(q, qd, qdd.matrix((at.size * n, layout.size)), layout.inputs[interval].T, s)
+
+
+class Entries:
+    """Entries of a sparse matrix, collected; exact zeros are left out, entries of one place are summed."""
+
+    def __init__(self) -> None:
+        self.parts: list[tuple[Indices, Indices, Array]] = []
+
+    def put(self, row: ArrayLike, col: ArrayLike, value: ArrayLike) -> None:
+        """Add entries; the three are broadcast against each other."""
+        row, col, values = np.broadcast_arrays(row, col, np.asarray(value, dtype=np.float64))
+        kept = values.ravel() != 0.0
+        self.parts.append((row.ravel()[kept], col.ravel()[kept], values.ravel()[kept]))
+
+    def put_matrix(self, rows: Indices, matrix: sparse.csr_array) -> None:
+        """Put a matrix with rows of its own."""
+        coo = matrix.tocoo()
+        self.put(rows[coo.coords[0]], coo.coords[1], coo.data)
+
+    def matrix(self, shape: tuple[int, int]) -> Matrix:
+        """Give the matrix."""
+        row, col, value = (np.concatenate(part) for part in zip(*self.parts, strict=True))
+        matrix = sparse.coo_array((value, (row, col)), shape=shape).tocsc()
+        matrix.sum_duplicates()
+        return matrix

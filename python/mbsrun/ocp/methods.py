@@ -13,7 +13,7 @@ from typing import Any
 
 import casadi as ca
 
-from mbsrun.ocp.program import Program
+from mbsrun.ocp.program import NonlinearProgram
 
 Setting = float | int | str
 Settings = Mapping[str, Setting]
@@ -138,7 +138,7 @@ _IPOPT: Settings = {
 class Order:
     """What a solver is to do with a program."""
 
-    program: Program
+    program: NonlinearProgram
     tolerance: float
     max_iterations: int
     scaling: float  # of the objective
@@ -167,8 +167,8 @@ def _make(name: str, order: Order, scale: float, settings: Mapping[str, Any]) ->
         "f": scale * order.program.objective(x, p),
         "g": order.program.constraint(x, p),
     }
-    common: dict[str, Any] = {"iteration_callback": order.callback, "print_time": False, "error_on_fail": False}
-    return ca.nlpsol("ocp", name, nlp, common | dict(settings))
+    quiet = {"print_time": False, "error_on_fail": False, "show_eval_warnings": False}
+    return ca.nlpsol("ocp", name, nlp, {"iteration_callback": order.callback, **quiet, **settings})
 
 
 def _make_ipopt(order: Order) -> ca.Function:

@@ -16,6 +16,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, PlainSerializer
 
+from mbsrun.ocp.integrators import IntegratorName
 from mbsrun.ocp.schemes import Family
 
 
@@ -49,10 +50,11 @@ class Representation(Enum):
 
 
 class Form(Enum):
-    """What of the collocation's polynomials are variables."""
+    """What of the motion within an interval are variables."""
 
-    STANDARD = "standard"  # states and accelerations at the points
+    STANDARD = "standard"  # states and accelerations at the points: direct collocation
     INTEGRAL = "integral"  # accelerations at the points; states there are their integrals
+    SHOOTING = "shooting"  # nothing: an integrator takes the state from mesh point to mesh point
 
 
 # A bound that there is not: infinite in a program, null in a file.
@@ -162,6 +164,8 @@ class Problem:
     end: End
     representation: Representation = Representation.IMPL
     form: Form = Form.STANDARD
+    integrator: IntegratorName = "collocation"  # of shooting: the method of the scheme, or the classical one of order 4
+    steps: int = 1  # of the integrator in an interval
     horizon_range: Range | None = None  # where the horizon is free: its bounds [s]
     free_start: tuple[int, ...] = ()  # indices into (q, qd) of what is not given at the start: there it is a guess
     constraints: tuple[Constraint, ...] = ()
@@ -176,6 +180,36 @@ class Problem:
             raise KeyError(f"{sensor} has no target in {self.name}")
         sensors = tuple((name, position if name == sensor else old) for name, old in self.end.sensors)
         return replace(self, end=replace(self.end, sensors=sensors))
+
+
+@dataclass(frozen=True)
+class Conflict:
+    """What of a problem does not go together with the rest."""
+
+    key: str  # the part of a file that says it
+    finding: str
+    remedy: str
+
+
+def find_conflicts(problem: Problem) -> list[Conflict]:
+    """Find what does not go together among form, integrator, representation and horizon."""
+    form, representation, found = problem.form, problem.representation, []
+    if form is not Form.STANDARD and problem.horizon_range is not None:
+        finding = f"the {form.value} form needs a horizon that is given"
+        found.append(Conflict("form", finding, "take standard, or give the horizon"))
+    if form is Form.INTEGRAL and representation.is_ode:
+        finding = f"{representation.value} has no accelerations to integrate"
+        found.append(Conflict("form", finding, "take EXP1-A or IMPL"))
+    if form is Form.SHOOTING and representation.is_explicit and not representation.is_ode:
+        finding = f"{representation.value} has accelerations as variables, shooting has none"
+        found.append(Conflict("representation", finding, f"take {representation.value[:4]}-O"))
+    if form is not Form.SHOOTING and (problem.integrator != "collocation" or problem.steps != 1):
+        finding = f"an integrator, and steps of it, are for shooting, and the form is {form.value}"
+        found.append(Conflict("form", finding, "take form: shooting, or leave integrator and steps out"))
+    elif problem.integrator == "rk4" and not representation.is_explicit:
+        finding = f"rk4 needs accelerations, and {representation.value} gives a residual"
+        found.append(Conflict("integrator", finding, "take representation: EXP2-O, or integrator: collocation"))
+    return found
 
 
 def cylindrical(radius: float, azimuth: float, height: float) -> Point:

@@ -12,8 +12,9 @@ is as exact as the patterns of A, H_i and F. Parameters p are the weights w, the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Protocol
 
 import casadi as ca
 import numpy as np
@@ -53,6 +54,20 @@ class Block:
         """Give the scale of every place."""
         return np.broadcast_to(np.asarray(self.scale, dtype=np.float64), self.places)
 
+    def restrict(self, at: Indices) -> Block | None:
+        """Keep the places whose results go to rows that `at` gives a new number, which is negative for the others."""
+        rows = at[self.rows]
+        (chosen,) = np.nonzero((rows >= 0).all(axis=0))
+        assert (np.delete(rows, chosen, axis=1) < 0).all(), "the results of a place stay together"
+        if not chosen.size:
+            return None
+        columns = tuple(
+            part[:, chosen] if isinstance(part, np.ndarray) else _take_places(part, chosen, self.places)
+            for part in self.columns
+        )
+        data = None if self.data is None else self.data[:, chosen]
+        return replace(self, columns=columns, rows=rows[:, chosen], data=data, scale=self.scales[chosen])
+
 
 @dataclass(frozen=True)
 class _Triplets:
@@ -76,6 +91,34 @@ class _Triplets:
     def transposed(self) -> _Triplets:
         """Swap rows and columns."""
         return _Triplets(self.col, self.row, self.coefficient, self.source, self.values)
+
+
+class NonlinearProgram(Protocol):
+    """What a solver needs: sizes, and functions with the exact derivatives that they have in `Program`."""
+
+    @property
+    def variables(self) -> int: ...
+
+    @property
+    def constraints(self) -> int: ...
+
+    @property
+    def parameters(self) -> int: ...
+
+    @property
+    def objective(self) -> ca.Function: ...
+
+    @property
+    def constraint(self) -> ca.Function: ...
+
+    @property
+    def gradient(self) -> ca.Function: ...
+
+    @property
+    def jacobian(self) -> ca.Function: ...
+
+    @property
+    def hessian(self) -> ca.Function: ...
 
 
 @dataclass(frozen=True)
@@ -103,6 +146,16 @@ class Program:
         """Count the entries of p."""
         return len(self.H) + self.constants
 
+    def restrict(self, rows: Indices, *, with_cost: bool = False) -> Program:
+        """Keep some rows of g, in the order given, and the cost or none; variables and parameters are the same."""
+        at = np.full(self.constraints, -1)
+        at[rows] = np.arange(rows.size)
+        blocks = tuple(kept for block in self.blocks if (kept := block.restrict(at)) is not None)
+        A = sparse.csr_array(self.A)[rows].tocsc()
+        if with_cost:
+            return replace(self, A=A, blocks=blocks)
+        return replace(self, A=A, H=tuple(sparse.csc_array(H.shape) for H in self.H), blocks=blocks, costs=())
+
     @cached_property
     def terms(self) -> ca.Function:
         """(x, p) -> c: the terms of the cost, without their weights."""
@@ -127,7 +180,7 @@ class Program:
     def gradient(self) -> ca.Function:
         """(x, p) -> f, its gradient: in the form that `nlpsol` takes as `grad_f`."""
         x, p = self._symbols()
-        gradient = sum((p[i] * (_dm(H) @ x) for i, H in enumerate(self.H)), start=ca.MX.zeros(self.variables))
+        gradient = sum((p[i] * (to_casadi(H) @ x) for i, H in enumerate(self.H)), start=ca.MX.zeros(self.variables))
         for block in self.costs:
             for part in _derivative(block, x, p, p[_flat(block.rows)]):
                 gradient += _sum_into(part.row, part.coefficient, part.source, part.values, self.variables)
@@ -165,12 +218,12 @@ class Program:
         return ca.dot(p[: len(self.H)], self._terms(x, p))
 
     def _terms(self, x: ca.MX, p: ca.MX) -> ca.MX:
-        squares = ca.vertcat(*(ca.dot(x, _dm(H) @ x) / 2 for H in self.H))
+        squares = ca.vertcat(*(ca.dot(x, to_casadi(H) @ x) / 2 for H in self.H))
         return sum((_put(block, x, _results(block, x, p), len(self.H)) for block in self.costs), start=squares)
 
     def _residual(self, x: ca.MX, results: Sequence[ca.MX]) -> ca.MX:
         put = (_put(block, x, values, self.constraints) for block, values in zip(self.blocks, results, strict=True))
-        return sum(put, start=_dm(self.A) @ x)
+        return sum(put, start=to_casadi(self.A) @ x)
 
 
 # --- a block and its derivatives -----------------------------------------------------------------------------------
@@ -190,7 +243,8 @@ def _put(block: Block, x: ca.MX, results: ca.MX, size: int) -> ca.MX:
 
 def _arguments(block: Block, x: ca.MX, p: ca.MX) -> list[ca.MX]:
     parts = [
-        ca.reshape(x[_flat(c)] if isinstance(c, np.ndarray) else _dm(c) @ x, -1, block.places) for c in block.columns
+        ca.reshape(x[_flat(part)] if isinstance(part, np.ndarray) else to_casadi(part) @ x, -1, block.places)
+        for part in block.columns
     ]
     if block.parameters.size:
         parts.append(ca.repmat(p[block.parameters.tolist()], 1, block.places))
@@ -308,6 +362,12 @@ def _makings(block: Block, part: int, entries: Indices) -> tuple[Indices, Indice
     return which, rows.indices[at].astype(np.int64), rows.data[at]
 
 
+def _take_places(part: Matrix, chosen: Indices, places: int) -> Matrix:
+    """Take the rows of some places."""
+    size = part.shape[0] // places
+    return sparse.csr_array(part)[(chosen[:, None] * size + np.arange(size)).ravel()].tocsc()
+
+
 # --- matrices ------------------------------------------------------------------------------------------------------
 
 
@@ -332,7 +392,7 @@ def _weighted(matrices: Sequence[Matrix], weights: ca.MX) -> _Triplets:
 
 def _sum_into(row: Indices, coefficient: Array, source: Indices, values: ca.MX, size: int) -> ca.MX:
     """Give the vector of which each entry is the sum of coefficient * values[source] of its row."""
-    return _dm(sparse.coo_array((coefficient, (row, source)), shape=(size, values.numel())).tocsc()) @ values
+    return to_casadi(sparse.coo_array((coefficient, (row, source)), shape=(size, values.numel())).tocsc()) @ values
 
 
 def _assemble(shape: tuple[int, int], parts: Sequence[_Triplets]) -> ca.MX:
@@ -352,5 +412,6 @@ def _assemble(shape: tuple[int, int], parts: Sequence[_Triplets]) -> ca.MX:
     return ca.MX(pattern, _sum_into(nonzero, coefficient, source, values, len(places)))
 
 
-def _dm(matrix: Matrix) -> ca.DM:
+def to_casadi(matrix: Matrix) -> ca.DM:
+    """Give a sparse matrix as CasADi's."""
     return ca.DM(ca.Sparsity(*matrix.shape, matrix.indptr.tolist(), matrix.indices.tolist()), matrix.data)

@@ -63,9 +63,9 @@ def build(family: Family, degree: int) -> Scheme:
         degree=degree,
         points=points,
         D=_differentiation(nodes)[1:],
-        end=_values(nodes, 1.0),
-        end_of_points=_values(points, 1.0),
-        start_of_points=_values(points, 0.0),
+        end=read_basis(nodes, 1.0),
+        end_of_points=read_basis(points, 1.0),
+        start_of_points=read_basis(points, 0.0),
         weights=_weights(points),
     )
 
@@ -94,8 +94,8 @@ def _differentiation(nodes: Array) -> Array:
     return np.asarray(D)
 
 
-def _values(nodes: Array, s: float) -> Array:
-    """Evaluate the basis at s; at a node the row is exactly a unit vector."""
+def read_basis(nodes: Array, s: float) -> Array:
+    """Evaluate the basis polynomials of some nodes at s; at a node the row is exactly a unit vector."""
     if s in nodes:
         return np.asarray((nodes == s).astype(np.float64))
     terms = _barycentric(nodes) / (s - nodes)

@@ -20,7 +20,7 @@ from mbsrun.ocp.guess import Pose, adapt, make_guess
 from mbsrun.ocp.methods import METHODS, Order, read_status
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem, SolverOptions
-from mbsrun.ocp.program import Program
+from mbsrun.ocp.program import NonlinearProgram
 from mbsrun.ocp.solution import CostTerms, Failure, Run, Size, Solution, Violation
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.ocp.transcription import structure, transcribe
@@ -199,7 +199,7 @@ def solve(
 class _Callback(ca.Callback):
     """Tells a watch of every iteration."""
 
-    def __init__(self, program: Program, scale: float) -> None:
+    def __init__(self, program: NonlinearProgram, scale: float) -> None:
         """Make it for a program, of which the solver sees the cost times `scale`."""
         super().__init__()
         variables, constraints = program.variables, program.constraints

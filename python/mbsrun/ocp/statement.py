@@ -31,6 +31,7 @@ from mbsgen.documents import (
 from mbsgen.errors import Fault, InputError
 from mbsgen.expressions import CONSTANTS, FLOATS, FUNCTIONS, Expression, ExpressionError, Number, evaluate, names, parse
 from mbsgen.manifest import Manifest
+from mbsrun.ocp.integrators import IntegratorName
 from mbsrun.ocp.methods import METHODS, Amount
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import (
@@ -47,11 +48,13 @@ from mbsrun.ocp.problem import (
     SolverOptions,
     Term,
     cylindrical,
+    find_conflicts,
 )
 from mbsrun.ocp.quantities import list_quantities
 from mbsrun.ocp.schemes import DEGREES, Family
 
 MAX_INTERVALS = 10_000
+MAX_STEPS = 100  # of an integrator in an interval
 MAX_EXPRESSIONS = 100  # of one kind
 
 T = TypeVar("T")
@@ -229,6 +232,8 @@ class _ProblemSection(Section):
     degree: int = Field(ge=DEGREES[0], le=DEGREES[-1], examples=[4])
     representation: Representation = Field(default=Problem.representation, examples=["IMPL"])
     form: Form = Field(default=Problem.form, examples=["standard"])
+    integrator: IntegratorName = Field(default=Problem.integrator, examples=["rk4"])
+    steps: int = Field(default=Problem.steps, ge=1, le=MAX_STEPS, examples=[1])
     cost: _CostSection = Field(examples=[{"inputs": 1.0}])
     start: _StartSection = Field(examples=[{"pose": {}}])
     bounds: _BoundsSection = Field(default=_BoundsSection(), examples=[{}])
@@ -284,15 +289,7 @@ class _Reading:
         start_qd, free_qd = self.start("velocity", section.start.velocity, bounds.qd)
         cost, end = self.cost(section.cost), self.end(section.end, bounds)
         constraints = tuple(self.constraint(i, part) for i, part in enumerate(section.constraints))
-        if section.form is Form.INTEGRAL and section.representation.is_ode:
-            self.fault(
-                ("form",), f"{section.representation.value} has no accelerations to integrate", "take EXP1-A or IMPL"
-            )
-        if section.form is Form.INTEGRAL and horizon_range is not None:
-            self.fault(
-                ("form",), "the integral form needs a horizon that is given", "take standard, or give the horizon"
-            )
-        return Problem(
+        problem = Problem(
             name=name,
             horizon=horizon,
             intervals=section.intervals,
@@ -300,6 +297,8 @@ class _Reading:
             degree=section.degree,
             representation=section.representation,
             form=section.form,
+            integrator=section.integrator,
+            steps=section.steps,
             cost=cost,
             start_q=start_q,
             start_qd=start_qd,
@@ -313,6 +312,9 @@ class _Reading:
             accuracy=self.number(("accuracy",), section.accuracy, least=math.ulp(0)),
             solver=self.solver(section.solver),
         )
+        for conflict in find_conflicts(problem):
+            self.fault((conflict.key,), conflict.finding, conflict.remedy)
+        return problem
 
     def horizon(self, section: Expression | _HorizonSection) -> tuple[float, Range | None]:
         """Give the horizon, or the guess of it and its range."""

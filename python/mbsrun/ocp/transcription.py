@@ -1,4 +1,4 @@
-"""Direct collocation: Problem and plant -> sparse nonlinear program.
+"""Direct collocation and multiple shooting: Problem and plant -> sparse nonlinear program.
 
 Variables are as `layout` says. Constraints, interval by interval:
 
@@ -10,7 +10,8 @@ Variables are as `layout` says. Constraints, interval by interval:
 
 for a residual; where the equations of motion are explicit, the third is z_kj - gamma(q_kj, qd_kj, u_k) = 0, or gamma
 takes the place of z_kj in the second, and of z(T). (Docquier, Bruls, Fisette, eqs. 5, 15, 22-27.) In the integral form
-the second is solved, and states at the points are bounded by rows of their own where they have bounds.
+the second is solved, and states at the points are bounded by rows of their own where they have bounds. Shooting is the
+integral form of any Runge-Kutta method, with its third solved as well: see `condensation`.
 
 A constraint along the path holds at all collocation points, and if it speaks of states alone, which do not jump there,
 at all mesh points: with Radau points these are among them, and a start that is given is as it is.
@@ -26,14 +27,16 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy import sparse
 
 from mbsgen.expressions import names, parse
-from mbsrun.ocp import schemes
-from mbsrun.ocp.layout import Layout, Places, at_mesh, at_points, integrals, lay_out
+from mbsrun.ocp import integrators, schemes
+from mbsrun.ocp.condensation import Condensed, condense
+from mbsrun.ocp.integrators import Integrator, IntegratorName
+from mbsrun.ocp.layout import Entries, Layout, Places, at_mesh, at_points, at_stages, lay_out, read_motion
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Form, Problem, Representation
+from mbsrun.ocp.problem import Form, Problem, Representation, find_conflicts
 from mbsrun.ocp.program import Block, Indices, Matrix, Program
 from mbsrun.ocp.quantities import Quantity, formulate, list_quantities
 from mbsrun.ocp.schemes import Family, Scheme
@@ -52,7 +55,9 @@ class Structure:
     degree: int
     representation: Representation
     form: Form
-    bounded: tuple[int, ...]  # indices into (q, qd) of states whose bounds are constraints: in the integral form
+    integrator: IntegratorName
+    steps: int
+    bounded: tuple[int, ...]  # indices into (q, qd) of states whose bounds are constraints: where points have no states
     start_is_free: bool
     running: tuple[str, ...]  # expressions
     terminal: tuple[str, ...]
@@ -72,10 +77,10 @@ class Rows:
     """Where each constraint lies."""
 
     start: Indices  # (2 n,)
-    states: Indices  # (N, d, 2 n); (N, d, 0) in the integral form
-    dynamics: Indices  # (N, d, n): those of the states that hold the equations of motion, for an ODE
+    states: Indices  # (N, S, 2 n); (N, S, 0) in the integral form
+    dynamics: Indices  # (N, S, n): those of the states that hold the equations of motion, for an ODE
     continuity: Indices  # (N, 2 n)
-    inner: Indices  # (N, points, bounded states): in the integral form
+    inner: Indices  # (N, points, bounded states): where points have no states
     sensors: Indices  # (targets, 3)
     coordinates: Indices  # (targets,)
     velocity: Indices  # (n,), or empty
@@ -89,13 +94,17 @@ class Rows:
 
 @dataclass(frozen=True)
 class Transcription:
-    """A program, and how problems go into it and trajectories come out."""
+    """A program, and how problems go into it and trajectories come out.
+
+    Layout and rows are those before unknowns are condensed out of the program, where they are.
+    """
 
     structure: Structure
     scheme: Scheme
+    integrator: Integrator
     layout: Layout
     rows: Rows
-    program: Program
+    program: Program | Condensed
 
     def parameters(self, problem: Problem) -> Array:
         """Give the parameters of the program: weights, constants."""
@@ -113,6 +122,8 @@ class Transcription:
             lower[index], upper[index] = bounds.T
         if problem.horizon_range is not None:
             lower[self.layout.horizon], upper[self.layout.horizon] = problem.horizon_range
+        if isinstance(self.program, Condensed):
+            return lower[self.program.kept], upper[self.program.kept]
         return lower, upper
 
     def constraint_bounds(self, problem: Problem) -> tuple[Array, Array]:
@@ -135,6 +146,8 @@ class Transcription:
         lower[rows.inner], upper[rows.inner] = states.T
         for row, constraint in zip(rows.constraints, problem.constraints, strict=True):
             lower[row], upper[row] = constraint.range
+        if isinstance(self.program, Condensed):
+            return lower[self.program.kept_rows], upper[self.program.kept_rows]
         return lower, upper
 
     def cost_terms(self, problem: Problem, x: Array) -> tuple[tuple[str, float], ...]:
@@ -144,46 +157,39 @@ class Transcription:
 
     def pack(self, trajectory: Trajectory) -> Array:
         """Put a trajectory on this grid into the variables."""
-        x, layout = np.empty(self.layout.size), self.layout
+        x, layout = np.zeros(self.layout.size), self.layout
         x[layout.mesh] = np.concatenate((trajectory.q, trajectory.qd), axis=1)
         if layout.points.size:
             x[layout.points] = np.concatenate((trajectory.point_q, trajectory.point_qd), axis=2)
-        if layout.accelerations.size:
-            x[layout.accelerations] = trajectory.point_qdd
         x[layout.inputs] = trajectory.u
         if layout.horizon is not None:
             x[layout.horizon] = trajectory.t[-1]
+        if isinstance(self.program, Condensed):
+            return np.asarray(x[self.program.kept])
+        if layout.accelerations.size:
+            x[layout.accelerations] = trajectory.point_qdd
         return x
 
     def unpack(self, x: Array) -> Trajectory:
-        """Read a trajectory out of the variables."""
+        """Read a trajectory out of the variables. Raises ValueError where condensed equations have no solution."""
         layout, n = self.layout, self.layout.n
+        if isinstance(self.program, Condensed):
+            x = self.program.complete(x)
         fixed = self.structure.horizon
         t, point_t = grid(
             float(x[layout.horizon]) if fixed is None else fixed, self.structure.intervals, self.scheme.points
         )
-        mesh = x[layout.mesh]
+        mesh, h = x[layout.mesh], t[1] - t[0]
         if layout.points.size:
             points = x[layout.points]
-        else:
-            shape = layout.accelerations.shape
-            parts = [(part @ x).reshape(shape) for part in integrals(layout, self.scheme, t[1] - t[0])]
-            points = np.concatenate(parts, axis=2)
-        if layout.accelerations.size:
-            accelerations = x[layout.accelerations]
-        else:
             nodes = np.concatenate((mesh[:-1, None], points), axis=1)
-            accelerations = self.scheme.D @ nodes[:, :, n:] / (t[1] - t[0])
-        return Trajectory(
-            t=t,
-            q=mesh[:, :n],
-            qd=mesh[:, n:],
-            u=x[layout.inputs],
-            point_t=point_t,
-            point_q=points[:, :, :n],
-            point_qd=points[:, :, n:],
-            point_qdd=accelerations,
-        )
+            has_accelerations = layout.accelerations.size > 0
+            q, qd = points[:, :, :n], points[:, :, n:]
+            qdd = x[layout.accelerations] if has_accelerations else self.scheme.D @ nodes[:, :, n:] / h
+        else:
+            motion = read_motion(layout, self.integrator.points, h)
+            q, qd, qdd = ((part @ x).reshape(*point_t.shape, n) for part in (motion.q, motion.qd, motion.qdd))
+        return Trajectory(t, mesh[:, :n], mesh[:, n:], x[layout.inputs], point_t, q, qd, qdd)
 
 
 def structure(problem: Problem) -> Structure:
@@ -198,7 +204,9 @@ def structure(problem: Problem) -> Structure:
         degree=problem.degree,
         representation=problem.representation,
         form=problem.form,
-        bounded=tuple(bounded) if problem.form is Form.INTEGRAL else (),
+        integrator=problem.integrator,
+        steps=problem.steps,
+        bounded=() if problem.form is Form.STANDARD else tuple(bounded),
         start_is_free=bool(problem.free_start),
         running=tuple(term.expression for term in cost.running),
         terminal=tuple(term.expression for term in cost.terminal),
@@ -215,7 +223,12 @@ def structure(problem: Problem) -> Structure:
 
 
 def transcribe(problem: Problem, plant: Plant) -> Transcription:
-    """Build the program of a problem; of start, targets, weights, constants and bounds no value enters it."""
+    """Build the program of a problem; of start, targets, weights, constants and bounds no value enters it.
+
+    Raises ValueError where what is asked for does not go together.
+    """
+    for conflict in find_conflicts(problem):
+        raise ValueError(f"{conflict.key}: {conflict.finding}")
     return _Writer(structure(problem), plant).write()
 
 
@@ -225,14 +238,19 @@ class _Writer:
     def __init__(self, shape: Structure, plant: Plant) -> None:
         self.shape, self.plant = shape, plant
         self.scheme = schemes.build(shape.family, shape.degree)
-        n, m = len(plant.manifest.coordinates), len(plant.manifest.actuated)
-        is_free = shape.horizon is None
-        if shape.form is Form.INTEGRAL and (is_free or shape.representation.is_ode):
-            raise ValueError("the integral form is for horizons that are fixed, and accelerations that are variables")
-        self.layout = lay_out(n, m, shape.intervals, shape.degree, shape.representation, shape.form, is_free)
+        self.integrator = integrators.build(shape.integrator, self.scheme, shape.steps)
+        self.layout = lay_out(
+            len(plant.manifest.coordinates),
+            len(plant.manifest.actuated),
+            shape.intervals,
+            len(self.integrator.stages.c),
+            has_states=shape.form is Form.STANDARD,
+            has_accelerations=shape.form is not Form.STANDARD or not shape.representation.is_ode,
+            horizon_is_free=shape.horizon is None,
+        )
         self.h = (1.0 if shape.horizon is None else shape.horizon) / shape.intervals  # times T, where that is free
-        self.points = at_points(self.layout, self.scheme, self.h)
-        self.A = _Entries()
+        self.points = at_points(self.layout, self.integrator, self.h)
+        self.A = Entries()
         self.blocks: list[Block] = []
         self.size = 0
         self.weights = 2 + len(shape.running) + len(shape.terminal)
@@ -264,29 +282,37 @@ class _Writer:
         H, costs = self.write_cost()
         A = self.A.matrix((self.size, self.layout.size))
         program = Program(A, H, tuple(self.blocks), costs, len(self.shape.constants))
-        return Transcription(self.shape, self.scheme, self.layout, rows, program)
+        chosen = self.condense(program, rows) if shape.form is Form.SHOOTING else program
+        return Transcription(self.shape, self.scheme, self.integrator, self.layout, rows, chosen)
 
     def take(self, *shape: int) -> Indices:
         """Number some rows."""
         first, self.size = self.size, self.size + int(np.prod(shape))
         return np.arange(first, self.size).reshape(shape)
 
+    def condense(self, program: Program, rows: Rows) -> Condensed:
+        """Solve the equations of motion for the accelerations, interval by interval."""
+        layout = self.layout
+        knowns = np.concatenate((layout.mesh[:-1], layout.inputs), axis=1)
+        is_triangular = self.integrator.is_explicit
+        return condense(program, layout.accelerations, rows.dynamics, knowns, is_triangular=is_triangular)
+
     # --- the motion ---
 
     def write_collocation(self) -> tuple[Indices, Indices, Indices]:
         """Write the equations of motion, and what ties states to each other; give its rows."""
         layout, n = self.layout, self.layout.n
-        N, d, width = layout.points.shape
-        at_point = width + n * (not self.shape.representation.is_ode)
-        interval = self.take(N, d * at_point + 2 * n)
-        points, continuity = interval[:, : d * at_point].reshape(N, d, at_point), interval[:, d * at_point :]
-        states, dynamics = points[:, :, :width], points[:, :, -n:]
+        N, S, width = layout.points.shape
+        at_stage = width + (n if layout.accelerations.size else 0)
+        interval = self.take(N, S * at_stage + 2 * n)
+        stages, continuity = interval[:, : S * at_stage].reshape(N, S, at_stage), interval[:, S * at_stage :]
+        states, dynamics = stages[:, :, :width], stages[:, :, -n:]
         self.A.put(continuity, layout.mesh[1:], 1.0)
         if self.shape.form is Form.STANDARD:
             self.write_states_at_points(states, continuity)
         else:
             self.write_integrals(continuity)
-        self.write_dynamics(dynamics.reshape(N * d, n).T)
+        self.write_dynamics(dynamics.reshape(N * S, n).T)
         return states, dynamics, continuity
 
     def write_inner_bounds(self) -> Indices:
@@ -314,13 +340,12 @@ class _Writer:
 
     def write_integrals(self, continuity: Indices) -> None:
         """Read the states at the interval's end off those at its start and the accelerations."""
-        layout, n, h = self.layout, self.layout.n, self.h
-        end, A = self.scheme.end[1:], self.scheme.integration
+        layout, n, h, end = self.layout, self.layout.n, self.h, self.integrator.ends
         self.A.put(continuity, layout.mesh[:-1], -1.0)
-        self.A.put(continuity[:, :n], layout.mesh[:-1, n:], -h * end @ self.scheme.points)
-        for j in range(self.scheme.degree):
-            self.A.put(continuity[:, :n], layout.accelerations[:, j], -(h**2) * (end @ A @ A)[j])
-            self.A.put(continuity[:, n:], layout.accelerations[:, j], -h * (end @ A)[j])
+        self.A.put(continuity[:, :n], layout.mesh[:-1, n:], -h)
+        for j in range(len(self.integrator.stages.c)):
+            self.A.put(continuity[:, :n], layout.accelerations[:, j], -(h**2) * end.P[1, j])
+            self.A.put(continuity[:, n:], layout.accelerations[:, j], -h * end.V[1, j])
 
     def write_rates(self, rows: Indices, rates: Indices) -> None:
         """Write -h times what the states' derivatives are, where that is a variable."""
@@ -333,16 +358,17 @@ class _Writer:
         self.blocks.append(Block(identity, (columns,), placed, scale=-self.h, factor=self.layout.horizon))
 
     def write_dynamics(self, rows: Indices) -> None:
-        """Apply the kernel at every collocation point."""
-        representation, places = self.shape.representation, self.points
+        """Apply the kernel at every stage."""
+        representation, layout = self.shape.representation, self.layout
+        places = at_stages(layout, self.integrator, self.h)
         kernel = self.plant.casadi(representation.kernel)
         explicit = (places.q, places.qd, places.u)
         if not representation.is_explicit:
             self.blocks.append(Block(kernel, (places.q, places.qd, places.qdd, places.u), rows))
-        elif representation.is_ode:
-            self.blocks.append(Block(kernel, explicit, rows, scale=-self.h, factor=self.layout.horizon))
+        elif not layout.accelerations.size:
+            self.blocks.append(Block(kernel, explicit, rows, scale=-self.h, factor=layout.horizon))
         else:
-            self.A.put(rows.T.reshape(self.layout.accelerations.shape), self.layout.accelerations, 1.0)
+            self.A.put(rows.T.reshape(layout.accelerations.shape), layout.accelerations, 1.0)
             self.blocks.append(Block(kernel, explicit, rows, scale=-1.0))
 
     # --- what is asked for ---
@@ -386,7 +412,7 @@ class _Writer:
         rows: list[list[Indices]] = [[] for _ in shape.constraints]
         for chosen, places in (
             (on_path, self.points),
-            (of_states, at_mesh(self.layout, self.scheme, path_mesh)),
+            (of_states, at_mesh(self.layout, self.integrator, path_mesh)),
             ([i for i, (_, at) in enumerate(shape.constraints) if at == "start"], self.mesh_point(0)),
             ([i for i, (_, at) in enumerate(shape.constraints) if at == "end"], self.mesh_point(N)),
         ):
@@ -398,7 +424,7 @@ class _Writer:
         return tuple(np.concatenate(parts) for parts in rows)
 
     def mesh_point(self, k: int) -> Places:
-        return at_mesh(self.layout, self.scheme, [k])
+        return at_mesh(self.layout, self.integrator, [k])
 
     def apply(self, texts: Sequence[str], places: Places, rows: Indices, scale: Array | float = 1.0) -> Block:
         """Apply expressions at some places."""
@@ -469,14 +495,14 @@ def _find_sensor(plant: Plant, name: str) -> int:
 
 def _input_cost(layout: Layout, h: float) -> Matrix:
     """Hessian of the integral of |u|^2."""
-    H = _Entries()
+    H = Entries()
     H.put(layout.inputs, layout.inputs, 2 * h)
     return H.matrix((layout.size, layout.size))
 
 
 def _rate_cost(layout: Layout, h: float) -> Matrix:
     """Hessian of the sum over the N - 1 steps of h |(u_(k+1) - u_k) / h|^2."""
-    H = _Entries()
+    H = Entries()
     before, after = layout.inputs[:-1], layout.inputs[1:]
     for row in (before, after):
         for col in (before, after):
@@ -501,26 +527,3 @@ def _input_costs(layout: Layout, horizon: int) -> list[Block]:
     columns = (layout.inputs[:-1].T, layout.inputs[1:].T, np.full((1, N - 1), horizon))
     rates = Block(ca.Function("rates", [before, u, T], [rate]), columns, np.ones((1, N - 1), dtype=np.int64))
     return [inputs, rates]
-
-
-class _Entries:
-    """Entries of a sparse matrix, collected; exact zeros are left out, entries of one place are summed."""
-
-    def __init__(self) -> None:
-        self.parts: list[tuple[Indices, Indices, Array]] = []
-
-    def put(self, row: ArrayLike, col: ArrayLike, value: ArrayLike) -> None:
-        row, col, values = np.broadcast_arrays(row, col, np.asarray(value, dtype=np.float64))
-        kept = values.ravel() != 0.0
-        self.parts.append((row.ravel()[kept], col.ravel()[kept], values.ravel()[kept]))
-
-    def put_matrix(self, rows: Indices, matrix: sparse.csr_array) -> None:
-        """Put a matrix with rows of its own."""
-        coo = matrix.tocoo()
-        self.put(rows[coo.coords[0]], coo.coords[1], coo.data)
-
-    def matrix(self, shape: tuple[int, int]) -> Matrix:
-        row, col, value = (np.concatenate(part) for part in zip(*self.parts, strict=True))
-        matrix = sparse.coo_array((value, (row, col)), shape=shape).tocsc()
-        matrix.sum_duplicates()
-        return matrix

@@ -1,0 +1,143 @@
+"""Runge-Kutta methods over an interval, for equations of second order: what accelerations at stages say of a motion.
+
+With z the accelerations at the stages, states are linear in z wherever they are read, c being the time over the
+length h of the interval:
+
+    qd = qd_0 + h V z,    q = q_0 + h c qd_0 + h^2 P z,    qdd = W z
+
+At the stages V is the method's matrix A, P is A A. In between a collocation is read off its polynomials, the classical
+method of order 4 by its continuous extension of order 3: Hairer, Norsett, Wanner, "Solving ordinary differential
+equations I", section II.6. Several steps in an interval are one method with more stages.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsrun.ocp.schemes import Scheme, read_basis
+
+Array = NDArray[np.float64]
+IntegratorName = Literal["collocation", "rk4"]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How a motion is read at k places of an interval, from the accelerations at S stages."""
+
+    c: Array  # (k,): time, over the interval's length
+    V: Array  # (k, S)
+    P: Array  # (k, S)
+    W: Array  # (k, S)
+
+    @property
+    def are_stages(self) -> bool:
+        """Tell whether the places are the stages themselves."""
+        return np.array_equal(self.W, np.eye(len(self.W)))
+
+
+@dataclass(frozen=True)
+class Integrator:
+    """A method over an interval, and where its motion is read."""
+
+    stages: Reading
+    points: Reading  # the points of a scheme
+    ends: Reading  # the interval's start and end
+
+    @property
+    def is_explicit(self) -> bool:
+        """Tell whether each stage follows from those before it."""
+        return not np.triu(self.stages.V).any()
+
+
+def collocate(scheme: Scheme) -> Integrator:
+    """Give the method of a scheme: Gauss, or Radau IIA."""
+    return build("collocation", scheme, 1)
+
+
+def build(name: IntegratorName, scheme: Scheme, steps: int) -> Integrator:
+    """Give a method that takes `steps` of equal length over an interval, to be read at the points of a scheme."""
+    step: _Step = _Classical() if name == "rk4" else _Collocation(scheme)
+    whole = _Composition(step, steps)
+    stages = [whole.stage(i, j) for i in range(steps) for j in range(len(step.c))]
+    return Integrator(
+        stages=_stack(stages),
+        points=_stack([whole.read(c) for c in scheme.points]),
+        ends=_stack([whole.read(0.0), whole.read(1.0)]),
+    )
+
+
+class _Step(Protocol):
+    """One step of length 1."""
+
+    @property
+    def c(self) -> Array: ...
+
+    @property
+    def A(self) -> Array: ...
+
+    def read(self, c: float) -> tuple[Array, Array]:
+        """Give the rows of V and W at any c in [0, 1]."""
+
+
+class _Collocation:
+    def __init__(self, scheme: Scheme) -> None:
+        self.c, self.A = scheme.points, scheme.integration
+
+    def read(self, c: float) -> tuple[Array, Array]:
+        with_start = read_basis(np.concatenate(([0.0], self.c)), c)
+        return with_start[1:] @ self.A, read_basis(self.c, c)
+
+
+class _Classical:
+    """Runge and Kutta's method of order 4."""
+
+    c = np.array([0.0, 0.5, 0.5, 1.0])
+    A = np.array([[0.0, 0, 0, 0], [0.5, 0, 0, 0], [0, 0.5, 0, 0], [0, 0, 1, 0]])
+
+    def read(self, c: float) -> tuple[Array, Array]:
+        first, last = np.polynomial.Polynomial([0, 1, -3 / 2, 2 / 3]), np.polynomial.Polynomial([0, 0, -1 / 2, 2 / 3])
+        middle = np.polynomial.Polynomial([0, 0, 1, -2 / 3])
+        weights = (first, middle, middle, last)
+        return np.array([b(c) for b in weights]), np.array([b.deriv()(c) for b in weights])
+
+
+class _Composition:
+    """Equal steps one after the other, over an interval of length 1."""
+
+    def __init__(self, step: _Step, steps: int) -> None:
+        self.step, self.steps, self.size = step, steps, len(step.c)
+
+    def stage(self, i: int, j: int) -> tuple[float, Array, Array, Array]:
+        """Read stage j of step i."""
+        return self._place(i, float(self.step.c[j]), self.step.A[j], np.eye(self.size)[j])
+
+    def read(self, c: float) -> tuple[float, Array, Array, Array]:
+        """Read the motion at c; where two steps meet, off the one before."""
+        i = int(np.clip(np.ceil(c * self.steps - 1e-12) - 1, 0, self.steps - 1))
+        local = c * self.steps - i
+        return self._place(i, local, *self.step.read(local))
+
+    def _place(self, i: int, local: float, v: Array, w: Array) -> tuple[float, Array, Array, Array]:
+        """Give c and rows of V, P and W at a place of step i, where the step's own rows are v and w."""
+        A, length = self.step.A, 1 / self.steps
+        b, _ = self.step.read(1.0)
+        V, P, W = np.zeros((3, self.steps, self.size))
+        for k in range(i):  # what the start of step i has of those before
+            P += length * V
+            P[k] += length**2 * b @ A
+            V[k] += length * b
+        P += length * local * V
+        P[i] += length**2 * v @ A
+        V[i] += length * v
+        W[i] = w
+        return (i + local) * length, V.ravel(), P.ravel(), W.ravel()
+
+
+def _stack(places: Sequence[tuple[float, Array, Array, Array]]) -> Reading:
+    c, V, P, W = zip(*places, strict=True)
+    return Reading(np.array(c), np.stack(V), np.stack(P), np.stack(W))

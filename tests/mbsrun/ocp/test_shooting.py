@@ -1,0 +1,228 @@
+"""Multiple shooting: integrators against other hands', optima against collocation's, derivatives, failures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from mbsrun.ocp import integrators, schemes
+from mbsrun.ocp.guess import interpolate
+from mbsrun.ocp.problem import Bounds, Cost, End, Form, Problem, Representation, Term, cylindrical
+from mbsrun.ocp.resimulation import integrate, resimulate
+from mbsrun.ocp.schemes import Family
+from mbsrun.ocp.solution import Failure, Solution
+from mbsrun.ocp.solve import Solver, solve
+from mbsrun.ocp.transcription import transcribe
+from tests.mbsrun.ocp.test_optima import FREE_RANGE, pendulum
+from tests.mbsrun.ocp.test_pitfalls import cart_pole, swing_up, unstable
+from tests.mbsrun.ocp.test_solve import push
+from tests.mbsrun.ocp.test_transcription import check_derivatives, rich
+from tests.mbsrun.peer import Peer, double_integrator, explicit_functions, residual_function
+
+EXPLICIT = {"representation": Representation.EXP1_O, "integrator": "rk4"}
+
+
+@pytest.fixture(scope="module")
+def plant() -> Peer:
+    """The cart and pole, with accelerations too."""
+    bare = cart_pole()
+    return bare.with_functions(explicit_functions(bare.casadi("impl")))
+
+
+def shot(problem: Problem, **changes: Any) -> Problem:
+    return replace(problem, form=Form.SHOOTING, **changes)
+
+
+def optimum(problem: Problem, plant: Peer) -> Solution:
+    outcome = solve(problem, plant)
+    assert isinstance(outcome, Solution)
+    return outcome
+
+
+# --- integrators ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("steps", [1, 3])
+@pytest.mark.parametrize("family", Family)
+def test_polynomials_are_read_exactly_everywhere(family: Family, steps: int) -> None:
+    """Accelerations t^(d-2) at the stages: what follows at stages, points and ends is the polynomial's."""
+    d = 4
+    scheme = schemes.build(family, d)
+    method = integrators.build("collocation", scheme, steps)
+    z = method.stages.c ** (d - 2)
+    assert method.points.c == pytest.approx(scheme.points, abs=1e-15)
+    for place in (method.stages, method.points, method.ends):
+        assert place.V @ z == pytest.approx(place.c ** (d - 1) / (d - 1), abs=1e-14)
+        assert place.P @ z == pytest.approx(place.c**d / (d * (d - 1)), abs=1e-14)
+        assert place.W @ z == pytest.approx(place.c ** (d - 2), abs=1e-13)
+
+
+def rk4(plant: Peer, x: np.ndarray, u: np.ndarray, length: float, steps: int) -> np.ndarray:
+    """The textbook's loop, on states (q, qd)."""
+    h = length / steps
+
+    def rate(x: np.ndarray) -> np.ndarray:
+        q, qd = np.split(x, 2)
+        return np.concatenate((qd, plant("exp1", q=q, qd=qd, u=u)["qdd"]))
+
+    for _ in range(steps):
+        k1 = rate(x)
+        k2 = rate(x + h / 2 * k1)
+        k3 = rate(x + h / 2 * k2)
+        k4 = rate(x + h * k3)
+        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return x
+
+
+def test_rows_of_rk4_are_the_textbooks(plant: Peer) -> None:
+    """x_(k+1) - F(x_k, u_k) at random variables; in between, states are those of the continuous extension."""
+    problem = shot(swing_up(5, 4), horizon=0.2, **EXPLICIT, steps=3)
+    transcription = transcribe(problem, plant)
+    rng = np.random.default_rng(0)
+    x = rng.uniform(-1, 1, transcription.program.variables)
+    motion = transcription.unpack(x)
+    g = transcription.program.constraint(x, transcription.parameters(problem)).full().ravel()
+    states = np.concatenate((motion.q, motion.qd), axis=1)
+    gaps = [states[k + 1] - rk4(plant, states[k], motion.u[k], 0.04, 3) for k in range(5)]
+    first = int(np.flatnonzero(np.isin(transcription.program.kept_rows, transcription.rows.continuity[0, 0]))[0])
+    assert g[first : first + 20] == pytest.approx(np.ravel(gaps), abs=1e-13)
+    exact = integrate(plant, states[:1], motion.u[:1], float(motion.point_t[0, 1]))
+    assert exact is not None
+    between = np.concatenate((motion.point_q[0, 1], motion.point_qd[0, 1]))
+    assert between == pytest.approx(exact[0], abs=1e-5)
+
+
+# --- derivatives ---------------------------------------------------------------------------------------------------
+
+
+def test_derivatives_of_shooting_equal_casadis(arm: Peer, reach: Problem) -> None:
+    """Of everything that a problem can ask for, by RK4; CasADi differentiates each of its stages instead."""
+    problem = rich(reach, Representation.EXP1_O, Family.RADAU, False)
+    check_derivatives(shot(problem, horizon=0.15, **EXPLICIT), arm)
+
+
+def test_derivatives_through_newtons_method_equal_casadis(plant: Peer) -> None:
+    """By the implicit function theorem, two steps in an interval; CasADi differentiates each iteration."""
+    problem = replace(swing_up(3, 2), cost=Cost(1.0, running=(Term("sin(q_pole)*qdd_cart", 0.5),)))
+    check_derivatives(shot(problem, steps=2), plant)
+
+
+# --- optima --------------------------------------------------------------------------------------------------------
+
+
+def test_shooting_by_the_schemes_own_method_is_collocation(arm: Peer, reach: Problem) -> None:
+    """Nothing but the unknowns differs: 10 (12 + 4) + 12 of them, and the same optimum from the same guess."""
+    near = replace(reach.with_target("hand", cylindrical(0.65, 0.05, 0.0)), intervals=10, degree=3)
+    expected, found = optimum(near, arm), optimum(shot(near), arm)
+    assert found.size.variables == 172
+    assert found.cost.total == pytest.approx(expected.cost.total, rel=1e-9)
+    assert found.trajectory.point_q == pytest.approx(expected.trajectory.point_q, abs=1e-8)
+    assert found.trajectory.point_qdd == pytest.approx(expected.trajectory.point_qdd, abs=1e-6)
+
+
+@pytest.mark.parametrize("family", Family)
+def test_bounds_and_running_costs_are_those_of_collocation(plant: Peer, family: Family) -> None:
+    """Held and summed at the points, though these are no variables; the cart's bound is active there."""
+    problem = replace(swing_up(20, 3), family=family, cost=Cost(1.0, running=(Term("qdd_cart**2", 0.01),)))
+    problem = replace(problem, bounds=replace(problem.bounds, q=((-0.2, 1.05), problem.bounds.q[1])))
+    expected = optimum(problem, plant)
+    found = solve(shot(problem), plant, guess=expected.trajectory)
+    assert isinstance(found, Solution)
+    assert found.cost.total == pytest.approx(expected.cost.total, rel=1e-8)
+    assert found.trajectory.point_q == pytest.approx(expected.trajectory.point_q, abs=1e-6)
+    assert found.trajectory.point_q[..., 0].max() == pytest.approx(1.05, abs=1e-6)
+
+
+def test_order_of_rk4_with_inputs_that_are_given() -> None:
+    """Error at the end of a pendulum's swing over 4 intervals: 4, whatever the degree of the points."""
+    bare = pendulum()
+    plant = bare.with_functions(explicit_functions(bare.casadi("impl")))
+    motion = solve_ivp(lambda _, y: [y[1], 0.5 - np.sin(y[0])], (0, 2), [1.0, 0.0], "DOP853", rtol=1e-13, atol=1e-13)
+    errors = []
+    for steps in (1, 2, 4):
+        problem = Problem(
+            name="swing",
+            horizon=2.0,
+            intervals=4,
+            family=Family.RADAU,
+            degree=2,
+            cost=Cost(1.0),
+            start_q=(1.0,),
+            start_qd=(0.0,),
+            bounds=Bounds((FREE_RANGE,), (FREE_RANGE,), ((0.5, 0.5),)),
+            end=End(),
+        )
+        trajectory = optimum(shot(problem, **EXPLICIT, steps=steps), plant).trajectory
+        errors.append(np.linalg.norm([trajectory.q[-1, 0], trajectory.qd[-1, 0]] - motion.y[:, -1]))
+    assert np.log2(np.array(errors[:-1]) / errors[1:]) == pytest.approx([4, 4], abs=0.25)
+
+
+def test_rk4_reaches_the_optimum_within_its_order(plant: Peer) -> None:
+    """At a fixed control grid: as near to collocation's cost as the errors of its own motion let it."""
+    fine = optimum(swing_up(20, 6), plant)
+    found = solve(shot(swing_up(20, 3), **EXPLICIT, steps=8, accuracy=1e-5), plant, guess=fine.trajectory)
+    assert isinstance(found, Solution)
+    assert found.cost.total == pytest.approx(fine.cost.total, rel=1e-6)
+    check = resimulate(found, plant).resimulation
+    assert check is not None
+    assert check.is_accurate
+
+
+def test_collocations_solution_is_a_guess_and_the_other_way_round(plant: Peer) -> None:
+    """Few iterations from the optimum of the other."""
+    problem = swing_up(20, 4)
+    direct, shooting = optimum(problem, plant), optimum(shot(problem, **EXPLICIT, steps=4), plant)
+    for target, origin in ((shot(problem, **EXPLICIT, steps=4), direct), (problem, shooting)):
+        again = solve(target, plant, guess=origin.trajectory)
+        assert isinstance(again, Solution)
+        assert again.run.iterations <= 8
+        assert again.cost.total == pytest.approx(direct.cost.total, rel=1e-3)
+
+
+def test_multiple_shooting_bears_growth_by_exp_40() -> None:
+    """F = exp(20 * 2), from a guess of zeros: each interval bounds the growth."""
+    free = (FREE_RANGE,)
+    problem = Problem(
+        name="unstable",
+        horizon=2.0,
+        intervals=40,
+        family=Family.RADAU,
+        degree=4,
+        cost=Cost(1.0),
+        start_q=(1.0,),
+        start_qd=(0.0,),
+        bounds=Bounds(free, free, free),
+        end=End(coordinates=((0, 0.0),)),
+        form=Form.SHOOTING,
+    )
+    solver = Solver(problem, unstable(20.0))
+    zeros = interpolate(replace(problem, start_q=(0.0,)), solver.transcription.scheme, np.zeros(1))
+    outcome = solver.solve(problem, zeros)
+    assert isinstance(outcome, Solution)
+    assert outcome.run.iterations <= 50
+
+
+# --- failures ------------------------------------------------------------------------------------------------------
+
+
+def test_equations_without_a_solution_are_a_failure(capfd: pytest.CaptureFixture[str]) -> None:
+    """qdd^2 = u - 1, and u = 0 in the guess: Newton's method ends nowhere; a status says so, and nothing else does."""
+    q, qd, qdd, u = (ca.SX.sym(name) for name in ("q", "qd", "qdd", "u"))
+    broken = double_integrator().with_functions({"impl": residual_function(q, qd, qdd, u, qdd**2 + 1 - u + 0 * q)})
+    outcome = solve(shot(push(8)), broken)
+    assert isinstance(outcome, Failure)
+    assert outcome.run.status == "Invalid_Number_Detected"
+    assert capfd.readouterr().err == ""
+
+
+def test_an_end_out_of_reach_is_a_failure(plant: Peer) -> None:
+    """0.1 N take 1.3 kg no metre far in 2 s."""
+    problem = shot(swing_up(10, 2), **EXPLICIT)
+    outcome = solve(replace(problem, bounds=replace(problem.bounds, u=((-0.1, 0.1),))), plant)
+    assert isinstance(outcome, Failure)
+    assert outcome.run.status == "Infeasible_Problem_Detected"
