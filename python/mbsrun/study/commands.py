@@ -1,10 +1,11 @@
-"""The commands of `mbsrun` that measure: `chart kernels`, `chart simulation`, `advise`."""
+"""The commands of `mbsrun` that measure: `chart` of kernels, simulation, optimisation, fidelity; `advise`."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -17,12 +18,13 @@ from rich.text import Text
 from mbsgen.errors import Fault, InputError
 from mbsrun.external import Mechanism, load
 from mbsrun.models import find_folder
+from mbsrun.ocp.problem import Representation
 from mbsrun.ocp.statement import read_problem
 from mbsrun.simulation.statement import read_statement
-from mbsrun.study import kernels, motions, problems
+from mbsrun.study import fidelity, kernels, motions, optima, problems
 from mbsrun.study.advice import Advice, Option, advise_control, advise_optimisation, advise_simulation
 from mbsrun.study.mechanisms import Subject
-from mbsrun.study.pictures import draw_kernels, draw_motions
+from mbsrun.study.pictures import draw_fidelity, draw_kernels, draw_motions, draw_optima
 from mbsrun.study.points import Cost, KernelPoint, MotionPoint, SolvePoint, Store, write_table
 
 Report = Callable[[str, int, int], None]
@@ -57,6 +59,31 @@ The output folder gets
   simulation.jsonl                  what was measured so far
 """
 
+OPTIMISATION_HELP = """Chart the optimal control of PROBLEM: time of a solve against error of the cost, and defect.
+
+Numbers of intervals, degrees, Radau and Legendre points, and representations, in all combinations. Inputs are constant
+over an interval, so each number of intervals is a control grid with an optimum of its own, which a degree of 9 tells;
+what the grid itself costs stands in a picture of its own.
+
+\b
+The output folder gets
+  optimisation.png, control_grid.png
+  optimisation.csv, optimisation.json   every solve
+  control_grid.csv, control_grid.json   every reference, with its accuracy
+  optimisation.jsonl                    what was measured so far
+"""
+
+FIDELITY_HELP = """Chart what is saved by leaving something out of MODEL, against the error that it makes.
+
+Without a scene, one thing after the other: each joint locked, each body without mass, no forces of joints, no gravity,
+no velocities, constant parameters, one sensor alone. With scenes, their parts, and each as a whole.
+
+\b
+The output folder gets
+  fidelity.png
+  fidelity.csv, fidelity.json   flops, times, and errors: where what is supposed holds, and anywhere
+  fidelity.jsonl                what was measured so far
+"""
 
 ADVISE_HELP = """Tell how to compute with MODEL, with errors of --accuracy at most, and as fast as can be.
 
@@ -124,6 +151,61 @@ def chart_simulation_command(
         depth = motions.QUICK if quick else motions.Depth()
         points = motions.measure_motions(course, standard, depth, store, report)
     _tell_written([*write_table(points, out, "simulation"), *draw_motions(points, standard, out)])
+
+
+@chart.command("optimisation", help=OPTIMISATION_HELP)
+@click.argument("problem", type=click.Path(path_type=Path))
+@click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="By default NAME.chart.")
+@click.option("--intervals", type=click.IntRange(1, 10_000), multiple=True, help="By default 5 10 20 40.")
+@click.option("--degree", "degrees", type=click.IntRange(1, 8), multiple=True, help="By default 1 2 3 4 5.")
+@click.option(
+    "--representation",
+    "names",
+    type=click.Choice([r.value for r in Representation], case_sensitive=False),
+    multiple=True,
+    help="By default all.",
+)
+@click.option("--quick", is_flag=True, help="Little of everything, to see how it looks.")
+def chart_optimisation_command(
+    problem: Path,
+    out: Path | None,
+    intervals: tuple[int, ...],
+    degrees: tuple[int, ...],
+    names: tuple[str, ...],
+    quick: bool,
+) -> None:
+    """Measure, write, draw."""
+    stated, plant = read_problem(problem, load)
+    usual = optima.QUICK if quick else optima.Depth()
+    depth = replace(
+        usual,
+        intervals=tuple(sorted(set(intervals))) or usual.intervals,
+        degrees=tuple(sorted(set(degrees))) or usual.degrees,
+        representations=tuple(map(Representation, dict.fromkeys(names))) or usual.representations,
+    )
+    out = out or Path(f"{problem.name.split('.')[0]}.chart")
+    store = Store(out / "optimisation.jsonl", SolvePoint)
+    with show_progress() as report:
+        points, grids = optima.measure_optima(problems.Case(stated, plant), depth, store, report)
+    tables = [*write_table(points, out, "optimisation"), *write_table(grids, out, "control_grid")]
+    _tell_written([*tables, *draw_optima(points, grids, out)])
+
+
+@chart.command("fidelity", help=FIDELITY_HELP)
+@click.argument("model", type=click.Path(path_type=Path))
+@click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="By default NAME.chart.")
+@click.option("--scene", "scenes", type=click.Path(path_type=Path), multiple=True, help="What is to be left out.")
+@click.option("--quick", is_flag=True, help="Little of everything, to see how it looks.")
+def chart_fidelity_command(model: Path, out: Path | None, scenes: tuple[Path, ...], quick: bool) -> None:
+    """Measure, write, draw."""
+    depth = fidelity.QUICK if quick else fidelity.Depth()
+    whole = fidelity.take_whole(model, depth)
+    out = out or Path(f"{model.stem}.chart")
+    with show_progress() as report:
+        report("generating the whole model", 0, 1)
+        reductions = fidelity.list_reductions(model, whole.manifest, scenes)
+        points = fidelity.measure_fidelity(whole, reductions, out, depth, report)
+    _tell_written([*write_table(points, out, "fidelity"), *draw_fidelity(points, out)])
 
 
 def read_course(model: Path, file: Path | None, duration: float | None) -> motions.Course:

@@ -14,8 +14,10 @@ from matplotlib.colors import TABLEAU_COLORS
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
+from mbsrun.study.fidelity import WHOLE, FidelityPoint
 from mbsrun.study.kernels import KERNELS, SLOPES
 from mbsrun.study.motions import Standard
+from mbsrun.study.optima import GridOptimum, OptimumPoint
 from mbsrun.study.points import Cost, KernelPoint, MotionPoint
 
 COLORS = tuple(TABLEAU_COLORS)
@@ -80,6 +82,107 @@ def draw_motions(points: Sequence[MotionPoint], standard: Standard, folder: Path
     path = folder / "simulation.png"
     figure.savefig(path, dpi=110, metadata={"Software": None})
     return [path]
+
+
+def draw_optima(points: Sequence[OptimumPoint], grids: Sequence[GridOptimum], folder: Path) -> list[Path]:
+    """Draw optimisation.png, a column for each control grid, and control_grid.png; give their paths."""
+    figure = Figure(figsize=(6 * len(grids), 10), layout="constrained")
+    rows = figure.subplots(2, len(grids), squeeze=False)
+    for column, grid in enumerate(grids):
+        own = [p for p in points if p.intervals == grid.intervals]
+        for axes, number in zip(rows[:, column], ("error", "defect"), strict=True):
+            _draw_marks(axes, [_mark_optimum(p, number) for p in own])
+            axes.set_xlabel("processor time of a solve [s]")
+        axes = rows[0, column]
+        if grid.accuracy:
+            axes.axhspan(grid.accuracy / 100, grid.accuracy, color="0.9", zorder=0)
+        if grid.error:
+            axes.axhline(grid.error, color="0.4", linewidth=0.8, linestyle="--")
+        told = "unknown" if grid.error is None else f"{grid.error:.0e} (dashed)"
+        axes.set_title(f"{grid.intervals} intervals; the grid's own error: {told}", fontsize=9)
+    rows[0, 0].set_ylabel("error of the cost, on the same control grid")
+    rows[1, 0].set_ylabel("largest defect of an interval [rad, m; rad/s, m/s]")
+    handles, labels = rows[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=6)
+    mechanism = _plain(points[0].mechanism)
+    told = "circles: Radau, squares: Legendre, labels: degree; grey: the reference is no better; x: failed"
+    figure.suptitle(f"{mechanism}: optimal control, speed against accuracy ({told})", fontsize=10)
+    path = folder / "optimisation.png"
+    figure.savefig(path, dpi=90, metadata={"Software": None})
+    return [path, _draw_grids(points, grids, folder)]
+
+
+def draw_fidelity(points: Sequence[FidelityPoint], folder: Path) -> list[Path]:
+    """Draw fidelity.png: a row for each kernel, errors as supposed and anywhere against time; give its path."""
+    kernels = list(dict.fromkeys(p.kernel for p in points))
+    figure = Figure(figsize=(16, 5 * len(kernels)), layout="constrained")
+    rows = figure.subplots(len(kernels), 2, squeeze=False)
+    for kernel, row in zip(kernels, rows, strict=True):
+        own = [p for p in points if p.kernel == kernel]
+        (whole,) = [p for p in own if p.reduction == WHOLE]
+        for axes, (number, title) in zip(
+            row, (("error", "where what is supposed holds"), ("error_anywhere", "anywhere")), strict=True
+        ):
+            _draw_marks(axes, [_mark_reduction(p, number) for p in own if p.reduction != WHOLE])
+            if whole.ns is not None:
+                axes.axvline(whole.ns.shortest, color="0.4", linewidth=0.8, linestyle="--")
+            axes.set_title(f"{kernel}, {whole.flops} flops as a whole (dashed: its time): {title}", fontsize=9)
+            axes.set_xlabel("time of a call [ns]")
+        row[0].set_ylabel("largest error, by the whole model's largest result")
+    figure.suptitle(f"{_plain(points[0].mechanism)}: what is left out, labels: flops saved; x: failed", fontsize=10)
+    handles, labels = rows[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=6)
+    path = folder / "fidelity.png"
+    figure.savefig(path, dpi=90, metadata={"Software": None})
+    return [path]
+
+
+def _draw_grids(points: Sequence[OptimumPoint], grids: Sequence[GridOptimum], folder: Path) -> Path:
+    """Draw what a control grid itself costs, and what collocation adds, against the number of intervals."""
+    figure = Figure(figsize=(9, 6.5), layout="constrained")
+    axes = figure.subplots()
+    known = [(g.intervals, g.error) for g in grids if g.error]
+    if known:
+        axes.plot(*zip(*known, strict=True), color="black", marker="D", label="control grid alone")
+    first = points[0].representation
+    for i, (family, degree) in enumerate(dict.fromkeys((p.family, p.degree) for p in points)):
+        own = [p for p in points if (p.family, p.degree, p.representation) == (family, degree, first)]
+        shown = [(p.intervals, max(p.error, EXACT)) for p in own if p.error is not None]
+        style, marker = ("-", "o") if family == "radau" else ("--", "s")
+        color, label = COLORS[i % len(COLORS)], f"collocation alone, {family} {degree}, {first}"
+        if shown:
+            axes.plot(*zip(*shown, strict=True), color=color, marker=marker, linestyle=style, label=label)
+    accuracies = [g.error_accuracy for g in grids if g.error_accuracy]
+    if accuracies:
+        axes.axhspan(accuracies[0] / 100, accuracies[0], color="0.9", zorder=0)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xticks([g.intervals for g in grids], [str(g.intervals) for g in grids])
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.set_xlabel("intervals, over each of which inputs are constant")
+    axes.set_ylabel("relative error of the cost")
+    axes.grid(color="0.9", linewidth=0.5)
+    axes.legend(fontsize=7)
+    told = (
+        "grey: below, the limit of fine grids is not known" if accuracies else "the limit is known of two grids alone"
+    )
+    axes.set_title(
+        f"{_plain(points[0].mechanism)}: what the control grid costs, and collocation on it; {told}", fontsize=9
+    )
+    path = folder / "control_grid.png"
+    figure.savefig(path, dpi=90, metadata={"Software": None})
+    return path
+
+
+def _mark_optimum(point: OptimumPoint, number: str) -> Mark:
+    marker = "o" if point.family == "radau" else "s"
+    is_failure = bool(point.finding)
+    return Mark(point.representation, str(point.degree), point.seconds, getattr(point, number), marker, is_failure)
+
+
+def _mark_reduction(point: FidelityPoint, number: str) -> Mark:
+    saved = "" if point.flops is None else f"{1 - point.flops / point.flops_whole:.0%}"
+    return Mark(point.reduction, saved, point.ns, getattr(point, number), is_failure=bool(point.finding))
 
 
 def _plain(name: str) -> str:

@@ -116,6 +116,11 @@ def measure_solves(
     return list({(p.representation, p.family, p.degree, p.intervals): p for p in points}.values())
 
 
+def measure_solve(case: Case, problem: Problem, repeats: int, store: Store[SolvePoint]) -> SolvePoint:
+    """Solve a problem of a case's mechanism some times, or find in the store what was measured."""
+    return _Bench(case, store).measure(problem, repeats)
+
+
 class _Bench:
     """Solves, and keeps what it took."""
 
