@@ -9,7 +9,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import click
 import numpy as np
@@ -26,10 +26,11 @@ from mbsrun.cache import Entry, cache_folder, list_entries, remove
 from mbsrun.circumstances import describe_circumstances
 from mbsrun.external import load
 from mbsrun.lab.commands import lab_command
+from mbsrun.ocp.integrators import IntegratorName
 from mbsrun.ocp.methods import METHODS as SOLVERS
 from mbsrun.ocp.pictures import animate, draw_mechanism, plot_trajectories
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Inputs, Problem, Representation, SolverName, cylindrical
+from mbsrun.ocp.problem import Form, Inputs, Problem, Representation, SolverName, cylindrical, find_conflicts
 from mbsrun.ocp.record import Attempt, open_record
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.search import (
@@ -47,7 +48,7 @@ from mbsrun.ocp.search import (
 )
 from mbsrun.ocp.solution import Failure, Solution, read_guess, read_solution, write_solution
 from mbsrun.ocp.solve import Progress, solve
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.statement import MAX_STEPS, read_problem
 from mbsrun.simulation.drive import hold_steps, input_labels
 from mbsrun.simulation.methods import METHODS, Formulation
 from mbsrun.simulation.motion import Motion
@@ -90,9 +91,9 @@ MODEL and PROBLEM are YAML files; models/ holds examples. Summaries go to stdout
 
 SOLVE_HELP = """Solve the optimal control problem of the file PROBLEM.
 
-It is put on a grid by direct collocation, and solved by IPOPT with the exact derivatives of the generated kernels, from
-the guess that the problem describes, or from another solution. The motion under the inputs found is then integrated by
-another method, and the two are compared.
+It is put on a grid by direct collocation or multiple shooting, and solved by IPOPT with the exact derivatives of the
+generated kernels, from the guess that the problem describes, or from another solution. The motion under the inputs
+found is then integrated by another method, and the two are compared.
 
 \b
 The output folder gets
@@ -235,6 +236,15 @@ def cli() -> None:
     type=click.Choice([r.value for r in Representation], case_sensitive=False),
     help="How the equations of motion become constraints; by default as the problem says.",
 )
+@click.option(
+    "--form",
+    type=click.Choice([form.value for form in Form]),
+    help="What of the motion within an interval is a variable; shooting: nothing. By default as the problem says.",
+)
+@click.option(
+    "--integrator", type=click.Choice(get_args(IntegratorName)), help="Of shooting: the scheme's own method, or rk4."
+)
+@click.option("--steps", type=click.IntRange(1, MAX_STEPS), help="Of the integrator in an interval; by default 1.")
 @click.option("--solver", type=click.Choice(list(SOLVERS)), help="What solves the program; by default ipopt.")
 @click.pass_context
 def solve_command(
@@ -612,15 +622,29 @@ def _print_summaries(summaries: Sequence[Summary]) -> None:
 
 
 def _choose(
-    problem: Problem, representation: str | None, solver: SolverName | None, guess_inputs: Inputs | None
+    problem: Problem,
+    representation: str | None,
+    form: str | None,
+    integrator: IntegratorName | None,
+    steps: int | None,
+    solver: SolverName | None,
+    guess_inputs: Inputs | None,
 ) -> Problem:
-    """Let the options win over the problem; what another solver was to be told goes with it."""
+    """Let the options win over the problem; what another solver was to be told goes with it.
+
+    So do integrator and steps with shooting, which has them. Raises UsageError for what does not go together.
+    """
     if representation is not None:
         problem = replace(problem, representation=Representation(representation))
+    if form is not None and Form(form) is not problem.form:
+        problem = replace(problem, form=Form(form), integrator=Problem.integrator, steps=Problem.steps)
+    problem = replace(problem, integrator=integrator or problem.integrator, steps=steps or problem.steps)
     if guess_inputs is not None:
         problem = replace(problem, guess=replace(problem.guess, inputs=guess_inputs))
     if solver is not None and solver != problem.solver.method:
         problem = replace(problem, solver=replace(problem.solver, method=solver, options=()))
+    if conflicts := find_conflicts(problem):
+        raise click.UsageError("; ".join(f"{c.key}: {c.finding}; {c.remedy}" for c in conflicts))
     return problem
 
 

@@ -18,6 +18,7 @@ from rich import filesize
 
 from mbsrun import cli, load
 from mbsrun.cli import DAY
+from mbsrun.ocp.problem import Form
 from mbsrun.ocp.solution import ACCEPTABLE, Solution, read_solution
 from mbsrun.ocp.solve import solve
 from tests.mbsrun.peer_arm import peer_arm
@@ -114,6 +115,24 @@ def test_representation_solver_and_guess_are_chosen(quick: Run) -> None:
     assert result.exit_code == 0, result.stderr
     problem = read_solution(Path("out/solution.json")).problem
     assert (problem.guess.inputs, problem.solver.method, problem.solver.options) == ("static", "sqpmethod", ())
+
+
+def test_shooting_is_chosen(quick: Run) -> None:
+    """By options, which win over the file; what does not go together is told before anything is solved."""
+    chosen = ("--form", "shooting", "--integrator", "rk4", "--steps", "2", "--representation", "exp1-o")
+    result = quick("solve", "task.ocp.yaml", "-o", "out", *chosen)
+    assert result.exit_code == 0, result.stderr
+    problem = read_solution(Path("out/solution.json")).problem
+    assert (problem.form, problem.integrator, problem.steps) == (Form.SHOOTING, "rk4", 2)
+    for wrong, finding in (
+        (("--integrator", "rk4"), "the form is standard"),
+        (chosen[:4], "IMPL gives a residual"),
+        (("--form", "shooting", "--solver", "fatrop"), "fatrop"),
+    ):
+        result = quick("solve", "task.ocp.yaml", "-o", "none", *wrong)
+        assert result.exit_code == 2
+        assert finding in result.stderr
+        assert not Path("none").exists()
 
 
 def test_a_target_out_of_reach_is_not_solved(quick: Run) -> None:

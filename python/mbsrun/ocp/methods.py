@@ -134,6 +134,10 @@ _IPOPT: Settings = {
 }
 
 
+# Sensitivities to parameters, which nobody asks for, and for which CasADi would differentiate the whole.
+_UNDIFFERENTIATED: Mapping[str, bool] = {"calc_lam_p": False, "no_nlp_grad": True}
+
+
 @dataclass(frozen=True)
 class Order:
     """What a solver is to do with a program."""
@@ -175,6 +179,7 @@ def _make_ipopt(order: Order) -> ca.Function:
     program = order.program
     told = {"tol": order.tolerance, "max_iter": order.max_iterations, "obj_scaling_factor": order.scaling}
     settings: dict[str, Any] = {
+        **_UNDIFFERENTIATED,
         "grad_f": program.gradient,
         "jac_g": program.jacobian,
         "hess_lag": program.hessian,
@@ -196,6 +201,7 @@ def _make_sqp(order: Order) -> ca.Function:
     ipopt = {**_IPOPT, "tol": order.tolerance / 100}
     quiet = {"print_time": False, "error_on_fail": False}
     settings = {
+        **_UNDIFFERENTIATED,
         "hess_lag": ca.Function("nlp_hess_l", inputs, [hessian], names, ["hess_gamma_x_x"]),
         "jac_fg": ca.Function("nlp_jac_fg", [x, p], outputs, ["x", "p"], ["f", "grad_f_x", "g", "jac_g_x"]),
         "qpsol": "nlpsol",

@@ -209,6 +209,9 @@ def find_conflicts(problem: Problem) -> list[Conflict]:
     elif problem.integrator == "rk4" and not representation.is_explicit:
         finding = f"rk4 needs accelerations, and {representation.value} gives a residual"
         found.append(Conflict("integrator", finding, "take representation: EXP2-O, or integrator: collocation"))
+    if form is Form.SHOOTING and problem.solver.method == "fatrop":
+        finding = "around fatrop CasADi differentiates, which it cannot do through shooting"
+        found.append(Conflict("solver", finding, "take method: ipopt"))
     return found
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from mbsgen.errors import Fault, InputError
 from mbsgen.manifest import Argument
-from mbsrun.ocp.problem import Constraint, Cost, Problem, Representation, Term
+from mbsrun.ocp.problem import Constraint, Cost, Form, Problem, Representation, Term
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.statement import read_problem
 from tests.mbsrun.peer import Peer
@@ -177,6 +177,20 @@ def test_a_bad_rich_file_is_refused_at_the_place(
     assert finding in fault.finding
     assert remedy in fault.remedy
     assert 0 <= fault.line - (RICH[: RICH.index(old)].count("\n") + 1) <= new.count("\n")
+
+
+def test_shooting_is_asked_for(tmp_path: Path, arm: Peer) -> None:
+    """What does not go together is told at the key that asks for it; here four faults."""
+    text = (Path(__file__).parents[3] / "models" / "arm_reach.ocp.yaml").read_text("utf-8")
+    asked = text.replace("degree: 4", "degree: 4\nform: shooting\nintegrator: rk4\nsteps: 3\nrepresentation: EXP1-O")
+    problem = read(tmp_path, asked, arm)
+    assert (problem.form, problem.integrator, problem.steps) == (Form.SHOOTING, "rk4", 3)
+    bad = asked.replace("EXP1-O", "IMPL\nsolver: {method: fatrop}").replace(
+        "horizon: 2", "horizon: {guess: 2, range: [1, 3]}"
+    )
+    with pytest.raises(InputError) as refusal:
+        read(tmp_path, bad.replace("steps: 3", "steps: 0"), arm)
+    assert sorted(fault.path for fault in refusal.value.faults) == ["form", "integrator", "solver", "steps"]
 
 
 def test_the_integral_form_is_refused_where_it_has_no_meaning(tmp_path: Path, arm: Peer) -> None:
