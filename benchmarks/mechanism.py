@@ -11,16 +11,13 @@ from mbsgen.model.tree import NO_FORCE, Body, Motion, Tree
 
 def write_mechanism(tree: Tree) -> str:
     """Write a mechanism as `cpp/mechanism.hpp` reads it. Raises ValueError for what the peers have no part for."""
-    faults = [
-        body.joint.name
-        for i, body in enumerate(tree.bodies)
-        if body.parent != i or body.joint.motion is not Motion.REVOLUTE or body.joint.law != NO_FORCE
-    ]
-    if faults or tree.wrenches:
+    forced = [body.joint.name for body in tree.bodies if body.joint.law != NO_FORCE]
+    if forced or tree.wrenches:
         raise ValueError(
-            f"{tree.name}: {', '.join(faults) or 'external forces'}: only chains of revolute joints are compared, "
-            "without forces but the actuators'"
+            f"{tree.name}: {', '.join(forced) or 'wrenches'}: compared is what moves without forces but the actuators'"
         )
+    if not _is_depth_first([body.parent for body in tree.bodies]):
+        raise ValueError(f"{tree.name}: Pinocchio wants every branch's bodies together; write them in that order")
     values = {parameter.symbol: parameter.value for parameter in tree.parameters}
 
     def numbers(expressions: Iterable[Expr]) -> list[str]:
@@ -29,8 +26,21 @@ def write_mechanism(tree: Tree) -> str:
     def line(body: Body) -> str:
         inertia = [body.inertia[r][c] for r, c in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))]
         axes = [entry for row in body.orientation for entry in row]
-        joint = [str(body.parent), "R" + "XYZ"[body.joint.axis], str(int(body.joint.actuated))]
+        kind = "R" if body.joint.motion is Motion.REVOLUTE else "P"
+        joint = [str(body.parent), kind + "XYZ"[body.joint.axis], str(int(body.joint.actuated))]
         return " ".join(joint + numbers([*body.position, *axes, body.mass, *body.com, *inertia]))
 
     first = " ".join([str(len(tree.bodies)), *numbers(tree.gravity)])
     return "\n".join([first, *map(line, tree.bodies)]) + "\n"
+
+
+def _is_depth_first(parents: Iterable[int]) -> bool:
+    """Tell whether each body, of 1, 2, …, stands on the one before it, or on one that carries that."""
+    path = [0]
+    for number, parent in enumerate(parents, 1):
+        while path and path[-1] != parent:
+            path.pop()
+        if not path:
+            return False
+        path.append(number)
+    return True

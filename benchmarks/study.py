@@ -7,7 +7,7 @@ import os
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import casadi as ca
@@ -44,6 +44,10 @@ STATES = 512  # 100 kB for an arm: more than the first cache holds, less than th
 CHECKED = 5  # states at which all must agree
 
 Report = Callable[[str], None]  # tells what is being done
+
+
+def _say_nothing(_text: str) -> None:
+    pass
 
 
 @dataclass(frozen=True)
@@ -87,7 +91,7 @@ def study(model: Path, workshop: Workshop, depth: Depth, report: Report) -> Stud
     report("compiling the generated kernels")
     names = _names(product.manifest, depth)
     library = load(own.folder / "generated").compile(*names)
-    candidates = [_describe_kernel(product.manifest, library, name) for name in names]
+    candidates = [describe_kernel(product.manifest, library, name) for name in names]
     report("differentiating our equations by CasADi")
     tape = read_tape(own.folder / "generated", product.manifest, DIFFERENTIATED)
     candidates += _make_functions(TAPE, _derive(tape, depth), own, report)
@@ -95,13 +99,11 @@ def study(model: Path, workshop: Workshop, depth: Depth, report: Report) -> Stud
     if workshop.includes is not None:
         report("compiling Pinocchio")
         peer = workshop.compile_pinocchio()
-        tracer = workshop.compile_tracer()
         report("tracing Pinocchio with CasADi's symbols")
-        traced = own.folder / "traced.casadi"
-        run((str(tracer), str(mechanism), str(traced)))
-        candidates += _make_functions(CASADI, _differentiate_traced(_load(traced), depth), own, report)
-        candidates += _describe_pinocchio(product.manifest, peer, mechanism)
-    return Study(tree.name, _measure(candidates, product.manifest, workshop, depth, report))
+        functions = _trace(workshop, mechanism)
+        candidates += _make_functions(CASADI, _differentiate_traced(functions, depth), own, report)
+        candidates += describe_pinocchio(product.manifest, peer, mechanism)
+    return Study(tree.name, measure(candidates, product.manifest, workshop, depth.rounds, report))
 
 
 def _names(manifest: Manifest, depth: Depth) -> list[str]:
@@ -112,7 +114,7 @@ def _names(manifest: Manifest, depth: Depth) -> list[str]:
     return [name for name in wanted if name in made]
 
 
-def _describe_kernel(manifest: Manifest, library: Path, name: str) -> Candidate:
+def describe_kernel(manifest: Manifest, library: Path, name: str) -> Candidate:
     kernel = manifest.kernel(name)
     flops = kernel.flops.arithmetic + kernel.flops.sqrt
     return Candidate(OURS, name, name, flops, load_code(library, kernel.symbol))
@@ -129,6 +131,19 @@ def _derive(functions: dict[str, ca.Function], depth: Depth) -> Named:
             (f"jac_adj1_{name}", adjoint_jacobian(functions[name], f"jac_adj1_{name}")) for name in DIFFERENTIATED
         ]
     return found
+
+
+def trace_values(workshop: Workshop, mechanism: Path) -> list[Candidate]:
+    """List Pinocchio's algorithms as CasADi writes them in C, without derivatives. Raises BuildError."""
+    functions = _trace(workshop, mechanism)
+    named = [(name, eliminate(functions[name], f"value_{name}")) for name in VALUES]
+    return _make_functions(CASADI, named, replace(workshop, folder=mechanism.parent))
+
+
+def _trace(workshop: Workshop, mechanism: Path) -> dict[str, ca.Function]:
+    traced = mechanism.with_name("traced.casadi")
+    run((str(workshop.compile_tracer()), str(mechanism), str(traced)))
+    return {function.name(): function for function in ca.FileDeserializer(str(traced)).unpack()}
 
 
 def _differentiate_traced(functions: dict[str, ca.Function], depth: Depth) -> Named:
@@ -149,11 +164,7 @@ def _differentiate_short(functions: dict[str, ca.Function]) -> Named:
     ]
 
 
-def _load(path: Path) -> dict[str, ca.Function]:
-    return {function.name(): function for function in ca.FileDeserializer(str(path)).unpack()}
-
-
-def _make_functions(author: str, named: Named, workshop: Workshop, report: Report) -> list[Candidate]:
+def _make_functions(author: str, named: Named, workshop: Workshop, report: Report = _say_nothing) -> list[Candidate]:
     """Write CasADi's functions as C, one file each, and compile those that are not too large."""
     own = of_model(workshop, author.lower().replace(" ", "_"))
     own.folder.mkdir(parents=True, exist_ok=True)
@@ -181,7 +192,7 @@ def _write_source(function: ca.Function, folder: Path) -> Path:
     return folder / f"{function.name()}.c"
 
 
-def _describe_pinocchio(manifest: Manifest, library: Path, mechanism: Path) -> list[Candidate]:
+def describe_pinocchio(manifest: Manifest, library: Path, mechanism: Path) -> list[Candidate]:
     """List Pinocchio's algorithms in C++; what has no counterpart is left out."""
     if ctypes.CDLL(str(library)).pin_load(os.fsencode(mechanism)):
         raise BuildError(f"Pinocchio cannot read {mechanism}")
@@ -197,14 +208,21 @@ def _describe_pinocchio(manifest: Manifest, library: Path, mechanism: Path) -> l
     }
     candidates = []
     for name, blocks in results.items():
+        if all(kernel.name != name for kernel in manifest.kernels):
+            continue
         face = Face(tuple(a.name for a in manifest.kernel(name).inputs), tuple(blocks))
         candidates.append(Candidate(PINOCCHIO, name, f"pin_{name}", None, Code(library, f"pin_{name}", face)))
     return candidates
 
 
-def _measure(
-    candidates: Sequence[Candidate], manifest: Manifest, workshop: Workshop, depth: Depth, report: Report
+def measure(
+    candidates: Sequence[Candidate],
+    manifest: Manifest,
+    workshop: Workshop,
+    rounds: int,
+    report: Report = _say_nothing,
 ) -> tuple[Measurement, ...]:
+    """Check that candidates agree, then time them in turn. Raises DisagreementError, ArithmeticError."""
     pool = draw_states(Sizes(len(manifest.coordinates), len(manifest.actuated)), STATES)
     calls = [Call(candidate, candidate.code, pool) for candidate in candidates if candidate.code is not None]
     report("checking that all agree")
@@ -215,10 +233,10 @@ def _measure(
     if faults:
         raise DisagreementError("\n".join(faults))
     stopwatch = Stopwatch(workshop.compile_timing())
-    rounds = []
+    found = []
     with one_core():
-        for k, times in enumerate(measure_rounds(stopwatch, calls, depth.rounds), 1):
-            rounds.append(times)
-            report(f"timing: round {k} of {depth.rounds}")
-    times_of = dict(zip((id(call.candidate) for call in calls), np.array(rounds).T, strict=True))
+        for k, times in enumerate(measure_rounds(stopwatch, calls, rounds), 1):
+            found.append(times)
+            report(f"timing: round {k} of {rounds}")
+    times_of = dict(zip((id(call.candidate) for call in calls), np.array(found).T, strict=True))
     return tuple(Measurement(candidate, times_of.get(id(candidate))) for candidate in candidates)

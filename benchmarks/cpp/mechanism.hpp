@@ -1,7 +1,7 @@
 // A mechanism as the harness writes it -> Pinocchio's model. One text file feeds every program that links Pinocchio.
 //
 // The file: the number of bodies; gravity, 3; then a line for each body: its parent (0 is the base), its joint
-// (RX RY RZ), whether it is actuated (0, 1); the joint's point on the parent, 3; the body's axes at q = 0 as
+// (RX RY RZ PX PY PZ), whether it is actuated (0, 1); the joint's point on the parent, 3; the body's axes at q = 0 as
 // columns in the parent's frame, row by row, 9; mass; centre of mass, 3; inertia about it: xx xy yy xz yz zz.
 #ifndef BENCHMARKS_MECHANISM_HPP
 #define BENCHMARKS_MECHANISM_HPP
@@ -15,23 +15,31 @@
 
 // The joints of the compared mechanisms alone: Pinocchio's own collection has 25, and takes minutes to compile.
 template <typename Scalar_, int Options_>
-struct Revolutes {
+struct ElementaryJoints {
     typedef Scalar_ Scalar;
     static constexpr int Options = Options_;
     typedef pinocchio::JointModelRevoluteTpl<Scalar, Options, 0> JointModelRX;
     typedef pinocchio::JointModelRevoluteTpl<Scalar, Options, 1> JointModelRY;
     typedef pinocchio::JointModelRevoluteTpl<Scalar, Options, 2> JointModelRZ;
-    typedef boost::variant<JointModelRX, JointModelRY, JointModelRZ> JointModelVariant;
+    typedef pinocchio::JointModelPrismaticTpl<Scalar, Options, 0> JointModelPX;
+    typedef pinocchio::JointModelPrismaticTpl<Scalar, Options, 1> JointModelPY;
+    typedef pinocchio::JointModelPrismaticTpl<Scalar, Options, 2> JointModelPZ;
+    typedef boost::variant<JointModelRX, JointModelRY, JointModelRZ, JointModelPX, JointModelPY, JointModelPZ>
+        JointModelVariant;
     typedef pinocchio::JointDataRevoluteTpl<Scalar, Options, 0> JointDataRX;
     typedef pinocchio::JointDataRevoluteTpl<Scalar, Options, 1> JointDataRY;
     typedef pinocchio::JointDataRevoluteTpl<Scalar, Options, 2> JointDataRZ;
-    typedef boost::variant<JointDataRX, JointDataRY, JointDataRZ> JointDataVariant;
+    typedef pinocchio::JointDataPrismaticTpl<Scalar, Options, 0> JointDataPX;
+    typedef pinocchio::JointDataPrismaticTpl<Scalar, Options, 1> JointDataPY;
+    typedef pinocchio::JointDataPrismaticTpl<Scalar, Options, 2> JointDataPZ;
+    typedef boost::variant<JointDataRX, JointDataRY, JointDataRZ, JointDataPX, JointDataPY, JointDataPZ>
+        JointDataVariant;
 };
 
 template <typename Scalar>
-using ModelOf = pinocchio::ModelTpl<Scalar, 0, Revolutes>;
+using ModelOf = pinocchio::ModelTpl<Scalar, 0, ElementaryJoints>;
 template <typename Scalar>
-using DataOf = pinocchio::DataTpl<Scalar, 0, Revolutes>;
+using DataOf = pinocchio::DataTpl<Scalar, 0, ElementaryJoints>;
 
 struct Mechanism {
     ModelOf<double> model;
@@ -41,10 +49,13 @@ struct Mechanism {
 inline pinocchio::JointIndex add_joint(ModelOf<double> &model, pinocchio::JointIndex parent, const std::string &joint,
                                        const pinocchio::SE3 &placement, const std::string &name)
 {
-    typedef Revolutes<double, 0> Joints;
+    typedef ElementaryJoints<double, 0> Joints;
     if (joint == "RX") return model.addJoint(parent, Joints::JointModelRX(), placement, name);
     if (joint == "RY") return model.addJoint(parent, Joints::JointModelRY(), placement, name);
     if (joint == "RZ") return model.addJoint(parent, Joints::JointModelRZ(), placement, name);
+    if (joint == "PX") return model.addJoint(parent, Joints::JointModelPX(), placement, name);
+    if (joint == "PY") return model.addJoint(parent, Joints::JointModelPY(), placement, name);
+    if (joint == "PZ") return model.addJoint(parent, Joints::JointModelPZ(), placement, name);
     throw std::runtime_error("no such joint: " + joint);
 }
 
