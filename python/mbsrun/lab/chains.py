@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from mbsrun.lab.case import Bench, Finding, Loss, check, demand, tell
-from mbsrun.lab.digits import EXPLICIT, RESIDUAL, Specimen, U, measure_losses, specimen
+from mbsrun.lab.digits import KERNELS, RESIDUAL, Specimen, U, measure_losses, specimen
 from mbsrun.lab.mechanisms import States, describe_spatial, describe_straight, draw, round_to_single
 
 ROUNDING, SINGLE = U["float64"], U["float32"]
@@ -17,6 +17,7 @@ ABOVE = 16.0  # an error may be so many times what is told: docs/accuracy.md
 NO_ALARM = 1e-11
 SEEDS = range(6)  # of states in single precision
 LIGHT, HEAVY = 1e-12, 1e12
+ALL = (*KERNELS.values(), "condition")  # of each chain, so that it is generated once for all cases
 HARMLESS: Mapping[str, Sequence[float]] = {
     "a light tip": [1.0] * 9 + [LIGHT],
     "a heavy base": [1e8] + [1.0] * 9,
@@ -28,7 +29,7 @@ HARMLESS: Mapping[str, Sequence[float]] = {
 
 def measure_chain(bench: Bench, mechanism: str, size: int, text: str, states: States) -> tuple[Specimen, list[Loss]]:
     """Measure a chain of equal rods."""
-    chosen = specimen(bench, text, *EXPLICIT.values(), *RESIDUAL.values(), "condition")
+    chosen = specimen(bench, text, *ALL)
     return chosen, measure_losses(bench, mechanism, size, chosen, states)
 
 
@@ -64,7 +65,7 @@ def measure_spatial(bench: Bench, size: int) -> list[Finding]:
 
 def weigh_tip(bench: Bench, size: int, ratio: float) -> list[Loss]:
     """Measure a chain whose last rod is `ratio` times as heavy."""
-    chosen = specimen(bench, describe_spatial(size, [1.0] * (size - 1) + [ratio]), *EXPLICIT.values(), "condition")
+    chosen = specimen(bench, describe_spatial(size, [1.0] * (size - 1) + [ratio]), *ALL)
     return measure_losses(bench, "heavy tip", ratio, chosen, draw(size, [size]))
 
 
@@ -81,21 +82,21 @@ def measure_heavy_tip(bench: Bench, size: int, ratio: float) -> list[Finding]:
         findings.append(_check_error(loss, allowed))
         findings.append(check(loss.way, "backward error", loss.backward or 0.0, 1e-14))
         findings.append(_check_told(loss))
-    residual = specimen(bench, describe_spatial(size, [1.0] * (size - 1) + [ratio]), *RESIDUAL.values())
-    return findings + _check_residuals(residual, draw(size, [size]))
+    chosen = specimen(bench, describe_spatial(size, [1.0] * (size - 1) + [ratio]), *ALL)
+    return findings + _check_residuals(chosen, draw(size, [size]))
 
 
-def weigh_links(bench: Bench, name: str) -> tuple[Specimen, States, list[Loss]]:
+def weigh_links(bench: Bench, factors: Sequence[float]) -> tuple[Specimen, States, list[Loss]]:
     """Measure a chain with light and heavy rods, where all accelerations are of order 1."""
-    factors = HARMLESS[name]
-    chosen = specimen(bench, describe_spatial(10, factors), *EXPLICIT.values(), *RESIDUAL.values(), "condition")
-    states = chosen.balance(draw(10, [3, 4, 5]))
+    n = len(factors)
+    chosen = specimen(bench, describe_spatial(n, factors), *ALL)
+    states = chosen.balance(draw(n, [3, 4, 5]))
     return chosen, states, measure_losses(bench, "harmless ratio", max(factors) / min(factors), chosen, states)
 
 
-def measure_harmless(bench: Bench, name: str) -> list[Finding]:
+def measure_harmless(bench: Bench, factors: Sequence[float]) -> list[Finding]:
     """F04: forces are such that all accelerations are of order 1; M is ill conditioned, but not when it is scaled."""
-    chosen, states, losses = weigh_links(bench, name)
+    chosen, states, losses = weigh_links(bench, factors)
     findings = [_check_error(x, NO_ALARM) for x in losses]
     for x in losses:
         told = float("inf") if x.told is None else x.told
@@ -106,7 +107,7 @@ def measure_harmless(bench: Bench, name: str) -> list[Finding]:
 def measure_single(bench: Bench, kind: str, size: int) -> list[Finding]:
     """F15: EXP2 has 1e-5; EXP1 has two digits, or a status."""
     text = describe_straight(size) if kind == "straight" else describe_spatial(size)
-    chosen = specimen(bench, text, *EXPLICIT.values(), "condition")
+    chosen = specimen(bench, text, *ALL)
     states = round_to_single(draw(size, SEEDS, q=0.0 if kind == "straight" else None))
     findings = []
     for loss in measure_losses(bench, f"{kind} chain", size, chosen, states, "float32"):

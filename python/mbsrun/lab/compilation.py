@@ -46,9 +46,9 @@ def measure_refusals(bench: Bench) -> list[Finding]:
             findings.append(demand("flags of compilers", "refusal", True, f"{flag} is refused"))
         else:
             findings.append(demand("flags of compilers", "refusal", False, f"{flag} is accepted"))
-    chosen = specimen(bench, describe_spatial(5), *KERNELS.values())
+    chosen = specimen(bench, describe_spatial(2), *KERNELS.values())
     for way, kernel in KERNELS.items():
-        chosen.evaluate(kernel, draw(5, [1]))
+        chosen.evaluate(kernel, draw(2, [1]))
         half = float(np.array([1e-310])[0] * 0.5)
         findings.append(demand(way, "small numbers after loading", half > 0, f"1e-310 / 2 = {half:.3g}"))
     return findings

@@ -17,21 +17,20 @@ from mbsrun.models import Extent, find_folder
 Array = NDArray[np.float64]
 State = Mapping[str, Any]
 
-SIZE = 4  # joints
 DIFFERENCES = (2e-3, 1e-3, 5e-4, 2.5e-4)  # steps of differences, of which the best is taken for each block
 STEPS = tuple(3 * 10.0**-k for k in range(2, 8))  # of Taylor's remainder
 POINTS = 20  # at which patterns are looked at
 VARIABLES = {"IMPL": ("q", "qd", "qdd"), "SEMI": ("q", "qd", "qdd"), "EXP1": ("q", "qd", "u"), "EXP2": ("q", "qd", "u")}
 
 
-def measure_derivatives(bench: Bench) -> list[Finding]:
+def measure_derivatives(bench: Bench, size: int) -> list[Finding]:
     """F25: Jacobians to 1e-10 of differences, remainders of order 2, symmetric Hessians, no entry more than needed."""
     extent = Extent((*KERNELS.values(),), 2)
-    plant = Mechanism(find_folder(write(bench.folder, describe_spatial(SIZE)), extent))
+    plant = Mechanism(find_folder(write(bench.folder, describe_spatial(size)), extent))
     findings = []
     for way, kernel in KERNELS.items():
         inputs = [a.name for a in plant.manifest.kernel(kernel).inputs]
-        state = {name: x[0] for name, x in draw(SIZE, [1]).items() if name in inputs}
+        state = {name: x[0] for name, x in draw(size, [1]).items() if name in inputs}
         findings.append(check(way, "difference from 4th-order differences", _difference(plant, way, state), 1e-10))
         slope = _measure_slope(plant, way, state)
         findings.append(check(way, "slope of Taylor's remainder, off 2", abs(slope - 2), 0.05, f"slope {slope:.3f}"))
@@ -52,7 +51,7 @@ def _difference(plant: Mechanism, way: str, state: State) -> float:
         block, off = jacobians[f"jac_{result}_{name}"], []
         for step in DIFFERENCES:
             columns = []
-            for unit in step * np.eye(SIZE):
+            for unit in step * np.eye(len(state[name])):
                 at = [plant(kernel, **{**state, name: state[name] + k * unit})[result] for k in (1, -1, 2, -2)]
                 columns.append((8 * (at[0] - at[1]) - (at[2] - at[3])) / (12 * step))
             off.append(float(np.abs(np.array(columns).T - block).max() / np.abs(block).max()))
@@ -63,7 +62,7 @@ def _difference(plant: Mechanism, way: str, state: State) -> float:
 def _measure_slope(plant: Mechanism, way: str, state: State) -> float:
     """Fit the order at which |f(x + h d) - f(x) - h J d| vanishes, where rounding does not hide it."""
     kernel, result = KERNELS[way], _name_result(way)
-    d = {name: np.random.default_rng(2).uniform(-1, 1, SIZE) for name in VARIABLES[way]}
+    d = {name: np.random.default_rng(2).uniform(-1, 1, len(state[name])) for name in VARIABLES[way]}
     value, jacobians = plant(kernel, **state)[result], plant.jac(kernel, **state)
     slope = np.sum([jacobians[f"jac_{result}_{name}"] @ d[name] for name in VARIABLES[way]], axis=0)
     kept = []
@@ -79,7 +78,7 @@ def _measure_slope(plant: Mechanism, way: str, state: State) -> float:
 
 def _measure_asymmetry(plant: Mechanism, way: str, state: State) -> float:
     kernel, result = KERNELS[way], _name_result(way)
-    weights: dict[str, Any] = {f"adj_{result}": np.random.default_rng(3).uniform(-1, 1, SIZE)}
+    weights: dict[str, Any] = {f"adj_{result}": np.random.default_rng(3).uniform(-1, 1, len(state["q"]))}
     blocks = plant.hess(kernel, **state, **weights)
     names = [name for name in VARIABLES[way] if f"jac_adj_{name}_{name}" in blocks]
     worst, size = 0.0, max(float(np.abs(block).max(initial=0.0)) for block in blocks.values())
@@ -95,7 +94,7 @@ def _compare_pattern(plant: Mechanism, way: str) -> Finding:
     """Count entries that the generated pattern has and that vanish at all of some random states."""
     kernel = plant.manifest.kernel(f"jac_{KERNELS[way]}")
     names = [a.name for a in kernel.inputs]
-    states = {name: x for name, x in draw(SIZE, range(POINTS)).items() if name in names}
+    states = {name: x for name, x in draw(len(plant.manifest.coordinates), range(POINTS)).items() if name in names}
     found = plant.jac(KERNELS[way], sparse=True, **states)
     idle = sum(int((~np.any(values != 0, axis=0)).sum()) for values in found.values())
     entries = sum(values.shape[1] for values in found.values())

@@ -34,7 +34,7 @@ def measure_maps(bench: Bench, report: Report, *, quick: bool = False) -> list[L
     lengths, ratios = (LENGTHS[:2], RATIOS[::3]) if quick else (LENGTHS, RATIOS)
     jobs = [partial(chains.weigh_tip, bench, size, ratio) for size in lengths for ratio in ratios]
     jobs += [partial(_take_lock, bench, lock, d) for lock in ("Cardan", "wrist", "elbow") for d in locks.DISTANCES]
-    jobs += [partial(_take_harmless, bench, name) for name in chains.HARMLESS]
+    jobs += [partial(_take_harmless, bench, factors) for factors in chains.HARMLESS.values()]
     jobs += [partial(_take_chain, bench, kind, size) for kind in ("straight", "spatial") for size in lengths]
     losses: list[Loss] = []
     for done, job in enumerate(jobs):
@@ -64,8 +64,8 @@ def _take_lock(bench: Bench, lock: str, distance: float) -> list[Loss]:
     return locks.approach(bench, lock, distance)[2]
 
 
-def _take_harmless(bench: Bench, name: str) -> list[Loss]:
-    return chains.weigh_links(bench, name)[2]
+def _take_harmless(bench: Bench, factors: Sequence[float]) -> list[Loss]:
+    return chains.weigh_links(bench, factors)[2]
 
 
 def _take_chain(bench: Bench, kind: str, size: int) -> list[Loss]:
