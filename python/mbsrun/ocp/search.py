@@ -21,6 +21,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import sys
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -71,6 +72,16 @@ class Targets:
         """List the places next to one."""
         (i, j), (a, b), known = place, self.every, set(self.places)
         yield from (near for near in ((i - a, j), (i + a, j), (i, j - b), (i, j + b)) if near in known)
+
+    @property
+    def spread(self) -> tuple[Place, ...]:
+        """List the places, ever finer grids one after the other: a part of the list, too, lies all over."""
+
+        def fineness(place: Place) -> int:
+            ranks = (k // step for k, step in zip(place, self.every, strict=True))
+            return max(-(rank & -rank) if rank else -sys.maxsize for rank in ranks)
+
+        return tuple(sorted(self.places, key=lambda place: (fineness(place), place)))
 
     def position(self, place: Place) -> Point:
         """Give the position of a place."""
@@ -197,12 +208,12 @@ def plan_round(
 
 
 def list_interpolations(study: Study, protocol: str, part: str, inputs: Inputs) -> list[Trial]:
-    """Start every task of a study from the interpolation with some inputs."""
+    """Start every task of a study from the interpolation with some inputs; what is compared comes together."""
     return [
         Trial(Task(place, weights, representation.value), protocol, part, inputs, Interpolation(inputs))
         for weights in study.costs
+        for place in study.targets.spread
         for representation in study.representations
-        for place in study.targets.places
     ]
 
 

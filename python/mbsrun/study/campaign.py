@@ -40,14 +40,16 @@ from mbsrun.study.differentiated import WAYS, Differentiated
 from mbsrun.study.export import Row, list_rows
 from mbsrun.study.figures import draw_figures
 from mbsrun.study.growth import Growth, count_growth
-from mbsrun.study.questions import GridPoint, System, TaskList
+from mbsrun.study.questions import GridPoint, System, TaskList, name_transcription
 from mbsrun.study.results import Effort, Results, find_shown_task
 from mbsrun.study.sheets import Cell, Section, Table
 from mbsrun.study.tables import tabulate, tabulate_robust, tabulate_statements
 
 STORE = "study.sqlite"
-QUESTIONS = ("derivatives", "grids", "systems", "guess")
+QUESTIONS = ("derivatives", "grids", "systems", "shooting", "guess")
 SETS: tuple[Weights, ...] = ((1.0, 0.0), (1.0, 1e5))  # the paper's costs
+Attempts = Sequence[tuple[Attempt, str]]  # with the circumstances of each
+
 WHOLE = 231  # tasks of each set and representation in the paper
 
 
@@ -226,6 +228,8 @@ def list_tasks(campaign: Campaign, question: str) -> list[TaskList]:
         return questions.list_grids(subject.problem, subject.folder, grids)
     if question == "systems":
         return questions.list_systems([s.system for s in campaign.systems])
+    if question == "shooting":
+        return questions.list_shooting(study, subject.folder, [s.system for s in campaign.systems])
     return questions.list_guesses(study, subject.folder)
 
 
@@ -273,7 +277,9 @@ def _list_own_records(campaign: Campaign, record: Record) -> Iterator[tuple[Stud
                 yield tasks.study, record.of(identity, describe(tasks.study, manifest))
 
 
-def gather(campaign: Campaign, record: Record, growth: tuple[Growth, ...]) -> Results:
+def gather(
+    campaign: Campaign, record: Record, growth: tuple[Growth, ...], own: Sequence[tuple[Study, Attempts]]
+) -> Results:
     """Collect the results of the study proper."""
     study, report = campaign.study, _read_report(campaign.subject.folder)
     attempts = tuple(a for a in record.attempts() if _is_part(a, study))
@@ -286,7 +292,13 @@ def gather(campaign: Campaign, record: Record, growth: tuple[Growth, ...]) -> Re
         (name, Effort(found["flops"]["paper"], found["equations"]))
         for name, found in report.get("formulations", {}).items()
     )
-    return Results(study, attempts, tuple(motions), efforts, growth)
+    shots: dict[str, list[Attempt]] = {}
+    for each, found in ((study, attempts), *((s, [a for a, _ in rows]) for s, rows in own if s.sensor is not None)):
+        for a in found:
+            if a.part == "shooting":
+                shots.setdefault(name_transcription(each.problem), []).append(a)
+    shooting = tuple((name, tuple(found)) for name, found in shots.items())
+    return Results(study, attempts, tuple(motions), efforts, growth, shooting)
 
 
 def _is_part(attempt: Attempt, study: Study) -> bool:
@@ -299,8 +311,8 @@ def _is_part(attempt: Attempt, study: Study) -> bool:
 def report(campaign: Campaign, out: Path) -> list[Section]:
     """Make all sections of the report that there are numbers for."""
     with _open(campaign, out) as record:
-        results = gather(campaign, record, _find_growth(out))
         own = [(s, tuple(r.list_all())) for s, r in _list_own_records(campaign, record)]
+        results = gather(campaign, record, _find_growth(out), own)
         told = sorted({text for _, text in record.list_all()} | {text for _, rows in own for _, text in rows})
     sections = [
         Section("run", "The run", "", (_tabulate_run(results, own), *_tabulate_circumstances(told))),
@@ -323,12 +335,11 @@ def report(campaign: Campaign, out: Path) -> list[Section]:
     return sections + [s for s in _answer(campaign, results, own) if s is not None]
 
 
-def _answer(
-    campaign: Campaign, results: Results, own: Sequence[tuple[Study, Sequence[tuple[Attempt, str]]]]
-) -> list[Section | None]:
+def _answer(campaign: Campaign, results: Results, own: Sequence[tuple[Study, Attempts]]) -> list[Section | None]:
     def select(question: str) -> list[tuple[Study, list[Attempt]]]:
         """Pick from the records: one study may serve several questions."""
         part = [(s, [a for a, _ in rows if a.part == question]) for s, rows in own]
+        part.append((campaign.study, [a for a in results.attempts if a.part == question]))
         return [(s, attempts) for s, attempts in part if attempts]
 
     ways = _read_report(campaign.subject.folder).get("ways", {})
@@ -340,10 +351,11 @@ def _answer(
         questions.answer_derivatives(derivatives, ways),
         questions.answer_grids(grids),
         questions.answer_systems(systems),
+        questions.answer_shooting([(s.problem, attempts) for s, attempts in select("shooting")]),
     ]
 
 
-def _tabulate_run(results: Results, own: Sequence[tuple[Study, Sequence[tuple[Attempt, str]]]]) -> Table:
+def _tabulate_run(results: Results, own: Sequence[tuple[Study, Attempts]]) -> Table:
     """Say how large the run is."""
     groups: dict[str, list[Attempt]] = {}
     for a in results.attempts:

@@ -60,12 +60,14 @@ class Differentiated:
 
     def _compile(self, function: ca.Function) -> ca.Function:
         """Let CasADi write C of a function and of the derivatives that a program asks for, and compile it."""
-        name, adjoint = function.name(), function.reverse(1)
-        prefix = self._subject.manifest.prefix
+        prefix, x = self._subject.manifest.prefix, function.sx_in()
+        name = f"casadi_{prefix}_{function.name()}"  # exp2 is a name of C's
+        function = ca.Function(name, x, function.call(x), function.name_in(), function.name_out())
+        adjoint = function.reverse(1)
         with tempfile.TemporaryDirectory() as place:
-            generator = ca.CodeGenerator(f"casadi_{name}.c")
+            generator = ca.CodeGenerator(f"{name}.c")
             for each in (function, function.jacobian(), adjoint, adjoint.jacobian()):
                 generator.add(each)
             generator.generate(f"{place}/")
-            library = compile_library(Path(place), prefix, [f"casadi_{name}.c"], Variant().compiler())
+            library = compile_library(Path(place), prefix, [f"{name}.c"], Variant().compiler())
         return ca.external(name, str(library))

@@ -82,9 +82,10 @@ def draw_targets(results: Results, plant: Plant) -> Picture:
 
 def draw_convergence(results: Results) -> Picture:
     """Draw the mean number of iterations over ever finer grids: Fig. 7."""
-    sets, grids = list_sets(results), list_grids(results.study.targets)
+    sets = list_sets(results)
     figure = Figure(figsize=(9, 3.6), layout="constrained")
     for axes, weights in zip(figure.subplots(1, len(sets), squeeze=False)[0], sets, strict=True):
+        grids = list_grids(results, weights)
         for i, name in enumerate(results.representations):
             means = [mean_iterations(results, weights, name, grid) for grid in grids]
             axes.plot([len(grid) for grid in grids], means, marker="o", markersize=3, color=COLORS[i], label=name)

@@ -5,6 +5,7 @@ guess         how much of the formulations' difference is the initial guess's, a
 derivatives   generated sensitivities against algorithmic differentiation of the same equations
 grids         other transcriptions: Radau and Legendre points, degrees 1 to 5, N from 25 to 200
 systems       other systems
+shooting      multiple shooting, on the study's problem and on the other systems
 """
 
 from __future__ import annotations
@@ -16,14 +17,16 @@ from pathlib import Path
 
 import numpy as np
 
-from mbsrun.ocp.problem import Problem, Representation
+from mbsrun.ocp.integrators import IntegratorName
+from mbsrun.ocp.problem import Form, Problem, Representation, find_conflicts
 from mbsrun.ocp.record import Attempt, Task
 from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.search import ONE, Interpolation, Study, Trial, is_higher, list_interpolations
+from mbsrun.ocp.search import ONE, Interpolation, Place, Study, Trial, is_higher, list_interpolations
 from mbsrun.study.differentiated import WAYS, Way
 from mbsrun.study.figures import draw_scatter, name_set
 from mbsrun.study.results import Results
 from mbsrun.study.sheets import Cell, Picture, Section, Table
+from mbsrun.study.statements import COLLOCATION
 
 PROTOCOL = "question"  # of attempts that belong to none of the two
 ROUNDS = 3  # in which ways of differentiating are timed
@@ -31,6 +34,7 @@ GRIDS = tuple(
     (family, degree, intervals) for family in Family for degree in range(1, 6) for intervals in (25, 50, 100, 200)
 )
 QUICK_GRIDS = tuple((Family.RADAU, degree, intervals) for degree in (1, 2) for intervals in (5, 10))
+APART = 0.01  # relative difference of costs from which on two transcriptions are in other minima
 GRID_REPRESENTATIONS = (Representation.IMPL, Representation.EXP2_O)
 
 
@@ -297,6 +301,87 @@ def answer_grids(points: Sequence[GridPoint]) -> Section | None:
         ),
     )
     return Section("grids", "Other transcriptions", "", (*pictures, Table("Grids", columns, tuple(rows), note)))
+
+
+# --- shooting ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Transcription:
+    """How equations of motion become constraints between mesh points."""
+
+    name: str
+    form: Form
+    integrator: IntegratorName = "collocation"
+    steps: int = 1
+
+    def apply(self, problem: Problem) -> Problem:
+        """Give the problem in this form."""
+        return replace(problem, form=self.form, integrator=self.integrator, steps=self.steps)
+
+
+TRANSCRIPTIONS = (
+    Transcription(COLLOCATION, Form.STANDARD),
+    Transcription("shooting, the collocation's method", Form.SHOOTING),
+    Transcription("shooting, two steps of RK4", Form.SHOOTING, "rk4", 2),
+)
+
+
+def list_shooting(study: Study, folder: Path, systems: Sequence[System]) -> list[TaskList]:
+    """Solve for the extreme targets and the middle, and other systems, by collocation and by multiple shooting."""
+    i, j = len(study.targets.azimuths) - 1, len(study.targets.heights) - 1
+    few = replace(study.targets, every=(max(i // 2, 1), max(j, 1)))
+    cost = tuple(w for w in study.costs if w[1] > 0) or study.costs
+    studies = [(folder, replace(study, targets=few, costs=cost))]
+    studies += [(system.folder, _alone(system.problem, GRID_REPRESENTATIONS)) for system in systems]
+    lists = []
+    for place, each in studies:
+        for way in TRANSCRIPTIONS:
+            possible = tuple(
+                r
+                for r in GRID_REPRESENTATIONS
+                if not find_conflicts(replace(way.apply(each.problem), representation=r))
+            )
+            own = replace(each, problem=way.apply(each.problem), representations=possible)
+            lists.append(TaskList(place, own, tuple(list_interpolations(own, PROTOCOL, "shooting", "dynamic"))))
+    return [tasks for tasks in lists if tasks.trials]
+
+
+def name_transcription(problem: Problem) -> str:
+    """Name the way a problem is transcribed by."""
+    return next(way.name for way in TRANSCRIPTIONS if way.apply(problem) == problem)
+
+
+def answer_shooting(found: Sequence[tuple[Problem, Sequence[Attempt]]]) -> Section | None:
+    """Compare robustness and effort."""
+    rows: list[tuple[Cell, ...]] = []
+    lowest: dict[tuple[str, Place], float] = {}
+    for problem, attempts in found:
+        for a in attempts:
+            key = (problem.name, a.task.place)
+            lowest[key] = min(lowest.get(key, math.inf), math.inf if a.cost is None else a.cost)
+    for problem, attempts in sorted(found, key=lambda x: x[0].name):
+        for name in dict.fromkeys(a.task.representation for a in attempts):
+            own = [a for a in attempts if a.task.representation == name]
+            solved = [a for a in own if a.cost is not None]
+            worse = sum(a.cost > (1 + APART) * lowest[problem.name, a.task.place] for a in solved if a.cost is not None)
+            told = (problem.name, name_transcription(problem), name, len(own), len(solved), worse)
+            numbers: tuple[Cell, ...] = (None, None, None, None)
+            if solved:
+                iterations, cpu = ([getattr(a, x) for a in solved] for x in ("iterations", "cpu_seconds"))
+                each = [1e3 * s / max(i, 1) for s, i in zip(cpu, iterations, strict=True)]
+                marks = [_round(float(np.median(x))) for x in (iterations, cpu, each)]
+                numbers = (solved[0].variables, *marks)
+            rows.append((*told, *numbers))
+    if not rows:
+        return None
+    columns: tuple[str, ...] = ("problem", "transcription", "representation", "tasks", "solved", "in a higher minimum")
+    columns += ("variables", "iterations, median", "CPU s, median", "CPU ms per iteration, median")
+    note = (
+        f"A higher minimum is one {APART:.1%} above the lowest of all rows: integrators of other accuracy have other "
+        "costs. The balance of the pole has no constraint at its end."
+    )
+    return Section("shooting", "Multiple shooting", "", (Table("Multiple shooting", columns, tuple(rows), note),))
 
 
 # --- systems -------------------------------------------------------------------------------------------------------

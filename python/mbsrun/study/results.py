@@ -39,6 +39,7 @@ class Results:
     motions: tuple[tuple[Weights, Trajectory], ...]  # to the target of Fig. 8, by cost
     efforts: tuple[tuple[str, Effort], ...]  # by formulation
     growth: tuple[Growth, ...]
+    shooting: tuple[tuple[str, tuple[Attempt, ...]], ...] = ()  # of the study's problem, by transcription
 
     @cached_property
     def lowest(self) -> dict[tuple[Place, Weights], float]:
@@ -61,12 +62,27 @@ class Results:
         return next((w for w in self.study.costs if w[1] > 0), None)
 
     def pick(self, weights: Weights, representation: str, protocol: str = "paper") -> list[Attempt]:
-        """List the attempts of a set in a representation."""
+        """List the attempts of a set; of the paper's protocol at the places that are compared."""
+        places = self.compared[weights]
         return [
             a
             for a in self.attempts
             if (a.protocol, a.task.weights, a.task.representation) == (protocol, weights, representation)
+            and (protocol != "paper" or a.task.place in places)
         ]
+
+    @cached_property
+    def compared(self) -> dict[Weights, set[Place]]:
+        """Give the places at which the paper's protocol is through with all representations, by cost."""
+        tried = {(a.task.weights, a.task.place, a.task.representation) for a in self.attempts if a.protocol == "paper"}
+        return {
+            weights: {
+                place
+                for place in self.study.targets.places
+                if all((weights, place, name) in tried for name in self.representations)
+            }
+            for weights in self.study.costs
+        }
 
     def is_measured(self, weights: Weights | None, *names: str) -> bool:
         """Tell whether a set has been solved in some representations, at any place."""

@@ -59,6 +59,7 @@ Parts, in this order; all, unless some are chosen
   --question derivatives  generated sensitivities against AD of the same equations
   --question grids        Radau and Legendre points, degrees 1 to 5, N from 25 to 200
   --question systems      the problems of --system, in all representations
+  --question shooting     multiple shooting beside collocation, here and for --system
   --question guess        inputs 0, statics, inverse dynamics
   --protocol robust       what it takes to solve every task in its best minimum
 
