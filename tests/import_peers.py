@@ -1,7 +1,8 @@
 """Imported models against what Pinocchio and MuJoCo make of the same files: Phi, M, c, qdd, and first derivatives.
 
-Joints' own forces, and inertia of rotors, are taken out of both sides: the recursions of Pinocchio know neither. Where
-a body turns freely, MuJoCo's velocities v are T(q) qd, by which its equations are brought to our coordinates.
+Joints' own forces are taken out of both sides: the recursions of Pinocchio know none. Rotors count, but for those of
+balls and free bodies, which a model has not. Where a body turns freely, MuJoCo's velocities v are T(q) qd, by which its
+equations are brought to our coordinates.
 """
 
 from __future__ import annotations
@@ -93,7 +94,15 @@ def _fill(sparsity: Sparsity, values: list[float]) -> Array:
 class PinocchioPeer:
     """A URDF file as Pinocchio reads it; a free base slides along x, y, z and turns about z, y, x, as ours does."""
 
-    def __init__(self, path: Path, joints: list[str], *, floating: bool, locked: Mapping[str, float] = {}) -> None:
+    def __init__(
+        self,
+        path: Path,
+        joints: list[str],
+        *,
+        floating: bool,
+        locked: Mapping[str, float] = {},
+        rotors: Mapping[str, float] = {},  # armatures, of which Pinocchio's reader knows nothing
+    ) -> None:
         model = pin.buildModelFromUrdf(str(path))
         if floating:
             model = _free(model)
@@ -103,6 +112,8 @@ class PinocchioPeer:
                 at[model.idx_qs[model.getJointId(name)]] = value
             model = pin.buildReducedModel(model, [model.getJointId(name) for name in locked], at)
         self.model = model
+        for name, armature in rotors.items():
+            model.armature[self._find(name)] = armature
         self.data = model.createData()
         self._order = np.array([*range(6)] * floating + [self._find(name) for name in joints[6 * floating :]])
 
@@ -152,14 +163,15 @@ def _free(model: Any) -> Any:
 
 
 class MujocoPeer:
-    """An MJCF file as MuJoCo reads it, without joints' own forces and rotors; joints stand in our order."""
+    """An MJCF file as MuJoCo reads it, without joints' own forces; joints stand in our order."""
 
     def __init__(self, path: Path) -> None:
         import mujoco
 
         self._mujoco = mujoco
         self.model = mujoco.MjModel.from_xml_path(str(path))
-        self.model.dof_armature[:] = 0
+        loose = np.isin(self.model.jnt_type[self.model.dof_jntid], (0, 1))  # free bodies and balls
+        self.model.dof_armature[loose] = 0
         self.data = mujoco.MjData(self.model)
 
     def compute(self, state: State) -> dict[str, Array]:

@@ -109,6 +109,22 @@ def with_laws(tree: Tree) -> Tree:
     return replace(tree, bodies=bodies, parameters=(*tree.parameters, Parameter("stiffness", k, 7.0, kind)))
 
 
+def with_rotors(tree: Tree, seed: int) -> Tree:
+    """Give two of three joints an armature, of less or more than what they carry; parameters where a tree has them."""
+    rng = np.random.default_rng(seed + 700)
+    bodies, parameters = list(tree.bodies), list(tree.parameters)
+    for i, body in enumerate(bodies):
+        value = float(10 ** rng.uniform(-2, 1))
+        if i % 3 == 1:
+            continue
+        armature = Float(value)
+        if tree.parameters:
+            armature = Symbol(f"rotor{i}")
+            parameters.append(Parameter(armature.name, armature, value, tree.parameters[0].kind))
+        bodies[i] = replace(body, joint=replace(body.joint, armature=armature))
+    return replace(tree, bodies=tuple(bodies), parameters=tuple(parameters))
+
+
 def law_forces(tree: Tree, q: Array, qd: Array) -> Array:
     """Evaluate the joints' force laws at the default parameters, by SymPy."""
     table = {p.symbol: p.value for p in tree.parameters}
@@ -175,6 +191,7 @@ class Pinocchio:
         add(0)
         self.data = self.model.createData()
         self.order = [joints[i] - 1 for i in range(1, len(tree.bodies) + 1)]
+        self.model.armature = self._theirs(floats(tree, [body.joint.armature for body in tree.bodies]))
 
     def _theirs(self, ours: Array) -> Array:
         theirs = np.empty_like(ours)

@@ -130,6 +130,8 @@ def identify(tree: Tree) -> str:
         numbers = read(*b.position, *chain(*b.orientation), b.mass, *b.com, *chain(*b.inertia))
         for lump in b.lumps:
             numbers += read(lump.mass, *lump.com, *chain(*lump.inertia))
+        if b.joint.armature != 0:
+            numbers += read(b.joint.armature)
         told.append((b.parent, b.joint.motion.value, b.joint.axis, str(b.joint.law), numbers))
     return hashlib.sha256(repr((read(*tree.gravity), told, len(tree.wrenches))).encode()).hexdigest()[:16]
 

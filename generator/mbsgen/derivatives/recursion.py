@@ -1,7 +1,7 @@
 """Derivatives of the residual by mechanics: Tree -> Tapes of `jac_impl`, `lin_impl` and `jac_adj1_impl`.
 
-What the recursions leave out, the forces of joints and external wrenches, is a residual too: that of the same tree
-without mass. It is differentiated as a tape, and added.
+What the recursions leave out, the forces of joints, their rotors and external wrenches, is a residual too: that of the
+same tree without mass. It is differentiated as a tape, and added.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Energy and momentum: Tree -> Tape of `energy`, which no reduction touches: every body counts as it is.
 
 The momentum of all that a joint carries is added up from the leaves to the base; its part along the joint is a row of
-M qd, so that the kinetic energy takes one product more for each joint.
+M qd, so that the kinetic energy takes one product more for each joint. A rotor has the energy of its spin relative to
+the body that holds it, I qd2 / 2, and no momentum: what it is driven by acts between two bodies.
 """
 
 from __future__ import annotations
@@ -50,6 +51,7 @@ def build(tree: Tree) -> Tape:
     chain = write_chain(tree, builder, state)
     carried = _add_up(chain)
     twice = reduce(add, (_along(x, carried[x.number]) * qd for x, qd in zip(chain.links, state.qd, strict=True)))
+    twice = reduce(add, (rotor * qd * qd for rotor, qd in zip(chain.armatures, state.qd, strict=True)), twice)
     whole = reduce(add, (_refer(x, carried[x.number]) for x in chain.links if not x.parent), _nothing(chain))
     builder.output_dense("kinetic", [[builder.number(0.5) * twice]])
     builder.output_dense("potential", [[-chain.gravity.dot(whole.S)]])

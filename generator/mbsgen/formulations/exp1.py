@@ -2,6 +2,7 @@
 
 Docquier, Bruls, Fisette, eq. (18). M = LT D L is sparse where the tree branches, and is eliminated from the leaves.
 Within a group of parallel axes the unknowns are absolute angles, whose M has fewer terms; their differences come out.
+Of a joint with a rotor, the unknown is its own angle.
 """
 
 from __future__ import annotations
@@ -51,10 +52,10 @@ def _absolute_forces(segments: Sequence[Segment], Q: Sequence[Scalar]) -> list[S
     along = [s.signed(force) for s, force in zip(segments, Q, strict=True)]
     forces = list(along)
     for s in segments:
-        if not s.opens_group:
+        if not s.counts_angle:
             forces[s.parent - 1] = forces[s.parent - 1] - along[s.number - 1]
     return forces
 
 
 def _relative_accelerations(segments: Sequence[Segment], x: Sequence[Scalar]) -> list[Scalar]:
-    return [s.signed(x[s.number - 1] if s.opens_group else x[s.number - 1] - x[s.parent - 1]) for s in segments]
+    return [s.signed(x[s.number - 1] if s.counts_angle else x[s.number - 1] - x[s.parent - 1]) for s in segments]

@@ -83,6 +83,11 @@ class Chain:
         return tuple(_write_link(self, i, body, self.state.q[i - 1]) for i, body in enumerate(self.tree.bodies, 1))
 
     @cached_property
+    def armatures(self) -> tuple[Scalar, ...]:
+        """What rotors add to the diagonal of M: each feels the acceleration of its joint alone."""
+        return tuple(self.scalar(body.joint.armature) for body in self.tree.bodies)
+
+    @cached_property
     def gravity(self) -> Vector[Scalar]:
         """The acceleration of free fall, in the base frame."""
         return self.vector(self.tree.gravity)

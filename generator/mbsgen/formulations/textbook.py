@@ -33,12 +33,13 @@ class Wrench:
 
 
 def residual(chain: Chain, qd: Sequence[Scalar], qdd: Sequence[Scalar]) -> list[Scalar]:
-    """Compute Phi(q, qd, qdd): the joint forces that make the chain move so."""
+    """Compute Phi(q, qd, qdd): the joint forces that make the chain, and the rotors of its joints, move so."""
     motion = forward_kinematics(chain, qd, qdd)
     load: dict[int, Wrench] = {}
     for link in reversed(chain.links):
         load[link.number] = backward_dynamics(chain, link, motion[link.number], load)
-    return [(load[x.number].N if x.is_revolute else load[x.number].F)[x.joint.axis] for x in chain.links]
+    felt = ((load[x.number].N if x.is_revolute else load[x.number].F)[x.joint.axis] for x in chain.links)
+    return [force + rotor * a for force, rotor, a in zip(felt, chain.armatures, qdd, strict=True)]
 
 
 def forward_kinematics(chain: Chain, qd: Sequence[Scalar], qdd: Sequence[Scalar]) -> dict[int, Kinematics]:

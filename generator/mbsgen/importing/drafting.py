@@ -80,6 +80,7 @@ class Move:
     lower: float | None = None
     upper: float | None = None
     law: Law = FREE
+    armature: float = 0.0  # what a rotor adds to M [kg m2 or kg]
     velocity: float | None = None
     effort: float | None = None
 
@@ -218,6 +219,7 @@ class Draft:
                 Joint(
                     move.motion, _write_axis(move.axis), None if name == body and len(kept) == 1 else name,
                     self.writer.placement(pose), move.actuated, lower, upper, move.law,
+                    Number(move.armature),
                 )
             )  # fmt: skip
             self._moves[body, i] = move.source

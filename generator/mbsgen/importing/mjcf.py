@@ -8,7 +8,7 @@ unless the compiler section says otherwise.
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
@@ -72,6 +72,7 @@ class _Scene:
         self._defaults = Defaults(root, findings)
         self._settings = {k: v for element in root.all("compiler") for k, v in element.attributes.items()}
         self._compiler = self._read_compiler()
+        self._rotors: defaultdict[str, float] = defaultdict(float)  # what actuators add to the inertia of joints
         self._driven = self._read_actuators()
         self._scale = 1.0
         self._skipped: Counter[str] = Counter()
@@ -141,8 +142,7 @@ class _Scene:
                 elif element.tag != "motor":
                     text = f"{element.tag} of joint {abbreviate(joint)}: gains and dynamics are left out"
                     self._findings.warn(element, f"{text}; the input u is {what}")
-                if self._findings.number(element, "armature", 0.0, attributes):
-                    self._findings.warn(element, "armature: a model has no rotor inertia yet")
+                self._rotors[joint] += gear**2 * self._findings.number(element, "armature", 0.0, attributes)
                 driven[joint] = self._find_effort(element, attributes, abs(gear))
         return driven
 
@@ -354,6 +354,7 @@ class _Scene:
             lower=lower,
             upper=upper,
             law=make_law(number("stiffness"), coordinate(number("springref")), number("damping"), friction, speed),
+            armature=number("armature") + self._rotors[name or ""],
             effort=self._driven.get(name or ""),
         )
 
@@ -371,9 +372,6 @@ class _Scene:
         return lower, upper
 
     def _warn_joint(self, element: Element, attributes: Mapping[str, str]) -> None:
-        armature = self._findings.number(element, "armature", 0.0, attributes)
-        if armature:
-            self._findings.warn(element, f"armature {armature:g}: a model has no rotor inertia yet; it is left out")
         if any(self._findings.numbers(element, "springdamper", (0.0, 0.0), attributes=attributes)):
             self._findings.warn(element, "springdamper: give stiffness and damping instead; it is left out")
 

@@ -7,8 +7,8 @@ of the file.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -30,6 +30,8 @@ READ = frozenset(
     }
 )
 _XACRO = ("include", "property", "macro", "arg", "if", "unless", "insert_block", "call")
+RATIOS = ("mechanicalReduction", "drake:gear_ratio")
+ROTORS = ("rotorInertia", "motorInertia", "drake:rotor_inertia")
 MACROS = frozenset(f"xacro:{word}" for word in _XACRO)
 
 
@@ -52,6 +54,7 @@ class _Robot:
         self._findings = findings
         held = () if choices.mimic != "lock" else tuple(self._hold_mimics())
         self._draft = Draft(findings, replace(choices, locked=(*choices.locked, *held)))
+        self._rotors: defaultdict[str, float] = defaultdict(float)  # what transmissions add to the inertia of joints
 
     def _hold_mimics(self) -> Iterator[tuple[str, float]]:
         """Give the joints that follow others, and where they are when those are at 0."""
@@ -63,7 +66,8 @@ class _Robot:
     def read(self) -> Imported:
         """Read the file, and put the model together."""
         links = self._index("link")
-        self._index("joint")
+        joints = self._index("joint")
+        self._read_transmissions(joints)
         carried: dict[str, list[tuple[Element, str]]] = {name: [] for name in links}
         carriers: dict[str, Element] = {}
         for joint in self._root.all("joint"):
@@ -83,7 +87,6 @@ class _Robot:
         if self._findings.faults:
             raise self._findings.refuse()
         self._add_links(roots[0], links, carried)
-        self._tell_transmissions()
         self._tell_ignored()
         return self._draft.finish(self._root.attributes.get("name", "robot"), GRAVITY, self._root)
 
@@ -201,8 +204,10 @@ class _Robot:
         self._read_mimic(joint, name)
         dynamics = joint.first("dynamics")
         damping = friction = 0.0
+        armature = self._rotors[name]
         if dynamics is not None:
             damping, friction = (self._read_loss(dynamics, key) for key in ("damping", "friction"))
+            armature += self._read_armature(dynamics)
         if friction:
             speed = self._choices.friction_speed
             self._findings.tell(joint, f"dry friction of {friction:g}, smoothed: tanh(qd/{speed:g})")
@@ -214,6 +219,7 @@ class _Robot:
             lower=lower,
             upper=upper,
             law=make_law(damping=damping, friction=friction, speed=self._choices.friction_speed),
+            armature=armature,
             velocity=velocity,
             effort=effort,
         )
@@ -224,6 +230,15 @@ class _Robot:
             self._findings.fault(dynamics, f"{key} is {value:g}", "give 0 or more")
             return 0.0
         return value
+
+    def _read_armature(self, dynamics: Element) -> float:
+        """Read what simulators add to URDF for rotors: inertia at the joint, gears included."""
+        total = 0.0
+        for key in ("armature", "rotor_inertia"):
+            if value := self._read_loss(dynamics, key):
+                self._findings.tell(dynamics, f"{key} {value:g} is the joint's armature: no gear ratio is applied")
+                total += value
+        return total
 
     def _read_axis(self, joint: Element) -> Array:
         element = joint.first("axis")
@@ -250,15 +265,32 @@ class _Robot:
 
     # --- the rest ----------------------------------------------------------------------------------------------------
 
-    def _tell_transmissions(self) -> None:
+    def _read_transmissions(self, joints: Mapping[str, Element]) -> None:
+        """Find the rotors' inertia at the joints: of each transmission that leads from one actuator to one joint."""
         for transmission in self._root.all("transmission"):
-            for element in transmission.walk():
-                if element.tag == "mechanicalReduction" and element.text not in ("", "1", "1.0"):
-                    self._findings.tell(
-                        transmission, f"gear ratio {abbreviate(element.text)}: the input u is the force at the joint"
-                    )
-                elif element.tag in ("rotorInertia", "motorInertia"):
-                    self._findings.warn(element, f"rotor inertia {abbreviate(element.text)}: a model has none yet")
+            parts = [*transmission.walk()]
+            ratios = [element for element in parts if element.tag in RATIOS]
+            rotors = [element for element in parts if element.tag in ROTORS]
+            names = {element.attributes.get("name", "") for element in parts if element.tag == "joint"}
+            for element in ratios:
+                if self._read_value(element, 1.0) != 1:
+                    ratio = abbreviate(element.attributes.get("value", element.text))
+                    self._findings.tell(transmission, f"gear ratio {ratio}: the input u is the force at the joint")
+            if len(ratios) <= 1 and len(rotors) == 1 and len(names) == 1 and names <= joints.keys():
+                gear = self._read_value(ratios[0], 1.0) if ratios else 1.0
+                armature = self._read_value(rotors[0], 0.0) * gear**2
+                (name,) = names
+                self._rotors[name] += armature
+                self._findings.tell(rotors[0], f"with its gear, armature {armature:g} of joint {abbreviate(name)}")
+            else:
+                for element in rotors:
+                    text = f"rotor inertia {abbreviate(element.attributes.get('value', element.text))} is left out"
+                    self._findings.warn(element, f"{text}: of no single rotor, gear and joint of the file")
+
+    def _read_value(self, element: Element, default: float) -> float:
+        """Read the number that an element holds, as its text or its value."""
+        value = {"value": text} if (text := element.attributes.get("value", element.text)) else {}
+        return self._findings.number(element, "value", default, value)
 
     def _tell_ignored(self) -> None:
         seen: Counter[str] = Counter()

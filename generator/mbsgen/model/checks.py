@@ -68,6 +68,9 @@ def _check_joint(place: Place, joint: Joint, valuation: Valuation) -> Iterator[F
     if lower > upper:
         yield Finding((*place, "limits"), f"the lower limit {lower:g} is above the upper {upper:g}", "swap them")
     yield from _check_law(place, joint.law, valuation)
+    armature = valuation.number((*place, "armature"), joint.armature)
+    if armature < 0:
+        yield Finding((*place, "armature"), f"an armature of {armature:g}", "give 0 or more")
 
 
 def _check_law(place: Place, law: Law, valuation: Valuation) -> Iterator[Finding]:

@@ -60,6 +60,7 @@ class Setting(TypedDict, total=False):
     damping: Quantity
     friction: tuple[Quantity, Quantity]  # T, v
     force: Quantity  # over parameters, q and qd
+    armature: Quantity  # of the rotor that drives it
 
 
 _ORIGIN = (0.0, 0.0, 0.0)
@@ -224,12 +225,14 @@ def _make_joint(
     damping: Quantity = 0.0,
     friction: tuple[Quantity, Quantity] | None = None,
     force: Quantity = 0.0,
+    armature: Quantity = 0.0,
 ) -> Joint:
     lower, upper = (None if limit is None else number(limit) for limit in limits)
     dry = None if friction is None else Friction(number(friction[0]), number(friction[1]))
     law = Law(number(stiffness), number(rest), number(damping), dry, number(force))
     direction = read_direction(axis) if isinstance(axis, str) else vector(axis)
-    return Joint(motion, direction, name, _place(position, orientation), actuated, lower, upper, law)
+    place = _place(position, orientation)
+    return Joint(motion, direction, name, place, actuated, lower, upper, law, number(armature))
 
 
 def _make_compound(type: str, order: str, placement: Placement, actuated: bool) -> tuple[Joint, ...]:

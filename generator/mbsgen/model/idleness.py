@@ -1,4 +1,4 @@
-"""Joints that move nothing: no motion of theirs is felt by any mass, whatever the other joints do.
+"""Joints that move nothing: no motion of theirs is felt by any mass, whatever the other joints do, nor by a rotor.
 
 M would have a zero on its diagonal: at every configuration, or else at almost none. So one configuration tells, chosen
 without symmetry.
@@ -33,6 +33,7 @@ class _Solid:
     mass: float
     com: Array
     inertia: Array  # about com, in the body's frame
+    armature: float  # of its joint
 
 
 def check_idle_joints(model: Model) -> Iterator[Finding]:
@@ -51,7 +52,7 @@ def check_idle_joints(model: Model) -> Iterator[Finding]:
         if not isinstance(joint, Joint):
             continue
         subtree = [solids[k] for k in order[rank : rank + carried[i]]]
-        if not _is_felt(solids[i], subtree, joint.motion):
+        if not solids[i].armature and not _is_felt(solids[i], subtree, joint.motion):
             what = "inertia about" if joint.motion is Motion.REVOLUTE else "mass along"
             finding = f"joint {abbreviate(joint.name)} moves nothing: what it carries has no {what} its axis"
             yield Finding(expansion.places[i], finding, "give a body it carries mass, or take the joint away")
@@ -100,6 +101,7 @@ def _place_solids(model: Model, parents: list[int | None], order: list[int]) -> 
             mass=valuation.number(place, body.mass),
             com=slid + turned @ valuation.triple(place, body.com),
             inertia=np.array([valuation.triple(place, row) for row in body.inertia.rows]),
+            armature=0.0 if isinstance(joint, Fixed) else valuation.number(place, joint.armature),
         )
     return solids
 

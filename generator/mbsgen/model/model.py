@@ -104,6 +104,7 @@ class Joint:
     lower: Expression | None = None  # None: unbounded
     upper: Expression | None = None
     law: Law = FREE
+    armature: Expression = ZERO  # of the rotor that drives it, times its gear ratio squared [kg m2 or kg]
 
 
 @dataclass(frozen=True)

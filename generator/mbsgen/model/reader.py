@@ -110,6 +110,7 @@ def _set_joint(joint: Joint, setting: schema.SettingSection) -> Joint:
         lower=setting.limits[0],
         upper=setting.limits[1],
         law=Law(setting.stiffness, setting.rest, setting.damping, dry, setting.force),
+        armature=setting.armature,
     )
 
 

@@ -66,10 +66,10 @@ def build_tree(description: Model) -> Tree:
 
 
 def with_runtime_numbers(original: Tree) -> Tree:
-    """Make every number of gravity, bodies, force laws and wrenches a parameter at run time, and every constant one.
+    """Make every number of gravity, bodies, joints and wrenches a parameter at run time, and every constant one.
 
     Zeros and orientations stay. An expression over parameters stays that expression; any other number becomes a
-    parameter of its own, named after its place, such as `hand.mass` or `hand.inertia.xy`; in force laws as `laws`
+    parameter of its own, named after its place, such as `hand.mass` or `wrist.armature`; in force laws as `laws`
     tells. Tensors stay symmetric. A law that is not of a Model keeps its numbers.
     """
     parameters = {p.name: replace(p, kind=Kind.RUNTIME) if p.kind is Kind.CONSTANT else p for p in original.parameters}
@@ -98,14 +98,15 @@ def with_runtime_numbers(original: Tree) -> Tree:
 
     def release_body(body: tree.Body) -> tree.Body:
         placed = replace(body, position=release_vector(f"{body.name}.position", body.position))
-        joint, lumps = release_law(body.joint), tuple(map(release_mass, body.lumps))
+        joint, lumps = release_joint(body.joint), tuple(map(release_mass, body.lumps))
         return replace(release_mass(placed), joint=joint, lumps=lumps)
 
-    def release_law(joint: tree.Joint) -> tree.Joint:
+    def release_joint(joint: tree.Joint) -> tree.Joint:
+        released = replace(joint, armature=release(f"{joint.name}.armature", joint.armature))
         if joint.loose is None:
-            return joint
+            return released
         parameters.update((number.name, number) for number in joint.loose.numbers)
-        return replace(joint, law=joint.loose.law, loose=None)
+        return replace(released, law=joint.loose.law, loose=None)
 
     gravity = release_vector("gravity", original.gravity)
     bodies = tuple(map(release_body, original.bodies))
@@ -345,6 +346,7 @@ def _make_body(mover: _Mover, lump: Lump, *lumps: Lump, reader: _Reader) -> tree
             upper=reader.limit(mover.joint.upper),
             law=reader.law(mover.joint.law),
             loose=reader.loose_law(mover.joint.law, mover.joint.name),
+            armature=reader.number(mover.joint.armature),
         ),
         position=mover.position,
         orientation=mover.orientation,

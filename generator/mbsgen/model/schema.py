@@ -117,6 +117,9 @@ class SettingSection(Section):
     rest: NumberField = Field(ZERO, examples=[0.1], description="q where the spring is slack")
     damping: NumberField = Field(ZERO, examples=[0.1], description="of a damper: -damping*qd")
     friction: FrictionSection | None = Field(None, examples=[{"torque": 0.5, "speed": 0.01}])
+    armature: NumberField = Field(
+        ZERO, examples=[0.02], description="of a rotor: its inertia times the gear ratio squared, in kg m2 or kg"
+    )
     force: NumberField = Field(
         ZERO, examples=["-2*q**3"], description="Nm or N, added to all else: an expression over parameters, q and qd"
     )

@@ -114,7 +114,10 @@ def _write_setting(joint: Joint, *, actuated: bool) -> Mapped:
         content["actuated"] = _write_truth(joint.actuated)
     if (joint.lower, joint.upper) != (None, None):
         content["limits"] = ["null" if x is None else _write_number(x) for x in (joint.lower, joint.upper)]
-    return content | _write_law(joint.law)
+    content |= _write_law(joint.law)
+    if joint.armature != ZERO:
+        content["armature"] = _write_number(joint.armature)
+    return content
 
 
 def _write_law(law: Law) -> Mapped:

@@ -41,7 +41,7 @@ def rods() -> Model:
     lower = body(
         "lower",
         parent="upper",
-        joint=revolute("x", position=(0, 0, "-l1"), actuated=False),
+        joint=revolute("x", position=(0, 0, "-l1"), actuated=False, armature="m2*l1/20"),
         mass="m2",
         com=(0, 0.1, -0.35),
         inertia=("m2/20", "m2/20", 0.01),

@@ -157,6 +157,26 @@ def test_friction_and_actuators(tmp_path: Path) -> None:
     assert any("not that before gear 20" in notice.text for notice in imported.notices)
 
 
+def test_rotors_are_mujocos(tmp_path: Path) -> None:
+    """Armature of joints and their default classes, and of actuators by their gears; a ball's is told, and left out."""
+    inner = world(
+        f'<body name="a"><joint name="one" axis="0 1 0"/>{INERTIAL}'
+        f'<body name="b" pos="1 0 0"><joint class="geared" name="two"/>{INERTIAL}</body>'
+        f'<body name="c" pos="0 1 0"><joint type="ball"/>{INERTIAL}</body></body>'
+    )
+    classes = '<default><joint armature="0.5"/><default class="geared"><joint armature="0.25"/></default></default>'
+    motors = (
+        '<actuator><motor joint="one" gear="3" armature="0.1"/><position joint="two" kp="1" armature="0.2"/>'
+        '<motor joint="two" gear="-2" armature="0.1"/></actuator>'
+    )
+    path = write(tmp_path, classes + inner + motors)
+    imported = import_model(path)
+    assert only_joint(imported, "a").armature == Number(0.5 + 9 * 0.1)
+    assert only_joint(imported, "b").armature == Number(0.25 + (0.2 + 4 * 0.1))
+    assert any("armature of a ball is left out" in line for line in warnings(imported))
+    assert_mujoco_agrees(path, imported)
+
+
 def test_locked_joints_and_sensors(tmp_path: Path) -> None:
     inner = (
         f'<body name="a"><joint name="one" axis="0 0 1"/>{INERTIAL}<site name="eye" pos="1 0 0"/>'
@@ -170,7 +190,7 @@ def test_locked_joints_and_sensors(tmp_path: Path) -> None:
 
 def test_what_alters_the_motion_is_told_one_by_one(tmp_path: Path) -> None:
     inner = world(
-        f'<body name="a" gravcomp="1"><joint name="one" armature="0.1"/>{INERTIAL}'
+        f'<body name="a" gravcomp="1"><joint name="one"/>{INERTIAL}'
         f'<body name="b" pos="1 0 0"><joint type="ball" damping="0.2"/>{INERTIAL}</body></body>'
     )
     acting = (
@@ -182,11 +202,10 @@ def test_what_alters_the_motion_is_told_one_by_one(tmp_path: Path) -> None:
     imported = import_model(path)
     with pytest.warns(UserWarning, match="warning: ") as caught:
         assert read(path) == imported.model
-    assert len(caught) == 8
+    assert len(caught) == 7
     found = "\n".join(warnings(imported))
     for text in (
         "body[a]: warning: gravcomp",
-        "joint[one]: warning: armature 0.1: a model has no rotor inertia yet",
         "joint: warning: damping of a ball is left out",
         "equality/weld: warning: weld (equality) is not part of a model",
         "tendon/fixed[t]: warning: fixed (tendon)",
@@ -195,7 +214,7 @@ def test_what_alters_the_motion_is_told_one_by_one(tmp_path: Path) -> None:
         "option: warning: density: the forces of a fluid",
     ):
         assert text in found
-    assert len(found.splitlines()) == 8
+    assert len(found.splitlines()) == 7
 
 
 @pytest.mark.parametrize(

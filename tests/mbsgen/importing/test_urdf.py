@@ -161,7 +161,47 @@ def test_what_has_no_meaning_for_the_dynamics_is_told_once(tmp_path: Path) -> No
     assert len([line for line in lines if "no meaning" in line]) == 1
     assert any("1 collision, 1 gazebo, 1 material, 1 visual; 2 mesh files" in line for line in lines)
     assert any('gear ratio "50"' in line for line in lines)
-    assert any("warning: rotor inertia" in line for line in lines)
+    assert any('with its gear, armature 0.25 of joint "j"' in line for line in lines)
+
+
+def transmit(joints: str, inner: str) -> str:
+    named = "".join(f'<joint name="{name}"/>' for name in joints.split())
+    return f'<transmission name="t">{named}<actuator name="m">{inner}</actuator></transmission>'
+
+
+def test_rotors_are_the_joints_armature(tmp_path: Path) -> None:
+    """Inertia times the gear ratio squared, in the words of ROS and of Drake; what simulators add at the joint."""
+    geared = transmit("shoulder", "<mechanicalReduction>-50</mechanicalReduction><rotorInertia>1e-4</rotorInertia>")
+    drake = transmit("slide", '<drake:rotor_inertia value="0.02"/><drake:gear_ratio value="3"/>')
+    added = '<dynamics damping="0.1" armature="0.3" rotor_inertia="0.1"/>'
+    tree = TREE.replace('axis xyz="0 0 -2"/>', f'axis xyz="0 0 -2"/>{added}')
+    path = write(tmp_path, tree + geared + drake)
+    imported = import_model(path)
+    rotors = {"shoulder": 0.25, "slide": 0.18, "roll": 0.4}
+    for name, armature in rotors.items():
+        carrier = {"shoulder": "arm", "slide": "slider", "roll": "wheel"}[name]
+        assert only_joint(imported, carrier).armature == Number(pytest.approx(armature, rel=1e-15))
+    kernels = Kernels(imported, ("impl", "semi", "exp1", "exp2"))
+    peer = PinocchioPeer(path, kernels.joints, floating=False, rotors=rotors)
+    for state in kernels.draw_states():
+        assert max(largest_miss(kernels.compute(state), peer.compute(state)).values()) < TOLERANCE
+    assert not any("warning" in line for line in told(imported))
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        transmit("shoulder roll", "<rotorInertia>1e-4</rotorInertia>"),
+        transmit("elbow", "<rotorInertia>1e-4</rotorInertia>"),
+        transmit("roll", "<rotorInertia>1e-4</rotorInertia><motorInertia>1e-4</motorInertia>"),
+    ],
+    ids=["two joints", "no such joint", "two rotors"],
+)
+def test_rotors_of_no_single_joint_are_told(parts: str, tmp_path: Path) -> None:
+    imported = import_model(write(tmp_path, TREE + parts))
+    warned = [line for line in told(imported) if "warning: rotor inertia" in line]
+    assert len(warned) == parts.count("Inertia>") // 2
+    assert all("of no single rotor, gear and joint" in line for line in warned)
 
 
 def test_joints_that_follow_others(tmp_path: Path) -> None:

@@ -496,6 +496,7 @@ BAD_PARTS: dict[str, tuple[str, str, int, str, str]] = {
         'joint "arm" moves nothing',
     ),
     # joints' own forces
+    "a negative armature": ("damping: 2", "armature: -2", 11, "bodies[0].joint.axes.rz.armature", "an armature of -2"),
     "a negative stiffness": ("stiffness: k", "stiffness: -k", 21, "bodies[2].joint[0].stiffness", "stiffness -50"),
     "a negative damping": ("damping: 2", "damping: -2", 11, "bodies[0].joint.axes.rz.damping", "damping -2"),
     "a negative friction": ("torque: 1", "torque: -1", 22, "bodies[2].joint[1].friction.torque", "torque -1"),

@@ -6,6 +6,10 @@ once the joint's share K u is hooked in, and the product of articulated inertia 
 Loads and increments of a body are about its origin, where the body is written:
 
     F = M a + B OMp,    N = BT a + J OMp
+
+A rotor feels its joint's own acceleration alone. So its inertia stands in the pivot, and of the joint's force it takes
+the part `slip` that it has of the pivot. Along the axis, the rest is felt by the bodies, and slip of their inertia is
+left to the parent; without a rotor, the whole, and nothing.
 """
 
 from __future__ import annotations
@@ -15,14 +19,13 @@ from dataclasses import dataclass
 from functools import reduce
 
 from mbsgen.algebra.vectors import Matrix, Vector
-from mbsgen.formulations.links import check_pivot
+from mbsgen.formulations.links import Chain, check_pivot
 from mbsgen.formulations.parsimony.mass_matrix import link, own_inertia
 from mbsgen.formulations.parsimony.motion import Kinematics
 from mbsgen.formulations.parsimony.regrouping import Lump
 from mbsgen.formulations.parsimony.residual import Load, join_loads
 from mbsgen.formulations.parsimony.segments import Segment, children
 from mbsgen.formulations.parsimony.writing import Writing
-from mbsgen.model.tree import Tree
 from mbsgen.tape.builder import Builder, Scalar
 
 
@@ -41,7 +44,8 @@ class Body:
 
     parts: tuple[Inertia, ...]  # what its origin feels: of itself, and of what each of its joints carries
     pivot: Scalar  # the inertia that its own joint feels: D
-    KF: Vector[Scalar]  # load along its joint's axis, for a unit force
+    slip: Scalar  # the part of it that is the rotor's
+    KF: Vector[Scalar]  # load for a unit force of its joint
     KN: Vector[Scalar]
     left: Inertia  # what is left with its joint free
 
@@ -77,7 +81,7 @@ def articulate(writing: Writing) -> dict[int, Body]:
     bodies: dict[int, Body] = {}
     for segment in reversed(kinematics.segments):
         parts = _gather(kinematics, segment, writing.lumps[segment.number], bodies)
-        bodies[segment.number] = _free(writing.chain.tree, segment, parts)
+        bodies[segment.number] = _free(writing.chain, segment, parts)
     return bodies
 
 
@@ -108,25 +112,24 @@ def _shift(builder: Builder, inertia: Inertia, d: Vector[Scalar]) -> Inertia:
     return Inertia(inertia.M, B, symmetric(upper))
 
 
-def _free(tree: Tree, segment: Segment, parts: tuple[Inertia, ...]) -> Body:
+def _free(chain: Chain, segment: Segment, parts: tuple[Inertia, ...]) -> Body:
     """Eliminate a joint: what it takes of a load, and the inertia that is left to its parent."""
-    builder = parts[0].M[0, 0].builder
-    e, zero, whole = segment.axis, builder.zero, reduce(_add, parts)
+    e, rotor, whole = segment.axis, chain.armatures[segment.number - 1], reduce(_add, parts)
     if segment.is_revolute:
         UF, UN = whole.B.column(e), whole.J.column(e)
-        pivot = UN[e]
+        pivot = UN[e] + rotor
     else:
         UF, UN = whole.M.column(e), whole.B.rows[e]
-        pivot = UF[e]
-    check_pivot(tree, segment.number, pivot)
-    inverse = builder.number(1.0) / pivot
-    KF, KN = UF.scale(inverse), UN.scale(inverse)
+        pivot = UF[e] + rotor
+    check_pivot(chain.tree, segment.number, pivot)
+    inverse = chain.builder.number(1.0) / pivot
+    KF, KN, slip = UF.scale(inverse), UN.scale(inverse), rotor * inverse
 
     def left(
-        own: Matrix[Scalar], K: Vector[Scalar], U: Vector[Scalar], gone: set[int], *, mirror: bool
+        own: Matrix[Scalar], K: Vector[Scalar], U: Vector[Scalar], along: set[int], *, mirror: bool
     ) -> Matrix[Scalar]:
         rest = {
-            (r, c): zero if (r in gone and mirror) or c in gone else own[r, c] - K[r] * U[c]
+            (r, c): slip * own[r, c] if (r in along and mirror) or c in along else own[r, c] - K[r] * U[c]
             for r in range(3)
             for c in range(3)
             if r <= c or not mirror
@@ -139,14 +142,14 @@ def _free(tree: Tree, segment: Segment, parts: tuple[Inertia, ...]) -> Body:
     J = left(whole.J, KN, UN, turned, mirror=True)
     B = left(whole.B, KF, UN, turned, mirror=False)
     if slid:
-        B = Matrix.of([zero if r == e else B[r, c] for c in range(3)] for r in range(3))
-    return Body(parts, pivot, KF, KN, Inertia(M, B, J))
+        B = Matrix.of([slip * whole.B[r, c] if r == e else B[r, c] for c in range(3)] for r in range(3))
+    return Body(parts, pivot, slip, KF, KN, Inertia(M, B, J))
 
 
 def _hook(segment: Segment, bias: Load, body: Body, spare: Scalar, force: Scalar) -> Load:
-    """Add a joint's share to the bias; along its axis, the load is then the joint's force."""
+    """Add a joint's share to the bias; along its axis, the load is then the joint's force, less the rotor's part."""
     F, N = list(bias.F + body.KF.scale(spare)), list(bias.N + body.KN.scale(spare))
-    (N if segment.is_revolute else F)[segment.axis] = force
+    (N if segment.is_revolute else F)[segment.axis] = force - body.slip * spare
     return Load(Vector.of(F), Vector.of(N), Vector.of(N))
 
 
@@ -168,6 +171,7 @@ def _accelerate(kinematics: Kinematics, bodies: dict[int, Body], spare: dict[int
             for r in range(3):
                 if r != axis or (K is body.KF) == segment.is_revolute:
                     total = total - K[r] * motion[r]
+        total = total + body.slip * before
         own = Vector.of(total if r == axis else x for r, x in enumerate(OMp if segment.is_revolute else a))
         increments[segment.number] = Increment(a, own) if segment.is_revolute else Increment(own, OMp)
         qdd.append(segment.signed(total - before))

@@ -54,7 +54,7 @@ class Curvatures:
 def curvatures(
     writing: Writing, qd: Sequence[Scalar], qdd: Sequence[Scalar], multipliers: Sequence[Scalar]
 ) -> tuple[Sensitivities, Curvatures]:
-    """Differentiate Phi, and lambdaT Phi twice; what drives the chain, and external wrenches, left out."""
+    """Differentiate Phi, and lambdaT Phi twice; what drives the chain, rotors and external wrenches, left out."""
     recursion = _Recursion(writing, qd, qdd, multipliers)
     return recursion.run(), recursion.curvatures
 

@@ -38,7 +38,7 @@ class Factors:
         """Solve LT y = b, from the leaves to the base."""
         y = {k: b.get(k, self.builder.zero) for k in range(1, self.size + 1)}
         for k in range(self.size, 0, -1):
-            for i in self._ancestors(k):
+            for i in self.ancestors(k):
                 y[i] = y[i] - self.L[i, k] * y[k]
         return y
 
@@ -48,7 +48,7 @@ class Factors:
         for k in range(1, self.size + 1):
             if k not in x:
                 value = y[k] * self.inverses[k]
-                for i in self._ancestors(k):
+                for i in self.ancestors(k):
                     value = value - self.L[i, k] * x[i]
                 x[k] = value
         return x
@@ -61,7 +61,8 @@ class Factors:
             found[j] = self.rise(y, {i: column[j] for i, column in found.items()})
         return found
 
-    def _ancestors(self, k: int) -> Sequence[int]:
+    def ancestors(self, k: int) -> Sequence[int]:
+        """List the unknowns that k is eliminated from."""
         return [i for i in range(1, k) if (i, k) in self.L]
 
 

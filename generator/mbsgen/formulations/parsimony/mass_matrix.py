@@ -4,7 +4,8 @@ A column of M is the load that its joint's unit acceleration asks of all that li
 and carried down to the base (Walker, Orin, 1982; Fisette, Samin, 1996).
 
 In *absolute* rates the coordinate of a body in a group of parallel axes is its angle to the frame before the group:
-what lies beyond it in the group does not turn with it. Many terms of M then vanish that relative angles add up.
+what lies beyond it in the group does not turn with it. Many terms of M then vanish that relative angles add up. A joint
+with a rotor keeps its own angle: the rotor is on the diagonal of M, and what may be large is not subtracted elsewhere.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ class Composite:
 
 @dataclass(frozen=True)
 class Part:
-    """What turns with a body when its absolute angle changes: not the bodies that continue its group."""
+    """What turns with a body when its absolute angle changes: not the bodies that have an absolute one too."""
 
     S: Vector[Scalar]
     Je: Vector[Scalar]  # J e_axis: the moment for a unit acceleration, with that of the bodies that only follow
@@ -51,6 +52,8 @@ def mass_matrix(writing: Writing, *, absolute: bool = False) -> Entries:
         body = compose(kinematics, segment, lumps[segment.number], composites)
         composites[segment.number] = body
         M |= _column(kinematics, segment, body, absolute=absolute)
+        own = segment.number, segment.number
+        M[own] = M[own] + writing.chain.armatures[segment.number - 1]
     return M
 
 
@@ -60,13 +63,13 @@ def compose(kinematics: Kinematics, segment: Segment, lump: Lump, composites: di
     axes = kinematics.stations[segment.number].directions
     m, S, J = lump.m, kinematics.fixed(segment.number, lump.S), own_inertia(b, segment, lump, axes)
     beyond = children(kinematics.segments, segment.number)
-    for child in (x for x in beyond if x.opens_group):
+    for child in (x for x in beyond if x.counts_angle):
         carried, d = composites[child.number], link(kinematics, child)
         s, weight = kinematics.depart(child, carried.S), d.scale(carried.m)
         J = shift_inertia(kinematics.depart_tensor(child, carried.J), d, s, weight) + J
         S, m = S + s + weight, m + carried.m
     alone = Part(S, J.column(axis), J[axis, axis])
-    for child in (x for x in beyond if not x.opens_group):
+    for child in (x for x in beyond if not x.counts_angle):
         carried, d = composites[child.number], link(kinematics, child)
         s, weight = kinematics.depart(child, carried.S), d.scale(carried.m)
         follows = [-(d[r] * (s[axis] + weight[axis])) for r in range(3)]
@@ -143,7 +146,7 @@ def _column(kinematics: Kinematics, segment: Segment, body: Composite, *, absolu
         lever = link(kinematics, at).cross(F)
         N = kinematics.depart(at, load.N) + lever
         load = Load(F, N, N)
-        keeps_angle = absolute and not at.opens_group  # what lies beyond `at` only follows its origin
+        keeps_angle = absolute and not at.counts_angle  # what lies beyond `at` only follows its origin
         along = lever[below.axis] if keeps_angle else _along(load, below)
         same = absolute or below.sense == segment.sense
         column[below.number, segment.number] = along if same else -along

@@ -25,7 +25,7 @@ class Load:
 
     F: Vector[Scalar]
     N: Vector[Scalar]
-    alone: Vector[Scalar]  # N without what the bodies that continue the group add
+    alone: Vector[Scalar]  # N without what the bodies add that have an absolute angle of their own
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,8 @@ def residual(writing: Writing, qd: Sequence[Scalar], qdd: Sequence[Scalar], *, a
     """Compute Phi: the joint forces that make the chain move so; or the forces that go with absolute rates.
 
     The latter are along the positive axes; for a body in a group of parallel axes, its joint's moment less those of
-    the joints that continue the group.
+    the joints that continue the group. What rotors feel is part of both: that of a joint, which has a coordinate of its
+    own then.
     """
     kinematics, lumps = writing.kinematics, writing.lumps
     segments = kinematics.segments
@@ -59,7 +60,11 @@ def residual(writing: Writing, qd: Sequence[Scalar], qdd: Sequence[Scalar], *, a
     loads: dict[int, Load] = {}
     for segment in reversed(segments):
         loads[segment.number] = join_loads(kinematics, segment, lumps[segment.number], movements[segment.number], loads)
-    return [_along(s, loads[s.number], absolute=absolute) for s in segments]
+    felt = [_along(s, loads[s.number], absolute=absolute) for s in segments]
+    rotors = (rotor * a for rotor, a in zip(writing.chain.armatures, qdd, strict=True))
+    return [
+        force + (s.signed(rotor) if absolute else rotor) for s, force, rotor in zip(segments, felt, rotors, strict=True)
+    ]
 
 
 def _along(segment: Segment, load: Load, *, absolute: bool) -> Scalar:
@@ -78,7 +83,7 @@ def join_loads(
     grouped = Vector(zero, zero, zero)
     for child in children(kinematics.segments, segment.number):
         force, moment = (kinematics.depart(child, x) for x in (loads[child.number].F, loads[child.number].N))
-        if child.opens_group:
+        if child.counts_angle:
             N = N + moment
         else:
             grouped = grouped + moment

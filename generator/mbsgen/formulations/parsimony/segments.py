@@ -43,6 +43,7 @@ class Segment:
     sense: int  # +1 or -1: the joint turns about, or slides along, sense * axis
     turn: Matrix[Scalar] | None  # columns: axes at q = 0 in the parent's frame; None: those of the parent
     opens_group: bool  # its axis is not its predecessor's
+    counts_angle: bool  # in absolute rates, from its parent on: it opens a group, or a rotor feels its own angle
     d: Vector[Scalar]  # its origin, at q = 0, from the parent's
     moments: Moments
     pulls: tuple[Pull, ...]
@@ -78,7 +79,9 @@ def align(chain: Chain, *, group: bool = True) -> tuple[Segment, ...]:
         for lump in body.lumps:
             moments = moments + _moments(chain, lump, turned[number])
         pulls = _pulls(chain, number, turned[number])
-        segments.append(Segment(number, body.parent, is_revolute, axis, sense, turn, not continues, d, moments, pulls))
+        counts = not continues or not chain.armatures[number - 1].is_zero
+        place = (number, body.parent, is_revolute, axis, sense, turn, not continues, counts)
+        segments.append(Segment(*place, d, moments, pulls))
     return tuple(segments)
 
 

@@ -93,7 +93,7 @@ L = TypeVar("L", bound=Carried)
 
 
 def sensitivities(writing: Writing, qd: Sequence[Scalar], qdd: Sequence[Scalar]) -> Sensitivities:
-    """Differentiate Phi(q, qd, qdd) of a chain; what drives it, and external wrenches, left out."""
+    """Differentiate Phi(q, qd, qdd) of a chain's bodies; what drives it, rotors and external wrenches, left out."""
     return Recursion(writing, qd, qdd).run()
 
 
