@@ -1,8 +1,8 @@
 """Evidence for a scene: what each thing left out saves, and that what is left agrees with the whole model.
 
 The reduced functions are compared with those of the whole model at random states, in which locked joints stand where
-they are locked. Accelerations are put into the whole model's residual, whose rows of moving joints must vanish then:
-the others hold what locks the joints.
+they are locked; gravity and wrenches that a scene leaves out count in neither. Accelerations are put into the whole
+model's residual, whose rows of moving joints must vanish then: the others hold what locks the joints.
 """
 
 from __future__ import annotations
@@ -77,9 +77,9 @@ def _count(tree: Tree, options: Options, scene: Scene) -> dict[str, int]:
 
 
 def _compare(model: Model, scene: Scene, options: Options) -> dict[str, float]:
-    whole = replace(EVERYTHING, parameters=scene.parameters, gravity=scene.gravity)
     fixed = replace(scene, parameters=tuple((p.name, Kind.CONSTANT) for p in model.parameters))
-    comparison = _Comparison.begin(model, replace(whole, parameters=fixed.parameters), fixed, options.reductions)
+    whole = replace(EVERYTHING, parameters=fixed.parameters, gravity=scene.gravity, wrenches=scene.wrenches)
+    comparison = _Comparison.begin(model, whole, fixed, options.reductions)
     reduced = _tapes(comparison.reduced, replace(options, runtime=False), fixed)
     deviations: dict[str, float] = {}
     for name, tape in reduced.items():
@@ -142,10 +142,6 @@ class _Comparison:
         state["qd"][still] = state["qdd"][still] = 0.0
         if not self.scene.motion:
             state["qd"][:] = 0.0
-        kept = [x.name for x in self.reduced.wrenches]
-        state["w"] *= [
-            x.name in kept for x in self.whole.wrenches for v in (x.force, x.moment) if v is None for _ in "xyz"
-        ]
         return state
 
     def _reduce(self, state: State) -> State:

@@ -19,8 +19,9 @@ from mbsgen.errors import Fault
 from mbsgen.expressions import Expression, names
 from mbsgen.model.expansion import list_steps
 from mbsgen.model.locking import lock
-from mbsgen.model.model import ORIGIN, Model
+from mbsgen.model.model import BASE, ORIGIN, Model
 from mbsgen.model.schema import NumberField
+from mbsgen.model.topology import find_carriers
 from mbsgen.model.tree import Kind
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,30}", re.ASCII)
@@ -89,15 +90,17 @@ def read_scene(path: Path, model: Model, functions: Mapping[str, Sequence[str]])
 
 
 def stage(model: Model, scene: Scene) -> Model:
-    """Leave out of a model what a scene does not need."""
+    """Leave out of a model what a scene does not need; with locked joints, wrenches on what does not move any more."""
     kinds = dict(scene.parameters)
     kept = lock(model, dict(scene.locked))
+    carriers = find_carriers(kept)
+    felt = [w for w in kept.wrenches if carriers[w.body] != BASE]
     return replace(
         kept,
         gravity=kept.gravity if scene.gravity else ORIGIN,
         parameters=tuple(replace(p, kind=kinds.get(p.name, p.kind)) for p in kept.parameters),
         frames=tuple(f for f in kept.frames if scene.sensors is None or f.name in scene.sensors),
-        wrenches=tuple(w for w in kept.wrenches if scene.wrenches is None or w.name in scene.wrenches),
+        wrenches=tuple(w for w in felt if scene.wrenches is None or w.name in scene.wrenches),
     )
 
 
