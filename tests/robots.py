@@ -11,8 +11,10 @@ import importlib.util
 import sys
 import time
 from collections.abc import Mapping
+from contextlib import chdir
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from mbsgen.importing import Choices, import_model
 from tests.import_peers import Kernels, MujocoPeer, PinocchioPeer, largest_miss
@@ -79,7 +81,8 @@ def main(names: list[str]) -> int:
             print(f"{name:14}skipped: the package with {ROBOTS[name].file} is not installed")
             continue
         start = time.perf_counter()
-        size, warnings, worst = compare(path, ROBOTS[name].choices)
+        with TemporaryDirectory() as folder, chdir(folder):  # MuJoCo logs what it warns of where it runs
+            size, warnings, worst = compare(path.resolve(), ROBOTS[name].choices)
         differing += max(worst.values()) > TOLERANCE
         figures = "  ".join(f"{result} {miss:.0e}" for result, miss in worst.items())
         print(
