@@ -10,15 +10,14 @@ import numpy as np
 import pytest
 
 from mbsgen.manifest import Coordinate, Frame
+from mbsrun.lab.optimisation import state_catch, state_swing_up
 from mbsrun.ocp.guess import interpolate
-from mbsrun.ocp.problem import Bounds, Cost, End, Problem, Term
+from mbsrun.ocp.problem import Cost, Term
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.solution import Failure, Solution
 from mbsrun.ocp.solve import Solver, solve
 from tests.mbsrun.peer import FREE, Peer, pose_functions, residual_function
-
-FREE_RANGE = (-np.inf, np.inf)
 
 
 def cart_pole() -> Peer:
@@ -41,22 +40,6 @@ def cart_pole() -> Peer:
     return Peer("cart-pole", functions, coordinates, frames)
 
 
-def swing_up(N: int, degree: int) -> Problem:
-    """Swing the pole up in 2 s, 1 m on, with the least integral of the force squared, of at most 20 N."""
-    return Problem(
-        name="swing-up",
-        horizon=2.0,
-        intervals=N,
-        family=Family.RADAU,
-        degree=degree,
-        cost=Cost(1.0),
-        start_q=(0.0, 0.0),
-        start_qd=(0.0, 0.0),
-        bounds=Bounds(((-2.0, 2.0), FREE_RANGE), (FREE_RANGE,) * 2, ((-20.0, 20.0),)),
-        end=End(coordinates=((0, 1.0), (1, np.pi)), velocity_zero=True),
-    )
-
-
 @pytest.fixture(scope="module")
 def plant() -> Peer:
     return cart_pole()
@@ -66,7 +49,7 @@ def test_success_on_a_coarse_mesh_is_not_accuracy(plant: Peer) -> None:
     """Degree 3: IPOPT succeeds on each mesh; the defect tells which to believe, and falls by orders as N doubles."""
     defects = []
     for N in (4, 10, 20, 40):
-        outcome = solve(swing_up(N, 3), plant)
+        outcome = solve(state_swing_up(N, 3), plant)
         assert isinstance(outcome, Solution)
         assert outcome.run.status == "Solve_Succeeded"
         check = resimulate(outcome, plant).resimulation
@@ -82,7 +65,7 @@ def test_success_on_a_coarse_mesh_is_not_accuracy(plant: Peer) -> None:
 
 def test_a_fine_mesh_is_accurate(plant: Peer) -> None:
     """Degree 5, 80 intervals: the force is constant on each, so the cost is above the continuous optimum, 58.81."""
-    outcome = solve(swing_up(80, 5), plant)
+    outcome = solve(state_swing_up(80, 5), plant)
     assert isinstance(outcome, Solution)
     check = resimulate(outcome, plant).resimulation
     assert check is not None
@@ -92,7 +75,7 @@ def test_a_fine_mesh_is_accurate(plant: Peer) -> None:
 
 def test_random_starts_end_in_several_minima(plant: Peer) -> None:
     """Forty starts: the published optimum is one of several local minima, and what fails is told as a failure."""
-    problem = swing_up(25, 3)
+    problem = state_swing_up(25, 3)
     solver, found, failed = Solver(problem, plant), Counter[float](), 0
     smooth = interpolate(problem, solver.transcription.scheme, np.array([1.0, np.pi]))
     for seed in range(40):
@@ -129,18 +112,7 @@ def unstable(rate: float) -> Peer:
 @pytest.mark.parametrize("rate", [5.0, 10.0, 20.0])
 def test_collocation_solves_what_shooting_cannot(rate: float) -> None:
     """exp(rate T) is up to 2e17: from a guess of zeros, in at most 50 iterations; intervals bound the growth."""
-    problem = Problem(
-        name="unstable",
-        horizon=2.0,
-        intervals=40,
-        family=Family.RADAU,
-        degree=4,
-        cost=Cost(1.0),
-        start_q=(1.0,),
-        start_qd=(0.0,),
-        bounds=Bounds((FREE_RANGE,), (FREE_RANGE,), (FREE_RANGE,)),
-        end=End(coordinates=((0, 0.0),)),
-    )
+    problem = state_catch(40, 4)
     plant = unstable(rate)
     solver = Solver(problem, plant)
     zeros = interpolate(replace(problem, start_q=(0.0,)), solver.transcription.scheme, np.zeros(1))
@@ -153,7 +125,7 @@ def test_collocation_solves_what_shooting_cannot(rate: float) -> None:
 @pytest.mark.parametrize("family", Family)
 def test_a_cost_at_degree_one_is_not_halved(plant: Peer, family: Family) -> None:
     """The force squared as an expression, by the scheme's quadrature, is h |u|^2 exactly; CasADi's weight is 1/2."""
-    problem = replace(swing_up(80, 1), family=family, cost=Cost(running=(Term("u_cart**2", 1.0),)))
+    problem = replace(state_swing_up(80, 1), family=family, cost=Cost(running=(Term("u_cart**2", 1.0),)))
     outcome = solve(problem, plant)
     assert isinstance(outcome, Solution)
     assert outcome.cost.total == pytest.approx((outcome.trajectory.u**2).sum() * 2.0 / 80, rel=1e-12)

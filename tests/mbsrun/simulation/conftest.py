@@ -7,34 +7,9 @@ from pathlib import Path
 import pytest
 
 from mbsrun import Mechanism, load
+from mbsrun.lab.mechanisms import BENCH
 
 MODELS = Path(__file__).parents[3] / "models"
-
-# Three motions that do not meet: a point mass of 1 kg on a massless rod of 1 m (IFToMM's A01), which a force can push;
-# a spring and a damper with 0.3 kg; and a mass whose own force drives it away, x'' = b x^3.
-BENCH = """
-name: bench
-gravity: [0, -9.81, 0]
-parameters:
-  k: {value: 40, kind: runtime}
-  c: {value: 0, kind: runtime}
-  b: {value: 0, kind: runtime}
-bodies:
-  - name: bob
-    joint: {type: revolute, axis: z, actuated: false}
-    mass: 1
-    com: [0, -1, 0]
-  - name: slider
-    joint: {type: prismatic, axis: x, stiffness: k, damping: c, limits: [-1, 1]}
-    mass: 0.3
-  - name: runner
-    joint: {type: prismatic, axis: x, actuated: false, force: b*q**3}
-    mass: 1
-frames:
-  - {name: tip, body: bob, position: [0, -1, 0]}
-wrenches:
-  - {name: push, body: bob, position: [0, -1, 0], frame: base, force: input}
-"""
 
 # The second of three turns makes the others parallel at pi/2: no acceleration can be told there.
 LOCK = """
