@@ -1,0 +1,274 @@
+"""The whole study, on a small problem: killed, resumed, exported, reported; and its page in a browser."""
+
+from __future__ import annotations
+
+import csv
+import html
+import json
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pyarrow import parquet
+
+from mbsgen.errors import InputError, MbsError
+from mbsrun.ocp.problem import Representation
+from mbsrun.ocp.record import Attempt, Task
+from mbsrun.ocp.search import Study, Targets
+from mbsrun.study.campaign import (
+    Campaign,
+    Step,
+    Subject,
+    carry_out,
+    choose_steps,
+    hold,
+    list_attempts,
+    read_subject,
+    report,
+)
+from mbsrun.study.cluster import ClusterError, open_workers
+from mbsrun.study.export import export
+from mbsrun.study.page import render_page
+from mbsrun.study.results import Results, find_outliers
+from mbsrun.study.sheets import Picture, Section, Table, read_folder, write_table_file
+from mbsrun.study.statements import CONFIRMED, REFUTED, STATEMENTS, UNMEASURED, judge_all
+
+MODELS = Path(__file__).parents[3] / "models"
+AZIMUTHS = (0.7, 1.3, 7)
+SMOOTH, ROUGH = (1.0, 10.0), (1.0, 0.0)
+GROWTH = {"version": "0.1.0", "growth": []}  # counting takes seconds, and is tested with the generator
+
+
+@pytest.fixture(scope="module")
+def problem(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write the reach around a post on a coarse grid: a solve takes some hundredths of a second."""
+    folder = tmp_path_factory.mktemp("problem")
+    text = (MODELS / "planar_arm_reach.ocp.yaml").read_text("utf-8")
+    text = text.replace("intervals: 50", "intervals: 6").replace("degree: 4", "degree: 2")
+    (folder / "planar_arm.yaml").write_bytes((MODELS / "planar_arm.yaml").read_bytes())
+    (folder / "reach.ocp.yaml").write_text(text, "utf-8")
+    return folder / "reach.ocp.yaml"
+
+
+@pytest.fixture(scope="module")
+def subject(problem: Path) -> Subject:
+    return read_subject(problem)
+
+
+@pytest.fixture
+def campaign(subject: Subject) -> Campaign:
+    targets = Targets(0.55, tuple(np.linspace(*AZIMUTHS).tolist()), (0.0,))
+    study = Study(subject.problem, "hand", targets, (SMOOTH, ROUGH), (Representation.IMPL,), (0, 1))
+    return Campaign(subject, study, ("robust",), (), (), is_quick=True)
+
+
+def solve_alone(campaign: Campaign, out: Path) -> list[Attempt]:
+    """Carry a campaign out in this process; list what was tried this time."""
+    seen: list[Attempt] = []
+
+    def watch(step: Step) -> None:
+        if step.last is not None:
+            seen.append(step.last)
+
+    out.mkdir(exist_ok=True)
+    with open_workers(0, None) as crew_for:
+        assert carry_out(campaign, out, crew_for, watch, 1e9)
+    return seen
+
+
+def test_what_is_killed_loses_nothing_and_does_nothing_twice(campaign: Campaign, problem: Path, tmp_path: Path) -> None:
+    """SIGKILL to the command amid the robust protocol on a Dask cluster; then on, to the end of a run in one go."""
+    out = tmp_path / "killed"
+    command = [sys.executable, "-m", "mbsrun", "study", str(problem), "-o", str(out), "--workers", "1"]
+    grid = ["--radius", "0.55", "--azimuths", *map(str, AZIMUTHS), "--heights", "0", "0", "1"]
+    chosen = ["--protocol", "robust", "--cost", "1", "10", "--cost", "1", "0", "--representation", "IMPL"]
+    process = subprocess.Popen([*command, *grid, *chosen], stderr=subprocess.PIPE)
+    try:
+        while count(out) < 5:
+            assert process.poll() is None, (process.stderr or sys.stdin).read()
+            time.sleep(0.01)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+    before = count(out)
+    after = solve_alone(campaign, out)
+    whole = solve_alone(campaign, tmp_path / "whole")
+    assert 5 <= before < len(whole)
+    assert before + len(after) == len(whole)
+    first, second = ([timeless(row) for row in list_attempts(campaign, tmp_path / n)] for n in ("killed", "whole"))
+    assert sorted(first) == sorted(second)
+    assert solve_alone(campaign, out) == []
+
+
+def count(out: Path) -> int:
+    """Count the attempts in a store, from aside."""
+    if not (out / "study.sqlite").exists():
+        return 0
+    with closing(sqlite3.connect(f"file:{out / 'study.sqlite'}?mode=ro", uri=True)) as connection:
+        try:
+            return int(connection.execute("select count(*) from attempts").fetchone()[0])
+        except sqlite3.OperationalError:  # it is being made
+            return 0
+
+
+def timeless(row: dict[str, object]) -> str:
+    return str({name: value for name, value in row.items() if "seconds" not in name})
+
+
+def test_a_study_is_asked_reported_and_exported(campaign: Campaign, tmp_path: Path) -> None:
+    """The paper's protocol and two questions; every attempt is a row of both forms, with versions."""
+    two = (Representation.IMPL, Representation.EXP2_O)
+    study = replace(campaign.study, targets=replace(campaign.study.targets, every=(3, 1)), representations=two)
+    asked = replace(campaign, study=study, protocols=("paper",), questions=("grids", "shooting", "guess"))
+    tried = solve_alone(asked, tmp_path)
+    (tmp_path / "growth.json").write_text(json.dumps(GROWTH), "utf-8")
+    rows = list_attempts(asked, tmp_path)
+    assert len(rows) == len(tried)
+    assert {row["part"] for row in rows} >= {"paper", "grids", "shooting", "guess"}
+    table = parquet.read_table(export(rows, tmp_path / "attempts", "parquet"))
+    assert table.num_rows == len(rows)
+    assert table["cost"].to_pylist() == [row["cost"] for row in rows]
+    with export(rows, tmp_path / "attempts", "csv").open(encoding="utf-8") as file:
+        again = list(csv.DictReader(file))
+    assert [float(row["cpu_seconds"]) for row in again] == [row["cpu_seconds"] for row in rows]
+    assert all(row["casadi"] and row["processor"] and row["tolerance"] for row in again)
+    sections = {section.name: section for section in report(asked, tmp_path)}
+    assert set(sections) == {"run", "statements", "tables", "figures", "robust", "guess", "grids", "shooting"}
+    success = next(item for item in sections["tables"].items if item.title == "Success rates")
+    assert isinstance(success, Table)
+    assert [row[2:4] for row in success.rows] == [(3, 3)] * 4
+    assert "Fig. 9: cost at the optimum" in [item.title for item in sections["figures"].items]
+
+
+def test_a_cluster_that_there_is_not_is_told(tmp_path: Path) -> None:
+    with pytest.raises(ClusterError, match="there is no cluster"), open_workers(0, "nothing://127.0.0.1:1"):
+        pass
+    with hold(tmp_path), pytest.raises(MbsError, match="another study is at work"), hold(tmp_path):
+        pass
+
+
+def test_slices_are_spread_over_all_targets() -> None:
+    paper = Targets(0.63, tuple(range(21)), tuple(range(11)))
+    assert choose_steps(paper, 33) == (2, 5)
+    assert choose_steps(paper, 231) == (1, 1)
+    assert choose_steps(paper, 1000) == (1, 1)
+    assert choose_steps(Targets(1.0, (0.0,), (0.0,)), 5) == (1, 1)
+    part = replace(paper, every=(2, 5)).spread
+    assert sorted(part) == sorted(replace(paper, every=(2, 5)).places)
+    assert {i for i, _ in part[:12]} == {0, 4, 8, 12, 16, 20}
+
+
+# --- statements ----------------------------------------------------------------------------------------------------
+
+
+def make_results(campaign: Campaign, *found: tuple[tuple[float, float], str, int, float | None, int, float]) -> Results:
+    """Make results of the paper's protocol: cost, representation, place, optimum, iterations, CPU time."""
+    attempts = tuple(
+        Attempt(Task((i, 0), w, name), "paper", "paper", "zero", 0, "", iterations, cpu, cpu / 2, cost)
+        for w, name, i, cost, iterations, cpu in found
+    )
+    return Results(replace(campaign.study, representations=tuple(Representation)), attempts, (), (), ())
+
+
+def test_statements_are_judged_by_numbers(campaign: Campaign) -> None:
+    """Three tasks of each set, solved as the paper says: IMPL and SEMI alike, quick, and once in a higher minimum."""
+    solves = []
+    for weights in (ROUGH, SMOOTH):
+        for name in (r.value for r in Representation):
+            implicit = name in ("IMPL", "SEMI")
+            for place in range(3):
+                is_trapped = implicit and weights == ROUGH and place == 0
+                effort = (20, 1.0) if implicit else (30, 2.0)
+                solves.append((weights, name, place, 6.0 if is_trapped else 5.0, *effort))
+    verdicts = {s.meaning: f.verdict for s, f in judge_all(make_results(campaign, *solves))}
+    assert verdicts["IMPL and SEMI are in more higher minima, on average, than the explicit forms"] == CONFIRMED
+    assert verdicts["both medians are below those of the explicit forms"] == CONFIRMED
+    assert verdicts["the same in 90% of the tasks"] == CONFIRMED
+    assert verdicts["one representation has tasks in a higher minimum than the lowest known"] == REFUTED
+    assert verdicts["flops of EXP2 by those of IMPL, above 4"] == UNMEASURED
+    cut = [solve for solve in solves if solve[1] != "EXP2-A" or solve[2] == 1]
+    assert make_results(campaign, *cut).compared == {SMOOTH: {(1, 0)}, ROUGH: {(1, 0)}}
+
+
+def test_a_run_without_a_solution_measures_nothing(campaign: Campaign) -> None:
+    for results in (make_results(campaign), make_results(campaign, (ROUGH, "IMPL", 0, None, 9, 1.0))):
+        assert {found.verdict for _, found in judge_all(results)} == {UNMEASURED}
+    assert len({statement.words for statement in STATEMENTS}) == len(STATEMENTS)
+
+
+def test_outliers_are_the_paper_s() -> None:
+    """A box from 2 to 4 has whiskers from -1 to 7 at most."""
+    assert find_outliers(np.array([2.0, 2.0, 3.0, 4.0, 4.0, 7.0, 7.5])).tolist() == []
+    values = np.array([1.0, 2.0, 2.0, 3.0, 3.0, 3.0, 4.0, 4.0, 5.0, 7.1])
+    lower, upper = np.percentile(values, (25, 75))
+    assert find_outliers(values).tolist() == [v for v in values if abs(v - (lower + upper) / 2) > 2 * (upper - lower)]
+    assert find_outliers(np.array([])).size == 0
+
+
+# --- the page ------------------------------------------------------------------------------------------------------
+
+HOSTILE = "</script><script>document.title = 'hostile'</script><b onclick='x'>"
+SVG = b'<svg xmlns="http://www.w3.org/2000/svg" width="900" height="10"><script>top.hostile = 1</script></svg>'
+
+
+def test_folders_are_taken_in(tmp_path: Path) -> None:
+    """Tables by their keys, lists of objects as tables, pictures; all else is passed over."""
+    table = Table(HOSTILE, ("a", "b"), ((1, "x"), (None, True)), "note")
+    write_table_file(table, tmp_path / "one.json")
+    (tmp_path / "points.json").write_text('[{"ns": {"shortest": 1.5}, "way": "impl"}, {"error": 1e-16}]', "utf-8")
+    (tmp_path / "other.json").write_text('{"rows": 3}', "utf-8")
+    (tmp_path / "broken.json").write_text("{", "utf-8")
+    (tmp_path / "map.svg").write_bytes(SVG)
+    pictures, tables = ([x for x in read_folder(tmp_path).items if isinstance(x, kind)] for kind in (Picture, Table))
+    assert [picture.content for picture in pictures] == [SVG]
+    assert [found.columns for found in tables] == [("a", "b"), ("ns shortest", "way", "error")]
+    assert tables[0] == table
+    (tmp_path / "empty").mkdir()
+    for folder, told in ((tmp_path / "empty", "no table"), (tmp_path / "nowhere", "no folder")):
+        with pytest.raises(InputError, match=told):
+            read_folder(folder)
+
+
+def test_the_page_sorts_fits_a_phone_and_runs_nothing_else(tmp_path: Path, requires: Callable[[str], str]) -> None:
+    """In a browser: a frame as wide as a phone, a click on a column, what hostile names and pictures have done."""
+    rows = tuple((n, f"{HOSTILE if n == 3 else 'text ' * 20}", n / 7) for n in (10, 9, 3, 20))
+    table = Table(HOSTILE, tuple(f"column {k} with a name" for k in range(3)), rows, HOSTILE)
+    items = (table, Picture(HOSTILE, "image/svg+xml", SVG, HOSTILE))
+    page = render_page(HOSTILE, [HOSTILE], [Section("x", HOSTILE, HOSTILE, items)])
+    assert page == render_page(HOSTILE, [HOSTILE], [Section("x", HOSTILE, HOSTILE, items)])
+    assert "<script>document" not in page
+    outside = f"""<!DOCTYPE html><iframe id="f" style="width: 390px" srcdoc="{html.escape(page)}"></iframe>
+        <pre id="out"></pre><script>
+        const frame = document.getElementById("f");
+        frame.onload = () => {{
+          const inner = frame.contentDocument;
+          const [first] = inner.querySelectorAll("th button");
+          const column = () => [...inner.querySelectorAll("tbody tr")].map((row) => row.cells[0].innerText);
+          first.click();
+          const up = column();
+          first.click();
+          document.getElementById("out").innerText = JSON.stringify({{
+            up, down: column(), width: inner.documentElement.scrollWidth,
+            title: document.title, hostile: window.hostile === undefined,
+          }});
+        }};</script>"""
+    (tmp_path / "outside.html").write_text(outside, "utf-8")
+    settings = ["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=5000", "--dump-dom"]
+    browser = [requires("chromium"), *settings, f"--user-data-dir={tmp_path / 'profile'}"]
+    run = subprocess.run(
+        [*browser, (tmp_path / "outside.html").as_uri()], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert '<pre id="out">{' in run.stdout, run.stderr
+    told = json.loads(html.unescape(run.stdout.partition('<pre id="out">')[2].partition("</pre>")[0]))
+    assert told["up"] == ["3", "9", "10", "20"]
+    assert told["down"] == ["20", "10", "9", "3"]
+    assert told["width"] <= 390
+    assert (told["title"], told["hostile"]) == ("", True)
