@@ -20,6 +20,7 @@ from mbsrun.ocp.problem import (
     Constraint,
     Cost,
     End,
+    Form,
     GuessOptions,
     Problem,
     Range,
@@ -186,14 +187,18 @@ def measure_minima(bench: Bench, representation: Representation) -> list[Finding
 
 
 def measure_runaway(bench: Bench, rate: float) -> list[Finding]:
-    """F22: motions grow by exp(rate T); collocation bounds the growth by intervals."""
+    """F22: motions grow by exp(rate T); collocation and multiple shooting bound the growth by intervals."""
     plant, findings = _load(bench, UNSTABLE.format(rate=rate)), []
-    for representation in Representation:
-        problem = replace(state_catch(40, 4), representation=representation)
+    stated = state_catch(40, 4)
+    ways = {r.value: replace(stated, representation=r) for r in Representation}
+    shooting = replace(stated, representation=Representation.EXP2_O, form=Form.SHOOTING)
+    ways["EXP2-O, shooting by Radau"] = shooting
+    ways["EXP2-O, shooting by RK4"] = replace(shooting, integrator="rk4", steps=4)
+    for way, problem in ways.items():
         solver = Solver(problem, plant)
         zeros = interpolate(replace(problem, start_q=(0.0,)), solver.transcription.scheme, np.zeros(1))
         outcome = solver.solve(problem, zeros)
-        way, growth = representation.value, f"exp(rate T) = {np.exp(2 * rate):.0e}"
+        growth = f"exp(rate T) = {np.exp(2 * rate):.0e}"
         if isinstance(outcome, Failure):
             findings.append(demand(way, "solved", False, f"{growth}: {outcome.finding}"))
             continue

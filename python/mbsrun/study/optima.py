@@ -100,12 +100,15 @@ def measure_optima(
 
 def _refine(problem: Problem, family: Family, intervals: int) -> Problem:
     solver = SolverOptions(TIGHT, problem.solver.max_iterations, problem.solver.objective_scaling)
-    return replace(problem, family=family, degree=EXACT, intervals=intervals, solver=solver)
+    exact = replace(problem, family=family, degree=EXACT, intervals=intervals, solver=solver)
+    return _represent(exact, problem.representation)
 
 
 def _represent(problem: Problem, representation: Representation) -> Problem:
-    form = Form.STANDARD if representation.is_ode else problem.form
-    return replace(problem, representation=representation, form=form)
+    """Write a problem by collocation, in the integral form where it asks for that and may have it."""
+    is_integral = problem.form is Form.INTEGRAL and not representation.is_ode
+    form = Form.INTEGRAL if is_integral else Form.STANDARD
+    return replace(problem, representation=representation, form=form, integrator="collocation", steps=1)
 
 
 def _judge_grids(case: Case, intervals: Sequence[int], pairs: Sequence[Sequence[SolvePoint]]) -> list[GridOptimum]:
