@@ -28,7 +28,7 @@ run that was stopped goes on; another version of the program, or another compile
 
 \b
 The output folder gets
-  verdicts.csv, verdicts.json   for each case and way the number closest to its bound, or furthest beyond
+  verdicts.csv, .json, .md      for each case and way the number closest to its bound, or furthest beyond
   findings.csv, findings.json   every number
   map_*.png, .csv, .json        where digits go: against the condition, over mass ratio and length, towards a lock
   findings.jsonl, losses.jsonl  what was found so far

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -58,10 +59,10 @@ def approach(bench: Bench, lock: str, distance: float) -> tuple[Specimen, States
     return chosen, states, measure_losses(bench, lock, distance, chosen, states)
 
 
-def measure_lock(bench: Bench, lock: str) -> list[Finding]:
+def measure_lock(bench: Bench, lock: str, distances: Sequence[float] = DISTANCES) -> list[Finding]:
     """F05: six digits, or a status that names the joint; residuals are finite and right."""
     findings = []
-    for distance in DISTANCES:
+    for distance in distances:
         chosen, states, losses = approach(bench, lock, distance)
         findings += [_check_loss(x) for x in losses]
         if lock == "Cardan" and distance >= SAFE:

@@ -53,7 +53,7 @@ def _run_trial(case: Case, trial: Trial, bench: Bench, store: Store[Finding]) ->
 
 
 def write_findings(cases: Sequence[Case], findings: Sequence[Finding], folder: Path) -> list[Path]:
-    """Write verdicts and findings as CSV, and as JSON with title, columns, rows and note."""
+    """Write verdicts and findings as CSV, and as JSON with title, columns, rows and note; verdicts as Markdown too."""
     titles = {case.id: case.title for case in cases}
     verdicts: list[list[object]] = [
         [
@@ -83,7 +83,27 @@ def write_findings(cases: Sequence[Case], findings: Sequence[Finding], folder: P
     order = ["case", "trial", *(name for name in names if name not in ("case", "trial"))]
     listed = [[asdict(finding)[name] for name in order] for finding in findings]
     note = "A bound is what the value must not exceed; without one nothing is demanded, or no number decides."
+    paths.append(folder / "verdicts.md")
+    paths[-1].write_text(_write_markdown(cases, findings), encoding="utf-8")
     return paths + write_table(folder, "findings", "All findings of the laboratory", order, listed, note)
+
+
+def _write_markdown(cases: Sequence[Case], findings: Sequence[Finding]) -> str:
+    """Write each case with its criterion, and a row for each way."""
+    lines, verdicts = ["# Verdicts", ""], judge(findings)
+    for case in cases:
+        lines += [f"## {case.id}: {case.title}", "", f"{case.setup} *Demanded:* {case.criterion}", ""]
+        if case.exemption:
+            lines += [f"*Does not apply:* {case.exemption}", ""]
+        own = [x for x in verdicts if x.case == case.id]
+        if own:
+            lines += ["| way | closest to its bound | value | bound | in | met | |", "|---|---|---|---|---|---|---|"]
+        for x in own:
+            number, bound = ("" if v is None else f"{v:.2g}" for v in (x.value, x.bound))
+            cells = (x.way, x.quantity, number, bound, x.trial, f"{x.met} of {x.total}", name_verdict(x))
+            lines.append("| " + " | ".join(cells) + " |")
+        lines += [""] if own else []
+    return "\n".join(lines)
 
 
 def write_table(
