@@ -162,6 +162,7 @@ def draw_figures(results: Results, plant: Plant) -> list[Picture]:
             ("iterations", "Fig. 10: iterations", "iterations"),
             ("cpu", "Fig. 10: CPU time to convergence", "CPU time [s]"),
             ("cpu per iteration", "Fig. 11: CPU time per iteration", "CPU time per iteration [ms]"),
+            ("evaluation per iteration", "Of Fig. 11, functions and derivatives alone", "CPU time per iteration [ms]"),
         ):
             pictures.append(draw_boxes(results, name, title, label))
     return pictures

@@ -31,7 +31,7 @@ from mbsrun.study.statements import COLLOCATION
 PROTOCOL = "question"  # of attempts that belong to none of the two
 ROUNDS = 3  # in which ways of differentiating are timed
 GRIDS = tuple(
-    (family, degree, intervals) for family in Family for degree in range(1, 6) for intervals in (25, 50, 100, 200)
+    (family, degree, intervals) for intervals in (25, 50, 100, 200) for family in Family for degree in range(1, 6)
 )
 QUICK_GRIDS = tuple((Family.RADAU, degree, intervals) for degree in (1, 2) for intervals in (5, 10))
 APART = 0.01  # relative difference of costs from which on two transcriptions are in other minima

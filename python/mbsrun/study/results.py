@@ -19,7 +19,7 @@ from mbsrun.study.growth import Growth
 
 Array = NDArray[np.float64]
 
-FIGURES = ("cost", "iterations", "cpu", "cpu per iteration")
+FIGURES = ("cost", "iterations", "cpu", "cpu per iteration", "evaluation per iteration")
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,10 @@ def read_figure(attempt: Attempt, figure: str) -> float:
         return attempt.cost
     if figure == "iterations":
         return float(attempt.iterations)
-    return attempt.cpu_seconds if figure == "cpu" else 1e3 * attempt.cpu_seconds / max(attempt.iterations, 1)
+    if figure == "cpu":
+        return attempt.cpu_seconds
+    seconds = attempt.cpu_seconds if figure == "cpu per iteration" else attempt.cpu_seconds_evaluating
+    return 1e3 * seconds / max(attempt.iterations, 1)
 
 
 def find_outliers(values: Array) -> Array:

@@ -150,7 +150,7 @@ def _tabulate_boxes(results: Results) -> Table | None:
         "least",
         "most",
     )
-    note = "CPU in s, CPU per iteration in ms. Outliers: more than 1.5 boxes away from the box."
+    note = "CPU in s, per iteration in ms. Evaluation is that of functions and derivatives; the rest is linear algebra."
     return Table("Numbers of Fig. 9 to 11", (*columns, "outliers"), tuple(rows), note)
 
 
