@@ -95,11 +95,9 @@ class Record:
 
     def __init__(self, connection: sqlite3.Connection, study: str, told: str = "") -> None:
         """Take part in a file: `study` identifies what the attempts have in common, `told` says it for a reader."""
-        self._connection = connection
-        self._study = self._number("studies", "identity", study)
-        if told:
-            with connection:
-                connection.execute("update studies set told = ? where id = ?", (told, self._study))
+        self._connection, self._identity, self._told = connection, study, told
+        found = connection.execute("select id from studies where identity = ?", (study,)).fetchone()
+        self._study = _NONE if found is None else int(found[0])
 
     def of(self, study: str, told: str = "") -> Record:
         """Give another study of the same file."""
@@ -116,6 +114,10 @@ class Record:
         It is if no earlier round has one that costs as little to rounding, and no other of its own round one that costs
         as little at all. What was kept before is not kept twice.
         """
+        if self._study == _NONE:
+            self._study = self._number("studies", "identity", self._identity)
+            with self._connection:
+                self._connection.execute("update studies set told = ? where id = ?", (self._told, self._study))
         is_better = motion is not None and attempt.cost is not None and self._is_best(attempt, attempt.cost)
         held = self._number("circumstances", "told", circumstances)
         numbers = tuple(getattr(attempt, name) for name in _NUMBERS)
@@ -175,6 +177,7 @@ class Record:
 _IS_TASK = "study = ? and place_i = ? and place_j = ? and inputs = ? and input_rates = ? and representation = ?"
 _NUMBERS = tuple(field.name for field in fields(Attempt))[6:]
 _LAST = 2**31
+_NONE = 0  # the number of a study of which nothing is kept yet
 
 
 @contextmanager

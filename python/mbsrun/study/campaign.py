@@ -19,7 +19,7 @@ from typing import Any
 from mbsgen.errors import Fault, InputError, MbsError
 from mbsrun.circumstances import describe_circumstances
 from mbsrun.external import Mechanism
-from mbsrun.models import find_folder
+from mbsrun.models import find_folder, fingerprint_generator
 from mbsrun.ocp.problem import Problem, Representation
 from mbsrun.ocp.record import Attempt, Record, open_record
 from mbsrun.ocp.search import (
@@ -385,17 +385,15 @@ def _tabulate_circumstances(told: Sequence[str]) -> Iterator[Table]:
 
 
 def _find_growth(out: Path) -> tuple[Growth, ...]:
-    """Count, or read what was counted by this version of the generator."""
-    from importlib.metadata import version
-
-    path, own = out / "growth.json", version("mbsgen")
+    """Count, or read what was counted by the same generator."""
+    path, own = out / "growth.json", fingerprint_generator().hex()
     if path.exists():
         found = json.loads(path.read_text(encoding="utf-8"))
-        if found["version"] == own:
+        if found["generator"] == own:
             return tuple(Growth(g["formulation"], tuple(map(tuple, g["flops"])), g["degree"]) for g in found["growth"])
     growth = count_growth()
     told = [{"formulation": g.formulation, "flops": g.flops, "degree": g.degree} for g in growth]
-    path.write_text(json.dumps({"version": own, "growth": told}) + "\n", encoding="utf-8")
+    path.write_text(json.dumps({"generator": own, "growth": told}) + "\n", encoding="utf-8")
     return growth
 
 
