@@ -3,63 +3,40 @@
 from __future__ import annotations
 
 import argparse
-import json
+import contextlib
 import os
 import random
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import casadi as ca
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
 from benchmarks.afternoon import write_functions
-from benchmarks.ocp.peer import Effort, Peer, list_settings, write_dynamics
+from benchmarks.compilation import describe_machine
+from benchmarks.ocp.peer import Effort, Peer, list_settings, processor_seconds, write_dynamics
+from benchmarks.ocp.rows import OURS, Figures, Loads, Row, read_figures, replace_rows, show, write_figures
+from benchmarks.symbolic import eliminate, read_tape
+from mbsgen.manifest import FILE_NAME
+from mbsgen.manifest import read as read_manifest
 from mbsgen.pipeline import read_tree
 from mbsrun import Mechanism, load
+from mbsrun.models import Extent, find_folder
 from mbsrun.ocp import schemes
 from mbsrun.ocp.guess import make_guess
-from mbsrun.ocp.problem import Form, Problem, Representation
+from mbsrun.ocp.problem import Form, Problem, Representation, find_conflicts
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import Solver
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.trajectory import Trajectory
 
 MODELS = Path(__file__).parents[2] / "models"
-SAME = 1e-6  # relative difference of costs within which two optima are one
-OURS = "mbsgen"
-
-
-@dataclass(frozen=True)
-class Row:
-    """What one way of solving took in one representation: its best round."""
-
-    representation: str
-    way: str
-    seconds_building: float  # program and compilation
-    variables: int
-    constraints: int
-    status: str
-    iterations: int
-    cost: float
-    cpu_seconds: float
-    cpu_seconds_evaluating: float
-
-    @property
-    def evaluating(self) -> float:
-        """Give milliseconds per iteration for functions and derivatives."""
-        return 1e3 * self.cpu_seconds_evaluating / max(self.iterations, 1)
-
-    @property
-    def solving(self) -> float:
-        """Give milliseconds per iteration for linear algebra, and IPOPT's own."""
-        return 1e3 * (self.cpu_seconds - self.cpu_seconds_evaluating) / max(self.iterations, 1)
+MODEL = MODELS / "arm_pendulum.yaml"
+INTERVALS, DEGREE = 100, 4  # the paper's
 
 
 @dataclass(frozen=True)
@@ -75,7 +52,7 @@ class Way:
 
 def make_ours(name: str, problem: Problem, plant: Mechanism, guess: Trajectory) -> Way:
     """Transcribe with generated kernels."""
-    begin = time.perf_counter()
+    begin = processor_seconds()
     solver = Solver(problem, plant)
     program = solver.transcription.program
     solver.solve(replace(problem, solver=replace(problem.solver, max_iterations=0)), guess)  # makes the functions
@@ -85,7 +62,7 @@ def make_ours(name: str, problem: Problem, plant: Mechanism, guess: Trajectory) 
         run, cost = outcome.run, outcome.cost.total if isinstance(outcome, Solution) else float("nan")
         return Effort(run.status, run.iterations, cost, run.cpu_seconds, run.cpu_seconds_evaluating)
 
-    return Way(name, time.perf_counter() - begin, program.variables, program.constraints, solve)
+    return Way(name, processor_seconds() - begin, program.variables, program.constraints, solve)
 
 
 def make_ways(problem: Problem, plant: Mechanism, is_interpreted: bool) -> Iterator[Way]:
@@ -93,21 +70,32 @@ def make_ways(problem: Problem, plant: Mechanism, is_interpreted: bool) -> Itera
     guess = make_guess(problem, plant, schemes.build(problem.family, problem.degree))
     assert isinstance(guess, Trajectory), "the target is within reach"
     yield make_ours(OURS, problem, plant, guess)
-    adaptive = (("mu_strategy", "adaptive"),)
-    yield make_ours(
-        f"{OURS}, adaptive", replace(problem, solver=replace(problem.solver, options=adaptive)), plant, guess
-    )
-    if not problem.representation.is_ode:
-        yield make_ours(f"{OURS}, integral form", replace(problem, form=Form.INTEGRAL), plant, guess)
-    dynamics = write_dynamics(write_functions(read_tree(MODELS / "arm_pendulum.yaml")))
+    adaptive = replace(problem, solver=replace(problem.solver, options=(("mu_strategy", "adaptive"),)))
+    yield make_ours(f"{OURS}, adaptive", adaptive, plant, guess)
+    for form in (Form.INTEGRAL, Form.SHOOTING):
+        chosen = replace(problem, form=form)
+        if not find_conflicts(chosen):
+            yield make_ours(f"{OURS}, {form.value} form", chosen, plant, guess)
     q = ca.SX.sym("q", len(problem.start_q))
     place = ca.Function("place", [q], [write_place(q)])
     settings = list_settings(problem)
-    peers = [(False, name) for name in settings] + [(True, "tuned")] * (not is_interpreted)
-    for is_compiled, name in peers:
-        peer = Peer(problem, dynamics, place, settings[name], is_compiled)
-        way = f"CasADi, {'compiled' if is_compiled else 'interpreted'}, {name}"
-        yield Way(way, peer.seconds_building, peer.variables, peer.constraints, partial(peer.solve, guess))
+    afternoon = write_dynamics(write_functions(read_tree(MODEL)))
+    peers = [("CasADi, interpreted, defaults", afternoon, "defaults", False)]
+    peers.append(("CasADi, interpreted, tuned", afternoon, "tuned", False))
+    if not is_interpreted:
+        peers.append(("CasADi, compiled, tuned", afternoon, "tuned", True))
+        peers.append(("our equations in CasADi, compiled, tuned", read_ours(problem.representation), "tuned", True))
+    for name, dynamics, options, is_compiled in peers:
+        peer = Peer(problem, dynamics, place, settings[options], is_compiled)
+        yield Way(name, peer.seconds_building, peer.variables, peer.constraints, partial(peer.solve, guess))
+
+
+def read_ours(representation: Representation) -> dict[str, ca.Function]:
+    """Give the equations that the kernels hold, without their derivatives, as the peer takes its own."""
+    name = representation.kernel
+    folder = find_folder(MODEL, Extent((name,), 0, python=True))
+    function = eliminate(read_tape(folder, read_manifest(folder / FILE_NAME), (name,))[name], f"ours_{name}")
+    return dict.fromkeys(("impl", "semi", "exp"), function)
 
 
 def write_place(q: ca.SX) -> ca.SX:
@@ -133,31 +121,6 @@ def measure(ways: Sequence[Way], representation: str, rounds: int) -> list[Row]:
     ]
 
 
-def show(rows: Sequence[Row], seconds_generating: float | None) -> Table:
-    """Lay the rows out, each figure with how many times ours it is."""
-    made = "" if seconds_generating is None else f"; loading the model took {seconds_generating:.1f} s"
-    title = f"one solve{made}; ours is {OURS!r}"
-    table = Table(title=title, box=box.SIMPLE)
-    for column in ("representation", "way"):
-        table.add_column(column)
-    for column in ("build [s]", "iterations", "evaluation [ms]", "algebra [ms]", "solve, CPU [s]", "optimum"):
-        table.add_column(column, justify="right")
-    for row in rows:
-        ours = next(r for r in rows if (r.representation, r.way) == (row.representation, OURS))
-        is_same = abs(row.cost - ours.cost) <= SAME * abs(ours.cost)
-        table.add_row(
-            row.representation,
-            row.way,
-            f"{row.seconds_building:.1f}",
-            str(row.iterations),
-            f"{row.evaluating:.2f} ({row.evaluating / ours.evaluating:.1f})",
-            f"{row.solving:.1f} ({row.solving / ours.solving:.1f})",
-            f"{row.cpu_seconds:.2f} ({row.cpu_seconds / ours.cpu_seconds:.1f})",
-            f"{row.cost:.8g}" if is_same else f"{row.cost:.8g}, another",
-        )
-    return table
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and write; 1 where a solve did not succeed."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.ocp", description=__doc__)
@@ -170,29 +133,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--rounds", type=int, default=3)
     names = [r.value for r in Representation]
     parser.add_argument("--representation", action="append", choices=names, help="by default all")
+    parser.add_argument("--again", action="store_true", help="measure again what an earlier run kept")
     parser.add_argument("-o", "--output", type=Path, default=Path("build/bench-ocp"))
     given = parser.parse_args(arguments)
-    with tempfile.TemporaryDirectory() as cache:
+    about = f"{describe_machine()}; the quickest of {given.rounds} rounds; N = {INTERVALS}, degree {DEGREE}"
+    output: Path = given.output.absolute()
+    kept = None if given.quick or given.again else read_figures(output / "ocp.json", about)
+    with tempfile.TemporaryDirectory() as scratch, contextlib.chdir(scratch):  # where CasADi leaves what it compiles
         if not given.quick:
-            os.environ["XDG_CACHE_HOME"] = cache  # nothing is found made
-        begin = time.perf_counter()
+            os.environ["XDG_CACHE_HOME"] = scratch  # nothing is found made
+        begin = processor_seconds()
         problem, plant = read_problem(MODELS / "arm_reach.ocp.yaml", load)
-        seconds_generating = time.perf_counter() - begin
+        seconds = None if given.quick else processor_seconds() - begin
         if given.quick:
             problem = replace(problem, intervals=10, degree=3)
-        rows: list[Row] = []
+        else:
+            problem = replace(problem, intervals=INTERVALS, degree=DEGREE)
+        figures = kept or Figures(about, len(os.sched_getaffinity(0)), seconds)
         for name in given.representation or (["IMPL", "EXP1-O"] if given.quick else names):
+            if name in figures.representations:
+                continue
+            before = os.getloadavg()[0]
             chosen = replace(problem, representation=Representation(name))
-            rows += measure(
-                list(make_ways(chosen, plant, given.quick or given.interpreted)),
-                name,
-                1 if given.quick else given.rounds,
-            )
-    Console(width=None if sys.stdout.isatty() else 160).print(show(rows, None if given.quick else seconds_generating))
-    given.output.mkdir(parents=True, exist_ok=True)
-    figures = {"seconds_generating": seconds_generating, "rows": [asdict(row) for row in rows]}
-    (given.output / "ocp.json").write_text(json.dumps(figures, indent=1) + "\n", "utf-8")
-    return 0 if all(row.status == "Solve_Succeeded" for row in rows) else 1
+            ways = list(make_ways(chosen, plant, given.quick or given.interpreted))
+            rows = measure(ways, name, 1 if given.quick else given.rounds)
+            figures = replace_rows(figures, rows, Loads(name, before, os.getloadavg()[0]))
+            write_figures(figures, output)
+    Console(width=None if sys.stdout.isatty() else 160).print(show(figures))
+    return 0 if all(row.status == "Solve_Succeeded" for row in figures.rows) else 1
 
 
 if __name__ == "__main__":

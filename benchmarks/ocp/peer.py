@@ -7,6 +7,7 @@ but the values of a problem and a guess, and has points and weights of its own.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -35,6 +36,11 @@ class Effort:
     cpu_seconds_evaluating: float
 
 
+def processor_seconds() -> float:
+    """Give the processor time spent so far, that of compilers included."""
+    return sum(os.times()[:4])
+
+
 class Peer:
     """A transcribed problem."""
 
@@ -47,54 +53,43 @@ class Peer:
         is_compiled: bool,
     ) -> None:
         """Write the program, and make IPOPT for it; `place` gives the position of the sensor that has a target."""
-        begin = time.perf_counter()
+        begin = processor_seconds()
         self.problem = problem
         representation, N, d = problem.representation, problem.intervals, problem.degree
         n, m, h = len(problem.start_q), len(problem.bounds.u), problem.horizon / problem.intervals
         points_of_scheme = ca.collocation_points(d, problem.family.value)
         C, D, _ = (ca.sparsify(c, 1e-12) for c in ca.collocation_coeff(points_of_scheme))  # Radau's D is 1 at the end
         has_z = not representation.is_ode
-        w: list[ca.MX] = []
-        bounds: list[Array] = []
-        states = np.array(problem.bounds.q + problem.bounds.qd)
-
-        def new(name: str, size: int, limits: Array | None = None) -> ca.MX:
-            w.append(ca.MX.sym(name, size))
-            bounds.append(np.tile((-np.inf, np.inf), (size, 1)) if limits is None else limits)
-            return w[-1]
-
-        mesh, points, z, u = [new("x0", 2 * n, states)], [], [], []
-        for k in range(N):
-            for j in range(d):
-                points.append(new(f"x{k}_{j}", 2 * n, states))
-                if has_z:
-                    z.append(new(f"z{k}_{j}", n))
-            u.append(new(f"u{k}", m, np.array(problem.bounds.u).reshape(-1, 2)))
-            mesh.append(new(f"x{k + 1}", 2 * n, states))
-        X, U = ca.horzcat(*points), ca.horzcat(*(u[i // d] for i in range(N * d)))
+        at_point = (3 if has_z else 2) * n
+        v, last = ca.MX.sym("v", 2 * n + d * at_point + m, N), ca.MX.sym("last", 2 * n)  # a column for each interval
+        mesh, u = ca.horzcat(v[: 2 * n, :], last), v[-m:, :]
+        points = ca.reshape(v[2 * n : -m, :], at_point, N * d)
+        X, U = points[: 2 * n, :], ca.reshape(ca.repmat(u, d, 1), m, N * d)
         kernel = dynamics[{"IMPL": "impl", "SEMI": "semi"}.get(representation.value, "exp")]
-        inputs = (X[:n, :], X[n:, :], ca.horzcat(*z), U) if not representation.is_explicit else (X[:n, :], X[n:, :], U)
-        values = kernel.map(N * d)(*inputs)
-        Z = ca.horzcat(*z) if has_z else values
-        residual = (Z - values if representation.is_explicit else values) if has_z else None
-        slopes = ca.vertcat(X[n:, :], Z)
-        g: list[Any] = [mesh[0] - np.array(problem.start_q + problem.start_qd)]
-        for k in range(N):
-            nodes = ca.horzcat(mesh[k], *points[k * d : (k + 1) * d])
-            for j in range(d):
-                g.append(nodes @ C[:, j] - h * slopes[:, k * d + j])
-                if residual is not None:
-                    g.append(residual[:, k * d + j])
-            g.append(nodes @ D - mesh[k + 1])
-        end_q, end_qd = mesh[-1][:n], mesh[-1][n:]
+        q, qd, z = X[:n, :], X[n:, :], points[2 * n :, :]
+        values = kernel.map(N * d)(*((q, qd, U) if representation.is_explicit else (q, qd, z, U)))
+        Z = z if has_z else values
+        residual = (Z - values if representation.is_explicit else values) if has_z else ca.MX(0, N * d)
+        slopes = ca.vertcat(qd, Z)
+        nodes = [mesh[:, :N], *(X[:, j::d] for j in range(d))]
+
+        def combine(weights: ca.DM) -> ca.MX:
+            return sum((weights[r] * nodes[r] for r in weights.row()), start=ca.MX(2 * n, N))
+
+        rows = []
+        for j in range(d):
+            rows += [combine(C[:, j]) - h * slopes[:, j::d], residual[:, j::d]]
+        g = [mesh[:, 0] - np.array(problem.start_q + problem.start_qd)]
+        g.append(ca.vec(ca.vertcat(*rows, combine(D) - mesh[:, 1:])))
+        end_q, end_qd = last[:n], last[n:]
         target = np.array(problem.end.sensors[0][1])
         # Radau's last point is the end
-        end_z = z[-1] if has_z else dynamics["exp"](end_q, end_qd, u[-1])
+        end_z = z[:, -1] if has_z else dynamics["exp"](end_q, end_qd, u[:, -1])
         g += [place(end_q) - target, end_qd, end_z]
-        inputs_cost = h * sum(ca.sumsqr(v) for v in u)
-        rates_cost = sum(ca.sumsqr(u[k + 1] - u[k]) for k in range(N - 1)) / h
+        inputs_cost = h * ca.sumsqr(u)
+        rates_cost = ca.sumsqr(u[:, 1:] - u[:, :-1]) / h
         nlp: dict[str, Any] = {
-            "x": ca.vertcat(*w),
+            "x": ca.vertcat(ca.vec(v), last),
             "f": problem.cost.inputs * inputs_cost + problem.cost.input_rates * rates_cost,
             "g": ca.vertcat(*g),
         }
@@ -103,10 +98,13 @@ class Peer:
         if is_compiled:
             options |= {"jit": True, "compiler": "shell", "jit_options": {"flags": FLAGS, "verbose": False}}
         self._solver = ca.nlpsol("peer", "ipopt", nlp, options)
-        self._lower, self._upper = np.concatenate(bounds).T
+        states, free = np.array(problem.bounds.q + problem.bounds.qd), np.tile((-np.inf, np.inf), (n, 1))
+        point = np.concatenate((states, free)) if has_z else states
+        column = np.concatenate((states, *[point] * d, np.array(problem.bounds.u).reshape(-1, 2)))
+        self._lower, self._upper = np.concatenate((*[column] * N, states)).T
         self.variables, self.constraints = int(nlp["x"].numel()), int(nlp["g"].numel())
         self.jacobian_nonzeros = int(self._solver.get_function("nlp_jac_g").nnz_out(1))
-        self.seconds_building = time.perf_counter() - begin
+        self.seconds_building = processor_seconds() - begin
 
     def solve(self, guess: Trajectory) -> Effort:
         """Solve from a guess."""

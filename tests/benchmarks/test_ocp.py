@@ -14,6 +14,16 @@ import pytest
 from benchmarks.afternoon import write_functions
 from benchmarks.ocp.__main__ import MODELS, main, write_place
 from benchmarks.ocp.peer import Peer, list_settings, write_dynamics
+from benchmarks.ocp.rows import (
+    OURS,
+    Figures,
+    Loads,
+    Row,
+    read_figures,
+    replace_rows,
+    write_figures,
+    write_page,
+)
 from mbsgen.pipeline import read_tree
 from mbsrun.ocp.problem import Problem, Representation
 from mbsrun.ocp.statement import read_problem
@@ -67,3 +77,19 @@ def test_a_quick_run_measures_both(
     assert abs(peer["iterations"] - ours["iterations"]) <= 2
     assert (peer["variables"], peer["constraints"]) == (ours["variables"], ours["constraints"])
     assert "CasADi, interpreted, defaults" in capsys.readouterr().out
+
+
+def test_what_an_interrupted_run_kept_is_found(tmp_path: Path) -> None:
+    """By what it is about; a representation that is measured again replaces its rows, and loads are told."""
+    row = Row("IMPL", OURS, 1.0, 10, 9, "Solve_Succeeded", 4, 2.0, 0.5, 0.1)
+    first = replace_rows(Figures("a machine", 2, 3.0), [row, replace(row, way="other")], Loads("IMPL", 0.5, 7.0))
+    write_figures(first, tmp_path)
+    assert read_figures(tmp_path / "ocp.json", "a machine") == first
+    assert read_figures(tmp_path / "ocp.json", "another") is None
+    page = (tmp_path / "ocp.md").read_text("utf-8")
+    assert "0.5 to 7.0 processes" in page
+    assert "disturbed" in page
+    again = replace_rows(first, [row], Loads("IMPL", 0.5, 0.7))
+    assert again.rows == (row,)
+    assert again.representations == ["IMPL"]
+    assert "disturbed" not in write_page(again)

@@ -1,0 +1,150 @@
+"""Rows of figures: what one way of solving took; kept in a file as they come, shown as tables."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from rich import box
+from rich.table import Table
+
+SAME = 1e-6  # relative difference of costs within which two optima are one
+OURS = "mbsgen"
+COLUMNS = ("build [s]", "iterations", "evaluation [ms]", "algebra [ms]", "solve, CPU [s]", "optimum")
+
+
+@dataclass(frozen=True)
+class Row:
+    """What one way of solving took in one representation: its best round."""
+
+    representation: str
+    way: str
+    seconds_building: float  # of the processor: program and compilation
+    variables: int
+    constraints: int
+    status: str
+    iterations: int
+    cost: float
+    cpu_seconds: float
+    cpu_seconds_evaluating: float
+
+    @property
+    def evaluating(self) -> float:
+        """Give milliseconds per iteration for functions and derivatives."""
+        return 1e3 * self.cpu_seconds_evaluating / max(self.iterations, 1)
+
+    @property
+    def solving(self) -> float:
+        """Give milliseconds per iteration for linear algebra, and IPOPT's own."""
+        return 1e3 * (self.cpu_seconds - self.cpu_seconds_evaluating) / max(self.iterations, 1)
+
+    def compare(self, ours: Row) -> tuple[str, ...]:
+        """Write the figures of COLUMNS, each with how many times ours it is."""
+        is_same = abs(self.cost - ours.cost) <= SAME * abs(ours.cost)
+        return (
+            f"{self.seconds_building:.1f}",
+            str(self.iterations),
+            f"{self.evaluating:.2f} ({self.evaluating / ours.evaluating:.2g})",
+            f"{self.solving:.1f} ({self.solving / ours.solving:.2g})",
+            f"{self.cpu_seconds:.2f} ({self.cpu_seconds / ours.cpu_seconds:.2g})",
+            f"{self.cost:.8g}" if is_same else f"{self.cost:.8g}, another",
+        )
+
+
+@dataclass(frozen=True)
+class Loads:
+    """How many processes wanted to run while a representation was measured, in the mean of a minute."""
+
+    representation: str
+    before: float
+    after: float
+
+
+@dataclass(frozen=True)
+class Figures:
+    """A run: where it was measured, and what was."""
+
+    about: str  # machine, rounds and problem: what rows must share
+    cores: int
+    seconds_generating: float | None
+    rows: tuple[Row, ...] = ()
+    loads: tuple[Loads, ...] = ()
+
+    @property
+    def representations(self) -> list[str]:
+        """List those that have rows, in order."""
+        return list(dict.fromkeys(row.representation for row in self.rows))
+
+    def ours(self, representation: str) -> Row:
+        """Give the row that others are compared with."""
+        return next(row for row in self.rows if (row.representation, row.way) == (representation, OURS))
+
+
+def read_figures(path: Path, about: str) -> Figures | None:
+    """Read what an interrupted run kept; None where there is nothing of the same kind."""
+    if not path.exists():
+        return None
+    content = json.loads(path.read_text("utf-8"))
+    if content.get("about") != about:
+        return None
+    rows, loads = (Row(**row) for row in content["rows"]), (Loads(**row) for row in content["loads"])
+    return Figures(about, content["cores"], content["seconds_generating"], tuple(rows), tuple(loads))
+
+
+def write_figures(figures: Figures, folder: Path) -> None:
+    """Write the figures, and the page that shows them."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "ocp.json").write_text(json.dumps(asdict(figures), indent=1) + "\n", "utf-8")
+    (folder / "ocp.md").write_text(write_page(figures), "utf-8")
+
+
+def show(figures: Figures) -> Table:
+    """Lay the rows out for a terminal."""
+    seconds = figures.seconds_generating
+    made = "" if seconds is None else f"; loading the model took {seconds:.1f} s"
+    table = Table(title=f"one solve{made}; ours is {OURS!r}", box=box.SIMPLE)
+    for column in ("representation", "way"):
+        table.add_column(column)
+    for column in COLUMNS:
+        table.add_column(column, justify="right")
+    for row in figures.rows:
+        table.add_row(row.representation, row.way, *row.compare(figures.ours(row.representation)))
+    return table
+
+
+def write_page(figures: Figures) -> str:
+    """Write a table for each representation, and what the machine was doing."""
+    loads = [load for entry in figures.loads for load in (entry.before, entry.after)]
+    lines = [
+        "# Optimal control: what was measured",
+        "",
+        f"{figures.about}.",
+        "",
+        "Times are of the processor, compilers included, and per iteration where they are in ms; a figure in brackets",
+        f"tells how many times that of {OURS} it is. Who is compared, and how, tells the",
+        "[page of the benchmark](../ocp/README.md).",
+    ]
+    if loads:
+        wanting = f"{min(loads):.1f} to {max(loads):.1f} processes"
+        lines += ["", f"{wanting}, in means of a minute, wanted to run on {figures.cores} cores meanwhile."]
+        if max(loads) > figures.cores:
+            lines[-1] += " So the run was disturbed, and ratios say more than times."
+    if figures.seconds_generating is not None:
+        lines += ["", f"Generating the model took {figures.seconds_generating:.1f} s, before all that is built below."]
+    for representation in figures.representations:
+        lines += ["", f"## {representation}", "", f"| | {' | '.join(COLUMNS)} |", "|---|" + "---:|" * len(COLUMNS)]
+        lines += [
+            f"| {row.way} | {' | '.join(row.compare(figures.ours(representation)))} |"
+            for row in figures.rows
+            if row.representation == representation
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def replace_rows(figures: Figures, rows: Sequence[Row], load: Loads) -> Figures:
+    """Add the rows of a representation, in place of those it had."""
+    kept = [row for row in figures.rows if row.representation != load.representation]
+    loads = [entry for entry in figures.loads if entry.representation != load.representation]
+    return Figures(figures.about, figures.cores, figures.seconds_generating, (*kept, *rows), (*loads, load))
