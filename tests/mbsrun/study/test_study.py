@@ -35,6 +35,7 @@ from mbsrun.study.campaign import (
     report,
 )
 from mbsrun.study.cluster import ClusterError, open_workers
+from mbsrun.study.differentiated import Differentiated
 from mbsrun.study.export import export
 from mbsrun.study.page import render_page
 from mbsrun.study.results import Results, find_outliers
@@ -275,3 +276,27 @@ def test_the_page_sorts_fits_a_phone_and_runs_nothing_else(tmp_path: Path, requi
     assert told["down"] == ["20", "10", "9", "3"]
     assert told["width"] <= 390
     assert (told["title"], told["hostile"]) == ("", True)
+
+
+# --- derivatives ---------------------------------------------------------------------------------------------------
+
+
+def test_derivatives_of_casadi_are_those_that_are_generated(subject: Subject) -> None:
+    """Of EXP2, a name that C has too: value, Jacobian, and the adjoint's Jacobian, at one state, to rounding."""
+    state = {"q": [0.3, 0.9], "qd": [1.0, -2.0], "u": [3.0, 4.0]}
+    functions = [subject.plant.casadi("exp2")]
+    functions += [Differentiated(subject.plant, subject.model, way).casadi("exp2") for way in (True, False)]
+    found = []
+    for function in functions:
+        adjoint = function.reverse(1)
+        value = function(**state)["qdd"]
+        out = {"out_qdd": value}
+        first = function.jacobian()(**state, **out)
+        seeded = {**state, **out, "adj_qdd": [0.7, -0.2]}
+        rest = {name: 0 for name in adjoint.jacobian().name_in() if name not in seeded}
+        second = adjoint.jacobian()(**seeded, **rest)
+        found.append([value.full(), *(first[f"jac_qdd_{x}"].full() for x in state)])
+        found[-1] += [second[f"jac_adj_{x}_{y}"].full() for x in state for y in state]
+    for other in found[1:]:
+        for ours, theirs in zip(found[0], other, strict=True):
+            assert theirs == pytest.approx(ours, rel=1e-12, abs=1e-12)
