@@ -24,7 +24,7 @@ from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
 from mbsgen.manifest import Manifest
 from mbsrun.cache import Entry, cache_folder, list_entries, remove
 from mbsrun.circumstances import describe_circumstances
-from mbsrun.external import load
+from mbsrun.external import load, load_on_demand
 from mbsrun.lab.commands import lab_command
 from mbsrun.ocp.integrators import IntegratorName
 from mbsrun.ocp.methods import METHODS as SOLVERS
@@ -257,7 +257,7 @@ def solve_command(
     **choices: Any,
 ) -> None:
     """Read, solve, re-simulate, write, tell."""
-    problem, plant = read_problem(file, load)
+    problem, plant = read_problem(file, load_on_demand)
     if target is not None:
         problem = _retarget(problem, target)
     problem = _choose(problem, **choices)
@@ -358,7 +358,7 @@ def sweep_command(
     **grid: Any,
 ) -> None:
     """Read, search, sum up."""
-    problem, plant = read_problem(file, load)
+    problem, plant = read_problem(file, load_on_demand)
     sensor = _find_sensor(problem, "PROBLEM")
     targets = Targets(
         grid["radius"],

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
 import casadi as ca
+from numpy.typing import ArrayLike
 
+from mbsgen.manifest import Manifest
 from mbsrun.binding import DESIGN
-from mbsrun.kernel import DERIVATIVES, HIDDEN, Kernels
-from mbsrun.models import find_folder
+from mbsrun.kernel import DERIVATIVES, HIDDEN, Array, Kernels
+from mbsrun.models import MODEL_SUFFIXES, Extent, find_folder
+
+START = Extent(("impl", "frames"), 1)
+ORDERS = ("jac_adj1_", "adj1_", "jac_", "lin_")
 
 
 class Mechanism(Kernels):
@@ -37,6 +43,46 @@ class Mechanism(Kernels):
         results = external(**inputs, **fixed)
         chosen = [results[name] for name in outputs]
         return ca.Function(kernel.symbol, list(inputs.values()), chosen, list(inputs), outputs)
+
+
+class OnDemand:
+    """The kernels of a model file, each function generated when it is first asked for.
+
+    What every optimal control problem needs is there from the start: the residual and its Jacobian, for guesses and
+    checks, and poses; anything else comes with the derivatives that the use it is asked for takes.
+    """
+
+    manifest: Manifest  # of what is there from the start
+
+    def __init__(self, path: Path) -> None:
+        """Generate the start. Raises InputError for a model with faults."""
+        self._path = path
+        self._start = Mechanism(find_folder(path, START))
+        self._mechanisms: dict[str, Mechanism] = {}
+        self.manifest = self._start.manifest
+
+    def __call__(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> dict[str, Array]:
+        """Call a kernel, as `Kernels.__call__` does."""
+        if any(kernel.name == name for kernel in self.manifest.kernels):
+            return self._start(name, sparse=sparse, **inputs)
+        return self._load(re.sub(f"^({'|'.join(ORDERS)})", "", name))(name, sparse=sparse, **inputs)
+
+    def casadi(self, name: str) -> ca.Function:
+        """Give a function with its exact derivatives, as `Mechanism.casadi` does."""
+        return self._load(name).casadi(name)
+
+    def _load(self, function: str) -> Mechanism:
+        if function not in self._mechanisms:
+            self._mechanisms[function] = Mechanism(find_folder(self._path, Extent((function,))))
+        return self._mechanisms[function]
+
+
+def load_on_demand(path: Path) -> Mechanism | OnDemand:
+    """Load what is asked for of a model file, as it is asked for; of a generated folder, what it holds.
+
+    Raises InputError as `load` does.
+    """
+    return OnDemand(path) if path.suffix in MODEL_SUFFIXES else load(path)
 
 
 def load(path: str | Path, parameters: Mapping[str, float] | None = None) -> Mechanism:

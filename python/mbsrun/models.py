@@ -27,6 +27,7 @@ class Extent:
 
 
 WHOLE = Extent()
+MODEL_SUFFIXES = (".yaml", ".yml")
 
 
 def find_folder(path: Path, extent: Extent = WHOLE) -> Path:
@@ -35,7 +36,7 @@ def find_folder(path: Path, extent: Extent = WHOLE) -> Path:
     A folder that is given holds what it holds. Raises InputError with every fault of the model, OptionError for
     functions that it does not have, CacheError if the cache cannot be written.
     """
-    if not (path.is_file() or path.suffix in (".yaml", ".yml")):
+    if not (path.is_file() or path.suffix in MODEL_SUFFIXES):
         return path
 
     def make(building: Path) -> Path:

@@ -46,6 +46,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     monkeypatch.chdir(tmp_path)
     arm = peer_arm()
     monkeypatch.setattr(cli, "load", lambda _: arm)
+    monkeypatch.setattr(cli, "load_on_demand", lambda _: arm)
 
     def call(*arguments: str, text: str = COARSE) -> Result:
         Path("task.ocp.yaml").write_text(text, "utf-8")

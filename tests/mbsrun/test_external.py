@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 
 import mbsgen.pipeline
-from mbsgen.errors import InputError
+from mbsgen.errors import InputError, MbsError
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.replay import declare_inputs, replay
 from mbsgen.tape.types import Tape
 from mbsgen.targets.contract import Family
 from mbsrun import Mechanism, load
+from mbsrun.external import load_on_demand
 from mbsrun.kernel import ArgumentError
 from tests.mbsgen.targets.test_guards import guarded_tape
 from tests.mbsrun.test_kernel import EPS, ROUNDING, draw, hidden
@@ -431,3 +432,19 @@ def test_many_processes_may_load_a_model_at_once(model: Path) -> None:
     assert len({process.communicate()[0] for process in running}) == 1
     assert [process.returncode for process in running] == [0, 0, 0]
     assert len(kept(model)) == 1
+
+
+def test_functions_are_generated_when_they_are_asked_for(model: Path) -> None:
+    """A residual, its Jacobian and poses at first; then what is asked for and no more, with its second derivatives."""
+    swing = load_on_demand(model)
+    assert {kernel.name for kernel in swing.manifest.kernels} >= {"impl", "jac_impl", "frames"}
+    assert not {kernel.name for kernel in swing.manifest.kernels} & {"exp1", "jac_adj1_impl", "sensors"}
+    state = {"q": [0.3], "qd": [0.0], "u": [1.0]}
+    assert len(kept(model)) == 1
+    assert swing("exp2", **state)["qdd"] == pytest.approx(load(model)("exp2", **state)["qdd"], rel=1e-14)
+    assert len(kept(model)) == 3  # one of exp2, and the whole that it was compared with
+    hessian = swing.casadi("exp2").reverse(1).jacobian()
+    assert hessian.name() == f"jac_adj1_{swing.manifest.prefix}_exp2"
+    assert len(kept(model)) == 3
+    with pytest.raises(MbsError, match="nonsense"):
+        swing("jac_nonsense", **state)
