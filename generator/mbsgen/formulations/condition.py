@@ -83,7 +83,11 @@ def _give_way(kinematics: Kinematics, bodies: Mapping[int, Body]) -> tuple[dict[
         after[along] = [own if c == along else -x for c, x in enumerate(taken)]
         compliances[s.number] = after
         lost[s.number] = b.number(1.0) + _weigh(before, (body.left,))
-        if not body.pivot.is_literal:  # else it was found by more digits than rounding leaves
+        if (
+            body.pivot.is_literal
+        ):  # it was found by more digits than rounding leaves, and so was what is left of numbers
+            lost[s.number] = lost[s.number] + _weigh(before, body.parts, body.left)
+        else:
             lost[s.number] = lost[s.number] + _weigh(after, body.parts)
     return free, lost
 
@@ -105,16 +109,21 @@ def _dot(row: Sequence[Scalar], other: Sequence[Scalar]) -> Scalar:
     return reduce(add, (x * y for x, y in zip(row, other, strict=True)))
 
 
-def _weigh(compliance: Square, inertias: Sequence[Inertia]) -> Scalar:
-    """Add up |Omega| |I| over the entries."""
+def _weigh(compliance: Square, inertias: Sequence[Inertia], left: Inertia | None = None) -> Scalar:
+    """Add up |Omega| |I| over the entries; given what is left of them, over those that it is a difference of."""
     total = compliance[0][0].builder.zero
     for r, row in enumerate(compliance):
         for c, x in enumerate(row):
             entries = [_entry(inertia, r, c) for inertia in inertias]
             felt = [_size(y) for y in entries if not y.is_zero]
-            if felt:
+            if felt and (left is None or _is_difference(_entry(left, r, c), entries)):
                 total = total + _size(x) * reduce(add, felt)
     return total
+
+
+def _is_difference(left: Scalar, entries: Sequence[Scalar]) -> bool:
+    """Tell whether something was subtracted that is known at run time only."""
+    return not left.is_literal and left.ref not in [entry.ref for entry in entries]
 
 
 def _entry(inertia: Inertia, row: int, column: int) -> Scalar:

@@ -89,6 +89,15 @@ def test_errors_are_what_is_told(states: list[tuple[Tree, dict[str, Array]]], re
         assert max(e / x for e, x in zip(errors, expected, strict=True)) >= 1 / BELOW or max(expected) <= ALWAYS
 
 
+@pytest.mark.parametrize("distance", [1e-1, 1e-2, 1e-3, 1e-4])
+def test_an_elbow_of_numbers_is_told(distance: float):
+    """Its last pivot is a number; what is left to the first is 1 - cos^2, and loses digits as the distance squared."""
+    state = near_lock(LOCKS["elbow"][0], 0.0, distance, 1)
+    expected = told(LOCKS["elbow"][0], state)["exp2"]
+    assert error_of("exp2", LOCKS["elbow"][0], state) <= ABOVE * expected
+    assert expected <= 2 * U / distance**2
+
+
 @pytest.mark.parametrize("name", LOCKS)
 @pytest.mark.parametrize("distance", [1e-4, 1e-5, 1e-6, 1e-7, 1e-8])
 def test_no_lock_is_silent(name: str, distance: float):
