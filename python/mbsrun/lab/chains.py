@@ -6,14 +6,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from mbsrun.lab.case import Bench, Finding, Loss, check, demand, tell
-from mbsrun.lab.digits import KERNELS, RESIDUAL, Specimen, U, measure_losses, specimen
+from mbsrun.lab.case import Bench, Finding, Loss, check, demand
+from mbsrun.lab.digits import KERNELS, RESIDUAL, Specimen, U, check_told, measure_losses, specimen
 from mbsrun.lab.mechanisms import States, describe_spatial, describe_straight, draw, round_to_single
 
 ROUNDING, SINGLE = U["float64"], U["float32"]
 RATIOS = (1e4, 1e8, 1e12)
-ALWAYS = 1e-13  # what forces and accelerations lose beside what `condition` looks at
-ABOVE = 16.0  # an error may be so many times what is told: docs/accuracy.md
 NO_ALARM = 1e-11
 SEEDS = range(6)  # of states in single precision
 LIGHT, HEAVY = 1e-12, 1e12
@@ -81,7 +79,7 @@ def measure_heavy_tip(bench: Bench, size: int, ratio: float) -> list[Finding]:
         allowed = 10 * ROUNDING * loss.scaled
         findings.append(_check_error(loss, allowed))
         findings.append(check(loss.way, "backward error", loss.backward or 0.0, 1e-14))
-        findings.append(_check_told(loss))
+        findings.append(check_told(loss))
     chosen = specimen(bench, describe_spatial(size, [1.0] * (size - 1) + [ratio]), *ALL)
     return findings + _check_residuals(chosen, draw(size, [size]))
 
@@ -123,14 +121,6 @@ def _check_error(loss: Loss, bound: float) -> Finding:
     if loss.error is None:
         return demand(loss.way, "error", False, f"status at {loss.failed}")
     return check(loss.way, "error", loss.error, bound, f"condition {loss.condition:.1e}, scaled {loss.scaled:.1e}")
-
-
-def _check_told(loss: Loss) -> Finding:
-    """Compare an error with what `condition` tells."""
-    if loss.told is None:
-        return tell(loss.way, "error where no digit is promised", loss.error or 0.0)
-    remark = f"{loss.told:.0e} is told"
-    return check(loss.way, "error beyond what is told", loss.error or 0.0, ABOVE * loss.told + ALWAYS, remark)
 
 
 def _check_residuals(

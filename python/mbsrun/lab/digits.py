@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsrun.lab.case import Bench, Loss
+from mbsrun.lab.case import Bench, Finding, Loss, check, tell
 from mbsrun.lab.mechanisms import States, write
 from mbsrun.models import Extent
 from mbsrun.study.candidates import Found, compile_kernel
@@ -31,6 +31,8 @@ EXPLICIT = {"EXP1": "exp1", "EXP2": "exp2"}
 RESIDUAL = {"IMPL": "impl", "SEMI": "semi_res"}
 KERNELS = {**RESIDUAL, **EXPLICIT}
 TOLD_BY = {"EXP1": "elimination", "EXP2": "articulated"}
+ALWAYS = 1e-13  # what forces and accelerations lose beside what `condition` looks at
+ABOVE = 16.0  # an error may be so many times what is told: docs/accuracy.md
 SMALL, LARGE = 10, 50  # joints: from which on less is optimised in compiling
 _ENOUGH = 1e-25  # the relative size of a correction after which none is needed
 _CORRECTIONS = 60
@@ -136,6 +138,14 @@ def measure_losses(
     return bench.losses.find_or_measure(
         key, lambda: _measure_losses(mechanism, number, chosen, dict(states), precision)
     )
+
+
+def check_told(loss: Loss) -> Finding:
+    """Compare an error with what `condition` tells."""
+    if loss.told is None:
+        return tell(loss.way, "error where no digit is promised", loss.error or 0.0)
+    remark = f"{loss.told:.0e} is told, at {loss.number:.0e}"
+    return check(loss.way, "error beyond what is told", loss.error or 0.0, ABOVE * loss.told + ALWAYS, remark)
 
 
 def _measure_losses(

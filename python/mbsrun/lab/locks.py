@@ -9,7 +9,7 @@ import numpy as np
 
 from mbsgen.errors import InputError
 from mbsrun.lab.case import Bench, Finding, Loss, check, demand
-from mbsrun.lab.digits import EXPLICIT, KERNELS, RESIDUAL, Specimen, measure_losses, relate, specimen
+from mbsrun.lab.digits import EXPLICIT, KERNELS, RESIDUAL, Specimen, check_told, measure_losses, relate, specimen
 from mbsrun.lab.mechanisms import LOCKS, States, describe_elbow, describe_lock, draw, write
 from mbsrun.models import Extent, find_folder
 
@@ -65,6 +65,7 @@ def measure_lock(bench: Bench, lock: str, distances: Sequence[float] = DISTANCES
     for distance in distances:
         chosen, states, losses = approach(bench, lock, distance)
         findings += [_check_loss(x) for x in losses]
+        findings += [check_told(x) for x in losses if x.error is not None]
         if lock == "Cardan" and distance >= SAFE:
             findings += [_check_safe(x) for x in losses if x.way == "EXP2"]
         findings += _check_residuals(chosen, states)

@@ -24,6 +24,7 @@ from mbsrun.lab.record import write_table
 LENGTHS = (2, 5, 10, 20)
 RATIOS = tuple(10.0**k for k in range(0, 13, 2))
 FLOOR, TOP = 1e-17, 10.0  # between which errors are drawn
+WORST = 1e22  # the largest condition that is told from others
 COLORS = {"EXP1": "tab:red", "EXP2": "tab:blue"}
 NOWHERE = 1e-14  # rad: where the lock itself is drawn
 _COLUMNS = tuple(field.name for field in fields(Loss))
@@ -101,7 +102,7 @@ def _draw_condition(losses: Sequence[Loss]) -> Figure:
         for loss in losses:
             x = getattr(loss, name)
             x = TOP if x is None and name == "told" else x
-            _place(axes, loss, float(np.clip(x, FLOOR, 1e35)), markers[loss.mechanism])
+            _place(axes, loss, float(np.clip(x, FLOOR, TOP if name == "told" else WORST)), markers[loss.mechanism])
         axes.set_xscale("log")
         axes.set_xlabel(title)
         ends = np.array(axes.get_xlim())
@@ -114,7 +115,7 @@ def _draw_condition(losses: Sequence[Loss]) -> Figure:
         panels[2].plot([], [], marker=marker, color="0.4", linestyle="", label=mechanism)
     for way, color in COLORS.items():
         panels[2].plot([], [], marker="o", color=color, linestyle="", label=way)
-    panels[2].legend(fontsize=7, loc="upper left")
+    panels[0].legend(*panels[2].get_legend_handles_labels(), fontsize=7, loc="center left")
     figure.suptitle("dotted: u times what stands on the axis, or what is told itself; x: a status instead", fontsize=9)
     return figure
 

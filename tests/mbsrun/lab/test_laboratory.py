@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from mbsrun import cli
-from mbsrun.lab import chains, commands, derivatives, locks, maps
+from mbsrun.lab import chains, commands, derivatives, digits, locks, maps
 from mbsrun.lab.case import Bench, Case, Finding, Loss, Trial, check, demand, judge
 from mbsrun.lab.cases import CASES
 from mbsrun.lab.digits import specimen
@@ -90,7 +90,7 @@ def test_a_wrong_number_in_silence_is_not_met() -> None:
     assert not locks._check_loss(replace(LOSS, error=None, failed="q2")).is_met
     assert not locks._check_loss(replace(LOSS, error=float("nan"))).is_met
     assert not chains._check_error(replace(LOSS, error=None, failed="q1"), 1e-11).is_met
-    assert not chains._check_told(replace(LOSS, told=1e-15)).is_met
+    assert not digits.check_told(replace(LOSS, told=1e-15)).is_met
 
 
 def test_verdicts_are_of_the_worst() -> None:
