@@ -389,7 +389,7 @@ def _find_growth(out: Path) -> tuple[Growth, ...]:
     path, own = out / "growth.json", fingerprint_generator().hex()
     if path.exists():
         found = json.loads(path.read_text(encoding="utf-8"))
-        if found["generator"] == own:
+        if found.get("generator") == own:
             return tuple(Growth(g["formulation"], tuple(map(tuple, g["flops"])), g["degree"]) for g in found["growth"])
     growth = count_growth()
     told = [{"formulation": g.formulation, "flops": g.flops, "degree": g.degree} for g in growth]
