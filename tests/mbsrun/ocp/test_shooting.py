@@ -8,8 +8,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
+from mbsrun.lab.optimisation import state_catch
+from mbsrun.lab.optimisation import state_swing_up as swing_up
 from mbsrun.ocp import integrators, schemes
 from mbsrun.ocp.guess import interpolate
 from mbsrun.ocp.problem import Bounds, Cost, End, Form, Problem, Representation, Term, cylindrical
@@ -19,7 +20,7 @@ from mbsrun.ocp.solution import Failure, Solution
 from mbsrun.ocp.solve import Solver, solve
 from mbsrun.ocp.transcription import transcribe
 from tests.mbsrun.ocp.test_optima import FREE_RANGE, pendulum
-from tests.mbsrun.ocp.test_pitfalls import cart_pole, swing_up, unstable
+from tests.mbsrun.ocp.test_pitfalls import cart_pole, unstable
 from tests.mbsrun.ocp.test_solve import push
 from tests.mbsrun.ocp.test_transcription import check_derivatives, rich
 from tests.mbsrun.peer import Peer, double_integrator, explicit_functions, residual_function
@@ -138,28 +139,36 @@ def test_bounds_and_running_costs_are_those_of_collocation(plant: Peer, family: 
     assert found.trajectory.point_q[..., 0].max() == pytest.approx(1.05, abs=1e-6)
 
 
-def test_order_of_rk4_with_inputs_that_are_given() -> None:
-    """Error at the end of a pendulum's swing over 4 intervals: 4, whatever the degree of the points."""
+ORDERS = {
+    "Radau 1": ({"family": Family.RADAU, "degree": 1}, 1),
+    "Radau 2": ({"family": Family.RADAU, "degree": 2}, 3),
+    "Radau 3": ({"family": Family.RADAU, "degree": 3}, 5),
+    "Legendre 1": ({"family": Family.LEGENDRE, "degree": 1}, 2),
+    "Legendre 2": ({"family": Family.LEGENDRE, "degree": 2}, 4),
+    "rk4": (EXPLICIT, 4),
+}
+
+
+@pytest.mark.parametrize(("changes", "order"), ORDERS.values(), ids=ORDERS.keys())
+def test_orders_of_the_optimum_at_a_fixed_control_grid(changes: dict[str, Any], order: int) -> None:
+    """A pendulum is lifted by 2 rad with the least effort: four inputs, more and more steps between them."""
     bare = pendulum()
     plant = bare.with_functions(explicit_functions(bare.casadi("impl")))
-    motion = solve_ivp(lambda _, y: [y[1], 0.5 - np.sin(y[0])], (0, 2), [1.0, 0.0], "DOP853", rtol=1e-13, atol=1e-13)
-    errors = []
-    for steps in (1, 2, 4):
-        problem = Problem(
-            name="swing",
-            horizon=2.0,
-            intervals=4,
-            family=Family.RADAU,
-            degree=2,
-            cost=Cost(1.0),
-            start_q=(1.0,),
-            start_qd=(0.0,),
-            bounds=Bounds((FREE_RANGE,), (FREE_RANGE,), ((0.5, 0.5),)),
-            end=End(),
-        )
-        trajectory = optimum(shot(problem, **EXPLICIT, steps=steps), plant).trajectory
-        errors.append(np.linalg.norm([trajectory.q[-1, 0], trajectory.qd[-1, 0]] - motion.y[:, -1]))
-    assert np.log2(np.array(errors[:-1]) / errors[1:]) == pytest.approx([4, 4], abs=0.25)
+    lift = Problem(
+        name="lift",
+        horizon=2.0,
+        intervals=4,
+        family=Family.LEGENDRE,
+        degree=6,
+        cost=Cost(1.0),
+        start_q=(0.0,),
+        start_qd=(0.0,),
+        bounds=Bounds((FREE_RANGE,), (FREE_RANGE,), (FREE_RANGE,)),
+        end=End(coordinates=((0, 2.0),), velocity_zero=True),
+    )
+    exact = optimum(shot(lift, steps=2), plant).cost.total
+    errors = [optimum(shot(lift, steps=steps, **changes), plant).cost.total - exact for steps in (4, 8)]
+    assert np.log2(abs(errors[0] / errors[1])) == pytest.approx(order, abs=0.2)
 
 
 def test_rk4_reaches_the_optimum_within_its_order(plant: Peer) -> None:
@@ -186,20 +195,7 @@ def test_collocations_solution_is_a_guess_and_the_other_way_round(plant: Peer) -
 
 def test_multiple_shooting_bears_growth_by_exp_40() -> None:
     """F = exp(20 * 2), from a guess of zeros: each interval bounds the growth."""
-    free = (FREE_RANGE,)
-    problem = Problem(
-        name="unstable",
-        horizon=2.0,
-        intervals=40,
-        family=Family.RADAU,
-        degree=4,
-        cost=Cost(1.0),
-        start_q=(1.0,),
-        start_qd=(0.0,),
-        bounds=Bounds(free, free, free),
-        end=End(coordinates=((0, 0.0),)),
-        form=Form.SHOOTING,
-    )
+    problem = shot(state_catch(40, 4))
     solver = Solver(problem, unstable(20.0))
     zeros = interpolate(replace(problem, start_q=(0.0,)), solver.transcription.scheme, np.zeros(1))
     outcome = solver.solve(problem, zeros)
