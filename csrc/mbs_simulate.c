@@ -54,6 +54,16 @@ static int accelerate(const mbs_plant *plant)
     return solve(plant->n, plant->matrix, plant->qdd);
 }
 
+/* Write what the coordinates change by at plant's q and qd. */
+static int move(const mbs_plant *plant, casadi_real *rate)
+{
+    casadi_int c;
+    const int status = plant->change ? plant->change(plant->change_arg, plant->change_res, 0, 0, 0) : 0;
+    for (c = 0; c < plant->nq; ++c)
+        rate[c] = plant->change ? plant->qt[c] : plant->qd[c];
+    return status;
+}
+
 static int is_finite(casadi_int size, const casadi_real *x)
 {
     casadi_int i;
@@ -67,39 +77,36 @@ casadi_int mbs_simulate_rk(const mbs_plant *plant, casadi_int stages, const casa
                            casadi_real h, casadi_int steps, const casadi_real *v, casadi_int v_step,
                            casadi_real *states, casadi_real *work, int *status)
 {
-    const casadi_int n = plant->n;
+    const casadi_int n = plant->n, nq = plant->nq, size = nq + n;
     casadi_int step, i, j, c;
     for (step = 0; step < steps; ++step) {
-        const casadi_real *x = states + 2 * n * step;
-        casadi_real *y = states + 2 * n * (step + 1);
+        const casadi_real *x = states + size * step;
+        casadi_real *y = states + size * (step + 1);
         for (i = 0; i < stages; ++i) {
-            casadi_real *rate = work + 2 * n * i;
-            for (c = 0; c < n; ++c) {
-                casadi_real q = 0, qd = 0;
-                for (j = 0; j < i; ++j) {
-                    q += A[i * stages + j] * work[2 * n * j + c];
-                    qd += A[i * stages + j] * work[2 * n * j + n + c];
-                }
-                plant->q[c] = x[c] + h * q;
-                plant->qd[c] = x[n + c] + h * qd;
+            casadi_real *rate = work + size * i;
+            for (c = 0; c < size; ++c) {
+                casadi_real sum = 0;
+                for (j = 0; j < i; ++j)
+                    sum += A[i * stages + j] * work[size * j + c];
+                *(c < nq ? plant->q + c : plant->qd + (c - nq)) = x[c] + h * sum;
             }
             for (c = 0; c < plant->m; ++c)
                 plant->v[c] = v[(step * stages + i) * v_step + c];
             *status = accelerate(plant);
+            if (!*status)
+                *status = move(plant, rate);
             if (*status)
                 return step;
-            for (c = 0; c < n; ++c) {
-                rate[c] = plant->qd[c];
-                rate[n + c] = plant->qdd[c];
-            }
+            for (c = 0; c < n; ++c)
+                rate[nq + c] = plant->qdd[c];
         }
-        for (c = 0; c < 2 * n; ++c) {
+        for (c = 0; c < size; ++c) {
             casadi_real sum = 0;
             for (i = 0; i < stages; ++i)
-                sum += b[i] * work[2 * n * i + c];
+                sum += b[i] * work[size * i + c];
             y[c] = x[c] + h * sum;
         }
-        if (!is_finite(2 * n, y)) {
+        if (!is_finite(size, y)) {
             *status = RUNAWAY;
             return step;
         }
@@ -111,25 +118,28 @@ casadi_int mbs_simulate_rk(const mbs_plant *plant, casadi_int stages, const casa
 casadi_int mbs_simulate_symplectic(const mbs_plant *plant, casadi_real h, casadi_int steps, const casadi_real *v,
                                    casadi_int v_step, casadi_real *states, int *status)
 {
-    const casadi_int n = plant->n;
+    const casadi_int n = plant->n, nq = plant->nq, size = nq + n;
     casadi_int step, c;
     for (step = 0; step < steps; ++step) {
-        const casadi_real *x = states + 2 * n * step;
-        casadi_real *y = states + 2 * n * (step + 1);
-        for (c = 0; c < n; ++c) {
+        const casadi_real *x = states + size * step;
+        casadi_real *y = states + size * (step + 1);
+        for (c = 0; c < nq; ++c)
             plant->q[c] = x[c];
-            plant->qd[c] = x[n + c];
-        }
+        for (c = 0; c < n; ++c)
+            plant->qd[c] = x[nq + c];
         for (c = 0; c < plant->m; ++c)
             plant->v[c] = v[step * v_step + c];
         *status = accelerate(plant);
         if (*status)
             return step;
-        for (c = 0; c < n; ++c) {
-            y[n + c] = x[n + c] + h * plant->qdd[c];
-            y[c] = x[c] + h * y[n + c];
-        }
-        if (!is_finite(2 * n, y)) {
+        for (c = 0; c < n; ++c)
+            plant->qd[c] = y[nq + c] = x[nq + c] + h * plant->qdd[c];
+        *status = move(plant, y);
+        if (*status)
+            return step;
+        for (c = 0; c < nq; ++c)
+            y[c] = x[c] + h * y[c];
+        if (!is_finite(size, y)) {
             *status = RUNAWAY;
             return step;
         }

@@ -9,9 +9,11 @@ extern "C" {
 #endif
 
 /* What gives accelerations. Either `rate` does, in qdd; or, where `mass` is not NULL, `rate` gives the residual for
- * accelerations of 0, and `mass` the nonzeros of the mass matrix: then M qdd = -residual is solved. */
+ * accelerations of 0, and `mass` the nonzeros of the mass matrix: then M qdd = -residual is solved. Coordinates change by
+ * the velocities; or, where `change` is not NULL, as that tells: with quaternions there are more of them. */
 typedef struct {
-    casadi_int n; /* coordinates */
+    casadi_int n;  /* velocities */
+    casadi_int nq; /* coordinates */
     casadi_int m; /* inputs */
     casadi_real *q, *qd, *v; /* where the kernels read coordinates, velocities and inputs */
     casadi_real *qdd;        /* where `rate` writes */
@@ -25,12 +27,16 @@ typedef struct {
     casadi_int entries;     /* nonzeros of M, */
     const casadi_int *place; /* and which entry of the matrix each is, row by row */
     casadi_real *matrix;    /* room for n n numbers */
+    mbs_kernel change;
+    const casadi_real **change_arg;
+    casadi_real **change_res;
+    const casadi_real *qt; /* where `change` writes */
 } mbs_plant;
 
 /* Take `steps` steps of length h by the Runge-Kutta method with the coefficients A (stages x stages, row by row; only
  * what is left of the diagonal counts) and b. The inputs of stage i in step k begin at v + (k stages + i) v_step.
- * states: (steps + 1) x 2 n numbers, of each step q, then qd; the first is given, the others are written.
- * work: room for 2 n stages numbers. Returns how many steps have been taken. Where that is not all, `status` tells what
+ * states: (steps + 1) x (nq + n) numbers, of each step q, then qd; the first is given, the others are written.
+ * work: room for (nq + n) stages numbers. Returns how many steps have been taken. Where that is not all, `status` tells what
  * the next one failed of: k > 0 for a failure at joint k, -1 for numbers that are not finite. */
 casadi_int mbs_simulate_rk(const mbs_plant *plant, casadi_int stages, const casadi_real *A, const casadi_real *b,
                            casadi_real h, casadi_int steps, const casadi_real *v, casadi_int v_step,

@@ -11,6 +11,7 @@ from mbsgen.expressions import Expression, Number, parse
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.model.construction import (
     Setting,
+    ball,
     body,
     cardan,
     fixed,
@@ -75,12 +76,13 @@ def random_model(seed: int, size: int) -> Model:
 def random_scene(model: Model, seed: int) -> Scene:
     """Draw a scene: some joints locked, some sensors and wrenches, perhaps no gravity or no motion, few functions."""
     rng = np.random.default_rng(seed + 10_000)
-    joints = [step.name for i, part in enumerate(model.bodies) for step in list_steps(i, part)]
+    steps = [step for i, part in enumerate(model.bodies) for step in list_steps(i, part)]
+    joints = [step.name for step in steps if not step.joint.floats]
     count = int(rng.integers(0, len(joints)))
     places: tuple[Expression, ...] = (Number(0.0), Number(0.7), parse("-pi/2"), parse("k/2"))
     locked = tuple((str(name), places[rng.integers(4)]) for name in rng.choice(joints, count, replace=False))
     dynamics = ("impl", "semi", "semi_res", "exp1", "exp2")
-    others = [name for name in FUNCTIONS if name not in (*dynamics, "condition")]
+    others = [name for name in FUNCTIONS if name not in (*dynamics, "condition", "rates")]
     return Scene(
         functions=(str(rng.choice(dynamics)), str(rng.choice(dynamics)), str(rng.choice(others))),
         locked=locked,
@@ -94,7 +96,9 @@ def random_scene(model: Model, seed: int) -> Scene:
 
 def _draw_carrier(rng: np.random.Generator) -> Joint | Fixed | tuple[Joint, ...]:
     place = {"position": _point(rng), "orientation": _turns(rng)}
-    match rng.integers(8):
+    match rng.integers(9):
+        case 4:
+            return ball(**place)
         case 0:
             return fixed(**place)
         case 1:

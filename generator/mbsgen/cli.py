@@ -204,7 +204,7 @@ def _describe_limits(lower: float | None, upper: float | None) -> str:
 
 def _read_coordinates(tree: Tree, text: str) -> list[float]:
     """Read `name=number,...` as the coordinates of all joints. Raises click.BadParameter with all that is wrong."""
-    values = {body.joint.name: 0.0 for body in tree.bodies}
+    values = dict(zip(tree.coordinates, tree.neutral, strict=True))
     faults = []
     for part in filter(str.strip, text.split(",")):
         name, sign, written = (word.strip() for word in part.rpartition("="))
@@ -294,6 +294,7 @@ def check_command(model: Path) -> None:
     show_default=True,
     help="What becomes of joints that follow others.",
 )
+@click.option("--quaternions", is_flag=True, help="Give balls and free bodies quaternions, instead of turns in a row.")
 @click.option(
     "--friction-speed",
     type=click.FloatRange(0, 1e6, min_open=True),
@@ -318,6 +319,7 @@ def import_command(
     sensors: tuple[str, ...],
     locks: tuple[str, ...],
     mimic: Literal["refuse", "free", "lock"],
+    quaternions: bool,
     friction_speed: float,
     quarter_turns: float,
     allow_unphysical: bool,
@@ -333,6 +335,7 @@ def import_command(
         sensors=tuple(dict.fromkeys(sensors)),
         locked=tuple(map(_read_lock, locks)),
         mimic=mimic,
+        quaternions=quaternions,
         friction_speed=friction_speed,
         quarter_turns=quarter_turns,
         allow_unphysical=allow_unphysical,

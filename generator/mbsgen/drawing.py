@@ -104,7 +104,7 @@ def draw(tree: Tree, q: Sequence[float]) -> Figure:
 
 
 def _describe_coordinates(tree: Tree, q: Sequence[float]) -> str:
-    moved = [f"{_shorten(b.joint.name)} = {x:g}" for b, x in zip(tree.bodies, q, strict=True) if x]
+    moved = [f"{_shorten(name)} = {x:g}" for name, x in zip(tree.coordinates, q, strict=True) if x]
     if not moved:
         return "at q = 0"
     return f"at {', '.join(moved[:6])}{', ...' if len(moved) > 6 else ''}"

@@ -95,7 +95,8 @@ class _Comparison:
     whole: Tree
     reduced: Tree
     at: Array  # the coordinates that locked joints have; others are 0
-    moving: list[int]  # the numbers, from 0, of the whole model's coordinates that are left
+    moving: list[int]  # the numbers, from 0, of the whole model's joints that are left
+    free: list[int]  # those of its coordinates: the same, but where there are quaternions
     reductions: Reductions
     scene: Scene
 
@@ -104,10 +105,12 @@ class _Comparison:
         whole, reduced = build_tree(stage(model, whole_scene)), build_tree(stage(model, scene))
         valuation = Valuation(model.parameters, ())
         locked = {name: valuation.number(("locked", name), value) for name, value in scene.locked}
-        names = [body.joint.name for body in whole.bodies]
-        at = np.array([locked.get(name, 0.0) for name in names])
-        moving = [k for k, name in enumerate(names) if name not in locked]
-        return _Comparison(whole, reduced, at, moving, reductions, scene)
+        at = np.array([locked.get(name, 0.0) for name in whole.coordinates])
+        moving, free = (
+            [k for k, name in enumerate(names) if name not in locked]
+            for names in ([body.joint.name for body in whole.bodies], whole.coordinates)
+        )
+        return _Comparison(whole, reduced, at, moving, free, reductions, scene)
 
     def deviate(self, tape: Tape, seed: int) -> float:
         """Compare one reduced function at a random state."""
@@ -135,10 +138,11 @@ class _Comparison:
         source = random.Random(seed)
         n, m = len(self.whole.bodies), sum(body.joint.actuated for body in self.whole.bodies)
         forces = 3 * sum(v is None for x in self.whole.wrenches for v in (x.force, x.moment))
-        sizes = {"q": n, "qd": n, "qdd": n, "u": m, "w": forces}
+        sizes = {"q": len(self.at), "qd": n, "qdd": n, "u": m, "w": forces}
         state = {name: np.array([source.uniform(-1.0, 1.0) for _ in range(size)]) for name, size in sizes.items()}
+        held = [k for k in range(len(self.at)) if k not in self.free]
         still = [k for k in range(n) if k not in self.moving]
-        state["q"][still] = self.at[still]
+        state["q"][held] = self.at[held]
         state["qd"][still] = state["qdd"][still] = 0.0
         if not self.scene.motion:
             state["qd"][:] = 0.0
@@ -150,7 +154,8 @@ class _Comparison:
         kept = [x.name for x in self.reduced.wrenches]
         left = [x.name in kept for x in self.whole.wrenches for v in (x.force, x.moment) if v is None for _ in "xyz"]
         return {
-            **{name: state[name][self.moving] for name in ("q", "qd", "qdd")},
+            "q": state["q"][self.free],
+            **{name: state[name][self.moving] for name in ("qd", "qdd")},
             "u": state["u"][[k in self.moving for k in driven]],
             "w": state["w"][np.array(left, dtype=bool)],
         }
@@ -163,6 +168,8 @@ class _Comparison:
                 return values[self.moving]
             case "semi", "M":
                 return values[np.ix_(self.moving, self.moving)]
+            case "rates", _:
+                return values[self.free]
             case "sensors" | "motion", _:
                 return values[:, sensors]
             case "jacobian", _:

@@ -75,6 +75,8 @@ def write_families(
         families.append(Family(tape, found.jac, found.adj1, second, title=entry.title, meanings=MEANINGS))
         families.append(Family(found.lin, title=f"{entry.title}, with its Jacobians", meanings=MEANINGS))
     families = _finish(families, scene, chosen)
+    if options.acados and tree.quaternions:
+        raise OptionError("acados: its states are q and qd, of one size; a joint with a quaternion has more of the one")
     special = _write_acados(families) if options.acados else ()  # whose parameters are acados' own
     if any(p.kind is Kind.RUNTIME for p in tree.parameters):
         return (*_split_setup(families), *special)

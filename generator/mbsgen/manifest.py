@@ -66,7 +66,7 @@ class Kernel(_Entry):
 
 
 class Coordinate(_Entry):
-    """One joint: an entry of q, qd and qdd."""
+    """One joint: an entry of qd and qdd, and of q where `configuration` does not tell otherwise."""
 
     name: str
     motion: Literal["revolute", "prismatic"]
@@ -111,6 +111,8 @@ class Manifest(_Entry):
     header: str
     sources: tuple[str, ...]  # C files to compile, in order
     coordinates: tuple[Coordinate, ...]
+    configuration: tuple[str, ...] = ()  # names of the entries of q, where those of qd are others: with quaternions
+    quaternions: tuple[int, ...] = ()  # where in q each begins: four entries, the scalar last
     parameters: tuple[Parameter, ...]  # run-time parameters, in the order of p
     design: tuple[Parameter, ...] = ()  # differentiated parameters, in the order of theta
     frames: tuple[Frame, ...]
@@ -125,9 +127,20 @@ class Manifest(_Entry):
         raise KeyError(f"no kernel {name!r}; there are {', '.join(k.name for k in self.kernels)}")
 
     @property
+    def positions(self) -> tuple[str, ...]:
+        """Names of the entries of q."""
+        return self.configuration or tuple(c.name for c in self.coordinates)
+
+    @property
     def actuated(self) -> tuple[int, ...]:
         """Indices of the actuated coordinates: entry i of u acts on coordinate actuated[i]."""
         return tuple(i for i, c in enumerate(self.coordinates) if c.actuated)
+
+
+def write(manifest: Manifest) -> str:
+    """Write a manifest as it stands in its file."""
+    unsaid = None if manifest.configuration else {"configuration", "quaternions"}
+    return manifest.model_dump_json(indent=2, exclude=unsaid) + "\n"
 
 
 def read(path: Path) -> Manifest:

@@ -26,7 +26,8 @@ class Oracle:
         tree, builder = build_tree(read_model(model)), Builder()
         state = declare_state(tree, builder)
         chain = write_chain(tree, builder, state)
-        for name, column in (("Phi", residual(chain, state.qd, state.qdd)), ("Q", joint_forces(chain))):
+        Phi = residual(chain, state.qd, chain.accelerate(state.qdd))
+        for name, column in (("Phi", Phi), ("Q", joint_forces(chain))):
             builder.output_dense(name, [[entry] for entry in column])
         self._tape = builder.build("equations")
 

@@ -74,7 +74,7 @@ def make(model: Path | Model, options: Options = DEFAULT) -> Product:
     report = make_report(written, parametric, described.kernels, dynamics.flops, evidence, compare=options.compare)
     files = {
         **sources.files,
-        manifest.FILE_NAME: described.model_dump_json(indent=2) + "\n",
+        manifest.FILE_NAME: manifest.write(described),
         "report.md": write_markdown(report),
         "report.json": write_json(report),
     }
@@ -138,6 +138,8 @@ def _describe(tree: Tree, unit: Unit, sources: Sources) -> Manifest:
             Coordinate(name=j.name, motion=j.motion.value, actuated=j.actuated, lower=j.lower, upper=j.upper)
             for j in joints
         ),
+        configuration=tree.coordinates if tree.quaternions else (),
+        quaternions=tuple(tree.coordinates.index(x.coordinates[-4]) for x in tree.quaternions),
         parameters=_list_parameters(tree, Kind.RUNTIME),
         design=_list_parameters(tree, Kind.DIFFERENTIATED),
         frames=tuple(Frame(name=b.name, parent=b.parent - 1, sensor=False) for b in tree.bodies)

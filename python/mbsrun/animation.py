@@ -68,7 +68,7 @@ def render_animation(
     """Return the text of the page; see `write_animation`."""
     t, coordinates = np.asarray(times, dtype=np.float64), np.asarray(q, dtype=np.float64)
     rates = None if qd is None else np.asarray(qd, dtype=np.float64)
-    n = len(kernels.manifest.coordinates)
+    n = len(kernels.manifest.positions)
     if t.ndim != 1 or not t.size or coordinates.shape != (t.size, n) or (np.diff(t) <= 0).any():
         raise ValueError(f"times of shape {t.shape} must increase, and q of shape {coordinates.shape} have {n} columns")
     if rates is not None and rates.shape != coordinates.shape:

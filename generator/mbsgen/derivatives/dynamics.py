@@ -30,7 +30,7 @@ class Dynamics:
     """The derivatives of a tree's formulations."""
 
     def __init__(self, tree: Tree, reductions: Reductions) -> None:
-        self._choice = _Choice(reductions, is_compared=len(tree.bodies) <= COMPARED or _has_design(tree))
+        self._choice = _Choice(reductions, is_compared=len(tree.bodies) <= COMPARED or _is_strange(tree))
         self._residual = _OfResidual(tree, reductions, self._choice)
 
     def differentiate(self, tape: Tape) -> Derivatives:
@@ -45,9 +45,9 @@ class Dynamics:
         return self._choice.flops
 
 
-def _has_design(tree: Tree) -> bool:
-    """Tell whether a tree has differentiated parameters, of which the recursions know nothing."""
-    return any(parameter.kind is Kind.DIFFERENTIATED for parameter in tree.parameters)
+def _is_strange(tree: Tree) -> bool:
+    """Tell whether a tree has differentiated parameters or quaternions, of which the recursions know nothing."""
+    return bool(tree.quaternions) or any(parameter.kind is Kind.DIFFERENTIATED for parameter in tree.parameters)
 
 
 class _Choice:
@@ -74,7 +74,7 @@ class _OfResidual(Derivatives):
         self._tree, self._reductions, self._choice = tree, reductions, choice
 
     def _by_recursion(self, write: Callable[[Tree, Reductions], Tape]) -> Ways:
-        return {} if _has_design(self._tree) else {"recursion": lambda: write(self._tree, self._reductions)}
+        return {} if _is_strange(self._tree) else {"recursion": lambda: write(self._tree, self._reductions)}
 
     @cached_property
     def jac(self) -> Tape:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from mbsgen.formulations import condition, energy, exp1, exp2, impl, poses, semi, velocities
+from mbsgen.formulations import condition, energy, exp1, exp2, impl, poses, rates, semi, velocities
 from mbsgen.formulations.links import DESIGN, PARAMETERS
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Tree
@@ -24,6 +24,7 @@ class Entry:
     results: tuple[str, ...]
     differentiated: bool  # by all inputs but parameters
     of_sensors: bool = False  # a tree without sensors has no such function
+    of_quaternions: bool = False  # nor one without quaternions
     of_dynamics: bool = False  # a form of the equations of motion: its derivatives may be written by mechanics
 
 
@@ -58,6 +59,7 @@ MEANINGS: Mapping[str, str] = MappingProxyType(
         "com": "centre of mass in the base frame, m",
         "frames.p": "origins of the frames in the base frame, a column each, m",
         "R": "axes of the frames as columns, in the base frame",
+        "rate": "time derivatives of q",
     }
 )
 
@@ -125,6 +127,13 @@ FUNCTIONS: Mapping[str, Entry] = MappingProxyType(
             results=("kinetic", "potential", "momentum", "angular_momentum", "com"),
             differentiated=False,
         ),
+        "rates": Entry(
+            _plainly(rates.build),
+            "time derivatives of the coordinates",
+            results=("rate",),
+            differentiated=True,
+            of_quaternions=True,
+        ),
         "frames": Entry(
             _plainly(poses.build_frames), "poses of all bodies and sensors", results=("p", "R"), differentiated=False
         ),
@@ -133,8 +142,12 @@ FUNCTIONS: Mapping[str, Entry] = MappingProxyType(
 
 
 def select_functions(tree: Tree) -> Mapping[str, Entry]:
-    """Select the functions that a tree has: all, but without sensors none of theirs."""
-    return {name: entry for name, entry in FUNCTIONS.items() if tree.sensors or not entry.of_sensors}
+    """Select the functions that a tree has: all, but without sensors or quaternions none of theirs."""
+    return {
+        name: entry
+        for name, entry in FUNCTIONS.items()
+        if (tree.sensors or not entry.of_sensors) and (tree.quaternions or not entry.of_quaternions)
+    }
 
 
 @dataclass(frozen=True)

@@ -24,11 +24,11 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
     state = declare_state(tree, builder)
     chain = write_chain(tree, builder, state)
     if reductions.is_textbook:
-        Phi = textbook.residual(chain, state.qd, state.qdd)
+        Phi = textbook.residual(chain, state.qd, chain.accelerate(state.qdd))
     else:
         segments = align(chain, group=reductions.share_frames)
         plan = find_plans(tree, reductions).residual
-        Phi = residual(begin(chain, segments, plan, reductions), state.qd, state.qdd)
+        Phi = residual(begin(chain, segments, plan, reductions), state.qd, chain.accelerate(state.qdd))
     Q = joint_forces(chain)
     builder.output_dense("Phi", [[phi - force] for phi, force in zip(Phi, Q, strict=True)])
     return finish(builder.build("impl"), reductions)

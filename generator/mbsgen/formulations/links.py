@@ -6,8 +6,8 @@ S = m l, and J = In + m (l.l 1 - l lT). They depend on parameters alone, so they
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
 
@@ -25,16 +25,27 @@ DESIGN = "theta"  # the input that holds differentiated parameters
 
 
 @dataclass(frozen=True)
+class Frame:
+    """How a quaternion's coordinates place the bodies that stand for it, on where they stand else."""
+
+    p: Vector[Scalar]
+    v: Vector[Scalar]  # of the quaternion, as it is given
+    s: Scalar  # its scalar part
+    R: Matrix[Scalar]  # columns: axes
+
+
+@dataclass(frozen=True)
 class State:
     """The inputs of a formulation, declared in a builder; those that it does not take are empty."""
 
-    q: list[Scalar]
+    q: list[Scalar]  # of each joint; 0 for those that stand for a quaternion
     qd: list[Scalar]
     qdd: list[Scalar]
     u: list[Scalar]
     w: list[Scalar]
     theta: list[Scalar]
     p: list[Scalar]
+    frames: Mapping[int, Frame] = field(default_factory=dict)  # by the first body that stands for a quaternion
 
 
 @dataclass(frozen=True)
@@ -118,6 +129,40 @@ class Chain:
         """Write a matrix of the model."""
         return Matrix.of(self.vector(row) for row in rows)
 
+    def position(self, number: int) -> Vector[Scalar]:
+        """Write where a body's joint stands on its parent."""
+        body, frame = self.tree.bodies[number - 1], self.state.frames.get(number)
+        position = self.vector(body.position)
+        return position + self.matrix(body.orientation).apply(frame.p) if frame else position
+
+    def orientation(self, number: int) -> Matrix[Scalar]:
+        """Write how a body stands to its parent while its joint is at 0."""
+        body, frame = self.tree.bodies[number - 1], self.state.frames.get(number)
+        orientation = self.matrix(body.orientation)
+        return orientation.times(frame.R) if frame else orientation
+
+    @cached_property
+    def drift(self) -> tuple[Scalar, ...]:
+        """The accelerations of the joints while those of the model are 0.
+
+        Of turns about x, y, z in a row, the last body has the angular acceleration qdd + (w2 w3, -w1 w3, w1 w2), in its
+        own axes; the velocity v along these changes by w x v besides, as they turn.
+        """
+        found = [self.builder.zero] * len(self.tree.bodies)
+        for x in self.tree.quaternions:
+            *slides, a, b, c = (i - 1 for i in x.bodies)
+            w = Vector.of(self.state.qd[i] for i in (a, b, c))
+            found[a], found[b], found[c] = -(w.y * w.z), w.x * w.z, -(w.x * w.y)
+            if slides:
+                carried = w.cross(Vector.of(self.state.qd[i] for i in slides))
+                for i, amount in zip(slides, carried, strict=True):
+                    found[i] = amount
+        return tuple(found)
+
+    def accelerate(self, qdd: Sequence[Scalar]) -> list[Scalar]:
+        """Give the accelerations of the joints for those of the model."""
+        return [own + more for own, more in zip(qdd, self.drift, strict=True)]
+
     @property
     def still(self) -> Vector[Scalar]:
         """The null vector."""
@@ -137,8 +182,8 @@ def write_chain(tree: Tree, builder: Builder, state: State) -> Chain:
 def _write_link(chain: Chain, number: int, body: Body, q: Scalar) -> Link:
     b = chain.builder
     zero, one = b.zero, b.number(1.0)
-    placed = chain.matrix(body.orientation)
-    dpt, slide, R = chain.vector(body.position), chain.still, placed
+    placed = chain.orientation(number)
+    dpt, slide, R = chain.position(number), chain.still, placed
     if body.joint.motion is Motion.REVOLUTE:
         R = placed.times(axis_rotation(body.joint.axis, b.sin(q), b.cos(q), zero, one))
     else:
@@ -170,7 +215,7 @@ def declare_state(
 ) -> State:
     """Declare q, and where wanted qd, qdd, u; w for open wrenches, theta and p for parameters, if there are any."""
     n = len(tree.bodies)
-    q = builder.vector("q", n)
+    given = builder.vector("q", len(tree.coordinates))
     qd = builder.vector("qd", n) if rates else []
     qdd = builder.vector("qdd", n) if accelerations else []
     u = builder.vector("u", sum(body.joint.actuated for body in tree.bodies)) if forces else []
@@ -181,7 +226,44 @@ def declare_state(
         size = sum(x.kind is kind for x in tree.parameters)
         return builder.vector(name, size) if size else []
 
-    return State(q, qd, qdd, u, w, declare(DESIGN, Kind.DIFFERENTIATED), declare(PARAMETERS, Kind.RUNTIME))
+    theta, p = declare(DESIGN, Kind.DIFFERENTIATED), declare(PARAMETERS, Kind.RUNTIME)
+    if not tree.quaternions:
+        return State(given, qd, qdd, u, w, theta, p)
+    q, frames = _share_out(tree, builder, given)
+    return State(q, qd, qdd, u, w, theta, p, frames)
+
+
+def _share_out(tree: Tree, builder: Builder, given: Sequence[Scalar]) -> tuple[list[Scalar], dict[int, Frame]]:
+    """Give each joint its coordinate, and each quaternion its frame."""
+    entries, zero = iter(given), builder.zero
+    inside = {i: x for x in tree.quaternions for i in x.bodies}
+    q: list[Scalar] = []
+    frames: dict[int, Frame] = {}
+    for i in range(1, len(tree.bodies) + 1):
+        own = inside.get(i)
+        q.append(zero if own else next(entries))
+        if own and own.first == i:
+            p = Vector.of(islice(entries, 3)) if own.is_free else Vector(zero, zero, zero)
+            v, s = Vector.of(islice(entries, 3)), next(entries)
+            frames[i] = Frame(p, v, s, turn(v, s))
+    return q, frames
+
+
+def turn(v: Vector[Scalar], s: Scalar) -> Matrix[Scalar]:
+    """Write the rotation of a quaternion of any length but 0: 1 + 2 (s v~ + v~ v~) / (v.v + s2).
+
+    It does not change with the length, so that its derivatives by the components are those of the unit quaternion, with
+    nothing along it.
+    """
+    one, (x, y, z) = s.builder.number(1.0), v
+    a, b, c = v.scale(s.builder.number(2.0) / (v.dot(v) + s * s))
+    return Matrix.of(
+        [
+            [one - (y * b + z * c), x * b - s * c, x * c + s * b],
+            [x * b + s * c, one - (x * a + z * c), y * c - s * a],
+            [x * c - s * b, y * c + s * a, one - (x * a + y * b)],
+        ]
+    )
 
 
 def check_pivot(tree: Tree, number: int, pivot: Scalar) -> None:

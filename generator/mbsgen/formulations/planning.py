@@ -156,7 +156,6 @@ class Bench:
         self.state = declare_state(tree, builder)
         self.chain = write_chain(tree, builder, self.state)
         self.segments = align(self.chain, group=reductions.share_frames)
-        self.at_rest = [builder.zero] * len(tree.bodies)
         self._reductions = reductions
         self._biases: dict[tuple[Plan, bool], Sequence[Scalar]] = {}
 
@@ -166,7 +165,7 @@ class Bench:
 
     def write_bias(self, plan: Plan, *, absolute: bool) -> Sequence[Scalar]:
         """Write c by a plan."""
-        return residual(self.begin(plan), self.state.qd, self.at_rest, absolute=absolute)
+        return residual(self.begin(plan), self.state.qd, self.chain.drift, absolute=absolute)
 
     def bias(self, plan: Plan, *, absolute: bool) -> Sequence[Scalar]:
         """Write c by a plan, once."""

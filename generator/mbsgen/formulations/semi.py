@@ -55,8 +55,7 @@ def terms(
     chain: Chain, state: State, plan: Plan, reductions: Reductions, *, absolute: bool = False
 ) -> tuple[Entries, list[Scalar]]:
     """Write one triangle of M by `plan`, and c; for relative or absolute rates."""
-    at_rest = [chain.builder.zero] * len(chain.tree.bodies)
     bias = find_plans(chain.tree, reductions).bias
     segments = align(chain, group=reductions.share_frames)
     M = mass_matrix(begin(chain, segments, plan, reductions), absolute=absolute)
-    return M, residual(begin(chain, segments, bias, reductions), state.qd, at_rest, absolute=absolute)
+    return M, residual(begin(chain, segments, bias, reductions), state.qd, chain.drift, absolute=absolute)

@@ -44,6 +44,7 @@ class Choices:
     sensors: tuple[str, ...] = ()  # links, bodies and sites that become frames
     locked: tuple[tuple[str, float], ...] = ()  # joints that are held, and where [rad or m]
     mimic: Literal["refuse", "free", "lock"] = "refuse"  # what becomes of joints that follow others
+    quaternions: bool = False  # balls and free bodies have them; else they turn about z, y, x
     friction_speed: float = 0.01  # at which 3/4 of dry friction are reached [rad/s or m/s]
     quarter_turns: float = 1e-11  # angles nearer than this to a quarter turn are taken as one [rad]
     allow_unphysical: bool = False  # take even inertias that are far from what a body can have
@@ -83,6 +84,7 @@ class Move:
     armature: float = 0.0  # what a rotor adds to M [kg m2 or kg]
     velocity: float | None = None
     effort: float | None = None
+    floats: bool = False  # one of those that stand for a quaternion
 
     def at(self, q: float) -> Pose:
         """Give the pose of the frame that moves, in the frame before it."""
@@ -91,13 +93,18 @@ class Move:
         return self.pose @ Pose(np.eye(3), self.axis / np.linalg.norm(self.axis) * q, ())
 
 
-def move_freely(source: Element, pose: Pose = ORIGIN) -> list[Move]:
-    """Make the six joints of a free body: along x, y, z of what carries it, then about z, y, x; without a motor."""
+def move_freely(source: Element, *, quaternion: bool = False) -> list[Move]:
+    """Make the six joints of a free body: along x, y, z of what carries it, then a ball; without a motor."""
+    slides = [Move(Motion.PRISMATIC, axis, source, actuated=False, floats=quaternion) for axis in np.eye(3)]
+    return slides + turn_freely(source, ORIGIN, quaternion=quaternion, actuated=False)
+
+
+def turn_freely(source: Element, pose: Pose, *, quaternion: bool, actuated: bool) -> list[Move]:
+    """Make the three joints of a ball: about z, y, x in turn, or those that stand for a quaternion."""
+    axes = np.eye(3) if quaternion else np.eye(3)[::-1]
     return [
-        Move(motion, np.eye(3)[axis], source, pose=ORIGIN if i else pose, actuated=False)
-        for i, (motion, axis) in enumerate(
-            [*((Motion.PRISMATIC, k) for k in (0, 1, 2)), *((Motion.REVOLUTE, k) for k in (2, 1, 0))]
-        )
+        Move(Motion.REVOLUTE, axis, source, pose=ORIGIN if k else pose, actuated=actuated, floats=quaternion)
+        for k, axis in enumerate(axes)
     ]
 
 
@@ -219,7 +226,7 @@ class Draft:
                 Joint(
                     move.motion, _write_axis(move.axis), None if name == body and len(kept) == 1 else name,
                     self.writer.placement(pose), move.actuated, lower, upper, move.law,
-                    Number(move.armature),
+                    Number(move.armature), move.floats,
                 )
             )  # fmt: skip
             self._moves[body, i] = move.source

@@ -1,8 +1,8 @@
 """MJCF, the format of MuJoCo -> Draft of a model: one body a body, its frame at its last joint's anchor.
 
 Coordinates of hinges and slides are those of the file (`qpos`). A ball is three turns about z, y, x; a free body slides
-along the axes of the world and then turns about z, y, x, all 0 where its frame is the world's. An angle is in degrees
-unless the compiler section says otherwise.
+along the axes of the world and then turns about z, y, x, all 0 where its frame is the world's; or each has a
+quaternion. An angle is in degrees unless the compiler section says otherwise.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbsgen.documents import abbreviate, nearest
-from mbsgen.importing.drafting import GRAVITY, Choices, Draft, Imported, Move, make_law, move_freely
+from mbsgen.importing.drafting import GRAVITY, Choices, Draft, Imported, Move, make_law, move_freely, turn_freely
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.geometry import SHAPES, SIZES, SPANNED, WEIGHTLESS, make_solid
 from mbsgen.importing.inheritance import MAIN, Defaults, include_files
@@ -301,7 +301,7 @@ class _Scene:
                 if body.path.count("/") != 2 or moves:
                     remedy = "let only bodies of the world float, without other joints"
                     self._findings.fault(part.element, "a free joint within the tree", remedy)
-                moves += move_freely(part.element)
+                moves += move_freely(part.element, quaternion=self._choices.quaternions)
                 self._tell_start(part.element, pose)
                 self._warn_of_six(part.element, attributes, "a free joint")
                 continue
@@ -309,13 +309,17 @@ class _Scene:
             before, anchor = anchor, (part.around @ place(position)).position
             step = place(anchor - before)
             if kind == "ball":
-                self._findings.tell(part.element, "a ball is turns about z, y, x; the second locks at a quarter turn")
+                alone = sum(x.element.tag in JOINTS for x in parts) == 1
+                if not self._choices.quaternions:
+                    text = "a ball is turns about z, y, x; the second locks at a quarter turn (else --quaternions)"
+                    self._findings.tell(part.element, text)
+                elif not alone:
+                    text = "a ball beside other joints has no quaternion: it is turns about z, y, x"
+                    self._findings.tell(part.element, text)
                 self._warn_of_six(part.element, attributes, "a ball")
                 driven = not self._driven or attributes.get("name") in self._driven
-                moves += [
-                    Move(Motion.REVOLUTE, axis, part.element, pose=pose, actuated=driven)
-                    for axis, pose in zip(np.eye(3)[::-1], (step, ORIGIN, ORIGIN), strict=True)
-                ]
+                loose = self._choices.quaternions and alone
+                moves += turn_freely(part.element, step, quaternion=loose, actuated=driven)
             else:
                 moves.append(self._read_move(part, kind, attributes, step))
         return moves, anchor

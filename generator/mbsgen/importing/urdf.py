@@ -117,7 +117,7 @@ class _Robot:
 
     def _add_links(self, root: str, links: dict[str, Element], carried: dict[str, list[tuple[Element, str]]]) -> None:
         first = links[root]
-        moves = move_freely(first) if self._choices.base == "floating" else []
+        moves = move_freely(first, quaternion=self._choices.quaternions) if self._choices.base == "floating" else []
         waiting: list[tuple[str, str, Pose, list[Move]]] = [(root, BASE, ORIGIN, moves)]
         reached = set()
         while waiting:
@@ -169,7 +169,7 @@ class _Robot:
                 self._refuse_mimic(joint)
             case "floating":
                 self._refuse_mimic(joint)
-                yield from move_freely(joint)
+                yield from move_freely(joint, quaternion=self._choices.quaternions)
             case "planar":
                 self._refuse_mimic(joint)
                 normal = self._read_axis(joint)

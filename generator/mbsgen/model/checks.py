@@ -6,16 +6,17 @@ What lies under a doubtful place has been found wrong already; its value is nan 
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Iterator
+from collections.abc import Container, Iterator, Sequence
 
 import numpy as np
 
 from mbsgen.documents import Place, abbreviate
 from mbsgen.expressions import Expression, write
+from mbsgen.model.compounds import recognise
 from mbsgen.model.expansion import list_steps
 from mbsgen.model.findings import Finding
 from mbsgen.model.idleness import check_idle_joints
-from mbsgen.model.model import BASE, COORDINATE, RATE, ZERO, Body, Fixed, Joint, Law, Model, Placement, Wrench
+from mbsgen.model.model import BASE, COORDINATE, FREE, RATE, ZERO, Body, Fixed, Joint, Law, Model, Placement, Wrench
 from mbsgen.model.naming import check_names
 from mbsgen.model.topology import check_tree, find_carriers
 from mbsgen.model.valuation import LARGEST, Valuation
@@ -53,6 +54,20 @@ def _check_carrier(i: int, body: Body, valuation: Valuation) -> Iterator[Finding
         yield Finding(("bodies", i, "joint"), finding, "give two or more, or one joint by itself")
     for step in list_steps(i, body):
         yield from _check_joint(step.place, step.joint, valuation)
+    if any(joint.floats for joint in body.joints):
+        yield from _check_loose(("bodies", i, "joint"), body.joints)
+
+
+def _check_loose(place: Place, joints: Sequence[Joint]) -> Iterator[Finding]:
+    """Find what a joint with a quaternion cannot have; only models made in Python can say it."""
+    plain = [
+        joint.law == FREE and joint.armature == ZERO and (joint.lower, joint.upper, joint.name) == (None, None, None)
+        for joint in joints
+    ]
+    compound = recognise(joints)
+    if compound is None or not compound.floats or not all(plain):
+        finding = "joints of a quaternion with other joints, or with names, limits, forces or rotors of their own"
+        yield Finding(place, finding, "make them by ball() or free(), and leave them as they are")
 
 
 def _check_joint(place: Place, joint: Joint, valuation: Valuation) -> Iterator[Finding]:
@@ -143,6 +158,11 @@ def _check_wrench(place: Place, wrench: Wrench, valuation: Valuation) -> Iterato
 def _check_fixed(model: Model) -> Iterator[Finding]:
     """Find what goes wrong where bodies that are fixed to each other become one."""
     carriers = find_carriers(model)
+    for i, body in enumerate(model.bodies):
+        compound = recognise(body.joints) if body.joints else None
+        if compound is not None and compound.type == "free" and carriers[body.parent] != BASE:
+            finding = f"a free body within the tree, on {abbreviate(body.parent)}"
+            yield Finding(("bodies", i, "joint"), finding, f"let only bodies on {BASE} move freely")
     if set(carriers.values()) == {BASE}:
         yield Finding(("bodies",), "nothing moves", "give a body a joint that is not fixed")
     for i, wrench in enumerate(model.wrenches):

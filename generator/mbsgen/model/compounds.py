@@ -6,7 +6,7 @@ A label tells what a joint does: `x` slides along x, `rx` turns about it, each i
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from mbsgen.expressions import Number
@@ -30,6 +30,7 @@ class Compound:
     order: str  # of rotations; of a planar joint, the plane
     labels: tuple[str, ...]
     actuated: bool = True  # unless a model says otherwise
+    floats: bool = False  # a quaternion turns their frame; the joints have its velocities alone
 
 
 def _turn(order: str) -> tuple[str, ...]:
@@ -45,6 +46,8 @@ _ALL = (
     *(Compound("universal", order, _turn(order)) for order in _PAIRS),
     *(Compound("spherical", order, _turn(order)) for order in _TRIPLES),
     *(Compound("planar", plane, (*plane, f"r{normal}")) for plane, normal in _PLANES.items()),
+    Compound("ball", "xyz", _turn("xyz"), floats=True),
+    Compound("free", "xyz", ("x", "y", "z", *_turn("xyz")), actuated=False, floats=True),
     *(Compound("floating", order, ("x", "y", "z", *_turn(order)), actuated=False) for order in _TRIPLES),
 )
 COMPOUNDS: Mapping[tuple[str, str], Compound] = MappingProxyType({(c.type, c.order): c for c in _ALL})
@@ -57,16 +60,17 @@ def make_joints(compound: Compound, placement: Placement = HERE, *, actuated: bo
             Motion.REVOLUTE if label.startswith("r") else Motion.PRISMATIC,
             UNITS[label[-1]],
             actuated=compound.actuated if actuated is None else actuated,
+            floats=compound.floats,
         )
         for label in compound.labels
     )
-    return (Joint(first.motion, first.axis, placement=placement, actuated=first.actuated), *rest)
+    return (replace(first, placement=placement), *rest)
 
 
 def recognise(joints: Sequence[Joint]) -> Compound | None:
     """Find the compound whose joints move as these do, whatever their names, limits and forces."""
     if any(joint.placement != HERE for joint in joints[1:]):
         return None
-    motions = [(joint.motion, joint.axis) for joint in joints]
-    fitting = (c for c in _ALL if motions == [(joint.motion, joint.axis) for joint in make_joints(c)])
+    motions = [(joint.motion, joint.axis, joint.floats) for joint in joints]
+    fitting = (c for c in _ALL if motions == [(joint.motion, joint.axis, joint.floats) for joint in make_joints(c)])
     return next(fitting, None)

@@ -138,6 +138,16 @@ def floating(
     return _make_compound("floating", order, _place(position, orientation), actuated)
 
 
+def ball(*, position: Vector = _ORIGIN, orientation: Turns = (), actuated: bool = True) -> tuple[Joint, ...]:
+    """Make a joint that turns in any direction, by a quaternion, with angular velocities along the body's axes."""
+    return _make_compound("ball", "xyz", _place(position, orientation), actuated)
+
+
+def free(*, position: Vector = _ORIGIN, orientation: Turns = (), actuated: bool = False) -> tuple[Joint, ...]:
+    """Make the joint of a body that moves freely, by its place and a quaternion, with velocities along its axes."""
+    return _make_compound("free", "xyz", _place(position, orientation), actuated)
+
+
 def body(
     name: str,
     joint: Joint | Fixed | tuple[Joint, ...],

@@ -105,6 +105,7 @@ class Joint:
     upper: Expression | None = None
     law: Law = FREE
     armature: Expression = ZERO  # of the rotor that drives it, times its gear ratio squared [kg m2 or kg]
+    floats: bool = False  # one of those that stand for a quaternion, see `compounds`: at 0, of a frame that moves
 
 
 @dataclass(frozen=True)

@@ -84,6 +84,9 @@ def _make_joint(
             return _make_elementary(section)
         case schema.FixedSection():
             return Fixed(_make_placement(section))
+        case schema.BallSection() | schema.FreeSection():
+            loose = COMPOUNDS[section.type, "xyz"]
+            return make_joints(loose, _make_placement(section), actuated=section.actuated)
     compound = _find_compound(section)
     joints = make_joints(compound, _make_placement(section), actuated=section.actuated)
     return tuple(

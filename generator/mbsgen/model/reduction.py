@@ -8,7 +8,7 @@ keep the pose, bodies and wrenches the axes, that their author gave them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -32,6 +32,7 @@ from mbsgen.model.tree import (
     Lump,
     Matrix,
     Parameter,
+    Quaternion,
     Tree,
     Vector,
 )
@@ -62,6 +63,7 @@ def build_tree(description: Model) -> Tree:
         bodies=tuple(_make_body(mover, *_merge(carried[i]), reader=reader) for i, mover in enumerate(moving, 1)),
         sensors=tuple(_make_sensor(frame, seats[frame.body], reader) for frame in description.frames),
         wrenches=tuple(_make_wrench(wrench, seats[wrench.body], reader) for wrench in description.wrenches),
+        quaternions=tuple(_find_quaternions(description, moving)),
     )
 
 
@@ -330,6 +332,15 @@ def _shift(lump: Lump, point: Vector) -> Matrix:
 
 def _tidy(number: Expr) -> Expr:
     return round_number(number) if number.is_number else number
+
+
+def _find_quaternions(description: Model, moving: Sequence[_Mover]) -> Iterator[Quaternion]:
+    """Find the bodies that stand for quaternions: those between a body and what carries it, in a row."""
+    numbers = {mover.name: i for i, mover in enumerate(moving, 1)}
+    for body in description.bodies:
+        if any(joint.floats for joint in body.joints):
+            count = len(body.joints)
+            yield Quaternion(body.name, numbers[body.name] - count + 1, is_free=count == 6)
 
 
 def _make_body(mover: _Mover, lump: Lump, *lumps: Lump, reader: _Reader) -> tree.Body:

@@ -118,7 +118,8 @@ class _Judgement:
         return [fault for place, fault in found if place not in self.doubtful]
 
     def _check_names(self, section: SceneSection) -> Iterator[tuple[Place, Fault]]:
-        joints = [step.name for i, body in enumerate(self.model.bodies) for step in list_steps(i, body)]
+        steps = [step for i, body in enumerate(self.model.bodies) for step in list_steps(i, body)]
+        joints, loose = [x.name for x in steps], [x.name for x in steps if x.joint.floats]
         lists: tuple[tuple[str, str, Sequence[str] | None, Sequence[str]], ...] = (
             ("functions", "function", section.functions, list(self.functions)),
             ("sensors", "frame", section.sensors, [f.name for f in self.model.frames]),
@@ -128,6 +129,9 @@ class _Judgement:
             for k, name in enumerate(given or ()):
                 yield from self._find((key, k), kind, name, known)
         for name in section.locked:
+            if name in loose:
+                finding = f"{abbreviate(name)} is part of a joint with a quaternion, which cannot be locked"
+                yield self._tell(("locked", name), finding, "leave it out, or make the body fixed in the model")
             yield from self._find(("locked", name), "joint", name, joints)
         for name in section.parameters:
             yield from self._find(("parameters", name), "parameter", name, [p.name for p in self.model.parameters])

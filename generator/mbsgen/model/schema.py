@@ -178,9 +178,27 @@ class FloatingSection(CompoundSection):
     order: Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"] = Field("zyx", examples=["zyx"])
 
 
+class LooseSection(PlacementSection):
+    """What turns in any direction, by a quaternion."""
+
+    actuated: bool | None = Field(None, examples=[True], description="whether it takes inputs u, along the body's axes")
+
+
+class BallSection(LooseSection):
+    """A joint that turns in any direction: a unit quaternion, and the angular velocity along the body's axes."""
+
+    type: Literal["ball"] = Field(examples=["ball"])
+
+
+class FreeSection(LooseSection):
+    """A body that moves freely: its place, a unit quaternion, and velocities along its axes; passive by default."""
+
+    type: Literal["free"] = Field(examples=["free"])
+
+
 _JOINT = {"type": "revolute", "axis": "z"}
 NamedSection = CardanSection | SphericalSection | PlanarSection | FloatingSection
-JointSection = ElementarySection | FixedSection | NamedSection
+JointSection = ElementarySection | FixedSection | NamedSection | BallSection | FreeSection
 OneJointField = Annotated[JointSection, Field(discriminator="type")]
 SequenceField = Annotated[
     tuple[Annotated[ElementarySection, Field(examples=[_JOINT])], ...],

@@ -98,6 +98,29 @@ class Body:
 
 
 @dataclass(frozen=True)
+class Quaternion:
+    """A joint that turns in any direction, or moves freely: with a quaternion, and velocities along the body's axes.
+
+    Three bodies of the Tree stand for it, whose joints turn about x, y, z, or six, the first three of which slide along
+    x, y, z. They have its velocities, and stand at 0: it is their frame that moves.
+    """
+
+    name: str
+    first: int  # number of the first of its bodies
+    is_free: bool  # it has six
+
+    @property
+    def bodies(self) -> range:
+        """Number the bodies that stand for it."""
+        return range(self.first, self.first + (6 if self.is_free else 3))
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Name its coordinates: the place of its frame [m], and the quaternion, its scalar last."""
+        return tuple(f"{self.name}.{x}" for x in (*("xyz" if self.is_free else ""), "qx", "qy", "qz", "qw"))
+
+
+@dataclass(frozen=True)
 class Sensor:
     """A named frame on a body."""
 
@@ -130,6 +153,21 @@ class Tree:
     bodies: tuple[Body, ...]  # bodies[i - 1] is body i
     sensors: tuple[Sensor, ...]
     wrenches: tuple[Wrench, ...] = ()
+    quaternions: tuple[Quaternion, ...] = ()
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Name the entries of q, in order: one for each joint, but for the quaternions'."""
+        beginnings = {x.first: x.coordinates for x in self.quaternions}
+        inside = {i for x in self.quaternions for i in x.bodies}
+        own = {i: (body.joint.name,) for i, body in enumerate(self.bodies, 1) if i not in inside}
+        return tuple(name for i in range(1, len(self.bodies) + 1) for name in (own | beginnings).get(i, ()))
+
+    @property
+    def neutral(self) -> tuple[float, ...]:
+        """Give the coordinates at which all joints are at 0, and no quaternion turns anything."""
+        scalars = {x.coordinates[-1] for x in self.quaternions}
+        return tuple(float(name in scalars) for name in self.coordinates)
 
     def children(self, i: int) -> tuple[int, ...]:
         """Number the bodies whose parent is body i."""

@@ -90,7 +90,9 @@ def _write_joint(joint: Joint) -> Mapped:
 
 
 def _write_compound(compound: Compound, joints: Sequence[Joint]) -> Mapped:
-    content: Mapped = {"type": compound.type, "plane" if compound.type == "planar" else "order": compound.order}
+    content: Mapped = {"type": compound.type}
+    if not compound.floats:
+        content["plane" if compound.type == "planar" else "order"] = compound.order
     content |= _write_placement(joints[0].placement)
     actuated = compound.actuated
     if all(joint.actuated != actuated for joint in joints):

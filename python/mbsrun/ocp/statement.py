@@ -72,6 +72,10 @@ def read_problem(path: Path, load: Callable[[Path], SomePlant]) -> tuple[Problem
         plant = load(path.parent / section.model)
     except InputError as error:
         raise refuse([*faults, *error.faults]) from None
+    if plant.manifest.configuration:
+        finding = "its joints with quaternions have more coordinates than velocities, which no problem can have"
+        remedy = "turn its bodies by `spherical` and `floating` joints instead of `ball` and `free`"
+        raise refuse([*faults, document.fault(("model",), finding, remedy)])
     reading = _Reading(document, plant.manifest, examination.stand_ins)
     problem = reading.problem(path.name.removesuffix(".yaml").removesuffix(".ocp"), section)
     if faults or reading.faults:

@@ -229,6 +229,8 @@ def transcribe(problem: Problem, plant: Plant) -> Transcription:
     """
     for conflict in find_conflicts(problem):
         raise ValueError(f"{conflict.key}: {conflict.finding}")
+    if plant.manifest.configuration:
+        raise ValueError("model: joints with quaternions have more coordinates than velocities; no problem takes them")
     return _Writer(structure(problem), plant).write()
 
 

@@ -31,7 +31,7 @@ SOLVERS: Mapping[str, Any] = MappingProxyType(
 
 def integrate(dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: Settings) -> Iterator[Chunk]:
     """Go through a piece; hand on what was reached. Raises HaltError where a kernel or the integrator gives up."""
-    n, effort = dynamics.size, dynamics.effort
+    n, effort = dynamics.places, dynamics.effort
     times, states, pictures = [piece.start], [np.concatenate((q, qd))], []
     try:
         solver = _make_solver(dynamics, piece, states[0], settings)
@@ -70,14 +70,12 @@ def find_stability(dynamics: Dynamics, q: Array, qd: Array, v: Array) -> tuple[f
 
     That is the most negative real part of an eigenvalue of the Jacobian of (qd, qdd).
     """
-    by_q, by_qd = dynamics.slopes(q, qd, v)
-    n = dynamics.size
-    matrix = np.block([[np.zeros((n, n)), np.eye(n)], [by_q, by_qd]])
+    matrix = np.block([[*dynamics.rate_slopes(q, qd)], [*dynamics.slopes(q, qd, v)]])
     if not np.isfinite(matrix).all():
         return 0.0, dynamics.kernels.manifest.coordinates[0].name
     values, vectors = np.linalg.eig(matrix)
     fastest = int(values.real.argmin())
-    joint = int(np.abs(vectors[n:, fastest]).argmax())
+    joint = int(np.abs(vectors[dynamics.places :, fastest]).argmax())
     return max(0.0, float(-values[fastest].real)), dynamics.kernels.manifest.coordinates[joint].name
 
 
@@ -87,16 +85,16 @@ def is_explicit(method: str) -> bool:
 
 
 def _make_solver(dynamics: Dynamics, piece: Piece, state: Array, settings: Settings) -> Any:
-    n = dynamics.size
+    n = dynamics.places
     held = piece.at(piece.start) if piece.is_constant else None
 
     def rate(t: float, y: Array) -> Array:
         v = piece.at(t) if held is None else held
-        return np.concatenate((y[n:], dynamics.accelerations(y[:n], y[n:], v)))
+        return np.concatenate((dynamics.rates(y[:n], y[n:]), dynamics.accelerations(y[:n], y[n:], v)))
 
     def jacobian(t: float, y: Array) -> Array:
-        by_q, by_qd = dynamics.slopes(y[:n], y[n:], piece.at(t))
-        return np.block([[np.zeros((n, n)), np.eye(n)], [by_q, by_qd]])
+        q, qd = y[:n], y[n:]
+        return np.block([[*dynamics.rate_slopes(q, qd)], [*dynamics.slopes(q, qd, piece.at(t))]])
 
     options: dict[str, Any] = {"rtol": settings.rtol, "atol": settings.atol}
     if settings.method in ("radau", "bdf", "lsoda"):
@@ -113,7 +111,7 @@ def _step(solver: Any, dynamics: Dynamics) -> None:
 
 
 def _give_up(dynamics: Dynamics, solver: Any, finding: str) -> HaltError:
-    speeds = np.abs(np.nan_to_num(solver.y[dynamics.size :], nan=np.inf))
+    speeds = np.abs(np.nan_to_num(solver.y[dynamics.places :], nan=np.inf))
     joint = dynamics.kernels.manifest.coordinates[int(speeds.argmax())].name
     return HaltError(Halt(float(solver.t), joint, finding, "loosen the tolerance, or look for what is singular there"))
 
@@ -122,7 +120,7 @@ def _gather(times: list[float], states: list[Array], pictures: list[Callable[[Ar
     """Bundle steps, with the method's own interpolation between their ends."""
 
     def dense(t: Array, step: NDArray[np.intp]) -> tuple[Array, Array]:
-        y = np.empty((len(t), 2 * n))
+        y = np.empty((len(t), len(states[0])))
         for k in np.unique(step):
             inside = step == k
             y[inside] = pictures[k](t[inside]).T

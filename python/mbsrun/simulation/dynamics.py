@@ -4,7 +4,8 @@
     semi    M(q) qdd + c(q, qd) - Q = 0, accelerations by Cholesky's decomposition of M
     exp1, exp2    qdd directly; the residual is qdd - qdd(q, qd, Q)
 
-All take one state or a batch: q, qd, qdd (..., n) and the inputs v (..., m), u and then w.
+All take one state or a batch: q, qd, qdd (..., n) and the inputs v (..., m), u and then w. With quaternions there are
+more coordinates q than velocities qd, whose rates are N(q) qd.
 """
 
 from __future__ import annotations
@@ -46,27 +47,46 @@ class Dynamics:
 
     @cached_property
     def size(self) -> int:
-        """Count the coordinates."""
+        """Count the velocities."""
         return len(self.kernels.manifest.coordinates)
+
+    @cached_property
+    def places(self) -> int:
+        """Count the coordinates."""
+        return len(self.kernels.manifest.positions)
 
     @cached_property
     def forces_count(self) -> int:
         """Count the entries of u; those of w follow them."""
         return len(self.kernels.manifest.actuated)
 
+    def rates(self, q: Array, qd: Array) -> Array:
+        """Compute the time derivatives of q, in its shape."""
+        if not self.kernels.manifest.configuration:
+            return qd
+        return self.kernels("rates", q=q, qd=qd)["rate"]
+
+    def rate_slopes(self, q: Array, qd: Array) -> tuple[Array, Array]:
+        """Differentiate the rates of q by q and by qd."""
+        if not self.kernels.manifest.configuration:
+            zero = np.zeros((*q.shape, self.size))
+            return zero, np.broadcast_to(np.eye(self.size), zero.shape)
+        blocks = self.kernels("jac_rates", q=q, qd=qd)
+        return blocks["jac_rate_q"], blocks["jac_rate_qd"]
+
     def accelerations(self, q: Array, qd: Array, v: Array) -> Array:
         """Solve for qdd, shape (..., n). Raises KernelError and SingularError."""
         self.effort.evaluations += _states(q)
         if self._is_direct:
             return self.call(self.formulation.value, q, qd, v)["qdd"]
-        rest = np.zeros_like(q)
+        rest = np.zeros_like(qd)
         if self.formulation is Formulation.IMPL:
             M = self.call("jac_impl", q, qd, v, rest)["jac_Phi_qdd"]
             return -self._solve(M, self.call("impl", q, qd, v, rest)["Phi"])
         return -self._solve(self.call("semi", q, qd, v)["M"], self.call("semi_res", q, qd, v, rest)["Phi"])
 
     def slopes(self, q: Array, qd: Array, v: Array) -> tuple[Array, Array]:
-        """Differentiate the accelerations by q and by qd, shapes (..., n, n)."""
+        """Differentiate the accelerations by q and by qd, a row for each."""
         self.effort.jacobians += _states(q)
         if self._is_direct:
             by_q, by_qd = self._pick(f"jac_{self.formulation.value}", "qdd", ("q", "qd"), q, qd, v)
@@ -87,7 +107,7 @@ class Dynamics:
         self.effort.jacobians += _states(q)
         if self._is_direct:
             K, C = self._pick(f"jac_{self.formulation.value}", "qdd", ("q", "qd"), q, qd, v)
-            return -K, -C, np.broadcast_to(np.eye(self.size), K.shape)
+            return -K, -C, np.broadcast_to(np.eye(self.size), C.shape)
         K, C, M = self._pick(f"jac_{self._residual_name}", "Phi", ("q", "qd", "qdd"), q, qd, v, qdd)
         return K, C, M
 
@@ -98,7 +118,7 @@ class Dynamics:
         """
         at_rest = self.call("semi", q, np.zeros_like(qd), v)["c"]
         bias = self.call("semi", q, qd, v)["c"]
-        return bias - at_rest - self.call("semi_res", q, qd, v, np.zeros_like(q))["Phi"]
+        return bias - at_rest - self.call("semi_res", q, qd, v, np.zeros_like(qd))["Phi"]
 
     def call(self, name: str, q: Array, qd: Array, v: Array, qdd: Array | None = None) -> Mapping[str, Array]:
         """Call a kernel with what it takes of these."""
@@ -122,8 +142,10 @@ class Dynamics:
     def _pick(self, name: str, result: str, by: tuple[str, ...], q: Array, *rest: Array) -> tuple[Array, ...]:
         """Call a Jacobian kernel; blocks without an entry are 0."""
         blocks = self.call(name, q, *rest)
-        zero = np.zeros((*q.shape, self.size))
-        return tuple(blocks.get(f"jac_{result}_{x}", zero) for x in by)
+        shape = (*q.shape[:-1], self.size)
+        return tuple(
+            blocks.get(f"jac_{result}_{x}", np.zeros((*shape, self.places if x == "q" else self.size))) for x in by
+        )
 
     def _solve(self, M: Array, right: Array) -> Array:
         try:

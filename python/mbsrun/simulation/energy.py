@@ -4,7 +4,8 @@ The work of all forces is the integral of their power, by Gauss quadrature in ea
 potential energy has lost. (A model's own wrenches are part of its bias, and cannot be told from gravity there.)
 
 It is summed over the stages of an implicit method; else over three Gauss nodes in each step, at which the motion is the
-integrator's own interpolation, or the quintic that has its coordinates, velocities and accelerations at both ends.
+integrator's own interpolation, or the quintic that has its coordinates, their rates and the rates of those at both
+ends; velocities that are no rates of coordinates are cubic between theirs.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ WEIGHTS = np.polynomial.legendre.leggauss(3)[1] / 2
 def add_up_work(dynamics: Dynamics, piece: Piece, chunk: Chunk) -> Array:
     """Compute the work of all forces but gravity in each step, shape (k,). Raises KernelError and SingularError."""
     stages, length = chunk.stages or _place_nodes(dynamics, piece, chunk), np.diff(chunk.t)
-    k, s, n = stages.q.shape
-    q, qd = stages.q.reshape(k * s, n), stages.qd.reshape(k * s, n)
+    k, s, _ = stages.q.shape
+    q, qd = (x.reshape(k * s, -1) for x in (stages.q, stages.qd))
     power = (dynamics.forces(q, qd, piece.values(stages.t.ravel())) * qd).sum(axis=1)
     potential = dynamics.kernels("energy", q=chunk.q, qd=chunk.qd)["potential"][:, 0]
     return np.asarray(length * (power.reshape(k, s) @ stages.weights) + np.diff(potential))
@@ -41,7 +42,14 @@ def _place_nodes(dynamics: Dynamics, piece: Piece, chunk: Chunk) -> Stages:
     t = chunk.t[:-1, None] + length[:, None] * NODES
     if chunk.dense is None:
         qdd = dynamics.accelerations(chunk.q, chunk.qd, piece.values(chunk.t))
-        q, qd = _interpolate(length, chunk.q, chunk.qd, qdd)
+        first = dynamics.rates(chunk.q, chunk.qd)
+        second = qdd
+        if dynamics.kernels.manifest.configuration:
+            by_q, by_qd = dynamics.rate_slopes(chunk.q, chunk.qd)
+            second = np.einsum("kij,kj->ki", by_q, first) + np.einsum("kij,kj->ki", by_qd, qdd)
+        q, qd = _interpolate(length, chunk.q, first, second)
+        if dynamics.kernels.manifest.configuration:
+            qd = _connect(length, chunk.qd, qdd)
     else:
         q, qd = chunk.dense(t.ravel(), np.repeat(np.arange(len(length)), NODES.size))
         q, qd = (x.reshape(*t.shape, -1) for x in (q, qd))
@@ -62,6 +70,13 @@ def _interpolate(length: Array, q: Array, qd: Array, qdd: Array) -> tuple[Array,
             place = place + polynomial(NODES)[:, None] * end
             rate = rate + polynomial.deriv()(NODES)[:, None] * end / h
     return place, rate
+
+
+def _connect(length: Array, qd: Array, qdd: Array) -> Array:
+    """Evaluate the cubics that have velocities and accelerations at both ends at the nodes: (k, NODES, n)."""
+    s, h = NODES[:, None], length[:, None, None]
+    ends = (1 - s) ** 2 * ((1 + 2 * s) * qd[:-1, None] + s * h * qdd[:-1, None])
+    return np.asarray(ends + s**2 * ((3 - 2 * s) * qd[1:, None] + (s - 1) * h * qdd[1:, None]))
 
 
 Polynomial = np.polynomial.Polynomial

@@ -33,11 +33,12 @@ RUNAWAY = -1  # the C functions' status of a state that is not finite
 _CDEF = """
 typedef int (*mbs_kernel)(const double **arg, double **res, long long *iw, double *w, int mem);
 typedef struct {
-    long long n, m;
+    long long n, nq, m;
     double *q, *qd, *v, *qdd;
     mbs_kernel rate; const double **rate_arg; double **rate_res;
     mbs_kernel mass; const double **mass_arg; double **mass_res;
     const double *M; long long entries; const long long *place; double *matrix;
+    mbs_kernel change; const double **change_arg; double **change_res; const double *qt;
 } mbs_plant;
 long long mbs_simulate_rk(const mbs_plant *plant, long long stages, const double *A, const double *b, double h,
                           long long steps, const double *v, long long v_step, double *states, double *work,
@@ -89,7 +90,7 @@ def integrate(dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: S
         dynamics.effort.steps += done
         dynamics.effort.evaluations += (done + bool(status)) * len(c)
         if done:
-            q, qd = np.split(states[: done + 1], 2, axis=1)
+            q, qd = np.split(states[: done + 1], [dynamics.places], axis=1)
             yield Chunk(times[: done + 1], q, qd)
         if status:
             raise HaltError(tell(dynamics.kernels, status, times[done], states[done]))
@@ -116,7 +117,7 @@ def tell(kernels: Kernels, status: int, time: float, state: Array) -> Halt:
     """Put a status of the C functions, met in the step after `time`, into words."""
     names = [c.name for c in kernels.manifest.coordinates]
     if status == RUNAWAY:
-        fastest = names[int(np.abs(state[len(names) :]).argmax())]
+        fastest = names[int(np.abs(state[-len(names) :]).argmax())]
         return Halt(
             float(time),
             fastest,
@@ -140,7 +141,7 @@ class _Plant:
         rate, mass = _KERNELS[dynamics.formulation]
         rate_entry, mass_entry = _bind(kernels, rate), _bind(kernels, mass) if mass else None
         self.memory: dict[str, Array] = {
-            "q": np.zeros(n),
+            "q": np.zeros(dynamics.places),
             "qd": np.zeros(n),
             "qdd": np.zeros(n),
             "rest": np.zeros(n),
@@ -154,9 +155,15 @@ class _Plant:
         self.kept: list[Any] = [rate_entry, mass_entry]  # that C is given pointers to
         p: Any = ffi.new("mbs_plant *")
         self.plant = p
-        p.n, p.m = n, len(self.memory["v"]) - 1
+        p.n, p.nq, p.m = n, dynamics.places, len(self.memory["v"]) - 1
         p.q, p.qd, p.v, p.qdd, p.matrix = inputs["q"], inputs["qd"], inputs["v"], self._pointer("qdd"), inputs["matrix"]
         p.rate, p.rate_arg, p.rate_res = self._lay(rate_entry, inputs, rate_entry.outputs[0].argument.name, p.qdd)
+        if kernels.manifest.configuration:
+            change = _bind(kernels, "rates")
+            self.kept.append(change)
+            self.memory["qt"] = np.zeros(dynamics.places)
+            p.qt = self._pointer("qt")
+            p.change, p.change_arg, p.change_res = self._lay(change, inputs, "rate", p.qt)
         if mass_entry is not None:
             (port,) = (x for x in mass_entry.outputs if x.argument.name in ("M", "jac_Phi_qdd"))
             self.memory["M"] = np.zeros(port.argument.nnz)
@@ -167,9 +174,9 @@ class _Plant:
             p.mass, p.mass_arg, p.mass_res = self._lay(mass_entry, inputs, port.argument.name, self._pointer("M"))
 
     def run(self, state: Array, tableau: Tableau | None, h: float, steps: int, inputs: Array) -> tuple[int, int, Array]:
-        """Take steps; inputs (steps * stages, m), or one row for all. Gives how many, the status, states (K, 2 n)."""
-        ffi, n = self.ffi, len(state) // 2
-        states = np.empty((steps + 1, 2 * n))
+        """Take steps; inputs (steps * stages, m), or one row for all. Gives how many, the status, states by rows."""
+        ffi = self.ffi
+        states = np.empty((steps + 1, len(state)))
         states[0] = state
         status = ffi.new("int *")
         v, path = ffi.from_buffer("double[]", inputs.data), ffi.from_buffer("double[]", states.data)
@@ -178,7 +185,7 @@ class _Plant:
             done = self.lib.mbs_simulate_symplectic(self.plant, h, steps, v, v_step, path, status)
         else:
             A, b = (ffi.new("double[]", list(np.ravel(x))) for x in (tableau.A, tableau.b))
-            work = ffi.new("double[]", 2 * n * len(tableau.b))
+            work = ffi.new("double[]", len(state) * len(tableau.b))
             done = self.lib.mbs_simulate_rk(self.plant, len(tableau.b), A, b, h, steps, v, v_step, path, work, status)
         return done, status[0], states
 

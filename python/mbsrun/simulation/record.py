@@ -44,7 +44,8 @@ def write_motion(motion: Motion, kernels: Mechanism, folder: Path) -> None:
     (folder / TRAJECTORY).write_text(_tabulate(motion, manifest), encoding="utf-8")
     plot_motion(motion, manifest, folder / PLOTS)
     title = manifest.model if motion.halt is None else f"{manifest.model}, incomplete: {motion.halt}"
-    write_animation(folder / ANIMATION, kernels, motion.t, motion.q, qd=motion.qd, title=title)
+    rates = kernels("rates", q=motion.q, qd=motion.qd)["rate"] if manifest.configuration else motion.qd
+    write_animation(folder / ANIMATION, kernels, motion.t, motion.q, qd=rates, title=title)
 
 
 def describe_settings(settings: Settings) -> dict[str, object]:
@@ -69,6 +70,7 @@ def _summarise(motion: Motion, kernels: Kernels) -> str:
         "parameters": dict(kernels.parameters),
         "settings": describe_settings(motion.settings),
         "coordinates": [c.name for c in manifest.coordinates],
+        **({"configuration": list(manifest.configuration)} if manifest.configuration else {}),
         "inputs": list(input_labels(manifest)),
         "effort": asdict(motion.effort),
         "energy": None
@@ -87,7 +89,7 @@ def _summarise(motion: Motion, kernels: Kernels) -> str:
 def _tabulate(motion: Motion, manifest: Manifest) -> str:
     """Write a line for each time, with every digit; names are bracketed, so that no cell begins like a formula."""
     names = [c.name for c in manifest.coordinates]
-    header = ["t", *(f"q[{x}]" for x in names), *(f"qd[{x}]" for x in names)]
+    header = ["t", *(f"q[{x}]" for x in manifest.positions), *(f"qd[{x}]" for x in names)]
     header += [f"input[{x}]" for x in input_labels(manifest)]
     columns = [motion.t[:, None], motion.q, motion.qd, motion.inputs]
     if motion.energy is not None:
@@ -106,7 +108,7 @@ def plot_motion(motion: Motion, manifest: Manifest, path: Path) -> None:
     figure = Figure(figsize=(8, 2.6 * rows), layout="constrained")
     axes = list(figure.subplots(rows, 1, sharex=True))
     units = dict.fromkeys({"revolute": "rad", "prismatic": "m"}[c.motion] for c in manifest.coordinates)
-    _plot(axes[0], motion.t, motion.q, [c.name for c in manifest.coordinates], f"$q$ [{', '.join(units)}]")
+    _plot(axes[0], motion.t, motion.q, manifest.positions, f"$q$ [{', '.join(units)}]")
     _plot(axes[1], motion.t, motion.qd, (), rf"$\dot{{q}}$ [{', '.join(f'{unit}/s' for unit in units)}]")
     if motion.inputs.shape[1]:
         _plot(axes[2], motion.t, motion.inputs, input_labels(manifest), "inputs [N m, N]")

@@ -65,16 +65,21 @@ def simulate(
 
 
 def _check(kernels: Kernels, drive: Drive, q: ArrayLike, qd: ArrayLike, settings: Settings) -> tuple[Array, Array]:
-    n, m = len(kernels.manifest.coordinates), len(input_labels(kernels.manifest))
+    manifest = kernels.manifest
+    sizes, m = (len(manifest.positions), len(manifest.coordinates)), len(input_labels(manifest))
     start = np.array(q, dtype=np.float64), np.array(qd, dtype=np.float64)
-    if any(x.shape != (n,) or not np.isfinite(x).all() for x in start):
-        raise ValueError(f"q and qd must be {n} finite numbers each")
+    if any(x.shape != (n,) or not np.isfinite(x).all() for x, n in zip(start, sizes, strict=True)):
+        raise ValueError(f"q must be {sizes[0]} finite numbers, qd {sizes[1]}")
+    if any(not start[0][k : k + 4].any() for k in manifest.quaternions):
+        raise ValueError("a quaternion of q is 0; it turns by 0 as 0, 0, 0, 1")
     if drive.pieces[0].at(0.0).shape != (m,):
         raise ValueError(f"the inputs have shape {drive.pieces[0].at(0.0).shape}, ({m},) expected")
     if settings.method not in METHODS:
         raise ValueError(f"no method {settings.method!r}; there are {', '.join(METHODS)}")
     lengths = {"duration": settings.duration, "step": settings.step, "rtol": settings.rtol, "atol": settings.atol}
     lengths |= {"output_step": settings.duration if settings.output_step is None else settings.output_step}
+    if manifest.configuration and METHODS[settings.method].family is Family.IMPLICIT:
+        raise ValueError(f"{settings.method} takes no joints with quaternions; take an explicit or adaptive method")
     for name, value in lengths.items():
         if not (np.isfinite(value) and value > 0):
             raise ValueError(f"{name} = {value} must be a positive number")
@@ -92,6 +97,7 @@ def _check_kernels(kernels: Kernels, settings: Settings) -> None:
     own = residual.get(settings.formulation, settings.formulation.value)
     needed = {own, "semi", "semi_res", "energy", "frames"}
     needed |= {"impl", "jac_impl"} if adaptive.is_explicit(settings.method) else {f"jac_{own}"}
+    needed |= {"rates", "jac_rates"} if kernels.manifest.configuration else set()
     missing = sorted(needed - {kernel.name for kernel in kernels.manifest.kernels})
     if missing:
         raise ArgumentError(
@@ -239,7 +245,12 @@ def _find_drift(energy: Energy) -> list[str]:
 
 def _find_exceeded_limits(kernels: Kernels, t: Array, q: Array) -> list[str]:
     found = []
-    for coordinate, column in zip(kernels.manifest.coordinates, q.T, strict=True):
+    manifest = kernels.manifest
+    columns = dict(zip(manifest.positions, q.T, strict=True))
+    for coordinate in manifest.coordinates:
+        column = columns.get(coordinate.name)
+        if column is None:  # what has a quaternion has no limits
+            continue
         for limit, sign in ((coordinate.lower, -1), (coordinate.upper, 1)):
             if limit is None:
                 continue

@@ -206,6 +206,9 @@ class _Reading:
             if section.output_step is None
             else self.number(("output_step",), section.output_step, positive),
         )
+        if self.manifest.configuration and METHODS[settings.method].family is Family.IMPLICIT:
+            finding = f"{settings.method} takes no joints with quaternions"
+            self.fault(("method",), finding, "take an explicit method, such as rk4, or an adaptive one, such as radau")
         if settings.rho > 1:
             self.fault(("rho",), f"found {settings.rho:g}", "give a number from 0 to 1")
         if settings.duration / settings.step > MAX_STEPS and METHODS[settings.method].family is not Family.ADAPTIVE:
@@ -231,15 +234,27 @@ class _Reading:
     def start(self, section: _StartSection) -> tuple[Array, Array]:
         """Read the state at time 0: by name, else the recording's, else 0."""
         starts = []
-        for key, given, recorded in (("pose", section.pose, "q"), ("velocity", section.velocity, "qd")):
-            values = np.zeros(len(self.coordinates))
+        places = self.manifest.positions
+        for key, given, recorded, known in (
+            ("pose", section.pose, "q", places),
+            ("velocity", section.velocity, "qd", self.coordinates),
+        ):
+            values = np.zeros(len(known))
+            if key == "pose":
+                values[[k + 3 for k in self.manifest.quaternions]] = 1.0
             if self.recording is not None:
                 values = np.array(getattr(self.recording, recorded), dtype=np.float64)
             for name, expression in given.items():
-                i = self.find(("start", key, name), name, self.coordinates, "coordinate")
+                i = self.find(("start", key, name), name, list(known), "coordinate" if key == "pose" else "velocity")
                 if i is not None:
                     values[i] = self.number(("start", key, name), expression)
             starts.append(values)
+        for k in self.manifest.quaternions:
+            length = np.linalg.norm(starts[0][k : k + 4])
+            if length == 0:
+                finding = f"the quaternion of {places[k].removesuffix('.qx')} is 0"
+                self.fault(("start", "pose"), finding, f"give {places[k + 3]} too")
+            starts[0][k : k + 4] /= length or 1.0
         return starts[0], starts[1]
 
     def drive(self, section: _SettingsSection) -> Drive:

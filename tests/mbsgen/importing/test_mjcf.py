@@ -9,11 +9,15 @@ import pytest
 
 from mbsgen.errors import InputError
 from mbsgen.expressions import Number
+from mbsgen.formulations import semi
+from mbsgen.formulations.reductions import NONE
 from mbsgen.importing import Choices, Imported, import_model, write_imported
 from mbsgen.importing.drafting import Limit
 from mbsgen.model.model import Body, Fixed, Joint, Law
 from mbsgen.model.reader import read_model
+from mbsgen.model.reduction import build_tree
 from mbsgen.pipeline import read
+from mbsgen.tape.interpreter import evaluate
 from tests.import_peers import Kernels, MujocoPeer, State, largest_miss
 
 # Sums of some hundred products of numbers near 1, and a solution with an M of condition below 1e4.
@@ -269,3 +273,48 @@ def test_a_free_body_starts_where_the_file_says(tmp_path: Path) -> None:
     n = len(kernels.joints)
     still = State(np.zeros(n), np.zeros(n), np.array([0.0, 0.0, -9.81, 0, 0, 0]), np.zeros(n))
     np.testing.assert_allclose(kernels.compute(still)["Phi"], 0, atol=1e-14)
+
+
+def test_quaternions_are_mujocos(tmp_path: Path) -> None:
+    """A free body and balls: M and c, by MuJoCo's velocities, the linear ones of which are along the world's axes.
+
+    v = T qd with T = R of the free body; T qd changes by R (w x v) besides R qdd.
+    """
+    import mujoco
+
+    inner = world(
+        f'<body name="trunk" pos="0 0 1" euler="10 20 30"><freejoint/>{INERTIAL}'
+        f'<body name="arm" pos="0.3 0 0"><joint name="pan" axis="0 1 1" pos="0 0.1 0"/>{FULL}'
+        f'<body name="hand" pos="0 0 0.4" xyaxes="0 1 0 -1 0 0"><joint type="ball" pos="0.1 0 0"/>{INERTIAL}</body>'
+        f'</body></body><body name="buoy" pos="2 0 0" euler="0 40 0"><joint type="ball"/>{FULL}</body>'
+    )
+    path = write(tmp_path, inner)
+    imported = import_model(path, Choices(quaternions=True))
+    tree = build_tree(imported.model)
+    assert [x.is_free for x in tree.quaternions] == [True, False, False]
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(3)
+    n = model.nv
+    qd = rng.uniform(-2, 2, n)
+    theirs = rng.uniform(-1, 1, model.nq)
+    mujoco.mj_normalizeQuat(model, theirs)
+    ours = theirs.copy()
+    for k in (3, 8, 12):  # MuJoCo's scalars are first
+        ours[k : k + 4] = np.roll(theirs[k : k + 4], -1)
+    R = np.zeros(9)
+    mujoco.mju_quat2Mat(R, theirs[3:7])
+    T = np.eye(n)
+    T[:3, :3] = R.reshape(3, 3)
+    change = np.zeros(n)
+    change[:3] = T[:3, :3] @ np.cross(qd[3:6], qd[:3])
+    data.qpos[:], data.qvel[:] = theirs, T @ qd
+    mujoco.mj_forward(model, data)
+    M, c = np.zeros((n, n)), np.zeros(n)
+    mujoco.mj_rne(model, data, 0, c)
+    for k, column in enumerate(np.eye(n)):
+        mujoco.mj_mulM(model, data, M[k], column)
+    values = evaluate(semi.build(tree, NONE), {"q": list(ours), "qd": list(qd)})
+    found, bias = np.array(values["M"]).reshape(n, n), np.array(values["c"])
+    np.testing.assert_allclose(found, T.T @ M @ T, rtol=0, atol=TOLERANCE * np.abs(M).max())
+    np.testing.assert_allclose(bias, T.T @ (M @ change + c), rtol=0, atol=TOLERANCE * np.abs(c).max())

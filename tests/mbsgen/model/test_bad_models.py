@@ -389,6 +389,8 @@ BAD_PARTS: dict[str, tuple[str, str, int, str, str]] = {
         "bodies[3].joint",
         '"cardan"',
     ),
+    "limits of a ball": ("{type: cardan,", "{type: ball, limits: [0, 1],", 28, "bodies[3].joint.limits", "unknown key"),
+    "a free body on another": ("{type: cardan,", "{type: free,", 28, "bodies[3].joint", "a free body within the tree"),
     # sequences
     "a sequence of one": (
         "      - {type: prismatic, axis: z, friction: {torque: 1, speed: 0.01}, force: -k*q**3}\n",
@@ -588,7 +590,8 @@ def test_a_wrong_type_does_not_hide_what_is_wrong_elsewhere(tmp_path: Path) -> N
         WALKER.replace("type: floating", "type: flaoting").replace("mass: 2\n", "mass: -2\n").replace("k: 50", "k: x")
     )
     told = [(fault.path, fault.remedy) for fault in find_faults(text, tmp_path)]
-    types = "give 'revolute', 'prismatic', 'fixed', 'cardan', 'universal', 'spherical', 'planar', 'floating'"
+    types = "give 'revolute', 'prismatic', 'fixed', 'cardan', 'universal', 'spherical', 'planar', 'floating', "
+    types += "'ball', 'free'"
     assert told[1] == ("bodies[0].joint.type", types)
     assert [path for path, _ in told] == ["parameters.k", "bodies[0].joint.type", "bodies[1].mass"]
 

@@ -12,11 +12,13 @@ from hypothesis import strategies as st
 from mbsgen.documents.reading import MAX_BYTES
 from mbsgen.model.construction import (
     Setting,
+    ball,
     body,
     cardan,
     fixed,
     floating,
     frame,
+    free,
     inertia,
     make_model,
     planar,
@@ -101,6 +103,7 @@ compounds = st.one_of(
     st.builds(spherical, st.sampled_from(["zyx", "xzy"]), actuated=st.booleans(), **placements),
     st.builds(planar, st.sampled_from(["xy", "xz"]), actuated=st.booleans(), **placements),
     st.builds(floating, st.sampled_from(["zyx", "yxz"]), actuated=st.booleans(), **placements),
+    st.builds(ball, actuated=st.booleans(), **placements),
 )
 sequences = st.one_of(st.tuples(joints, joints), st.tuples(joints, joints, joints))
 carriers = st.one_of(joints, compounds, sequences, st.builds(fixed, **placements))
@@ -142,7 +145,9 @@ def test_random_models_are_read_as_they_were(model: Model) -> None:
     assert reread(model) == model
 
 
-@pytest.mark.parametrize("joint", [cardan("zy"), spherical("yzx", actuated=False), planar("yz"), floating("xzy")])
+@pytest.mark.parametrize(
+    "joint", [cardan("zy"), spherical("yzx", actuated=False), planar("yz"), floating("xzy"), ball(), free()]
+)
 def test_joints_that_have_a_name_are_written_by_it(joint: tuple[Joint, ...]) -> None:
     model = make_model("m", [body("b", joint, mass=1, com=(1, 2, 3), inertia=(1, 1, 1))], gravity=(0, 0, 0))
     (line,) = (line for line in write_model(model).splitlines() if "joint:" in line)

@@ -62,7 +62,7 @@ def accelerations(writing: Writing, qd: Sequence[Scalar], Q: Sequence[Scalar]) -
     """Compute qdd, and what it was found with."""
     kinematics, lumps = writing.kinematics, writing.lumps
     segments = kinematics.segments
-    movements = kinematics.move(writing.chain.gravity, qd, [kinematics.builder.zero] * len(segments))
+    movements = kinematics.move(writing.chain.gravity, qd, writing.chain.drift)
     bodies = articulate(writing)
     spare: dict[int, Scalar] = {}  # what a joint's force has to spare over the bias: u
     loads: dict[int, Load] = {}

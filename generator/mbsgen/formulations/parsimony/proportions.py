@@ -49,7 +49,7 @@ class Proportions:
     def _carry(self, number: int, angle: float) -> Array:
         """Refer what a joint leaves to its parent's origin, in the parent's frame, with the joint turned."""
         segment = self._segments[number]
-        turn = _numbers(segment.turn) if segment.turn else np.eye(3)
+        turn = _numbers(segment.turn) if segment.turn and not segment.floats else np.eye(3)
         if segment.is_revolute:
             turn = turn @ _rotation(segment.axis, angle)
         both = np.kron(np.eye(2), turn)

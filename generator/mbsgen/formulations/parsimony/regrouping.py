@@ -111,7 +111,7 @@ def _part(
 ) -> tuple[Lump, Moments]:
     """Part a body's moments: what stays, and what moves, about the parent's origin in the parent's frame."""
     zero, axis, choice = builder.zero, segment.axis, plan[segment.number]
-    if choice.mass is Mass.KEPT:
+    if choice.mass is Mass.KEPT or segment.floats:
         return Lump(own.m, own.S, own.P, zero, radius=None, direction=0), _nothing(builder)
     turn = segment.turn or unit_matrix(builder)
     if not segment.is_revolute:

@@ -47,6 +47,7 @@ class Segment:
     d: Vector[Scalar]  # its origin, at q = 0, from the parent's
     moments: Moments
     pulls: tuple[Pull, ...]
+    floats: bool = False  # turn, and d, are those of a quaternion: nothing that it moves belongs to the parent too
 
     @property
     def across(self) -> tuple[int, int]:
@@ -64,8 +65,9 @@ def align(chain: Chain, *, group: bool = True) -> tuple[Segment, ...]:
     turned = {0: unit}  # columns: the axes of each body of the Tree in the aligned frame
     segments: list[Segment] = []
     for number, body in enumerate(chain.tree.bodies, 1):
-        placed = turned[body.parent].times(chain.matrix(body.orientation))
-        steps = _right_angles(body, turned[body.parent], placed)
+        placed = turned[body.parent].times(chain.orientation(number))
+        floats = number in chain.state.frames
+        steps = None if floats else _right_angles(body, turned[body.parent], placed)
         if steps is None:
             turned[number], turn, axis, sense = unit, placed, body.joint.axis, 1
         else:
@@ -74,14 +76,14 @@ def align(chain: Chain, *, group: bool = True) -> tuple[Segment, ...]:
         is_revolute = body.joint.motion is Motion.REVOLUTE
         before = segments[body.parent - 1] if body.parent else None
         continues = group and before and is_revolute and before.is_revolute and turn is None and before.axis == axis
-        d = turned[body.parent].apply(chain.vector(body.position))
+        d = turned[body.parent].apply(chain.position(number))
         moments = _moments(chain, body, turned[number])
         for lump in body.lumps:
             moments = moments + _moments(chain, lump, turned[number])
         pulls = _pulls(chain, number, turned[number])
         counts = not continues or not chain.armatures[number - 1].is_zero
         place = (number, body.parent, is_revolute, axis, sense, turn, not continues, counts)
-        segments.append(Segment(*place, d, moments, pulls))
+        segments.append(Segment(*place, d, moments, pulls, floats))
     return tuple(segments)
 
 
