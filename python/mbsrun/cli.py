@@ -360,6 +360,9 @@ def sweep_command(
     """Read, search, sum up."""
     problem, plant = read_problem(file, load_on_demand)
     sensor = _find_sensor(problem, "PROBLEM")
+    representations = tuple(Representation(name) for name in names) or tuple(Representation)
+    for representation in representations:
+        _check(replace(problem, representation=representation))
     targets = Targets(
         grid["radius"],
         tuple(np.linspace(*grid["azimuths"]).tolist()),
@@ -371,7 +374,7 @@ def sweep_command(
         sensor,
         targets,
         costs or ((problem.cost.inputs, problem.cost.input_rates),),
-        tuple(Representation(name) for name in names) or tuple(Representation),
+        representations,
         _find_bumped(bumped, plant.manifest),
     )
     is_through = True
@@ -643,9 +646,14 @@ def _choose(
         problem = replace(problem, guess=replace(problem.guess, inputs=guess_inputs))
     if solver is not None and solver != problem.solver.method:
         problem = replace(problem, solver=replace(problem.solver, method=solver, options=()))
+    _check(problem)
+    return problem
+
+
+def _check(problem: Problem) -> None:
+    """Refuse what does not go together."""
     if conflicts := find_conflicts(problem):
         raise click.UsageError("; ".join(f"{c.key}: {c.finding}; {c.remedy}" for c in conflicts))
-    return problem
 
 
 def _write(solution: Solution, plant: Plant, out: Path) -> None:

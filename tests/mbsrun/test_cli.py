@@ -136,6 +136,13 @@ def test_shooting_is_chosen(quick: Run) -> None:
         assert not Path("none").exists()
 
 
+def test_a_sweep_refuses_representations_that_its_form_does_not_take(run: Run) -> None:
+    """Of all six, which are the usual ones, the integral form takes four."""
+    result = run(*SWEEP, text=COARSE.replace("degree: 3", "degree: 3\nform: integral"))
+    assert result.exit_code == 2
+    assert "EXP1-O has no accelerations to integrate" in result.stderr
+
+
 def test_a_target_out_of_reach_is_not_solved(quick: Run) -> None:
     """Exit code 1, the reason on stderr, nothing on stdout and nothing written."""
     result = quick("solve", "task.ocp.yaml", "-o", "out", "--target", "1.5", "0", "0")
