@@ -5,7 +5,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test lint bench bench-ocp study golden schema clean
+.PHONY: demo test lint bench bench-growth bench-ocp study golden schema clean
 
 demo: $(VENV)/installed
 	$(BIN)/mbsgen models/arm_pendulum.yaml -o build/arm_pendulum
@@ -24,6 +24,10 @@ lint: $(VENV)/installed-dev
 # Compares with others: minutes for each robot. BENCH=--quick needs no C++ compiler.
 bench: $(VENV)/installed-bench
 	$(BIN)/python -m benchmarks $(BENCH)
+
+# What robots with floating bases, and chains of up to 128 joints, take to generate, compile and call: some minutes.
+bench-growth: $(VENV)/installed-bench
+	$(BIN)/python -m benchmarks.growth $(BENCH)
 
 # Solves one task in six representations, ours and plain CasADi's ways in turn: an hour. BENCH=--quick: a minute.
 bench-ocp: $(VENV)/installed

@@ -72,8 +72,9 @@ def write_families(
             continue
         found = dynamics.differentiate(tape) if entry.of_dynamics else differentiate(tape, differentiable(tape))
         second = found.jac_adj1 if min(options.derivatives, scene.derivatives) > 1 else None
-        families.append(Family(tape, found.jac, found.adj1, second, title=entry.title, meanings=MEANINGS))
-        families.append(Family(found.lin, title=f"{entry.title}, with its Jacobians", meanings=MEANINGS))
+        loops = found.loops
+        families.append(Family(tape, found.jac, found.adj1, second, entry.title, MEANINGS, loops))
+        families.append(Family(found.lin, title=f"{entry.title}, with its Jacobians", meanings=MEANINGS, loops=loops))
     families = _finish(families, scene, chosen)
     if options.acados and tree.quaternions:
         raise OptionError("acados: its states are q and qd, of one size; a joint with a quaternion has more of the one")
@@ -108,7 +109,8 @@ def _let_rest(family: Family) -> Family:
 
     value = rest(family.value)
     assert value is not None, "a family has a value"
-    return replace(family, value=value, jac=rest(family.jac), adj1=rest(family.adj1), jac_adj1=rest(family.jac_adj1))
+    jac, adj1, jac_adj1 = rest(family.jac), rest(family.adj1), rest(family.jac_adj1)
+    return replace(family, value=value, jac=jac, adj1=adj1, jac_adj1=jac_adj1, loops={})
 
 
 def _write_acados(families: Sequence[Family]) -> tuple[Family, ...]:
@@ -141,14 +143,23 @@ def _choose_functions(tree: Tree, names: tuple[str, ...] | None) -> Mapping[str,
 
 
 def _split_setup(families: list[Family]) -> tuple[Family, ...]:
-    setup, hoisted = hoist([tape for family in families for tape in family.tapes], PARAMETERS, SETUP)
+    loops = {loop.tape.name: loop.tape for family in families for loop in family.loops.values()}
+    tapes = [*(tape for family in families for tape in family.tapes), *loops.values()]
+    setup, hoisted = hoist(tapes, PARAMETERS, SETUP)
     rest = {tape.name: tape for tape in hoisted}
 
     def found(tape: Tape | None) -> Tape | None:
         return tape and rest[tape.name]
 
     split = [
-        replace(f, value=rest[f.value.name], jac=found(f.jac), adj1=found(f.adj1), jac_adj1=found(f.jac_adj1))
+        replace(
+            f,
+            value=rest[f.value.name],
+            jac=found(f.jac),
+            adj1=found(f.adj1),
+            jac_adj1=found(f.jac_adj1),
+            loops={name: replace(loop, tape=rest[loop.tape.name]) for name, loop in f.loops.items()},
+        )
         for f in families
     ]
     if not setup.output(SETUP).sparsity.nnz:  # parameters matter to none of the functions chosen

@@ -18,8 +18,9 @@ from functools import cached_property
 from mbsgen.derivatives.kernels import Derivatives
 from mbsgen.formulations.parsimony.elimination import Entries, Factors, factorise
 from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.columns import COLUMNS, INVERSES, LOWER, Columns, pad
 from mbsgen.tape.replay import replay
-from mbsgen.tape.types import Input, Tape
+from mbsgen.tape.types import Input, Sparsity, Tape
 
 ACCELERATIONS, RESIDUAL = "qdd", "Phi"
 Block = dict[tuple[int, int], Scalar]  # by (row, column), from 0
@@ -39,6 +40,30 @@ def linearisation(tape: Tape, residual: Derivatives, wrt: Sequence[str]) -> Tape
     state = _State.declare(tape, residual)
     state.builder.output_dense(ACCELERATIONS, [[x] for x in state.inputs[ACCELERATIONS]])
     return _write_slopes(state, wrt, f"lin_{tape.name}")
+
+
+def columns(tape: Tape, residual: Derivatives, wrt: Sequence[str], *, with_value: bool) -> Columns:
+    """Write the Jacobian, or the accelerations and their Jacobian, with the columns to be solved for in a loop."""
+    state = _State.declare(tape, residual)
+    if with_value:
+        state.builder.output_dense(ACCELERATIONS, [[x] for x in state.inputs[ACCELERATIONS]])
+    blocks: dict[str, int] = {}
+    right: Block = {}
+    used = 0
+    for x in wrt:
+        blocks[f"jac_{ACCELERATIONS}_{x}"] = used
+        right |= {(r, used + c): value for (r, c), value in state.right_hand_sides(x).items()}
+        used += tape.input(x).sparsity.nnz
+    width, factors = pad(used), state.factors
+    ancestors = tuple(tuple(i - 1 for i in factors.ancestors(k)) for k in range(1, state.size + 1))
+    lower = [[factors.L[i + 1, k]] for k, row in enumerate(ancestors, 1) for i in row]
+    flat = {r * width + c: value for (r, c), value in right.items() if not value.is_zero}
+    places = Sparsity.of(state.size * width, 1, [(place, 0) for place in flat])
+    if lower:
+        state.builder.output_dense(LOWER, lower)
+    state.builder.output_dense(INVERSES, [[factors.inverses[k]] for k in range(1, state.size + 1)])
+    state.builder.output(COLUMNS, places, [flat[place] for place, _ in places.entries])
+    return Columns(state.finish(f"columns_{'lin' if with_value else 'jac'}_{tape.name}"), ancestors, width, blocks)
 
 
 def _write_slopes(state: _State, wrt: Sequence[str], name: str) -> Tape:
@@ -150,12 +175,16 @@ class _State:
     def _slopes_of_residual(self) -> dict[str, _Found]:
         return self.replay(self.residual.jac, self.inputs)
 
+    def right_hand_sides(self, name: str) -> Block:
+        """Give dPhi/dx, of which dy/dx = -M^-1 dPhi/dx."""
+        return self._slopes_of_residual[f"jac_{RESIDUAL}_{name}"].entries
+
     def slopes(self, wrt: Sequence[str]) -> dict[str, Block]:
         """Solve for dy/dx, by columns. Columns that a unit vector makes are those of the inverse of M."""
         found: dict[str, Block] = {}
         for name in wrt:
             columns: dict[int, dict[int, Scalar]] = {}
-            for (r, c), value in self._slopes_of_residual[f"jac_{RESIDUAL}_{name}"].entries.items():
+            for (r, c), value in self.right_hand_sides(name).items():
                 columns.setdefault(c, {})[r + 1] = -value
             units = {c: next(iter(b)) for c, b in columns.items() if len(b) == 1 and _is_one(next(iter(b.values())))}
             inverse = self.factors.invert(units.values())

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 from mbsgen.derivatives import forward, reverse
 from mbsgen.derivatives.vanishing import drop_vanishing
 from mbsgen.formulations.links import PARAMETERS
 from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.columns import Columns
 from mbsgen.tape.counts import count
 from mbsgen.tape.passes import merge
 from mbsgen.tape.replay import declare_inputs, replay, replay_guards
@@ -30,6 +31,11 @@ class Derivatives:
     def lin(self) -> Tape:
         """`lin_f`: the outputs of f, and those of jac_f."""
         return linearise(self.tape, self.jac)
+
+    @cached_property
+    def loops(self) -> Mapping[str, Columns]:
+        """By name, those that are written with a loop as well, as shorter code."""
+        return {}
 
     @cached_property
     def adj1(self) -> Tape:

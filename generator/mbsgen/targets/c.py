@@ -7,7 +7,7 @@ C function with typed arguments, and a second one, in CasADi's contract, that ca
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import accumulate
 from itertools import count as count_from
@@ -17,16 +17,17 @@ from mpmath import mpf
 
 from mbsgen import resources
 from mbsgen.manifest import Argument, Flops, Kernel
-from mbsgen.tape.counts import count
+from mbsgen.tape.columns import COLUMNS, Columns
 from mbsgen.tape.ordering import arrange
 from mbsgen.tape.types import Input, Output, Sparsity
 from mbsgen.targets.agreement import compare
 from mbsgen.targets.contract import Face, Family, Slot, arguments, faces
 from mbsgen.targets.parts import Line, Part, divide
-from mbsgen.targets.statements import Check, Turns, wrap, write_body, write_literal
+from mbsgen.targets.statements import C, Check, Turns, wrap, write_body, write_literal
 
 ABI_HEADER = "mbs_abi.h"
-_COPIED = (ABI_HEADER, "mbs_sincos.h", "mbs_check.h", "mbs_check.c")  # from csrc
+COLUMNS_HEADER = "mbs_columns.h"
+_COPIED = (ABI_HEADER, "mbs_sincos.h", "mbs_check.h", "mbs_check.c")  # from csrc; COLUMNS_HEADER where it is needed
 
 
 @dataclass(frozen=True)
@@ -69,9 +70,10 @@ def write_c(unit: Unit) -> Sources:
     sources = {view.file: _render("kernel.c", kernel=view, **common) for view in views}
     if parameters or design:
         sources[f"{unit.prefix}_default_parameters.c"] = _render("parameters.c", **common)
+    copied = (*_COPIED, *((COLUMNS_HEADER,) if any(view.loop for view in views) else ()))
     files = {
         header: _render("model.h", kernels=views, **common),
-        **{name: (resources.folder("csrc") / name).read_text(encoding="utf-8") for name in _COPIED},
+        **{name: (resources.folder("csrc") / name).read_text(encoding="utf-8") for name in copied},
         **sources,
         f"{unit.prefix}_check.c": _write_check(unit, found, common),
         f"{unit.prefix}.pc": _render("model.pc", **common),
@@ -107,7 +109,7 @@ def _environment() -> jinja2.Environment:
 
 def _describe(prefix: str, face: Face) -> Kernel:
     """Describe a kernel by the arguments of its tape; the empty ones that CasADi counts besides are left to the C."""
-    counts = count(face.tape)
+    counts = face.counts
     slots = {slot.name: slot for slot in (*face.inputs, *face.outputs)}
     return Kernel(
         name=face.kernel,
@@ -187,6 +189,30 @@ class _Table:
 
 
 @dataclass(frozen=True)
+class _Given:
+    """A block that the loop has solved for."""
+
+    result: str
+    first: int  # its first number in B
+    rows: int
+    cols: int
+    count: int
+    places: tuple[str, ...]  # of its nonzeros from there on, as lines; none for a full block
+
+
+@dataclass(frozen=True)
+class _Loop:
+    """The columns that are solved for after the body."""
+
+    size: int
+    width: int
+    entries: int  # of L, or 1 where it has none: C has no empty arrays
+    starts: tuple[str, ...]
+    ancestors: tuple[str, ...]
+    given: tuple[_Given, ...]
+
+
+@dataclass(frozen=True)
 class _View:
     """A kernel, ready to be laid out."""
 
@@ -205,6 +231,7 @@ class _View:
     lines: tuple[str, ...]  # of the body, where it is not in parts
     parts: tuple[_Function, ...]
     kept: tuple[str, ...]  # the values that outlive their part, as lines of declarations
+    loop: _Loop | None
     zeros: int  # nonzeros of the largest input
     patterns: tuple[_Pattern, ...]
     inputs: _Table
@@ -212,8 +239,8 @@ class _View:
 
 
 def _view(prefix: str, face: Face) -> _View:
-    counts = count(face.tape)
-    body = write_body(arrange(face.tape))
+    counts = face.counts
+    body = write_body(arrange(face.loop.tape if face.loop else face.tape), SYNTAX)
     divided = divide(body, [i.name for i in face.tape.inputs])
     is_whole = len(divided.parts) == 1
     unwanted = tuple(accumulate((o.sparsity.nnz for o in face.tape.outputs), initial=0))
@@ -237,10 +264,35 @@ def _view(prefix: str, face: Face) -> _View:
         lines=_write_lines(divided.parts[0].lines) if is_whole else (),
         parts=() if is_whole else tuple(_write_function(part) for part in divided.parts),
         kept=wrap(divided.kept),
+        loop=_write_loop(face.loop, face.tape.outputs) if face.loop else None,
         zeros=max((i.sparsity.nnz for i in face.tape.inputs), default=0),
         patterns=tuple(_Pattern(name, wrap(map(str, _compress(pattern)))) for pattern, name in patterns.items()),
         inputs=_table(face.inputs, patterns),
         outputs=_table(face.outputs, patterns),
+    )
+
+
+def _write_targets(name: str, pattern: Sparsity) -> list[str]:
+    """Write the nonzeros of an argument; those of B have their place in it."""
+    return [f"{name}[{k}]" for k in (pattern.row if name == COLUMNS else range(pattern.nnz))]
+
+
+SYNTAX = replace(C, nonzeros=_write_targets)
+
+
+def _write_loop(loop: Columns, outputs: Sequence[Output]) -> _Loop:
+    def give(result: str, pattern: Sparsity) -> _Given:
+        first, places = loop.blocks[result], loop.places(result, pattern)
+        listed = () if pattern.is_dense else wrap(str(place - first) for place in places)
+        return _Given(result, first, pattern.rows, pattern.cols, pattern.nnz, listed)
+
+    return _Loop(
+        loop.size,
+        loop.width,
+        max(1, loop.starts[-1]),
+        wrap(map(str, loop.starts)),
+        wrap(str(i) for row in loop.ancestors for i in row) or ("0",),
+        tuple(give(o.name, o.sparsity) for o in outputs if o.name in loop.blocks and o.values),
     )
 
 

@@ -15,6 +15,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from mbsgen.tape.columns import Columns
+from mbsgen.tape.counts import Counts, count
 from mbsgen.tape.types import Input, Output, Sparsity, Tape
 
 
@@ -30,6 +32,7 @@ class Family:
     meanings: Mapping[str, str] = field(
         default_factory=dict
     )  # `argument` or `function.argument` -> what it is, its unit
+    loops: Mapping[str, Columns] = field(default_factory=dict)  # tape -> the same with a loop, where that is quicker
 
     @property
     def tapes(self) -> tuple[Tape, ...]:
@@ -71,6 +74,18 @@ class Face:
     tape: Tape
     inputs: tuple[Slot, ...]
     outputs: tuple[Slot, ...]
+
+    @property
+    def loop(self) -> Columns | None:
+        """Give the same function with a loop, if it is to be written so."""
+        return self.family.loops.get(self.tape.name)
+
+    @property
+    def counts(self) -> Counts:
+        """Count what is computed."""
+        if self.loop is None:
+            return count(self.tape)
+        return self.loop.counts(sum(o.sparsity.nnz for o in self.tape.outputs if o.name in self.loop.blocks))
 
 
 def arguments(tape: Tape) -> list[Input | Output]:

@@ -1,0 +1,126 @@
+"""Jacobians of accelerations with a loop: what the straight code gives, in C, for trees of any shape."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbsrun
+from mbsgen.derivatives import dynamics
+from mbsgen.families import write_families
+from mbsgen.model.tree import Tree
+from mbsgen.pipeline import Options, generate
+from mbsgen.tape.columns import COLUMNS, INVERSES, LOWER, Columns
+from mbsgen.tape.interpreter import evaluate
+from tests.random_trees import random_tree
+
+MODELS = Path(__file__).parents[3] / "models"
+OPTIONS = Options(functions=("exp1",), derivatives=1)
+
+
+@pytest.fixture(autouse=True)
+def looped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have every Jacobian of accelerations written with a loop, however small."""
+    monkeypatch.setattr(dynamics, "STRAIGHT", 0)
+
+
+def run(loop: Columns, inputs: dict[str, list[float]]) -> dict[str, np.ndarray]:
+    """Do what a loop stands for."""
+    found = evaluate(loop.tape, inputs)
+    lower, n = np.eye(loop.size), loop.size
+    entries = iter(found.get(LOWER, []))
+    for k, row in enumerate(loop.ancestors):
+        for i in row:
+            lower[k, i] = next(entries)
+    right = np.zeros(n * loop.width)
+    right[list(loop.tape.output(COLUMNS).sparsity.row)] = found[COLUMNS]
+    inverse = np.array(found[INVERSES], float)
+    x = np.linalg.solve(lower.T, right.reshape(n, loop.width)) * inverse[:, None]
+    solved = np.linalg.solve(lower, x).reshape(-1)
+    return dict.fromkeys(loop.blocks, -solved)
+
+
+@pytest.mark.parametrize("tree", [random_tree(5, 6), random_tree(7, 5, runtime=True)], ids=["branched", "run time"])
+def test_a_loop_gives_the_jacobian(tree: Tree) -> None:
+    """To rounding, relative to the largest entry; with run-time numbers, after `setup`."""
+    rng = np.random.default_rng(1)
+    families = write_families(tree, OPTIONS)
+    (family,) = (f for f in families if f.value.name == "exp1")
+    assert family.jac is not None
+    loop = family.loops["jac_exp1"]
+    drawn = {i.name: list(rng.uniform(0.3, 1.2, i.sparsity.nnz)) for i in family.jac.inputs}
+    expected, found = evaluate(family.jac, drawn), run(loop, {i.name: drawn[i.name] for i in loop.tape.inputs})
+    for output in family.jac.outputs:
+        straight = np.array(expected[output.name], float)
+        looped = found[output.name][list(loop.places(output.name, output.sparsity))]
+        np.testing.assert_allclose(looped, straight, rtol=0, atol=1e-12 * max(1.0, np.abs(straight).max()))
+
+
+@pytest.mark.parametrize("scalars", [False, True], ids=["vectors", "scalars"])
+@pytest.mark.parametrize("name", ["branched", "double_pendulum"])
+def test_the_c_of_a_loop_gives_the_jacobian(
+    name: str, scalars: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the straight C does, alone and with the values; a tree with branches has places that stay zero."""
+    found = []
+    for limit in (0, 10**9):
+        monkeypatch.setattr(dynamics, "STRAIGHT", limit)
+        product = generate(MODELS / f"{name}.yaml", tmp_path / str(limit), OPTIONS)
+        assert ("mbs_columns.h" in product.files) == (limit == 0)
+        if scalars and limit == 0:
+            header = tmp_path / "0" / "mbs_columns.h"
+            header.write_text(f"#define MBS_SCALAR\n{header.read_text()}")
+        rng = np.random.default_rng(2)
+        inputs = product.manifest.kernel("jac_exp1").inputs
+        state: dict[str, Any] = {i.name: rng.uniform(0.3, 1.2, i.nnz) for i in inputs if i.name != "h"}
+        kernels = mbsrun.load(tmp_path / str(limit))
+        found.append({**kernels.jac("exp1", **state), **kernels.lin("exp1", **state)})
+    looped, straight = found
+    assert looped.keys() == straight.keys()
+    for result, expected in straight.items():
+        scale = max(1.0, float(np.abs(expected).max(initial=0.0)))
+        np.testing.assert_allclose(looped[result], expected, rtol=0, atol=1e-12 * scale)
+
+
+@pytest.mark.parametrize("real", ["double", "float"])
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_no_compiler_warns_of_a_loop(compiler: str, real: str, tmp_path: Path, requires: Callable[[str], str]) -> None:
+    """With sanitizers as well, which the C passes at a state, and at one whose pivots fail."""
+    generate(MODELS / "branched.yaml", tmp_path, OPTIONS)
+    (tmp_path / "main.c").write_text(PROBE)
+    strict = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
+    options = (*strict, f"-DMBS_REAL={real}", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+    kernels = (tmp_path / f"branched_{name}.c" for name in ("jac_exp1", "setup", "default_parameters"))
+    files = [tmp_path / "main.c", *kernels]
+    program = tmp_path / "probe"
+    subprocess.run([requires(compiler), *options, *files, "-lm", "-o", program], check=True)
+    assert subprocess.run([program], check=True, capture_output=True, text=True).stdout.split() == ["0", "1"]
+
+
+PROBE = """
+#include <math.h>
+#include <stdio.h>
+
+#include "branched.h"
+
+/* The status at a state, and whether nothing is written at one that is not a number. */
+int main(void)
+{
+    mbs_real q[7] = {0}, qd[7] = {0}, u[5] = {0}, p[9], h[9], r[3][49];
+    int i;
+    branched_default_parameters(p);
+    i = branched_compute_setup(p, h);
+    printf("%d ", i + branched_compute_jac_exp1(q, qd, u, h, r[0], r[1], r[2]));
+    for (i = 0; i < 7; ++i)
+        q[i] = (mbs_real)NAN;
+    r[0][0] = 5;
+    i = branched_compute_jac_exp1(q, qd, u, h, r[0], r[1], r[2]);
+    printf("%d", i != 0 && r[0][0] == 5);
+    return 0;
+}
+"""
