@@ -57,9 +57,13 @@ class System:
 
 
 def _alone(problem: Problem, representations: Iterable[Representation]) -> Study:
-    """Take a problem as it is, with its own cost and target."""
+    """Take a problem as it is, with its own cost and target, in the representations that its form admits."""
     costs = ((problem.cost.inputs, problem.cost.input_rates),)
-    return Study(problem, None, ONE, costs, tuple(representations), ())
+    return Study(problem, None, ONE, costs, _admit(problem, representations), ())
+
+
+def _admit(problem: Problem, representations: Iterable[Representation]) -> tuple[Representation, ...]:
+    return tuple(r for r in representations if not find_conflicts(replace(problem, representation=r)))
 
 
 # --- guess ---------------------------------------------------------------------------------------------------------
@@ -155,7 +159,7 @@ def _count_exchanges(results: Results) -> list[tuple[Cell, ...]]:
 def list_derivatives(problem: Problem, folder: Path, representations: Sequence[Representation]) -> list[TaskList]:
     """Solve the problem itself with derivatives from three sources, in rounds."""
     study = _alone(problem, representations)
-    task = {r: Task((0, 0), study.costs[0], r.value) for r in representations}
+    task = {r: Task((0, 0), study.costs[0], r.value) for r in study.representations}
     start = Interpolation("dynamic")
     return [
         TaskList(
@@ -164,7 +168,7 @@ def list_derivatives(problem: Problem, folder: Path, representations: Sequence[R
             tuple(Trial(task[r], PROTOCOL, "derivatives", f"{way}, round {k}", start, k) for k in range(ROUNDS)),
             way,
         )
-        for r in representations
+        for r in study.representations
         for way in WAYS
     ]
 
@@ -222,7 +226,7 @@ def list_grids(problem: Problem, folder: Path, grids: Sequence[tuple[Family, int
             Trial(
                 Task((0, 0), study.costs[0], r.value), PROTOCOL, "grids", "dynamic", Interpolation("dynamic"), 0, True
             )
-            for r in GRID_REPRESENTATIONS
+            for r in study.representations
         )
         lists.append(TaskList(folder, study, trials))
     return lists
@@ -337,12 +341,8 @@ def list_shooting(study: Study, folder: Path, systems: Sequence[System]) -> list
     lists = []
     for place, each in studies:
         for way in TRANSCRIPTIONS:
-            possible = tuple(
-                r
-                for r in GRID_REPRESENTATIONS
-                if not find_conflicts(replace(way.apply(each.problem), representation=r))
-            )
-            own = replace(each, problem=way.apply(each.problem), representations=possible)
+            problem = way.apply(each.problem)
+            own = replace(each, problem=problem, representations=_admit(problem, GRID_REPRESENTATIONS))
             lists.append(TaskList(place, own, tuple(list_interpolations(own, PROTOCOL, "shooting", "dynamic"))))
     return [tasks for tasks in lists if tasks.trials]
 
@@ -395,7 +395,7 @@ def list_systems(systems: Sequence[System]) -> list[TaskList]:
         trials = tuple(
             Trial(Task((0, 0), study.costs[0], r.value), PROTOCOL, "systems", inputs, Interpolation(inputs), 0, True)
             for inputs in ("zero", "dynamic")
-            for r in Representation
+            for r in study.representations
         )
         lists.append(TaskList(system.folder, study, trials))
     return lists

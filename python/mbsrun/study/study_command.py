@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -21,7 +22,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from mbsrun.ocp.problem import Representation
+from mbsrun.ocp.problem import Representation, find_conflicts
 from mbsrun.ocp.search import ProtocolName, Study, Targets, Weights
 from mbsrun.study.campaign import (
     QUESTIONS,
@@ -151,6 +152,9 @@ def study_command(
     problem = subject.problem
     grid = Targets(radius, tuple(np.linspace(*azimuths).tolist()), tuple(np.linspace(*heights).tolist()))
     representations = tuple(Representation(name) for name in names) or tuple(Representation)
+    for representation in representations:
+        if conflicts := find_conflicts(replace(problem, representation=representation)):
+            raise click.UsageError("; ".join(f"{c.key}: {c.finding}; {c.remedy}" for c in conflicts))
     bumped = tuple(subject.plant.manifest.actuated)
     study = Study(problem, find_sensor(problem, file), grid, costs or SETS, representations, bumped)
     chosen = bool(protocols or asked)
