@@ -69,13 +69,14 @@ def make_ways(problem: Problem, plant: Mechanism, is_interpreted: bool) -> Itera
     """Make all ways for the representation of a problem, from the same guess."""
     guess = make_guess(problem, plant, schemes.build(problem.family, problem.degree))
     assert isinstance(guess, Trajectory), "the target is within reach"
-    yield make_ours(OURS, problem, plant, guess)
-    adaptive = replace(problem, solver=replace(problem.solver, options=(("mu_strategy", "adaptive"),)))
-    yield make_ours(f"{OURS}, adaptive", adaptive, plant, guess)
-    for form in (Form.INTEGRAL, Form.SHOOTING):
+    adaptive = replace(problem.solver, options=(("mu_strategy", "adaptive"),))
+    for form in Form:
         chosen = replace(problem, form=form)
-        if not find_conflicts(chosen):
-            yield make_ours(f"{OURS}, {form.value} form", chosen, plant, guess)
+        if find_conflicts(chosen):
+            continue
+        name = OURS if form is Form.STANDARD else f"{OURS}, {form.value} form"
+        yield make_ours(name, chosen, plant, guess)
+        yield make_ours(f"{name}, adaptive", replace(chosen, solver=adaptive), plant, guess)
     q = ca.SX.sym("q", len(problem.start_q))
     place = ca.Function("place", [q], [write_place(q)])
     settings = list_settings(problem)

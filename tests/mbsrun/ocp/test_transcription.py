@@ -57,7 +57,9 @@ def test_sizes_of_table_3(
     All is as printed, but the Hessians of the algebraic ones: the paper has 39021 and 35021. At every point the
     dynamics have 15 + 30 + 21 entries in (q, qd) above the diagonal, and 30 with z or 20 with u; 796 are of the cost
     and 10 of the sensor; an ODE has the dynamics at x_N too, 86 of which 6 are the sensor's: 39206, 35206 and 35286.
-    What is printed for the algebraic ones is less by 185.
+    What is printed for the algebraic ones is less by 185, with z and with u alike, so the coupling with these is whole;
+    by parts it is neither whole points (66 entries in (q, qd) each, 400 of them), nor inputs (4 at a time), nor the
+    sensor. Nothing of this program has 185 entries, and its ODE, made of the same parts, is as printed.
     """
     program = transcribe(replace(reach, representation=representation), arm).program
     nonzeros = (program.jacobian.nnz_out(1), program.hessian.nnz_out(0))
