@@ -8,7 +8,7 @@ The user's names appear here only; in C they are mangled.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -73,6 +73,8 @@ class Coordinate(_Entry):
     actuated: bool  # the actuated joints, in order, are the entries of u
     lower: float | None  # rad or m; None: unbounded
     upper: float | None
+    max_speed: float | None = None  # of qd, either way [rad/s or m/s]; None: unbounded
+    max_force: float | None = None  # of u, either way [N m or N]
 
 
 class Parameter(_Entry):
@@ -139,7 +141,9 @@ class Manifest(_Entry):
 
 def write(manifest: Manifest) -> str:
     """Write a manifest as it stands in its file."""
-    unsaid = None if manifest.configuration else {"configuration", "quaternions"}
+    unsaid: dict[str, Any] = {} if manifest.configuration else {"configuration": True, "quaternions": True}
+    if not any(c.max_speed or c.max_force for c in manifest.coordinates):
+        unsaid["coordinates"] = {"__all__": {"max_speed", "max_force"}}
     return manifest.model_dump_json(indent=2, exclude=unsaid) + "\n"
 
 

@@ -22,7 +22,6 @@ from mbsgen.importing.poses import ORIGIN, Array, Pose, Writer, turn, write_trip
 from mbsgen.importing.solids import NOTHING, Solid, add, find_miss, show_moments, write_inertia
 from mbsgen.model.checks import find_faults
 from mbsgen.model.compounds import UNITS
-from mbsgen.model.expansion import label_joints
 from mbsgen.model.model import BASE, FREE, Body, Fixed, Frame, Friction, Joint, Law, Model, Triple
 from mbsgen.model.naming import MAX_LENGTH
 from mbsgen.model.topology import find_carriers
@@ -51,21 +50,11 @@ class Choices:
 
 
 @dataclass(frozen=True)
-class Limit:
-    """What bounds a joint beside its range, for a problem file: velocity and force, where the file gives them."""
-
-    joint: str
-    velocity: float | None = None  # [rad/s or m/s]
-    effort: float | None = None  # [N m or N]
-
-
-@dataclass(frozen=True)
 class Imported:
     """A model of a file in another format, and what there is to know about it."""
 
     model: Model
     notices: tuple[Notice, ...]  # what was done with parts of the file, and left out; first what alters the motion
-    limits: tuple[Limit, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +71,8 @@ class Move:
     upper: float | None = None
     law: Law = FREE
     armature: float = 0.0  # what a rotor adds to M [kg m2 or kg]
-    velocity: float | None = None
-    effort: float | None = None
+    velocity: float | None = None  # the largest, either way [rad/s or m/s]; 0 and None: unbounded
+    effort: float | None = None  # the same of the input [N m or N]
     floats: bool = False  # one of those that stand for a quaternion
 
     def at(self, q: float) -> Pose:
@@ -125,7 +114,6 @@ class Draft:
     writer: Writer = field(init=False)
     bodies: list[Body] = field(default_factory=list)
     frames: list[Frame] = field(default_factory=list)
-    limits: list[Limit] = field(default_factory=list)
     _solids: dict[str, Solid] = field(default_factory=dict)  # by the name of the body
     _sources: dict[str, Element] = field(default_factory=dict)  # of bodies
     _fixed: dict[str, Pose] = field(default_factory=dict)  # of bodies without joints, on their parents
@@ -190,7 +178,7 @@ class Draft:
         self._tell_fixed(model)
         self._tell_angles()
         ordered = sorted(self.findings.notices, key=lambda n: (not n.alters, n.line == 0, n.file, n.line, n.path))
-        return Imported(model, tuple(dict.fromkeys(ordered)), tuple(self.limits))
+        return Imported(model, tuple(dict.fromkeys(ordered)))
 
     # --- parts -------------------------------------------------------------------------------------------------------
 
@@ -222,18 +210,15 @@ class Draft:
         for i, (move, pose) in enumerate(kept):
             name = None if move.name is None else self._choose_name("joint", move.name, move.source)
             lower, upper = (None if limit is None else Number(limit) for limit in (move.lower, move.upper))
+            speed, force = (Number(bound) if bound else None for bound in (move.velocity, move.effort))
             joints.append(
                 Joint(
                     move.motion, _write_axis(move.axis), None if name == body and len(kept) == 1 else name,
                     self.writer.placement(pose), move.actuated, lower, upper, move.law,
-                    Number(move.armature), move.floats,
+                    speed, force, Number(move.armature), move.floats,
                 )
             )  # fmt: skip
             self._moves[body, i] = move.source
-        for (move, _), joint, label in zip(kept, joints, label_joints(joints), strict=True):
-            if move.velocity is not None or move.effort is not None:
-                derived = body if len(joints) == 1 else f"{body}.{label}"
-                self.limits.append(Limit(joint.name or derived, move.velocity, move.effort))
         return joints[0] if len(joints) == 1 else tuple(joints)
 
     def _choose_name(self, kind: str, wanted: str, source: Element) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import textwrap
 from collections.abc import Iterator
 
@@ -13,7 +12,7 @@ WIDTH = 118
 
 
 def write_imported(imported: Imported) -> str:
-    """Write a model file; before it, as comments, what was changed or left out, and bounds that a model has not."""
+    """Write a model file; before it, as comments, what was changed or left out."""
     lines = [*_comment(imported)]
     return "".join(f"{line}\n" for line in lines) + ("\n" if lines else "") + write_model(imported.model)
 
@@ -22,12 +21,3 @@ def _comment(imported: Imported) -> Iterator[str]:
     for text in (str(notice.without_folder()) for notice in imported.notices):
         clean = text.encode("unicode_escape").decode("ascii") if not text.isprintable() else text
         yield from textwrap.wrap(clean, WIDTH, initial_indent="# ", subsequent_indent="#   ", break_long_words=False)
-    velocities = {limit.joint: limit.velocity for limit in imported.limits if limit.velocity}
-    efforts = {limit.joint: limit.effort for limit in imported.limits if limit.effort}
-    if velocities or efforts:
-        yield "# What the file bounds beside coordinates, as a problem file says it:"
-        yield "#   bounds:"
-    for key, bounds in (("velocities", velocities), ("inputs", efforts)):
-        if bounds:
-            yield f"#     {key}:"
-            yield from (f"#       {json.dumps(name)}: [{-bound!r}, {bound!r}]" for name, bound in bounds.items())

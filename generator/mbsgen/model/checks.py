@@ -16,7 +16,7 @@ from mbsgen.model.compounds import recognise
 from mbsgen.model.expansion import list_steps
 from mbsgen.model.findings import Finding
 from mbsgen.model.idleness import check_idle_joints
-from mbsgen.model.model import BASE, COORDINATE, FREE, RATE, ZERO, Body, Fixed, Joint, Law, Model, Placement, Wrench
+from mbsgen.model.model import BASE, COORDINATE, RATE, ZERO, Body, Fixed, Joint, Law, Model, Placement, Wrench
 from mbsgen.model.naming import check_names
 from mbsgen.model.topology import check_tree, find_carriers
 from mbsgen.model.valuation import LARGEST, Valuation
@@ -60,12 +60,9 @@ def _check_carrier(i: int, body: Body, valuation: Valuation) -> Iterator[Finding
 
 def _check_loose(place: Place, joints: Sequence[Joint]) -> Iterator[Finding]:
     """Find what a joint with a quaternion cannot have; only models made in Python can say it."""
-    plain = [
-        joint.law == FREE and joint.armature == ZERO and (joint.lower, joint.upper, joint.name) == (None, None, None)
-        for joint in joints
-    ]
+    plain = [Joint(j.motion, j.axis, None, j.placement, j.actuated, floats=True) for j in joints]
     compound = recognise(joints)
-    if compound is None or not compound.floats or not all(plain):
+    if compound is None or not compound.floats or list(joints) != plain:
         finding = "joints of a quaternion with other joints, or with names, limits, forces or rotors of their own"
         yield Finding(place, finding, "make them by ball() or free(), and leave them as they are")
 
@@ -83,6 +80,10 @@ def _check_joint(place: Place, joint: Joint, valuation: Valuation) -> Iterator[F
     if lower > upper:
         yield Finding((*place, "limits"), f"the lower limit {lower:g} is above the upper {upper:g}", "swap them")
     yield from _check_law(place, joint.law, valuation)
+    for key, bound in (("max_speed", joint.max_speed), ("max_force", joint.max_force)):
+        value = math.nan if bound is None else valuation.constant((*place, key), bound)
+        if value <= 0:
+            yield Finding((*place, key), f"found {value:g}", "give more than 0, or leave it out")
     armature = valuation.number((*place, "armature"), joint.armature)
     if armature < 0:
         yield Finding((*place, "armature"), f"an armature of {armature:g}", "give 0 or more")

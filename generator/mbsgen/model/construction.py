@@ -55,6 +55,8 @@ class Setting(TypedDict, total=False):
     orientation: Turns
     actuated: bool
     limits: Limits
+    max_speed: Quantity  # of qd, either way
+    max_force: Quantity  # of u, either way
     stiffness: Quantity  # force: -stiffness (q - rest) - damping qd - T tanh(qd/v) + force
     rest: Quantity
     damping: Quantity
@@ -230,6 +232,8 @@ def _make_joint(
     orientation: Turns = (),
     actuated: bool = True,
     limits: Limits = (None, None),
+    max_speed: Quantity | None = None,
+    max_force: Quantity | None = None,
     stiffness: Quantity = 0.0,
     rest: Quantity = 0.0,
     damping: Quantity = 0.0,
@@ -237,12 +241,12 @@ def _make_joint(
     force: Quantity = 0.0,
     armature: Quantity = 0.0,
 ) -> Joint:
-    lower, upper = (None if limit is None else number(limit) for limit in limits)
+    lower, upper, speed, effort = (None if x is None else number(x) for x in (*limits, max_speed, max_force))
     dry = None if friction is None else Friction(number(friction[0]), number(friction[1]))
     law = Law(number(stiffness), number(rest), number(damping), dry, number(force))
     direction = read_direction(axis) if isinstance(axis, str) else vector(axis)
     place = _place(position, orientation)
-    return Joint(motion, direction, name, place, actuated, lower, upper, law, number(armature))
+    return Joint(motion, direction, name, place, actuated, lower, upper, law, speed, effort, number(armature))
 
 
 def _make_compound(type: str, order: str, placement: Placement, actuated: bool) -> tuple[Joint, ...]:

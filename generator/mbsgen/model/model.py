@@ -104,6 +104,8 @@ class Joint:
     lower: Expression | None = None  # None: unbounded
     upper: Expression | None = None
     law: Law = FREE
+    max_speed: Expression | None = None  # of qd either way [rad/s or m/s]; None: unbounded
+    max_force: Expression | None = None  # of its input u either way [N m or N]
     armature: Expression = ZERO  # of the rotor that drives it, times its gear ratio squared [kg m2 or kg]
     floats: bool = False  # one of those that stand for a quaternion, see `compounds`: at 0, of a frame that moves
 

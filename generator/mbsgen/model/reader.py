@@ -112,6 +112,8 @@ def _set_joint(joint: Joint, setting: schema.SettingSection) -> Joint:
         actuated=joint.actuated if setting.actuated is None else setting.actuated,
         lower=setting.limits[0],
         upper=setting.limits[1],
+        max_speed=setting.max_speed,
+        max_force=setting.max_force,
         law=Law(setting.stiffness, setting.rest, setting.damping, dry, setting.force),
         armature=setting.armature,
     )

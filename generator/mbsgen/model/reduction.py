@@ -357,6 +357,8 @@ def _make_body(mover: _Mover, lump: Lump, *lumps: Lump, reader: _Reader) -> tree
             upper=reader.limit(mover.joint.upper),
             law=reader.law(mover.joint.law),
             loose=reader.loose_law(mover.joint.law, mover.joint.name),
+            max_speed=reader.limit(mover.joint.max_speed),
+            max_force=reader.limit(mover.joint.max_force),
             armature=reader.number(mover.joint.armature),
         ),
         position=mover.position,

@@ -113,6 +113,8 @@ class SettingSection(Section):
     name: str | None = Field(None, examples=["q1"], description="else the body's, or made of it and the axis")
     actuated: bool | None = Field(None, examples=[True], description="whether it takes an input u; else it is passive")
     limits: tuple[LimitField, LimitField] = Field((None, None), examples=[[-1.0, 1.0]], description="rad or m")
+    max_speed: LimitField = Field(None, examples=[2.0], description="of qd either way, rad/s or m/s")
+    max_force: LimitField = Field(None, examples=[50.0], description="of the input u either way, Nm or N")
     stiffness: NumberField = Field(ZERO, examples=[10.0], description="of a spring: -stiffness*(q - rest)")
     rest: NumberField = Field(ZERO, examples=[0.1], description="q where the spring is slack")
     damping: NumberField = Field(ZERO, examples=[0.1], description="of a damper: -damping*qd")

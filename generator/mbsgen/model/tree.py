@@ -68,6 +68,8 @@ class Joint:
     upper: float | None
     law: Expr = NO_FORCE  # Qp(q, qd): force added to the actuator's, in COORDINATE, RATE and parameters [N m or N]
     loose: LooseLaw | None = field(default=None, repr=False)  # the same law; None: no number in it can change
+    max_speed: float | None = field(default=None, repr=False)  # of qd either way [rad/s or m/s]; None: unbounded
+    max_force: float | None = field(default=None, repr=False)  # of u either way [N m or N]
     armature: Expr = field(default=ZERO, repr=False)  # what the rotor that drives it adds to M_ii [kg m2 or kg]
 
 

@@ -116,6 +116,9 @@ def _write_setting(joint: Joint, *, actuated: bool) -> Mapped:
         content["actuated"] = _write_truth(joint.actuated)
     if (joint.lower, joint.upper) != (None, None):
         content["limits"] = ["null" if x is None else _write_number(x) for x in (joint.lower, joint.upper)]
+    for key, bound in (("max_speed", joint.max_speed), ("max_force", joint.max_force)):
+        if bound is not None:
+            content[key] = _write_number(bound)
     content |= _write_law(joint.law)
     if joint.armature != ZERO:
         content["armature"] = _write_number(joint.armature)

@@ -99,6 +99,10 @@ def _read_number(value: Any) -> Expression:
     return Number(float(value))
 
 
+def _both_ways(bound: float | None) -> Range:
+    return (-math.inf, math.inf) if bound is None else (-bound, bound)
+
+
 def _read_formula(value: Any) -> str:
     """Admit an expression; it is kept as text."""
     _read_number(value)
@@ -185,7 +189,7 @@ class _StartSection(Section):
 
 class _BoundsSection(Section):
     coordinates: dict[str, RangeField] = Field(default={}, examples=[{}])  # others keep the limits of the model
-    velocities: RangesField = Field(default={}, examples=[[None, None]])
+    velocities: RangesField = Field(default={}, examples=[[None, None]])  # the same, by name or of all
     inputs: RangesField = Field(default={}, examples=[[None, None]])
 
 
@@ -274,6 +278,8 @@ class _Reading:
             (-math.inf if c.lower is None else c.lower, math.inf if c.upper is None else c.upper)
             for c in manifest.coordinates
         ]
+        self.speeds = [_both_ways(c.max_speed) for c in manifest.coordinates]
+        self.forces = [_both_ways(manifest.coordinates[i].max_force) for i in manifest.actuated]
 
     def problem(self, name: str, section: _ProblemSection) -> Problem:
         """Make the problem; it is one only if there are no faults."""
@@ -393,11 +399,10 @@ class _Reading:
         return tuple(values), tuple(sorted(free))
 
     def bounds(self, section: _BoundsSection) -> Bounds:
-        free = (-math.inf, math.inf)
         return Bounds(
             self.ranges("coordinates", section.coordinates, self.coordinates, self.limits),
-            self.ranges("velocities", section.velocities, self.coordinates, [free] * len(self.coordinates.known)),
-            self.ranges("inputs", section.inputs, self.inputs, [free] * len(self.inputs.known)),
+            self.ranges("velocities", section.velocities, self.coordinates, self.speeds),
+            self.ranges("inputs", section.inputs, self.inputs, self.forces),
         )
 
     def ranges(

@@ -12,7 +12,6 @@ from mbsgen.expressions import Number
 from mbsgen.formulations import semi
 from mbsgen.formulations.reductions import NONE
 from mbsgen.importing import Choices, Imported, import_model, write_imported
-from mbsgen.importing.drafting import Limit
 from mbsgen.model.model import Body, Fixed, Joint, Law
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
@@ -157,7 +156,7 @@ def test_friction_and_actuators(tmp_path: Path) -> None:
     driven = '<actuator><motor name="m" joint="two" gear="20" ctrlrange="-2 1"/></actuator>'
     imported = import_model(write(tmp_path, two + driven))
     assert [only_joint(imported, name).actuated for name in "ab"] == [False, True]
-    assert imported.limits == (Limit("two", effort=40.0),)
+    assert [only_joint(imported, name).max_force for name in "ab"] == [None, Number(40.0)]
     assert any("not that before gear 20" in notice.text for notice in imported.notices)
 
 

@@ -11,7 +11,6 @@ import pytest
 from mbsgen.errors import InputError
 from mbsgen.expressions import Number
 from mbsgen.importing import Choices, Imported, import_model, write_imported
-from mbsgen.importing.drafting import Limit
 from mbsgen.model.model import Body, Fixed, Friction, Joint
 from mbsgen.model.reader import read_model
 from tests.import_peers import Kernels, PinocchioPeer, largest_miss
@@ -132,10 +131,9 @@ def test_limits_forces_and_bounds_are_carried_over(tmp_path: Path) -> None:
     assert shoulder.law.damping == Number(0.5)
     assert shoulder.law.friction == Friction(Number(0.2), Number(0.1))
     assert (only_joint(imported, "wheel").lower, only_joint(imported, "wheel").upper) == (None, None)
-    assert Limit("shoulder", velocity=3.0, effort=5.0) in imported.limits
-    text = write_imported(imported)
-    assert '#       "shoulder": [-3.0, 3.0]' in text
-    assert '#       "shoulder": [-5.0, 5.0]' in text
+    assert (shoulder.max_speed, shoulder.max_force) == (Number(3.0), Number(5.0))
+    none = import_model(write(tmp_path, TREE.replace('effort="5" velocity="3"', 'effort="0" velocity="0"')))
+    assert (only_joint(none, "arm").max_speed, only_joint(none, "arm").max_force) == (None, None)
 
 
 def test_each_fixed_mass_is_told_of(tmp_path: Path) -> None:

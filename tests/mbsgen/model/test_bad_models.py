@@ -499,6 +499,8 @@ BAD_PARTS: dict[str, tuple[str, str, int, str, str]] = {
     ),
     # joints' own forces
     "a negative armature": ("damping: 2", "armature: -2", 11, "bodies[0].joint.axes.rz.armature", "an armature of -2"),
+    "a speed of nothing": ("damping: 2", "max_speed: 0", 11, "bodies[0].joint.axes.rz.max_speed", "found 0"),
+    "a force at run time": ("damping: 2", "max_force: push", 11, "bodies[0].joint.axes.rz.max_force", "run-time"),
     "a negative stiffness": ("stiffness: k", "stiffness: -k", 21, "bodies[2].joint[0].stiffness", "stiffness -50"),
     "a negative damping": ("damping: 2", "damping: -2", 11, "bodies[0].joint.axes.rz.damping", "damping -2"),
     "a negative friction": ("torque: 1", "torque: -1", 22, "bodies[2].joint[1].friction.torque", "torque -1"),

@@ -88,6 +88,8 @@ def joint_settings(draw: st.DrawFn) -> Setting:
     if draw(st.booleans()):
         setting["friction"] = draw(st.tuples(positive, positive))
     if draw(st.booleans()):
+        setting["max_speed"], setting["max_force"] = 2.5, draw(st.sampled_from(["l", 40]))
+    if draw(st.booleans()):
         setting["armature"] = draw(positive)
     if draw(st.booleans()):
         setting["force"] = draw(st.sampled_from(["-l*q**3", "m*sin(q) - qd", "atan2(q, qd)", "-q*exp(-qd**2)"]))

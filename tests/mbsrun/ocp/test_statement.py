@@ -113,6 +113,19 @@ constraints:
 """
 
 
+def test_what_the_model_bounds_holds_unless_the_file_says_otherwise(tmp_path: Path, arm: Peer) -> None:
+    """Speeds and forces either way; a file's own bounds, also none, take their place."""
+    first, second, *rest = arm.manifest.coordinates
+    bounded = (first.model_copy(update={"max_speed": 3.0, "max_force": 40.0}), second, *rest)
+    plant = Peer.__new__(Peer)
+    plant.manifest = arm.manifest.model_copy(update={"coordinates": bounded})
+    own = GOOD.replace("velocities: [-10, 10]", "velocities: {q2: [null, 1]}")
+    bounds = read(tmp_path, own, plant).bounds
+    assert bounds.qd[:3] == ((-3.0, 3.0), (-math.inf, 1.0), (-math.inf, math.inf))
+    assert bounds.u[:2] == ((-40.0, 40.0), (-math.inf, math.inf))
+    assert read(tmp_path, GOOD, plant).bounds.qd == ((-10.0, 10.0),) * 6
+
+
 def test_free_horizons_expressions_and_constraints(tmp_path: Path, arm: Peer) -> None:
     """What is paid for is what is given: inputs are free of charge where something else has a price."""
     problem = read(tmp_path, RICH, arm)
