@@ -23,7 +23,7 @@ from mbsrun.ocp.statement import read_problem
 from mbsrun.simulation.statement import read_statement
 from mbsrun.study import fidelity, kernels, motions, optima, problems
 from mbsrun.study.advice import Advice, Option, advise_control, advise_optimisation, advise_simulation
-from mbsrun.study.mechanisms import Subject
+from mbsrun.study.mechanisms import Subject, refuse_quaternions
 from mbsrun.study.pictures import draw_fidelity, draw_kernels, draw_motions, draw_optima
 from mbsrun.study.points import Cost, KernelPoint, MotionPoint, SolvePoint, Store, write_table
 
@@ -213,6 +213,7 @@ def read_course(model: Path, file: Path | None, duration: float | None) -> motio
     mechanism = load(model) if model.is_dir() else Mechanism(find_folder(model, motions.EXTENT))
     if file is None:
         return motions.draw_course(mechanism, duration or 2.0)
+    refuse_quaternions(mechanism.manifest)
     statement = read_statement(file, {}, mechanism.manifest)
     mechanism = mechanism.with_parameters(**statement.parameters)
     told = (file.read_text(encoding="utf-8"), tuple(statement.parameters.items()))

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsgen.errors import Fault, InputError
+from mbsgen.errors import Fault, InputError, MbsError
 from mbsgen.manifest import Manifest
 from mbsrun.external import Mechanism
 from mbsrun.models import Extent, find_folder
@@ -66,11 +66,19 @@ def write_chain(size: int, folder: Path) -> Path:
     return path
 
 
+def refuse_quaternions(manifest: Manifest) -> None:
+    """Raise MbsError for a model with more coordinates than velocities."""
+    if manifest.configuration:
+        raise MbsError(f"{manifest.model}: joints with quaternions are not studied, `spherical` ones are")
+
+
 def draw_states(manifest: Manifest, parameters: Mapping[str, float], count: int, seed: int = 1) -> dict[str, Array]:
     """Draw states: an array (count, size) for each input of a residual; u and w as well, parameters at their values.
 
-    All numbers but the parameters are such as single precision has, so that every kernel can be given the same.
+    All numbers but the parameters are such as single precision has, so that every kernel can be given the same. Raises
+    MbsError for a model with quaternions.
     """
+    refuse_quaternions(manifest)
     rng = np.random.default_rng(seed)
     n = len(manifest.coordinates)
     wrench = sum(3 * x.force + 3 * x.moment for x in manifest.wrenches)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbsgen.errors import InputError
+from mbsgen.errors import InputError, MbsError
 from mbsgen.model.construction import body, floating, frame, free, make_model, revolute
 from mbsgen.model.model import Joint, Model
 from mbsgen.model.writer import write_model
@@ -16,6 +16,7 @@ from mbsrun.ocp.statement import read_problem
 from mbsrun.simulation import Formulation, Settings, simulate
 from mbsrun.simulation.drive import hold
 from mbsrun.simulation.statement import read_statement
+from mbsrun.study.mechanisms import draw_states
 
 SPEEDS = [0.3, -0.2, 1.0, 1.5, 2.5, -0.7, 0.4]  # of the trunk along and about x, y, z, and of the wing
 
@@ -107,6 +108,8 @@ def test_what_takes_no_quaternions_says_so(loose: Mechanism, tmp_path: Path) -> 
         simulate(loose, hold(np.zeros(0)), q, qd, Settings(0.1, "gauss"))
     with pytest.raises(ValueError, match="a quaternion of q is 0"):
         simulate(loose, hold(np.zeros(0)), [0.0] * 8, qd, Settings(0.1))
+    with pytest.raises(MbsError, match="joints with quaternions are not studied"):
+        draw_states(loose.manifest, {}, 1)
     problem = tmp_path / "fly.ocp.yaml"
     problem.write_text("model: bird.yaml\nhorizon: 1\nintervals: 4\nscheme: radau\ndegree: 2\n", encoding="utf-8")
     with pytest.raises(InputError, match="joints with quaternions have more coordinates than velocities"):
