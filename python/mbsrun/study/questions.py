@@ -92,19 +92,20 @@ _GUESSES = {("paper", "zero"): "0", ("guess", "static"): "statics", ("interpolat
 
 
 def answer_guess(results: Results) -> Section | None:
-    """Compare guesses over the places that all of them were tried at."""
+    """Compare guesses over the places that all of them were tried at, in all representations."""
     rows: list[tuple[Cell, ...]] = []
     for weights in results.study.costs:
-        for name in results.representations:
-            by_guess: dict[str, dict[object, Attempt]] = {told: {} for told in _GUESSES.values()}
-            for a in results.attempts:
-                if (a.part, a.guess) in _GUESSES and (a.task.weights, a.task.representation) == (weights, name):
-                    by_guess[_GUESSES[a.part, a.guess]][a.task.place] = a
-            common = set.intersection(*(set(found) for found in by_guess.values()))
-            for told, found in by_guess.items():
-                own = [found[place] for place in sorted(common, key=str)]
-                if own:
-                    rows.append((name_set(weights), name, told, len(own), *_count(own, results)))
+        groups: dict[tuple[str, str], dict[Place, Attempt]] = {
+            (name, told): {} for name in results.representations for told in _GUESSES.values()
+        }
+        for a in results.attempts:
+            if (a.part, a.guess) in _GUESSES and a.task.weights == weights:
+                groups[a.task.representation, _GUESSES[a.part, a.guess]][a.task.place] = a
+        common = sorted(set.intersection(*(set(found) for found in groups.values())))
+        for (name, told), found in groups.items():
+            own = [found[place] for place in common]
+            if own:
+                rows.append((name_set(weights), name, told, len(own), *_count(own, results)))
     if not rows:
         return None
     columns: tuple[str, ...] = (
