@@ -110,7 +110,7 @@ def unstable(rate: float) -> Peer:
 
 
 @pytest.mark.parametrize("rate", [5.0, 10.0, 20.0])
-def test_collocation_solves_what_shooting_cannot(rate: float) -> None:
+def test_collocation_solves_what_single_shooting_cannot(rate: float) -> None:
     """exp(rate T) is up to 2e17: from a guess of zeros, in at most 50 iterations; intervals bound the growth."""
     problem = state_catch(40, 4)
     plant = unstable(rate)
