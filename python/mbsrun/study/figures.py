@@ -86,10 +86,13 @@ def draw_convergence(results: Results) -> Picture:
     figure = Figure(figsize=(9, 3.6), layout="constrained")
     for axes, weights in zip(figure.subplots(1, len(sets), squeeze=False)[0], sets, strict=True):
         grids = list_grids(results, weights)
+        sizes = [len(grid) for grid in grids]
         for i, name in enumerate(results.representations):
             means = [mean_iterations(results, weights, name, grid) for grid in grids]
-            axes.plot([len(grid) for grid in grids], means, marker="o", markersize=3, color=COLORS[i], label=name)
+            axes.plot(sizes, means, marker="o", markersize=3, color=COLORS[i], label=name)
         axes.set(xlabel="tasks", ylabel="mean number of iterations", title=name_set(weights), xscale="log")
+        axes.set_xticks(sizes, list(map(str, sizes)))
+        axes.set_xticks([], minor=True)
         axes.set_ylim(bottom=0)
         axes.grid(alpha=0.3)
     axes.legend(fontsize="small")

@@ -18,6 +18,7 @@ from mbsgen import resources
 from mbsrun.study.sheets import LONG, Cell, Picture, Section, Table
 from mbsrun.study.statements import CONFIRMED, REFUTED
 
+SHORT = 24  # characters of a cell that is not broken into lines
 _STYLES = {CONFIRMED: "confirmed", REFUTED: "refuted"}
 
 
@@ -99,5 +100,6 @@ def _write(cell: Cell) -> _Cell:
     if cell is None:
         return _Cell("number", "", "–")
     if isinstance(cell, bool | str):
-        return _Cell(_STYLES.get(str(cell), "text"), str(cell), str(cell))
+        style = _STYLES.get(str(cell), "short" if len(str(cell)) <= SHORT else "text")
+        return _Cell(style, str(cell), str(cell))
     return _Cell("number", repr(cell), str(cell) if isinstance(cell, int) else f"{cell:.6g}")
