@@ -28,7 +28,7 @@ from mbsgen.manifest import Manifest
 from mbsrun.models import Extent
 from mbsrun.study.candidates import Candidate, add_hidden, compile_kernel
 from mbsrun.study.machine import Variant, Watch, measure_costs
-from mbsrun.study.mechanisms import Subject, draw_states
+from mbsrun.study.mechanisms import Subject, draw_states, refuse_quaternions
 from mbsrun.study.points import Cost, Store
 
 Array = NDArray[np.float64]
@@ -83,8 +83,9 @@ QUICK = Depth(3, 8, ("impl", "exp2", "sensors"))
 def list_reductions(model: Path, manifest: Manifest, scenes: Sequence[Path]) -> list[Reduction]:
     """List what scenes leave out, each of their parts and then all at once; without scenes, one thing after the other.
 
-    Raises InputError for files that cannot be read.
+    Raises InputError for files that cannot be read, MbsError for a model with quaternions.
     """
+    refuse_quaternions(manifest)
     data = read_document(model).data
     if not scenes:
         return list(_list_usual(data, manifest))
