@@ -41,7 +41,8 @@ VALUES = ("impl", "semi", "exp1", "exp2")
 JACOBIANS = ("jac_impl", "jac_exp2")
 SIZES = (8, 16, 32, 64, 128)
 MARKS = {PINOCCHIO: "", CASADI: "*"}
-LARGEST_JACOBIAN = 32  # of a chain: straight code for accelerations grows by the cube of its length
+LINEAR = ("impl", "exp2")  # what grows by the length of a chain, and is measured on the longest
+LARGEST_CUBIC, LARGEST_JACOBIAN = 50, 32  # chains of which all values, and Jacobians, are measured
 
 
 @dataclass(frozen=True)
@@ -73,14 +74,15 @@ def measure_mechanism(path: Path, workshop: Workshop, rounds: int, *, traced: bo
     own.folder.mkdir(parents=True, exist_ok=True)
     mechanism = own.folder / "mechanism.txt"
     mechanism.write_text(write_mechanism(tree), encoding="utf-8")
+    values = VALUES if traced or len(tree.bodies) <= LARGEST_CUBIC else LINEAR
     jacobians = JACOBIANS if traced or len(tree.bodies) <= LARGEST_JACOBIAN else ()
 
     start = time.process_time()
-    product = generate(path, own.folder / "generated", Options(functions=VALUES, derivatives=int(bool(jacobians))))
+    product = generate(path, own.folder / "generated", Options(functions=values, derivatives=int(bool(jacobians))))
     generated = time.process_time() - start
     kernels = load(own.folder / "generated")
     candidates, effort = [], {}
-    for name in (*VALUES, *jacobians):
+    for name in (*values, *jacobians):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         library = kernels.compile(name)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -90,7 +92,7 @@ def measure_mechanism(path: Path, workshop: Workshop, rounds: int, *, traced: bo
         candidates += describe_pinocchio(product.manifest, workshop.compile_pinocchio(), mechanism)
         candidates += trace_values(workshop, mechanism) if traced else []
     measured = measure(candidates, product.manifest, workshop, rounds)
-    for name in (*VALUES, *jacobians):
+    for name in (*values, *jacobians):
         source = product.files[f"{product.manifest.prefix}_{name}.c"]
         yield _make_row(tree.name, len(tree.bodies), name, measured, (generated, len(source), *effort[name]))
 

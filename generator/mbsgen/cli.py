@@ -404,10 +404,10 @@ def print_report(report: Report) -> None:
     if rows := comparisons(report):
         click.echo(f"{COMPARISON}: {report.model}\n")
         first = max(map(len, rows))
-        click.echo("  ".join(("".ljust(first), *(name.rjust(6) for name in FORMULATIONS))))
-        click.echo("-" * (first + 8 * len(FORMULATIONS)))
+        click.echo("  ".join(("".ljust(first), *(name.rjust(6) for name in report.formulations))))
+        click.echo("-" * (first + 8 * len(report.formulations)))
         for title, row in rows.items():
-            click.echo("  ".join((title.ljust(first), *(str(row[name]).rjust(6) for name in FORMULATIONS))))
+            click.echo("  ".join((title.ljust(first), *(str(row[name]).rjust(6) for name in report.formulations))))
         click.echo("")
     _print_ways(report)
     click.echo(textwrap.fill(NOTE, 79))
@@ -420,8 +420,10 @@ def _print_ways(report: Report) -> None:
         for row in (header, *table):
             click.echo("  ".join((row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:]))).rstrip())
         click.echo("")
+    if not report.ways:
+        return
     rows = ways_taken(report)
-    first = max(map(len, rows), default=0)
+    first = max(map(len, rows))
     click.echo(f"{DIFFERENTIATION}: {report.model}\n")
     for title, cells in {"": WAYS, **rows}.items():
         click.echo("  ".join((title.ljust(first), *(cell.rjust(9) for cell in cells))).rstrip())

@@ -97,20 +97,22 @@ def make_report(
     *,
     compare: bool = False,
 ) -> Report:
-    """Count the formulations and the generated kernels.
+    """Count the generated kernels, and the formulations among them.
 
     `written` is the tree of the model, `parametric` the same with every number a run-time parameter. Counting without
     each reduction takes a while, and is done when it is asked for.
     """
+    made = {kernel.name.upper() for kernel in kernels}
+    names = [name for name in FORMULATIONS if name in made]
     formulations, setups, folded = {}, {}, {}
-    for name in FORMULATIONS:
+    for name in names:
         setup, tape = _write(name, parametric, LUMPED)
         formulations[name], setups[name] = _cost(tape), _cost(setup)
         row = FORMULATIONS[name]
         folded[name] = _cost(row.build(dynamics_alone(_fold(written), driven=row.driven), ALL))
     switched = SWITCHED if compare else {}
     reductions = {
-        title: {name: count(_write(name, parametric, choice)[1]).paper for name in FORMULATIONS}
+        title: {name: count(_write(name, parametric, choice)[1]).paper for name in names}
         for title, choice in switched.items()
     }
     costs = {k.name: Cost(k.flops, k.equations) for k in kernels}
@@ -168,18 +170,18 @@ def sections(report: Report) -> tuple[Section, ...]:
         if not groups or not name.startswith(_DERIVATIVES):
             groups.append({})
         groups[-1][name] = cost
-    return (
+    counted = (
         Section("Formulations, parameters at run time", (report.formulations,)),
         Section("Formulations, constants folded", (report.folded,)),
         Section("Setup of the first, once per change of parameters", (report.setups,)),
-        Section("Kernels as generated", tuple(groups)),
     )
+    return (*(counted if report.formulations else ()), Section("Kernels as generated", tuple(groups)))
 
 
 def comparisons(report: Report) -> dict[str, Mapping[str, int]]:
     """Give flops of the formulations beside each other: published, and without each reduction, where there are any."""
     rows: dict[str, Mapping[str, int]] = dict(report.reductions)
-    if report.published:
+    if report.published and report.formulations:
         rows |= {"published": {name: flops for name, (flops, _) in report.published.items()}}
         rows |= {"published, equations": {name: equations for name, (_, equations) in report.published.items()}}
     return rows
@@ -225,14 +227,16 @@ def write_markdown(report: Report) -> str:
     for section in sections(report):
         lines += ["", f"## {section.title}", "", _line(("", *COLUMNS)), _line(["---", *["---:"] * len(COLUMNS)])]
         lines += [_line((f"`{name}`", *map(str, cost.row))) for costs in section.groups for name, cost in costs.items()]
+    names = tuple(report.formulations)
     if rows := comparisons(report):
-        lines += ["", f"## {COMPARISON}", "", _line(("", *FORMULATIONS)), _line(["---", *["---:"] * len(FORMULATIONS)])]
-        lines += [_line((title, *(str(row[name]) for name in FORMULATIONS))) for title, row in rows.items()]
+        lines += ["", f"## {COMPARISON}", "", _line(("", *names)), _line(["---", *["---:"] * len(names)])]
+        lines += [_line((title, *(str(row[name]) for name in names))) for title, row in rows.items()]
     for title, header, table in tables_of_scene(report):
         lines += ["", f"## {title}", "", _line(header), _line(["---", *["---:"] * (len(header) - 1)])]
         lines += map(_line, table)
-    lines += ["", f"## {DIFFERENTIATION}", "", _line(("", *WAYS)), _line(["---", *["---:"] * len(WAYS)])]
-    lines += [_line((f"`{name}`", *row)) for name, row in ways_taken(report).items()]
+    if report.ways:
+        lines += ["", f"## {DIFFERENTIATION}", "", _line(("", *WAYS)), _line(["---", *["---:"] * len(WAYS)])]
+        lines += [_line((f"`{name}`", *row)) for name, row in ways_taken(report).items()]
     return "\n".join(lines) + "\n"
 
 
