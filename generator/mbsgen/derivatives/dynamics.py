@@ -23,7 +23,7 @@ from mbsgen.tape.types import Tape
 
 ACCELERATIONS = ("exp1", "exp2")
 # Operations from which on columns are looped over. A Panda's Jacobian of EXP1 (4700 operations) takes 0.47 us straight
-# and 0.62 with a loop, a quadruped's (20,000) 3.4 and 3.2, a humanoid's (110,000) 24 and 20, and half the time to compile.
+# and 0.62 with a loop, a quadruped's (20,000) 3.4 and 3.2, a humanoid's (110,000) 24 and 20.
 STRAIGHT = 16_000
 COMPARED = 12  # bodies: in larger trees, only the way that always won is written
 

@@ -2,8 +2,8 @@
 
 Straight-line code of more than some 4000 operations does not fit into the first instruction cache of a processor, and
 waits for instructions from then on. The columns of a Jacobian of accelerations are solved for by the same operations,
-one as the other, and make most of a large tree's code: as a loop, they are a few lines, and several columns are computed
-at once. It computes more, since it knows of no zeros in the columns.
+one as the other, and make most of a large tree's code: as a loop, they are a few lines, and several are computed at
+once. It computes more, since it knows of no zeros in the columns.
 """
 
 from __future__ import annotations
