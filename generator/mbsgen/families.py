@@ -132,7 +132,10 @@ def _choose_functions(tree: Tree, names: tuple[str, ...] | None) -> Mapping[str,
     faults = [] if names else [f"no function is named; there are {', '.join(present)}"]
     for name in dict.fromkeys(names):
         if name in FUNCTIONS and name not in present:
-            faults.append(f"{name} is of sensors, and {tree.name} has none; name some under `frames:`")
+            of_sensors = "of sensors", "name some under `frames:`"
+            of_quaternions = "of quaternions", "the rates of its coordinates are qd"
+            what, remedy = of_sensors if FUNCTIONS[name].of_sensors else of_quaternions
+            faults.append(f"{name} is {what}, and {tree.name} has none; {remedy}")
         elif name not in FUNCTIONS:
             near = difflib.get_close_matches(name, present, 1)
             remedy = f"is {near[0]} meant?" if near else f"there are {', '.join(present)}"

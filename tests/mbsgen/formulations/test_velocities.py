@@ -12,7 +12,7 @@ from sympy import Integer
 from mbsgen.derivatives.kernels import differentiate
 from mbsgen.formulations import poses, velocities
 from mbsgen.formulations.catalogue import FUNCTIONS, select_functions
-from mbsgen.model.tree import Sensor, Tree
+from mbsgen.model.tree import Quaternion, Sensor, Tree
 from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.types import Tape
 from tests.random_trees import Pinocchio, exact_matrix, floats, random_tree
@@ -100,9 +100,10 @@ def test_only_joints_on_the_way_to_the_base_have_entries():
         assert {c for r, c in pattern.entries if r // 6 == k} == path
 
 
-def test_a_tree_without_sensors_has_none_of_their_functions():
+def test_a_tree_without_sensors_or_quaternions_has_none_of_their_functions():
     tree = replace(random_tree(0, 3), sensors=())
-    assert set(FUNCTIONS) - set(select_functions(tree)) == {"sensors", "motion", "jacobian"}
+    assert set(FUNCTIONS) - set(select_functions(tree)) == {"sensors", "motion", "jacobian", "rates"}
     zero = Integer(0)
-    some = replace(tree, sensors=(Sensor("base", 0, (zero, zero, zero), exact_matrix(np.eye(3))),))
+    sensor = Sensor("base", 0, (zero, zero, zero), exact_matrix(np.eye(3)))
+    some = replace(tree, sensors=(sensor,), quaternions=(Quaternion("ball", 1, is_free=False),))
     assert select_functions(some) == FUNCTIONS
