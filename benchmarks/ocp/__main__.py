@@ -156,8 +156,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 continue
             before = os.getloadavg()[0]
             chosen = replace(problem, representation=Representation(name))
-            ways = list(make_ways(chosen, plant, given.quick or given.interpreted))
-            rows = measure(ways, name, 1 if given.quick else given.rounds)
+            ways = make_ways(chosen, plant, given.quick or given.interpreted)
+            rows = measure(list(ways), name, 1 if given.quick else given.rounds)
+            del ways  # and with it what CasADi compiled, while its folder is there
             figures = replace_rows(figures, rows, Loads(name, before, os.getloadavg()[0]))
             write_figures(figures, output)
     Console(width=None if sys.stdout.isatty() else 160).print(show(figures))
