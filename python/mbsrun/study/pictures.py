@@ -129,7 +129,10 @@ def draw_fidelity(points: Sequence[FidelityPoint], folder: Path) -> list[Path]:
             axes.set_title(f"{kernel}, {whole.flops} flops as a whole (dashed: its time): {title}", fontsize=9)
             axes.set_xlabel("time of a call [ns]")
         row[0].set_ylabel("largest error, by the whole model's largest result")
-    figure.suptitle(f"{_plain(points[0].mechanism)}: what is left out, labels: flops saved; x: failed", fontsize=10)
+    figure.suptitle(
+        f"{_plain(points[0].mechanism)}: what is left out, and which part of the flops that saves; x: failed",
+        fontsize=10,
+    )
     handles, labels = rows[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=6)
     path = folder / "fidelity.png"
@@ -181,8 +184,10 @@ def _mark_optimum(point: OptimumPoint, number: str) -> Mark:
 
 
 def _mark_reduction(point: FidelityPoint, number: str) -> Mark:
-    saved = "" if point.flops is None else f"{1 - point.flops / point.flops_whole:.0%}"
-    return Mark(point.reduction, saved, point.ns, getattr(point, number), is_failure=bool(point.finding))
+    saved = "" if point.flops is None else f", {1 - point.flops / point.flops_whole:.0%}"
+    return Mark(
+        point.reduction, point.reduction + saved, point.ns, getattr(point, number), is_failure=bool(point.finding)
+    )
 
 
 def _plain(name: str) -> str:
