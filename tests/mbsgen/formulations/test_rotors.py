@@ -50,7 +50,7 @@ def test_every_reduction_holds_with_rotors(reductions: Reductions) -> None:
         assert_equals_pinocchio(tree, seed, reductions)
 
 
-@pytest.mark.parametrize("tree", [tree_of(6, 3), planar(3), tree_of(5, 2, runtime=True)], ids=["tree", "plane", "p"])
+@pytest.mark.parametrize("tree", [planar(3), tree_of(5, 2, runtime=True)], ids=["plane", "p"])
 def test_every_way_to_differentiate_agrees(tree: Tree) -> None:
     """In 50 digits: what the recursions and the implicit function theorem give, and the tape's own differentiation."""
     tolerance = TO_ROUNDING if tree.parameters else EXACTLY

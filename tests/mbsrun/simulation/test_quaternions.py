@@ -11,13 +11,15 @@ from mbsgen.errors import InputError, MbsError
 from mbsgen.model.construction import body, floating, frame, free, make_model, revolute
 from mbsgen.model.model import Joint, Model
 from mbsgen.model.writer import write_model
-from mbsrun import Mechanism, load
+from mbsrun import Mechanism
+from mbsrun.models import Extent, find_folder
 from mbsrun.ocp.statement import read_problem
 from mbsrun.simulation import Formulation, Settings, simulate
 from mbsrun.simulation.drive import hold
 from mbsrun.simulation.statement import read_statement
 from mbsrun.study.mechanisms import draw_states
 
+SIMULATED = ("impl", "semi", "semi_res", "exp2", "energy", "frames", "sensors")
 SPEEDS = [0.3, -0.2, 1.0, 1.5, 2.5, -0.7, 0.4]  # of the trunk along and about x, y, z, and of the wing
 
 
@@ -43,12 +45,13 @@ def write(model: Model, folder: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def loose(tmp_path_factory: pytest.TempPathFactory) -> Mechanism:
-    return load(write(bird(free()), tmp_path_factory.mktemp("loose")))
+    extent = Extent((*SIMULATED, "exp1", "rates"), 1)
+    return Mechanism(find_folder(write(bird(free()), tmp_path_factory.mktemp("loose")), extent))
 
 
 @pytest.fixture(scope="module")
 def turned(tmp_path_factory: pytest.TempPathFactory) -> Mechanism:
-    return load(write(bird(floating()), tmp_path_factory.mktemp("turned")))
+    return Mechanism(find_folder(write(bird(floating()), tmp_path_factory.mktemp("turned")), Extent(SIMULATED, 1)))
 
 
 def start(kernels: Mechanism) -> tuple[list[float], list[float]]:
