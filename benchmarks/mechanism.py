@@ -11,10 +11,11 @@ from mbsgen.model.tree import NO_FORCE, Body, Motion, Tree
 
 def write_mechanism(tree: Tree) -> str:
     """Write a mechanism as `cpp/mechanism.hpp` reads it. Raises ValueError for what the peers have no part for."""
-    forced = [body.joint.name for body in tree.bodies if body.joint.law != NO_FORCE]
-    if forced or tree.wrenches:
+    forced = [body.joint.name for body in tree.bodies if body.joint.law != NO_FORCE or body.joint.armature != 0]
+    if forced or tree.wrenches or tree.quaternions:
         raise ValueError(
-            f"{tree.name}: {', '.join(forced) or 'wrenches'}: compared is what moves without forces but the actuators'"
+            f"{tree.name}: {', '.join(forced) or 'wrenches, quaternions'}: only what turns and slides about and along "
+            "axes is compared, without rotors, and without forces but the actuators'"
         )
     if not _is_depth_first([body.parent for body in tree.bodies]):
         raise ValueError(f"{tree.name}: Pinocchio wants every branch's bodies together; write them in that order")
@@ -32,6 +33,11 @@ def write_mechanism(tree: Tree) -> str:
 
     first = " ".join([str(len(tree.bodies)), *numbers(tree.gravity)])
     return "\n".join([first, *map(line, tree.bodies)]) + "\n"
+
+
+def is_chain(tree: Tree) -> bool:
+    """Tell whether every body turns on the one before it."""
+    return all(b.parent == i and b.joint.motion is Motion.REVOLUTE for i, b in enumerate(tree.bodies))
 
 
 def _is_depth_first(parents: Iterable[int]) -> bool:

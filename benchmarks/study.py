@@ -31,7 +31,7 @@ from benchmarks.candidates import (
     load_code,
 )
 from benchmarks.compilation import VARIANTS, BuildError, Workshop, of_model, run
-from benchmarks.mechanism import write_mechanism
+from benchmarks.mechanism import is_chain, write_mechanism
 from benchmarks.symbolic import adjoint_jacobian, count_arithmetic, eliminate, jacobian, read_tape
 from benchmarks.timing import Sizes, Stopwatch, draw_states, find_disagreements, measure_rounds, one_core
 from mbsgen.manifest import Manifest
@@ -95,7 +95,8 @@ def study(model: Path, workshop: Workshop, depth: Depth, report: Report) -> Stud
     report("differentiating our equations by CasADi")
     tape = read_tape(own.folder / "generated", product.manifest, DIFFERENTIATED)
     candidates += _make_functions(TAPE, _derive(tape, depth), own, report)
-    candidates += _make_functions(SHORT, _differentiate_short(write_functions(tree)), own, report)
+    if is_chain(tree):  # which is all that it was written for
+        candidates += _make_functions(SHORT, _differentiate_short(write_functions(tree)), own, report)
     if workshop.includes is not None:
         report("compiling Pinocchio")
         peer = workshop.compile_pinocchio()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,8 @@ from tests.random_trees import Pinocchio
 
 ROOT = Path(__file__).parents[2]
 MODELS = ROOT / "benchmarks" / "models"
-MODELS_OF_PEERS = (ROOT / "models" / "arm_pendulum.yaml", *sorted(MODELS.glob("*.yaml")))
+CHAINS = (ROOT / "models" / "arm_pendulum.yaml", *sorted(MODELS.glob("*.yaml")))
+MODELS_OF_PEERS = (*CHAINS, ROOT / "models" / "cart_pole.yaml", ROOT / "models" / "quadruped.yaml")
 
 
 def read_as_peers_do(text: str) -> Any:
@@ -34,7 +36,7 @@ def read_as_peers_do(text: str) -> Any:
     for line in lines:
         parent, joint, _, *numbers = line.split()
         x = np.array(numbers, dtype=float)
-        kind = {"RX": pin.JointModelRX, "RY": pin.JointModelRY, "RZ": pin.JointModelRZ}[joint]()
+        kind = getattr(pin, f"JointModel{joint}")()
         index = model.addJoint(int(parent), kind, pin.SE3(x[3:12].reshape(3, 3), x[:3]), f"j{model.njoints}")
         inertia = x[16:][[0, 1, 3, 1, 2, 4, 3, 4, 5]].reshape(3, 3)
         model.appendBodyToJoint(index, pin.Inertia(x[12], x[13:16], inertia), pin.SE3.Identity())
@@ -115,7 +117,7 @@ def test_a_rounded_quarter_turn_becomes_one_and_held_bodies_are_carried(tmp_path
     assert write_model(model) == write_model(make_model("gripper", [expected], gravity=(0, 0, -9.81)))
 
 
-@pytest.mark.parametrize("path", MODELS_OF_PEERS, ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", CHAINS, ids=lambda p: p.stem)
 def test_the_short_recursion_is_the_textbooks(path: Path) -> None:
     """Moving inertia that a joint cannot feel changes no torque: Phi and qdd, to 1e-12 of the largest."""
     tree = read_tree(path)
@@ -133,5 +135,11 @@ def test_the_short_recursion_is_the_textbooks(path: Path) -> None:
 
 
 def test_what_the_peers_cannot_have_is_refused() -> None:
-    with pytest.raises(ValueError, match="only chains of revolute joints"):
-        write_mechanism(read_tree(ROOT / "models" / "cart_pole.yaml"))
+    with pytest.raises(ValueError, match="without forces but the actuators'"):
+        write_mechanism(read_tree(ROOT / "models" / "branched.yaml"))
+    quadruped = read_tree(ROOT / "models" / "quadruped.yaml")
+    legs = quadruped.bodies[6:9], quadruped.bodies[9:12]
+    in_turn = (body for pair in zip(*legs, strict=True) for body in pair)
+    mixed = [replace(body, parent=parent) for body, parent in zip(in_turn, (6, 6, 7, 8, 9, 10), strict=True)]
+    with pytest.raises(ValueError, match="every branch's bodies together"):
+        write_mechanism(replace(quadruped, bodies=(*quadruped.bodies[:6], *mixed), sensors=()))
