@@ -117,7 +117,8 @@ def test_a_rotor_unlocks_what_would_fail() -> None:
     bodies = [replace(b, joint=replace(b.joint, armature=Rational(1, 50))) for b in bare.bodies]
     tree = replace(bare, bodies=tuple(bodies))
     for build in (exp1.build, exp2.build):
-        assert find_failure(build(bare, NONE), at) > 0
+        with np.errstate(divide="ignore", invalid="ignore"):  # beyond the pivot that fails
+            assert find_failure(build(bare, NONE), at) > 0
         assert find_failure(build(tree, NONE), at) == 0
 
 
