@@ -35,9 +35,8 @@ def main(models: tuple[Path, ...], out: Path, rounds: int, hessians: bool, quick
         models, rounds = models or QUICK, min(rounds, 10)
     includes = None if quick else find_includes()
     if includes is None:
-        console.print(
-            "Without Pinocchio." if quick else "Without Pinocchio: pip install '.[bench]' brings its headers."
-        )
+        told = "Without Pinocchio." if quick else "Without Pinocchio: pip install '.[bench]' brings its headers."
+        console.print(told, markup=False)
     workshop = Workshop(out.absolute(), includes)
     comparisons = {}
     try:

@@ -125,7 +125,7 @@ def _make_row(
 def make_tables(rows: Sequence[Row]) -> tuple[Table, Table]:
     """Lay the rows out for a terminal: what calls take, and what it takes to make the kernels."""
     return (
-        _lay_out("nanoseconds per call", ["flops", "ns", "ns per flop", "peer ns", "ratio"], rows, _tell_calls),
+        _lay_out("nanoseconds per call", ["flops", "ns", "ns/flop", "peer ns", "ratio"], rows, _tell_calls),
         _lay_out("to make them", ["generated s", "C kB", "compiled s", "MB"], rows, _tell_making),
     )
 
@@ -159,7 +159,7 @@ def write_markdown(rows: Sequence[Row], machine: str, rounds: int) -> str:
         "ratio is how many times ours the quickest peer takes: Pinocchio in C++, or, for robots, with a star, its",
         "algorithms as C that CasADi writes.",
         "",
-        "| | joints | kernel | flops | ns | ns per flop | peer ns | ratio | generated s | C kB | compiled s | MB |",
+        "| | joints | kernel | flops | ns | ns/flop | peer ns | ratio | generated s | C kB | compiled s | MB |",
         "|---|---:|---|" + "---:|" * 9,
         *(
             f"| {row.mechanism} | {row.joints} | {row.kernel} | {' | '.join((*_tell_calls(row), *_tell_making(row)))} |"
@@ -186,7 +186,7 @@ def main(out: Path, rounds: int, robots: tuple[str, ...], sizes: tuple[int, ...]
         for name in ROBOTS if everything else robots:
             path = find_robot(name, out)
             if path is None:
-                console.print(f"Without {name}: pip install '.[bench]' brings its file.")
+                console.print(f"Without {name}: pip install '.[bench]' brings its file.", markup=False)
                 continue
             with console.status(name):
                 rows += measure_mechanism(path, workshop, rounds, traced=True)

@@ -26,6 +26,7 @@ PARTS = {
     "branched": (7, 5, 5, 2),
     "cart_pole": (2, 1, 1, 1),
     "double_pendulum": (2, 0, 0, 1),
+    "leg": (3, 0, 3, 1),
     "pendulum": (1, 0, 1, 1),
     "planar_arm": (2, 0, 2, 1),
     "quadruped": (18, 3, 12, 4),

@@ -43,12 +43,24 @@ def test_swing_up(read: Callable[[str], tuple[Problem, Mechanism]]) -> None:
     assert (4 * fine - coarse) / 3 == pytest.approx(58.8839489745, rel=2e-3)
 
 
-@pytest.mark.parametrize("name", ["cart_pole_balance", "planar_arm_reach", "planar_arm_fastest", "cart_pole_swing_up"])
+NAMES = ["cart_pole_balance", "planar_arm_reach", "planar_arm_fastest", "cart_pole_swing_up", "leg_step"]
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_all_representations_have_one_optimum(read: Callable[[str], tuple[Problem, Mechanism]], name: str) -> None:
     """The equations are the same, however they are written."""
     problem, plant = read(name)
     costs = [optimum(replace(problem, representation=r), plant).cost.total for r in Representation]
     assert costs == pytest.approx([costs[0]] * len(costs), rel=1e-5)
+
+
+@pytest.mark.parametrize("name", ["six_axis_reach", "leg_step"])
+def test_another_method_integrates_the_same_motion(read: Callable[[str], tuple[Problem, Mechanism]], name: str) -> None:
+    """Re-simulated under the inputs alone, a solution ends where it says, to the accuracy that its file asks for."""
+    problem, plant = read(name)
+    solution = resimulate(optimum(problem, plant), plant)
+    assert solution.resimulation is not None
+    assert solution.resimulation.is_accurate
 
 
 def test_a_post_is_passed_by(read: Callable[[str], tuple[Problem, Mechanism]]) -> None:
