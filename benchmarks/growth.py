@@ -12,7 +12,7 @@ import os
 import resource
 import shutil
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -33,6 +33,7 @@ from benchmarks.study import (
     trace_values,
 )
 from mbsgen.errors import MbsError
+from mbsgen.manifest import Manifest
 from mbsgen.pipeline import Options, generate, read_tree
 from mbsrun import load
 from mbsrun.study.mechanisms import write_chain
@@ -67,8 +68,21 @@ class Row:
         return None if self.peer_ns is None else self.peer_ns / self.ns
 
 
-def measure_mechanism(path: Path, workshop: Workshop, rounds: int, *, traced: bool) -> Iterator[Row]:
-    """Measure all kernels of a model file. Raises InputError, BuildError, DisagreementError, ArithmeticError."""
+@dataclass(frozen=True)
+class Made:
+    """The kernels of a mechanism, compiled."""
+
+    name: str
+    joints: int
+    mechanism: Path  # as the peers read it
+    manifest: Manifest
+    candidates: tuple[Candidate, ...]
+    costs: Mapping[str, tuple[float, int, float, float]]  # of each kernel, as a Row has them
+    traced: bool  # whether CasADi writes the peers' values, too
+
+
+def make_kernels(path: Path, workshop: Workshop, *, traced: bool) -> Made:
+    """Generate and compile the kernels of a model file. Raises InputError, BuildError, ValueError."""
     tree = read_tree(path)
     own = of_model(workshop, tree.name)
     own.folder.mkdir(parents=True, exist_ok=True)
@@ -81,20 +95,26 @@ def measure_mechanism(path: Path, workshop: Workshop, rounds: int, *, traced: bo
     product = generate(path, own.folder / "generated", Options(functions=values, derivatives=int(bool(jacobians))))
     generated = time.process_time() - start
     kernels = load(own.folder / "generated")
-    candidates, effort = [], {}
+    candidates, costs = [], {}
     for name in (*values, *jacobians):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         library = kernels.compile(name)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        effort[name] = (after.ru_utime - before.ru_utime, after.ru_maxrss / 1024)
-        candidates.append(describe_kernel(product.manifest, library, name))
-    if workshop.includes is not None:
-        candidates += describe_pinocchio(product.manifest, workshop.compile_pinocchio(), mechanism)
-        candidates += trace_values(workshop, mechanism) if traced else []
-    measured = measure(candidates, product.manifest, workshop, rounds)
-    for name in (*values, *jacobians):
         source = product.files[f"{product.manifest.prefix}_{name}.c"]
-        yield _make_row(tree.name, len(tree.bodies), name, measured, (generated, len(source), *effort[name]))
+        costs[name] = (generated, len(source), after.ru_utime - before.ru_utime, after.ru_maxrss / 1024)
+        candidates.append(describe_kernel(product.manifest, library, name))
+    return Made(tree.name, len(tree.bodies), mechanism, product.manifest, tuple(candidates), costs, traced)
+
+
+def time_kernels(made: Made, workshop: Workshop, rounds: int) -> Iterator[Row]:
+    """Time kernels beside their peers. Raises BuildError, DisagreementError, ArithmeticError."""
+    candidates = list(made.candidates)
+    if workshop.includes is not None:
+        candidates += describe_pinocchio(made.manifest, workshop.compile_pinocchio(), made.mechanism)
+        candidates += trace_values(workshop, made.mechanism) if made.traced else []
+    measured = measure(candidates, made.manifest, workshop, rounds)
+    for name, costs in made.costs.items():
+        yield _make_row(made.name, made.joints, name, measured, costs)
 
 
 def _make_row(
@@ -183,16 +203,20 @@ def main(out: Path, rounds: int, robots: tuple[str, ...], sizes: tuple[int, ...]
     rows: list[Row] = []
     os.environ["XDG_CACHE_HOME"] = str(out.absolute() / f"growth.{os.getpid()}")  # so that all is compiled anew
     try:
+        made = []  # all, before any peer is compiled: the most memory that a compiler held is known of all together
         for name in ROBOTS if everything else robots:
             path = find_robot(name, out)
             if path is None:
                 console.print(f"Without {name}: pip install '.[bench]' brings its file.", markup=False)
                 continue
-            with console.status(name):
-                rows += measure_mechanism(path, workshop, rounds, traced=True)
+            with console.status(f"{name}: generating and compiling"):
+                made.append(make_kernels(path, workshop, traced=True))
         for size in SIZES if everything else sizes:
-            with console.status(f"a chain of {size}"):
-                rows += measure_mechanism(write_chain(size, out), workshop, rounds, traced=False)
+            with console.status(f"a chain of {size}: generating and compiling"):
+                made.append(make_kernels(write_chain(size, out), workshop, traced=False))
+        for kernels in made:
+            with console.status(f"{kernels.name}: timing"):
+                rows += time_kernels(kernels, workshop, rounds)
     except (MbsError, BuildError, DisagreementError, ArithmeticError, ValueError) as error:
         raise click.ClickException(str(error)) from None
     finally:
