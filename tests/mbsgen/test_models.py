@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mbsgen.formulations import exp2, impl, semi
 from mbsgen.model.tree import Motion, Tree
-from mbsgen.pipeline import make, read_tree
+from mbsgen.pipeline import Options, make, read_tree
 from mbsgen.tape.interpreter import evaluate
 from tests.random_trees import Pinocchio, floats, law_forces, values_of
 
@@ -50,7 +50,7 @@ def test_models_have_their_parts(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_models_generate(name: str) -> None:
-    product = make(MODELS / f"{name}.yaml")
+    product = make(MODELS / f"{name}.yaml", Options(derivatives=1))
     assert len(product.manifest.coordinates) == PARTS[name][0]
 
 
