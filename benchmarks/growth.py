@@ -120,26 +120,14 @@ def time_kernels(made: Made, workshop: Workshop, rounds: int) -> Iterator[Row]:
 def _make_row(
     mechanism: str, joints: int, kernel: str, measured: Sequence[Measurement], costs: tuple[float, int, float, float]
 ) -> Row:
-    times = {
-        (m.candidate.author, m.candidate.way): float(m.times.min())
-        for m in measured
-        if m.candidate.function == kernel and m.times is not None
-    }
-    ours: Candidate = next(
-        m.candidate for m in measured if m.candidate.author == OURS and m.candidate.function == kernel
-    )
-    peers = {author: ns for (author, _), ns in sorted(times.items(), key=lambda t: -t[1]) if author != OURS}
-    peer = min(peers, key=lambda author: peers[author], default=None)
-    return Row(
-        mechanism,
-        joints,
-        kernel,
-        ours.flops or 0,
-        *costs,
-        times[OURS, kernel],
-        peer,
-        None if peer is None else peers[peer],
-    )
+    times = [
+        (float(m.times.min()), m.candidate) for m in measured if m.candidate.function == kernel and m.times is not None
+    ]
+    ((own, ours),) = (found for found in times if found[1].author == OURS)
+    peers = ((ns, candidate.author) for ns, candidate in times if candidate.author != OURS)
+    peer_ns, peer = min(peers, default=(None, None))
+    assert ours.flops is not None, "kernels are counted"
+    return Row(mechanism, joints, kernel, ours.flops, *costs, own, peer, peer_ns)
 
 
 def make_tables(rows: Sequence[Row]) -> tuple[Table, Table]:
@@ -160,7 +148,11 @@ def _lay_out(title: str, columns: Sequence[str], rows: Sequence[Row], tell: Call
 
 
 def _tell_calls(row: Row) -> tuple[str, ...]:
-    peer = ("–", "–") if row.ratio is None else (f"{row.peer_ns:.0f}{MARKS[row.peer or '']}", f"{row.ratio:#.3g}")
+    peer = (
+        ("–", "–")
+        if row.ratio is None or row.peer is None
+        else (f"{row.peer_ns:.0f}{MARKS[row.peer]}", f"{row.ratio:#.3g}")
+    )
     return (f"{row.flops}", f"{row.ns:.0f}", f"{row.ns / row.flops:.2f}", *peer)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from benchmarks import growth
 from benchmarks.__main__ import main
 from benchmarks.candidates import OURS, SHORT, TAPE, Call, Candidate, load_code
 from benchmarks.compilation import BuildError, Workshop
@@ -187,6 +188,20 @@ def test_a_quick_run_measures_and_writes_everything(tmp_path: Path) -> None:
     assert (tmp_path / "benchmarks.png").read_bytes().startswith(b"\x89PNG")
     for name in ROWS:
         assert name in run.output
+
+
+def test_growth_is_measured_without_peers_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All kernels of a chain that may have Jacobians; a page and figures, with costs of making and of calls."""
+    monkeypatch.setattr(growth, "find_includes", lambda: None)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))  # which the run sets, and is to be as before
+    run = CliRunner().invoke(growth.main, ["--size", "2", "--rounds", "2", "-o", str(tmp_path)])
+    assert run.exit_code == 0, run.output
+    rows = json.loads((tmp_path / "growth.json").read_text(encoding="utf-8"))["rows"]
+    assert [row["kernel"] for row in rows] == [*growth.VALUES, *growth.JACOBIANS]
+    for row in rows:
+        assert (row["joints"], row["peer"], row["peer_ns"]) == (2, None, None)
+        assert min(row["ns"], row["flops"], row["source_bytes"], row["compiled_s"], row["compiled_mb"]) > 0
+    assert (tmp_path / "growth.md").read_text(encoding="utf-8").count("| chain2 |") == len(rows)
 
 
 def test_a_model_that_cannot_be_compared_is_told(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ those of one file come together.
 from __future__ import annotations
 
 from mbsgen.documents.places import Data, Place, abbreviate, lies_under, nearest, refuse, write_path
-from mbsgen.documents.reading import Document, read_document
+from mbsgen.documents.reading import Document, read_bytes, read_document
 from mbsgen.documents.validation import Examination, Section, WrongValueError, examine, validate
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
     "examine",
     "lies_under",
     "nearest",
+    "read_bytes",
     "read_document",
     "refuse",
     "validate",

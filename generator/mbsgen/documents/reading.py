@@ -76,7 +76,7 @@ def _read(file: str, text: str, loader: type[yaml.SafeLoader] | type[yaml.CSafeL
 
 
 def _read_text(path: Path, file: str) -> str:
-    raw = _read_bytes(path, file)
+    raw = read_bytes(path, MAX_BYTES)
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -91,19 +91,21 @@ def _read_text(path: Path, file: str) -> str:
     return text
 
 
-def _read_bytes(path: Path, file: str) -> bytes:
+def read_bytes(path: Path, limit: int) -> bytes:
+    """Read a file of at most `limit` bytes. Raises InputError."""
+    file = str(path)
     try:
         if not path.exists():
             raise InputError([Fault(file, 0, "", "there is no such file", "check the path")])
         if not path.is_file():
-            raise InputError([Fault(file, 0, "", "this is not a file", "give the path of a YAML file")])
+            raise InputError([Fault(file, 0, "", "this is not a file", "give the path of a file")])
         with path.open("rb") as stream:
-            raw = stream.read(MAX_BYTES + 1)
+            raw = stream.read(limit + 1)
     except (OSError, ValueError) as error:
         finding = getattr(error, "strerror", None) or str(error)
         raise InputError([Fault(file, 0, "", f"cannot be read: {finding}", "check the path")]) from None
-    if len(raw) > MAX_BYTES:
-        raise InputError([Fault(file, 0, "", f"larger than {MAX_BYTES} bytes", "split the file or shorten it")])
+    if len(raw) > limit:
+        raise InputError([Fault(file, 0, "", f"larger than {limit} bytes", "split the file or shorten it")])
     return raw
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 from xml.parsers import expat
 
-from mbsgen.documents import abbreviate
+from mbsgen.documents import abbreviate, read_bytes
 from mbsgen.errors import Fault, InputError
 
 MAX_BYTES = 1 << 23
@@ -69,7 +69,7 @@ class _Open:
 def read_markup(path: Path) -> Element:
     """Read an XML file. Raises InputError for what cannot be read."""
     file = str(path)
-    raw = _read_bytes(path, file)
+    raw = read_bytes(path, MAX_BYTES)
     reading = _Reading(file)
     try:
         return reading.read(raw)
@@ -78,21 +78,6 @@ def read_markup(path: Path) -> Element:
         raise InputError([Fault(file, error.lineno, "", finding, "mend it here or just before")]) from None
     except (LookupError, ValueError) as error:  # an encoding that there is not
         raise InputError([Fault(file, 1, "", f"cannot be read: {error}", "save the file as UTF-8")]) from None
-
-
-def _read_bytes(path: Path, file: str) -> bytes:
-    try:
-        if not path.is_file():
-            finding = "this is not a file" if path.exists() else "there is no such file"
-            raise InputError([Fault(file, 0, "", finding, "check the path")])
-        with path.open("rb") as stream:
-            raw = stream.read(MAX_BYTES + 1)
-    except (OSError, ValueError) as error:
-        finding = getattr(error, "strerror", None) or str(error)
-        raise InputError([Fault(file, 0, "", f"cannot be read: {finding}", "check the path")]) from None
-    if len(raw) > MAX_BYTES:
-        raise InputError([Fault(file, 0, "", f"larger than {MAX_BYTES} bytes", "shorten the file")])
-    return raw
 
 
 class _Reading:
