@@ -110,6 +110,7 @@ class Manifest(_Entry):
     model: str  # the user's name
     prefix: str  # its mangled form; every C name starts with it
     model_hash: str  # SHA-256 of the tree and the options it was generated with
+    mechanism: str = ""  # SHA-256 of what the model says, however it is written, and whatever was generated of it
     header: str
     sources: tuple[str, ...]  # C files to compile, in order
     coordinates: tuple[Coordinate, ...]

@@ -20,6 +20,7 @@ from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree, with_runtime_numbers
 from mbsgen.model.scene import EVERYTHING, Scene, read_scene, stage
 from mbsgen.model.tree import NO_FORCE, Kind, Tree
+from mbsgen.model.writer import write_model
 from mbsgen.output import write_folder
 from mbsgen.report import Report, make_report, write_json, write_markdown
 from mbsgen.targets.c import Sources, Unit, write_c
@@ -54,7 +55,8 @@ def make(model: Path | Model, options: Options = DEFAULT) -> Product:
     """
     whole = read(model)
     scene = _read_scene(options, whole)
-    written = build_tree(stage(whole, scene))
+    staged = stage(whole, scene)
+    written = build_tree(staged)
     parametric = with_runtime_numbers(written)
     tree = parametric if options.runtime else written
     dynamics = Dynamics(tree, options.reductions)
@@ -69,7 +71,7 @@ def make(model: Path | Model, options: Options = DEFAULT) -> Product:
         only_driven=not tree.wrenches and all(body.joint.law == NO_FORCE for body in tree.bodies),
     )
     sources = write_c(unit)
-    described = _describe(tree, unit, sources)
+    described = _describe(tree, unit, sources, identify_mechanism(staged))
     evidence = None if scene == EVERYTHING else gather(whole, scene, options)
     report = make_report(written, parametric, described.kernels, dynamics.flops, evidence, compare=options.compare)
     files = {
@@ -122,11 +124,16 @@ def _hash(tree: Tree, families: tuple[Family, ...]) -> str:
     return hashlib.sha256(f"{text}{tapes!r}".encode()).hexdigest()
 
 
+def identify_mechanism(model: Model) -> str:
+    """Name a model by what it says; layout, comments, order of keys, and this program's version change nothing."""
+    return hashlib.sha256(write_model(model).encode()).hexdigest()
+
+
 def _list_parameters(tree: Tree, kind: Kind) -> tuple[Parameter, ...]:
     return tuple(Parameter(name=p.name, value=p.value) for p in tree.parameters if p.kind is kind)
 
 
-def _describe(tree: Tree, unit: Unit, sources: Sources) -> Manifest:
+def _describe(tree: Tree, unit: Unit, sources: Sources, mechanism: str) -> Manifest:
     joints = [body.joint for body in tree.bodies]
     return Manifest(
         format=manifest.FORMAT,
@@ -134,6 +141,7 @@ def _describe(tree: Tree, unit: Unit, sources: Sources) -> Manifest:
         model=tree.name,
         prefix=unit.prefix,
         model_hash=unit.model_hash,
+        mechanism=mechanism,
         header=sources.header,
         sources=sources.sources,
         coordinates=tuple(

@@ -94,11 +94,15 @@ def test_no_file_tells_where_or_when_it_was_made(model: Path) -> None:
 
 
 def test_the_hash_names_what_is_generated(model: Path) -> None:
-    """A comment or the order of keys change nothing; a number's last digit, a name, and an option do."""
+    """A comment or the order of keys change nothing; a number's last digit, a name, and an option do.
 
-    def hash_of(text: str, *, runtime: bool = False) -> str:
+    What the model says is named by itself: that is the same with other options, and where a default is spelt out.
+    """
+
+    def hash_of(text: str, *, runtime: bool = False) -> tuple[str, str]:
         model.write_text(text, encoding="utf-8")
-        return make(model, Options(runtime=runtime)).manifest.model_hash
+        made = make(model, Options(functions=("impl",), derivatives=0, runtime=runtime)).manifest
+        return made.model_hash, made.mechanism
 
     plain = hash_of(BRANCHED)
     assert hash_of("# a comment\n" + BRANCHED) == plain
@@ -106,9 +110,12 @@ def test_the_hash_names_what_is_generated(model: Path) -> None:
         hash_of(BRANCHED.replace("mass: 0.7\n", "mass: 0.7000000000000001\n")),
         hash_of(BRANCHED.replace("name: branched", "name: other")),
         hash_of(BRANCHED.replace("{value: 1.5,", "{value: 1.25,")),
-        hash_of(BRANCHED, runtime=True),
     ]
-    assert len({plain, *others}) == 1 + len(others)
+    option = hash_of(BRANCHED, runtime=True)
+    assert len({code for code, _ in (plain, option, *others)}) == 2 + len(others)
+    assert len({mechanism for _, mechanism in (plain, *others)}) == 1 + len(others)
+    assert option[1] == plain[1]
+    assert hash_of(BRANCHED.replace("name: trunk\n", "name: trunk\n    parent: base\n", 1)) == plain
 
 
 @pytest.mark.parametrize("case", ["arm", "branched", "random"])
