@@ -69,7 +69,7 @@ MBSRUN = Package(
         "study.machine study.results",
         "study.candidates study.statements",
         "study.fidelity study.kernels study.motions study.problems study.differentiated study.figures study.page",
-        "study.optima study.questions study.tables",
+        "study.optima study.questions study.robustness study.tables",
         "study.advice study.pictures study.campaign",
         "study.commands study.study_command",
         "study",

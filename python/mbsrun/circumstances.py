@@ -1,14 +1,15 @@
-"""What a measurement depends on beside its inputs: versions, machine, compiler; as JSON, to be kept with it."""
+"""What a measurement depends on beside its inputs: versions, machine, compiler; to be kept with it."""
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 import re
+from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
+from types import MappingProxyType
 
 from mbsrun.library import find_compiler
 
@@ -17,20 +18,21 @@ _PROCESSORS = Path("/proc/cpuinfo")
 
 
 @cache
-def describe_circumstances() -> str:
+def describe_circumstances() -> Mapping[str, str | int]:
     """Tell them for this process. Raises CompileError where there is no compiler."""
     compiler = find_compiler(os.environ)
     found = re.search(r'#define __VERSION__ "([^"]*)"', compiler.macros)
-    told = {
-        **{name: version(name) for name in PACKAGES},
-        "python": platform.python_version(),
-        "system": f"{platform.system()} {platform.machine()}",
-        "processor": _name_processor(),
-        "cores": len(os.sched_getaffinity(0)),
-        "compiler": found[1] if found else "unknown",
-        "flags": " ".join(compiler.flags),
-    }
-    return json.dumps(told)
+    return MappingProxyType(
+        {
+            **{name: version(name) for name in PACKAGES},
+            "python": platform.python_version(),
+            "system": f"{platform.system()} {platform.machine()}",
+            "processor": _name_processor(),
+            "cores": len(os.sched_getaffinity(0)),
+            "compiler": found[1] if found else "unknown",
+            "flags": " ".join(compiler.flags),
+        }
+    )
 
 
 def _name_processor() -> str:

@@ -20,7 +20,7 @@ import numpy as np
 from mbsgen.errors import Fault, InputError
 from mbsrun.ocp.trajectory import Trajectory
 
-FORMAT = "mbsrun record 2"
+FORMAT = "mbsrun record 3"
 SAME = 1e-6  # relative difference of costs within which two optima are one
 
 Key = tuple[object, ...]  # tells which attempt: task, protocol, part, guess

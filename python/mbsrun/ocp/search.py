@@ -26,6 +26,7 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Literal, Protocol
 
 import numpy as np
@@ -46,10 +47,15 @@ from mbsrun.ocp.transcription import Structure, structure
 ProtocolName = Literal["paper", "robust"]
 Place = tuple[int, int]
 Weights = tuple[float, float]
+Circumstances = Mapping[str, str | int]
 
 BUMPS = 6  # for each target, where input rates are free
 FEW_BUMPS = 2  # where they are not
 ROUNDS = 100  # at most
+LINEAR_SOLVER = "linear_solver"
+ALGEBRA = MappingProxyType({"robust": "mumps"})  # by protocol: IPOPT's linear solver
+PAPERS_OWN = "mumps"
+DIGITS = 12  # of the hash of what was generated, as it is told with results
 SOLVERS = 12  # that are kept for the next trial: the representations, standard and otherwise
 
 
@@ -112,25 +118,25 @@ class Study:
 
 
 def identify(study: Study, manifest: Manifest) -> str:
-    """Name what the attempts in a record have in common: grid and problem, but for target, weights, representation."""
-    targets = study.targets
-    text = repr((manifest.model_hash, _strip(study), targets.radius, targets.azimuths, targets.heights))
-    return hashlib.sha256(text.encode()).hexdigest()
+    """Name what the attempts in a record have in common: mechanism, grid and problem, but for what tasks differ in.
+
+    What is as it would be without saying is left out, and code does not count: other versions of this program give the
+    same study the same name.
+    """
+    question = {"mechanism": manifest.mechanism or manifest.model_hash, **_tell_question(study, exclude_defaults=True)}
+    return hashlib.sha256(json.dumps(question, sort_keys=True).encode()).hexdigest()
 
 
 def describe(study: Study, manifest: Manifest) -> str:
     """Say the same for a reader, as JSON: model, grid, and the problem with its options."""
-    targets = study.targets
-    told = {
-        "model": manifest.model,
-        "model_hash": manifest.model_hash,
-        "sensor": study.sensor,
-        "radius": targets.radius,
-        "azimuths": targets.azimuths,
-        "heights": targets.heights,
-        "problem": TypeAdapter(Problem).dump_python(_strip(study), mode="json"),
-    }
+    told = {"model": manifest.model, "mechanism": manifest.mechanism, "sensor": study.sensor, **_tell_question(study)}
     return json.dumps(told, ensure_ascii=False)
+
+
+def _tell_question(study: Study, *, exclude_defaults: bool = False) -> dict[str, object]:
+    targets = study.targets
+    problem = TypeAdapter(Problem).dump_python(_strip(study), mode="json", exclude_defaults=exclude_defaults)
+    return {"radius": targets.radius, "azimuths": targets.azimuths, "heights": targets.heights, "problem": problem}
 
 
 def _strip(study: Study) -> Problem:
@@ -274,34 +280,51 @@ class Outcome:
 
     attempt: Attempt
     motion: Trajectory | None
-    circumstances: str = ""  # versions and machine
+    circumstances: str  # versions, machine, what was generated and how it was solved, as JSON
+
+
+def choose_algebra(problem: Problem, protocol: str) -> Problem:
+    """Name the linear solver of IPOPT, where the problem does not.
+
+    Protocols whose times are compared, with the paper's or with each other, take the paper's.
+    """
+    solver = problem.solver
+    if solver.method != "ipopt" or LINEAR_SOLVER in dict(solver.options):
+        return problem
+    return replace(
+        problem, solver=replace(solver, options=(*solver.options, (LINEAR_SOLVER, ALGEBRA.get(protocol, PAPERS_OWN))))
+    )
 
 
 class Bench:
     """Makes attempts in one process: a program is built once for each structure, and solved again and again."""
 
-    def __init__(self, plant: Plant, circumstances: str = "") -> None:
-        """Take a model's kernels; `circumstances` are told with every outcome."""
+    def __init__(self, plant: Plant, circumstances: Circumstances = MappingProxyType({})) -> None:
+        """Take a model's kernels; `circumstances`, versions and machine, are told with every outcome."""
         self.plant, self.circumstances = plant, circumstances
         self._solvers: OrderedDict[Structure, Solver] = OrderedDict()
         self._poses: dict[tuple[object, ...], Pose] = {}
 
     def carry_out(self, order: Order) -> Outcome:
         """Solve what a trial is about, from where it starts."""
-        trial, problem = order.trial, order.study.state(order.trial.task)
+        trial = order.trial
+        problem = choose_algebra(order.study.state(trial.task), trial.protocol)
         guess = self._make_guess(order, problem)
         if guess is None:
-            return self._tell(trial, solution.Run(solution.UNREACHABLE, 0, 0.0, 0.0), None)
+            return self._tell(trial, problem, solution.Run(solution.UNREACHABLE, 0, 0.0, 0.0), None)
         found = self._find_solver(problem).solve(problem, guess)
         if isinstance(found, Failure) or found.is_only_acceptable:
-            return self._tell(trial, found.run, None)
-        return self._tell(trial, found.run, resimulate(found, self.plant) if trial.is_checked else found)
+            return self._tell(trial, problem, found.run, None)
+        return self._tell(trial, problem, found.run, resimulate(found, self.plant) if trial.is_checked else found)
 
-    def _tell(self, trial: Trial, run: solution.Run, found: Solution | None) -> Outcome:
+    def _tell(self, trial: Trial, problem: Problem, run: solution.Run, found: Solution | None) -> Outcome:
         effort = (run.status, run.iterations, run.cpu_seconds, run.cpu_seconds_evaluating)
         named = (trial.task, trial.protocol, trial.part, trial.guess, trial.round)
+        solver = {"solver": problem.solver.method, **dict(problem.solver.options)}
+        code = {"model": self.plant.manifest.model, "generated": self.plant.manifest.model_hash[:DIGITS]}
+        told = json.dumps({**self.circumstances, **code, **solver})
         if found is None:
-            return Outcome(Attempt(*named, *effort, None), None, self.circumstances)
+            return Outcome(Attempt(*named, *effort, None), None, told)
         size, check = found.size, found.resimulation
         attempt = Attempt(
             *named,
@@ -313,7 +336,7 @@ class Bench:
             jacobian_nonzeros=size.jacobian_nonzeros,
             hessian_nonzeros=size.hessian_nonzeros,
         )
-        return Outcome(attempt, found.trajectory, self.circumstances)
+        return Outcome(attempt, found.trajectory, told)
 
     def _find_solver(self, problem: Problem) -> Solver:
         shape = structure(problem)
@@ -358,7 +381,7 @@ class Crew(Protocol):
 class Alone:
     """Makes attempts one by one, in this process."""
 
-    def __init__(self, plant: Plant, circumstances: str = "") -> None:
+    def __init__(self, plant: Plant, circumstances: Circumstances = MappingProxyType({})) -> None:
         self._bench = Bench(plant, circumstances)
 
     def carry_out(self, orders: Iterable[Order]) -> Iterator[Outcome]:
@@ -414,6 +437,32 @@ class Search:
             if isinstance(start, Found):
                 motion = self.record.best_motion(start.origin, trial.protocol, trial.round)
             yield Order(self.study, trial, motion)
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a protocol is."""
+
+    round: int
+    trials: int  # of that round
+    done: int
+    is_through: bool  # nothing is left to try
+
+
+def find_progress(study: Study, record: Record, protocol: ProtocolName = "robust") -> Progress:
+    """Find the first round of which something is left to try; where nothing is, the last."""
+    attempts = list(record.attempts())
+    done = {attempt.key for attempt in attempts}
+    last = Progress(0, 0, 0, is_through=True)
+    for number in itertools.count():
+        before = {attempt.key for attempt in attempts if attempt.round < number}
+        trials = plan_round(study, protocol, number, record.best(protocol, number), before)
+        if not trials:
+            return last
+        last = Progress(number, len(trials), sum(trial.key in done for trial in trials), is_through=True)
+        if last.done < last.trials:
+            return replace(last, is_through=False)
+    raise AssertionError("rounds end")
 
 
 # --- what came of it -----------------------------------------------------------------------------------------------

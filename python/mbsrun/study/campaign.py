@@ -10,7 +10,8 @@ import fcntl
 import json
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,6 +33,7 @@ from mbsrun.ocp.search import (
     Targets,
     Weights,
     describe,
+    find_progress,
     identify,
 )
 from mbsrun.ocp.statement import read_problem
@@ -42,8 +44,9 @@ from mbsrun.study.figures import draw_figures
 from mbsrun.study.growth import Growth, count_growth
 from mbsrun.study.questions import GridPoint, System, TaskList, name_transcription
 from mbsrun.study.results import Effort, Results, find_shown_task
+from mbsrun.study.robustness import report_robust
 from mbsrun.study.sheets import Cell, Section, Table
-from mbsrun.study.tables import tabulate, tabulate_robust, tabulate_statements
+from mbsrun.study.tables import tabulate, tabulate_statements
 
 STORE = "study.sqlite"
 QUESTIONS = ("derivatives", "grids", "systems", "shooting", "guess")
@@ -167,13 +170,15 @@ class Runner:
     def _follow(self, protocol: ProtocolName) -> None:
         study, subject = self.campaign.study, self.campaign.subject
         count = _Count(self.watch, f"{protocol} protocol")
-        search = self._search(study, subject.plant, self._crew(subject.folder), count)
-        search.run(protocol, count.plan)
+        record = self._record(study, subject.plant)
+        self._search(study, record, self._crew(subject.folder), count).run(protocol, count.plan)
 
     def _try_all(self, title: str, lists: Sequence[TaskList]) -> None:
+        records = [self._record(tasks.study, self._own_subject(tasks).plant) for tasks in lists]
+        done = sum(r.find(trial.key) for r, tasks in zip(records, lists, strict=True) for trial in tasks.trials)
         count = _Count(self.watch, title)
-        count.plan(sum(len(x.trials) for x in lists), 0)
-        for tasks in lists:
+        count.plan(sum(len(tasks.trials) for tasks in lists), done)
+        for record, tasks in zip(records, lists, strict=True):
             own = self._own_subject(tasks)
             if title == "derivatives":  # times are compared: in this process, one after the other
                 plant = own.plant
@@ -182,8 +187,7 @@ class Runner:
                 crew: Crew = Alone(by, describe_circumstances())
             else:
                 crew = self._crew(tasks.folder)
-            search = self._search(tasks.study, own.plant, crew, count)
-            search.try_all(tasks.trials, lambda _, done: count.skip(done))
+            self._search(tasks.study, record, crew, count).try_all(tasks.trials)
 
     def _own_subject(self, tasks: TaskList) -> Subject:
         subjects = (self.campaign.subject, *self.campaign.systems)
@@ -194,8 +198,10 @@ class Runner:
             self._crews[folder] = self.crew_for(folder)
         return self._crews[folder]
 
-    def _search(self, study: Study, plant: Mechanism, crew: Crew, count: _Count) -> Search:
-        record = self.record.of(identify(study, plant.manifest), describe(study, plant.manifest))
+    def _record(self, study: Study, plant: Mechanism) -> Record:
+        return self.record.of(identify(study, plant.manifest), describe(study, plant.manifest))
+
+    def _search(self, study: Study, record: Record, crew: Crew, count: _Count) -> Search:
         return Search(study, crew, record, count.step, max(0.0, self.end - time.monotonic()))
 
 
@@ -207,10 +213,6 @@ class _Count:
 
     def plan(self, trials: int, done: int) -> None:
         self.trials, self.done = trials, done
-        self.watch(Step(self.title, self.trials, self.done))
-
-    def skip(self, done: int) -> None:
-        self.done += done
         self.watch(Step(self.title, self.trials, self.done))
 
     def step(self, attempt: Attempt, _: bool) -> None:
@@ -310,10 +312,12 @@ def _is_part(attempt: Attempt, study: Study) -> bool:
 
 def report(campaign: Campaign, out: Path) -> list[Section]:
     """Make all sections of the report that there are numbers for."""
+    study = campaign.study
     with _open(campaign, out) as record:
         own = [(s, tuple(r.list_all())) for s, r in _list_own_records(campaign, record)]
         results = gather(campaign, record, _find_growth(out), own)
-        told = sorted({text for _, text in record.list_all()} | {text for _, rows in own for _, text in rows})
+        progress = {weights: find_progress(replace(study, costs=(weights,)), record) for weights in study.costs}
+        told = Counter(text for rows in (record.list_all(), *(rows for _, rows in own)) for _, text in rows)
     sections = [
         Section("run", "The run", "", (_tabulate_run(results, own), *_tabulate_circumstances(told))),
         Section(
@@ -326,13 +330,8 @@ def report(campaign: Campaign, out: Path) -> list[Section]:
         Section("tables", "The paper's tables", "", tuple(tabulate(results))),
         Section("figures", "The paper's figures", "", tuple(draw_figures(results, campaign.subject.plant))),
     ]
-    robust = tabulate_robust(results)
-    if robust is not None:
-        text = (
-            "What it takes to solve every task in its best minimum: other guesses, neighbours, other representations."
-        )
-        sections.append(Section("robust", "The robust protocol, beside", text, (robust,)))
-    return sections + [s for s in _answer(campaign, results, own) if s is not None]
+    rest = (report_robust(results, progress), *_answer(campaign, results, own))
+    return sections + [section for section in rest if section is not None]
 
 
 def _answer(campaign: Campaign, results: Results, own: Sequence[tuple[Study, Attempts]]) -> list[Section | None]:
@@ -375,13 +374,17 @@ def _tabulate_run(results: Results, own: Sequence[tuple[Study, Attempts]]) -> Ta
     return Table("How large the run is", columns, tuple(table), note)
 
 
-def _tabulate_circumstances(told: Sequence[str]) -> Iterator[Table]:
-    circumstances = [json.loads(text) for text in told if text]
+def _tabulate_circumstances(told: Mapping[str, int]) -> Iterator[Table]:
+    """Tell by what attempts were made, and how many by each; results of several versions may stand in one record."""
+    circumstances = [(json.loads(text), count) for text, count in sorted(told.items()) if text]
     if circumstances:
-        columns = tuple(dict.fromkeys(key for each in circumstances for key in each))
-        rows = tuple(tuple(each.get(key) for key in columns) for each in circumstances)
-        note = "CPU times are of the processor, in one thread. Other programs on the machine lengthen them."
-        yield Table("Versions and machines", columns, rows, note)
+        columns = tuple(dict.fromkeys(key for each, _ in circumstances for key in each))
+        rows = tuple((count, *(each.get(key) for key in columns)) for each, count in circumstances)
+        note = (
+            "CPU times are of the processor, in one thread. Other programs on the machine lengthen them. Of what was "
+            "generated, the beginning of its hash is told: what other versions of mbsgen generated has another."
+        )
+        yield Table("Versions and machines", ("attempts", *columns), rows, note)
 
 
 def _find_growth(out: Path) -> tuple[Growth, ...]:

@@ -78,17 +78,17 @@ def thin(study: Study) -> Study:
 
 
 def list_guesses(study: Study, folder: Path) -> list[TaskList]:
-    """Start a part of the targets from three guesses; two of them are those of the two protocols."""
+    """Start a part of the targets from three guesses; the first is that of the paper's protocol."""
     few = thin(study)
     trials = (
         *list_interpolations(few, "paper", "paper", "zero"),
         *list_interpolations(few, PROTOCOL, "guess", "static"),
-        *list_interpolations(few, "robust", "interpolation", "dynamic"),
+        *list_interpolations(few, PROTOCOL, "guess", "dynamic"),
     )
     return [TaskList(folder, few, trials)]
 
 
-_GUESSES = {("paper", "zero"): "0", ("guess", "static"): "statics", ("interpolation", "dynamic"): "inverse dynamics"}
+_GUESSES = {("paper", "zero"): "0", ("guess", "static"): "statics", ("guess", "dynamic"): "inverse dynamics"}
 
 
 def answer_guess(results: Results) -> Section | None:

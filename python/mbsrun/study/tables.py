@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbsrun.ocp.record import SAME
-from mbsrun.ocp.search import summarise
 from mbsrun.study.figures import list_sets, name_set
 from mbsrun.study.results import FIGURES, Results, find_outliers
 from mbsrun.study.sheets import Cell, Table
@@ -32,31 +30,6 @@ def tabulate_statements(results: Results) -> Table:
     note = "; ".join(f"{verdict}: {count}" for verdict, count in sorted(counts.items()))
     columns: tuple[str, ...] = ("", "where", "what the paper says", "by this run", "numbers", "taken to mean")
     return Table("Statements of the paper", columns, rows, f"{note}. Words are the paper's, shortened.")
-
-
-def tabulate_robust(results: Results) -> Table | None:
-    """Sum up the parts of the robust protocol."""
-    rows: list[tuple[Cell, ...]] = []
-    for s in summarise([a for a in results.attempts if a.protocol == "robust"]):
-        least, median, most = s.iterations
-        told = (name_set(s.weights), s.representation, s.part, s.attempts, s.solved, s.higher)
-        rows.append((*told, median, least, most, _round(s.cpu_median), _round(s.cpu_seconds)))
-    if not rows:
-        return None
-    columns: tuple[str, ...] = (
-        "cost",
-        "representation",
-        "part",
-        "attempts",
-        "solved",
-        "in a higher minimum",
-        "iterations, median",
-    )
-    columns += ("least", "most", "CPU s, median", "CPU s, all")
-    note = (
-        f'"result" is what all parts reached for each target. Costs within {SAME:g} of each other are the same minimum.'
-    )
-    return Table("Robust protocol", columns, tuple(rows), note)
 
 
 def _tabulate_complexity(results: Results) -> Table | None:

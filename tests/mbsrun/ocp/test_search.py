@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sqlite3
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -96,6 +97,33 @@ def test_a_search_that_was_stopped_goes_on(study: Study, arm: Peer, tmp_path: Pa
 def test_a_search_ends_when_its_time_is_over(study: Study, arm: Peer, tmp_path: Path) -> None:
     with pytest.raises(OutOfTimeError):
         carry_out(study, arm, tmp_path / "record", "robust", seconds=0.0)
+
+
+def test_a_study_is_named_by_what_is_asked(study: Study, arm: Peer) -> None:
+    """Another generator's code for the same mechanism goes on with it; another mechanism, problem or grid does not."""
+    manifest = arm.manifest.model_copy(update={"mechanism": "that of a file"})
+    name = identify(study, manifest)
+    assert identify(study, manifest.model_copy(update={"model_hash": "of other code", "generator": "newer"})) == name
+    part = replace(study, costs=study.costs[:1], targets=replace(TARGETS, every=(1, 1)), bumped=(1,))
+    assert identify(part, manifest) == name
+    others = [
+        identify(study, manifest.model_copy(update={"mechanism": "that of another"})),
+        identify(replace(study, problem=replace(study.problem, intervals=6)), manifest),
+        identify(replace(study, targets=replace(TARGETS, radius=0.65)), manifest),
+        identify(replace(study, sensor=None), manifest),
+    ]
+    assert len({name, *others}) == 1 + len(others)
+
+
+def test_attempts_tell_what_they_were_made_with(study: Study, arm: Peer, tmp_path: Path) -> None:
+    """The code that was generated, and the solver with its options, beside what the caller tells."""
+    one = replace(study, targets=replace(TARGETS, every=(3, 1)), costs=((1.0, 10.0),))
+    with open_record(tmp_path / "record", identify(one, arm.manifest)) as record:
+        Search(one, Alone(arm, {"cores": 3}), record).run("paper")
+        (found,) = [json.loads(told) for _, told in record.list_all()]
+    assert found["generated"] == arm.manifest.model_hash[:12]
+    assert (found["cores"], found["model"]) == (3, arm.manifest.model)
+    assert (found["solver"], found["linear_solver"]) == ("ipopt", "mumps")
 
 
 def timeless(attempt: Attempt) -> Attempt:

@@ -21,14 +21,16 @@ from pyarrow import parquet
 
 from mbsgen.errors import InputError, MbsError
 from mbsrun.ocp.problem import Representation
-from mbsrun.ocp.record import Attempt, Task
-from mbsrun.ocp.search import Study, Targets
+from mbsrun.ocp.record import Attempt, Task, open_record
+from mbsrun.ocp.search import Study, Targets, find_progress, identify
 from mbsrun.study.campaign import (
+    STORE,
     Campaign,
     Step,
     Subject,
     carry_out,
     choose_steps,
+    gather,
     hold,
     list_attempts,
     read_subject,
@@ -37,8 +39,10 @@ from mbsrun.study.campaign import (
 from mbsrun.study.cluster import ClusterError, open_workers
 from mbsrun.study.differentiated import Differentiated
 from mbsrun.study.export import export
+from mbsrun.study.figures import name_set
 from mbsrun.study.page import render_page
 from mbsrun.study.results import Results, find_outliers
+from mbsrun.study.robustness import report_robust
 from mbsrun.study.sheets import Picture, Section, Table, read_folder, write_table_file
 from mbsrun.study.statements import CONFIRMED, REFUTED, STATEMENTS, UNMEASURED, judge_all
 
@@ -106,6 +110,22 @@ def test_what_is_killed_loses_nothing_and_does_nothing_twice(campaign: Campaign,
     first, second = ([timeless(row) for row in list_attempts(campaign, tmp_path / n)] for n in ("killed", "whole"))
     assert sorted(first) == sorted(second)
     assert solve_alone(campaign, out) == []
+    tell_what_is_left(campaign, out, whole)
+
+
+def tell_what_is_left(campaign: Campaign, out: Path, tried: list[Attempt]) -> None:
+    """The report says for each cost that the search is through, what it took, and that none is left."""
+    with open_record(out / STORE, identify(campaign.study, campaign.subject.plant.manifest)) as record:
+        results = gather(campaign, record, (), [])
+        progress = {w: find_progress(replace(campaign.study, costs=(w,)), record) for w in campaign.study.costs}
+    section = report_robust(results, progress)
+    assert section is not None
+    assert section.text.count("all 7 tasks are solved, and none is left in a higher minimum") == 2
+    left, parts, _ = (item for item in section.items if isinstance(item, Table))
+    assert [(row[2:6], row[-1]) for row in left.rows] == [((7, 7, 7, 0), "through")] * 2
+    assert sum(int(row[2]) for row in parts.rows if isinstance(row[2], int)) == len(tried)
+    firsts = {w: sum(int(row[4]) for row in parts.rows if row[0] == name_set(w)) for w in campaign.study.costs}
+    assert firsts == dict.fromkeys(campaign.study.costs, 7)
 
 
 def count(out: Path) -> int:
@@ -145,7 +165,7 @@ def test_a_study_is_asked_reported_and_exported(
     assert [float(row["cpu_seconds"]) for row in again] == [row["cpu_seconds"] for row in rows]
     assert all(row["casadi"] and row["processor"] and row["tolerance"] for row in again)
     sections = {section.name: section for section in report(asked, tmp_path)}
-    assert set(sections) == {"run", "statements", "tables", "figures", "robust", "guess", "grids", "shooting"}
+    assert set(sections) == {"run", "statements", "tables", "figures", "guess", "grids", "shooting"}
     success = next(item for item in sections["tables"].items if item.title == "Success rates")
     assert isinstance(success, Table)
     assert [row[2:4] for row in success.rows] == [(3, 3)] * 4

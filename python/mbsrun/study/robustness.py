@@ -1,0 +1,125 @@
+"""What the robust protocol reached, cost by cost, and what each of its parts took."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from mbsrun.ocp.record import SAME, Attempt, Task
+from mbsrun.ocp.search import Place, Progress, Weights, is_higher, summarise
+from mbsrun.study.figures import name_set
+from mbsrun.study.results import Results
+from mbsrun.study.sheets import Cell, Section, Table
+
+PARTS = ("interpolation", "bumps", "neighbours", "exchange")  # in their order
+Row = tuple[Cell, ...]
+
+TEXT = (
+    "What it takes to solve every task in its best minimum: other guesses, neighbours, other representations. A task "
+    "is left in a higher minimum if any attempt in the record, of this protocol or another, in this representation or "
+    f"another, found a cost that is lower by more than {SAME:g} of it."
+)
+
+
+def report_robust(results: Results, progress: Mapping[Weights, Progress]) -> Section | None:
+    """Tell for each cost whether a task is left, and what it took."""
+    own: dict[Weights, list[Attempt]] = {}
+    for weights in results.study.costs:
+        found = [a for a in results.attempts if a.protocol == "robust" and a.task.weights == weights]
+        if found:
+            own[weights] = found
+    if not own:
+        return None
+    told = [tell_outcome(results, weights, attempts, progress[weights]) for weights, attempts in own.items()]
+    balance = tuple(_balance(results, weights, attempts, progress[weights]) for weights, attempts in own.items())
+    columns: tuple[str, ...] = ("cost", "targets", "tasks", "tried", "solved", "in a higher minimum", "by at most %")
+    columns += ("attempts", "CPU s", "CPU s by task", "the search")
+    left = Table("Whether a task is left", columns, balance, "A task is a target in one representation.")
+    columns = ("cost", "part", "attempts", "solved", "first in the lowest minimum, targets", "iterations, median")
+    columns += ("CPU s, median", "CPU s, all", "% of it")
+    note = (
+        "Bumps and neighbours are tried in the first representation alone; the others get what it found by exchange. "
+        "A part is first in the lowest minimum of a target if no part before it, in this round or an earlier one, was."
+    )
+    rows = tuple(row for weights, attempts in own.items() for row in _list_parts(results, weights, attempts))
+    parts = Table("What each part takes", columns, rows, note)
+    return Section(
+        "robust", "The robust protocol, beside", " ".join((TEXT, *told)), (left, parts, _tabulate_all(results))
+    )
+
+
+def tell_outcome(results: Results, weights: Weights, attempts: Sequence[Attempt], progress: Progress) -> str:
+    """Say in words whether a task is left."""
+    best = _find_best(attempts)
+    tasks = len(results.study.targets.places) * len(results.representations)
+    higher = len(_list_higher(results, best))
+    name = f"With {name_set(weights)}"
+    if not progress.is_through:
+        where = f"round {progress.round}, with {progress.done} of {progress.trials} attempts"
+        return f"{name} the search is under way: {where}; {len(best)} of {tasks} tasks are solved so far."
+    solved = f"all {tasks} tasks are solved" if len(best) == tasks else f"{len(best)} of {tasks} tasks are solved"
+    left = f"{higher or 'none'} {'is' if higher < 2 else 'are'} left in a higher minimum"
+    return f"{name} {solved}, and {left} than another formulation or another guess found."
+
+
+def _balance(results: Results, weights: Weights, attempts: Sequence[Attempt], progress: Progress) -> Row:
+    best, places = _find_best(attempts), results.study.targets.places
+    tasks = len(places) * len(results.representations)
+    higher = _list_higher(results, best)
+    above = [100 * (best[task] / results.lowest[task.place, weights] - 1) for task in higher]
+    cpu = sum(a.cpu_seconds for a in attempts)
+    state = "through" if progress.is_through else f"round {progress.round}: {progress.done} of {progress.trials}"
+    numbers = (len({a.task for a in attempts}), len(best), len(higher), _round(max(above)) if above else None)
+    return (name_set(weights), len(places), tasks, *numbers, len(attempts), _round(cpu), _round(cpu / tasks), state)
+
+
+def _list_parts(results: Results, weights: Weights, attempts: Sequence[Attempt]) -> list[Row]:
+    first: dict[Place, Attempt] = {}
+    for a in sorted(attempts, key=lambda a: (a.round, PARTS.index(a.part))):
+        if not is_higher(a.cost, results.lowest.get((a.task.place, weights), np.inf)):
+            first.setdefault(a.task.place, a)
+    whole = sum(a.cpu_seconds for a in attempts)
+    rows: list[Row] = []
+    for part in PARTS:
+        own = [a for a in attempts if a.part == part]
+        solved = [a for a in own if a.cost is not None]
+        if own:
+            found = sum(a.part == part for a in first.values())
+            iterations = float(np.median([a.iterations for a in solved])) if solved else None
+            cpu = sum(a.cpu_seconds for a in own)
+            median = _round(float(np.median([a.cpu_seconds for a in own])))
+            told = (name_set(weights), part, len(own), len(solved), found, iterations, median, _round(cpu))
+            rows.append((*told, round(100 * cpu / whole, 1)))
+    return rows
+
+
+def _tabulate_all(results: Results) -> Table:
+    """Sum up the parts by representation."""
+    rows: list[Row] = []
+    for s in summarise([a for a in results.attempts if a.protocol == "robust"]):
+        least, median, most = s.iterations
+        told = (name_set(s.weights), s.representation, s.part, s.attempts, s.solved, s.higher)
+        rows.append((*told, median, least, most, _round(s.cpu_median), _round(s.cpu_seconds)))
+    columns: tuple[str, ...] = ("cost", "representation", "part", "attempts", "solved", "in a higher minimum")
+    columns += ("iterations, median", "least", "most", "CPU s, median", "CPU s, all")
+    note = (
+        '"result" is what all parts reached for each target; a higher minimum is one above that of other attempts here.'
+    )
+    return Table("Robust protocol, by representation", columns, tuple(rows), note)
+
+
+def _find_best(attempts: Sequence[Attempt]) -> dict[Task, float]:
+    best: dict[Task, float] = {}
+    for a in attempts:
+        if a.cost is not None:
+            best[a.task] = min(a.cost, best.get(a.task, a.cost))
+    return best
+
+
+def _list_higher(results: Results, best: Mapping[Task, float]) -> list[Task]:
+    return [task for task, cost in best.items() if is_higher(cost, results.lowest[task.place, task.weights])]
+
+
+def _round(value: float) -> float:
+    return float(f"{value:.4g}")
