@@ -9,7 +9,7 @@ The *robust* protocol does what it takes to solve every task in its best minimum
     bumps           the first representation, from interpolations with smooth random bumps, which break symmetries too;
                     more of them where input rates are free, which makes many minima
     neighbours      the first representation, from the best motion of each neighbouring target, until nothing is new
-    exchange        each representation that is in a higher minimum, from the best motion of another
+    exchange        each representation that is in a higher minimum, from the best motion of another, staying near it
 
 A protocol goes on in rounds. What a round tries depends on what the rounds before have found, and on nothing else: its
 trials can be carried out anywhere, at once and in any order, and a search that was interrupted comes to the same end.
@@ -52,7 +52,8 @@ Circumstances = Mapping[str, str | int]
 BUMPS = 6  # for each target, where input rates are free
 FEW_BUMPS = 2  # where they are not
 ROUNDS = 100  # at most
-LINEAR_SOLVER = "linear_solver"
+# IPOPT begins with a barrier that would push a motion out of a shallow minimum; so it stays in it.
+HOLD = MappingProxyType({"mu_init": 1e-6, "bound_push": 1e-8, "bound_frac": 1e-8})
 ALGEBRA = MappingProxyType({"robust": "mumps"})  # by protocol: IPOPT's linear solver
 PAPERS_OWN = "mumps"
 DIGITS = 12  # of the hash of what was generated, as it is told with results
@@ -169,6 +170,7 @@ class Found:
     """Start from the best motion of a task that the protocol has found in the rounds before."""
 
     origin: Task
+    is_held: bool = False  # stay near: the motion is an optimum of this task too
 
 
 Start = Interpolation | Bumps | Found
@@ -259,7 +261,7 @@ def _list_exchanges(study: Study, best: Mapping[Task, Best], number: int) -> Ite
 
 def _start_from(origin: Task, best: Best, task: Task, part: str, number: int) -> Trial:
     name = f"{origin.place[0]},{origin.place[1]} {origin.representation} {best.cost:.9g}"
-    return Trial(task, "robust", part, name, Found(origin), number)
+    return Trial(task, "robust", part, name, Found(origin, is_held=part == "exchange"), number)
 
 
 # --- trying it -----------------------------------------------------------------------------------------------------
@@ -283,17 +285,18 @@ class Outcome:
     circumstances: str  # versions, machine, what was generated and how it was solved, as JSON
 
 
-def choose_algebra(problem: Problem, protocol: str) -> Problem:
-    """Name the linear solver of IPOPT, where the problem does not.
+def choose_options(problem: Problem, trial: Trial) -> Problem:
+    """Tell IPOPT what a trial wants of it, where the problem says nothing: its linear solver, and whether to stay near.
 
-    Protocols whose times are compared, with the paper's or with each other, take the paper's.
+    Protocols whose times are compared, with the paper's or with each other, take the paper's linear solver.
     """
     solver = problem.solver
-    if solver.method != "ipopt" or LINEAR_SOLVER in dict(solver.options):
+    if solver.method != "ipopt":
         return problem
-    return replace(
-        problem, solver=replace(solver, options=(*solver.options, (LINEAR_SOLVER, ALGEBRA.get(protocol, PAPERS_OWN))))
-    )
+    told: dict[str, float | int | str] = {"linear_solver": ALGEBRA.get(trial.protocol, PAPERS_OWN)}
+    if isinstance(trial.start, Found) and trial.start.is_held:
+        told |= HOLD
+    return replace(problem, solver=replace(solver, options=tuple((told | dict(solver.options)).items())))
 
 
 class Bench:
@@ -308,7 +311,7 @@ class Bench:
     def carry_out(self, order: Order) -> Outcome:
         """Solve what a trial is about, from where it starts."""
         trial = order.trial
-        problem = choose_algebra(order.study.state(trial.task), trial.protocol)
+        problem = choose_options(order.study.state(trial.task), trial)
         guess = self._make_guess(order, problem)
         if guess is None:
             return self._tell(trial, problem, solution.Run(solution.UNREACHABLE, 0, 0.0, 0.0), None)

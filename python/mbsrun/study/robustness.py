@@ -34,7 +34,7 @@ def report_robust(results: Results, progress: Mapping[Weights, Progress]) -> Sec
     told = [tell_outcome(results, weights, attempts, progress[weights]) for weights, attempts in own.items()]
     balance = tuple(_balance(results, weights, attempts, progress[weights]) for weights, attempts in own.items())
     columns: tuple[str, ...] = ("cost", "targets", "tasks", "tried", "solved", "in a higher minimum", "by at most %")
-    columns += ("attempts", "CPU s", "CPU s by task", "the search")
+    columns += ("attempts", "CPU s", "CPU s by task tried", "the search")
     left = Table("Whether a task is left", columns, balance, "A task is a target in one representation.")
     columns = ("cost", "part", "attempts", "solved", "first in the lowest minimum, targets", "iterations, median")
     columns += ("CPU s, median", "CPU s, all", "% of it")
@@ -70,8 +70,9 @@ def _balance(results: Results, weights: Weights, attempts: Sequence[Attempt], pr
     above = [100 * (best[task] / results.lowest[task.place, weights] - 1) for task in higher]
     cpu = sum(a.cpu_seconds for a in attempts)
     state = "through" if progress.is_through else f"round {progress.round}: {progress.done} of {progress.trials}"
-    numbers = (len({a.task for a in attempts}), len(best), len(higher), _round(max(above)) if above else None)
-    return (name_set(weights), len(places), tasks, *numbers, len(attempts), _round(cpu), _round(cpu / tasks), state)
+    tried = len({a.task for a in attempts})
+    numbers = (tried, len(best), len(higher), _round(max(above)) if above else None, len(attempts))
+    return (name_set(weights), len(places), tasks, *numbers, _round(cpu), _round(cpu / tried), state)
 
 
 def _list_parts(results: Results, weights: Weights, attempts: Sequence[Attempt]) -> list[Row]:

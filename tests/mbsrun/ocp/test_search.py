@@ -21,6 +21,7 @@ from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.search import (
     Alone,
     Bench,
+    Found,
     Order,
     Outcome,
     OutOfTimeError,
@@ -28,8 +29,11 @@ from mbsrun.ocp.search import (
     Search,
     Study,
     Targets,
+    Trial,
+    choose_options,
     identify,
     list_open_tasks,
+    plan_round,
     summarise,
 )
 from mbsrun.ocp.solution import UNREACHABLE
@@ -124,6 +128,24 @@ def test_attempts_tell_what_they_were_made_with(study: Study, arm: Peer, tmp_pat
     assert found["generated"] == arm.manifest.model_hash[:12]
     assert (found["cores"], found["model"]) == (3, arm.manifest.model)
     assert (found["solver"], found["linear_solver"]) == ("ipopt", "mumps")
+
+
+def test_an_optimum_of_another_representation_is_held(study: Study) -> None:
+    """What starts from one is solved with a low barrier; what a problem says itself is kept."""
+    task = Task((0, 0), (1.0, 10.0), "IMPL")
+
+    def tell(problem: Problem, *, is_held: bool) -> dict[str, object]:
+        start = Found(task, is_held)
+        return dict(choose_options(problem, Trial(task, "robust", "", "", start)).solver.options)
+
+    own = replace(study.problem, solver=replace(study.problem.solver, options=(("mu_init", 0.5),)))
+    assert tell(study.problem, is_held=True)["mu_init"] == 1e-6
+    assert "mu_init" not in tell(study.problem, is_held=False)
+    assert tell(own, is_held=True)["mu_init"] == 0.5
+    best = {task: Best(1.0, 0), replace(task, representation="SEMI"): Best(1.1, 0)}
+    one = replace(study, targets=replace(TARGETS, every=(3, 1)), representations=(*Representation,)[:2])
+    (trial,) = plan_round(replace(one, costs=(task.weights,)), "robust", 1, best, ())
+    assert (trial.part, trial.start) == ("exchange", Found(task, is_held=True))
 
 
 def timeless(attempt: Attempt) -> Attempt:
