@@ -6,11 +6,12 @@ With w the variables that stay and z those that equations r(w, z) = 0 give, by t
     the Hessian of f + lam' g by w = V' (that of f + lam' g + mu' r by w and z) V,    r_z' mu = -(f_z + g_z' lam),
 
 so derivatives are as exact as those of the program, from which they are made; nothing is differenced, and no iteration
-is differentiated. Equations are in groups that share no unknowns, so r_z is block diagonal.
+is differentiated. What is of the equations, `elimination` computes, once at each place; what is of the rest, CasADi.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,33 +20,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from mbsrun.ocp.program import Indices, Program, to_casadi
+from mbsrun.ocp.elimination import Elimination, Groups, eliminate
+from mbsrun.ocp.program import Indices, Program
 
 Array = NDArray[np.float64]
-
-ITERATIONS = 15  # of Newton's method, before the equations count as having no solution
-STEP = 1e-8  # relative to unknowns above 1: a step so small leaves an error of its square
-
-
-@dataclass(frozen=True)
-class Groups:
-    """Equations that share no unknowns: G groups of as many equations as unknowns, in matching order."""
-
-    unknowns: Indices  # (G, s): variables of the program
-    equations: Indices  # (G, s): rows of it
-    knowns: Indices  # (G, k): the other variables that the equations feel; none is in two groups
 
 
 @dataclass(frozen=True)
 class Condensed:
-    """A program in fewer variables, with fewer rows; what it offers is what a program offers."""
+    """A program in fewer variables, with fewer rows; what it offers is what a program offers.
+
+    Its functions may be called as long as it is there.
+    """
 
     rest: Program  # the cost, and the rows that stay
-    equations: Program  # the rows that are solved
+    equations: Program  # the rows that are solved, group by group
     groups: Groups
+    elimination: Elimination
     kept: Indices  # the variables that stay
     kept_rows: Indices
-    orders: tuple[tuple[Program, Indices], ...]  # for a triangular system: equations, their unknowns, one after another
 
     @property
     def variables(self) -> int:
@@ -64,10 +57,11 @@ class Condensed:
 
     def complete(self, x: Array) -> Array:
         """Give the variables of the whole program. Raises ValueError where the equations have no solution."""
-        found = self._completion(x).full().ravel()
+        found = np.empty(self.rest.variables)
+        found[self.kept], found[self.groups.unknowns] = x, self.elimination.solve(np.asarray(x)[self._knowns])
         if not np.isfinite(found).all():
             raise ValueError("the equations that are condensed have no solution")
-        return np.asarray(found)
+        return found
 
     @cached_property
     def terms(self) -> ca.Function:
@@ -91,22 +85,18 @@ class Condensed:
     def gradient(self) -> ca.Function:
         """(x, p) -> f, its gradient."""
         x, p = self._symbols()
-        v = self._costing(x)
-        f, gradient = self.rest.gradient(v, p)
+        f, gradient = self.rest.gradient(self._costing(x), p)
         by_x = gradient[self.kept.tolist()]
         if self._cost_feels_unknowns:
-            by_z, by_w = self._split(self.equations.jacobian(v, p)[1])
-            by_x += by_w.T @ self._weigh(by_z, gradient)
+            by_x += self._slopes(x).T @ gradient[self._z]
         return ca.Function("nlp_grad_f", [x, p], [f, by_x], ["x", "p"], ["f", "grad_f_x"])
 
     @cached_property
     def jacobian(self) -> ca.Function:
         """(x, p) -> g, its Jacobian."""
         x, p = self._symbols()
-        v = self._completion(x)
-        g, J = self.rest.jacobian(v, p)
-        slopes = self._slopes(*self._split(self.equations.jacobian(v, p)[1]))
-        by_x = J[:, self.kept.tolist()] + J[:, self._z] @ slopes
+        g, J = self.rest.jacobian(self._completion(x), p)
+        by_x = J[:, self.kept.tolist()] + J[:, self._z] @ self._slopes(x)
         return ca.Function("nlp_jac_g", [x, p], [g, by_x], ["x", "p"], ["g", "jac_g_x"])
 
     @cached_property
@@ -118,14 +108,15 @@ class Condensed:
         gradient = self.rest.jacobian(v, p)[1].T @ lam_g
         if self._cost_feels_unknowns:
             gradient += lam_f * self.rest.gradient(v, p)[1]
-        by_z, by_w = self._split(self.equations.jacobian(v, p)[1])
-        mu = self._weigh(by_z, gradient)
-        half = self.rest.hessian(v, p, lam_f, lam_g) + self.equations.hessian(v, p, 0, mu)
-        H, slopes = ca.triu2symm(half), self._slopes(by_z, by_w)
-        mixed = H[kept, self._z] @ slopes
-        whole = H[kept, kept] + mixed + mixed.T + slopes.T @ (H[self._z, self._z] @ slopes)
+        H = ca.triu2symm(self.rest.hessian(v, p, lam_f, lam_g))
+        whole = H[kept, kept]
+        if H[:, self._z].nnz():
+            slopes = self._slopes(x)
+            mixed = H[kept, self._z] @ slopes
+            whole += mixed + mixed.T + slopes.T @ (H[self._z, self._z] @ slopes)
         arguments, names = [x, p, lam_f, lam_g], ["x", "p", "lam_f", "lam_g"]
-        return ca.Function("nlp_hess_l", arguments, [ca.triu(whole)], names, ["hess_gamma_x_x"])
+        hessian = ca.triu(whole) + self._curvature(x, gradient[self._z])
+        return ca.Function("nlp_hess_l", arguments, [hessian], names, ["hess_gamma_x_x"])
 
     # --- the unknowns ---
 
@@ -134,32 +125,49 @@ class Condensed:
         return [int(i) for i in self.groups.unknowns.ravel()]
 
     @cached_property
+    def _knowns(self) -> Indices:
+        """(G, k): where the knowns of each group are in x."""
+        return np.searchsorted(self.kept, self.groups.knowns)
+
+    @cached_property
     def _completion(self) -> ca.Function:
-        """x -> the variables of the whole program; not a number where the equations have no solution."""
+        """x -> the variables of the whole program; not numbers where the equations have no solution."""
         x = ca.MX.sym("x", self.variables)
-        v = self._spread(x, ca.MX.zeros(len(self._z)))
-        return ca.Function("completion", [x], [self._substitute(v) if self.orders else self._iterate(x)], ["x"], ["v"])
+        return ca.Function("completion", [x], [self._spread(x, self._solution(x))], ["x"], ["v"])
 
-    def _substitute(self, v: ca.MX) -> ca.MX:
-        """Solve a triangular system with ones on its diagonal, order by order."""
-        for equations, unknowns in self.orders:
-            v -= _place(unknowns, v.numel()) @ equations.constraint(v, self._nothing)
-        return v
+    @cached_property
+    def _solution(self) -> _Function:
+        """x -> z, group by group."""
+        dense = ca.Sparsity.dense(len(self._z), 1)
+        return _Function("solution", [self.variables], dense, lambda x: self.elimination.solve(x[self._knowns]).ravel())
 
-    def _iterate(self, x: ca.MX) -> ca.MX:
-        """Solve by Newton's method from 0, until a step is small enough."""
-        z, given, size = ca.MX.sym("z", len(self._z)), ca.MX.sym("x", self.variables), ca.MX.sym("size")
-        v = self._spread(given, z)
-        r, J = self.equations.jacobian(v, self._nothing)
-        better = z - ca.solve(self._split(J)[0], r, "qr")
-        moved = ca.norm_inf(better - z) / (1 + ca.norm_inf(better))
-        inputs = [given, z, size]
-        go, stay = ca.Function("go", inputs, [better, moved]), ca.Function("stay", inputs, [z, size])
-        step = ca.Function.if_else("step", go, stay)  # evaluates one of them only
-        found, last = ca.MX.zeros(len(self._z)), ca.MX(np.inf)
-        for _ in range(ITERATIONS):
-            found, last = step(last > STEP, x, found, last)
-        return self._spread(x, ca.if_else(last <= STEP, found, np.nan))
+    @cached_property
+    def _slopes(self) -> _Function:
+        """x -> dz/dx."""
+        s = self.groups.unknowns.shape[1]
+        row = np.arange(self.groups.unknowns.size).reshape(-1, s, 1)
+        pattern, order = _order(
+            row, self._knowns[:, None, :], self.elimination.slope_pattern, len(self._z), self.variables
+        )
+        return _Function(
+            "slopes",
+            [self.variables],
+            pattern,
+            lambda x: self.elimination.differentiate(x[self._knowns]).ravel()[order],
+        )
+
+    @cached_property
+    def _curvature(self) -> _Function:
+        """(x, gradient by z) -> upper triangle of what the equations add to the Hessian."""
+        row, col = self._knowns[:, :, None], self._knowns[:, None, :]
+        upper = self.elimination.curvature_pattern & (row <= col)
+        pattern, order = _order(row, col, upper, self.variables, self.variables)
+
+        def curve(x: Array, gradient: Array) -> Array:
+            by_z = gradient.reshape(self.groups.unknowns.shape)
+            return np.asarray(self.elimination.curve(x[self._knowns], by_z).ravel()[order])
+
+        return _Function("curvature", [self.variables, len(self._z)], pattern, curve)
 
     def _spread(self, x: ca.MX, z: ca.MX) -> ca.MX:
         """Put what stays and the unknowns in the order of the whole program."""
@@ -178,42 +186,42 @@ class Condensed:
                 felt[part.ravel() if isinstance(part, np.ndarray) else sparse.csc_array(part).tocoo().coords[1]] = True
         return bool(felt[self._z].any()) or any(H[:, self._z].nnz for H in self.rest.H)
 
-    # --- linear algebra ---
-
-    def _split(self, J: ca.MX) -> tuple[ca.MX, ca.MX]:
-        """Split the Jacobian of the equations: by the unknowns, by what stays."""
-        return J[:, self._z], J[:, self.kept.tolist()]
-
-    def _weigh(self, by_z: ca.MX, gradient: ca.MX) -> ca.MX:
-        """Give the multipliers of the equations that make a gradient by the unknowns vanish."""
-        return _solve(by_z.T, -gradient[self._z])
-
-    def _slopes(self, by_z: ca.MX, by_w: ca.MX) -> ca.MX:
-        """Give dz/dw; all groups are solved at once, the first knowns of each as one right-hand side, and so on."""
-        G, size = self.groups.unknowns.shape
-        knowns = np.searchsorted(self.kept, self.groups.knowns)  # (G, k): columns of by_w
-        local = np.full(self.variables, -1)
-        local[knowns] = np.arange(knowns.shape[1])
-        rows, cols = (np.asarray(k, dtype=np.int64) for k in by_w.sparsity().get_triplet())
-        felt, right = np.unique(local[cols], return_inverse=True)
-        assert felt.min() >= 0, "the equations feel their knowns and unknowns alone"
-        order = np.lexsort((rows, right))
-        pattern = ca.Sparsity.triplet(G * size, felt.size, rows[order].tolist(), right[order].tolist())
-        solved = ca.densify(_solve(by_z, -ca.MX(pattern, by_w.nz[order.tolist()])))
-        columns = knowns[:, felt].T.ravel()  # of dz/dw; by right-hand side, then by group, as `solved` is
-        row = (np.arange(G)[:, None] * size + np.arange(size))[None].repeat(felt.size, axis=0).ravel()
-        col = columns.repeat(size)
-        order = np.lexsort((row, col))
-        pattern = ca.Sparsity.triplet(G * size, self.variables, row[order].tolist(), col[order].tolist())
-        return ca.MX(pattern, ca.vec(solved)[order.tolist()])
-
     def _symbols(self) -> tuple[ca.MX, ca.MX]:
         return ca.MX.sym("x", self.variables), ca.MX.sym("p", self.parameters)
 
-    @property
-    def _nothing(self) -> ca.DM:
-        """Stand for parameters, which equations that are solved do not read."""
-        return ca.DM.zeros(self.parameters)
+
+class _Function(ca.Callback):
+    """Vectors -> nonzeros of a matrix, computed by NumPy; it has no derivatives."""
+
+    def __init__(self, name: str, sizes: Sequence[int], pattern: ca.Sparsity, evaluate: Callable[..., Array]) -> None:
+        super().__init__()
+        self._sizes, self._pattern, self._evaluate = sizes, pattern, evaluate
+        self.construct(name)
+
+    def get_n_in(self) -> int:
+        return len(self._sizes)
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(self._sizes[i], 1)
+
+    def get_sparsity_out(self, i: int) -> ca.Sparsity:
+        return (self._pattern,)[i]
+
+    def has_eval_buffer(self) -> bool:
+        return True
+
+    def eval_buffer(self, arguments: Sequence[memoryview | None], results: Sequence[memoryview | None]) -> int:
+        (result,) = results
+        if result is not None:
+            given = [
+                np.zeros(size) if argument is None else np.frombuffer(argument)
+                for argument, size in zip(arguments, self._sizes, strict=True)
+            ]
+            np.frombuffer(result)[:] = self._evaluate(*given)
+        return 0
 
 
 def condense(
@@ -221,33 +229,26 @@ def condense(
 ) -> Condensed:
     """Solve some rows of a program, which read no parameters, for as many variables: G groups of S orders.
 
-    unknowns and equations are (G, S, size), knowns (G, k). is_triangular: the equations of an order are the unknowns of
-    that order minus a function of those of lower ones.
+    unknowns and equations are (G, S, size), knowns (G, k); groups are alike. is_triangular: the equations of an order
+    are the unknowns of that order minus a function of those of lower ones.
     """
-    groups = Groups(unknowns.reshape(len(unknowns), -1), equations.reshape(len(equations), -1), knowns)
-    kept = np.setdiff1d(np.arange(program.variables), unknowns)
+    G, S, size = unknowns.shape
+    solved = program.restrict(equations.ravel())
+    groups = Groups(unknowns.reshape(G, -1), np.arange(solved.constraints).reshape(G, -1), knowns)
     kept_rows = np.setdiff1d(np.arange(program.constraints), equations)
-    orders = (
-        [(program.restrict(equations[:, s].ravel()), unknowns[:, s].ravel()) for s in range(unknowns.shape[1])]
-        if is_triangular
-        else []
-    )
     return Condensed(
-        program.restrict(kept_rows, with_cost=True),
-        program.restrict(groups.equations.ravel()),
-        groups,
-        kept,
-        kept_rows,
-        tuple(orders),
+        rest=program.restrict(kept_rows, with_cost=True),
+        equations=solved,
+        groups=groups,
+        elimination=eliminate(solved, groups, list(np.arange(S * size).reshape(S, size)) if is_triangular else []),
+        kept=np.setdiff1d(np.arange(program.variables), unknowns),
+        kept_rows=kept_rows,
     )
 
 
-def _solve(matrix: ca.MX, right: ca.MX) -> ca.MX:
-    """Solve by substitution where the matrix is triangular, by QR else."""
-    is_triangular = matrix.sparsity().is_tril() or matrix.sparsity().is_triu()
-    return ca.solve(matrix, right) if is_triangular else ca.solve(matrix, right, "qr")
-
-
-def _place(rows: Indices, size: int) -> ca.DM:
-    """Give the matrix that puts values in some rows."""
-    return to_casadi(sparse.coo_array((np.ones(rows.size), (rows, np.arange(rows.size))), (size, rows.size)).tocsc())
+def _order(row: Indices, col: Indices, mask: NDArray[np.bool_], rows: int, cols: int) -> tuple[ca.Sparsity, Indices]:
+    """Give the pattern that groups' matrices make where a mask holds, and which entries are its nonzeros, in order."""
+    row, col, mask = np.broadcast_arrays(row, col, mask)
+    (chosen,) = np.nonzero(mask.ravel())
+    order = chosen[np.lexsort((row.ravel()[chosen], col.ravel()[chosen]))]
+    return ca.Sparsity.triplet(rows, cols, row.ravel()[order].tolist(), col.ravel()[order].tolist()), order

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
@@ -12,8 +14,10 @@ import pytest
 from mbsrun.lab.optimisation import state_catch
 from mbsrun.lab.optimisation import state_swing_up as swing_up
 from mbsrun.ocp import integrators, schemes
+from mbsrun.ocp.condensation import Condensed
 from mbsrun.ocp.guess import interpolate
 from mbsrun.ocp.problem import Bounds, Cost, End, Form, Problem, Representation, Term, cylindrical
+from mbsrun.ocp.program import Program
 from mbsrun.ocp.resimulation import integrate, resimulate
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.solution import Failure, Solution
@@ -101,16 +105,74 @@ def test_rows_of_rk4_are_the_textbooks(plant: Peer) -> None:
 # --- derivatives ---------------------------------------------------------------------------------------------------
 
 
+def unroll(program: Condensed, x: ca.MX) -> tuple[Program, ca.MX]:
+    """Give the rows that stay, and all variables by eight iterations of Newton's method, that CasADi differentiates."""
+    z, unknowns = ca.MX.zeros(program.groups.unknowns.size), program.groups.unknowns.ravel()
+    order = np.argsort(np.concatenate((program.kept, unknowns))).tolist()
+    for _ in range(8):
+        r, J = program.equations.jacobian(ca.vertcat(x, z)[order], ca.DM.zeros(program.parameters))
+        z -= ca.solve(J[:, unknowns.tolist()], r, "qr")
+    return program.rest, ca.vertcat(x, z)[order]
+
+
 def test_derivatives_of_shooting_equal_casadis(arm: Peer, reach: Problem) -> None:
-    """Of everything that a problem can ask for, by RK4; CasADi differentiates each of its stages instead."""
+    """Of everything that a problem can ask for, by RK4; CasADi differentiates iterations instead."""
     problem = rich(reach, Representation.EXP1_O, Family.RADAU, False)
-    check_derivatives(shot(problem, horizon=0.15, **EXPLICIT), arm)
+    check_derivatives(shot(problem, horizon=0.15, **EXPLICIT), arm, unroll)
 
 
 def test_derivatives_through_newtons_method_equal_casadis(plant: Peer) -> None:
     """By the implicit function theorem, two steps in an interval; CasADi differentiates each iteration."""
     problem = replace(swing_up(3, 2), cost=Cost(1.0, running=(Term("sin(q_pole)*qdd_cart", 0.5),)))
-    check_derivatives(shot(problem, steps=2), plant)
+    check_derivatives(shot(problem, steps=2), plant, unroll)
+
+
+# --- what is remembered --------------------------------------------------------------------------------------------
+
+
+def evaluate(program: Any, x: np.ndarray, names: Sequence[str]) -> dict[str, bytes]:
+    """Call some functions of a program, in this order, for the cost's weights and multipliers of 1."""
+    p, multipliers = np.ones(program.parameters), (1.0, np.ones(program.constraints))
+    return {
+        name: b"".join(
+            np.array(result.nonzeros()).tobytes()
+            for result in getattr(program, name).call([x, p, *(multipliers * (name == "hessian"))])
+        )
+        for name in names
+    }
+
+
+FUNCTIONS = ("objective", "gradient", "constraint", "jacobian", "hessian")
+
+
+@pytest.mark.parametrize("changes", [{}, EXPLICIT], ids=["newton", "rk4"])
+def test_no_order_of_calls_meets_what_was_found_elsewhere(plant: Peer, changes: dict[str, Any]) -> None:
+    """The very bytes of a program that is asked once, in any order, at places in turn that differ in one bit."""
+    problem = shot(replace(swing_up(4, 2), cost=Cost(1.0, running=(Term("qdd_cart**2", 0.5),))), **changes)
+
+    def make() -> Any:
+        return transcribe(problem, plant).program
+
+    asked = make()
+    x = np.random.default_rng(0).uniform(0.5, 1, asked.variables)
+    nearly = x.copy()
+    nearly[7] = np.nextafter(x[7], 2)
+    other = x[::-1].copy()
+    expected = {name: [evaluate(make(), at, [name])[name] for at in (x, nearly, other)] for name in FUNCTIONS}
+    assert expected["constraint"][0] != expected["constraint"][1]
+    for order in (FUNCTIONS, FUNCTIONS[::-1], ("hessian", "jacobian", "hessian", "constraint")):
+        for k, at in ((0, x), (1, nearly), (0, x), (2, other), (1, nearly)):
+            assert evaluate(asked, at, order) == {name: expected[name][k] for name in order}
+
+
+def test_threads_take_turns(plant: Peer) -> None:
+    """One program, asked by four threads at places of their own, gives each what it gives when asked alone."""
+    program = transcribe(shot(swing_up(4, 2)), plant).program
+    places = np.random.default_rng(1).uniform(0.5, 1, (4, program.variables))
+    expected = [evaluate(program, at, FUNCTIONS) for at in places]
+    with ThreadPoolExecutor(4) as pool:
+        for _ in range(5):
+            assert list(pool.map(lambda at: evaluate(program, at, FUNCTIONS), places)) == expected
 
 
 # --- optima --------------------------------------------------------------------------------------------------------
