@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import os
 import random
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
 import casadi as ca
@@ -18,7 +18,7 @@ from rich.console import Console
 
 from benchmarks.afternoon import write_functions
 from benchmarks.compilation import describe_machine
-from benchmarks.ocp.peer import Effort, Peer, list_settings, processor_seconds, write_dynamics
+from benchmarks.ocp.peer import Effort, Peer, Shelf, list_settings, processor_seconds, write_dynamics
 from benchmarks.ocp.rows import OURS, Figures, Loads, Row, read_figures, replace_rows, show, write_figures
 from benchmarks.symbolic import eliminate, read_tape
 from mbsgen.manifest import FILE_NAME
@@ -28,6 +28,7 @@ from mbsrun import Mechanism, load
 from mbsrun.models import Extent, find_folder
 from mbsrun.ocp import schemes
 from mbsrun.ocp.guess import make_guess
+from mbsrun.ocp.methods import IPOPT_OPTIONS
 from mbsrun.ocp.problem import Form, Problem, Representation, find_conflicts
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import Solver
@@ -37,6 +38,9 @@ from mbsrun.ocp.trajectory import Trajectory
 MODELS = Path(__file__).parents[2] / "models"
 MODEL = MODELS / "arm_pendulum.yaml"
 INTERVALS, DEGREE = 100, 4  # the paper's
+PEERS = "peers"  # the folder, within that of the figures, of what was compiled for CasADi
+ADAPTIVE = {"adaptive": ("mu_strategy", "adaptive")}
+SETTINGS: tuple[Mapping[str, tuple[str, str]], ...] = ({}, ADAPTIVE)  # by name: an option of IPOPT, and its value
 
 
 @dataclass(frozen=True)
@@ -65,30 +69,41 @@ def make_ours(name: str, problem: Problem, plant: Mechanism, guess: Trajectory) 
     return Way(name, processor_seconds() - begin, program.variables, program.constraints, solve)
 
 
-def make_ways(problem: Problem, plant: Mechanism, is_interpreted: bool) -> Iterator[Way]:
-    """Make all ways for the representation of a problem, from the same guess."""
-    guess = make_guess(problem, plant, schemes.build(problem.family, problem.degree))
-    assert isinstance(guess, Trajectory), "the target is within reach"
-    adaptive = replace(problem.solver, options=(("mu_strategy", "adaptive"),))
+def list_variants(problem: Problem) -> Iterator[tuple[str, Problem]]:
+    """List what is ours, by name: the forms that go with a representation, each with every choice of SETTINGS."""
     for form in Form:
         chosen = replace(problem, form=form)
         if find_conflicts(chosen):
             continue
-        name = OURS if form is Form.STANDARD else f"{OURS}, {form.value} form"
+        for settings in SETTINGS:
+            if all(IPOPT_OPTIONS[key].admits(value) for key, value in settings.values()):
+                name = ", ".join([OURS, *([f"{form.value} form"] * (form is not Form.STANDARD)), *settings])
+                yield name, replace(chosen, solver=replace(problem.solver, options=tuple(settings.values())))
+
+
+def make_ways(problem: Problem, plant: Mechanism, shelf: Shelf | None) -> Iterator[Way]:
+    """Make all ways for the representation of a problem, from the same guess; with a shelf, the compiled ones too."""
+    guess = make_guess(problem, plant, schemes.build(problem.family, problem.degree))
+    assert isinstance(guess, Trajectory), "the target is within reach"
+    for name, chosen in list_variants(problem):
         yield make_ours(name, chosen, plant, guess)
-        yield make_ours(f"{name}, adaptive", replace(chosen, solver=adaptive), plant, guess)
+    for name, peer in chain(make_peers(problem, None), make_peers(problem, shelf) if shelf else ()):
+        yield Way(name, peer.seconds_building, peer.variables, peer.constraints, partial(peer.solve, guess))
+
+
+def make_peers(problem: Problem, shelf: Shelf | None) -> Iterator[tuple[str, Peer]]:
+    """Make CasADi's own, by name: interpreted, or compiled with a shelf."""
     q = ca.SX.sym("q", len(problem.start_q))
     place = ca.Function("place", [q], [write_place(q)])
     settings = list_settings(problem)
     afternoon = write_dynamics(write_functions(read_tree(MODEL)))
-    peers = [("CasADi, interpreted, defaults", afternoon, "defaults", False)]
-    peers.append(("CasADi, interpreted, tuned", afternoon, "tuned", False))
-    if not is_interpreted:
-        peers.append(("CasADi, compiled, tuned", afternoon, "tuned", True))
-        peers.append(("our equations in CasADi, compiled, tuned", read_ours(problem.representation), "tuned", True))
-    for name, dynamics, options, is_compiled in peers:
-        peer = Peer(problem, dynamics, place, settings[options], is_compiled)
-        yield Way(name, peer.seconds_building, peer.variables, peer.constraints, partial(peer.solve, guess))
+    if shelf is None:
+        for name in settings:
+            yield f"CasADi, interpreted, {name}", Peer(problem, afternoon, place, settings[name])
+    else:
+        yield "CasADi, compiled, tuned", Peer(problem, afternoon, place, settings["tuned"], shelf)
+        ours = read_ours(problem.representation)
+        yield "our equations in CasADi, compiled, tuned", Peer(problem, ours, place, settings["tuned"], shelf)
 
 
 def read_ours(representation: Representation) -> dict[str, ca.Function]:
@@ -122,6 +137,13 @@ def measure(ways: Sequence[Way], representation: str, rounds: int) -> list[Row]:
     ]
 
 
+def compile_peers(problems: Sequence[Problem], output: Path) -> None:
+    """Compile what CasADi writes of some problems, where a run finds it."""
+    for problem in problems:
+        for name, peer in make_peers(problem, Shelf(output / PEERS)):
+            print(f"{problem.representation.value}, {name}: {peer.seconds_building:.1f} s", flush=True)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and write; 1 where a solve did not succeed."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.ocp", description=__doc__)
@@ -131,6 +153,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="a coarse mesh, IMPL and EXP1-O, one round, no peer compiled, kernels from the cache",
     )
     parser.add_argument("--interpreted", action="store_true", help="leave out what CasADi compiles, which takes long")
+    parser.add_argument("--compile", action="store_true", help="compile what CasADi writes, for a later run, and leave")
     parser.add_argument("--rounds", type=int, default=3)
     names = [r.value for r in Representation]
     parser.add_argument("--representation", action="append", choices=names, help="by default all")
@@ -139,9 +162,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     about = f"{describe_machine()}; the quickest of {given.rounds} rounds; N = {INTERVALS}, degree {DEGREE}"
     output: Path = given.output.absolute()
+    shelf = None if given.quick or given.interpreted else Shelf(output / PEERS)
+    chosen_names = given.representation or (["IMPL", "EXP1-O"] if given.quick else names)
     kept = None if given.quick or given.again else read_figures(output / "ocp.json", about)
-    with tempfile.TemporaryDirectory() as scratch, contextlib.chdir(scratch):  # where CasADi leaves what it compiles
-        if not given.quick:
+    with tempfile.TemporaryDirectory() as scratch:
+        if not (given.quick or given.compile):
             os.environ["XDG_CACHE_HOME"] = scratch  # nothing is found made
         begin = processor_seconds()
         problem, plant = read_problem(MODELS / "arm_reach.ocp.yaml", load)
@@ -150,15 +175,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
             problem = replace(problem, intervals=10, degree=3)
         else:
             problem = replace(problem, intervals=INTERVALS, degree=DEGREE)
+        if given.compile:
+            compile_peers([replace(problem, representation=Representation(name)) for name in chosen_names], output)
+            return 0
         figures = kept or Figures(about, len(os.sched_getaffinity(0)), seconds)
-        for name in given.representation or (["IMPL", "EXP1-O"] if given.quick else names):
+        for name in chosen_names:
             if name in figures.representations:
                 continue
             before = os.getloadavg()[0]
-            chosen = replace(problem, representation=Representation(name))
-            ways = make_ways(chosen, plant, given.quick or given.interpreted)
+            ways = make_ways(replace(problem, representation=Representation(name)), plant, shelf)
             rows = measure(list(ways), name, 1 if given.quick else given.rounds)
-            del ways  # and with it what CasADi compiled, while its folder is there
             figures = replace_rows(figures, rows, Loads(name, before, os.getloadavg()[0]))
             write_figures(figures, output)
     Console(width=None if sys.stdout.isatty() else 160).print(show(figures))

@@ -1,22 +1,29 @@
 """The peer: the same optimal control problem in plain CasADi, as its users write it.
 
 The equations of motion are an afternoon's Newton-Euler in SX, mapped over the collocation points; CasADi differentiates
-the whole, and runs it in its virtual machine, or as C that it generates and compiles. It takes nothing from `mbsrun`
-but the values of a problem and a guess, and has points and weights of its own.
+the whole, and runs it in its virtual machine, or as C that it writes. It takes nothing from `mbsrun` but the values of
+a problem and a guess, and has points and weights of its own.
 """
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import json
 import os
+import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.compilation import run
+from mbsrun.library import find_compiler
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.trajectory import Trajectory
 
@@ -41,6 +48,28 @@ def processor_seconds() -> float:
     return sum(os.times()[:4])
 
 
+@dataclass(frozen=True)
+class Shelf:
+    """Libraries of C that CasADi wrote, found again by compiler and text; beside each, what compiling it took."""
+
+    folder: Path
+
+    def compile(self, source: Path) -> tuple[Path, float]:
+        """Give the library of a C file, and the processor time that compiling took whenever that was."""
+        command = (*find_compiler(os.environ).command, *FLAGS, "-fPIC", "-shared")
+        version = run((command[0], "--version"))
+        digest = hashlib.sha256(repr((command, version)).encode() + source.read_bytes()).hexdigest()[:16]
+        library, record = self.folder / f"peer-{digest}.so", self.folder / f"peer-{digest}.json"
+        if not library.exists():
+            self.folder.mkdir(parents=True, exist_ok=True)
+            unfinished = library.with_suffix(f".{os.getpid()}")
+            begin = processor_seconds()
+            run((*command, str(source), "-o", str(unfinished), "-lm"))
+            record.write_text(json.dumps({"seconds": processor_seconds() - begin}) + "\n", "utf-8")
+            unfinished.replace(library)
+        return library, float(json.loads(record.read_text("utf-8"))["seconds"])
+
+
 class Peer:
     """A transcribed problem."""
 
@@ -50,9 +79,12 @@ class Peer:
         dynamics: Mapping[str, ca.Function],
         place: ca.Function,
         ipopt: Mapping[str, Any],
-        is_compiled: bool,
+        shelf: Shelf | None = None,
     ) -> None:
-        """Write the program, and make IPOPT for it; `place` gives the position of the sensor that has a target."""
+        """Write the program, and make IPOPT for it; `place` gives the position of the sensor that has a target.
+
+        With a shelf, what CasADi makes of the program is compiled, derivatives and all.
+        """
         begin = processor_seconds()
         self.problem = problem
         representation, N, d = problem.representation, problem.intervals, problem.degree
@@ -93,10 +125,14 @@ class Peer:
             "f": problem.cost.inputs * inputs_cost + problem.cost.input_rates * rates_cost,
             "g": ca.vertcat(*g),
         }
-        options: dict[str, Any] = {"print_time": False, "error_on_fail": False}
+        # sensitivities to parameters, which nobody asks for, would be compiled too
+        options: dict[str, Any] = {
+            "print_time": False,
+            "error_on_fail": False,
+            "no_nlp_grad": True,
+            "calc_lam_p": False,
+        }
         options["ipopt"] = {"print_level": 0, "sb": "yes", "tol": 1e-8, **ipopt}
-        if is_compiled:
-            options |= {"jit": True, "compiler": "shell", "jit_options": {"flags": FLAGS, "verbose": False}}
         self._solver = ca.nlpsol("peer", "ipopt", nlp, options)
         states, free = np.array(problem.bounds.q + problem.bounds.qd), np.tile((-np.inf, np.inf), (n, 1))
         point = np.concatenate((states, free)) if has_z else states
@@ -105,6 +141,9 @@ class Peer:
         self.variables, self.constraints = int(nlp["x"].numel()), int(nlp["g"].numel())
         self.jacobian_nonzeros = int(self._solver.get_function("nlp_jac_g").nnz_out(1))
         self.seconds_building = processor_seconds() - begin
+        if shelf is not None:
+            self._solver, seconds = _compile(self._solver, options, shelf)
+            self.seconds_building += seconds
 
     def solve(self, guess: Trajectory) -> Effort:
         """Solve from a guess."""
@@ -124,6 +163,16 @@ class Peer:
                     parts.append(guess.point_qdd[k, j])
             parts += [guess.u[k], guess.q[k + 1], guess.qd[k + 1]]
         return np.concatenate(parts)
+
+
+def _compile(solver: ca.Function, options: Mapping[str, Any], shelf: Shelf) -> tuple[ca.Function, float]:
+    """Give the same solver with its functions compiled, and the processor time that takes."""
+    begin = processor_seconds()
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):  # CasADi writes to where it is
+        solver.generate_dependencies("peer.c")
+        seconds_writing = processor_seconds() - begin
+        library, seconds = shelf.compile(Path("peer.c"))
+    return ca.nlpsol("peer", "ipopt", str(library), options), seconds_writing + seconds
 
 
 def write_dynamics(functions: Mapping[str, ca.Function]) -> dict[str, ca.Function]:

@@ -60,7 +60,7 @@ def test_the_peer_has_the_program_of_the_paper(problem: Problem, dynamics: dict[
     chosen = replace(problem, representation=Representation(name))
     symbol = ca.SX.sym("q", 6)
     place = ca.Function("place", [symbol], [write_place(symbol)])
-    peer = Peer(chosen, dynamics, place, list_settings(chosen)["tuned"], is_compiled=False)
+    peer = Peer(chosen, dynamics, place, list_settings(chosen)["tuned"])
     sizes = (peer.variables, peer.constraints, peer.jacobian_nonzeros)
     assert sizes == ((8812, 8427, 72435) if name == "IMPL" else (6412, 6027, 62519))
 
