@@ -66,7 +66,7 @@ MBSRUN = Package(
         "ocp.pictures",
         "ocp",
         "study.points study.mechanisms study.reference study.growth study.sheets study.cluster study.export",
-        "study.machine study.results",
+        "study.machine study.results study.captions",
         "study.candidates study.statements",
         "study.fidelity study.kernels study.motions study.problems study.differentiated study.figures study.page",
         "study.optima study.questions study.robustness study.tables",

@@ -20,6 +20,7 @@ from mbsrun.lab.case import Bench, Loss, Report
 from mbsrun.lab.digits import EXPLICIT
 from mbsrun.lab.mechanisms import describe_spatial, describe_straight, draw
 from mbsrun.lab.record import write_table
+from mbsrun.study.sheets import Caption, Outline, write_outline
 
 LENGTHS = (2, 5, 10, 20)
 RATIOS = tuple(10.0**k for k in range(0, 13, 2))
@@ -28,6 +29,38 @@ WORST = 1e22  # the largest condition that is told from others
 COLORS = {"EXP1": "tab:red", "EXP2": "tab:blue"}
 NOWHERE = 1e-14  # rad: where the lock itself is drawn
 _COLUMNS = tuple(field.name for field in fields(Loss))
+
+
+OUTLINE = Outline(
+    "laboratory",
+    5,
+    "Where methods fail: the laboratory",
+    "Cases in which methods lose digits, diverge or mislead, each with a criterion, and a verdict for each "
+    "formulation, method or representation. Errors are of accelerations, by the largest, against 50 digits at the same "
+    "inputs.",
+    (
+        Caption("verdicts.json"),
+        Caption(
+            "map_condition.png",
+            "Digits lost, and what tells of them",
+            "Errors of EXP1 and EXP2 against the condition of the mass matrix, which raises false alarms; against that "
+            "of the matrix scaled to a diagonal of ones; and against the error that the kernel `condition` tells. "
+            "Dotted: u times what stands on the axis, or what is told itself; crosses: a status instead of a result.",
+        ),
+        Caption(
+            "map_mass_ratio.png",
+            "Digits lost by mass ratio of the tip, and length of the chain",
+            "The last rod's mass by that of the others, against the number of rods. In each field the error, and in "
+            "brackets what `condition` tells.",
+        ),
+        Caption(
+            "map_lock.png",
+            "Digits lost by the distance from a lock",
+            "Dots: errors; bars: what `condition` tells; crosses: a status instead. The distance is in rad.",
+        ),
+        *(Caption(f"{name}.json") for name in ("map_condition", "map_mass_ratio", "map_lock", "findings")),
+    ),
+)
 
 
 def measure_maps(bench: Bench, report: Report, *, quick: bool = False) -> list[Loss]:
@@ -45,7 +78,7 @@ def measure_maps(bench: Bench, report: Report, *, quick: bool = False) -> list[L
 
 
 def draw_maps(losses: Sequence[Loss], folder: Path) -> list[Path]:
-    """Draw the maps, each with its table; give their paths."""
+    """Draw the maps, each with its table, and say what the laboratory's files show; give the paths."""
     paths = _write(losses, "map_condition", "Digits lost, and the condition and `condition` that tell of them", folder)
     tips = [x for x in losses if x.mechanism == "heavy tip"]
     paths += _write(tips, "map_mass_ratio", "Digits lost by mass ratio of the tip, and length of the chain", folder)
@@ -58,7 +91,7 @@ def draw_maps(losses: Sequence[Loss], folder: Path) -> list[Path]:
     ):
         paths.append(folder / f"{name}.png")
         figure.savefig(paths[-1], dpi=90, metadata={"Software": None})
-    return paths
+    return [*paths, write_outline(OUTLINE, folder)]
 
 
 def _take_lock(bench: Bench, lock: str, distance: float) -> list[Loss]:

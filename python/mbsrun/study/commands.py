@@ -23,6 +23,7 @@ from mbsrun.ocp.statement import read_problem
 from mbsrun.simulation.statement import read_statement
 from mbsrun.study import fidelity, kernels, motions, optima, problems
 from mbsrun.study.advice import Advice, Option, advise_control, advise_optimisation, advise_simulation
+from mbsrun.study.captions import write_captions
 from mbsrun.study.mechanisms import Subject, refuse_quaternions
 from mbsrun.study.pictures import draw_fidelity, draw_kernels, draw_motions, draw_optima
 from mbsrun.study.points import Cost, KernelPoint, MotionPoint, SolvePoint, Store, write_table
@@ -32,7 +33,8 @@ Report = Callable[[str, int, int], None]
 CHART_HELP = """Measure speed against accuracy, and draw it.
 
 What is measured is kept in the output folder as it comes: a command that was stopped goes on where it was when it is
-given again, and one that is through only draws. Remove the folder to measure anew.
+given again, and one that is through only draws. Remove the folder to measure anew. `mbsrun study --with FOLDER` takes
+pictures and tables into its report, by the captions that NAME.section.json holds.
 """
 
 KERNELS_HELP = """Chart kernels of MODEL, a model file, and of chains: time of a call against error to 50 digits.
@@ -128,6 +130,7 @@ def chart_kernels_command(
     with show_progress() as report:
         points = kernels.measure_kernels(model, out, depth, report)
     _tell_written([*write_table(points, out, "kernels"), *draw_kernels(points, out)])
+    write_captions("kernels", points[0].mechanism, out)
 
 
 @chart.command("simulation", help=SIMULATION_HELP)
@@ -151,6 +154,7 @@ def chart_simulation_command(
         depth = motions.QUICK if quick else motions.Depth()
         points = motions.measure_motions(course, standard, depth, store, report)
     _tell_written([*write_table(points, out, "simulation"), *draw_motions(points, standard, out)])
+    write_captions("simulation", points[0].mechanism, out)
 
 
 @chart.command("optimisation", help=OPTIMISATION_HELP)
@@ -189,6 +193,7 @@ def chart_optimisation_command(
         points, grids = optima.measure_optima(problems.Case(stated, plant), depth, store, report)
     tables = [*write_table(points, out, "optimisation"), *write_table(grids, out, "control_grid")]
     _tell_written([*tables, *draw_optima(points, grids, out)])
+    write_captions("optimisation", f"{plant.manifest.model}, {stated.name}", out)
 
 
 @chart.command("fidelity", help=FIDELITY_HELP)
@@ -206,6 +211,7 @@ def chart_fidelity_command(model: Path, out: Path | None, scenes: tuple[Path, ..
         reductions = fidelity.list_reductions(model, whole.manifest, scenes)
         points = fidelity.measure_fidelity(whole, reductions, out, depth, report)
     _tell_written([*write_table(points, out, "fidelity"), *draw_fidelity(points, out)])
+    write_captions("fidelity", points[0].mechanism, out)
 
 
 def read_course(model: Path, file: Path | None, duration: float | None) -> motions.Course:

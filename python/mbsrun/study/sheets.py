@@ -5,8 +5,10 @@ from __future__ import annotations
 import csv
 import json
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,8 @@ Cell = str | float | int | bool | None
 
 LARGEST = 8_000_000  # bytes of a file that is taken in
 LONG = 40  # rows of a table that is shown folded
+OUTLINE = ".section.json"
+LAST = 100  # the place of what no outline names
 KINDS = {".png": "image/png", ".svg": "image/svg+xml"}
 
 
@@ -64,37 +68,110 @@ def write_section(section: Section, folder: Path) -> None:
                 csv.writer(file).writerows([item.columns, *item.rows])
 
 
+def distinguish(sections: Sequence[Section]) -> list[Section]:
+    """Give sections of the same name numbers: names are those of files."""
+    seen: Counter[str] = Counter()
+    named = []
+    for section in sections:
+        seen[section.name] += 1
+        number = seen[section.name]
+        named.append(section if number == 1 else replace(section, name=f"{section.name}_{number}"))
+    return named
+
+
 def write_table_file(table: Table, path: Path) -> None:
-    """Write a table as `read_folder` reads it."""
+    """Write a table as `read_folders` reads it."""
     path.write_text(json.dumps(asdict(table), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
-def read_folder(folder: Path) -> Section:
-    """Read the tables (*.json) and pictures (*.png, *.svg) of a folder, by name.
+@dataclass(frozen=True)
+class Caption:
+    """A file of a folder, and what is in it; what is empty here is as the file says itself."""
 
-    A table has the keys title, columns, rows and, as it may be, note; a list of objects is one as well. What is of
-    another form is passed over: folders hold records beside. Raises InputError for one that cannot be read, or that
-    has neither.
+    file: str  # its name: a picture, or a table's JSON
+    title: str = ""
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Outline:
+    """What some files of a folder are, for a report that takes the folder in: one section."""
+
+    name: str
+    place: int  # among the sections of all folders
+    title: str
+    text: str  # what it is about, and how it was made
+    items: tuple[Caption, ...]
+
+
+def write_outline(outline: Outline, folder: Path) -> Path:
+    """Write an outline as NAME.section.json; give the path."""
+    path = folder / f"{_spell(outline.name)}{OUTLINE}"
+    path.write_text(json.dumps(asdict(outline), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    return path
+
+
+def read_folders(folders: Sequence[Path]) -> list[Section]:
+    """Read the tables (*.json) and pictures (*.png, *.svg) of folders.
+
+    Outlines tell which files belong together, and in which order. What they do not name makes a section of its own for
+    each folder: there a table has the keys title, columns, rows and, as it may be, note; a list of objects is one as
+    well. What is of another form is passed over: folders hold records beside. Raises InputError for a folder that
+    cannot be read, or that has neither.
     """
-    if not folder.is_dir():
-        raise InputError([Fault(str(folder), 0, "", "it is no folder", "give one with tables and pictures")])
-    items = tuple(_read_items(folder))
-    if not items:
-        raise InputError([Fault(str(folder), 0, "", "it has no table and no picture", "give another folder")])
-    name = re.sub(r"[^A-Za-z0-9]+", "_", folder.resolve().name).strip("_") or "folder"
-    return Section(name, folder.resolve().name.replace("_", " "), "", items)
+    placed: list[tuple[int, Section]] = []
+    for folder in folders:
+        if not folder.is_dir():
+            raise InputError([Fault(str(folder), 0, "", "it is no folder", "give one with tables and pictures")])
+        found = _read_sections(folder)
+        if not found:
+            raise InputError([Fault(str(folder), 0, "", "it has no table and no picture", "give another folder")])
+        placed += found
+    return [section for _, section in sorted(placed, key=lambda x: x[0])]
 
 
-def _read_items(folder: Path) -> Iterator[Table | Picture]:
-    for path in sorted(folder.iterdir()):
-        if not path.is_file() or path.stat().st_size > LARGEST:
-            continue
-        if path.suffix in KINDS:
-            yield Picture(path.stem.replace("_", " "), KINDS[path.suffix], path.read_bytes())
-        elif path.suffix == ".json":
-            table = _read_table(path)
-            if table is not None:
-                yield table
+def _read_sections(folder: Path) -> list[tuple[int, Section]]:
+    files = {path.name: path for path in sorted(folder.iterdir()) if _is_taken(path)}
+    sections: list[tuple[int, Section]] = []
+    for outline in _read_outlines(files):
+        held = [(files.pop(caption.file), caption) for caption in outline.items if caption.file in files]
+        items = tuple(_explain(item, caption) for path, caption in held if (item := _read_item(path)) is not None)
+        if items:
+            sections.append((outline.place, Section(_spell(outline.name), outline.title, outline.text, items)))
+    rest = tuple(item for path in files.values() if (item := _read_item(path)) is not None)
+    if rest:
+        name = folder.resolve().name
+        sections.append((LAST, Section(_spell(name), name.replace("_", " "), "", rest)))
+    return sections
+
+
+def _is_taken(path: Path) -> bool:
+    return path.suffix in (*KINDS, ".json") and path.is_file() and path.stat().st_size <= LARGEST
+
+
+def _read_outlines(files: dict[str, Path]) -> list[Outline]:
+    """Take the outlines out of the files of a folder."""
+    outlines = []
+    for name in [name for name in files if name.endswith(OUTLINE)]:
+        with suppress(ValueError, ValidationError, RecursionError):
+            outlines.append(_OUTLINE.validate_json(files[name].read_bytes()))
+        del files[name]
+    return outlines
+
+
+def _read_item(path: Path) -> Table | Picture | None:
+    if path.suffix in KINDS:
+        return Picture(path.stem.replace("_", " "), KINDS[path.suffix], path.read_bytes())
+    return _read_table(path)
+
+
+def _explain(item: Table | Picture, caption: Caption) -> Table | Picture:
+    return replace(item, title=caption.title or item.title, note=caption.note or item.note)
+
+
+def _spell(name: str) -> str:
+    """Make a name that files and anchors may have."""
+    return re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_") or "folder"
 
 
 def _read_table(path: Path) -> Table | None:
@@ -125,3 +202,4 @@ def _flatten(point: dict[str, Any], prefix: str = "") -> dict[str, Cell]:
 
 
 _TABLE: TypeAdapter[Table] = TypeAdapter(Table)
+_OUTLINE: TypeAdapter[Outline] = TypeAdapter(Outline)

@@ -41,7 +41,7 @@ from mbsrun.study.campaign import (
 from mbsrun.study.cluster import open_workers
 from mbsrun.study.export import Form, export
 from mbsrun.study.page import render_page
-from mbsrun.study.sheets import read_folder, write_section
+from mbsrun.study.sheets import distinguish, read_folders, write_section
 
 NOT_THROUGH = 1
 PAGE, DATA, ATTEMPTS = "study.html", "data", "attempts"
@@ -147,7 +147,7 @@ def study_command(
     """Read, solve, write."""
     if workers is not None and scheduler is not None:
         raise click.UsageError("a cluster has its own workers; give --workers, or --scheduler, but not both")
-    extra = [read_folder(folder) for folder in folders]
+    extra = read_folders(folders)
     subject = read_subject(file)
     problem = subject.problem
     grid = Targets(radius, tuple(np.linspace(*azimuths).tolist()), tuple(np.linspace(*heights).tolist()))
@@ -173,7 +173,7 @@ def study_command(
             processes = len(os.sched_getaffinity(0)) if workers is None else workers
             with open_workers(processes, scheduler) as crew_for, show_steps() as watch:
                 is_through = carry_out(campaign, out, crew_for, watch, 60 * minutes)
-        sections = [*report(campaign, out), *extra]
+        sections = distinguish([*report(campaign, out), *extra])
         for section in sections:
             write_section(section, out / DATA)
         if form is not None:

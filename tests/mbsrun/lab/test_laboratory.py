@@ -20,7 +20,7 @@ from mbsrun.lab.cases import CASES
 from mbsrun.lab.digits import specimen
 from mbsrun.lab.mechanisms import describe_spatial, draw
 from mbsrun.lab.record import open_bench, run_cases, write_findings
-from mbsrun.study.sheets import read_folder
+from mbsrun.study.sheets import read_folders
 
 Measure = Callable[[Bench], list[Finding]]
 
@@ -149,7 +149,9 @@ def test_maps_show_errors_and_statuses(tmp_path: Path) -> None:
     paths = maps.draw_maps(losses, tmp_path)
     assert sum(path.suffix == ".png" for path in paths) == 3
     assert all(path.stat().st_size > 10_000 for path in paths if path.suffix == ".png")
-    assert len(read_folder(tmp_path).items) == 6
+    (section,) = read_folders([tmp_path])
+    assert section.name == "laboratory"
+    assert len(section.items) == 6
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> object:

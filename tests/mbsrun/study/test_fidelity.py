@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mbsrun.study.captions import OUTLINES, write_captions
 from mbsrun.study.fidelity import (
     WHOLE,
     Depth,
@@ -19,7 +20,7 @@ from mbsrun.study.fidelity import (
 )
 from mbsrun.study.pictures import draw_fidelity
 from mbsrun.study.points import write_table
-from mbsrun.study.sheets import read_folder
+from mbsrun.study.sheets import read_folders
 
 LITTLE = Depth(2, 8, ("impl", "sensors"))
 ROUNDING = 1e-14
@@ -59,7 +60,9 @@ def test_each_thing_left_out_costs_what_it_did(cart: Path, tmp_path: Path) -> No
     write_table([*points.values()], tmp_path / "out", "fidelity")
     (path,) = draw_fidelity([*points.values()], tmp_path / "out")
     assert path.stat().st_size > 10_000
-    assert len(read_folder(tmp_path / "out").items) == 2
+    write_captions("fidelity", "cart", tmp_path / "out")
+    (section,) = read_folders([tmp_path / "out"])
+    assert [item.title for item in section.items] == [caption.title for caption in OUTLINES["fidelity"].items]
 
 
 def test_scenes_are_taken_by_their_parts(cart: Path, tmp_path: Path) -> None:

@@ -13,11 +13,12 @@ from mbsrun.lab.mechanisms import SLIDE
 from mbsrun.lab.optimisation import state_push
 from mbsrun.ocp.problem import Representation
 from mbsrun.ocp.schemes import Family
+from mbsrun.study.captions import OUTLINES, write_captions
 from mbsrun.study.optima import Depth, measure_optima
 from mbsrun.study.pictures import draw_optima
 from mbsrun.study.points import SolvePoint, Store, write_table
 from mbsrun.study.problems import Case
-from mbsrun.study.sheets import read_folder
+from mbsrun.study.sheets import read_folders
 
 PUSH = """
 model: slide.yaml
@@ -72,7 +73,9 @@ def test_errors_are_those_of_the_closed_form(slide: Path, tmp_path: Path) -> Non
     write_table(points, tmp_path / "out", "optimisation")
     paths = draw_optima(points, grids, tmp_path / "out")
     assert [path.name for path in paths] == ["optimisation.png", "control_grid.png"]
-    assert len(read_folder(tmp_path / "out").items) == 3
+    write_captions("optimisation", "a reach", tmp_path / "out")
+    (section,) = read_folders([tmp_path / "out"])
+    assert [item.title for item in section.items] == [x.title for x in OUTLINES["optimisation"].items[:3]]
     again, _ = measure_optima(case, depth, store, lambda *_: None)
     assert again == points
 

@@ -43,7 +43,17 @@ from mbsrun.study.figures import name_set
 from mbsrun.study.page import render_page
 from mbsrun.study.results import Results, find_outliers
 from mbsrun.study.robustness import report_robust
-from mbsrun.study.sheets import Picture, Section, Table, read_folder, write_table_file
+from mbsrun.study.sheets import (
+    Caption,
+    Outline,
+    Picture,
+    Section,
+    Table,
+    distinguish,
+    read_folders,
+    write_outline,
+    write_table_file,
+)
 from mbsrun.study.statements import CONFIRMED, REFUTED, STATEMENTS, UNMEASURED, judge_all
 
 MODELS = Path(__file__).parents[3] / "models"
@@ -244,21 +254,35 @@ SVG = b'<svg xmlns="http://www.w3.org/2000/svg" width="900" height="10"><script>
 
 
 def test_folders_are_taken_in(tmp_path: Path) -> None:
-    """Tables by their keys, lists of objects as tables, pictures; all else is passed over."""
+    """Tables by their keys, lists of objects as tables, pictures; outlines order and explain them; all else is left."""
     table = Table(HOSTILE, ("a", "b"), ((1, "x"), (None, True)), "note")
-    write_table_file(table, tmp_path / "one.json")
-    (tmp_path / "points.json").write_text('[{"ns": {"shortest": 1.5}, "way": "impl"}, {"error": 1e-16}]', "utf-8")
-    (tmp_path / "other.json").write_text('{"rows": 3}', "utf-8")
-    (tmp_path / "broken.json").write_text("{", "utf-8")
-    (tmp_path / "map.svg").write_bytes(SVG)
-    pictures, tables = ([x for x in read_folder(tmp_path).items if isinstance(x, kind)] for kind in (Picture, Table))
-    assert [picture.content for picture in pictures] == [SVG]
-    assert [found.columns for found in tables] == [("a", "b"), ("ns shortest", "way", "error")]
-    assert tables[0] == table
+    (tmp_path / "one").mkdir()
+    (tmp_path / "two").mkdir()
+    write_table_file(table, tmp_path / "one" / "one.json")
+    (tmp_path / "one" / "points.json").write_text(
+        '[{"ns": {"shortest": 1.5}, "way": "impl"}, {"error": 1e-16}]', "utf-8"
+    )
+    (tmp_path / "one" / "other.json").write_text('{"rows": 3}', "utf-8")
+    (tmp_path / "one" / "broken.json").write_text("{", "utf-8")
+    (tmp_path / "one" / "map.svg").write_bytes(SVG)
+    (tmp_path / "two" / "map.svg").write_bytes(SVG)
+    captions = (Caption("map.svg", HOSTILE, "a map"), Caption("../one/map.svg", "outside"), Caption("points.json"))
+    write_outline(Outline("../chart", 1, "Charts", "how", captions), tmp_path / "one")
+    (tmp_path / "two" / "broken.section.json").write_text('{"name": 3}', "utf-8")
+    chart, one, two = read_folders([tmp_path / "one", tmp_path / "two"])
+    assert (chart.name, chart.title, one.name, two.title) == ("chart", "Charts", "one", "two")
+    picture, points = chart.items
+    assert isinstance(picture, Picture)
+    assert isinstance(points, Table)
+    assert (picture.title, picture.note, picture.content) == (HOSTILE, "a map", SVG)
+    assert (points.title, points.columns) == ("points", ("ns shortest", "way", "error"))
+    assert one.items == (table,)
+    assert [item.title for item in two.items] == ["map"]
+    assert [section.name for section in distinguish([one, chart, one])] == ["one", "chart", "one_2"]
     (tmp_path / "empty").mkdir()
     for folder, told in ((tmp_path / "empty", "no table"), (tmp_path / "nowhere", "no folder")):
         with pytest.raises(InputError, match=told):
-            read_folder(folder)
+            read_folders([folder])
 
 
 def test_the_page_sorts_fits_a_phone_and_runs_nothing_else(tmp_path: Path, requires: Callable[[str], str]) -> None:
