@@ -55,7 +55,7 @@ MBSRUN = Package(
         "kernel",
         "external",
         "ocp.schemes ocp.plant ocp.program ocp.trajectory",
-        "ocp.elimination ocp.integrators",
+        "ocp.elimination ocp.integrators quaternions",
         "animation ocp.methods ocp.problem",
         "simulation ocp.layout ocp.quantities",
         "ocp.condensation",

@@ -547,7 +547,7 @@ def _split(option: str, pairs: Sequence[str]) -> dict[str, Data]:
 def _read_recording(path: Path, manifest: Manifest) -> Recording:
     """Take start and inputs of a solution; it must be one of this model."""
     found = read_solution(path)
-    names = tuple(c.name for c in manifest.coordinates)
+    names = manifest.positions
     inputs = input_labels(manifest)
     if (found.coordinates, found.inputs) != (names, inputs):
         told = f"it is of model {found.model}, with coordinates {', '.join(found.coordinates)}"
@@ -599,6 +599,8 @@ def _find_sensor(problem: Problem, argument: str) -> str:
 def _find_bumped(names: Sequence[str], manifest: Manifest) -> tuple[int, ...]:
     """Find coordinates by name; all that are actuated, if there is none."""
     known = [c.name for c in manifest.coordinates]
+    if names and manifest.quaternions:
+        raise click.BadParameter("guesses of models with quaternions are not bumped", param_hint="--bump")
     for name in names:
         if name not in known:
             raise click.BadParameter(f"the model has no coordinate {name!r}: {', '.join(known)}", param_hint="--bump")
@@ -666,6 +668,7 @@ def _write(solution: Solution, plant: Plant, out: Path) -> None:
 
 def _print_summary(solution: Solution) -> None:
     run, size, cost, check = solution.run, solution.size, solution.cost, solution.resimulation
+    violation = solution.violation
     assert check is not None, "a solution is re-simulated before it is shown"
     rows = {
         "problem": f"{solution.problem.name}, model {solution.model}",
@@ -678,7 +681,8 @@ def _print_summary(solution: Solution) -> None:
         "nonzeros": f"{size.jacobian_nonzeros} in the Jacobian, {size.hessian_nonzeros} in the Hessian's triangle",
         "cost": f"{cost.total:.10g}",
         **{f"  {name} ": f"{value:.10g}" for name, value in cost.terms if value != 0},
-        "violation": f"{solution.violation.constraints:.1e} of constraints, {solution.violation.bounds:.1e} of bounds",
+        "violation": f"{violation.constraints:.1e} of constraints, {violation.bounds:.1e} of bounds"
+        + ("" if violation.lengths is None else f", {violation.lengths:.1e} of quaternions' lengths"),
         "defect": f"{_number(check.defect)} in an interval, at most; {solution.problem.accuracy:.1e} asked for",
         "open loop": f"{_number(check.open_loop_error)} off at the end, under the inputs alone",
     }

@@ -19,6 +19,15 @@ from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Inputs, Problem
 from mbsrun.ocp.schemes import Scheme
 from mbsrun.ocp.trajectory import Trajectory, grid, resample
+from mbsrun.quaternions import (
+    find_rates,
+    find_turn,
+    find_velocities,
+    list_quaternions,
+    measure_lengths,
+    normalise,
+    turn,
+)
 
 Array = NDArray[np.float64]
 
@@ -26,6 +35,8 @@ REACHED = 1e-5  # the largest distance from the targets that counts as none [m, 
 STARTS = 20  # poses to search from, before a target counts as out of reach
 STEP = 1e-6  # of central differences [rad, m]
 NEARNESS = 1e-6  # weight of staying near the start among poses that meet the targets alike
+_WAY = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])  # in t / T; from 0 to 1, at rest at both ends
+_RUN_OUT = np.polynomial.Polynomial([0, 1, 0, -6, 8, -3])  # leaves 0 at speed 1, and is back at 0, at rest
 
 
 @dataclass(frozen=True)
@@ -55,34 +66,54 @@ def find_pose(problem: Problem, plant: Plant) -> Pose:
 
 def make_guess(problem: Problem, plant: Plant, scheme: Scheme) -> Trajectory | Pose:
     """Make the guess that a problem describes; where no pose meets its targets, give the nearest one found."""
-    motion = rest(problem, scheme)
+    motion = rest(problem, scheme, plant)
     if problem.guess.motion == "interpolation":
         pose = find_pose(problem, plant)
         if not pose.is_reached:
             return pose
-        motion = interpolate(problem, scheme, pose.q)
+        motion = interpolate(problem, scheme, pose.q, plant)
     return balance(motion, problem, plant, problem.guess.inputs)
 
 
-def rest(problem: Problem, scheme: Scheme) -> Trajectory:
-    """Stay at the start, at rest. Inputs are 0."""
-    return interpolate(replace(problem, start_qd=(0.0,) * len(problem.start_q)), scheme, np.array(problem.start_q))
+def rest(problem: Problem, scheme: Scheme, plant: Plant | None = None) -> Trajectory:
+    """Stay at the start, at rest. Inputs are 0. Where there are quaternions, the plant is needed."""
+    still = replace(problem, start_qd=(0.0,) * len(problem.start_qd))
+    return interpolate(still, scheme, np.array(problem.start_q), plant)
 
 
-def interpolate(problem: Problem, scheme: Scheme, q: Array) -> Trajectory:
-    """Move from the start, with its velocity, to rest at the pose q: a polynomial of degree 5 in time. Inputs are 0."""
+def interpolate(problem: Problem, scheme: Scheme, q: Array, plant: Plant | None = None) -> Trajectory:
+    """Move from the start, with its velocity, to rest at the pose q: a polynomial of degree 5 in time. Inputs are 0.
+
+    Quaternions turn by the shorter way, about one axis, by that polynomial of the angle; for their velocities the plant
+    is needed. Raises ValueError without.
+    """
+    if problem.has_quaternions and plant is None:
+        raise ValueError("the rates of quaternions are not their velocities: give the plant, which knows both")
     T, start, speed = problem.horizon, np.array(problem.start_q), np.array(problem.start_qd)
-    way = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])  # in t / T; from 0 to 1, at rest at both ends
-    run_out = np.polynomial.Polynomial([0, 1, 0, -6, 8, -3])  # leaves 0 at speed 1, and is back at 0, at rest
+    changes = speed if plant is None else find_rates(plant, start, speed)
+    turning = () if plant is None else list_quaternions(plant.manifest)
 
     def read(t: Array, order: int) -> Array:
         s = (t / T)[..., None]
-        w, r = (p.deriv(order) if order else p for p in (way, run_out))
-        return np.asarray((start if order == 0 else 0.0) + (w(s) * (q - start) + r(s) * speed * T) / T**order)
+        w, r = (p.deriv(order) if order else p for p in (_WAY, _RUN_OUT))
+        return np.asarray((start if order == 0 else 0.0) + (w(s) * (q - start) + r(s) * changes * T) / T**order)
+
+    def move(t: Array) -> tuple[Array, Array, Array]:
+        """Give q, qd and qdd; without quaternions, these are q and its derivatives."""
+        motion = read(t, 0), read(t, 1), read(t, 2)
+        if plant is None or not turning:
+            return motion
+        s = (t / T)[..., None]
+        w, r = (np.stack([(p.deriv(k) if k else p)(s) / T**k for k in range(3)]) for p in (_WAY, _RUN_OUT))
+        for x in turning:
+            way, run_out = find_turn(start[x.entries], q[x.entries]), T * speed[x.spins]
+            for part, turned in zip(motion, turn(start[x.entries], way, w, run_out, r), strict=True):
+                part[..., x.entries] = turned
+        return motion[0], *find_velocities(plant, *motion)
 
     t, point_t = grid(T, problem.intervals, scheme.points)
     u = np.zeros((problem.intervals, len(problem.bounds.u)))
-    return Trajectory(t, read(t, 0), read(t, 1), u, point_t, *(read(point_t, order) for order in range(3)))
+    return Trajectory(t, *move(t)[:2], u, point_t, *move(point_t))
 
 
 def adapt(trajectory: Trajectory, problem: Problem, scheme: Scheme) -> Trajectory:
@@ -122,10 +153,10 @@ def balance(trajectory: Trajectory, problem: Problem, plant: Plant, inputs: Inpu
     """
     u = np.zeros_like(trajectory.u)
     if inputs != "zero":
-        N, d, n = trajectory.point_q.shape
+        N, d, _ = trajectory.point_q.shape
         rates = (trajectory.point_qd, trajectory.point_qdd)
         q, qd, qdd = (
-            np.ascontiguousarray(a.reshape(N * d, n))
+            np.ascontiguousarray(a.reshape(N * d, -1))
             for a in (trajectory.point_q, *(rate * (inputs == "dynamic") for rate in rates))
         )
         none = np.zeros((N * d, u.shape[1]))
@@ -137,14 +168,19 @@ def balance(trajectory: Trajectory, problem: Problem, plant: Plant, inputs: Inpu
 
 
 class _Kinematics:
-    """What keeps a pose from being the one wanted: a least-squares problem in the coordinates that can move."""
+    """What keeps a pose from being the one wanted: a least-squares problem in the coordinates that can move.
+
+    A quaternion's length is part of it; where the end gives an attitude, the nearer of its two signs is meant.
+    """
 
     def __init__(self, problem: Problem, plant: Plant) -> None:
         self.plant = plant
         frames = plant.manifest.frames  # of a joint and a sensor with one name, the sensor is meant
         self.indices = {frame.name: i for i, frame in sorted(enumerate(frames), key=lambda f: f[1].sensor)}
         self.sensors = [(self.indices[name], np.array(place)) for name, place in problem.end.sensors]
-        self.coordinates = problem.end.coordinates
+        self.coordinates = [i for i, _ in problem.end.coordinates]
+        self.values = np.array([value for _, value in problem.end.coordinates])
+        self.turning = list_quaternions(plant.manifest)
         self.start = np.array(problem.start_q)
         self.lower, self.upper = np.array(problem.bounds.q).reshape(-1, 2).T
         self.free = self.lower < self.upper
@@ -162,8 +198,11 @@ class _Kinematics:
 
     def starts(self) -> Array:
         """Spread poses over the bounds; over half a turn, or half a metre, from the start where there is no bound."""
-        lower = np.where(np.isfinite(self.lower), self.lower, self.start - np.pi)
-        upper = np.where(np.isfinite(self.upper), self.upper, self.start + np.pi)
+        least, most = self.start - np.pi, self.start + np.pi
+        for x in self.turning:
+            least[x.entries], most[x.entries] = -1.0, 1.0
+        lower = np.where(np.isfinite(self.lower), self.lower, least)
+        upper = np.where(np.isfinite(self.upper), self.upper, most)
         spread = qmc.Halton(len(self.start), scramble=False).random(STARTS)
         return np.asarray(lower + spread * (upper - lower))
 
@@ -190,7 +229,7 @@ class _Kinematics:
             found = least_squares(
                 residual, q[self.free], jacobian, bounds, xtol=1e-12, ftol=1e-12, gtol=1e-12, max_nfev=100
             )
-            q = complete(found.x)
+            q = normalise(complete(found.x), self.plant.manifest)
         places, coordinates, axes, _ = np.split(
             self.residual(q[None], frames)[0],
             np.cumsum([3 * len(self.sensors), len(self.coordinates), 3 * len(frames)]),
@@ -199,9 +238,22 @@ class _Kinematics:
         return Pose(q, float(max(distances, default=0.0)), bool((np.abs(axes) < REACHED).all()))
 
     def residual(self, q: Array, upright: list[int]) -> Array:
-        """Give for each pose what is left to the targets, what z axes lack in pointing up, and a pull to the start."""
+        """Give for each pose what is left to the targets, what z axes lack in pointing up, and what is left over.
+
+        That is what quaternions lack of length 1, and a pull to the start.
+        """
         frames = self.plant("frames", q=q) if self.sensors or upright else {}
         places = [frames["p"][:, :, i] - target for i, target in self.sensors]
-        coordinates = q[:, [i for i, _ in self.coordinates]] - [value for _, value in self.coordinates]
+        coordinates = q[:, self.coordinates] - self.sign(q) * self.values
         axes = [frames["R"][:, :, 3 * i + 2] - [0.0, 0.0, 1.0] for i in upright]
-        return np.concatenate([*places, coordinates, *axes, NEARNESS * (q - self.start)], axis=1)
+        lengths = measure_lengths(q, self.plant.manifest) - 1.0
+        return np.concatenate([*places, coordinates, *axes, lengths, NEARNESS * (q - self.start)], axis=1)
+
+    def sign(self, q: Array) -> Array:
+        """Tell by what sign of a target's attitude each of its entries is nearer."""
+        signs = np.ones((len(q), len(self.coordinates)))
+        for x in self.turning:
+            at = [self.coordinates.index(i) for i in x.entries if i in self.coordinates]
+            products = (q[:, [self.coordinates[k] for k in at]] * self.values[at]).sum(axis=1, keepdims=True)
+            signs[:, at] = np.where(products < 0, -1.0, 1.0)
+        return signs

@@ -2,7 +2,7 @@
 
 Interval by interval: the state x_k = (q, qd) at the mesh point; at each collocation point the state x_kj and, unless
 the equations of motion are an ODE, the acceleration z_kj; the inputs u_k, constant over the interval. At the end x_N,
-and the horizon T where it is free.
+and the horizon T where it is free. With quaternions there are more entries of q than of qd and z.
 
 In the integral form the states at the points are no variables: they are linear in x_k and the accelerations at the
 stages of an integrator, which are those at the points unless the integrator says otherwise (see `integrators`).
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,14 +22,16 @@ from mbsrun.ocp.integrators import Integrator, Reading
 from mbsrun.ocp.program import Indices, Matrix
 
 Array = NDArray[np.float64]
+Scalar = TypeVar("Scalar", np.float64, np.int64)
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Where a motion lies among the variables; n coordinates, m inputs, N intervals, S stages each."""
+    """Where a motion lies among the variables; nq coordinates, n velocities, m inputs, N intervals, S stages each."""
 
-    mesh: Indices  # (N + 1, 2 n): states at the mesh points
-    points: Indices  # (N, S, 2 n): states at the stages; (N, S, 0) in the integral form
+    nq: int
+    mesh: Indices  # (N + 1, nq + n): states at the mesh points
+    points: Indices  # (N, S, nq + n): states at the stages; (N, S, 0) in the integral form
     accelerations: Indices  # (N, S, n): accelerations at the stages; (N, S, 0) for an ODE
     inputs: Indices  # (N, m)
     horizon: int | None  # T, where it is free
@@ -36,11 +39,16 @@ class Layout:
 
     @property
     def n(self) -> int:
-        """Count the coordinates."""
-        return int(self.mesh.shape[1]) // 2
+        """Count the velocities."""
+        return int(self.mesh.shape[1]) - self.nq
+
+    def split(self, states: NDArray[Scalar]) -> tuple[NDArray[Scalar], NDArray[Scalar]]:
+        """Split states (..., nq + n), or what there is of each of their entries, into coordinates and velocities."""
+        return states[..., : self.nq], states[..., self.nq :]
 
 
 def lay_out(
+    nq: int,
     n: int,
     m: int,
     intervals: int,
@@ -51,18 +59,20 @@ def lay_out(
     horizon_is_free: bool,
 ) -> Layout:
     """Number the variables; `has_states` and `has_accelerations` tell what the stages have of their own."""
-    N, S, states = intervals, stages, 2 * n * has_states
+    N, S, width = intervals, stages, nq + n
+    states = width * has_states
     at_stage = states + n * has_accelerations
-    stride = 2 * n + S * at_stage + m
+    stride = width + S * at_stage + m
     first = np.arange(N + 1) * stride
-    points = first[:N, None, None] + 2 * n + np.arange(S)[:, None] * at_stage + np.arange(at_stage)
+    points = first[:N, None, None] + width + np.arange(S)[:, None] * at_stage + np.arange(at_stage)
     return Layout(
-        mesh=first[:, None] + np.arange(2 * n),
+        nq=nq,
+        mesh=first[:, None] + np.arange(width),
         points=points[:, :, :states],
         accelerations=points[:, :, states:],
         inputs=first[1:, None] - m + np.arange(m),
-        horizon=N * stride + 2 * n if horizon_is_free else None,
-        size=N * stride + 2 * n + horizon_is_free,
+        horizon=N * stride + width if horizon_is_free else None,
+        size=N * stride + width + horizon_is_free,
     )
 
 
@@ -70,7 +80,7 @@ def lay_out(
 class Places:
     """Where functions of the motion are applied: parts of the variables as a block takes them."""
 
-    q: Indices | Matrix  # (n, places)
+    q: Indices | Matrix  # (nq, places)
     qd: Indices | Matrix
     qdd: Indices | Matrix  # (0, places) where accelerations are no variables
     u: Indices  # (m, places)
@@ -88,12 +98,12 @@ def at_stages(layout: Layout, integrator: Integrator, h: float) -> Places:
 
 
 def _at(layout: Layout, reading: Reading, h: float) -> Places:
-    n, N, k = layout.n, len(layout.inputs), len(reading.c)
+    N, k = len(layout.inputs), len(reading.c)
     u = np.repeat(layout.inputs, k, axis=0).T
     s = (np.arange(N)[:, None] + reading.c).ravel() / N
     accelerations = layout.accelerations.reshape(N * layout.accelerations.shape[1], -1).T
     if layout.points.size:
-        q, qd = (part.reshape(N * k, n).T for part in np.split(layout.points, 2, axis=2))
+        q, qd = (part.reshape(N * k, -1).T for part in layout.split(layout.points))
         return Places(q, qd, accelerations, u, s)
     motion = read_motion(layout, reading, h)
     return Places(motion.q, motion.qd, accelerations if reading.are_stages else motion.qdd, u, s)
@@ -109,10 +119,10 @@ class Motion:
 
 
 def read_motion(layout: Layout, reading: Reading, h: float) -> Motion:
-    """Read a motion off the states at the mesh points and the accelerations at the stages."""
+    """Read a motion, without quaternions, off the states at the mesh points and the accelerations at the stages."""
     (N, _, n), k = layout.accelerations.shape, len(reading.c)
     row = np.arange(N * k * n).reshape(N, k, n)
-    q, qd = np.split(layout.mesh[:-1], 2, axis=1)
+    q, qd = layout.split(layout.mesh[:-1])
 
     def matrix(parts: Sequence[tuple[Indices, Array]], weights: Array) -> Matrix:
         """Put columns with a value for each place, and accelerations with weights, (k, S)."""
@@ -137,7 +147,7 @@ def at_mesh(layout: Layout, integrator: Integrator, k: Sequence[int]) -> Places:
     """
     at, stages = np.array(k, dtype=np.int64), layout.accelerations
     interval, n = np.maximum(at - 1, 0), layout.n
-    q, qd = layout.mesh[at].T.reshape(2, n, at.size)
+    q, qd = (part.T for part in layout.split(layout.mesh[at]))
     s = at / len(layout.inputs)
     if not stages.size:
         return Places(q, qd, np.zeros((0, at.size), dtype=np.int64), layout.inputs[interval].T, s)

@@ -18,6 +18,7 @@ from mbsgen.manifest import Coordinate, Frame, Manifest
 from mbsrun.animation import Marker, write_animation
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.solution import Solution
+from mbsrun.quaternions import find_rates
 
 Array = NDArray[np.float64]
 
@@ -29,10 +30,9 @@ TIME = ListedColormap(colormaps["viridis_r"](np.linspace(0.2, 1, 256)))  # witho
 def plot_trajectories(solution: Solution, manifest: Manifest, path: Path) -> None:
     """Plot coordinates, velocities and inputs over time, and write the picture."""
     trajectory = solution.trajectory
-    N, d, n = trajectory.point_q.shape
     t = np.concatenate((trajectory.t[:-1, None], trajectory.point_t), axis=1).ravel()
     q, qd = (
-        np.concatenate((mesh[:-1, None], points), axis=1).reshape(N * (d + 1), n)
+        np.concatenate((mesh[:-1, None], points), axis=1).reshape(len(t), -1)
         for mesh, points in ((trajectory.q, trajectory.point_q), (trajectory.qd, trajectory.point_qd))
     )
     figure = Figure(figsize=(8, 9), layout="constrained")
@@ -40,8 +40,11 @@ def plot_trajectories(solution: Solution, manifest: Manifest, path: Path) -> Non
     for i, coordinate in enumerate(manifest.coordinates):
         style = {"color": COLORS[i % len(COLORS)], "linestyle": "-" if coordinate.actuated else "--"}
         label = _plain(coordinate.name) + ("" if coordinate.actuated else " (passive)")
-        coordinates.plot(t, q[:, i], label=label, **style)
+        if not manifest.configuration:
+            coordinates.plot(t, q[:, i], label=label, **style)
         velocities.plot(t, qd[:, i], **style)
+    for i, name in enumerate(manifest.configuration):
+        coordinates.plot(t, q[:, i], color=COLORS[i % len(COLORS)], label=_plain(name))
     for k, i in enumerate(manifest.actuated):
         inputs.stairs(trajectory.u[:, k], trajectory.t, baseline=None, color=COLORS[i % len(COLORS)], linewidth=1.5)
     actuated = [manifest.coordinates[i] for i in manifest.actuated]
@@ -83,9 +86,8 @@ def animate(solution: Solution, plant: Plant, path: Path) -> None:
     """Write a page that plays the motion, with the targets of its sensors."""
     trajectory, targets = solution.trajectory, solution.problem.end.sensors
     markers = [Marker(f"target of {name}", position) for name, position in targets]
-    write_animation(
-        path, plant, trajectory.t, trajectory.q, qd=trajectory.qd, title=solution.problem.name, markers=markers
-    )
+    rates = find_rates(plant, trajectory.q, trajectory.qd)
+    write_animation(path, plant, trajectory.t, trajectory.q, qd=rates, title=solution.problem.name, markers=markers)
 
 
 def _draw_pose(axes: Axes3D, frames: Sequence[Frame], p: Array, color: object, width: float) -> None:

@@ -174,6 +174,11 @@ class Problem:
     solver: SolverOptions = field(default_factory=SolverOptions)
     accuracy: float = 1e-6  # the largest defect of an interval that counts as accurate, in rad and m, and these per s
 
+    @property
+    def has_quaternions(self) -> bool:
+        """Tell whether there are more coordinates than velocities."""
+        return len(self.start_q) > len(self.start_qd)
+
     def with_target(self, sensor: str, position: Point) -> Problem:
         """Return the same problem with another target of a sensor that has one."""
         if sensor not in dict(self.end.sensors):
@@ -192,8 +197,11 @@ class Conflict:
 
 
 def find_conflicts(problem: Problem) -> list[Conflict]:
-    """Find what does not go together among form, integrator, representation and horizon."""
+    """Find what does not go together among form, integrator, representation, horizon and kinds of coordinates."""
     form, representation, found = problem.form, problem.representation, []
+    if form is not Form.STANDARD and problem.has_quaternions:
+        finding = f"the {form.value} form takes no joints with quaternions, whose rates are not their velocities"
+        found.append(Conflict("form", finding, "take standard"))
     if form is not Form.STANDARD and problem.horizon_range is not None:
         finding = f"the {form.value} form needs a horizon that is given"
         found.append(Conflict("form", finding, "take standard, or give the horizon"))

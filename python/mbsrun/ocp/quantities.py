@@ -5,8 +5,9 @@
     u_NAME                                        of an actuated coordinate: input
     x_NAME, y_NAME, z_NAME, vx_NAME, ...          of a sensor: position and velocity in the base frame
 
-and the constants of the problem, which are parameters of the program. Units are SI. An expression is read by the white
-list of `mbsgen.expressions`; its derivatives are CasADi's, through the kernels that sensors and accelerations take.
+where a dot in a name is written _, and q has the names of its own entries where there are quaternions (q_trunk_qx); and
+the constants of the problem, which are parameters of the program. Units are SI. An expression is read by the white list
+of `mbsgen.expressions`; its derivatives are CasADi's, through the kernels that sensors and accelerations take.
 """
 
 from __future__ import annotations
@@ -46,14 +47,24 @@ def list_quantities(manifest: Manifest) -> Mapping[str, Quantity]:
     """Give everything of a model that an expression may speak of, by name."""
     coordinates = [c.name for c in manifest.coordinates]
     known = {"t": Quantity("t", 0), "T": Quantity("T", 0)}
-    for kind in ("q", "qd", "qdd"):
-        known |= {f"{kind}_{name}": Quantity(kind, i) for i, name in enumerate(coordinates)}
-    known |= {f"u_{coordinates[i]}": Quantity("u", k) for k, i in enumerate(manifest.actuated)}
+    for kind, entries in (
+        ("q", manifest.positions),
+        ("qd", coordinates),
+        ("qdd", coordinates),
+        ("u", [coordinates[i] for i in manifest.actuated]),
+    ):
+        known |= {f"{kind}_{name}": Quantity(kind, i) for i, name in enumerate(_spell(entries)) if name is not None}
     for i, frame in enumerate(frame for frame in manifest.frames if frame.sensor):
         for k, axis in enumerate(_AXES):
             known[f"{axis}_{frame.name}"] = Quantity("position", 3 * i + k)
             known[f"v{axis}_{frame.name}"] = Quantity("v", 3 * i + k)
     return known
+
+
+def _spell(names: Sequence[str]) -> list[str | None]:
+    """Write names as expressions can; None for one that would then be another's."""
+    spelled = [name.replace(".", "_") for name in names]
+    return [new if new == old or spelled.count(new) == 1 else None for old, new in zip(names, spelled, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -81,7 +92,8 @@ def formulate(
     manifest = plant.manifest
     known = list_quantities(manifest)
     n, m, sensors = len(manifest.coordinates), len(manifest.actuated), sum(f.sensor for f in manifest.frames)
-    sizes = {"q": n, "qd": n, "qdd": n, "u": m, "position": 3 * sensors, "v": 3 * sensors, "T": 1, "s": 1}
+    sizes = {"q": len(manifest.positions), "qd": n, "qdd": n, "u": m}
+    sizes |= {"position": 3 * sensors, "v": 3 * sensors, "T": 1, "s": 1}
     symbols = {kind: ca.SX.sym(kind, size) for kind, size in sizes.items()}
     symbols["constants"] = ca.SX.sym("constants", len(constants))
     if horizon is not None:

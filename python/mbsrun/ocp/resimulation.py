@@ -2,6 +2,8 @@
 
     M(q) qdd = -Phi(q, qd, 0, u),    M = dPhi/dqdd
 
+and the rates of q, which are qd but for quaternions,
+
 by DOP853 at tolerances near rounding: from the start of every interval to its end (the defect, which judges the
 discretisation), and from the start of the horizon to its end (where an unstable plant has multiplied the defects).
 """
@@ -17,6 +19,7 @@ from scipy.integrate import DOP853
 from mbsgen.errors import MbsError
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.solution import Resimulation, Solution
+from mbsrun.quaternions import find_rates
 
 Array = NDArray[np.float64]
 
@@ -45,14 +48,16 @@ def resimulate(solution: Solution, plant: Plant) -> Solution:
 
 
 def integrate(plant: Plant, states: Array, u: Array, duration: float) -> Array | None:
-    """Integrate several motions at once: states (B, 2 n) under constant inputs (B, m) for `duration` s.
+    """Integrate several motions at once: states (B, nq + n) under constant inputs (B, m) for `duration` s.
 
     Gives the states at the end, or None where the integrator or a kernel gives up.
     """
 
     def rate(_: float, flat: Array) -> Array:
-        q, qd = np.split(flat.reshape(states.shape), 2, axis=1)
-        return np.concatenate((qd, accelerations(plant, q, qd, u)), axis=1).ravel()
+        q, qd = np.split(flat.reshape(states.shape), [places], axis=1)
+        return np.concatenate((find_rates(plant, q, qd), accelerations(plant, q, qd, u)), axis=1).ravel()
+
+    places = len(plant.manifest.positions)
 
     try:
         solver = DOP853(rate, 0.0, states.ravel(), duration, rtol=TOLERANCE, atol=TOLERANCE)
@@ -67,8 +72,8 @@ def integrate(plant: Plant, states: Array, u: Array, duration: float) -> Array |
 
 
 def accelerations(plant: Plant, q: Array, qd: Array, u: Array) -> Array:
-    """Solve the equations of motion for qdd in several states: q, qd (B, n), u (B, m)."""
-    zero = np.zeros_like(q)
+    """Solve the equations of motion for qdd in several states: q (B, nq), qd (B, n), u (B, m)."""
+    zero = np.zeros_like(qd)
     M = plant("jac_impl", q=q, qd=qd, qdd=zero, u=u)["jac_Phi_qdd"]
     c = plant("impl", q=q, qd=qd, qdd=zero, u=u)["Phi"]
     return np.asarray(np.linalg.solve(M, -c[..., None])[..., 0])

@@ -7,7 +7,7 @@ The *robust* protocol does what it takes to solve every task in its best minimum
 
     interpolation   each representation, from the interpolation with the inputs of its inverse dynamics
     bumps           the first representation, from interpolations with smooth random bumps, which break symmetries too;
-                    more of them where input rates are free, which makes many minima
+                    more of them where input rates are free, which makes many minima; none where there are quaternions
     neighbours      the first representation, from the best motion of each neighbouring target, until nothing is new
     exchange        each representation that is in a higher minimum, from the best motion of another, staying near it
 
@@ -226,6 +226,8 @@ def list_interpolations(study: Study, protocol: str, part: str, inputs: Inputs) 
 
 
 def _list_bumps(study: Study) -> list[Trial]:
+    if study.problem.has_quaternions:  # whose velocities a bump would have to be found for
+        return []
     scout = study.representations[0].value
     return [
         Trial(Task(place, weights, scout), "robust", "bumps", str(k), Bumps(k))
@@ -366,12 +368,12 @@ class Bench:
     def _move(self, problem: Problem) -> Trajectory | None:
         scheme = schemes.build(problem.family, problem.degree)
         if problem.guess.motion == "rest":
-            return rest(problem, scheme)
+            return rest(problem, scheme, self.plant)
         key = (problem.start_q, problem.bounds.q, problem.end.sensors, problem.end.coordinates, problem.guess.upright)
         if key not in self._poses:
             self._poses[key] = find_pose(problem, self.plant)
         pose = self._poses[key]
-        return interpolate(problem, scheme, pose.q) if pose.is_reached else None
+        return interpolate(problem, scheme, pose.q, self.plant) if pose.is_reached else None
 
 
 class Crew(Protocol):

@@ -82,6 +82,7 @@ class Violation:
 
     constraints: float
     bounds: float
+    lengths: float | None = None  # of quaternions, from 1; they have no part in the motion. None: there are none
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,7 @@ class Solution:
     problem: Problem
     model: str
     model_hash: str
-    coordinates: tuple[str, ...]
+    coordinates: tuple[str, ...]  # the entries of q
     inputs: tuple[str, ...]
     run: Run
     size: Size
@@ -161,10 +162,9 @@ def read_solution(path: Path) -> Solution:
 def read_guess(path: Path, manifest: Manifest) -> Trajectory:
     """Read the motion of a solution, to start another from. Raises InputError for one of another mechanism."""
     solution = read_solution(path)
-    coordinates = tuple(c.name for c in manifest.coordinates)
-    inputs = tuple(coordinates[i] for i in manifest.actuated)
+    inputs = tuple(manifest.coordinates[i].name for i in manifest.actuated)
     for kind, found, wanted in (
-        ("coordinates", solution.coordinates, coordinates),
+        ("coordinates", solution.coordinates, manifest.positions),
         ("inputs", solution.inputs, inputs),
     ):
         if found != wanted:

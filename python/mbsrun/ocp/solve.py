@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from mbsgen.manifest import Manifest
 from mbsrun.ocp import schemes, solution
 from mbsrun.ocp.guess import Pose, adapt, make_guess
 from mbsrun.ocp.methods import METHODS, Order, read_status
@@ -24,6 +25,7 @@ from mbsrun.ocp.program import NonlinearProgram
 from mbsrun.ocp.solution import CostTerms, Failure, Run, Size, Solution, Violation
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.ocp.transcription import structure, transcribe
+from mbsrun.quaternions import measure_lengths
 
 Array = NDArray[np.float64]
 
@@ -114,7 +116,7 @@ class Solver:
         names = [c.name for c in m.coordinates]
         bounds = problem.bounds
         for kind, ranges, of in (
-            ("coordinate", bounds.q, names),
+            ("coordinate", bounds.q, m.positions),
             ("velocity", bounds.qd, names),
             ("input", bounds.u, [names[i] for i in m.actuated]),
             ("constraint", [c.range for c in problem.constraints], [c.expression for c in problem.constraints]),
@@ -141,13 +143,12 @@ class Solver:
         manifest, transcription = self.plant.manifest, self.transcription
         program, trajectory = transcription.program, transcription.unpack(x)
         g = program.constraint(x, transcription.parameters(problem)).full().ravel()
-        names = tuple(c.name for c in manifest.coordinates)
         return Solution(
             problem=problem,
             model=manifest.model,
             model_hash=manifest.model_hash,
-            coordinates=names,
-            inputs=tuple(names[i] for i in manifest.actuated),
+            coordinates=manifest.positions,
+            inputs=tuple(manifest.coordinates[i].name for i in manifest.actuated),
             run=run,
             size=Size(
                 program.variables,
@@ -159,6 +160,7 @@ class Solver:
             violation=Violation(
                 _excess(g, *transcription.constraint_bounds(problem)),
                 _excess(x, *transcription.variable_bounds(problem)),
+                _measure_lengths(trajectory, manifest),
             ),
             trajectory=trajectory,
         )
@@ -249,6 +251,14 @@ def _run(statistics: dict[str, Any], seconds: float, cpu_seconds: float) -> Run:
     )
     iterations = statistics["iter_count"]
     return Run(read_status(statistics), iterations, seconds, evaluating, cpu_seconds, cpu_evaluating)
+
+
+def _measure_lengths(trajectory: Trajectory, manifest: Manifest) -> float | None:
+    """Tell how far from 1 a quaternion's length comes, at mesh and collocation points."""
+    if not manifest.quaternions:
+        return None
+    lengths = (measure_lengths(q, manifest) for q in (trajectory.q, trajectory.point_q))
+    return max(float(np.abs(length - 1).max()) for length in lengths)
 
 
 def _excess(values: Array, lower: Array, upper: Array) -> float:

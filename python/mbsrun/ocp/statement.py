@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
+import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, PlainValidator, Tag
 
 from mbsgen.documents import (
@@ -52,6 +53,14 @@ from mbsrun.ocp.problem import (
 )
 from mbsrun.ocp.quantities import list_quantities
 from mbsrun.ocp.schemes import DEGREES, Family
+from mbsrun.quaternions import (
+    Quaternion,
+    find_quaternion,
+    list_quaternions,
+    measure_lengths,
+    neutral,
+    normalise,
+)
 
 MAX_INTERVALS = 10_000
 MAX_STEPS = 100  # of an integrator in an interval
@@ -72,10 +81,6 @@ def read_problem(path: Path, load: Callable[[Path], SomePlant]) -> tuple[Problem
         plant = load(path.parent / section.model)
     except InputError as error:
         raise refuse([*faults, *error.faults]) from None
-    if plant.manifest.configuration:
-        finding = "its joints with quaternions have more coordinates than velocities, which no problem can have"
-        remedy = "turn its bodies by `spherical` and `floating` joints instead of `ball` and `free`"
-        raise refuse([*faults, document.fault(("model",), finding, remedy)])
     reading = _Reading(document, plant.manifest, examination.stand_ins)
     problem = reading.problem(path.name.removesuffix(".yaml").removesuffix(".ocp"), section)
     if faults or reading.faults:
@@ -265,7 +270,10 @@ class _Reading:
         self.stand_ins = stand_ins
         self.faults: list[Fault] = []
         self.constants: dict[str, float] = {}
-        self.coordinates = _Names("coordinate", [c.name for c in manifest.coordinates])
+        self.manifest = manifest
+        self.coordinates = _Names("coordinate", list(manifest.positions))
+        kind = "velocity" if manifest.configuration else "coordinate"
+        self.velocities = _Names(kind, [c.name for c in manifest.coordinates])
         self.inputs = _Names("actuated coordinate", [manifest.coordinates[i].name for i in manifest.actuated])
         self.frames = _Names("frame", [f.name for f in manifest.frames])
         self.sensors = _Names("sensor", [f.name for f in manifest.frames if f.sensor])
@@ -274,10 +282,11 @@ class _Reading:
         ]
         self.quantities = list_quantities(manifest)
         self.used: set[str] = set()  # constants that formulas read
-        self.limits = [
-            (-math.inf if c.lower is None else c.lower, math.inf if c.upper is None else c.upper)
+        limits = {
+            c.name: (-math.inf if c.lower is None else c.lower, math.inf if c.upper is None else c.upper)
             for c in manifest.coordinates
-        ]
+        }
+        self.limits = [limits.get(name, _both_ways(None)) for name in manifest.positions]
         self.speeds = [_both_ways(c.max_speed) for c in manifest.coordinates]
         self.forces = [_both_ways(manifest.coordinates[i].max_force) for i in manifest.actuated]
 
@@ -295,8 +304,8 @@ class _Reading:
             self.fault(("model",), left, "give the external wrenches in the model: here they have no value")
         bounds = self.bounds(section.bounds)
         horizon, horizon_range = self.horizon(section.horizon)
-        start_q, free_q = self.start("pose", section.start.pose, bounds.q)
-        start_qd, free_qd = self.start("velocity", section.start.velocity, bounds.qd)
+        start_q, free_q = self.start("pose", section.start.pose, self.coordinates, bounds.q)
+        start_qd, free_qd = self.start("velocity", section.start.velocity, self.velocities, bounds.qd)
         cost, end = self.cost(section.cost), self.end(section.end, bounds)
         constraints = tuple(self.constraint(i, part) for i, part in enumerate(section.constraints))
         problem = Problem(
@@ -372,38 +381,68 @@ class _Reading:
                 self.fault(place, f"unknown name {abbreviate(name)}", remedy)
 
     def start(
-        self, key: str, given: tuple[Expression | None, ...] | dict[str, Expression | None], bounds: Sequence[Range]
+        self,
+        key: str,
+        given: tuple[Expression | None, ...] | dict[str, Expression | None],
+        among: _Names,
+        bounds: Sequence[Range],
     ) -> tuple[tuple[float, ...], tuple[int, ...]]:
-        """Give each coordinate its value, and the indices of those that have none; a guess for these is in bounds."""
+        """Give each entry its value, and the indices of those that have none; a guess for these is in bounds."""
         place: Place = ("start", key)
-        known = self.coordinates.known
+        known = among.known
         if isinstance(given, tuple) and len(given) != len(known):
             self.fault(place, f"found {len(given)} numbers", f"give {len(known)}: {', '.join(known)}")
             return (0.0,) * len(known), ()
         named = dict(zip(known, given, strict=True)) if isinstance(given, tuple) else given
-        values = [0.0] * len(known)
+        values = neutral(self.manifest).tolist() if key == "pose" else [0.0] * len(known)
         places: list[Place] = [place] * len(known)
         free = []
         for k, (name, expression) in enumerate(named.items()):
             inner = (*place, k if isinstance(given, tuple) else name)
-            i = self.find(inner, name, self.coordinates)
+            i = self.find(inner, name, among)
             value = 0.0 if expression is None else self.number(inner, expression)
             if i is not None and expression is None:
                 free.append(i)
-                value = min(max(value, bounds[i][0]), bounds[i][1])
+                value = min(max(values[i], bounds[i][0]), bounds[i][1])
             if i is not None:
                 values[i], places[i] = value, inner
+        if key == "pose":
+            self.check_free(place, free)
+            values = self.attitudes(place, values)
         for inner, name, value, (lower, upper) in zip(places, known, values, bounds, strict=True):
             if value < lower or value > upper:
                 self.fault(inner, f"{name} = {value:g} is out of [{lower:g}, {upper:g}]", "start within the bounds")
         return tuple(values), tuple(sorted(free))
 
+    def attitudes(self, place: Place, values: Sequence[float]) -> list[float]:
+        """Bring the quaternions among coordinates to length 1."""
+        q = np.array(values)
+        for x, length in zip(list_quaternions(self.manifest), measure_lengths(q, self.manifest), strict=True):
+            if length == 0:
+                remedy = f"give {self.coordinates.known[x.first + 3]} too; 0, 0, 0, 1 turns nothing"
+                self.fault(place, f"the quaternion of {x.joint} is 0", remedy)
+        return [float(x) for x in normalise(q, self.manifest)]
+
+    def check_free(self, place: Place, free: Sequence[int]) -> None:
+        """A quaternion is free as a whole, or not at all."""
+        for x in list_quaternions(self.manifest):
+            if 0 < len(set(free) & set(x.entries)) < 4:
+                remedy = "give null for all four of its entries, or constrain them by expressions at: start"
+                self.fault(place, f"the quaternion of {x.joint} is free in part", remedy)
+
     def bounds(self, section: _BoundsSection) -> Bounds:
-        return Bounds(
+        bounds = Bounds(
             self.ranges("coordinates", section.coordinates, self.coordinates, self.limits),
-            self.ranges("velocities", section.velocities, self.coordinates, self.speeds),
+            self.ranges("velocities", section.velocities, self.velocities, self.speeds),
             self.ranges("inputs", section.inputs, self.inputs, self.forces),
         )
+        for x in list_quaternions(self.manifest):
+            lower, upper = np.array([bounds.q[i] for i in x.entries]).T
+            least, most = np.clip(0.0, lower, upper), np.maximum(np.abs(lower), np.abs(upper))
+            if np.linalg.norm(least) > 1 or np.linalg.norm(most) < 1:
+                finding = f"no quaternion of {x.joint} has length 1 within these bounds"
+                self.fault(("bounds", "coordinates"), finding, "widen them; null is no bound")
+        return bounds
 
     def ranges(
         self, key: str, given: Limits | dict[str, Limits], among: _Names, usual: Sequence[Range]
@@ -440,22 +479,46 @@ class _Reading:
             velocities.append((name, (x, y, z)))
         return End(
             sensors=tuple(sensors),
-            coordinates=self.targets("pose", section.pose, bounds.q),
+            coordinates=self.pose(section.pose, bounds),
             velocity_zero=section.velocity == "zero",
             acceleration_zero=section.acceleration == "zero",
-            velocities=self.targets("velocity", section.velocity, bounds.qd),
-            accelerations=self.targets("acceleration", section.acceleration, ()),
+            velocities=self.targets("velocity", section.velocity, self.velocities, bounds.qd),
+            accelerations=self.targets("acceleration", section.acceleration, self.velocities, ()),
             sensor_velocities=tuple(velocities),
         )
 
+    def pose(self, given: dict[str, Expression], bounds: Bounds) -> tuple[tuple[int, float], ...]:
+        """Read what some coordinates must be at the end; a quaternion is given whole, and brought to length 1."""
+        turning, free = list_quaternions(self.manifest), (-math.inf, math.inf)
+        ranges = [free if find_quaternion(turning, i) else limits for i, limits in enumerate(bounds.q)]
+        targets = dict(self.targets("pose", given, self.coordinates, ranges))
+        q = self.attitudes(("end", "pose"), [targets.get(i, x) for i, x in enumerate(neutral(self.manifest))])
+        for x in turning:
+            self.check_attitude(x, [i for i in x.entries if i in targets], q, bounds)
+        return tuple((i, q[i]) for i in targets)
+
+    def check_attitude(self, quaternion: Quaternion, given: Sequence[int], q: Sequence[float], bounds: Bounds) -> None:
+        """Refuse part of a quaternion, and an attitude that is out of bounds by either sign."""
+        if not given:
+            return
+        place: Place = ("end", "pose", self.coordinates.known[given[0]])
+        missing = [self.coordinates.known[i] for i in quaternion.entries if i not in given]
+        if missing:
+            remedy = f"give {', '.join(missing)} too, or constrain what is meant by an expression at: end"
+            self.fault(place, f"only a part of the quaternion of {quaternion.joint}", remedy)
+        elif not any(
+            all(bounds.q[i][0] <= sign * q[i] <= bounds.q[i][1] for i in quaternion.entries) for sign in (1, -1)
+        ):
+            self.fault(place, f"the attitude of {quaternion.joint} is out of bounds", "end within the bounds")
+
     def targets(
-        self, key: str, given: dict[str, Expression] | str | None, bounds: Sequence[Range]
+        self, key: str, given: dict[str, Expression] | str | None, among: _Names, bounds: Sequence[Range]
     ) -> tuple[tuple[int, float], ...]:
-        """Read what some coordinates must be at the end."""
+        """Read what some entries of the state, or accelerations, must be at the end."""
         targets = []
         for name, expression in (given if isinstance(given, dict) else {}).items():
             place = ("end", key, name)
-            i, value = self.find(place, name, self.coordinates), self.number(place, expression)
+            i, value = self.find(place, name, among), self.number(place, expression)
             if i is not None:
                 targets.append((i, value))
                 lower, upper = bounds[i] if bounds else (-math.inf, math.inf)

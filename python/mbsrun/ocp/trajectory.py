@@ -22,20 +22,23 @@ Array = Annotated[NDArray[np.float64], PlainValidator(_read_array), PlainSeriali
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """A motion; n coordinates, m inputs, N intervals with d points each. Times in s, the rest in SI units."""
+    """A motion; nq coordinates, n velocities, m inputs, N intervals with d points each. Times in s, the rest in SI.
+
+    nq is n, but where there are quaternions.
+    """
 
     t: Array  # (N + 1,)
-    q: Array  # (N + 1, n)
+    q: Array  # (N + 1, nq)
     qd: Array  # (N + 1, n)
     u: Array  # (N, m): constant from t[k] to t[k + 1]
     point_t: Array  # (N, d)
-    point_q: Array  # (N, d, n)
+    point_q: Array  # (N, d, nq)
     point_qd: Array  # (N, d, n)
     point_qdd: Array  # (N, d, n)
 
     def __post_init__(self) -> None:
-        N, d, n = self.point_q.shape
-        shapes = [(N + 1,), (N + 1, n), (N + 1, n), (N, self.u.shape[1]), (N, d), (N, d, n), (N, d, n), (N, d, n)]
+        (N, d, n), nq, m = self.point_qd.shape, self.point_q.shape[-1], self.u.shape[1]
+        shapes = [(N + 1,), (N + 1, nq), (N + 1, n), (N, m), (N, d), (N, d, nq), (N, d, n), (N, d, n)]
         arrays = (self.t, self.q, self.qd, self.u, self.point_t, self.point_q, self.point_qd, self.point_qdd)
         if [array.shape for array in arrays] != shapes:
             raise ValueError("the arrays of a trajectory do not fit together")

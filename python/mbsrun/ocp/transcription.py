@@ -2,16 +2,20 @@
 
 Variables are as `layout` says. Constraints, interval by interval:
 
-    x_0 = start                                                                  2 n rows
-    sum_r D_jr q_kr - h qd_kj = 0,  sum_r D_jr qd_kr - h z_kj = 0                2 n rows a point
+    x_0 = start                                                                  nq + n rows
+    sum_r D_jr q_kr - h qd_kj = 0,  sum_r D_jr qd_kr - h z_kj = 0                nq + n rows a point
     Phi(q_kj, qd_kj, z_kj) - Q(q_kj, qd_kj, u_k) = 0                             n rows a point
-    x_(k+1) = sum_r e_r x_kr                                                     2 n rows an interval
+    x_(k+1) = sum_r e_r x_kr                                                     nq + n rows an interval
     sensors at x_N, coordinates of x_N, qd_N = 0, z(T) = 0, ...                  as the problem asks
 
 for a residual; where the equations of motion are explicit, the third is z_kj - gamma(q_kj, qd_kj, u_k) = 0, or gamma
 takes the place of z_kj in the second, and of z(T). (Docquier, Bruls, Fisette, eqs. 5, 15, 22-27.) In the integral form
 the second is solved, and states at the points are bounded by rows of their own where they have bounds. Shooting is the
 integral form of any Runge-Kutta method, with its third solved as well: see `condensation`.
+
+Where a model has quaternions, its kernel `rates` takes the place of qd_kj, and nq exceeds n. That keeps their lengths
+where the points are Legendre's, and at others nearly: nothing depends on them but the start, where they are given, or
+are 1 where it is free, and the end, where three equations set an attitude, of either sign and any length.
 
 A constraint along the path holds at all collocation points, and if it speaks of states alone, which do not jump there,
 at all mesh points: with Radau points these are among them, and a start that is given is as it is.
@@ -41,6 +45,7 @@ from mbsrun.ocp.program import Block, Indices, Matrix, Program
 from mbsrun.ocp.quantities import Quantity, formulate, list_quantities
 from mbsrun.ocp.schemes import Family, Scheme
 from mbsrun.ocp.trajectory import Trajectory, grid
+from mbsrun.quaternions import Quaternion, compare, find_quaternion, list_quaternions, neutral
 
 Array = NDArray[np.float64]
 
@@ -76,13 +81,15 @@ class Structure:
 class Rows:
     """Where each constraint lies."""
 
-    start: Indices  # (2 n,)
-    states: Indices  # (N, S, 2 n); (N, S, 0) in the integral form
+    start: Indices  # (nq + n,)
+    lengths: Indices  # (quaternions,) where the start is free, or empty
+    states: Indices  # (N, S, nq + n); (N, S, 0) in the integral form
     dynamics: Indices  # (N, S, n): those of the states that hold the equations of motion, for an ODE
-    continuity: Indices  # (N, 2 n)
+    continuity: Indices  # (N, nq + n)
     inner: Indices  # (N, points, bounded states): where points have no states
     sensors: Indices  # (targets, 3)
-    coordinates: Indices  # (targets,)
+    coordinates: Indices  # (targets,); quaternions apart
+    attitudes: Indices  # (targets, 3)
     velocity: Indices  # (n,), or empty
     acceleration: Indices  # (n,), or empty
     velocities: Indices  # (targets,)
@@ -100,6 +107,7 @@ class Transcription:
     """
 
     structure: Structure
+    quaternions: tuple[Quaternion, ...]
     scheme: Scheme
     integrator: Integrator
     layout: Layout
@@ -107,8 +115,11 @@ class Transcription:
     program: Program | Condensed
 
     def parameters(self, problem: Problem) -> Array:
-        """Give the parameters of the program: weights, constants."""
-        return np.array([*problem.cost.weights, *(value for _, value in problem.constants)])
+        """Give the parameters of the program: weights, constants, attitudes of the end."""
+        values, end = [value for _, value in problem.constants], dict(problem.end.coordinates)
+        for quaternion in _find_targets(self.structure, self.quaternions):
+            values += [end[i] for i in quaternion.entries]
+        return np.array([*problem.cost.weights, *values])
 
     def variable_bounds(self, problem: Problem) -> tuple[Array, Array]:
         """Bound the states at mesh and collocation points where they are variables, the inputs, and the horizon."""
@@ -133,7 +144,7 @@ class Transcription:
         lower[rows.start] = problem.start_q + problem.start_qd
         for row, targets in (
             (rows.sensors, end.sensors),
-            (rows.coordinates, end.coordinates),
+            (rows.coordinates, [x for x in end.coordinates if find_quaternion(self.quaternions, x[0]) is None]),
             (rows.velocities, end.velocities),
             (rows.accelerations, end.accelerations),
             (rows.sensor_velocities, end.sensor_velocities),
@@ -142,6 +153,10 @@ class Transcription:
         upper = lower.copy()
         free = rows.start[list(problem.free_start)]
         lower[free], upper[free] = -np.inf, np.inf
+        if rows.lengths.size:
+            is_free = np.array([quaternion.first in problem.free_start for quaternion in self.quaternions])
+            lower[rows.lengths] = np.where(is_free, 1.0, -np.inf)
+            upper[rows.lengths] = np.where(is_free, 1.0, np.inf)
         states = np.array(problem.bounds.q + problem.bounds.qd)[list(self.structure.bounded)].reshape(-1, 2)
         lower[rows.inner], upper[rows.inner] = states.T
         for row, constraint in zip(rows.constraints, problem.constraints, strict=True):
@@ -172,7 +187,7 @@ class Transcription:
 
     def unpack(self, x: Array) -> Trajectory:
         """Read a trajectory out of the variables. Raises ValueError where condensed equations have no solution."""
-        layout, n = self.layout, self.layout.n
+        layout = self.layout
         if isinstance(self.program, Condensed):
             x = self.program.complete(x)
         fixed = self.structure.horizon
@@ -184,12 +199,12 @@ class Transcription:
             points = x[layout.points]
             nodes = np.concatenate((mesh[:-1, None], points), axis=1)
             has_accelerations = layout.accelerations.size > 0
-            q, qd = points[:, :, :n], points[:, :, n:]
-            qdd = x[layout.accelerations] if has_accelerations else self.scheme.D @ nodes[:, :, n:] / h
+            q, qd = layout.split(points)
+            qdd = x[layout.accelerations] if has_accelerations else self.scheme.D @ layout.split(nodes)[1] / h
         else:
             motion = read_motion(layout, self.integrator.points, h)
-            q, qd, qdd = ((part @ x).reshape(*point_t.shape, n) for part in (motion.q, motion.qd, motion.qdd))
-        return Trajectory(t, mesh[:, :n], mesh[:, n:], x[layout.inputs], point_t, q, qd, qdd)
+            q, qd, qdd = ((part @ x).reshape(*point_t.shape, layout.n) for part in (motion.q, motion.qd, motion.qdd))
+        return Trajectory(t, *layout.split(mesh), x[layout.inputs], point_t, q, qd, qdd)
 
 
 def structure(problem: Problem) -> Structure:
@@ -229,19 +244,23 @@ def transcribe(problem: Problem, plant: Plant) -> Transcription:
     """
     for conflict in find_conflicts(problem):
         raise ValueError(f"{conflict.key}: {conflict.finding}")
-    if plant.manifest.configuration:
-        raise ValueError("model: joints with quaternions have more coordinates than velocities; no problem takes them")
     return _Writer(structure(problem), plant).write()
+
+
+def _find_targets(shape: Structure, quaternions: Sequence[Quaternion]) -> list[Quaternion]:
+    """Find the quaternions that must have an attitude at the end; each is named whole."""
+    return [quaternion for quaternion in quaternions if quaternion.first in shape.coordinates]
 
 
 class _Writer:
     """Writes the program of a structure, group by group of its constraints and costs."""
 
     def __init__(self, shape: Structure, plant: Plant) -> None:
-        self.shape, self.plant = shape, plant
+        self.shape, self.plant, self.quaternions = shape, plant, list_quaternions(plant.manifest)
         self.scheme = schemes.build(shape.family, shape.degree)
         self.integrator = integrators.build(shape.integrator, self.scheme, shape.steps)
         self.layout = lay_out(
+            len(plant.manifest.positions),
             len(plant.manifest.coordinates),
             len(plant.manifest.actuated),
             shape.intervals,
@@ -256,36 +275,42 @@ class _Writer:
         self.blocks: list[Block] = []
         self.size = 0
         self.weights = 2 + len(shape.running) + len(shape.terminal)
+        self.parameters = self.weights + len(shape.constants)  # and then attitudes, where they are written
 
     def write(self) -> Transcription:
-        shape, last = self.shape, self.layout.mesh[-1]
-        q, qd = last.reshape(2, -1)
-        every = tuple(range(q.size))
+        shape = self.shape
+        q, qd = self.layout.split(self.layout.mesh[-1])
+        every = tuple(range(qd.size))
         start = self.write_states(self.layout.mesh[0])
+        lengths = self.write_lengths()
         states, dynamics, continuity = self.write_collocation()
         rows = Rows(
             start=start,
+            lengths=lengths,
             states=states,
             dynamics=dynamics,
             continuity=continuity,
             inner=self.write_inner_bounds(),
-            sensors=self.write_sensors([_sensor(last, self.plant, name) for name in shape.sensors]),
-            coordinates=self.write_states(q[list(shape.coordinates)]),
+            sensors=self.write_sensors([_sensor(q, self.plant, name) for name in shape.sensors]),
+            coordinates=self.write_states(
+                q[[i for i in shape.coordinates if find_quaternion(self.quaternions, i) is None]]
+            ),
+            attitudes=self.write_attitudes(q),
             velocity=self.write_states(qd[: qd.size * shape.velocity_zero]),
             acceleration=self.write_accelerations(every if shape.acceleration_zero else ()),
             velocities=self.write_states(qd[list(shape.velocities)]),
             accelerations=self.write_accelerations(shape.accelerations),
             sensor_velocities=self.write_sensors(
-                [_sensor_velocity(last, self.plant, name) for name in shape.sensor_velocities]
+                [_sensor_velocity(q, qd, self.plant, name) for name in shape.sensor_velocities]
             ),
             constraints=self.write_constraints(),
             size=self.size,
         )
         H, costs = self.write_cost()
         A = self.A.matrix((self.size, self.layout.size))
-        program = Program(A, H, tuple(self.blocks), costs, len(self.shape.constants))
+        program = Program(A, H, tuple(self.blocks), costs, self.parameters - self.weights)
         chosen = self.condense(program, rows) if shape.form is Form.SHOOTING else program
-        return Transcription(self.shape, self.scheme, self.integrator, self.layout, rows, chosen)
+        return Transcription(self.shape, self.quaternions, self.scheme, self.integrator, self.layout, rows, chosen)
 
     def take(self, *shape: int) -> Indices:
         """Number some rows."""
@@ -306,7 +331,7 @@ class _Writer:
         layout, n = self.layout, self.layout.n
         N, S, width = layout.points.shape
         at_stage = width + (n if layout.accelerations.size else 0)
-        interval = self.take(N, S * at_stage + 2 * n)
+        interval = self.take(N, S * at_stage + layout.mesh.shape[1])
         stages, continuity = interval[:, : S * at_stage].reshape(N, S, at_stage), interval[:, S * at_stage :]
         states, dynamics = stages[:, :, :width], stages[:, :, -n:]
         self.A.put(continuity, layout.mesh[1:], 1.0)
@@ -323,7 +348,7 @@ class _Writer:
         inner = d - (self.shape.family is Family.RADAU)  # the last Radau point is the next mesh point
         rows = self.take(N, inner, len(self.shape.bounded))
         for k, i in enumerate(self.shape.bounded):
-            states = self.points.q if i < n else self.points.qd
+            states = self.points.q if i < self.layout.nq else self.points.qd
             assert not isinstance(states, np.ndarray)
             at = np.arange(N * d * n).reshape(N, d, n)[:, :inner, i % n]
             self.A.put_matrix(rows[:, :, k].ravel(), sparse.csr_array(states)[at.ravel()])
@@ -331,13 +356,18 @@ class _Writer:
 
     def write_states_at_points(self, states: Indices, continuity: Indices) -> None:
         """Differentiate the states at the points, and read the states at the interval's end off them."""
-        layout, scheme, n = self.layout, self.scheme, self.layout.n
-        nodes = [layout.mesh[:-1], *layout.points.transpose(1, 0, 2)]  # 0 and the points, each (N, 2 n)
+        layout, scheme = self.layout, self.scheme
+        nodes = [layout.mesh[:-1], *layout.points.transpose(1, 0, 2)]  # 0 and the points, each (N, nq + n)
         for r, node in enumerate(nodes):
             for j in range(scheme.degree):
                 self.A.put(states[:, j], node, scheme.D[j, r])
             self.A.put(continuity, node, -scheme.end[r])
-        rates = np.concatenate((layout.points[:, :, n:], layout.accelerations), axis=2)
+        rates = layout.accelerations
+        if self.quaternions:
+            rows, states = layout.split(states)
+            self.write_turning(rows.reshape(-1, layout.nq).T)
+        else:
+            rates = np.concatenate((layout.split(layout.points)[1], rates), axis=2)
         self.write_rates(states[:, :, : rates.shape[2]], rates)
 
     def write_integrals(self, continuity: Indices) -> None:
@@ -349,8 +379,15 @@ class _Writer:
             self.A.put(continuity[:, :n], layout.accelerations[:, j], -(h**2) * end.P[1, j])
             self.A.put(continuity[:, n:], layout.accelerations[:, j], -h * end.V[1, j])
 
+    def write_turning(self, rows: Indices) -> None:
+        """Write -h times the rates of coordinates that are no velocities."""
+        kernel, columns = self.plant.casadi("rates"), (self.points.q, self.points.qd)
+        self.blocks.append(Block(kernel, columns, rows, scale=-self.h, factor=self.layout.horizon))
+
     def write_rates(self, rows: Indices, rates: Indices) -> None:
         """Write -h times what the states' derivatives are, where that is a variable."""
+        if not rates.size:
+            return
         if self.layout.horizon is None:
             self.A.put(rows, rates, -self.h)
             return
@@ -379,6 +416,29 @@ class _Writer:
         """Write some states, to be given a value."""
         rows = self.take(states.size)
         self.A.put(rows, states, 1.0)
+        return rows
+
+    def write_attitudes(self, q: Indices) -> Indices:
+        """Compare quaternions at the end with targets, which are parameters."""
+        found, target = ca.SX.sym("found", 4), ca.SX.sym("target", 4)
+        options = {"is_diff_in": [True, False]}
+        comparison = ca.Function("compare", [found, target], [compare(target, found)], options)
+        targets = _find_targets(self.shape, self.quaternions)
+        rows = self.take(len(targets), 3)
+        for row, quaternion in zip(rows, targets, strict=True):
+            parameters = self.parameters + np.arange(4)
+            self.blocks.append(Block(comparison, (q[quaternion.entries, None],), row[:, None], parameters))
+            self.parameters += 4
+        return rows
+
+    def write_lengths(self) -> Indices:
+        """Write the squared lengths of quaternions at the start, where that may be free."""
+        chosen = self.quaternions if self.shape.start_is_free else ()
+        rows, found = self.take(len(chosen)), ca.SX.sym("q", 4)
+        if chosen:
+            length = ca.Function("length", [found], [ca.sumsqr(found)])
+            columns = np.stack([self.layout.mesh[0, quaternion.entries] for quaternion in chosen], axis=1)
+            self.blocks.append(Block(length, (columns,), rows[None]))
         return rows
 
     def write_sensors(self, sensors: Sequence[tuple[ca.Function, tuple[Indices, ...]]]) -> Indices:
@@ -473,22 +533,22 @@ def _speaks_of_jumps(text: str, known: Mapping[str, Quantity]) -> bool:
 
 def _sensor(last: Indices, plant: Plant, name: str) -> tuple[ca.Function, tuple[Indices, ...]]:
     """Position of a sensor at the end of the horizon, as a function of the coordinates that move it only."""
-    n = last.size // 2
     sensors, place = plant.casadi("sensors"), _find_sensor(plant, name)
     felt = sensors.jacobian().sparsity_out(0).get_triplet()
     moving = sorted({j for i, j in zip(*felt, strict=True) if i // 3 == place})
-    some, q = ca.MX.sym("q", len(moving)), ca.MX.zeros(n)
+    some, q = ca.MX.sym("q", len(moving)), ca.MX(ca.DM(neutral(plant.manifest)))
     q[moving] = some
     function = ca.Function("sensor", [some], [sensors(q)[:, place]], ["q"], ["position"])
     return function, (last[moving, None],)
 
 
-def _sensor_velocity(last: Indices, plant: Plant, name: str) -> tuple[ca.Function, tuple[Indices, ...]]:
+def _sensor_velocity(
+    last_q: Indices, last_qd: Indices, plant: Plant, name: str
+) -> tuple[ca.Function, tuple[Indices, ...]]:
     """Velocity of a sensor at the end of the horizon."""
-    n = last.size // 2
-    q, qd = ca.MX.sym("q", n), ca.MX.sym("qd", n)
+    q, qd = ca.MX.sym("q", last_q.size), ca.MX.sym("qd", last_qd.size)
     v = plant.casadi("motion")(q=q, qd=qd)["v"][:, _find_sensor(plant, name)]
-    return ca.Function("sensor_velocity", [q, qd], [v]), (last[:n, None], last[n:, None])
+    return ca.Function("sensor_velocity", [q, qd], [v]), (last_q[:, None], last_qd[:, None])
 
 
 def _find_sensor(plant: Plant, name: str) -> int:

@@ -13,7 +13,6 @@ from mbsgen.model.model import Joint, Model
 from mbsgen.model.writer import write_model
 from mbsrun import Mechanism
 from mbsrun.models import Extent, find_folder
-from mbsrun.ocp.statement import read_problem
 from mbsrun.simulation import Formulation, Settings, simulate
 from mbsrun.simulation.drive import hold
 from mbsrun.simulation.statement import read_statement
@@ -105,7 +104,7 @@ def test_a_start_is_given_by_name(loose: Mechanism) -> None:
             read_statement(None, {"duration": 1, **wrong}, manifest)
 
 
-def test_what_takes_no_quaternions_says_so(loose: Mechanism, tmp_path: Path) -> None:
+def test_what_takes_no_quaternions_says_so(loose: Mechanism) -> None:
     q, qd = start(loose)
     with pytest.raises(ValueError, match="gauss takes no joints with quaternions"):
         simulate(loose, hold(np.zeros(0)), q, qd, Settings(0.1, "gauss"))
@@ -113,7 +112,3 @@ def test_what_takes_no_quaternions_says_so(loose: Mechanism, tmp_path: Path) -> 
         simulate(loose, hold(np.zeros(0)), [0.0] * 8, qd, Settings(0.1))
     with pytest.raises(MbsError, match="joints with quaternions are not studied"):
         draw_states(loose.manifest, {}, 1)
-    problem = tmp_path / "fly.ocp.yaml"
-    problem.write_text("model: bird.yaml\nhorizon: 1\nintervals: 4\nscheme: radau\ndegree: 2\n", encoding="utf-8")
-    with pytest.raises(InputError, match="joints with quaternions have more coordinates than velocities"):
-        read_problem(problem, lambda _: loose)

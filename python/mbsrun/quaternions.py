@@ -1,0 +1,161 @@
+"""Coordinates whose rates are not velocities: quaternions, and what there is to know of them outside the kernels.
+
+A quaternion (v, s) is four entries of q, its scalar last, and its joint's angular velocity w three entries of qd, along
+the body's own axes. With Hamilton's product *,
+
+    q' = q * (w, 0) / 2;
+
+the kernel `rates` gives that for all coordinates of a model, and their places. What turns is q/|q|, so that q, -q and
+any multiple stand for one attitude. Where a model has no quaternions, rates are velocities, and nothing here does
+anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsgen.manifest import Manifest
+from mbsrun.ocp.plant import Plant
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Quaternion:
+    """Where one is found."""
+
+    joint: str
+    first: int  # of its four entries in q
+    spin: int  # first of the three of its angular velocity in qd
+
+    @property
+    def entries(self) -> list[int]:
+        """List its entries of q."""
+        return [self.first + k for k in range(4)]
+
+    @property
+    def spins(self) -> list[int]:
+        """List those of its angular velocity in qd."""
+        return [self.spin + k for k in range(3)]
+
+
+def list_quaternions(manifest: Manifest) -> tuple[Quaternion, ...]:
+    """List a model's quaternions; each has one entry more in q than in qd."""
+    names = manifest.positions
+    return tuple(Quaternion(names[k].removesuffix(".qx"), k, k - i) for i, k in enumerate(manifest.quaternions))
+
+
+def find_quaternion(quaternions: Iterable[Quaternion], i: int) -> Quaternion | None:
+    """Find the quaternion that entry i of q belongs to; None where it is a coordinate of another kind."""
+    return next((x for x in quaternions if i in x.entries), None)
+
+
+def neutral(manifest: Manifest) -> Array:
+    """Give the coordinates (nq,) at which all joints are at 0, and no quaternion turns anything."""
+    q = np.zeros(len(manifest.positions))
+    q[[x.first + 3 for x in list_quaternions(manifest)]] = 1.0
+    return q
+
+
+def normalise(q: Array, manifest: Manifest) -> Array:
+    """Bring the quaternions of q (..., nq) to length 1; those of length 0 stay."""
+    q = q.copy()
+    for x in list_quaternions(manifest):
+        length = np.linalg.norm(q[..., x.entries], axis=-1, keepdims=True)
+        q[..., x.entries] /= np.where(length == 0, 1.0, length)
+    return q
+
+
+def measure_lengths(q: Array, manifest: Manifest) -> Array:
+    """Give the lengths of the quaternions of q (..., nq): (..., quaternions)."""
+    lengths = [np.linalg.norm(q[..., x.entries], axis=-1) for x in list_quaternions(manifest)]
+    return np.stack(lengths, axis=-1) if lengths else np.zeros((*q.shape[:-1], 0))
+
+
+def compare(target: ca.SX, found: ca.SX) -> ca.SX:
+    """Give the vector (3,) of target^-1 * found, 0 where both are one attitude.
+
+    It is linear in `found`; its derivatives are independent, and nothing along `found` changes it where it is 0: three
+    equations, where four on a quaternion whose length is given already would be one too many.
+    """
+    return target[3] * found[:3] - found[3] * target[:3] - ca.cross(target[:3], found[:3])
+
+
+# --- rates and velocities ------------------------------------------------------------------------------------------
+
+
+def find_rates(plant: Plant, q: Array, qd: Array) -> Array:
+    """Give the time derivatives of q, one state or a batch: q (..., nq), qd (..., n)."""
+    return plant("rates", q=q, qd=qd)["rate"] if plant.manifest.configuration else qd
+
+
+def find_velocities(plant: Plant, q: Array, first: Array, second: Array) -> tuple[Array, Array]:
+    """Give qd and qdd (..., n) of a motion q (..., nq), by its first and second derivatives in time.
+
+    Rates are E(q) qd, and the columns of E are independent.
+    """
+    if not plant.manifest.configuration:
+        return first, second
+    *times, nq = q.shape
+    q, first, second = (x.reshape(-1, nq) for x in (q, first, second))
+    still = np.zeros((len(q), len(plant.manifest.coordinates)))
+    inverse = np.linalg.pinv(plant("jac_rates", q=q, qd=still)["jac_rate_qd"])
+    qd = (inverse @ first[..., None])[..., 0]
+    change = plant("jac_rates", q=q, qd=qd)["jac_rate_q"] @ first[..., None]
+    qdd = (inverse @ (second[..., None] - change))[..., 0]
+    return qd.reshape(*times, -1), qdd.reshape(*times, -1)
+
+
+# --- a turn on its way ---------------------------------------------------------------------------------------------
+
+
+def turn(start: Array, a: Array, w: Array, b: Array, r: Array) -> tuple[Array, Array, Array]:
+    """Turn from `start` (4,) by the rotation vectors w a, then r b: q and its two derivatives in time, (..., 4) each.
+
+    a, b (3,) are constant; w, r (3, ..., 1) are numbers over time, with their first and second derivatives.
+    """
+    (w, wd, wdd), (r, rd, rdd) = w, r
+    second = _raise(r * b)
+    back = second * [-1.0, -1.0, -1.0, 1.0]
+
+    def seen(v: Array) -> Array:
+        """Turn a vector into the axes of the body, which the second turn moves."""
+        return _multiply(_multiply(back, _pure(v)), second)[..., :3]
+
+    q = _multiply(_multiply(start, _raise(w * a)), second)
+    carried = seen(wd * a)
+    spin = carried + rd * b
+    slope = seen(wdd * a) - np.cross(rd * b, carried) + rdd * b
+    first = _multiply(q, _pure(spin)) / 2
+    return q, first, _multiply(q, _pure(slope)) / 2 - (spin**2).sum(axis=-1, keepdims=True) * q / 4
+
+
+def find_turn(start: Array, end: Array) -> Array:
+    """Give the rotation vector, in the axes at `start`, of the shorter turn to `end`; both are (4,), of length 1."""
+    between = _multiply(start * [-1.0, -1.0, -1.0, 1.0], end)
+    v, s = (between[:3], between[3]) if between[3] >= 0 else (-between[:3], -between[3])
+    sine = float(np.linalg.norm(v))
+    return v * (2 * np.arctan2(sine, s) / sine) if sine else np.zeros(3)
+
+
+def _raise(vector: Array) -> Array:
+    """Give the quaternions of rotation vectors (..., 3)."""
+    half = np.linalg.norm(vector, axis=-1, keepdims=True) / 2
+    return np.concatenate((np.sinc(half / np.pi) * vector / 2, np.cos(half)), axis=-1)
+
+
+def _pure(vector: Array) -> Array:
+    """Give the quaternions of scalar 0."""
+    return np.concatenate((vector, np.zeros_like(vector[..., :1])), axis=-1)
+
+
+def _multiply(p: Array, q: Array) -> Array:
+    """Multiply quaternions (..., 4)."""
+    (a, s), (b, t) = (p[..., :3], p[..., 3:]), (q[..., :3], q[..., 3:])
+    dot = (a * b).sum(axis=-1, keepdims=True)
+    return np.concatenate((s * b + t * a + np.cross(a, b), s * t - dot), axis=-1)
