@@ -232,7 +232,7 @@ def _list_bumps(study: Study) -> list[Trial]:
     return [
         Trial(Task(place, weights, scout), "robust", "bumps", str(k), Bumps(k))
         for weights in study.costs
-        for place in study.targets.places
+        for place in study.targets.spread
         for k in range(BUMPS if weights[1] == 0 else FEW_BUMPS)
     ]
 
@@ -241,7 +241,7 @@ def _list_neighbours(study: Study, best: Mapping[Task, Best], number: int) -> It
     """Start every target from its neighbours."""
     scout = study.representations[0].value
     for weights in study.costs:
-        for place in study.targets.places:
+        for place in study.targets.spread:
             for near in study.targets.neighbours(place):
                 origin = Task(near, weights, scout)
                 if origin in best:
@@ -251,7 +251,7 @@ def _list_neighbours(study: Study, best: Mapping[Task, Best], number: int) -> It
 def _list_exchanges(study: Study, best: Mapping[Task, Best], number: int) -> Iterator[Trial]:
     """Start what is in a higher minimum from what is in the lowest."""
     for weights in study.costs:
-        for place in study.targets.places:
+        for place in study.targets.spread:
             tasks = [Task(place, weights, r.value) for r in study.representations]
             costs = {task: best[task].cost for task in tasks if task in best}
             if costs:
