@@ -13,7 +13,7 @@ import pytest
 
 from benchmarks.afternoon import write_functions
 from benchmarks.ocp.__main__ import MODELS, main, write_place
-from benchmarks.ocp.peer import Peer, list_settings, write_dynamics
+from benchmarks.ocp.peer import Peer, Shelf, list_settings, write_dynamics
 from benchmarks.ocp.rows import (
     OURS,
     Figures,
@@ -63,6 +63,32 @@ def test_the_peer_has_the_program_of_the_paper(problem: Problem, dynamics: dict[
     peer = Peer(chosen, dynamics, place, list_settings(chosen)["tuned"])
     sizes = (peer.variables, peer.constraints, peer.jacobian_nonzeros)
     assert sizes == ((8812, 8427, 72435) if name == "IMPL" else (6412, 6027, 62519))
+
+
+def test_a_compiled_peer_is_kept_with_what_compiling_it_took(
+    tmp_path: Path, problem: Problem, monkeypatch: pytest.MonkeyPatch, requires: Callable[[str], str]
+) -> None:
+    """Found again by its text, without the compiler, and solves as the interpreted one does."""
+    requires("cc")
+    q, qd, qdd, u = (ca.SX.sym(name, size) for name, size in (("q", 6), ("qd", 6), ("qdd", 6), ("u", 4)))
+    light = {"impl": ca.Function("impl", [q, qd, qdd, u], [qdd - ca.vertcat(u, 0, 0) + ca.sin(q)])}
+    place = ca.Function("place", [q], [q[:3]])
+    chosen = replace(problem.with_target("hand", (0.1, 0.9, -1.9)), intervals=5, degree=2)
+    shelf = Shelf(tmp_path)
+    monkeypatch.setattr("benchmarks.ocp.peer.FLAGS", ["-O0"])
+    first = Peer(chosen, light, place, list_settings(chosen)["tuned"], shelf)
+    (library,) = tmp_path.glob("*.so")
+    (record,) = tmp_path.glob("*.json")
+    assert json.loads(record.read_text("utf-8"))["seconds"] > 0
+    record.write_text('{"seconds": 1000}', "utf-8")
+    monkeypatch.setattr("benchmarks.ocp.peer.FLAGS", ["-O0", "-DOTHER"])
+    other = Peer(chosen, light, place, list_settings(chosen)["tuned"], shelf)
+    monkeypatch.setattr("benchmarks.ocp.peer.FLAGS", ["-O0"])
+    again = Peer(chosen, light, place, list_settings(chosen)["tuned"], shelf)
+    assert other.seconds_building < 1000 <= again.seconds_building
+    assert len(list(tmp_path.glob("*.so"))) == 2
+    assert library.exists()
+    assert first.jacobian_nonzeros == again.jacobian_nonzeros
 
 
 def test_a_quick_run_measures_both(

@@ -251,21 +251,29 @@ class Elimination:
         return bool(np.isfinite(v).all())
 
     def _iterate(self, v: Array) -> bool:
-        """Solve by Newton's method, with slopes that are kept as long as steps shrink quickly; tell whether it ends."""
-        z, fresh, last = v[:, : self._s], True, np.inf
-        inverse = np.zeros(0)
+        """Solve by Newton's method; tell whether it ends.
+
+        Slopes are kept as long as steps shrink quickly with them. A step that does not is not taken, so what is found
+        is what Newton's method finds with slopes of every place.
+        """
+        z, kept, last = v[:, : self._s], np.zeros(0), np.inf
         for _ in range(ITERATIONS):
-            if fresh:
-                inverse = _invert(self._slopes(v, unknowns_only=True))
-            step = (inverse @ self._residual(v)[:, :, None])[:, :, 0]
+            r = self._residual(v)[:, :, None]
+            if kept.size:
+                step, moved = _measure(kept @ r, z)
+                if moved <= SLOW * last:
+                    z -= step
+                    if moved * moved <= ROUNDING * last:
+                        return True
+                    last = moved
+                    continue
+            kept = _invert(self._slopes(v, unknowns_only=True))
+            step, last = _measure(kept @ r, z)
             z -= step
-            moved = np.abs(step).max() / (1 + np.abs(z).max())
-            if not np.isfinite(moved):
+            if not np.isfinite(last):
                 return False
-            rate = moved / last
-            if (moved <= STEP) if fresh else (rate * moved <= ROUNDING):
+            if last <= STEP:
                 return True
-            fresh, last = not fresh and rate > SLOW, moved
         return False
 
     def _residual(self, v: Array, rows: Indices | None = None) -> Array:
@@ -349,6 +357,11 @@ def _invert(matrices: Array) -> Array:
         return np.asarray(np.linalg.inv(matrices))
     except np.linalg.LinAlgError:
         return np.full_like(matrices, np.nan)
+
+
+def _measure(step: Array, z: Array) -> tuple[Array, float]:
+    """Give a step, (G, s) of (G, s, 1), and how large it is beside the unknowns."""
+    return step[:, :, 0], float(np.abs(step).max() / (1 + np.abs(z - step[:, :, 0]).max()))
 
 
 def _flatten(pattern: ca.Sparsity, top: int, left: int, width: int) -> Indices:

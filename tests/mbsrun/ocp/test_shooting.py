@@ -106,17 +106,22 @@ def test_rows_of_rk4_are_the_textbooks(plant: Peer) -> None:
 
 
 def unroll(program: Condensed, x: ca.MX) -> tuple[Program, ca.MX]:
-    """Give the rows that stay, and all variables by eight iterations of Newton's method, that CasADi differentiates."""
+    """Give the rows that stay, and all variables by as many iterations as they take, that CasADi differentiates."""
     z, unknowns = ca.MX.zeros(program.groups.unknowns.size), program.groups.unknowns.ravel()
     order = np.argsort(np.concatenate((program.kept, unknowns))).tolist()
-    for _ in range(8):
-        r, J = program.equations.jacobian(ca.vertcat(x, z)[order], ca.DM.zeros(program.parameters))
-        z -= ca.solve(J[:, unknowns.tolist()], r, "qr")
+    nothing = ca.DM.zeros(program.parameters)
+    if program.elimination.orders:  # stage after stage is exact
+        for _ in program.elimination.orders:
+            z -= program.equations.constraint(ca.vertcat(x, z)[order], nothing)
+    else:
+        for _ in range(8):
+            r, J = program.equations.jacobian(ca.vertcat(x, z)[order], nothing)
+            z -= ca.solve(J[:, unknowns.tolist()], r, "qr")
     return program.rest, ca.vertcat(x, z)[order]
 
 
 def test_derivatives_of_shooting_equal_casadis(arm: Peer, reach: Problem) -> None:
-    """Of everything that a problem can ask for, by RK4; CasADi differentiates iterations instead."""
+    """Of everything that a problem can ask for, by RK4; CasADi differentiates each of its stages instead."""
     problem = rich(reach, Representation.EXP1_O, Family.RADAU, False)
     check_derivatives(shot(problem, horizon=0.15, **EXPLICIT), arm, unroll)
 
@@ -125,6 +130,28 @@ def test_derivatives_through_newtons_method_equal_casadis(plant: Peer) -> None:
     """By the implicit function theorem, two steps in an interval; CasADi differentiates each iteration."""
     problem = replace(swing_up(3, 2), cost=Cost(1.0, running=(Term("sin(q_pole)*qdd_cart", 0.5),)))
     check_derivatives(shot(problem, steps=2), plant, unroll)
+
+
+def test_kept_slopes_lead_to_where_newtons_method_leads(plant: Peer) -> None:
+    """Over intervals so long that there are several solutions; groups together, as all wait for the last."""
+    program = transcribe(shot(swing_up(4, 3), horizon=1.6), plant).program
+    assert isinstance(program, Condensed)
+    rng, found = np.random.default_rng(3), 0
+    nothing = np.zeros(program.parameters)
+    for _ in range(40):
+        v = np.zeros(program.equations.variables)
+        v[program.kept] = rng.uniform(-4, 4, program.variables)
+        for _ in range(30):
+            r, J = program.equations.jacobian(v, nothing)
+            unknowns = program.groups.unknowns.ravel()
+            step = np.linalg.solve(J.full()[:, unknowns], r.full().ravel())
+            v[unknowns] -= step
+            if np.abs(step).max() < 1e-12 * (1 + np.abs(v[unknowns]).max()):
+                z = program.elimination.solve(v[program.groups.knowns])
+                assert z == pytest.approx(v[program.groups.unknowns], rel=1e-9, abs=1e-9)
+                found += 1
+                break
+    assert found >= 20
 
 
 # --- what is remembered --------------------------------------------------------------------------------------------
