@@ -31,6 +31,7 @@ The output folder gets
   verdicts.csv, .json, .md      for each case and way the number closest to its bound, or furthest beyond
   findings.csv, findings.json   every number
   map_*.png, .csv, .json        where digits go: against the condition, over mass ratio and length, towards a lock
+  laboratory.section.json       captions, by which `mbsrun study --with FOLDER` takes all of it into its report
   findings.jsonl, losses.jsonl  what was found so far
 
 \b
