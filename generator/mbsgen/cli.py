@@ -36,6 +36,7 @@ from mbsgen.report import (
     Report,
     Section,
     comparisons,
+    note_of_scene,
     sections,
     tables_of_scene,
     ways_taken,
@@ -116,6 +117,11 @@ def cli() -> None:
     help="Up to which order derivatives are generated. CasADi needs both for exact Hessians.",
 )
 @click.option("--scene", type=click.Path(path_type=Path), help="A file that tells what is wanted of the model.")
+@click.option(
+    "--tolerance",
+    type=float,
+    help="A relative error that functions may have: what matters less is left out. Else that of the scene, or none.",
+)
 @click.option("--check", is_flag=True, help="Write nothing; fail if the folder is not as it would be written.")
 def generate_command(
     model: Path,
@@ -128,6 +134,7 @@ def generate_command(
     functions: str | None,
     derivatives: int,
     scene: Path | None,
+    tolerance: float | None,
     check: bool,
 ) -> None:
     """Generate a folder from MODEL, the default command.
@@ -146,6 +153,7 @@ def generate_command(
         functions=None if functions is None else tuple(filter(None, map(str.strip, functions.split(",")))),
         derivatives=derivatives,
         scene=EVERYTHING if scene is None else scene,
+        tolerance=tolerance,
     )
     source = _read(model)
     if check:
@@ -420,6 +428,8 @@ def _print_ways(report: Report) -> None:
         for row in (header, *table):
             click.echo("  ".join((row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:]))).rstrip())
         click.echo("")
+    if note := note_of_scene(report):
+        click.echo(textwrap.fill(note, 79) + "\n")
     if not report.ways:
         return
     rows = ways_taken(report)

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mbsgen.approximation.choice import Approximation
 from mbsgen.derivatives.dynamics import Dynamics
 from mbsgen.families import Options, write_families
 from mbsgen.formulations import impl
@@ -40,13 +41,20 @@ class Evidence:
 
     flops: Mapping[str, Mapping[str, int]]  # of functions, by what has been left out so far
     deviations: Mapping[str, float]  # of functions from the whole model's, relative to the largest result
+    approximation: Approximation | None = None  # what is left out besides, and what that changes
 
 
-def gather(model: Model, scene: Scene, options: Options) -> Evidence:
-    """Count what each part of a scene saves, and compare the rest with the whole model."""
+def gather(model: Model, scene: Scene, options: Options, approximation: Approximation | None = None) -> Evidence:
+    """Count what each part of a scene saves, and compare the rest with the whole model.
+
+    What an approximation leaves out is counted after all else; it brings its own comparison.
+    """
     plain = replace(options, derivatives=0, acados=False)
     flops = {title: _count(build_tree(stage(model, part)), plain, part) for title, part in _steps(scene)}
-    return Evidence(flops, _compare(model, scene, plain))
+    if approximation is not None:
+        flops[f"below a tolerance of {approximation.tolerance:g}"] = _count(approximation.tree, plain, scene)
+    is_exact = replace(scene, tolerance=None) == EVERYTHING
+    return Evidence(flops, {} if is_exact else _compare(model, scene, plain), approximation)
 
 
 def _steps(scene: Scene) -> Iterator[tuple[str, Scene]]:
@@ -203,5 +211,19 @@ def _differ(found: Array, expected: Array) -> float:
 def describe(evidence: Evidence, names: Sequence[str]) -> list[tuple[str, ...]]:
     """Lay evidence out in rows: a title, then a cell for each function."""
     rows = [(title, *(str(flops.get(name, "")) for name in names)) for title, flops in evidence.flops.items()]
-    found = evidence.deviations
-    return [*rows, ("differs from the whole by", *(f"{found[n]:.1e}" if n in found else "" for n in names))]
+    if evidence.deviations:
+        rows.append(_tell("differs from the whole by", evidence.deviations, names))
+    if evidence.approximation is not None:
+        rows.append(_tell("and, by the tolerance, by", evidence.approximation.errors, names))
+    return rows
+
+
+def _tell(title: str, found: Mapping[str, float], names: Sequence[str]) -> tuple[str, ...]:
+    return title, *(f"{found[n]:.1e}" if n in found else "" for n in names)
+
+
+def describe_cuts(evidence: Evidence) -> list[tuple[str, ...]]:
+    """Lay out what an approximation leaves out: its name, its value, what it errs by alone, what it saves."""
+    if evidence.approximation is None:
+        return []
+    return [(x.cut.name, x.cut.value, f"{x.error:.1e}", str(x.flops)) for x in evidence.approximation.taken]

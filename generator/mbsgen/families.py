@@ -39,6 +39,7 @@ class Options:
     functions: tuple[str, ...] | None = None  # which functions of the catalogue; None: those of the scene
     derivatives: int = 2  # up to which order; at most that of the scene
     scene: Path | Scene = EVERYTHING  # what is wanted of the model
+    tolerance: float | None = None  # relative error that may be made; None: that of the scene
     reductions: Reductions = ALL  # what is done to lower the operation count
 
 
@@ -59,11 +60,9 @@ def write_families(
     """
     families: list[Family] = []
     dynamics = dynamics or Dynamics(tree, options.reductions)
-    chosen = options.functions if options.functions is not None else scene.functions
-    parts = [part for _, group in scene.together for part in group]
+    chosen = _choose(options, scene)
     read = dict(scene.results)
-    wanted = None if chosen is None else tuple(dict.fromkeys((*chosen, *parts)))
-    for name, entry in _choose_functions(tree, wanted).items():
+    for name, entry in _choose_functions(tree, _list_needed(chosen, scene)).items():
         tape = entry.build(tree, options.reductions)
         assert tape.name == name, "the catalogue calls a tape by its own name"
         tape = keep_results(tape, read[name]) if name in read else tape
@@ -82,6 +81,21 @@ def write_families(
     if any(p.kind is Kind.RUNTIME for p in tree.parameters):
         return (*_split_setup(families), *special)
     return (*families, *special)
+
+
+def list_functions(tree: Tree, options: Options, scene: Scene) -> tuple[str, ...]:
+    """List the functions of the catalogue that are written. Raises OptionError for those that there are not."""
+    return tuple(_choose_functions(tree, _list_needed(_choose(options, scene), scene)))
+
+
+def _choose(options: Options, scene: Scene) -> tuple[str, ...] | None:
+    return options.functions if options.functions is not None else scene.functions
+
+
+def _list_needed(chosen: Sequence[str] | None, scene: Scene) -> tuple[str, ...] | None:
+    """List what is chosen, and what it takes to join what is wanted together; None: all."""
+    parts = [part for _, group in scene.together for part in group]
+    return None if chosen is None else tuple(dict.fromkeys((*chosen, *parts)))
 
 
 def _finish(families: Sequence[Family], scene: Scene, chosen: Sequence[str] | None) -> list[Family]:

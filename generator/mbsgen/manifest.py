@@ -121,6 +121,7 @@ class Manifest(_Entry):
     frames: tuple[Frame, ...]
     wrenches: tuple[Wrench, ...] = ()
     kernels: tuple[Kernel, ...]
+    tolerance: float | None = None  # what kernels may differ from the model's by, relative; None: not at all
 
     def kernel(self, name: str) -> Kernel:
         """Look a kernel up by name; KeyError names those there are."""
@@ -145,6 +146,8 @@ def write(manifest: Manifest) -> str:
     unsaid: dict[str, Any] = {} if manifest.configuration else {"configuration": True, "quaternions": True}
     if not any(c.max_speed or c.max_force for c in manifest.coordinates):
         unsaid["coordinates"] = {"__all__": {"max_speed", "max_force"}}
+    if manifest.tolerance is None:
+        unsaid["tolerance"] = True
     return manifest.model_dump_json(indent=2, exclude=unsaid) + "\n"
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import hashlib
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mbsgen import __version__, manifest
+from mbsgen.approximation.choice import Approximation, approximate
 from mbsgen.derivatives.dynamics import Dynamics
 from mbsgen.evidence import gather
 from mbsgen.families import DEFAULT, OptionError, Options, write_families
@@ -18,7 +19,7 @@ from mbsgen.manifest import Coordinate, Frame, Manifest, Parameter, Wrench
 from mbsgen.model.model import Model
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree, with_runtime_numbers
-from mbsgen.model.scene import EVERYTHING, Scene, read_scene, stage
+from mbsgen.model.scene import EVERYTHING, LARGEST_TOLERANCE, Scene, read_scene, stage
 from mbsgen.model.tree import NO_FORCE, Kind, Tree
 from mbsgen.model.writer import write_model
 from mbsgen.output import write_folder
@@ -58,7 +59,8 @@ def make(model: Path | Model, options: Options = DEFAULT) -> Product:
     staged = stage(whole, scene)
     written = build_tree(staged)
     parametric = with_runtime_numbers(written)
-    tree = parametric if options.runtime else written
+    approximation = _approximate(written, options, scene)
+    tree = approximation.tree if approximation else parametric if options.runtime else written
     dynamics = Dynamics(tree, options.reductions)
     families = write_families(tree, options, dynamics, scene)
     unit = Unit(
@@ -69,10 +71,11 @@ def make(model: Path | Model, options: Options = DEFAULT) -> Product:
         tuple(p.value for p in tree.parameters if p.kind is Kind.RUNTIME and families[0].value.name == "setup"),
         design=tuple(p.value for p in tree.parameters if p.kind is Kind.DIFFERENTIATED),
         only_driven=not tree.wrenches and all(body.joint.law == NO_FORCE for body in tree.bodies),
+        tolerance=scene.tolerance if approximation and approximation.taken else None,
     )
     sources = write_c(unit)
     described = _describe(tree, unit, sources, identify_mechanism(staged))
-    evidence = None if scene == EVERYTHING else gather(whole, scene, options)
+    evidence = None if scene == EVERYTHING else gather(whole, scene, options, approximation)
     report = make_report(written, parametric, described.kernels, dynamics.flops, evidence, compare=options.compare)
     files = {
         **sources.files,
@@ -109,9 +112,23 @@ def read(model: Path | Model) -> Model:
 
 
 def _read_scene(options: Options, model: Model) -> Scene:
-    if isinstance(options.scene, Scene):
-        return options.scene
-    return read_scene(options.scene, model, {name: entry.results for name, entry in FUNCTIONS.items()})
+    scene = options.scene
+    if not isinstance(scene, Scene):
+        scene = read_scene(scene, model, {name: entry.results for name, entry in FUNCTIONS.items()})
+    tolerance = scene.tolerance if options.tolerance is None else options.tolerance
+    if not 0 <= (tolerance or 0) <= LARGEST_TOLERANCE:
+        raise OptionError(f"tolerance: {tolerance} is no relative error; give a number from 0 to {LARGEST_TOLERANCE}")
+    return replace(scene, tolerance=tolerance or None)
+
+
+def _approximate(tree: Tree, options: Options, scene: Scene) -> Approximation | None:
+    """Leave out what is below the scene's tolerance, where there is one."""
+    if scene.tolerance is None:
+        return None
+    if options.runtime:
+        finding = "with every number a run-time parameter, none can be left out for what it is now"
+        raise OptionError(f"tolerance: {finding}; leave one of the options out")
+    return approximate(tree, scene.tolerance, options, scene)
 
 
 def _hash(tree: Tree, families: tuple[Family, ...]) -> str:
@@ -168,4 +185,5 @@ def _describe(tree: Tree, unit: Unit, sources: Sources, mechanism: str) -> Manif
             if x.force is None or x.moment is None
         ),
         kernels=sources.kernels,
+        tolerance=unit.tolerance,
     )

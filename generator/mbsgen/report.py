@@ -15,7 +15,7 @@ from types import MappingProxyType
 
 from sympy import Expr
 
-from mbsgen.evidence import Evidence, describe
+from mbsgen.evidence import Evidence, describe, describe_cuts
 from mbsgen.formulations.catalogue import FORMULATIONS
 from mbsgen.formulations.links import PARAMETERS
 from mbsgen.formulations.planning import dynamics_alone
@@ -54,6 +54,7 @@ NOTE = (
 )
 COMPARISON = "Flops of the formulations, compared"
 SCENE = "Flops of the functions, with ever more left out"
+LEFT_OUT = "Left out below the tolerance"
 DIFFERENTIATION = "Flops of the derivatives, by the way of writing them"
 WAYS = ("tape", "recursion", "implicit")  # differentiating the tape, the recursion, or by the implicit function theorem
 _DERIVATIVES = ("jac_", "adj1_", "lin_")  # what the names of kernels that belong to another begin with
@@ -197,7 +198,23 @@ def tables_of_scene(report: Report) -> list[tuple[str, tuple[str, ...], list[tup
     if report.evidence is None:
         return []
     names = tuple(next(iter(report.evidence.flops.values())))
-    return [(SCENE, ("", *names), describe(report.evidence, names))]
+    tables = [(SCENE, ("", *names), describe(report.evidence, names))]
+    if report.evidence.approximation is not None:
+        tables.append((LEFT_OUT, ("", "value", "alone errs by", "saves flops"), describe_cuts(report.evidence)))
+    return tables
+
+
+def note_of_scene(report: Report) -> str:
+    """Tell what the errors of an approximation are; empty where nothing is approximated."""
+    if report.evidence is None or report.evidence.approximation is None:
+        return ""
+    found = report.evidence.approximation
+    left_out = "" if found.taken else "Nothing that would save flops could be left out. "
+    return (
+        f"{left_out}Errors by the tolerance are the largest of {found.states} states within the joints' limits, which "
+        "were not used to choose what is left out, relative to the largest value that an entry has there. A mass, a "
+        "moment or an inertia is that of a body with what the joints beyond it do not feel."
+    )
 
 
 def write_json(report: Report) -> str:
@@ -212,6 +229,16 @@ def write_json(report: Report) -> str:
     }
     if report.evidence is not None:
         data["scene"] = {"flops": dict(report.evidence.flops), "deviations": dict(report.evidence.deviations)}
+        if (approximation := report.evidence.approximation) is not None:
+            data["approximation"] = {
+                "tolerance": approximation.tolerance,
+                "states": approximation.states,
+                "errors": dict(approximation.errors),
+                "left_out": {
+                    taken.cut.name: {"value": taken.cut.value, "error": taken.error, "flops": taken.flops}
+                    for taken in approximation.taken
+                },
+            }
     if report.reductions:
         data["reductions"] = dict(report.reductions)
     return json.dumps(data, indent=2, ensure_ascii=False) + "\n"
@@ -233,7 +260,8 @@ def write_markdown(report: Report) -> str:
         lines += [_line((title, *(str(row[name]) for name in names))) for title, row in rows.items()]
     for title, header, table in tables_of_scene(report):
         lines += ["", f"## {title}", "", _line(header), _line(["---", *["---:"] * (len(header) - 1)])]
-        lines += map(_line, table)
+        lines += map(_line, table if title == SCENE else [tuple(map(_plain, row)) for row in table])
+    lines += ["", note] if (note := note_of_scene(report)) else []
     if report.ways:
         lines += ["", f"## {DIFFERENTIATION}", "", _line(("", *WAYS)), _line(["---", *["---:"] * len(WAYS)])]
         lines += [_line((f"`{name}`", *row)) for name, row in ways_taken(report).items()]

@@ -1,8 +1,8 @@
 """The scene: what one use wants of a model. Whatever it does not need is left out of what is generated.
 
 A scene stands in a YAML file of its own, beside the model. It names functions, joints that are locked, sensors and
-wrenches that matter, kinds of parameters, whether there is gravity and motion, which results are read, and which
-functions are wanted at one state.
+wrenches that matter, kinds of parameters, whether there is gravity and motion, which results are read, which
+functions are wanted at one state, and what may be left out because they hardly feel it.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from mbsgen.model.topology import find_carriers
 from mbsgen.model.tree import Kind
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,30}", re.ASCII)
+LARGEST_TOLERANCE = 0.5  # half of what is wanted: beyond, nothing that has a meaning is left
 
 
 class SceneSection(Section):
@@ -42,6 +43,9 @@ class SceneSection(Section):
     together: dict[str, tuple[str, ...]] = Field(
         {}, examples=[{"step": ["impl", "sensors"]}], description="functions of one state, as one function of this name"
     )
+    tolerance: float | None = Field(
+        None, ge=0, le=LARGEST_TOLERANCE, examples=[1e-3], description="relative error that may be made; else none"
+    )
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,7 @@ class Scene:
     motion: bool = True
     results: tuple[tuple[str, tuple[str, ...]], ...] = ()
     together: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    tolerance: float | None = None  # of the functions, relative; None or 0: nothing is left out that is felt
 
 
 EVERYTHING = Scene()
@@ -86,6 +91,7 @@ def read_scene(path: Path, model: Model, functions: Mapping[str, Sequence[str]])
         motion=section.motion,
         results=tuple(section.results.items()),
         together=tuple(section.together.items()),
+        tolerance=section.tolerance,
     )
 
 

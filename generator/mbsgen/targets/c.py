@@ -41,6 +41,7 @@ class Unit:
     parameters: tuple[float, ...] = ()  # values of the run-time parameters, for those who give none
     design: tuple[float, ...] = ()  # values of the differentiated parameters
     only_driven: bool = True  # no force but u acts in the joints
+    tolerance: float | None = None  # what the functions may differ from the model's by; None: not at all
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ def write_c(unit: Unit) -> Sources:
         sources[f"{unit.prefix}_default_parameters.c"] = _render("parameters.c", **common)
     copied = (*_COPIED, *((COLUMNS_HEADER,) if any(view.loop for view in views) else ()))
     files = {
-        header: _render("model.h", kernels=views, **common),
+        header: _render("model.h", kernels=views, tolerance=unit.tolerance, **common),
         **{name: (resources.folder("csrc") / name).read_text(encoding="utf-8") for name in copied},
         **sources,
         f"{unit.prefix}_check.c": _write_check(unit, found, common),

@@ -1,0 +1,159 @@
+"""The choice of cuts: as many flops as can be saved while every function keeps the tolerance.
+
+Each cut is measured alone. Those that keep the tolerance are taken in the order of what they err by for each flop that
+they save, as long as all together keep it; then what saves nothing is put back. So that other states keep it too, the
+choice leaves a margin, which is wider where states drawn anew find it too narrow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsgen.approximation.cuts import Cut, Released, release
+from mbsgen.approximation.effects import Bench, Comparison, Wanted
+from mbsgen.approximation.states import draw
+from mbsgen.families import Options, list_functions, write_families
+from mbsgen.model.scene import Scene
+from mbsgen.model.tree import Kind, Tree
+from mbsgen.tape.counts import count
+from mbsgen.tape.types import Tape
+
+CHOOSING, CHECKING = 64, 1024  # states at which cuts are chosen, and then all together measured
+SEEDS = 1, 2  # of the one and the other
+POSES = 8  # of the first, at which M is looked at; of the second, all
+MARGIN = 0.8  # of the tolerance: the share that is used at the states of the choice
+NARROWER = 5  # times that the share is made smaller
+AHEAD = 16  # sets that are measured at a time
+
+Chosen = NDArray[np.bool_]  # of each cut
+
+
+@dataclass(frozen=True)
+class Taken:
+    """A cut that was made."""
+
+    cut: Cut
+    error: float  # of this alone
+    flops: int  # that all functions would take more with it put back, by the estimate that the choice uses
+
+
+@dataclass(frozen=True)
+class Approximation:
+    """A tree with less in it."""
+
+    tolerance: float
+    tree: Tree
+    taken: tuple[Taken, ...]
+    errors: Mapping[str, float]  # of the functions as they are generated, at states that were not used for the choice
+    states: int = CHECKING  # so many
+
+
+def approximate(tree: Tree, tolerance: float, options: Options, scene: Scene) -> Approximation:
+    """Leave out of a tree what the functions wanted feel by no more than a tolerance: a relative error, above 0.
+
+    Where nothing can be left out, or nothing is saved by it, the tree stays as it is.
+    """
+    names = list_functions(tree, options, scene)
+    released = release(tree)
+    wanted = Wanted(names, dict(scene.results), motion=scene.motion)
+    bench = Bench(released, wanted)
+    choosing, checking = (
+        Comparison(bench, draw(tree, count, seed, motion=wanted.motion), poses)
+        for count, seed, poses in zip((CHOOSING, CHECKING), SEEDS, (POSES, CHECKING), strict=True)
+    )
+    whole = _write(tree, options, scene, names)
+    choice = _Choice(released, bench, choosing)
+    share = MARGIN
+    for _ in range(NARROWER):
+        chosen = choice.choose(share * tolerance)
+        if not chosen.any():
+            break
+        reduced = released.reduce({cut.name for cut, is_taken in zip(released.cuts, chosen, strict=True) if is_taken})
+        error = float(checking.judge(chosen[None])[0])
+        tapes = _write(reduced, options, scene, names) if error <= tolerance else {}
+        errors = checking.tell(tapes)
+        if tapes and max(errors.values(), default=0.0) <= tolerance:
+            if _total(tapes) < _total(whole):
+                return Approximation(tolerance, reduced, choice.describe(chosen), errors)
+            break
+        share *= MARGIN * min(1.0, tolerance / error)
+    return Approximation(tolerance, tree, (), checking.tell(whole))
+
+
+def _write(tree: Tree, options: Options, scene: Scene, names: tuple[str, ...]) -> dict[str, Tape]:
+    """Write functions as they are generated, but for parameters, which have their values."""
+    fixed = replace(tree, parameters=tuple(replace(p, kind=Kind.CONSTANT) for p in tree.parameters))
+    plain = replace(options, derivatives=0, acados=False, functions=names)
+    families = write_families(fixed, plain, None, replace(scene, together=()))
+    return {family.value.name: family.value for family in families}
+
+
+def _total(tapes: Mapping[str, Tape]) -> int:
+    return sum(count(tape).paper for tape in tapes.values())
+
+
+class _Choice:
+    def __init__(self, released: Released, bench: Bench, comparison: Comparison) -> None:
+        self._released, self._bench, self._comparison = released, bench, comparison
+        self._alone = comparison.judge(np.eye(len(released.cuts), dtype=bool))
+
+    def choose(self, tolerance: float) -> Chosen:
+        """Choose cuts that together err by no more than a tolerance."""
+        possible = self._alone <= tolerance
+        saved = self._count_put_back(possible)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            price = np.where(self._alone == 0.0, 0.0, self._alone / saved)
+        order = [int(k) for k in np.argsort(price, kind="stable") if possible[k] and saved[k] > 0]
+        return self._put_back(self._fill(order, tolerance))
+
+    def _fill(self, order: list[int], tolerance: float) -> Chosen:
+        """Take cuts in order, but for those that would break the tolerance."""
+        chosen = np.zeros(len(self._alone), bool)
+        while order:
+            ahead = order[:AHEAD]
+            steps = [_with(chosen, ahead[: k + 1]) for k in range(len(ahead))]
+            kept = self._comparison.judge(np.array(steps)) <= tolerance
+            fit = len(ahead) if kept.all() else int(np.argmin(kept))
+            chosen = _with(chosen, ahead[:fit])
+            order = order[fit + 1 :] if fit < len(ahead) else order[fit:]
+        return chosen
+
+    def _put_back(self, chosen: Chosen) -> Chosen:
+        """Put back what saves nothing, what errs most first."""
+        while True:
+            more = self._count_put_back(chosen)
+            idle = [k for k in range(len(chosen)) if chosen[k] and more[k] == 0]
+            if not idle:
+                return chosen
+            chosen = _without(chosen, max(idle, key=lambda k: (self._alone[k], k)))
+
+    def _count_put_back(self, chosen: Chosen) -> NDArray[np.int64]:
+        """Count what all functions take more with each of the chosen cuts put back; 0 for others."""
+        members = [int(k) for k in np.flatnonzero(chosen)]
+        counts = self._bench.count(np.array([chosen, *(_without(chosen, k) for k in members)]))
+        more = np.zeros(len(chosen), np.int64)
+        more[members] = counts[1:] - counts[0]
+        return more
+
+    def describe(self, chosen: Chosen) -> tuple[Taken, ...]:
+        """Describe what was chosen, in the order of the tree."""
+        more = self._count_put_back(chosen)
+        return tuple(
+            Taken(cut, float(self._alone[k]), int(more[k])) for k, cut in enumerate(self._released.cuts) if chosen[k]
+        )
+
+
+def _with(chosen: Chosen, more: list[int]) -> Chosen:
+    found = chosen.copy()
+    found[more] = True
+    return found
+
+
+def _without(chosen: Chosen, one: int) -> Chosen:
+    found = chosen.copy()
+    found[one] = False
+    return found

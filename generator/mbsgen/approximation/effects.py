@@ -1,0 +1,206 @@
+"""Effects: what functions of a tree err by, and what they save, while some of its numbers are 0.
+
+An entry of a result errs by its largest difference from the whole tree's at the states compared, by the largest value
+that it has there itself. Entries of one vector share that value, as those of a place do; M_ij is compared with the
+largest of sqrt(M_ii M_jj). The error of a function is that of its worst entry. Accelerations are compared for the
+forces that give the whole tree the accelerations drawn, as far as its joints are driven.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsgen.approximation.cuts import Released
+from mbsgen.approximation.states import Array, States
+from mbsgen.formulations import impl, semi
+from mbsgen.formulations.catalogue import FUNCTIONS
+from mbsgen.formulations.links import DESIGN, PARAMETERS
+from mbsgen.formulations.reductions import Reductions
+from mbsgen.model.tree import Kind
+from mbsgen.tape.interpreter import FLOATS, evaluate
+from mbsgen.tape.passes import keep_results, set_zero
+from mbsgen.tape.types import Output, Tape
+from mbsgen.tape.zeros import Sets, count_without
+
+ALIKE: Mapping[str, str] = {"semi_res": "impl", "exp1": "exp2"}  # the same function, written twice
+UNJUDGED = ("condition",)  # it tells of digits, and is no result of mechanics
+LEAST_INERTIA = 0.5  # of the kinetic energy of any motion, what must be left at least
+ROUNDING = 1e-13  # of a result's largest entry: differences that mean nothing
+VALUES, MARKS = 2**24, 2**27  # numbers, and truths, that are held at a time
+
+Results = dict[str, Array]  # (sets, states, rows, columns)
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is to be compared: functions, of some of them only some results."""
+
+    functions: tuple[str, ...]
+    results: Mapping[str, Sequence[str]]
+    motion: bool  # else velocities are 0, and no input
+
+
+class Bench:
+    """A released tree's functions, evaluated with any of its numbers 0."""
+
+    def __init__(self, released: Released, wanted: Wanted) -> None:
+        self.released, self.wanted = released, wanted
+        self.tapes = {name: self._write(name) for name in wanted.functions}
+
+    def _write(self, name: str) -> Tape:
+        tape = FUNCTIONS[name].build(self.released.tree, Reductions(trials=1))
+        if name in self.wanted.results:
+            tape = keep_results(tape, self.wanted.results[name])
+        return tape if self.wanted.motion else set_zero(tape, {"qd"})
+
+    @property
+    def judged(self) -> tuple[str, ...]:
+        """Name the functions whose errors count, each of those that are alike once."""
+        names = (ALIKE.get(name, name) if ALIKE.get(name) in self.tapes else name for name in self.tapes)
+        return tuple(dict.fromkeys(name for name in names if name not in UNJUDGED))
+
+    def count(self, sets: Sets) -> NDArray[np.int64]:
+        """Estimate the flops of all functions without each set of numbers: (k,)."""
+        entries = np.hstack([np.zeros((len(sets), len(self._given)), bool), sets])
+        total = np.zeros(len(sets), np.int64)
+        for tape in self.tapes.values():
+            step = max(1, MARKS // (len(tape.operations) + 1))
+            for k in range(0, len(sets), step):
+                total[k : k + step] += count_without(tape, PARAMETERS, entries[k : k + step])
+        return total
+
+    @property
+    def _given(self) -> list[float]:
+        """List the values of the model's own parameters at run time."""
+        return [p.value for p in self.released.whole.parameters if p.kind is Kind.RUNTIME]
+
+    def evaluate(self, tape: Tape, states: States, sets: Sets) -> Results:
+        """Evaluate a tape at all states, without each set of numbers."""
+        step = max(1, VALUES // (len(tape.operations) * len(sets) + 1))
+        parts = [
+            self._evaluate(tape, {name: columns[k : k + step] for name, columns in states.items()}, sets)
+            for k in range(0, len(states["q"]), step)
+        ]
+        return {o.name: np.concatenate([part[o.name] for part in parts], axis=1) for o in tape.outputs}
+
+    def _evaluate(self, tape: Tape, states: States, sets: Sets) -> Results:
+        values = np.array(list(self.released.numbers.values()))
+        design = [p.value for p in self.released.tree.parameters if p.kind is Kind.DIFFERENTIATED]
+        given = {name: list(columns.T[:, None, :]) for name, columns in states.items()}
+        numbers = [np.where(zero, 0.0, value)[:, None] for zero, value in zip(sets.T, values, strict=True)]
+        given |= {DESIGN: design, PARAMETERS: [*self._given, *numbers]}
+        with np.errstate(all="ignore"):  # what is no number is told as such
+            found = evaluate(tape, {i.name: given[i.name] for i in tape.inputs}, FLOATS)
+        shape = len(sets), len(states["q"])
+        return {o.name: _fill(o, found[o.name], shape) for o in tape.outputs}
+
+
+def _fill(output: Output, values: Sequence[Any], shape: tuple[int, int]) -> Array:
+    full = np.zeros((*shape, output.sparsity.rows, output.sparsity.cols))
+    for (r, c), value in zip(output.sparsity.entries, values, strict=True):
+        full[:, :, r, c] = value
+    return full
+
+
+class Comparison:
+    """A bench at some states: what the whole tree has there, and how far from it others are.
+
+    M is looked at in the first `poses` of them.
+    """
+
+    def __init__(self, bench: Bench, states: States, poses: int) -> None:
+        self._bench = bench
+        none = self._none
+        released = bench.released
+        residual = impl.build(released.tree, Reductions(trials=1))
+        still = dict(states) | {"u": np.zeros((len(states["q"]), sum(b.joint.actuated for b in released.tree.bodies)))}
+        torques = bench.evaluate(residual, still, none)["Phi"][0, :, :, 0]
+        driven = [k for k, body in enumerate(released.tree.bodies) if body.joint.actuated]
+        self._still, self._driven = still, still | {"u": torques[:, driven]}
+        self._whole = {name: self._evaluate(name, none) for name in bench.judged}
+        self._poses = {name: values[:poses] for name, values in still.items()}
+        self._inertia = semi.build(released.tree, Reductions(trials=1))
+
+    @property
+    def _none(self) -> Sets:
+        return np.zeros((1, len(self._bench.released.numbers)), bool)
+
+    def _evaluate(self, name: str, sets: Sets, tape: Tape | None = None) -> Results:
+        states = self._driven if name in ("exp1", "exp2") else self._still
+        return self._bench.evaluate(tape or self._bench.tapes[name], states, sets)
+
+    def judge(self, sets: Sets) -> Array:
+        """Tell the largest error of all functions without each set of numbers; infinite where M is not kept: (k,)."""
+        size = max((len(self._bench.tapes[name].operations) for name in self._whole), default=1)
+        step = max(1, VALUES // (size * len(self._still["q"]) + 1))
+        parts = [sets[k : k + step] for k in range(0, len(sets), step)]
+        return np.concatenate([self._judge(part) for part in parts]) if parts else np.zeros(0)
+
+    def _judge(self, sets: Sets) -> Array:
+        worst = np.where(self.keeps_inertia(sets), 0.0, np.inf)
+        for name in self._whole:
+            worst = np.maximum(worst, self._differ(name, self._evaluate(name, sets)))
+        return worst
+
+    def tell(self, tapes: Mapping[str, Tape]) -> dict[str, float]:
+        """Tell the error of each function as it was generated, by a tape that has no numbers to leave out."""
+        known = {name: self._find_alike(name) for name in tapes if name not in UNJUDGED}
+        return {
+            name: float(self._differ(whole, self._evaluate(whole, self._none, tapes[name]))[0])
+            for name, whole in known.items()
+        }
+
+    def _find_alike(self, name: str) -> str:
+        return name if name in self._whole else ALIKE[name]
+
+    def _differ(self, name: str, found: Results) -> Array:
+        worst = np.zeros(len(next(iter(found.values()), ())))
+        for result, values in found.items():
+            whole = self._whole[name][result]
+            largest = np.abs(whole[0]).max(axis=0)
+            off = np.abs(values - whole).max(axis=1, initial=0.0)
+            off[off <= ROUNDING * largest.max(initial=0.0)] = 0.0
+            with np.errstate(all="ignore"):
+                ratio = np.where(off == 0.0, 0.0, off / _share(result, largest))
+            worst = np.maximum(worst, np.where(np.isnan(ratio), np.inf, ratio).max(axis=(1, 2), initial=0.0))
+        return worst
+
+    def keeps_inertia(self, sets: Sets) -> NDArray[np.bool_]:
+        """Tell whether M without each set of numbers has enough of that of the whole, in every direction: (k,)."""
+        reduced = self._bench.evaluate(self._inertia, self._poses, sets)["M"]
+        left = reduced - LEAST_INERTIA * self._whole_inertia
+        kept: NDArray[np.bool_] = np.array([bool(np.isfinite(x).all()) for x in left])
+        kept[kept] = (np.linalg.eigvalsh(left[kept] / self._sizes) > 0).all(axis=(1, 2))
+        return kept
+
+    @cached_property
+    def _whole_inertia(self) -> Array:
+        return self._bench.evaluate(self._inertia, self._poses, self._none)["M"]
+
+    @cached_property
+    def _sizes(self) -> Array:
+        diagonal = np.sqrt(np.diagonal(self._whole_inertia, axis1=2, axis2=3))
+        sizes: Array = diagonal[..., :, None] * diagonal[..., None, :]
+        return sizes
+
+
+def _share(result: str, largest: Array) -> Array:
+    """Give the entries of a result, from the largest value of each, the value that their errors are divided by."""
+    match result:
+        case "M":
+            diagonal = np.sqrt(np.diag(largest))
+            return np.outer(diagonal, diagonal)
+        case "position" | "v" | "omega" | "p":  # a vector is a column
+            return np.broadcast_to(largest.max(axis=0, keepdims=True), largest.shape)
+        case "momentum" | "angular_momentum" | "com" | "R":
+            return np.full(largest.shape, largest.max(initial=0.0))
+        case "J":  # three rows
+            blocks = largest.reshape(-1, 3, largest.shape[1]).max(axis=(1, 2))
+            return np.repeat(blocks, 3)[:, None] * np.ones(largest.shape)
+    return largest
