@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -181,17 +182,17 @@ class Elimination:
 
     def solve(self, w: Array) -> Array:
         """Give the unknowns, (G, s), for knowns (G, k); not numbers where there is no solution."""
-        with self._lock:
+        with self._turn():
             return self._find(w).v[:, : self._s].copy()
 
     def differentiate(self, w: Array) -> Array:
         """Give dz/dw, (G, s, k)."""
-        with self._lock:
+        with self._turn():
             return self._differentiate(self._find(w)).copy()
 
     def curve(self, w: Array, gradient: Array) -> Array:
         """Give the Hessian by w, (G, k, k), that equations add to a function with a gradient by z, (G, s)."""
-        with self._lock:
+        with self._turn():
             found = self._find(w)
             slopes = self._differentiate(found)
             assert found.inverse is not None, "slopes are made with it"
@@ -222,6 +223,12 @@ class Elimination:
         return pattern
 
     # --- one place ---
+
+    @contextmanager
+    def _turn(self) -> Iterator[None]:
+        """Let others wait; what is not a number goes on as such."""
+        with self._lock, np.errstate(all="ignore"):
+            yield
 
     @property
     def _s(self) -> int:

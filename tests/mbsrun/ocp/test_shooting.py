@@ -295,6 +295,7 @@ def test_multiple_shooting_bears_growth_by_exp_40() -> None:
 # --- failures ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.filterwarnings("error")
 def test_equations_without_a_solution_are_a_failure(capfd: pytest.CaptureFixture[str]) -> None:
     """qdd^2 = u - 1, and u = 0 in the guess: Newton's method ends nowhere; a status says so, and nothing else does."""
     q, qd, qdd, u = (ca.SX.sym(name) for name in ("q", "qd", "qdd", "u"))
