@@ -103,7 +103,7 @@ class Dynamics:
         return self.call(self._residual_name, q, qd, v, qdd)["Phi"]
 
     def stiffnesses(self, q: Array, qd: Array, qdd: Array, v: Array) -> tuple[Array, Array, Array]:
-        """Differentiate the residual by q, qd and qdd, shapes (..., n, n)."""
+        """Differentiate the residual by q, qd and qdd, shapes (..., n, nq), (..., n, n) twice."""
         self.effort.jacobians += _states(q)
         if self._is_direct:
             K, C = self._pick(f"jac_{self.formulation.value}", "qdd", ("q", "qd"), q, qd, v)

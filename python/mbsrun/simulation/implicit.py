@@ -5,12 +5,18 @@
 Generalised alpha: Chung, Hulbert, Journal of Applied Mechanics 60 (1993); as here Arnold, Bruls, Multibody System
 Dynamics 18 (2007), equations (5) to (12). Collocation: Hairer, Wanner, "Solving Ordinary Differential Equations II",
 section IV.5; the unknowns are the accelerations z of the stages, with Z = A z and A Z for velocities and coordinates.
+
+Where coordinates change by rates(q, qd), with quaternions, velocities alone follow from the accelerations by these
+formulas, and coordinates from the velocities: at the stages of a collocation they solve its own equations; generalised
+alpha turns by the mean velocity of the step, as it does on groups (Bruls, Cardona, Journal of Computational and
+Nonlinear Dynamics 5 (2010), 031002), with the midpoint rule for the exponential.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +45,7 @@ class _StuckError(Exception):
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """Where a step ends; with the stages on the way there, (s, n)."""
+    """Where a step ends; with the stages on the way there, (s, nq) and (s, n)."""
 
     q: Array
     qd: Array
@@ -105,7 +111,7 @@ def _tell(error: Exception, time: float) -> Halt:
 
 def _consistent(dynamics: Dynamics, piece: Piece, q: Array, qd: Array) -> Array:
     """Solve the residual at the piece's start for the accelerations; it is linear in them."""
-    v, rest = piece.at(piece.start), np.zeros_like(q)
+    v, rest = piece.at(piece.start), np.zeros_like(qd)
     M = dynamics.stiffnesses(q, qd, rest, v)[2]
     try:
         return -np.asarray(np.linalg.solve(M, dynamics.residual(q, qd, rest, v)))
@@ -120,30 +126,78 @@ def _choose_scheme(dynamics: Dynamics, piece: Piece, settings: Settings) -> _Sch
     return _make_collocation(dynamics, piece, schemes.build(family, settings.stages))
 
 
+@dataclass(frozen=True, eq=False)
+class _Places:
+    """Coordinates at the stages of a step, which follow from the velocities V (s, n) there: Q = q + h A rates(Q, V)."""
+
+    dynamics: Dynamics
+    A: Array  # (s, s)
+    b: Array  # (s,)
+
+    @cached_property
+    def are_integrals(self) -> bool:
+        """Tell whether rates are the velocities."""
+        return not self.dynamics.kernels.manifest.quaternions
+
+    def stages(self, q: Array, V: Array, h: float) -> Array:
+        """Give Q, (s, nq): rates of quaternions are linear in them, and those of places feel no place."""
+        if self.are_integrals:
+            return np.asarray(q + h * self.A @ V)
+        Q = np.tile(q, (len(V), 1))
+        for _ in range(2):  # of Newton's method: the first gives quaternions, so that the second gives places
+            residual = Q - q - h * self.A @ self.dynamics.rates(Q, V)
+            Q = Q - np.linalg.solve(self._differentiate(Q, V, h)[0], residual.ravel()).reshape(Q.shape)
+        return Q
+
+    def end(self, q: Array, Q: Array, V: Array, h: float) -> Array:
+        """Give q + h b rates(Q, V), (nq,)."""
+        return np.asarray(q + h * self.b @ self.dynamics.rates(Q, V))
+
+    def stiffen(self, K: Array, Q: Array, V: Array, h: float) -> Array:
+        """Differentiate by V what has the derivatives K (s, n, nq) by Q: (s, s, n, n), stage by stage."""
+        if self.are_integrals:
+            return np.asarray(h * self.A[:, :, None, None] * K[:, None])
+        slopes = np.linalg.solve(*self._differentiate(Q, V, h)).reshape(*Q.shape, *V.shape)
+        return np.asarray(np.einsum("iaq,iqjb->ijab", K, slopes))
+
+    def _differentiate(self, Q: Array, V: Array, h: float) -> tuple[Array, Array]:
+        """Differentiate Q - h A rates(Q, V) by Q, and h A rates(Q, V) by V."""
+        by_q, by_qd = (
+            h * np.einsum("ij,jab->iajb", self.A, slopes).reshape(Q.size, -1)
+            for slopes in self.dynamics.rate_slopes(Q, V)
+        )
+        return np.eye(Q.size) - by_q, by_qd
+
+
 def _make_alpha(dynamics: Dynamics, piece: Piece, rho: float) -> _Scheme:
     """Unknown: qdd at the step's end. `a` is the method's own acceleration, which follows qdd."""
     alpha_m, alpha_f = (2 * rho - 1) / (rho + 1), rho / (rho + 1)
     gamma = 0.5 + alpha_f - alpha_m
     beta = 0.25 * (gamma + 0.5) ** 2
     ratio = (1 - alpha_f) / (1 - alpha_m)  # d a / d qdd
+    places = _Places(dynamics, np.array([[0.5]]), np.array([1.0]))  # from the mean velocity, at the step's middle
     memory: dict[str, Array] = {}
 
     def step(state: _State, time: float, h: float) -> _State:
         a, v = memory.get("a", state.qdd), piece.at(time + h)
 
-        def advance(qdd: Array) -> tuple[Array, Array, Array]:
+        def advance(qdd: Array) -> tuple[Array, Array, Array, Array, Array]:
+            """Give q, qd and a at the end, and the middle of the way with its velocity."""
             new = ((1 - alpha_f) * qdd + alpha_f * state.qdd - alpha_m * a) / (1 - alpha_m)
-            q = state.q + h * state.qd + h * h * ((0.5 - beta) * a + beta * new)
-            return q, state.qd + h * ((1 - gamma) * a + gamma * new), new
+            mean = (state.qd + h * ((0.5 - beta) * a + beta * new))[None]
+            middle = places.stages(state.q, mean, h)
+            q = places.end(state.q, middle, mean, h)
+            return q, state.qd + h * ((1 - gamma) * a + gamma * new), new, middle, mean
 
         def correct(qdd: Array) -> Array:
-            q, qd, _ = advance(qdd)
+            q, qd, _, middle, mean = advance(qdd)
             K, C, M = dynamics.stiffnesses(q, qd, qdd, v)
-            matrix = M + h * gamma * ratio * C + h * h * beta * ratio * K
+            by_mean = 2 * places.stiffen(K[None], middle, mean, h)[0, 0]  # the end is as far from the middle as that is
+            matrix = M + ratio * (h * gamma * C + h * beta * by_mean)
             return -np.asarray(np.linalg.solve(matrix, dynamics.residual(q, qd, qdd, v)))
 
-        qdd = _iterate(dynamics, correct, state.qdd, state, h)
-        q, qd, memory["a"] = advance(qdd)
+        qdd = _iterate(dynamics, correct, state.qdd, _scale(state, h))
+        q, qd, memory["a"], *_ = advance(qdd)
         return _State(q, qd, qdd, np.stack((state.q, q)), np.stack((state.qd, qd)))
 
     return _Scheme(step, np.array([0.0, 1.0]), np.array([0.5, 0.5]))
@@ -151,28 +205,30 @@ def _make_alpha(dynamics: Dynamics, piece: Piece, rho: float) -> _Scheme:
 
 def _make_collocation(dynamics: Dynamics, piece: Piece, scheme: schemes.Scheme) -> _Scheme:
     """Unknowns: qdd at the stages, (s, n)."""
-    A, b, c, s, n = np.linalg.inv(scheme.D[:, 1:]), scheme.weights, scheme.points, scheme.degree, dynamics.size
-    A2, bA = A @ A, scheme.weights @ A
-    values = _values_at(c)
+    A, b, c, s, n = scheme.integration, scheme.weights, scheme.points, scheme.degree, dynamics.size
+    places, values = _Places(dynamics, A, b), _values_at(c)
 
     def step(state: _State, time: float, h: float) -> _State:
         v = piece.values(time + h * c)
 
         def advance(z: Array) -> tuple[Array, Array]:
-            return state.q + h * c[:, None] * state.qd + h * h * A2 @ z, state.qd + h * A @ z
+            qd = state.qd + h * A @ z
+            return places.stages(state.q, qd, h), qd
 
         def correct(z: Array) -> Array:
             q, qd = advance(z)
             K, C, M = dynamics.stiffnesses(q, qd, z, v)
-            blocks = h * A[:, :, None, None] * C[:, None] + h * h * A2[:, :, None, None] * K[:, None]
-            blocks[range(s), range(s)] += M
-            matrix = blocks.transpose(0, 2, 1, 3).reshape(s * n, s * n)
+            by_qd = places.stiffen(K, q, qd, h)
+            by_qd[range(s), range(s)] += C
+            blocks = h * np.tensordot(by_qd, A, axes=(1, 0)).transpose(0, 1, 3, 2)  # (s, n, s, n)
+            blocks[range(s), :, range(s)] += M
+            matrix = blocks.reshape(s * n, s * n)
             residual = dynamics.residual(q, qd, z, v).ravel()
             return -np.asarray(np.linalg.solve(matrix, residual)).reshape(s, n)
 
-        z = _iterate(dynamics, correct, np.tile(state.qdd, (s, 1)), state, h)
-        q = state.q + h * state.qd + h * h * bA @ z
-        return _State(q, state.qd + h * b @ z, values @ z, *advance(z))
+        z = _iterate(dynamics, correct, np.tile(state.qdd, (s, 1)), _scale(state, h))
+        Q, V = advance(z)
+        return _State(places.end(state.q, Q, V, h), state.qd + h * b @ z, values @ z, Q, V)
 
     return _Scheme(step, c, b)
 
@@ -186,9 +242,15 @@ def _values_at(points: Array) -> Array:
     return np.asarray((tops / gaps).prod(axis=1))
 
 
-def _iterate(dynamics: Dynamics, correct: Callable[[Array], Array], guess: Array, state: _State, h: float) -> Array:
-    """Newton's method for accelerations, until what they change of the state is within CONVERGED."""
-    z, scale = guess, h / (1 + np.abs(state.qd)) + h * h / (1 + np.abs(state.q))
+def _scale(state: _State, h: float) -> Array:
+    """Tell what accelerations change of the state in a step, relative to it, (n,); to 1, where it has quaternions."""
+    sizes = np.abs(state.q) if state.q.shape == state.qd.shape else 0.0
+    return np.asarray(h / (1 + np.abs(state.qd)) + h * h / (1 + sizes))
+
+
+def _iterate(dynamics: Dynamics, correct: Callable[[Array], Array], guess: Array, scale: Array) -> Array:
+    """Newton's method for accelerations, until what they change of the state, by `scale` (n,), is within CONVERGED."""
+    z = guess
     change = np.zeros_like(z)
     for _ in range(ITERATIONS):
         dynamics.effort.iterations += 1

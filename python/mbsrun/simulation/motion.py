@@ -78,11 +78,11 @@ class Energy:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A motion of n coordinates under m inputs, at K times; with `halt`, the part that was reached."""
+    """A motion of nq coordinates, n velocities under m inputs, at K times; with `halt`, the part that was reached."""
 
     settings: Settings
     t: Array  # (K,)
-    q: Array  # (K, n)
+    q: Array  # (K, nq)
     qd: Array  # (K, n)
     inputs: Array  # (K, m): u, then w; where they jump, those that follow
     energy: Energy | None  # None where it overflows, or a kernel fails on the way
@@ -109,7 +109,7 @@ class Stages:
     """States within k steps at which a method itself sums up what happens there: s in each step."""
 
     t: Array  # (k, s)
-    q: Array  # (k, s, n)
+    q: Array  # (k, s, nq)
     qd: Array  # (k, s, n)
     weights: Array  # (s,): an integral over a step is the step's length times their sum over the stages
 
@@ -119,7 +119,7 @@ class Chunk:
     """Some steps in a row, as an integrator hands them on; the first state is the last of the chunk before."""
 
     t: Array  # (k + 1,)
-    q: Array  # (k + 1, n)
+    q: Array  # (k + 1, nq)
     qd: Array  # (k + 1, n)
     dense: Callable[[Array, NDArray[np.intp]], tuple[Array, Array]] | None = None
     # times (j,) and the steps (j,) that they lie in, from 0 -> q, qd (j, n) by the method's own interpolation

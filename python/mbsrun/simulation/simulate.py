@@ -78,8 +78,6 @@ def _check(kernels: Kernels, drive: Drive, q: ArrayLike, qd: ArrayLike, settings
         raise ValueError(f"no method {settings.method!r}; there are {', '.join(METHODS)}")
     lengths = {"duration": settings.duration, "step": settings.step, "rtol": settings.rtol, "atol": settings.atol}
     lengths |= {"output_step": settings.duration if settings.output_step is None else settings.output_step}
-    if manifest.configuration and METHODS[settings.method].family is Family.IMPLICIT:
-        raise ValueError(f"{settings.method} takes no joints with quaternions; take an explicit or adaptive method")
     for name, value in lengths.items():
         if not (np.isfinite(value) and value > 0):
             raise ValueError(f"{name} = {value} must be a positive number")

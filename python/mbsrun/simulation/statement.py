@@ -34,6 +34,7 @@ from mbsgen.errors import Fault
 from mbsgen.expressions import CONSTANTS, FLOATS, FUNCTIONS, Expression, ExpressionError, Number, evaluate, names, parse
 from mbsgen.manifest import Manifest, Wrench
 from mbsrun.ocp.schemes import DEGREES
+from mbsrun.quaternions import list_quaternions, neutral, normalise
 from mbsrun.simulation.drive import TIME, Drive, express
 from mbsrun.simulation.methods import METHODS, Family, Formulation
 from mbsrun.simulation.motion import MAX_STEPS, Settings
@@ -206,9 +207,6 @@ class _Reading:
             if section.output_step is None
             else self.number(("output_step",), section.output_step, positive),
         )
-        if self.manifest.configuration and METHODS[settings.method].family is Family.IMPLICIT:
-            finding = f"{settings.method} takes no joints with quaternions"
-            self.fault(("method",), finding, "take an explicit method, such as rk4, or an adaptive one, such as radau")
         if settings.rho > 1:
             self.fault(("rho",), f"found {settings.rho:g}", "give a number from 0 to 1")
         if settings.duration / settings.step > MAX_STEPS and METHODS[settings.method].family is not Family.ADAPTIVE:
@@ -239,9 +237,7 @@ class _Reading:
             ("pose", section.pose, "q", places),
             ("velocity", section.velocity, "qd", self.coordinates),
         ):
-            values = np.zeros(len(known))
-            if key == "pose":
-                values[[k + 3 for k in self.manifest.quaternions]] = 1.0
+            values = neutral(self.manifest) if key == "pose" else np.zeros(len(known))
             if self.recording is not None:
                 values = np.array(getattr(self.recording, recorded), dtype=np.float64)
             for name, expression in given.items():
@@ -249,13 +245,11 @@ class _Reading:
                 if i is not None:
                     values[i] = self.number(("start", key, name), expression)
             starts.append(values)
-        for k in self.manifest.quaternions:
-            length = np.linalg.norm(starts[0][k : k + 4])
-            if length == 0:
-                finding = f"the quaternion of {places[k].removesuffix('.qx')} is 0"
-                self.fault(("start", "pose"), finding, f"give {places[k + 3]} too")
-            starts[0][k : k + 4] /= length or 1.0
-        return starts[0], starts[1]
+        for quaternion in list_quaternions(self.manifest):
+            if not starts[0][quaternion.entries].any():
+                finding = f"the quaternion of {quaternion.joint} is 0"
+                self.fault(("start", "pose"), finding, f"give {places[quaternion.first + 3]} too")
+        return normalise(starts[0], self.manifest), starts[1]
 
     def drive(self, section: _SettingsSection) -> Drive:
         """Read the inputs over time; what is not named is 0."""
