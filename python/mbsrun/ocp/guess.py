@@ -122,7 +122,12 @@ def adapt(trajectory: Trajectory, problem: Problem, scheme: Scheme) -> Trajector
 
 
 def bump(trajectory: Trajectory, coordinates: Sequence[int], rng: np.random.Generator) -> Trajectory:
-    """Add smooth random bumps to some coordinates, of up to 1 rad or m; both ends keep state and acceleration."""
+    """Add smooth random bumps to some coordinates, of up to 1 rad or m; both ends keep state and acceleration.
+
+    Raises ValueError for a motion with quaternions.
+    """
+    if trajectory.q.shape != trajectory.qd.shape:
+        raise ValueError("a bump on a quaternion has no velocity of its own")
     T = float(trajectory.t[-1])
     once = 64 * np.polynomial.Polynomial([0, 1]) ** 3 * np.polynomial.Polynomial([1, -1]) ** 3  # in t / T; 1 at 1/2
     there_and_back = once * np.polynomial.Polynomial([-2, 4])

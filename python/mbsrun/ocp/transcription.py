@@ -244,6 +244,10 @@ def transcribe(problem: Problem, plant: Plant) -> Transcription:
     """
     for conflict in find_conflicts(problem):
         raise ValueError(f"{conflict.key}: {conflict.finding}")
+    for quaternion in list_quaternions(plant.manifest):
+        for key, named in (("start", problem.free_start), ("end", dict(problem.end.coordinates))):
+            if 0 < len([i for i in quaternion.entries if i in named]) < 4:
+                raise ValueError(f"{key}: a part of the quaternion of {quaternion.joint}; name all four entries")
     return _Writer(structure(problem), plant).write()
 
 

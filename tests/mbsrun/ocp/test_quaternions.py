@@ -17,7 +17,7 @@ from mbsgen.model.writer import write_model
 from mbsrun import Mechanism
 from mbsrun.external import load_on_demand
 from mbsrun.models import Extent, find_folder
-from mbsrun.ocp.guess import find_pose, interpolate, make_guess
+from mbsrun.ocp.guess import bump, find_pose, interpolate, make_guess, rest
 from mbsrun.ocp.pictures import animate, plot_trajectories
 from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Form, Problem, Representation, Term
 from mbsrun.ocp.resimulation import resimulate
@@ -245,6 +245,18 @@ def test_problem_files_speak_of_quaternions_by_name(sphere: Mechanism, file: Pat
 def test_other_forms_are_refused(sphere: Mechanism, form: Form) -> None:
     with pytest.raises(ValueError, match=f"the {form.value} form takes no joints with quaternions"):
         transcribe(replace(TURN, form=form), sphere)
+
+
+def test_a_part_of_a_quaternion_is_refused(sphere: Mechanism) -> None:
+    """At the end it would be no attitude, at the start no length would be given."""
+    for key, problem in (
+        ("start", replace(TURN, free_start=(6,))),
+        ("end", replace(TURN, end=End(coordinates=((4, 0.5), (5, 0.5))))),
+    ):
+        with pytest.raises(ValueError, match=f"{key}: a part of the quaternion of ball"):
+            transcribe(problem, sphere)
+    with pytest.raises(ValueError, match="a bump on a quaternion"):
+        bump(rest(TURN, build(Family.RADAU, 2), sphere), (3,), np.random.default_rng(0))
 
 
 def test_the_satellite_turns(requires: Callable[[str], str], tmp_path: Path) -> None:
