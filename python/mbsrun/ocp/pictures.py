@@ -37,16 +37,19 @@ def plot_trajectories(solution: Solution, manifest: Manifest, path: Path) -> Non
     )
     figure = Figure(figsize=(8, 9), layout="constrained")
     coordinates, velocities, inputs = figure.subplots(3, 1, sharex=True)
-    for i, coordinate in enumerate(manifest.coordinates):
-        style = {"color": COLORS[i % len(COLORS)], "linestyle": "-" if coordinate.actuated else "--"}
-        label = _plain(coordinate.name) + ("" if coordinate.actuated else " (passive)")
-        if not manifest.configuration:
-            coordinates.plot(t, q[:, i], label=label, **style)
-        velocities.plot(t, qd[:, i], **style)
-    for i, name in enumerate(manifest.configuration):
-        coordinates.plot(t, q[:, i], color=COLORS[i % len(COLORS)], label=_plain(name))
+    names = [c.name for c in manifest.coordinates]
+    labels = {c.name: _plain(c.name) + ("" if c.actuated else " (passive)") for c in manifest.coordinates}
+    lines = {c.name: "-" if c.actuated else "--" for c in manifest.coordinates}
+    every = dict.fromkeys((*manifest.positions, *names))  # quaternions have names of their own for q
+    colors = {name: COLORS[i % len(COLORS)] for i, name in enumerate(every)}
+    for i, name in enumerate(manifest.positions):
+        style = {"color": colors[name], "linestyle": lines.get(name, "-")}
+        coordinates.plot(t, q[:, i], label=labels.get(name, _plain(name)), **style)
+    for i, name in enumerate(names):
+        label = None if name in manifest.positions else labels[name]
+        velocities.plot(t, qd[:, i], label=label, color=colors[name], linestyle=lines[name])
     for k, i in enumerate(manifest.actuated):
-        inputs.stairs(trajectory.u[:, k], trajectory.t, baseline=None, color=COLORS[i % len(COLORS)], linewidth=1.5)
+        inputs.stairs(trajectory.u[:, k], trajectory.t, baseline=None, color=colors[names[i]], linewidth=1.5)
     actuated = [manifest.coordinates[i] for i in manifest.actuated]
     _name(coordinates, "Joint coordinates", "q", _unit(manifest.coordinates, "rad", "m"))
     _name(velocities, "Joint velocities", r"\dot{q}", _unit(manifest.coordinates, "rad/s", "m/s"))
