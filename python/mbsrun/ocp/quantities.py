@@ -5,7 +5,7 @@
     u_NAME                                        of an actuated coordinate: input
     x_NAME, y_NAME, z_NAME, vx_NAME, ...          of a sensor: position and velocity in the base frame
 
-where a dot in a name is written _, and q has the names of its own entries where there are quaternions (q_trunk_qx); and
+where dots and spaces of a name are written _, and q has names of its own where there are quaternions (q_trunk_qx); and
 the constants of the problem, which are parameters of the program. Units are SI. An expression is read by the white list
 of `mbsgen.expressions`; its derivatives are CasADi's, through the kernels that sensors and accelerations take.
 """
@@ -13,6 +13,7 @@ of `mbsgen.expressions`; its derivatives are CasADi's, through the kernels that 
 from __future__ import annotations
 
 import operator
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -54,16 +55,16 @@ def list_quantities(manifest: Manifest) -> Mapping[str, Quantity]:
         ("u", [coordinates[i] for i in manifest.actuated]),
     ):
         known |= {f"{kind}_{name}": Quantity(kind, i) for i, name in enumerate(_spell(entries)) if name is not None}
-    for i, frame in enumerate(frame for frame in manifest.frames if frame.sensor):
-        for k, axis in enumerate(_AXES):
-            known[f"{axis}_{frame.name}"] = Quantity("position", 3 * i + k)
-            known[f"v{axis}_{frame.name}"] = Quantity("v", 3 * i + k)
+    for i, name in enumerate(_spell([frame.name for frame in manifest.frames if frame.sensor])):
+        for k, axis in enumerate(_AXES if name is not None else ()):
+            known[f"{axis}_{name}"] = Quantity("position", 3 * i + k)
+            known[f"v{axis}_{name}"] = Quantity("v", 3 * i + k)
     return known
 
 
 def _spell(names: Sequence[str]) -> list[str | None]:
     """Write names as expressions can; None for one that would then be another's."""
-    spelled = [name.replace(".", "_") for name in names]
+    spelled = [re.sub(r"\W", "_", name) for name in names]
     return [new if new == old or spelled.count(new) == 1 else None for old, new in zip(names, spelled, strict=True)]
 
 

@@ -92,3 +92,11 @@ def test_a_formula_is_a_casadi_function(arm: Peer) -> None:
     formula = formulate(["x_hand", "q_q1*a"], ["a"], arm, Representation.IMPL, 1.0)
     assert isinstance(formula.function, ca.Function)
     assert formula.function.size_out(0) == (2, 1)
+
+
+def test_names_are_written_as_expressions_can(arm: Peer) -> None:
+    """Dots and spaces are _; what would then be another's name stays unsaid, what needs no change is itself."""
+    names = ["a.b", "a b", "c.d", "c_d", "e.f", "g"]
+    coordinates = tuple(c.model_copy(update={"name": n}) for c, n in zip(arm.manifest.coordinates, names, strict=True))
+    known = list_quantities(arm.manifest.model_copy(update={"coordinates": coordinates}))
+    assert {name: known[name].index for name in known if name.startswith("q_")} == {"q_c_d": 3, "q_e_f": 4, "q_g": 5}
