@@ -59,7 +59,7 @@ MBSRUN = Package(
         "binding circumstances",
         "kernel",
         "external",
-        "ocp.schemes ocp.plant ocp.program ocp.trajectory",
+        "ocp.factors ocp.schemes ocp.plant ocp.program ocp.trajectory",
         "ocp.elimination ocp.integrators quaternions",
         "animation ocp.methods ocp.problem",
         "simulation ocp.layout ocp.quantities",

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from mbsrun.ocp.factors import Factors
 from mbsrun.ocp.program import Block, Indices, Program
 
 Array = NDArray[np.float64]
@@ -31,7 +32,7 @@ Mask = NDArray[np.bool_]
 
 ITERATIONS = 30  # of Newton's method, before the equations count as having no solution
 STEP = 1e-8  # relative to unknowns above 1: a step so small leaves an error of its square, with slopes of its own place
-ROUNDING = 1e-14  # likewise, of what is left where steps shrink by a known rate
+ROUNDING = 1e-13  # likewise, of what is left where steps shrink by a known rate
 SLOW = 0.05  # the rate above which slopes are computed anew
 
 
@@ -71,32 +72,39 @@ class Call:
 
 
 class Application:
-    """A function that every one of G groups applies once, with its derivatives."""
+    """A function that every one of G groups applies at P places, with its derivatives."""
 
-    def __init__(self, block: Block, C: Array, rows: Indices, scale: float, groups: int) -> None:
-        """C is (size of all arguments, unknowns and knowns of a group), rows are those of the group's equations."""
+    def __init__(self, block: Block, C: Array, rows: Indices, scale: Array, groups: int) -> None:
+        """C is (P, size of all arguments, unknowns and knowns of a group), rows (P, results), scale (P,)."""
         self.C, self.rows, self.scale = C, rows, scale
-        self._function, self._groups, self._n = block.function, groups, len(block.columns)
-        self._sizes = [int(self._function.size1_in(i)) for i in range(self._n)]
-        self._bounds = np.cumsum([0, *self._sizes])
+        self._block, self._groups = block, groups
+        self._function, self._n = block.function, len(block.columns)
+        self._bounds = np.cumsum([0, *(self._function.size1_in(i) for i in range(self._n))])
+
+    def take(self, places: Indices) -> Application:
+        """Keep some of the P places."""
+        return Application(self._block, self.C[places], self.rows[places], self.scale[places], self._groups)
 
     def value(self, v: Array) -> Array:
-        """Give the results at (G, unknowns and knowns), scaled: (G, rows)."""
+        """Give the results at (G, unknowns and knowns), scaled: (G, P, results)."""
         (found,) = self._value(self._split(v))
-        return self.scale * found
+        return self.scale[:, None] * found.reshape(self._groups, *self.rows.shape)
 
     def slopes(self, v: Array) -> Array:
-        """Give the derivatives of the results by their arguments, scaled: (G, rows, size of all arguments)."""
-        return self.scale * _spread(self._slopes(self._split(v)), self._slope_places, self._slope_shape)
+        """Give the derivatives of the results by their arguments, scaled: (G, P, results, size of all arguments)."""
+        found = _spread(self._slopes(self._split(v)), self._slope_places, self._slope_shape)
+        return self.scale[:, None, None] * found.reshape(self._groups, -1, *self._slope_shape)
 
     def curvature(self, v: Array, multipliers: Array) -> Array:
-        """Give the Hessian of multipliers' results, scaled: (G, size of all arguments, the same)."""
-        found = self._curvature([*self._split(v), self.scale * multipliers])
-        return _spread(found, self._curvature_places, self._curvature_shape)
+        """Give the Hessian of multipliers' results, scaled: (G, P, size of all arguments, the same)."""
+        weights = (self.scale[:, None] * multipliers).reshape(-1, self.rows.shape[1])
+        found = self._curvature([*self._split(v), weights])
+        whole = _spread(found, self._curvature_places, self._curvature_shape)
+        return whole.reshape(self._groups, -1, *self._curvature_shape)
 
     @cached_property
     def slope_pattern(self) -> Mask:
-        """(rows, size of all arguments)."""
+        """(results, size of all arguments)."""
         return _mark(self._slope_places, self._slope_shape)
 
     @cached_property
@@ -105,23 +113,23 @@ class Application:
         return _mark(self._curvature_places, self._curvature_shape)
 
     def _split(self, v: Array) -> list[Array]:
-        y = v @ self.C.T
+        y = (v @ self.C.reshape(-1, v.shape[1]).T).reshape(-1, int(self._bounds[-1]))
         return [y[:, a:b] for a, b in zip(self._bounds[:-1], self._bounds[1:], strict=True)]
 
     # --- the function and its derivatives, as CasADi calls them ---
 
     @cached_property
     def _value(self) -> Call:
-        return Call(self._function, self._groups, range(self._n), [0])
+        return Call(self._function, self._places, range(self._n), [0])
 
     @cached_property
     def _slopes(self) -> Call:
-        return Call(self._function.jacobian(), self._groups, range(self._n), range(self._n))
+        return Call(self._function.jacobian(), self._places, range(self._n), range(self._n))
 
     @cached_property
     def _curvature(self) -> Call:
         weights = self._function.n_in() + 1  # inputs: F's, its result, weights, the adjoint's results
-        return Call(self._adjoint_slopes, self._groups, [*range(self._n), weights], self._pairs)
+        return Call(self._adjoint_slopes, self._places, [*range(self._n), weights], self._pairs)
 
     @cached_property
     def _adjoint_slopes(self) -> ca.Function:
@@ -133,8 +141,12 @@ class Application:
         return [i * (self._function.n_in() + 2) + j for i in range(self._n) for j in range(self._n)]
 
     @property
+    def _places(self) -> int:
+        return self._groups * len(self.rows)
+
+    @property
     def _slope_shape(self) -> tuple[int, int]:
-        return len(self.rows), int(self._bounds[-1])
+        return self.rows.shape[1], int(self._bounds[-1])
 
     @property
     def _curvature_shape(self) -> tuple[int, int]:
@@ -162,7 +174,7 @@ class _Found:
 
     key: bytes
     v: Array  # (G, s + k): unknowns, which are not numbers where there is no solution, then knowns
-    inverse: Array | None = None  # (G, s, s): of r_z
+    factors: Factors | None = None  # of r_z
     slopes: Array | None = None  # (G, s, k): dz/dw
 
 
@@ -176,7 +188,11 @@ class Elimination:
         self, A: Array, applications: Sequence[Application], groups: int, orders: Sequence[Indices] = ()
     ) -> None:
         """A is (s, s + k); orders are equations of a triangular system with ones on its diagonal, one after another."""
-        self.A, self.applications, self.groups, self.orders = A, applications, groups, orders
+        self.A, self.applications, self.groups = A, applications, groups
+        self.orders = [
+            (rows, [part.take(chosen) for part in applications if (chosen := _find(part.rows, rows)).size])
+            for rows in orders
+        ]
         self._lock = threading.Lock()
         self._last: _Found | None = None
 
@@ -195,12 +211,14 @@ class Elimination:
         with self._turn():
             found = self._find(w)
             slopes = self._differentiate(found)
-            assert found.inverse is not None, "slopes are made with it"
-            mu = -(gradient[:, None] @ found.inverse)[:, 0]
+            assert found.factors is not None, "slopes are made with them"
+            mu = -found.factors.solve_transposed(gradient)
             whole = np.zeros((self.groups, slopes.shape[2], slopes.shape[2]))
             for part in self.applications:
-                Y = part.C[:, : self._s] @ slopes + part.C[:, self._s :]
-                whole += Y.transpose(0, 2, 1) @ (part.curvature(found.v, mu[:, part.rows]) @ Y)
+                curvature = part.curvature(found.v, mu[:, part.rows])
+                for p, C in enumerate(part.C):
+                    Y = C[:, : self._s] @ slopes + C[:, self._s :]
+                    whole += Y.transpose(0, 2, 1) @ (curvature[:, p] @ Y)
             return whole
 
     @cached_property
@@ -208,7 +226,8 @@ class Elimination:
         """Tell which of dz/dw, (s, k), may be nonzero: all that stands beside a known that is felt at all."""
         felt = self.A != 0
         for part in self.applications:
-            felt[part.rows] |= _reaches(part.slope_pattern, part.C != 0)
+            for rows, C in zip(part.rows, part.C, strict=True):
+                felt[rows] |= _reaches(part.slope_pattern, C != 0)
         known: Mask = felt[:, self._s :].any(axis=0)
         return np.broadcast_to(known, (self._s, known.size))
 
@@ -218,8 +237,9 @@ class Elimination:
         k = self.A.shape[1] - self._s
         pattern = np.zeros((k, k), dtype=bool)
         for part in self.applications:
-            Y = (part.C[:, self._s :] != 0) | _reaches(part.C[:, : self._s] != 0, self.slope_pattern)
-            pattern |= _reaches(Y.T, _reaches(part.curvature_pattern, Y))
+            for C in part.C:
+                Y = (C[:, self._s :] != 0) | _reaches(C[:, : self._s] != 0, self.slope_pattern)
+                pattern |= _reaches(Y.T, _reaches(part.curvature_pattern, Y))
         return pattern
 
     # --- one place ---
@@ -247,14 +267,14 @@ class Elimination:
     def _differentiate(self, found: _Found) -> Array:
         if found.slopes is None:
             slopes = self._slopes(found.v)
-            found.inverse = _invert(slopes[:, :, : self._s])
-            found.slopes = -found.inverse @ slopes[:, :, self._s :]
+            found.factors = Factors(slopes[:, :, : self._s])
+            found.slopes = -found.factors.solve(slopes[:, :, self._s :])
         return found.slopes
 
     def _substitute(self, v: Array) -> bool:
         """Solve order by order."""
-        for rows in self.orders:
-            v[:, rows] -= self._residual(v, rows)
+        for rows, parts in self.orders:
+            v[:, rows] -= self._residual(v, parts)[:, rows]
         return bool(np.isfinite(v).all())
 
     def _iterate(self, v: Array) -> bool:
@@ -263,19 +283,23 @@ class Elimination:
         Slopes are kept as long as steps shrink quickly with them. A step that does not is not taken, so what is found
         is what Newton's method finds with slopes of every place.
         """
-        z, kept, last = v[:, : self._s], np.zeros(0), np.inf
+        z, last = v[:, : self._s], np.inf
+        kept: Factors | None = None
         for _ in range(ITERATIONS):
-            r = self._residual(v)[:, :, None]
-            if kept.size:
-                step, moved = _measure(kept @ r, z)
+            r = self._residual(v)
+            if kept is not None:
+                step = kept.solve_transposed(r)
+                moved = _measure(step, z)
                 if moved <= SLOW * last:
                     z -= step
                     if moved * moved <= ROUNDING * last:
                         return True
                     last = moved
                     continue
-            kept = _invert(self._slopes(v, unknowns_only=True))
-            step, last = _measure(kept @ r, z)
+            # of the transposed: for one right-hand side that is quicker
+            kept = Factors(self._slopes(v, unknowns_only=True).transpose(0, 2, 1))
+            step = kept.solve_transposed(r)
+            last = _measure(step, z)
             z -= step
             if not np.isfinite(last):
                 return False
@@ -283,20 +307,21 @@ class Elimination:
                 return True
         return False
 
-    def _residual(self, v: Array, rows: Indices | None = None) -> Array:
-        """Give the equations' values, (G, s), or those of some rows, to which no function gives a part only."""
+    def _residual(self, v: Array, parts: Sequence[Application] | None = None) -> Array:
+        """Give the equations' values, (G, s); with some parts, of those rows alone that no others add to."""
         r = v @ self.A.T
-        for part in self.applications:
-            if rows is None or part.rows[0] in rows:
-                r[:, part.rows] += part.value(v)
-        return r if rows is None else r[:, rows]
+        for part in self.applications if parts is None else parts:
+            r[:, part.rows] += part.value(v)
+        return r
 
     def _slopes(self, v: Array, *, unknowns_only: bool = False) -> Array:
         """Give the equations' derivatives by unknowns and knowns, (G, s, s + k), or by unknowns, (G, s, s)."""
         columns = slice(self._s if unknowns_only else None)
         J = np.repeat(self.A[None, :, columns], self.groups, axis=0)
         for part in self.applications:
-            J[:, part.rows] += part.slopes(v) @ part.C[:, columns]
+            slopes = part.slopes(v)
+            for p, rows in enumerate(part.rows):
+                J[:, rows] += slopes[:, p] @ part.C[p, :, columns]
         return J
 
 
@@ -314,34 +339,33 @@ def eliminate(program: Program, groups: Groups, orders: Sequence[Indices] = ()) 
     owner = np.full(program.constraints, -1)
     owner[groups.equations] = np.arange(len(groups.equations))[:, None]
     A = sparse.csr_array(program.A)[groups.equations.ravel()]
-    parts = [part for block in program.blocks for part in _read_block(block, column, row, owner, len(order))]
+    parts = [_read_block(block, column, row, owner, len(order)) for block in program.blocks]
     shape = (len(order), groups.equations.shape[1], order.shape[1])
-    return Elimination(_localise(A, shape, column), tuple(parts), len(order), tuple(orders))
+    return Elimination(_localise(A, shape, column), parts, len(order), orders)
 
 
-def _read_block(block: Block, column: Indices, row: Indices, owner: Indices, groups: int) -> Iterator[Application]:
-    """Give what each group applies of a block."""
+def _read_block(block: Block, column: Indices, row: Indices, owner: Indices, groups: int) -> Application:
+    """Say what each group applies of a block."""
     assert (block.data, block.factor, block.parameters.size) == (None, None, 0), "equations read variables alone"
     owners = owner[block.rows[0]]
-    places = np.argsort(owners, kind="stable").reshape(groups, -1)  # (G, applications)
+    places = np.argsort(owners, kind="stable").reshape(groups, -1)  # (G, P)
     assert (owners[places] == np.arange(groups)[:, None]).all(), "groups are alike"
-    width = int(column.max()) + 1
-    for chosen in places.T:
-        matrices = []
-        for part in block.columns:
-            if isinstance(part, np.ndarray):
-                size, at = len(part), part[:, chosen].T
-                matrix = sparse.csr_array(
-                    (np.ones(at.size), at.ravel(), np.arange(at.size + 1)), shape=(at.size, column.size)
-                )
-            else:
-                size = part.shape[0] // block.places
-                matrix = sparse.csr_array(part)[(chosen[:, None] * size + np.arange(size)).ravel()]
-            matrices.append(_localise(matrix, (groups, size, width), column))
-        rows, scales = row[block.rows[:, chosen]], block.scales[chosen]
-        assert (rows == rows[:, :1]).all(), "groups are alike"
-        assert (scales == scales[0]).all(), "groups are alike"
-        yield Application(block, np.concatenate(matrices), rows[:, 0], float(scales[0]), groups)
+    P, width = places.shape[1], int(column.max()) + 1
+    matrices = []
+    for part in block.columns:
+        if isinstance(part, np.ndarray):
+            size, at = len(part), part[:, places.ravel()].T
+            ones = (np.ones(at.size), at.ravel(), np.arange(at.size + 1))
+            matrix = sparse.csr_array(ones, shape=(at.size, column.size))
+        else:
+            size = part.shape[0] // block.places
+            matrix = sparse.csr_array(part)[(places.reshape(-1, 1) * size + np.arange(size)).ravel()]
+        matrices.append(_localise(matrix, (groups, P * size, width), column).reshape(P, size, width))
+    rows, scales = row[block.rows[:, places]].transpose(1, 2, 0), block.scales[places]
+    assert (rows == rows[0]).all(), "groups are alike"
+    assert (scales == scales[0]).all(), "groups are alike"
+    assert np.unique(rows[0]).size == rows[0].size, "no two places add to a row"
+    return Application(block, np.concatenate(matrices, axis=1), rows[0], scales[0], groups)
 
 
 def _localise(matrix: sparse.csr_array, shape: tuple[int, int, int], column: Indices) -> Array:
@@ -356,19 +380,14 @@ def _localise(matrix: sparse.csr_array, shape: tuple[int, int, int], column: Ind
     return np.array(parts[0])
 
 
-def _invert(matrices: Array) -> Array:
-    """Invert all; not numbers, if one of them is singular."""
-    if not np.isfinite(matrices).all():
-        return np.full_like(matrices, np.nan)
-    try:
-        return np.asarray(np.linalg.inv(matrices))
-    except np.linalg.LinAlgError:
-        return np.full_like(matrices, np.nan)
+def _find(rows: Indices, wanted: Indices) -> Indices:
+    """Find the places, (P, results), whose rows are wanted."""
+    return np.flatnonzero(np.isin(rows[:, 0], wanted))
 
 
-def _measure(step: Array, z: Array) -> tuple[Array, float]:
-    """Give a step, (G, s) of (G, s, 1), and how large it is beside the unknowns."""
-    return step[:, :, 0], float(np.abs(step).max() / (1 + np.abs(z - step[:, :, 0]).max()))
+def _measure(step: Array, z: Array) -> float:
+    """Tell how large a step is beside the unknowns that it leads to."""
+    return float(np.abs(step).max() / (1 + np.abs(z - step).max()))
 
 
 def _flatten(pattern: ca.Sparsity, top: int, left: int, width: int) -> Indices:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
@@ -30,6 +30,12 @@ from tests.mbsrun.ocp.test_transcription import check_derivatives, rich
 from tests.mbsrun.peer import Peer, double_integrator, explicit_functions, residual_function
 
 EXPLICIT = {"representation": Representation.EXP1_O, "integrator": "rk4"}
+
+
+@pytest.fixture(autouse=True)
+def compiler(requires: Callable[[str], str]) -> None:
+    """Newton's method factorises in C."""
+    requires("cc")
 
 
 @pytest.fixture(scope="module")
