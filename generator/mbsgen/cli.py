@@ -183,16 +183,15 @@ def show_command(model: Path, out: Path | None, coordinates: str | None) -> None
 
     The tree tells bodies, joints and masses. The picture shows it beside the mechanism in space.
     """
-    from mbsgen.drawing import FORMATS, describe_joint, pose, render  # drawing takes long to load
+    from mbsgen.drawing import FORMATS, describe_joint, list_masses, render  # drawing takes long to load
 
     form = "" if out is None else out.suffix.removeprefix(".").lower()
     if out is not None and form not in FORMATS:
         raise click.BadParameter(f"{out} is neither a .png nor a .svg", param_hint="-o")
     tree = read_tree(_read(model))
     q = _read_coordinates(tree, coordinates or "")
-    masses = pose(tree, q).masses
     branches = {0: Branches(Text(f"{tree.name}: base"))}
-    for i, (body, mass) in enumerate(zip(tree.bodies, masses, strict=True), 1):
+    for i, (body, mass) in enumerate(zip(tree.bodies, list_masses(tree), strict=True), 1):
         limits = _describe_limits(body.joint.lower, body.joint.upper)
         words = f" {body.joint.name}: {describe_joint(body)}{limits}, {mass:.6g} kg"
         branches[i] = branches[body.parent].add(Text.assemble((body.name, "bold"), words))

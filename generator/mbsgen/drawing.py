@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from mbsgen.formulations.links import DESIGN, PARAMETERS, declare_state, write_chain
 from mbsgen.formulations.poses import build_frames
+from mbsgen.model.symbols import exact, round_number, to_double, total
 from mbsgen.model.tree import Body, Kind, Motion, Tree
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import evaluate
@@ -66,6 +67,13 @@ def pose(tree: Tree, q: Sequence[float]) -> Scene:
     axes, first = (np.einsum("brc,bc->br", rotations, masses[name].reshape(n, 3)) for name in ("axis", "S"))
     centres = places[:n] + np.divide(first.T, masses["m"], where=masses["m"] != 0, out=np.zeros((3, n))).T
     return Scene(places[:n], axes, centres, masses["m"], places[n:])
+
+
+def list_masses(tree: Tree) -> list[float]:
+    """List the masses of the bodies, at the default parameters: kg."""
+    values = {parameter.symbol: exact(parameter.value) for parameter in tree.parameters}
+    masses = (total((body.mass, *(lump.mass for lump in body.lumps))) for body in tree.bodies)
+    return [to_double(round_number(mass.xreplace(values))) for mass in masses]
 
 
 def _build_masses(tree: Tree) -> Tape:

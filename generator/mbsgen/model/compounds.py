@@ -71,6 +71,13 @@ def recognise(joints: Sequence[Joint]) -> Compound | None:
     """Find the compound whose joints move as these do, whatever their names, limits and forces."""
     if any(joint.placement != HERE for joint in joints[1:]):
         return None
-    motions = [(joint.motion, joint.axis, joint.floats) for joint in joints]
-    fitting = (c for c in _ALL if motions == [(joint.motion, joint.axis, joint.floats) for joint in make_joints(c)])
-    return next(fitting, None)
+    return _KNOWN.get(_list_motions(joints))
+
+
+def _list_motions(joints: Sequence[Joint]) -> tuple[tuple[Motion, Triple, bool], ...]:
+    return tuple((joint.motion, joint.axis, joint.floats) for joint in joints)
+
+
+_KNOWN: Mapping[tuple[tuple[Motion, Triple, bool], ...], Compound] = MappingProxyType(
+    {_list_motions(make_joints(compound)): compound for compound in reversed(_ALL)}  # of two alike, the first
+)

@@ -42,6 +42,7 @@ def check_idle_joints(model: Model) -> Iterator[Finding]:
     model = expansion.model
     parents, order = index_parents(model), walk_bodies(model)
     solids = _place_solids(model, parents, order)
+    row = _Row.of([solids[i] for i in order])
     carried = [1] * len(order)  # bodies of each subtree
     for i in reversed(order):
         parent = parents[i]
@@ -51,21 +52,38 @@ def check_idle_joints(model: Model) -> Iterator[Finding]:
         joint = model.bodies[i].joint
         if not isinstance(joint, Joint):
             continue
-        subtree = [solids[k] for k in order[rank : rank + carried[i]]]
-        if not solids[i].armature and not _is_felt(solids[i], subtree, joint.motion):
+        subtree = slice(rank, rank + carried[i])
+        if not solids[i].armature and not _is_felt(solids[i], row, subtree, joint.motion):
             what = "inertia about" if joint.motion is Motion.REVOLUTE else "mass along"
             finding = f"joint {abbreviate(joint.name)} moves nothing: what it carries has no {what} its axis"
             yield Finding(expansion.places[i], finding, "give a body it carries mass, or take the joint away")
 
 
-def _is_felt(carrier: _Solid, bodies: list[_Solid], motion: Motion) -> bool:
+@dataclass(frozen=True)
+class _Row:
+    """Solids in a row, the bodies of any subtree next to each other: (bodies, ...)."""
+
+    mass: Array
+    com: Array
+    inertia: Array
+    rotation: Array
+
+    @staticmethod
+    def of(solids: list[_Solid]) -> _Row:
+        return _Row(
+            np.array([x.mass for x in solids]),
+            np.array([x.com for x in solids]),
+            np.array([x.inertia for x in solids]),
+            np.array([x.rotation for x in solids]),
+        )
+
+
+def _is_felt(carrier: _Solid, row: _Row, bodies: slice, motion: Motion) -> bool:
     """Compare what each body brings with what it would bring if nothing lay on the axis; sums would hide light ones."""
-    mass = np.array([body.mass for body in bodies])
+    mass, com, inertia = row.mass[bodies], row.com[bodies], row.inertia[bodies]
     if motion is Motion.PRISMATIC:
         return bool(np.any(mass != 0))
-    com = np.array([body.com for body in bodies])
-    inertia = np.array([body.inertia for body in bodies])
-    about = np.array([body.rotation.T @ carrier.axis for body in bodies])
+    about = np.einsum("bij,i->bj", row.rotation[bodies], carrier.axis)
     lever = np.cross(carrier.axis, com - carrier.origin)
     felt = mass * (lever**2).sum(axis=1) + np.einsum("bi,bij,bj->b", about, inertia, about)
     scale = mass * ((com**2).sum(axis=1) + carrier.origin @ carrier.origin) + np.abs(inertia).max(axis=(1, 2))
