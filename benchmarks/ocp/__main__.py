@@ -28,7 +28,7 @@ from mbsrun import Mechanism, load
 from mbsrun.models import Extent, find_folder
 from mbsrun.ocp import schemes
 from mbsrun.ocp.guess import make_guess
-from mbsrun.ocp.methods import IPOPT_OPTIONS
+from mbsrun.ocp.methods import IPOPT_OPTIONS, Choice
 from mbsrun.ocp.problem import Form, Problem, Representation, find_conflicts
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import Solver
@@ -38,9 +38,9 @@ from mbsrun.ocp.trajectory import Trajectory
 MODELS = Path(__file__).parents[2] / "models"
 MODEL = MODELS / "arm_pendulum.yaml"
 INTERVALS, DEGREE = 100, 4  # the paper's
+ALGEBRA, DEFAULT_ALGEBRA = "linear_solver", "mumps"
 PEERS = "peers"  # the folder, within that of the figures, of what was compiled for CasADi
-ADAPTIVE = {"adaptive": ("mu_strategy", "adaptive")}
-SETTINGS: tuple[Mapping[str, tuple[str, str]], ...] = ({}, ADAPTIVE)  # by name: an option of IPOPT, and its value
+BARRIERS: tuple[Mapping[str, str], ...] = ({}, {"mu_strategy": "adaptive"})  # options of IPOPT
 
 
 @dataclass(frozen=True)
@@ -70,15 +70,21 @@ def make_ours(name: str, problem: Problem, plant: Mechanism, guess: Trajectory) 
 
 
 def list_variants(problem: Problem) -> Iterator[tuple[str, Problem]]:
-    """List what is ours, by name: the forms that go with a representation, each with every choice of SETTINGS."""
+    """List what is ours, by name: all forms that go with a representation, linear solvers and barriers."""
     for form in Form:
         chosen = replace(problem, form=form)
         if find_conflicts(chosen):
             continue
-        for settings in SETTINGS:
-            if all(IPOPT_OPTIONS[key].admits(value) for key, value in settings.values()):
-                name = ", ".join([OURS, *([f"{form.value} form"] * (form is not Form.STANDARD)), *settings])
-                yield name, replace(chosen, solver=replace(problem.solver, options=tuple(settings.values())))
+        for options in ({**algebra, **barrier} for algebra in list_algebras() for barrier in BARRIERS):
+            name = ", ".join([OURS, *([f"{form.value} form"] * (form is not Form.STANDARD)), *options.values()])
+            yield name, replace(chosen, solver=replace(problem.solver, options=tuple(options.items())))
+
+
+def list_algebras() -> list[Mapping[str, str]]:
+    """List options that choose a linear solver: none, then the others that there are."""
+    choice = IPOPT_OPTIONS.get(ALGEBRA)
+    words = choice.words if isinstance(choice, Choice) else ()
+    return [{}, *({ALGEBRA: word} for word in words if word != DEFAULT_ALGEBRA)]
 
 
 def make_ways(problem: Problem, plant: Mechanism, shelf: Shelf | None) -> Iterator[Way]:

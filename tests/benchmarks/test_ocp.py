@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks.afternoon import write_functions
-from benchmarks.ocp.__main__ import MODELS, main, write_place
+from benchmarks.ocp.__main__ import MODELS, list_variants, main, write_place
 from benchmarks.ocp.peer import Peer, Shelf, list_settings, write_dynamics
 from benchmarks.ocp.rows import (
     OURS,
@@ -25,6 +25,7 @@ from benchmarks.ocp.rows import (
     write_page,
 )
 from mbsgen.pipeline import read_tree
+from mbsrun.ocp.methods import IPOPT_OPTIONS, Choice
 from mbsrun.ocp.problem import Problem, Representation
 from mbsrun.ocp.statement import read_problem
 from tests.mbsrun.peer_arm import peer_arm
@@ -103,6 +104,16 @@ def test_a_quick_run_measures_both(
     assert abs(peer["iterations"] - ours["iterations"]) <= 2
     assert (peer["variables"], peer["constraints"]) == (ours["variables"], ours["constraints"])
     assert "CasADi, interpreted, defaults" in capsys.readouterr().out
+
+
+def test_ours_are_all_forms_solvers_and_barriers(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of an ODE there is no integral form; the solver that is taken anyway is not named."""
+    monkeypatch.setitem(IPOPT_OPTIONS, "linear_solver", Choice(("mumps", "other")))
+    found = dict(list_variants(replace(problem, representation=Representation.EXP1_O)))
+    names = ["", ", adaptive", ", other", ", other, adaptive"]
+    assert list(found) == [f"mbsgen{form}{name}" for form in ("", ", shooting form") for name in names]
+    told = found["mbsgen, shooting form, other, adaptive"].solver.options
+    assert dict(told) == {"linear_solver": "other", "mu_strategy": "adaptive"}
 
 
 def test_what_an_interrupted_run_kept_is_found(tmp_path: Path) -> None:
