@@ -1,7 +1,8 @@
 """Derivatives of the formulations, each in the way that takes the fewest flops: by tape, by recursion, by implication.
 
-`impl` and `semi_res` are one function, written twice, and so are `exp1` and `exp2`: what is cheapest for one is taken
-for the other. How many flops each way takes is kept for the report.
+`impl` and `semi_res` are one function, written twice: what is cheapest for one is taken for the other. So are `exp1`
+and `exp2`, but for their guards; in larger trees, where one way is left to write them, that is gone only once. How many
+flops each way takes is kept for the report.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.tape.columns import Columns
 from mbsgen.tape.counts import count
+from mbsgen.tape.passes import drop_dead, keep_results
 from mbsgen.tape.types import Tape
 
 ACCELERATIONS = ("exp1", "exp2")
@@ -36,11 +38,14 @@ class Dynamics:
     def __init__(self, tree: Tree, reductions: Reductions) -> None:
         self._choice = _Choice(reductions, is_compared=len(tree.bodies) <= COMPARED or _is_strange(tree))
         self._residual = _OfResidual(tree, reductions, self._choice)
+        self._first: _OfAccelerations | None = None
 
     def differentiate(self, tape: Tape) -> Derivatives:
         """Differentiate a formulation by all its inputs but parameters."""
         if tape.name in ACCELERATIONS:
-            return _OfAccelerations(tape, self._residual, self._choice)
+            found = _OfAccelerations(tape, self._residual, self._choice, self._first)
+            self._first = self._first or found
+            return found
         return self._residual if tape.name == "impl" else _Renamed(tape, self._residual)
 
     @property
@@ -58,7 +63,7 @@ class _Choice:
     """Writes derivatives in all ways, and keeps the one with the fewest flops."""
 
     def __init__(self, reductions: Reductions, *, is_compared: bool) -> None:
-        self._reductions, self._is_compared = reductions, is_compared
+        self._reductions, self.is_compared = reductions, is_compared
         self.flops: dict[str, dict[str, int]] = {}
 
     def finish(self, tape: Tape) -> Tape:
@@ -67,12 +72,17 @@ class _Choice:
 
     def among(self, name: str, ways: Ways, others: Ways) -> Tape:
         """Choose among `ways` and, in trees that are not too large for that, `others`."""
-        tried = {**ways, **others} if self._is_compared else ways
+        tried = {**ways, **others} if self.is_compared else ways
         written = {way: self.finish(write()) for way, write in tried.items()}
         if not name.startswith("adj1_"):  # the results of an adjoint stay dense
             written = {way: drop_vanishing(tape) for way, tape in written.items()}
         self.flops[name] = {way: count(tape).paper for way, tape in written.items()}
         return min(written.values(), key=lambda tape: count(tape).paper)
+
+    def note(self, name: str, way: str, tape: Tape) -> Tape:
+        """Keep what a derivative takes that comes of another one, without a choice."""
+        self.flops[name] = {way: count(tape).paper}
+        return tape
 
 
 class _OfResidual(Derivatives):
@@ -86,6 +96,8 @@ class _OfResidual(Derivatives):
 
     @cached_property
     def jac(self) -> Tape:
+        if not self._choice.is_compared:  # then all that it takes is in `lin`
+            return self._choice.note("jac_impl", "recursion", _leave_out(self.lin, implicit.RESIDUAL, "jac_impl"))
         return self._choice.among(
             "jac_impl",
             self._by_recursion(recursion.jacobian),
@@ -141,22 +153,45 @@ class _Renamed(Derivatives):
 
 
 class _OfAccelerations(Derivatives):
-    def __init__(self, tape: Tape, residual: Derivatives, choice: _Choice) -> None:
+    """The derivatives of one form of the accelerations; `first` is the form that they were written for before."""
+
+    def __init__(self, tape: Tape, residual: Derivatives, choice: _Choice, first: _OfAccelerations | None) -> None:
         super().__init__(tape, differentiable(tape))
         self._residual, self._choice = residual, choice
+        self._first = None if choice.is_compared else first
+
+    def _take(self, written: Tape) -> Tape | None:
+        """Take what was written for the first form, with the guards of this one; None where those tell too little.
+
+        The pivots are those of M in either, and so are the scales: guards differ by their tolerances alone.
+        """
+        assert self._first is not None, "there is something to be taken"
+        known = {guard.joint: guard for guard in written.guards}
+        if not known.keys() >= {guard.joint for guard in self.tape.guards}:
+            return None
+        guards = tuple(replace(known[guard.joint], tolerance=guard.tolerance) for guard in self.tape.guards)
+        name = written.name.replace(self._first.tape.name, self.tape.name)
+        found = replace(written, name=name, guards=guards)
+        return found if len(guards) == len(known) else drop_dead(found)
 
     @cached_property
     def jac(self) -> Tape:
+        name = f"jac_{self.tape.name}"
+        if not self._choice.is_compared:  # then all that it takes is in `lin`
+            return self._choice.note(name, "implicit", _leave_out(self.lin, implicit.ACCELERATIONS, name))
         return self._choice.among(
-            f"jac_{self.tape.name}",
+            name,
             {"implicit": lambda: implicit.jacobian(self.tape, self._residual, self.wrt)},
             {"tape": lambda: kernels.jacobian(self.tape, self.wrt)},
         )
 
     @cached_property
     def lin(self) -> Tape:
+        name = f"lin_{self.tape.name}"
+        if self._first and (taken := self._take(self._first.lin)):
+            return self._choice.note(name, "implicit", taken)
         return self._choice.among(
-            f"lin_{self.tape.name}",
+            name,
             {"implicit": lambda: implicit.linearisation(self.tape, self._residual, self.wrt)},
             {"tape": lambda: kernels.linearise(self.tape, self.jac)},
         )
@@ -164,19 +199,28 @@ class _OfAccelerations(Derivatives):
     @cached_property
     def loops(self) -> Mapping[str, Columns]:
         """Write those that are large once more, with a loop."""
-        return {
-            written.name: self._loop(with_value=written is self.lin)
-            for written in (self.jac, self.lin)
-            if len(written.operations) > STRAIGHT
-        }
+        found = {}
+        for written in (self.jac, self.lin):
+            if len(written.operations) > STRAIGHT:
+                whole = self._loop
+                name = f"columns_{written.name}"
+                tape = whole.tape if written is self.lin else _leave_out(whole.tape, implicit.ACCELERATIONS, name)
+                found[written.name] = replace(whole, tape=replace(tape, name=name))
+        return found
 
-    def _loop(self, *, with_value: bool) -> Columns:
-        found = implicit.columns(self.tape, self._residual, self.wrt, with_value=with_value)
+    @cached_property
+    def _loop(self) -> Columns:
+        """Write the accelerations and their Jacobian with a loop."""
+        if self._first and (taken := self._take(self._first._loop.tape)):
+            return replace(self._first._loop, tape=taken)
+        found = implicit.columns(self.tape, self._residual, self.wrt)
         return replace(found, tape=self._choice.finish(found.tape))
 
     @cached_property
     def adj1(self) -> Tape:
         name = f"adj1_{self.tape.name}"
+        if self._first and (taken := self._take(self._first.adj1)):
+            return self._choice.note(name, "implicit", taken)
         return self._choice.among(
             name,
             {"implicit": lambda: implicit.adjoint(self.tape, self._residual, self.wrt)},
@@ -185,9 +229,17 @@ class _OfAccelerations(Derivatives):
 
     @cached_property
     def jac_adj1(self) -> Tape:
+        name = f"jac_adj1_{self.tape.name}"
+        if self._first and (taken := self._take(self._first.jac_adj1)):
+            return self._choice.note(name, "implicit", taken)
         by_tape = Derivatives(self.tape, self.wrt)
         return self._choice.among(
-            f"jac_adj1_{self.tape.name}",
+            name,
             {"implicit": lambda: implicit.adjoint_jacobian(self.tape, self._residual, self.wrt)},
             {"tape": lambda: by_tape.jac_adj1},
         )
+
+
+def _leave_out(lin: Tape, value: str, name: str) -> Tape:
+    """Leave the Jacobians, or what a loop makes them of, under a name of their own."""
+    return replace(keep_results(lin, {o.name for o in lin.outputs} - {value}), name=name)

@@ -42,11 +42,10 @@ def linearisation(tape: Tape, residual: Derivatives, wrt: Sequence[str]) -> Tape
     return _write_slopes(state, wrt, f"lin_{tape.name}")
 
 
-def columns(tape: Tape, residual: Derivatives, wrt: Sequence[str], *, with_value: bool) -> Columns:
-    """Write the Jacobian, or the accelerations and their Jacobian, with the columns to be solved for in a loop."""
+def columns(tape: Tape, residual: Derivatives, wrt: Sequence[str]) -> Columns:
+    """Write the accelerations and their Jacobian, with the columns to be solved for in a loop."""
     state = _State.declare(tape, residual)
-    if with_value:
-        state.builder.output_dense(ACCELERATIONS, [[x] for x in state.inputs[ACCELERATIONS]])
+    state.builder.output_dense(ACCELERATIONS, [[x] for x in state.inputs[ACCELERATIONS]])
     blocks: dict[str, int] = {}
     right: Block = {}
     used = 0
@@ -63,7 +62,7 @@ def columns(tape: Tape, residual: Derivatives, wrt: Sequence[str], *, with_value
         state.builder.output_dense(LOWER, lower)
     state.builder.output_dense(INVERSES, [[factors.inverses[k]] for k in range(1, state.size + 1)])
     state.builder.output(COLUMNS, places, [flat[place] for place, _ in places.entries])
-    return Columns(state.finish(f"columns_{'lin' if with_value else 'jac'}_{tape.name}"), ancestors, width, blocks)
+    return Columns(state.finish(f"columns_lin_{tape.name}"), ancestors, width, blocks)
 
 
 def _write_slopes(state: _State, wrt: Sequence[str], name: str) -> Tape:
