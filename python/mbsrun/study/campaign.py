@@ -33,7 +33,6 @@ from mbsrun.ocp.search import (
     Targets,
     Weights,
     describe,
-    find_progress,
     identify,
 )
 from mbsrun.ocp.statement import read_problem
@@ -44,7 +43,7 @@ from mbsrun.study.figures import draw_figures
 from mbsrun.study.growth import Growth, count_growth
 from mbsrun.study.questions import GridPoint, System, TaskList, name_transcription
 from mbsrun.study.results import Effort, Results, find_shown_task
-from mbsrun.study.robustness import report_robust
+from mbsrun.study.robustness import find_state, report_robust
 from mbsrun.study.sheets import Cell, Section, Table
 from mbsrun.study.tables import tabulate, tabulate_statements
 
@@ -316,7 +315,7 @@ def report(campaign: Campaign, out: Path) -> list[Section]:
     with _open(campaign, out) as record:
         own = [(s, tuple(r.list_all())) for s, r in _list_own_records(campaign, record)]
         results = gather(campaign, record, _find_growth(out), own)
-        progress = {weights: find_progress(replace(study, costs=(weights,)), record) for weights in study.costs}
+        states = {weights: find_state(replace(study, costs=(weights,)), record) for weights in study.costs}
         told = Counter(text for rows in (record.list_all(), *(rows for _, rows in own)) for _, text in rows)
     sections = [
         Section("run", "The run", "", (_tabulate_run(results, own), *_tabulate_circumstances(told))),
@@ -330,7 +329,7 @@ def report(campaign: Campaign, out: Path) -> list[Section]:
         Section("tables", "The paper's tables", "", tuple(tabulate(results))),
         Section("figures", "The paper's figures", "", tuple(draw_figures(results, campaign.subject.plant))),
     ]
-    rest = (report_robust(results, progress), *_answer(campaign, results, own))
+    rest = (report_robust(results, states), *_answer(campaign, results, own))
     return sections + [section for section in rest if section is not None]
 
 

@@ -25,6 +25,7 @@ from mbsrun.ocp.search import Alone, Bench, Crew, Order, Outcome
 
 PATIENCE = 60  # s; how long a cluster may take to offer a worker
 AHEAD = 2  # orders for each worker that are under way: it need not wait for the next
+HERE = "127.0.0.1:0"  # where Dask's own pages are: any port, and for this machine alone
 _FILE = re.compile(r"[A-Za-z0-9_]+\.(c|h|json)", re.ASCII)
 
 
@@ -123,7 +124,8 @@ def open_workers(workers: int, scheduler: str | None) -> Iterator[Callable[[Path
 @contextmanager
 def _start(distributed: Any, workers: int) -> Iterator[Any]:
     """Start processes on this machine, with one thread each; they end with this process, however it ends."""
-    settings = {"threads_per_worker": 1, "processes": True, "memory_limit": 0, "dashboard_address": None}
+    settings: dict[str, Any] = {"threads_per_worker": 1, "processes": True, "memory_limit": 0}
+    settings |= dict.fromkeys(("dashboard_address", "worker_dashboard_address"), HERE)
     with (
         distributed.LocalCluster(n_workers=workers, host="127.0.0.1", silence_logs=logging.CRITICAL, **settings) as own,
         distributed.Client(own) as client,

@@ -3,11 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
-from mbsrun.ocp.record import SAME, Attempt, Task
-from mbsrun.ocp.search import Place, Progress, Weights, is_higher, summarise
+from mbsrun.ocp.record import SAME, Attempt, Record, Task
+from mbsrun.ocp.search import (
+    Place,
+    Progress,
+    Study,
+    Targets,
+    Weights,
+    find_progress,
+    is_higher,
+    summarise,
+)
 from mbsrun.study.figures import name_set
 from mbsrun.study.results import Results
 from mbsrun.study.sheets import Cell, Section, Table
@@ -22,7 +33,35 @@ TEXT = (
 )
 
 
-def report_robust(results: Results, progress: Mapping[Weights, Progress]) -> Section | None:
+@dataclass(frozen=True)
+class State:
+    """How far the search is for a cost, and the targets for which it is through: all, a slice of them, or none."""
+
+    progress: Progress
+    done: Targets | None
+
+
+def find_state(study: Study, record: Record) -> State:
+    """Find how far the search is for a study of one cost; slices that are ever coarser are looked at."""
+    for targets in list_slices(study.targets):
+        progress = find_progress(replace(study, targets=targets), record)
+        if progress.is_through:
+            return State(find_progress(study, record), targets)
+    return State(find_progress(study, record), None)
+
+
+def list_slices(targets: Targets) -> list[Targets]:
+    """List the slices of targets that have both ends of azimuths and heights, that with most of them first."""
+    ends = [count - 1 for count in (len(targets.azimuths), len(targets.heights))]
+    i, j = (
+        [k for k in range(step, max(end, step) + 1, step) if end % k == 0]
+        for step, end in zip(targets.every, ends, strict=True)
+    )
+    slices = [replace(targets, every=every) for every in product(i, j)]
+    return sorted(slices, key=lambda found: -len(found.places))
+
+
+def report_robust(results: Results, states: Mapping[Weights, State]) -> Section | None:
     """Tell for each cost whether a task is left, and what it took."""
     own: dict[Weights, list[Attempt]] = {}
     for weights in results.study.costs:
@@ -31,10 +70,10 @@ def report_robust(results: Results, progress: Mapping[Weights, Progress]) -> Sec
             own[weights] = found
     if not own:
         return None
-    told = [tell_outcome(results, weights, attempts, progress[weights]) for weights, attempts in own.items()]
-    balance = tuple(_balance(results, weights, attempts, progress[weights]) for weights, attempts in own.items())
+    told = [tell_outcome(results, weights, attempts, states[weights]) for weights, attempts in own.items()]
+    balance = tuple(_balance(results, weights, attempts, states[weights]) for weights, attempts in own.items())
     columns: tuple[str, ...] = ("cost", "targets", "tasks", "tried", "solved", "in a higher minimum", "by at most %")
-    columns += ("attempts", "CPU s", "CPU s by task tried", "the search")
+    columns += ("attempts", "CPU s", "CPU s by task tried", "the search", "through for targets")
     left = Table("Whether a task is left", columns, balance, "A task is a target in one representation.")
     columns = ("cost", "part", "attempts", "solved", "first in the lowest minimum, targets", "iterations, median")
     columns += ("CPU s, median", "CPU s, all", "% of it")
@@ -49,30 +88,38 @@ def report_robust(results: Results, progress: Mapping[Weights, Progress]) -> Sec
     )
 
 
-def tell_outcome(results: Results, weights: Weights, attempts: Sequence[Attempt], progress: Progress) -> str:
+def tell_outcome(results: Results, weights: Weights, attempts: Sequence[Attempt], state: State) -> str:
     """Say in words whether a task is left."""
-    best = _find_best(attempts)
-    tasks = len(results.study.targets.places) * len(results.representations)
-    higher = len(_list_higher(results, best))
-    name = f"With {name_set(weights)}"
-    if not progress.is_through:
-        where = f"round {progress.round}, with {progress.done} of {progress.trials} attempts"
-        return f"{name} the search is under way: {where}; {len(best)} of {tasks} tasks are solved so far."
+    name, progress = f"With {name_set(weights)}", state.progress
+    if state.done is None:
+        return f"{name} {_tell_progress(progress)}."
+    places = set(state.done.places)
+    best = {task: cost for task, cost in _find_best(attempts).items() if task.place in places}
+    tasks, higher = len(places) * len(results.representations), len(_list_higher(results, best))
     solved = f"all {tasks} tasks are solved" if len(best) == tasks else f"{len(best)} of {tasks} tasks are solved"
     left = f"{higher or 'none'} {'is' if higher < 2 else 'are'} left in a higher minimum"
-    return f"{name} {solved}, and {left} than another formulation or another guess found."
+    told = f"{solved}, and {left} than another formulation or another guess found"
+    if progress.is_through:
+        return f"{name} {told}."
+    whole = len(results.study.targets.places)
+    return f"{name} {_tell_progress(progress)}; for a slice of {len(places)} of {whole} targets it is through: {told}."
 
 
-def _balance(results: Results, weights: Weights, attempts: Sequence[Attempt], progress: Progress) -> Row:
-    best, places = _find_best(attempts), results.study.targets.places
+def _tell_progress(progress: Progress) -> str:
+    return f"the search is under way, in round {progress.round}, with {progress.done} of {progress.trials} attempts"
+
+
+def _balance(results: Results, weights: Weights, attempts: Sequence[Attempt], state: State) -> Row:
+    best, places, progress = _find_best(attempts), results.study.targets.places, state.progress
     tasks = len(places) * len(results.representations)
     higher = _list_higher(results, best)
     above = [100 * (best[task] / results.lowest[task.place, weights] - 1) for task in higher]
     cpu = sum(a.cpu_seconds for a in attempts)
-    state = "through" if progress.is_through else f"round {progress.round}: {progress.done} of {progress.trials}"
+    told = "through" if progress.is_through else f"round {progress.round}: {progress.done} of {progress.trials}"
     tried = len({a.task for a in attempts})
+    through = 0 if state.done is None else len(state.done.places)
     numbers = (tried, len(best), len(higher), _round(max(above)) if above else None, len(attempts))
-    return (name_set(weights), len(places), tasks, *numbers, _round(cpu), _round(cpu / tried), state)
+    return (name_set(weights), len(places), tasks, *numbers, _round(cpu), _round(cpu / tried), told, through)
 
 
 def _list_parts(results: Results, weights: Weights, attempts: Sequence[Attempt]) -> list[Row]:

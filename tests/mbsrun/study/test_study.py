@@ -22,7 +22,7 @@ from pyarrow import parquet
 from mbsgen.errors import InputError, MbsError
 from mbsrun.ocp.problem import Representation
 from mbsrun.ocp.record import Attempt, Task, open_record
-from mbsrun.ocp.search import Study, Targets, find_progress, identify
+from mbsrun.ocp.search import Progress, Study, Targets, identify
 from mbsrun.study.campaign import (
     STORE,
     Campaign,
@@ -42,7 +42,7 @@ from mbsrun.study.export import export
 from mbsrun.study.figures import name_set
 from mbsrun.study.page import render_page
 from mbsrun.study.results import Results, find_outliers
-from mbsrun.study.robustness import report_robust
+from mbsrun.study.robustness import State, find_state, list_slices, report_robust, tell_outcome
 from mbsrun.study.sheets import (
     Caption,
     Outline,
@@ -127,15 +127,19 @@ def tell_what_is_left(campaign: Campaign, out: Path, tried: list[Attempt]) -> No
     """The report says for each cost that the search is through, what it took, and that none is left."""
     with open_record(out / STORE, identify(campaign.study, campaign.subject.plant.manifest)) as record:
         results = gather(campaign, record, (), [])
-        progress = {w: find_progress(replace(campaign.study, costs=(w,)), record) for w in campaign.study.costs}
-    section = report_robust(results, progress)
+        states = {w: find_state(replace(campaign.study, costs=(w,)), record) for w in campaign.study.costs}
+    section = report_robust(results, states)
     assert section is not None
     assert section.text.count("all 7 tasks are solved, and none is left in a higher minimum") == 2
     left, parts, _ = (item for item in section.items if isinstance(item, Table))
-    assert [(row[2:6], row[-1]) for row in left.rows] == [((7, 7, 7, 0), "through")] * 2
+    assert [(row[2:6], row[-2:]) for row in left.rows] == [((7, 7, 7, 0), ("through", 7))] * 2
     assert sum(int(row[2]) for row in parts.rows if isinstance(row[2], int)) == len(tried)
-    firsts = {w: sum(int(row[4]) for row in parts.rows if row[0] == name_set(w)) for w in campaign.study.costs}
-    assert firsts == dict.fromkeys(campaign.study.costs, 7)
+    ended = State(Progress(1, 9, 4, is_through=False), replace(campaign.study.targets, every=(3, 1)))
+    told = tell_outcome(results, SMOOTH, [a for a in tried if a.task.weights == SMOOTH], ended)
+    assert "in round 1, with 4 of 9 attempts; for a slice of 3 of 7 targets it is through: all 3 tasks" in told
+    for weights in campaign.study.costs:
+        firsts = [row[4] for row in parts.rows if row[0] == name_set(weights)]
+        assert sum(number for number in firsts if isinstance(number, int)) == 7
 
 
 def count(out: Path) -> int:
@@ -198,6 +202,9 @@ def test_slices_are_spread_over_all_targets() -> None:
     part = replace(paper, every=(2, 5)).spread
     assert sorted(part) == sorted(replace(paper, every=(2, 5)).places)
     assert {i for i, _ in part[:12]} == {0, 4, 8, 12, 16, 20}
+    coarser = list_slices(replace(paper, every=(2, 5)))
+    assert [x.every for x in coarser[:3]] == [(2, 5), (2, 10), (4, 5)]
+    assert list_slices(Targets(1.0, (0.0,), (0.0,))) == [Targets(1.0, (0.0,), (0.0,))]
 
 
 # --- statements ----------------------------------------------------------------------------------------------------
