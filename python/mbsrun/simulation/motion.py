@@ -13,6 +13,8 @@ from mbsrun.simulation.methods import Formulation
 Array = NDArray[np.float64]
 
 MAX_STEPS = 100_000_000
+DRIFT = 0.01  # of the energy that is exchanged; more is told
+STILL = 1e-9  # of kinetic energy: a drift that is told of no motion
 STORED = 1000  # states that are kept of a motion, about, unless another distance of outputs is asked for
 
 
@@ -74,6 +76,16 @@ class Energy:
     def drift(self) -> Array:
         """Tell how far the total is from its start and the work done since: what the integration errs by."""
         return np.asarray(self.total - self.total[0] - self.work)
+
+    @property
+    def exchanged(self) -> float:
+        """Tell how far kinetic and potential energy come from what they were [J]."""
+        return float(np.ptp(self.kinetic) + np.ptp(self.potential))
+
+    @property
+    def is_kept(self) -> bool:
+        """Tell whether the drift is small: of what is exchanged, or, where that is next to nothing, of the motion."""
+        return bool(np.abs(self.drift).max() <= max(DRIFT * self.exchanged, STILL * self.kinetic.max()))
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,7 @@ from mbsgen.manifest import Manifest
 from mbsrun.animation import write_animation
 from mbsrun.external import Mechanism
 from mbsrun.kernel import Kernels
+from mbsrun.quaternions import find_rates
 from mbsrun.simulation.drive import input_labels
 from mbsrun.simulation.methods import METHODS, Family
 from mbsrun.simulation.motion import Motion, Settings
@@ -44,7 +45,7 @@ def write_motion(motion: Motion, kernels: Mechanism, folder: Path) -> None:
     (folder / TRAJECTORY).write_text(_tabulate(motion, manifest), encoding="utf-8")
     plot_motion(motion, manifest, folder / PLOTS)
     title = manifest.model if motion.halt is None else f"{manifest.model}, incomplete: {motion.halt}"
-    rates = kernels("rates", q=motion.q, qd=motion.qd)["rate"] if manifest.configuration else motion.qd
+    rates = find_rates(kernels, motion.q, motion.qd)
     write_animation(folder / ANIMATION, kernels, motion.t, motion.q, qd=rates, title=title)
 
 

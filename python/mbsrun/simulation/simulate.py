@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mbsrun.kernel import ArgumentError, KernelError, Kernels
+from mbsrun.quaternions import measure_lengths
 from mbsrun.simulation import adaptive, explicit, implicit
 from mbsrun.simulation.drive import Drive, Piece, input_labels
 from mbsrun.simulation.dynamics import Dynamics, SingularError
@@ -28,7 +29,6 @@ INTEGRATORS: Mapping[Family, Integrator] = MappingProxyType(
     }
 )
 BEYOND = 1e-6  # of a limit or of 1 rad or m, from where on it is told
-DRIFT = 0.01  # of the energy that is exchanged; more is told
 STIFF = 500.0  # what decays so many times within a motion is fast; only then is stiffness spoken of
 
 
@@ -70,7 +70,7 @@ def _check(kernels: Kernels, drive: Drive, q: ArrayLike, qd: ArrayLike, settings
     start = np.array(q, dtype=np.float64), np.array(qd, dtype=np.float64)
     if any(x.shape != (n,) or not np.isfinite(x).all() for x, n in zip(start, sizes, strict=True)):
         raise ValueError(f"q must be {sizes[0]} finite numbers, qd {sizes[1]}")
-    if any(not start[0][k : k + 4].any() for k in manifest.quaternions):
+    if (measure_lengths(start[0], manifest) == 0).any():
         raise ValueError("a quaternion of q is 0; it turns by 0 as 0, 0, 0, 1")
     if drive.pieces[0].at(0.0).shape != (m,):
         raise ValueError(f"the inputs have shape {drive.pieces[0].at(0.0).shape}, ({m},) expected")
@@ -235,9 +235,9 @@ class _Record:
 
 
 def _find_drift(energy: Energy) -> list[str]:
-    drift, exchanged = float(np.abs(energy.drift).max()), float(np.ptp(energy.kinetic) + np.ptp(energy.potential))
-    if drift <= DRIFT * exchanged:
+    if energy.is_kept:
         return []
+    drift, exchanged = np.abs(energy.drift).max(), energy.exchanged
     return [f"energy drifts by {drift:.2g} J, where {exchanged:.2g} J are exchanged; take a smaller step or tolerance"]
 
 

@@ -21,6 +21,7 @@ from mbsrun import Mechanism, load
 from mbsrun.simulation import METHODS, Formulation, Motion, Settings, simulate
 from mbsrun.simulation.drive import Drive, express, hold, hold_steps
 from mbsrun.simulation.methods import Family
+from mbsrun.simulation.motion import Energy
 
 REFERENCE = json.loads((Path(__file__).parents[2] / "reference" / "iftomm_A01_pendulum.json").read_text())
 REST = hold(np.zeros(4))  # the bench's inputs: of the slider, and a force on the bob
@@ -277,6 +278,15 @@ def test_implicit_steps_on_the_residual_hold_on_stiff_motion(stiff: Mechanism, m
     assert motion.is_complete
     assert abs(motion.q[-1, 1] - 0.01 * np.exp(-20 * 0.5)) < 1e-4
     assert abs(motion.q[-1, 0] - exact(0.5)) < 2e-3
+
+
+def test_a_motion_that_exchanges_no_energy_may_round() -> None:
+    """What turns freely keeps its kinetic energy; what is left of digits is no drift, a millionth is."""
+    nothing, ripple = np.zeros(3), np.array([0.0, 1.0, -1.0])
+    assert Energy(6.0 + 1e-11 * ripple, nothing, nothing).is_kept
+    assert not Energy(6.0 + 1e-6 * ripple, nothing, nothing).is_kept
+    assert Energy(6.0 + ripple, 3.0 - 0.99 * ripple, nothing).is_kept
+    assert not Energy(6.0 + ripple, 3.0 - 0.9 * ripple, nothing).is_kept
 
 
 # --- momentum --------------------------------------------------------------------------------------------------------
