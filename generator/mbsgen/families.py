@@ -20,7 +20,7 @@ from mbsgen.model.scene import EVERYTHING, Scene
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.tape.counts import count
 from mbsgen.tape.passes import hoist, keep_results, merge, set_zero
-from mbsgen.tape.types import Tape
+from mbsgen.tape.types import Outline, Tape
 from mbsgen.targets import acados
 from mbsgen.targets.contract import Family
 
@@ -162,8 +162,13 @@ def _choose_functions(tree: Tree, names: tuple[str, ...] | None) -> Mapping[str,
 def _split_setup(families: list[Family]) -> tuple[Family, ...]:
     loops = {loop.tape.name: loop.tape for family in families for loop in family.loops.values()}
     tapes = [*(tape for family in families for tape in family.tapes), *loops.values()]
-    setup, hoisted = hoist(tapes, PARAMETERS, SETUP)
+    setup, hoisted = hoist([tape for tape in tapes if not isinstance(tape, Outline)], PARAMETERS, SETUP)
     rest = {tape.name: tape for tape in hoisted}
+    for family in families:
+        for name, loop in family.loops.items():
+            outline = next((tape for tape in family.tapes if tape.name == name), None)
+            if isinstance(outline, Outline):
+                rest[name] = replace(outline, inputs=rest[loop.tape.name].inputs)
 
     def found(tape: Tape | None) -> Tape | None:
         return tape and rest[tape.name]

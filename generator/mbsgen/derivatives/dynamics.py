@@ -13,7 +13,7 @@ from functools import cached_property
 
 from mbsgen.derivatives import implicit, kernels, recursion, reverse
 from mbsgen.derivatives.kernels import Derivatives, differentiable
-from mbsgen.derivatives.vanishing import drop_vanishing
+from mbsgen.derivatives.vanishing import drop_vanishing, find_patterns
 from mbsgen.formulations import impl
 from mbsgen.formulations.planning import finish
 from mbsgen.formulations.reductions import Reductions
@@ -21,22 +21,30 @@ from mbsgen.model.tree import Kind, Tree
 from mbsgen.tape.columns import Columns
 from mbsgen.tape.counts import count
 from mbsgen.tape.passes import drop_dead, keep_results
-from mbsgen.tape.types import Tape
+from mbsgen.tape.types import Outline, Sparsity, Tape
 
 ACCELERATIONS = ("exp1", "exp2")
 # Operations from which on columns are looped over. A Panda's Jacobian of EXP1 (4700 operations) takes 0.47 us straight
 # and 0.62 with a loop, a quadruped's (20,000) 3.4 and 3.2, a humanoid's (110,000) 24 and 20.
 STRAIGHT = 16_000
+# From how many operations of the loop on the straight code, which leaves zeros out, is sure to be longer than that: the
+# quadruped's loop has 32,000, the humanoid's 190,000.
+SURELY = 3 * STRAIGHT
 COMPARED = 12  # bodies: in larger trees, only the way that always won is written
 
 Ways = Mapping[str, Callable[[], Tape]]  # by name: `tape`, `recursion` or `implicit`
 
 
 class Dynamics:
-    """The derivatives of a tree's formulations."""
+    """The derivatives of a tree's formulations.
 
-    def __init__(self, tree: Tree, reductions: Reductions) -> None:
-        self._choice = _Choice(reductions, is_compared=len(tree.bodies) <= COMPARED or _is_strange(tree))
+    Where Jacobians are large enough for a loop, and `outlined`, they are not written straight: of the tapes, there are
+    outlines.
+    """
+
+    def __init__(self, tree: Tree, reductions: Reductions, *, outlined: bool = False) -> None:
+        is_compared = len(tree.bodies) <= COMPARED or _is_strange(tree)
+        self._choice = _Choice(reductions, is_compared=is_compared, outlined=outlined and not is_compared)
         self._residual = _OfResidual(tree, reductions, self._choice)
         self._first: _OfAccelerations | None = None
 
@@ -62,8 +70,8 @@ def _is_strange(tree: Tree) -> bool:
 class _Choice:
     """Writes derivatives in all ways, and keeps the one with the fewest flops."""
 
-    def __init__(self, reductions: Reductions, *, is_compared: bool) -> None:
-        self._reductions, self.is_compared = reductions, is_compared
+    def __init__(self, reductions: Reductions, *, is_compared: bool, outlined: bool) -> None:
+        self._reductions, self.is_compared, self.outlined = reductions, is_compared, outlined
         self.flops: dict[str, dict[str, int]] = {}
 
     def finish(self, tape: Tape) -> Tape:
@@ -177,6 +185,8 @@ class _OfAccelerations(Derivatives):
     @cached_property
     def jac(self) -> Tape:
         name = f"jac_{self.tape.name}"
+        if self._is_surely_long:
+            return self._outline(name, self._patterns)
         if not self._choice.is_compared:  # then all that it takes is in `lin`
             return self._choice.note(name, "implicit", _leave_out(self.lin, implicit.ACCELERATIONS, name))
         return self._choice.among(
@@ -188,6 +198,9 @@ class _OfAccelerations(Derivatives):
     @cached_property
     def lin(self) -> Tape:
         name = f"lin_{self.tape.name}"
+        if self._is_surely_long:
+            value = self.tape.output(implicit.ACCELERATIONS)
+            return self._outline(name, {value.name: value.sparsity, **self._patterns})
         if self._first and (taken := self._take(self._first.lin)):
             return self._choice.note(name, "implicit", taken)
         return self._choice.among(
@@ -201,7 +214,7 @@ class _OfAccelerations(Derivatives):
         """Write those that are large once more, with a loop."""
         found = {}
         for written in (self.jac, self.lin):
-            if len(written.operations) > STRAIGHT:
+            if isinstance(written, Outline) or len(written.operations) > STRAIGHT:
                 whole = self._loop
                 name = f"columns_{written.name}"
                 tape = whole.tape if written is self.lin else _leave_out(whole.tape, implicit.ACCELERATIONS, name)
@@ -215,6 +228,23 @@ class _OfAccelerations(Derivatives):
             return replace(self._first._loop, tape=taken)
         found = implicit.columns(self.tape, self._residual, self.wrt)
         return replace(found, tape=self._choice.finish(found.tape))
+
+    @cached_property
+    def _is_surely_long(self) -> bool:
+        """Tell, before it is written, whether the straight code would only be looked at for its patterns."""
+        return self._choice.outlined and self._loop.counts(0).paper > SURELY
+
+    @cached_property
+    def _patterns(self) -> Mapping[str, Sparsity]:
+        if self._first:
+            return self._first._patterns
+        sizes = {f"jac_{implicit.ACCELERATIONS}_{x}": self.tape.input(x).sparsity.nnz for x in self.wrt}
+        return find_patterns(self._loop, sizes)
+
+    def _outline(self, name: str, patterns: Mapping[str, Sparsity]) -> Outline:
+        counts = self._loop.counts(sum(pattern.nnz for pattern in self._patterns.values()))
+        self._choice.flops[name] = {"implicit": counts.paper}
+        return Outline.of(name, self.tape.inputs, patterns)
 
     @cached_property
     def adj1(self) -> Tape:

@@ -7,11 +7,12 @@ An expression that is 0 to 35 of 50 digits at several points drawn at random is 
 from __future__ import annotations
 
 import random
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from mpmath import mpf
 
+from mbsgen.tape.columns import Columns
 from mbsgen.tape.interpreter import DIGITS, evaluate
 from mbsgen.tape.passes import drop_dead
 from mbsgen.tape.types import Output, Sparsity, Tape
@@ -32,6 +33,24 @@ def drop_vanishing(tape: Tape) -> Tape:
     if all(a.sparsity == b.sparsity for a, b in zip(outputs, tape.outputs, strict=True)):
         return tape
     return drop_dead(replace(tape, outputs=tuple(outputs)))
+
+
+def find_patterns(loop: Columns, columns: Mapping[str, int]) -> dict[str, Sparsity]:
+    """Find the nonzeros of the blocks that a loop makes, each of so many columns: the entries that do not vanish."""
+    drawn = [loop.solve(evaluate(loop.tape, _draw(loop.tape, seed), DIGITS)) for seed in range(POINTS)]
+    return {
+        name: Sparsity.of(
+            loop.size,
+            columns[name],
+            [
+                (r, c)
+                for r in range(loop.size)
+                for c in range(columns[name])
+                if not _vanishes([rows[r][first + c] for rows in drawn])
+            ],
+        )
+        for name, first in loop.blocks.items()
+    }
 
 
 def _vanishes(column: Sequence[mpf]) -> bool:

@@ -9,8 +9,9 @@ once. It computes more, since it knows of no zeros in the columns.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from mbsgen.tape.counts import Counts, count
 from mbsgen.tape.types import Op, Sparsity, Tape
@@ -48,6 +49,22 @@ class Columns:
     def places(self, result: str, pattern: Sparsity) -> tuple[int, ...]:
         """Tell where in B, by rows, the nonzeros of a result are."""
         return tuple(r * self.width + self.blocks[result] + c for r, c in pattern.entries)
+
+    def solve(self, found: Mapping[str, Sequence[Any]]) -> list[list[Any]]:
+        """Do what the loop does, in any number type: of what the tape gives, make the blocks, by rows."""
+        entries = iter(found.get(LOWER, ()))
+        lower = [[(i, next(entries)) for i in row] for row in self.ancestors]
+        right: list[list[Any]] = [[0] * self.width for _ in range(self.size)]
+        for (place, _), value in zip(self.tape.output(COLUMNS).sparsity.entries, found[COLUMNS], strict=True):
+            right[place // self.width][place % self.width] = -value
+        for k in reversed(range(self.size)):
+            for i, entry in lower[k]:
+                right[i] = [x - entry * y if y else x for x, y in zip(right[i], right[k], strict=True)]
+        for k, (row, inverse) in enumerate(zip(right, found[INVERSES], strict=True)):
+            right[k] = [inverse * x for x in row]
+            for i, entry in lower[k]:
+                right[k] = [x - entry * y if y else x for x, y in zip(right[k], right[i], strict=True)]
+        return right
 
     def counts(self, nonzeros: int) -> Counts:
         """Count what is computed, with the columns that pad B; the results have so many nonzeros."""

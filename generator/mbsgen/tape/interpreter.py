@@ -14,7 +14,7 @@ import numpy as np
 from mpmath import MPContext, mpf
 
 from mbsgen.errors import TapeError
-from mbsgen.tape.types import FUNCTIONS, Op, Tape
+from mbsgen.tape.types import FUNCTIONS, Op, Outline, Tape
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,7 @@ def find_failure(tape: Tape, arguments: Mapping[str, Sequence[Any]], numbers: Nu
 
 
 def _evaluate_values(tape: Tape, arguments: Mapping[str, Sequence[Any]], numbers: Numbers) -> list[Any]:
+    assert not isinstance(tape, Outline), "an outline has no operations"
     values: list[Any] = []
     for i in tape.inputs:
         given = arguments[i.name]

@@ -203,3 +203,17 @@ class Tape:
     def output(self, name: str) -> Output:
         """Look an output up by name."""
         return next(o for o in self.outputs if o.name == name)
+
+
+@dataclass(frozen=True)
+class Outline(Tape):
+    """The arguments of a function that is written otherwise, with a loop: names and patterns, and no operations.
+
+    Nothing can be computed with it: its outputs' values stand for nothing.
+    """
+
+    @staticmethod
+    def of(name: str, inputs: tuple[Input, ...], patterns: Mapping[str, Sparsity]) -> Outline:
+        """Make an outline of the patterns of its outputs."""
+        outputs = tuple(Output(x, pattern, (0,) * pattern.nnz) for x, pattern in patterns.items())
+        return Outline(name, inputs, (LITERALS.mpf(0),), (), outputs)

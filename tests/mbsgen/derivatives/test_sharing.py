@@ -1,0 +1,94 @@
+"""Larger trees: derivatives of accelerations that are written once for both forms, and not at all where a loop is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mbsgen import pipeline
+from mbsgen.derivatives import dynamics
+from mbsgen.derivatives.dynamics import Dynamics
+from mbsgen.formulations.catalogue import FUNCTIONS
+from mbsgen.formulations.reductions import Reductions
+from mbsgen.pipeline import Options, make
+from mbsgen.tape.interpreter import evaluate
+from mbsgen.tape.types import Outline, Tape
+from tests.random_trees import random_tree
+
+MODELS = Path(__file__).parents[3] / "models"
+ONE_PLAN = Reductions(trials=1)
+
+
+def list_guards(tape: Tape) -> list[tuple[int, float]]:
+    return [(guard.joint, guard.tolerance) for guard in tape.guards]
+
+
+@pytest.fixture(autouse=True)
+def large(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have every tree taken for a large one."""
+    monkeypatch.setattr(dynamics, "COMPARED", 0)
+
+
+def test_the_second_form_has_the_derivatives_it_would_have_alone() -> None:
+    """The same values, and its own guards: EXP2 is content with pivots that EXP1 refuses."""
+    tree = random_tree(5, 4)
+    first, second = (FUNCTIONS[name].build(tree, ONE_PLAN) for name in ("exp1", "exp2"))
+    both = Dynamics(tree, ONE_PLAN)
+    both.differentiate(first)
+    shared, alone = both.differentiate(second), Dynamics(tree, ONE_PLAN).differentiate(second)
+    rng = np.random.default_rng(1)
+    for found, expected in ((getattr(x, kind) for x in (shared, alone)) for kind in ("jac", "lin", "adj1", "jac_adj1")):
+        assert found.name == expected.name
+        assert found.inputs == expected.inputs
+        assert [(o.name, o.sparsity) for o in found.outputs] == [(o.name, o.sparsity) for o in expected.outputs]
+        assert list_guards(found) == list_guards(expected)
+        drawn = {i.name: list(rng.uniform(0.3, 1.2, i.sparsity.nnz)) for i in found.inputs}
+        results, wanted = evaluate(found, drawn), evaluate(expected, drawn)
+        for name, values in wanted.items():
+            np.testing.assert_allclose(results[name], values, rtol=1e-10, atol=1e-10)
+    assert {tolerance for _, tolerance in list_guards(shared.jac)} != {tolerance for _, tolerance in list_guards(first)}
+
+
+def test_what_has_a_loop_for_sure_is_not_written_straight(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The C is the same, but for its hash, and so is what the manifest tells."""
+    options = Options(functions=("exp1", "exp2"), derivatives=1, reductions=ONE_PLAN)
+    monkeypatch.setattr(dynamics, "STRAIGHT", 0)
+    straight = make(MODELS / "double_pendulum.yaml", options)
+    monkeypatch.setattr(dynamics, "SURELY", 0)
+    outlined = make(MODELS / "double_pendulum.yaml", options)
+    assert straight.manifest.model_hash != outlined.manifest.model_hash
+    for file, text in straight.files.items():
+        if not file.startswith("report"):
+            renamed = outlined.files[file].replace(outlined.manifest.model_hash, straight.manifest.model_hash)
+            assert renamed == text, file
+
+
+def test_an_outline_takes_what_setup_gives(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With parameters at run time, loops are all that `setup` is made for."""
+    monkeypatch.setattr(dynamics, "STRAIGHT", 0)
+    monkeypatch.setattr(dynamics, "SURELY", 0)
+    options = Options(functions=("exp1",), derivatives=1, reductions=ONE_PLAN)
+    kernels = make(MODELS / "branched.yaml", options).manifest
+    (given,) = kernels.kernel("setup").outputs
+    for name in ("exp1", "jac_exp1", "lin_exp1"):
+        assert given.rows in [i.rows for i in kernels.kernel(name).inputs if i.name == given.name], name
+
+
+@pytest.mark.parametrize("wish", ["python", "matlab", "acados"])
+def test_whoever_needs_the_straight_form_gets_it(wish: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dynamics, "STRAIGHT", 0)
+    monkeypatch.setattr(dynamics, "SURELY", 0)
+    options = Options(functions=("exp1",), derivatives=1, reductions=ONE_PLAN)
+    found = make(MODELS / "double_pendulum.yaml", Options(**{**vars(options), wish: True}))
+    monkeypatch.setattr(pipeline, "_needs_loops_alone", lambda *_: False)
+    assert make(MODELS / "double_pendulum.yaml", Options(**{**vars(options), wish: True})).files == found.files
+
+
+def test_an_outline_computes_nothing() -> None:
+    """An outline that gets where operations are wanted is a mistake of ours, and is found out."""
+    tape = FUNCTIONS["impl"].build(random_tree(5, 2), ONE_PLAN)
+    outline = Outline.of("impl", tape.inputs, {o.name: o.sparsity for o in tape.outputs})
+    with pytest.raises(AssertionError):
+        evaluate(outline, {i.name: [0.5] * i.sparsity.nnz for i in tape.inputs})
