@@ -1,5 +1,6 @@
 "use strict";
 // A click on a column's name sorts its table by it, numbers before texts; another click turns the order round.
+// A click on a picture shows it in its own size, another fits it to the page.
 function compare(a, b) {
   const [x, y] = [a, b].map((text) => (text === "" ? NaN : Number(text)));
   if (!Number.isNaN(x) && !Number.isNaN(y)) return x - y;
@@ -20,4 +21,7 @@ function sortBy(header) {
 
 for (const button of document.querySelectorAll("th button")) {
   button.addEventListener("click", () => sortBy(button.parentElement));
+}
+for (const picture of document.querySelectorAll("figure img")) {
+  picture.addEventListener("click", () => picture.classList.toggle("whole"));
 }

@@ -192,7 +192,8 @@ _INTRODUCTION = (
     "Q. Docquier, O. Brüls and P. Fisette compare four formulations of the equations of motion of a multibody system, "
     "in six representations, by solving optimal control problems (“Comparison and Analysis of Multibody Dynamics "
     "Formalisms for Solving Optimal Control Problem”). This page repeats their section 4.3, and goes on where it ends.",
-    "A click on the name of a column sorts a table. Every table is beside this page as CSV.",
+    "A click on the name of a column sorts a table, one on a picture shows it in its own size. Every table is beside "
+    "this page as CSV.",
 )
 
 

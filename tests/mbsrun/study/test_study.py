@@ -310,8 +310,12 @@ def test_the_page_sorts_fits_a_phone_and_runs_nothing_else(tmp_path: Path, requi
           first.click();
           const up = column();
           first.click();
+          const picture = inner.querySelector("figure img");
+          const fitted = picture.getBoundingClientRect().width;
+          picture.click();
           document.getElementById("out").innerText = JSON.stringify({{
             up, down: column(), width: inner.documentElement.scrollWidth,
+            fitted, whole: picture.getBoundingClientRect().width,
             title: document.title, hostile: window.hostile === undefined,
           }});
         }};</script>"""
@@ -326,6 +330,7 @@ def test_the_page_sorts_fits_a_phone_and_runs_nothing_else(tmp_path: Path, requi
     assert told["up"] == ["3", "9", "10", "20"]
     assert told["down"] == ["20", "10", "9", "3"]
     assert told["width"] <= 390
+    assert told["fitted"] < told["whole"] == 900
     assert (told["title"], told["hostile"]) == ("", True)
 
 
