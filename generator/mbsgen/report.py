@@ -199,7 +199,7 @@ def tables_of_scene(report: Report) -> list[tuple[str, tuple[str, ...], list[tup
         return []
     names = tuple(next(iter(report.evidence.flops.values())))
     tables = [(SCENE, ("", *names), describe(report.evidence, names))]
-    if report.evidence.approximation is not None:
+    if report.evidence.approximation is not None and report.evidence.approximation.taken:
         tables.append((LEFT_OUT, ("", "value", "alone errs by", "saves flops"), describe_cuts(report.evidence)))
     return tables
 

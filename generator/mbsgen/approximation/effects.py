@@ -62,8 +62,8 @@ class Bench:
     @property
     def judged(self) -> tuple[str, ...]:
         """Name the functions whose errors count, each of those that are alike once."""
-        names = (ALIKE.get(name, name) if ALIKE.get(name) in self.tapes else name for name in self.tapes)
-        return tuple(dict.fromkeys(name for name in names if name not in UNJUDGED))
+        told = [name for name, tape in self.tapes.items() if name not in UNJUDGED and tape.outputs]
+        return tuple(dict.fromkeys(ALIKE[name] if ALIKE.get(name) in told else name for name in told))
 
     def count(self, sets: Sets) -> NDArray[np.int64]:
         """Estimate the flops of all functions without each set of numbers: (k,)."""
@@ -150,7 +150,7 @@ class Comparison:
 
     def tell(self, tapes: Mapping[str, Tape]) -> dict[str, float]:
         """Tell the error of each function as it was generated, by a tape that has no numbers to leave out."""
-        known = {name: self._find_alike(name) for name in tapes if name not in UNJUDGED}
+        known = {name: self._find_alike(name) for name, tape in tapes.items() if name not in UNJUDGED and tape.outputs}
         return {
             name: float(self._differ(whole, self._evaluate(whole, self._none, tapes[name]))[0])
             for name, whole in known.items()
@@ -160,7 +160,7 @@ class Comparison:
         return name if name in self._whole else ALIKE[name]
 
     def _differ(self, name: str, found: Results) -> Array:
-        worst = np.zeros(len(next(iter(found.values()), ())))
+        worst = np.zeros(len(next(iter(found.values()))))
         for result, values in found.items():
             whole = self._whole[name][result]
             largest = np.abs(whole[0]).max(axis=0)
