@@ -59,7 +59,7 @@ MBSRUN = Package(
         "binding circumstances",
         "kernel",
         "external",
-        "ocp.factors ocp.schemes ocp.plant ocp.program ocp.trajectory",
+        "ocp.factors ocp.linear ocp.schemes ocp.plant ocp.program ocp.trajectory",
         "ocp.elimination ocp.integrators quaternions",
         "animation ocp.methods ocp.problem",
         "simulation ocp.layout ocp.quantities",

@@ -13,6 +13,7 @@ from typing import Any
 
 import casadi as ca
 
+from mbsrun.ocp.linear import LINEAR_SOLVERS, MUMPS, OWN, set_up
 from mbsrun.ocp.program import NonlinearProgram
 
 Setting = float | int | str
@@ -64,6 +65,8 @@ _FRACTION = Amount(0.0, 1.0)
 _COUNT = Amount(0, 100_000, whole=True)
 _SWITCH = Choice(("yes", "no"))
 
+LINEAR_SOLVER = "linear_solver"  # MUMPS, if one of its own options is told; else the project's
+
 IPOPT_OPTIONS: Mapping[str, Option] = {
     "accept_every_trial_step": _SWITCH,
     "acceptable_iter": _COUNT,
@@ -85,6 +88,7 @@ IPOPT_OPTIONS: Mapping[str, Option] = {
     "least_square_init_duals": _SWITCH,
     "least_square_init_primal": _SWITCH,
     "limited_memory_max_history": _COUNT,
+    LINEAR_SOLVER: Choice(LINEAR_SOLVERS),
     "line_search_method": Choice(("filter", "cg-penalty", "penalty")),
     "max_cpu_time": _POSITIVE,
     "max_wall_time": _POSITIVE,
@@ -122,16 +126,7 @@ SQP_OPTIONS: Mapping[str, Option] = {
 
 FATROP_OPTIONS: Mapping[str, Option] = {"mu_init": _POSITIVE}
 
-# MUMPS orders by AMD, and neither scales nor permutes: it is fastest so on the banded systems of collocation.
-_IPOPT: Settings = {
-    "print_level": 0,
-    "sb": "yes",
-    "nlp_scaling_method": "none",
-    "linear_solver": "mumps",
-    "mumps_pivot_order": 0,
-    "mumps_scaling": 0,
-    "mumps_permuting_scaling": 0,
-}
+_IPOPT: Settings = {"print_level": 0, "sb": "yes", "nlp_scaling_method": "none"}
 
 
 # Sensitivities to parameters, which nobody asks for, and for which CasADi would differentiate the whole.
@@ -175,6 +170,13 @@ def _make(name: str, order: Order, scale: float, settings: Mapping[str, Any]) ->
     return ca.nlpsol("ocp", name, nlp, {"iteration_callback": order.callback, **quiet, **settings})
 
 
+def _choose_linear_solver(options: Settings) -> Settings:
+    """Replace the name of a linear solver, told or not, by what makes IPOPT use it."""
+    default = MUMPS if any(name.startswith("mumps_") for name in options) else OWN
+    others = {name: value for name, value in options.items() if name != LINEAR_SOLVER}
+    return {**set_up(str(options.get(LINEAR_SOLVER, default))), **others}
+
+
 def _make_ipopt(order: Order) -> ca.Function:
     program = order.program
     told = {"tol": order.tolerance, "max_iter": order.max_iterations, "obj_scaling_factor": order.scaling}
@@ -183,7 +185,7 @@ def _make_ipopt(order: Order) -> ca.Function:
         "grad_f": program.gradient,
         "jac_g": program.jacobian,
         "hess_lag": program.hessian,
-        "ipopt": {**_IPOPT, **told, **order.options},
+        "ipopt": {**_IPOPT, **told, **_choose_linear_solver(order.options)},
     }
     if order.options.get("hessian_approximation") == "limited-memory":
         del settings["hess_lag"]
@@ -198,7 +200,7 @@ def _make_sqp(order: Order) -> ca.Function:
     f, gradient = program.gradient(x, p)
     inputs, names = [x, p, lam_f, lam_g], program.hessian.name_in()
     outputs = [scale * f, scale * gradient, *program.jacobian(x, p)]
-    ipopt = {**_IPOPT, "tol": order.tolerance / 100}
+    ipopt = {**_IPOPT, **set_up(OWN), "tol": order.tolerance / 100}
     quiet = {"print_time": False, "error_on_fail": False}
     settings = {
         **_UNDIFFERENTIATED,

@@ -62,7 +62,7 @@ def test_every_option_is_one_of_the_solver(method: str, name: str) -> None:
     assert "Invalid_Option" not in str(solver.stats()["return_status"])
 
 
-@pytest.mark.parametrize("name", ["output_file", "option_file_name", "linear_solver", "hsllib", "print_level", "tol"])
+@pytest.mark.parametrize("name", ["output_file", "option_file_name", "hsllib", "print_level", "tol"])
 def test_options_that_touch_files_or_libraries_are_none(name: str) -> None:
     assert all(name not in method.options for method in METHODS.values())
 

@@ -1,0 +1,296 @@
+/* Dense elimination within a front: see mbs_front.h. */
+#include "mbs_front.h"
+
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+
+#define COLUMNS 4       /* of a tile of what is left; its rows are MBS_LANES */
+#define GOOD 0.01       /* ratio of a pivot to its column from which on none better is looked for */
+#define LOOKS 6         /* columns that are looked at for a better one */
+#define CANCELLED 1e-14 /* a determinant beside what it is the difference of */
+
+int mbs_stride(int rows)
+{
+    return (rows + MBS_LANES - 1) / MBS_LANES * MBS_LANES;
+}
+
+static double larger(double a, double b)
+{
+    return a > b ? a : b;
+}
+
+void mbs_subtract(int n, double x, const double *restrict a, double *restrict b)
+{
+    int i;
+    for (i = 0; i < n; ++i)
+        b[i] -= a[i] * x;
+}
+
+/* A front while it is eliminated. */
+typedef struct {
+    double *a;
+    int rows, stride, pivots;
+    int done;
+    double *d;
+    int *name;
+    double *old; /* D LT, by rows, `pitch` apart */
+    size_t pitch;
+} state;
+
+static double *entry(const state *s, int i, int j)
+{
+    return i >= j ? s->a + (size_t)j * (size_t)s->stride + i : s->a + (size_t)i * (size_t)s->stride + j;
+}
+
+/* Exchange unknowns i < j, both at least `done` and below `pivots`. */
+static void exchange(state *s, int i, int j)
+{
+    double *a = s->a;
+    const size_t stride = (size_t)s->stride;
+    int k;
+    double t;
+    if (i == j)
+        return;
+    for (k = 0; k < i; ++k) {
+        double *column = a + (size_t)k * stride;
+        t = column[i], column[i] = column[j], column[j] = t;
+    }
+    for (k = i + 1; k < j; ++k) {
+        double *x = a + (size_t)i * stride + k, *y = a + (size_t)k * stride + j;
+        t = *x, *x = *y, *y = t;
+    }
+    for (k = j + 1; k < s->rows; ++k) {
+        double *x = a + (size_t)i * stride + k, *y = a + (size_t)j * stride + k;
+        t = *x, *x = *y, *y = t;
+    }
+    t = *entry(s, i, i), *entry(s, i, i) = *entry(s, j, j), *entry(s, j, j) = t;
+    k = s->name[i], s->name[i] = s->name[j], s->name[j] = k;
+}
+
+/* The largest of n numbers, whatever their signs. */
+static double peak(const double *a, int n)
+{
+    double most[MBS_LANES] = {0.0};
+    int i, m;
+    for (i = 0; i + MBS_LANES <= n; i += MBS_LANES)
+        for (m = 0; m < MBS_LANES; ++m) {
+            const double x = fabs(a[i + m]);
+            most[m] = x > most[m] ? x : most[m];
+        }
+    for (; i < n; ++i) {
+        const double x = fabs(a[i]);
+        most[0] = x > most[0] ? x : most[0];
+    }
+    for (m = 1; m < MBS_LANES; ++m)
+        most[0] = most[m] > most[0] ? most[m] : most[0];
+    return most[0];
+}
+
+/* The largest entry of column c, its diagonal and row `but` aside. */
+static double largest(const state *s, int c, int but)
+{
+    const double *column = s->a + (size_t)c * (size_t)s->stride;
+    const int from = but > c ? but + 1 : c + 1;
+    double most = larger(peak(column + c + 1, from - c - (from > c + 1 ? 2 : 1)), peak(column + from, s->rows - from));
+    int i;
+    for (i = s->done; i < c; ++i)
+        if (i != but)
+            most = larger(most, fabs(*entry(s, c, i)));
+    return most;
+}
+
+/* The row of the largest entry of column c, of those that may be pivots, or -1. */
+static int find_largest(const state *s, int c)
+{
+    double most = 0.0;
+    int i, where = -1;
+    for (i = s->done; i < s->pivots; ++i) {
+        const double x = i == c ? 0.0 : fabs(*entry(s, i, c));
+        if (x > most) {
+            most = x;
+            where = i;
+        }
+    }
+    return where;
+}
+
+/* A pivot: one unknown, or two; and how large it is beside the rest of its columns: 0, nothing; 1, as large. */
+typedef struct {
+    int first, second;
+    double ratio;
+} pivot;
+
+static void prefer(pivot *best, int first, int second, double ratio)
+{
+    if (ratio > best->ratio) {
+        best->first = first;
+        best->second = second;
+        best->ratio = ratio;
+    }
+}
+
+/* Look at c and its partner r as a pair, and at r alone. */
+static void consider_pair(const state *s, int c, int r, double zero, pivot *best)
+{
+    const double a = *entry(s, c, c), b = *entry(s, r, c), d = *entry(s, r, r);
+    const double x = fabs(a), y = fabs(b), z = fabs(d), rest_c = largest(s, c, r), rest_r = largest(s, r, c);
+    const double scale = larger(x, larger(y, z)), det = fabs(a / scale * d - b / scale * b);
+    if (det > zero && det > CANCELLED * scale) {
+        const double growth = larger(z * rest_c + y * rest_r, y * rest_c + x * rest_r) / scale;
+        prefer(best, c, r, growth > 0.0 ? det / growth : HUGE_VAL);
+    }
+    if (z > zero)
+        prefer(best, r, -1, z / larger(rest_r, y));
+}
+
+/* Find a pivot that is good, or the best of those looked at: of some, if they meet the threshold, or of all. */
+static pivot search(const state *s, double threshold, double zero)
+{
+    pivot best = {-1, -1, 0.0};
+    int c;
+    for (c = s->done; c < s->pivots; ++c) {
+        const double x = fabs(*entry(s, c, c)), top = largest(s, c, -1);
+        int r;
+        if (x > zero)
+            prefer(&best, c, -1, top > 0.0 ? x / top : HUGE_VAL);
+        if (best.ratio < GOOD && (r = find_largest(s, c)) >= 0 && fabs(*entry(s, r, c)) > zero)
+            consider_pair(s, c, r, zero, &best);
+        if (best.ratio >= (c + 1 < s->done + LOOKS ? GOOD : threshold))
+            break;
+    }
+    return best;
+}
+
+/* Keep column k as it is before it becomes L's. */
+static const double *keep(const state *s, int k)
+{
+    double *old = s->old + (size_t)k * s->pitch;
+    memcpy(old, s->a + (size_t)k * (size_t)s->stride, (size_t)s->stride * sizeof *old);
+    return old;
+}
+
+/* Eliminate the next unknown, and bring the columns of those that may be pivots up to date. */
+static void eliminate_one(state *s)
+{
+    const int k = s->done;
+    double *column = s->a + (size_t)k * (size_t)s->stride;
+    const double own = column[k], inverse = 1.0 / own, *old = keep(s, k);
+    int i;
+    for (i = k + 1; i < s->rows; ++i)
+        column[i] *= inverse;
+    for (i = k + 1; i < s->pivots; ++i)
+        mbs_subtract(s->rows - i, old[i], column + i, s->a + (size_t)i * (size_t)s->stride + i);
+    s->d[2 * k] = own;
+    s->d[2 * k + 1] = 0.0;
+    s->done = k + 1;
+}
+
+/* Eliminate the next two. */
+static void eliminate_two(state *s)
+{
+    const int k = s->done;
+    const size_t stride = (size_t)s->stride;
+    double *one = s->a + (size_t)k * stride, *two = one + stride;
+    const double a = one[k], b = one[k + 1], c = two[k + 1], t = a / b, u = c / b, f = 1.0 / (b * (t * u - 1.0));
+    const double *old_one = keep(s, k), *old_two = keep(s, k + 1);
+    int i;
+    one[k + 1] = 0.0;
+    for (i = k + 2; i < s->rows; ++i) {
+        const double x = one[i], y = two[i];
+        one[i] = f * (u * x - y);
+        two[i] = f * (t * y - x);
+    }
+    for (i = k + 2; i < s->pivots; ++i) {
+        double *column = s->a + (size_t)i * stride + i;
+        mbs_subtract(s->rows - i, old_one[i], one + i, column);
+        mbs_subtract(s->rows - i, old_two[i], two + i, column);
+    }
+    s->d[2 * k] = a;
+    s->d[2 * k + 1] = b;
+    s->d[2 * k + 2] = c;
+    s->d[2 * k + 3] = 0.0;
+    s->done = k + 2;
+}
+
+/* Subtract L D LT from a tile of what is left: MBS_LANES rows from i on, COLUMNS columns from j on, or to the last. */
+static void subtract_tile(const state *s, int i, int j)
+{
+    const size_t stride = (size_t)s->stride;
+    const int width = s->rows - j < COLUMNS ? s->rows - j : COLUMNS;
+    const int height = s->rows - i < MBS_LANES ? s->rows - i : MBS_LANES;
+    const double *l = s->a + i, *w = s->old + j;
+    double a[MBS_LANES] = {0.0}, b[MBS_LANES] = {0.0}, c[MBS_LANES] = {0.0}, d[MBS_LANES] = {0.0};
+    const double *const sums[COLUMNS] = {a, b, c, d};
+    int k, m, n;
+    for (k = 0; k < s->done; ++k, l += stride, w += s->pitch) {
+        const double p = w[0], q = w[1], r = w[2], t = w[3];
+        for (m = 0; m < MBS_LANES; ++m)
+            a[m] += l[m] * p;
+        for (m = 0; m < MBS_LANES; ++m)
+            b[m] += l[m] * q;
+        for (m = 0; m < MBS_LANES; ++m)
+            c[m] += l[m] * r;
+        for (m = 0; m < MBS_LANES; ++m)
+            d[m] += l[m] * t;
+    }
+    for (n = 0; n < width; ++n) {
+        double *to = s->a + (size_t)(j + n) * stride + i;
+        for (m = 0; m < height; ++m)
+            to[m] -= sums[n][m];
+    }
+}
+
+/* Subtract L D LT from what is left beside the columns of those that may be pivots. */
+static void subtract_products(const state *s)
+{
+    int i, j;
+    for (j = s->pivots; j < s->rows; j += COLUMNS)
+        for (i = j; i < s->rows; i += MBS_LANES)
+            subtract_tile(s, i, j);
+}
+
+mbs_eliminated mbs_eliminate(double *front, int rows, int stride, int pivots, int last, const mbs_pivoting *pivoting,
+                             double *d, int *name, double *work)
+{
+    state s = {front, rows, stride, pivots, 0, d, name, work, (size_t)stride + MBS_LANES};
+    mbs_eliminated result = {0, 0, 0};
+    while (s.done < pivots) {
+        const pivot best = search(&s, pivoting->threshold, pivoting->zero);
+        if (best.ratio < pivoting->threshold && !(last && best.ratio > 0.0))
+            break;
+        exchange(&s, s.done, best.first);
+        if (best.second < 0) {
+            eliminate_one(&s);
+            result.negative += d[2 * s.done - 2] < 0.0;
+        } else {
+            exchange(&s, s.done + 1, best.second == s.done ? best.first : best.second);
+            eliminate_two(&s);
+            {
+                const double *pair = d + 2 * s.done - 4;
+                const int opposite = pair[0] / pair[1] * (pair[2] / pair[1]) < 1.0;
+                result.negative += opposite ? 1 : 2 * (pair[0] < 0.0);
+            }
+        }
+    }
+    if (last)
+        result.zeros = pivots - s.done;
+    else
+        subtract_products(&s);
+    result.eliminated = s.done;
+    return result;
+}
+
+double mbs_dot(int n, const double *a, const double *b)
+{
+    double sum[MBS_LANES] = {0.0}, rest = 0.0;
+    int i, m;
+    for (i = 0; i + MBS_LANES <= n; i += MBS_LANES)
+        for (m = 0; m < MBS_LANES; ++m)
+            sum[m] += a[i + m] * b[i + m];
+    for (; i < n; ++i)
+        rest += a[i] * b[i];
+    for (m = 0; m < MBS_LANES; ++m)
+        rest += sum[m];
+    return rest;
+}

@@ -1,0 +1,222 @@
+"""The sparse factorisation of indefinite systems: solutions, eigenvalues, singular systems, and the order it keeps.
+
+What it is held against is LAPACK's dense eigenvalues and solutions.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import cffi
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from mbsgen.resources import folder
+from mbsrun.library import find_compiler
+from mbsrun.ocp.linear import compile_own
+from tests.mbsgen.targets.test_c import STRICT, run
+
+Array = NDArray[np.float64]
+
+CDEF = """
+typedef struct mbs_plan mbs_plan;
+typedef struct mbs_factors mbs_factors;
+typedef struct { double threshold, zero; } mbs_pivoting;
+typedef struct { int failed, negative, zeros, delayed, front; long entries; } mbs_met;
+int mbs_find_partners(int n, const int *start, const int *row, const double *value, char *weak, int *partner);
+mbs_plan *mbs_make_plan(int n, const int *start, const int *row, const char *weak, const int *partner);
+void mbs_free_plan(mbs_plan *plan);
+mbs_factors *mbs_make_factors(const mbs_plan *plan);
+void mbs_free_factors(mbs_factors *factors);
+mbs_met mbs_factorise(mbs_factors *factors, const double *value, const mbs_pivoting *pivoting);
+void mbs_solve(const mbs_factors *factors, double *x);
+"""
+THRESHOLD, ZERO = 1e-8, 1e-20  # those that IPOPT starts with
+
+
+def load() -> tuple[cffi.FFI, Any]:
+    ffi = cffi.FFI()
+    ffi.cdef(CDEF)
+    return ffi, ffi.dlopen(str(compile_own()))
+
+
+class Factorisation:
+    """A system of which the lower triangle is told, and its factors."""
+
+    def __init__(self, lower: sp.csc_array, ordered_for: Array | None = None) -> None:
+        """Plan for the values of the system, or for others."""
+        self.ffi, self.lib = load()
+        self.n = lower.shape[0]
+        start, row = (self._integers(x) for x in (lower.indptr, lower.indices))
+        weak, partner = self.ffi.new("char[]", self.n + 1), self.ffi.new("int[]", self.n + 1)
+        values = lower.data if ordered_for is None else ordered_for
+        assert self.lib.mbs_find_partners(self.n, start, row, self._numbers(values), weak, partner) == 0
+        plan = self.lib.mbs_make_plan(self.n, start, row, weak, partner)
+        self.plan = self.ffi.gc(plan, self.lib.mbs_free_plan)
+        self.factors = self.ffi.gc(self.lib.mbs_make_factors(self.plan), self.lib.mbs_free_factors)
+        self.pairs = sum(partner[i] >= 0 for i in range(self.n)) // 2
+
+    def _integers(self, x: NDArray[Any]) -> Any:
+        return self.ffi.new("int[]", [int(i) for i in x] or 1)
+
+    def _numbers(self, x: Array) -> Any:
+        return self.ffi.new("double[]", [float(v) for v in x] or 1)
+
+    def factorise(self, values: Array) -> Any:
+        return self.lib.mbs_factorise(
+            self.factors, self._numbers(values), self.ffi.new("mbs_pivoting *", [THRESHOLD, ZERO])
+        )
+
+    def solve(self, b: Array) -> Array:
+        x = self._numbers(b)
+        self.lib.mbs_solve(self.factors, x)
+        return np.array(list(x))
+
+
+def optimality(rng: np.random.Generator, variables: int, multipliers: int, kept: float) -> sp.csc_array:
+    """Make [H JT; J 0] at random, H indefinite, a part of its diagonal kept and the rest 0; give the lower triangle."""
+    density = min(1.0, 3 / variables)
+    H = sp.random_array((variables, variables), density=density, rng=rng, data_sampler=rng.standard_normal)
+    diagonal = rng.standard_normal(variables) * (rng.random(variables) < kept)
+    J = sp.random_array((multipliers, variables), density=density, rng=rng)
+    J = J + sp.eye_array(multipliers, variables, k=int(rng.integers(0, variables - multipliers + 1)))
+    top = sp.tril(H + H.T, -1) + sp.diags_array(diagonal)
+    return triangle(stack(top, J))
+
+
+def stack(top: Any, below: Any) -> Any:
+    """Put J below H, and zeros beside it."""
+    blocks: list[Any] = [[top, None], [below, sp.csr_array((below.shape[0], below.shape[0]))]]
+    return sp.block_array(blocks)
+
+
+def triangle(lower: Any) -> sp.csc_array:
+    """Have every diagonal entry stored, zeros too, as IPOPT has."""
+    coo = sp.coo_array(lower)
+    n = coo.shape[0]
+    missing = np.setdiff1d(np.arange(n), coo.row[coo.row == coo.col])
+    row, col = np.concatenate([coo.row, missing]), np.concatenate([coo.col, missing])
+    order = np.lexsort((row, col))
+    start = np.concatenate([[0], np.cumsum(np.bincount(col, minlength=n))])
+    return sp.csc_array((np.concatenate([coo.data, 0.0 * missing])[order], row[order], start), shape=(n, n))
+
+
+def dense(lower: sp.csc_array) -> Array:
+    a: Array = lower.toarray()
+    return a + np.tril(a, -1).T
+
+
+@pytest.mark.parametrize("kept", [1.0, 0.5, 0.0])
+def test_random_systems(kept: float) -> None:
+    """Eigenvalues are counted as LAPACK finds them, and the residual is small beside the numbers that it is made of."""
+    rng = np.random.default_rng(int(10 * kept))
+    solved = 0
+    for _ in range(40):
+        variables = int(rng.integers(1, 80))
+        lower = optimality(rng, variables, int(rng.integers(0, variables // 2 + 1)), kept)
+        a = dense(lower)
+        eigenvalues = np.linalg.eigvalsh(a)
+        if np.abs(eigenvalues).min() <= 1e-6 * np.abs(eigenvalues).max():
+            continue
+        solved += 1
+        system = Factorisation(lower)
+        met = system.factorise(lower.data)
+        assert (met.failed, met.zeros, met.negative) == (0, 0, np.count_nonzero(eigenvalues < 0))
+        b = rng.standard_normal(len(a))
+        x = system.solve(b)
+        assert np.abs(a @ x - b).max() < 1e-9 * np.abs(a).sum(axis=1).max() * np.abs(x).max()
+    assert solved >= 15
+
+
+def test_values_that_it_was_not_ordered_for() -> None:
+    """Pivots are chosen by their values: an order made for others costs time, and no digits."""
+    rng = np.random.default_rng(0)
+    lower = optimality(rng, 60, 25, 0.6)
+    system = Factorisation(lower, ordered_for=np.ones(lower.nnz))
+    for scale in (1.0, 1e6):
+        values = lower.data * rng.uniform(1.0, scale, lower.nnz)
+        a = dense(sp.csc_array((values, lower.indices, lower.indptr), shape=lower.shape))
+        met = system.factorise(values)
+        b = rng.standard_normal(len(a))
+        x = system.solve(b)
+        assert met.negative == np.count_nonzero(np.linalg.eigvalsh(a) < 0)
+        assert np.abs(a @ x - b).max() < 1e-9 * np.abs(a).sum(axis=1).max() * np.abs(x).max()
+
+
+def test_variables_without_pivots_get_multipliers() -> None:
+    """In [0 JT; J 0] nothing has a pivot of its own; in pairs, nearly all find one in their fronts."""
+    rng = np.random.default_rng(1)
+    J = sp.eye_array(30) + sp.diags_array(rng.uniform(0.1, 0.5, 29), offsets=1)
+    lower = triangle(stack(sp.csr_array((30, 30)), J))
+    system = Factorisation(lower)
+    met = system.factorise(lower.data)
+    assert (system.pairs, met.negative, met.zeros) == (30, 30, 0)
+    assert met.delayed < 3
+
+
+SINGULAR = {
+    "nothing at all": np.zeros((3, 3)),
+    "a row twice": np.array([[2.0, 1.0, 1.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]),
+    "a constraint on nothing": np.diag([1.0, 2.0, 0.0]),
+    "not a number": np.diag([1.0, np.nan, 2.0]),
+}
+
+
+@pytest.mark.parametrize("a", SINGULAR.values(), ids=SINGULAR.keys())
+def test_singular_systems_are_said_to_be(a: Array) -> None:
+    lower = triangle(sp.coo_array(np.tril(a)))
+    assert Factorisation(lower).factorise(lower.data).zeros > 0
+
+
+def test_a_long_chain_stays_sparse() -> None:
+    """The factors of a band grow as its length: an order that let them fill up would cost its square."""
+    entries = []
+    for n in (400, 800):
+        lower = triangle(sp.tril(sp.diags_array([1.0, 1.0, 4.0, 1.0, 1.0], offsets=[-2, -1, 0, 1, 2], shape=(n, n))))
+        entries.append(Factorisation(lower).factorise(lower.data).entries)
+    assert entries[1] < 2.2 * entries[0]
+
+
+def test_no_compiler_warns_and_no_memory_is_misused(tmp_path: Path) -> None:
+    """The whole face that IPOPT sees, in a program of its own, under sanitizers."""
+    place = folder("csrc") / "kkt"
+    program = tmp_path / "program.c"
+    program.write_text(PROGRAM, "utf-8")
+    compiler = find_compiler(os.environ).command
+    flags = [*STRICT, "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", f"-I{place}"]
+    run(*compiler, *flags, program, *sorted(place.glob("*.c")), "-lm", "-o", tmp_path / "program")
+    run(tmp_path / "program")
+
+
+PROGRAM = r"""
+#include "mbs_ipopt.h"
+/* minimise x1^2/2 - x2^2/2 with x1 + x2 = b3, and the same without its constraint */
+int main(void)
+{
+    const int start[] = {1, 3, 5, 6}, row[] = {1, 3, 2, 3, 3};
+    double value[] = {1.0, 1.0, -0.5, 1.0, 0.0}, x[] = {0.0, 0.0, 1.0, 1.0, 0.0, 0.0};
+    void *pattern = 0, *factors = 0;
+    ipopt_settings settings;
+    ipopt_report report;
+    ma97_default_control_d(&settings);
+    settings.one_based = 1;
+    settings.threshold = 1e-8;
+    settings.zero = 1e-20;
+    ma97_analyse_d(0, 3, start, row, 0, &pattern, &settings, &report, 0);
+    if (report.flag)
+        return 1;
+    ma97_factor_solve_d(4, start, row, value, 2, x, 3, &pattern, &factors, &settings, &report, 0);
+    if (report.flag || report.negative != 1 || x[0] + x[1] < 1.0 - 1e-12 || x[3] + x[4] > 1e-12)
+        return 2;
+    value[1] = value[3] = 0.0;
+    ma97_factor_d(4, start, row, value, &pattern, &factors, &settings, &report, 0);
+    if (report.flag != -7)
+        return 3;
+    ma97_finalise_d(&pattern, &factors);
+    return pattern || factors ? 4 : 0;
+}
+"""
