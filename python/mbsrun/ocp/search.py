@@ -35,6 +35,8 @@ from pydantic import TypeAdapter
 from mbsgen.manifest import Manifest
 from mbsrun.ocp import schemes, solution
 from mbsrun.ocp.guess import Pose, adapt, balance, bump, find_pose, interpolate, rest
+from mbsrun.ocp.linear import MUMPS, OWN
+from mbsrun.ocp.methods import LINEAR_SOLVER
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Inputs, Point, Problem, Representation, cylindrical
 from mbsrun.ocp.record import SAME, Attempt, Best, Key, Record, Task
@@ -54,8 +56,6 @@ FEW_BUMPS = 2  # where they are not
 ROUNDS = 100  # at most
 # IPOPT begins with a barrier that would push a motion out of a shallow minimum; so it stays in it.
 HOLD = MappingProxyType({"mu_init": 1e-6, "bound_push": 1e-8, "bound_frac": 1e-8})
-ALGEBRA = MappingProxyType({"robust": "mumps"})  # by protocol: IPOPT's linear solver
-PAPERS_OWN = "mumps"
 DIGITS = 12  # of the hash of what was generated, as it is told with results
 SOLVERS = 12  # that are kept for the next trial: the representations, standard and otherwise
 
@@ -290,12 +290,14 @@ class Outcome:
 def choose_options(problem: Problem, trial: Trial) -> Problem:
     """Tell IPOPT what a trial wants of it, where the problem says nothing: its linear solver, and whether to stay near.
 
-    Protocols whose times are compared, with the paper's or with each other, take the paper's linear solver.
+    The robust protocol is after optima, and takes the quickest linear solver. Times of the others are compared, with
+    the paper's and with each other's: they take MUMPS, as does whoever tells one of its options.
     """
     solver = problem.solver
     if solver.method != "ipopt":
         return problem
-    told: dict[str, float | int | str] = {"linear_solver": ALGEBRA.get(trial.protocol, PAPERS_OWN)}
+    is_free = trial.protocol == "robust" and not any(name.startswith(MUMPS) for name, _ in solver.options)
+    told: dict[str, float | int | str] = {LINEAR_SOLVER: OWN if is_free else MUMPS}
     if isinstance(trial.start, Found) and trial.start.is_held:
         told |= HOLD
     return replace(problem, solver=replace(solver, options=tuple((told | dict(solver.options)).items())))

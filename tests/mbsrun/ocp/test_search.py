@@ -139,9 +139,12 @@ def test_an_optimum_of_another_representation_is_held(study: Study) -> None:
         return dict(choose_options(problem, Trial(task, "robust", "", "", start)).solver.options)
 
     own = replace(study.problem, solver=replace(study.problem.solver, options=(("mu_init", 0.5),)))
+    assert tell(own, is_held=True)["linear_solver"] == "mbs"
     assert tell(study.problem, is_held=True)["mu_init"] == 1e-6
     assert "mu_init" not in tell(study.problem, is_held=False)
     assert tell(own, is_held=True)["mu_init"] == 0.5
+    pivots = replace(own, solver=replace(own.solver, options=(("mumps_pivtol", 0.1),)))
+    assert tell(pivots, is_held=False) == {"linear_solver": "mumps", "mumps_pivtol": 0.1}
     best = {task: Best(1.0, 0), replace(task, representation="SEMI"): Best(1.1, 0)}
     one = replace(study, targets=replace(TARGETS, every=(3, 1)), representations=(*Representation,)[:2])
     (trial,) = plan_round(replace(one, costs=(task.weights,)), "robust", 1, best, ())
