@@ -27,8 +27,8 @@ ACCELERATIONS = ("exp1", "exp2")
 # Operations from which on columns are looped over. A Panda's Jacobian of EXP1 (4700 operations) takes 0.47 us straight
 # and 0.62 with a loop, a quadruped's (20,000) 3.4 and 3.2, a humanoid's (110,000) 24 and 20.
 STRAIGHT = 16_000
-# From how many operations of the loop on the straight code, which leaves zeros out, is sure to be longer than that: the
-# quadruped's loop has 32,000, the humanoid's 190,000.
+# From how many operations of the loop on the straight code, which leaves zeros out, is sure to be longer than that: a
+# quadruped's loop has 30,000 for 20,000, a humanoid's 190,000 for 110,000.
 SURELY = 3 * STRAIGHT
 COMPARED = 12  # bodies: in larger trees, only the way that always won is written
 
