@@ -113,8 +113,13 @@ class Application:
         return _mark(self._curvature_places, self._curvature_shape)
 
     def _split(self, v: Array) -> list[Array]:
-        y = (v @ self.C.reshape(-1, v.shape[1]).T).reshape(-1, int(self._bounds[-1]))
+        y = np.ascontiguousarray((self._sparse @ v.T).T).reshape(-1, int(self._bounds[-1]))
         return [y[:, a:b] for a, b in zip(self._bounds[:-1], self._bounds[1:], strict=True)]
+
+    @cached_property
+    def _sparse(self) -> sparse.csr_array:
+        """Give C, its P parts below each other; few of it are not 0, and BLAS would start threads."""
+        return sparse.csr_array(self.C.reshape(-1, self.C.shape[2]))
 
     # --- the function and its derivatives, as CasADi calls them ---
 
@@ -189,6 +194,7 @@ class Elimination:
     ) -> None:
         """A is (s, s + k); orders are equations of a triangular system with ones on its diagonal, one after another."""
         self.A, self.applications, self.groups = A, applications, groups
+        self._sparse = sparse.csr_array(A)
         self.orders = [
             (rows, [part.take(chosen) for part in applications if (chosen := _find(part.rows, rows)).size])
             for rows in orders
@@ -309,7 +315,7 @@ class Elimination:
 
     def _residual(self, v: Array, parts: Sequence[Application] | None = None) -> Array:
         """Give the equations' values, (G, s); with some parts, of those rows alone that no others add to."""
-        r = v @ self.A.T
+        r = np.ascontiguousarray((self._sparse @ v.T).T)
         for part in self.applications if parts is None else parts:
             r[:, part.rows] += part.value(v)
         return r
@@ -370,14 +376,18 @@ def _read_block(block: Block, column: Indices, row: Indices, owner: Indices, gro
 
 def _localise(matrix: sparse.csr_array, shape: tuple[int, int, int], column: Indices) -> Array:
     """Give the rows that all groups have in common, by the variables of a group; `matrix` is those of all, in turn."""
-    coo = matrix.tocoo()
-    r, c = coo.coords
-    assert (column[c] >= 0).all(), "the equations feel their knowns and unknowns alone"
-    whole = np.zeros((shape[0] * shape[1], shape[2]))
-    whole[r, column[c]] = coo.data
-    parts = whole.reshape(shape)
-    assert (parts == parts[0]).all(), "groups are alike"
-    return np.array(parts[0])
+    groups, size, width = shape
+    matrix.sum_duplicates()
+    r, c = matrix.tocoo().coords
+    owner, row, col = r // size, r % size, column[c]
+    assert (col >= 0).all(), "the equations feel their knowns and unknowns alone"
+    order = np.lexsort((col, row, owner))
+    owners, rows, cols, data = (part[order].reshape(groups, -1) for part in (owner, row, col, matrix.data))
+    assert (owners == np.arange(groups)[:, None]).all(), "groups are alike"
+    assert all((part == part[0]).all() for part in (rows, cols, data)), "groups are alike"
+    local = np.zeros((size, width))
+    local[rows[0], cols[0]] = data[0]
+    return local
 
 
 def _find(rows: Indices, wanted: Indices) -> Indices:
