@@ -78,7 +78,8 @@ The output folder gets
 FIDELITY_HELP = """Chart what is saved by leaving something out of MODEL, against the error that it makes.
 
 Without a scene, one thing after the other: each joint locked, each body without mass, no forces of joints, no gravity,
-no velocities, constant parameters, one sensor alone. With scenes, their parts, and each as a whole.
+no velocities, constant parameters, one sensor alone, what a tolerance admits. With scenes, their parts, and each as a
+whole.
 
 \b
 The output folder gets

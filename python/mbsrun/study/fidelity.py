@@ -38,7 +38,8 @@ RESULTS = {"impl": ("Phi",), "semi": ("M", "c"), "exp1": ("qdd",), "exp2": ("qdd
 KERNELS = tuple(RESULTS)
 STATES = 256
 FORCES = ("stiffness", "rest", "damping", "friction", "force")  # of a joint
-PARTS = ("locked", "parameters", "gravity", "motion", "sensors", "wrenches")  # of a scene, that change a kernel
+PARTS = ("locked", "parameters", "gravity", "motion", "sensors", "wrenches", "tolerance")  # of a scene, that change kernels
+TOLERANCES = (1e-3, 1e-1)
 WHOLE = "whole model"
 
 
@@ -159,6 +160,7 @@ def _list_usual(data: Data, manifest: Manifest) -> Iterator[Reduction]:
     sensors = [frame.name for frame in manifest.frames if frame.sensor]
     if len(sensors) > 1:
         yield from (Reduction(f"sensor {name} alone", data, {"sensors": [name]}) for name in sensors)
+    yield from (Reduction(f"tolerance {tolerance:g}", data, {"tolerance": tolerance}) for tolerance in TOLERANCES)
 
 
 def _drop_forces(body: Data) -> Data:

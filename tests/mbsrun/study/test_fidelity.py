@@ -10,6 +10,7 @@ import pytest
 
 from mbsrun.study.captions import OUTLINES, write_captions
 from mbsrun.study.fidelity import (
+    TOLERANCES,
     WHOLE,
     Depth,
     FidelityPoint,
@@ -53,6 +54,10 @@ def test_each_thing_left_out_costs_what_it_did(cart: Path, tmp_path: Path) -> No
     Phi = whole.kernels("impl", **inputs)["Phi"]
     forces = 7 * states["q"][:, 0] + 0.4 * states["qd"][:, 0]
     assert points["no forces of joints"].error == pytest.approx(np.abs(forces).max() / np.abs(Phi).max(), rel=1e-9)
+    for tolerance in TOLERANCES:
+        error = points[f"tolerance {tolerance:g}"].error
+        assert error is not None
+        assert error <= tolerance
     light = points["rod without mass"]
     assert "turn" in light.finding
     assert (light.flops, light.error, light.ns) == (None, None, None)
