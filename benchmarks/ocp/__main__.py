@@ -28,7 +28,8 @@ from mbsrun import Mechanism, load
 from mbsrun.models import Extent, find_folder
 from mbsrun.ocp import schemes
 from mbsrun.ocp.guess import make_guess
-from mbsrun.ocp.methods import IPOPT_OPTIONS, Choice
+from mbsrun.ocp.linear import LINEAR_SOLVERS, OWN
+from mbsrun.ocp.methods import LINEAR_SOLVER
 from mbsrun.ocp.problem import Form, Problem, Representation, find_conflicts
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import Solver
@@ -38,7 +39,6 @@ from mbsrun.ocp.trajectory import Trajectory
 MODELS = Path(__file__).parents[2] / "models"
 MODEL = MODELS / "arm_pendulum.yaml"
 INTERVALS, DEGREE = 100, 4  # the paper's
-ALGEBRA, DEFAULT_ALGEBRA = "linear_solver", "mumps"
 PEERS = "peers"  # the folder, within that of the figures, of what was compiled for CasADi
 BARRIERS: tuple[Mapping[str, str], ...] = ({}, {"mu_strategy": "adaptive"})  # options of IPOPT
 
@@ -82,9 +82,7 @@ def list_variants(problem: Problem) -> Iterator[tuple[str, Problem]]:
 
 def list_algebras() -> list[Mapping[str, str]]:
     """List options that choose a linear solver: none, then the others that there are."""
-    choice = IPOPT_OPTIONS.get(ALGEBRA)
-    words = choice.words if isinstance(choice, Choice) else ()
-    return [{}, *({ALGEBRA: word} for word in words if word != DEFAULT_ALGEBRA)]
+    return [{}, *({LINEAR_SOLVER: name} for name in LINEAR_SOLVERS if name != OWN)]
 
 
 def make_ways(problem: Problem, plant: Mechanism, shelf: Shelf | None) -> Iterator[Way]:
