@@ -38,7 +38,7 @@ RESULTS = {"impl": ("Phi",), "semi": ("M", "c"), "exp1": ("qdd",), "exp2": ("qdd
 KERNELS = tuple(RESULTS)
 STATES = 256
 FORCES = ("stiffness", "rest", "damping", "friction", "force")  # of a joint
-PARTS = ("locked", "parameters", "gravity", "motion", "sensors", "wrenches", "tolerance")  # of a scene, that change kernels
+PARTS = ("locked", "parameters", "gravity", "motion", "sensors", "wrenches", "tolerance")  # of scenes, for kernels
 TOLERANCES = (1e-3, 1e-1)
 WHOLE = "whole model"
 
