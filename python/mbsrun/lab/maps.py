@@ -20,6 +20,7 @@ from mbsrun.lab.case import Bench, Loss, Report
 from mbsrun.lab.digits import EXPLICIT
 from mbsrun.lab.mechanisms import describe_spatial, describe_straight, draw
 from mbsrun.lab.record import write_table
+from mbsrun.study.pictures import save_picture
 from mbsrun.study.sheets import Caption, Outline, write_outline
 
 LENGTHS = (2, 5, 10, 20)
@@ -90,7 +91,7 @@ def draw_maps(losses: Sequence[Loss], folder: Path) -> list[Path]:
         ("map_lock", _draw_locks(near)),
     ):
         paths.append(folder / f"{name}.png")
-        figure.savefig(paths[-1], dpi=90, metadata={"Software": None})
+        save_picture(figure, paths[-1], 90)
     return [*paths, write_outline(OUTLINE, folder)]
 
 

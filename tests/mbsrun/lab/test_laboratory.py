@@ -148,7 +148,7 @@ def test_maps_show_errors_and_statuses(tmp_path: Path) -> None:
     losses += [replace(x, mechanism="heavy tip", number=10 ** (1 + k % 3)) for k, x in enumerate(losses)]
     paths = maps.draw_maps(losses, tmp_path)
     assert sum(path.suffix == ".png" for path in paths) == 3
-    assert all(path.stat().st_size > 10_000 for path in paths if path.suffix == ".png")
+    assert all(path.stat().st_size > 4_000 for path in paths if path.suffix == ".png")
     (section,) = read_folders([tmp_path])
     assert section.name == "laboratory"
     assert len(section.items) == 6
