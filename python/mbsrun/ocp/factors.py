@@ -34,21 +34,24 @@ class Factors:
         self._shape = self._factors.shape[:2]
         self._pivots = np.empty(self._shape, dtype=np.int64)
         ffi, library = _load()
-        self._held = (ffi.from_buffer("double[]", self._factors), ffi.from_buffer("long long[]", self._pivots))
+        self._held = (
+            ffi.from_buffer("double[]", self._factors.data),
+            ffi.from_buffer("long long[]", self._pivots.data),
+        )
         library.mbs_factorise(*self._shape, *self._held)
 
     def solve(self, b: Array) -> Array:
         """Give A^-1 b of each, (G, n, k)."""
         ffi, library = _load()
         x = np.array(b, dtype=np.float64, order="C")
-        library.mbs_solve(*self._shape, *self._held, x.shape[2], ffi.from_buffer("double[]", x))
+        library.mbs_solve(*self._shape, *self._held, x.shape[2], ffi.from_buffer("double[]", x.data))
         return x
 
     def solve_transposed(self, b: Array) -> Array:
         """Give A^-T b of each, (G, n)."""
         ffi, library = _load()
         x = np.array(b, dtype=np.float64, order="C")
-        library.mbs_solve_transposed(*self._shape, *self._held, ffi.from_buffer("double[]", x))
+        library.mbs_solve_transposed(*self._shape, *self._held, ffi.from_buffer("double[]", x.data))
         return x
 
 
