@@ -42,7 +42,7 @@ void ma97_free_akeep_d(void **kept)
     free(p->row);
     free(p->weak);
     free(p->partner);
-    mbs_free_plan(p->plan);
+    mbs_release_plan(p->plan);
     free(p);
     *kept = 0;
 }
@@ -92,11 +92,10 @@ void ma97_analyse_d(int check, int n, const int *start, const int *row, const do
 }
 
 /* Make the plan if there is none, or a better one is due. Returns -1 if memory runs out. */
-static int plan_for(pattern *p, const double *value, void **factors_kept)
+static int plan_for(pattern *p, const double *value)
 {
     if (p->stale) {
-        ma97_free_fkeep_d(factors_kept);
-        mbs_free_plan(p->plan);
+        mbs_release_plan(p->plan);
         p->plan = 0;
         p->stale = 0;
     }
@@ -108,9 +107,14 @@ static int plan_for(pattern *p, const double *value, void **factors_kept)
     return p->plan ? 0 : -1;
 }
 
-static factorisation *hold_factorisation(const mbs_plan *plan, void **kept)
+/* Give the factors kept, made anew if they go by another plan; NULL if memory runs out. */
+static factorisation *hold_factorisation(mbs_plan *plan, void **kept)
 {
     factorisation *f = *kept;
+    if (f && f->factors && mbs_plan_of(f->factors) != plan) {
+        mbs_free_factors(f->factors);
+        f->factors = 0;
+    }
     if (!f) {
         f = calloc(1, sizeof *f);
         *kept = f;
@@ -130,7 +134,7 @@ void ma97_factor_d(int type, const int *start, const int *row, const double *val
     (void)type, (void)start, (void)row, (void)scale;
     memset(report, 0, sizeof *report);
     report->flag = NO_MEMORY;
-    if (plan_for(p, value, factors_kept))
+    if (plan_for(p, value))
         return;
     f = hold_factorisation(p->plan, factors_kept);
     if (!f)

@@ -33,7 +33,7 @@ typedef struct {
 } rest;
 
 struct mbs_factors {
-    const mbs_plan *plan;
+    mbs_plan *plan;
     block *blocks;
     numbers values; /* L and D of each block; behind them the front that is being eliminated */
     names names;    /* of the rows of each block */
@@ -290,13 +290,14 @@ void mbs_solve(const mbs_factors *f, double *x)
         x[plan->order[k]] = solution[k];
 }
 
-mbs_factors *mbs_make_factors(const mbs_plan *plan)
+mbs_factors *mbs_make_factors(mbs_plan *plan)
 {
     mbs_factors *f = calloc(1, sizeof *f);
     const size_t fronts = (size_t)plan->fronts + 1, n = (size_t)plan->n + MBS_LANES;
     if (!f)
         return 0;
     f->plan = plan;
+    ++plan->holders;
     f->blocks = malloc(fronts * sizeof *f->blocks);
     f->rests = malloc(fronts * sizeof *f->rests);
     f->solution = malloc(n * sizeof *f->solution);
@@ -308,10 +309,16 @@ mbs_factors *mbs_make_factors(const mbs_plan *plan)
     return f;
 }
 
+const mbs_plan *mbs_plan_of(const mbs_factors *f)
+{
+    return f->plan;
+}
+
 void mbs_free_factors(mbs_factors *f)
 {
     if (!f)
         return;
+    mbs_release_plan(f->plan);
     free(f->blocks);
     free(f->rests);
     free(f->solution);

@@ -17,8 +17,9 @@ typedef struct {
     long entries; /* of the factors */
 } mbs_met;
 
-/* Factors of systems that go by a plan, which must outlive them. Returns NULL if memory runs out. */
-mbs_factors *mbs_make_factors(const mbs_plan *plan);
+/* Factors of systems that go by a plan, which they hold. Returns NULL if memory runs out. */
+mbs_factors *mbs_make_factors(mbs_plan *plan);
+const mbs_plan *mbs_plan_of(const mbs_factors *factors);
 void mbs_free_factors(mbs_factors *factors);
 
 /* Factorise the system whose entries are `value`. */

@@ -8,7 +8,7 @@
 
 #define NONE MBS_NONE
 
-/* What a front costs, in units of some nanoseconds: to call, for an entry, for a multiplication. */
+/* What a front takes, in nanoseconds, about: to begin with, for an entry, for a product. */
 #define PER_FRONT 150.0
 #define PER_ENTRY 0.5
 #define PER_PRODUCT 0.15
@@ -235,7 +235,7 @@ static void merge_fronts(draft *s)
             s->parent[f] = s->into[s->front[s->parent[f]]];
 }
 
-/* Give fronts and unknowns their final numbers: s->front becomes the front's, s->rank stays by the draft's unknowns. */
+/* Give fronts and unknowns their final numbers: label[k] is that of the draft's k. */
 static void number(const draft *s, mbs_plan *plan, const int *sequence, int *label)
 {
     int f, k;
@@ -420,6 +420,7 @@ mbs_plan *mbs_make_plan(int n, const int *start, const int *row, const char *wea
     mbs_plan *plan = calloc(1, sizeof *plan);
     int failed = -1;
     if (plan) {
+        plan->holders = 1;
         plan->n = n;
         failed = make(&s, plan, start, row, weak, partner);
     }
@@ -429,15 +430,15 @@ mbs_plan *mbs_make_plan(int n, const int *start, const int *row, const char *wea
     free(s.pool);
     free(s.kept);
     if (failed) {
-        mbs_free_plan(plan);
+        mbs_release_plan(plan);
         return 0;
     }
     return plan;
 }
 
-void mbs_free_plan(mbs_plan *plan)
+void mbs_release_plan(mbs_plan *plan)
 {
-    if (!plan)
+    if (!plan || --plan->holders > 0)
         return;
     free(plan->order);
     free(plan->first);

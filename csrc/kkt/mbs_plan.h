@@ -8,6 +8,7 @@
  * entries and of what fronts before, its children, left of theirs (multifrontal: Duff and Reid, 1983). A front has its
  * own unknowns first, then the others that these are joined with. */
 typedef struct {
+    int holders; /* who may still use it; the last one frees it */
     int n, fronts;
     int *order;                      /* the unknown that is eliminated k-th; below, unknowns go by k */
     int *first;                      /* own unknowns of front f: first[f] .. first[f + 1] - 1 */
@@ -22,6 +23,6 @@ typedef struct {
  * each pair (i, j), (j, i) one is told. `weak` and `partner` are those of mbs_order. Returns NULL if memory runs
  * out. */
 mbs_plan *mbs_make_plan(int n, const int *start, const int *row, const char *weak, const int *partner);
-void mbs_free_plan(mbs_plan *plan);
+void mbs_release_plan(mbs_plan *plan);
 
 #endif

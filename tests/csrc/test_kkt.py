@@ -29,8 +29,8 @@ typedef struct { double threshold, zero; } mbs_pivoting;
 typedef struct { int failed, negative, zeros, delayed, front; long entries; } mbs_met;
 int mbs_find_partners(int n, const int *start, const int *row, const double *value, char *weak, int *partner);
 mbs_plan *mbs_make_plan(int n, const int *start, const int *row, const char *weak, const int *partner);
-void mbs_free_plan(mbs_plan *plan);
-mbs_factors *mbs_make_factors(const mbs_plan *plan);
+void mbs_release_plan(mbs_plan *plan);
+mbs_factors *mbs_make_factors(mbs_plan *plan);
 void mbs_free_factors(mbs_factors *factors);
 mbs_met mbs_factorise(mbs_factors *factors, const double *value, const mbs_pivoting *pivoting);
 void mbs_solve(const mbs_factors *factors, double *x);
@@ -56,7 +56,7 @@ class Factorisation:
         values = lower.data if ordered_for is None else ordered_for
         assert self.lib.mbs_find_partners(self.n, start, row, self._numbers(values), weak, partner) == 0
         plan = self.lib.mbs_make_plan(self.n, start, row, weak, partner)
-        self.plan = self.ffi.gc(plan, self.lib.mbs_free_plan)
+        self.plan = self.ffi.gc(plan, self.lib.mbs_release_plan)
         self.factors = self.ffi.gc(self.lib.mbs_make_factors(self.plan), self.lib.mbs_free_factors)
         self.pairs = sum(partner[i] >= 0 for i in range(self.n)) // 2
 
@@ -199,6 +199,7 @@ int main(void)
 {
     const int start[] = {1, 3, 5, 6}, row[] = {1, 3, 2, 3, 3};
     double value[] = {1.0, 1.0, -0.5, 1.0, 0.0}, x[] = {0.0, 0.0, 1.0, 1.0, 0.0, 0.0};
+    const int second[] = {1, 2, 3}, diagonal[] = {1, 2};
     void *pattern = 0, *factors = 0;
     ipopt_settings settings;
     ipopt_report report;
@@ -216,6 +217,12 @@ int main(void)
     ma97_factor_d(4, start, row, value, &pattern, &factors, &settings, &report, 0);
     if (report.flag != -7)
         return 3;
+    /* another pattern: factors of the first one must not be taken for it */
+    value[1] = -2.0;
+    ma97_analyse_d(0, 2, second, diagonal, 0, &pattern, &settings, &report, 0);
+    ma97_factor_solve_d(4, second, diagonal, value, 1, x, 2, &pattern, &factors, &settings, &report, 0);
+    if (report.flag || report.negative != 1)
+        return 5;
     ma97_finalise_d(&pattern, &factors);
     return pattern || factors ? 4 : 0;
 }
