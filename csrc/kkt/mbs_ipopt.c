@@ -9,8 +9,8 @@
 
 #define SINGULAR (-7)
 #define NO_MEMORY (-1)
-#define DELAYED 0.05 /* share of the unknowns that found no pivot in their fronts from which on the plan is renewed */
-#define RENEWALS 3   /* how often */
+#define DELAYED 0.1 /* share of the unknowns that found no pivot in their fronts from which on the plan is renewed */
+#define RENEWALS 2  /* how often */
 
 /* A system's pattern, and the plan for it, which is made when its values are known. */
 typedef struct {

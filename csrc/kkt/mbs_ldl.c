@@ -290,6 +290,20 @@ void mbs_solve(const mbs_factors *f, double *x)
         x[plan->order[k]] = solution[k];
 }
 
+/* Numbers of all blocks and of the largest front, if none has to wait. */
+static size_t expect_numbers(const mbs_plan *plan)
+{
+    size_t blocks = 0, front = 0;
+    int k;
+    for (k = 0; k < plan->fronts; ++k) {
+        const int own = plan->first[k + 1] - plan->first[k], rows = own + plan->begin[k + 1] - plan->begin[k];
+        const size_t stride = (size_t)mbs_stride(rows), size = (size_t)(rows + 2) * stride + MBS_LANES;
+        blocks += (size_t)own * stride + (size_t)mbs_stride(2 * own);
+        front = size > front ? size : front;
+    }
+    return blocks + front;
+}
+
 mbs_factors *mbs_make_factors(mbs_plan *plan)
 {
     mbs_factors *f = calloc(1, sizeof *f);
@@ -302,7 +316,7 @@ mbs_factors *mbs_make_factors(mbs_plan *plan)
     f->rests = malloc(fronts * sizeof *f->rests);
     f->solution = malloc(n * sizeof *f->solution);
     f->local = malloc(n * sizeof *f->local);
-    if (!f->blocks || !f->rests || !f->solution || !f->local) {
+    if (!f->blocks || !f->rests || !f->solution || !f->local || hold_numbers(&f->values, expect_numbers(plan))) {
         mbs_free_factors(f);
         return 0;
     }
