@@ -138,7 +138,8 @@ def test_models_raise_no_alarm(file: Path):
     """Eleven digits at any position."""
     tree = build_tree(read_model(file))
     for seed in range(10):
-        state = with_parameters(tree, draw_state(len(tree.bodies), seed))
+        q = np.random.default_rng(seed).uniform(-np.pi, np.pi, len(tree.coordinates))
+        state = with_parameters(tree, draw_state(len(tree.bodies), seed, q=q))
         assert max(told(tree, state).values()) <= 1e-11
 
 

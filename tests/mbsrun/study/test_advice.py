@@ -117,4 +117,4 @@ def test_the_command_tells_choice_measurements_and_what_it_left_out(
 def test_charts_are_written_with_their_numbers(rod: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert run(monkeypatch, "chart", "simulation", str(rod), "--quick", "-o", "chart") in (0, None)
     names = {path.name for path in Path("chart").iterdir()}
-    assert names == {"simulation.png", "simulation.csv", "simulation.json", "simulation.jsonl"}
+    assert names == {f"simulation.{kind}" for kind in ("png", "csv", "json", "jsonl", "section.json")}
