@@ -29,7 +29,8 @@ bench: $(VENV)/installed-bench
 bench-growth: $(VENV)/installed-bench
 	$(BIN)/python -m benchmarks.growth $(BENCH)
 
-# Solves one task in six representations, ours and plain CasADi's ways in turn: an hour. BENCH=--quick: a minute.
+# Solves one task in six representations, ours and plain CasADi's ways in turn: seven minutes, and a quarter of an hour
+# at first, to compile what CasADi writes. BENCH=--quick: a minute.
 bench-ocp: $(VENV)/installed
 	$(BIN)/python -m benchmarks.ocp $(BENCH)
 
