@@ -54,7 +54,7 @@ MBSGEN = Package(
 MBSRUN = Package(
     source=ROOT / "python" / "mbsrun",
     layers=(
-        "cache",
+        "cache limits",
         "library models",
         "binding circumstances",
         "kernel",

@@ -68,6 +68,7 @@ MECHANISM = "mechanism.png"
 ANIMATION = "animation.html"
 FILES = (SOLUTION, TRAJECTORIES, MECHANISM, ANIMATION)
 
+LIMITS = ("max_steps", "max_seconds")  # of a simulation
 DAY = 86400.0  # s
 UNCUT = 200  # characters in a line where nobody sees a terminal's width
 KINDS = {"generated": "generated", "object": "objects", "library": "libraries", "unfinished": "unfinished"}
@@ -172,8 +173,9 @@ wrenches is the drift that the integration errs by.
 \b
 Exit codes
   0   the end was reached
-  1   it was not: a kernel, a step or the motion failed, which is told with time and joint;
-      what was reached is written, and marked as incomplete
+  1   it was not: a kernel, a step or the motion failed, or a limit of steps or seconds is
+      used up; the message gives time, joint and reason; what was reached is written, and
+      marked as incomplete
   2   the model, a file or an argument cannot be accepted; nothing written
 """
 
@@ -442,6 +444,8 @@ def cache_command(clear: bool, days: float | None) -> None:
     help="What a step of generalized-alpha leaves of the highest frequencies: 0 nothing, 1 all; by default 0.8.",
 )
 @click.option("--output-step", metavar="H", help="The time between states that are kept [s]; by default T/1000.")
+@click.option("--max-steps", type=int, metavar="N", help="Take at most so many steps; by default 10 million.")
+@click.option("--max-seconds", metavar="S", help="Take at most so much processor time; by default 60 s.")
 @click.option("--pose", multiple=True, metavar="NAME=NUMBER", help="Where a coordinate starts [rad, m]: --pose q1=pi/2")
 @click.option("--velocity", multiple=True, metavar="NAME=NUMBER", help="How fast it starts [rad/s, m/s].")
 @click.option(
@@ -525,7 +529,7 @@ def _count(entries: Sequence[Entry]) -> str:
 
 def _collect_options(given: Mapping[str, Any]) -> dict[str, Data]:
     """Nest options as a settings file does; NAME=VALUE is split at its last =, since names may hold one."""
-    plain = ("duration", "method", "formulation", "step", "output_step", "rtol", "atol", "stages", "rho")
+    plain = ("duration", "method", "formulation", "step", "output_step", "rtol", "atol", "stages", "rho", *LIMITS)
     options: dict[str, Data] = {name: given[name] for name in plain if given[name] is not None}
     start: dict[str, Data] = {key: pairs for key in ("pose", "velocity") if (pairs := _split(key, given[key]))}
     lists = {"start": start, "inputs": _split("input", given["inputs"])}

@@ -7,7 +7,7 @@ w = sqrt(g/l).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import pi, sqrt
+from math import inf, pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -157,7 +157,7 @@ def _load(bench: Bench) -> Mechanism:
 
 def _run(plant: Mechanism, start: Sequence[float], **settings: Any) -> Motion:
     """Let things go, with no inputs."""
-    return simulate(plant, hold(np.zeros(4)), list(start), list(STILL), Settings(**settings))
+    return simulate(plant, hold(np.zeros(4)), list(start), list(STILL), Settings(max_seconds=inf, **settings))
 
 
 def _drift(motion: Motion) -> float:

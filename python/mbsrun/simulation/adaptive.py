@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from scipy.integrate import BDF, DOP853, LSODA, RK45, Radau
 
 from mbsrun.kernel import KernelError
+from mbsrun.limits import Allowance, LimitError
 from mbsrun.simulation.drive import Piece
 from mbsrun.simulation.dynamics import Dynamics, SingularError
 from mbsrun.simulation.explicit import SINGULAR
 from mbsrun.simulation.methods import METHODS
-from mbsrun.simulation.motion import MAX_STEPS, Chunk, Halt, HaltError, Settings
+from mbsrun.simulation.motion import Chunk, Halt, HaltError, Settings
 
 Array = NDArray[np.float64]
 
@@ -29,8 +30,13 @@ SOLVERS: Mapping[str, Any] = MappingProxyType(
 )
 
 
-def integrate(dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: Settings) -> Iterator[Chunk]:
-    """Go through a piece; hand on what was reached. Raises HaltError where a kernel or the integrator gives up."""
+def integrate(
+    dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: Settings, allowance: Allowance
+) -> Iterator[Chunk]:
+    """Go through a piece; hand on what was reached.
+
+    Raises HaltError where a kernel or the integrator gives up, or the allowance is used up.
+    """
     n, effort = dynamics.places, dynamics.effort
     times, states, pictures = [piece.start], [np.concatenate((q, qd))], []
     try:
@@ -39,6 +45,7 @@ def integrate(dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: S
         if attempts is None:
             effort.rejected = None
         while solver.status == "running":
+            allowance.spend()
             before = solver.nfev
             _step(solver, dynamics)
             if solver.t == times[-1]:
@@ -49,16 +56,16 @@ def integrate(dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: S
             times.append(float(solver.t))
             states.append(solver.y.copy())
             pictures.append(solver.dense_output())
-            if effort.steps > MAX_STEPS:
-                raise _give_up(dynamics, solver, f"{MAX_STEPS} steps were not enough")
             if len(pictures) == STEPS:
                 yield _gather(times, states, pictures, n)
                 times, states, pictures = times[-1:], states[-1:], []
-    except (KernelError, SingularError, HaltError) as error:
+    except (KernelError, SingularError, HaltError, LimitError) as error:
         if pictures:
             yield _gather(times, states, pictures, n)
         if isinstance(error, HaltError):
             raise
+        if isinstance(error, LimitError):
+            raise HaltError(Halt(times[-1], None, error.finding, error.remedy)) from None
         halt = Halt(times[-1], error.joint, SINGULAR, "start elsewhere, or keep away from this configuration")
         raise HaltError(halt) from None
     if pictures:

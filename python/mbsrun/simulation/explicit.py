@@ -20,6 +20,7 @@ from mbsgen import resources
 from mbsrun.binding import DESIGN, HIDDEN, Entry, bind
 from mbsrun.kernel import Kernels
 from mbsrun.library import compile_library, find_compiler
+from mbsrun.limits import Allowance, LimitError
 from mbsrun.simulation.drive import Piece
 from mbsrun.simulation.dynamics import Dynamics
 from mbsrun.simulation.methods import Formulation
@@ -72,18 +73,22 @@ TABLEAUS: Mapping[str, Tableau] = MappingProxyType(
 )
 
 
-def integrate(dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: Settings) -> Iterator[Chunk]:
+def integrate(
+    dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: Settings, allowance: Allowance
+) -> Iterator[Chunk]:
     """Go through a piece by steps of equal length, at most `settings.step`; hand on what was reached.
 
-    Raises HaltError where a kernel fails or a state is not finite.
+    Raises HaltError where a kernel fails, a state is not finite, or the allowance is used up.
     """
     plant = _Plant(dynamics)
     tableau = TABLEAUS.get(settings.method)
     count = count_steps(piece, settings.step)
     h, c = (piece.end - piece.start) / count, np.zeros(1) if tableau is None else tableau.c
     states = np.concatenate((q, qd))[None]
-    for first in range(0, count, STEPS):
-        steps = min(STEPS, count - first)
+    first = 0
+    while first < count:
+        steps = min(STEPS, count - first, max(1, allowance.steps))
+        _spend(allowance, steps, place_steps(piece, np.array([first]), count)[0])
         times = place_steps(piece, first + np.arange(steps + 1), count)
         inputs = sample(piece, (times[:-1, None] + h * c).ravel())
         done, status, states = plant.run(states[-1], tableau, h, steps, inputs)
@@ -94,7 +99,14 @@ def integrate(dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: S
             yield Chunk(times[: done + 1], q, qd)
         if status:
             raise HaltError(tell(dynamics.kernels, status, times[done], states[done]))
-    return
+        first += steps
+
+
+def _spend(allowance: Allowance, steps: int, time: float) -> None:
+    try:
+        allowance.spend(steps)
+    except LimitError as error:
+        raise HaltError(Halt(float(time), None, error.finding, error.remedy)) from None
 
 
 def count_steps(piece: Piece, step: float) -> int:

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsrun.kernel import KernelError
+from mbsrun.limits import Allowance, LimitError
 from mbsrun.ocp import schemes
 from mbsrun.simulation.drive import Piece
 from mbsrun.simulation.dynamics import Dynamics, SingularError
@@ -66,10 +67,12 @@ class _Scheme:
     weights: Array
 
 
-def integrate(dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: Settings) -> Iterator[Chunk]:
+def integrate(
+    dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: Settings, allowance: Allowance
+) -> Iterator[Chunk]:
     """Go through a piece by steps of equal length, at most `settings.step`; hand on what was reached.
 
-    Raises HaltError where a kernel fails, or Newton's method does.
+    Raises HaltError where a kernel fails, or Newton's method does, or the allowance is used up.
     """
     count = count_steps(piece, settings.step)
     h, time, k = (piece.end - piece.start) / count, piece.start, 0
@@ -79,12 +82,13 @@ def integrate(dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: S
         done.append(_State(q, qd, _consistent(dynamics, piece, q, qd), q[None], qd[None]))
         for k in range(count):
             time = piece.start + k * h
+            allowance.spend()
             done.append(scheme.step(done[-1], time, h))
             dynamics.effort.steps += 1
             if len(done) > STEPS:
                 yield _gather(done, piece, k + 1, count, scheme)
                 done = done[-1:]
-    except (KernelError, SingularError, _StuckError, np.linalg.LinAlgError) as error:
+    except (KernelError, SingularError, LimitError, _StuckError, np.linalg.LinAlgError) as error:
         if len(done) > 1:
             yield _gather(done, piece, k, count, scheme)
         raise HaltError(_tell(error, time)) from None
@@ -103,6 +107,8 @@ def _gather(done: list[_State], piece: Piece, last: int, count: int, scheme: _Sc
 
 def _tell(error: Exception, time: float) -> Halt:
     joint = getattr(error, "joint", None)
+    if isinstance(error, LimitError):
+        return Halt(time, None, error.finding, error.remedy)
     if isinstance(error, _StuckError):
         finding = f"Newton's method does not converge within {ITERATIONS} iterations"
         return Halt(time, joint, finding, "take a smaller step")

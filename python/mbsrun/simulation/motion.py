@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsrun.simulation.methods import Formulation
+from mbsrun.limits import Limits
+from mbsrun.simulation.methods import METHODS, Family, Formulation
 
 Array = NDArray[np.float64]
 
-MAX_STEPS = 100_000_000
 DRIFT = 0.01  # of the energy that is exchanged; more is told
 STILL = 1e-9  # of kinetic energy: a drift that is told of no motion
 STORED = 1000  # states that are kept of a motion, about, unless another distance of outputs is asked for
@@ -31,6 +31,14 @@ class Settings:
     stages: int = 2  # of radau-iia and gauss
     rho: float = 0.8  # of generalized-alpha: what part of the highest frequencies' amplitude a step keeps
     output_step: float | None = None  # between the states that are kept; None: duration / STORED
+    max_steps: int = Limits.steps  # what would take more is refused, or halts
+    max_seconds: float = Limits.seconds  # of processor time; the motion halts when they are used up
+
+
+def takes_too_many_steps(settings: Settings) -> bool:
+    """Tell whether a method with a fixed step cannot reach the end within `max_steps`."""
+    is_fixed = METHODS[settings.method].family is not Family.ADAPTIVE
+    return is_fixed and settings.duration / settings.step > settings.max_steps * (1 + 1e-12)  # to rounding
 
 
 @dataclass(frozen=True)

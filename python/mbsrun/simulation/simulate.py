@@ -10,16 +10,27 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mbsrun.kernel import ArgumentError, KernelError, Kernels
+from mbsrun.limits import Allowance, Limits
 from mbsrun.quaternions import measure_lengths
 from mbsrun.simulation import adaptive, explicit, implicit
 from mbsrun.simulation.drive import Drive, Piece, input_labels
 from mbsrun.simulation.dynamics import Dynamics, SingularError
 from mbsrun.simulation.energy import add_up_work
 from mbsrun.simulation.methods import METHODS, Family, Formulation
-from mbsrun.simulation.motion import MAX_STEPS, STORED, Chunk, Effort, Energy, Halt, HaltError, Motion, Settings
+from mbsrun.simulation.motion import (
+    STORED,
+    Chunk,
+    Effort,
+    Energy,
+    Halt,
+    HaltError,
+    Motion,
+    Settings,
+    takes_too_many_steps,
+)
 
 Array = NDArray[np.float64]
-Integrator = Callable[[Dynamics, Piece, Array, Array, Settings], Iterator[Chunk]]
+Integrator = Callable[[Dynamics, Piece, Array, Array, Settings, Allowance], Iterator[Chunk]]
 
 INTEGRATORS: Mapping[Family, Integrator] = MappingProxyType(
     {
@@ -49,11 +60,12 @@ def simulate(
     start = _check(kernels, drive, q, qd, settings)
     dynamics, integrate = Dynamics(kernels, settings.formulation), INTEGRATORS[METHODS[settings.method].family]
     record = _Record(kernels, settings, *start)
+    allowance = Allowance(Limits(settings.max_steps, settings.max_seconds))
     halt: Halt | None = None
     for piece in drive.until(settings.duration):
         record.open(piece)
         try:
-            for chunk in _timed(integrate(dynamics, piece, *record.last, settings), dynamics.effort):
+            for chunk in _timed(integrate(dynamics, piece, *record.last, settings, allowance), dynamics.effort):
                 record.add(chunk)
                 show(float(chunk.t[-1]))
         except HaltError as error:
@@ -81,8 +93,10 @@ def _check(kernels: Kernels, drive: Drive, q: ArrayLike, qd: ArrayLike, settings
     for name, value in lengths.items():
         if not (np.isfinite(value) and value > 0):
             raise ValueError(f"{name} = {value} must be a positive number")
-    if METHODS[settings.method].family is not Family.ADAPTIVE and settings.duration / settings.step > MAX_STEPS:
-        raise ValueError(f"step = {settings.step} takes more than {MAX_STEPS} steps")
+    if settings.max_steps < 1 or not settings.max_seconds > 0:
+        raise ValueError("max_steps and max_seconds must be positive")
+    if takes_too_many_steps(settings):
+        raise ValueError(f"step = {settings.step} takes more than max_steps = {settings.max_steps} steps")
     _check_kernels(kernels, settings)
     if settings.duration > drive.end:
         raise ValueError(f"the inputs end at {drive.end} s, before the duration of {settings.duration} s")

@@ -36,8 +36,8 @@ from mbsgen.manifest import Manifest, Wrench
 from mbsrun.ocp.schemes import DEGREES
 from mbsrun.quaternions import list_quaternions, neutral, normalise
 from mbsrun.simulation.drive import TIME, Drive, express
-from mbsrun.simulation.methods import METHODS, Family, Formulation
-from mbsrun.simulation.motion import MAX_STEPS, Settings
+from mbsrun.simulation.methods import METHODS, Formulation
+from mbsrun.simulation.motion import Settings, takes_too_many_steps
 
 Array = NDArray[np.float64]
 
@@ -157,6 +157,8 @@ class _SettingsSection(Section):
     atol: NumberField = Field(default=Number(Settings.atol), examples=[1e-9])
     stages: int = Field(default=Settings.stages, ge=DEGREES[0], le=DEGREES[-1], examples=[2])
     rho: NumberField = Field(default=Number(Settings.rho), examples=[0.8])
+    max_steps: int = Field(default=Settings.max_steps, ge=1, examples=[1_000_000])
+    max_seconds: NumberField = Field(default=Number(Settings.max_seconds), examples=[60.0])
     start: _StartSection = Field(default=_StartSection(), examples=[{}])
     inputs: dict[str, NumberField] = Field(default={}, examples=[{}])
     wrenches: dict[str, _WrenchSection] = Field(default={}, examples=[{}])
@@ -206,12 +208,14 @@ class _Reading:
             output_step=None
             if section.output_step is None
             else self.number(("output_step",), section.output_step, positive),
+            max_steps=section.max_steps,
+            max_seconds=self.number(("max_seconds",), section.max_seconds, positive),
         )
         if settings.rho > 1:
             self.fault(("rho",), f"found {settings.rho:g}", "give a number from 0 to 1")
-        if settings.duration / settings.step > MAX_STEPS and METHODS[settings.method].family is not Family.ADAPTIVE:
+        if takes_too_many_steps(settings):
             finding = f"{settings.duration / settings.step:.3g} steps would be taken"
-            self.fault(("step",), finding, f"take a longer step, {MAX_STEPS} of them at most")
+            self.fault(("step",), finding, f"take a longer step, or raise max_steps = {settings.max_steps}")
         if settings.output_step and settings.duration / settings.output_step > MAX_OUTPUTS:
             finding = f"{settings.duration / settings.output_step:.3g} states would be kept"
             self.fault(("output_step",), finding, f"keep at most {MAX_OUTPUTS}")

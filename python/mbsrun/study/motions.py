@@ -59,7 +59,8 @@ class Course:
 
     def integrate(self, settings: Settings) -> Motion:
         """Integrate by some settings."""
-        return simulate(self.mechanism, self.drive, self.q, self.qd, replace(settings, duration=self.duration))
+        settings = replace(settings, duration=self.duration, max_seconds=np.inf)  # slow ways are measured, too
+        return simulate(self.mechanism, self.drive, self.q, self.qd, settings)
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
 import os
 import subprocess
@@ -20,11 +21,14 @@ from mbsgen.expressions import FLOATS, FUNCTIONS, evaluate, parse
 from mbsgen.resources import folder
 from mbsrun import Mechanism, cli, load
 from mbsrun.kernel import ArgumentError
-from mbsrun.simulation import METHODS, Formulation, Settings, simulate
+from mbsrun.simulation import METHODS, Formulation, Settings, explicit, simulate
 from mbsrun.simulation.drive import ARRAYS, DriveError, express, hold, hold_steps
+from mbsrun.simulation.methods import Family
 from mbsrun.simulation.statement import Statement, read_statement
 
 REST = hold(np.zeros(4))
+ADAPTIVE = [name for name, method in METHODS.items() if method.family is Family.ADAPTIVE]
+FIXED = [name for name in METHODS if name not in ADAPTIVE]
 
 
 @pytest.mark.parametrize("formulation", Formulation)
@@ -102,6 +106,45 @@ def test_the_loops_are_clean_c(requires: Callable[[str], str], tmp_path: Path) -
     assert done.returncode == 0, done.stderr
 
 
+# --- limits ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", ADAPTIVE)
+def test_an_adaptive_method_takes_no_more_steps_than_it_may(bench: Mechanism, method: str) -> None:
+    """The number that the whole motion takes is enough; with one less, all but the end is reached and kept."""
+    whole = simulate(bench, REST, [1, 0, 0], [0, 0, 0], Settings(1.0, method))
+    steps = whole.effort.steps
+    assert simulate(bench, REST, [1, 0, 0], [0, 0, 0], Settings(1.0, method, max_steps=steps)).is_complete
+    short = simulate(bench, REST, [1, 0, 0], [0, 0, 0], Settings(1.0, method, max_steps=steps - 1))
+    assert short.halt is not None
+    assert f"limit of {steps - 1} steps is used up; raise max_steps" in str(short.halt)
+    assert short.effort.steps == steps - 1
+    assert 0.5 < short.t[-1] == short.halt.time < 1.0
+
+
+@pytest.mark.parametrize("method", FIXED)
+def test_steps_are_counted_over_all_pieces_of_the_inputs(bench: Mechanism, method: str) -> None:
+    """Each of three pieces takes a step at least; two steps end with the second."""
+    drive = hold_steps([0, 0.1, 0.2, 0.3], np.zeros((3, 4)))
+    motion = simulate(bench, drive, [1, 0, 0], [0, 0, 0], Settings(0.3, method, step=0.15, max_steps=2))
+    assert motion.halt is not None
+    assert "limit of 2 steps" in motion.halt.finding
+    assert motion.t[-1] == motion.halt.time == 0.2
+
+
+@pytest.mark.parametrize("method", ["rk4", "dop853", "gauss"])
+def test_a_simulation_ends_when_its_seconds_are_used_up(
+    bench: Mechanism, method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Here each look at the clock takes a second."""
+    monkeypatch.setattr("mbsrun.limits.time.thread_time", itertools.count(0.0).__next__)
+    motion = simulate(bench, REST, [1, 0, 0], [0, 0, 0], Settings(50.0, method, max_seconds=3))
+    assert motion.halt is not None
+    assert "limit of 3 s of processor time" in motion.halt.finding
+    assert motion.effort.steps == 2 * (explicit.STEPS if method == "rk4" else 1)
+    assert 0 < motion.t[-1] == motion.halt.time < 50
+
+
 # --- settings --------------------------------------------------------------------------------------------------------
 
 SETTINGS = """\
@@ -148,6 +191,9 @@ FAULTS = {
     "step": ("step: 0", "step: found 0; give a positive number"),
     "steps": ("step: 1e-12\nmethod: rk4", "1e+12 steps would be taken"),
     "outputs": ("output_step: 1e-9", "states would be kept"),
+    "limit": ("step: 1e-3\nmethod: rk4\nmax_steps: 10", "1e+03 steps would be taken; take a longer step, or raise max_steps = 10"),
+    "no steps": ("max_steps: 0", "max_steps: found 0"),
+    "seconds": ("max_seconds: 0", "max_seconds: found 0; give a positive number"),
     "rho": ("rho: 2", "give a number from 0 to 1"),
     "stages": ("stages: 10", "stages: found 10"),
     "constant": ("constants: {t: 1}", "no name for a constant"),
@@ -240,6 +286,15 @@ def test_a_motion_that_ends_early_is_written_as_incomplete(run: Run) -> None:
     assert summary["complete"] is False
     assert summary["halt"]["joint"] == "runner"
     assert "incomplete" in Path("out/animation.html").read_text("utf-8")
+
+
+def test_a_limit_ends_the_command_with_what_was_reached(run: Run) -> None:
+    result = run("--duration", "1e4", "--max-steps", "20", "--pose", "bob=1", "-o", "out")
+    assert result.exit_code == 1
+    assert "the limit of 20 steps is used up; raise max_steps; what was written is incomplete" in result.stderr
+    summary = json.loads(Path("out/simulation.json").read_text("utf-8"))
+    assert (summary["complete"], summary["effort"]["steps"]) == (False, 20)
+    assert run("--duration", "1e4", "--max-seconds", "-1").exit_code == 2
 
 
 @pytest.mark.parametrize(
