@@ -37,6 +37,20 @@ class Lump:
     direction: int  # ... along this axis
 
 
+@dataclass(frozen=True)
+class Transfer:
+    """What moves from a body to its parent: moments about the parent's origin, in the parent's frame."""
+
+    moments: Moments
+    cancels: int | None = None  # the axis along which they make the parent's first moment vanish
+
+    def join(self, own: Moments) -> Moments:
+        """Add what moves to the parent's own moments."""
+        sum_ = own + self.moments
+        zero = sum_.m.builder.zero
+        return sum_ if self.cancels is None else Moments(sum_.m, _clear(zero, sum_.S, self.cancels), sum_.P)
+
+
 def keep(builder: Builder, segments: Sequence[Segment]) -> dict[int, Lump]:
     """Leave every body what it has."""
     return {
@@ -53,10 +67,8 @@ def regroup(builder: Builder, segments: Sequence[Segment], plan: Plan) -> dict[i
         beyond, balancing = _carried(segments, segment, plan)
         own = gathered[segment.number]
         for child in (*beyond, *balancing):
-            lumps[child.number], moved = _part(builder, child, gathered[child.number], plan, own, total)
-            own = own + moved
-        if balancing:
-            own = Moments(own.m, _clear(builder, own.S, _lever(balancing[0])), own.P)
+            lumps[child.number], transfer = _part(builder, child, gathered[child.number], plan, own, total)
+            own = transfer.join(own)
         gathered[segment.number] = own
     for segment in children(segments, 0):
         lumps[segment.number] = _rest_on_base(builder, segment, gathered[segment.number], plan[segment.number])
@@ -77,12 +89,12 @@ def restrain(builder: Builder, segments: Sequence[Segment], plan: Plan, fits: Fi
         for child in (*beyond, *balancing):
             for choice in _alternatives(plan[child.number]):
                 plan = plan.put(child.number, choice)
-                _, moved = _part(builder, child, gathered[child.number], plan, own, total)
-                if fits(child.number, moved):
+                _, transfer = _part(builder, child, gathered[child.number], plan, own, total)
+                if fits(child.number, transfer.moments):
                     break
             else:
                 plan = plan.put(child.number, replace(choice, mass=Mass.KEPT))
-            own = own + moved
+            own = transfer.join(own)
         gathered[segment.number] = own
     return plan
 
@@ -108,24 +120,26 @@ def _alternatives(choice: Choice) -> Iterator[Choice]:
 
 def _part(
     builder: Builder, segment: Segment, own: Moments, plan: Plan, parent: Moments, total: Scalar
-) -> tuple[Lump, Moments]:
-    """Part a body's moments: what stays, and what moves, about the parent's origin in the parent's frame."""
+) -> tuple[Lump, Transfer]:
+    """Part a body's moments: what stays, and what moves to the parent, whose moments so far are `parent`."""
     zero, axis, choice = builder.zero, segment.axis, plan[segment.number]
+    if segment.floats and choice.mass not in (Mass.PASSED, Mass.KEPT):
+        raise NoSuchPlanError("nothing moves from a frame that a quaternion turns")
     if choice.mass is Mass.KEPT or segment.floats:
-        return Lump(own.m, own.S, own.P, zero, radius=None, direction=0), _nothing(builder)
+        return Lump(own.m, own.S, own.P, zero, radius=None, direction=0), Transfer(_nothing(builder))
     turn = segment.turn or unit_matrix(builder)
     if not segment.is_revolute:
         if choice.mass is not Mass.PASSED:
             raise NoSuchPlanError("mass cannot move along a prismatic joint")
         flat = own.P.map(lambda _: zero)
         moved = Moments(zero, own.S.map(lambda _: zero), turn.times(own.P).times(turn.transposed))
-        return Lump(own.m, own.S, flat, zero, radius=None, direction=0), moved
+        return Lump(own.m, own.S, flat, zero, radius=None, direction=0), Transfer(moved)
     ring = own.P[segment.across[choice.ring], segment.across[choice.ring]]
     e = turn.column(axis)
     along, second = own.S[axis], own.P[axis, axis] + ring
-    m, radius, direction = own.m, None, 0
+    m, radius, direction, cancels = own.m, None, 0, None
     if choice.mass is Mass.BALANCING:
-        k = _lever(segment)
+        k = cancels = _lever(segment)
         if (parent.S[k] + e[k] * along).is_zero and own.m.is_zero:
             raise NoSuchPlanError("there is nothing to balance")
         plan.check_divisor(segment.d[k])
@@ -136,7 +150,7 @@ def _part(
     _check_size(m, total)
     moved = _on_axis(m, along, second, segment.d, e)
     P = _without_ring(builder, segment, own.P, ring)
-    return Lump(own.m - m, _clear(builder, own.S, axis), P, ring, radius, direction), moved
+    return Lump(own.m - m, _clear(zero, own.S, axis), P, ring, radius, direction), Transfer(moved, cancels)
 
 
 def _nothing(builder: Builder) -> Moments:
@@ -152,7 +166,7 @@ def _rest_on_base(builder: Builder, segment: Segment, own: Moments, choice: Choi
     if not segment.is_revolute:
         return Lump(own.m, own.S, own.P.map(lambda _: zero), zero, radius=None, direction=0)
     ring = own.P[segment.across[choice.ring], segment.across[choice.ring]]
-    S = _clear(builder, own.S, segment.axis)
+    S = _clear(zero, own.S, segment.axis)
     P = _without_ring(builder, segment, own.P, ring)
     return Lump(zero, S, P, ring, radius=None, direction=0)
 
@@ -202,5 +216,5 @@ def _percussion(segment: Segment, own: Moments, plan: Plan) -> tuple[Scalar, Sca
     return own.S[k] * own.S[k] / second, second / own.S[k], k
 
 
-def _clear(builder: Builder, v: Vector[Scalar], axis: int) -> Vector[Scalar]:
-    return Vector.of(builder.zero if k == axis else v[k] for k in range(3))
+def _clear(zero: Scalar, v: Vector[Scalar], axis: int) -> Vector[Scalar]:
+    return Vector.of(zero if k == axis else v[k] for k in range(3))

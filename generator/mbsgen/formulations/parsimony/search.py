@@ -77,7 +77,7 @@ def _alternatives(
         return
     is_leaf = not children(segments, segment.number)
     masses, lengths, frames = [Mass.PASSED], [False], [True]
-    if reductions.lump and reductions.regroup and segment.parent:
+    if reductions.lump and reductions.regroup and segment.parent and not segment.floats:
         masses += [Mass.BALANCING, Mass.POINT] if is_leaf else [Mass.BALANCING]
     if reductions.lump and not is_leaf:
         lengths.append(True)

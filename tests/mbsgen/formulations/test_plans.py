@@ -1,0 +1,146 @@
+"""Plans: whatever a plan says of how bodies are written, the equations are the textbook's."""
+
+from __future__ import annotations
+
+from math import sin
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mbsgen.formulations import exp1, exp2, impl, semi, textbook
+from mbsgen.formulations.links import declare_state, write_chain
+from mbsgen.formulations.parsimony.articulated import accelerations
+from mbsgen.formulations.parsimony.mass_matrix import mass_matrix
+from mbsgen.formulations.parsimony.plan import Choice, Mass, NoSuchPlanError, Plan
+from mbsgen.formulations.parsimony.residual import residual
+from mbsgen.formulations.parsimony.segments import align
+from mbsgen.formulations.parsimony.writing import begin
+from mbsgen.formulations.reductions import ALL
+from mbsgen.model.construction import ball, body, free, inertia, make_model, prismatic, revolute
+from mbsgen.model.model import Model
+from mbsgen.model.reduction import build_tree
+from mbsgen.model.tree import Tree
+from mbsgen.tape.builder import Builder
+from mbsgen.tape.interpreter import DIGITS, evaluate
+from mbsgen.tape.types import Tape
+
+TOLERANCE = 1e-30  # of the largest entry, in 50 digits: a plan divides by masses, lengths and inertias near 1
+STEPS = 24  # of a walk over plans
+
+
+def ball_at_tip() -> Model:
+    """A rod in a vertical plane, with a ball joint at its lower end that carries a bob."""
+    return make_model(
+        "ball_at_tip",
+        [
+            body("rod", revolute("y"), mass=0.5, com=(0, 0, -0.5)),
+            body("bob", ball(position=(0, 0, -1)), parent="rod", mass=1, inertia=inertia(0.1, 0.1, 0.1)),
+        ],
+        gravity=(0, 0, -9.81),
+    )
+
+
+def test_what_a_ball_joint_carries_weighs_on_the_rod_that_holds_it() -> None:
+    """At rest, the rod's joint bears g (m_rod l / 2 + m_bob l) sin q.
+
+    It feels m_rod (l / 2)^2 + m_bob l^2 of inertia while the bob turns freely, and that of the bob where it does not.
+    """
+    tree, g, angle = build_tree(ball_at_tip()), 9.81, 0.3
+    at = {"q": [angle, 0.0, 0.0, 0.0, 1.0], "qd": [0.0] * 4, "qdd": [0.0] * 4}
+    at["u"] = [0.0] * sum(b.joint.actuated for b in tree.bodies)
+    moment, felt = g * (0.5 * 0.5 + 1.0) * sin(angle), 0.5 * 0.5**2 + 1.0
+
+    def run(tape: Tape) -> dict[str, list[Any]]:
+        return evaluate(tape, {i.name: at[i.name] for i in tape.inputs})
+
+    for build in (impl.build, semi.build_residual):
+        assert run(build(tree))["Phi"] == pytest.approx([moment, 0, 0, 0], abs=1e-14)
+    terms = run(semi.build(tree))
+    assert terms["c"] == pytest.approx([moment, 0, 0, 0], abs=1e-14)
+    assert terms["M"][0] == pytest.approx(felt + 0.1, rel=1e-14)
+    for build in (exp1.build, exp2.build):
+        assert run(build(tree))["qdd"][0] == pytest.approx(-moment / felt, rel=1e-14)
+
+
+def random_chain(seed: int) -> Tree:
+    """Make a tree whose links lie along one axis or are askew, with all joints, and bodies that may be pendulums."""
+    rng = np.random.default_rng(seed)
+    bodies = []
+    for i in range(4):
+        along = rng.permutation([float(rng.uniform(0.3, 1)), 0.0, 0.0])
+        place = tuple(float(x) for x in (along if rng.random() < 0.8 else rng.uniform(-1, 1, 3)))
+        axis = str(rng.choice(["x", "y", "z", "-y"]))
+        kinds = [revolute(axis, position=place)] * 4 + [ball(position=place)] * 2
+        kinds += [prismatic(axis, position=place)] + ([] if i else [free(position=place)])
+        com = tuple(float(x) for x in rng.uniform(-0.5, 0.5, 3) * rng.permutation([1.0, 0.0, float(rng.integers(2))]))
+        parent = f"b{rng.integers(max(0, i - 2), i)}" if i else "base"
+        moments = inertia(*(float(x) for x in rng.uniform(0.2, 0.3, 3)))
+        bodies.append(
+            body(f"b{i}", kinds[rng.integers(len(kinds))], parent=parent, mass=1.0 + i, com=com, inertia=moments)
+        )
+    return build_tree(make_model("chain", bodies, gravity=(0.5, -0.3, -9.81)))
+
+
+def random_choice(rng: np.random.Generator) -> Choice:
+    mass = [Mass.PASSED, Mass.BALANCING, Mass.POINT, Mass.KEPT][rng.integers(4)]
+    return Choice(bool(rng.integers(2)), mass, bool(rng.integers(2)), int(rng.integers(2)))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_every_plan_that_fits_writes_the_equations_of_the_textbook(seed: int) -> None:
+    """The residual, M and the accelerations, in 50 digits, on a random walk over plans; others are refused."""
+    tree, rng = random_chain(seed), np.random.default_rng(seed)
+    n, tried = len(tree.bodies), 0
+    plan = Plan((Choice(),) * n)
+    for _ in range(STEPS):
+        changed = plan.put(int(rng.integers(1, n + 1)), random_choice(rng))
+        try:
+            tape = write_by(tree, changed)
+        except NoSuchPlanError:
+            continue
+        plan, tried = changed, tried + 1
+        assert_textbook(tape, state_of(tree, seed))
+    assert tried > STEPS / 6
+
+
+def write_by(tree: Tree, plan: Plan) -> Tape:
+    """Write what the textbook expects and what a plan makes of it. Raises NoSuchPlanError."""
+    builder = Builder()
+    state = declare_state(tree, builder, forces=False)
+    chain = write_chain(tree, builder, state)
+    expected = textbook.residual(chain, state.qd, chain.accelerate(state.qdd))
+    writing = begin(chain, align(chain), plan, ALL)
+    columns = {
+        "expected": expected,
+        "rest": textbook.residual(chain, state.qd, chain.drift),
+        "found": residual(writing, state.qd, chain.accelerate(state.qdd)),
+        "qdd": accelerations(writing, state.qd, expected)[0],
+    }
+    for name, column in columns.items():
+        builder.output_dense(name, [[x] for x in column])
+    M = mass_matrix(writing)
+    builder.output_nonzeros("M", *[len(tree.bodies)] * 2, {(i - 1, j - 1): v for (i, j), v in M.items()})
+    return builder.build("plan")
+
+
+def state_of(tree: Tree, seed: int) -> dict[str, list[Any]]:
+    rng, n = np.random.default_rng(seed), len(tree.bodies)
+    sizes = {"q": len(tree.coordinates), "qd": n, "qdd": n}
+    return {name: [DIGITS.literal(float(x)) for x in rng.uniform(-2, 2, size)] for name, size in sizes.items()}
+
+
+def assert_textbook(tape: Tape, at: dict[str, list[Any]]) -> None:
+    results = evaluate(tape, at, DIGITS)
+    moved = list(results["rest"])
+    for (i, j), value in zip(tape.output("M").sparsity.entries, results["M"], strict=True):
+        moved[i] += value * at["qdd"][j]
+        if i != j:
+            moved[j] += value * at["qdd"][i]
+    scale = max(1, *map(abs, results["expected"]))
+    for found, expected in (
+        (results["found"], results["expected"]),
+        (moved, results["expected"]),
+        (results["qdd"], at["qdd"]),
+    ):
+        assert max(abs(a - b) for a, b in zip(found, expected, strict=True)) <= TOLERANCE * scale
