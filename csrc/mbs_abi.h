@@ -95,4 +95,32 @@ typedef MBS_REAL mbs_real;
     int f##_diff_in(casadi_int i); \
     int f##_work(casadi_int *sz_arg, casadi_int *sz_res, casadi_int *sz_iw, casadi_int *sz_w)
 
+/* Write the full matrix, row by row as C stores `A[rows][columns]`, or column by column as BLAS and LAPACK store it: from
+ * its nonzeros, and their pattern as f##_sparsity_out gives it. */
+static inline void mbs_fill(const casadi_int *pattern, const mbs_real *nonzeros, mbs_real *A, int by_rows)
+{
+    const casadi_int rows = pattern[0], cols = pattern[1];
+    const int is_full = pattern[2] == 1; /* column pointers begin with 0 */
+    const casadi_int *colind = pattern + 2, *row = pattern + 3 + cols;
+    for (casadi_int k = 0; k < rows * cols; k++)
+        A[k] = 0;
+    for (casadi_int c = 0; c < cols; c++) {
+        const casadi_int first = is_full ? c * rows : colind[c], end = is_full ? first + rows : colind[c + 1];
+        for (casadi_int k = first; k < end; k++) {
+            const casadi_int r = is_full ? k - first : row[k];
+            A[by_rows ? r * cols + c : c * rows + r] = nonzeros[k];
+        }
+    }
+}
+
+static inline void mbs_fill_rows(const casadi_int *pattern, const mbs_real *nonzeros, mbs_real *A)
+{
+    mbs_fill(pattern, nonzeros, A, 1);
+}
+
+static inline void mbs_fill_columns(const casadi_int *pattern, const mbs_real *nonzeros, mbs_real *A)
+{
+    mbs_fill(pattern, nonzeros, A, 0);
+}
+
 #endif

@@ -27,6 +27,7 @@ from mbsgen.report import Report, make_report, write_json, write_markdown
 from mbsgen.tape.types import Outline
 from mbsgen.targets.c import Sources, Unit, write_c
 from mbsgen.targets.contract import Family
+from mbsgen.targets.entries import list_groups
 from mbsgen.targets.matlab import write_matlab
 from mbsgen.targets.names import mangle
 from mbsgen.targets.python import write_python
@@ -64,14 +65,16 @@ def make(model: Path | Model, options: Options = DEFAULT) -> Product:
     tree = approximation.tree if approximation else parametric if options.runtime else written
     dynamics = Dynamics(tree, options.reductions, outlined=_needs_loops_alone(options, scene))
     families = write_families(tree, options, dynamics, scene)
+    has_setup = families[0].value.name == "setup"
     unit = Unit(
         mangle(tree.name),
         __version__,
         _hash(tree, families),
         families,
-        tuple(p.value for p in tree.parameters if p.kind is Kind.RUNTIME and families[0].value.name == "setup"),
+        tuple(p.value for p in tree.parameters if p.kind is Kind.RUNTIME and has_setup),
         design=tuple(p.value for p in tree.parameters if p.kind is Kind.DIFFERENTIATED),
         only_driven=not tree.wrenches and all(body.joint.law == NO_FORCE for body in tree.bodies),
+        groups=tuple(group for group in list_groups(tree) if group.name != "p" or has_setup),
         tolerance=scene.tolerance if approximation and approximation.taken else None,
     )
     sources = write_c(unit)

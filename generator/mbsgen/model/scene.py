@@ -25,6 +25,7 @@ from mbsgen.model.topology import find_carriers
 from mbsgen.model.tree import Kind
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,30}", re.ASCII)
+TAKEN = ("setup", "check", "names", "default_parameters")  # of other files of a generated folder
 LARGEST_TOLERANCE = 0.5  # half of what is wanted: beyond, nothing that has a meaning is left
 
 
@@ -163,7 +164,7 @@ class _Judgement:
     def _check_together(self, section: SceneSection) -> Iterator[tuple[Place, Fault]]:
         for name, parts in section.together.items():
             place: Place = ("together", name)
-            if not NAME.fullmatch(name) or name in self.functions or name == "setup":
+            if not NAME.fullmatch(name) or name in (*self.functions, *TAKEN):
                 remedy = "give small letters, digits and _, at most 31, and not the name of a function"
                 yield self._tell(place, f"{abbreviate(name)} cannot be the name of a function", remedy)
             if len(parts) < 2 or len(set(parts)) < len(parts):

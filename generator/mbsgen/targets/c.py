@@ -22,6 +22,7 @@ from mbsgen.tape.ordering import arrange
 from mbsgen.tape.types import Input, Output, Sparsity
 from mbsgen.targets.agreement import compare
 from mbsgen.targets.contract import Face, Family, Slot, arguments, faces
+from mbsgen.targets.entries import Group, write_string
 from mbsgen.targets.parts import Line, Part, divide
 from mbsgen.targets.statements import C, Check, Turns, wrap, write_body, write_literal
 
@@ -41,6 +42,7 @@ class Unit:
     parameters: tuple[float, ...] = ()  # values of the run-time parameters, for those who give none
     design: tuple[float, ...] = ()  # values of the differentiated parameters
     only_driven: bool = True  # no force but u acts in the joints
+    groups: tuple[Group, ...] = ()  # names of the entries of vectors
     tolerance: float | None = None  # what the functions may differ from the model's by; None: not at all
 
 
@@ -67,10 +69,13 @@ def write_c(unit: Unit) -> Sources:
         "header": header,
         "parameters": parameters,
         "design": design,
+        "groups": unit.groups,
     }
     sources = {view.file: _render("kernel.c", kernel=view, **common) for view in views}
     if parameters or design:
         sources[f"{unit.prefix}_default_parameters.c"] = _render("parameters.c", **common)
+    if unit.groups:
+        sources[f"{unit.prefix}_names.c"] = _render("names.c", **common)
     copied = (*_COPIED, *((COLUMNS_HEADER,) if any(view.loop for view in views) else ()))
     files = {
         header: _render("model.h", kernels=views, tolerance=unit.tolerance, **common),
@@ -95,7 +100,7 @@ def _render(name: str, **view: object) -> str:
 
 @cache
 def _environment() -> jinja2.Environment:
-    return jinja2.Environment(
+    environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(resources.folder("templates") / "c"),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
@@ -103,6 +108,8 @@ def _environment() -> jinja2.Environment:
         keep_trailing_newline=True,
         autoescape=False,
     )
+    environment.filters["c_string"] = write_string
+    return environment
 
 
 # -- the manifest's side --------------------------------------------------------------------------------------------
@@ -152,6 +159,8 @@ class _Parameter:
     note: str
     macro: str  # names the number of its nonzeros
     nnz: int
+    pattern: str  # names where they stand; empty for a full vector
+    told_by: str  # the function that gives the pattern
     passed: str  # what CasADi's face passes for it
 
 
@@ -336,35 +345,35 @@ def _write_turns(turns: Turns, suffix: str) -> list[str]:
 
 
 def _parameters(prefix: str, face: Face) -> tuple[_Parameter, ...]:
-    tape = face.tape
     inputs = {slot.name: k for k, slot in enumerate(face.inputs)}
     outputs = {slot.name: k for k, slot in enumerate(face.outputs)}
-    return tuple(
-        _Parameter(
-            f"const mbs_real *MBS_RESTRICT {i.name}",
-            _note(face.family, "in", i, f"{face.symbol}_sparsity_in({inputs[i.name]})"),
-            f"{prefix}_{face.kernel}_NNZ_{i.name}",
-            i.sparsity.nnz,
-            f"arg[{inputs[i.name]}] ? arg[{inputs[i.name]}] : zeros",
+
+    def describe(argument: Input | Output, way: str, k: int, qualifier: str, passed: str) -> _Parameter:
+        name, told_by = argument.name, f"{face.symbol}_sparsity_{way}({k})"
+        return _Parameter(
+            f"{qualifier}mbs_real *MBS_RESTRICT {name}",
+            _note(face.family, way, argument, told_by),
+            f"{prefix}_{face.kernel}_NNZ_{name}",
+            argument.sparsity.nnz,
+            ""
+            if argument.sparsity.is_dense and argument.sparsity.cols == 1
+            else f"{prefix}_{face.kernel}_PATTERN_{name}",
+            told_by,
+            passed,
         )
-        for i in tape.inputs
+
+    return tuple(
+        describe(i, "in", inputs[i.name], "const ", f"arg[{inputs[i.name]}] ? arg[{inputs[i.name]}] : zeros")
+        for i in face.tape.inputs
         if i.sparsity.nnz
     ) + tuple(
-        _Parameter(
-            f"mbs_real *MBS_RESTRICT {o.name}",
-            _note(face.family, "out", o, f"{face.symbol}_sparsity_out({outputs[o.name]})"),
-            f"{prefix}_{face.kernel}_NNZ_{o.name}",
-            o.sparsity.nnz,
-            f"res[{outputs[o.name]}]",
-        )
-        for o in tape.outputs
-        if o.sparsity.nnz
+        describe(o, "out", outputs[o.name], "", f"res[{outputs[o.name]}]") for o in face.tape.outputs if o.sparsity.nnz
     )
 
 
 def _note(family: Family, way: str, argument: Input | Output, told_by: str) -> str:
     pattern = argument.sparsity
-    nonzeros = "" if pattern.is_dense else f", {pattern.nnz} nonzeros, placed as {told_by} tells"
+    nonzeros = "" if pattern.is_dense else f", {pattern.nnz} nonzeros, placed by {told_by}"
     meaning = family.meaning(argument.name)
     return f"{argument.name} ({way}, {pattern.rows} x {pattern.cols}{nonzeros})" + (f": {meaning}" if meaning else "")
 

@@ -12,8 +12,9 @@ import re
 MAX_LENGTH = 38  # with the name of any kernel, 63: the most that Matlab reads
 _KEPT = re.compile(r"[A-Ya-z0-9_]")
 # Words that stand around the prefix in symbols (`jac_arm_impl`, `arm_compute_impl`, `mbs_abi.h`): as a part of a
-# prefix they would make `jac_arm` + `impl` and `jac_` + `arm_impl` the same symbol.
-_RESERVED = frozenset({"jac", "adj1", "fwd1", "compute", "check", "mbs", "casadi"})
+# prefix they would make `jac_arm` + `impl` and `jac_` + `arm_impl` the same symbol, or `arm_IDX` + `_q` and `arm` +
+# `_IDX_q`.
+_RESERVED = frozenset({"jac", "adj1", "fwd1", "compute", "check", "mbs", "casadi", "IDX", "NUM", "NAMES"})
 # A model of such a name would hide a header of C or POSIX (`math.h` from <math.h>), a library (`libm` from -lm), or a
 # target of CMake's own; on some file systems in capitals too.
 _HIDING = re.compile(
@@ -37,7 +38,7 @@ def mangle(name: str) -> str:
     assert name, "a model without a name is refused when it is read"
     text = "_".join(map(_escape_part, _escape(name).split("_")))
     if _HIDING.fullmatch(text):
-        text = _code(text[0]) + text[1:]
+        text = escape(text[0]) + text[1:]
     if len(text) <= MAX_LENGTH:
         return text
     digest = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()[:32]
@@ -48,7 +49,7 @@ def _escape(name: str) -> str:
     """Escape each character that cannot stand where it stands in an identifier."""
     last = len(name) - 1
     return "".join(
-        _code(c)
+        escape(c)
         if not _KEPT.fullmatch(c) or (c == "_" and (i in (0, last) or name[i - 1] == "_")) or (i == 0 and c.isdigit())
         else c
         for i, c in enumerate(name)
@@ -56,8 +57,9 @@ def _escape(name: str) -> str:
 
 
 def _escape_part(part: str) -> str:
-    return _code(part[0]) + part[1:] if part in _RESERVED else part
+    return escape(part[0]) + part[1:] if part in _RESERVED else part
 
 
-def _code(character: str) -> str:
+def escape(character: str) -> str:
+    """Write a character that no identifier can hold there."""
     return "ZZ" if character == "Z" else f"Z{ord(character):x}z"

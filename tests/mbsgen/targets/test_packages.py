@@ -95,3 +95,21 @@ def test_cmake_runs_the_check_program(tmp_path: Path, requires: Requires) -> Non
     told = run(cmake, "--build", tmp_path / "build", "--target", "test")
     assert "sample_check" in told
     assert "100% tests passed" in told
+
+
+def test_a_project_asks_for_a_version(tmp_path: Path, requires: Requires) -> None:
+    """find_package(NAME VERSION): the version that there is, and older ones of the same minor version, are found."""
+    cmake, place = requires("cmake"), install(requires("cmake"), tmp_path)
+    found = {}
+    for version in ("1.2", "1.2.0", "1.2.4", "1.3", "2"):
+        user = tmp_path / f"user {version}"
+        user.mkdir()
+        (user / "CMakeLists.txt").write_text(
+            "cmake_minimum_required(VERSION 3.14)\n"
+            "project(user NONE)\n"
+            f"find_package(sample {version} QUIET)\n"
+            'message(STATUS "found ${sample_FOUND} ${sample_VERSION}.")\n'
+        )
+        told = run(cmake, "-S", user, "-B", user / "build", f"-DCMAKE_PREFIX_PATH={place}")
+        found[version] = "found 1 1.2.3." in told
+    assert found == {"1.2": True, "1.2.0": True, "1.2.4": False, "1.3": False, "2": False}

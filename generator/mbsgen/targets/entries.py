@@ -1,0 +1,88 @@
+"""Names for the entries of a model's vectors: Tree -> enumerators and name tables of its C header.
+
+A group is one vector of the kernels, or one list of columns: q, qd, u, ... Entry k of it has the enumerator
+`<model>_IDX_<group>_<name>`, of value k, and its name as the model has it in the table `<model>_NAMES_<group>`. Blanks,
+dots and dashes of names become `_`; where two entries of a group would then have one name, all of it are mangled.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+from mbsgen.model.tree import Kind, Tree
+from mbsgen.targets.names import escape, mangle
+
+AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One entry of a group."""
+
+    name: str  # as the model has it
+    identifier: str  # as C has it
+
+
+@dataclass(frozen=True)
+class Group:
+    """One vector, or one list of columns, of which the entries have names."""
+
+    name: str  # "q"
+    meaning: str  # for readers of the header
+    entries: tuple[Entry, ...]
+
+
+def list_groups(tree: Tree) -> tuple[Group, ...]:
+    """List the groups of a tree that have entries, in the order of the header."""
+    joints = [body.joint for body in tree.bodies]
+    groups = (
+        _group("q", "Entries of q", tree.coordinates),
+        _group("qd", "Entries of qd and qdd, rows of Phi, rows and columns of M", (j.name for j in joints)),
+        _group("u", "Entries of u: the actuated joints", (j.name for j in joints if j.actuated)),
+        _group("w", "Entries of w: components of the wrenches that are inputs", _list_components(tree)),
+        _group("p", "Entries of p: run-time parameters", _list_parameters(tree, Kind.RUNTIME)),
+        _group("theta", "Entries of theta: differentiated parameters", _list_parameters(tree, Kind.DIFFERENTIATED)),
+        _group("sensor", "Columns of position, v and omega; six rows each of J", (s.name for s in tree.sensors)),
+        _group(
+            "body",
+            "Columns of p of frames, three columns each of its R; the sensors follow",
+            (b.name for b in tree.bodies),
+        ),
+    )
+    return tuple(group for group in groups if group.entries)
+
+
+def write_string(text: str) -> str:
+    """Write a C string of any text: printable ASCII as it is, all else byte by byte."""
+    kept = (chr(b) if 32 <= b < 127 and chr(b) not in '"\\?' else f"\\{b:03o}" for b in text.encode("utf-8"))
+    return f'"{"".join(kept)}"'
+
+
+def _group(name: str, meaning: str, names: Iterable[str]) -> Group:
+    own = list(names)
+    return Group(name, meaning, tuple(Entry(x, identifier) for x, identifier in zip(own, identify(own), strict=True)))
+
+
+def identify(names: Sequence[str]) -> list[str]:
+    """Return a different part of a C identifier for each of some different names."""
+    plain = [re.sub("_+", "_", "".join(map(_soften, name))).strip("_") for name in names]
+    return plain if all(plain) and len(set(plain)) == len(plain) else [mangle(name) for name in names]
+
+
+def _soften(character: str) -> str:
+    if character in " .-":
+        return "_"
+    return character if character == "_" or (character.isascii() and character.isalnum()) else escape(character)
+
+
+def _list_components(tree: Tree) -> Iterator[str]:
+    for wrench in tree.wrenches:
+        for kind, vector in (("force", wrench.force), ("moment", wrench.moment)):
+            if vector is None:
+                yield from (f"{wrench.name}.{kind}.{axis}" for axis in AXES)
+
+
+def _list_parameters(tree: Tree, kind: Kind) -> list[str]:
+    return [parameter.name for parameter in tree.parameters if parameter.kind is kind]
