@@ -12,7 +12,7 @@ from functools import partial
 
 from mbsgen.formulations.links import check_pivot, declare_state, joint_forces, write_chain
 from mbsgen.formulations.parsimony.elimination import solve
-from mbsgen.formulations.parsimony.segments import Segment, align, largest_inertias
+from mbsgen.formulations.parsimony.segments import Segment, align, feels_itself, largest_inertias
 from mbsgen.formulations.planning import find_plans, finish
 from mbsgen.formulations.reductions import ALL, Reductions
 from mbsgen.formulations.semi import terms
@@ -20,9 +20,12 @@ from mbsgen.model.tree import Tree
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.types import Tape
 
-# What a pivot has lost, relative to the largest inertia that its joint can feel, the result has lost too: it errs by up
-# to 2.5 epsilon over that ratio. From this many epsilon on, errors stay below 1e-6.
-PIVOT_TOLERANCE = 2.5e6
+# A result errs by up to 2.5 epsilon over the ratio of a pivot to the entry of M that it is left of. A joint fails below
+# n u 1000 = 500 n epsilon, where no more than some three digits are left; above, `condition` estimates how many.
+# A joint whose own body has no inertia about its axis may lock. It fails where errors could exceed 1e-6, which takes
+# 2.5e6 epsilon of the largest inertia that it can feel: the smaller bound would let errors of 4e-4 pass.
+PIVOT_TOLERANCE = 500.0
+LOCKING_TOLERANCE = 2.5e6
 
 
 def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
@@ -39,7 +42,10 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
     found = solve(builder, M, {i: forces[i - 1] - c[i - 1] for i in range(1, n + 1)}, n, partial(check_pivot, tree))
     largest = largest_inertias(chain, segments)
     for i in range(n, 0, -1):
-        builder.guard(found.pivots[i], largest[i], PIVOT_TOLERANCE, i)
+        if feels_itself(segments[i - 1]):
+            builder.guard(found.pivots[i], M[i, i], n * PIVOT_TOLERANCE, i)
+        else:
+            builder.guard(found.pivots[i], largest[i], LOCKING_TOLERANCE, i)
     qdd = [found.x[i] for i in range(1, n + 1)]
     if reductions.absolute:
         qdd = _relative_accelerations(segments, qdd)

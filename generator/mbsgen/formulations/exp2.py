@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from mbsgen.algebra.vectors import Vector
 from mbsgen.formulations.links import declare_state, joint_forces, write_chain
 from mbsgen.formulations.parsimony.articulated import accelerations
-from mbsgen.formulations.parsimony.segments import Segment, align, children, largest_inertias
+from mbsgen.formulations.parsimony.segments import Segment, align, children, feels_itself, largest_inertias
 from mbsgen.formulations.parsimony.writing import begin
 from mbsgen.formulations.planning import find_plans, finish
 from mbsgen.formulations.reductions import ALL, Reductions
@@ -45,16 +45,10 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
 
 def _may_lock(segments: Sequence[Segment], segment: Segment) -> bool:
     """Tell whether a joint feels only what stands off its axis or askew: then its pivot is made of differences."""
-    return not _feels_itself(segment) and any(
+    return not feels_itself(segment) and any(
         child.turn is not None or not _is_null(child.d) or (_is_massless(child) and _may_lock(segments, child))
         for child in children(segments, segment.number)
     )
-
-
-def _feels_itself(segment: Segment) -> bool:
-    if not segment.is_revolute:
-        return not segment.moments.m.is_zero
-    return not all(segment.moments.P[k, k].is_zero for k in segment.across)
 
 
 def _is_massless(segment: Segment) -> bool:

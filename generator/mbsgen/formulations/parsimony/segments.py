@@ -152,3 +152,10 @@ def largest_inertias(chain: Chain, segments: Sequence[Segment]) -> dict[int, Sca
         second[s.number], mass[s.number] = total, m
         bounds[s.number] = total if s.is_revolute else m
     return bounds
+
+
+def feels_itself(segment: Segment) -> bool:
+    """Return whether a joint's own body, without those that it carries, has inertia along the joint's motion."""
+    if not segment.is_revolute:
+        return not segment.moments.m.is_zero
+    return not all(segment.moments.P[k, k].is_zero for k in segment.across)
