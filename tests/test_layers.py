@@ -54,7 +54,8 @@ MBSGEN = Package(
 MBSRUN = Package(
     source=ROOT / "python" / "mbsrun",
     layers=(
-        "cache limits",
+        "trust limits",
+        "cache",
         "library models",
         "binding circumstances",
         "kernel",

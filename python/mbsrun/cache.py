@@ -2,37 +2,51 @@
 
     models/<hash>/                  folders that mbsgen generated of model files
     compiled/<model>/<name>-<hash>  objects and libraries
+    <entry>.sha256                  the hash of an entry's content, by which it is checked whenever it is used
     building-*/                     what is being made, or was when its process was killed
 
 Everything is made aside and renamed into place: it is there as a whole or not at all, whoever else makes the same, and
 whenever a process is killed. The time stamp of an entry tells when it was last used.
+
+Libraries of the cache run in this process. So a cache that somebody else may write to is not used, and an entry that
+does not match its hash is made again. Without a cache, what is made goes into a temporary folder, for as long as the
+process lives.
 """
 
 from __future__ import annotations
 
+import atexit
 import fcntl
+import logging
 import os
+import pwd
 import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from pathlib import Path
+from functools import cache
+from pathlib import Path, PurePath
+from threading import Lock
 from typing import Literal
 
 from mbsgen import manifest as manifests
 from mbsgen.errors import MbsError
+from mbsrun.trust import StrangerError, check_folder, close_to_others, compute_hash, make_folder, read_checked
 
 MODELS, COMPILED, BUILDING = "models", "compiled", "building-"
+HASH = ".sha256"
 ABANDONED = 86400.0  # s; what is under way that long was left behind by a killed process
+ROOM = 16_000_000  # bytes; where they are not free, a failure to compile may be a full disk
 _LOCK = ".lock"
+_LOG = logging.getLogger("mbsrun")
 
 Kind = Literal["generated", "object", "library", "unfinished"]
 
 
 class CacheError(MbsError):
-    """A cache that cannot be written."""
+    """A cache that cannot be used."""
 
 
 @dataclass(frozen=True)
@@ -51,30 +65,28 @@ class Entry:
 
 
 def cache_folder(environment: Mapping[str, str]) -> Path:
-    """Tell where the cache is: $XDG_CACHE_HOME/mbsgen, else ~/.cache/mbsgen."""
+    """Return the cache's place: $XDG_CACHE_HOME/mbsgen, else ~/.cache/mbsgen; CacheError without a home folder."""
     base = Path(environment.get("XDG_CACHE_HOME", ""))
-    return (base if base.is_absolute() else Path.home() / ".cache") / "mbsgen"
+    if base.is_absolute():
+        return base / "mbsgen"
+    home = _find_home(environment)
+    if home is None:
+        raise CacheError("there is no home folder to keep a cache in; set HOME or XDG_CACHE_HOME")
+    return home / ".cache" / "mbsgen"
 
 
-def find_or_make(target: Path, make: Callable[[Path], Path]) -> Path:
-    """Give `target`, a path of the cache; what is not there yet, `make` makes in the empty folder that it is given.
+def find_or_make(name: PurePath, make: Callable[[Path], Path]) -> Path:
+    """Return the entry `name` of the cache; what is not there yet, `make` makes in the empty folder that it is given.
 
-    One of several processes that want the same makes it, and the others wait. Raises CacheError if the cache cannot be
-    written; what `make` raises passes, and nothing is left.
+    One of several processes that want the same makes it, and the others wait. Where the cache cannot be used, one
+    sentence is logged, and the entry is made in a temporary folder. Raises CacheError if that cannot be used either;
+    what `make` raises passes, and nothing is left.
     """
-    if _use(target):
-        return target
-    cache = cache_folder(os.environ)
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        with _turn(target):
-            if not _use(target):
-                _sweep(cache)
-                with tempfile.TemporaryDirectory(prefix=BUILDING, dir=cache) as place:
-                    _rename(make(Path(place)), target)
-    except OSError as error:
-        raise CacheError(f"cannot write to the cache {cache}: {error}; set XDG_CACHE_HOME") from None
-    return target
+        return _find_or_make(cache_folder(os.environ), name, make)
+    except CacheError as error:
+        _warn_once(f"{error}; a temporary folder takes its place, and what is made there is lost at the end")
+    return _find_or_make(_open_temporary(), name, make)
 
 
 def list_entries(cache: Path) -> tuple[Entry, ...]:
@@ -88,7 +100,12 @@ def list_entries(cache: Path) -> tuple[Entry, ...]:
     generated = [
         _describe(path, "generated", _read_prefix(path)) for path in cache.glob(f"{MODELS}/*") if path.is_dir()
     ]
-    rest = [_describe(path, "unfinished", "") for path in (*cache.glob(f"{BUILDING}*"), *cache.rglob(f"*{_LOCK}"))]
+    hashes = [path for path in cache.rglob(f"*{HASH}") if not path.with_suffix("").exists()]
+    rest = [
+        _describe(path, "unfinished", "")
+        for path in (*cache.glob(f"{BUILDING}*"), *cache.rglob(f"*{_LOCK}"), *hashes)
+        if not path.parent.name.startswith(BUILDING)
+    ]
     return tuple(sorted((e for e in (*compiled, *generated, *rest) if e), key=lambda e: e.path))
 
 
@@ -103,19 +120,116 @@ def remove(entries: Iterable[Entry]) -> None:
                 shutil.rmtree(aside, ignore_errors=True)
             else:
                 entry.path.unlink(missing_ok=True)
+            _hash_of(entry.path).unlink(missing_ok=True)
     except OSError as error:
         raise CacheError(f"cannot remove {entry.path}: {error.strerror}") from None
 
 
-def _use(target: Path) -> bool:
-    """Tell whether an entry is there, and mark it as used."""
+# --- places --------------------------------------------------------------------------------------------------------
+
+
+def _find_home(environment: Mapping[str, str]) -> Path | None:
+    """Find the user's home: $HOME, else by the user's number; None where there is no such folder."""
     try:
-        os.utime(target)
-    except FileNotFoundError:
+        home = Path(environment.get("HOME") or pwd.getpwuid(os.geteuid()).pw_dir)
+    except KeyError:
+        return None
+    return home if home.is_absolute() and home.is_dir() else None
+
+
+_TEMPORARY: dict[int, Path] = {}  # by the number of the process: after a fork there are two
+_ONE = Lock()
+
+
+def _open_temporary() -> Path:
+    """Return a folder that this process has for itself, and that is removed when it ends."""
+    process = os.getpid()
+    with _ONE:
+        if process not in _TEMPORARY:
+            try:
+                _TEMPORARY[process] = Path(tempfile.mkdtemp(prefix="mbsgen-")).resolve()
+            except OSError as error:
+                raise CacheError(f"cannot make a temporary folder: {error.strerror or error}; set TMPDIR") from None
+            atexit.register(_remove_temporary, process)
+        return _TEMPORARY[process]
+
+
+def _remove_temporary(process: int) -> None:
+    if os.getpid() == process:
+        shutil.rmtree(_TEMPORARY[process], ignore_errors=True)
+
+
+@cache
+def _warn_once(sentence: str) -> None:
+    _LOG.warning("%s", sentence)
+
+
+# --- entries -------------------------------------------------------------------------------------------------------
+
+
+def _find_or_make(cache: Path, name: PurePath, make: Callable[[Path], Path]) -> Path:
+    """Find or make an entry of this cache. Raises CacheError where it cannot be trusted or written."""
+    try:
+        target = _open_folder(cache, name.parent) / name.name
+        if not _use(target):
+            with _turn(target):
+                if not _use(target):
+                    _sweep(cache)
+                    _make(target.parents[len(name.parents) - 1], target, make)
+    except OSError as error:
+        raise CacheError(f"cannot write to the cache {cache}: {error.strerror or error}; set XDG_CACHE_HOME") from None
+    except StrangerError as error:
+        raise CacheError(f"the cache {cache} cannot be trusted: {error}") from None
+    return target
+
+
+def _open_folder(cache: Path, name: PurePath) -> Path:
+    """Make a folder of the cache that is missing, and check that it is the user's own; return it without links."""
+    make_folder(cache / name)
+    place, top, home = (cache / name).resolve(), cache.resolve(), _find_home(os.environ)
+    check_folder(place, top, None if home is None else home.resolve())
+    return place
+
+
+def _use(target: Path) -> bool:
+    """Tell whether an entry is there as it was made, and mark it as used."""
+    try:
+        is_whole = compute_hash(target) == read_checked(_hash_of(target)).decode(errors="replace").strip()
+    except (OSError, StrangerError):
         return False
-    except OSError:  # a cache that can only be read
-        return target.exists()
-    return True
+    with suppress(OSError):  # a cache that can only be read
+        os.utime(target)
+    return is_whole
+
+
+def _make(cache: Path, target: Path, make: Callable[[Path], Path]) -> None:
+    """Make an entry and its hash aside, and put them into place, that of what does not match, too."""
+    with tempfile.TemporaryDirectory(prefix=BUILDING, dir=cache) as place:
+        try:
+            made = make(Path(place))
+        except MbsError:
+            _check_room(Path(place))
+            raise
+        close_to_others(made)
+        record = Path(place) / HASH
+        record.touch(mode=0o600)
+        record.write_text(compute_hash(made) + "\n", encoding="ascii")
+        if os.path.lexists(target) and not _use(target):  # else another process was faster, and made the same
+            if os.path.lexists(_hash_of(target)):
+                _LOG.warning("%s is not what was put there; it is made again", target)
+            target.rename(Path(place) / "replaced")
+        record.replace(_hash_of(target))
+        _rename(made, target)
+
+
+def _check_room(place: Path) -> None:
+    """Raise OSError if the disk is full, which the message of a compiler only says in its own words."""
+    with (place / "room").open("wb") as file:
+        os.posix_fallocate(file.fileno(), 0, ROOM)
+
+
+def _hash_of(target: Path) -> Path:
+    return target.with_name(target.name + HASH)
 
 
 @contextmanager
@@ -151,7 +265,8 @@ def _describe(path: Path, kind: Kind, model: str) -> Entry | None:
     """Describe an entry; None where it has just gone."""
     try:
         files = [path, *path.rglob("*")] if path.is_dir() else [path]
-        return Entry(path, kind, model, sum(f.stat().st_size for f in files if f.is_file()), path.stat().st_mtime)
+        sizes = sum(f.stat().st_size for f in (*files, _hash_of(path)) if f.is_file())
+        return Entry(path, kind, model, sizes, path.stat().st_mtime)
     except FileNotFoundError:
         return None
 

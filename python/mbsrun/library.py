@@ -1,7 +1,8 @@
 """Generated C files -> objects -> shared libraries of what is asked for, each made once: a cache addressed by content.
 
 An object's name is made from the bytes of its source and of the headers it includes, the compiler with its flags, and
-the processor that the compiler sees; a library's from its objects. So a stale one is never met.
+the processor that the compiler sees; a library's from its objects. So a stale one is never met. The cache checks
+what it hands out by a hash: what is loaded is what was compiled.
 """
 
 from __future__ import annotations
@@ -14,10 +15,10 @@ import subprocess
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 
 from mbsgen.errors import MbsError
-from mbsrun.cache import COMPILED, cache_folder, find_or_make
+from mbsrun.cache import COMPILED, find_or_make
 
 # ISO C, but contraction to fused multiply-add, which gcc's -std=c99 would turn off. Never fast-math: it drops NaN
 # checks, reassociates, and makes the loading process flush denormals. gcc's vectors in straight-line
@@ -49,6 +50,15 @@ class Compiler:
     macros: str  # all it predefines under these flags: its version, and what it knows of the processor
 
 
+@dataclass(frozen=True)
+class _Object:
+    """An object file to be: its name in the cache, and what it is made of."""
+
+    name: PurePath
+    files: Mapping[str, bytes]  # the source, then headers
+    command: tuple[str, ...]
+
+
 def compile_library(folder: Path, prefix: str, names: Iterable[str], compiler: Compiler) -> Path:
     """Compile C files of a folder, as many at once as there are processors, and link them to one shared library.
 
@@ -57,10 +67,8 @@ def compile_library(folder: Path, prefix: str, names: Iterable[str], compiler: C
     """
     if not re.fullmatch(r"\w+", prefix, re.ASCII):
         raise CompileError(f"{folder}: {prefix!r} cannot be the prefix of generated names")
-    place = cache_folder(os.environ) / COMPILED / prefix
-    sources = [_read_source(folder, name) for name in dict.fromkeys(names)]
-    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-        objects = list(pool.map(lambda files: _compile(files, place, compiler), sources))
+    place = PurePath(COMPILED, prefix)
+    objects = [_plan(_read_source(folder, name), place, compiler) for name in dict.fromkeys(names)]
     return _link(objects, place / prefix, compiler)
 
 
@@ -116,32 +124,41 @@ def _read_source(folder: Path, name: str) -> dict[str, bytes]:
     return files
 
 
-def _compile(files: Mapping[str, bytes], place: Path, compiler: Compiler) -> Path:
-    """Compile a source, which comes first, from a copy: what was hashed is what is compiled."""
+def _plan(files: Mapping[str, bytes], place: PurePath, compiler: Compiler) -> _Object:
+    """Name an object by all that decides its bytes; the source comes first."""
     source = next(iter(files))
-    command = [*compiler.command, choose_level(files[source]), *compiler.flags]
-
-    def make(building: Path) -> Path:
-        for name, text in files.items():
-            (building / name).write_bytes(text)
-        made = building / f"{source}.o"
-        _run([*command, "-c", str(building / source), "-o", str(made)])
-        return made
-
+    command = (*compiler.command, choose_level(files[source]), *compiler.flags)
     told = [word.encode() for word in (*command, compiler.macros)]
     name = _name([*told, *(part for item in files.items() for part in (item[0].encode(), item[1]))])
-    return find_or_make(place / f"{Path(source).stem}-{name}.o", make)
+    return _Object(place / f"{Path(source).stem}-{name}.o", files, command)
 
 
-def _link(objects: Sequence[Path], stem: Path, compiler: Compiler) -> Path:
-    command = [*compiler.command, *compiler.flags, "-shared", *map(str, objects)]
+def _compile(item: _Object) -> Path:
+    """Compile a source from a copy: what was hashed is what is compiled."""
+    source = next(iter(item.files))
 
     def make(building: Path) -> Path:
-        made = building / "library.so"
-        _run([*command, "-o", str(made), "-lm"])
+        for name, text in item.files.items():
+            (building / name).write_bytes(text)
+        made = building / f"{source}.o"
+        _run([*item.command, "-c", str(building / source), "-o", str(made)])
         return made
 
-    return find_or_make(stem.with_name(f"{stem.name}-{_name([path.name.encode() for path in objects])}.so"), make)
+    return find_or_make(item.name, make)
+
+
+def _link(objects: Sequence[_Object], stem: PurePath, compiler: Compiler) -> Path:
+    """Link objects, which are compiled unless the library is there."""
+
+    def make(building: Path) -> Path:
+        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+            compiled = [str(path) for path in pool.map(_compile, objects)]
+        made = building / "library.so"
+        _run([*compiler.command, *compiler.flags, "-shared", *compiled, "-o", str(made), "-lm"])
+        return made
+
+    name = _name([item.name.name.encode() for item in objects])
+    return find_or_make(stem.with_name(f"{stem.name}-{name}.so"), make)
 
 
 def _name(parts: Iterable[bytes]) -> str:

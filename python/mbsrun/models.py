@@ -6,13 +6,12 @@ A folder is found again by the bytes of the model file and of mbsgen, so a stale
 from __future__ import annotations
 
 import hashlib
-import os
 from dataclasses import dataclass, replace
 from functools import cache
-from pathlib import Path
+from pathlib import Path, PurePath
 
 from mbsgen import resources
-from mbsrun.cache import MODELS, cache_folder, find_or_make
+from mbsrun.cache import MODELS, find_or_make
 
 
 @dataclass(frozen=True)
@@ -53,7 +52,7 @@ def find_folder(path: Path, extent: Extent = WHOLE) -> Path:
     while True:
         name = fingerprint(path, extent)
         try:
-            return find_or_make(cache_folder(os.environ) / MODELS / name, make)
+            return find_or_make(PurePath(MODELS, name), make)
         except _ChangedError:
             continue
 

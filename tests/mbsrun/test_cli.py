@@ -323,7 +323,12 @@ def test_an_empty_cache_is_told(run: Run, tmp_path: Path, monkeypatch: pytest.Mo
 def test_what_was_not_used_lately_is_removed(run: Run, filled: Path) -> None:
     assert run("cache", "--older-than", "3").stdout.startswith("removed 0 of 5 entries")
     assert run("cache", "--older-than", "1").stdout.startswith("removed 2 of 5 entries")
-    assert sorted(path.suffix for path in filled.rglob("sample*") if path.is_file()) == [".o", ".so"]
+    assert sorted(path.suffix for path in filled.rglob("sample*") if path.is_file()) == [
+        ".o",
+        ".sha256",
+        ".sha256",
+        ".so",
+    ]
 
 
 def test_the_cache_is_cleared_but_for_what_is_being_made(run: Run, filled: Path) -> None:

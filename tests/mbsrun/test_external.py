@@ -367,7 +367,7 @@ def model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def kept(model: Path) -> list[Path]:
-    return sorted((model.parent / "cache" / "mbsgen" / "models").iterdir())
+    return sorted(path for path in (model.parent / "cache" / "mbsgen" / "models").iterdir() if path.is_dir())
 
 
 def test_a_model_file_is_generated_once(model: Path) -> None:

@@ -14,7 +14,7 @@ import pytest
 from mbsgen import manifest as manifests
 from mbsgen.errors import InputError
 from mbsrun import load
-from mbsrun.cache import ABANDONED, CacheError, cache_folder
+from mbsrun.cache import ABANDONED, HASH, cache_folder
 from mbsrun.library import LARGE, CompileError, choose_level, compile_library, find_compiler
 from tests.sample import write_sample
 
@@ -41,7 +41,8 @@ def kept(cache: Path, suffix: str) -> list[str]:
 
 
 def all_files(cache: Path) -> list[Path]:
-    return [path for path in cache.rglob("*") if path.is_file()]
+    """List what the cache holds, but for the hashes."""
+    return [path for path in cache.rglob("*") if path.is_file() and path.suffix != HASH]
 
 
 def test_a_folder_is_compiled_once(tmp_path: Path, own_cache: Path) -> None:
@@ -228,18 +229,11 @@ def test_unbalanced_quotes_are_told() -> None:
         find_compiler({**os.environ, "CFLAGS": "'-O2"})
 
 
-def test_the_cache_follows_the_xdg_rules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_cache_follows_the_xdg_rules(tmp_path: Path) -> None:
     """A relative XDG_CACHE_HOME is to be ignored."""
-    monkeypatch.setenv("HOME", str(tmp_path))
+    home = {"HOME": str(tmp_path)}
     assert cache_folder({"XDG_CACHE_HOME": "/somewhere"}) == Path("/somewhere/mbsgen")
-    assert cache_folder({"XDG_CACHE_HOME": "here"}) == cache_folder({}) == tmp_path / ".cache" / "mbsgen"
-
-
-def test_a_cache_that_cannot_be_written_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "file").write_text("")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    with pytest.raises(CacheError, match=r"cannot write to the cache .*; set XDG_CACHE_HOME"):
-        compile_folder(write_sample(tmp_path / "sample"))
+    assert cache_folder({"XDG_CACHE_HOME": "here", **home}) == cache_folder(home) == tmp_path / ".cache" / "mbsgen"
 
 
 @pytest.mark.parametrize("name", ["../sample_impl.c", "-fplugin=x.c", "/etc/passwd", "a b.c", "x.so", "$(id).c", ""])

@@ -9,16 +9,15 @@ from __future__ import annotations
 import hashlib
 import itertools
 import logging
-import os
 import re
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 from mbsgen.errors import MbsError
-from mbsrun.cache import MODELS, cache_folder, find_or_make
+from mbsrun.cache import MODELS, find_or_make
 from mbsrun.circumstances import describe_circumstances
 from mbsrun.external import Mechanism
 from mbsrun.ocp.search import Alone, Bench, Crew, Order, Outcome
@@ -93,7 +92,7 @@ class Cluster:
 def carry_out(kit: Kit, order: Order) -> Outcome:
     """Make an attempt in a worker."""
     if kit.key not in _BENCHES:
-        folder = find_or_make(cache_folder(os.environ) / MODELS / kit.key, kit.unpack)
+        folder = find_or_make(PurePath(MODELS, kit.key), kit.unpack)
         _BENCHES[kit.key] = Bench(Mechanism(folder), describe_circumstances())
     return _BENCHES[kit.key].carry_out(order)
 

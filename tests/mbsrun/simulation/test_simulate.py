@@ -191,7 +191,10 @@ FAULTS = {
     "step": ("step: 0", "step: found 0; give a positive number"),
     "steps": ("step: 1e-12\nmethod: rk4", "1e+12 steps would be taken"),
     "outputs": ("output_step: 1e-9", "states would be kept"),
-    "limit": ("step: 1e-3\nmethod: rk4\nmax_steps: 10", "1e+03 steps would be taken; take a longer step, or raise max_steps = 10"),
+    "limit": (
+        "step: 1e-3\nmethod: rk4\nmax_steps: 10",
+        "1e+03 steps would be taken; take a longer step, or raise max_steps = 10",
+    ),
     "no steps": ("max_steps: 0", "max_steps: found 0"),
     "seconds": ("max_seconds: 0", "max_seconds: found 0; give a positive number"),
     "rho": ("rho: 2", "give a number from 0 to 1"),
