@@ -50,6 +50,7 @@ class Flops(_Entry):
     sqrt: int
     trig: int
     other: int  # exp, log, tanh, ... of user force laws; outside both conventions
+    guard: int = 0  # products and signs of the tests that pivots stand out of rounding; outside both conventions
 
 
 class Kernel(_Entry):

@@ -46,11 +46,13 @@ PUBLISHED: Mapping[str, Mapping[str, tuple[int, int]]] = MappingProxyType(
         "d688b205c36105a7": {"IMPL": (460, 114), "SEMI": (830, 264), "EXP1": (991, 328), "EXP2": (1784, 395)}
     }
 )
-COLUMNS = ("flops", "arith", "+ -", "*", "/", "neg", "sqrt", "trig", "other", "eqs")
+COLUMNS = ("flops", "arith", "+ -", "*", "/", "neg", "sqrt", "trig", "other", "guard", "eqs")
 NOTE = (
     "flops: by the paper's convention, one each for + - * / sqrt sin cos and unary minus. arith: + - * / alone. "
-    "other: exp, tanh and the like, in neither. eqs: equations. Formulations have every number of the model at run "
-    "time, setup apart; kernels are counted as generated."
+    "other: exp, tanh and the like, in neither. guard: products and signs of the tests that pivots stand out of "
+    "rounding, in neither; each test is a comparison besides. eqs: equations, the assignments of the C that compute: a "
+    "value with a name (a sine and a cosine have one each), or a nonzero of a result that is computed where it is "
+    "stored. "
 )
 COMPARISON = "Flops of the formulations, compared"
 SCENE = "Flops of the functions, with ever more left out"
@@ -71,7 +73,7 @@ class Cost:
     def row(self) -> tuple[int, ...]:
         """List the cost in the order of COLUMNS."""
         f = self.flops
-        return (f.paper, f.arithmetic, f.add, f.mul, f.div, f.neg, f.sqrt, f.trig, f.other, self.equations)
+        return (f.paper, f.arithmetic, f.add, f.mul, f.div, f.neg, f.sqrt, f.trig, f.other, f.guard, self.equations)
 
 
 @dataclass(frozen=True)

@@ -71,7 +71,7 @@ class Columns:
         before = count(self.tape)
         entries = 2 * self.starts[-1] * self.width
         loop = {Op.MUL: entries + self.size * self.width, Op.SUB: entries, Op.NEG: nonzeros}
-        return Counts(dict(Counter(before.operations) + Counter(loop)), before.equations)
+        return Counts(dict(Counter(before.operations) + Counter(loop)), before.equations, before.guards)
 
 
 def pad(width: int) -> int:

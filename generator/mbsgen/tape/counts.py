@@ -1,8 +1,13 @@
-"""What a tape costs: one table of policy, two conventions."""
+"""What a tape costs: one table of policy, two conventions.
+
+An equation is an assignment of the C function that computes something: a value with a name (a sine and a cosine have
+one each), or a nonzero of a result that is computed where it is stored. The targets write what `named_values` names.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mbsgen.manifest import Flops
@@ -10,6 +15,11 @@ from mbsgen.tape.types import Op, Tape
 
 ARITHMETIC = frozenset({Op.ADD, Op.SUB, Op.MUL, Op.DIV})
 PAPER = ARITHMETIC | {Op.NEG, Op.SQRT, Op.SIN, Op.COS}  # the closest match to the counts that Robotran prints
+INLINED = (
+    3  # the most operations of a value that is written into the expression of another; a sum goes on at any length
+)
+_SUMS = frozenset({Op.ADD, Op.SUB})
+_TURNS = frozenset({Op.SIN, Op.COS})
 
 
 @dataclass(frozen=True)
@@ -18,6 +28,7 @@ class Counts:
 
     operations: dict[Op, int]
     equations: int
+    guards: int = 0  # products and signs of the guards' tests; they are no operations of the tape
 
     def of(self, *ops: Op) -> int:
         """Add up the operations of the given kinds."""
@@ -36,6 +47,7 @@ class Counts:
             sqrt=self.of(Op.SQRT),
             trig=self.of(Op.SIN, Op.COS),
             other=sum(self.operations.values()) - self.of(*PAPER),
+            guard=self.guards,
         )
 
     @property
@@ -50,13 +62,54 @@ class Counts:
 
 
 def count(tape: Tape) -> Counts:
-    """Count a tape's operations, and its equations: the assignments left when values used once are inlined."""
-    return Counts(dict(Counter(op for op, _, _ in tape.operations)), len(equation_values(tape)))
+    """Count a tape's operations, those of its guards, and its equations."""
+    operations = dict(Counter(op for op, _, _ in tape.operations))
+    return Counts(operations, _count_equations(tape), sum(1 + guard.negated for guard in tape.guards))
 
 
-def equation_values(tape: Tape) -> tuple[int, ...]:
-    """List the values that get an equation of their own: operations used other than once, or given out."""
+def _count_equations(tape: Tape) -> int:
+    """Count the named values, and the nonzeros of results that are computed where they are stored."""
+    named = named_values(tape)
+    stored = (v for o in tape.outputs for v in o.values if v >= tape.first_operation)
+    return len(named) + sum(v not in named for v in stored)
+
+
+def named_values(tape: Tape) -> frozenset[int]:
+    """Choose the values that get a name: those with a label, sines and cosines, those used several times, long ones.
+
+    Others are written into the expression that uses them. What nothing uses is not written at all.
+    """
+    first, uses = tape.first_operation, count_uses(tape)
+    labels = Counter(tape.labels.values())
+    named = {v for v, text in tape.labels.items() if v >= first and labels[text] == 1 and uses[v]}
+    going_on, stored = find_sums(tape, uses), {v for o in tape.outputs for v in o.values}
+    sizes = [0] * first  # the operations of the expression that stands for a value
+    for value, (op, *operands) in enumerate(tape.operations, first):
+        size = 1 + sum(sizes[x] for x in operands[: op.arity])
+        is_short = size <= INLINED or value in stored or value in going_on
+        if uses[value] > 1 or (uses[value] and (op in _TURNS or not is_short)):
+            named.add(value)
+        sizes.append(0 if value in named else size)
+    return frozenset(named)
+
+
+def count_uses(tape: Tape) -> Counter[int]:
+    """Count how often operations, outputs and guards use each value."""
     uses = Counter(x for op, *operands in tape.operations for x in operands[: op.arity])
-    given = {v for o in tape.outputs for v in o.values}
-    numbered = range(tape.first_operation, tape.first_operation + len(tape.operations))
-    return tuple(v for v in numbered if v in given or uses[v] != 1)
+    uses.update(v for o in tape.outputs for v in o.values)
+    uses.update(v for g in tape.guards for v in (g.value, g.scale))
+    return uses
+
+
+def find_sums(tape: Tape, uses: Counter[int]) -> frozenset[int]:
+    """Find the sums that another sum goes on from: of its operands, the first that nothing else uses."""
+
+    def goes_on(x: int) -> bool:
+        k = x - tape.first_operation
+        return k >= 0 and uses[x] == 1 and tape.operations[k][0] in _SUMS
+
+    found = set()
+    for op, a, b in tape.operations:
+        candidates: Sequence[int] = (a, b) if op is Op.ADD else (a,) if op is Op.SUB else ()
+        found.update([x for x in candidates if goes_on(x)][:1])
+    return frozenset(found)

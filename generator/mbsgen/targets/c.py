@@ -6,6 +6,7 @@ C function with typed arguments, and a second one, in CasADi's contract, that ca
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -328,8 +329,13 @@ def _write_lines(lines: Sequence[Line]) -> tuple[str, ...]:
                 text.append(f"if (!({line.value} > MBS_THRESHOLD({line.tolerance}) * {line.scale}))")
                 text.append(f"    return {line.joint};")
             case _:
-                text.append(f"{line.target} = {line.expression};")
+                text += _break(f"{line.target} = {line.expression};")
     return tuple(text)
+
+
+def _break(line: str) -> list[str]:
+    """Break a long line where it has spaces."""
+    return textwrap.wrap(line, 108, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
 
 
 def _write_turns(turns: Turns, suffix: str) -> list[str]:

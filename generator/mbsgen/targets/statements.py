@@ -1,7 +1,7 @@
 """The body of a function: Tape -> named statements and results, as text of C or of a language that writes alike.
 
-Values used once are written into the expression that uses them while that stays short to read. Every operation inside
-another stands in parentheses, so that the language associates as the tape does.
+What gets a name is decided in `tape.counts`. An operation inside another stands in parentheses, so that the language
+associates as the tape does; but not on the left of a sum, where all languages begin.
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ from itertools import count
 from mpmath import mpf
 
 from mbsgen.errors import TapeError
+from mbsgen.tape.counts import count_uses, find_sums, named_values
 from mbsgen.tape.types import FUNCTIONS, Op, Sparsity, Tape
 from mbsgen.targets.contract import arguments
 
-INLINED = 40  # the longest text written into another expression; a line has two of them at most
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_SUMS = (Op.ADD, Op.SUB)
 _INFIX = {Op.ADD: " + ", Op.SUB: " - ", Op.MUL: "*", Op.DIV: "/"}
 
 
@@ -110,9 +111,8 @@ class Body:
 
 def write_body(tape: Tape, syntax: Syntax = C) -> Body:
     """Write a tape's operations and results as expressions of a language; equal tapes give equal text."""
-    uses = Counter(x for op, *operands in tape.operations for x in operands[: op.arity])
-    uses.update(v for o in tape.outputs for v in o.values)
-    uses.update(v for g in tape.guards for v in (g.value, g.scale))
+    uses, named = count_uses(tape), named_values(tape)
+    going_on = find_sums(tape, uses)
     names = _choose_names(tape, syntax)
     texts = _write_leaves(tape, syntax)  # of every value, ready to stand as an operand
     places = [0] * len(texts)  # the number of statements after which a value is known
@@ -129,8 +129,10 @@ def write_body(tape: Tape, syntax: Syntax = C) -> Body:
         if turning:
             statements.append(_write_turns(turning))
             turning = {}
+        if op is Op.ADD and b in going_on and b not in named:  # it stands first: sums commute
+            a, b = b, a
         expression = _write(syntax, op, texts[a], texts[b] if op.arity == 2 else "")
-        if uses[value] == 1 and value not in names and len(expression) <= INLINED:
+        if uses[value] and value not in named:
             texts.append(expression if op in syntax.calls else f"({expression})")
         elif uses[value]:
             name = names.get(value) or next(free)
@@ -179,7 +181,7 @@ def write_literal(value: mpf, syntax: Syntax = C) -> str:
 
 def _write(syntax: Syntax, op: Op, a: str, b: str) -> str:
     if op in _INFIX:
-        return f"{a}{_INFIX[op]}{b}"
+        return f"{_bare(a) if op in _SUMS else a}{_INFIX[op]}{b}"
     if op is Op.NEG:
         return f"-{a}"
     return f"{syntax.calls[op]}({', '.join(map(_bare, (a, b)[: op.arity]))})"

@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbsgen.errors import TapeError
+from mbsgen.tape.counts import INLINED
 from mbsgen.tape.types import LITERALS, Input, Op, Output, Sparsity, Tape
-from mbsgen.targets.statements import INLINED, Statement, wrap, write_body, write_literal
+from mbsgen.targets.statements import Statement, wrap, write_body, write_literal
 
 
 def tape(operations: list[tuple[Op, int, int]], labels: dict[int, str] | None = None, size: int = 3) -> Tape:
@@ -24,11 +25,21 @@ def written(found: Tape) -> list[str]:
     return [f"{s.target} = {s.expression}" for s in (*body.statements, *body.results[0].statements)]
 
 
-def test_association_is_written_with_parentheses() -> None:
+def test_sums_are_written_as_languages_associate() -> None:
+    """From the left; a sum on the right comes first, or stands in parentheses where that would change it."""
     left = [(Op.ADD, 0, 1), (Op.ADD, 3, 2)]
     right = [(Op.ADD, 1, 2), (Op.ADD, 0, 3)]
-    assert written(tape(left)) == ["f[0] = (x[0] + x[1]) + x[2]"]
-    assert written(tape(right)) == ["f[0] = x[0] + (x[1] + x[2])"]
+    subtracted = [(Op.ADD, 1, 2), (Op.SUB, 0, 3)]
+    both = [(Op.ADD, 0, 1), (Op.SUB, 1, 2), (Op.ADD, 3, 4)]
+    assert written(tape(left)) == ["f[0] = x[0] + x[1] + x[2]"]
+    assert written(tape(right)) == ["f[0] = x[1] + x[2] + x[0]"]
+    assert written(tape(subtracted)) == ["f[0] = x[0] - (x[1] + x[2])"]
+    assert written(tape(both)) == ["f[0] = x[0] + x[1] + (x[1] - x[2])"]
+
+
+def test_products_of_sums_stand_in_parentheses() -> None:
+    assert written(tape([(Op.ADD, 0, 1), (Op.DIV, 3, 2)])) == ["f[0] = (x[0] + x[1])/x[2]"]
+    assert written(tape([(Op.ADD, 0, 1), (Op.NEG, 3, -1)])) == ["f[0] = -(x[0] + x[1])"]
 
 
 def test_a_sign_stands_in_parentheses() -> None:
@@ -39,9 +50,14 @@ def test_a_value_used_twice_is_a_statement() -> None:
     assert written(tape([(Op.MUL, 0, 1), (Op.ADD, 3, 3)])) == ["t1 = x[0]*x[1]", "f[0] = t1 + t1"]
 
 
-def test_lines_stay_short() -> None:
-    chain = [(Op.ADD, 0, 1)] + [(Op.MUL, k, 2) for k in range(3, 60)]
-    assert max(map(len, written(tape(chain)))) <= 2 * INLINED + 10
+@pytest.mark.parametrize("op", [Op.MUL, Op.DIV, Op.NEG])
+def test_expressions_are_not_deep(op: Op) -> None:
+    """C promises 63 parentheses, one inside the other; a sum takes none, however long it is."""
+    chain = [(Op.ADD, 0, 1)] + [(op, k, 2 if op.arity == 2 else -1) for k in range(3, 60)]
+    assert max(line.count("(") for line in written(tape(chain))) <= INLINED + 1
+    long = [(Op.ADD, 0, 1)] + [(Op.SUB if k % 2 else Op.ADD, k, 2) for k in range(3, 60)]
+    (line,) = written(tape(long))
+    assert "(" not in line
 
 
 @pytest.mark.parametrize(
@@ -55,7 +71,7 @@ def test_a_label_that_cannot_name_a_variable_is_not_used(label: str) -> None:
 def test_a_label_names_its_value_and_numbers_make_room() -> None:
     operations = [(Op.MUL, 0, 1), (Op.MUL, 0, 2), (Op.ADD, 3, 4), (Op.ADD, 5, 4)]
     lines = written(tape(operations, {3: "t1", 5: "twice", 4: "twice"}))
-    assert lines == ["t1 = x[0]*x[1]", "t2 = x[0]*x[2]", "f[0] = (t1 + t2) + t2"]
+    assert lines == ["t1 = x[0]*x[1]", "t2 = x[0]*x[2]", "f[0] = t1 + t2 + t2"]
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False))
