@@ -18,8 +18,8 @@ from mbsgen.targets.statements import Result, Syntax, write_body, write_lines
 
 PYTHON = Syntax(
     "{}",
-    {op: f"functions.{op.value[0]}" for op in FUNCTIONS} | {Op.SIGN: "_sign"},
-    re.compile("|".join((*keyword.kwlist, "functions", "math"))),
+    {op: f"functions.{op.value[0]}" for op in FUNCTIONS} | {Op.SIGN: "_sign(functions)", Op.ABS: "abs"},
+    re.compile("|".join((*keyword.kwlist, "functions", "math", "abs"))),
 )
 
 

@@ -17,11 +17,12 @@ import casadi
 import mpmath
 import numpy as np
 import pytest
+import sympy
 
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree, with_runtime_numbers
 from mbsgen.model.tree import Kind
-from mbsgen.pipeline import write_families
+from mbsgen.pipeline import Options, write_families
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import DIGITS, FLOATS, evaluate, find_failure
 from mbsgen.tape.types import FUNCTIONS, Op, Tape
@@ -227,6 +228,40 @@ def test_symbols_pass_guards(tmp_path: Path) -> None:
     x = casadi.SX.sym("x", 2)
     f = casadi.Function("f", [x], [casadi.vertcat(*kernels.exp1(x, functions=casadi)["f"])])
     assert f([1.0, 0.5]).full().ravel().tolist() == [2.0, 0.5]
+
+
+def test_symbols_of_sympy_pass_guards_and_numbers_do_not(tmp_path: Path) -> None:
+    kernels = load([Family(guarded_tape())], tmp_path)
+    x = sympy.symbols("x0 x1")
+    found = kernels.exp1(x, functions=sympy)["f"]
+    numbers = dict(zip(x, (2, sympy.Rational(1, 2)), strict=True))
+    assert [float(value.subs(numbers)) for value in found] == pytest.approx([2 / 3, 3 / 4], rel=1e-15)
+    with pytest.raises(ZeroDivisionError, match="joint 1"):
+        kernels.exp1([sympy.Integer(1), sympy.Integer(1)], functions=sympy)
+
+
+def test_sympy_has_every_function(tmp_path: Path) -> None:
+    """|x| and its sign among them, which no module calls alike."""
+    tape = functions_tape()
+    x = sympy.symbols("x0 x1", real=True)
+    written = load([Family(tape)], tmp_path).impl(x, functions=sympy)["f"]
+    found = [float(value.subs(dict(zip(x, (0.3, -0.3), strict=True)))) for value in written]
+    assert found == pytest.approx(evaluate(tape, {"x": [0.3, -0.3]})["f"], rel=1e-14)
+
+
+def test_exp1_of_symbols_has_the_same_numbers(tmp_path: Path) -> None:
+    """The accelerations of a model, written over SymPy's symbols: each evaluates to what the tape does."""
+    (family,) = write_families(
+        build_tree(read_model(MODELS / "double_pendulum.yaml")), Options(functions=("exp1",), derivatives=0)
+    )
+    names = {i.name: [f"{i.name}{k}" for k in range(i.sparsity.nnz)] for i in family.value.inputs}
+    at = {name: [0.3 + 0.4 * k for k in range(len(entries))] for name, entries in names.items()}
+    symbols = {name: [sympy.Symbol(text) for text in entries] for name, entries in names.items()}
+    written = load([family], tmp_path).exp1(**symbols, functions=sympy)["qdd"]
+    values = {symbol: x for name in names for symbol, x in zip(symbols[name], at[name], strict=True)}
+    assert all(value.free_symbols for value in written)
+    found = [float(value.evalf(30, subs=values)) for value in written]
+    assert found == pytest.approx(evaluate(family.value, at)["qdd"], rel=1e-13)
 
 
 @pytest.mark.parametrize("label", [*keyword.kwlist, "functions", "math", "x", "f", "_check", "__import__"])
