@@ -96,6 +96,11 @@ def cli() -> None:
 @click.option("-o", "--output", "out", type=click.Path(path_type=Path), required=True, help="The folder to write.")
 @click.option("--runtime", is_flag=True, help="Make every number of the model a run-time parameter.")
 @click.option(
+    "--lump",
+    is_flag=True,
+    help="Place free masses by dividing by run-time parameters too. That saves flops; setup fails where one is 0.",
+)
+@click.option(
     "--without",
     multiple=True,
     type=click.Choice(list(SWITCHES)),
@@ -127,6 +132,7 @@ def generate_command(
     model: Path,
     out: Path,
     runtime: bool,
+    lump: bool,
     without: tuple[str, ...],
     python: bool,
     matlab: bool,
@@ -143,7 +149,9 @@ def generate_command(
 
     What the kernels cost is printed. The folder appears as a whole, and replaces one that mbsgen wrote before.
     """
-    reductions = replace(ALL, **{SWITCHES[name]: False for name in without})
+    if lump and "lump" in without:
+        raise click.BadParameter("it is what --without lump leaves out; give one of the two", param_hint="--lump")
+    reductions = replace(ALL, lump_runtime=lump, **{SWITCHES[name]: False for name in without})
     options = Options(
         runtime=runtime,
         python=python,

@@ -174,13 +174,15 @@ class _OfAccelerations(Derivatives):
         The pivots are those of M in either, and so are the scales: guards differ by their tolerances alone.
         """
         assert self._first is not None, "there is something to be taken"
-        known = {guard.joint: guard for guard in written.guards}
-        if not known.keys() >= {guard.joint for guard in self.tape.guards}:
+        known = {guard.joint: guard for guard in written.guards if not guard.early}
+        own = [guard for guard in self.tape.guards if not guard.early]
+        if not known.keys() >= {guard.joint for guard in own}:
             return None
-        guards = tuple(replace(known[guard.joint], tolerance=guard.tolerance) for guard in self.tape.guards)
+        early = tuple(guard for guard in written.guards if guard.early)
+        guards = early + tuple(replace(known[guard.joint], tolerance=guard.tolerance) for guard in own)
         name = written.name.replace(self._first.tape.name, self.tape.name)
         found = replace(written, name=name, guards=guards)
-        return found if len(guards) == len(known) else drop_dead(found)
+        return found if len(guards) == len(written.guards) else drop_dead(found)
 
     @cached_property
     def jac(self) -> Tape:

@@ -19,7 +19,7 @@ from mbsgen.derivatives.kernels import Derivatives
 from mbsgen.formulations.parsimony.elimination import Entries, Factors, factorise
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.columns import COLUMNS, INVERSES, LOWER, Columns, pad
-from mbsgen.tape.replay import replay
+from mbsgen.tape.replay import replay, replay_guards
 from mbsgen.tape.types import Input, Sparsity, Tape
 
 ACCELERATIONS, RESIDUAL = "qdd", "Phi"
@@ -198,7 +198,8 @@ class _State:
     def _guard(self) -> None:
         """Guard the pivots by the scales and tolerances of the tape's own."""
         values = replay(self.tape, self.builder, self.inputs)
-        for guard in self.tape.guards:
+        replay_guards(self.tape, self.builder, values, only_early=True)
+        for guard in (g for g in self.tape.guards if not g.early):
             pivot = self.factors.D[guard.joint]
             self.builder.guard(pivot, values[guard.scale], guard.tolerance, guard.joint)
 
@@ -213,6 +214,7 @@ def _is_one(value: Scalar) -> bool:
 def _replay(builder: Builder, tape: Tape, inputs: Inputs) -> dict[str, _Found]:
     """Replay a tape, and give its outputs by place."""
     values = replay(tape, builder, {i.name: _nonzeros(i, inputs) for i in tape.inputs})
+    replay_guards(tape, builder, values, only_early=True)
     return {
         o.name: _Found({place: values[v] for place, v in zip(o.sparsity.entries, o.values, strict=True)})
         for o in tape.outputs

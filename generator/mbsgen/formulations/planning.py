@@ -6,16 +6,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache, cached_property, lru_cache, partial
 
+from mbsgen.errors import TapeError
 from mbsgen.formulations.links import PARAMETERS, check_pivot, declare_state, write_chain
 from mbsgen.formulations.parsimony.articulated import accelerations
 from mbsgen.formulations.parsimony.elimination import solve
 from mbsgen.formulations.parsimony.mass_matrix import mass_matrix
 from mbsgen.formulations.parsimony.plan import Choice, NoSuchPlanError, Plan
 from mbsgen.formulations.parsimony.proportions import Proportions
-from mbsgen.formulations.parsimony.regrouping import restrain
+from mbsgen.formulations.parsimony.regrouping import regroup, restrain
 from mbsgen.formulations.parsimony.residual import residual
 from mbsgen.formulations.parsimony.search import Restraint, leave, search
-from mbsgen.formulations.parsimony.segments import Moments, align
+from mbsgen.formulations.parsimony.segments import Moments, Segment, align
 from mbsgen.formulations.parsimony.sensitivities import sensitivities
 from mbsgen.formulations.parsimony.writing import Writing, begin
 from mbsgen.formulations.reductions import Reductions
@@ -90,6 +91,8 @@ class Plans:
         self, write: Callable[[Bench, Plan], Sequence[Scalar]], *start: Plan, restrain: Restraint = leave
     ) -> Plan:
         bench = Bench(self._tree, self._reductions)
+        if self._reductions.lump_runtime and self._reductions.regroup:
+            restrain = _allow(self._tree, self._reductions, bench.segments, restrain)
 
         def cost(plan: Plan) -> int | None:
             try:
@@ -102,13 +105,42 @@ class Plans:
         return search(bench.segments, cost, self._reductions, trials, start, restrain)
 
 
+def _align_numbers(tree: Tree, reductions: Reductions) -> tuple[Builder, tuple[Segment, ...]]:
+    """Align the bodies of a tree at the parameters' values."""
+    builder = Builder()
+    known = replace(tree, parameters=tuple(replace(p, kind=Kind.CONSTANT) for p in tree.parameters))
+    return builder, align(write_chain(known, builder, declare_state(known, builder)), group=reductions.share_frames)
+
+
+def _allow(tree: Tree, reductions: Reductions, segments: Sequence[Segment], restrain: Restraint) -> Restraint:
+    """Refuse plans that divide by 0, or move masses out of proportion, at the parameters' values."""
+    builder, known = _align_numbers(tree, reductions)
+
+    def vanishes(plan: Plan, own: Segment, number: Segment) -> bool:
+        if not (own.parent and plan[own.parent].scaled):
+            return False
+        return any(x.is_zero and not y.is_zero for x, y in zip(number.d, own.d, strict=True))
+
+    @cache
+    def fits(plan: Plan) -> bool:
+        try:
+            regroup(builder, known, plan)
+        except TapeError:
+            return False
+        return not any(vanishes(plan, own, number) for own, number in zip(segments, known, strict=True))
+
+    def restrain_plan(plan: Plan) -> Plan | None:
+        found = restrain(plan)
+        return found if found is not None and fits(found) else None
+
+    return restrain_plan
+
+
 def _restraint(tree: Tree, reductions: Reductions) -> Restraint:
     """Leave where it is what would dwarf the inertia that it moves to, at the parameters' values."""
     if not reductions.regroup:
         return leave
-    builder = Builder()
-    known = replace(tree, parameters=tuple(replace(p, kind=Kind.CONSTANT) for p in tree.parameters))
-    segments = align(write_chain(known, builder, declare_state(known, builder)), group=reductions.share_frames)
+    builder, segments = _align_numbers(tree, reductions)
     proportions = Proportions(segments)
 
     def fits(number: int, moved: Moments) -> bool:

@@ -120,16 +120,18 @@ class Builder:
         sparsity = Sparsity.of(rows, cols, nonzero)
         self.output(name, sparsity, [nonzero[place] for place in sparsity.entries])
 
-    def guard(self, value: Scalar, scale: Scalar, tolerance: float, joint: int) -> None:
+    def guard(self, value: Scalar, scale: Scalar, tolerance: float, joint: int, *, early: bool = False) -> None:
         """Let the kernel fail at `joint` unless value > threshold * scale, see Guard.
 
-        Of literals, what holds for float32 is settled now.
+        Of literals, what holds for float32 is settled now. A division by parameters is guarded once.
         """
         pivot, size = value.literal, scale.literal
         threshold = min(tolerance * SINGLE_EPSILON, LARGEST_THRESHOLD)
         if pivot is not None and size is not None and pivot > threshold * size:
             return
-        self._tests.append(Test(value.ref, scale.ref, tolerance, joint))
+        test = Test(value.ref, scale.ref, tolerance, joint, early)
+        if not early or test not in self._tests:
+            self._tests.append(test)
 
     def label(self, values: Iterable[Scalar], names: Iterable[str]) -> None:
         """Give values the field's names, for readers; a value keeps its first, inputs and literals their own."""

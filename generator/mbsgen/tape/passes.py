@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.replay import declare_inputs, leaves, operate, replay, replay_guards
-from mbsgen.tape.types import Sparsity, Tape
+from mbsgen.tape.types import Guard, Sparsity, Tape
 
 
 def fold_constants(tape: Tape) -> Tape:
@@ -73,7 +73,8 @@ def hoist(tapes: Sequence[Tape], source: str, target: str) -> tuple[Tape, tuple[
     """Move what depends on the input `source` alone out of all tapes into one: the setup.
 
     Returns the setup tape (input `source`, output `target`), and the tapes with the input `target`, a vector of the
-    values that they use, in place of `source`. Values that several tapes use are computed once.
+    values that they use, in place of `source`. Values that several tapes use are computed once. Divisions by parameters
+    are guarded in the setup; pivots stay guarded where they are divided by, however constant.
     """
     setup = Builder()
     entries: dict[int, int] = {}  # node of the setup -> its place in the target vector
@@ -84,6 +85,7 @@ def hoist(tapes: Sequence[Tape], source: str, target: str) -> tuple[Tape, tuple[
     for part in split:
         for value in part.frontier:
             entries.setdefault(abs(part.hoisted[value].ref), len(entries))
+        part.guard_early(setup)
     setup.output(target, Sparsity.dense(len(entries)), [Scalar(setup, ref) for ref in entries])
     return setup.build("setup"), tuple(part.rest(entries, target) for part in split)
 
@@ -111,9 +113,19 @@ class _Split:
             else:
                 frontier.update((x, None) for x in operands if x in hoisted)
         frontier.update((x, None) for o in tape.outputs for x in o.values if x in hoisted)
-        frontier.update((x, None) for g in tape.guards for x in (g.value, g.scale) if x in hoisted)
+        left = [g for g in tape.guards if not (g.early and g.value in hoisted and g.scale in hoisted)]
+        frontier.update((x, None) for g in left for x in (g.value, g.scale) if x in hoisted)
         literals = range(tape.first_literal, tape.first_operation)
         return _Split(tape, source, hoisted, [x for x in frontier if x not in literals and hoisted[x].ref])
+
+    def _is_early(self, guard: Guard) -> bool:
+        return guard.early and guard.value in self.hoisted and guard.scale in self.hoisted
+
+    def guard_early(self, setup: Builder) -> None:
+        """Guard in the setup what is divided by there."""
+        for g in filter(self._is_early, self.tape.guards):
+            value = self.hoisted[g.value]
+            setup.guard(-value if g.negated else value, self.hoisted[g.scale], g.tolerance, g.joint, early=True)
 
     def rest(self, entries: dict[int, int], target: str) -> Tape:
         """Write the tape again with the hoisted values read from `target`."""
@@ -134,9 +146,9 @@ class _Split:
         builder.label([values[v] for v, _ in labelled], [text for _, text in labelled])
         for o in tape.outputs:
             builder.output(o.name, o.sparsity, [known.get(x, values[x]) for x in o.values])
-        for g in tape.guards:
+        for g in (g for g in tape.guards if not self._is_early(g)):
             pivot, scale = (known.get(x, values[x]) for x in (g.value, g.scale))
-            builder.guard(-pivot if g.negated else pivot, scale, g.tolerance, g.joint)
+            builder.guard(-pivot if g.negated else pivot, scale, g.tolerance, g.joint, early=g.early)
         return builder.build(tape.name)
 
     def _entry(self, value: int, entries: dict[int, int], vector: Sequence[Scalar]) -> Scalar:

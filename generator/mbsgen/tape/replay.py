@@ -47,8 +47,9 @@ def operate(builder: Builder, op: Op, a: Scalar, b: Scalar | None) -> Scalar:
             return builder.apply(op, a, b)
 
 
-def replay_guards(tape: Tape, builder: Builder, values: Sequence[Scalar]) -> None:
-    """Guard the same pivots in the builder."""
+def replay_guards(tape: Tape, builder: Builder, values: Sequence[Scalar], *, only_early: bool = False) -> None:
+    """Guard the same pivots in the builder, or only the divisions by parameters."""
     for guard in tape.guards:
-        pivot = -values[guard.value] if guard.negated else values[guard.value]
-        builder.guard(pivot, values[guard.scale], guard.tolerance, guard.joint)
+        if guard.early or not only_early:
+            pivot = -values[guard.value] if guard.negated else values[guard.value]
+            builder.guard(pivot, values[guard.scale], guard.tolerance, guard.joint, early=guard.early)

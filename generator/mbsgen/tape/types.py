@@ -143,6 +143,7 @@ class Guard:
     tolerance: float
     joint: int  # from 1
     negated: bool = False  # the tape has the pivot with its sign changed
+    early: bool = False  # it guards a division by parameters, and is tested where these are given: in `setup`
 
     def threshold(self, epsilon: float) -> float:
         """Tell what part of its scale the pivot must exceed."""

@@ -32,6 +32,7 @@ class Test:
     scale: Ref
     tolerance: float
     joint: int
+    early: bool
 
 
 class Writer:
@@ -78,7 +79,14 @@ class Writer:
                 for result, refs in zip(self._results, outputs, strict=True)
             ),
             tuple(
-                Guard(place[value], place[scale], test.tolerance, test.joint, negated=value != test.value)
+                Guard(
+                    place[value],
+                    place[scale],
+                    test.tolerance,
+                    test.joint,
+                    negated=value != test.value,
+                    early=test.early,
+                )
                 for test, (value, scale) in zip(self._tests, tested, strict=True)
             ),
             MappingProxyType({place[node]: text for node, text in self._labels.items() if node in self._written}),

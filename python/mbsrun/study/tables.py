@@ -70,7 +70,7 @@ def _tabulate_efforts(results: Results) -> Table | None:
         (name, effort.flops, PAPER_EFFORTS[name][0], effort.equations, PAPER_EFFORTS[name][1])
         for name, effort in results.efforts
     )
-    note = "Φ; M and c; γ; ν, with every number of the model at run time; by the paper's convention of counting."
+    note = "Φ; M and c; γ; ν, with every number of the model at run time and masses lumped; by the paper's counting."
     return Table("Table 4: operations", ("formulation", "flops", "paper", "equations", "paper"), rows, note)
 
 

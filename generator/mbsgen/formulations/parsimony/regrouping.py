@@ -19,8 +19,10 @@ from mbsgen.algebra.vectors import Matrix, Vector, outer
 from mbsgen.formulations.parsimony.plan import Choice, Mass, NoSuchPlanError, Plan
 from mbsgen.formulations.parsimony.segments import Moments, Segment, children, unit_matrix
 from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.types import Op
 
 LARGEST_MOVE = 10.0  # times the mass of all bodies
+ROUNDING = 1024.0  # epsilons: what a difference by which is divided must stand out of
 
 Fits = Callable[[int, Moments], bool]  # whether these moments may move from a body to its parent
 
@@ -143,9 +145,11 @@ def _part(
         if (parent.S[k] + e[k] * along).is_zero and own.m.is_zero:
             raise NoSuchPlanError("there is nothing to balance")
         plan.check_divisor(segment.d[k])
-        m = -(parent.S[k] + e[k] * along) / segment.d[k]
+        moment = parent.S[k] + e[k] * along
+        guard_quotient(segment, moment, segment.d[k], total)
+        m = -moment / segment.d[k]
     elif choice.mass is Mass.POINT:
-        staying, radius, direction = _percussion(segment, own, plan)
+        staying, radius, direction = _percussion(segment, own, plan, total)
         m = own.m - staying
     _check_size(m, total)
     moved = _on_axis(m, along, second, segment.d, e)
@@ -177,6 +181,21 @@ def _check_size(moved: Scalar, total: Scalar) -> None:
         raise NoSuchPlanError("the mass to move is out of proportion")
 
 
+def guard_quotient(segment: Segment, moment: Scalar, divisor: Scalar, total: Scalar) -> None:
+    """Refuse parameters by which a mass to move, moment / divisor, would dwarf the mechanism's, or be no number."""
+    if not divisor.is_literal:
+        builder = divisor.builder
+        amount, size = builder.apply(Op.ABS, moment), builder.apply(Op.ABS, divisor)
+        room = builder.number(LARGEST_MOVE) * total * size
+        builder.guard(room - amount, room, ROUNDING, segment.number, early=True)
+
+
+def guard_divisor(segment: Segment, divisor: Scalar, scale: Scalar) -> None:
+    """Refuse parameters by which a divisor is 0, or no more than the rounding of what has that scale."""
+    if not divisor.is_literal:
+        divisor.builder.guard(divisor.builder.apply(Op.ABS, divisor), scale, ROUNDING, segment.number, early=True)
+
+
 def _without_ring(builder: Builder, segment: Segment, P: Matrix[Scalar], ring: Scalar) -> Matrix[Scalar]:
     zero, axis = builder.zero, segment.axis
     rows = [[P[r, c] for c in range(3)] for r in range(3)]
@@ -201,7 +220,7 @@ def _lever(segment: Segment) -> int:
     return along[0]
 
 
-def _percussion(segment: Segment, own: Moments, plan: Plan) -> tuple[Scalar, Scalar, int]:
+def _percussion(segment: Segment, own: Moments, plan: Plan, total: Scalar) -> tuple[Scalar, Scalar, int]:
     """Find the mass, distance and direction of the point that has a body's S and P, its ring apart."""
     choice = plan[segment.number]
     k, other = segment.across[1 - choice.ring], segment.across[choice.ring]
@@ -213,6 +232,9 @@ def _percussion(segment: Segment, own: Moments, plan: Plan) -> tuple[Scalar, Sca
         raise NoSuchPlanError("the body has no centre of percussion")
     plan.check_divisor(second)
     plan.check_divisor(own.S[k])
+    guard_quotient(segment, own.S[k] * own.S[k], second, total)
+    guard_divisor(segment, second, second.builder.apply(Op.ABS, own.P[k, k]))
+    guard_divisor(segment, own.S[k], second.builder.zero)
     return own.S[k] * own.S[k] / second, second / own.S[k], k
 
 

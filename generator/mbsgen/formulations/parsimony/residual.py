@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from mbsgen.algebra.vectors import Vector
 from mbsgen.formulations.links import Pull
 from mbsgen.formulations.parsimony.motion import Kinematics, Movement
-from mbsgen.formulations.parsimony.regrouping import Lump
+from mbsgen.formulations.parsimony.regrouping import Lump, guard_divisor
 from mbsgen.formulations.parsimony.segments import Segment, children, unit_vector
 from mbsgen.formulations.parsimony.writing import Writing
 from mbsgen.tape.builder import Builder, Scalar
@@ -125,6 +125,7 @@ def directions_of(kinematics: Kinematics, segment: Segment, lump: Lump, movement
             length = links[0] if links else None
             if length is not None:
                 kinematics.plan.check_divisor(length)
+                guard_divisor(segment, length, length.builder.zero)
         e = e if length is None else e.scale(length)
         found.append(Direction(e, length, movement.field(e)))
     return found
