@@ -36,19 +36,21 @@ from mbsrun.ocp.search import (
     identify,
 )
 from mbsrun.ocp.statement import read_problem
-from mbsrun.study import questions
+from mbsrun.study import questions, spread
 from mbsrun.study.differentiated import WAYS, Differentiated
 from mbsrun.study.export import Row, list_rows
 from mbsrun.study.figures import draw_figures
 from mbsrun.study.growth import Growth, count_growth
+from mbsrun.study.judgement import SHOWN, judge_all
 from mbsrun.study.questions import GridPoint, System, TaskList, name_transcription
 from mbsrun.study.results import Effort, Results, find_shown_task
 from mbsrun.study.robustness import find_state, report_robust
 from mbsrun.study.sheets import Cell, Section, Table
-from mbsrun.study.tables import tabulate, tabulate_statements
+from mbsrun.study.summary import summarise_run
+from mbsrun.study.tables import tabulate, tabulate_spreads, tabulate_statements
 
 STORE = "study.sqlite"
-QUESTIONS = ("derivatives", "grids", "systems", "shooting", "guess")
+QUESTIONS = ("repeats", "derivatives", "grids", "systems", "shooting", "guess")
 SETS: tuple[Weights, ...] = ((1.0, 0.0), (1.0, 1e5))  # the paper's costs
 Attempts = Sequence[tuple[Attempt, str]]  # with the circumstances of each
 
@@ -231,6 +233,8 @@ def list_tasks(campaign: Campaign, question: str) -> list[TaskList]:
         return questions.list_systems([s.system for s in campaign.systems])
     if question == "shooting":
         return questions.list_shooting(study, subject.folder, [s.system for s in campaign.systems])
+    if question == "repeats":
+        return questions.list_repeats(study, subject.folder)
     return questions.list_guesses(study, subject.folder)
 
 
@@ -299,7 +303,9 @@ def gather(
             if a.part == "shooting":
                 shots.setdefault(name_transcription(each.problem), []).append(a)
     shooting = tuple((name, tuple(found)) for name, found in shots.items())
-    return Results(study, attempts, tuple(motions), efforts, growth, shooting)
+    repeats = [a for _, rows in own for a, _ in rows if a.part == "repeats"]
+    spreads = spread.measure((a for a in attempts if a.protocol == "paper"), repeats, SHOWN)
+    return Results(study, attempts, tuple(motions), efforts, growth, shooting, spreads)
 
 
 def _is_part(attempt: Attempt, study: Study) -> bool:
@@ -317,20 +323,22 @@ def report(campaign: Campaign, out: Path) -> list[Section]:
         results = gather(campaign, record, _find_growth(out), own)
         states = {weights: find_state(replace(study, costs=(weights,)), record) for weights in study.costs}
         told = Counter(text for rows in (record.list_all(), *(rows for _, rows in own)) for _, text in rows)
+    judgements, scatter = judge_all(results), tabulate_spreads(results.spreads)
     sections = [
-        Section("run", "The run", "", (_tabulate_run(results, own), *_tabulate_circumstances(told))),
+        summarise_run(results, judgements),
         Section(
             "statements",
             "What the paper says, and what this run finds",
-            "Each statement of section 4.3 and of the conclusion, held against the numbers of the paper's protocol: "
-            "one stated guess for all representations, the interpolation with inputs 0, and no restart.",
-            (tabulate_statements(results),),
+            "Each statement of section 4.3 and of the conclusion, beside the numbers of the paper's protocol: one "
+            "stated guess for all representations, the interpolation with inputs 0, and no restart.",
+            (tabulate_statements(judgements), *([scatter] if scatter else [])),
         ),
         Section("tables", "The paper's tables", "", tuple(tabulate(results))),
         Section("figures", "The paper's figures", "", tuple(draw_figures(results, campaign.subject.plant))),
     ]
+    run = Section("run", "The run", "", (_tabulate_run(results, own), *_tabulate_circumstances(told)))
     rest = (report_robust(results, states), *_answer(campaign, results, own))
-    return sections + [section for section in rest if section is not None]
+    return sections + [section for section in (*rest, run) if section is not None]
 
 
 def _answer(campaign: Campaign, results: Results, own: Sequence[tuple[Study, Attempts]]) -> list[Section | None]:
@@ -383,7 +391,7 @@ def _tabulate_circumstances(told: Mapping[str, int]) -> Iterator[Table]:
             "CPU times are of the processor, in one thread. Other programs on the machine lengthen them. Of what was "
             "generated, the beginning of its hash is told: what other versions of mbsgen generated has another."
         )
-        yield Table("Versions and machines", ("attempts", *columns), rows, note)
+        yield Table("Versions and machines", ("attempts", *columns), rows, note, is_folded=True)
 
 
 def _find_growth(out: Path) -> tuple[Growth, ...]:

@@ -15,11 +15,12 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from mbsgen import resources
+from mbsrun.study.judgement import INSIDE, TURNS
 from mbsrun.study.sheets import LONG, Cell, Picture, Section, Table
 from mbsrun.study.statements import CONFIRMED, REFUTED
 
 SHORT = 24  # characters of a cell that is not broken into lines
-_STYLES = {CONFIRMED: "confirmed", REFUTED: "refuted"}
+_STYLES = {CONFIRMED: "confirmed", REFUTED: "refuted", TURNS: "open", INSIDE: "open"}
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class _Sheet:
     note: str
     columns: tuple[str, ...]
     rows: tuple[tuple[_Cell, ...], ...]
-    is_long: bool
+    is_folded: bool
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ def _lay_out(section: Section, number: int) -> _Part:
             item.note,
             item.columns,
             tuple(tuple(map(_write, row)) for row in item.rows),
-            len(item.rows) > LONG,
+            item.is_folded or len(item.rows) > LONG,
         )
         for item in section.items
         if isinstance(item, Table)

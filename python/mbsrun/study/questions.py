@@ -4,6 +4,7 @@ guess         how much of the formulations' difference is the initial guess's, a
               higher minima: inputs 0, those that hold each pose, those that make the motion
 derivatives   generated sensitivities against algorithmic differentiation of the same equations
 grids         other transcriptions: Radau and Legendre points, degrees 1 to 5, N from 25 to 200
+repeats       how far the iterations of one task scatter, for targets that differ by rounding alone
 systems       other systems
 shooting      multiple shooting, on the study's problem and on the other systems
 """
@@ -29,6 +30,8 @@ from mbsrun.study.sheets import Cell, Picture, Section, Table
 from mbsrun.study.statements import COLLOCATION
 
 PROTOCOL = "question"  # of attempts that belong to none of the two
+REPEATS = 4  # of each task whose iterations are repeated
+NUDGE = 2.0**-50  # relative, of the radius of the targets: a few units in the last place
 ROUNDS = 3  # in which ways of differentiating are timed
 GRIDS = tuple(
     (family, degree, intervals) for intervals in (25, 50, 100, 200) for family in Family for degree in range(1, 6)
@@ -152,6 +155,20 @@ def _count_exchanges(results: Results) -> list[tuple[Cell, ...]]:
             reached = sum(not is_higher(a.cost, float(a.guess.split()[-1])) for a in own)
             rows.append((name_set(weights), name, higher, len(own), reached))
     return rows
+
+
+# --- repeats -------------------------------------------------------------------------------------------------------
+
+
+def list_repeats(study: Study, folder: Path) -> list[TaskList]:
+    """Solve a small part of the targets again, by the paper's protocol, on cylinders whose radii differ by rounding."""
+    few = thin(thin(study))
+    lists = []
+    for k in range(1, REPEATS + 1):
+        radius = few.targets.radius * (1 + k * NUDGE)
+        moved = replace(few, targets=replace(few.targets, radius=radius))
+        lists.append(TaskList(folder, moved, tuple(list_interpolations(moved, PROTOCOL, "repeats", "zero"))))
+    return lists
 
 
 # --- derivatives ---------------------------------------------------------------------------------------------------

@@ -1,21 +1,22 @@
-"""What a run of the paper's protocol found, as its tables, figures and statements want it.
+"""The results of the paper's protocol, in the form that tables, figures and statements need.
 
 A set of tasks has one cost. The paper's first is without smoothing, its second with a price for the inputs' rates.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbsrun.ocp.problem import Representation
-from mbsrun.ocp.record import Attempt, Task
-from mbsrun.ocp.search import Place, Study, Weights, find_lowest, is_higher
+from mbsrun.ocp.record import SAME, Attempt, Task
+from mbsrun.ocp.search import Place, Study, Weights, find_lowest
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.study.growth import Growth
+from mbsrun.study.spread import Spread
 
 Array = NDArray[np.float64]
 
@@ -40,6 +41,8 @@ class Results:
     efforts: tuple[tuple[str, Effort], ...]  # by formulation
     growth: tuple[Growth, ...]
     shooting: tuple[tuple[str, tuple[Attempt, ...]], ...] = ()  # of the study's problem, by transcription
+    spreads: tuple[Spread, ...] = ()  # of iterations, by perturbed repeats
+    same: float = SAME  # relative difference of costs within which two minima count as one
 
     @cached_property
     def lowest(self) -> dict[tuple[Place, Weights], float]:
@@ -63,13 +66,15 @@ class Results:
 
     def pick(self, weights: Weights, representation: str, protocol: str = "paper") -> list[Attempt]:
         """List the attempts of a set; of the paper's protocol at the places that are compared."""
-        places = self.compared[weights]
-        return [
-            a
-            for a in self.attempts
-            if (a.protocol, a.task.weights, a.task.representation) == (protocol, weights, representation)
-            and (protocol != "paper" or a.task.place in places)
-        ]
+        return self._sets.get((protocol, weights, representation), [])
+
+    @cached_property
+    def _sets(self) -> dict[tuple[str, Weights, str], list[Attempt]]:
+        sets: dict[tuple[str, Weights, str], list[Attempt]] = {}
+        for a in self.attempts:
+            if a.protocol != "paper" or a.task.place in self.compared.get(a.task.weights, ()):
+                sets.setdefault((a.protocol, a.task.weights, a.task.representation), []).append(a)
+        return sets
 
     @cached_property
     def compared(self) -> dict[Weights, set[Place]]:
@@ -98,8 +103,31 @@ class Results:
         return [
             a.task.place
             for a in self.pick(weights, representation)
-            if a.cost is not None and is_higher(a.cost, self.lowest[a.task.place, weights])
+            if a.cost is not None and self.is_higher(a.cost, self.lowest[a.task.place, weights])
         ]
+
+    def is_higher(self, cost: float, lowest: float) -> bool:
+        """Return whether a cost is above the lowest by more than the difference that counts as none."""
+        return cost > lowest + self.same * abs(lowest)
+
+    def with_same(self, same: float) -> Results:
+        """Return the same results with another difference of costs within which two minima count as one."""
+        return replace(self, same=same)
+
+    def resample(self, source: np.random.Generator) -> Results:
+        """Return results whose iterations are drawn from their spread; times change in proportion."""
+        sizes = {(s.weights, s.representation): s.deviation for s in self.spreads}
+
+        def draw(a: Attempt) -> Attempt:
+            deviation = sizes.get((a.task.weights, a.task.representation), 0.0)
+            if a.protocol != "paper" or deviation == 0.0:
+                return a
+            iterations = max(round(a.iterations * float(np.exp(source.normal(0.0, deviation)))), 1)
+            factor = iterations / max(a.iterations, 1)
+            times = (a.cpu_seconds * factor, a.cpu_seconds_evaluating * factor)
+            return replace(a, iterations=iterations, cpu_seconds=times[0], cpu_seconds_evaluating=times[1])
+
+        return replace(self, attempts=tuple(map(draw, self.attempts)))
 
     def size(self, representation: str) -> tuple[int, int, int, int] | None:
         """Give variables, constraints and nonzeros of a program that was solved."""

@@ -33,6 +33,7 @@ class Table:
     columns: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
     note: str = ""
+    is_folded: bool = False  # shown on demand, however short it is
 
 
 @dataclass(frozen=True)

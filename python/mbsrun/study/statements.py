@@ -1,7 +1,7 @@
-"""What Docquier, Bruls, Fisette say of their study in words, each held against the numbers of a run.
+"""The statements of Docquier, Bruls, Fisette about their study, and a judge for each of them.
 
-A statement is confirmed, not confirmed, or not measured by this run; beside it stand the numbers that decide, all of
-them computed. Where words have no number, the bounds below say what they are taken to mean.
+A judge computes its numbers from the results of a run, and returns a verdict with these numbers. Where the paper's
+words have no number, the bounds below say how they are read. `judgement` repeats this over thresholds and scatter.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ IMPLICIT, EXPLICIT = ("IMPL", "SEMI"), ("EXP1-O", "EXP1-A", "EXP2-O", "EXP2-A")
 ODE, DAE = ("EXP1-O", "EXP2-O"), ("EXP1-A", "EXP2-A")
 ALL = IMPLICIT + EXPLICIT
 COLLOCATION = "collocation"  # among transcriptions
-CONFIRMED, REFUTED, UNMEASURED = "confirmed", "not confirmed", "not measured"
+CONFIRMED, REFUTED = "confirmed", "not confirmed"
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What a run has to say to a statement."""
+    """The verdict of one judge on one set of results."""
 
     verdict: str
     numbers: str
@@ -41,15 +41,12 @@ class Finding:
 class Statement:
     """A sentence of the paper."""
 
+    key: str  # names it in tables and tests
     place: str  # section, figure or table
     words: str
     meaning: str  # what was computed, and when it counts as confirmed
     judge: Callable[[Results], Finding | None]  # None: not measured
-
-
-def judge_all(results: Results) -> list[tuple[Statement, Finding]]:
-    """Hold all statements against a run."""
-    return [(s, s.judge(results) or Finding(UNMEASURED, "")) for s in STATEMENTS]
+    scatters: bool = False  # it compares numbers of iterations, which scatter
 
 
 # --- numbers that statements share ---------------------------------------------------------------------------------
@@ -445,42 +442,50 @@ def _judge_shooting(results: Results) -> Finding | None:
 
 STATEMENTS: tuple[Statement, ...] = (
     Statement(
+        "refinement",
         "4.3.1, Fig. 7",
         "The mean number of iterations does not vary significantly between two refinements after a certain size.",
         f"from the second finest grid within the run's to the run's, every mean changes by {ALIKE:.0%} at most",
         _judge_convergence,
+        scatters=True,
     ),
     Statement(
+        "smoother",
         "4.3.2, Fig. 8",
         "The second cost definition leads to a smoother actuation.",
         "how far the torques go up and down in all is less",
         _compare_motions(_variation, "N m", lambda rough, smooth: smooth < rough),
     ),
     Statement(
+        "effort",
         "4.3.2, Fig. 8",
         "The smoother actuation is more important.",
         "the integral of the squared torques is larger",
         _compare_motions(_effort, "N² m² s", lambda rough, smooth: smooth > rough),
     ),
     Statement(
+        "oscillations",
         "4.3.2, Fig. 8",
         "There are less oscillations at the end of the trajectory.",
         "the torques turn less often in the last quarter of the time",
         _compare_motions(_late_turns, "turns", lambda rough, smooth: smooth < rough),
     ),
     Statement(
+        "speeds",
         "4.3.2, Fig. 8",
         "Joint velocities have lower values than for the non-smoothed actuation.",
         "the largest joint velocity at a mesh point is lower",
         _compare_motions(_speed, "rad/s", lambda rough, smooth: smooth < rough),
     ),
     Statement(
+        "same-end",
         "4.3.2, Fig. 8",
         "For the 2 cost definitions, the same final angular positions and the same final actuation are obtained.",
         "angles agree to 1e-4 rad, torques of the last interval to 1e-2 N m",
         _judge_same_end,
     ),
     Statement(
+        "one-outlier",
         "4.3.2, Fig. 9.b",
         "With smoothed actuation, only one formulation presents an outlier, which corresponds to a higher local "
         "minimum.",
@@ -488,12 +493,14 @@ STATEMENTS: tuple[Statement, ...] = (
         _judge_smooth_minima,
     ),
     Statement(
+        "fewer-minima",
         "4.3.2, Fig. 9",
         "The actuation smoothing seems to reduce the problem of higher local minima.",
         "all representations together are in fewer higher minima with smoothing",
         _judge_more_without_smoothing,
     ),
     Statement(
+        "implicit-trapped",
         "4.3.2, Fig. 9.a; 4.3.3; 5",
         "Without smoothing, the implicit and semi-explicit formulations are more frequently trapped in higher local "
         "minima than the explicit ones.",
@@ -501,106 +508,133 @@ STATEMENTS: tuple[Statement, ...] = (
         _judge_implicit_trapped,
     ),
     Statement(
+        "sides-and-centre",
         "4.3.2, Fig. 9.a",
         "Outliers correspond to points at the far left or the far right, and to the central point.",
         "most higher minima are at azimuths in the outer tenth, or at 0",
         _judge_sides,
     ),
     Statement(
+        "explicit-lower",
         "4.3.2, Fig. 9.a",
         "Lower minima are reached by the explicit formulations for the same tasks.",
         "of the tasks in which IMPL or SEMI is in a higher minimum, most are in the lowest known by an explicit form",
         _judge_explicit_lower,
     ),
     Statement(
+        "no-lateral-movement",
         "4.3.2",
         "All the formulations seem to struggle with the problem without lateral movement.",
         "without smoothing, every form's median of iterations at azimuth 0 is above that of all tasks",
         _judge_centre,
+        scatters=True,
     ),
     Statement(
+        "iteration-outliers",
         "4.3.2, Fig. 10.a",
         "Without smoothing, the number of iterations has a high number of outliers corresponding to the high local "
         "minima.",
         f"more than {MANY:.0%} of the solves are outliers, and most outliers are in a higher minimum",
         _judge_iteration_outliers,
+        scatters=True,
     ),
     Statement(
+        "dae-iterations",
         "4.3.2, Fig. 10.a",
         "Without smoothing, the DAE explicit formulations need a larger average number of iterations than the four "
         "others.",
         "both means are above those of all others",
         _judge_dae_iterations,
+        scatters=True,
     ),
     Statement(
+        "implicit-iterations",
         "4.3.2, Fig. 10.b",
         "With smoothing, the implicit and semi-explicit formulations generally perform better (iterations).",
         "both medians are below those of the explicit forms",
         _compare_groups("smooth", "iterations", IMPLICIT, EXPLICIT),
+        scatters=True,
     ),
     Statement(
+        "implicit-cpu-rough",
         "4.3.2, Fig. 10.a; 4.3.3; 5",
         "Without smoothing, the implicit and the semi-explicit formulations lead to better CPU times than the explicit "
         "ones.",
         "both medians are below those of the explicit forms",
         _compare_groups("rough", "cpu", IMPLICIT, EXPLICIT, " of CPU s"),
+        scatters=True,
     ),
     Statement(
+        "implicit-cpu-smooth",
         "4.3.2, Fig. 10.b; 4.3.3; 5",
         "With smoothing, the implicit and the semi-explicit formulations lead to better CPU times than the explicit "
         "ones.",
         "both medians are below those of the explicit forms",
         _compare_groups("smooth", "cpu", IMPLICIT, EXPLICIT, " of CPU s"),
+        scatters=True,
     ),
     Statement(
+        "implicit-cpu-per-iteration-rough",
         "4.3.2, Fig. 11.a",
         "This tendency is also observed for the CPU time per iteration: without smoothing.",
         "both medians are below those of the explicit forms",
         _compare_groups("rough", "cpu per iteration", IMPLICIT, EXPLICIT, " of CPU ms"),
     ),
     Statement(
+        "implicit-cpu-per-iteration-smooth",
         "4.3.2, Fig. 11.b",
         "This tendency is also observed for the CPU time per iteration: with smoothing.",
         "both medians are below those of the explicit forms",
         _compare_groups("smooth", "cpu per iteration", IMPLICIT, EXPLICIT, " of CPU ms"),
     ),
     Statement(
+        "ode-iterations",
         "4.3.2, Fig. 10.a",
         "The ODE representation gives better results in terms of iterations for the first set of tasks.",
         f"without smoothing, both explicit forms take at least {ALIKE:.0%} fewer iterations as ODE",
         _compare_ode("rough", True),
+        scatters=True,
     ),
     Statement(
+        "ode-iterations-unclear",
         "4.3.2, Fig. 10.b",
         "This difference is not so clear for the second set of tasks.",
         f"with smoothing, not both explicit forms take at least {ALIKE:.0%} fewer iterations as ODE",
         _compare_ode("smooth", False),
+        scatters=True,
     ),
     Statement(
+        "explicit-cpu-alike",
         "4.3.2, Fig. 10",
         "The two explicit forms exhibit similar performances in terms of CPU time as ODE and as DAE systems.",
         f"medians within {SIMILAR:.0%}",
         _judge_explicit_cpu_alike,
+        scatters=True,
     ),
     Statement(
+        "order-n-dae-per-iteration",
         "4.3.2, Fig. 11",
         "The Order-N implementation yields a lower CPU time per iteration when formulated as a DAE system.",
         "EXP2-A's median is below EXP2-O's, in each set",
         _judge_order_n_dae,
     ),
     Statement(
+        "order-n-iterations",
         "4.3.2, Fig. 10",
         "Its poor performances in terms of total CPU time are explained by its high number of iterations.",
         "EXP2-A takes more iterations than EXP2-O, and no less time, in each set",
         _judge_order_n_iterations,
+        scatters=True,
     ),
     Statement(
+        "dae-larger",
         "4.3.3, Table 3",
         "The DAE form leads to a larger problem as both the number of equations and variables is higher.",
         "compared for all forms",
         _judge_sizes,
     ),
     Statement(
+        "nonzeros",
         "4.3.3, Table 3",
         "The implicit and semi-explicit formulations lead to the exact same number of non-zero terms in the Jacobian "
         "and the Hessian.",
@@ -608,24 +642,28 @@ STATEMENTS: tuple[Statement, ...] = (
         _judge_nonzeros,
     ),
     Statement(
+        "flops-half",
         "4.3.3, Table 4",
         "Φ takes about half of the operations of the M and c terms.",
         f"flops of IMPL by those of SEMI, from {HALF[0]:g} to {HALF[1]:g}",
         _compare_flops("IMPL", "SEMI", lambda ratio: HALF[0] <= ratio <= HALF[1]),
     ),
     Statement(
+        "flops-exp1",
         "4.3.3, Table 4",
         "The modified NER with Cholesky decomposition takes a number of flops comparable with the semi-explicit form.",
         f"flops of EXP1 by those of SEMI, up to {1 + SIMILAR:g}",
         _compare_flops("EXP1", "SEMI", lambda ratio: ratio <= 1 + SIMILAR),
     ),
     Statement(
+        "flops-exp2",
         "4.3.3, Table 4",
         "The Order-N method takes more than 4 times the number of operations of the implicit form.",
         "flops of EXP2 by those of IMPL, above 4",
         _compare_flops("EXP2", "IMPL", lambda ratio: ratio > 4),
     ),
     Statement(
+        "crossing",
         "4.3.3",
         "The linear behaviour of the Order-N method becomes only interesting for a greater number of joints (around "
         "15).",
@@ -633,25 +671,32 @@ STATEMENTS: tuple[Statement, ...] = (
         _judge_crossing,
     ),
     Statement(
+        "same-iterations",
         "4.3.3, Fig. 10.b",
         "With smoothing, IMPL and SEMI take an almost exact same number of iterations in the 231 tasks.",
         f"the same in {1 - ALIKE:.0%} of the tasks",
         _compare_iterations("smooth", True),
+        scatters=True,
     ),
     Statement(
+        "similar-iterations",
         "4.3.3, Fig. 10.a",
         "Without smoothing, a similar but non-identical number of iterations is observed for the two formulations.",
         f"not the same in all tasks, medians within {SIMILAR:.0%}",
         _compare_iterations("rough", False),
+        scatters=True,
     ),
     Statement(
+        "order-n-prefers-dae",
         "5",
         "The Order-N explicit form works better with a DAE representation, while a pure ODE seems more appropriate for "
         "the NER explicit form.",
         "medians of CPU time, in each set: EXP2-A below EXP2-O, and EXP1-O below EXP1-A",
         _judge_order_n_prefers_dae,
+        scatters=True,
     ),
     Statement(
+        "shooting",
         "4.3.3; 5",
         "Multiple shooting led to lower performances in terms of robustness: lower success rate for the extreme points "
         "and slower convergence.",

@@ -62,6 +62,7 @@ Parts, in this order; all, unless some are chosen
   --question systems      the problems of --system, in all representations
   --question shooting     multiple shooting beside collocation, here and for --system
   --question guess        inputs 0, statics, inverse dynamics
+  --question repeats      the same tasks for targets that differ by rounding: how far iterations scatter
   --protocol robust       what it takes to solve every task in its best minimum
 
 \b

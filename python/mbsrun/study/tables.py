@@ -1,13 +1,18 @@
-"""The tables of Docquier, Bruls, Fisette, from the results of a run, with what they print beside."""
+"""The tables of Docquier, Bruls, Fisette, from the results of a run, with the paper's numbers beside."""
 
 from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 
 from mbsrun.study.figures import list_sets, name_set
+from mbsrun.study.judgement import DRAWS, SHOWN, SURE, VERDICTS, Judgement, write_thresholds
 from mbsrun.study.results import FIGURES, Results, find_outliers
 from mbsrun.study.sheets import Cell, Table
-from mbsrun.study.statements import PAPER_EFFORTS, PAPER_SIZES, judge_all
+from mbsrun.study.spread import Spread
+from mbsrun.study.statements import PAPER_EFFORTS, PAPER_SIZES
 
 PAPER_COMPLEXITY = {"IMPL": "N", "SEMI": "N²", "EXP1": "N² + N³", "EXP2": "N"}  # Table 1
 
@@ -18,18 +23,49 @@ def tabulate(results: Results) -> list[Table]:
     return [table for make in makers if (table := make(results)) is not None]
 
 
-def tabulate_statements(results: Results) -> Table:
-    """Hold what the paper says in words against the run."""
+def tabulate_statements(judgements: Sequence[Judgement]) -> Table:
+    """List every statement of the paper with its verdict and the numbers that decide."""
     rows = tuple(
-        (number, s.place, s.words, found.verdict, found.numbers, s.meaning)
-        for number, (s, found) in enumerate(judge_all(results), 1)
+        (
+            j.verdict,
+            j.statement.words,
+            j.numbers,
+            write_thresholds(j),
+            None if j.share is None else round(100 * j.share),
+            j.statement.place,
+            j.statement.meaning,
+        )
+        for j in judgements
     )
-    counts: dict[str, int] = {}
-    for row in rows:
-        counts[row[3]] = counts.get(row[3], 0) + 1
-    note = "; ".join(f"{verdict}: {count}" for verdict, count in sorted(counts.items()))
-    columns: tuple[str, ...] = ("", "where", "what the paper says", "by this run", "numbers", "taken to mean")
-    return Table("Statements of the paper", columns, rows, f"{note}. Words are the paper's, shortened.")
+    columns: tuple[str, ...] = ("by this run", "what the paper says", "numbers", "where the verdict turns")
+    columns += ("% of draws that confirm", "where", "read as")
+    note = (
+        f"{count_verdicts(judgements)}. The words are the paper's, shortened. Two minima count as one where their "
+        f"costs differ by less than {SHOWN:.0%}, as the paper's box plots show them; the fourth column lists other "
+        f"thresholds where they change the verdict. Statements about iterations are judged again on {DRAWS} draws from "
+        f"the scatter of perturbed repeats: a verdict stands where {SURE:.0%} of the draws agree."
+    )
+    return Table("Statements of the paper", columns, rows, note)
+
+
+def count_verdicts(judgements: Sequence[Judgement]) -> str:
+    """Count the statements by verdict, as text."""
+    counts = Counter(j.verdict for j in judgements)
+    return "; ".join(f"{verdict}: {counts[verdict]}" for verdict in VERDICTS if counts[verdict])
+
+
+def tabulate_spreads(spreads: Sequence[Spread]) -> Table | None:
+    """List how far iterations scatter, by cost and representation."""
+    if not spreads:
+        return None
+    rows = tuple(
+        (name_set(s.weights), s.representation, s.tasks, s.solves, _round(s.deviation), _round(s.widest), s.apart)
+        for s in spreads
+    )
+    columns: tuple[str, ...] = ("cost", "representation", "tasks", "solves", "deviation of ln(iterations)")
+    columns += ("most by fewest, at worst", "tasks that end in different minima")
+    note = "Each task was solved again for targets that differ by rounding alone, from the same guess."
+    return Table("Scatter of iterations", columns, rows, note)
 
 
 def _tabulate_complexity(results: Results) -> Table | None:

@@ -21,7 +21,7 @@ from pyarrow import parquet
 
 from mbsgen.errors import InputError, MbsError
 from mbsrun.ocp.problem import Representation
-from mbsrun.ocp.record import Attempt, Task, open_record
+from mbsrun.ocp.record import Attempt, open_record
 from mbsrun.ocp.search import Progress, Study, Targets, identify
 from mbsrun.study.campaign import (
     STORE,
@@ -41,7 +41,6 @@ from mbsrun.study.differentiated import Differentiated
 from mbsrun.study.export import export
 from mbsrun.study.figures import name_set
 from mbsrun.study.page import render_page
-from mbsrun.study.results import Results, find_outliers
 from mbsrun.study.robustness import State, find_state, list_slices, report_robust, tell_outcome
 from mbsrun.study.sheets import (
     Caption,
@@ -54,7 +53,6 @@ from mbsrun.study.sheets import (
     write_outline,
     write_table_file,
 )
-from mbsrun.study.statements import CONFIRMED, REFUTED, STATEMENTS, UNMEASURED, judge_all
 
 MODELS = Path(__file__).parents[3] / "models"
 AZIMUTHS = (0.7, 1.3, 7)
@@ -163,14 +161,14 @@ def test_a_study_is_asked_reported_and_exported(
     """The paper's protocol and two questions; every attempt is a row of both forms, with versions."""
     two = (Representation.IMPL, Representation.EXP2_O)
     study = replace(campaign.study, targets=replace(campaign.study.targets, every=(3, 1)), representations=two)
-    asked = replace(campaign, study=study, protocols=("paper",), questions=("grids", "shooting", "guess"))
+    asked = replace(campaign, study=study, protocols=("paper",), questions=("repeats", "grids", "shooting", "guess"))
     tried = solve_alone(asked, tmp_path)
     monkeypatch.setattr(
         "mbsrun.study.campaign.count_growth", lambda: ()
     )  # takes seconds; the generator's tests hold it
     rows = list_attempts(asked, tmp_path)
     assert len(rows) == len(tried)
-    assert {row["part"] for row in rows} >= {"paper", "grids", "shooting", "guess"}
+    assert {row["part"] for row in rows} >= {"paper", "repeats", "grids", "shooting", "guess"}
     table = parquet.read_table(export(rows, tmp_path / "attempts", "parquet"))
     assert table.num_rows == len(rows)
     assert table["cost"].to_pylist() == [row["cost"] for row in rows]
@@ -179,7 +177,16 @@ def test_a_study_is_asked_reported_and_exported(
     assert [float(row["cpu_seconds"]) for row in again] == [row["cpu_seconds"] for row in rows]
     assert all(row["casadi"] and row["processor"] and row["tolerance"] for row in again)
     sections = {section.name: section for section in report(asked, tmp_path)}
-    assert set(sections) == {"run", "statements", "tables", "figures", "guess", "grids", "shooting"}
+    assert set(sections) == {
+        "summary",
+        "run",
+        "statements",
+        "tables",
+        "figures",
+        "guess",
+        "grids",
+        "shooting",
+    }
     success = next(item for item in sections["tables"].items if item.title == "Success rates")
     assert isinstance(success, Table)
     assert [row[2:4] for row in success.rows] == [(3, 3)] * 4
@@ -205,53 +212,6 @@ def test_slices_are_spread_over_all_targets() -> None:
     coarser = list_slices(replace(paper, every=(2, 5)))
     assert [x.every for x in coarser[:3]] == [(2, 5), (2, 10), (4, 5)]
     assert list_slices(Targets(1.0, (0.0,), (0.0,))) == [Targets(1.0, (0.0,), (0.0,))]
-
-
-# --- statements ----------------------------------------------------------------------------------------------------
-
-
-def make_results(campaign: Campaign, *found: tuple[tuple[float, float], str, int, float | None, int, float]) -> Results:
-    """Make results of the paper's protocol: cost, representation, place, optimum, iterations, CPU time."""
-    attempts = tuple(
-        Attempt(Task((i, 0), w, name), "paper", "paper", "zero", 0, "", iterations, cpu, cpu / 2, cost)
-        for w, name, i, cost, iterations, cpu in found
-    )
-    return Results(replace(campaign.study, representations=tuple(Representation)), attempts, (), (), ())
-
-
-def test_statements_are_judged_by_numbers(campaign: Campaign) -> None:
-    """Three tasks of each set, solved as the paper says: IMPL and SEMI alike, quick, and once in a higher minimum."""
-    solves = []
-    for weights in (ROUGH, SMOOTH):
-        for name in (r.value for r in Representation):
-            implicit = name in ("IMPL", "SEMI")
-            for place in range(3):
-                is_trapped = implicit and weights == ROUGH and place == 0
-                effort = (20, 1.0) if implicit else (30, 2.0)
-                solves.append((weights, name, place, 6.0 if is_trapped else 5.0, *effort))
-    verdicts = {s.meaning: f.verdict for s, f in judge_all(make_results(campaign, *solves))}
-    assert verdicts["IMPL and SEMI are in more higher minima, on average, than the explicit forms"] == CONFIRMED
-    assert verdicts["both medians are below those of the explicit forms"] == CONFIRMED
-    assert verdicts["the same in 90% of the tasks"] == CONFIRMED
-    assert verdicts["one representation has tasks in a higher minimum than the lowest known"] == REFUTED
-    assert verdicts["flops of EXP2 by those of IMPL, above 4"] == UNMEASURED
-    cut = [solve for solve in solves if solve[1] != "EXP2-A" or solve[2] == 1]
-    assert make_results(campaign, *cut).compared == {SMOOTH: {(1, 0)}, ROUGH: {(1, 0)}}
-
-
-def test_a_run_without_a_solution_measures_nothing(campaign: Campaign) -> None:
-    for results in (make_results(campaign), make_results(campaign, (ROUGH, "IMPL", 0, None, 9, 1.0))):
-        assert {found.verdict for _, found in judge_all(results)} == {UNMEASURED}
-    assert len({statement.words for statement in STATEMENTS}) == len(STATEMENTS)
-
-
-def test_outliers_are_the_paper_s() -> None:
-    """A box from 2 to 4 has whiskers from -1 to 7 at most."""
-    assert find_outliers(np.array([2.0, 2.0, 3.0, 4.0, 4.0, 7.0, 7.5])).tolist() == []
-    values = np.array([1.0, 2.0, 2.0, 3.0, 3.0, 3.0, 4.0, 4.0, 5.0, 7.1])
-    lower, upper = np.percentile(values, (25, 75))
-    assert find_outliers(values).tolist() == [v for v in values if abs(v - (lower + upper) / 2) > 2 * (upper - lower)]
-    assert find_outliers(np.array([])).size == 0
 
 
 # --- the page ------------------------------------------------------------------------------------------------------

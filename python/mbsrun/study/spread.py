@@ -1,0 +1,61 @@
+"""How far the iterations of one task scatter, by repeats from data that differ by rounding alone.
+
+Interior-point iterations depend on every bit: two targets 1e-16 apart may take 87 and 104. So a difference of two
+medians means something only where it exceeds this scatter.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbsrun.ocp.record import Attempt, Task
+from mbsrun.ocp.search import Weights
+
+
+@dataclass(frozen=True)
+class Spread:
+    """The scatter of the iterations of one set in one representation."""
+
+    weights: Weights
+    representation: str
+    tasks: int  # that were repeated
+    solves: int  # of all of them together, the first of each included
+    deviation: float  # standard deviation of the logarithm of a task's iterations, pooled over the tasks
+    widest: float  # the largest ratio of the most to the fewest iterations of one task
+    apart: int  # tasks whose repeats ended in different minima
+
+
+def measure(first: Iterable[Attempt], repeats: Iterable[Attempt], same: float) -> tuple[Spread, ...]:
+    """Measure the scatter of tasks solved at least twice; costs within `same` of each other are one minimum."""
+    by_task: dict[Task, list[Attempt]] = {}
+    for attempt in repeats:
+        by_task.setdefault(attempt.task, []).append(attempt)
+    for attempt in first:
+        if attempt.task in by_task:
+            by_task[attempt.task].append(attempt)
+    solved = {task: [a for a in found if a.cost is not None] for task, found in by_task.items()}
+    groups: dict[tuple[Weights, str], list[list[Attempt]]] = {}
+    for task, found in solved.items():
+        if len(found) > 1:
+            groups.setdefault((task.weights, task.representation), []).append(found)
+    return tuple(_pool(*key, tasks, same) for key, tasks in groups.items())
+
+
+def _pool(weights: Weights, representation: str, tasks: Sequence[Sequence[Attempt]], same: float) -> Spread:
+    counts = [np.array([max(a.iterations, 1) for a in found], dtype=float) for found in tasks]
+    squares = sum(float(((np.log(c) - np.log(c).mean()) ** 2).sum()) for c in counts)
+    freedom = sum(len(c) - 1 for c in counts)
+    costs = [[a.cost for a in found if a.cost is not None] for found in tasks]
+    return Spread(
+        weights,
+        representation,
+        tasks=len(tasks),
+        solves=sum(map(len, counts)),
+        deviation=math.sqrt(squares / freedom),
+        widest=max(float(c.max() / c.min()) for c in counts),
+        apart=sum(max(c) > min(c) + same * abs(min(c)) for c in costs),
+    )
