@@ -10,8 +10,9 @@ from mbsrun.circumstances import describe_circumstances
 from mbsrun.study.sheets import Caption, Outline, write_outline
 
 MARKS = (
-    "A point stands at the shortest of its times, and a line leads to their median. What failed is a cross, at the "
-    "edge where it has no time or no error; the table tells why."
+    "A point stands at the shortest of its times, and a line leads to their median. The grey line is the front: no "
+    "point is both faster and more accurate than one on it; its points have labels. A cross is a failure, at the edge "
+    "where it has no time or no error; the table gives the reason."
 )
 TIMES = "Times: the shortest and the median of the rounds, and what lies between their quarters, by the median."
 

@@ -1,13 +1,16 @@
-"""Charts of speed against accuracy: every point labelled, failures drawn at the edges, references with their accuracy.
+"""Charts of speed against accuracy: points in series, their front drawn and labelled, failures at the edges.
 
 A point stands at the shortest time of its rounds, with a line to their median; left is faster, low is more accurate.
+Only points on the front have labels, and labels do not overlap; a table lists all points. One sentence above each chart
+names the two ends of its front.
 """
 
 from __future__ import annotations
 
 import io
+import math
+import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from matplotlib.axes import Axes
@@ -17,28 +20,19 @@ from matplotlib.ticker import LogLocator, NullLocator
 from PIL import Image
 
 from mbsrun.study.fidelity import WHOLE, FidelityPoint
+from mbsrun.study.fronts import Mark, describe_front, find_front
 from mbsrun.study.kernels import KERNELS, SLOPES
 from mbsrun.study.motions import Standard
 from mbsrun.study.optima import GridOptimum, OptimumPoint
-from mbsrun.study.points import Cost, KernelPoint, MotionPoint
+from mbsrun.study.points import KernelPoint, MotionPoint
 
 COLORS = tuple(TABLEAU_COLORS)
 SHADES = 128  # colours of a picture
+LABELS_APART = 0.5  # decades of error between two labels: a front falls, so no two of them overlap
+LINE = 80  # characters of a sentence below a small chart
 MARKERS = {"float64": "o", "float32": "s"}
 EXACT, WORST = 1e-17, 100.0  # where smaller and larger errors are drawn, and those that are not known
 ROUNDINGS = {"float64": 2.0**-53, "float32": 2.0**-24}
-
-
-@dataclass(frozen=True)
-class Mark:
-    """A point of a chart."""
-
-    series: str
-    label: str
-    cost: Cost | None
-    error: float | None
-    marker: str = "o"
-    is_failure: bool = False
 
 
 def save_picture(figure: Figure, path: Path, dpi: int) -> None:
@@ -80,8 +74,8 @@ def draw_motions(points: Sequence[MotionPoint], standard: Standard, folder: Path
             )
             for p in points
         ]
-        _draw_marks(axes, marks, lines=True)
-        axes.set_xlabel("processor time [s]")
+        sentence = _draw_marks(axes, marks, "s", lines=True)
+        axes.set_xlabel(f"processor time [s]\n{sentence}", fontsize=8)
     left.set_ylabel("largest error at the end [rad, m; rad/s, m/s]")
     left.axhspan(standard.accuracy / 100, standard.accuracy, color="0.9", zorder=0)
     left.set_title(f"below {standard.accuracy:.0e} (grey) the reference is no better: {standard.title}", fontsize=9)
@@ -102,8 +96,8 @@ def draw_optima(points: Sequence[OptimumPoint], grids: Sequence[GridOptimum], fo
     for column, grid in enumerate(grids):
         own = [p for p in points if p.intervals == grid.intervals]
         for axes, number in zip(rows[:, column], ("error", "defect"), strict=True):
-            _draw_marks(axes, [_mark_optimum(p, number) for p in own])
-            axes.set_xlabel("processor time of a solve [s]")
+            sentence = _draw_marks(axes, [_mark_optimum(p, number) for p in own], "s")
+            axes.set_xlabel(f"processor time of a solve [s]\n{textwrap.fill(sentence, LINE)}", fontsize=8)
         axes = rows[0, column]
         if grid.accuracy:
             axes.axhspan(grid.accuracy / 100, grid.accuracy, color="0.9", zorder=0)
@@ -134,11 +128,11 @@ def draw_fidelity(points: Sequence[FidelityPoint], folder: Path) -> list[Path]:
         for axes, (number, title) in zip(
             row, (("error", "where what is supposed holds"), ("error_anywhere", "anywhere")), strict=True
         ):
-            _draw_marks(axes, [_mark_reduction(p, number) for p in own if p.reduction != WHOLE])
+            sentence = _draw_marks(axes, [_mark_reduction(p, number) for p in own if p.reduction != WHOLE], "ns")
             if whole.ns is not None:
                 axes.axvline(whole.ns.shortest, color="0.4", linewidth=0.8, linestyle="--")
             axes.set_title(f"{kernel}, {whole.flops} flops as a whole (dashed: its time): {title}", fontsize=9)
-            axes.set_xlabel("time of a call [ns]")
+            axes.set_xlabel(f"time of a call [ns]\n{textwrap.fill(sentence, LINE)}", fontsize=8)
         row[0].set_ylabel("largest error, by the whole model's largest result")
     figure.suptitle(
         f"{_plain(points[0].mechanism)}: what is left out, and which part of the flops that saves; x: failed",
@@ -219,16 +213,16 @@ def _draw_tasks(points: Sequence[KernelPoint], number: str, axis: str, path: Pat
     for r, mechanism in enumerate(rows):
         for c, task in enumerate(columns):
             own = [p for p in points if (p.mechanism, p.task) == (mechanism, task)]
-            _draw_marks(grid[r, c], [_mark(p, number) for p in own])
+            sentence = _draw_marks(grid[r, c], [_mark(p, number) for p in own], "ns")
             for precision, rounding in ROUNDINGS.items():
                 if any(p.precision == precision for p in own):
                     grid[r, c].axhline(rounding, color="0.6", linewidth=0.8, linestyle=":")
             joints = own[0].joints if own else 0
             grid[r, c].set_title(f"{_plain(mechanism)}, {joints} joints: {task}", fontsize=9)
-            grid[r, c].set_xlabel("time of a call [ns]")
+            grid[r, c].set_xlabel(f"time of a call [ns]\n{textwrap.fill(sentence, LINE)}", fontsize=7)
             grid[r, c].legend(fontsize=7, loc="best")
         grid[r, 0].set_ylabel(axis, fontsize=8)
-    told = "circles: float64, squares: float32, dotted: half a unit in the last place; x: failed"
+    told = "grey line: the front; circles: float64, squares: float32, dotted: half a unit in the last place; x: failed"
     figure.suptitle(told, fontsize=9)
     save_picture(figure, path, 110)
 
@@ -241,8 +235,40 @@ def _mark(point: KernelPoint, number: str) -> Mark:
     return Mark(way, label, point.ns, getattr(point, number), MARKERS[point.precision], is_failure)
 
 
-def _draw_marks(axes: Axes, marks: Sequence[Mark], *, lines: bool = False) -> None:
-    """Draw marks by series; what has no time or no error stands at the right or the upper edge."""
+def _draw_marks(axes: Axes, marks: Sequence[Mark], unit: str, *, lines: bool = False) -> str:
+    """Draw marks by series, and their front; return the sentence that describes the front.
+
+    A mark without a time or without an error stands at the right or the upper edge.
+    """
+    _prepare(axes)
+    last = max((m.cost.median for m in marks if m.cost), default=1.0) * 1.5
+    worst = min(WORST, max(1.0, *(3 * m.error for m in marks if m.error is not None), 1.0))
+
+    def place(mark: Mark) -> tuple[float, float]:
+        height = worst if mark.error is None else min(max(mark.error, EXACT), WORST)
+        return (mark.cost.shortest if mark.cost else last), height
+
+    for i, series in enumerate(dict.fromkeys(m.series for m in marks)):
+        own, color = [m for m in marks if m.series == series], COLORS[i % len(COLORS)]
+        style = ("-", "--", ":")[i // len(COLORS) % 3]
+        axes.plot([], [], color=color, marker="o", linestyle=style if lines else "", markersize=4, label=series)
+        if lines:
+            whole = [place(m) for m in own if m.error is not None]
+            axes.plot(*zip(*whole, strict=True), color=color, linewidth=0.8, linestyle=style) if whole else None
+        for m in own:
+            x, y = place(m)
+            if m.cost:
+                axes.plot([x, m.cost.median], [y, y], color=color, linewidth=0.8)
+            is_cross = m.is_failure or y == WORST
+            marker, size = ("x", 6) if is_cross else (m.marker, 4)
+            axes.plot(x, y, color=color, marker=marker, markersize=size, linestyle="")
+    front = find_front(marks)
+    if front:
+        _draw_front(axes, [place(m) for m in front], [m.label for m in front])
+    return describe_front(marks, unit)
+
+
+def _prepare(axes: Axes) -> None:
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
@@ -250,29 +276,17 @@ def _draw_marks(axes: Axes, marks: Sequence[Mark], *, lines: bool = False) -> No
     axes.xaxis.set_major_formatter("{x:g}")
     axes.margins(0.12)
     axes.grid(color="0.9", linewidth=0.5)
-    last = max((m.cost.median for m in marks if m.cost), default=1.0) * 1.5
-    worst = min(WORST, max(1.0, *(3 * m.error for m in marks if m.error is not None), 1.0))
-    for i, series in enumerate(dict.fromkeys(m.series for m in marks)):
-        own, color = [m for m in marks if m.series == series], COLORS[i % len(COLORS)]
-        style = ("-", "--", ":")[i // len(COLORS) % 3]
-        heights = [worst if m.error is None else min(max(m.error, EXACT), WORST) for m in own]
-        places = [(m.cost.shortest if m.cost else last, y) for m, y in zip(own, heights, strict=True)]
-        axes.plot([], [], color=color, marker="o", linestyle=style if lines else "", markersize=4, label=series)
-        if lines:
-            whole = [place for place, m in zip(places, own, strict=True) if m.error is not None]
-            axes.plot(*zip(*whole, strict=True), color=color, linewidth=0.8, linestyle=style) if whole else None
-        for k, (m, (x, y)) in enumerate(zip(own, places, strict=True)):
-            if m.cost:
-                axes.plot([x, m.cost.median], [y, y], color=color, linewidth=0.8)
-            is_cross = m.is_failure or y == WORST
-            marker, size = ("x", 6) if is_cross else (m.marker, 4)
-            axes.plot(x, y, color=color, marker=marker, markersize=size, linestyle="")
+
+
+def _draw_front(axes: Axes, places: Sequence[tuple[float, float]], labels: Sequence[str]) -> None:
+    """Draw the front as steps, and label it: on the side where no other mark is, and where no label stands yet."""
+    x, y = zip(*places, strict=True)
+    axes.step(x, y, where="post", color="0.6", linewidth=2.5, alpha=0.6, zorder=0.5)
+    heights: list[float] = []
+    for place, label in zip(places, labels, strict=True):
+        height = math.log10(place[1])
+        if all(abs(height - other) >= LABELS_APART for other in heights):
+            heights.append(height)
             axes.annotate(
-                m.label,
-                (x, y),
-                (3, (6, -8, 13, -15)[k % 4]),
-                textcoords="offset points",
-                fontsize=5.5,
-                color=color,
-                arrowprops={"arrowstyle": "-", "color": color, "linewidth": 0.3},
+                label, place, (-5, -5), textcoords="offset points", fontsize=6, color="0.2", ha="right", va="top"
             )
