@@ -1,7 +1,7 @@
 /* What generated kernels share: the scalar type, the functions of <math.h> that go with it, CasADi's contract.
  *
  * -DMBS_REAL=float computes in single precision. casadi_real and casadi_int can be defined to suit another caller
- * (acados: -Dcasadi_int=int). C99; needs nothing but <math.h>.
+ * (acados: -Dcasadi_int=int). C99; needs nothing but <math.h> and <float.h>.
  */
 #ifndef MBS_ABI_H
 #define MBS_ABI_H

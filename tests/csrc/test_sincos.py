@@ -20,6 +20,7 @@ from tests.csrc.test_examples import run
 HEADER = folder("csrc") / "mbs_sincos.h"
 LIMIT = {"double": 1e5, "float": 200.0}  # MBS_SINCOS_LIMIT
 REAL = {"double": np.float64, "float": np.float32}
+BOUNDS = {"double": 0.86, "float": 0.9}  # units in the last place; found by search: 0.828 and 0.849
 BUILDS = {  # vectors with fused multiply-add, where the processor has them; neither; the C library's
     "vectors": ("-O3", "-march=native", "-ffp-contract=fast"),
     "plain": ("-O1", "-DMBS_SCALAR", "-ffp-contract=off"),
@@ -100,16 +101,37 @@ def draw_angles(real: str, count: int) -> Array:
 
 
 @pytest.mark.parametrize("build", ["vectors", "plain"])
-@pytest.mark.parametrize(("real", "bound"), [("double", 0.8), ("float", 0.9)])
+@pytest.mark.parametrize(("real", "bound"), BOUNDS.items())
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_errors_are_below_a_unit_in_the_last_place(
     compiler: str, real: str, bound: float, build: str, sincos: Callable[..., Sincos]
 ) -> None:
-    """Against 50 digits; measured on 10^6 angles: 0.775 (double), 0.842 (float, without fused multiply-add)."""
+    """Against 50 digits, at angles of all sizes."""
     x = draw_angles(real, 400)
     s, c = sincos(compiler, build, real)(x)
     assert find_errors(x, s, MP.sin).max() < bound
     assert find_errors(x, c, MP.cos).max() < bound
+
+
+@pytest.mark.skipif(np.finfo(np.longdouble).nmant < 63, reason="the reference needs more digits than a double has")
+@pytest.mark.parametrize("build", ["vectors", "plain"])
+@pytest.mark.parametrize(("real", "bound"), BOUNDS.items())
+def test_errors_are_largest_near_odd_multiples_of_an_eighth_turn(
+    real: str, bound: float, build: str, sincos: Callable[..., Sincos]
+) -> None:
+    """Where a result of 0.7 has most of the square's rounding: 200,000 angles, and the worst ones that were found.
+
+    The reference has 11 bits more than a double: it errs by no more than 0.001 units.
+    """
+    rng = np.random.default_rng(7)
+    multiples = 2 * rng.integers(0, [3, int(LIMIT[real] / 2)], (100_000, 2)).ravel() + 1
+    x = (multiples * (math.pi / 4) + rng.uniform(-0.01, 0.01, multiples.size)).astype(REAL[real])
+    x = np.concatenate([x, np.array([0.78593786628248163, 0.78541235214584482, 0.78557687997817993], REAL[real])])
+    errors = []
+    for found, exact in zip(sincos("gcc", build, real)(x), (np.sin, np.cos), strict=True):
+        difference = np.abs(found.astype(np.longdouble) - exact(x.astype(np.longdouble)))
+        errors.append(float((difference / np.spacing(np.abs(found)).astype(np.longdouble)).max()))
+    assert 0.79 < max(errors) < bound
 
 
 @pytest.mark.parametrize("form", ["one_by_one", "by_sevens"])

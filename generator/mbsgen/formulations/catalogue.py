@@ -45,7 +45,7 @@ MEANINGS: Mapping[str, str] = MappingProxyType(
         SETUP: "what setup computes from the run-time parameters",
         "Phi": "residual Phi(q, qd, qdd) - Q(q, qd, u), N m or N",
         "M": "mass matrix, kg m2, kg m or kg",
-        "c": "bias: what the joints' forces are at rest of the joints, N m or N",
+        "c": "bias: the joints' forces at qdd = 0, N m or N",
         "position": "places of the sensors in the base frame, a column each, m",
         "v": "velocities of the sensors in the base frame, a column each, m/s",
         "omega": "angular velocities of the sensors in the base frame, a column each, rad/s",
