@@ -94,7 +94,12 @@ def cli() -> None:
 @cli.command("generate")
 @MODEL
 @click.option("-o", "--output", "out", type=click.Path(path_type=Path), required=True, help="The folder to write.")
-@click.option("--runtime", is_flag=True, help="Make every number of the model a run-time parameter.")
+@click.option(
+    "--runtime",
+    is_flag=True,
+    help="Make the numbers of the model parameters at run time, but for zeros, quarter turns, axes and limits.",
+)
+@click.option("--zeros", is_flag=True, help="With --runtime: zeros and quarter turns too, which costs operations.")
 @click.option(
     "--lump",
     is_flag=True,
@@ -132,6 +137,7 @@ def generate_command(
     model: Path,
     out: Path,
     runtime: bool,
+    zeros: bool,
     lump: bool,
     without: tuple[str, ...],
     python: bool,
@@ -154,6 +160,7 @@ def generate_command(
     reductions = replace(ALL, lump_runtime=lump, **{SWITCHES[name]: False for name in without})
     options = Options(
         runtime=runtime,
+        zeros=zeros,
         python=python,
         matlab=matlab,
         acados=acados,

@@ -127,7 +127,7 @@ def parse(text: str) -> Expression:
     if nodes > MAX_NODES:
         raise ExpressionError(f"an expression of {nodes} terms", f"give at most {MAX_NODES}; name its parts")
     expression = _convert(tree)
-    if (degree := _degree(expression)) > MAX_DEGREE:
+    if (degree := measure(expression).degree) > MAX_DEGREE:
         raise ExpressionError(f"an expression of degree {degree}", f"give powers and products up to {MAX_DEGREE}")
     return expression
 
@@ -163,6 +163,28 @@ def evaluate(expression: Expression, values: Mapping[str, T], algebra: Algebra[T
                 return algebra.functions[function](*operands)
     except (ArithmeticError, ValueError):
         raise ExpressionError(f"{write(expression)} has no value", "keep to what the function is defined for") from None
+
+
+@dataclass(frozen=True)
+class Measure:
+    """The size of an expression: its terms, and its degree."""
+
+    terms: int = 1
+    degree: int = 1
+
+
+def measure(expression: Expression, named: Mapping[str, Measure] = MappingProxyType({})) -> Measure:
+    """Measure an expression in which some names stand for expressions of the given sizes."""
+    if isinstance(expression, Name):
+        return named.get(expression.name, Measure())
+    inner = [measure(operand, named) for operand in _operands(expression)] or [Measure(0)]
+    terms, degrees = 1 + sum(x.terms for x in inner), [x.degree for x in inner]
+    match expression:
+        case Operation("*" | "/"):
+            return Measure(terms, sum(degrees))
+        case Power(_, exponent):
+            return Measure(terms, degrees[0] * abs(exponent))
+    return Measure(terms, max(degrees))
 
 
 def write(expression: Expression) -> str:
@@ -239,16 +261,6 @@ def _convert(node: ast.expr, depth: int = 1) -> Expression:
     raise ExpressionError(
         f"{_quote(ast.unparse(node))} has no meaning here", "use numbers, names, + - * / ** ( ) and functions"
     )
-
-
-def _degree(expression: Expression) -> int:
-    degrees = [_degree(operand) for operand in _operands(expression)] or [1]
-    match expression:
-        case Operation("*" | "/"):
-            return sum(degrees)
-        case Power(_, exponent):
-            return degrees[0] * abs(exponent)
-    return max(degrees)
 
 
 def _exponent(node: ast.expr) -> int:

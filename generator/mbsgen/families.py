@@ -31,7 +31,8 @@ _RATE = "qd"  # what is zero where nothing moves
 class Options:
     """What to generate, besides the C of every function."""
 
-    runtime: bool = False  # every number of the model a run-time parameter
+    runtime: bool = False  # every number of the model a run-time parameter, see `model.releasing`
+    zeros: bool = False  # with `runtime`: those that are 0 too
     python: bool = False  # also the Python target
     matlab: bool = False  # also the Matlab target
     acados: bool = False  # also the functions that acados asks for, under its names

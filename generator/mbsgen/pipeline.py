@@ -11,14 +11,18 @@ from pathlib import Path
 from mbsgen import __version__, manifest
 from mbsgen.approximation.choice import Approximation, approximate
 from mbsgen.derivatives.dynamics import Dynamics
+from mbsgen.documents import abbreviate, refuse, write_path
+from mbsgen.errors import Fault
 from mbsgen.evidence import gather
 from mbsgen.families import DEFAULT, OptionError, Options, write_families
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.importing import import_model, is_foreign
 from mbsgen.manifest import Coordinate, Frame, Manifest, Parameter, Wrench
+from mbsgen.model.checks import find_faults
 from mbsgen.model.model import Model
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree, with_runtime_numbers
+from mbsgen.model.reduction import build_tree
+from mbsgen.model.releasing import with_runtime_numbers
 from mbsgen.model.scene import EVERYTHING, LARGEST_TOLERANCE, Scene, read_scene, stage
 from mbsgen.model.tree import NO_FORCE, Kind, Tree
 from mbsgen.model.writer import write_model
@@ -57,10 +61,13 @@ def make(model: Path | Model, options: Options = DEFAULT) -> Product:
     Raises InputError with every fault of the file, OptionError for functions that there are not.
     """
     whole = read(model)
+    if options.zeros and not options.runtime:
+        raise OptionError("zeros: they are parameters only with the other numbers; give runtime too")
     scene = _read_scene(options, whole)
     staged = stage(whole, scene)
+    _check_staged(whole, staged, options)
     written = build_tree(staged)
-    parametric = with_runtime_numbers(written)
+    parametric = build_parametric(whole, scene, zeros=options.zeros)
     approximation = _approximate(written, options, scene)
     tree = approximation.tree if approximation else parametric if options.runtime else written
     dynamics = Dynamics(tree, options.reductions, outlined=_needs_loops_alone(options, scene))
@@ -99,6 +106,14 @@ def read_tree(model: Path | Model) -> Tree:
     return build_tree(read(model))
 
 
+def build_parametric(model: Model, scene: Scene = EVERYTHING, *, zeros: bool = False) -> Tree:
+    """Build the tree of a model whose numbers are parameters at run time, as far as a scene needs them."""
+    tree = build_tree(stage(with_runtime_numbers(model, zeros=zeros), scene))
+    own, used = {p.name for p in model.parameters if p.kind is Kind.RUNTIME}, tree.symbols
+    needed = (p for p in tree.parameters if p.kind is not Kind.RUNTIME or p.name in own or p.symbol in used)
+    return replace(tree, parameters=tuple(needed))
+
+
 def read(model: Path | Model) -> Model:
     """Read a model file, or one of URDF or MJCF by its suffix. Raises InputError with every fault of the file.
 
@@ -123,6 +138,19 @@ def _read_scene(options: Options, model: Model) -> Scene:
     if not 0 <= (tolerance or 0) <= LARGEST_TOLERANCE:
         raise OptionError(f"tolerance: {tolerance} is no relative error; give a number from 0 to {LARGEST_TOLERANCE}")
     return replace(scene, tolerance=tolerance or None)
+
+
+def _check_staged(whole: Model, staged: Model, options: Options) -> None:
+    """Refuse what a scene makes of a checked model, by the rules for models. Raises InputError."""
+    if (staged.bodies, staged.parameters) == (whole.bodies, whole.parameters):
+        return
+    file = str(options.scene) if isinstance(options.scene, Path) else f"model {abbreviate(whole.name)}"
+    faults = [
+        Fault(file, 0, "", f"with this scene, {found.finding} (at {write_path(found.place)})", found.remedy)
+        for found in find_faults(staged)
+    ]
+    if faults:
+        raise refuse(faults)
 
 
 def _approximate(tree: Tree, options: Options, scene: Scene) -> Approximation | None:

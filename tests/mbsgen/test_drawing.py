@@ -16,7 +16,6 @@ import pytest
 from matplotlib.text import Annotation, Text
 
 from mbsgen.drawing import FORMATS, draw, pose, render
-from mbsgen.model.reduction import with_runtime_numbers
 from mbsgen.model.tree import Tree
 from mbsgen.pipeline import read_tree
 from tests.random_trees import random_tree
@@ -52,9 +51,8 @@ def test_the_arm_turns_about_its_axes(arm: Tree) -> None:
 
 
 def test_parameters_have_their_default_values() -> None:
-    tree = random_tree(3, 6)
     q = list(np.linspace(-1, 1, 6))
-    ours, theirs = pose(tree, q), pose(with_runtime_numbers(tree), q)
+    ours, theirs = pose(random_tree(3, 6), q), pose(random_tree(3, 6, runtime=True), q)
     for name, expected in vars(ours).items():
         assert getattr(theirs, name) == pytest.approx(expected, abs=1e-14)
 

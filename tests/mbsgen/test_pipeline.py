@@ -17,9 +17,17 @@ from numpy.typing import NDArray
 from mbsgen import manifest
 from mbsgen.errors import InputError
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import with_runtime_numbers
 from mbsgen.model.tree import Kind, Tree
-from mbsgen.pipeline import OptionError, Options, generate, make, read_tree, write_families, write_folder
+from mbsgen.pipeline import (
+    OptionError,
+    Options,
+    build_parametric,
+    generate,
+    make,
+    read_tree,
+    write_families,
+    write_folder,
+)
 from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.types import Tape
 from tests.random_trees import random_tree
@@ -125,10 +133,10 @@ def test_parameters_at_run_time_give_the_numbers_of_constants(case: str, model: 
     But for `condition.articulated`, which tells what the operations of EXP2 lose: of others when parameters vary.
     """
     if case == "random":
-        tree = random_tree(6, 5)
+        constant, runtime = (evaluated(random_tree(6, 5, runtime=choice)) for choice in (False, True))
     else:
-        tree = read_tree(model if case == "branched" else ROOT / "models" / "arm_pendulum.yaml")
-    constant, runtime = evaluated(tree), evaluated(with_runtime_numbers(tree))
+        description = read_model(model if case == "branched" else ROOT / "models" / "arm_pendulum.yaml")
+        constant, runtime = evaluated(read_tree(description)), evaluated(build_parametric(description))
     assert next(iter(runtime)) == "setup"
     for kernel, results in constant.items():
         if kernel == "setup":

@@ -94,7 +94,7 @@ def _rewrite(tree: Tree, take: Take, take_terms: Callable[[Mapping[str, Expr]], 
     def take_joint(joint: Joint) -> Joint:
         armature = take(f"{joint.name}.armature", joint.armature.xreplace(constants))
         law = take_terms(_name_terms(joint.name, joint.law.xreplace(constants)))
-        return replace(joint, armature=armature, law=law, loose=None)
+        return replace(joint, armature=armature, law=law)
 
     def take_body(body: Body, kept: tuple[Lump, ...], moments: Moments) -> Body:
         x, y, z = (number.xreplace(constants) for number in body.position)

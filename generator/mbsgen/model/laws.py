@@ -1,4 +1,4 @@
-"""The numbers in a joint's own force, by name: Law -> the same Law over names, and what each name stands for.
+"""The numbers in a joint's own force, by name: Law -> the same Law with something else in place of each number.
 
 A number that fills a place is called after it, such as `elbow.damping` or `elbow.friction.torque`. In `force`, whatever
 depends on nothing is one number, and they are counted as they are written: -3/2*q**3 + 0.1*qd has `elbow.force.1`,
@@ -7,32 +7,19 @@ depends on nothing is one number, and they are counted as they are written: -3/2
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from itertools import count
-from types import MappingProxyType
 
-from mbsgen.expressions import Call, Constant, Expression, Name, Negation, Operation, Power, names
+from mbsgen.expressions import Call, Constant, Expression, Negation, Operation, Power, names
 from mbsgen.model.model import ZERO, Friction, Law
 
 
-@dataclass(frozen=True)
-class NamedLaw:
-    """A law without numbers of its own."""
-
-    law: Law
-    numbers: Mapping[str, Expression]  # without names in them
-
-
-def name_numbers(law: Law, joint: str) -> NamedLaw:
-    """Put a name in place of each number in the law of a joint."""
-    numbers: dict[str, Expression] = {}
+def replace_numbers(law: Law, joint: str, exchange: Callable[[str, Expression], Expression]) -> Law:
+    """Replace each number in the law of a joint by what `exchange` returns for its name and itself."""
 
     def take(name: str, expression: Expression) -> Expression:
-        if not _is_number(expression):
-            return expression
-        numbers[name] = expression
-        return Name(name)
+        return exchange(name, expression) if _is_number(expression) else expression
 
     counted = (f"{joint}.force.{k}" for k in count(1))
 
@@ -50,7 +37,7 @@ def name_numbers(law: Law, joint: str) -> NamedLaw:
                 return replace(expression, arguments=tuple(map(take_all, arguments)))
         return expression
 
-    named = Law(
+    return Law(
         stiffness=take(f"{joint}.stiffness", law.stiffness),
         rest=take(f"{joint}.rest", law.rest),
         damping=take(f"{joint}.damping", law.damping),
@@ -61,7 +48,6 @@ def name_numbers(law: Law, joint: str) -> NamedLaw:
         ),
         force=take_all(law.force),
     )
-    return NamedLaw(named, MappingProxyType(numbers))
 
 
 def _is_number(expression: Expression) -> bool:

@@ -9,15 +9,13 @@ keep the pose, bodies and wrenches the axes, that their author gave them.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TypeVar
+from dataclasses import dataclass
 
 from sympy import Expr, Symbol
 
-from mbsgen.expressions import Algebra, Expression, evaluate
+from mbsgen.expressions import Algebra, Expression, evaluate, names
 from mbsgen.model import model, tree
 from mbsgen.model.expansion import expand
-from mbsgen.model.laws import name_numbers
 from mbsgen.model.model import BASE, Model
 from mbsgen.model.symbols import round_number, symbolic, to_double, total
 from mbsgen.model.topology import sort_bodies
@@ -28,7 +26,6 @@ from mbsgen.model.tree import (
     RATE,
     ZERO,
     Kind,
-    LooseLaw,
     Lump,
     Matrix,
     Parameter,
@@ -67,63 +64,6 @@ def build_tree(description: Model) -> Tree:
     )
 
 
-def with_runtime_numbers(original: Tree) -> Tree:
-    """Make every number of gravity, bodies, joints and wrenches a parameter at run time, and every constant one.
-
-    Zeros and orientations stay. An expression over parameters stays that expression; any other number becomes a
-    parameter of its own, named after its place, such as `hand.mass` or `wrist.armature`; in force laws as `laws`
-    tells. Tensors stay symmetric. A law that is not of a Model keeps its numbers.
-    """
-    parameters = {p.name: replace(p, kind=Kind.RUNTIME) if p.kind is Kind.CONSTANT else p for p in original.parameters}
-
-    def release(name: str, number: Expr) -> Expr:
-        if number.free_symbols or number.is_zero:
-            return number
-        parameters[name] = Parameter(name, Symbol(name), to_double(number), Kind.RUNTIME)
-        return parameters[name].symbol
-
-    def release_vector(name: str, vector: Vector) -> Vector:
-        x, y, z = (release(f"{name}.{axis}", number) for axis, number in zip("xyz", vector, strict=True))
-        return x, y, z
-
-    def release_tensor(name: str, tensor: Matrix) -> Matrix:
-        upper = {(i, j): release(f"{name}.{'xyz'[i]}{'xyz'[j]}", tensor[i][j]) for i in range(3) for j in range(i, 3)}
-        return _symmetric(upper)
-
-    def release_mass(part: Massive) -> Massive:
-        return replace(
-            part,
-            mass=release(f"{part.name}.mass", part.mass),
-            com=release_vector(f"{part.name}.com", part.com),
-            inertia=release_tensor(f"{part.name}.inertia", part.inertia),
-        )
-
-    def release_body(body: tree.Body) -> tree.Body:
-        placed = replace(body, position=release_vector(f"{body.name}.position", body.position))
-        joint, lumps = release_joint(body.joint), tuple(map(release_mass, body.lumps))
-        return replace(release_mass(placed), joint=joint, lumps=lumps)
-
-    def release_joint(joint: tree.Joint) -> tree.Joint:
-        released = replace(joint, armature=release(f"{joint.name}.armature", joint.armature))
-        if joint.loose is None:
-            return released
-        parameters.update((number.name, number) for number in joint.loose.numbers)
-        return replace(released, law=joint.loose.law, loose=None)
-
-    gravity = release_vector("gravity", original.gravity)
-    bodies = tuple(map(release_body, original.bodies))
-    wrenches = tuple(
-        replace(
-            wrench,
-            position=release_vector(f"{wrench.name}.point", wrench.position),
-            force=wrench.force and release_vector(f"{wrench.name}.force", wrench.force),
-            moment=wrench.moment and release_vector(f"{wrench.name}.moment", wrench.moment),
-        )
-        for wrench in original.wrenches
-    )
-    return replace(original, gravity=gravity, parameters=tuple(parameters.values()), bodies=bodies, wrenches=wrenches)
-
-
 def align(direction: Vector) -> tuple[int, Matrix]:
     """Find the coordinate axis k nearest to a direction of numbers, and a rotation C with C e_k along it.
 
@@ -152,8 +92,6 @@ def align(direction: Vector) -> tuple[int, Matrix]:
     ]
     return k, _product(_matrix(turn), near)
 
-
-Massive = TypeVar("Massive", tree.Body, Lump)
 
 _NUMBERS = symbolic({})
 _OWN: Mapping[str, Expr] = {model.COORDINATE: COORDINATE, model.RATE: RATE}
@@ -197,16 +135,6 @@ class _Reader:
         """Read a joint's own force, over its q and qd."""
         return evaluate(law.total, {**self.symbols, **_OWN}, self.algebra)
 
-    def loose_law(self, law: model.Law, joint: str) -> LooseLaw | None:
-        """Read a joint's own force over a parameter for each of its numbers; None where there are none."""
-        named = name_numbers(law, joint)
-        values = {name: self.number(number) for name, number in named.numbers.items()}
-        symbols = {name: ZERO if value == 0 else Symbol(name) for name, value in values.items()}
-        loose = evaluate(named.law.total, {**self.symbols, **_OWN, **symbols}, self.algebra)
-        present = [name for name, symbol in symbols.items() if symbol in loose.free_symbols]
-        numbers = tuple(Parameter(name, Symbol(name), to_double(values[name]), Kind.RUNTIME) for name in present)
-        return LooseLaw(loose, numbers) if numbers else None
-
     def rotation(self, placement: model.Placement) -> Matrix:
         """Read an orientation; constants enter by value, so that a quarter turn has its zeros."""
         product = IDENTITY
@@ -225,17 +153,25 @@ def _read_parameters(description: Model) -> tuple[tuple[Parameter, ...], _Reader
     symbols: dict[str, Expr] = {}
     values: dict[str, Expr] = {}
     known: dict[str, Expr] = {}
+    constants: dict[Symbol, Expr] = {}
+    algebra, changing = symbolic(constants), set[str]()
     parameters = []
     for parameter in description.parameters:
-        value = round_number(evaluate(parameter.value, known, _NUMBERS))
-        symbol = Symbol(parameter.name)
-        parameters.append(Parameter(parameter.name, symbol, to_double(value), parameter.kind))
+        name, symbol = parameter.name, Symbol(parameter.name)
+        known[name] = round_number(evaluate(parameter.value, known, _NUMBERS))
         is_constant = parameter.kind is Kind.CONSTANT
-        known[parameter.name] = value
-        symbols[parameter.name] = ZERO if is_constant and value == 0 else symbol
-        values[parameter.name] = value if is_constant else symbol
-    constants = {Symbol(p.name): known[p.name] for p in parameters if p.kind is Kind.CONSTANT}
-    return tuple(parameters), _Reader(symbolic(constants), symbols, values)
+        if is_constant and not changing.isdisjoint(names(parameter.value)):  # it stands for an expression
+            symbols[name], values[name] = (evaluate(parameter.value, given, algebra) for given in (symbols, values))
+            changing.add(name)
+            continue
+        parameters.append(Parameter(name, symbol, to_double(known[name]), parameter.kind))
+        symbols[name] = ZERO if is_constant and known[name] == 0 else symbol
+        values[name] = known[name] if is_constant else symbol
+        if is_constant:
+            constants[symbol] = known[name]
+        else:
+            changing.add(name)
+    return tuple(parameters), _Reader(algebra, symbols, values)
 
 
 @dataclass(frozen=True)
@@ -356,7 +292,6 @@ def _make_body(mover: _Mover, lump: Lump, *lumps: Lump, reader: _Reader) -> tree
             lower=reader.limit(mover.joint.lower),
             upper=reader.limit(mover.joint.upper),
             law=reader.law(mover.joint.law),
-            loose=reader.loose_law(mover.joint.law, mover.joint.name),
             max_speed=reader.limit(mover.joint.max_speed),
             max_force=reader.limit(mover.joint.max_force),
             armature=reader.number(mover.joint.armature),

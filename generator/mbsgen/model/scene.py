@@ -151,15 +151,11 @@ class _Judgement:
         joints = {step.name for i, body in enumerate(self.model.bodies) for step in list_steps(i, body)}
         if joints <= set(section.locked):
             yield self._tell(("locked",), "no joint is left that moves", "leave one out")
-        constants = {p.name for p in self.model.parameters if self._kind(p.name, p.kind, section) is Kind.CONSTANT}
+        known = {p.name for p in self.model.parameters}
         for name, expression in section.locked.items():
-            if strange := sorted(names(expression) - constants):
+            if strange := sorted(names(expression) - known):
                 finding = f"the place of a locked joint depends on {', '.join(map(abbreviate, strange))}"
-                yield self._tell(("locked", name), finding, "use numbers and constant parameters of the model")
-
-    @staticmethod
-    def _kind(name: str, kind: Kind, section: SceneSection) -> Kind:
-        return section.parameters.get(name, kind)
+                yield self._tell(("locked", name), finding, "use numbers and parameters of the model")
 
     def _check_together(self, section: SceneSection) -> Iterator[tuple[Place, Fault]]:
         for name, parts in section.together.items():

@@ -37,9 +37,9 @@ from sympy import (
 
 from mbsgen.expressions import FUNCTIONS, Algebra, ExpressionError
 
-_DIGITS = MPContext()
-_DIGITS.dps = 60
-_NOISE = _DIGITS.mpf(10) ** -50
+DIGITS = MPContext()
+DIGITS.dps = 60
+_NOISE = DIGITS.mpf(10) ** -50
 
 _ROUNDING = ("sin", "cos", "tan", "sqrt")  # their results near 0 are 0 where the angle brings its rounding
 _KEPT = {"asin": asin, "acos": acos, "atan": atan, "atan2": atan2, "exp": exp, "log": log, "tanh": tanh, "abs": Abs}
@@ -78,7 +78,7 @@ def symbolic(constants: Mapping[Symbol, Expr]) -> Algebra[Expr]:
 
     return Algebra(
         number=exact,
-        constants={"pi": _settle(+_DIGITS.pi, _DIGITS.zero)},
+        constants={"pi": _settle(+DIGITS.pi, DIGITS.zero)},
         negate=operator.neg,
         operations={"+": lambda a, b: total((a, b)), "-": lambda a, b: total((a, -b)), "*": operator.mul, "/": _divide},
         power=lambda base, exponent: base**exponent if exponent >= 0 else _divide(Integer(1), base**-exponent),
@@ -113,16 +113,21 @@ def round_number(number: Expr) -> Expr:
     """Keep a double as it is; of any other number, which may be a fraction of very many digits, keep 60 digits."""
     if isinstance(number, Rational) and exact(to_double(number)) == number:
         return number
-    return _settle(to_digits(number), _DIGITS.zero)
+    return _settle(to_digits(number), DIGITS.zero)
 
 
 def to_digits(number: Expr) -> mpf:
-    """Take a Rational or a Float to 60 digits."""
-    return _DIGITS.make_mpf(number._mpf_) if isinstance(number, Float) else _DIGITS.mpf(number.p) / number.q
+    """Take a number to 60 digits: a Rational, a Float, or a function of such, as a symbol's value makes one."""
+    if isinstance(number, Rational):
+        return DIGITS.mpf(number.p) / number.q
+    value = number if isinstance(number, Float) else number.evalf(DIGITS.dps)
+    if not isinstance(value, Float | Rational):
+        raise ExpressionError(f"{number} is no real number", "keep to what its functions are defined for")
+    return DIGITS.make_mpf(value._mpf_) if isinstance(value, Float) else to_digits(value)
 
 
 def to_double(number: Expr) -> float:
-    """Round a Rational or a Float to the nearest double. Raises ExpressionError where there is none near."""
+    """Round a number to the nearest double. Raises ExpressionError where there is none near."""
     try:
         double = number.p / number.q if isinstance(number, Rational) else float(to_digits(number))
     except OverflowError:
@@ -138,7 +143,7 @@ def _add(numbers: list[Expr]) -> Expr:
     if all(isinstance(number, Rational) for number in numbers) or len(numbers) == 1:
         return Add(*numbers)
     digits = [to_digits(number) for number in numbers]
-    return _settle(sum(digits), _DIGITS.fsum(digits, absolute=True))
+    return _settle(sum(digits), DIGITS.fsum(digits, absolute=True))
 
 
 def _compute(name: str, values: list[Expr]) -> Expr:
@@ -147,10 +152,10 @@ def _compute(name: str, values: list[Expr]) -> Expr:
     operands = [to_digits(value) for value in values]
     if not all(map(_is_ordinary, operands)):  # 60 digits of exp(exp(exp(9))) fill any memory
         raise OverflowError
-    result = abs(operands[0]) if name == "abs" else getattr(_DIGITS, name)(*operands)
-    if not isinstance(result, _DIGITS.mpf) or not _is_ordinary(result):
+    result = abs(operands[0]) if name == "abs" else getattr(DIGITS, name)(*operands)
+    if not isinstance(result, DIGITS.mpf) or not _is_ordinary(result):
         raise ValueError(f"{name} has no real value here")
-    return _settle(result, abs(operands[0]) if name in _ROUNDING else _DIGITS.zero)  # an angle brings its rounding
+    return _settle(result, abs(operands[0]) if name in _ROUNDING else DIGITS.zero)  # an angle brings its rounding
 
 
 def _is_ordinary(number: mpf) -> bool:
@@ -160,10 +165,10 @@ def _is_ordinary(number: mpf) -> bool:
 def _settle(number: mpf, size: mpf) -> Expr:
     """Make a number that came of numbers of some size: 60 digits of it, or the whole number that 50 of them tell."""
     if abs(number) < 1e15:
-        whole = _DIGITS.nint(number)
+        whole = DIGITS.nint(number)
         if abs(number - whole) <= _NOISE * size:
             return Integer(int(whole))
-    return Float(number._mpf_, precision=_DIGITS.prec)
+    return Float(number._mpf_, precision=DIGITS.prec)
 
 
 def _divide(numerator: Expr, denominator: Expr) -> Expr:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum
+from itertools import chain
 
 from sympy import Expr, Integer, Symbol
 
@@ -49,14 +50,6 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class LooseLaw:
-    """A force law whose numbers are parameters at run time."""
-
-    law: Expr
-    numbers: tuple[Parameter, ...]
-
-
-@dataclass(frozen=True)
 class Joint:
     """One degree of freedom: rotation (rad) or translation (m) about or along an axis of the body's frame."""
 
@@ -67,7 +60,6 @@ class Joint:
     lower: float | None  # None: unbounded
     upper: float | None
     law: Expr = NO_FORCE  # Qp(q, qd): force added to the actuator's, in COORDINATE, RATE and parameters [N m or N]
-    loose: LooseLaw | None = field(default=None, repr=False)  # the same law; None: no number in it can change
     max_speed: float | None = field(default=None, repr=False)  # of qd either way [rad/s or m/s]; None: unbounded
     max_force: float | None = field(default=None, repr=False)  # of u either way [N m or N]
     armature: Expr = field(default=ZERO, repr=False)  # what the rotor that drives it adds to M_ii [kg m2 or kg]
@@ -170,6 +162,21 @@ class Tree:
         """Give the coordinates at which all joints are at 0, and no quaternion turns anything."""
         scalars = {x.coordinates[-1] for x in self.quaternions}
         return tuple(float(name in scalars) for name in self.coordinates)
+
+    @property
+    def symbols(self) -> frozenset[Symbol]:
+        """The symbols of the parameters that a number of the tree depends on."""
+        numbers = [*self.gravity]
+        for body in self.bodies:
+            numbers += [*body.position, *chain(*body.orientation), body.joint.law, body.joint.armature]
+            numbers += [body.mass, *body.com, *chain(*body.inertia)]
+            for lump in body.lumps:
+                numbers += [lump.mass, *lump.com, *chain(*lump.inertia)]
+        for sensor in self.sensors:
+            numbers += [*sensor.position, *chain(*sensor.orientation)]
+        for wrench in self.wrenches:
+            numbers += [*wrench.position, *chain(*wrench.orientation), *(wrench.force or ()), *(wrench.moment or ())]
+        return frozenset().union(*(number.free_symbols for number in numbers)) - {COORDINATE, RATE}
 
     def children(self, i: int) -> tuple[int, ...]:
         """Number the bodies whose parent is body i."""

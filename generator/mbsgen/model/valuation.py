@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Sequence
+from collections.abc import Container, Mapping, Sequence
 
 import numpy as np
+from mpmath import mpf
 from numpy.typing import NDArray
 from sympy import Expr, Symbol
 
 from mbsgen.documents import Place, abbreviate, lies_under
-from mbsgen.expressions import Expression, ExpressionError, evaluate, names
+from mbsgen.expressions import MAX_DEGREE, Expression, ExpressionError, Measure, evaluate, measure, names
 from mbsgen.model import model
 from mbsgen.model.findings import Finding
 from mbsgen.model.model import Parameter, Triple
-from mbsgen.model.symbols import check_powers, exact, round_number, symbolic, to_double
+from mbsgen.model.symbols import check_powers, exact, round_number, symbolic, to_digits, to_double
 from mbsgen.model.tree import COORDINATE, RATE, Kind
 
+MAX_TERMS = 1000  # of an expression, with all that the parameters in it stand for
 LARGEST = 1e150  # products of two numbers do not overflow
 GENERIC = 0.7390851332151607  # for a run-time parameter that is 0 now, and may be anything later
 
@@ -27,6 +29,7 @@ class Valuation:
     """Values of expressions; what has none is nan, and a finding, but for what is doubtful or rests on it.
 
     With `generic`, a run-time parameter of value 0 counts as some other number, since its 0 is not structural.
+    A constant whose value depends on run-time parameters stands for that expression.
     """
 
     def __init__(self, parameters: Sequence[Parameter], doubtful: Container[Place], *, generic: bool = False) -> None:
@@ -35,7 +38,8 @@ class Valuation:
         self._algebra = symbolic({})
         self._values: dict[str, Expr] = {}
         self._broken: set[str] = set()  # parameters without a value
-        self._variable: set[str] = set()
+        self._forms: dict[str, Expr] = {}  # of what may change at run time: a symbol, or an expression over symbols
+        self._sizes: dict[str, Measure] = {}
         self._later = {parameter.name for parameter in parameters}
         for parameter in parameters:
             self._define(parameter, generic)
@@ -45,28 +49,32 @@ class Valuation:
         value = self._evaluate(place, expression)
         return math.nan if value is None else to_double(value)
 
+    def digits(self, place: Place, expression: Expression) -> mpf:
+        """Give an expression its value in 60 digits; it must have one."""
+        value = self._evaluate(place, expression)
+        assert value is not None, "a checked model has values"
+        return to_digits(value)
+
     def constant(self, place: Place, expression: Expression) -> float:
         """Give an expression its value, which is not to change at run time."""
-        for name in sorted(names(expression) & self._variable):
-            self._find(place, f"this depends on the run-time parameter {abbreviate(name)}", "use constants here")
+        for name in sorted(names(expression) & self._forms.keys()):
+            self._find(place, f"this depends on {abbreviate(name)}, which may change at run time", "use constants here")
             return math.nan
         return self.number(place, expression)
 
     def check_law(self, place: Place, law: Expression) -> None:
         """Find what keeps an expression over parameters, q and qd from being computed."""
-        values = {name: value for name, value in self._values.items() if name not in self._variable}
-        own = {name: Symbol(name) for name in self._variable} | {model.COORDINATE: COORDINATE, model.RATE: RATE}
-        needed = names(law) - {model.COORDINATE, model.RATE}
-        if not self._is_known(place, needed):
+        own = {model.COORDINATE: COORDINATE, model.RATE: RATE}
+        if not self._is_known(place, names(law) - own.keys()):
             return
         try:
-            check_powers(evaluate(law, values | own, self._algebra))
+            self._check_form(law, own)
         except ExpressionError as error:
             self._find(place, error.finding, error.remedy)
 
     def changes(self, expression: Expression) -> bool:
         """Tell whether an expression depends on run-time parameters."""
-        return not self._variable.isdisjoint(names(expression))
+        return not self._forms.keys().isdisjoint(names(expression))
 
     def triple(self, place: Place, triple: Triple) -> Array:
         """Give three expressions their values."""
@@ -74,17 +82,22 @@ class Valuation:
 
     def _define(self, parameter: Parameter, generic: bool) -> None:
         place = ("parameters", parameter.name)
-        changing = sorted(names(parameter.value) & self._variable)
-        for name in changing:
-            finding = f"its value depends on the run-time parameter {abbreviate(name)}"
-            self._find(place, finding, "write the expression where it is used, or make that parameter constant")
-        value = None if changing else self._evaluate(place, parameter.value)
+        changing = sorted(names(parameter.value) & self._forms.keys())
+        is_input = parameter.kind is not Kind.CONSTANT
+        if changing and is_input:
+            finding = f"the value of an input depends on {abbreviate(changing[0])}, which may change at run time"
+            self._find(place, finding, f"let it be of kind {Kind.CONSTANT.value}: it follows then")
+        value = None if changing and is_input else self._evaluate(place, parameter.value)
         self._later.discard(parameter.name)
-        if parameter.kind is not Kind.CONSTANT:
-            self._variable.add(parameter.name)
+        if is_input:
+            self._forms[parameter.name] = Symbol(parameter.name)
         if value is None:
             self._broken.add(parameter.name)
-        elif generic and parameter.kind is not Kind.CONSTANT and value == 0:
+        elif changing:
+            self._values[parameter.name] = round_number(value)
+            self._forms[parameter.name] = evaluate(parameter.value, self._values | self._forms, self._algebra)
+            self._sizes[parameter.name] = measure(parameter.value, self._sizes)
+        elif generic and is_input and value == 0:
             self._values[parameter.name] = exact(GENERIC)
         else:
             self._values[parameter.name] = round_number(value)
@@ -95,15 +108,22 @@ class Valuation:
             return None
         try:
             value = evaluate(expression, self._values, self._algebra)
-            if needed & self._variable:  # then the expression must have a form, beside its present value
-                symbols = {name: Symbol(name) for name in self._variable}
-                check_powers(evaluate(expression, self._values | symbols, self._algebra))
+            if needed & self._forms.keys():  # then the expression must have a form, beside its present value
+                self._check_form(expression, {})
             if abs(to_double(value)) > LARGEST:
                 raise ExpressionError(f"a value of {to_double(value):g}", f"stay below {LARGEST:g}")
         except ExpressionError as error:
             self._find(place, error.finding, error.remedy)
             return None
         return value
+
+    def _check_form(self, expression: Expression, own: Mapping[str, Expr]) -> None:
+        """Check that code can compute an expression from its inputs. Raises ExpressionError."""
+        size = measure(expression, self._sizes)
+        if size.terms > MAX_TERMS or size.degree > MAX_DEGREE:
+            finding = f"an expression of {size.terms} terms and degree {size.degree}, its parameters written out"
+            raise ExpressionError(finding, f"stay below {MAX_TERMS} terms and degree {MAX_DEGREE}")
+        check_powers(evaluate(expression, {**self._values, **self._forms, **own}, self._algebra))
 
     def _is_known(self, place: Place, needed: frozenset[str]) -> bool:
         """Tell whether something can be concluded of a place that needs these parameters."""

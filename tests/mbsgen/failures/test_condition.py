@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from sympy import Float
+from sympy import Integer, Symbol
 
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree, with_runtime_numbers
-from mbsgen.model.tree import Kind, Tree
+from mbsgen.model.reduction import build_tree
+from mbsgen.model.tree import Kind, Parameter, Tree
 from tests.mbsgen.failures.mechanisms import (
     EXPLICIT,
     NONE,
@@ -26,7 +27,6 @@ from tests.mbsgen.failures.mechanisms import (
     make_body,
     make_tree,
     mass_matrix,
-    numbers,
     scaled_condition,
     spatial_chain,
     status,
@@ -52,8 +52,12 @@ def told(tree: Tree, state: dict[str, Array], reductions: Reductions = REDUCED) 
 def runtime_elbow(seed: int) -> Tree:
     """Make an elbow of numbers that rounding does not spare, known at run time only."""
     mass, upper, lower = np.random.default_rng(seed).uniform(0.5, 1.5, 3)
-    hand = make_body(2, 2, Float(mass), numbers(lower, 0, 0), position=numbers(upper, 0, 0))
-    return with_runtime_numbers(make_tree("elbow", [make_body(1, 2), hand]))
+    given = {"mass": mass, "upper": upper, "lower": lower}
+    symbols = {name: Symbol(name) for name in given}
+    arms = [(symbols[name], Integer(0), Integer(0)) for name in ("upper", "lower")]
+    hand = make_body(2, 2, symbols["mass"], arms[1], position=arms[0])
+    parameters = tuple(Parameter(n, symbols[n], float(x), Kind.RUNTIME) for n, x in given.items())
+    return replace(make_tree("elbow", [make_body(1, 2), hand]), parameters=parameters)
 
 
 def with_parameters(tree: Tree, state: dict[str, Array]) -> dict[str, Array]:

@@ -12,8 +12,8 @@ from mbsgen.formulations.links import PARAMETERS
 from mbsgen.formulations.planning import dynamics_alone
 from mbsgen.formulations.reductions import NONE, Reductions
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree, with_runtime_numbers
 from mbsgen.model.tree import Tree
+from mbsgen.pipeline import build_parametric
 from mbsgen.scaling import PERIOD, Growth, find_crossing, grow
 from mbsgen.tape.counts import Counts, count
 from mbsgen.tape.passes import hoist
@@ -35,7 +35,7 @@ def cost(name: str, tree: Tree, reductions: Reductions) -> Counts:
 
 @cache
 def arm() -> Tree:
-    return with_runtime_numbers(build_tree(read_model(ARM)))
+    return build_parametric(read_model(ARM))
 
 
 @pytest.mark.parametrize(

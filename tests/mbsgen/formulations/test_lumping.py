@@ -14,8 +14,8 @@ from mbsgen.formulations.catalogue import SETUP
 from mbsgen.formulations.links import PARAMETERS
 from mbsgen.formulations.reductions import ALL, Reductions
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree, with_runtime_numbers
 from mbsgen.model.tree import Tree
+from mbsgen.pipeline import build_parametric
 from mbsgen.tape.counts import count
 from mbsgen.tape.interpreter import FLOATS, Numbers, evaluate, find_failure
 from mbsgen.tape.types import Op, Tape
@@ -29,7 +29,7 @@ TOLERANCE = 1e-9  # of the largest result; a mass that moves may be ten times th
 
 
 def read(name: str) -> Tree:
-    return with_runtime_numbers(build_tree(read_model(MODELS / f"{name}.yaml")))
+    return build_parametric(read_model(MODELS / f"{name}.yaml"))
 
 
 def write(tree: Tree, reductions: Reductions, derivatives: int) -> dict[str, Tape]:

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree, with_runtime_numbers
 from mbsgen.model.tree import Kind
-from mbsgen.pipeline import write_families
+from mbsgen.pipeline import build_parametric, read_tree, write_families
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.types import Sparsity, Tape
@@ -80,8 +79,8 @@ def test_octave_computes_what_the_tape_tells(model: str, tmp_path: Path, octave:
     if model == "sample":
         families, own = sample_families(), {"p": list(PARAMETERS.values())}
     else:
-        tree = build_tree(read_model(MODELS / "arm_pendulum.yaml"))
-        tree = tree if model == "arm" else with_runtime_numbers(tree)
+        description = read_model(MODELS / "arm_pendulum.yaml")
+        tree = read_tree(description) if model == "arm" else build_parametric(description)
         families, own = write_families(tree), {"p": [p.value for p in tree.parameters if p.kind is Kind.RUNTIME]}
     if own["p"]:
         own |= evaluate(families[0].value, own)

@@ -20,9 +20,8 @@ import pytest
 import sympy
 
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree, with_runtime_numbers
 from mbsgen.model.tree import Kind
-from mbsgen.pipeline import Options, write_families
+from mbsgen.pipeline import Options, build_parametric, read_tree, write_families
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import DIGITS, FLOATS, evaluate, find_failure
 from mbsgen.tape.types import FUNCTIONS, Op, Tape
@@ -76,8 +75,8 @@ def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     if request.param == "sample":
         families, parameters = sample_families(), tuple(PARAMETERS.values())
     else:
-        tree = build_tree(read_model(MODELS / "arm_pendulum.yaml"))
-        tree = tree if request.param == "arm" else with_runtime_numbers(tree)
+        description = read_model(MODELS / "arm_pendulum.yaml")
+        tree = read_tree(description) if request.param == "arm" else build_parametric(description)
         families = write_families(tree)
         parameters = tuple(p.value for p in tree.parameters if p.kind is Kind.RUNTIME)
     return Case(families, parameters, load(families, tmp_path_factory.mktemp("module")))
@@ -251,9 +250,7 @@ def test_sympy_has_every_function(tmp_path: Path) -> None:
 
 def test_exp1_of_symbols_has_the_same_numbers(tmp_path: Path) -> None:
     """The accelerations of a model, written over SymPy's symbols: each evaluates to what the tape does."""
-    (family,) = write_families(
-        build_tree(read_model(MODELS / "double_pendulum.yaml")), Options(functions=("exp1",), derivatives=0)
-    )
+    (family,) = write_families(read_tree(MODELS / "double_pendulum.yaml"), Options(functions=("exp1",), derivatives=0))
     names = {i.name: [f"{i.name}{k}" for k in range(i.sparsity.nnz)] for i in family.value.inputs}
     at = {name: [0.3 + 0.4 * k for k in range(len(entries))] for name, entries in names.items()}
     symbols = {name: [sympy.Symbol(text) for text in entries] for name, entries in names.items()}

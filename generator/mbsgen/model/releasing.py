@@ -1,0 +1,167 @@
+"""A Model -> the same Model with its numbers as parameters at run time, each by its path in the file.
+
+Parameters are the numbers that the author wrote: `elbow.position.x` and `elbow.damping` of a joint, `forearm.mass`,
+`forearm.com.z` and `forearm.inertia.xy` of a body, `gravity.z`, `frames.tip.position.x`, `wrenches.push.force.y`.
+Positions are in the frames, and centres of mass and tensors along the axes, that the author gave them in. Rotations
+are counted from 1, as are the numbers of a force law: `elbow.orientation.1` [rad]. An expression over parameters stays
+that expression.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+from mbsgen.expressions import Expression, Name, Number, evaluate, names
+from mbsgen.model.compounds import recognise
+from mbsgen.model.expansion import Step, list_steps
+from mbsgen.model.laws import replace_numbers
+from mbsgen.model.model import Body, Fixed, Frame, Inertia, Joint, Law, Model, Parameter, Placement, Triple, Wrench
+from mbsgen.model.symbols import symbolic, to_double
+from mbsgen.model.tree import Kind
+from mbsgen.model.valuation import Valuation
+
+_NUMBERS = symbolic({})
+_TENSOR = ("xx", "yy", "zz", "xy", "xz", "yz")
+
+
+def with_runtime_numbers(model: Model, *, zeros: bool = False) -> Model:
+    """Make the numbers of a checked model parameters at run time, and its constants too.
+
+    A number that is 0 stays, and so does an angle that is a multiple of a quarter turn: they are what makes equations
+    short. With `zeros` they become parameters too, and so do those that are 0 because the file does not give them.
+    Axes of joints stay, with the constants that they depend on; so do limits, which the equations do not hold.
+    """
+    return _Release(model, zeros).apply()
+
+
+class _Release:
+    """Replaces numbers by names, and collects the parameters."""
+
+    def __init__(self, model: Model, zeros: bool) -> None:
+        self._model = model
+        self._zeros = zeros
+        self._valuation = Valuation(model.parameters, ())
+        fixed = _find_fixed(model)
+        self._parameters = {
+            p.name: replace(p, kind=Kind.RUNTIME)
+            if p.kind is Kind.CONSTANT and p.name not in fixed and not names(p.value)
+            else p
+            for p in model.parameters
+        }
+
+    def apply(self) -> Model:
+        model = self._model
+        released = replace(
+            model,
+            gravity=self._triple("gravity", model.gravity),
+            bodies=tuple(self._body(i, body) for i, body in enumerate(model.bodies)),
+            frames=tuple(map(self._frame, model.frames)),
+            wrenches=tuple(map(self._wrench, model.wrenches)),
+        )
+        return replace(released, parameters=tuple(self._parameters.values()))
+
+    def _number(self, path: str, expression: Expression, *, of_turn: bool = False) -> Expression:
+        if names(expression):
+            return expression
+        value = evaluate(expression, {}, _NUMBERS)
+        if not self._zeros and (value == 0 or (of_turn and _is_quarter_turn(expression))):
+            return expression
+        name, count = path, 1
+        while name in self._parameters:  # names of bodies, joints and frames may be alike
+            name, count = f"{path}.{count + 1}", count + 1
+        self._parameters[name] = Parameter(name, expression, Kind.RUNTIME)
+        return Name(name)
+
+    def _triple(self, path: str, triple: Triple) -> Triple:
+        x, y, z = (self._number(f"{path}.{axis}", number) for axis, number in zip("xyz", triple, strict=True))
+        return x, y, z
+
+    def _placement(self, path: str, placement: Placement) -> Placement:
+        turns = tuple(
+            replace(turn, angle=self._number(f"{path}.orientation.{k}", turn.angle, of_turn=True))
+            for k, turn in enumerate(placement.orientation, 1)
+        )
+        return Placement(self._triple(f"{path}.position", placement.position), turns)
+
+    def _body(self, i: int, body: Body) -> Body:
+        entries = (self._number(f"{body.name}.inertia.{key}", getattr(body.inertia, key)) for key in _TENSOR)
+        return replace(
+            body,
+            joint=self._carrier(i, body),
+            mass=self._number(f"{body.name}.mass", body.mass),
+            com=self._triple(f"{body.name}.com", body.com),
+            inertia=Inertia(*entries),
+        )
+
+    def _carrier(self, i: int, body: Body) -> Joint | Fixed | tuple[Joint, ...]:
+        if isinstance(body.joint, Fixed):
+            return Fixed(self._placement(body.name, body.joint.placement))
+        if not isinstance(body.joint, tuple):
+            (step,) = list_steps(i, body)
+            return self._joint(step, self._placement(step.name, step.joint.placement))
+        steps = [*list_steps(i, body)]
+        if recognise(body.joint) is None:
+            return tuple(self._joint(step, self._placement(step.name, step.joint.placement)) for step in steps)
+        first, *rest = steps  # a joint with a name for all of it has one place, that of the first
+        placement = self._placement(body.name, first.joint.placement)
+        return self._joint(first, placement), *(self._joint(step, step.joint.placement) for step in rest)
+
+    def _joint(self, step: Step, placement: Placement) -> Joint:
+        if step.joint.floats:
+            return replace(step.joint, placement=placement)
+        return replace(
+            step.joint,
+            placement=placement,
+            lower=self._keep(step.joint.lower),
+            upper=self._keep(step.joint.upper),
+            max_speed=self._keep(step.joint.max_speed),
+            max_force=self._keep(step.joint.max_force),
+            law=self._law(step.joint.law, step.name),
+            armature=self._number(f"{step.name}.armature", step.joint.armature),
+        )
+
+    def _law(self, law: Law, joint: str) -> Law:
+        released = replace_numbers(law, joint, self._number)
+        if not self._zeros:
+            return released
+        return replace(
+            released,
+            stiffness=self._number(f"{joint}.stiffness", released.stiffness),
+            rest=self._number(f"{joint}.rest", released.rest),
+            damping=self._number(f"{joint}.damping", released.damping),
+        )
+
+    def _keep(self, limit: Expression | None) -> Expression | None:
+        return None if limit is None else Number(self._valuation.number((), limit))
+
+    def _frame(self, frame: Frame) -> Frame:
+        return replace(frame, placement=self._placement(f"frames.{frame.name}", frame.placement))
+
+    def _wrench(self, wrench: Wrench) -> Wrench:
+        path = f"wrenches.{wrench.name}"
+        return replace(
+            wrench,
+            position=self._triple(f"{path}.position", wrench.position),
+            force=wrench.force and self._triple(f"{path}.force", wrench.force),
+            moment=wrench.moment and self._triple(f"{path}.moment", wrench.moment),
+        )
+
+
+def _find_fixed(model: Model) -> set[str]:
+    """Find the parameters that axes depend on, by themselves or by the values of others."""
+    found = {name for axis in _list_axes(model) for component in axis for name in names(component)}
+    for parameter in reversed(model.parameters):  # a value depends on parameters that stand before it
+        if parameter.name in found:
+            found |= names(parameter.value)
+    return found
+
+
+def _list_axes(model: Model) -> Iterator[Triple]:
+    return (joint.axis for body in model.bodies for joint in body.joints)
+
+
+def _is_quarter_turn(angle: Expression) -> bool:
+    """Tell whether a sine or a cosine of this is 0."""
+    turned = evaluate(angle, {}, _NUMBERS)
+    return any(to_double(_NUMBERS.functions[name](turned)) == 0 for name in ("sin", "cos"))

@@ -1,0 +1,336 @@
+"""A parameter at run time is the author's number, by the author's path: as if the file were edited there."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from numpy.typing import NDArray
+
+from mbsgen.derivatives.dynamics import Dynamics
+from mbsgen.formulations import impl
+from mbsgen.formulations.catalogue import FUNCTIONS
+from mbsgen.formulations.reductions import ALL, NONE
+from mbsgen.model.compounds import COMPOUNDS
+from mbsgen.model.construction import body, fixed, frame, make_model, revolute
+from mbsgen.model.expansion import label_joints
+from mbsgen.model.model import Joint, Model
+from mbsgen.model.reader import read_model
+from mbsgen.model.reduction import build_tree
+from mbsgen.model.schema import read_direction
+from mbsgen.model.tree import Kind, Motion, Tree
+from mbsgen.model.writer import write_model
+from mbsgen.pipeline import Options, build_parametric, make
+from mbsgen.tape.interpreter import DIGITS, evaluate
+from tests.random_scenes import random_model
+
+Array = NDArray[np.float64]
+Data = dict[str, Any]
+MODELS = [f for f in sorted((Path(__file__).parents[3] / "models").glob("*.yaml")) if not f.stem.endswith(".ocp")]
+CLOSE = 1e-12  # relative: rounding of some hundred operations, of numbers that are rounded once more
+
+
+def change(data: Data, path: str, value: float) -> None:
+    """Write a number into a model file, by the path that a parameter has."""
+    if path in data.get("parameters", {}):
+        given = data["parameters"][path]
+        data["parameters"][path] = given | {"value": value} if isinstance(given, dict) else value
+        return None
+    if path.startswith("gravity."):
+        data["gravity"]["xyz".index(path[-1])] = value
+        return None
+    for section in ("frames", "wrenches"):
+        for item in data.get(section, []):
+            if path.startswith(start := f"{section}.{item['name']}."):
+                return set_number(item, path.removeprefix(start).split("."), value)
+    owners = [(name, owner) for name, owner in list_owners(data) if path.startswith(f"{name}.")]
+    for name, owner in owners:
+        place = path.removeprefix(f"{name}.").split(".")
+        if place[0] in owner_keys(owner):
+            return set_number(owner, place, value)
+    raise AssertionError(f"no place in the file is called {path}")
+
+
+def owner_keys(owner: Data) -> tuple[str, ...]:
+    """Tell what a mapping of the file can hold: of a body, or of a joint."""
+    if "joint" in owner:
+        return "mass", "com", "inertia"
+    law = ("stiffness", "rest", "damping", "friction", "force", "armature")
+    place, is_elementary = ("position", "orientation"), owner.get("type") in ("revolute", "prismatic")
+    return (*place, *law) if is_elementary else place if "type" in owner else law
+
+
+def list_owners(data: Data) -> list[tuple[str, Data]]:
+    """List bodies and joints by their names, as the documentation gives them."""
+    found = []
+    for item in data["bodies"]:
+        found.append((item["name"], item))
+        joint = item["joint"]
+        if isinstance(joint, list):
+            motions = [Joint(Motion(j["type"]), read_direction(j["axis"])) for j in joint]
+            labels = label_joints(motions)
+            found += [(j.get("name", f"{item['name']}.{x}"), j) for j, x in zip(joint, labels, strict=True)]
+        else:
+            found.append((joint.get("name", item["name"]), joint))
+            order = joint.get("order", joint.get("plane", "xyz"))
+            known = COMPOUNDS.get((joint["type"], order))
+            for label in known.labels if known and not known.floats else ():
+                setting = joint.setdefault("axes", {}).setdefault(label, {})
+                found.append((setting.get("name", f"{item['name']}.{label}"), setting))
+    return found
+
+
+def set_number(owner: Data, place: list[str], value: float) -> None:
+    key, *rest = place
+    match key, rest:
+        case "orientation", [k]:
+            owner["orientation"][int(k) - 1]["angle"] = value
+        case "inertia", [entry]:
+            tensor = owner.get("inertia", [0, 0, 0])
+            if isinstance(tensor, list):
+                tensor = dict(zip(("xx", "yy", "zz"), tensor, strict=True))
+            owner["inertia"] = tensor | {entry: value}
+        case "friction", [entry]:
+            owner["friction"][entry] = value
+        case _, [axis]:
+            owner.setdefault(key, [0, 0, 0])["xyz".index(axis)] = value
+        case _, []:
+            owner[key] = value
+
+
+def draw_state(tree: Tree, seed: int) -> dict[str, list[float]]:
+    rng = np.random.default_rng(seed)
+    n, m = len(tree.bodies), sum(body.joint.actuated for body in tree.bodies)
+    w = 3 * sum(v is None for x in tree.wrenches for v in (x.force, x.moment))
+    sizes = {"q": len(tree.coordinates), "qd": n, "qdd": n, "u": m, "w": w}
+    return {name: list(rng.uniform(-1, 1, size)) for name, size in sizes.items()}
+
+
+def run(tree: Tree, function: str, at: dict[str, list[float]]) -> dict[str, Array]:
+    """Evaluate a function as the textbook writes it: numbers are what is compared, not ways to save operations."""
+    tape = FUNCTIONS[function].build(tree, NONE)
+    return {name: np.array(x) for name, x in evaluate(tape, {i.name: at[i.name] for i in tape.inputs}).items()}
+
+
+def fix_parameters(model: Model) -> Model:
+    """Make run-time parameters constants: what the file says is what counts."""
+    fixed = {Kind.RUNTIME: Kind.CONSTANT}
+    return replace(model, parameters=tuple(replace(p, kind=fixed.get(p.kind, p.kind)) for p in model.parameters))
+
+
+def assert_parameters_are_numbers_of_the_file(text: str, folder: Path, seed: int, *, zeros: bool) -> None:
+    """Change every parameter at random, and the file at every path: equations and sensors stay the same.
+
+    Numbers within an expression for a force keep their values: they have no path in the file.
+    """
+    file, rng = folder / "model.yaml", np.random.default_rng(seed)
+    file.write_text(text, encoding="utf-8")
+    freed = build_parametric(read_model(file), zeros=zeros)
+    data = yaml.safe_load(text) | {"allow_unphysical": True}
+    values = []
+    for parameter in (p for p in freed.parameters if p.kind is Kind.RUNTIME):
+        drawn = float(parameter.value * rng.uniform(0.7, 1.4)) if parameter.value else float(rng.uniform(0.1, 0.3))
+        is_within = re.search(r"\.force\.[0-9]+$", parameter.name)
+        values.append(parameter.value if is_within else drawn)
+        if not is_within:
+            change(data, parameter.name, drawn)
+    assert values
+    file.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
+    tree = build_tree(fix_parameters(read_model(file)))
+    design = [p.value for p in freed.parameters if p.kind is Kind.DIFFERENTIATED]
+    at = draw_state(tree, seed) | {"p": values, "theta": design}
+    for function in ("impl", *(["sensors"] if tree.sensors else [])):
+        for name, expected in run(tree, function, at).items():
+            found = run(freed, function, at)[name]
+            atol = CLOSE * np.abs(expected).max()
+            np.testing.assert_allclose(found, expected, rtol=0, atol=atol, err_msg=f"{function}.{name}")
+
+
+@pytest.mark.parametrize("zeros", [False, True], ids=["", "zeros"])
+@pytest.mark.parametrize("file", MODELS, ids=lambda file: file.stem)
+def test_parameters_are_the_numbers_of_the_models_that_ship(file: Path, zeros: bool, tmp_path: Path) -> None:
+    assert_parameters_are_numbers_of_the_file(file.read_text(encoding="utf-8"), tmp_path, 1, zeros=zeros)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_parameters_are_the_numbers_of_any_model(seed: int, tmp_path: Path) -> None:
+    model = random_model(seed, 3 + seed % 4)
+    assert_parameters_are_numbers_of_the_file(write_model(model), tmp_path, seed, zeros=seed % 2 == 1)
+
+
+TURNED = """\
+name: turned
+gravity: [0, 0, -9.81]
+parameters:
+  l: 0.5
+  half: l/2          # follows l
+  slope: 3           # an axis depends on it: it stays
+bodies:
+  - name: arm
+    joint: {type: revolute, axis: [1, slope, 2], position: [half, 0, 0], limits: [-l, l]}
+    mass: 2
+    com: [0, 0, -0.4]
+    inertia: [0.1, 0.1, 0.02]
+  - name: load
+    parent: arm
+    joint: {type: fixed, position: [0, 0, -0.9], orientation: [{axis: x, angle: 0.3}]}
+    mass: 3
+  - name: arm 2
+    parent: load
+    joint: {type: revolute, axis: y, orientation: [{axis: z, angle: pi/2}]}
+    mass: 1
+    com: [l, 0, 0]
+frames:
+  - {name: arm, body: arm, position: [0, 0, half]}
+"""
+
+
+def test_names_are_those_of_the_file(tmp_path: Path) -> None:
+    """Of a turned axis, of bodies that are fixed together, of what follows a parameter, of limits."""
+    file = tmp_path / "model.yaml"
+    file.write_text(TURNED, encoding="utf-8")
+    freed = build_parametric(read_model(file))
+    assert {p.name: p.value for p in freed.parameters if p.kind is Kind.RUNTIME} == {
+        "l": 0.5,
+        "gravity.z": -9.81,
+        "arm.mass": 2,
+        "arm.com.z": -0.4,
+        **{f"arm.inertia.{axis}": value for axis, value in (("xx", 0.1), ("yy", 0.1), ("zz", 0.02))},
+        "load.position.z": -0.9,
+        "load.orientation.1": 0.3,
+        "load.mass": 3,
+        "arm 2.mass": 1,
+    }
+    assert (freed.bodies[0].joint.lower, freed.bodies[0].joint.upper) == (-0.5, 0.5)
+    for zeros in (False, True):
+        assert_parameters_are_numbers_of_the_file(TURNED, tmp_path, 3, zeros=zeros)
+
+
+def test_zeros_become_parameters_where_they_are_asked_for(tmp_path: Path) -> None:
+    file = tmp_path / "model.yaml"
+    file.write_text(TURNED, encoding="utf-8")
+    names = {p.name for p in build_parametric(read_model(file), zeros=True).parameters}
+    assert {
+        "arm.com.x",
+        "arm 2.orientation.1",
+        "gravity.x",
+        "arm 2.inertia.xy",
+        "arm.damping",
+        "load.position.x",
+    } <= names
+
+
+def test_names_that_are_alike_stay_apart() -> None:
+    """A joint that is called like a body which is fixed."""
+    bodies = [
+        body("a", revolute("z", name="b", position=(1, 0, 0)), mass=1, com=(1, 0, 0)),
+        body("b", fixed((2, 0, 0))),
+    ]
+    bodies.append(body("c", revolute("y"), parent="b", mass=1, com=(1, 0, 0)))
+    model = make_model("alike", bodies, gravity=(0, 0, -9), frames=[frame("b", "c", position=(3, 0, 0))])
+    names = [p.name for p in build_parametric(model).parameters]
+    assert {"b.position.x", "b.position.x.2", "frames.b.position.x"} <= set(names)
+    assert len(set(names)) == len(names)
+
+
+# --- functions of parameters -----------------------------------------------------------------------------------------
+
+FUNCTIONAL = """\
+name: functional
+gravity: ["0.1*sin(a)", 0, "-9 - sqrt(b)"]
+parameters:
+  a: {a}
+  b: {b}
+  follows: a*b + cos(a)
+bodies:
+  - name: rod
+    joint: {{type: revolute, axis: [1, 2, 2], orientation: [{{axis: x, angle: "a + atan2(b, 2)"}}], damping: "exp(-a)"}}
+    mass: sqrt(b)
+    com: ["sin(a)", 0.1, "-tan(a)/b"]
+    inertia: [0.1, "0.1*b", "0.1*sqrt(b)"]
+  - name: hook
+    parent: rod
+    joint:
+      type: prismatic
+      axis: y
+      position: ["follows**2", "log(b)", 0]
+      orientation: [{{axis: y, angle: "asin(a/2)"}}, {{axis: z, angle: follows}}]
+      stiffness: "abs(b)"
+      rest: acos(a)
+      armature: a**2
+      friction: {{torque: a*b, speed: "tanh(b)"}}
+      force: "sin(a*q)*follows"
+    mass: a + b
+    com: [0, "1/b", 0]
+  - name: plate
+    parent: hook
+    joint: {{type: fixed, orientation: [{{axis: x, angle: "a*b"}}]}}
+    mass: a
+    com: [0, "cos(b)", 1]
+  - name: tip
+    parent: plate
+    joint: {{type: ball, position: ["atan(b)", 0, a]}}
+    mass: "1 + a**3"
+    inertia: [0.1, 0.1, 0.1]
+frames:
+  - {{name: end, body: tip, position: ["sqrt(a)", 0, 0], orientation: [{{axis: z, angle: a/b}}]}}
+wrenches:
+  - {{name: push, body: hook, position: [a, 0, 0], force: ["cos(a)", 0, input_], moment: [0, "b*a", 0]}}
+""".replace("input_", "b")
+
+
+def read_functional(a: object, b: object, folder: Path) -> Tree:
+    file = folder / "model.yaml"
+    file.write_text(FUNCTIONAL.format(a=a, b=b), encoding="utf-8")
+    return build_tree(read_model(file))
+
+
+@pytest.mark.parametrize("kind", ["runtime", "differentiated"])
+def test_functions_of_parameters_stand_anywhere(kind: str, tmp_path: Path) -> None:
+    """All functions of the language in all places, at values that are not those in the file."""
+    freed = read_functional(f"{{value: 0.9, kind: {kind}}}", f"{{value: 1.5, kind: {kind}}}", tmp_path)
+    known = read_functional(0.4, 1.7, tmp_path)
+    at = draw_state(known, 1) | {"p" if kind == "runtime" else "theta": [0.4, 1.7]}
+    for function in ("impl", "exp2", "sensors"):
+        for name, expected in run(known, function, at).items():
+            atol = 100 * CLOSE * np.abs(expected).max()  # M is badly conditioned where the ball's parts are light
+            np.testing.assert_allclose(run(freed, function, at)[name], expected, rtol=0, atol=atol, err_msg=function)
+
+
+def test_functions_of_parameters_have_derivatives(tmp_path: Path) -> None:
+    """By differences in 50 digits, which are right to 25: 1e-12 is room for the rounding of doubles."""
+    tree = read_functional("{value: 0.4, kind: differentiated}", "{value: 1.7, kind: differentiated}", tmp_path)
+    tape = impl.build(tree)
+    jac = Dynamics(tree, ALL).differentiate(tape).jac
+    at = draw_state(tree, 2) | {"theta": [0.4, 1.7]}
+    pattern = jac.output("jac_Phi_theta").sparsity
+    found = np.zeros((pattern.rows, pattern.cols))
+    for place, value in zip(
+        pattern.entries, evaluate(jac, {i.name: at[i.name] for i in jac.inputs})["jac_Phi_theta"], strict=True
+    ):
+        found[place] = value
+    step = DIGITS.literal(10) ** -25
+    for column in range(2):
+        sides = []
+        for sign in (1, -1):
+            given = {i.name: [DIGITS.literal(x) for x in at[i.name]] for i in tape.inputs}
+            given["theta"][column] += sign * step
+            sides.append(evaluate(tape, given, DIGITS)["Phi"])
+        expected = np.array([float((plus - minus) / (2 * step)) for plus, minus in zip(*sides, strict=True)])
+        np.testing.assert_allclose(found[:, column], expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+def test_generation_takes_functions_of_parameters(tmp_path: Path) -> None:
+    """The whole way, with a scene that locks a joint where a parameter says."""
+    read_functional("{value: 0.4, kind: runtime}", "{value: 1.7, kind: runtime}", tmp_path)
+    scene = tmp_path / "scene.yaml"
+    scene.write_text('locked: {hook: "sin(a)/2"}\nfunctions: [impl]\nderivatives: 0\n', encoding="utf-8")
+    made = make(tmp_path / "model.yaml", Options(scene=scene))
+    assert [p.name for p in made.manifest.parameters] == ["a", "b"]
+    assert made.report.evidence is not None
+    assert max(made.report.evidence.deviations.values()) < CLOSE
