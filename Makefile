@@ -5,7 +5,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test lint bench bench-growth bench-ocp study golden schema clean
+.PHONY: demo test lint bench bench-growth bench-ocp study mutants golden schema clean
 
 demo: $(VENV)/installed
 	$(BIN)/mbsgen models/arm_pendulum.yaml -o build/arm_pendulum
@@ -47,6 +47,10 @@ study: $(VENV)/installed-study
 	$(BIN)/mbsrun lab -o build/laboratory $(CHARTS) || test $$? -eq 1
 	$(BIN)/mbsrun study models/arm_reach.ocp.yaml -o build/study --export csv $(STUDY) \
 	    $(SYSTEMS:%=--system %) --with build/charts --with build/laboratory || test $$? -eq 1
+
+# Plants faults, one at a time, and runs the tests that must notice them: a quarter of an hour.
+mutants: $(VENV)/installed-dev
+	$(BIN)/python -m tests.mutants
 
 golden: $(VENV)/installed-dev
 	$(BIN)/python -m tests.golden
