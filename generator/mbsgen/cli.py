@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import difflib
+import functools
 import io
 import math
 import sys
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -21,7 +22,7 @@ from mbsgen import __version__
 from mbsgen.errors import MbsError
 from mbsgen.formulations.catalogue import FORMULATIONS, FUNCTIONS
 from mbsgen.formulations.reductions import ALL
-from mbsgen.importing import Choices, Notice, import_model, is_foreign, write_imported
+from mbsgen.importing import Choices, Mimic, Notice, import_model, is_foreign, write_imported
 from mbsgen.model.model import Model
 from mbsgen.model.scene import EVERYTHING
 from mbsgen.model.tree import Tree
@@ -51,6 +52,86 @@ DIFFERENT = 1  # exit code: a folder is not as it would be written
 BAD_INPUT = 2  # exit code: a file or an argument that cannot be accepted; 0 is success
 
 MODEL = click.argument("model", type=click.Path(path_type=Path))
+
+
+_IMPORTING = (
+    click.option("--name", help="The model's name; else that in the file."),
+    click.option(
+        "--base",
+        type=click.Choice(["fixed", "floating"]),
+        default="fixed",
+        show_default=True,
+        help="Whether the root link of URDF stands, or floats.",
+    ),
+    click.option("--gravity", metavar="X,Y,Z", help="In m/s2; else that of MJCF, or 0,0,-9.81."),
+    click.option("--sensor", "sensors", multiple=True, metavar="NAME", help="A link, body or site to become a frame."),
+    click.option("--lock", "locks", multiple=True, metavar="JOINT=VALUE", help="Hold a joint at a coordinate."),
+    click.option(
+        "--mimic",
+        type=click.Choice(["couple", "lock", "free"]),
+        default="couple",
+        show_default=True,
+        help="Let joints that follow others do so, stand where the other is at 0, or move freely.",
+    ),
+    click.option("--quaternions", is_flag=True, help="Give balls and free bodies quaternions, not turns in a row."),
+    click.option(
+        "--friction-speed",
+        type=click.FloatRange(0, 1e6, min_open=True),
+        default=Choices.friction_speed,
+        show_default=True,
+        help="Where dry friction reaches 3/4 of its force, rad/s or m/s.",
+    ),
+    click.option(
+        "--quarter-turns",
+        type=click.FloatRange(0, 0.01),
+        default=Choices.quarter_turns,
+        show_default=True,
+        help="Take angles that are this near to quarter turns as such, rad.",
+    ),
+    click.option("--allow-unphysical", is_flag=True, help="Take even inertias that are far from what a body can have."),
+)
+
+
+def importing(command: Callable[..., None]) -> Callable[..., None]:
+    """Add the options that say how URDF and MJCF are imported; the command gets them as `choices`."""
+
+    @functools.wraps(command)
+    def call(
+        *,
+        model: Path,
+        name: str | None,
+        base: Literal["fixed", "floating"],
+        gravity: str | None,
+        sensors: tuple[str, ...],
+        locks: tuple[str, ...],
+        mimic: Mimic,
+        quaternions: bool,
+        friction_speed: float,
+        quarter_turns: float,
+        allow_unphysical: bool,
+        **own: object,
+    ) -> None:
+        choices = Choices(
+            name=name,
+            base=base,
+            gravity=None if gravity is None else _read_gravity(gravity),
+            sensors=tuple(dict.fromkeys(sensors)),
+            locked=tuple(map(_read_lock, locks)),
+            mimic=mimic,
+            quaternions=quaternions,
+            friction_speed=friction_speed,
+            quarter_turns=quarter_turns,
+            allow_unphysical=allow_unphysical,
+        )
+        if choices != Choices() and not is_foreign(model):
+            raise click.UsageError(
+                f"{model} is a model file: --name, --base, --lock and the like are for URDF and MJCF"
+            )
+        command(model=model, choices=choices, **own)
+
+    for option in reversed(_IMPORTING):
+        call = option(call)
+    return call
 
 
 HELP = """Turn the description of a multibody system into C kernels for its dynamics.
@@ -133,6 +214,7 @@ def cli() -> None:
     help="A relative error that functions may have: what matters less is left out. Else that of the scene, or none.",
 )
 @click.option("--check", is_flag=True, help="Write nothing; fail if the folder is not as it would be written.")
+@importing
 def generate_command(
     model: Path,
     out: Path,
@@ -148,6 +230,7 @@ def generate_command(
     scene: Path | None,
     tolerance: float | None,
     check: bool,
+    choices: Choices,
 ) -> None:
     """Generate a folder from MODEL, the default command.
 
@@ -170,7 +253,7 @@ def generate_command(
         scene=EVERYTHING if scene is None else scene,
         tolerance=tolerance,
     )
-    source = _read(model)
+    source = _read(model, choices)
     if check:
         _check_folder(make(source, options).files, out)
         return
@@ -193,7 +276,8 @@ def _check_folder(files: Mapping[str, str], out: Path) -> None:
 @MODEL
 @click.option("-o", "--output", "out", type=click.Path(path_type=Path), help="The picture to write: .png or .svg.")
 @click.option("--at", "coordinates", metavar="q1=0.3,...", help="Coordinates to draw it at, rad or m; else 0.")
-def show_command(model: Path, out: Path | None, coordinates: str | None) -> None:
+@importing
+def show_command(model: Path, out: Path | None, coordinates: str | None, choices: Choices) -> None:
     """Print the tree of MODEL; with -o, draw it.
 
     The tree tells bodies, joints and masses. The picture shows it beside the mechanism in space.
@@ -203,7 +287,7 @@ def show_command(model: Path, out: Path | None, coordinates: str | None) -> None
     form = "" if out is None else out.suffix.removeprefix(".").lower()
     if out is not None and form not in FORMATS:
         raise click.BadParameter(f"{out} is neither a .png nor a .svg", param_hint="-o")
-    tree = read_tree(_read(model))
+    tree = read_tree(_read(model, choices))
     q = _read_coordinates(tree, coordinates or "")
     branches = {0: Branches(Text(f"{tree.name}: base"))}
     for i, (body, mass) in enumerate(zip(tree.bodies, list_masses(tree), strict=True), 1):
@@ -253,9 +337,10 @@ def _read_coordinates(tree: Tree, text: str) -> list[float]:
 @click.option("--json", "form", flag_value="json", help="Print report.json.")
 @click.option("--markdown", "form", flag_value="markdown", help="Print report.md.")
 @click.option("--compare", is_flag=True, help="Count without each reduction too: what it saves.")
-def report_command(model: Path, form: str | None, compare: bool) -> None:
+@importing
+def report_command(model: Path, form: str | None, compare: bool, choices: Choices) -> None:
     """Count what MODEL costs: flops and equations."""
-    report = make(_read(model), Options(compare=compare)).report
+    report = make(_read(model, choices), Options(compare=compare)).report
     if form is None:
         print_report(report)
     else:
@@ -289,79 +374,26 @@ def scaling_command(largest: int) -> None:
 
 @cli.command("check")
 @MODEL
-def check_command(model: Path) -> None:
+@importing
+def check_command(model: Path, choices: Choices) -> None:
     """Tell every fault of MODEL, and write nothing."""
-    read_tree(_read(model))
+    read_tree(_read(model, choices))
     click.echo(f"{model}: no fault found", err=True)
 
 
 @cli.command("import")
 @MODEL
 @click.option("-o", "--output", "out", type=click.Path(path_type=Path), help="The model file to write; else stdout.")
-@click.option("--name", help="The model's name; else that in the file.")
-@click.option(
-    "--base",
-    type=click.Choice(["fixed", "floating"]),
-    default="fixed",
-    show_default=True,
-    help="Whether the root link of URDF stands, or floats.",
-)
-@click.option("--gravity", metavar="X,Y,Z", help="In m/s2; else that of MJCF, or 0,0,-9.81.")
-@click.option("--sensor", "sensors", multiple=True, metavar="NAME", help="A link, body or site that becomes a frame.")
-@click.option("--lock", "locks", multiple=True, metavar="JOINT=VALUE", help="Hold a joint at a coordinate, rad or m.")
-@click.option(
-    "--mimic",
-    type=click.Choice(["refuse", "free", "lock"]),
-    default="refuse",
-    show_default=True,
-    help="What becomes of joints that follow others.",
-)
-@click.option("--quaternions", is_flag=True, help="Give balls and free bodies quaternions, instead of turns in a row.")
-@click.option(
-    "--friction-speed",
-    type=click.FloatRange(0, 1e6, min_open=True),
-    default=Choices.friction_speed,
-    show_default=True,
-    help="Where dry friction reaches 3/4 of its force, rad/s or m/s.",
-)
-@click.option(
-    "--quarter-turns",
-    type=click.FloatRange(0, 0.01),
-    default=Choices.quarter_turns,
-    show_default=True,
-    help="Take angles that are this near to quarter turns as such, rad.",
-)
-@click.option("--allow-unphysical", is_flag=True, help="Take even inertias that are far from what a body can have.")
+@importing
 def import_command(
     model: Path,
     out: Path | None,
-    name: str | None,
-    base: Literal["fixed", "floating"],
-    gravity: str | None,
-    sensors: tuple[str, ...],
-    locks: tuple[str, ...],
-    mimic: Literal["refuse", "free", "lock"],
-    quaternions: bool,
-    friction_speed: float,
-    quarter_turns: float,
-    allow_unphysical: bool,
+    choices: Choices,
 ) -> None:
     """Make a model file of MODEL, a file of URDF or MJCF.
 
     What is changed or left out is told on stderr, and in comments of the model file.
     """
-    choices = Choices(
-        name=name,
-        base=base,
-        gravity=None if gravity is None else _read_gravity(gravity),
-        sensors=tuple(dict.fromkeys(sensors)),
-        locked=tuple(map(_read_lock, locks)),
-        mimic=mimic,
-        quaternions=quaternions,
-        friction_speed=friction_speed,
-        quarter_turns=quarter_turns,
-        allow_unphysical=allow_unphysical,
-    )
     imported = import_model(model, choices)
     _tell(imported.notices)
     text = write_imported(imported)
@@ -372,11 +404,11 @@ def import_command(
     click.echo(f"wrote {out}", err=True)
 
 
-def _read(model: Path) -> Path | Model:
+def _read(model: Path, choices: Choices) -> Path | Model:
     """Read a model that is to be imported, and tell what is known about it; give the path of any other."""
     if not is_foreign(model):
         return model
-    imported = import_model(model)
+    imported = import_model(model, choices)
     _tell(imported.notices)
     return imported.model
 

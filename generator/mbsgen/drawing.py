@@ -22,6 +22,7 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 from numpy.typing import NDArray
 
+from mbsgen.formulations.coupling import couple
 from mbsgen.formulations.links import DESIGN, PARAMETERS, declare_state, write_chain
 from mbsgen.formulations.poses import build_frames
 from mbsgen.model.symbols import exact, round_number, to_double, total
@@ -60,7 +61,7 @@ def pose(tree: Tree, q: Sequence[float]) -> Scene:
         at[name] = [parameter.value for parameter in tree.parameters if parameter.kind is kind]
     frames, masses = (
         {name: np.array(values, float) for name, values in evaluate(tape, at).items()}
-        for tape in (build_frames(tree), _build_masses(tree))
+        for tape in (couple(build_frames(tree.uncoupled), tree), couple(_build_masses(tree.uncoupled), tree))
     )
     places = frames["p"].reshape(n + s, 3)
     rotations = frames["R"].reshape(n + s, 3, 3).transpose(0, 2, 1)[:n]  # columns: axes of the bodies

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from mbsgen.approximation.choice import Approximation
 from mbsgen.derivatives.dynamics import Dynamics
 from mbsgen.families import Options, write_families
-from mbsgen.formulations import impl
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.model import Model
@@ -116,7 +115,7 @@ class _Comparison:
         at = np.array([locked.get(name, 0.0) for name in whole.coordinates])
         moving, free = (
             [k for k, name in enumerate(names) if name not in locked]
-            for names in ([body.joint.name for body in whole.bodies], whole.coordinates)
+            for names in ([joint.name for joint in whole.joints], whole.coordinates)
         )
         return _Comparison(whole, reduced, at, moving, free, reductions, scene)
 
@@ -125,10 +124,14 @@ class _Comparison:
         state = self._draw(seed)
         found = _evaluate(tape, self._reduce(state))
         if tape.name in ("exp1", "exp2"):
-            qdd = np.zeros(len(self.whole.bodies))
+            qdd = np.zeros(len(self.whole.joints))
             qdd[self.moving] = found["qdd"][:, 0]
-            rows = _evaluate(impl.build(self.whole, self.reductions), state | {"qdd": qdd})["Phi"][self.moving]
-            still = _evaluate(impl.build(self.whole, self.reductions), state | {"qdd": 0 * qdd})["Phi"][self.moving]
+            rows = _evaluate(FUNCTIONS["impl"].build(self.whole, self.reductions), state | {"qdd": qdd})["Phi"][
+                self.moving
+            ]
+            still = _evaluate(FUNCTIONS["impl"].build(self.whole, self.reductions), state | {"qdd": 0 * qdd})["Phi"][
+                self.moving
+            ]
             return float(np.abs(rows).max() / np.abs(still).max())
         expected = _evaluate(FUNCTIONS[tape.name].build(self.whole, self.reductions), state)
         compared = {name: values for name, values in found.items() if not (self._is_grounded and name in _OF_ALL_MASS)}
@@ -140,11 +143,12 @@ class _Comparison:
     @property
     def _is_grounded(self) -> bool:
         """Tell whether a body is locked to the base, which has no mass."""
-        return any(body.parent == 0 and k not in self.moving for k, body in enumerate(self.whole.bodies))
+        left = {body.joint.name for body in self.reduced.bodies}
+        return any(body.parent == 0 and body.joint.name not in left for body in self.whole.bodies)
 
     def _draw(self, seed: int) -> State:
         source = random.Random(seed)
-        n, m = len(self.whole.bodies), sum(body.joint.actuated for body in self.whole.bodies)
+        n, m = len(self.whole.joints), sum(joint.actuated for joint in self.whole.joints)
         forces = 3 * sum(v is None for x in self.whole.wrenches for v in (x.force, x.moment))
         sizes = {"q": len(self.at), "qd": n, "qdd": n, "u": m, "w": forces}
         state = {name: np.array([source.uniform(-1.0, 1.0) for _ in range(size)]) for name, size in sizes.items()}
@@ -158,7 +162,7 @@ class _Comparison:
 
     def _reduce(self, state: State) -> State:
         """Take from a state of the whole model what the reduced one has of it."""
-        driven = [k for k, body in enumerate(self.whole.bodies) if body.joint.actuated]
+        driven = [k for k, joint in enumerate(self.whole.joints) if joint.actuated]
         kept = [x.name for x in self.reduced.wrenches]
         left = [x.name in kept for x in self.whole.wrenches for v in (x.force, x.moment) if v is None for _ in "xyz"]
         return {

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from mbsgen.formulations.coupling import couple
 from mbsgen.formulations.links import declare_state, joint_forces, write_chain
 from mbsgen.formulations.textbook import residual
 from mbsgen.model.reader import read_model
@@ -24,12 +25,12 @@ class Oracle:
     def __init__(self, model: Path) -> None:
         """Read a model file. Raises InputError with every fault of it."""
         tree, builder = build_tree(read_model(model)), Builder()
-        state = declare_state(tree, builder)
-        chain = write_chain(tree, builder, state)
+        state = declare_state(tree.uncoupled, builder)
+        chain = write_chain(tree.uncoupled, builder, state)
         Phi = residual(chain, state.qd, chain.accelerate(state.qdd))
         for name, column in (("Phi", Phi), ("Q", joint_forces(chain))):
             builder.output_dense(name, [[entry] for entry in column])
-        self._tape = builder.build("equations")
+        self._tape = couple(builder.build("equations"), tree)
 
     @property
     def inputs(self) -> tuple[str, ...]:

@@ -135,7 +135,7 @@ def identify(tree: Tree) -> str:
     def read(*numbers: Expr) -> list[str]:
         return [to_double(number.xreplace(values)).hex() for number in numbers]
 
-    told = []
+    told: list[object] = []
     for b in tree.bodies:
         numbers = read(*b.position, *chain(*b.orientation), b.mass, *b.com, *chain(*b.inertia))
         for lump in b.lumps:
@@ -143,6 +143,8 @@ def identify(tree: Tree) -> str:
         if b.joint.armature != 0:
             numbers += read(b.joint.armature)
         told.append((b.parent, b.joint.motion.value, b.joint.axis, str(b.joint.law), numbers))
+    if tree.couplings:
+        told.append(tree.couplings)
     return hashlib.sha256(repr((read(*tree.gravity), told, len(tree.wrenches))).encode()).hexdigest()[:16]
 
 

@@ -14,7 +14,7 @@ from functools import cached_property
 from mbsgen.derivatives import implicit, kernels, recursion, reverse
 from mbsgen.derivatives.kernels import Derivatives, differentiable
 from mbsgen.derivatives.vanishing import drop_vanishing, find_patterns
-from mbsgen.formulations import impl
+from mbsgen.formulations import coupling, impl
 from mbsgen.formulations.planning import finish
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Kind, Tree
@@ -95,12 +95,16 @@ class _Choice:
 
 class _OfResidual(Derivatives):
     def __init__(self, tree: Tree, reductions: Reductions, choice: _Choice) -> None:
-        tape = impl.build(tree, reductions)
+        tape = coupling.write(impl.build, tree, reductions)
         super().__init__(tape, differentiable(tape))
         self._tree, self._reductions, self._choice = tree, reductions, choice
 
     def _by_recursion(self, write: Callable[[Tree, Reductions], Tape]) -> Ways:
-        return {} if _is_strange(self._tree) else {"recursion": lambda: write(self._tree, self._reductions)}
+        if _is_strange(self._tree):
+            return {}
+        if self._tree.couplings:
+            return {"recursion": lambda: coupling.couple(write(self._tree.uncoupled, self._reductions), self._tree)}
+        return {"recursion": lambda: write(self._tree, self._reductions)}
 
     @cached_property
     def jac(self) -> Tape:

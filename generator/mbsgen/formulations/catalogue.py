@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from types import MappingProxyType
 
-from mbsgen.formulations import condition, energy, exp1, exp2, impl, poses, rates, semi, velocities
+from mbsgen.formulations import condition, coupling, energy, exp1, exp2, impl, poses, rates, semi, velocities
 from mbsgen.formulations.links import DESIGN, PARAMETERS
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Tree
@@ -25,6 +26,7 @@ class Entry:
     differentiated: bool  # by all inputs but parameters
     of_sensors: bool = False  # a tree without sensors has no such function
     of_quaternions: bool = False  # nor one without quaternions
+    of_uncoupled: bool = False  # nor one with joints that follow others
     of_dynamics: bool = False  # a form of the equations of motion: its derivatives may be written by mechanics
 
 
@@ -63,7 +65,7 @@ MEANINGS: Mapping[str, str] = MappingProxyType(
     }
 )
 
-FUNCTIONS: Mapping[str, Entry] = MappingProxyType(
+_UNCOUPLED: Mapping[str, Entry] = MappingProxyType(
     {
         "impl": Entry(
             impl.build,
@@ -120,6 +122,7 @@ FUNCTIONS: Mapping[str, Entry] = MappingProxyType(
             "how many digits exp1 and exp2 lose at a position",
             results=("elimination", "articulated"),
             differentiated=False,
+            of_uncoupled=True,
         ),
         "energy": Entry(
             _plainly(energy.build),
@@ -141,12 +144,19 @@ FUNCTIONS: Mapping[str, Entry] = MappingProxyType(
 )
 
 
+FUNCTIONS: Mapping[str, Entry] = MappingProxyType(
+    {name: replace(entry, build=partial(coupling.write, entry.build)) for name, entry in _UNCOUPLED.items()}
+)
+
+
 def select_functions(tree: Tree) -> Mapping[str, Entry]:
-    """Select the functions that a tree has: all, but without sensors or quaternions none of theirs."""
+    """Select the functions that a tree has: those of sensors, quaternions and uncoupled joints where there are any."""
     return {
         name: entry
         for name, entry in FUNCTIONS.items()
-        if (tree.sensors or not entry.of_sensors) and (tree.quaternions or not entry.of_quaternions)
+        if (tree.sensors or not entry.of_sensors)
+        and (tree.quaternions or not entry.of_quaternions)
+        and not (tree.couplings and entry.of_uncoupled)
     }
 
 
@@ -160,9 +170,9 @@ class Row:
 
 FORMULATIONS: Mapping[str, Row] = MappingProxyType(
     {
-        "IMPL": Row(impl.build, driven=False),  # Phi
-        "SEMI": Row(semi.build, driven=False),  # M, one triangle, and c
-        "EXP1": Row(exp1.build, driven=True),  # gamma(q, qd, Q)
-        "EXP2": Row(exp2.build, driven=True),  # nu(q, qd, Q)
+        "IMPL": Row(partial(coupling.write, impl.build), driven=False),  # Phi
+        "SEMI": Row(partial(coupling.write, semi.build), driven=False),  # M, one triangle, and c
+        "EXP1": Row(partial(coupling.write, exp1.build), driven=True),  # gamma(q, qd, Q)
+        "EXP2": Row(partial(coupling.write, exp2.build), driven=True),  # nu(q, qd, Q)
     }
 )

@@ -214,6 +214,7 @@ def declare_state(
     wrenches: bool = True,
 ) -> State:
     """Declare q, and where wanted qd, qdd, u; w for open wrenches, theta and p for parameters, if there are any."""
+    assert not tree.couplings, "recursions see the uncoupled tree; see coupling.write"
     n = len(tree.bodies)
     given = builder.vector("q", len(tree.coordinates))
     qd = builder.vector("qd", n) if rates else []

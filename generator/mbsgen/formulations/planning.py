@@ -175,7 +175,10 @@ def find_plans(tree: Tree, reductions: Reductions) -> Plans:
 
 def dynamics_alone(tree: Tree, *, driven: bool) -> Tree:
     """Take force laws, external wrenches and sensors away, and drive all joints or none."""
-    joints = (replace(b.joint, actuated=driven, law=NO_FORCE) for b in tree.bodies)
+    followers = tree.followers
+    joints = (
+        replace(b.joint, actuated=driven and i not in followers, law=NO_FORCE) for i, b in enumerate(tree.bodies, 1)
+    )
     bodies = tuple(replace(b, joint=joint) for b, joint in zip(tree.bodies, joints, strict=True))
     return replace(tree, bodies=bodies, wrenches=(), sensors=())
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import unicodedata
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -22,7 +22,7 @@ from mbsgen.importing.poses import ORIGIN, Array, Pose, Writer, turn, write_trip
 from mbsgen.importing.solids import NOTHING, Solid, add, find_miss, show_moments, write_inertia
 from mbsgen.model.checks import find_faults
 from mbsgen.model.compounds import UNITS
-from mbsgen.model.model import BASE, FREE, Body, Fixed, Frame, Friction, Joint, Law, Model, Triple
+from mbsgen.model.model import BASE, FREE, Body, Fixed, Follow, Frame, Friction, Joint, Law, Model, Triple
 from mbsgen.model.naming import MAX_LENGTH
 from mbsgen.model.topology import find_carriers
 from mbsgen.model.tree import Motion
@@ -31,6 +31,9 @@ GRAVITY = (0.0, 0.0, -9.81)
 TOLERANCE = 1e-9  # of the largest moment: what a file's digits leave of an inertia that is just possible
 SLIGHT = 1e-9  # m2: less than this times its mass, and a body is a point
 GROSS = 0.5  # of the largest moment, of bodies fixed to each other together: beyond this, nothing computed means much
+
+
+Mimic = Literal["couple", "free", "lock"]
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,7 @@ class Choices:
     gravity: tuple[float, float, float] | None = None  # None: that of the file, or 9.81 m/s2 down the z axis
     sensors: tuple[str, ...] = ()  # links, bodies and sites that become frames
     locked: tuple[tuple[str, float], ...] = ()  # joints that are held, and where [rad or m]
-    mimic: Literal["refuse", "free", "lock"] = "refuse"  # what becomes of joints that follow others
+    mimic: Mimic = "couple"  # what becomes of joints that follow others
     quaternions: bool = False  # balls and free bodies have them; else they turn about z, y, x
     friction_speed: float = 0.01  # at which 3/4 of dry friction are reached [rad/s or m/s]
     quarter_turns: float = 1e-11  # angles nearer than this to a quarter turn are taken as one [rad]
@@ -73,6 +76,7 @@ class Move:
     armature: float = 0.0  # what a rotor adds to M [kg m2 or kg]
     velocity: float | None = None  # the largest, either way [rad/s or m/s]; 0 and None: unbounded
     effort: float | None = None  # the same of the input [N m or N]
+    follows: tuple[str, float, float] | None = None  # another joint of the file, ratio, offset
     floats: bool = False  # one of those that stand for a quaternion
 
     def at(self, q: float) -> Pose:
@@ -118,6 +122,7 @@ class Draft:
     _sources: dict[str, Element] = field(default_factory=dict)  # of bodies
     _fixed: dict[str, Pose] = field(default_factory=dict)  # of bodies without joints, on their parents
     _moves: dict[tuple[str, int], Element] = field(default_factory=dict)  # of joints: body, place in its sequence
+    _called: dict[str, str] = field(default_factory=dict)  # names of joints in the model, by those in the file
     _names: dict[str, set[str]] = field(default_factory=dict)
     _locked: set[str] = field(default_factory=set)
     _sensors: set[str] = field(default_factory=set)
@@ -170,7 +175,7 @@ class Draft:
         model = Model(
             name=self._choose_name("model", self.choices.name or name, root),
             gravity=write_triple(self.choices.gravity or gravity),
-            bodies=tuple(self.bodies),
+            bodies=tuple(map(self._lead, self.bodies)),
             frames=tuple(self.frames),
             allow_unphysical=not allowed,
         )
@@ -211,15 +216,36 @@ class Draft:
             name = None if move.name is None else self._choose_name("joint", move.name, move.source)
             lower, upper = (None if limit is None else Number(limit) for limit in (move.lower, move.upper))
             speed, force = (Number(bound) if bound else None for bound in (move.velocity, move.effort))
+            follows = None
+            if move.follows is not None:
+                leader, ratio, offset = move.follows
+                follows = Follow(leader, Number(ratio), Number(offset))  # by its name in the file, as yet
+            if move.name is not None:
+                self._called.setdefault(move.name, name or body)
             joints.append(
                 Joint(
                     move.motion, _write_axis(move.axis), None if name == body and len(kept) == 1 else name,
                     self.writer.placement(pose), move.actuated, lower, upper, move.law,
-                    speed, force, Number(move.armature), move.floats,
+                    speed, force, Number(move.armature), follows, move.floats,
                 )
             )  # fmt: skip
             self._moves[body, i] = move.source
         return joints[0] if len(joints) == 1 else tuple(joints)
+
+    def _lead(self, body: Body) -> Body:
+        """Let joints that follow others call them by their names in the model."""
+
+        def lead(joint: Joint) -> Joint:
+            if joint.follows is None:
+                return joint
+            return replace(joint, follows=replace(joint.follows, joint=self._called[joint.follows.joint]))
+
+        match body.joint:
+            case Fixed():
+                return body
+            case Joint():
+                return replace(body, joint=lead(body.joint))
+        return replace(body, joint=tuple(map(lead, body.joint)))
 
     def _choose_name(self, kind: str, wanted: str, source: Element) -> str:
         """Give a name that a model can have, and that no other of its kind looks like; a change is told."""

@@ -90,7 +90,7 @@ class Findings:
             if "${" in text or "$(" in text:
                 remedy = "this is xacro: run `xacro FILE > robot.urdf` first"
             else:
-                remedy = f"give numbers such as 0.3 or 1e-3: 0, or {SMALLEST:g} to {LARGEST:g} in size"
+                remedy = f"give numbers such as 0.3 or 1e-3, up to {LARGEST:g} in size"
             self.fault(element, f"{name} is {abbreviate(text)}", remedy)
             return default
         return tuple(values)
@@ -113,4 +113,6 @@ def _read_number(word: str) -> float:
     if len(word) > MAX_DIGITS or not _NUMBER.fullmatch(word):
         return math.nan
     value = float(word)
-    return value if SMALLEST <= abs(value) <= LARGEST else 0.0 if value == 0 else math.nan  # no -0
+    if abs(value) < SMALLEST:
+        return 0.0  # no -0
+    return value if abs(value) <= LARGEST else math.nan

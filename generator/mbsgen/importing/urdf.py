@@ -52,16 +52,48 @@ class _Robot:
         self._root = root
         self._choices = choices
         self._findings = findings
-        held = () if choices.mimic != "lock" else tuple(self._hold_mimics())
-        self._draft = Draft(findings, replace(choices, locked=(*choices.locked, *held)))
+        self._leaders = self._read_leaders()
+        self._draft = Draft(findings, replace(choices, locked=(*choices.locked, *self._hold_followers())))
         self._rotors: defaultdict[str, float] = defaultdict(float)  # what transmissions add to the inertia of joints
 
-    def _hold_mimics(self) -> Iterator[tuple[str, float]]:
-        """Give the joints that follow others, and where they are when those are at 0."""
-        for joint in self._root.all("joint"):
+    def _read_leaders(self) -> dict[str, tuple[str, float, float]]:
+        """Read which joints follow others: the other's name, ratio and offset, by their own names."""
+        moving = {
+            joint.attributes.get("name", ""): joint
+            for joint in self._root.all("joint")
+            if joint.attributes.get("type") in ("revolute", "continuous", "prismatic")
+        }
+        found = {}
+        for name, joint in moving.items():
             mimic = joint.first("mimic")
-            if mimic is not None and joint.attributes.get("type") in ("revolute", "continuous", "prismatic"):
-                yield joint.attributes.get("name", ""), self._findings.number(mimic, "offset", 0.0)
+            if mimic is None or name in dict(self._choices.locked):
+                continue
+            leader = mimic.attributes.get("joint", "")
+            if leader not in moving:
+                meant = nearest(leader, list(moving))
+                remedy = f"did you mean {abbreviate(meant)}?" if meant else "name a joint that moves about one axis"
+                self._findings.fault(mimic, f"it follows {abbreviate(leader)}, which does not move so", remedy)
+                continue
+            found[name] = (
+                leader,
+                self._findings.number(mimic, "multiplier", 1.0),
+                self._findings.number(mimic, "offset", 0.0),
+            )
+        return found
+
+    def _hold_followers(self) -> Iterator[tuple[str, float]]:
+        """Give the followers that do not move, and where they are: those of held joints, or all, as choices tell."""
+        held = dict(self._choices.locked)
+        for name in self._leaders if self._choices.mimic != "free" else ():
+            chain = [name]
+            while chain[-1] in self._leaders and chain[-1] not in held and self._leaders[chain[-1]][0] not in chain:
+                chain.append(self._leaders[chain[-1]][0])
+            at = held.get(chain[-1], 0.0 if self._choices.mimic == "lock" else None)
+            for follower in chain[-2::-1]:
+                _, ratio, offset = self._leaders[follower]
+                at = offset if ratio == 0 else None if at is None else ratio * at + offset
+            if at is not None:
+                yield name, at
 
     def read(self) -> Imported:
         """Read the file, and put the model together."""
@@ -201,7 +233,7 @@ class _Robot:
                 self._findings.number(limit, key, 0.0) if key in limit.attributes else None
                 for key in ("velocity", "effort")
             )
-        self._read_mimic(joint, name)
+        follows = self._read_mimic(joint, name)
         dynamics = joint.first("dynamics")
         damping = friction = 0.0
         armature = self._rotors[name]
@@ -221,7 +253,9 @@ class _Robot:
             law=make_law(damping=damping, friction=friction, speed=self._choices.friction_speed),
             armature=armature,
             velocity=velocity,
-            effort=effort,
+            effort=None if follows else effort,
+            actuated=follows is None,
+            follows=follows,
         )
 
     def _read_loss(self, dynamics: Element, key: str) -> float:
@@ -248,16 +282,17 @@ class _Robot:
             axis = (1.0, 0.0, 0.0)
         return np.array(axis)
 
-    def _read_mimic(self, joint: Element, name: str) -> None:
+    def _read_mimic(self, joint: Element, name: str) -> tuple[str, float, float] | None:
         mimic = joint.first("mimic")
-        if mimic is None or any(held == name for held, _ in self._draft.choices.locked):
-            return
-        follows = abbreviate(mimic.attributes.get("joint", ""))
+        if mimic is None or name not in self._leaders or any(held == name for held, _ in self._draft.choices.locked):
+            return None
+        leader, ratio, offset = self._leaders[name]
         if self._choices.mimic == "free":
-            self._findings.warn(mimic, f"the joint follows {follows}; here it moves on its own")
-            return
-        remedy = f"hold it (--lock {name}=0), hold all such joints (--mimic lock), or free them (--mimic free)"
-        self._findings.fault(mimic, f"the joint follows {follows}, which a model cannot say", remedy)
+            self._findings.warn(mimic, f"the joint follows {abbreviate(leader)}; here it moves on its own")
+            return None
+        shown = f" + {offset:g}" if offset else ""
+        self._findings.tell(mimic, f"no coordinate: its q is {ratio:g} times that of {abbreviate(leader)}{shown}")
+        return leader, ratio, offset
 
     def _refuse_mimic(self, joint: Element) -> None:
         if joint.first("mimic") is not None:

@@ -15,6 +15,7 @@ from mbsgen.expressions import Expression, write
 from mbsgen.model.compounds import recognise
 from mbsgen.model.expansion import list_steps
 from mbsgen.model.findings import Finding
+from mbsgen.model.following import check_followers
 from mbsgen.model.idleness import check_idle_joints
 from mbsgen.model.model import BASE, COORDINATE, RATE, ZERO, Body, Fixed, Joint, Law, Model, Placement, Wrench
 from mbsgen.model.naming import check_names
@@ -42,6 +43,7 @@ def find_faults(model: Model, doubtful: Container[Place] = frozenset()) -> list[
         _check_placement(("frames", i), frame.placement, valuation)
     for i, wrench in enumerate(model.wrenches):
         findings += _check_wrench(("wrenches", i), wrench, valuation)
+    findings += check_followers(model, valuation)
     findings += valuation.findings
     return findings or [*check_idle_joints(model), *_check_fixed(model)]
 

@@ -25,6 +25,7 @@ from mbsgen.model.model import (
     BASE,
     Body,
     Fixed,
+    Follow,
     Frame,
     Friction,
     Inertia,
@@ -63,6 +64,7 @@ class Setting(TypedDict, total=False):
     friction: tuple[Quantity, Quantity]  # T, v
     force: Quantity  # over parameters, q and qd
     armature: Quantity  # of the rotor that drives it
+    follows: tuple[str, Quantity, Quantity]  # another joint, ratio, offset: it has no coordinate and no input then
 
 
 _ORIGIN = (0.0, 0.0, 0.0)
@@ -240,13 +242,16 @@ def _make_joint(
     friction: tuple[Quantity, Quantity] | None = None,
     force: Quantity = 0.0,
     armature: Quantity = 0.0,
+    follows: tuple[str, Quantity, Quantity] | None = None,
 ) -> Joint:
     lower, upper, speed, effort = (None if x is None else number(x) for x in (*limits, max_speed, max_force))
     dry = None if friction is None else Friction(number(friction[0]), number(friction[1]))
     law = Law(number(stiffness), number(rest), number(damping), dry, number(force))
     direction = read_direction(axis) if isinstance(axis, str) else vector(axis)
     place = _place(position, orientation)
-    return Joint(motion, direction, name, place, actuated, lower, upper, law, speed, effort, number(armature))
+    follow = None if follows is None else Follow(follows[0], number(follows[1]), number(follows[2]))
+    driven = actuated and follow is None
+    return Joint(motion, direction, name, place, driven, lower, upper, law, speed, effort, number(armature), follow)
 
 
 def _make_compound(type: str, order: str, placement: Placement, actuated: bool) -> tuple[Joint, ...]:

@@ -7,12 +7,17 @@ from dataclasses import replace
 
 from mbsgen.expressions import Call, Expression, Negation, Number, Operation
 from mbsgen.model.expansion import list_steps
+from mbsgen.model.following import list_joints, place_followers
 from mbsgen.model.model import HERE, ORIGIN, ZERO, Body, Fixed, Joint, Model, Placement, Rotation, Triple
 from mbsgen.model.tree import Motion
 
 
 def lock(model: Model, coordinates: Mapping[str, Expression]) -> Model:
-    """Fix joints, by name, at their coordinates [rad or m]; they lose limits, forces and inputs with their freedom."""
+    """Fix joints, by name, at their coordinates [rad or m]; they lose limits, forces and inputs with their freedom.
+
+    Joints that follow them are fixed where they are then.
+    """
+    coordinates = place_followers(list_joints(model), coordinates)
     bodies = [part for i, body in enumerate(model.bodies) for part in _lock_body(i, body, coordinates)]
     return replace(model, bodies=tuple(bodies))
 

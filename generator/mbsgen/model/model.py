@@ -18,7 +18,7 @@ COORDINATE, RATE = "q", "qd"  # a joint's own, in the expression of its force
 
 Triple = tuple[Expression, Expression, Expression]
 
-ZERO = Number(0.0)
+ZERO, ONE = Number(0.0), Number(1.0)
 ORIGIN: Triple = (ZERO, ZERO, ZERO)
 
 
@@ -93,6 +93,15 @@ FREE = Law()
 
 
 @dataclass(frozen=True)
+class Follow:
+    """What a joint does that has no coordinate of its own: its q is ratio times that of another joint, plus offset."""
+
+    joint: str  # the other one's name
+    ratio: Expression = ONE  # constant, not 0
+    offset: Expression = ZERO  # constant [rad or m]
+
+
+@dataclass(frozen=True)
 class Joint:
     """One degree of freedom: rotation about, or translation along, an axis."""
 
@@ -107,6 +116,7 @@ class Joint:
     max_speed: Expression | None = None  # of qd either way [rad/s or m/s]; None: unbounded
     max_force: Expression | None = None  # of its input u either way [N m or N]
     armature: Expression = ZERO  # of the rotor that drives it, times its gear ratio squared [kg m2 or kg]
+    follows: Follow | None = None  # another joint; it has neither a coordinate nor an input then
     floats: bool = False  # one of those that stand for a quaternion, see `compounds`: at 0, of a frame that moves
 
 

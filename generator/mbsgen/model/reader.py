@@ -15,6 +15,7 @@ from mbsgen.model.findings import Finding
 from mbsgen.model.model import (
     Body,
     Fixed,
+    Follow,
     Frame,
     Friction,
     Inertia,
@@ -106,16 +107,20 @@ def _make_elementary(section: schema.ElementarySection) -> Joint:
 
 def _set_joint(joint: Joint, setting: schema.SettingSection) -> Joint:
     dry = None if setting.friction is None else Friction(setting.friction.torque, setting.friction.speed)
+    followed = setting.follows
+    follows = None if followed is None else Follow(followed.joint, followed.ratio, followed.offset)
+    actuated = joint.actuated and follows is None
     return replace(
         joint,
         name=setting.name,
-        actuated=joint.actuated if setting.actuated is None else setting.actuated,
+        actuated=actuated if setting.actuated is None else setting.actuated,
         lower=setting.limits[0],
         upper=setting.limits[1],
         max_speed=setting.max_speed,
         max_force=setting.max_force,
         law=Law(setting.stiffness, setting.rest, setting.damping, dry, setting.force),
         armature=setting.armature,
+        follows=follows,
     )
 
 

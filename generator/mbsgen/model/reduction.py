@@ -8,14 +8,16 @@ keep the pose, bodies and wrenches the axes, that their author gave them.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from sympy import Expr, Symbol
 
 from mbsgen.expressions import Algebra, Expression, evaluate, names
 from mbsgen.model import model, tree
 from mbsgen.model.expansion import expand
+from mbsgen.model.following import Range, find_range, find_rules, list_joints
 from mbsgen.model.model import BASE, Model
 from mbsgen.model.symbols import round_number, symbolic, to_double, total
 from mbsgen.model.topology import sort_bodies
@@ -25,6 +27,7 @@ from mbsgen.model.tree import (
     ONE,
     RATE,
     ZERO,
+    Coupling,
     Kind,
     Lump,
     Matrix,
@@ -53,14 +56,17 @@ def build_tree(description: Model) -> Tree:
             carried[seat.number] = []
         seats[body.name] = seat
         carried[seat.number].append(_read_lump(body, seat, reader))
+    bodies = tuple(_make_body(mover, *_merge(carried[i]), reader=reader) for i, mover in enumerate(moving, 1))
+    couplings = tuple(_find_couplings(description, moving, reader))
     return Tree(
         name=description.name,
         gravity=reader.vector(description.gravity),
         parameters=parameters,
-        bodies=tuple(_make_body(mover, *_merge(carried[i]), reader=reader) for i, mover in enumerate(moving, 1)),
+        bodies=_bind(bodies, couplings),
         sensors=tuple(_make_sensor(frame, seats[frame.body], reader) for frame in description.frames),
         wrenches=tuple(_make_wrench(wrench, seats[wrench.body], reader) for wrench in description.wrenches),
         quaternions=tuple(_find_quaternions(description, moving)),
+        couplings=couplings,
     )
 
 
@@ -127,9 +133,13 @@ class _Reader:
         x, y, z = (evaluate(component, self.values, self.algebra) for component in triple)
         return x, y, z
 
+    def constant(self, expression: Expression) -> float:
+        """Read a number that is constant."""
+        return to_double(evaluate(expression, self.values, self.algebra))
+
     def limit(self, expression: Expression | None) -> float | None:
         """Read a limit of a joint, which is constant."""
-        return None if expression is None else to_double(evaluate(expression, self.values, self.algebra))
+        return None if expression is None else self.constant(expression)
 
     def law(self, law: model.Law) -> Expr:
         """Read a joint's own force, over its q and qd."""
@@ -277,6 +287,31 @@ def _find_quaternions(description: Model, moving: Sequence[_Mover]) -> Iterator[
         if any(joint.floats for joint in body.joints):
             count = len(body.joints)
             yield Quaternion(body.name, numbers[body.name] - count + 1, is_free=count == 6)
+
+
+def _find_couplings(description: Model, moving: Sequence[_Mover], reader: _Reader) -> Iterator[Coupling]:
+    """Find the joints that follow others, and what leads them in the end."""
+    numbers = {mover.joint.name: i for i, mover in enumerate(moving, 1)}
+    for name, rule in find_rules(list_joints(description)).items():
+        yield Coupling(numbers[name], numbers[rule.joint], reader.constant(rule.ratio), reader.constant(rule.offset))
+
+
+def _bind(bodies: tuple[tree.Body, ...], couplings: Sequence[Coupling]) -> tuple[tree.Body, ...]:
+    """Bound joints by the limits of those that follow them."""
+    ranges = {body.joint.name: _find_range(body.joint) for body in bodies}
+    joints = [body.joint.name for body in bodies]
+    rules = {joints[x.follower - 1]: (joints[x.leader - 1], x.ratio, x.offset) for x in couplings}
+    bound = list(bodies)
+    for i in {x.leader - 1 for x in couplings}:
+        found = find_range(joints[i], ranges, rules)
+        lower, upper, speed = (x if math.isfinite(x) else None for x in (found.lower, found.upper, found.speed))
+        bound[i] = replace(bodies[i], joint=replace(bodies[i].joint, lower=lower, upper=upper, max_speed=speed))
+    return tuple(bound)
+
+
+def _find_range(joint: tree.Joint) -> Range:
+    lower, upper = (-math.inf if joint.lower is None else joint.lower, math.inf if joint.upper is None else joint.upper)
+    return Range(lower, upper, math.inf if joint.max_speed is None else joint.max_speed)
 
 
 def _make_body(mover: _Mover, lump: Lump, *lumps: Lump, reader: _Reader) -> tree.Body:

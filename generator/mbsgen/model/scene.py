@@ -18,6 +18,7 @@ from mbsgen.documents import Document, Place, Section, abbreviate, examine, near
 from mbsgen.errors import Fault
 from mbsgen.expressions import Expression, names
 from mbsgen.model.expansion import list_steps
+from mbsgen.model.following import list_joints
 from mbsgen.model.locking import lock
 from mbsgen.model.model import BASE, ORIGIN, Model
 from mbsgen.model.schema import NumberField
@@ -148,8 +149,12 @@ class _Judgement:
                 yield from self._find(("results", name, k), "result", result, self.functions[name])
 
     def _check_locked(self, section: SceneSection) -> Iterator[tuple[Place, Fault]]:
-        joints = {step.name for i, body in enumerate(self.model.bodies) for step in list_steps(i, body)}
-        if joints <= set(section.locked):
+        steps = list_joints(self.model)
+        for step in steps:
+            if step.joint.follows is not None and step.name in section.locked:
+                finding = f"{abbreviate(step.name)} follows {abbreviate(step.joint.follows.joint)}"
+                yield self._tell(("locked", step.name), finding, "lock that joint, and this one is where it is then")
+        if {step.name for step in steps if step.joint.follows is None} <= set(section.locked):
             yield self._tell(("locked",), "no joint is left that moves", "leave one out")
         known = {p.name for p in self.model.parameters}
         for name, expression in section.locked.items():

@@ -17,7 +17,7 @@ from pydantic.json_schema import GenerateJsonSchema
 from mbsgen.documents import Section, WrongValueError, abbreviate
 from mbsgen.expressions import Expression, ExpressionError, Number, parse
 from mbsgen.model.compounds import UNITS
-from mbsgen.model.model import BASE, ORIGIN, ZERO, Triple
+from mbsgen.model.model import BASE, ONE, ORIGIN, ZERO, Triple
 from mbsgen.model.tree import Kind
 
 _DIRECTION = "give x, y, z, -x, -y, -z or a direction such as [0, 0.6, 0.8]"
@@ -107,6 +107,14 @@ class FrictionSection(Section):
     speed: NumberField = Field(examples=[0.01], description="at which 3/4 of it are reached, in rad/s or m/s")
 
 
+class FollowSection(Section):
+    """A joint without a coordinate of its own: it goes with another one, as by a gear or a linkage."""
+
+    joint: str = Field(examples=["q1"], description="the joint that it follows")
+    ratio: NumberField = Field(ONE, examples=[-1.0], description="of its q to that of the other joint; constant")
+    offset: NumberField = Field(ZERO, examples=[0.1], description="its q where that of the other is 0; constant")
+
+
 class SettingSection(Section):
     """What an elementary joint may be given beside its axis."""
 
@@ -119,6 +127,9 @@ class SettingSection(Section):
     rest: NumberField = Field(ZERO, examples=[0.1], description="q where the spring is slack")
     damping: NumberField = Field(ZERO, examples=[0.1], description="of a damper: -damping*qd")
     friction: FrictionSection | None = Field(None, examples=[{"torque": 0.5, "speed": 0.01}])
+    follows: FollowSection | None = Field(
+        None, examples=[{"joint": "q1", "ratio": -1.0}], description="another joint; then it has no coordinate and no u"
+    )
     armature: NumberField = Field(
         ZERO, examples=[0.02], description="of a rotor: its inertia times the gear ratio squared, in kg m2 or kg"
     )

@@ -7,7 +7,7 @@ Numbers are SymPy expressions in parameter symbols; a number 0 is structural.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from itertools import chain
 
@@ -115,6 +115,16 @@ class Quaternion:
 
 
 @dataclass(frozen=True)
+class Coupling:
+    """A joint without a coordinate of its own: its q is ratio * q of another joint + offset."""
+
+    follower: int  # number of its body
+    leader: int  # number of the other joint's body; that joint has a coordinate
+    ratio: float  # not 0
+    offset: float  # [rad or m]
+
+
+@dataclass(frozen=True)
 class Sensor:
     """A named frame on a body."""
 
@@ -148,14 +158,32 @@ class Tree:
     sensors: tuple[Sensor, ...]
     wrenches: tuple[Wrench, ...] = ()
     quaternions: tuple[Quaternion, ...] = ()
+    couplings: tuple[Coupling, ...] = ()
+
+    @property
+    def followers(self) -> frozenset[int]:
+        """Number the bodies whose joints follow others."""
+        return frozenset(x.follower for x in self.couplings)
+
+    @property
+    def joints(self) -> tuple[Joint, ...]:
+        """The joints that are entries of qd: all but those that follow others."""
+        followers = self.followers
+        return tuple(body.joint for i, body in enumerate(self.bodies, 1) if i not in followers)
+
+    @property
+    def uncoupled(self) -> Tree:
+        """The same tree with a coordinate for every joint."""
+        return replace(self, couplings=())
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """Name the entries of q, in order: one for each joint, but for the quaternions'."""
+        """Name the entries of q, in order: one for each of `joints`, but for the quaternions'."""
         beginnings = {x.first: x.coordinates for x in self.quaternions}
         inside = {i for x in self.quaternions for i in x.bodies}
         own = {i: (body.joint.name,) for i, body in enumerate(self.bodies, 1) if i not in inside}
-        return tuple(name for i in range(1, len(self.bodies) + 1) for name in (own | beginnings).get(i, ()))
+        numbers = (i for i in range(1, len(self.bodies) + 1) if i not in self.followers)
+        return tuple(name for i in numbers for name in (own | beginnings).get(i, ()))
 
     @property
     def neutral(self) -> tuple[float, ...]:

@@ -15,10 +15,12 @@ from mbsgen.model.model import (
     BASE,
     FREE,
     HERE,
+    ONE,
     ORIGIN,
     ZERO,
     Body,
     Fixed,
+    Follow,
     Frame,
     Inertia,
     Joint,
@@ -112,7 +114,9 @@ def _write_name(joint: Joint) -> Mapped:
 def _write_setting(joint: Joint, *, actuated: bool) -> Mapped:
     """Write what a joint is given beside name, axis and place; it is `actuated` without saying."""
     content: Mapped = {}
-    if joint.actuated != actuated:
+    if joint.follows is not None:
+        content["follows"] = _write_follow(joint.follows)
+    if joint.actuated != (actuated and joint.follows is None):
         content["actuated"] = _write_truth(joint.actuated)
     if (joint.lower, joint.upper) != (None, None):
         content["limits"] = ["null" if x is None else _write_number(x) for x in (joint.lower, joint.upper)]
@@ -122,6 +126,15 @@ def _write_setting(joint: Joint, *, actuated: bool) -> Mapped:
     content |= _write_law(joint.law)
     if joint.armature != ZERO:
         content["armature"] = _write_number(joint.armature)
+    return content
+
+
+def _write_follow(follow: Follow) -> Mapped:
+    content: Mapped = {"joint": _quote(follow.joint)}
+    if follow.ratio != ONE:
+        content["ratio"] = _write_number(follow.ratio)
+    if follow.offset != ZERO:
+        content["offset"] = _write_number(follow.offset)
     return content
 
 

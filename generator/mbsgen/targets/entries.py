@@ -36,7 +36,7 @@ class Group:
 
 def list_groups(tree: Tree) -> tuple[Group, ...]:
     """List the groups of a tree that have entries, in the order of the header."""
-    joints = [body.joint for body in tree.bodies]
+    joints = tree.joints
     groups = (
         _group("q", "Entries of q", tree.coordinates),
         _group("qd", "Entries of qd and qdd, rows of Phi, rows and columns of M", (j.name for j in joints)),

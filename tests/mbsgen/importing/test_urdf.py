@@ -6,13 +6,17 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from mbsgen.errors import InputError
 from mbsgen.expressions import Number
-from mbsgen.importing import Choices, Imported, import_model, write_imported
-from mbsgen.model.model import Body, Fixed, Friction, Joint
+from mbsgen.importing import Choices, Imported, Notice, import_model, write_imported
+from mbsgen.model.model import Body, Fixed, Follow, Friction, Joint
 from mbsgen.model.reader import read_model
+from mbsgen.model.reduction import build_tree
+from mbsgen.pipeline import Options, write_families
+from mbsgen.tape.interpreter import evaluate
 from tests.import_peers import Kernels, PinocchioPeer, largest_miss
 
 # Sums of a few dozen products of numbers near 1; M of these trees has a condition below 1e3.
@@ -202,13 +206,20 @@ def test_rotors_of_no_single_joint_are_told(parts: str, tmp_path: Path) -> None:
     assert all("of no single rotor, gear and joint" in line for line in warned)
 
 
+def follow(tmp_path: Path, mimic: str) -> Path:
+    """Write a chain of two joints, of which the second one follows another."""
+    follower = joint("two", "revolute", "b", "c", LIMIT + mimic)
+    return write(tmp_path, link("a") + link("b") + link("c") + joint("one", "revolute", "a", "b", LIMIT) + follower)
+
+
 def test_joints_that_follow_others(tmp_path: Path) -> None:
-    """None is dropped in silence: refused, or held where the leading joint at 0 puts it, or free."""
-    follower = joint("two", "revolute", "b", "c", LIMIT + '<mimic joint="one" multiplier="2" offset="0.25"/>')
-    path = write(tmp_path, link("a") + link("b") + link("c") + joint("one", "revolute", "a", "b", LIMIT) + follower)
-    (fault,) = faults_of(path)
-    assert 'robot/joint[two]/mimic: the joint follows "one"' in fault
-    assert "--lock two=0" in fault
+    """None is dropped in silence: coupled, or held where the leading joint at 0 puts it, or free."""
+    path = follow(tmp_path, '<mimic joint="one" multiplier="2" offset="0.25"/>')
+    coupled = import_model(path)
+    assert only_joint(coupled, "c").follows == Follow("one", Number(2.0), Number(0.25))
+    assert not only_joint(coupled, "c").actuated
+    assert build_tree(coupled.model).coordinates == ("one",)
+    assert 'no coordinate: its q is 2 times that of "one" + 0.25' in [notice.text for notice in coupled.notices]
     held = import_model(path, Choices(mimic="lock"))
     assert isinstance(body(held, "c").joint, Fixed)
     assert held.model.bodies == import_model(path, Choices(locked=(("two", 0.25),))).model.bodies
@@ -216,6 +227,57 @@ def test_joints_that_follow_others(tmp_path: Path) -> None:
     assert only_joint(free, "c").name == "two"
     altered = [notice.text for notice in free.notices if notice.alters]
     assert altered == ['the joint follows "one"; here it moves on its own']
+
+
+def test_followers_of_a_held_joint_are_held_where_they_are_then(tmp_path: Path) -> None:
+    path = follow(tmp_path, '<mimic joint="one" multiplier="2" offset="0.25"/>')
+    (notice,) = (n.text for n in import_model_notices(path, ("one", 0.5)) if n.path.endswith("joint[two]"))
+    assert notice == "held at 1.25"
+
+
+def import_model_notices(path: Path, lock: tuple[str, float]) -> tuple[Notice, ...]:
+    """Import with a further link that moves, so that something does."""
+    text = path.read_text().replace("</robot>", link("d") + joint("three", "revolute", "c", "d", LIMIT) + "</robot>")
+    path.write_text(text)
+    return import_model(path, Choices(locked=(lock,))).notices
+
+
+@pytest.mark.parametrize(
+    ("mimic", "finding"),
+    [
+        ('<mimic joint="on"/>', 'it follows "on", which does not move so; did you mean "one"?'),
+        ('<mimic joint="two"/>', "the joint follows itself in the end"),
+        ('<mimic joint="one" multiplier="x"/>', 'multiplier is "x"'),
+    ],
+)
+def test_what_cannot_be_followed_is_an_error(mimic: str, finding: str, tmp_path: Path) -> None:
+    assert finding in "\n".join(faults_of(follow(tmp_path, mimic)))
+
+
+def test_coupled_joints_move_as_in_pinocchio(tmp_path: Path) -> None:
+    """Pinocchio has joints that follow others too: M, c and the residual are the same to rounding."""
+    path = follow(tmp_path, '<mimic joint="one" multiplier="-1.5" offset="0.25"/>')
+    peer = pin.buildModelFromUrdf(str(path), mimic=True)
+    assert peer.nv == 1
+    tree = build_tree(import_model(path).model)
+    tapes = {tape.name: tape for f in write_families(tree, Options(functions=("impl", "semi"))) for tape in f.tapes}
+    data = peer.createData()
+    for q, qd, qdd in np.random.default_rng(4).uniform(-1, 1, (5, 3, 1)):
+        at = {"q": list(q), "qd": list(qd), "qdd": list(qdd), "u": [0.0]}
+        found = evaluate(tapes["impl"], at)["Phi"] + evaluate(tapes["semi"], at)["M"] + evaluate(tapes["semi"], at)["c"]
+        expected = [
+            pin.rnea(peer, data, q, qd, qdd)[0],
+            pin.crba(peer, data, q)[0, 0],
+            pin.rnea(peer, data, q, qd, 0 * qd)[0],
+        ]
+        np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-13)
+
+
+def test_numbers_too_small_to_matter_are_zero(tmp_path: Path) -> None:
+    """iCub's file has 5.8e-66 where 0 is meant."""
+    tiny = joint("one", "revolute", "a", "b", LIMIT).replace("0.2 0.1 -0.3", "5.8e-66 0.5 -1e-300")
+    path = write(tmp_path, link("a") + link("b") + tiny)
+    assert only_joint(import_model(path), "b").placement.position == (Number(0.0), Number(0.5), Number(0.0))
 
 
 def test_names_that_a_model_cannot_have_are_changed_and_told(tmp_path: Path) -> None:

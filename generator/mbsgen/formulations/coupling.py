@@ -1,0 +1,332 @@
+"""Joints that follow others, eliminated exactly: tapes of the uncoupled tree -> tapes of the coupled one.
+
+With y the coordinates that are left, q = G y + g, qd = G yd and qdd = G ydd, where every row of G has one entry. By
+virtual power, forces are GT Q: the residual is GT Phi, the mass matrix GT M G, the bias GT c. G is constant, so
+derivatives transform likewise: rows by what is differentiated, columns by what it is differentiated by.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import count
+
+from sympy import Symbol
+
+from mbsgen.formulations import exp1, exp2, semi
+from mbsgen.formulations.links import declare_state, joint_forces, write_chain
+from mbsgen.formulations.parsimony.elimination import factorise
+from mbsgen.formulations.parsimony.segments import align, feels_itself, largest_inertias
+from mbsgen.formulations.planning import finish
+from mbsgen.formulations.reductions import Reductions
+from mbsgen.model.tree import NO_FORCE, Kind, Parameter, Tree
+from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.replay import replay
+from mbsgen.tape.types import Tape
+
+Block = dict[tuple[int, int], Scalar]  # by (row, column), from 0
+POSITIONS, VELOCITIES = "q", "qd"  # the spaces that G maps
+_SPACES = {"q": POSITIONS, "rate": POSITIONS} | dict.fromkeys(("qd", "qdd", "Phi", "c", "Q"), VELOCITIES)
+_MATRICES = {"M": (VELOCITIES, VELOCITIES), "J": ("", VELOCITIES)}  # of rows and columns
+_SELECTED = ("qdd", "rate")  # results that are coordinates themselves: those of followers are left out
+
+
+def write(build: Callable[[Tree, Reductions], Tape], tree: Tree, reductions: Reductions) -> Tape:
+    """Write a function of a tree, by a recursion that knows nothing of couplings."""
+    if not tree.couplings:
+        return build(tree, reductions)
+    coupled = {exp1.build: _write_exp1, exp2.build: _write_exp2}
+    if build in coupled:
+        return coupled[build](tree, reductions)
+    return finish(couple(build(tree.uncoupled, reductions), tree), reductions)
+
+
+def couple(tape: Tape, tree: Tree) -> Tape:
+    """Write a tape of the uncoupled tree, without guards, for the coupled one."""
+    assert not tape.guards, "what has pivots is not linear in the equations of motion"
+    builder = Builder()
+    map = _Map.of(tree, builder)
+    inputs = {
+        i.name: map.declare(i.name, i.sparsity.rows) if map.space(i.name) else builder.input(i.name, i.sparsity)
+        for i in tape.inputs
+    }
+    values = replay(tape, builder, {name: map.expand(name, given) for name, given in inputs.items()})
+    names = [i.name for i in tape.inputs]
+    for o in tape.outputs:
+        found = {place: values[v] for place, v in zip(o.sparsity.entries, o.values, strict=True)}
+        rows, cols = map.spaces(o.name, names)
+        block = map.gather(found, rows, cols, selected=o.name in _SELECTED)
+        shape = map.size(rows, o.sparsity.rows), map.size(cols, o.sparsity.cols)
+        if o.sparsity.is_dense:
+            builder.output_dense(o.name, [[block[r, c] for c in range(shape[1])] for r in range(shape[0])])
+        else:
+            builder.output_nonzeros(o.name, *shape, block)
+    return builder.build(tape.name)
+
+
+@dataclass(frozen=True)
+class _Map:
+    """G and g, by the entries of q and of qd: the entry that each follows, and how."""
+
+    builder: Builder
+    targets: Mapping[str, tuple[int, ...]]  # by space
+    ratios: Mapping[str, Mapping[int, Scalar]]  # of those that follow
+    offsets: Mapping[int, Scalar]
+
+    @staticmethod
+    def of(tree: Tree, builder: Builder) -> _Map:
+        by_body = {x.follower: x for x in tree.couplings}
+        bodies = {VELOCITIES: list(range(1, len(tree.bodies) + 1)), POSITIONS: _seat_coordinates(tree)}
+        targets, ratios = {}, {}
+        for space, numbers in bodies.items():
+            kept = count()
+            own = [None if i in by_body else next(kept) for i in numbers]  # a quaternion has several entries
+            first = dict(reversed([*zip(numbers, own, strict=True)]))
+            targets[space] = tuple(
+                _known(first[by_body[i].leader]) if i in by_body else _known(k)
+                for i, k in zip(numbers, own, strict=True)
+            )
+            ratios[space] = {n: builder.number(by_body[i].ratio) for n, i in enumerate(numbers) if i in by_body}
+        offsets = {n: builder.number(by_body[i].offset) for n, i in enumerate(bodies[POSITIONS]) if i in by_body}
+        return _Map(builder, targets, ratios, offsets)
+
+    def space(self, name: str) -> str:
+        """Tell which space a vector is of: q, qd, or neither."""
+        return _SPACES.get(name.removeprefix("adj_"), "")
+
+    def spaces(self, name: str, inputs: Sequence[str]) -> tuple[str, str]:
+        """Tell which spaces the rows and the columns of a result are of."""
+        if not name.startswith("jac_"):
+            return _MATRICES.get(name, (self.space(name), ""))
+        col = max((x for x in inputs if name.endswith(f"_{x}")), key=len)
+        return self.space(name.removeprefix("jac_").removesuffix(f"_{col}")), self.space(col)
+
+    def size(self, space: str, otherwise: int) -> int:
+        """Count the entries of a space, in the coupled tree."""
+        return max(self.targets[space]) + 1 if space else otherwise
+
+    def declare(self, name: str, rows: int) -> list[Scalar]:
+        """Declare an input of the coupled tree."""
+        return self.builder.vector(name, self.size(self.space(name), rows))
+
+    def expand(self, name: str, given: Sequence[Scalar]) -> list[Scalar]:
+        """Give the entries of the uncoupled tree."""
+        space = self.space(name)
+        if not space:
+            return list(given)
+        found = [self._scale(space, n, given[k]) for n, k in enumerate(self.targets[space])]
+        if name == POSITIONS:
+            found = [x + self.offsets[n] if n in self.offsets else x for n, x in enumerate(found)]
+        return found
+
+    def gather(self, block: Block, rows: str, cols: str, *, selected: bool = False) -> Block:
+        """Multiply by GT from the left and G from the right, as far as rows and columns are of a space."""
+        total: Block = {}
+        for (r, c), value in block.items():
+            if selected and r in self.ratios[rows]:
+                continue
+            row, col = self.targets[rows][r] if rows else r, self.targets[cols][c] if cols else c
+            scaled = self._scale(cols, c, value if selected else self._scale(rows, r, value))
+            total[row, col] = total[row, col] + scaled if (row, col) in total else scaled
+        return total
+
+    def _scale(self, space: str, n: int, value: Scalar) -> Scalar:
+        return value * self.ratios[space][n] if space and n in self.ratios[space] else value
+
+
+def _seat_coordinates(tree: Tree) -> list[int]:
+    """Number the body of each entry of q of the uncoupled tree."""
+    inside = {i: x for x in tree.quaternions for i in x.bodies}
+    numbers = []
+    for i in range(1, len(tree.bodies) + 1):
+        own = inside.get(i)
+        numbers += [i] if own is None else [i] * len(own.coordinates) if own.first == i else []
+    return numbers
+
+
+def _known(place: int | None) -> int:
+    assert place is not None, "what is followed has a coordinate"
+    return place
+
+
+# -- accelerations ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Coupled:
+    """The inputs of an acceleration, and what of the uncoupled tree is computed from them."""
+
+    tree: Tree
+    reductions: Reductions
+    map: _Map
+    given: Mapping[str, Sequence[Scalar]]  # of the uncoupled tree
+    drive: Mapping[str, Block]  # joint forces Q, the numbers of wrenches and gravity, the largest inertias
+    firm: frozenset[int]  # the joints of the uncoupled tree whose own bodies have inertia about their axes
+
+    @staticmethod
+    def declare(tree: Tree, reductions: Reductions) -> _Coupled:
+        map, (drive, firm) = _Map.of(tree, Builder()), _write_drive(tree.uncoupled)
+        given = {}
+        for i in drive.inputs:
+            declared = (
+                map.declare(i.name, i.sparsity.rows) if map.space(i.name) else map.builder.input(i.name, i.sparsity)
+            )
+            given[i.name] = map.expand(i.name, declared)
+        return _Coupled(tree, reductions, map, given, _results(drive, map.builder, given), firm)
+
+    @property
+    def size(self) -> int:
+        return self.map.size(VELOCITIES, 0)
+
+    def column(self, name: str) -> list[Scalar]:
+        """List the entries of what drives the uncoupled tree."""
+        return [value for _, value in sorted(self.drive.get(name, {}).items())]
+
+    def joint(self, number: int) -> int:
+        """Number the joint, from 1, that a joint of the uncoupled tree is or follows."""
+        return self.map.targets[VELOCITIES][number - 1] + 1
+
+    def weigh(self, number: int, inertia: Scalar) -> Scalar:
+        """Give the inertia that a joint's followed one feels for it."""
+        ratio = self.map.ratios[VELOCITIES].get(number - 1)
+        return inertia if ratio is None else inertia * ratio * ratio
+
+    @property
+    def scales(self) -> dict[int, Scalar]:
+        """Bound what each joint can feel, for itself and for those that follow it."""
+        total: dict[int, Scalar] = {}
+        for number, inertia in enumerate(self.column("largest"), 1):
+            joint, felt = self.joint(number), self.weigh(number, inertia)
+            total[joint] = total[joint] + felt if joint in total else felt
+        return total
+
+    def finish(self, name: str, qdd: Sequence[Scalar]) -> Tape:
+        self.map.builder.output_dense("qdd", [[x] for x in qdd])
+        return finish(self.map.builder.build(name), self.reductions)
+
+
+def _write_exp1(tree: Tree, reductions: Reductions) -> Tape:
+    """Write `exp1`: GT M G ydd = GT (Q - c - M g''), where g'' is 0, by elimination in GT M G."""
+    own = _Coupled.declare(tree, reductions)
+    map, builder = own.map, own.map.builder
+    terms = _results(semi.build(tree.uncoupled, reductions), builder, own.given)
+    M = map.gather(terms["M"], VELOCITIES, VELOCITIES)
+    upper = {(i + 1, j + 1): value for (i, j), value in M.items() if i <= j and not value.is_zero}
+    net = {place: own.drive["Q"][place] - bias for place, bias in terms["c"].items()}
+    b = {i + 1: value for (i, _), value in map.gather(net, VELOCITIES, "").items()}
+    factors = factorise(builder, upper, own.size)
+    scales, firm = own.scales, {own.joint(i) for i in own.firm}
+    for i in range(own.size, 0, -1):
+        if i in firm:
+            builder.guard(factors.D[i], upper[i, i], own.size * exp1.PIVOT_TOLERANCE, i)
+        else:
+            builder.guard(factors.D[i], scales[i], exp1.LOCKING_TOLERANCE, i)
+    x = factors.solve(b)
+    return own.finish("exp1", [x[i] for i in range(1, own.size + 1)])
+
+
+def _write_exp2(tree: Tree, reductions: Reductions) -> Tape:
+    """Write `exp2`: articulated bodies of the uncoupled tree, and the forces that keep the couplings.
+
+    With a coupling's row J of q'' = ratio times another, the accelerations are a + sum of B lambda, where a are those
+    of the uncoupled tree, B = M^-1 JT those that a unit of each coupling's force makes, and J B lambda = -J a. Forces
+    of joints that follow act in those that they follow, so that a light follower is not thrown far.
+    """
+    own = _Coupled.declare(tree, reductions)
+    map, builder = own.map, own.map.builder
+    tape = exp2.build(_open(tree.uncoupled), reductions)
+    forces = map.gather(own.drive["Q"], VELOCITIES, "")
+    followers = map.ratios[VELOCITIES]
+    n = len(tree.bodies)
+    moved = [builder.zero if i in followers else forces[map.targets[VELOCITIES][i], 0] for i in range(n)]
+    a, values = _accelerate(own, tape, own.given["qd"], moved, still=False)
+    rows = [{x.follower - 1: builder.number(1.0), x.leader - 1: builder.number(-x.ratio)} for x in tree.couplings]
+    rest = [builder.zero] * n
+    B = [_accelerate(own, tape, rest, [row.get(i, builder.zero) for i in range(n)], still=True)[0] for row in rows]
+    JB = {(k + 1, l + 1): _along(rows[k], B[l]) for l in range(len(B)) for k in range(l + 1)}
+    factors = factorise(builder, JB, len(B))
+    multipliers = factors.solve({k: -_along(row, a) for k, row in enumerate(rows, 1)})
+    _guard_couplings(own, tape, values, {k: factors.D[k] / JB[k, k] for k in factors.D})
+    qdd = []
+    for i in (i for i in range(n) if i not in followers):
+        qdd.append(sum((column[i] * multipliers[k] for k, column in enumerate(B, 1)), start=a[i]))
+    return own.finish("exp2", qdd)
+
+
+def _accelerate(
+    own: _Coupled, tape: Tape, qd: Sequence[Scalar], forces: Sequence[Scalar], *, still: bool
+) -> tuple[list[Scalar], list[Scalar]]:
+    """Compute accelerations of the uncoupled tree; `still`: without gravity and wrenches. Also give all values."""
+    zero = own.map.builder.zero
+    w, gravity = ([zero] * len(own.column(name)) if still else own.column(name) for name in ("w", "gravity"))
+    given = {**own.given, "qd": qd, "u": forces, "w": w, "p": [*own.given.get("p", ()), *gravity]}
+    values = replay(tape, own.map.builder, {i.name: given[i.name] for i in tape.inputs})
+    return [values[v] for v in tape.output("qdd").values], values
+
+
+def _guard_couplings(own: _Coupled, tape: Tape, values: Sequence[Scalar], lost: Mapping[int, Scalar]) -> None:
+    """Guard the pivots of the uncoupled tree, and what is left of each coupling's row when those before it are met."""
+    builder = own.map.builder
+    for guard in tape.guards:
+        pivot = -values[guard.value] if guard.negated else values[guard.value]
+        scale = own.weigh(guard.joint, values[guard.scale])
+        builder.guard(own.weigh(guard.joint, pivot), scale, guard.tolerance, own.joint(guard.joint))
+    scales = own.scales
+    for k, part in lost.items():
+        joint = own.joint(own.tree.couplings[k - 1].leader)
+        builder.guard(part * scales[joint], scales[joint], exp2.LOCKING_TOLERANCE, joint)
+
+
+def _open(tree: Tree) -> Tree:
+    """Make gravity, wrenches and the forces of all joints inputs."""
+    gravity = [
+        Parameter(f"gravity {axis}", Symbol(f"gravity {axis}"), 0.0, Kind.RUNTIME) if number != 0 else None
+        for axis, number in zip("xyz", tree.gravity, strict=True)
+    ]
+    x, y, z = (number if p is None else p.symbol for p, number in zip(gravity, tree.gravity, strict=True))
+    joints = (replace(body.joint, actuated=True, law=NO_FORCE) for body in tree.bodies)
+    return replace(
+        tree,
+        gravity=(x, y, z),
+        parameters=(*tree.parameters, *(p for p in gravity if p)),
+        bodies=tuple(replace(body, joint=joint) for body, joint in zip(tree.bodies, joints, strict=True)),
+        wrenches=tuple(replace(wrench, force=None, moment=None) for wrench in tree.wrenches),
+    )
+
+
+def _write_drive(tree: Tree) -> tuple[Tape, frozenset[int]]:
+    """Write what drives an uncoupled tree: Q of all joints, the components of wrenches, gravity where it is not 0.
+
+    With these, by parameters alone, the largest inertias that joints can feel; and beside, which joints cannot lock.
+    """
+    builder = Builder()
+    state = declare_state(tree, builder, accelerations=False)
+    chain = write_chain(tree, builder, state)
+    own = iter(state.w)
+    wrenches = [
+        x
+        for wrench in tree.wrenches
+        for v in (wrench.force, wrench.moment)
+        for x in ([next(own) for _ in "xyz"] if v is None else chain.vector(v))
+    ]
+    gravity = [chain.scalar(number) for number in tree.gravity if number != 0]
+    segments = align(chain, group=False)
+    felt = largest_inertias(chain, segments)
+    largest = [felt[i] for i in range(1, len(tree.bodies) + 1)]
+    for name, column in (("Q", joint_forces(chain)), ("w", wrenches), ("gravity", gravity), ("largest", largest)):
+        if column:
+            builder.output_dense(name, [[x] for x in column])
+    return builder.build("drive"), frozenset(s.number for s in segments if feels_itself(s))
+
+
+def _along(row: Mapping[int, Scalar], column: Sequence[Scalar]) -> Scalar:
+    (i, x), (j, y) = row.items()
+    return x * column[i] + y * column[j]
+
+
+def _results(tape: Tape, builder: Builder, given: Mapping[str, Sequence[Scalar]]) -> dict[str, Block]:
+    """Replay a tape; give its results by place."""
+    values = replay(tape, builder, {i.name: given[i.name] for i in tape.inputs})
+    return {
+        o.name: {place: values[v] for place, v in zip(o.sparsity.entries, o.values, strict=True)} for o in tape.outputs
+    }

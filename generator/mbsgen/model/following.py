@@ -1,0 +1,147 @@
+"""Joints that follow others: what leads each in the end, what is wrong with them, and how their limits bind.
+
+q of a follower is ratio * q of its leader + offset. A leader may follow another joint itself; rules are put together
+until they name a joint that has a coordinate.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from mbsgen.documents import abbreviate, nearest
+from mbsgen.expressions import Expression, Operation
+from mbsgen.model.expansion import Step, list_steps
+from mbsgen.model.findings import Finding
+from mbsgen.model.model import ONE, ZERO, Follow, Model
+from mbsgen.model.valuation import Valuation
+
+
+def list_joints(model: Model) -> list[Step]:
+    """List all joints of a model."""
+    return [step for i, body in enumerate(model.bodies) for step in list_steps(i, body)]
+
+
+def find_rules(steps: Sequence[Step]) -> dict[str, Follow]:
+    """Find what each follower goes by: a rule that names a joint with a coordinate. The model has no faults."""
+    own = {step.name: step.joint.follows for step in steps if step.joint.follows is not None}
+    found = {}
+    for name in own:
+        rule = own[name]
+        while rule.joint in own:
+            further = own[rule.joint]
+            offset = _sum(_product(rule.ratio, further.offset), rule.offset)
+            rule = Follow(further.joint, _product(rule.ratio, further.ratio), offset)
+        found[name] = rule
+    return found
+
+
+def place_followers(steps: Sequence[Step], coordinates: Mapping[str, Expression]) -> dict[str, Expression]:
+    """Give the coordinates of some joints, and of all that follow them."""
+    rules = find_rules(steps)
+    found = {
+        name: _sum(_product(rule.ratio, coordinates[rule.joint]), rule.offset)
+        for name, rule in rules.items()
+        if rule.joint in coordinates
+    }
+    return {**found, **coordinates}
+
+
+def check_followers(model: Model, valuation: Valuation) -> Iterator[Finding]:
+    """Find what keeps joints from following others."""
+    steps = list_joints(model)
+    by_name = {step.name: step for step in steps}
+    faults = [*_check_rules(steps, by_name, valuation)]
+    yield from faults
+    if not faults and not valuation.findings:
+        yield from _check_limits(steps, by_name, valuation)
+
+
+def _check_rules(steps: Sequence[Step], by_name: Mapping[str, Step], valuation: Valuation) -> Iterator[Finding]:
+    for step in steps:
+        follow = step.joint.follows
+        if follow is None:
+            continue
+        place = (*step.place, "follows")
+        for key, number in (("ratio", follow.ratio), ("offset", follow.offset)):
+            if valuation.constant((*place, key), number) == 0 and key == "ratio":
+                yield Finding((*place, key), "a ratio of 0", "make the joint fixed, or give another ratio")
+        if step.joint.actuated:
+            finding = "an input of a joint that follows another"
+            yield Finding((*step.place, "actuated"), finding, "leave it out: its force is felt in the other joint")
+        if follow.joint not in by_name:
+            meant = nearest(follow.joint, list(by_name))
+            remedy = f"did you mean {abbreviate(meant)}?" if meant else "name another joint"
+            yield Finding((*place, "joint"), f"there is no joint {abbreviate(follow.joint)}", remedy)
+        elif by_name[follow.joint].joint.floats:
+            finding = f"{abbreviate(follow.joint)} is part of a joint with a quaternion"
+            yield Finding((*place, "joint"), finding, "name a joint that turns about, or slides along, one axis")
+        elif _leads_back(step, by_name):
+            yield Finding((*place, "joint"), "the joint follows itself in the end", "let one joint follow none")
+
+
+def _leads_back(step: Step, by_name: Mapping[str, Step]) -> bool:
+    name, seen = step.name, set()
+    while name not in seen and name in by_name:
+        seen.add(name)
+        follow = by_name[name].joint.follows
+        if follow is None:
+            return False
+        name = follow.joint
+    return name == step.name
+
+
+@dataclass(frozen=True)
+class Range:
+    """Where a joint may be, and how fast it may be; infinite where nothing bounds it."""
+
+    lower: float = -math.inf
+    upper: float = math.inf
+    speed: float = math.inf
+
+    def seen_by_leader(self, ratio: float, offset: float) -> Range:
+        """Give the range that this range of a follower leaves its leader."""
+        low, high = sorted(((self.lower - offset) / ratio, (self.upper - offset) / ratio))
+        return Range(low, high, self.speed / abs(ratio))
+
+    def met(self, other: Range) -> Range:
+        """Meet two ranges."""
+        return Range(max(self.lower, other.lower), min(self.upper, other.upper), min(self.speed, other.speed))
+
+
+def find_range(name: str, ranges: Mapping[str, Range], rules: Mapping[str, tuple[str, float, float]]) -> Range:
+    """Find the range of a joint that has a coordinate, with those of all that follow it."""
+    found = ranges[name]
+    for follower, (leader, ratio, offset) in rules.items():
+        if leader == name:
+            found = found.met(ranges[follower].seen_by_leader(ratio, offset))
+    return found
+
+
+def _check_limits(steps: Sequence[Step], by_name: Mapping[str, Step], valuation: Valuation) -> Iterator[Finding]:
+    def number(limit: Expression | None, otherwise: float) -> float:
+        return otherwise if limit is None else valuation.number((), limit)
+
+    ranges = {
+        step.name: Range(number(step.joint.lower, -math.inf), number(step.joint.upper, math.inf)) for step in steps
+    }
+    rules = {
+        name: (rule.joint, valuation.number((), rule.ratio), valuation.number((), rule.offset))
+        for name, rule in find_rules(steps).items()
+    }
+    for leader in dict.fromkeys(leader for leader, _, _ in rules.values()):
+        found = find_range(leader, ranges, rules)
+        if found.lower > found.upper:
+            finding = "the limits of those that follow the joint leave it no place"
+            yield Finding((*by_name[leader].place, "limits"), finding, "widen them")
+
+
+def _sum(a: Expression, b: Expression) -> Expression:
+    return b if a == ZERO else a if b == ZERO else Operation("+", a, b)
+
+
+def _product(a: Expression, b: Expression) -> Expression:
+    if ZERO in (a, b):
+        return ZERO
+    return b if a == ONE else a if b == ONE else Operation("*", a, b)

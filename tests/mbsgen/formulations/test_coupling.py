@@ -1,0 +1,303 @@
+"""Joints that follow others: the equations are GT M G, GT c, GT Phi of the uncoupled tree, as Pinocchio computes them.
+
+G is written here once more, by hand, from the couplings. The error of a comparison is some rounding of the largest
+entry, times what a mass matrix loses: 1e-10 where it is solved for, 1e-12 elsewhere. Derivatives are compared with
+central differences in 50 digits, whose error is that of the step squared, 1e-30; but random rotations are orthonormal
+to a rounding only, and recursions that make use of it differ by as much: 1e-13.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mbsgen.errors import InputError
+from mbsgen.expressions import Number
+from mbsgen.families import OptionError
+from mbsgen.formulations.catalogue import FUNCTIONS
+from mbsgen.model.construction import Setting, body, free, make_model, revolute
+from mbsgen.model.locking import lock
+from mbsgen.model.model import Model
+from mbsgen.model.reader import read_model
+from mbsgen.model.reduction import build_tree, with_runtime_numbers
+from mbsgen.model.tree import Coupling, Kind, Tree
+from mbsgen.model.writer import write_model
+from mbsgen.pipeline import Options, write_families
+from mbsgen.tape.interpreter import DIGITS, evaluate
+from mbsgen.tape.types import Tape
+from tests.random_trees import Pinocchio, law_forces, random_tree, values_of, with_laws, with_rotors, with_wrenches
+
+Array = NDArray[np.float64]
+SIZE = 4
+SEEDS = range(4)
+CLOSE = {"qdd": 1e-10}
+STEP = DIGITS.literal(10) ** -15
+
+
+@cache
+def coupled_tree(seed: int) -> Tree:
+    """Let one or two of four joints follow others: on their way to the base, beyond them, or beside them."""
+    rng = np.random.default_rng(seed)
+    tree = with_rotors(with_laws(random_tree(seed, SIZE, runtime=seed % 3 == 2)), seed)
+    tree = with_wrenches(tree, seed) if seed % 2 else tree
+    order = [int(i) + 1 for i in rng.permutation(SIZE)]
+    count = 1 + seed // 2
+    followers, leaders = order[:count], order[count:]
+    bodies = [
+        replace(b, joint=replace(b.joint, actuated=False)) if i in followers else b
+        for i, b in enumerate(tree.bodies, 1)
+    ]
+    couplings = tuple(
+        Coupling(
+            i, int(rng.choice(leaders)), float(rng.choice([-2.0, -1.0, 0.5, 1.0, 1.7])), float(rng.choice([0, 0.4]))
+        )
+        for i in followers
+    )
+    return replace(tree, bodies=tuple(bodies), couplings=couplings)
+
+
+def map_of(tree: Tree) -> tuple[Array, Array]:
+    """Make G and g of q = G y + g."""
+    followers = {x.follower: x for x in tree.couplings}
+    kept = [i for i in range(1, len(tree.bodies) + 1) if i not in followers]
+    G, g = np.zeros((len(tree.bodies), len(kept))), np.zeros(len(tree.bodies))
+    for i in range(1, len(tree.bodies) + 1):
+        rule = followers.get(i, Coupling(i, i, 1.0, 0.0))
+        G[i - 1, kept.index(rule.leader)], g[i - 1] = rule.ratio, rule.offset
+    return G, g
+
+
+def draw(tree: Tree, tape_inputs: Mapping[str, int], seed: int) -> dict[str, Array]:
+    rng = np.random.default_rng(seed + 40)
+    drawn = {name: rng.uniform(-1, 1, size) for name, size in tape_inputs.items()}
+    return drawn | {"p": np.array(values_of(tree))}
+
+
+def compute(tape: Tape, given: Mapping[str, Array]) -> dict[str, Array]:
+    values = evaluate(tape, {i.name: list(given[i.name]) for i in tape.inputs})
+    results = {}
+    for o in tape.outputs:
+        results[o.name] = np.zeros((o.sparsity.rows, o.sparsity.cols))
+        for place, value in zip(o.sparsity.entries, values[o.name], strict=True):
+            results[o.name][place] = value
+    return results
+
+
+def assert_close(name: str, found: Array, expected: Array) -> None:
+    size = max(1.0, float(np.abs(expected).max(initial=0.0)))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=CLOSE.get(name, 1e-12) * size)
+
+
+@pytest.mark.parametrize("seed", [s for s in SEEDS if s % 2 == 0])
+def test_the_equations_are_those_of_pinocchio_projected(seed: int) -> None:
+    """Without wrenches: M, c and the residual, and the accelerations by both ways."""
+    tree = coupled_tree(seed)
+    G, g = map_of(tree)
+    peer = Pinocchio(tree.uncoupled)
+    names = ("impl", "semi", "semi_res", "exp1", "exp2")
+    functions = {name: FUNCTIONS[name].build(tree, Options().reductions) for name in names}
+    driven = [k for k, joint in enumerate(tree.joints) if joint.actuated]
+    state = draw(tree, {"q": G.shape[1], "qd": G.shape[1], "qdd": G.shape[1], "u": len(driven)}, seed)
+    q, qd = G @ state["q"] + g, G @ state["qd"]
+    M, c = G.T @ peer.mass_matrix(q) @ G, G.T @ peer.residual(q, qd, 0 * q)
+    Q = G.T @ law_forces(tree, q, qd)
+    Q[driven] += state["u"]
+    residual, qdd = M @ state["qdd"] + c - Q, np.linalg.solve(M, Q - c)
+    expected = {"M": M} | {name: x[:, None] for name, x in (("c", c), ("Phi", residual), ("qdd", qdd))}
+    for tape in functions.values():
+        for name, found in compute(tape, state).items():
+            assert_close(name, found, expected[name])
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_all_functions_are_those_of_the_uncoupled_tree_at_its_state(seed: int) -> None:
+    """With open wrenches too. Accelerations make the residual vanish; what is not of joints is as it was."""
+    tree = coupled_tree(seed)
+    G, g = map_of(tree)
+    n, forces = G.shape[1], 3 * sum(v is None for x in tree.wrenches for v in (x.force, x.moment))
+    state = draw(tree, {"q": n, "qd": n, "qdd": n, "u": sum(j.actuated for j in tree.joints), "w": forces}, seed)
+    whole = state | {"q": G @ state["q"] + g, "qd": G @ state["qd"], "qdd": G @ state["qdd"]}
+    for name in ("impl", "semi", "semi_res", "sensors", "motion", "jacobian", "energy", "frames"):
+        entry = FUNCTIONS[name]
+        found = compute(entry.build(tree, Options().reductions), state)
+        expected = compute(entry.build(tree.uncoupled, Options().reductions), whole)
+        for result, value in expected.items():
+            rows = G.T @ value if result in ("Phi", "c", "M") else value
+            assert_close(result, found[result], rows @ G if result in ("M", "J") else rows)
+    residual = FUNCTIONS["impl"].build(tree, Options().reductions)
+    size = np.abs(compute(residual, state | {"qdd": 0 * state["qdd"]})["Phi"]).max()
+    for name in ("exp1", "exp2"):
+        qdd = compute(FUNCTIONS[name].build(tree, Options().reductions), state)["qdd"][:, 0]
+        assert np.abs(compute(residual, state | {"qdd": qdd})["Phi"]).max() < 1e-10 * size
+
+
+def differentiate(f: Callable[[Array], Array], at: Array) -> Array:
+    columns = []
+    for k in range(len(at)):
+        step = np.array([STEP if i == k else DIGITS.literal(0) for i in range(len(at))], dtype=object)
+        columns.append((f(at + step) - f(at - step)) / (2 * STEP))
+    return np.array(columns, dtype=object).T
+
+
+def compute_digits(tape: Tape, given: Mapping[str, Array]) -> dict[str, Array]:
+    values = evaluate(tape, {i.name: list(given[i.name]) for i in tape.inputs}, DIGITS)
+    results = {}
+    for o in tape.outputs:
+        full = np.array([[DIGITS.literal(0)] * o.sparsity.cols for _ in range(o.sparsity.rows)], dtype=object)
+        for place, value in zip(o.sparsity.entries, values[o.name], strict=True):
+            full[place] = value
+        results[o.name] = full
+    return results
+
+
+@pytest.mark.parametrize(("name", "seed"), [("impl", 3), ("exp1", 0), ("exp2", 3), ("motion", 1)])
+def test_derivatives_are_exact(name: str, seed: int) -> None:
+    """Jacobians are slopes of values, and second derivatives slopes of adjoints."""
+    families = write_families(coupled_tree(seed), Options(functions=(name,)))
+    tapes = {tape.name: tape for family in families for tape in family.tapes}
+    rng = np.random.default_rng(seed)
+    digits = np.vectorize(DIGITS.literal, otypes=[object])
+    sizes = {i.name: i.sparsity.nnz for tape in tapes.values() for i in tape.inputs}
+    state = {key: digits(rng.uniform(0.2, 1, size)) if size else np.zeros(0, object) for key, size in sizes.items()}
+    value, jac, adj1, second = (tapes[f"{order}{name}"] for order in ("", "jac_", "adj1_", "jac_adj1_"))
+    for tape, slopes in ((value, jac), (adj1, second)):
+        exact = compute_digits(slopes, state)
+        for x in (i.name for i in tape.inputs):
+            for o in (o.name for o in tape.outputs):
+                found = exact.get(f"jac_{o}_{x}")
+                if found is None:
+                    continue
+
+                def move(at: Array, o: str = o, x: str = x, tape: Tape = tape) -> Array:
+                    return compute_digits(tape, {**state, x: at})[o].ravel(order="F")
+
+                expected = differentiate(move, state[x])
+                assert found.shape == expected.shape
+                assert max(map(abs, (found - expected).ravel())) < 1e-13 * max(1, max(map(abs, expected.ravel())))
+
+
+def finger(follows: tuple[str, float | str, float] | None, **setting: object) -> Model:
+    """Two fingers on a hand that floats freely: quaternions and couplings in one tree."""
+    own: Setting = {**setting, "name": "b"}  # type: ignore[typeddict-item]
+    if follows:
+        own["follows"] = follows
+    solid = {"mass": 1.0, "com": (0.1, 0.0, 0.2), "inertia": (0.1, 0.1, 0.1)}
+    return make_model(
+        "hand",
+        [
+            body("palm", free(), mass=2, inertia=(0.1, 0.2, 0.2)),
+            body("one", revolute("y", name="a", position=(0.1, 0, 0)), parent="palm", **solid),  # type: ignore[arg-type]
+            body("two", revolute("x", position=(-0.1, 0, 0), **own), parent="palm", **solid),  # type: ignore[arg-type]
+        ],
+        gravity=(0, 0, -9.81),
+    )
+
+
+def test_quaternions_stay_what_they_are() -> None:
+    """A free hand whose fingers go together: the equations of the uncoupled hand, projected."""
+    tree, apart = build_tree(finger(("a", -1.0, 0.1))), build_tree(finger(None, actuated=False))
+    assert tree.coordinates == apart.coordinates[:-1]
+    rng = np.random.default_rng(2)
+    q, qd, qdd, u = rng.uniform(-1, 1, 8), rng.uniform(-1, 1, 7), rng.uniform(-1, 1, 7), rng.uniform(-1, 1, 1)
+    G = np.vstack((np.eye(7), -np.eye(7)[6]))
+    state = {"q": q, "qd": qd, "qdd": qdd, "u": u}
+    whole = {"q": np.append(q, 0.1 - q[7]), "qd": G @ qd, "qdd": G @ qdd, "u": u}
+    for name in ("impl", "semi", "rates"):
+        found = compute(FUNCTIONS[name].build(tree, Options().reductions), state)
+        expected = compute(FUNCTIONS[name].build(apart, Options().reductions), whole)
+        for result, value in expected.items():
+            projected = value[:-1] if result == "rate" else G.T @ value
+            assert_close(result, found[result], projected @ G if result == "M" else projected)
+    for name in ("exp1", "exp2"):
+        own = compute(FUNCTIONS[name].build(tree, Options().reductions), state)["qdd"][:, 0]
+        left = compute(FUNCTIONS["impl"].build(tree, Options().reductions), state | {"qdd": own})["Phi"]
+        assert np.abs(left).max() < 1e-12
+
+
+def test_a_written_model_is_read_as_the_same(tmp_path: Path) -> None:
+    model = finger(("a", "-1/2", 0.1))
+    (tmp_path / "hand.yaml").write_text(write_model(model))
+    assert "follows: {joint: a, ratio: -1/2, offset: 0.1}" in (tmp_path / "hand.yaml").read_text()
+    assert read_model(tmp_path / "hand.yaml") == model
+
+
+def test_followers_of_a_locked_joint_are_locked_where_they_are_then() -> None:
+    """Fixed at -0.5 * 0.4 + 0.1 = -0.1, as the uncoupled model is with both joints locked there."""
+    coupled = build_tree(lock(finger(("a", "-1/2", 0.1)), {"a": Number(0.4)}))
+    apart = build_tree(lock(finger(None, actuated=False), {"a": Number(0.4), "b": Number(-0.1)}))
+    assert coupled.couplings == ()
+    rng = np.random.default_rng(2)
+    state = {"q": rng.uniform(-1, 1, 7), "qd": rng.uniform(-1, 1, 6), "qdd": rng.uniform(-1, 1, 6), "u": np.zeros(0)}
+    found, expected = (compute(FUNCTIONS["impl"].build(t, Options().reductions), state) for t in (coupled, apart))
+    assert_close("Phi", found["Phi"], expected["Phi"])
+
+
+def test_limits_of_followers_bind_the_joint_that_they_follow() -> None:
+    """q_b = -2 q_a + 0.1 within [-1, 2], and |q_b'| < 3: q_a within [-0.95, 0.55], |q_a'| < 1.5."""
+    tree = build_tree(finger(("a", -2.0, 0.1), limits=(-1, 2), max_speed=3))
+    leader = tree.joints[6]
+    assert (leader.name, leader.max_speed) == ("a", 1.5)
+    assert (leader.lower, leader.upper) == pytest.approx((-0.95, 0.55))
+
+
+def test_a_follower_of_a_follower_goes_by_the_first() -> None:
+    chain = [
+        body("1", revolute("z", name="a"), mass=1, com=(0.1, 0, 0)),
+        body("2", revolute("z", name="b", follows=("c", 2, 0.5)), parent="1", mass=1, com=(0.1, 0, 0)),
+        body("3", revolute("z", name="c", follows=("a", 3, 0.25)), parent="2", mass=1, com=(0.1, 0, 0)),
+    ]
+    tree = build_tree(make_model("chain", chain, gravity=(0, -9.81, 0)))
+    assert tree.couplings == (Coupling(2, 1, 6.0, 1.0), Coupling(3, 1, 3.0, 0.25))
+    assert tree.coordinates == ("a",)
+
+
+@pytest.mark.parametrize(
+    ("follows", "finding"),
+    [
+        (("a", 0, 0), "a ratio of 0"),
+        (("x", 1, 0), 'there is no joint "x"'),
+        (("b", 1, 0), "follows itself"),
+        (("palm.rx", 1, 0), "quaternion"),
+    ],
+)
+def test_what_cannot_follow_is_refused(follows: tuple[str, float, float], finding: str) -> None:
+    with pytest.raises(InputError, match=finding):
+        finger(follows)
+
+
+def test_limits_that_leave_no_place_are_refused() -> None:
+    with pytest.raises(InputError, match="leave it no place"):
+        make_model(
+            "shut",
+            [
+                body("1", revolute("z", name="a", limits=(0, 1)), mass=1, com=(0.1, 0, 0)),
+                body("2", revolute("z", name="b", limits=(0, 1), follows=("a", 1, 5)), mass=1, com=(0.1, 0, 0)),
+            ],
+            gravity=(0, 0, 0),
+        )
+
+
+def test_what_is_not_written_for_coupled_joints_is_said() -> None:
+    with pytest.raises(OptionError, match="condition is not written where joints follow others"):
+        write_families(build_tree(finger(("a", 1, 0))), Options(functions=("condition",)))
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_run_time_parameters_are_hoisted_as_ever(seed: int) -> None:
+    """The kernels with a setup of their own give what the others do; the light of the tree is all of its numbers."""
+    tree = replace(coupled_tree(seed), wrenches=())
+    loose = with_runtime_numbers(tree)
+    assert loose.couplings == tree.couplings
+    values = {p.name: p.value for p in loose.parameters if p.kind is Kind.RUNTIME}
+    n = len(tree.joints)
+    state = draw(tree, {"q": n, "qd": n, "u": sum(j.actuated for j in tree.joints)}, seed)
+    for name in ("exp1", "exp2"):
+        expected = compute(FUNCTIONS[name].build(tree, Options().reductions), state)["qdd"]
+        found = compute(FUNCTIONS[name].build(loose, Options().reductions), state | {"p": np.array([*values.values()])})
+        assert_close("qdd", found["qdd"], expected)
