@@ -42,8 +42,7 @@ def write(build: Callable[[Tree, Reductions], Tape], tree: Tree, reductions: Red
 
 
 def couple(tape: Tape, tree: Tree) -> Tape:
-    """Write a tape of the uncoupled tree, without guards, for the coupled one."""
-    assert not tape.guards, "what has pivots is not linear in the equations of motion"
+    """Write a tape of the uncoupled tree for the coupled one: results that G maps, and what guards them."""
     builder = Builder()
     map = _Map.of(tree, builder)
     inputs = {
@@ -61,6 +60,9 @@ def couple(tape: Tape, tree: Tree) -> Tape:
             builder.output_dense(o.name, [[block[r, c] for c in range(shape[1])] for r in range(shape[0])])
         else:
             builder.output_nonzeros(o.name, *shape, block)
+    for guard in tape.guards:
+        value = -values[guard.value] if guard.negated else values[guard.value]
+        builder.guard(value, values[guard.scale], guard.tolerance, map.joint(guard.joint))
     return builder.build(tape.name)
 
 
@@ -89,6 +91,10 @@ class _Map:
             ratios[space] = {n: builder.number(by_body[i].ratio) for n, i in enumerate(numbers) if i in by_body}
         offsets = {n: builder.number(by_body[i].offset) for n, i in enumerate(bodies[POSITIONS]) if i in by_body}
         return _Map(builder, targets, ratios, offsets)
+
+    def joint(self, number: int) -> int:
+        """Number the joint, from 1, that a joint of the uncoupled tree is or follows."""
+        return self.targets[VELOCITIES][number - 1] + 1
 
     def space(self, name: str) -> str:
         """Tell which space a vector is of: q, qd, or neither."""
@@ -182,10 +188,6 @@ class _Coupled:
         """List the entries of what drives the uncoupled tree."""
         return [value for _, value in sorted(self.drive.get(name, {}).items())]
 
-    def joint(self, number: int) -> int:
-        """Number the joint, from 1, that a joint of the uncoupled tree is or follows."""
-        return self.map.targets[VELOCITIES][number - 1] + 1
-
     def weigh(self, number: int, inertia: Scalar) -> Scalar:
         """Give the inertia that a joint's followed one feels for it."""
         ratio = self.map.ratios[VELOCITIES].get(number - 1)
@@ -196,7 +198,7 @@ class _Coupled:
         """Bound what each joint can feel, for itself and for those that follow it."""
         total: dict[int, Scalar] = {}
         for number, inertia in enumerate(self.column("largest"), 1):
-            joint, felt = self.joint(number), self.weigh(number, inertia)
+            joint, felt = self.map.joint(number), self.weigh(number, inertia)
             total[joint] = total[joint] + felt if joint in total else felt
         return total
 
@@ -215,7 +217,7 @@ def _write_exp1(tree: Tree, reductions: Reductions) -> Tape:
     net = {place: own.drive["Q"][place] - bias for place, bias in terms["c"].items()}
     b = {i + 1: value for (i, _), value in map.gather(net, VELOCITIES, "").items()}
     factors = factorise(builder, upper, own.size)
-    scales, firm = own.scales, {own.joint(i) for i in own.firm}
+    scales, firm = own.scales, {own.map.joint(i) for i in own.firm}
     for i in range(own.size, 0, -1):
         if i in firm:
             builder.guard(factors.D[i], upper[i, i], own.size * exp1.PIVOT_TOLERANCE, i)
@@ -270,10 +272,10 @@ def _guard_couplings(own: _Coupled, tape: Tape, values: Sequence[Scalar], lost: 
     for guard in tape.guards:
         pivot = -values[guard.value] if guard.negated else values[guard.value]
         scale = own.weigh(guard.joint, values[guard.scale])
-        builder.guard(own.weigh(guard.joint, pivot), scale, guard.tolerance, own.joint(guard.joint))
+        builder.guard(own.weigh(guard.joint, pivot), scale, guard.tolerance, own.map.joint(guard.joint))
     scales = own.scales
     for k, part in lost.items():
-        joint = own.joint(own.tree.couplings[k - 1].leader)
+        joint = own.map.joint(own.tree.couplings[k - 1].leader)
         builder.guard(part * scales[joint], scales[joint], exp2.LOCKING_TOLERANCE, joint)
 
 

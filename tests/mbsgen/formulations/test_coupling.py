@@ -21,16 +21,17 @@ from mbsgen.errors import InputError
 from mbsgen.expressions import Number
 from mbsgen.families import OptionError
 from mbsgen.formulations.catalogue import FUNCTIONS
-from mbsgen.model.construction import Setting, body, free, make_model, revolute
+from mbsgen.model.construction import Setting, body, frame, free, make_model, revolute
 from mbsgen.model.locking import lock
 from mbsgen.model.model import Model
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree, with_runtime_numbers
 from mbsgen.model.tree import Coupling, Kind, Tree
 from mbsgen.model.writer import write_model
-from mbsgen.pipeline import Options, write_families
+from mbsgen.pipeline import Options, make, write_families
 from mbsgen.tape.interpreter import DIGITS, evaluate
 from mbsgen.tape.types import Tape
+from tests.mbsgen.targets.test_c import Requires, run
 from tests.random_trees import Pinocchio, law_forces, random_tree, values_of, with_laws, with_rotors, with_wrenches
 
 Array = NDArray[np.float64]
@@ -301,3 +302,18 @@ def test_run_time_parameters_are_hoisted_as_ever(seed: int) -> None:
         expected = compute(FUNCTIONS[name].build(tree, Options().reductions), state)["qdd"]
         found = compute(FUNCTIONS[name].build(loose, Options().reductions), state | {"p": np.array([*values.values()])})
         assert_close("qdd", found["qdd"], expected)
+
+
+def test_a_whole_folder_is_written_and_agrees_with_itself(tmp_path: Path, requires: Requires) -> None:
+    """The report counts every formulation, and the check program that comes with the C finds no fault."""
+    arm = [
+        body("1", revolute("z", name="a"), mass=1, com=(0.1, 0, 0)),
+        body("2", revolute("y", name="b", follows=("a", -1, 0.5)), parent="1", mass=1, com=(0.1, 0, 0)),
+    ]
+    model = make_model("arm", arm, gravity=(0, -9.81, 0), frames=[frame("tip", "2", position=(0, 0, 0.2))])
+    files = make(model, Options(derivatives=1)).files
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    assert "EXP2" in files["report.md"]
+    run(requires("gcc"), "-std=c99", "-O0", *sorted(tmp_path.glob("*.c")), "-lm", "-o", tmp_path / "check")
+    assert " 0 of " in f" {run(tmp_path / 'check')}".replace("\n", "\n ")
