@@ -16,7 +16,20 @@ from mbsgen.expressions import Expression, Name, Number, evaluate, names
 from mbsgen.model.compounds import recognise
 from mbsgen.model.expansion import Step, list_steps
 from mbsgen.model.laws import replace_numbers
-from mbsgen.model.model import Body, Fixed, Frame, Inertia, Joint, Law, Model, Parameter, Placement, Triple, Wrench
+from mbsgen.model.model import (
+    Body,
+    Fixed,
+    Follow,
+    Frame,
+    Inertia,
+    Joint,
+    Law,
+    Model,
+    Parameter,
+    Placement,
+    Triple,
+    Wrench,
+)
 from mbsgen.model.symbols import symbolic, to_double
 from mbsgen.model.tree import Kind
 from mbsgen.model.valuation import Valuation
@@ -30,7 +43,8 @@ def with_runtime_numbers(model: Model, *, zeros: bool = False) -> Model:
 
     A number that is 0 stays, and so does an angle that is a multiple of a quarter turn: they are what makes equations
     short. With `zeros` they become parameters too, and so do those that are 0 because the file does not give them.
-    Axes of joints stay, with the constants that they depend on; so do limits, which the equations do not hold.
+    Axes of joints stay, with the constants that they depend on; so do limits, which the equations do not
+    hold, and the ratios and offsets of joints that follow others.
     """
     return _Release(model, zeros).apply()
 
@@ -119,7 +133,14 @@ class _Release:
             max_force=self._keep(step.joint.max_force),
             law=self._law(step.joint.law, step.name),
             armature=self._number(f"{step.name}.armature", step.joint.armature),
+            follows=self._follow(step.joint.follows),
         )
+
+    def _follow(self, follow: Follow | None) -> Follow | None:
+        if follow is None:
+            return None
+        ratio, offset = (Number(self._valuation.number((), x)) for x in (follow.ratio, follow.offset))
+        return Follow(follow.joint, ratio, offset)
 
     def _law(self, law: Law, joint: str) -> Law:
         released = replace_numbers(law, joint, self._number)

@@ -25,8 +25,9 @@ from mbsgen.model.construction import Setting, body, frame, free, make_model, re
 from mbsgen.model.locking import lock
 from mbsgen.model.model import Model
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree, with_runtime_numbers
-from mbsgen.model.tree import Coupling, Kind, Tree
+from mbsgen.model.reduction import build_tree
+from mbsgen.model.releasing import with_runtime_numbers
+from mbsgen.model.tree import Coupling, Tree
 from mbsgen.model.writer import write_model
 from mbsgen.pipeline import Options, make, write_families
 from mbsgen.tape.interpreter import DIGITS, evaluate
@@ -183,7 +184,9 @@ def test_derivatives_are_exact(name: str, seed: int) -> None:
                 assert max(map(abs, (found - expected).ravel())) < 1e-13 * max(1, max(map(abs, expected.ravel())))
 
 
-def finger(follows: tuple[str, float | str, float] | None, **setting: object) -> Model:
+def finger(
+    follows: tuple[str, float | str, float] | None, parameters: dict[str, float] | None = None, **setting: object
+) -> Model:
     """Two fingers on a hand that floats freely: quaternions and couplings in one tree."""
     own: Setting = {**setting, "name": "b"}  # type: ignore[typeddict-item]
     if follows:
@@ -197,6 +200,7 @@ def finger(follows: tuple[str, float | str, float] | None, **setting: object) ->
             body("two", revolute("x", position=(-0.1, 0, 0), **own), parent="palm", **solid),  # type: ignore[arg-type]
         ],
         gravity=(0, 0, -9.81),
+        parameters=parameters,
     )
 
 
@@ -289,19 +293,17 @@ def test_what_is_not_written_for_coupled_joints_is_said() -> None:
         write_families(build_tree(finger(("a", 1, 0))), Options(functions=("condition",)))
 
 
-@pytest.mark.parametrize("seed", [0, 3])
-def test_run_time_parameters_are_hoisted_as_ever(seed: int) -> None:
-    """The kernels with a setup of their own give what the others do; the light of the tree is all of its numbers."""
-    tree = replace(coupled_tree(seed), wrenches=())
-    loose = with_runtime_numbers(tree)
-    assert loose.couplings == tree.couplings
-    values = {p.name: p.value for p in loose.parameters if p.kind is Kind.RUNTIME}
-    n = len(tree.joints)
-    state = draw(tree, {"q": n, "qd": n, "u": sum(j.actuated for j in tree.joints)}, seed)
+def test_run_time_parameters_are_taken_as_ever() -> None:
+    """With every number a parameter, at the values of the file: the same accelerations. Couplings stay constant."""
+    model = finger(("a", "-k/2", 0.1), parameters={"k": 1.5})
+    tree, loose = build_tree(model), build_tree(with_runtime_numbers(model))
+    assert loose.couplings == tree.couplings == (Coupling(8, 7, -0.75, 0.1),)
+    rng = np.random.default_rng(5)
+    state = {"q": rng.uniform(-1, 1, 8), "qd": rng.uniform(-1, 1, 7), "u": rng.uniform(-1, 1, 1)}
+    state["p"] = np.array(values_of(loose))
     for name in ("exp1", "exp2"):
-        expected = compute(FUNCTIONS[name].build(tree, Options().reductions), state)["qdd"]
-        found = compute(FUNCTIONS[name].build(loose, Options().reductions), state | {"p": np.array([*values.values()])})
-        assert_close("qdd", found["qdd"], expected)
+        expected, found = (compute(FUNCTIONS[name].build(t, Options().reductions), state)["qdd"] for t in (tree, loose))
+        assert_close("qdd", found, expected)
 
 
 def test_a_whole_folder_is_written_and_agrees_with_itself(tmp_path: Path, requires: Requires) -> None:
