@@ -52,6 +52,15 @@ def test_what_a_document_says_to_type_works(document: Path, tmp_path: Path) -> N
         assert run.returncode == 0, f"{block}\n{run.stdout}{run.stderr}"
 
 
+def test_c_of_the_theory_is_generated() -> None:
+    """Each line of C on the page stands in the generated file that the page links to."""
+    page = (ROOT / "docs" / "theory.md").read_text(encoding="utf-8")
+    generated = (ROOT / "generated" / "double_pendulum" / "double_pendulum_impl.c").read_text(encoding="utf-8")
+    shown = [line for block in re.findall(r"^```c\n(.*?)^```$", page, re.M | re.S) for line in block.splitlines()]
+    assert shown
+    assert [line for line in shown if line not in generated] == []
+
+
 def test_what_is_not_run_here_is_run_by_ci() -> None:
     """The lines of blocks marked `# not run`, comments aside, are lines of `.ci/run`."""
     done = {line.strip() for line in (ROOT / ".ci" / "run").read_text(encoding="utf-8").splitlines()}
