@@ -5,7 +5,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test lint bench bench-growth bench-ocp study mutants golden schema clean
+.PHONY: demo test fuzz lint bench bench-growth bench-ocp study mutants golden schema clean
 
 demo: $(VENV)/installed
 	$(BIN)/mbsgen models/arm_pendulum.yaml -o build/arm_pendulum
@@ -15,6 +15,10 @@ demo: $(VENV)/installed
 
 test: lint
 	$(BIN)/pytest -n 2
+
+# Searches for inputs that are not taken well, by changing the files that ship: some hours; FUZZ="--count 100" is quick.
+fuzz: $(VENV)/installed-dev
+	$(BIN)/python -m tests.fuzz inputs $(FUZZ)
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import json
+import keyword
 import math
 import operator
 import re
@@ -130,6 +131,12 @@ def parse(text: str) -> Expression:
     if (degree := measure(expression).degree) > MAX_DEGREE:
         raise ExpressionError(f"an expression of degree {degree}", f"give powers and products up to {MAX_DEGREE}")
     return expression
+
+
+def is_free_name(text: str) -> bool:
+    """Tell whether expressions can use a text as the name of a number, and have no meaning of their own for it."""
+    is_word = re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", text) is not None
+    return is_word and text not in (*FUNCTIONS, *CONSTANTS) and not keyword.iskeyword(text)
 
 
 def names(expression: Expression) -> frozenset[str]:

@@ -155,10 +155,12 @@ def write(manifest: Manifest) -> str:
 def read(path: Path) -> Manifest:
     """Read a manifest; InputError when it is missing, of another format, or not a manifest."""
     try:
-        return Manifest.model_validate_json(path.read_text(encoding="utf-8"))
+        return Manifest.model_validate_json(path.read_bytes())
     except FileNotFoundError:
         fault = Fault(str(path), 0, "", "there is no such file", "generate the folder with `mbsgen MODEL -o DIR`")
         raise InputError([fault]) from None
+    except OSError as error:
+        raise InputError([Fault(str(path), 0, "", f"cannot be read: {error.strerror}", "check the path")]) from None
     except ValidationError as error:
         faults = [
             Fault(

@@ -56,14 +56,16 @@ def check_idle_joints(model: Model) -> Iterator[Finding]:
     expansion = expand(model)
     bodies = expansion.model.bodies
     mechanism = _place(expansion.model, _Doubles(expansion.model))
-    idle = [i for i in mechanism.order if isinstance(bodies[i].joint, Joint) and not mechanism.feels(i)]
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is computed in digits
+        idle = [i for i in mechanism.order if isinstance(bodies[i].joint, Joint) and not mechanism.feels(i)]
+        is_clear = not idle and not mechanism.find_undone(DOUBTFUL)
     for i in idle:
         yield _tell_idle(i, expansion)
-    if idle or not mechanism.find_undone(DOUBTFUL):
+    if idle or is_clear:
         return
     exact = _place(expansion.model, _Digits(expansion.model))
     for i, others in exact.find_undone(TOLERANCE).items():
-        yield _tell_undone(i, others, expansion)
+        yield _tell_undone(i, others, expansion) if others else _tell_idle(i, expansion)
 
 
 def _tell_idle(i: int, expansion: Expansion) -> Finding:
@@ -106,7 +108,7 @@ class _Mechanism:
         lever = np.cross(carrier.axis, com - carrier.origin)
         felt = mass * (lever**2).sum(axis=1) + np.einsum("bi,bij,bj->b", about, inertia, about)
         scale = mass * ((com**2).sum(axis=1) + carrier.origin @ carrier.origin) + np.abs(inertia).max(axis=(1, 2))
-        return not np.all(np.abs(felt) <= TOLERANCE * scale)
+        return not (np.isfinite(scale).all() and np.all(np.abs(felt) <= TOLERANCE * scale))
 
     def find_undone(self, tolerance: float) -> dict[int, list[int]]:
         """Find the joints whose pivots vanish, relative to M_ii, each with the joints that undo what it does."""
@@ -118,7 +120,7 @@ class _Mechanism:
             if S is not None:
                 U = articulated[i] @ S
                 pivot = S @ U + solid.armature
-                if abs(pivot) <= tolerance * abs(S @ composite[i] @ S + solid.armature):
+                if not abs(pivot) > tolerance * abs(S @ composite[i] @ S + solid.armature):  # or no number
                     undone[i] = self._answer(i, S, answers)
                 else:
                     answers[i] = U / pivot

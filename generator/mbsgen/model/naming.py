@@ -5,13 +5,12 @@ Names never reach a path or a shell, and are mangled on their way into C, so tha
 
 from __future__ import annotations
 
-import keyword
 import re
 import unicodedata
 from collections.abc import Container, Iterator, Sequence
 
 from mbsgen.documents import Place, abbreviate, lies_under
-from mbsgen.expressions import CONSTANTS, FUNCTIONS
+from mbsgen.expressions import is_free_name
 from mbsgen.model.expansion import list_steps
 from mbsgen.model.findings import Finding
 from mbsgen.model.model import BASE, COORDINATE, FREE, RATE, Model
@@ -83,7 +82,7 @@ def _check_parameter(place: Place, name: str) -> Iterator[Finding]:
         yield Finding(place, f"a name of {len(name)} characters", f"give at most {MAX_LENGTH}")
     elif not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
         yield Finding(place, f"expressions cannot use the name {abbreviate(name)}", "use letters, digits and _")
-    elif name in FUNCTIONS or name in CONSTANTS or keyword.iskeyword(name):
+    elif not is_free_name(name):
         yield Finding(place, f"expressions have their own meaning of {abbreviate(name)}", "give another name")
 
 

@@ -30,7 +30,7 @@ from mbsgen.documents import (
     refuse,
 )
 from mbsgen.errors import Fault, InputError
-from mbsgen.expressions import CONSTANTS, FLOATS, FUNCTIONS, Expression, ExpressionError, Number, evaluate, names, parse
+from mbsgen.expressions import FLOATS, Expression, ExpressionError, Number, evaluate, is_free_name, names, parse
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.integrators import IntegratorName
 from mbsrun.ocp.methods import METHODS, Amount
@@ -293,8 +293,7 @@ class _Reading:
     def problem(self, name: str, section: _ProblemSection) -> Problem:
         """Make the problem; it is one only if there are no faults."""
         for key, expression in section.constants.items():
-            is_taken = key in CONSTANTS or key in FUNCTIONS or key in self.quantities
-            if not key.isascii() or not key.isidentifier() or is_taken:
+            if not is_free_name(key) or key in self.quantities:
                 self.fault(("constants", key), "no name for a constant", "give a word that means nothing else")
             self.constants[key] = self.number(("constants", key), expression)
         if not self.inputs.known:

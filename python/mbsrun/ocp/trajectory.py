@@ -11,7 +11,10 @@ from pydantic import PlainSerializer, PlainValidator
 
 
 def _read_array(value: Any) -> NDArray[np.float64]:
-    array = np.array(value, dtype=np.float64)
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, OverflowError) as error:
+        raise ValueError(str(error)) from None
     if not np.isfinite(array).all():
         raise ValueError("a number is not finite")
     return array
@@ -37,9 +40,11 @@ class Trajectory:
     point_qdd: Array  # (N, d, n)
 
     def __post_init__(self) -> None:
-        (N, d, n), nq, m = self.point_qd.shape, self.point_q.shape[-1], self.u.shape[1]
-        shapes = [(N + 1,), (N + 1, nq), (N + 1, n), (N, m), (N, d), (N, d, nq), (N, d, n), (N, d, n)]
         arrays = (self.t, self.q, self.qd, self.u, self.point_t, self.point_q, self.point_qd, self.point_qdd)
+        shapes: list[tuple[int, ...]] = []
+        if [array.ndim for array in arrays] == [1, 2, 2, 2, 2, 3, 3, 3]:
+            (N, d, n), nq, m = self.point_qd.shape, self.point_q.shape[-1], self.u.shape[1]
+            shapes = [(N + 1,), (N + 1, nq), (N + 1, n), (N, m), (N, d), (N, d, nq), (N, d, n), (N, d, n)]
         if [array.shape for array in arrays] != shapes:
             raise ValueError("the arrays of a trajectory do not fit together")
 

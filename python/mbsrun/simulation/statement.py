@@ -31,7 +31,7 @@ from mbsgen.documents import (
     write_path,
 )
 from mbsgen.errors import Fault
-from mbsgen.expressions import CONSTANTS, FLOATS, FUNCTIONS, Expression, ExpressionError, Number, evaluate, names, parse
+from mbsgen.expressions import FLOATS, Expression, ExpressionError, Number, evaluate, is_free_name, names, parse
 from mbsgen.manifest import Manifest, Wrench
 from mbsrun.ocp.schemes import DEGREES
 from mbsrun.quaternions import list_quaternions, neutral, normalise
@@ -181,7 +181,7 @@ class _Reading:
     def statement(self, section: _SettingsSection) -> Statement:
         """Make the statement; it is one only if there are no faults."""
         for key, expression in section.constants.items():
-            if not key.isascii() or not key.isidentifier() or key in (*CONSTANTS, *FUNCTIONS, TIME):
+            if not is_free_name(key) or key == TIME:
                 self.fault(("constants", key), "no name for a constant", "give a word that means nothing else")
             self.constants[key] = self.number(("constants", key), expression)
         settings, drive = self.settings(section), self.drive(section)

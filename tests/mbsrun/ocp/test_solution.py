@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -52,6 +53,8 @@ DAMAGED = {
     "a number missing": lambda text: text.replace('"t": [0.0, ', '"t": ['),
     "a number that is none": lambda text: text.replace('"t": [0.0, ', '"t": [NaN, '),
     "text for numbers": lambda text: text.replace('"t": [0.0, ', '"t": ["zero", '),
+    "a mapping for numbers": lambda text: text.replace('"t": [0.0, ', '"t": [{}, '),
+    "a number for numbers": lambda text: re.sub(r'"u": .*', '"u": 3,', text),
     "ragged": lambda text: text.replace('"q": [[', '"q": [[0.0, '),
 }
 

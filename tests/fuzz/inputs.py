@@ -1,0 +1,462 @@
+"""Files of every kind that is read, mutated: bytes, words, numbers, and the structure of YAML and JSON.
+
+A file is accepted, or refused by an error whose text is complete (MbsError). What is not taken well: another exception,
+more than LIMIT seconds, a process or a connection begun, a file written outside of the folder that was named, and an
+output where something was refused.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import random
+import re
+import signal
+import sys
+import tempfile
+import traceback
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import yaml
+
+from mbsgen import manifest
+from mbsgen.errors import MbsError
+from mbsgen.importing import import_model
+from mbsgen.pipeline import Options, generate, make, read_tree
+from mbsrun.ocp.solution import CostTerms, Run, Size, Solution, Violation, read_solution, write_solution
+from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.simulation.statement import read_statement
+
+ROOT = Path(__file__).parents[2]
+MODELS = ROOT / "models"
+LIMIT = 20  # seconds
+SMALL = 4  # bodies of a model that is generated too
+OUT = "out"  # what is written beside an input
+
+NASTY_NUMBERS = (
+    "0", "-0", "1", "-1", "1e308", "1e309", "-1e308", "1e-308", "1e-320", "1e-60", "9" * 40, "9" * 400, "0x10", "1_000",
+    ".inf", "-.inf", ".nan", "NaN", "Infinity", "1e", "0.1.2", "2**16**16", "1/0", "0/0", "sqrt(-1)", "exp(1e9)",
+    "90 deg", "1e308*1e308", "123456789012345678901234567890", "4.9e-324", "1e150", "1e151", "10**16",
+)  # fmt: skip
+NASTY_WORDS = (
+    "", " ", "\t", "\n", "~", "null", "true", "no", "on", "base", "pi", "sin", "q", "qd", "ä", "\u202e", "\u0000",
+    "a" * 300, "../../etc/passwd", "/etc/passwd", "__import__('os').system('touch owned')",
+    "!!python/object/apply:os.system [touch owned]",
+    "*a", "&a x", "<<", "{", "[", "]", "- - -", "%YAML 1.1", "---", "...", "|", ">", "? a", "lambda: 0", "x.__class__",
+    "$(touch owned)", "`touch owned`", "<!ENTITY a 'b'>", "&amp;", "]]>", "\ud7ff", "😀",
+)  # fmt: skip
+KEYS = (
+    "name",
+    "parent",
+    "joint",
+    "type",
+    "axis",
+    "mass",
+    "parameters",
+    "locked",
+    "kind",
+    "value",
+    "functions",
+    "results",
+)
+
+
+Sources = tuple[tuple[str, bytes], ...]  # names and contents of files
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of file: what ships of it, and what a program does with one. The other files of a folder stay."""
+
+    sources: Callable[[], Sources]
+    use: Callable[[Path], None]
+    beside: Mapping[str, bytes] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A file that was not taken well."""
+
+    seed: int
+    text: str
+
+
+@dataclass(frozen=True)
+class Tally:
+    """What became of the files."""
+
+    accepted: int
+    refused: int
+    findings: tuple[Finding, ...]
+
+
+class HangError(BaseException):
+    """Raised after LIMIT seconds; nothing catches it on its way."""
+
+
+# --- mutations -------------------------------------------------------------------------------------------------------
+
+
+def mutate(content: bytes, rng: random.Random) -> bytes:
+    """Change a file in one to four ways."""
+    for _ in range(rng.choice((1, 1, 1, 2, 4))):
+        content = rng.choice((_change_bytes, _change_words, _change_words, _change_structure, _change_structure))(
+            content, rng
+        )
+    return content
+
+
+def _change_bytes(content: bytes, rng: random.Random) -> bytes:
+    place = rng.randrange(len(content) + 1)
+    end = min(len(content), place + rng.choice((1, 1, 1, 4, 40)))
+    match rng.randrange(5):
+        case 0:
+            return content[:place] + content[end:]
+        case 1:
+            return content[:place] + rng.randbytes(rng.choice((1, 1, 3))) + content[place:]
+        case 2:
+            return content[:place] + rng.randbytes(1) + content[place + 1 :]
+        case 3:
+            return content[:end] + content[place:end] + content[end:]
+    return content[:place]
+
+
+def _change_words(content: bytes, rng: random.Random) -> bytes:
+    """Replace a word, swap two, or repeat or leave out a line."""
+    text = content.decode("utf-8", "surrogateescape")
+    if rng.random() < 0.3:
+        lines = text.split("\n")
+        place = rng.randrange(len(lines))
+        lines[place : place + 1] = rng.choice(([], [lines[place]] * 2, [rng.choice(lines)], [" " + lines[place]]))
+        return "\n".join(lines).encode("utf-8", "surrogateescape")
+    words = _split_words(text)
+    inner = [k for k, word in enumerate(words) if word.strip()]
+    if not inner:
+        return content
+    place = rng.choice(inner)
+    is_number = words[place][0] in "0123456789.-"
+    pool = (*NASTY_NUMBERS, *NASTY_NUMBERS, *NASTY_WORDS) if is_number else (*NASTY_WORDS, *NASTY_NUMBERS)
+    if is_number and rng.random() < 0.4:
+        pool = tuple(str(round(rng.uniform(-2, 5), rng.randrange(4))) for _ in range(2))
+    words[place] = rng.choice(pool) if rng.random() < 0.7 else words[rng.choice(inner)]
+    return "".join(words).encode("utf-8", "surrogatepass" if rng.random() < 0.1 else "replace")
+
+
+def _split_words(text: str) -> list[str]:
+    """Split text into words and what stands between them."""
+    words: list[str] = []
+    for character in text:
+        is_word = character.isalnum() or character in "._-+"
+        if words and (words[-1][-1].isalnum() or words[-1][-1] in "._-+") == is_word:
+            words[-1] += character
+        else:
+            words.append(character)
+    return words
+
+
+def _change_structure(content: bytes, rng: random.Random) -> bytes:
+    """Change one node of YAML or JSON; other files, and those that are broken already, in their words."""
+    try:
+        data = json.loads(content) if content.lstrip()[:1] == b"{" else yaml.safe_load(content)
+    except (ValueError, yaml.YAMLError, RecursionError):
+        return _change_words(content, rng)
+    if not isinstance(data, dict):
+        return _change_words(content, rng)
+    nodes = [*_list_nodes(data)]
+    holder, key = rng.choice(nodes)
+    match rng.randrange(6):
+        case 0:
+            del holder[key]
+        case 1:
+            other, its = rng.choice(nodes)
+            holder[key] = copy.deepcopy(other[its]) if its in other or isinstance(other, list) else None
+        case 2:
+            holder[key] = rng.choice(NASTY_WORDS)
+        case 3:
+            holder[key] = _read(rng.choice(NASTY_NUMBERS))
+        case 4:
+            inner = copy.deepcopy(holder[key])
+            holder[key] = rng.choice(([], {}, [[]], None, True, [inner], {"a": inner}, [0] * 400))
+        case _ if isinstance(holder, dict):
+            holder[rng.choice((*KEYS, *NASTY_WORDS))] = copy.deepcopy(holder[key])
+        case _:
+            holder.append(copy.deepcopy(holder[key]))
+    try:
+        if content.lstrip()[:1] == b"{":
+            return json.dumps(data).encode("utf-8", "replace")
+        return yaml.safe_dump(data, sort_keys=False, allow_unicode=True).encode("utf-8", "replace")
+    except (ValueError, yaml.YAMLError, RecursionError):
+        return content
+
+
+def _read(text: str) -> Any:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _list_nodes(data: Any) -> Iterator[tuple[Any, Any]]:
+    for key in [*data] if isinstance(data, dict) else range(len(data)):
+        yield data, key
+        if isinstance(data[key], dict | list):
+            yield from _list_nodes(data[key])
+
+
+# --- a trial ---------------------------------------------------------------------------------------------------------
+
+_FORBIDDEN = ("os.system", "os.exec", "os.fork", "os.posix_spawn", "subprocess.Popen", "socket.connect", "pty.spawn")
+_watched: list[tuple[Path, list[str]]] = []  # the folder where files may be written, and what else happened
+
+
+def _watch(event: str, arguments: tuple[Any, ...]) -> None:
+    """Note what no input may bring about. Hooks cannot be removed: outside of a trial, this one is idle."""
+    if not _watched:
+        return
+    folder, seen = _watched[-1]
+    if event in _FORBIDDEN:
+        seen.append(event)
+    if event == "open" and isinstance(arguments[1], str) and set(arguments[1]) & set("wax+"):
+        path = Path(str(arguments[0]))
+        if folder not in path.absolute().parents and "__pycache__" not in path.parts:
+            seen.append(f"wrote {path}")
+
+
+@cache
+def _install() -> None:
+    sys.addaudithook(_watch)
+
+
+@contextmanager
+def watched(folder: Path) -> Iterator[list[str]]:
+    """Collect what happens that should not; raise HangError where it takes too long."""
+
+    def stop(_: int, frame: FrameType | None) -> None:
+        raise HangError(f"more than {LIMIT} s, in {traceback.format_stack(frame)[-1].strip() if frame else '?'}")
+
+    _install()
+    seen: list[str] = []
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.alarm(LIMIT)
+    _watched.append((folder, seen))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield seen
+    finally:
+        _watched.pop()
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def attempt(kind: Kind, name: str, content: bytes, folder: Path) -> tuple[bool, str]:
+    """Use a file; return whether it was accepted, and what was not well, if anything."""
+    for other, its in kind.beside.items():
+        (folder / other).write_bytes(its)
+    file = folder / name
+    file.write_bytes(content)
+    before = {path.name for path in folder.iterdir()}
+    with watched(folder) as seen:
+        try:
+            kind.use(file)
+            accepted, trouble = True, ""
+        except MbsError as error:
+            accepted, trouble = False, "" if str(error).strip() else "an error without words"
+        except (Exception, HangError) as error:  # whatever it is, it is looked for
+            last = traceback.extract_tb(error.__traceback__)[-1]
+            accepted, trouble = (
+                False,
+                f"{type(error).__name__}: {str(error)[:150]} ({Path(last.filename).name}:{last.lineno})",
+            )
+    written = {path.name for path in folder.iterdir()} - before
+    if not accepted and written:
+        seen.append(f"left {', '.join(sorted(written))}")
+    return accepted, trouble or "; ".join(seen)
+
+
+def search(kind: Kind, count: int, seed: int, keep: Path | None = None) -> Tally:
+    """Try so many mutations of a kind's files."""
+    accepted, findings = 0, list[Finding]()
+    sources = kind.sources()
+    for number in range(seed, seed + count):
+        rng = random.Random(number)
+        name, source = rng.choice(sources)
+        content = mutate(source, rng)
+        with tempfile.TemporaryDirectory() as path:
+            is_accepted, trouble = attempt(kind, name, content, Path(path))
+        accepted += is_accepted and not trouble
+        if trouble:
+            findings.append(Finding(number, trouble))
+            if keep is not None:
+                keep.mkdir(parents=True, exist_ok=True)
+                (keep / f"{number}-{name}").write_bytes(content)
+    return Tally(accepted, count - accepted - len(findings), tuple(findings))
+
+
+# --- kinds -----------------------------------------------------------------------------------------------------------
+
+SCENES = (
+    "functions: [impl, sensors]\nderivatives: 1\nlocked: {second: 0.3}\nsensors: [tip]\ngravity: false\n",
+    "functions: [exp2, energy]\nderivatives: 2\nresults: {energy: [kinetic]}\nmotion: true\n",
+    "functions: []\nderivatives: 2\ntogether: {step: [impl, sensors]}\nparameters: {l: differentiated, m: runtime}\n",
+    "functions: [impl, semi]\nderivatives: 0\nlocked: {first: pi/4}\nmotion: false\ntolerance: 0.001\n",
+)
+MODEL = """\
+name: pair
+gravity: [0, 0, -9.81]
+parameters: {l: {value: 0.5, kind: runtime}, m: 1.5}
+bodies:
+  - {name: first, joint: {type: revolute, axis: y, limits: [-2, 2]}, mass: m, com: [0, 0, -l], inertia: [0.1, 0.1, 0]}
+  - {name: second, parent: first, joint: {type: prismatic, axis: x, stiffness: 3}, mass: 2}
+frames: [{name: tip, body: second, position: [l, 0, 0]}]
+wrenches: [{name: push, body: second, force: input}]
+"""
+SETTINGS = (
+    "duration: 1\nstart: {pose: {first: 0.2}, velocity: {first: 1}}\ninputs: {first: sin(2*pi*t), second: 0}\n",
+    "duration: 2\nmethod: rk4\nstep: 0.01\nwrenches: {push: {force: [0, 0, 1]}}\nparameters: {l: 0.4}\n",
+    "duration: 1\nconstants: {k: 2}\nmethod: gauss\nstages: 2\nstep: 0.01\noutput_step: 0.1\ninputs: {first: k*t}\n",
+    "duration: 1\nmethod: dop853\nrtol: 1e-8\natol: 1e-8\nmax_steps: 1000\nformulation: exp2\n",
+)
+URDF = """<robot name="pair"><link name="base"/><link name="arm"><inertial><origin xyz="0 0 0.5" rpy="0 0.1 0"/>
+<mass value="2"/><inertia ixx="0.1" ixy="0.01" ixz="0" iyy="0.1" iyz="0" izz="0.02"/></inertial></link>
+<joint name="turn" type="revolute"><parent link="base"/><child link="arm"/><origin xyz="0 0 1" rpy="0 0 0.3"/>
+<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="5" velocity="3"/><dynamics damping="0.1" friction="0.2"/></joint>
+<link name="hand"><inertial><mass value="1e-2"/><inertia ixx="1e-3" ixy="0" ixz="0" iyy="1e-3" iyz="0" izz="1e-3"/>
+</inertial></link><joint name="slide" type="prismatic"><parent link="arm"/><child link="hand"/><axis xyz="0 0 1"/>
+<limit lower="0" upper="0.1" effort="1" velocity="1"/></joint></robot>
+"""
+MJCF = """<mujoco model="pair"><compiler angle="degree"/><option gravity="0 0 -9.81"/>
+<default><joint damping="0.1"/><default class="small"><geom density="500"/></default></default>
+<worldbody><body name="arm" pos="0 0 1" euler="0 30 0"><joint name="turn" type="hinge" axis="0 1 0" range="-90 90"/>
+<geom type="capsule" fromto="0 0 0 0 0 0.5" size="0.05" mass="2"/><site name="tip" pos="0 0 0.5"/>
+<body name="hand" pos="0 0 0.5"><joint type="slide" axis="0 0 1" stiffness="3"/>
+<geom class="small" type="box" size="0.1 0.1 0.2"/></body></body></worldbody>
+<actuator><motor joint="turn" gear="10" ctrlrange="-1 1"/></actuator></mujoco>
+"""
+
+
+def _use_model(file: Path) -> None:
+    tree = read_tree(file)
+    assert all(re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", parameter.name) for parameter in tree.parameters)
+    if len(tree.bodies) <= SMALL:
+        generate(file, file.parent / OUT, Options(functions=("impl", "exp2"), derivatives=0))
+
+
+def _use_scene(file: Path) -> None:
+    generate(file.parent / "model.yaml", file.parent / OUT, Options(scene=file))
+
+
+def _use_foreign(file: Path) -> None:
+    tree = read_tree(import_model(file).model)
+    if len(tree.bodies) <= SMALL:
+        make(import_model(file).model, Options(functions=("impl", "exp2"), derivatives=0))
+
+
+def _use_manifest(file: Path) -> None:
+    found = manifest.read(file)
+    manifest.write(found)
+
+
+@dataclass(frozen=True)
+class _Described:
+    """A mechanism of which nothing is computed."""
+
+    manifest: manifest.Manifest
+
+
+@cache
+def _describe(text: bytes) -> manifest.Manifest:
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "model.yaml"
+        file.write_bytes(text)
+        return make(file, Options(derivatives=0, functions=("impl", "sensors"))).manifest
+
+
+def _use_problem(file: Path) -> None:
+    read_problem(file, lambda path: _MECHANISMS.get(path.name, _MECHANISMS["pair.yaml"]))
+
+
+def _use_settings(file: Path) -> None:
+    read_statement(file, {}, _describe(MODEL.encode()))
+
+
+def _use_solution(file: Path) -> None:
+    read_solution(file)
+
+
+_MECHANISMS: dict[str, Any] = {}  # by the names of model files; problems compute nothing of them when they are read
+
+
+def _list_models() -> Sources:
+    return *_list("*.yaml"), *[("pair.yaml", MODEL.encode())] * 8
+
+
+def _list_problems() -> Sources:
+    _MECHANISMS["pair.yaml"] = _Described(_describe(MODEL.encode()))
+    problems = _list("*.yaml", problems=True)
+    for name in {yaml.safe_load(content)["model"] for _, content in problems}:
+        _MECHANISMS[name] = _Described(_describe((MODELS / name).read_bytes()))
+    return problems
+
+
+def _list_settings() -> Sources:
+    _describe(MODEL.encode())
+    return _texts("settings.yaml", SETTINGS)
+
+
+def _list_manifests() -> Sources:
+    return (("manifest.json", manifest.write(_describe(MODEL.encode())).encode()),)
+
+
+def _list_solutions() -> Sources:
+    _list_problems()
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "solution.json"
+        problem, _ = read_problem(MODELS / "cart_pole_balance.ocp.yaml", lambda path: _MECHANISMS[path.name])
+        mesh, states, points = np.arange(3.0), np.zeros((3, 2)), np.zeros((2, 1, 2))
+        inputs, times = np.ones((2, 1)), np.array([[1.0], [2.0]])
+        trajectory = Trajectory(mesh, states, states, inputs, times, points, points, points)
+        solution = Solution(
+            problem=problem,
+            model="cart_pole",
+            model_hash="0" * 64,
+            coordinates=("cart", "pole"),
+            inputs=("cart",),
+            run=Run("Solve_Succeeded", 3, 0.1, 0.05),
+            size=Size(10, 8, 20, 12),
+            cost=CostTerms((("inputs", 1.0), ("input rates", 0.0))),
+            violation=Violation(1e-9, 0.0),
+            trajectory=trajectory,
+        )
+        write_solution(solution, file)
+        return (("solution.json", file.read_bytes()),)
+
+
+def _list(pattern: str, *, problems: bool = False) -> tuple[tuple[str, bytes], ...]:
+    files = sorted(MODELS.glob(pattern))
+    return tuple((file.name, file.read_bytes()) for file in files if file.name.endswith(".ocp.yaml") == problems)
+
+
+def _texts(name: str, texts: Sequence[str]) -> tuple[tuple[str, bytes], ...]:
+    return tuple((name, text.encode()) for text in texts)
+
+
+KINDS: Mapping[str, Kind] = {
+    "models": Kind(_list_models, _use_model),
+    "scenes": Kind(lambda: _texts("scene.yaml", SCENES), _use_scene, {"model.yaml": MODEL.encode()}),
+    "problems": Kind(_list_problems, _use_problem),
+    "settings": Kind(_list_settings, _use_settings),
+    "solutions": Kind(_list_solutions, _use_solution),
+    "manifests": Kind(_list_manifests, _use_manifest),
+    "urdf": Kind(lambda: (("robot.urdf", URDF.encode()),), _use_foreign),
+    "mjcf": Kind(lambda: (("robot.xml", MJCF.encode()),), _use_foreign),
+}
