@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import json
+import os
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import click
 from rich.console import Console
-from rich.status import Status
 
-from benchmarks.compilation import BuildError, Workshop, describe_machine, find_includes
-from benchmarks.study import Depth, DisagreementError, study
-from benchmarks.table import compare, draw_chart, make_tables, write_json, write_markdown
+from benchmarks.compilation import BuildError, Workshop, describe_machine, find_cache, find_includes
+from benchmarks.preparation import Prepared, prepare
+from benchmarks.study import DisagreementError, measure
+from benchmarks.table import Run, compare, draw_chart, make_tables, read_rows, write_json, write_markdown
 from mbsgen.errors import MbsError
+from mbsrun.library import find_compiler
 
 ROOT = Path(__file__).parents[1]
 MODELS = (
@@ -28,8 +34,15 @@ QUICK = (ROOT / "models" / "double_pendulum.yaml",)
 @click.option("--rounds", default=200, show_default=True, type=click.IntRange(min=1))
 @click.option("--hessians/--no-hessians", default=True, help="Compare second derivatives too.")
 @click.option("--quick", is_flag=True, help="A small mechanism, few rounds, and nothing that needs a C++ compiler.")
-def main(models: tuple[Path, ...], out: Path, rounds: int, hessians: bool, quick: bool) -> None:
-    """Compare generated kernels of MODELS, or of the paper's arm, a UR5 and a Panda, with what others reach."""
+@click.option("--prepare", "only", is_flag=True, help="Generate and compile everything, and measure nothing.")
+@click.option("--again", is_flag=True, help="Measure again what an earlier run measured.")
+def main(
+    models: tuple[Path, ...], out: Path, rounds: int, hessians: bool, quick: bool, only: bool, again: bool
+) -> None:
+    """Compare generated kernels of MODELS, or of the paper's arm, a UR5 and a Panda, with what others reach.
+
+    What --prepare makes is found again by a later run, which then takes a minute.
+    """
     console = Console()
     if quick:
         models, rounds = models or QUICK, min(rounds, 10)
@@ -37,28 +50,59 @@ def main(models: tuple[Path, ...], out: Path, rounds: int, hessians: bool, quick
     if includes is None:
         told = "Without Pinocchio." if quick else "Without Pinocchio: pip install '.[bench]' brings its headers."
         console.print(told, markup=False)
-    workshop = Workshop(out.absolute(), includes)
-    comparisons = {}
+    workshop = Workshop(find_cache(), includes)
+    out.mkdir(parents=True, exist_ok=True)
     try:
+        prepared = []
         for model in models or MODELS:
             with console.status(model.stem) as status:
-
-                def report(text: str, name: str = model.stem, status: Status = status) -> None:
-                    status.update(f"{name}: {text}")
-
-                found = study(model, workshop, Depth(rounds, hessians), report)
-            comparisons[found.model] = compare(found)
-            for table in make_tables(found.model, comparisons[found.model]):
-                console.print(table)
+                report = _follow(status.update, model.stem)
+                prepared.append(prepare(model, workshop, report, hessians=hessians))
+        if only:
+            console.print(f"{workshop.folder} holds what was prepared.")
+            return
+        kept = None if again else _read(out, rounds)
+        for run in _measure(prepared, workshop, rounds, kept, console):
+            digests = {one.model: one.digest for one in prepared if one.model in run.comparisons}
+            (out / "benchmarks.json").write_text(write_json(run, digests), encoding="utf-8")
     except (MbsError, BuildError, DisagreementError, ArithmeticError, ValueError) as error:
         raise click.ClickException(str(error)) from None
-    machine = describe_machine()
-    (out / "benchmarks.json").write_text(write_json(comparisons, machine, rounds), encoding="utf-8")
-    (out / "benchmarks.md").write_text(write_markdown(comparisons, machine, rounds), encoding="utf-8")
-    draw_chart(comparisons, out / "benchmarks.png")
+    (out / "benchmarks.md").write_text(write_markdown(run), encoding="utf-8")
+    draw_chart(run.comparisons, out / "benchmarks.png")
     console.print(
         f"{out / 'benchmarks.json'} holds the figures, and benchmarks.md beside it; benchmarks.png charts the ratios."
     )
+
+
+def _measure(
+    prepared: Iterable[Prepared], workshop: Workshop, rounds: int, kept: dict[str, Any] | None, console: Console
+) -> Iterator[Run]:
+    """Measure what an earlier run has not, and print everything: yields all so far, after each model."""
+    run = Run(describe_machine(), " ".join(["-O3", *find_compiler(os.environ).flags]), rounds, {})
+    for one in prepared:
+        if kept and kept["digests"].get(one.model) == one.digest:
+            rows = read_rows(kept["models"][one.model])
+        else:
+            with console.status(one.model) as status:
+                rows = compare(measure(one, workshop, rounds, _follow(status.update, one.model)))
+        for table in make_tables(one.model, rows):
+            console.print(table)
+        run = replace(run, comparisons={**run.comparisons, one.model: rows})
+        yield run
+
+
+def _read(out: Path, rounds: int) -> dict[str, Any] | None:
+    """Read what an earlier run on the same machine measured with as many rounds."""
+    path = out / "benchmarks.json"
+    if not path.exists():
+        return None
+    content: dict[str, Any] = json.loads(path.read_text("utf-8"))
+    same = (content.get("machine"), content.get("rounds")) == (describe_machine(), rounds)
+    return content if same and "digests" in content else None
+
+
+def _follow(update: Callable[[str], None], name: str) -> Callable[[str], None]:
+    return lambda text: update(f"{name}: {text}")
 
 
 if __name__ == "__main__":

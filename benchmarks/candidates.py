@@ -4,25 +4,26 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 _INTEGERS = ctypes.POINTER(ctypes.c_longlong)
 Array = NDArray[np.float64]
+Sines = Literal["libm", "header"]  # of the C library, or of csrc/mbs_sincos.h
 OURS, TAPE, SHORT = "mbsgen", "AD of our equations", "short recursion in CasADi"
 CASADI, PINOCCHIO = "Pinocchio in CasADi", "Pinocchio"
 AUTHORS: Mapping[str, str] = {
     OURS: "the generated kernels",
     TAPE: "the generated equations over CasADi's SX, differentiated by CasADi, with cse, as C",
-    SHORT: "a short Newton-Euler recursion with base inertial parameters in CasADi's SX, with cse, as C",
+    SHORT: "short recursions with base inertial parameters in CasADi's SX, with cse, as C",
     CASADI: "Pinocchio's algorithms traced in CasADi's SX, with cse, as C",
     PINOCCHIO: "Pinocchio's algorithms in C++",
 }
-LARGEST = 20_000  # operations of a function that CasADi's C is compiled of: -O3 takes minutes for more
+LARGE, LARGEST = 20_000, 100_000  # operations of CasADi's C from which on it is compiled by -O1, and not compiled
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,27 @@ class Candidate:
     way: str  # tells apart what one author has for the same function
     flops: int | None  # + - * / and roots; None where they are not known
     code: Code | None  # None: counted only
+    sines: Sines = "libm"
+
+
+def write_candidate(candidate: Candidate) -> dict[str, Any]:
+    """Return a candidate as JSON has it."""
+    content = asdict(candidate)
+    if candidate.code is not None:
+        content["code"]["library"] = str(candidate.code.library)
+    return content
+
+
+def read_candidate(content: Mapping[str, Any]) -> Candidate:
+    """Return the candidate that `write_candidate` wrote."""
+    code = content["code"]
+    if code is None:
+        return Candidate(**content)
+    blocks = (
+        Block(b["name"], b["rows"], b["cols"], tuple((r, c) for r, c in b["places"])) for b in code["face"]["blocks"]
+    )
+    face = Face(tuple(code["face"]["inputs"]), tuple(blocks), code["face"]["sz_iw"], code["face"]["sz_w"])
+    return Candidate(**{**content, "code": Code(Path(code["library"]), code["symbol"], face)})
 
 
 def dense(name: str, rows: int, cols: int) -> Block:

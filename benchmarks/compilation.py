@@ -18,11 +18,14 @@ from pathlib import Path
 
 import casadi as ca
 
+from benchmarks.candidates import Sines
 from mbsgen import resources
+from mbsrun.cache import cache_folder
 from mbsrun.library import find_compiler
 
 HERE = Path(__file__).parent
 TIMING = resources.folder("csrc") / "timing"
+HEADERS = tuple(resources.folder("csrc") / name for name in ("mbs_sincos.h", "mbs_abi.h"))  # what C may include
 # CasADi's small functions are global: a compiler that lets anyone replace them would not inline them.
 EXPORTED = ("-fvisibility=hidden", "-DGCC_HASCLASSVISIBILITY")
 # The flags of the kernels are chosen for them; what passes CasADi is compiled with gcc's vectors in straight-line code
@@ -69,7 +72,7 @@ class Workshop:
     def c(self) -> tuple[str, ...]:
         """Command and flags for C."""
         compiler = find_compiler(os.environ)
-        return (*compiler.command, "-O3", *compiler.flags, *EXPORTED)
+        return (*compiler.command, *compiler.flags, f"-I{resources.folder('csrc')}")
 
     @cached_property
     def cxx(self) -> tuple[str, ...]:
@@ -78,9 +81,9 @@ class Workshop:
         include = ("-isystem", str(self.includes), "-isystem", str(self.includes / "eigen3"))
         return (*shlex.split(os.environ.get("CXX", "c++")), "-std=c++17", *BOOST, *include)
 
-    def compile_c(self, source: Path, name: str, flags: Sequence[str] = ()) -> Path:
+    def compile_c(self, source: Path, name: str, flags: Sequence[str] = ("-O3", *EXPORTED)) -> Path:
         """Compile one C file as a library, with further flags."""
-        return self._build(name, (*self.c, *flags, "-shared"), (source,), ("-lm",))
+        return self._build(name, (*self.c, *flags, "-shared"), (source, *HEADERS), ("-lm",))
 
     def compile_timing(self) -> Path:
         """Compile the timing loop."""
@@ -88,10 +91,11 @@ class Workshop:
         command = (*find_compiler(os.environ).command, "-std=c99", "-O3", *flags)
         return self._build("timing", command, (TIMING / "mbs_timing.c", TIMING / "mbs_timing.h"), ())
 
-    def compile_pinocchio(self) -> Path:
-        """Compile Pinocchio's algorithms over doubles, in CasADi's contract."""
-        sources = (HERE / "cpp" / "pinocchio.cpp", HERE / "cpp" / "mechanism.hpp")
-        return self._build("pinocchio", (*self.cxx, *FAST, "-shared"), sources, ())
+    def compile_pinocchio(self, sines: Sines = "libm") -> Path:
+        """Compile Pinocchio's algorithms over doubles, in CasADi's contract, with the sines that are named."""
+        sources = (HERE / "cpp" / "pinocchio.cpp", HERE / "cpp" / "mechanism.hpp", *HEADERS)
+        chosen = ("-DMBS_SINES", f"-I{resources.folder('csrc')}") if sines == "header" else ()
+        return self._build("pinocchio", (*self.cxx, *FAST, *chosen, "-shared"), sources, ())
 
     def compile_tracer(self) -> Path:
         """Compile the program that traces Pinocchio's algorithms with CasADi's symbols."""
@@ -112,6 +116,11 @@ class Workshop:
             run((*command, str(sources[0]), "-o", str(unfinished), *link))
             unfinished.replace(target)
         return target
+
+
+def find_cache() -> Path:
+    """Return the folder that keeps what was generated and compiled for benchmarks, beside the user's cache."""
+    return cache_folder(os.environ).with_name("mbsgen-benchmarks")
 
 
 def find_includes() -> Path | None:

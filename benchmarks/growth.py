@@ -1,49 +1,75 @@
 """What size costs: robots with floating bases, and chains of many joints; `python -m benchmarks.growth`.
 
-For each mechanism: how long generating and compiling take, how large the C is, and the time of a call beside
-Pinocchio's in C++ and, for robots, beside Pinocchio's algorithms written as C by CasADi. Residuals and accelerations,
-and the first derivatives of IMPL and EXP2.
+For each mechanism: how long generating and compiling take, how large the C is, and the time of a call beside that of
+the quickest peer: short recursions in CasADi, Pinocchio in C++, or Pinocchio's algorithms written as C by CasADi.
+Residuals and accelerations, and the first derivatives of IMPL and EXP2.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
+import multiprocessing
 import os
 import resource
-import shutil
+import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import click
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.candidates import CASADI, OURS, PINOCCHIO, Candidate
-from benchmarks.compilation import BuildError, Workshop, describe_machine, find_includes, of_model
-from benchmarks.mechanism import write_mechanism
+from benchmarks.candidates import CASADI, LARGE, LARGEST, OURS, PINOCCHIO, SHORT, Candidate
+from benchmarks.compilation import BuildError, Workshop, describe_machine, find_cache, find_includes
+from benchmarks.preparation import Prepared, Wanted, describe_kernel, hash_file, prepare_peers
 from benchmarks.robots import ROBOTS, find_robot
-from benchmarks.study import (
-    DisagreementError,
-    Measurement,
-    describe_kernel,
-    describe_pinocchio,
-    measure,
-    trace_values,
-)
+from benchmarks.study import DisagreementError, Study, measure
+from benchmarks.table import Basis, Quickest, find_quickest
 from mbsgen.errors import MbsError
-from mbsgen.manifest import Manifest
-from mbsgen.pipeline import Options, generate, read_tree
+from mbsgen.pipeline import Options, generate
 from mbsrun import load
+from mbsrun.models import fingerprint_generator
 from mbsrun.study.mechanisms import write_chain
 
 VALUES = ("impl", "semi", "exp1", "exp2")
 JACOBIANS = ("jac_impl", "jac_exp2")
 SIZES = (8, 16, 32, 64, 128)
-MARKS = {PINOCCHIO: "", CASADI: "*"}
+BASES: tuple[Basis, ...] = ("same header", "as they come")
+MARKS = {PINOCCHIO: "P", CASADI: "C", SHORT: "S"}
+SAME = dict.fromkeys(("exp1", "exp2"), ("exp1", "exp2")) | {"jac_exp2": ("jac_exp1", "jac_exp2")}
+CALLS = ("flops", "ns", "ns/flop", "quickest peer, same header", "ratio", "quickest peer, as it comes", "ratio")
+MAKING = ("generated s", "C kB", "compiled s", "MB")
 LINEAR = ("impl", "exp2")  # what grows by the length of a chain, and is measured on the longest
 LARGEST_CUBIC, LARGEST_JACOBIAN = 50, 32  # chains of which all values, and Jacobians, are measured
+LARGEST_EXPANDED = 20  # joints up to which CasADi writes out M^-1 d Phi: beyond, it takes minutes and megabytes
+
+
+@dataclass(frozen=True)
+class Mechanism:
+    """What is measured of a model file."""
+
+    path: Path
+    joints: int | None  # of a chain
+    values: tuple[str, ...]
+    jacobians: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """Return the model's name."""
+        return self.path.stem
+
+    @property
+    def wanted(self) -> Wanted:
+        """Return what peers compute."""
+        return Wanted(
+            self.values, self.jacobians, self.joints is None or self.joints <= LARGEST_CUBIC, LARGEST_EXPANDED
+        )
 
 
 @dataclass(frozen=True)
@@ -57,106 +83,110 @@ class Row:
     generated_s: float  # processor time of all of the mechanism's kernels together
     source_bytes: int
     compiled_s: float  # processor time
-    compiled_mb: float  # the most that the compiler held, for any kernel up to this one
+    compiled_mb: float  # the most that the compiler held, for any kernel of the mechanism up to this one
     ns: float
-    peer: str | None  # the quickest one
-    peer_ns: float | None
-
-    @property
-    def ratio(self) -> float | None:
-        """Give how many times ours the quickest peer takes."""
-        return None if self.peer_ns is None else self.peer_ns / self.ns
+    ns_median: float
+    quickest: Mapping[Basis, Quickest]  # nothing without a peer
 
 
 @dataclass(frozen=True)
 class Made:
     """The kernels of a mechanism, compiled."""
 
-    name: str
-    joints: int
-    mechanism: Path  # as the peers read it
-    manifest: Manifest
     candidates: tuple[Candidate, ...]
     costs: Mapping[str, tuple[float, int, float, float]]  # of each kernel, as a Row has them
-    traced: bool  # whether CasADi writes the peers' values, too
 
 
-def make_kernels(path: Path, workshop: Workshop, *, traced: bool) -> Made:
-    """Generate and compile the kernels of a model file. Raises InputError, BuildError, ValueError."""
-    tree = read_tree(path)
-    own = of_model(workshop, tree.name)
-    own.folder.mkdir(parents=True, exist_ok=True)
-    mechanism = own.folder / "mechanism.txt"
-    mechanism.write_text(write_mechanism(tree), encoding="utf-8")
-    values = VALUES if traced or len(tree.bodies) <= LARGEST_CUBIC else LINEAR
-    jacobians = JACOBIANS if traced or len(tree.bodies) <= LARGEST_JACOBIAN else ()
+def describe_robot(path: Path) -> Mechanism:
+    """Describe a robot, of which everything is measured."""
+    return Mechanism(path, None, VALUES, JACOBIANS)
 
+
+def describe_chain(size: int, folder: Path) -> Mechanism:
+    """Describe a chain, of which less is measured the longer it is."""
+    values = VALUES if size <= LARGEST_CUBIC else LINEAR
+    return Mechanism(write_chain(size, folder), size, values, JACOBIANS if size <= LARGEST_JACOBIAN else ())
+
+
+def make_kernels(mechanism: Mechanism, cache: Path) -> Made:
+    """Generate and compile the kernels of a model file anew, in a process of its own.
+
+    So the compiler's memory is known for each mechanism. Raises InputError, CompileError.
+    """
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(_make, mechanism, cache).result()
+
+
+def _make(mechanism: Mechanism, cache: Path) -> Made:
+    os.environ["XDG_CACHE_HOME"] = str(cache)  # where nothing is found made
+    names = (*mechanism.values, *mechanism.jacobians)
     start = time.process_time()
-    product = generate(path, own.folder / "generated", Options(functions=values, derivatives=int(bool(jacobians))))
+    options = Options(functions=mechanism.values, derivatives=int(bool(mechanism.jacobians)))
+    product = generate(mechanism.path, cache / mechanism.name, options)
     generated = time.process_time() - start
-    kernels = load(own.folder / "generated")
+    kernels = load(cache / mechanism.name)
     candidates, costs = [], {}
-    for name in (*values, *jacobians):
+    for name in names:
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         library = kernels.compile(name)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         source = product.files[f"{product.manifest.prefix}_{name}.c"]
         costs[name] = (generated, len(source), after.ru_utime - before.ru_utime, after.ru_maxrss / 1024)
         candidates.append(describe_kernel(product.manifest, library, name))
-    return Made(tree.name, len(tree.bodies), mechanism, product.manifest, tuple(candidates), costs, traced)
+    return Made(tuple(candidates), costs)
 
 
-def time_kernels(made: Made, workshop: Workshop, rounds: int) -> Iterator[Row]:
+def time_kernels(made: Made, peers: Prepared, workshop: Workshop, rounds: int) -> Iterator[Row]:
     """Time kernels beside their peers. Raises BuildError, DisagreementError, ArithmeticError."""
-    candidates = list(made.candidates)
-    if workshop.includes is not None:
-        candidates += describe_pinocchio(made.manifest, workshop.compile_pinocchio(), made.mechanism)
-        candidates += trace_values(workshop, made.mechanism) if made.traced else []
-    measured = measure(candidates, made.manifest, workshop, rounds)
+    both = replace(peers, candidates=(*made.candidates, *peers.candidates))
+    study = measure(both, workshop, rounds)
     for name, costs in made.costs.items():
-        yield _make_row(made.name, made.joints, name, measured, costs)
+        yield _make_row(study, peers.sizes.joints, name, costs)
 
 
-def _make_row(
-    mechanism: str, joints: int, kernel: str, measured: Sequence[Measurement], costs: tuple[float, int, float, float]
-) -> Row:
-    times = [
-        (float(m.times.min()), m.candidate) for m in measured if m.candidate.function == kernel and m.times is not None
-    ]
-    ((own, ours),) = (found for found in times if found[1].author == OURS)
-    peers = ((ns, candidate.author) for ns, candidate in times if candidate.author != OURS)
-    peer_ns, peer = min(peers, default=(None, None))
-    assert ours.flops is not None, "kernels are counted"
-    return Row(mechanism, joints, kernel, ours.flops, *costs, own, peer, peer_ns)
+def _make_row(study: Study, joints: int, kernel: str, costs: tuple[float, int, float, float]) -> Row:
+    (ours,) = (m for m in study.measurements if (m.candidate.author, m.candidate.function) == (OURS, kernel))
+    computed = SAME.get(kernel, (kernel,))
+    peers = [m for m in study.measurements if m.candidate.author != OURS and m.candidate.function in computed]
+    quickest = {basis: found for basis in BASES if (found := find_quickest(basis, [ours], peers))}
+    assert ours.candidate.flops is not None, "kernels are counted"
+    assert ours.times is not None, "kernels are timed"
+    times = float(ours.times.min()), float(np.median(ours.times))
+    return Row(study.model, joints, kernel, ours.candidate.flops, *costs, *times, quickest)
 
 
 def make_tables(rows: Sequence[Row]) -> tuple[Table, Table]:
     """Lay the rows out for a terminal: what calls take, and what it takes to make the kernels."""
     return (
-        _lay_out("nanoseconds per call", ["flops", "ns", "ns/flop", "peer ns", "ratio"], rows, _tell_calls),
-        _lay_out("to make them", ["generated s", "C kB", "compiled s", "MB"], rows, _tell_making),
+        _lay_out("nanoseconds per call", CALLS, rows, _write_calls),
+        _lay_out("to make them", MAKING, rows, _write_making),
     )
 
 
-def _lay_out(title: str, columns: Sequence[str], rows: Sequence[Row], tell: Callable[[Row], tuple[str, ...]]) -> Table:
+def _lay_out(title: str, columns: Sequence[str], rows: Sequence[Row], write: Callable[[Row], tuple[str, ...]]) -> Table:
     table = Table(title=title, title_justify="left")
     for column in ("", "joints", "kernel", *columns):
         table.add_column(column, no_wrap=True, justify="right" if column in columns else "left")
     for row in rows:
-        table.add_row(row.mechanism, str(row.joints), row.kernel, *tell(row))
+        table.add_row(row.mechanism, str(row.joints), row.kernel, *write(row))
     return table
 
 
-def _tell_calls(row: Row) -> tuple[str, ...]:
-    peer = (
-        ("–", "–")
-        if row.ratio is None or row.peer is None
-        else (f"{row.peer_ns:.0f}{MARKS[row.peer]}", f"{row.ratio:#.3g}")
+def _write_calls(row: Row) -> tuple[str, ...]:
+    found = [row.quickest.get(basis) for basis in BASES]
+    peers = (
+        text
+        for peer in found
+        for text in (
+            ("–", "–")
+            if peer is None
+            else (f"{peer.ns:.0f} {MARKS[peer.author]}", f"{peer.ratio:#.3g} · {peer.ratio_median:#.3g}")
+        )
     )
-    return (f"{row.flops}", f"{row.ns:.0f}", f"{row.ns / row.flops:.2f}", *peer)
+    return (f"{row.flops}", f"{row.ns:.0f} · {row.ns_median:.0f}", f"{row.ns / row.flops:.2f}", *peers)
 
 
-def _tell_making(row: Row) -> tuple[str, ...]:
+def _write_making(row: Row) -> tuple[str, ...]:
     figures = (row.generated_s, row.source_bytes / 1e3, row.compiled_s, row.compiled_mb)
     return tuple(f"{x:.{digits}f}" for x, digits in zip(figures, (1, 0, 1, 0), strict=True))
 
@@ -166,19 +196,57 @@ def write_markdown(rows: Sequence[Row], machine: str, rounds: int) -> str:
     lines = [
         "# What size costs",
         "",
-        f"{machine}; the shortest of {rounds} rounds. Generating is told for all kernels of a mechanism together, in",
-        "processor time, as compiling is, for each; MB are the most that the compiler held for any kernel so far. The",
-        "ratio is how many times ours the quickest peer takes: Pinocchio in C++, or, for robots, with a star, its",
-        "algorithms as C that CasADi writes.",
+        f"{machine}; the shortest of {rounds} rounds, then the median. Generating is for all kernels of a mechanism",
+        "together, in processor time, and compiling for each; MB are the most that the compiler held for any kernel of",
+        "the mechanism so far. Flops are those of kernels with all numbers folded and masses lumped.",
         "",
-        "| | joints | kernel | flops | ns | ns/flop | peer ns | ratio | generated s | C kB | compiled s | MB |",
-        "|---|---:|---|" + "---:|" * 9,
+        "The ratio is how many times ours the quickest peer takes. S: short recursions in CasADi, as C; P: Pinocchio in",
+        "C++; C: Pinocchio's algorithms as C that CasADi writes. First, all have the sine and cosine of our header, or",
+        "a peer those of the C library, if it is quicker with them; then peers have the C library's, as they come.",
+        "",
+        f"CasADi's C with more than {LARGE:,} operations is compiled by -O1, with more than {LARGEST:,} not at all; it",
+        f"writes -M^-1 d Phi for up to {LARGEST_EXPANDED} joints. AD of our own equations is not among these peers.",
+        "",
+        f"| | joints | kernel | {' | '.join((*CALLS, *MAKING))} |",
+        "|---|---:|---|" + "---:|" * len((*CALLS, *MAKING)),
         *(
-            f"| {row.mechanism} | {row.joints} | {row.kernel} | {' | '.join((*_tell_calls(row), *_tell_making(row)))} |"
+            f"| {row.mechanism} | {row.joints} | {row.kernel} "
+            f"| {' | '.join((*_write_calls(row), *_write_making(row)))} |"
             for row in rows
         ),
     ]
     return "\n".join(lines) + "\n"
+
+
+@dataclass(frozen=True)
+class _Figures:
+    """The rows of a run that may have been interrupted."""
+
+    about: str  # what rows must share
+    machine: str
+    rounds: int
+    rows: tuple[Row, ...] = ()
+
+    @property
+    def measured(self) -> set[str]:
+        """List the mechanisms."""
+        return {row.mechanism for row in self.rows}
+
+
+def _read(path: Path, about: str) -> tuple[Row, ...]:
+    """Read the rows of an earlier run of the same kind."""
+    content = json.loads(path.read_text("utf-8")) if path.exists() else {}
+    if content.get("about") != about:
+        return ()
+    return tuple(
+        Row(**{**row, "quickest": {basis: Quickest(**found) for basis, found in row["quickest"].items()}})
+        for row in content["rows"]
+    )
+
+
+def _write(figures: _Figures, out: Path) -> None:
+    (out / "growth.json").write_text(json.dumps(asdict(figures), indent=1) + "\n", encoding="utf-8")
+    (out / "growth.md").write_text(write_markdown(figures.rows, figures.machine, figures.rounds), encoding="utf-8")
 
 
 @click.command()
@@ -186,40 +254,67 @@ def write_markdown(rows: Sequence[Row], machine: str, rounds: int) -> str:
 @click.option("--rounds", default=50, show_default=True, type=click.IntRange(min=1))
 @click.option("--robot", "robots", multiple=True, type=click.Choice(list(ROBOTS)), help="By default all.")
 @click.option("--size", "sizes", multiple=True, type=click.IntRange(1, 256), help="Of chains; by default 8 to 128.")
-def main(out: Path, rounds: int, robots: tuple[str, ...], sizes: tuple[int, ...]) -> None:
-    """Tell what robots with floating bases and long chains cost to generate, to compile and to call."""
-    console = Console()
+@click.option("--prepare", "only", is_flag=True, help="Write and compile the peers, and measure nothing.")
+@click.option("--again", is_flag=True, help="Measure again what an earlier run measured.")
+def main(out: Path, rounds: int, robots: tuple[str, ...], sizes: tuple[int, ...], only: bool, again: bool) -> None:
+    """Measure what robots with floating bases and long chains cost to generate, to compile and to call."""
+    console = Console(width=None if sys.stdout.isatty() else 160)
     out.mkdir(parents=True, exist_ok=True)
-    workshop = Workshop(out.absolute(), find_includes())
-    everything = not robots and not sizes
-    rows: list[Row] = []
-    os.environ["XDG_CACHE_HOME"] = str(out.absolute() / f"growth.{os.getpid()}")  # so that all is compiled anew
+    workshop = Workshop(find_cache(), find_includes())
     try:
-        made = []  # all, before any peer is compiled: the most memory that a compiler held is known of all together
-        for name in ROBOTS if everything else robots:
-            path = find_robot(name, out)
-            if path is None:
-                console.print(f"Without {name}: pip install '.[bench]' brings its file.", markup=False)
-                continue
-            with console.status(f"{name}: generating and compiling"):
-                made.append(make_kernels(path, workshop, traced=True))
-        for size in SIZES if everything else sizes:
-            with console.status(f"a chain of {size}: generating and compiling"):
-                made.append(make_kernels(write_chain(size, out), workshop, traced=False))
-        for kernels in made:
-            with console.status(f"{kernels.name}: timing"):
-                rows += time_kernels(kernels, workshop, rounds)
+        prepared = []
+        for mechanism in _list_mechanisms(out, robots, sizes, console):
+            with console.status(f"{mechanism.name}: writing and compiling peers"):
+                prepared.append((mechanism, prepare_peers(mechanism.path, workshop, lambda _: None, mechanism.wanted)))
+        if only:
+            console.print(f"{workshop.folder} holds what was prepared.")
+            return
+        figures = _measure(prepared, workshop, rounds, out, console, again=again)
     except (MbsError, BuildError, DisagreementError, ArithmeticError, ValueError) as error:
         raise click.ClickException(str(error)) from None
-    finally:
-        shutil.rmtree(os.environ["XDG_CACHE_HOME"], ignore_errors=True)
-    for table in make_tables(rows):
+    for table in make_tables(figures.rows):
         console.print(table)
-    machine = describe_machine()
-    content = {"machine": machine, "rounds": rounds, "rows": [asdict(row) for row in rows]}
-    (out / "growth.json").write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-    (out / "growth.md").write_text(write_markdown(rows, machine, rounds), encoding="utf-8")
     console.print(f"{out / 'growth.json'} holds the figures, growth.md the table.")
+
+
+def _list_mechanisms(out: Path, robots: Sequence[str], sizes: Sequence[int], console: Console) -> Iterator[Mechanism]:
+    """List what is asked for, or everything."""
+    everything = not robots and not sizes
+    for name in ROBOTS if everything else robots:
+        path = find_robot(name, out)
+        if path is None:
+            console.print(f"Without {name}: pip install '.[bench]' brings its file.", markup=False)
+        else:
+            yield describe_robot(path)
+    for size in SIZES if everything else sizes:
+        yield describe_chain(size, out)
+
+
+def _measure(
+    prepared: Sequence[tuple[Mechanism, Prepared]],
+    workshop: Workshop,
+    rounds: int,
+    out: Path,
+    console: Console,
+    *,
+    again: bool,
+) -> _Figures:
+    """Measure what an earlier run has not, and write after each mechanism."""
+    machine = describe_machine()
+    told = [machine, rounds, fingerprint_generator().hex(), *((hash_file(m.path), p.digest) for m, p in prepared)]
+    figures = _Figures(hashlib.sha256(repr(told).encode()).hexdigest()[:16], machine, rounds)
+    figures = figures if again else replace(figures, rows=_read(out / "growth.json", figures.about))
+    for mechanism, peers in prepared:
+        if mechanism.name in figures.measured:
+            continue
+        with tempfile.TemporaryDirectory() as cache:
+            with console.status(f"{mechanism.name}: generating and compiling"):
+                made = make_kernels(mechanism, Path(cache))
+            with console.status(f"{mechanism.name}: timing"):
+                rows = tuple(time_kernels(made, peers, workshop, rounds))
+        figures = replace(figures, rows=(*figures.rows, *rows))
+        _write(figures, out)
+    return figures
 
 
 if __name__ == "__main__":

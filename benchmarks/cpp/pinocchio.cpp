@@ -2,7 +2,17 @@
 //
 // pin_load(MECHANISM) comes first. Inputs and results are dense columns in the order of the generated kernels; the
 // arm's passive joints have torque 0. What Pinocchio computes in its own data stays there: it is not copied out.
+// -DMBS_SINES gives it the sine and cosine of csrc/mbs_sincos.h, one angle at a time, which is how it asks for them.
+#include <cmath>
 #include <memory>
+
+#ifdef MBS_SINES
+extern "C" {
+#define MBS_SCALAR
+#include "mbs_sincos.h"
+}
+#define sincos(angle, sine, cosine) mbs_sincos(1, &(angle), sine, cosine)
+#endif
 
 #include <pinocchio/algorithm/aba-derivatives.hpp>
 #include <pinocchio/algorithm/aba.hpp>
@@ -105,7 +115,6 @@ KERNEL(pin_jac_impl)
     auto &[mechanism, data, Q] = *state;
     pinocchio::computeRNEADerivatives(mechanism.model, data, given(arg[0]), given(arg[1]), given(arg[2]),
                                       wanted_matrix(res[0]), wanted_matrix(res[1]), wanted_matrix(res[2]));
-    complete(wanted_matrix(res[2]));
     complete(wanted_matrix(res[2]));
     return 0;
 }

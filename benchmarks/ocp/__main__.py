@@ -16,8 +16,8 @@ from pathlib import Path
 import casadi as ca
 from rich.console import Console
 
-from benchmarks.afternoon import write_functions
 from benchmarks.compilation import describe_machine
+from benchmarks.newton_euler import write_functions
 from benchmarks.ocp.peer import Effort, Peer, Shelf, list_settings, processor_seconds, write_dynamics
 from benchmarks.ocp.rows import OURS, Figures, Loads, Row, read_figures, replace_rows, show, write_figures
 from benchmarks.symbolic import eliminate, read_tape

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from benchmarks.afternoon import write_functions
+from benchmarks.newton_euler import write_functions
 from benchmarks.conversion import convert, read_urdf
 from benchmarks.mechanism import write_mechanism
 from mbsgen.formulations import exp2, impl, semi

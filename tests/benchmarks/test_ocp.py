@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from benchmarks.afternoon import write_functions
+from benchmarks.newton_euler import write_functions
 from benchmarks.ocp.__main__ import MODELS, list_variants, main, write_place
 from benchmarks.ocp.peer import Peer, Shelf, list_settings, write_dynamics
 from benchmarks.ocp.rows import (
