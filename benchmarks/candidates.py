@@ -23,7 +23,7 @@ AUTHORS: Mapping[str, str] = {
     CASADI: "Pinocchio's algorithms traced in CasADi's SX, with cse, as C",
     PINOCCHIO: "Pinocchio's algorithms in C++",
 }
-LARGE, LARGEST = 20_000, 100_000  # operations of CasADi's C from which on it is compiled by -O1, and not compiled
+LARGE, LARGEST = 20_000, 50_000  # operations of CasADi's C from which on it is compiled by -O1, and not compiled
 
 
 @dataclass(frozen=True)

@@ -14,23 +14,26 @@ import subprocess
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib.metadata import version
 from pathlib import Path
 
 import casadi as ca
 
 from benchmarks.candidates import Sines
 from mbsgen import resources
-from mbsrun.cache import cache_folder
+from mbsrun.cache import cache_folder, find_or_make
 from mbsrun.library import find_compiler
 
 HERE = Path(__file__).parent
-TIMING = resources.folder("csrc") / "timing"
-HEADERS = tuple(resources.folder("csrc") / name for name in ("mbs_sincos.h", "mbs_abi.h"))  # what C may include
+CSRC = resources.folder("csrc")
+TIMING = CSRC / "timing"
+HEADERS = tuple(CSRC / name for name in ("mbs_sincos.h", "mbs_abi.h"))  # what C may include
 # CasADi's small functions are global: a compiler that lets anyone replace them would not inline them.
 EXPORTED = ("-fvisibility=hidden", "-DGCC_HASCLASSVISIBILITY")
 # The flags of the kernels are chosen for them; what passes CasADi is compiled with gcc's vectors in straight-line code
 # too, and whichever is quicker counts.
-VARIANTS: Mapping[str, tuple[str, ...]] = {"": (), ", vectors": ("-ftree-slp-vectorize",)}
+VECTORS = ", vectors"
+VARIANTS: Mapping[str, tuple[str, ...]] = {"": (), VECTORS: ("-ftree-slp-vectorize",)}
 FAST = ("-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fPIC", "-DNDEBUG")
 # What Boost must be told to hold Pinocchio's lists of types, as Pinocchio's own CMake files do; and that `get` may be
 # asked for a joint that a collection does not have.
@@ -72,50 +75,66 @@ class Workshop:
     def c(self) -> tuple[str, ...]:
         """Command and flags for C."""
         compiler = find_compiler(os.environ)
-        return (*compiler.command, *compiler.flags, f"-I{resources.folder('csrc')}")
+        return (*compiler.command, *compiler.flags)
 
     @cached_property
     def cxx(self) -> tuple[str, ...]:
         """Command and flags for C++ with Pinocchio."""
-        assert self.includes is not None, "asked for only where there are headers"
-        include = ("-isystem", str(self.includes), "-isystem", str(self.includes / "eigen3"))
-        return (*shlex.split(os.environ.get("CXX", "c++")), "-std=c++17", *BOOST, *include)
+        return (*shlex.split(os.environ.get("CXX", "c++")), "-std=c++17", *BOOST)
 
     def compile_c(self, source: Path, name: str, flags: Sequence[str] = ("-O3", *EXPORTED)) -> Path:
         """Compile one C file as a library, with further flags."""
-        return self._build(name, (*self.c, *flags, "-shared"), (source, *HEADERS), ("-lm",))
+        return self._build(name, (*self.c, *flags, "-shared"), (source, *HEADERS), ("-lm",), (CSRC,))
 
     def compile_timing(self) -> Path:
         """Compile the timing loop."""
-        flags = ("-fPIC", "-shared", "-D_POSIX_C_SOURCE=199309L", f"-I{resources.folder('csrc')}")
+        flags = ("-fPIC", "-shared", "-D_POSIX_C_SOURCE=199309L")
         command = (*find_compiler(os.environ).command, "-std=c99", "-O3", *flags)
-        return self._build("timing", command, (TIMING / "mbs_timing.c", TIMING / "mbs_timing.h"), ())
+        return self._build("timing", command, (TIMING / "mbs_timing.c", TIMING / "mbs_timing.h"), (), (CSRC,))
 
     def compile_pinocchio(self, sines: Sines = "libm") -> Path:
         """Compile Pinocchio's algorithms over doubles, in CasADi's contract, with the sines that are named."""
         sources = (HERE / "cpp" / "pinocchio.cpp", HERE / "cpp" / "mechanism.hpp", *HEADERS)
-        chosen = ("-DMBS_SINES", f"-I{resources.folder('csrc')}") if sines == "header" else ()
-        return self._build("pinocchio", (*self.cxx, *FAST, *chosen, "-shared"), sources, ())
+        chosen = ("-DMBS_SINES",) if sines == "header" else ()
+        return self._build("pinocchio", (*self.cxx, *FAST, *chosen, "-shared"), sources, (), (CSRC, *self._headers))
 
     def compile_tracer(self) -> Path:
         """Compile the program that traces Pinocchio's algorithms with CasADi's symbols."""
-        casadi = Path(ca.__file__).parent
+        casadi = Path(ca.__file__).resolve().parent
         sources = (HERE / "cpp" / "trace.cpp", HERE / "cpp" / "mechanism.hpp")
         link = (f"-L{casadi}", "-lcasadi", f"-Wl,-rpath,{casadi}")
-        return self._build("trace", (*self.cxx, "-O0", "-isystem", str(casadi / "include")), sources, link)
+        return self._build("trace", (*self.cxx, "-O0"), sources, link, (*self._headers, casadi / "include"))
 
-    def _build(self, name: str, command: Sequence[str], sources: Sequence[Path], link: Sequence[str]) -> Path:
-        """Compile the first of `sources`; the others are what it includes."""
-        digest = hashlib.sha256(repr((command, link)).encode())
+    @property
+    def _headers(self) -> tuple[Path, Path]:
+        assert self.includes is not None, "asked for only where there are headers"
+        return self.includes, self.includes / "eigen3"
+
+    def _build(
+        self, name: str, command: Sequence[str], sources: Sequence[Path], link: Sequence[str], search: Sequence[Path]
+    ) -> Path:
+        """Compile the first of `sources`; the others are what it includes, and `search` is where it finds the rest.
+
+        What is made is named by what it is made of, wherever that lies, so that checkouts share it.
+        """
+        packages = find_versions() if self.includes in search else ()
+        digest = hashlib.sha256(repr((command, link, packages)).encode())
         for source in sources:
             digest.update(source.read_bytes())
         target = self.folder / f"{name}-{digest.hexdigest()[:16]}"
-        if not target.exists():
-            self.folder.mkdir(parents=True, exist_ok=True)
-            unfinished = target.with_suffix(f".{os.getpid()}")
-            run((*command, str(sources[0]), "-o", str(unfinished), *link))
-            unfinished.replace(target)
-        return target
+
+        def make(building: Path) -> Path:
+            include = [part for folder in search for part in ("-isystem", str(folder))]
+            run((*command, *include, str(sources[0]), "-o", str(building / "made"), *link))
+            return building / "made"
+
+        cache_folder(os.environ).mkdir(parents=True, exist_ok=True)  # things are built there
+        return find_or_make(target, make)
+
+
+def find_versions() -> tuple[str, ...]:
+    """Return the versions of the packages that bring C++ headers."""
+    return tuple(f"{name} {version(name)}" for name in ("pin", "cmeel-boost", "cmeel-eigen", "casadi"))
 
 
 def find_cache() -> Path:
@@ -129,7 +148,7 @@ def find_includes() -> Path | None:
         import pinocchio
     except ImportError:
         return None
-    prefix = next((p for p in Path(pinocchio.__file__).parents if p.name == "cmeel.prefix"), None)
+    prefix = next((p for p in Path(pinocchio.__file__).resolve().parents if p.name == "cmeel.prefix"), None)
     include = prefix / "include" if prefix else None
     found = include and (include / "pinocchio" / "multibody.hpp").exists() and (include / "eigen3" / "Eigen").exists()
     return include if found else None

@@ -200,7 +200,7 @@ def write_markdown(rows: Sequence[Row], machine: str, rounds: int) -> str:
         "together, in processor time, and compiling for each; MB are the most that the compiler held for any kernel of",
         "the mechanism so far. Flops are those of kernels with all numbers folded and masses lumped.",
         "",
-        "The ratio is how many times ours the quickest peer takes. S: short recursions in CasADi, as C; P: Pinocchio in",
+        "The ratio is how many times ours the quickest peer takes. S: short recursions as C of CasADi; P: Pinocchio in",
         "C++; C: Pinocchio's algorithms as C that CasADi writes. First, all have the sine and cosine of our header, or",
         "a peer those of the C library, if it is quicker with them; then peers have the C library's, as they come.",
         "",

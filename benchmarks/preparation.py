@@ -37,7 +37,17 @@ from benchmarks.candidates import (
     read_candidate,
     write_candidate,
 )
-from benchmarks.compilation import EXPORTED, HERE, VARIANTS, BuildError, Workshop, describe_machine, of_model, run
+from benchmarks.compilation import (
+    EXPORTED,
+    HERE,
+    VARIANTS,
+    VECTORS,
+    BuildError,
+    Workshop,
+    describe_machine,
+    of_model,
+    run,
+)
 from benchmarks.mechanism import write_mechanism
 from benchmarks.newton_euler import write_functions
 from benchmarks.symbolic import adjoint_jacobian, count_arithmetic, eliminate, jacobian, read_tape
@@ -54,7 +64,9 @@ VALUES = ("impl", "semi", "exp1", "exp2")
 DIFFERENTIATED = ("impl", "semi_res", "exp1", "exp2")
 FUNCTIONS = (*VALUES, "jac_impl", "jac_exp2")  # what Pinocchio has in C++
 SINES: tuple[Sines, ...] = ("libm", "header")
-TRIGONOMETRIC = 5_000  # operations; in longer functions of CasADi, the time of sines does not matter
+# Operations; in longer functions of CasADi the time of sines does not matter, and vectors are quicker with hardly an
+# exception, so they are compiled once.
+MIDDLE = 5_000
 _FILES = ("angles.py", "compilation.py", "mechanism.py", "newton_euler.py", "preparation.py", "symbolic.py")
 _EXTENT = Extent(python=True)
 
@@ -306,14 +318,14 @@ def _list_jobs(target: str, function: ca.Function, folder: Path) -> list[_Job]:
     sources: list[tuple[Sines, str, Path, tuple[str, ...]]] = [
         ("libm", name, _write_source(function, folder), EXPORTED)
     ]
-    separated = separate(function) if size <= TRIGONOMETRIC else None
+    separated = separate(function) if size <= MIDDLE else None
     if separated is not None:
         outer = f"{name}_header"
         sources.append(("header", outer, write_source(separated, outer, folder), ("-DCASADI_SYMBOL_EXPORT=static",)))
     return [
         _Job(target, function, source, symbol, variant, sines, ("-O3", *visibility, *VARIANTS[variant]))
         for sines, symbol, source, visibility in sources
-        for variant in VARIANTS
+        for variant in (VARIANTS if size <= MIDDLE else (VECTORS,))
     ]
 
 

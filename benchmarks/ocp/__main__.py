@@ -5,23 +5,24 @@ from __future__ import annotations
 import argparse
 import os
 import random
+import statistics
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from itertools import chain
 from pathlib import Path
 
 import casadi as ca
+import numpy as np
 from rich.console import Console
 
-from benchmarks.compilation import describe_machine
-from benchmarks.newton_euler import write_functions
-from benchmarks.ocp.peer import Effort, Peer, Shelf, list_settings, processor_seconds, write_dynamics
-from benchmarks.ocp.rows import OURS, Figures, Loads, Row, read_figures, replace_rows, show, write_figures
-from benchmarks.symbolic import eliminate, read_tape
-from mbsgen.manifest import FILE_NAME
+from benchmarks.compilation import describe_machine, find_cache
+from benchmarks.ocp.peer import Effort, Peer, Points, Shelf, list_settings, processor_seconds, write_dynamics
+from benchmarks.ocp.rows import LONG, OURS, Figures, Loads, Row, read_figures, replace_rows, show, write_figures
+from benchmarks.study import DisagreementError
+from benchmarks.symbolic import read_tape
+from mbsgen.manifest import FILE_NAME, Kernel
 from mbsgen.manifest import read as read_manifest
 from mbsgen.pipeline import read_tree
 from mbsrun import Mechanism, load
@@ -30,6 +31,7 @@ from mbsrun.ocp import schemes
 from mbsrun.ocp.guess import make_guess
 from mbsrun.ocp.linear import LINEAR_SOLVERS, OWN
 from mbsrun.ocp.methods import LINEAR_SOLVER
+from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Form, Problem, Representation, find_conflicts
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import Solver
@@ -39,7 +41,9 @@ from mbsrun.ocp.trajectory import Trajectory
 MODELS = Path(__file__).parents[2] / "models"
 MODEL = MODELS / "arm_pendulum.yaml"
 INTERVALS, DEGREE = 100, 4  # the paper's
-PEERS = "peers"  # the folder, within that of the figures, of what was compiled for CasADi
+PEERS = "ocp"  # the folder, in the cache of benchmarks, of what was compiled for CasADi
+POINTS = "CasADi, by points, compiled"
+MUMPS = "mumps"
 BARRIERS: tuple[Mapping[str, str], ...] = ({}, {"mu_strategy": "adaptive"})  # options of IPOPT
 
 
@@ -54,8 +58,8 @@ class Way:
     solve: Callable[[], Effort]
 
 
-def make_ours(name: str, problem: Problem, plant: Mechanism, guess: Trajectory) -> Way:
-    """Transcribe with generated kernels."""
+def make_ours(name: str, problem: Problem, plant: Plant, guess: Trajectory) -> Way:
+    """Transcribe with kernels."""
     begin = processor_seconds()
     solver = Solver(problem, plant)
     program = solver.transcription.program
@@ -91,31 +95,59 @@ def make_ways(problem: Problem, plant: Mechanism, shelf: Shelf | None) -> Iterat
     assert isinstance(guess, Trajectory), "the target is within reach"
     for name, chosen in list_variants(problem):
         yield make_ours(name, chosen, plant, guess)
-    for name, peer in chain(make_peers(problem, None), make_peers(problem, shelf) if shelf else ()):
+    for name, peer in make_peers(problem, None):
         yield Way(name, peer.seconds_building, peer.variables, peer.constraints, partial(peer.solve, guess))
+    if shelf is None:
+        return
+    for name, peer in make_peers(problem, shelf):
+        yield Way(name, peer.seconds_building, peer.variables, peer.constraints, partial(peer.solve, guess))
+    mumps = replace(problem, solver=replace(problem.solver, options=((LINEAR_SOLVER, MUMPS),)))
+    for name, points in list_points(problem, plant, shelf):
+        check_dynamics(name, points, plant, problem.representation.kernel)
+        way = make_ours(name, mumps, points, guess)
+        yield replace(way, seconds_building=way.seconds_building + points.seconds_compiling)
 
 
 def make_peers(problem: Problem, shelf: Shelf | None) -> Iterator[tuple[str, Peer]]:
-    """Make CasADi's own, by name: interpreted, or compiled with a shelf."""
+    """Make plain CasADi's own, by name: interpreted, or compiled with a shelf."""
     q = ca.SX.sym("q", len(problem.start_q))
     place = ca.Function("place", [q], [write_place(q)])
     settings = list_settings(problem)
-    afternoon = write_dynamics(write_functions(read_tree(MODEL)))
+    short = write_dynamics(read_tree(MODEL))
     if shelf is None:
         for name in settings:
-            yield f"CasADi, interpreted, {name}", Peer(problem, afternoon, place, settings[name])
+            yield f"CasADi, interpreted, {name}", Peer(problem, short, place, settings[name])
     else:
-        yield "CasADi, compiled, tuned", Peer(problem, afternoon, place, settings["tuned"], shelf)
-        ours = read_ours(problem.representation)
-        yield "our equations in CasADi, compiled, tuned", Peer(problem, ours, place, settings["tuned"], shelf)
+        yield "CasADi, compiled, tuned", Peer(problem, short, place, settings["tuned"], shelf)
 
 
-def read_ours(representation: Representation) -> dict[str, ca.Function]:
-    """Give the equations that the kernels hold, without their derivatives, as the peer takes its own."""
-    name = representation.kernel
-    folder = find_folder(MODEL, Extent((name,), 0, python=True))
-    function = eliminate(read_tape(folder, read_manifest(folder / FILE_NAME), (name,))[name], f"ours_{name}")
-    return dict.fromkeys(("impl", "semi", "exp"), function)
+def list_points(problem: Problem, plant: Plant, shelf: Shelf) -> Iterator[tuple[str, Points]]:
+    """List the kernels that CasADi writes and differentiates at a point: short recursions, and our equations."""
+    kernel, short = problem.representation.kernel, write_dynamics(read_tree(MODEL))
+    function = short[{"impl": "impl", "semi_res": "semi"}.get(kernel, "exp")]
+    names = [argument.name for argument in read_kernel(plant, kernel).inputs]
+    outputs = [argument.name for argument in read_kernel(plant, kernel).outputs]
+    named = ca.Function(kernel, function.sx_in(), function.call(function.sx_in()), names, outputs)
+    yield f"{POINTS}, mumps", Points(plant, {kernel: named}, shelf)
+    folder = find_folder(MODEL, Extent((kernel,), 0, python=True))
+    ours = read_tape(folder, read_manifest(folder / FILE_NAME), (kernel,))
+    yield "our equations in CasADi, by points, compiled, mumps", Points(plant, ours, shelf)
+
+
+def read_kernel(plant: Plant, name: str) -> Kernel:
+    """Return what the manifest says of a kernel."""
+    return plant.manifest.kernel(name)
+
+
+def check_dynamics(way: str, points: Points, plant: Plant, kernel: str) -> None:
+    """Compare a peer's dynamics with ours at a few states, to 1e-9. Raises DisagreementError."""
+    rng = np.random.default_rng(5)
+    for _ in range(3):
+        given = {a.name: rng.uniform(-1, 1, (a.rows, a.cols)) for a in read_kernel(plant, kernel).inputs}
+        found, expected = (np.array(p.casadi(kernel)(*given.values())) for p in (points, plant))
+        error = float(np.abs(found - expected).max() / max(1.0, float(np.abs(expected).max())))
+        if not error <= 1e-9:
+            raise DisagreementError(f"{kernel} of {way}: off by {error:.1e}")
 
 
 def write_place(q: ca.SX) -> ca.SX:
@@ -127,25 +159,40 @@ def write_place(q: ca.SX) -> ca.SX:
 
 
 def measure(ways: Sequence[Way], representation: str, rounds: int) -> list[Row]:
-    """Solve every way once a round, in random order; keep each one's quickest."""
-    best: dict[str, Effort] = {}
+    """Solve every way once a round, in random order; what takes longer than LONG is solved in the first one alone."""
+    efforts: dict[str, list[Effort]] = {way.name: [] for way in ways}
     for turn in range(rounds):
         for way in random.Random(turn).sample(ways, len(ways)):
-            effort = way.solve()
-            held = best.get(way.name)
-            if held is None or effort.cpu_seconds < held.cpu_seconds:
-                best[way.name] = effort
-    return [
-        Row(representation, w.name, w.seconds_building, w.variables, w.constraints, **asdict(best[w.name]))
-        for w in ways
-    ]
+            done = efforts[way.name]
+            if not done or done[0].cpu_seconds <= LONG:
+                done.append(way.solve())
+    return [make_row(representation, way, efforts[way.name]) for way in ways]
 
 
-def compile_peers(problems: Sequence[Problem], output: Path) -> None:
+def make_row(representation: str, way: Way, efforts: Sequence[Effort]) -> Row:
+    """Describe a way by its quickest solve, and the medians of all."""
+    best = min(efforts, key=lambda effort: effort.cpu_seconds)
+    return Row(
+        representation,
+        way.name,
+        way.seconds_building,
+        way.variables,
+        way.constraints,
+        **asdict(best),
+        rounds=len(efforts),
+        cpu_seconds_median=statistics.median(effort.cpu_seconds for effort in efforts),
+        cpu_seconds_evaluating_median=statistics.median(effort.cpu_seconds_evaluating for effort in efforts),
+    )
+
+
+def compile_peers(problems: Sequence[Problem], plant: Mechanism, shelf: Shelf) -> None:
     """Compile what CasADi writes of some problems, where a run finds it."""
     for problem in problems:
-        for name, peer in make_peers(problem, Shelf(output / PEERS)):
+        for name, peer in make_peers(problem, shelf):
             print(f"{problem.representation.value}, {name}: {peer.seconds_building:.1f} s", flush=True)
+        for name, points in list_points(problem, plant, shelf):
+            points.casadi(problem.representation.kernel)
+            print(f"{problem.representation.value}, {name}: {points.seconds_compiling:.1f} s", flush=True)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -157,20 +204,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="a coarse mesh, IMPL and EXP1-O, one round, no peer compiled, kernels from the cache",
     )
     parser.add_argument("--interpreted", action="store_true", help="leave out what CasADi compiles, which takes long")
-    parser.add_argument("--compile", action="store_true", help="compile what CasADi writes, for a later run, and leave")
+    parser.add_argument("--prepare", action="store_true", help="compile what CasADi writes, and measure nothing")
     parser.add_argument("--rounds", type=int, default=3)
     names = [r.value for r in Representation]
     parser.add_argument("--representation", action="append", choices=names, help="by default all")
     parser.add_argument("--again", action="store_true", help="measure again what an earlier run kept")
     parser.add_argument("-o", "--output", type=Path, default=Path("build/bench-ocp"))
     given = parser.parse_args(arguments)
-    about = f"{describe_machine()}; the quickest of {given.rounds} rounds; N = {INTERVALS}, degree {DEGREE}"
+    about = f"{describe_machine()}; {given.rounds} rounds; N = {INTERVALS}, degree {DEGREE}"
     output: Path = given.output.absolute()
-    shelf = None if given.quick or given.interpreted else Shelf(output / PEERS)
+    shelf = None if given.quick or given.interpreted else Shelf(find_cache() / PEERS)
     chosen_names = given.representation or (["IMPL", "EXP1-O"] if given.quick else names)
     kept = None if given.quick or given.again else read_figures(output / "ocp.json", about)
     with tempfile.TemporaryDirectory() as scratch:
-        if not (given.quick or given.compile):
+        if not (given.quick or given.prepare):
             os.environ["XDG_CACHE_HOME"] = scratch  # nothing is found made
         begin = processor_seconds()
         problem, plant = read_problem(MODELS / "arm_reach.ocp.yaml", load)
@@ -179,8 +226,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             problem = replace(problem, intervals=10, degree=3)
         else:
             problem = replace(problem, intervals=INTERVALS, degree=DEGREE)
-        if given.compile:
-            compile_peers([replace(problem, representation=Representation(name)) for name in chosen_names], output)
+        if given.prepare:
+            problems = [replace(problem, representation=Representation(name)) for name in chosen_names]
+            compile_peers(problems, plant, Shelf(find_cache() / PEERS))
             return 0
         figures = kept or Figures(about, len(os.sched_getaffinity(0)), seconds)
         for name in chosen_names:

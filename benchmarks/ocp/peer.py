@@ -1,8 +1,8 @@
 """The peer: the same optimal control problem in plain CasADi, as its users write it.
 
-The equations of motion are an afternoon's Newton-Euler in SX, mapped over the collocation points; CasADi differentiates
-the whole, and runs it in its virtual machine, or as C that it writes. It takes nothing from `mbsrun` but the values of
-a problem and a guess, and has points and weights of its own.
+The equations of motion are short recursions in SX, mapped over the collocation points; CasADi differentiates the whole,
+and runs it in its virtual machine, or as C that it writes. It takes nothing from `mbsrun` but the values of a problem
+and a guess, and has points and weights of its own.
 """
 
 from __future__ import annotations
@@ -20,16 +20,20 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from benchmarks.compilation import run
+from benchmarks.compilation import EXPORTED, run
+from benchmarks.newton_euler import write_functions
+from mbsgen.manifest import Manifest
+from mbsgen.model.tree import Tree
 from mbsrun.library import find_compiler
+from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
-FLAGS = ["-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno"]
+FLAGS = ["-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", *EXPORTED]
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,7 @@ class Effort:
 
 
 def processor_seconds() -> float:
-    """Give the processor time spent so far, that of compilers included."""
+    """Return the processor time spent so far, that of compilers included."""
     return sum(os.times()[:4])
 
 
@@ -55,7 +59,7 @@ class Shelf:
     folder: Path
 
     def compile(self, source: Path) -> tuple[Path, float]:
-        """Give the library of a C file, and the processor time that compiling took whenever that was."""
+        """Return the library of a C file, and the processor time that compiling took whenever that was."""
         command = (*find_compiler(os.environ).command, *FLAGS, "-fPIC", "-shared")
         version = run((command[0], "--version"))
         digest = hashlib.sha256(repr((command, version)).encode() + source.read_bytes()).hexdigest()[:16]
@@ -78,7 +82,7 @@ class Peer:
         problem: Problem,
         dynamics: Mapping[str, ca.Function],
         place: ca.Function,
-        ipopt: Mapping[str, Any],
+        settings: Settings,
         shelf: Shelf | None = None,
     ) -> None:
         """Write the program, and make IPOPT for it; `place` gives the position of the sensor that has a target.
@@ -131,8 +135,9 @@ class Peer:
             "error_on_fail": False,
             "no_nlp_grad": True,
             "calc_lam_p": False,
+            "expand": settings.expand and shelf is None,
         }
-        options["ipopt"] = {"print_level": 0, "sb": "yes", "tol": 1e-8, **ipopt}
+        options["ipopt"] = {"print_level": 0, "sb": "yes", "tol": 1e-8, **settings.ipopt}
         self._solver = ca.nlpsol("peer", "ipopt", nlp, options)
         states, free = np.array(problem.bounds.q + problem.bounds.qd), np.tile((-np.inf, np.inf), (n, 1))
         point = np.concatenate((states, free)) if has_z else states
@@ -166,18 +171,63 @@ class Peer:
 
 
 def _compile(solver: ca.Function, options: Mapping[str, Any], shelf: Shelf) -> tuple[ca.Function, float]:
-    """Give the same solver with its functions compiled, and the processor time that takes."""
+    """Return the same solver with its functions compiled, and the processor time that takes."""
     begin = processor_seconds()
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):  # CasADi writes to where it is
         solver.generate_dependencies("peer.c")
         seconds_writing = processor_seconds() - begin
         library, seconds = shelf.compile(Path("peer.c"))
-    return ca.nlpsol("peer", "ipopt", str(library), options), seconds_writing + seconds
+    compiled = {key: value for key, value in options.items() if key != "expand"}
+    return ca.nlpsol("peer", "ipopt", str(library), compiled), seconds_writing + seconds
 
 
-def write_dynamics(functions: Mapping[str, ca.Function]) -> dict[str, ca.Function]:
-    """Give impl, semi (M qdd + c - Q) and exp, of impl and exp alone, without common subexpressions."""
-    impl, exp = functions["impl"], functions["exp"]
+class Points:
+    """A model's kernels, those of its dynamics as C that CasADi writes of other equations and their derivatives.
+
+    A program that is assembled from derivatives at points, as that of `mbsrun.ocp` is, takes them in the place of the
+    generated ones.
+    """
+
+    def __init__(self, plant: Plant, functions: Mapping[str, ca.Function], shelf: Shelf) -> None:
+        """Take generated kernels, for all else, and functions by the kernels' names."""
+        self._plant, self._functions, self._shelf = plant, functions, shelf
+        self.seconds_compiling = 0.0
+
+    @property
+    def manifest(self) -> Manifest:
+        """Describe the kernels."""
+        return self._plant.manifest
+
+    def __call__(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> dict[str, Array]:
+        """Evaluate a generated kernel."""
+        return self._plant(name, sparse=sparse, **inputs)
+
+    def casadi(self, name: str) -> ca.Function:
+        """Return a kernel as a CasADi function with its derivatives."""
+        if name not in self._functions:
+            return self._plant.casadi(name)
+        function = _eliminate(self._functions[name], f"peer_{name}")
+        adjoint = function.reverse(1)
+        with tempfile.TemporaryDirectory() as folder:
+            generator = ca.CodeGenerator("points.c")
+            for each in (function, function.jacobian(), adjoint, adjoint.jacobian()):
+                generator.add(_eliminate(each, each.name()))
+            generator.generate(f"{folder}/")
+            library, seconds = self._shelf.compile(Path(folder) / "points.c")
+        self.seconds_compiling += seconds
+        return ca.external(function.name(), str(library))
+
+
+def _eliminate(function: ca.Function, name: str) -> ca.Function:
+    """Return a function without common subexpressions, under another name."""
+    inputs = function.sx_in()
+    return ca.Function(name, inputs, function.call(inputs), function.name_in(), function.name_out(), {"cse": True})
+
+
+def write_dynamics(tree: Tree) -> dict[str, ca.Function]:
+    """Return impl, semi (M qdd + c - Q) and exp of short recursions, without common subexpressions."""
+    functions = write_functions(tree, ("impl", "exp1"))
+    impl, exp = functions["impl"], functions["exp1"]
     q, qd, qdd, u = (ca.SX.sym(impl.name_in(i), impl.size1_in(i)) for i in range(4))
     M = ca.jacobian(impl(q, qd, qdd, u), qdd)
     semi = M @ qdd + impl(q, qd, ca.SX(qdd.numel(), 1), u)
@@ -189,8 +239,17 @@ def write_dynamics(functions: Mapping[str, ca.Function]) -> dict[str, ca.Functio
     }
 
 
-def list_settings(problem: Problem) -> dict[str, dict[str, Any]]:
-    """Give IPOPT's options by name: its own defaults, and those that were found to be fastest."""
+@dataclass(frozen=True)
+class Settings:
+    """How CasADi and IPOPT are told to solve."""
+
+    ipopt: Mapping[str, Any]
+    expand: bool  # whether the whole program becomes one expression of scalars, where it is not compiled
+
+
+def list_settings(problem: Problem) -> dict[str, Settings]:
+    """Return settings by name: the defaults, and those that were found to be fastest."""
     scale = 1 / max(problem.cost.inputs, problem.cost.input_rates)
     mumps = {"mumps_pivot_order": 0, "mumps_scaling": 0, "mumps_permuting_scaling": 0}
-    return {"defaults": {}, "tuned": {"nlp_scaling_method": "none", "obj_scaling_factor": scale, **mumps}}
+    tuned = {"nlp_scaling_method": "none", "obj_scaling_factor": scale, **mumps}
+    return {"defaults": Settings({}, False), "tuned": Settings(tuned, True)}
