@@ -72,6 +72,7 @@ class Candidate:
     flops: int | None  # + - * / and roots; None where they are not known
     code: Code | None  # None: counted only
     sines: Sines = "libm"
+    guards: int = 0  # operations of tests that pivots stand out of rounding, which flops leave out
 
 
 def write_candidate(candidate: Candidate) -> dict[str, Any]:

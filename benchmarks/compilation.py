@@ -21,7 +21,7 @@ import casadi as ca
 
 from benchmarks.candidates import Sines
 from mbsgen import resources
-from mbsrun.cache import cache_folder, find_or_make
+from mbsrun.cache import cache_folder
 from mbsrun.library import find_compiler
 
 HERE = Path(__file__).parent
@@ -84,7 +84,8 @@ class Workshop:
 
     def compile_c(self, source: Path, name: str, flags: Sequence[str] = ("-O3", *EXPORTED)) -> Path:
         """Compile one C file as a library, with further flags."""
-        return self._build(name, (*self.c, *flags, "-shared"), (source, *HEADERS), ("-lm",), (CSRC,))
+        included = HEADERS if "mbs_sincos.h" in source.read_text(encoding="utf-8") else ()
+        return self._build(name, (*self.c, *flags, "-shared"), (source, *included), ("-lm",), (CSRC,))
 
     def compile_timing(self) -> Path:
         """Compile the timing loop."""
@@ -94,8 +95,8 @@ class Workshop:
 
     def compile_pinocchio(self, sines: Sines = "libm") -> Path:
         """Compile Pinocchio's algorithms over doubles, in CasADi's contract, with the sines that are named."""
-        sources = (HERE / "cpp" / "pinocchio.cpp", HERE / "cpp" / "mechanism.hpp", *HEADERS)
-        chosen = ("-DMBS_SINES",) if sines == "header" else ()
+        chosen, included = (("-DMBS_SINES",), HEADERS) if sines == "header" else ((), ())
+        sources = (HERE / "cpp" / "pinocchio.cpp", HERE / "cpp" / "mechanism.hpp", *included)
         return self._build("pinocchio", (*self.cxx, *FAST, *chosen, "-shared"), sources, (), (CSRC, *self._headers))
 
     def compile_tracer(self) -> Path:
@@ -122,14 +123,13 @@ class Workshop:
         for source in sources:
             digest.update(source.read_bytes())
         target = self.folder / f"{name}-{digest.hexdigest()[:16]}"
-
-        def make(building: Path) -> Path:
+        if not target.exists():
+            self.folder.mkdir(parents=True, exist_ok=True)
+            unfinished = target.with_suffix(f".{os.getpid()}")
             include = [part for folder in search for part in ("-isystem", str(folder))]
-            run((*command, *include, str(sources[0]), "-o", str(building / "made"), *link))
-            return building / "made"
-
-        cache_folder(os.environ).mkdir(parents=True, exist_ok=True)  # things are built there
-        return find_or_make(target, make)
+            run((*command, *include, str(sources[0]), "-o", str(unfinished), *link))
+            unfinished.replace(target)
+        return target
 
 
 def find_versions() -> tuple[str, ...]:

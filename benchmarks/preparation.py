@@ -230,7 +230,7 @@ def describe_kernel(manifest: Manifest, library: Path, name: str, sines: Sines =
     """Describe a kernel in a library."""
     kernel = manifest.kernel(name)
     flops = kernel.flops.arithmetic + kernel.flops.sqrt
-    return Candidate(OURS, name, name, flops, load_code(library, kernel.symbol), sines)
+    return Candidate(OURS, name, name, flops, load_code(library, kernel.symbol), sines, kernel.flops.guard)
 
 
 # --- CasADi's C ----------------------------------------------------------------------------------------------------
