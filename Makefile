@@ -5,7 +5,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test fuzz lint bench bench-growth bench-ocp study mutants golden schema clean
+.PHONY: demo test fuzz lint bench bench-growth bench-ocp bench-results study mutants golden schema clean
 
 demo: $(VENV)/installed
 	$(BIN)/mbsgen models/arm_pendulum.yaml -o build/arm_pendulum
@@ -25,18 +25,24 @@ lint: $(VENV)/installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# Compares with others: minutes for each robot. BENCH=--quick needs no C++ compiler.
+# Compares with others: two minutes on a quiet machine, after BENCH=--prepare, which generates and compiles everything,
+# measures nothing, and takes half an hour on a machine that may be busy. BENCH=--quick needs no C++ compiler.
 bench: $(VENV)/installed-bench
 	$(BIN)/python -m benchmarks $(BENCH)
 
-# What robots with floating bases, and chains of up to 128 joints, take to generate, compile and call: some minutes.
+# What robots with floating bases, and chains of up to 128 joints, take to generate, compile and call: some minutes,
+# after BENCH=--prepare.
 bench-growth: $(VENV)/installed-bench
 	$(BIN)/python -m benchmarks.growth $(BENCH)
 
-# Solves one task in six representations, ours and plain CasADi's ways in turn: seven minutes, and a quarter of an hour
-# at first, to compile what CasADi writes. BENCH=--quick: a minute.
+# Solves one task in six representations, ours and CasADi's ways in turn: ten minutes, after BENCH=--prepare, which
+# compiles what CasADi writes. BENCH=--quick: a minute.
 bench-ocp: $(VENV)/installed
 	$(BIN)/python -m benchmarks.ocp $(BENCH)
+
+# Copies what the three have measured to benchmarks/results, and writes its summary.
+bench-results: $(VENV)/installed-bench
+	$(BIN)/python -m benchmarks.summary
 
 # The study of the paper with charts and laboratory, in one page: a day on two cores. STUDY="--sample 33" solves for
 # a slice of the targets, CHARTS=--quick measures little else; stopped, it goes on where it was. A quarter of an hour

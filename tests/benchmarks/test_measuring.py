@@ -14,11 +14,13 @@ from click.testing import CliRunner
 
 from benchmarks import growth
 from benchmarks.__main__ import main
-from benchmarks.candidates import OURS, SHORT, TAPE, Call, Candidate, load_code
+from benchmarks.angles import separate, write_source
+from benchmarks.candidates import OURS, SHORT, TAPE, Call, Candidate, Code, Sines, load_code
 from benchmarks.compilation import BuildError, Workshop
+from benchmarks.preparation import describe_face
 from benchmarks.study import Measurement, Study
 from benchmarks.symbolic import adjoint_jacobian, count_arithmetic, jacobian
-from benchmarks.table import ROWS, compare
+from benchmarks.table import BASES, ROWS, Run, Timed, compare, read_rows, write_json, write_markdown
 from benchmarks.timing import Stopwatch, find_disagreements, measure_rounds
 
 ROOT = Path(__file__).parents[2]
@@ -148,8 +150,11 @@ def test_typed_functions_are_timed_by_the_same_loop(requires: Callable[[str], st
     assert subprocess.run([tmp_path / "time"], capture_output=True, text=True, check=True).stdout == "1 1\n"
 
 
-def measurement(author: str, function: str, way: str, flops: int | None, times: list[float] | None) -> Measurement:
-    return Measurement(Candidate(author, function, way, flops, None), None if times is None else np.array(times))
+def measurement(
+    author: str, function: str, way: str, flops: int | None, times: list[float] | None, sines: Sines = "libm"
+) -> Measurement:
+    candidate = Candidate(author, function, way, flops, None, sines)
+    return Measurement(candidate, None if times is None else np.array(times))
 
 
 def test_a_row_takes_the_best_of_each_author() -> None:
@@ -157,51 +162,105 @@ def test_a_row_takes_the_best_of_each_author() -> None:
     study = Study(
         "arm",
         (
-            measurement(OURS, "jac_exp1", "jac_exp1", 100, [10.0, 40.0, 11.0]),
+            measurement(OURS, "jac_exp1", "jac_exp1", 100, [10.0, 40.0, 11.0], "header"),
+            measurement(OURS, "jac_exp1", "jac_exp1", 100, [20.0, 80.0, 22.0]),
             measurement(TAPE, "jac_exp1", "slow, short", 150, [50.0, 200.0, 55.0]),
             measurement(TAPE, "jac_exp2", "quick, long", 180, [25.0, 120.0, 33.0]),
             measurement(TAPE, "jac_exp1", "counted", 400, None),
             measurement(TAPE, "jac_impl", "another row's", 1, [1.0, 1.0, 1.0]),
+            measurement(SHORT, "jac_exp1", "short", 200, [30.0, 160.0, 44.0]),
+            measurement(SHORT, "jac_exp1", "short, header", 200, [15.0, 80.0, 22.0], "header"),
         ),
     )
     (row,) = compare(study)
     cell = row.cells[TAPE]
     assert row.title == "Jacobian of EXP1"
     assert (cell.flops, cell.flops_by, cell.flops_ratio) == (150, "slow, short", 1.5)
-    assert (cell.ns, cell.ns_by, cell.ns_ratio) == (25.0, "quick, long", 2.5)
-    assert (cell.ns_median, cell.ns_ratio_median) == (33.0, 3.0)
+    assert cell.timed == {"libm": Timed(25.0, 33.0, "quick, long")}
+    assert row.cells[SHORT].timed["header"] == Timed(15.0, 22.0, "short, header")
+    found = {basis: (q.author, q.sines, q.ratio, q.ratio_median) for basis, q in row.quickest.items()}
+    assert found == {
+        "same header": (SHORT, "header", 1.5, 2.0),
+        "C library": (TAPE, "libm", 1.25, 1.5),
+        "as they come": (TAPE, "libm", 2.5, 3.0),
+    }
+    run = Run("a machine", "-O3", 3, {"arm": (row,)})
+    kept = json.loads(write_json(run, {"arm": "0123"}))
+    assert read_rows(kept["models"]["arm"]) == (row,)
+    assert "| Jacobian of EXP1 | 1.50 · 2.00 | 1.25 · 1.50 | 2.50 · 3.00 |" in write_markdown(run)
 
 
-def test_a_quick_run_measures_and_writes_everything(tmp_path: Path) -> None:
-    """Every row of the small mechanism has figures of ours, and derivatives those of CasADi's differentiation."""
-    run = CliRunner().invoke(main, ["--quick", "--rounds", "2", "-o", str(tmp_path)])
+def test_sines_of_the_header_are_those_of_the_library(workshop: Workshop, tmp_path: Path) -> None:
+    """Sines and cosines of three angles, one of them a sum, used by several results; to 4 eps."""
+    q, u = ca.SX.sym("q", 2), ca.SX.sym("u")
+    angle = q[0] + q[1]
+    both = ca.sin(angle) * u
+    results = [ca.vertcat(ca.sin(q[0]) * ca.cos(q[1]), both), ca.sqrt(ca.cos(angle) ** 2 + both**2) - q[1]]
+    function = ca.Function("swing", [q, u], results, ["q", "u"], ["Phi", "c"])
+    separated = separate(function)
+    assert separated is not None
+    assert separated.count == 3
+    assert count_arithmetic(separated.function) + count_arithmetic(separated.angles) == count_arithmetic(function)
+    source = write_source(separated, "swing_header", tmp_path)
+    library = workshop.compile_c(source, "swing_header", ("-O1", "-DCASADI_SYMBOL_EXPORT=static"))
+    code = Code(library, "swing_header", describe_face(function))
+    states = {"q": np.array([[0.7, -2.0], [2.9, 40.0]]), "u": np.array([[1.1], [3.0]])}
+    call = Call(Candidate(TAPE, "impl", "swing", None, code), code, states)
+    for k, (angle, force) in enumerate(zip(states["q"], states["u"], strict=True)):
+        for value, expected in zip(call.evaluate(k).values(), function(angle, force), strict=True):
+            np.testing.assert_allclose(value, expected.full(), rtol=4e-16, atol=4e-16)
+
+
+def test_angles_that_depend_on_sines_are_left_alone() -> None:
+    q = ca.SX.sym("q")
+    assert separate(ca.Function("f", [q], [ca.sin(ca.cos(q))])) is None
+    assert separate(ca.Function("f", [q], [q * q])) is None
+
+
+def test_a_quick_run_measures_and_writes_everything(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every row of the small mechanism has figures of ours and of its peers; a second run measures nothing anew."""
+    arguments = ["--quick", "--rounds", "2", "-o", str(tmp_path)]
+    run = CliRunner().invoke(main, [*arguments, "--prepare"])
+    assert run.exit_code == 0, run.output
+    assert not (tmp_path / "benchmarks.json").exists()
+    with monkeypatch.context() as without:
+        without.setattr("benchmarks.preparation.write_functions", lambda *_: pytest.fail("it is prepared"))
+        run = CliRunner().invoke(main, arguments)
     assert run.exit_code == 0, run.output
     found = json.loads((tmp_path / "benchmarks.json").read_text(encoding="utf-8"))["models"]["double_pendulum"]
     assert list(found) == list(ROWS)
-    for title, cells in found.items():
+    for title, row in found.items():
+        cells = row["cells"]
         assert cells[OURS]["flops"] > 0
-        assert cells[OURS]["ns"] > 0
+        assert set(cells[OURS]["timed"]) == {"header", "libm"}
         assert (TAPE in cells) == (" of " in title)
-        assert (SHORT in cells) == (
-            title in {"IMPL", "EXP1", "Jacobian of IMPL", "Jacobian of EXP1", "Jacobian of EXP2"}
-        )
+        assert (SHORT in cells) == (title not in {"Hessian of EXP1", "Hessian of EXP2"})
+        assert all(set(cell["timed"]) == {"header", "libm"} for cell in cells.values())
+        assert set(row["quickest"]) == set(BASES)
     assert (tmp_path / "benchmarks.png").read_bytes().startswith(b"\x89PNG")
     for name in ROWS:
         assert name in run.output
+    monkeypatch.setattr("benchmarks.__main__.measure", lambda *_: pytest.fail("it is measured"))
+    assert CliRunner().invoke(main, arguments).exit_code == 0
 
 
-def test_growth_is_measured_without_peers_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_growth_is_measured_without_pinocchio_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All kernels of a chain that may have Jacobians; a page and figures, with costs of making and of calls."""
     monkeypatch.setattr(growth, "find_includes", lambda: None)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))  # which the run sets, and is to be as before
-    run = CliRunner().invoke(growth.main, ["--size", "2", "--rounds", "2", "-o", str(tmp_path)])
+    arguments = ["--size", "2", "--rounds", "2", "-o", str(tmp_path)]
+    run = CliRunner().invoke(growth.main, arguments)
     assert run.exit_code == 0, run.output
     rows = json.loads((tmp_path / "growth.json").read_text(encoding="utf-8"))["rows"]
     assert [row["kernel"] for row in rows] == [*growth.VALUES, *growth.JACOBIANS]
     for row in rows:
-        assert (row["joints"], row["peer"], row["peer_ns"]) == (2, None, None)
+        assert row["joints"] == 2
+        assert {basis: found["author"] for basis, found in row["quickest"].items()} == dict.fromkeys(
+            growth.BASES, SHORT
+        )
         assert min(row["ns"], row["flops"], row["source_bytes"], row["compiled_s"], row["compiled_mb"]) > 0
     assert (tmp_path / "growth.md").read_text(encoding="utf-8").count("| chain2 |") == len(rows)
+    monkeypatch.setattr(growth, "make_kernels", lambda *_: pytest.fail("it is measured"))
+    assert CliRunner().invoke(growth.main, arguments).exit_code == 0
 
 
 def test_a_model_that_cannot_be_compared_is_told(tmp_path: Path) -> None:

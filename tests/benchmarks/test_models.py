@@ -10,9 +10,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from benchmarks.newton_euler import write_functions
 from benchmarks.conversion import convert, read_urdf
 from benchmarks.mechanism import write_mechanism
+from benchmarks.newton_euler import write_functions
+from benchmarks.symbolic import jacobian
 from mbsgen.formulations import exp2, impl, semi
 from mbsgen.formulations.reductions import NONE
 from mbsgen.model.construction import body, make_model, revolute
@@ -117,21 +118,39 @@ def test_a_rounded_quarter_turn_becomes_one_and_held_bodies_are_carried(tmp_path
     assert write_model(model) == write_model(make_model("gripper", [expected], gravity=(0, 0, -9.81)))
 
 
-@pytest.mark.parametrize("path", CHAINS, ids=lambda p: p.stem)
-def test_the_short_recursion_is_the_textbooks(path: Path) -> None:
-    """Moving inertia that a joint cannot feel changes no torque: Phi and qdd, to 1e-12 of the largest."""
+@pytest.mark.parametrize("path", MODELS_OF_PEERS, ids=lambda p: p.stem)
+def test_the_short_recursions_are_the_textbooks(path: Path) -> None:
+    """Moving inertia that a joint cannot feel changes no force: Phi and qdd of any tree, to 1e-12 of the largest."""
     tree = read_tree(path)
-    functions = write_functions(tree)
+    functions = write_functions(tree, ("impl", "semi", "exp1", "exp2"))
     n, m = len(tree.bodies), functions["impl"].size1_in(3)
     q, qd, qdd, u = np.random.default_rng(4).uniform(-2, 2, (4, n))
     at = {"q": list(q), "qd": list(qd), "qdd": list(qdd), "u": list(u[:m])}
-    for name, build, inputs, result in (
-        ("impl", impl.build, ("q", "qd", "qdd", "u"), "Phi"),
-        ("exp", exp2.build, ("q", "qd", "u"), "qdd"),
-    ):
-        expected = np.array(evaluate(build(tree, NONE), {x: at[x] for x in inputs})[result], dtype=float)
-        found = np.array(functions[name](*(at[x] for x in inputs))).ravel()
-        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+    built = {"Phi": impl.build(tree, NONE), "qdd": exp2.build(tree, NONE)}
+    expected = {
+        name: np.array(evaluate(tape, {i.name: at[i.name] for i in tape.inputs})[name], dtype=float)
+        for name, tape in built.items()
+    }
+    M, c = functions["semi"](q, qd)
+    Q = np.zeros(n)
+    Q[[i for i, body in enumerate(tree.bodies) if body.joint.actuated]] = u[:m]
+    found = {
+        "Phi": [functions["impl"](q, qd, qdd, u[:m]), M @ qdd + c - Q],
+        "qdd": [functions["exp1"](q, qd, u[:m]), functions["exp2"](q, qd, u[:m])],
+    }
+    for name, values in found.items():
+        for value in values:
+            tolerance = 1e-12 * np.abs(expected[name]).max()
+            np.testing.assert_allclose(np.array(value).ravel(), expected[name], rtol=0, atol=tolerance)
+
+
+def test_the_short_jacobian_of_accelerations_is_their_derivative() -> None:
+    """-M^-1 d Phi and the driven columns of M^-1, against CasADi's derivative of the articulated bodies', to 1e-10."""
+    functions = write_functions(read_tree(ROOT / "models" / "arm_pendulum.yaml"), ("exp2", "jac_exp"))
+    expected = jacobian(functions["exp2"], "expected")
+    q, qd, u = np.random.default_rng(5).uniform(-1, 1, (3, 6))
+    for one, other in zip(functions["jac_exp"](q, qd, u[:4]), expected(q, qd, u[:4]), strict=True):
+        np.testing.assert_allclose(one.full(), other.full(), rtol=0, atol=1e-10 * np.abs(other.full()).max())
 
 
 def test_what_the_peers_cannot_have_is_refused() -> None:

@@ -11,9 +11,17 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from benchmarks.newton_euler import write_functions
-from benchmarks.ocp.__main__ import MODELS, list_variants, main, write_place
-from benchmarks.ocp.peer import Peer, Shelf, list_settings, write_dynamics
+from benchmarks.ocp.__main__ import (
+    MODELS,
+    Way,
+    check_dynamics,
+    list_variants,
+    main,
+    make_ours,
+    measure,
+    write_place,
+)
+from benchmarks.ocp.peer import Effort, Peer, Points, Shelf, list_settings, write_dynamics
 from benchmarks.ocp.rows import (
     OURS,
     Figures,
@@ -24,9 +32,13 @@ from benchmarks.ocp.rows import (
     write_figures,
     write_page,
 )
+from benchmarks.study import DisagreementError
 from mbsgen.pipeline import read_tree
+from mbsrun.ocp import schemes
+from mbsrun.ocp.guess import make_guess
 from mbsrun.ocp.problem import Problem, Representation
 from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.trajectory import Trajectory
 from tests.mbsrun.peer_arm import peer_arm
 
 
@@ -37,7 +49,7 @@ def problem() -> Problem:
 
 @pytest.fixture(scope="module")
 def dynamics() -> dict[str, ca.Function]:
-    return write_dynamics(write_functions(read_tree(MODELS / "arm_pendulum.yaml")))
+    return write_dynamics(read_tree(MODELS / "arm_pendulum.yaml"))
 
 
 def test_the_peer_has_the_same_mechanics(dynamics: dict[str, ca.Function]) -> None:
@@ -60,7 +72,7 @@ def test_the_peer_has_the_program_of_the_paper(problem: Problem, dynamics: dict[
     chosen = replace(problem, representation=Representation(name))
     symbol = ca.SX.sym("q", 6)
     place = ca.Function("place", [symbol], [write_place(symbol)])
-    peer = Peer(chosen, dynamics, place, list_settings(chosen)["tuned"])
+    peer = Peer(chosen, dynamics, place, list_settings(chosen)["defaults"])
     sizes = (peer.variables, peer.constraints, peer.jacobian_nonzeros)
     assert sizes == ((8812, 8427, 72435) if name == "IMPL" else (6412, 6027, 62519))
 
@@ -91,6 +103,43 @@ def test_a_compiled_peer_is_kept_with_what_compiling_it_took(
     assert first.jacobian_nonzeros == again.jacobian_nonzeros
 
 
+def test_a_peer_at_points_and_the_whole_program_have_one_optimum(
+    tmp_path: Path, problem: Problem, dynamics: dict[str, ca.Function], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same equations: compiled at a point and assembled, or differentiated as a whole by CasADi, expanded."""
+    monkeypatch.setattr("benchmarks.ocp.peer.FLAGS", ["-O0"])
+    chosen = replace(problem, intervals=6, degree=2)
+    plant, impl = peer_arm(), dynamics["impl"]
+    guess = make_guess(chosen, plant, schemes.build(chosen.family, chosen.degree))
+    assert isinstance(guess, Trajectory)
+    named = ca.Function("impl", impl.sx_in(), impl.call(impl.sx_in()), ["q", "qd", "qdd", "u"], ["Phi"])
+    points = Points(plant, {"impl": named}, Shelf(tmp_path))
+    check_dynamics("points", points, plant, "impl")
+    wrong = ca.Function("impl", impl.sx_in(), [1.001 * named(*impl.sx_in())], named.name_in(), named.name_out())
+    with pytest.raises(DisagreementError, match="impl of wrong: off by"):
+        check_dynamics("wrong", Points(plant, {"impl": wrong}, Shelf(tmp_path)), plant, "impl")
+    symbol = ca.SX.sym("q", 6)
+    place = ca.Function("place", [symbol], [write_place(symbol)])
+    whole = Peer(chosen, dynamics, place, list_settings(chosen)["tuned"]).solve(guess)
+    assembled = make_ours("points", chosen, points, guess).solve()
+    assert whole.status == assembled.status == "Solve_Succeeded"
+    assert assembled.cost == pytest.approx(whole.cost, rel=1e-7)
+    assert points.seconds_compiling > 0
+
+
+def test_what_takes_long_is_solved_once_and_the_rest_has_medians() -> None:
+    """Of the times 3, 1, 2 the best is 1, the median 2; a way of 60 s is not repeated."""
+    times = {"quick": iter((3.0, 1.0, 2.0)), "long": iter((60.0,))}
+
+    def make(name: str) -> Way:
+        return Way(name, 0.0, 1, 1, lambda: Effort("Solve_Succeeded", 1, 5.0, (t := next(times[name])), t / 2))
+
+    quick, slow = measure([make("quick"), make("long")], "IMPL", 3)
+    assert (quick.cpu_seconds, quick.cpu_seconds_median, quick.rounds) == (1.0, 2.0, 3)
+    assert (quick.cpu_seconds_evaluating, quick.cpu_seconds_evaluating_median) == (0.5, 1.0)
+    assert (slow.cpu_seconds, slow.rounds) == (60.0, 1)
+
+
 def test_a_quick_run_measures_both(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], requires: Callable[[str], str]
 ) -> None:
@@ -116,7 +165,7 @@ def test_ours_are_all_forms_solvers_and_barriers(problem: Problem) -> None:
 
 def test_what_an_interrupted_run_kept_is_found(tmp_path: Path) -> None:
     """By what it is about; a representation that is measured again replaces its rows, and loads are told."""
-    row = Row("IMPL", OURS, 1.0, 10, 9, "Solve_Succeeded", 4, 2.0, 0.5, 0.1)
+    row = Row("IMPL", OURS, 1.0, 10, 9, "Solve_Succeeded", 4, 2.0, 0.5, 0.1, 3, 0.6, 0.2)
     first = replace_rows(Figures("a machine", 2, 3.0), [row, replace(row, way="other")], Loads("IMPL", 0.5, 7.0))
     write_figures(first, tmp_path)
     assert read_figures(tmp_path / "ocp.json", "a machine") == first

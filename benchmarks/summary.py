@@ -1,0 +1,110 @@
+"""Figures of all benchmarks -> `benchmarks/results`, and one table of ratios there; `python -m benchmarks.summary`."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from benchmarks.ocp.rows import OURS, Row
+from benchmarks.table import Quickest
+
+RESULTS = Path(__file__).parent / "results"
+FILES = ("benchmarks.json", "benchmarks.md", "benchmarks.png", "growth.json", "growth.md", "ocp.json", "ocp.md")
+COLUMNS = ("residual", "accelerations", "Jacobian of the residual", "Jacobian of the accelerations")
+MODELS = {"arm_pendulum": "the paper's arm, 6 joints", "ur5": "UR5, 6 joints", "panda": "Panda, 7 joints"}
+ROBOTS = {"anymal": "ANYmal, 18 joints"}
+TITLES = (("IMPL",), ("EXP1", "EXP2"), ("Jacobian of IMPL",), ("Jacobian of EXP1", "Jacobian of EXP2"))
+KERNELS = (("impl",), ("exp1", "exp2"), ("jac_impl",), ("jac_exp2",))
+REPRESENTATIONS = ("IMPL", "EXP1-O")
+
+
+def write_summary(kernels: Mapping[str, Any], growth: Mapping[str, Any], ocp: Mapping[str, Any]) -> str:
+    """Write the table of what the three benchmarks measured, from the content of their JSON files."""
+    lines = [
+        "How many times longer than the generated kernel the quickest peer takes (shortest rounds; in brackets, as they",
+        "come). First all have the same sine and cosine, those of `csrc/mbs_sincos.h`; as they come, peers call the C",
+        "library for them. Peers are short recursions and Pinocchio's algorithms, both written as C by CasADi, and",
+        "Pinocchio in C++; for accelerations, either side's quicker algorithm counts. All numbers of the models are",
+        "folded.",
+        "",
+        f"| | {' | '.join(COLUMNS)} |",
+        "|---|" + "---:|" * len(COLUMNS),
+        *(f"| {name} | {' | '.join(cells)} |" for name, cells in _list_rows(kernels, growth)),
+    ]
+    solves = list(_list_solves(ocp))
+    lines += [
+        "",
+        "Optimal control of the arm, N = 100, degree 4: evaluation of functions and derivatives for an iteration, and",
+        "the whole solve, relative to ours. First CasADi's C for the dynamics at a point stands in the same program, with",
+        "MUMPS; in brackets plain CasADi differentiates the whole program, compiled.",
+        "",
+        "| | evaluation | whole solve |",
+        "|---|---:|---:|",
+        *(f"| {representation} | {' | '.join(cells)} |" for representation, cells in solves),
+        "",
+        f"Measured on {kernels['machine']}. [Kernels](benchmarks.md), [size](growth.md), [optimal control](ocp.md).",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _list_rows(kernels: Mapping[str, Any], growth: Mapping[str, Any]) -> Iterator[tuple[str, list[str]]]:
+    for model, name in MODELS.items():
+        if model in kernels["models"]:
+            rows = kernels["models"][model]
+            yield name, [_compare([rows[title]["quickest"] for title in titles if title in rows]) for titles in TITLES]
+    for robot, name in ROBOTS.items():
+        found = {row["kernel"]: row["quickest"] for row in growth["rows"] if row["mechanism"] == robot}
+        if found:
+            yield name, [_compare([found[kernel] for kernel in names]) for names in KERNELS]
+
+
+def _compare(found: Sequence[Mapping[str, Mapping[str, Any]]]) -> str:
+    """Write the ratios of the quickest peer to the quickest of ours."""
+
+    def ratio(basis: str) -> str:
+        entries = [Quickest(**quickest[basis]) for quickest in found if basis in quickest]
+        if not entries:
+            return "–"
+        return f"{min(entry.ns for entry in entries) / min(entry.ns_ours for entry in entries):#.3g}"
+
+    return f"{ratio('same header')} ({ratio('as they come')})"
+
+
+def _list_solves(ocp: Mapping[str, Any]) -> Iterator[tuple[str, list[str]]]:
+    rows = [Row(**row) for row in ocp["rows"]]
+    for representation in REPRESENTATIONS:
+        chosen = [row for row in rows if row.representation == representation]
+        ours = next((row for row in chosen if row.way == OURS), None)
+        points = [row for row in chosen if row.way.startswith("CasADi, by points")]
+        whole = [row for row in chosen if row.way.startswith("CasADi, compiled")]
+        if ours and points and whole:
+            evaluating = (f"{min(r.evaluating for r in some) / ours.evaluating:#.3g}" for some in (points, whole))
+            solving = (f"{min(r.cpu_seconds for r in some) / ours.cpu_seconds:#.3g}" for some in (points, whole))
+            yield representation, ["{} ({})".format(*evaluating), "{} ({})".format(*solving)]
+
+
+@click.command()
+@click.option("--kernels", default=Path("build/bench"), type=click.Path(file_okay=False, path_type=Path))
+@click.option("--ocp", default=Path("build/bench-ocp"), type=click.Path(file_okay=False, path_type=Path))
+@click.option("-o", "--out", default=RESULTS, type=click.Path(file_okay=False, path_type=Path))
+def main(kernels: Path, ocp: Path, out: Path) -> None:
+    """Keep what the benchmarks have measured, from their folders, and write the summary of it."""
+    places = {file: (ocp if file.startswith("ocp") else kernels) / file for file in FILES}
+    missing = [str(path) for path in places.values() if not path.exists()]
+    if missing:
+        raise click.ClickException(f"{', '.join(missing)}: not there; measure first: make bench bench-growth bench-ocp")
+    out.mkdir(parents=True, exist_ok=True)
+    for file, path in places.items():
+        shutil.copyfile(path, out / file)
+    contents = [json.loads(places[f"{name}.json"].read_text("utf-8")) for name in ("benchmarks", "growth", "ocp")]
+    (out / "summary.md").write_text(write_summary(*contents), encoding="utf-8")
+    click.echo(f"{out / 'summary.md'} has the table.")
+
+
+if __name__ == "__main__":
+    main()
