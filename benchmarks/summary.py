@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from benchmarks.ocp.rows import OURS, Row
+from benchmarks.ocp.rows import OURS, POINTS, Row
 from benchmarks.table import Quickest
 
 RESULTS = Path(__file__).parent / "results"
@@ -20,34 +20,31 @@ MODELS = {"arm_pendulum": "the paper's arm, 6 joints", "ur5": "UR5, 6 joints", "
 ROBOTS = {"anymal": "ANYmal, 18 joints"}
 TITLES = (("IMPL",), ("EXP1", "EXP2"), ("Jacobian of IMPL",), ("Jacobian of EXP1", "Jacobian of EXP2"))
 KERNELS = (("impl",), ("exp1", "exp2"), ("jac_impl",), ("jac_exp2",))
-REPRESENTATIONS = ("IMPL", "EXP1-O")
+REPRESENTATION = "IMPL"
 
 
 def write_summary(kernels: Mapping[str, Any], growth: Mapping[str, Any], ocp: Mapping[str, Any]) -> str:
     """Write the table of what the three benchmarks measured, from the content of their JSON files."""
+    rows = [*_list_rows(kernels, growth), *_list_solves(ocp)]
     lines = [
-        "How many times longer than the generated kernel the quickest peer takes (shortest rounds; in brackets, as they",
-        "come). First all have the same sine and cosine, those of `csrc/mbs_sincos.h`; as they come, peers call the C",
-        "library for them. Peers are short recursions and Pinocchio's algorithms, both written as C by CasADi, and",
-        "Pinocchio in C++; for accelerations, either side's quicker algorithm counts. All numbers of the models are",
-        "folded.",
+        "How many times longer the quickest peer takes than what mbsgen generates, by the shortest rounds. First, all",
+        "have the same sine and cosine, those of `csrc/mbs_sincos.h`; in brackets all are as they come: peers call the",
+        "C library.",
         "",
         f"| | {' | '.join(COLUMNS)} |",
         "|---|" + "---:|" * len(COLUMNS),
-        *(f"| {name} | {' | '.join(cells)} |" for name, cells in _list_rows(kernels, growth)),
-    ]
-    solves = list(_list_solves(ocp))
-    lines += [
+        *(f"| {name} | {' | '.join(cells)} |" for name, cells in rows),
         "",
-        "Optimal control of the arm, N = 100, degree 4: evaluation of functions and derivatives for an iteration, and",
-        "the whole solve, relative to ours. First CasADi's C for the dynamics at a point stands in the same program, with",
-        "MUMPS; in brackets plain CasADi differentiates the whole program, compiled.",
+        "Peers are short recursions and Pinocchio's algorithms, both as C that CasADi writes, and Pinocchio in C++;",
+        "for the arms' Jacobians also our own equations, differentiated by CasADi. Accelerations are by either side's",
+        "quicker algorithm. All numbers of the models are folded, for everybody.",
         "",
-        "| | evaluation | whole solve |",
-        "|---|---:|---:|",
-        *(f"| {representation} | {' | '.join(cells)} |" for representation, cells in solves),
+        "Optimal control: N = 100, degree 4, the residual at each point. First, CasADi's C of the dynamics at a point",
+        "stands in the place of our kernels, in our program; in brackets, CasADi differentiates the whole, as C. Ours",
+        "has its own linear solver, the peers MUMPS.",
         "",
-        f"Measured on {kernels['machine']}. [Kernels](benchmarks.md), [size](growth.md), [optimal control](ocp.md).",
+        f"Measured on {kernels['machine']}. All figures: [kernels](benchmarks.md), [size](growth.md),",
+        "[optimal control](ocp.md).",
     ]
     return "\n".join(lines) + "\n"
 
@@ -76,16 +73,15 @@ def _compare(found: Sequence[Mapping[str, Mapping[str, Any]]]) -> str:
 
 
 def _list_solves(ocp: Mapping[str, Any]) -> Iterator[tuple[str, list[str]]]:
-    rows = [Row(**row) for row in ocp["rows"]]
-    for representation in REPRESENTATIONS:
-        chosen = [row for row in rows if row.representation == representation]
-        ours = next((row for row in chosen if row.way == OURS), None)
-        points = [row for row in chosen if row.way.startswith("CasADi, by points")]
-        whole = [row for row in chosen if row.way.startswith("CasADi, compiled")]
-        if ours and points and whole:
-            evaluating = (f"{min(r.evaluating for r in some) / ours.evaluating:#.3g}" for some in (points, whole))
-            solving = (f"{min(r.cpu_seconds for r in some) / ours.cpu_seconds:#.3g}" for some in (points, whole))
-            yield representation, ["{} ({})".format(*evaluating), "{} ({})".format(*solving)]
+    rows = [row for content in ocp["rows"] if (row := Row(**content)).representation == REPRESENTATION]
+    ours = next((row for row in rows if row.way == OURS), None)
+    points = [row for row in rows if row.way.startswith(POINTS)]
+    whole = [row for row in rows if row.way.startswith("CasADi, compiled")]
+    if ours and points and whole:
+        evaluating = (f"{min(row.evaluating for row in some) / ours.evaluating:#.3g}" for some in (points, whole))
+        solving = (f"{min(row.cpu_seconds for row in some) / ours.cpu_seconds:#.3g}" for some in (points, whole))
+        cells = ["evaluation {} ({})".format(*evaluating), "whole solve {} ({})".format(*solving)]
+        yield "optimal control of the arm", [*cells, "–", "–"]
 
 
 @click.command()

@@ -19,7 +19,7 @@ from rich.console import Console
 
 from benchmarks.compilation import describe_machine, find_cache
 from benchmarks.ocp.peer import Effort, Peer, Points, Shelf, list_settings, processor_seconds, write_dynamics
-from benchmarks.ocp.rows import LONG, OURS, Figures, Loads, Row, read_figures, replace_rows, show, write_figures
+from benchmarks.ocp.rows import LONG, OURS, POINTS, Figures, Loads, Row, read_figures, replace_rows, show, write_figures
 from benchmarks.study import DisagreementError
 from benchmarks.symbolic import read_tape
 from mbsgen.manifest import FILE_NAME, Kernel
@@ -42,7 +42,6 @@ MODELS = Path(__file__).parents[2] / "models"
 MODEL = MODELS / "arm_pendulum.yaml"
 INTERVALS, DEGREE = 100, 4  # the paper's
 PEERS = "ocp"  # the folder, in the cache of benchmarks, of what was compiled for CasADi
-POINTS = "CasADi, by points, compiled"
 MUMPS = "mumps"
 BARRIERS: tuple[Mapping[str, str], ...] = ({}, {"mu_strategy": "adaptive"})  # options of IPOPT
 

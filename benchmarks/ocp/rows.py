@@ -12,6 +12,7 @@ from rich.table import Table
 
 SAME = 1e-6  # relative difference of costs within which two optima are one
 OURS = "mbsgen"
+POINTS = "CasADi, by points, compiled"
 LONG = 3.0  # s; what takes longer is solved once
 COLUMNS = ("build [s]", "iterations", "evaluation [ms]", "algebra [ms]", "solve, CPU [s]", "optimum")
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import subprocess
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -17,10 +19,13 @@ from benchmarks.__main__ import main
 from benchmarks.angles import separate, write_source
 from benchmarks.candidates import OURS, SHORT, TAPE, Call, Candidate, Code, Sines, load_code
 from benchmarks.compilation import BuildError, Workshop
+from benchmarks.ocp.rows import POINTS, Row
 from benchmarks.preparation import describe_face
 from benchmarks.study import Measurement, Study
+from benchmarks.summary import FILES
+from benchmarks.summary import main as summarise
 from benchmarks.symbolic import adjoint_jacobian, count_arithmetic, jacobian
-from benchmarks.table import BASES, ROWS, Run, Timed, compare, read_rows, write_json, write_markdown
+from benchmarks.table import BASES, ROWS, Quickest, Run, Timed, compare, read_rows, write_json, write_markdown
 from benchmarks.timing import Stopwatch, find_disagreements, measure_rounds
 
 ROOT = Path(__file__).parents[2]
@@ -267,3 +272,34 @@ def test_a_model_that_cannot_be_compared_is_told(tmp_path: Path) -> None:
     run = CliRunner().invoke(main, [str(ROOT / "models" / "branched.yaml"), "--quick", "-o", str(tmp_path)])
     assert run.exit_code == 1
     assert "without forces but the actuators'" in run.output
+
+
+def test_the_summary_compares_the_quickest_of_either_side(tmp_path: Path) -> None:
+    """Of accelerations, 30 by 20 with one header, where EXP1's own peer takes 40; solves of 3 s by 2 s."""
+
+    def quickest(ours: float, peer: float, default: float) -> dict[str, Any]:
+        both = {"same header": peer, "as they come": default}
+        return {basis: asdict(Quickest(SHORT, "way", "libm", ours, ns, ns / ours, 1.0)) for basis, ns in both.items()}
+
+    def solve(way: str, seconds: float) -> dict[str, Any]:
+        return asdict(Row("IMPL", way, 1.0, 9, 9, "Solve_Succeeded", 10, 5.0, seconds, seconds / 10, 3, 1.0, 1.0))
+
+    kernels = {"EXP1": {"quickest": quickest(20.0, 40.0, 60.0)}, "EXP2": {"quickest": quickest(25.0, 30.0, 80.0)}}
+    contents = {
+        "benchmarks.json": {"machine": "a machine", "models": {"ur5": kernels}},
+        "growth.json": {"rows": []},
+        "ocp.json": {"rows": [solve("mbsgen", 2.0), solve(POINTS, 3.0), solve("CasADi, compiled, tuned", 8.0)]},
+    }
+    for file in FILES:
+        (tmp_path / file).write_text(json.dumps(contents.get(file, "")), encoding="utf-8")
+    out = tmp_path / "results"
+    arguments = ["--kernels", str(tmp_path), "--ocp", str(tmp_path), "-o", str(out)]
+    run = CliRunner().invoke(summarise, arguments)
+    assert run.exit_code == 0, run.output
+    page = (out / "summary.md").read_text(encoding="utf-8")
+    assert "| UR5, 6 joints | – (–) | 1.50 (3.00) | – (–) | – (–) |" in page
+    assert "| evaluation 1.50 (4.00) | whole solve 1.50 (4.00) |" in page
+    assert (out / "growth.json").exists()
+    (tmp_path / "growth.md").unlink()
+    run = CliRunner().invoke(summarise, arguments)
+    assert "growth.md: not there; measure first" in run.output
