@@ -6,6 +6,7 @@ block that opens with `# not run` cannot be run within a test: `.ci/run` runs th
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import re
 import shutil
@@ -59,6 +60,18 @@ def test_c_of_the_theory_is_generated() -> None:
     shown = [line for block in re.findall(r"^```c\n(.*?)^```$", page, re.M | re.S) for line in block.splitlines()]
     assert shown
     assert [line for line in shown if line not in generated] == []
+
+
+@pytest.mark.skipif(importlib.util.find_spec("acados_template") is None, reason="acados is not installed")
+def test_the_example_for_acados_runs(tmp_path: Path) -> None:
+    """In an environment of its own: the folder is generated for the version that passes time."""
+    text = (ROOT / "docs" / "acados.md").read_text(encoding="utf-8")
+    (command,), (example,) = (re.findall(rf"^```{kind}\n(.*?)^```$", text, re.M | re.S) for kind in ("sh", "py"))
+    shutil.copytree(ROOT / "models", tmp_path / "models")
+    for line in ([*INTERPRETERS["sh"], command], [sys.executable, "-c", example]):
+        run = subprocess.run(line, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert run.returncode == 0, run.stdout + run.stderr
+    assert run.stdout.splitlines()[-1].startswith("0 0.419")
 
 
 def test_what_is_not_run_here_is_run_by_ci() -> None:

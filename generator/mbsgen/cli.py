@@ -195,6 +195,7 @@ def cli() -> None:
 @click.option("--python", is_flag=True, help="Also write the kernels as a Python module, for any number type.")
 @click.option("--matlab", is_flag=True, help="Also write the kernels as functions for Matlab and GNU Octave.")
 @click.option("--acados", is_flag=True, help="Also write the functions that acados asks for, under its names.")
+@click.option("--acados-untimed", "untimed", is_flag=True, help="The same for acados before 0.3, which passes no time.")
 @click.option(
     "--functions",
     metavar="NAME,...",
@@ -225,6 +226,7 @@ def generate_command(
     python: bool,
     matlab: bool,
     acados: bool,
+    untimed: bool,
     functions: str | None,
     derivatives: int,
     scene: Path | None,
@@ -246,7 +248,8 @@ def generate_command(
         zeros=zeros,
         python=python,
         matlab=matlab,
-        acados=acados,
+        acados=acados or untimed,
+        untimed=untimed,
         reductions=reductions,
         functions=None if functions is None else tuple(filter(None, map(str.strip, functions.split(",")))),
         derivatives=derivatives,

@@ -36,6 +36,7 @@ class Options:
     python: bool = False  # also the Python target
     matlab: bool = False  # also the Matlab target
     acados: bool = False  # also the functions that acados asks for, under its names
+    untimed: bool = False  # without the argument t of implicit functions, for acados before 0.3
     compare: bool = False  # also count the formulations without each reduction
     functions: tuple[str, ...] | None = None  # which functions of the catalogue; None: those of the scene
     derivatives: int = 2  # up to which order; at most that of the scene
@@ -78,7 +79,9 @@ def write_families(
     families = _finish(families, scene, chosen)
     if options.acados and tree.quaternions:
         raise OptionError("acados: its states are q and qd, of one size; a joint with a quaternion has more of the one")
-    special = _write_acados(families) if options.acados else ()  # whose parameters are acados' own
+    special = (
+        _write_acados(families, timed=not options.untimed) if options.acados else ()
+    )  # whose parameters are acados' own
     if any(p.kind is Kind.RUNTIME for p in tree.parameters):
         return (*_split_setup(families), *special)
     return (*families, *special)
@@ -128,7 +131,7 @@ def _let_rest(family: Family) -> Family:
     return replace(family, value=value, jac=jac, adj1=adj1, jac_adj1=jac_adj1, loops={})
 
 
-def _write_acados(families: Sequence[Family]) -> tuple[Family, ...]:
+def _write_acados(families: Sequence[Family], *, timed: bool) -> tuple[Family, ...]:
     tapes = {tape.name: tape for family in families for tape in family.tapes}
     explicit = [name for name in acados.EXPLICIT if name in tapes]
     if acados.RESIDUAL not in tapes and not explicit:
@@ -136,7 +139,7 @@ def _write_acados(families: Sequence[Family]) -> tuple[Family, ...]:
             f"acados: its functions are made of {acados.RESIDUAL}, {' or '.join(acados.EXPLICIT)}; name one"
         )
     cheapest = min(explicit, key=lambda name: count(tapes.get(f"lin_{name}", tapes[name])).paper, default="")
-    return acados.write_acados(tapes, cheapest)
+    return acados.write_acados(tapes, cheapest, timed=timed)
 
 
 def _choose_functions(tree: Tree, names: tuple[str, ...] | None) -> Mapping[str, Entry]:

@@ -10,12 +10,13 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from mbsgen.manifest import Manifest
-from mbsrun.binding import DESIGN
+from mbsrun.binding import DESIGN, ArgumentError
 from mbsrun.kernel import DERIVATIVES, HIDDEN, Array, Kernels
 from mbsrun.models import MODEL_SUFFIXES, Extent, find_folder
 
 START = Extent(("impl", "frames"), 1)
 ORDERS = ("jac_adj1_", "adj1_", "jac_", "lin_")
+FOR_ACADOS = ("impl_dae_", "expl_ode_", "expl_vde_")  # how the names of its functions begin
 
 
 class Mechanism(Kernels):
@@ -28,9 +29,11 @@ class Mechanism(Kernels):
 
         CasADi finds the generated `jac_`, `adj1_` and `jac_adj1_` kernels beside it, and uses them wherever it needs a
         derivative; it can be mapped, over threads as well. A serialised function holds the library's path.
-        Raises ArgumentError for a kernel that there is not.
+        Raises ArgumentError for a kernel that there is not, and for those of acados: their integers are not CasADi's.
         """
         kernel = self._binder.describe(name)  # a name that only libm knows would be found there
+        if kernel.name.startswith(FOR_ACADOS):
+            raise ArgumentError(f"{name} is written for acados, not for CasADi; take impl, exp1 or exp2")
         family = [order + name for order in DERIVATIVES if order + name in self._binder.kernels]
         external = ca.external(kernel.symbol, str(self.compile(*family)))
         names, outputs = [a.name for a in kernel.inputs], [a.name for a in kernel.outputs]

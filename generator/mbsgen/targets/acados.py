@@ -6,8 +6,9 @@
     expl_*          xdot = f(x, u, p) = (qd, qdd(q, qd, u, w))
 
 Names, arguments and results are those of acados' own generator (`casadi_function_generation.py`, 2025): with the prefix
-of a model called `arm`, the C functions are arm_impl_dae_fun and so on. acados compiles with `-Dcasadi_int=int`. Its
-matrices are dense here. Each function computes run-time parameters anew, as acados may change them at every stage.
+of a model called `arm`, the C functions are arm_impl_dae_fun and so on. Their integers are ints, whatever `casadi_int`
+is elsewhere. Matrices are dense. Each function computes run-time parameters anew, as acados may change them at every
+stage.
 """
 
 from __future__ import annotations
@@ -55,28 +56,29 @@ _TITLES = {
 }
 
 
-def write_acados(tapes: Mapping[str, Tape], explicit: str) -> tuple[Family, ...]:
+def write_acados(tapes: Mapping[str, Tape], explicit: str, *, timed: bool = True) -> tuple[Family, ...]:
     """Write what can be made of the kernels in `tapes`, by their names: `impl`, and `explicit`: "exp1" or "exp2".
 
-    First derivatives are made of their `lin_` and `adj1_` kernels, second of `jac_adj1_impl`.
+    First derivatives are made of their `lin_` and `adj1_` kernels, second of `jac_adj1_impl`. Implicit functions have
+    an argument t where they are `timed`, as acados asks for since its version 0.3.
     """
     return tuple(
-        Family(tape, title=f"for acados: {_TITLES[tape.name]}", meanings=MEANINGS)
-        for tape in (*_write_implicit(tapes), *_write_explicit(tapes, explicit))
+        Family(tape, title=f"for acados: {_TITLES[tape.name]}", meanings=MEANINGS, integer="int")
+        for tape in (*_write_implicit(tapes, timed=timed), *_write_explicit(tapes, explicit))
     )
 
 
-def _write_implicit(tapes: Mapping[str, Tape]) -> Iterator[Tape]:
+def _write_implicit(tapes: Mapping[str, Tape], *, timed: bool) -> Iterator[Tape]:
     value, lin, second = (tapes.get(name) for name in (RESIDUAL, f"lin_{RESIDUAL}", f"jac_adj1_{RESIDUAL}"))
     if value:
-        yield _Implicit(value).write("fun", ["fun"])
+        yield _Implicit(value, timed=timed).write("fun", ["fun"])
     if lin:
-        yield _Implicit(lin).write("fun_jac_x_xdot_z", ["fun", "x", "xdot", "z"])
-        yield _Implicit(lin).write("fun_jac_x_xdot_u_z", ["fun", "x", "xdot", "u", "z"])
-        yield _Implicit(lin).write("fun_jac_x_xdot_u", ["fun", "x", "xdot", "u"])
-        yield _Implicit(lin).write("jac_x_xdot_u_z", ["x", "xdot", "u", "z"])
+        yield _Implicit(lin, timed=timed).write("fun_jac_x_xdot_z", ["fun", "x", "xdot", "z"])
+        yield _Implicit(lin, timed=timed).write("fun_jac_x_xdot_u_z", ["fun", "x", "xdot", "u", "z"])
+        yield _Implicit(lin, timed=timed).write("fun_jac_x_xdot_u", ["fun", "x", "xdot", "u"])
+        yield _Implicit(lin, timed=timed).write("jac_x_xdot_u_z", ["x", "xdot", "u", "z"])
     if second:
-        yield _Implicit(second, weighted=True).write("hess", ["hess"])
+        yield _Implicit(second, timed=timed, weighted=True).write("hess", ["hess"])
 
 
 def _write_explicit(tapes: Mapping[str, Tape], name: str) -> Iterator[Tape]:
@@ -90,16 +92,17 @@ def _write_explicit(tapes: Mapping[str, Tape], name: str) -> Iterator[Tape]:
 
 
 class _Implicit:
-    """A function of x, xdot, u, z, t, p, and weights before t if it is weighted."""
+    """A function of x, xdot, u, z, t, p, without t unless it is timed, and with weights before t if it is weighted."""
 
-    def __init__(self, tape: Tape, *, weighted: bool = False) -> None:
+    def __init__(self, tape: Tape, *, timed: bool, weighted: bool = False) -> None:
         self.builder = builder = Builder()
         n = self.n = tape.input("q").sparsity.rows
         x, self.xdot = builder.vector("x", 2 * n), builder.vector("xdot", 2 * n)
         self.u = builder.vector("u", _size(tape, "u"))
         builder.vector("z", 0)
         weights = builder.vector("multiplier", 2 * n) if weighted else []
-        builder.vector("t", 1)
+        if timed:
+            builder.vector("t", 1)
         self.qd = x[n:]
         given = {"q": x[:n], "qd": x[n:], "qdd": self.xdot[n:], "u": self.u, **_read_p(tape, builder)}
         self.found = _call(tape, builder, given | {"adj_Phi": weights[n:]})

@@ -230,6 +230,7 @@ class _View:
     file: str
     symbol: str
     function: str
+    integer: str  # of CasADi's contract
     title: str
     flops: Flops
     equations: int
@@ -261,6 +262,7 @@ def _view(prefix: str, face: Face) -> _View:
         file=_file(prefix, face),
         symbol=face.symbol,
         function=face.function,
+        integer=face.family.integer,
         title=face.family.describe(face.kernel),
         flops=counts.flops,
         equations=counts.equations,
@@ -362,7 +364,7 @@ def _parameters(prefix: str, face: Face) -> tuple[_Parameter, ...]:
             f"{prefix}_{face.kernel}_NNZ_{name}",
             argument.sparsity.nnz,
             ""
-            if argument.sparsity.is_dense and argument.sparsity.cols == 1
+            if argument.sparsity.is_dense and (argument.sparsity.cols == 1 or face.family.integer == "int")
             else f"{prefix}_{face.kernel}_PATTERN_{name}",
             told_by,
             passed,

@@ -33,6 +33,7 @@ class Family:
         default_factory=dict
     )  # `argument` or `function.argument` -> what it is, its unit
     loops: Mapping[str, Columns] = field(default_factory=dict)  # tape -> the same with a loop, where that is quicker
+    integer: str = "casadi_int"  # the type of counts and places in CasADi's contract
 
     @property
     def tapes(self) -> tuple[Tape, ...]:

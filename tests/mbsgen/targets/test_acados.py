@@ -166,17 +166,23 @@ def test_sensitivities_are_exact(tapes: dict[str, Tape], state: Values) -> None:
             assert abs(adj[first + k, 0] - weighted) < CLOSE
 
 
+@pytest.mark.parametrize("macros", [(), ("-Dcasadi_int=int",)], ids=["plain", "int"])
 def test_the_c_files_speak_with_acados(
-    model: Path, tapes: dict[str, Tape], state: Values, tmp_path: Path, requires: Callable[[str], str]
+    macros: tuple[str, ...],
+    model: Path,
+    tapes: dict[str, Tape],
+    state: Values,
+    tmp_path: Path,
+    requires: Callable[[str], str],
 ) -> None:
-    """acados compiles with its own integer, and passes all matrices densely, by position.
+    """acados asks for int, compiles without a macro that says so, and passes all matrices densely, by position.
 
     Some hundred roundings lie between inputs and results.
     """
     out = tmp_path / "out"
     generate(model, out, Options(acados=True, functions=("impl", "exp1")))
     sources = [str(out / f"branched_{name}.c") for name in CONTRACT]
-    command = [requires("cc"), "-std=c99", "-Wall", "-Wextra", "-Werror", "-O1", "-Dcasadi_int=int", "-fPIC", "-shared"]
+    command = [requires("cc"), "-std=c99", "-Wall", "-Wextra", "-Werror", "-O1", *macros, "-fPIC", "-shared"]
     subprocess.run([*command, f"-I{out}", *sources, "-lm", "-o", str(tmp_path / "x.so")], check=True)
     library = ctypes.CDLL(str(tmp_path / "x.so"))
     for name, (inputs, outputs) in CONTRACT.items():
@@ -208,3 +214,12 @@ def test_only_what_can_be_made_of_the_chosen_kernels_is_written(model: Path) -> 
     }
     with pytest.raises(OptionError, match="acados: its functions are made of impl, exp1 or exp2; name one"):
         names(functions=("frames",))
+
+
+def test_an_acados_before_time_gets_functions_without_it(model: Path) -> None:
+    """Its integrators count the arguments: x, xdot, u, z, and the parameters last."""
+    kernels = {k.name: k for k in make(model, Options(acados=True, untimed=True, functions=("impl",))).manifest.kernels}
+    for name, (inputs, _) in CONTRACT.items():
+        if name in kernels:
+            assert tuple(a.name for a in kernels[name].inputs) == tuple(x for x in inputs if x != "t")
+    assert "impl_dae_hess" in kernels
