@@ -283,7 +283,8 @@ def _check_folder(files: Mapping[str, str], out: Path) -> None:
 def show_command(model: Path, out: Path | None, coordinates: str | None, choices: Choices) -> None:
     """Print the tree of MODEL; with -o, draw it.
 
-    The tree tells bodies, joints and masses. The picture shows it beside the mechanism in space.
+    The tree lists bodies, joints and masses, and the places, from 0, of joints in q and u and of frames among sensors.
+    The picture shows the tree beside the mechanism in space.
     """
     from mbsgen.drawing import FORMATS, describe_joint, list_masses, render  # drawing takes long to load
 
@@ -293,16 +294,42 @@ def show_command(model: Path, out: Path | None, coordinates: str | None, choices
     tree = read_tree(_read(model, choices))
     q = _read_coordinates(tree, coordinates or "")
     branches = {0: Branches(Text(f"{tree.name}: base"))}
+    places = _find_places(tree)
     for i, (body, mass) in enumerate(zip(tree.bodies, list_masses(tree), strict=True), 1):
         limits = _describe_limits(body.joint.lower, body.joint.upper)
-        words = f" {body.joint.name}: {describe_joint(body)}{limits}, {mass:.6g} kg"
-        branches[i] = branches[body.parent].add(Text.assemble((body.name, "bold"), words))
-    for sensor in tree.sensors:
-        branches[sensor.body].add(Text(f"frame {sensor.name}", style="italic"))
+        words = f" {body.joint.name}: {describe_joint(tree, i)}{limits}, {mass:.6g} kg"
+        place = Text(f"  {places[i]}" if places[i] else "", style="dim")
+        branches[i] = branches[body.parent].add(Text.assemble((body.name, "bold"), words, place))
+    for k, sensor in enumerate(tree.sensors):
+        named = Text.assemble((f"frame {sensor.name}", "italic"), (f"  sensor {k}", "dim"))
+        branches[sensor.body].add(named)
     if out is not None:
         write_file(render(tree, q, form), out)
         click.echo(f"wrote {out}", err=True)
     Console(width=_UNCUT, highlight=False).print(branches[0])
+
+
+def _find_places(tree: Tree) -> dict[int, str]:
+    """Find the places of each body's joint in q, in qd where these differ, and in u; from 0, as the header has them."""
+    followers, places = tree.followers, {}
+    seen = {"qd": 0, "u": 0}
+    for i, body in enumerate(tree.bodies, 1):
+        own = []
+        if i not in followers:
+            if body.joint.name in tree.coordinates:
+                own.append(f"q {tree.coordinates.index(body.joint.name)}")
+            if tree.quaternions:
+                own.append(f"qd {seen['qd']}")
+            seen["qd"] += 1
+        for x in tree.quaternions:
+            if x.first == i:
+                first = tree.coordinates.index(x.coordinates[0])
+                own.insert(0, f"q {first}..{first + len(x.coordinates) - 1}")
+        if body.joint.actuated:
+            own.append(f"u {seen['u']}")
+            seen["u"] += 1
+        places[i] = f"[{', '.join(own)}]" if own else ""
+    return places
 
 
 def _describe_limits(lower: float | None, upper: float | None) -> str:

@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -17,6 +18,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import TABLEAU_COLORS
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.text import Annotation
 from matplotlib.transforms import Bbox
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 from mpl_toolkits.mplot3d.proj3d import proj_transform
@@ -26,7 +28,7 @@ from mbsgen.formulations.coupling import couple
 from mbsgen.formulations.links import DESIGN, PARAMETERS, declare_state, write_chain
 from mbsgen.formulations.poses import build_frames
 from mbsgen.model.symbols import exact, round_number, to_double, total
-from mbsgen.model.tree import Body, Kind, Motion, Tree
+from mbsgen.model.tree import Kind, Motion, Tree
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.types import Tape
@@ -38,7 +40,9 @@ COLORS = tuple(color for color in TABLEAU_COLORS if color != "tab:gray")
 AXES = {Motion.REVOLUTE: "-", Motion.PRISMATIC: "--"}  # how joint axes are drawn
 TURNED = {Motion.REVOLUTE: "about", Motion.PRISMATIC: "along"}
 INK = "0.35"  # of what is no body
+SHARE = 0.58  # of the picture's width, for the mechanism in space
 _LONGEST = 24  # characters of a name in a picture
+_MASSES = 0.15  # where the column of masses ends, of the width of the tree
 _MOST = 60  # bodies that are named in a picture
 
 
@@ -91,10 +95,14 @@ def _build_masses(tree: Tree) -> Tape:
     return builder.build("masses")
 
 
-def describe_joint(body: Body) -> str:
-    """Tell what a body's joint does."""
-    joint = body.joint
+def describe_joint(tree: Tree, number: int) -> str:
+    """Say what the joint of a body does."""
+    joint = tree.bodies[number - 1].joint
     kind = f"{joint.motion.value} {TURNED[joint.motion]} {'xyz'[joint.axis]}"
+    for x in tree.couplings:
+        if x.follower == number:
+            offset = f" + {x.offset:g}" if x.offset else ""
+            return f"{kind}, follows {_shorten(tree.bodies[x.leader - 1].joint.name)} times {x.ratio:g}{offset}"
     return kind if joint.actuated else f"{kind}, passive"
 
 
@@ -104,10 +112,10 @@ def draw(tree: Tree, q: Sequence[float]) -> Figure:
     height = max(6.5, 0.3 * min(len(tree.bodies), _MOST) + 1.2)
     figure = Figure(figsize=(13, height))
     FigureCanvasAgg(figure)
-    space = figure.add_axes((0.0, 0.04, 0.56, 0.9), projection="3d")
+    space = figure.add_axes((0.0, 0.04, SHARE - 0.02, 0.9), projection="3d")
     assert isinstance(space, Axes3D)
     _draw_mechanism(space, tree, scene)
-    _draw_tree(figure.add_axes((0.6, 0.04, 0.39, 0.9)), tree, scene.masses)
+    _draw_tree(figure.add_axes((SHARE, 0.04, 0.99 - SHARE, 0.9)), tree, scene.masses)
     figure.suptitle(f"{_shorten(tree.name)} {_describe_coordinates(tree, q)}", parse_math=False)
     return figure
 
@@ -165,6 +173,7 @@ def _draw_mechanism(space: Axes3D, tree: Tree, scene: Scene) -> None:
         _draw_line(space, origin, place, color=carrier, linewidth=4.5, alpha=0.9, solid_capstyle="round")
         space.scatter(*place, s=55, color="black", marker="x", depthshade=False, zorder=7)
     space.scatter(0, 0, 0, s=60, color=INK, marker="s", depthshade=False, zorder=4)
+    _fit(space)
     _draw_legend(space, tree)
     if len(tree.bodies) <= _MOST:
         starts = np.concatenate((np.zeros((1, 3)), scene.origins))[[body.parent for body in tree.bodies]]
@@ -190,6 +199,36 @@ def _frame_up(space: Axes3D, points: Array) -> None:
         axis.set_major_locator(matplotlib.ticker.MaxNLocator(5, steps=[1, 2, 5, 10]))
     space.tick_params(labelsize=8)
     space.view_init(elev=20, azim=-60)
+
+
+def _fit(space: Axes3D) -> None:
+    """Draw what is in space smaller, until the labels of its axes are within the picture."""
+    figure = space.get_figure()
+    assert isinstance(figure, Figure)
+    zoom = 1.0
+    for _ in range(4):  # the size of labels stays, so one step is not all
+        figure.draw_without_rendering()
+        room, drawn = _find_page(figure), space.get_tightbbox()
+        middle = space.get_window_extent()
+        if drawn is None:
+            return
+        reach = max(
+            (drawn.x1 - (middle.x0 + middle.x1) / 2) / (room.x1 - (middle.x0 + middle.x1) / 2),
+            ((middle.x0 + middle.x1) / 2 - drawn.x0) / ((middle.x0 + middle.x1) / 2 - room.x0),
+            (drawn.y1 - (middle.y0 + middle.y1) / 2) / (room.y1 - (middle.y0 + middle.y1) / 2),
+            ((middle.y0 + middle.y1) / 2 - drawn.y0) / ((middle.y0 + middle.y1) / 2 - room.y0),
+        )
+        if reach <= 1:
+            return
+        zoom *= 0.97 / reach
+        lengths = [high - low for low, high in (space.get_xlim(), space.get_ylim(), space.get_zlim())]
+        space.set_box_aspect(lengths, zoom=zoom)
+
+
+def _find_page(figure: Figure) -> Bbox:
+    """Find the part of the picture, in pixels, that the mechanism and its labels may fill: below the title."""
+    width, height = figure.get_size_inches() * figure.dpi
+    return Bbox.from_extents(4, 4, SHARE * width, height - 40)
 
 
 def _draw_legend(space: Axes3D, tree: Tree) -> None:
@@ -233,7 +272,7 @@ def _write_names(space: Axes3D, tree: Tree, scene: Scene, points: Array) -> None
             arrowprops={"arrowstyle": "-", "color": INK, "linewidth": 0.6},
         )
         box = text.get_window_extent()
-        room = _find_room(x, y, box.width + 8, box.height + 6, taken)
+        room = _find_room(x, y, box.width + 8, box.height + 6, taken, _find_page(figure))
         text.set_position(figure.transFigure.inverted().transform(room))
         taken.append(text.get_window_extent())
 
@@ -244,15 +283,17 @@ def _project(space: Axes3D, point: Array) -> tuple[float, float]:
     return float(across), float(up)
 
 
-def _find_room(x: float, y: float, width: float, height: float, taken: Sequence[Bbox]) -> tuple[float, float]:
-    """Find a centre near (x, y) for a box that lies on none of those; else the one that lies on the fewest."""
+def _find_room(
+    x: float, y: float, width: float, height: float, taken: Sequence[Bbox], page: Bbox
+) -> tuple[float, float]:
+    """Find a centre near (x, y), for a box on the page that lies on none of those, or on as few as may be."""
     best, fewest = (x, y), len(taken) + 1
-    for reach in (0.0, 10.0, 22.0, 36.0, 52.0, 70.0, 90.0):
+    for reach in (0.0, 10.0, 22.0, 36.0, 52.0, 70.0, 90.0, 120.0, 160.0):
         for turn in range(12):
             angle = np.pi * (turn / 6 + 0.25)
             centre = (
-                x + np.cos(angle) * (width / 2 + 8 + reach),
-                y + np.sin(angle) * (height / 2 + 8 + reach),
+                _keep(x + np.cos(angle) * (width / 2 + 8 + reach), page.x0 + width / 2, page.x1 - width / 2),
+                _keep(y + np.sin(angle) * (height / 2 + 8 + reach), page.y0 + height / 2, page.y1 - height / 2),
             )
             box = Bbox.from_bounds(centre[0] - width / 2, centre[1] - height / 2, width, height)
             hits = sum(box.overlaps(other) for other in taken)
@@ -263,41 +304,54 @@ def _find_room(x: float, y: float, width: float, height: float, taken: Sequence[
     return best
 
 
+def _keep(value: float, low: float, high: float) -> float:
+    return float(min(max(value, low), high))
+
+
 # -- the tree -------------------------------------------------------------------------------------------------------
 
 
 def _draw_tree(panel: Axes, tree: Tree, masses: Array) -> None:
-    """List the bodies, a line each, moved to the right by their depth; masses stand in a column."""
+    """List the bodies, a line each, moved to the right by their depth; masses stand in a column before them."""
     panel.axis("off")
     listed, depths = list_rows(tree)
     rows = listed[:_MOST]
-    indent = min(0.05, 0.45 / max(depths[i] for i in rows))
+    indent = min(0.05, 0.3 / max(depths[i] for i in rows))
     panel.set_xlim(0, 1)
     panel.set_ylim(max(len(rows), 14) + 1.5, -0.8)
     size = 9.5 if len(rows) <= 30 else 8.0
-    panel.text(0.0, 0.0, "base", fontsize=size, va="center", color=INK)
-    panel.text(1.0, 0.0, "mass [kg]", fontsize=size, va="center", ha="right", color=INK)
+    panel.text(_MASSES, 0.0, "mass [kg]", fontsize=size, va="center", ha="right", color=INK)
+    panel.text(_MASSES + 0.02, 0.0, "base", fontsize=size, va="center", color=INK)
     heights = {0: 0.0}
+    lines: list[tuple[Annotation, Annotation]] = []
     for row, i in enumerate(rows, 1):
-        body, x = tree.bodies[i - 1], indent * depths[i]
+        body, x = tree.bodies[i - 1], _MASSES + 0.02 + indent * depths[i]
         trunk = x - indent + 0.012
         panel.plot([trunk, trunk, x - 0.006], [heights[body.parent] + 0.35, row, row], color=INK, linewidth=0.8)
         panel.plot(x + 0.008, row, "o", color=COLORS[(i - 1) % len(COLORS)], markersize=7)
-        name = panel.annotate(
-            _shorten(body.name), (x + 0.03, row), fontsize=size, va="center", weight="bold", parse_math=False
-        )
-        panel.annotate(
-            f"   {_shorten(body.joint.name)}: {describe_joint(body)}",
-            (1, 0.5),
-            xycoords=name,
-            fontsize=size,
-            va="center",
-            parse_math=False,
-        )
-        panel.text(1.0, row, f"{masses[i - 1]:.4g}" if masses[i - 1] else "0", fontsize=size, va="center", ha="right")
+        style: dict[str, Any] = {"fontsize": size, "va": "center", "parse_math": False}
+        name = panel.annotate(_shorten(body.name), (x + 0.03, row), weight="bold", **style)
+        text = f"   {_shorten(body.joint.name)}: {describe_joint(tree, i)}"
+        lines.append((name, panel.annotate(text, (1, 0.5), xycoords=name, **style)))
+        mass = f"{masses[i - 1]:.4g}" if masses[i - 1] else "0"
+        panel.text(_MASSES, row, mass, fontsize=size, va="center", ha="right")
         heights[i] = row
     if len(listed) > len(rows):
-        panel.text(0.0, len(rows) + 1, f"and {len(listed) - len(rows)} more bodies", va="center", color=INK)
+        panel.text(_MASSES, len(rows) + 1, f"and {len(listed) - len(rows)} more bodies", va="center", color=INK)
+    _narrow(panel, lines)
+
+
+def _narrow(panel: Axes, lines: Sequence[tuple[Annotation, Annotation]]) -> None:
+    """Write lines that would leave the picture smaller, each by as much as it takes."""
+    end = panel.get_window_extent().x1
+    for name, text in lines:
+        for _ in range(3):  # widths go in steps
+            start, far = name.get_window_extent().x0, text.get_window_extent().x1
+            if far <= end:
+                break
+            size = float(name.get_fontsize()) * 0.98 * (end - start) / (far - start)
+            name.set_fontsize(size)
+            text.set_fontsize(size)
 
 
 def list_rows(tree: Tree) -> tuple[list[int], dict[int, int]]:

@@ -222,9 +222,9 @@ def test_the_tree_is_shown_as_text(mbsgen: Command) -> None:
     assert (done.code, done.err) == (0, "")
     assert done.out.splitlines() == [
         "pendulum: base",
-        "└── rod hinge: revolute about y, -3.142..3.142, 2 kg",
-        "    └── slider slide: prismatic along z, passive, 0.25 kg",
-        "        └── frame tip",
+        "└── rod hinge: revolute about y, -3.142..3.142, 2 kg  [q 0, u 0]",
+        "    └── slider slide: prismatic along z, passive, 0.25 kg  [q 1]",
+        "        └── frame tip  sensor 0",
     ]
 
 

@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from matplotlib.text import Annotation, Text
+from sympy import Integer
 
 from mbsgen.drawing import FORMATS, draw, pose, render
 from mbsgen.model.tree import Tree
@@ -65,6 +66,30 @@ def test_names_stand_clear_of_each_other(size: int, arm: Tree) -> None:
     boxes = [Text.get_window_extent(t) for t in figure.axes[0].texts if isinstance(t, Annotation)]
     assert boxes
     assert [(a, b) for a, b in itertools.combinations(boxes, 2) if a.overlaps(b)] == []
+
+
+def test_nothing_of_a_tall_mechanism_with_long_names_is_cut_or_overprinted() -> None:
+    """Twenty bodies that carry each other, with names of 24 characters; texts of the tree stand side by side."""
+    tree = random_tree(20, 20)
+    chain = tuple(
+        replace(
+            b, parent=i, position=(Integer(0), Integer(0), Integer(1)), name=f"body_of_the_long_arm_{i:03}",
+            joint=replace(b.joint, name=f"joint_of_the_long_arm_{i:02}"),
+        )
+        for i, b in enumerate(tree.bodies)
+    )  # fmt: skip
+    figure = draw(replace(tree, bodies=chain), [0.0] * 20)
+    figure.draw_without_rendering()
+    width, height = figure.get_size_inches() * figure.dpi
+    space, panel = figure.axes
+    listed = [Text.get_window_extent(t).padded(-0.5) for t in panel.texts]  # neighbours touch
+    assert [(a, b) for a, b in itertools.combinations(listed, 2) if a.overlaps(b)] == []
+    labels = [axis.label.get_window_extent() for axis in (space.xaxis, space.yaxis, space.zaxis)]
+    for box in [*listed, *labels, *(Text.get_window_extent(t) for t in space.texts)]:
+        assert box.x0 >= 0
+        assert box.y0 >= 0
+        assert box.x1 <= width
+        assert box.y1 <= height
 
 
 def test_every_body_is_listed_with_its_joint_and_mass() -> None:
