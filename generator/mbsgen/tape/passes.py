@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 
@@ -73,19 +74,22 @@ def hoist(tapes: Sequence[Tape], source: str, target: str) -> tuple[Tape, tuple[
     """Move what depends on the input `source` alone out of all tapes into one: the setup.
 
     Returns the setup tape (input `source`, output `target`), and the tapes with the input `target`, a vector of the
-    values that they use, in place of `source`. Values that several tapes use are computed once. Divisions by parameters
-    are guarded in the setup; pivots stay guarded where they are divided by, however constant.
+    values that they use, in place of `source`; each has the sign that most of its uses ask for. Values that several
+    tapes use are computed once. Divisions by parameters are guarded in the setup; pivots stay guarded where they are
+    divided by, however constant.
     """
     setup = Builder()
-    entries: dict[int, int] = {}  # node of the setup -> its place in the target vector
     sizes = {i.sparsity.nnz for tape in tapes for i in tape.inputs if i.name == source}
     assert len(sizes) == 1, f"all tapes must have the same input {source}"
     given = setup.vector(source, sizes.pop())
     split = [_Split.of(tape, source, setup, given) for tape in tapes]
+    signs: Counter[int] = Counter()  # of each node of the setup: how much more often tapes have it with its sign
     for part in split:
         for value in part.frontier:
-            entries.setdefault(abs(part.hoisted[value].ref), len(entries))
+            ref, weight = part.hoisted[value].ref, len(tapes) + 1 if value in part.told else 1
+            signs[abs(ref)] += weight if ref > 0 else -weight
         part.guard_early(setup)
+    entries = {node if signs[node] >= 0 else -node: place for place, node in enumerate(signs)}
     setup.output(target, Sparsity.dense(len(entries)), [Scalar(setup, ref) for ref in entries])
     return setup.build("setup"), tuple(part.rest(entries, target) for part in split)
 
@@ -117,6 +121,11 @@ class _Split:
         frontier.update((x, None) for g in left for x in (g.value, g.scale) if x in hoisted)
         literals = range(tape.first_literal, tape.first_operation)
         return _Split(tape, source, hoisted, [x for x in frontier if x not in literals and hoisted[x].ref])
+
+    @property
+    def told(self) -> set[int]:
+        """Collect what is given out or tested as it is; elsewhere, a sum or a product can take another sign."""
+        return {x for o in self.tape.outputs for x in o.values} | {g.scale for g in self.tape.guards}
 
     def _is_early(self, guard: Guard) -> bool:
         return guard.early and guard.value in self.hoisted and guard.scale in self.hoisted
@@ -153,5 +162,4 @@ class _Split:
 
     def _entry(self, value: int, entries: dict[int, int], vector: Sequence[Scalar]) -> Scalar:
         ref = self.hoisted[value].ref
-        entry = vector[entries[abs(ref)]]
-        return entry if ref > 0 else -entry
+        return vector[entries[ref]] if ref in entries else -vector[entries[-ref]]
