@@ -20,6 +20,7 @@ from rich.tree import Tree as Branches
 
 from mbsgen import __version__
 from mbsgen.errors import MbsError
+from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
 from mbsgen.formulations.catalogue import FORMULATIONS, FUNCTIONS
 from mbsgen.formulations.reductions import ALL
 from mbsgen.importing import Choices, Mimic, Notice, import_model, is_foreign, write_imported
@@ -158,6 +159,10 @@ class ModelFirst(click.Group):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Put the default command before arguments that begin with no command and no option of the group."""
         own = {*self.commands, *ctx.help_option_names, "--version"}
+        first = args[0] if args else ""
+        is_word = first.isalpha() and first not in own and not Path(first).exists()
+        if is_word and (near := difflib.get_close_matches(first, self.commands, 1)):
+            raise click.UsageError(f"there is no command and no file {first!r}; did you mean {near[0]!r}?", ctx)
         return super().parse_args(ctx, ["generate", *args] if args and args[0] not in own else args)
 
 
@@ -351,10 +356,7 @@ def _read_coordinates(tree: Tree, text: str) -> list[float]:
             near = difflib.get_close_matches(name, values, 1) or list(values)[:3]
             faults.append(f"{part.strip()}: no joint is called {name!r}; there is {', '.join(near)}")
             continue
-        try:
-            values[name] = float(written)
-        except ValueError:
-            values[name] = math.nan
+        values[name] = _read_finite(written)
         if not math.isfinite(values[name]):
             faults.append(f"{part.strip()}: {written!r} is no number; write, for example, {name}=0.3")
     if faults:
@@ -469,10 +471,10 @@ def _read_lock(text: str) -> tuple[str, float]:
 
 
 def _read_finite(text: str) -> float:
-    """Read a number; nan is what is none."""
+    """Read a number, or an expression such as `30 deg`; nan is what is none."""
     try:
-        return float(text)
-    except ValueError:
+        return evaluate(parse(text), {}, FLOATS)
+    except ExpressionError:
         return math.nan
 
 

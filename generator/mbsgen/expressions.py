@@ -1,5 +1,7 @@
 """Expressions in untrusted files, such as `2*l1 + sin(pi/4)`: text -> `Expression` -> a number of any type.
 
+`90 deg` is 90*(pi/180): the word multiplies what stands before it, from the last + or - on.
+
 Python's parser gives the grammar, a white list what is let through, and nothing of the text is ever run. What comes out
 is a small tree of our own. Length, nesting, size and powers are bounded.
 """
@@ -121,7 +123,7 @@ def parse(text: str) -> Expression:
         raise ExpressionError(f"an expression of {len(text)} characters", f"give at most {MAX_LENGTH}")
     _check_tokens(text)
     try:
-        tree = ast.parse(text.strip(), mode="eval").body
+        tree = ast.parse(_DEGREES.sub("*(pi/180)", text.strip()), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         raise ExpressionError(f"{_quote(text)} is not an expression", "mend it, e.g. l1/2 or -2*(a + b)") from None
     nodes = sum(isinstance(node, ast.expr) for node in ast.walk(tree))
@@ -214,6 +216,7 @@ def _operands(expression: Expression) -> tuple[Expression, ...]:
 
 _NUMBER = re.compile(r"(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
 _TOKEN = re.compile(rf"(?P<number>{_NUMBER.pattern})|(?P<name>[^\W\d]\w*)|\*\*|[-+*/(),]|[ \t\n]+", re.ASCII)
+_DEGREES = re.compile(r"(?<=[\w.)])[ \t\n]+deg(?!\w)(?![ \t\n]*\()", re.ASCII)  # what stands before is in degrees
 _OPERATORS: Mapping[type[ast.operator], Literal["+", "-", "*", "/"]] = MappingProxyType(
     {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
 )

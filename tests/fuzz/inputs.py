@@ -38,7 +38,7 @@ from mbsrun.simulation.statement import read_statement
 
 ROOT = Path(__file__).parents[2]
 MODELS = ROOT / "models"
-LIMIT = 20  # seconds
+LIMIT = 20  # seconds of the processor, which other programs do not lengthen
 SMALL = 4  # bodies of a model that is generated too
 OUT = "out"  # what is written beside an input
 
@@ -54,6 +54,7 @@ NASTY_WORDS = (
     "*a", "&a x", "<<", "{", "[", "]", "- - -", "%YAML 1.1", "---", "...", "|", ">", "? a", "lambda: 0", "x.__class__",
     "$(touch owned)", "`touch owned`", "<!ENTITY a 'b'>", "&amp;", "]]>", "\ud7ff", "😀",
 )  # fmt: skip
+FUNCTIONS = ("impl", "semi_res", "condition", "frames", "Phi", "qdd", "jac_impl", "adj1_step", "setup", "lin_impl")
 KEYS = (
     "name",
     "parent",
@@ -144,7 +145,7 @@ def _change_words(content: bytes, rng: random.Random) -> bytes:
         return content
     place = rng.choice(inner)
     is_number = words[place][0] in "0123456789.-"
-    pool = (*NASTY_NUMBERS, *NASTY_NUMBERS, *NASTY_WORDS) if is_number else (*NASTY_WORDS, *NASTY_NUMBERS)
+    pool = (*NASTY_NUMBERS, *NASTY_NUMBERS, *NASTY_WORDS) if is_number else (*NASTY_WORDS, *NASTY_NUMBERS, *FUNCTIONS)
     if is_number and rng.random() < 0.4:
         pool = tuple(str(round(rng.uniform(-2, 5), rng.randrange(4))) for _ in range(2))
     words[place] = rng.choice(pool) if rng.random() < 0.7 else words[rng.choice(inner)]
@@ -187,7 +188,7 @@ def _change_structure(content: bytes, rng: random.Random) -> bytes:
             inner = copy.deepcopy(holder[key])
             holder[key] = rng.choice(([], {}, [[]], None, True, [inner], {"a": inner}, [0] * 400))
         case _ if isinstance(holder, dict):
-            holder[rng.choice((*KEYS, *NASTY_WORDS))] = copy.deepcopy(holder[key])
+            holder[rng.choice((*KEYS, *FUNCTIONS, *NASTY_WORDS))] = copy.deepcopy(holder[key])
         case _:
             holder.append(copy.deepcopy(holder[key]))
     try:
@@ -245,8 +246,8 @@ def watched(folder: Path) -> Iterator[list[str]]:
 
     _install()
     seen: list[str] = []
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.alarm(LIMIT)
+    before = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, LIMIT)
     _watched.append((folder, seen))
     try:
         with warnings.catch_warnings():
@@ -254,8 +255,8 @@ def watched(folder: Path) -> Iterator[list[str]]:
             yield seen
     finally:
         _watched.pop()
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)
 
 
 def attempt(kind: Kind, name: str, content: bytes, folder: Path) -> tuple[bool, str]:

@@ -177,7 +177,7 @@ def test_a_file_too_large_is_refused_unread(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "finding"), [("missing", "no such file"), (".", "not a file"), ("a\0b", "no such file")]
+    ("name", "finding"), [("missing", "no such file"), (".", "a folder"), ("a\0b", "no such file")]
 )
 def test_what_is_no_file_is_told(name: str, finding: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=finding):

@@ -198,3 +198,25 @@ def test_no_text_brings_anything_but_an_expression_or_a_refusal(text: str) -> No
     except ExpressionError:
         return
     assert parse(write(expression)) == expression
+
+
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [
+        ("90 deg", "90*(pi/180)"),
+        ("-30 deg", "-30*(pi/180)"),
+        ("sin(a deg) + 2*45  deg", "sin(a*(pi/180)) + 2*45*(pi/180)"),
+        ("(a + b) deg/2", "(a + b)*(pi/180)/2"),
+        ("1. deg", "1.0*(pi/180)"),
+        ("90*deg", "90*deg"),
+        ("degree + deg", "degree + deg"),
+    ],
+)
+def test_a_number_may_be_in_degrees(text: str, meant: str) -> None:
+    assert parse(text) == parse(meant)
+
+
+@pytest.mark.parametrize("text", ["90deg", "deg 90", "90 degrees", "90 deg deg(1)", "90 rad", "deg(90)"])
+def test_other_units_are_refused(text: str) -> None:
+    with pytest.raises(ExpressionError):
+        parse(text)

@@ -166,6 +166,9 @@ def test_every_fault_of_a_scene_is_told_at_once(tmp_path: Path):
         ("locked: {arm: strange}", "depends on"),
         ("derivatives: 3", "derivatives"),
         ("together: {step: [impl]}", "give two functions or more"),
+        ("together: {jac_impl: [exp2, energy]}", "cannot be the name of a function"),
+        ("together: {adj1_step: [exp2, energy]}", "cannot be the name of a function"),
+        ("results: {semi_res: []}", "no result is named"),
     ],
 )
 def test_what_cannot_be_is_refused(text: str, finding: str, tmp_path: Path):

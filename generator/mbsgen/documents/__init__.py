@@ -7,6 +7,7 @@ those of one file come together.
 
 from __future__ import annotations
 
+from mbsgen.documents.kinds import expect
 from mbsgen.documents.places import Data, Place, abbreviate, lies_under, nearest, refuse, write_path
 from mbsgen.documents.reading import Document, read_bytes, read_document
 from mbsgen.documents.validation import Examination, Section, WrongValueError, examine, validate
@@ -20,6 +21,7 @@ __all__ = [
     "WrongValueError",
     "abbreviate",
     "examine",
+    "expect",
     "lies_under",
     "nearest",
     "read_bytes",

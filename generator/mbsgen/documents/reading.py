@@ -16,6 +16,7 @@ from mbsgen.documents.places import Data, Place, refuse, write_path
 from mbsgen.errors import Fault, InputError
 
 MAX_BYTES = 1 << 20
+GENERATED = "manifest.json"  # a folder that mbsgen has generated holds this file
 MAX_DEPTH = 32
 MAX_VALUES = 50_000
 MAX_DIGITS = 64  # characters of one number
@@ -97,6 +98,8 @@ def read_bytes(path: Path, limit: int) -> bytes:
     try:
         if not path.exists():
             raise InputError([Fault(file, 0, "", "there is no such file", "check the path")])
+        if path.is_dir():
+            raise InputError([Fault(file, 0, "", *_tell_folder(path))])
         if not path.is_file():
             raise InputError([Fault(file, 0, "", "this is not a file", "give the path of a file")])
         with path.open("rb") as stream:
@@ -107,6 +110,15 @@ def read_bytes(path: Path, limit: int) -> bytes:
     if len(raw) > limit:
         raise InputError([Fault(file, 0, "", f"larger than {limit} bytes", "split the file or shorten it")])
     return raw
+
+
+def _tell_folder(path: Path) -> tuple[str, str]:
+    """Tell what a folder is that stands where a file is wanted, and what may be meant."""
+    if (path / GENERATED).is_file():
+        return "this is a folder that mbsgen has generated", "give the file that it was generated from"
+    inside = sorted(entry.name for entry in path.iterdir() if entry.suffix in (".yaml", ".yml", ".urdf", ".xml"))
+    shown = ", ".join(inside[:3]) + (", ..." if len(inside) > 3 else "")
+    return "this is a folder", f"give a file, such as {shown} in it" if inside else "give the path of a file"
 
 
 def _is_control(character: str) -> bool:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 
 from mbsgen.documents import Place, abbreviate, lies_under
 from mbsgen.expressions import is_free_name
@@ -47,8 +47,9 @@ def _check_names(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
     for place, name in bodies:
         if _normalise(name) == BASE:
             yield Finding(place, f"name {abbreviate(name)} is that of what does not move", "give the body another name")
-    for names in (between + bodies, joints, frames, wrenches, parameters):
-        yield from _check_alike(names)
+    for names in (between + bodies, joints, frames, wrenches):
+        yield from _check_alike(names, _normalise)
+    yield from _check_alike(parameters, str)  # m and M are different letters of a formula
 
 
 def _name_steps(model: Model) -> tuple[list[Named], list[Named]]:
@@ -86,10 +87,10 @@ def _check_parameter(place: Place, name: str) -> Iterator[Finding]:
         yield Finding(place, f"expressions have their own meaning of {abbreviate(name)}", "give another name")
 
 
-def _check_alike(names: Sequence[Named]) -> Iterator[Finding]:
+def _check_alike(names: Sequence[Named], normalise: Callable[[str], str]) -> Iterator[Finding]:
     first: dict[str, Named] = {}
     for place, name in names:
-        origin, other = first.setdefault(_normalise(name), (place, name))
+        origin, other = first.setdefault(normalise(name), (place, name))
         if origin != place:
             finding = "is taken" if other == name else f"is hard to tell from {abbreviate(other)}"
             yield Finding(place, f"name {abbreviate(name)} {finding}", "give another name")

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from mbsgen.documents import Place, abbreviate, examine, read_document, refuse
+from mbsgen.documents import Place, abbreviate, examine, expect, read_document, refuse
 from mbsgen.expressions import Expression
 from mbsgen.model import schema
 from mbsgen.model.checks import find_faults
@@ -34,6 +34,7 @@ from mbsgen.model.tree import Kind, Motion
 def read_model(path: Path) -> Model:
     """Read a model file. Raises InputError with every fault of it: of YAML, of shape, and of meaning."""
     document = read_document(path)
+    expect(document, "model")
     examination = examine(document, schema.ModelSection)
     faults = list(examination.faults)
     section = examination.value

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from pydantic import Field
 
-from mbsgen.documents import Document, Place, Section, abbreviate, examine, nearest, read_document, refuse
+from mbsgen.documents import Document, Place, Section, abbreviate, examine, expect, nearest, read_document, refuse
 from mbsgen.errors import Fault
 from mbsgen.expressions import Expression, names
 from mbsgen.model.expansion import list_steps
@@ -27,6 +27,7 @@ from mbsgen.model.tree import Kind
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,30}", re.ASCII)
 TAKEN = ("setup", "check", "names", "default_parameters")  # of other files of a generated folder
+DERIVED = ("jac_", "adj1_", "lin_", "fwd1_")  # how the names of derivatives begin
 LARGEST_TOLERANCE = 0.5  # half of what is wanted: beyond, nothing that has a meaning is left
 
 
@@ -76,6 +77,7 @@ def read_scene(path: Path, model: Model, functions: Mapping[str, Sequence[str]])
     Raises InputError with every fault of the file.
     """
     document = read_document(path)
+    expect(document, "scene")
     examination = examine(document, SceneSection)
     faults, section = list(examination.faults), examination.value
     if section is not None:
@@ -145,6 +147,8 @@ class _Judgement:
             yield from self._find(("parameters", name), "parameter", name, [p.name for p in self.model.parameters])
         for name, results in section.results.items():
             yield from self._find(("results", name), "function", name, list(self.functions))
+            if not results:
+                yield self._tell(("results", name), "no result is named", "name one, or leave the function out")
             for k, result in enumerate(results if name in self.functions else ()):
                 yield from self._find(("results", name, k), "result", result, self.functions[name])
 
@@ -165,8 +169,8 @@ class _Judgement:
     def _check_together(self, section: SceneSection) -> Iterator[tuple[Place, Fault]]:
         for name, parts in section.together.items():
             place: Place = ("together", name)
-            if not NAME.fullmatch(name) or name in (*self.functions, *TAKEN):
-                remedy = "give small letters, digits and _, at most 31, and not the name of a function"
+            if not NAME.fullmatch(name) or name in (*self.functions, *TAKEN) or name.startswith(DERIVED):
+                remedy = "give small letters, digits and _, at most 31, and no name of a function or of its derivatives"
                 yield self._tell(place, f"{abbreviate(name)} cannot be the name of a function", remedy)
             if len(parts) < 2 or len(set(parts)) < len(parts):
                 yield self._tell(place, f"found {abbreviate(list(parts))}", "give two functions or more, each once")

@@ -24,6 +24,7 @@ from mbsgen.documents import (
     WrongValueError,
     abbreviate,
     examine,
+    expect,
     lies_under,
     nearest,
     read_document,
@@ -73,6 +74,7 @@ SomePlant = TypeVar("SomePlant", bound=Plant)
 def read_problem(path: Path, load: Callable[[Path], SomePlant]) -> tuple[Problem, SomePlant]:
     """Read a problem file, and load its model with `load`. Raises InputError with every fault of both files."""
     document = read_document(path)
+    expect(document, "problem")
     examination = examine(document, _ProblemSection)
     section, faults = examination.value, list(examination.faults)
     if section is None or lies_under(("model",), examination.stand_ins):

@@ -24,6 +24,7 @@ from mbsgen.documents import (
     WrongValueError,
     abbreviate,
     examine,
+    expect,
     lies_under,
     nearest,
     read_document,
@@ -73,6 +74,8 @@ def read_statement(
     A recording takes the place of `inputs`, and of a start that is not given. Raises InputError with every fault.
     """
     document = Document("", {}, {}, {}) if file is None else read_document(file)
+    if file is not None:
+        expect(document, "settings")
     merged = replace(
         document, data=_overlay(document.data, options) if isinstance(document.data, dict) else document.data
     )

@@ -147,7 +147,6 @@ BAD: dict[str, tuple[str, str, int, str, str]] = {
     "a parameter called sin": ("  g: 9.81", "  g: 9.81\n  sin: 1", 5, "parameters.sin", "their own meaning"),
     "a parameter called pi": ("  g: 9.81", "  g: 9.81\n  pi: 3", 5, "parameters.pi", "their own meaning"),
     "a parameter called lambda": ("  g: 9.81", "  g: 9.81\n  lambda: 1", 5, "parameters.lambda", "their own meaning"),
-    "parameters alike": ("  g: 9.81", "  g: 9.81\n  G: 1", 5, "parameters.G", 'hard to tell from "g"'),
     # names
     "an empty name": ("name: crane", "name: ''", 1, "name", "an empty name"),
     "a blank name": ("name: hook", "name: '  '", 22, "bodies[2].name", "an empty name"),

@@ -334,3 +334,27 @@ def test_generation_takes_functions_of_parameters(tmp_path: Path) -> None:
     assert [p.name for p in made.manifest.parameters] == ["a", "b"]
     assert made.report.evidence is not None
     assert max(made.report.evidence.deviations.values()) < CLOSE
+
+
+def test_names_of_parameters_may_differ_by_capitals_alone(tmp_path: Path) -> None:
+    """m and M are two parameters: in the equations, in the manifest, and in what `setup` takes."""
+    file = tmp_path / "model.yaml"
+    file.write_text(
+        "name: two\ngravity: [0, 0, -9.81]\nparameters: {m: {value: 1, kind: runtime}, M: {value: 5, kind: runtime}}\n"
+        "bodies:\n  - {name: a, joint: {type: prismatic, axis: z}, mass: M}\n"
+        "  - {name: b, parent: a, joint: {type: prismatic, axis: x}, mass: m}\n",
+        encoding="utf-8",
+    )
+    made = make(file, Options(functions=("semi",), derivatives=0, python=True, matlab=True))
+    assert [p.name for p in made.manifest.parameters] == ["m", "M"]
+    tree = build_tree(read_model(file))
+    assert run(tree, "semi", draw_state(tree, 0) | {"p": [2.0, 7.0]})["M"].tolist() == [9.0, 0.0, 0.0, 2.0]
+
+
+def test_a_quarter_turn_in_degrees_has_its_zeros(tmp_path: Path) -> None:
+    turned = TURNED.replace("angle: pi/2", "angle: 90 deg")
+    trees = []
+    for k, text in enumerate((TURNED, turned)):
+        (tmp_path / f"{k}.yaml").write_text(text, encoding="utf-8")
+        trees.append(build_tree(read_model(tmp_path / f"{k}.yaml")))
+    assert trees[0] == trees[1]

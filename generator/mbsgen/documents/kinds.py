@@ -1,0 +1,43 @@
+"""Which kind of file a document is, told by its keys: whoever gives one for another is told what it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Literal
+
+from mbsgen.documents.places import refuse
+from mbsgen.documents.reading import Document
+
+FileKind = Literal["model", "problem", "settings", "scene"]
+
+_KEYS: Mapping[FileKind, frozenset[str]] = MappingProxyType(  # one that has none of the others' words
+    {
+        "model": frozenset({"bodies"}),
+        "problem": frozenset({"horizon", "intervals"}),
+        "settings": frozenset({"duration"}),
+        "scene": frozenset({"functions", "locked", "together", "derivatives", "sensors"}),
+    }
+)
+_MEANT: Mapping[FileKind, str] = MappingProxyType(
+    {
+        "model": "`mbsgen FILE -o DIR` generates from it, `mbsrun simulate FILE` simulates it",
+        "problem": "`mbsrun solve FILE` solves it, and its key `model` names its model",
+        "settings": "`mbsrun simulate MODEL --settings FILE` simulates with them",
+        "scene": "`mbsgen MODEL --scene FILE -o DIR` generates what it asks for",
+    }
+)
+_SHOWN: Mapping[FileKind, str] = MappingProxyType(
+    {"model": "a model", "problem": "a problem", "settings": "settings of a simulation", "scene": "a scene"}
+)
+
+
+def expect(document: Document, kind: FileKind) -> None:
+    """Refuse a document that is plainly of another kind. Raises InputError."""
+    keys = frozenset(document.data) if isinstance(document.data, dict) else frozenset()
+    if keys & _KEYS[kind]:
+        return
+    for other, known in _KEYS.items():
+        if keys & known:
+            finding = f"this file describes {_SHOWN[other]}; wanted is {_SHOWN[kind]}"
+            raise refuse([document.fault((), finding, _MEANT[other])])
