@@ -56,6 +56,7 @@ MEANINGS: Mapping[str, str] = MappingProxyType(
         "articulated": "by joint, what rounding is multiplied by in exp2: |inertia| times |what it gives way|",
         "kinetic": "kinetic energy, J",
         "potential": "potential energy of gravity, 0 with all mass at the base's origin, J",
+        "power": "power of all forces but gravity, W",
         "momentum": "momentum in the base frame, kg m/s",
         "angular_momentum": "moment of momentum about the base's origin, in the base frame, kg m2/s",
         "com": "centre of mass in the base frame, m",
@@ -128,6 +129,12 @@ _UNCOUPLED: Mapping[str, Entry] = MappingProxyType(
             _plainly(energy.build),
             "energy and momentum",
             results=("kinetic", "potential", "momentum", "angular_momentum", "com"),
+            differentiated=False,
+        ),
+        "power": Entry(
+            _plainly(energy.build_power),
+            "power of all forces but gravity",
+            results=("power",),
             differentiated=False,
         ),
         "rates": Entry(

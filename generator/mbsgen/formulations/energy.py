@@ -1,4 +1,4 @@
-"""Energy and momentum: Tree -> Tape of `energy`, which no reduction touches: every body counts as it is.
+"""Energy and momentum: Tree -> Tapes of `energy` and `power`, which no reduction touches: every body counts as it is.
 
 The momentum of all that a joint carries is added up from the leaves to the base; its part along the joint is a row of
 M qd, so that the kinetic energy takes one product more for each joint. A rotor has the energy of its spin relative to
@@ -12,7 +12,7 @@ from functools import reduce
 from operator import add
 
 from mbsgen.algebra.vectors import Vector
-from mbsgen.formulations.links import Chain, Link, declare_state, write_chain
+from mbsgen.formulations.links import Chain, Link, Pull, declare_state, joint_forces, write_chain
 from mbsgen.model.tree import Tree
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.types import Tape
@@ -60,6 +60,31 @@ def build(tree: Tree) -> Tape:
     if not whole.m.is_zero:
         builder.output_dense("com", [[x / whole.m] for x in whole.S])
     return builder.build("energy")
+
+
+def build_power(tree: Tree) -> Tape:
+    """Write `power`: inputs q, qd, u [, w] [, p]; output power, shape (1,) [W]: of all forces but gravity.
+
+    It is the rate at which kinetic and potential energy grow: u and force laws in the joints, wrenches on the bodies.
+    """
+    builder = Builder()
+    state = declare_state(tree, builder, accelerations=False)
+    chain = write_chain(tree, builder, state)
+    bodies = _move_bodies(chain) if chain.pulls else {}
+    total = reduce(add, (force * qd for force, qd in zip(joint_forces(chain), state.qd, strict=True)))
+    total = reduce(add, (_power(chain, pull, bodies[pull.body]) for pull in chain.pulls), total)
+    builder.output_dense("power", [[total]])
+    return builder.build("power")
+
+
+def _power(chain: Chain, pull: Pull, body: Velocity) -> Scalar:
+    """Compute the power of an external wrench."""
+    v, OM = body.v + body.OM.cross(pull.position), body.OM
+    number = pull.body if pull.in_base else 0
+    while number:
+        link = chain.links[number - 1]
+        v, OM, number = link.R.apply(v), link.R.apply(OM), link.parent
+    return pull.force.dot(v) + pull.moment.dot(OM)
 
 
 def _nothing(chain: Chain) -> Momentum:

@@ -25,7 +25,7 @@ from mbsrun.simulation.simulate import simulate
 
 Array = NDArray[np.float64]
 
-EXTENT = Extent(("impl", "semi", "semi_res", "exp1", "exp2", "energy", "sensors", "frames"), 1)
+EXTENT = Extent(("impl", "semi", "semi_res", "exp1", "exp2", "energy", "power", "sensors", "frames"), 1)
 LEVEL = (pi / 2, 0.0, 0.0)  # the pendulum's start
 CREEP = (1.0, 0.01, 0.0)  # where the stiff slider starts
 STILL = (0.0, 0.0, 0.0)

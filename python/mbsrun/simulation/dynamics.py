@@ -111,15 +111,6 @@ class Dynamics:
         K, C, M = self._pick(f"jac_{self._residual_name}", "Phi", ("q", "qd", "qdd"), q, qd, v, qdd)
         return K, C, M
 
-    def forces(self, q: Array, qd: Array, v: Array) -> Array:
-        """Compute the generalised forces that change the kinetic energy, shape (..., n): all, with gravity.
-
-        Of the bias c, the part c(q, qd) - c(q, 0) is the inertia's own; the rest is that of gravity and of wrenches.
-        """
-        at_rest = self.call("semi", q, np.zeros_like(qd), v)["c"]
-        bias = self.call("semi", q, qd, v)["c"]
-        return bias - at_rest - self.call("semi_res", q, qd, v, np.zeros_like(qd))["Phi"]
-
     def call(self, name: str, q: Array, qd: Array, v: Array, qdd: Array | None = None) -> Mapping[str, Array]:
         """Call a kernel with what it takes of these."""
         forces = self.forces_count

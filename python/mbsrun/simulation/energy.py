@@ -1,7 +1,7 @@
 """The energies of a motion, and the work of all forces but gravity.
 
-The work of all forces is the integral of their power, by Gauss quadrature in each step; that of gravity is what the
-potential energy has lost. (A model's own wrenches are part of its bias, and cannot be told from gravity there.)
+The work is the integral of the kernel `power`, by Gauss quadrature in each step. That kernel shares no equation with
+those of the accelerations: a fault in these shows as a drift of energy.
 
 It is summed over the stages of an implicit method; else over three Gauss nodes in each step, at which the motion is the
 integrator's own interpolation, or the quintic that has its coordinates, their rates and the rates of those at both
@@ -31,9 +31,8 @@ def add_up_work(dynamics: Dynamics, piece: Piece, chunk: Chunk) -> Array:
     stages, length = chunk.stages or _place_nodes(dynamics, piece, chunk), np.diff(chunk.t)
     k, s, _ = stages.q.shape
     q, qd = (x.reshape(k * s, -1) for x in (stages.q, stages.qd))
-    power = (dynamics.forces(q, qd, piece.values(stages.t.ravel())) * qd).sum(axis=1)
-    potential = dynamics.kernels("energy", q=chunk.q, qd=chunk.qd)["potential"][:, 0]
-    return np.asarray(length * (power.reshape(k, s) @ stages.weights) + np.diff(potential))
+    power = dynamics.call("power", q, qd, piece.values(stages.t.ravel()))["power"]
+    return np.asarray(length * (power.reshape(k, s) @ stages.weights))
 
 
 def _place_nodes(dynamics: Dynamics, piece: Piece, chunk: Chunk) -> Stages:

@@ -107,7 +107,8 @@ def _check_kernels(kernels: Kernels, settings: Settings) -> None:
     """Demand what the formulation needs, and what energies, warnings and pictures are computed from."""
     residual = {Formulation.IMPL: "impl", Formulation.SEMI: "semi_res"}
     own = residual.get(settings.formulation, settings.formulation.value)
-    needed = {own, "semi", "semi_res", "energy", "frames"}
+    needed = {own, "energy", "power", "frames"}
+    needed |= {"semi"} if settings.formulation is Formulation.SEMI else set()
     needed |= {"impl", "jac_impl"} if adaptive.is_explicit(settings.method) else {f"jac_{own}"}
     needed |= {"rates", "jac_rates"} if kernels.manifest.configuration else set()
     missing = sorted(needed - {kernel.name for kernel in kernels.manifest.kernels})

@@ -27,7 +27,7 @@ from mbsrun.study.points import MotionPoint, Store
 
 Array = NDArray[np.float64]
 
-EXTENT = Extent(("impl", "semi", "semi_res", "exp1", "exp2", "energy", "frames"), 1)
+EXTENT = Extent(("impl", "semi", "semi_res", "exp1", "exp2", "energy", "power", "frames"), 1)
 TIGHT = 1e-13  # the tolerance of the check of the reference
 PATIENCE = 5.0  # s; what takes longer is run once
 ANGLE = 0.2  # of the range that a coordinate is drawn from: how far from its middle a motion starts

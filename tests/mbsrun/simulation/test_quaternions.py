@@ -19,7 +19,7 @@ from mbsrun.simulation.drive import hold
 from mbsrun.simulation.statement import read_statement
 from mbsrun.study.mechanisms import draw_states
 
-SIMULATED = ("impl", "semi", "semi_res", "exp2", "energy", "frames", "sensors")
+SIMULATED = ("impl", "semi", "semi_res", "exp2", "energy", "power", "frames", "sensors")
 SPEEDS = [0.3, -0.2, 1.0, 1.5, 2.5, -0.7, 0.4]  # of the trunk along and about x, y, z, and of the wing
 
 
