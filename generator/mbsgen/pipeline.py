@@ -1,4 +1,4 @@
-"""The pipeline: model.yaml or Model -> Tree -> tapes -> derivatives -> setup split off -> C, manifest, report."""
+"""The pipeline: model.yaml or Model -> Tree -> tapes, derivatives, setup -> verification -> C, manifest, report."""
 
 from __future__ import annotations
 
@@ -35,6 +35,7 @@ from mbsgen.targets.entries import list_groups
 from mbsgen.targets.matlab import write_matlab
 from mbsgen.targets.names import mangle
 from mbsgen.targets.python import write_python
+from mbsgen.verification.verify import verify
 
 __all__ = ["OptionError", "Options", "Product", "generate", "make", "read_tree", "write_families"]
 
@@ -58,7 +59,8 @@ def generate(model: Path | Model, out: Path, options: Options = DEFAULT) -> Prod
 def make(model: Path | Model, options: Options = DEFAULT) -> Product:
     """Make everything of a model file, or of a model made in Python.
 
-    Raises InputError with every fault of the file, OptionError for functions that there are not.
+    Raises InputError with every fault of the file, OptionError for functions that there are not, VerificationError for
+    a function that does not compute what it should.
     """
     whole = read(model)
     if options.zeros and not options.runtime:
@@ -73,6 +75,7 @@ def make(model: Path | Model, options: Options = DEFAULT) -> Product:
     dynamics = Dynamics(tree, options.reductions, outlined=_needs_loops_alone(options, scene))
     families = write_families(tree, options, dynamics, scene)
     has_setup = families[0].value.name == "setup"
+    verification = verify(tree, families, parts=dict(scene.together), still=not scene.motion)
     unit = Unit(
         mangle(tree.name),
         __version__,
@@ -83,11 +86,14 @@ def make(model: Path | Model, options: Options = DEFAULT) -> Product:
         only_driven=not tree.wrenches and all(body.joint.law == NO_FORCE for body in tree.bodies),
         groups=tuple(group for group in list_groups(tree) if group.name != "p" or has_setup),
         tolerance=scene.tolerance if approximation and approximation.taken else None,
+        references=verification.references,
     )
     sources = write_c(unit)
     described = _describe(tree, unit, sources, identify_mechanism(staged))
     evidence = None if scene == EVERYTHING else gather(whole, scene, options, approximation)
-    report = make_report(written, parametric, described.kernels, dynamics.flops, evidence, compare=options.compare)
+    report = make_report(
+        written, parametric, described.kernels, dynamics.flops, verification, evidence, compare=options.compare
+    )
     files = {
         **sources.files,
         manifest.FILE_NAME: manifest.write(described),

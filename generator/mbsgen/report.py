@@ -12,6 +12,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import chain
+from math import ceil, log10
 from types import MappingProxyType
 
 from sympy import Expr
@@ -27,6 +28,7 @@ from mbsgen.model.tree import Kind, Tree
 from mbsgen.tape.counts import count
 from mbsgen.tape.passes import hoist
 from mbsgen.tape.types import Tape
+from mbsgen.verification.verify import TOLERANCE, Verification
 
 LUMPED = Reductions(lump_runtime=True)
 FEW = 12  # plans tried with a reduction switched off
@@ -62,6 +64,7 @@ NOTE = (
 COMPARISON = "Flops of the formulations, compared"
 SCENE = "Flops of the functions, with ever more left out"
 LEFT_OUT = "Left out below the tolerance"
+VERIFICATION = "Compared before it was written"
 DIFFERENTIATION = "Flops of the derivatives, by the way of writing them"
 WAYS = ("tape", "recursion", "implicit")  # differentiating the tape, the recursion, or by the implicit function theorem
 _DERIVATIVES = ("jac_", "adj1_", "lin_")  # what the names of kernels that belong to another begin with
@@ -92,6 +95,7 @@ class Report:
     kernels: Mapping[str, Cost]
     reductions: Mapping[str, Mapping[str, int]]  # flops of each formulation without each reduction; may be empty
     ways: Mapping[str, Mapping[str, int]]  # flops of the derivatives of the formulations, by the way of writing them
+    verification: Verification
     evidence: Evidence | None  # of the scene; None without one
     published: Mapping[str, tuple[int, int]]  # flops and equations that others have told; may be empty
 
@@ -101,6 +105,7 @@ def make_report(
     parametric: Tree,
     kernels: tuple[Kernel, ...],
     ways: Mapping[str, Mapping[str, int]],
+    verification: Verification,
     evidence: Evidence | None = None,
     *,
     compare: bool = False,
@@ -125,7 +130,9 @@ def make_report(
     }
     costs = {k.name: Cost(k.flops, k.equations) for k in kernels}
     published = PUBLISHED.get(identify(written), {})
-    return Report(written.name, formulations, setups, folded, costs, reductions, ways, evidence, published)
+    return Report(
+        written.name, formulations, setups, folded, costs, reductions, ways, verification, evidence, published
+    )
 
 
 def identify(tree: Tree) -> str:
@@ -226,6 +233,26 @@ def note_of_scene(report: Report) -> str:
     )
 
 
+def note_of_verification(report: Report) -> str:
+    """Say what was compared before anything was written, and how well it agrees."""
+    checked = report.verification
+    values = {k: x for k, x in checked.deviations.items() if not k.startswith(_DERIVATIVES)}
+    others = [x for k, x in checked.deviations.items() if k.startswith(_DERIVATIVES)]
+    found = f"values by at most {_bound(max(values.values(), default=0.0)):.0e}"
+    found += f", derivatives by {_bound(max(others)):.0e}" if others else ""
+    left = f" Not compared: {', '.join(f'`{name}`' for name in checked.unchecked)}." if checked.unchecked else ""
+    return (
+        f"In 50 digits, at {checked.states} random states, functions were compared with the textbook's recursion and "
+        "with the geometry of all bodies, and derivatives with differences along a random direction. "
+        f"Of their size, they differ: {found}; more than {float(TOLERANCE):.0e} is refused.{left}"
+    )
+
+
+def _bound(deviation: float) -> float:
+    """Round up to a power of ten."""
+    return float(f"1e{ceil(log10(deviation))}") if deviation else 0.0
+
+
 def write_json(report: Report) -> str:
     """Write `report.json`, the stable form that later versions are compared by."""
     data: dict[str, object] = {
@@ -235,6 +262,13 @@ def write_json(report: Report) -> str:
         "folded": {name: _entry(cost) for name, cost in report.folded.items()},
         "kernels": {name: _entry(cost) for name, cost in report.kernels.items()},
         "ways": {name: dict(ways) for name, ways in report.ways.items()},
+    }
+    checked = report.verification
+    data["verification"] = {
+        "states": checked.states,
+        "tolerance": float(TOLERANCE),
+        "deviations": {name: _bound(x) for name, x in checked.deviations.items()},
+        "unchecked": list(checked.unchecked),
     }
     if report.evidence is not None:
         data["scene"] = {"flops": dict(report.evidence.flops), "deviations": dict(report.evidence.deviations)}
@@ -271,6 +305,7 @@ def write_markdown(report: Report) -> str:
         lines += ["", f"## {title}", "", _line(header), _line(["---", *["---:"] * (len(header) - 1)])]
         lines += map(_line, table if title == SCENE else [tuple(map(_plain, row)) for row in table])
     lines += ["", note] if (note := note_of_scene(report)) else []
+    lines += ["", f"## {VERIFICATION}", "", note_of_verification(report)]
     if report.ways:
         lines += ["", f"## {DIFFERENTIATION}", "", _line(("", *WAYS)), _line(["---", *["---:"] * len(WAYS)])]
         lines += [_line((f"`{name}`", *row)) for name, row in ways_taken(report).items()]

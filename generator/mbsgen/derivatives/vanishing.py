@@ -9,21 +9,21 @@ from __future__ import annotations
 import random
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-
-from mpmath import mpf
+from decimal import Decimal
 
 from mbsgen.tape.columns import Columns
-from mbsgen.tape.interpreter import DIGITS, evaluate
+from mbsgen.tape.interpreter import DECIMALS, evaluate, fifty_digits
 from mbsgen.tape.passes import drop_dead
 from mbsgen.tape.types import Output, Sparsity, Tape
 
 POINTS = 3
-VANISHED = DIGITS.literal("1e-35")
+VANISHED = Decimal("1e-35")
 
 
 def drop_vanishing(tape: Tape) -> Tape:
     """Leave out of every block `jac_…` the nonzeros that vanish identically, and what only they need."""
-    drawn = [evaluate(tape, _draw(tape, seed), DIGITS) for seed in range(POINTS)]
+    with fifty_digits():
+        drawn = [evaluate(tape, _draw(tape, seed), DECIMALS) for seed in range(POINTS)]
     outputs = []
     for output in tape.outputs:
         columns = zip(*(values[output.name] for values in drawn), strict=True)
@@ -37,7 +37,8 @@ def drop_vanishing(tape: Tape) -> Tape:
 
 def find_patterns(loop: Columns, columns: Mapping[str, int]) -> dict[str, Sparsity]:
     """Find the nonzeros of the blocks that a loop makes, each of so many columns: the entries that do not vanish."""
-    drawn = [loop.solve(evaluate(loop.tape, _draw(loop.tape, seed), DIGITS)) for seed in range(POINTS)]
+    with fifty_digits():
+        drawn = [loop.solve(evaluate(loop.tape, _draw(loop.tape, seed), DECIMALS)) for seed in range(POINTS)]
     return {
         name: Sparsity.of(
             loop.size,
@@ -53,14 +54,14 @@ def find_patterns(loop: Columns, columns: Mapping[str, int]) -> dict[str, Sparsi
     }
 
 
-def _vanishes(column: Sequence[mpf]) -> bool:
+def _vanishes(column: Sequence[Decimal]) -> bool:
     return all(abs(value) <= VANISHED for value in column)
 
 
-def _draw(tape: Tape, seed: int) -> dict[str, list[object]]:
+def _draw(tape: Tape, seed: int) -> dict[str, list[Decimal]]:
     """Draw positive numbers of the size of 1 for every input: no divisor among them is zero."""
     source = random.Random(seed)
-    return {i.name: [DIGITS.literal(source.uniform(0.3, 1.7)) for _ in range(i.sparsity.nnz)] for i in tape.inputs}
+    return {i.name: [Decimal(source.uniform(0.3, 1.7)) for _ in range(i.sparsity.nnz)] for i in tape.inputs}
 
 
 def _select(output: Output, kept: list[int]) -> Output:

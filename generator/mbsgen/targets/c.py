@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import accumulate
 from itertools import count as count_from
@@ -29,6 +29,8 @@ from mbsgen.targets.statements import C, Check, Turns, wrap, write_body, write_l
 
 ABI_HEADER = "mbs_abi.h"
 COLUMNS_HEADER = "mbs_columns.h"
+_SOLVED = ("exp1", "exp2", "condition")  # whose results lose digits with the condition of the mass matrix
+_LARGEST_REFERENCE = 1000  # results of a function; where it has more, the check program holds none of them
 _COPIED = (ABI_HEADER, "mbs_sincos.h", "mbs_check.h", "mbs_check.c")  # from csrc; COLUMNS_HEADER where it is needed
 
 
@@ -44,6 +46,7 @@ class Unit:
     design: tuple[float, ...] = ()  # values of the differentiated parameters
     only_driven: bool = True  # no force but u acts in the joints
     groups: tuple[Group, ...] = ()  # names of the entries of vectors
+    references: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # results at the check's first state
     tolerance: float | None = None  # what the functions may differ from the model's by; None: not at all
 
 
@@ -91,8 +94,14 @@ def write_c(unit: Unit) -> Sources:
 
 def _write_check(unit: Unit, found: Sequence[Face], common: Mapping[str, object]) -> str:
     comparisons = compare(unit.families, only_driven=unit.only_driven)
-    compared = {kernel for comparison in comparisons for kernel in comparison.kernels}
-    return _render("check.c", faces=[f for f in found if f.kernel in compared], comparisons=comparisons, **common)
+    references = {k: v for k, v in unit.references.items() if 0 < len(v) <= _LARGEST_REFERENCE}
+    compared = {kernel for comparison in comparisons for kernel in comparison.kernels} | references.keys()
+    known = [
+        {"kernel": kernel, "is_solved": kernel in _SOLVED, "values": wrap(map(repr, values))}
+        for kernel, values in references.items()
+    ]
+    chosen = [f for f in found if f.kernel in compared]
+    return _render("check.c", faces=chosen, comparisons=comparisons, references=known, **common)
 
 
 def _render(name: str, **view: object) -> str:

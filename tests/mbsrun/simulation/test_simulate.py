@@ -356,5 +356,5 @@ def test_kernels_that_were_left_out_are_named(falling: Path, tmp_path: Path) -> 
     run_mbsgen = [sys.executable, "-c", "from mbsgen.cli import main; main()"]
     generate = [*run_mbsgen, str(falling), "-o", str(tmp_path / "out"), "--functions", "exp2,energy"]
     subprocess.run(generate, check=True, capture_output=True)
-    with pytest.raises(ArgumentError, match="was generated without frames, impl, jac_impl, semi, semi_res"):
+    with pytest.raises(ArgumentError, match="was generated without frames, impl, jac_impl, power"):
         simulate(load(tmp_path / "out"), hold([0.0]), [0], [0], Settings(1.0))

@@ -1,0 +1,137 @@
+"""Derivatives, in 50 digits, along one direction drawn at random: Jacobians and adjoints against central differences.
+
+A Jacobian is compared with differences of its function, an adjoint with the Jacobian, and second derivatives with
+differences of the adjoint: each with something that was compared before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from decimal import Decimal
+
+from mbsgen.tape.columns import Columns
+from mbsgen.tape.interpreter import DECIMALS, evaluate
+from mbsgen.tape.types import Outline, Sparsity, Tape
+from mbsgen.targets.contract import Family
+from mbsgen.verification.functions import Comparison, Results, largest
+from mbsgen.verification.geometry import STEP, ZERO, dot, slope
+from mbsgen.verification.states import Numbers, draw
+
+Arguments = Callable[[Tape], dict[str, Numbers]]  # what a tape takes at a state
+Vectors = dict[str, Numbers]  # by result or by input
+
+DIRECTION = "direction"  # what its numbers are drawn by, with the name of the input
+
+
+def compare_derivatives(family: Family, arguments: Arguments) -> Iterator[tuple[str, Comparison]]:
+    """Compare all derivatives of a function, each under its kernel's name."""
+    if not (family.jac or family.adj1):
+        return
+    value, way = family.value, _Direction(family)
+    along = slope_of(value, arguments(value), way)
+    if family.jac:
+        for name, found in _products(family, family.jac, arguments, way):
+            yield f"jac_{value.name}", Comparison(name, found, along[name], _size(value, arguments, name))
+    if family.adj1:
+        given = arguments(family.adj1)
+        adjoint = evaluate(family.adj1, given, DECIMALS)
+        gradient = [dot(adjoint[f"adj_{x}"], v) for x, v in way.of(adjoint, "adj_").items()]
+        weighted = [dot(given[f"adj_{name}"], v) for name, v in along.items() if f"adj_{name}" in given]
+        scale = max(largest(gradient), largest(weighted))
+        yield f"adj1_{value.name}", Comparison("adj", [sum(gradient, ZERO)], [sum(weighted, ZERO)], scale)
+        if family.jac_adj1:
+            way = _Direction(family, of_adjoint=True)
+            along = slope_of(family.adj1, given, way)
+            for name, product in _products(family, family.jac_adj1, arguments, way):
+                yield f"jac_adj1_{value.name}", Comparison(name, product, along[name], largest(adjoint[name]))
+
+
+def compare_linearised(lin: Family, plain: Family, arguments: Arguments) -> Iterator[Comparison]:
+    """Compare a function that comes with its Jacobians with the function, and with its Jacobian."""
+    way = _Direction(plain)
+    along = slope_of(plain.value, arguments(plain.value), way)
+    if not isinstance(lin.value, Outline):
+        found, expected = (evaluate(t, arguments(t), DECIMALS) for t in (lin.value, plain.value))
+        for name in expected:
+            yield Comparison(name, found[name], expected[name])
+    for name, product in _products(plain, lin.value, arguments, way, lin.loops):
+        yield Comparison(name, product, along[name], _size(plain.value, arguments, name))
+
+
+class _Direction:
+    """Numbers for every input that is differentiated by."""
+
+    def __init__(self, family: Family, *, of_adjoint: bool = False) -> None:
+        self._family, self._of_adjoint = family, of_adjoint
+
+    def wrt(self) -> set[str]:
+        """Name the inputs that derivatives are taken by."""
+        names = {i.name for i in self._family.value.inputs}
+        results = {o.name for o in self._family.value.outputs}
+        if self._family.adj1:
+            found = {o.name.removeprefix("adj_") for o in self._family.adj1.outputs}
+        else:
+            assert self._family.jac is not None, "there is something to compare"
+            found = {x for x in names for r in results if f"jac_{r}_{x}" in {o.name for o in self._family.jac.outputs}}
+        return found | ({f"adj_{r}" for r in results} if self._of_adjoint else set())
+
+    def take(self, name: str, size: int) -> Numbers:
+        return list(draw(f"{DIRECTION} {name}", size, 0))
+
+    def of(self, results: Results, prefix: str) -> Vectors:
+        """Take the directions of the inputs that results are named after."""
+        names = [x.removeprefix(prefix) for x in results]
+        return {x: self.take(x, len(results[prefix + x])) for x in names}
+
+
+def slope_of(tape: Tape, given: Mapping[str, Numbers], way: _Direction) -> Vectors:
+    """Differentiate a tape along a direction, by a central difference."""
+    ends = []
+    wrt = way.wrt()
+    for h in (STEP, -STEP):
+        moved = {
+            name: [a + h * b for a, b in zip(x, way.take(name, len(x)), strict=True)] if name in wrt else x
+            for name, x in given.items()
+        }
+        ends.append(evaluate(tape, moved, DECIMALS))
+    return {name: slope(ends[0][name], ends[1][name]) for name in ends[0]}
+
+
+def _products(
+    family: Family, tape: Tape, arguments: Arguments, way: _Direction, loops: Mapping[str, Columns] | None = None
+) -> Iterator[tuple[str, Numbers]]:
+    """Multiply the blocks of a Jacobian by the direction, for each result; once more by its loop, if it has one."""
+    of_adjoint = family.adj1 if tape.name.startswith("jac_adj1_") else None
+    function = of_adjoint or family.value
+    if not isinstance(tape, Outline):
+        blocks = evaluate(tape, arguments(tape), DECIMALS)
+        yield from _multiply(function, {o.name: (o.sparsity, blocks[o.name]) for o in tape.outputs}, way)
+    loop = (family.loops if loops is None else loops).get(tape.name)
+    if loop:
+        rows = loop.solve(evaluate(loop.tape, arguments(loop.tape), DECIMALS))
+        patterns = {o.name: o.sparsity for o in tape.outputs if o.name in loop.blocks}
+        found = {
+            name: (pattern, [rows[r][loop.blocks[name] + c] for r, c in pattern.entries])
+            for name, pattern in patterns.items()
+        }
+        yield from _multiply(function, found, way)
+
+
+def _multiply(
+    function: Tape, blocks: Mapping[str, tuple[Sparsity, Sequence[Decimal]]], way: _Direction
+) -> Iterator[tuple[str, Numbers]]:
+    """Yield J v for every result of `function`, in its storage order. Blocks that there are none of are zero."""
+    for o in function.outputs:
+        size = o.sparsity.rows * o.sparsity.cols
+        total = [ZERO] * size
+        for name, (pattern, values) in blocks.items():
+            if name.startswith(f"jac_{o.name}_") and pattern.rows == size:
+                direction = way.take(name.removeprefix(f"jac_{o.name}_"), pattern.cols)
+                for (r, c), value in zip(pattern.entries, values, strict=True):
+                    total[r] += value * direction[c]
+        places = [c * o.sparsity.rows + r for r, c in o.sparsity.entries]
+        yield o.name, [total[k] for k in places]
+
+
+def _size(tape: Tape, arguments: Arguments, name: str) -> Decimal:
+    return largest(evaluate(tape, arguments(tape), DECIMALS)[name])

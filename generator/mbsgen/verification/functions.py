@@ -1,0 +1,358 @@
+"""What each function of the catalogue must give at a state: the textbook's recursion, and geometry.
+
+An expectation compares the results that a function has with what does not come from any plan. A comparison is of
+vectors, relative to the largest number that enters them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from decimal import Decimal
+from functools import cached_property
+from itertools import islice
+from types import MappingProxyType
+
+from mbsgen.formulations import textbook
+from mbsgen.formulations.links import declare_state, joint_forces, write_chain
+from mbsgen.model.tree import Tree
+from mbsgen.tape.builder import Builder
+from mbsgen.tape.interpreter import DECIMALS, evaluate
+from mbsgen.tape.types import Tape
+from mbsgen.verification.geometry import (
+    STEP,
+    ZERO,
+    Mechanism,
+    Pose,
+    Vector,
+    add,
+    apply,
+    cross,
+    dot,
+    rotation,
+    slope,
+    times,
+    transpose,
+    velocity,
+    write_numbers,
+)
+from mbsgen.verification.states import Numbers, State
+
+Results = Mapping[str, Numbers]  # nonzeros of each output
+
+LARGEST_INVERSE = 12  # joints, up to which `condition` is compared: M is inverted for that
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two vectors that must be equal, and the size of what they are sums of."""
+
+    of: str  # which result
+    found: Numbers
+    expected: Numbers
+    scale: Decimal = ZERO  # beside the largest of what is expected
+
+    @property
+    def deviation(self) -> Decimal:
+        """Return the largest difference, relative to the scale; NaN where a number is missing."""
+        differences = [abs(a - b) for a, b in zip(self.found, self.expected, strict=True)]
+        if any(not x.is_finite() for x in differences):
+            return Decimal("nan")
+        scale = max(self.scale, largest(self.expected))
+        return max(differences, default=ZERO) / (scale or 1)
+
+
+def largest(numbers: Numbers) -> Decimal:
+    """Return the largest magnitude; 0 of nothing."""
+    return max(map(abs, numbers), default=ZERO)
+
+
+def write_equations(tree: Tree) -> Tape:
+    """Write the textbook's residual Phi(q, qd, qdd), and the joints' forces Q."""
+    builder = Builder()
+    state = declare_state(tree, builder)
+    chain = write_chain(tree, builder, state)
+    Phi = textbook.residual(chain, state.qd, chain.accelerate(state.qdd))
+    for name, column in (("Phi", Phi), ("Q", joint_forces(chain))):
+        builder.output_dense(name, [[entry] for entry in column])
+    return builder.build("equations")
+
+
+class Truth:
+    """A tree at one state."""
+
+    def __init__(self, tree: Tree, equations: Tape, state: State) -> None:
+        """Take a tree, what `write_equations` wrote of it, and a state."""
+        self.tree, self.state, self._equations = tree, state, equations
+        self.n = len(tree.bodies)
+        self.q, self.qd = state.take("q", len(tree.coordinates)), state.take("qd", self.n)
+        self.qdd = state.take("qdd", self.n)
+
+    @cached_property
+    def is_finite(self) -> bool:
+        """Tell whether the equations have values here: a force law may have none."""
+        return all(x.is_finite() for x in (*self.residual(self.qdd), *self.Q))
+
+    @cached_property
+    def Q(self) -> Numbers:
+        """Return the forces of the joints."""
+        return self._evaluate(self.qd, self.qdd)["Q"]
+
+    @cached_property
+    def bias(self) -> Numbers:
+        """Return Phi(q, qd, 0)."""
+        return self.residual([ZERO] * self.n)
+
+    def residual(self, qdd: Numbers, qd: Numbers | None = None) -> Numbers:
+        """Return Phi(q, qd, qdd)."""
+        return self._evaluate(self.qd if qd is None else qd, qdd)["Phi"]
+
+    def _evaluate(self, qd: Numbers, qdd: Numbers) -> Results:
+        moving = {"q": self.q, "qd": qd, "qdd": qdd}
+        given = {i.name: moving.get(i.name) or self.state.take(i.name, i.sparsity.nnz) for i in self._equations.inputs}
+        return evaluate(self._equations, given, DECIMALS)
+
+    @cached_property
+    def mechanism(self) -> Mechanism:
+        """Return the tree's geometry."""
+        return Mechanism(self.tree, write_numbers(self.tree, self.state.parameters))
+
+    @cached_property
+    def poses(self) -> list[Pose]:
+        """Return the poses of the base and all bodies."""
+        return self._motion[0]
+
+    @cached_property
+    def speeds(self) -> list[tuple[Vector, Vector]]:
+        """Return the velocities of the base and all bodies."""
+        return self._motion[1]
+
+    @cached_property
+    def _motion(self) -> tuple[list[Pose], list[tuple[Vector, Vector]]]:
+        return self.mechanism.speed(self.q, self.qd)
+
+    def moving_point(self, body: int, r: Vector) -> Vector:
+        """Return the velocity of a point fixed in a body."""
+        v, OM = self.speeds[body]
+        return add(v, cross(OM, apply(self.poses[body].R, r)))
+
+    def sensor(self, k: int) -> Pose:
+        """Place a sensor."""
+        pose = self.poses[self.tree.sensors[k].body]
+        turn = self.mechanism.matrix(f"turn_{k}")
+        return Pose(pose.place(self.mechanism.vector(f"place_{k}")), times(pose.R, turn))
+
+    @property
+    def moving(self) -> Truth:
+        """Return the same place with velocities, where these are 0."""
+        if not self.state.is_still:
+            return self
+        return Truth(self.tree, self._equations, replace(self.state, is_still=False))
+
+    @cached_property
+    def sensor_speeds(self) -> list[tuple[Vector, Vector]]:
+        """Return the velocities of all sensors."""
+        places = [self.mechanism.vector(f"place_{k}") for k in range(len(self.tree.sensors))]
+        return [
+            (self.moving_point(s.body, r), self.speeds[s.body][1])
+            for s, r in zip(self.tree.sensors, places, strict=True)
+        ]
+
+
+Expectation = Callable[[Truth, Tape, Results], Iterator[Comparison]]
+
+
+def _residual(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
+    Phi = truth.residual(truth.qdd)
+    scale = max(largest(Phi), largest(truth.Q), largest(truth.bias))
+    yield Comparison("Phi", results["Phi"], [a - b for a, b in zip(Phi, truth.Q, strict=True)], scale)
+
+
+def _terms(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
+    """Compare M qdd, which holds every entry of M, and c."""
+    if "M" in results:
+        M, n = results["M"], truth.n
+        product = [dot([M[r + n * c] for c in range(n)], truth.qdd) for r in range(n)]
+        gain = [a - b for a, b in zip(truth.residual(truth.qdd), truth.bias, strict=True)]
+        yield Comparison("M", product, gain)
+    if "c" in results:
+        yield Comparison("c", results["c"], truth.bias)
+
+
+def _accelerations(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
+    """Put the accelerations into the equations of motion."""
+    Phi = truth.residual(results["qdd"])
+    inertial = [a - b for a, b in zip(Phi, truth.bias, strict=True)]
+    scale = max(largest(inertial), largest(truth.Q), largest(truth.bias))
+    yield Comparison("qdd", Phi, truth.Q, scale)
+
+
+def _places(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
+    expected = [x for k in range(len(truth.tree.sensors)) for x in truth.sensor(k).p]
+    yield Comparison("position", results["position"], expected)
+
+
+def _velocities(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
+    for place, name in enumerate(("v", "omega")):
+        if name in results:
+            yield Comparison(name, results[name], [x for speed in truth.sensor_speeds for x in speed[place]])
+
+
+def _jacobian(truth: Truth, tape: Tape, results: Results) -> Iterator[Comparison]:
+    """Compare J qd with the velocities, also where functions know of none."""
+    truth = truth.moving
+    found = [ZERO] * (6 * len(truth.tree.sensors))
+    for (r, c), value in zip(tape.output("J").sparsity.entries, results["J"], strict=True):
+        found[r] += value * truth.qd[c]
+    yield Comparison("J", found, [x for v, OM in truth.sensor_speeds for x in (*v, *OM)])
+
+
+def _frames(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
+    bodies = [
+        Pose(truth.poses[i].p, times(truth.poses[i].R, truth.mechanism.matrix(f"axes_{i}")))
+        for i in range(1, truth.n + 1)
+    ]
+    drawn = [*bodies, *(truth.sensor(k) for k in range(len(truth.tree.sensors)))]
+    if "p" in results:
+        yield Comparison("p", results["p"], [x for pose in drawn for x in pose.p])
+    if "R" in results:
+        yield Comparison("R", results["R"], [x for pose in drawn for column in transpose(pose.R) for x in column])
+
+
+def _rates(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
+    """Move along the rates: bodies must have their velocities, and quaternions their lengths."""
+    ahead, behind = (
+        truth.mechanism.poses([a + h * b for a, b in zip(truth.q, results["rate"], strict=True)]) for h in (STEP, -STEP)
+    )
+    speeds = [velocity(*three) for three in zip(truth.poses, ahead, behind, strict=True)]
+    found, expected = ([x for speed in way for v in speed for x in v] for way in (speeds, truth.speeds))
+    yield Comparison("rate", found, expected)
+    for x in truth.tree.quaternions:
+        first = truth.tree.coordinates.index(x.coordinates[-4])
+        q, rate = truth.q[first : first + 4], results["rate"][first : first + 4]
+        yield Comparison("rate", [dot(q, rate)], [ZERO], largest(q) * largest(rate))
+
+
+def _energy(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
+    """Add up bodies one by one."""
+    zero = [ZERO] * 3
+    kinetic, momentum, turning, first, total, size = ZERO, zero, zero, zero, ZERO, ZERO
+    for mass in truth.mechanism.masses:
+        pose, OM = truth.poses[mass.body], truth.speeds[mass.body][1]
+        place, v = pose.place(mass.com), truth.moving_point(mass.body, mass.com)
+        spin = apply(pose.R, apply(mass.inertia, apply(transpose(pose.R), OM)))
+        P = [mass.m * x for x in v]
+        kinetic += (dot(P, v) + dot(spin, OM)) / 2
+        momentum, turning = add(momentum, P), add(turning, add(spin, cross(place, P)))
+        first, total = add(first, [mass.m * x for x in place]), total + mass.m
+        size += abs(mass.m) * largest(place)
+    for i, rate in enumerate(truth.qd, 1):
+        kinetic += truth.mechanism.vector(f"rotor_{i}")[0] * rate * rate / 2
+    expected = {
+        "kinetic": ([kinetic], ZERO),
+        "potential": ([-dot(truth.mechanism.gravity, first)], size * largest(truth.mechanism.gravity)),
+        "momentum": (momentum, ZERO),
+        "angular_momentum": (turning, ZERO),
+    }
+    if "com" in results:
+        expected["com"] = ([x / total for x in first], size / abs(total))
+    for name in results:
+        yield Comparison(name, results[name], *expected[name])
+
+
+def _power(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
+    """Add up the power of each force."""
+    parts = [*(Q * qd for Q, qd in zip(truth.Q, truth.qd, strict=True)), *_pull(truth)]
+    yield Comparison("power", results["power"], [sum(parts, ZERO)], largest(parts))
+
+
+def _pull(truth: Truth) -> Iterator[Decimal]:
+    """Compute the power of external forces and moments, one after the other."""
+    sizes = 3 * sum(v is None for x in truth.tree.wrenches for v in (x.force, x.moment))
+    open_ones = iter(truth.state.take("w", sizes))
+    for k, wrench in enumerate(truth.tree.wrenches):
+        force, moment = (
+            truth.mechanism.vector(f"{name}_{k}") if vector is not None else list(islice(open_ones, 3))
+            for name, vector in (("force", wrench.force), ("moment", wrench.moment))
+        )
+        if not wrench.in_base:
+            axes = times(truth.poses[wrench.body].R, truth.mechanism.matrix(f"axes_of_{k}"))
+            force, moment = apply(axes, force), apply(axes, moment)
+        yield dot(force, truth.moving_point(wrench.body, truth.mechanism.vector(f"point_{k}")))
+        yield dot(moment, truth.speeds[wrench.body][1])
+
+
+def _condition(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
+    """Compare M_ii (M^-1)_ii; what `articulated` adds up depends on how EXP2 is written."""
+    if "elimination" in results and truth.n <= LARGEST_INVERSE:
+        rest = truth.residual([ZERO] * truth.n)
+        units = [[Decimal(int(i == j)) for j in range(truth.n)] for i in range(truth.n)]
+        M = [[a - b for a, b in zip(truth.residual(e), rest, strict=True)] for e in units]
+        inverse = _invert(M)
+        yield Comparison("elimination", results["elimination"], [abs(M[i][i] * inverse[i][i]) for i in range(truth.n)])
+
+
+def _invert(M: list[Numbers]) -> list[Numbers]:
+    """Invert a matrix by elimination, with the largest pivots."""
+    n = len(M)
+    rows = [[*row, *(Decimal(int(i == j)) for j in range(n))] for i, row in enumerate(M)]
+    for k in range(n):
+        best = max(range(k, n), key=lambda i: abs(rows[i][k]))
+        rows[k], rows[best] = rows[best], rows[k]
+        rows[k] = [x / rows[k][k] for x in rows[k]]
+        for i in (i for i in range(n) if i != k):
+            rows[i] = [x - rows[i][k] * y for x, y in zip(rows[i], rows[k], strict=True)]
+    return [row[n:] for row in rows]
+
+
+EXPECTATIONS: Mapping[str, Expectation] = MappingProxyType(
+    {
+        "impl": _residual,
+        "semi_res": _residual,
+        "semi": _terms,
+        "exp1": _accelerations,
+        "exp2": _accelerations,
+        "sensors": _places,
+        "motion": _velocities,
+        "jacobian": _jacobian,
+        "frames": _frames,
+        "rates": _rates,
+        "energy": _energy,
+        "power": _power,
+        "condition": _condition,
+    }
+)
+
+
+def grow_energy(truth: Truth, energy: Callable[[dict[str, Numbers]], Results]) -> Comparison:
+    """Compare the growth of `energy`, a function of q and qd, with the power that the textbook's recursion asks for.
+
+    Along qd and qdd, T + V grows by qd . Phi, and by the power of wrenches, which Phi has taken off.
+    """
+    totals = []
+    for h in (STEP, -STEP):
+        moved = {"q": _advance(truth, h), "qd": [a + h * b for a, b in zip(truth.qd, truth.qdd, strict=True)]}
+        results = energy(moved)
+        totals.append([results["kinetic"][0] + results["potential"][0]])
+    parts = [a * b for a, b in zip(truth.residual(truth.qdd), truth.qd, strict=True)]
+    parts += _pull(truth)
+    return Comparison("growth", slope(*totals), [sum(parts, ZERO)], largest(parts))
+
+
+def _advance(truth: Truth, h: Decimal) -> Numbers:
+    """Move coordinates along the velocities: of a quaternion (v, s) by h / 2 (s w + v x w, -v.w), w its velocity."""
+    inside, entries = {i: x for x in truth.tree.quaternions for i in x.bodies}, iter(truth.q)
+    moved: Numbers = []
+    for i in range(1, truth.n + 1):
+        if i not in inside:
+            moved.append(next(entries) + h * truth.qd[i - 1])
+        elif inside[i].first == i:
+            own = [truth.qd[k - 1] for k in inside[i].bodies]
+            place = [next(entries) for _ in own[:-3]]
+            *v, s = (next(entries) for _ in range(4))
+            w = own[-3:]
+            if place:
+                place = add(place, [h * x for x in apply(rotation(v, s), own[:3])])
+            turned = add([s * x for x in w], cross(v, w))
+            moved += [*place, *(a + h * b / 2 for a, b in zip(v, turned, strict=True)), s - h * dot(v, w) / 2]
+    return moved

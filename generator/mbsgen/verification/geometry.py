@@ -1,0 +1,214 @@
+"""Where bodies are, in 50 digits, by products of rotations: Tree, numbers, state -> poses and velocities.
+
+Velocities are differences of poses a step apart: no equation of a generated function is used. A quaternion's frame is
+displaced along its angular velocity w by 1 + h w~ + (h w~)2 / 2, which is all that a central difference sees.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+
+from sympy import Expr
+
+from mbsgen.formulations.links import DESIGN, PARAMETERS, declare_state, write_chain
+from mbsgen.model.tree import Body, Lump, Motion, Tree
+from mbsgen.tape.builder import Builder
+from mbsgen.tape.interpreter import DECIMALS, evaluate
+from mbsgen.tape.types import Op
+from mbsgen.verification.states import Numbers
+
+Vector = list[Decimal]
+Matrix = list[Vector]  # rows
+
+STEP = Decimal("1e-16")  # of differences: they are right to the square of it, in the order of 1e-32
+ZERO, ONE = Decimal(0), Decimal(1)
+UNIT: Matrix = [[ONE, ZERO, ZERO], [ZERO, ONE, ZERO], [ZERO, ZERO, ONE]]
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Origin and axes, as columns, in the base frame."""
+
+    p: Vector
+    R: Matrix
+
+    def place(self, r: Vector) -> Vector:
+        """Return where a point is that is given in this frame."""
+        return add(self.p, apply(self.R, r))
+
+
+@dataclass(frozen=True)
+class Mass:
+    """A part of a body with a mass: its number in the tree, and mass, centre and inertia in the body's frame."""
+
+    body: int
+    m: Decimal
+    com: Vector
+    inertia: Matrix
+
+
+class Mechanism:
+    """A tree with numbers for its parameters."""
+
+    def __init__(self, tree: Tree, numbers: Mapping[str, Numbers]) -> None:
+        """Take the numbers that `write_numbers` found for the tree."""
+        self.tree, self._found = tree, numbers
+        self.gravity = self.vector("gravity")
+        self.masses = tuple(
+            Mass(i, self._found[f"m_{i}_{k}"][0], self.vector(f"com_{i}_{k}"), self.matrix(f"In_{i}_{k}"))
+            for i, body in enumerate(tree.bodies, 1)
+            for k in range(1 + len(body.lumps))
+        )
+
+    def vector(self, name: str) -> Vector:
+        """Look a vector up."""
+        return list(self._found[name])
+
+    def matrix(self, name: str) -> Matrix:
+        """Look a matrix up; it is stored by columns."""
+        entries = self._found[name]
+        return [[entries[r + 3 * c] for c in range(3)] for r in range(3)]
+
+    def poses(self, q: Numbers, displacement: Numbers | None = None) -> list[Pose]:
+        """Place the base and all bodies; with every joint displaced along its velocity, if that is wanted."""
+        quaternions = {x.first: x for x in self.tree.quaternions}
+        inside = {i for x in self.tree.quaternions for i in x.bodies}
+        moved, entries, poses = displacement or [ZERO] * len(self.tree.bodies), iter(q), [Pose([ZERO] * 3, UNIT)]
+        for i, body in enumerate(self.tree.bodies, 1):
+            parent = poses[body.parent]
+            frame = Pose(parent.place(self.vector(f"dpt_{i}")), times(parent.R, self.matrix(f"R_{i}")))
+            if i in quaternions:
+                size = 7 if quaternions[i].is_free else 4
+                ways = [moved[k - 1] for k in quaternions[i].bodies]
+                frame = _float(frame, [next(entries) for _ in range(size)], ways)
+            angle = ZERO if i in inside else next(entries) + moved[i - 1]
+            poses.append(_join(frame, body.joint.motion, body.joint.axis, angle))
+        return poses
+
+    def speed(self, q: Numbers, qd: Numbers) -> tuple[list[Pose], list[tuple[Vector, Vector]]]:
+        """Return all poses, and the velocity of each origin with the angular velocity, in the base frame."""
+        here = self.poses(q)
+        ahead, behind = (self.poses(q, [h * x for x in qd]) for h in (STEP, -STEP))
+        return here, [velocity(*three) for three in zip(here, ahead, behind, strict=True)]
+
+
+def write_numbers(tree: Tree, parameters: Mapping[str, Numbers]) -> dict[str, Numbers]:
+    """Compute every number of a tree from its parameters."""
+    builder = Builder()
+    chain = write_chain(tree, builder, declare_state(tree, builder, rates=False, accelerations=False, forces=False))
+
+    def put(name: str, rows: Iterable[Iterable[Expr]]) -> None:
+        builder.output_dense(name, [[chain.scalar(x) for x in row] for row in rows])
+
+    put("gravity", [[x] for x in tree.gravity])
+    for i, body in enumerate(tree.bodies, 1):
+        put(f"dpt_{i}", [[x] for x in body.position])
+        put(f"R_{i}", body.orientation)
+        put(f"axes_{i}", body.axes)
+        put(f"rotor_{i}", [[body.joint.armature]])
+        parts: tuple[Body | Lump, ...] = (body, *body.lumps)
+        for k, part in enumerate(parts):
+            put(f"m_{i}_{k}", [[part.mass]])
+            put(f"com_{i}_{k}", [[x] for x in part.com])
+            put(f"In_{i}_{k}", part.inertia)
+    for k, sensor in enumerate(tree.sensors):
+        put(f"place_{k}", [[x] for x in sensor.position])
+        put(f"turn_{k}", sensor.orientation)
+    for k, wrench in enumerate(tree.wrenches):
+        put(f"point_{k}", [[x] for x in wrench.position])
+        put(f"axes_of_{k}", wrench.orientation)
+        for name, vector in (("force", wrench.force), ("moment", wrench.moment)):
+            if vector is not None:
+                put(f"{name}_{k}", [[x] for x in vector])
+    tape = builder.build("numbers")
+    given = {i.name: parameters.get(i.name, [ZERO] * i.sparsity.nnz) for i in tape.inputs}
+    assert all(given[name] for name in (PARAMETERS, DESIGN) if name in given), "all parameters have a value"
+    return evaluate(tape, given, DECIMALS)
+
+
+def _join(frame: Pose, motion: Motion, axis: int, q: Decimal) -> Pose:
+    if motion is Motion.PRISMATIC:
+        return Pose(add(frame.p, [row[axis] * q for row in frame.R]), frame.R)
+    s, c = DECIMALS.functions[Op.SIN](q), DECIMALS.functions[Op.COS](q)
+    j, k = (axis + 1) % 3, (axis + 2) % 3
+    turn = [list(row) for row in UNIT]
+    turn[j][j] = turn[k][k] = c
+    turn[k][j], turn[j][k] = s, -s
+    return Pose(frame.p, times(frame.R, turn))
+
+
+def _float(frame: Pose, q: Numbers, ways: Numbers) -> Pose:
+    """Place the frame of a quaternion, displaced along its velocities, which are in its own axes."""
+    *place, x, y, z, s = q
+    turned = times(frame.R, rotation([x, y, z], s))
+    p = frame.place(place) if place else frame.p
+    if place:
+        p = add(p, apply(turned, ways[:3]))
+    return Pose(p, times(turned, _small_turn(ways[-3:])))
+
+
+def rotation(v: Vector, s: Decimal) -> Matrix:
+    """Turn by the unit quaternion along (v, s): (s2 - v.v) 1 + 2 v vT + 2 s v~."""
+    length = (dot(v, v) + s * s).sqrt()
+    v, s = [x / length for x in v], s / length
+    skew = cross_matrix(v)
+    return [
+        [(s * s - dot(v, v)) * UNIT[r][c] + 2 * v[r] * v[c] + 2 * s * skew[r][c] for c in range(3)] for r in range(3)
+    ]
+
+
+def _small_turn(w: Vector) -> Matrix:
+    skew = cross_matrix(w)
+    square = times(skew, skew)
+    return [[UNIT[r][c] + skew[r][c] + square[r][c] / 2 for c in range(3)] for r in range(3)]
+
+
+def velocity(here: Pose, ahead: Pose, behind: Pose) -> tuple[Vector, Vector]:
+    """Return the velocity of the origin, and the angular velocity: R' RT = w~."""
+    v = slope(ahead.p, behind.p)
+    W = times([slope(a, b) for a, b in zip(ahead.R, behind.R, strict=True)], transpose(here.R))
+    return v, [(W[2][1] - W[1][2]) / 2, (W[0][2] - W[2][0]) / 2, (W[1][0] - W[0][1]) / 2]
+
+
+def slope(ahead: Sequence[Decimal], behind: Sequence[Decimal]) -> Vector:
+    """Return the central difference over a step each way."""
+    return [(a - b) / (2 * STEP) for a, b in zip(ahead, behind, strict=True)]
+
+
+def add(a: Vector, b: Vector) -> Vector:
+    """Add two vectors."""
+    return [x + y for x, y in zip(a, b, strict=True)]
+
+
+def dot(a: Sequence[Decimal], b: Sequence[Decimal]) -> Decimal:
+    """Form the scalar product."""
+    return sum((x * y for x, y in zip(a, b, strict=True)), ZERO)
+
+
+def cross(a: Vector, b: Vector) -> Vector:
+    """Form the vector product."""
+    return apply(cross_matrix(a), b)
+
+
+def apply(A: Matrix, v: Vector) -> Vector:
+    """Multiply a matrix by a vector."""
+    return [dot(row, v) for row in A]
+
+
+def times(A: Matrix, B: Matrix) -> Matrix:
+    """Multiply two matrices."""
+    columns = transpose(B)
+    return [[dot(row, column) for column in columns] for row in A]
+
+
+def transpose(A: Matrix) -> Matrix:
+    """Exchange rows and columns."""
+    return [list(column) for column in zip(*A, strict=True)]
+
+
+def cross_matrix(v: Vector) -> Matrix:
+    """Make v~, with v~ w = v x w."""
+    x, y, z = v
+    return [[ZERO, -z, y], [z, ZERO, -x], [-y, x, ZERO]]

@@ -1,0 +1,122 @@
+"""Verify families before they are written: values against the textbook and geometry, derivatives against differences.
+
+Everything is computed in 50 digits, where equal things differ by rounding far below a tolerance that is far below any
+fault. So a function that is wrong anywhere shows at almost every state: few are enough.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from itertools import islice
+
+from mbsgen.errors import MbsError
+from mbsgen.formulations.catalogue import SETUP
+from mbsgen.formulations.links import PARAMETERS
+from mbsgen.model.tree import Tree
+from mbsgen.tape.interpreter import DECIMALS, evaluate, fifty_digits
+from mbsgen.tape.types import Outline, Tape
+from mbsgen.targets.contract import Family
+from mbsgen.verification.derivatives import compare_derivatives, compare_linearised
+from mbsgen.verification.functions import EXPECTATIONS, Comparison, Results, Truth, grow_energy, write_equations
+from mbsgen.verification.states import Numbers, State, draw_states
+
+STATES = 2  # with parameters at their values, and near them
+TRIED = 8  # states, where force laws have no value at some
+TOLERANCE = Decimal("1e-20")  # rounding is 1e-45, that of differences 1e-30; faults change leading digits
+
+
+class VerificationError(MbsError):
+    """A function that does not compute what its mechanism asks for: a fault of this program."""
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What was compared, and how well it agrees."""
+
+    states: int
+    deviations: Mapping[str, float]  # by kernel: the largest, relative
+    unchecked: tuple[str, ...]  # kernels that were compared with nothing
+    references: Mapping[str, tuple[float, ...]]  # what functions give at the first state of the check program
+
+
+def verify(tree: Tree, families: Sequence[Family], *, parts: Mapping[str, Sequence[str]], still: bool) -> Verification:
+    """Compare all functions of a tree. Raises VerificationError for the first that differs.
+
+    `parts` names the functions that one is made of; still: velocities are zero, and no input.
+    """
+    with fifty_digits():
+        return _Verifier(tree, families, parts, still=still).run()
+
+
+class _Verifier:
+    def __init__(
+        self, tree: Tree, families: Sequence[Family], parts: Mapping[str, Sequence[str]], *, still: bool
+    ) -> None:
+        self.tree, self.families, self.parts, self.still = tree, families, parts, still
+        self.by_name = {family.value.name: family for family in families}
+        self.deviations: dict[str, float] = {}
+        self.references: dict[str, tuple[float, ...]] = {}
+
+    def run(self) -> Verification:
+        equations = write_equations(self.tree)
+        drawn = (Truth(self.tree, equations, x) for x in islice(draw_states(self.tree, still=self.still), TRIED))
+        truths = list(islice((truth for truth in drawn if truth.is_finite), STATES))
+        for truth in truths:
+            self._compare_values(truth)
+        for truth in truths[:1]:
+            self._compare_derivatives(truth.state)
+        kernels = [tape.name for family in self.families for tape in family.tapes if tape.name != "setup"]
+        unchecked = tuple(name for name in kernels if name not in self.deviations)
+        return Verification(len(truths), self.deviations, unchecked, self.references)
+
+    def _compare_values(self, truth: Truth) -> None:
+        for name, family in self.by_name.items():
+            tape, found = family.value, False
+            parts = [part for part in self.parts.get(name, (name,)) if part in EXPECTATIONS]
+            if isinstance(tape, Outline) or not parts:
+                continue
+            results = evaluate(tape, self._arguments(tape, truth.state), DECIMALS)
+            for part in parts:
+                for comparison in self._expect(part, truth, tape, results):
+                    self._judge(name, comparison, truth.state)
+                    found = True
+            if found and truth.state.number == 0:
+                self.references[name] = tuple(float(x) for o in tape.outputs for x in results[o.name])
+
+    def _expect(self, part: str, truth: Truth, tape: Tape, results: Results) -> Iterator[Comparison]:
+        yield from EXPECTATIONS[part](truth, tape, results)
+        if part == "energy" and {"kinetic", "potential"} <= results.keys() and not self.still:
+            yield grow_energy(truth, lambda moved: evaluate(tape, self._arguments(tape, truth.state) | moved, DECIMALS))
+
+    def _compare_derivatives(self, state: State) -> None:
+        def arguments(tape: Tape) -> dict[str, Numbers]:
+            return self._arguments(tape, state)
+
+        for name, family in self.by_name.items():
+            for kernel, comparison in compare_derivatives(family, arguments):
+                self._judge(kernel, comparison, state)
+            plain = self.by_name.get(name.removeprefix("lin_"))
+            if name.startswith("lin_") and plain is not None:
+                for comparison in compare_linearised(family, plain, arguments):
+                    self._judge(name, comparison, state)
+
+    def _arguments(self, tape: Tape, state: State) -> dict[str, Numbers]:
+        return {
+            i.name: self._setup(state) if i.name == SETUP else state.take(i.name, i.sparsity.nnz) for i in tape.inputs
+        }
+
+    def _setup(self, state: State) -> Numbers:
+        setup = self.by_name["setup"].value
+        return evaluate(setup, {PARAMETERS: state.parameters[PARAMETERS]}, DECIMALS)[SETUP]
+
+    def _judge(self, kernel: str, comparison: Comparison, state: State) -> None:
+        deviation = comparison.deviation
+        if not deviation <= TOLERANCE:
+            raise VerificationError(
+                f"{self.tree.name}: {kernel}: {comparison.of} differs by {deviation:.1e} of its size from what the "
+                f"mechanism asks for (state {state.number}); nothing is written. This is a fault of mbsgen: please "
+                "report it with the model"
+            )
+        self.deviations[kernel] = max(self.deviations.get(kernel, 0.0), float(deviation))

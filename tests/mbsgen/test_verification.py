@@ -1,0 +1,115 @@
+"""Verification: whatever is wrong in what is generated, nothing is written."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from mbsgen import pipeline
+from mbsgen.families import Options, write_families
+from mbsgen.formulations.reductions import Reductions
+from mbsgen.model.construction import ball, body, frame, free, inertia, make_model, revolute, runtime, wrench
+from mbsgen.model.model import Model
+from mbsgen.model.reduction import build_tree
+from mbsgen.model.tree import Tree
+from mbsgen.tape.types import Op, Tape
+from mbsgen.targets.contract import Family
+from mbsgen.verification.verify import TOLERANCE, VerificationError, verify
+
+ONE_PLAN = Options(reductions=Reductions(trials=1))
+
+
+def kite() -> Model:
+    """Hold a ball and a hinge on a free body, with a parameter, a frame, a rotor, a damper and two wrenches."""
+    return make_model(
+        "kite",
+        [
+            body("trunk", free(), mass="m", com=(0.1, 0, 0.2), inertia=inertia(0.4, 0.5, 0.6, 0.03)),
+            body("tail", ball(position=(0.4, 0, 0)), parent="trunk", mass=0.5, inertia=inertia(0.1, 0.2, 0.2)),
+            body("rudder", revolute("z", position=(0, 0.2, 0.1), damping=0.3, armature=0.2), parent="tail", mass=0.7),
+        ],
+        gravity=(0.5, 0, -9.81),
+        parameters={"m": runtime(2.0)},
+        frames=[frame("eye", "rudder", position=(0.1, 0.2, 0), orientation=[("x", 0.4)])],
+        wrenches=[
+            wrench("wind", "trunk", position=(0.1, 0, 0), frame="base", force="input", moment=(0.1, 0.2, 0.3)),
+            wrench("jet", "tail", position=(0, 0.1, 0), frame="body", force=(1, 2, 3), moment="input"),
+        ],
+    )
+
+
+@cache
+def written() -> tuple[Tree, tuple[Family, ...]]:
+    tree = build_tree(kite())
+    return tree, write_families(tree, ONE_PLAN)
+
+
+def kernels() -> list[str]:
+    return [tape.name for family in written()[1] for tape in family.tapes if tape.name != "setup"]
+
+
+def double_last(tape: Tape) -> Tape:
+    """Double the last nonzero of the last result."""
+    literals = range(tape.first_literal, tape.first_operation)
+    operations, outputs = list(tape.operations), list(tape.outputs)
+    output = outputs[-1]
+    place = max(k for k, value in enumerate(output.values) if value not in literals)
+    operations.append((Op.ADD, output.values[place], output.values[place]))
+    values = list(output.values)
+    values[place] = tape.first_operation + len(operations) - 1
+    outputs[-1] = replace(output, values=tuple(values))
+    return replace(tape, operations=tuple(operations), outputs=tuple(outputs))
+
+
+def with_fault(families: tuple[Family, ...], kernel: str) -> tuple[Family, ...]:
+    def change(tape: Tape | None) -> Tape | None:
+        return double_last(tape) if tape is not None and tape.name == kernel else tape
+
+    found = []
+    for f in families:
+        value = change(f.value)
+        assert value is not None
+        found.append(replace(f, value=value, jac=change(f.jac), adj1=change(f.adj1), jac_adj1=change(f.jac_adj1)))
+    return tuple(found)
+
+
+def test_what_is_right_passes_and_nothing_is_left_out() -> None:
+    tree, families = written()
+    found = verify(tree, families, parts={}, still=False)
+    assert set(found.deviations) == set(kernels())
+    assert found.unchecked == ()
+    assert found.states == 2
+
+
+@pytest.mark.parametrize("kernel", ["setup", *(x for x in kernels() if x != "condition")])
+def test_a_single_wrong_number_is_refused(kernel: str) -> None:
+    """The last entry of the last result, doubled: of c, of a derivative, of what is hoisted.
+
+    The last result of `condition` is a bound that depends on the plan: nothing else computes it.
+    """
+    tree, families = written()
+    with pytest.raises(VerificationError, match=".*" if kernel == "setup" else rf"kite: (lin_)?{kernel}: ") as error:
+        verify(tree, with_fault(families, kernel), parts={}, still=False)
+    assert "nothing is written" in str(error.value)
+
+
+def test_nothing_is_written_where_a_function_is_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def write_wrong(*arguments: object, **options: object) -> tuple[Family, ...]:
+        return with_fault(write_families(*arguments, **options), "semi")  # type: ignore[arg-type]
+
+    monkeypatch.setattr(pipeline, "write_families", write_wrong)
+    with pytest.raises(VerificationError, match="kite: semi: c differs by"):
+        pipeline.generate(kite(), tmp_path / "out", replace(ONE_PLAN, functions=("semi",), derivatives=0))
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_report_says_what_was_compared() -> None:
+    product = pipeline.make(kite(), replace(ONE_PLAN, functions=("energy", "sensors"), derivatives=1))
+    checked = product.report.verification
+    assert set(checked.deviations) == {"energy", "sensors", "jac_sensors", "adj1_sensors", "lin_sensors"}
+    assert max(checked.deviations.values()) < float(TOLERANCE)
+    assert "at 2 random states" in product.files["report.md"]
+    assert '"unchecked": []' in product.files["report.json"]
