@@ -15,7 +15,7 @@ from types import MappingProxyType
 
 from mbsgen.formulations import textbook
 from mbsgen.formulations.links import declare_state, joint_forces, write_chain
-from mbsgen.model.tree import Tree
+from mbsgen.model.tree import Coupling, Tree
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import DECIMALS, evaluate
 from mbsgen.tape.types import Tape
@@ -68,10 +68,10 @@ def largest(numbers: Numbers) -> Decimal:
 
 
 def write_equations(tree: Tree) -> Tape:
-    """Write the textbook's residual Phi(q, qd, qdd), and the joints' forces Q."""
+    """Write the textbook's residual Phi(q, qd, qdd), and the joints' forces Q, of all joints."""
     builder = Builder()
-    state = declare_state(tree, builder)
-    chain = write_chain(tree, builder, state)
+    state = declare_state(tree.uncoupled, builder)
+    chain = write_chain(tree.uncoupled, builder, state)
     Phi = textbook.residual(chain, state.qd, chain.accelerate(state.qdd))
     for name, column in (("Phi", Phi), ("Q", joint_forces(chain))):
         builder.output_dense(name, [[entry] for entry in column])
@@ -79,14 +79,49 @@ def write_equations(tree: Tree) -> Tape:
 
 
 class Truth:
-    """A tree at one state."""
+    """A tree at one state. Functions know the joints that follow no other; bodies move by all."""
 
     def __init__(self, tree: Tree, equations: Tape, state: State) -> None:
         """Take a tree, what `write_equations` wrote of it, and a state."""
-        self.tree, self.state, self._equations = tree, state, equations
-        self.n = len(tree.bodies)
-        self.q, self.qd = state.take("q", len(tree.coordinates)), state.take("qd", self.n)
-        self.qdd = state.take("qdd", self.n)
+        self.coupled, self.tree, self.state, self._equations = tree, tree.uncoupled, state, equations
+        self.n = len(tree.joints)
+        self.qd, self.qdd = state.take("qd", self.n), state.take("qdd", self.n)  # of joints that follow none
+        self.q = self.place(state.take("q", len(tree.coordinates)))  # of all
+        self.all_qd = self.move(self.qd)
+
+    @cached_property
+    def _leaders(self) -> dict[str, Coupling]:
+        return {self.tree.bodies[x.follower - 1].joint.name: x for x in self.coupled.couplings}
+
+    def place(self, q: Numbers) -> Numbers:
+        """Give the coordinates of all joints."""
+        free = dict(zip(self.coupled.coordinates, q, strict=True))
+        return [self._follow(name, free, is_place=True) for name in self.tree.coordinates]
+
+    def move(self, qd: Numbers) -> Numbers:
+        """Give the velocities, or the accelerations, of all joints."""
+        free = dict(zip([joint.name for joint in self.coupled.joints], qd, strict=True))
+        return [self._follow(body.joint.name, free) for body in self.tree.bodies]
+
+    def select(self, q: Numbers) -> Numbers:
+        """Take the coordinates that are left from those of all joints."""
+        by_name = dict(zip(self.tree.coordinates, q, strict=True))
+        return [by_name[name] for name in self.coupled.coordinates]
+
+    def gather(self, forces: Numbers) -> Numbers:
+        """Let joints feel the forces of those that follow them, by virtual power."""
+        felt = {joint.name: ZERO for joint in self.coupled.joints}
+        for body, force in zip(self.tree.bodies, forces, strict=True):
+            coupling = self._leaders.get(body.joint.name)
+            name = self.tree.bodies[coupling.leader - 1].joint.name if coupling else body.joint.name
+            felt[name] += force * Decimal(coupling.ratio) if coupling else force
+        return list(felt.values())
+
+    def _follow(self, name: str, free: Mapping[str, Decimal], *, is_place: bool = False) -> Decimal:
+        if (coupling := self._leaders.get(name)) is None:
+            return free[name]
+        turned = Decimal(coupling.ratio) * free[self.tree.bodies[coupling.leader - 1].joint.name]
+        return turned + Decimal(coupling.offset) if is_place else turned
 
     @cached_property
     def is_finite(self) -> bool:
@@ -108,9 +143,9 @@ class Truth:
         return self._evaluate(self.qd if qd is None else qd, qdd)["Phi"]
 
     def _evaluate(self, qd: Numbers, qdd: Numbers) -> Results:
-        moving = {"q": self.q, "qd": qd, "qdd": qdd}
+        moving = {"q": self.q, "qd": self.move(qd), "qdd": self.move(qdd)}
         given = {i.name: moving.get(i.name) or self.state.take(i.name, i.sparsity.nnz) for i in self._equations.inputs}
-        return evaluate(self._equations, given, DECIMALS)
+        return {name: self.gather(forces) for name, forces in evaluate(self._equations, given, DECIMALS).items()}
 
     @cached_property
     def mechanism(self) -> Mechanism:
@@ -129,7 +164,7 @@ class Truth:
 
     @cached_property
     def _motion(self) -> tuple[list[Pose], list[tuple[Vector, Vector]]]:
-        return self.mechanism.speed(self.q, self.qd)
+        return self.mechanism.speed(self.q, self.all_qd)
 
     def moving_point(self, body: int, r: Vector) -> Vector:
         """Return the velocity of a point fixed in a body."""
@@ -147,7 +182,7 @@ class Truth:
         """Return the same place with velocities, where these are 0."""
         if not self.state.is_still:
             return self
-        return Truth(self.tree, self._equations, replace(self.state, is_still=False))
+        return Truth(self.coupled, self._equations, replace(self.state, is_still=False))
 
     @cached_property
     def sensor_speeds(self) -> list[tuple[Vector, Vector]]:
@@ -210,7 +245,7 @@ def _jacobian(truth: Truth, tape: Tape, results: Results) -> Iterator[Comparison
 def _frames(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
     bodies = [
         Pose(truth.poses[i].p, times(truth.poses[i].R, truth.mechanism.matrix(f"axes_{i}")))
-        for i in range(1, truth.n + 1)
+        for i in range(1, len(truth.tree.bodies) + 1)
     ]
     drawn = [*bodies, *(truth.sensor(k) for k in range(len(truth.tree.sensors)))]
     if "p" in results:
@@ -222,14 +257,17 @@ def _frames(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
 def _rates(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
     """Move along the rates: bodies must have their velocities, and quaternions their lengths."""
     ahead, behind = (
-        truth.mechanism.poses([a + h * b for a, b in zip(truth.q, results["rate"], strict=True)]) for h in (STEP, -STEP)
+        truth.mechanism.poses(
+            truth.place([a + h * b for a, b in zip(truth.select(truth.q), results["rate"], strict=True)])
+        )
+        for h in (STEP, -STEP)
     )
     speeds = [velocity(*three) for three in zip(truth.poses, ahead, behind, strict=True)]
     found, expected = ([x for speed in way for v in speed for x in v] for way in (speeds, truth.speeds))
     yield Comparison("rate", found, expected)
     for x in truth.tree.quaternions:
-        first = truth.tree.coordinates.index(x.coordinates[-4])
-        q, rate = truth.q[first : first + 4], results["rate"][first : first + 4]
+        first = truth.coupled.coordinates.index(x.coordinates[-4])
+        q, rate = truth.select(truth.q)[first : first + 4], results["rate"][first : first + 4]
         yield Comparison("rate", [dot(q, rate)], [ZERO], largest(q) * largest(rate))
 
 
@@ -246,7 +284,7 @@ def _energy(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
         momentum, turning = add(momentum, P), add(turning, add(spin, cross(place, P)))
         first, total = add(first, [mass.m * x for x in place]), total + mass.m
         size += abs(mass.m) * largest(place)
-    for i, rate in enumerate(truth.qd, 1):
+    for i, rate in enumerate(truth.all_qd, 1):
         kinetic += truth.mechanism.vector(f"rotor_{i}")[0] * rate * rate / 2
     expected = {
         "kinetic": ([kinetic], ZERO),
@@ -331,7 +369,10 @@ def grow_energy(truth: Truth, energy: Callable[[dict[str, Numbers]], Results]) -
     """
     totals = []
     for h in (STEP, -STEP):
-        moved = {"q": _advance(truth, h), "qd": [a + h * b for a, b in zip(truth.qd, truth.qdd, strict=True)]}
+        moved = {
+            "q": truth.select(_advance(truth, h)),
+            "qd": [a + h * b for a, b in zip(truth.qd, truth.qdd, strict=True)],
+        }
         results = energy(moved)
         totals.append([results["kinetic"][0] + results["potential"][0]])
     parts = [a * b for a, b in zip(truth.residual(truth.qdd), truth.qd, strict=True)]
@@ -340,14 +381,14 @@ def grow_energy(truth: Truth, energy: Callable[[dict[str, Numbers]], Results]) -
 
 
 def _advance(truth: Truth, h: Decimal) -> Numbers:
-    """Move coordinates along the velocities: of a quaternion (v, s) by h / 2 (s w + v x w, -v.w), w its velocity."""
+    """Move all coordinates along the velocities: a quaternion (v, s) by h / 2 (s w + v x w, -v.w), w its velocity."""
     inside, entries = {i: x for x in truth.tree.quaternions for i in x.bodies}, iter(truth.q)
     moved: Numbers = []
-    for i in range(1, truth.n + 1):
+    for i in range(1, len(truth.tree.bodies) + 1):
         if i not in inside:
-            moved.append(next(entries) + h * truth.qd[i - 1])
+            moved.append(next(entries) + h * truth.all_qd[i - 1])
         elif inside[i].first == i:
-            own = [truth.qd[k - 1] for k in inside[i].bodies]
+            own = [truth.all_qd[k - 1] for k in inside[i].bodies]
             place = [next(entries) for _ in own[:-3]]
             *v, s = (next(entries) for _ in range(4))
             w = own[-3:]

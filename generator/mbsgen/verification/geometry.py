@@ -54,7 +54,7 @@ class Mechanism:
 
     def __init__(self, tree: Tree, numbers: Mapping[str, Numbers]) -> None:
         """Take the numbers that `write_numbers` found for the tree."""
-        self.tree, self._found = tree, numbers
+        self.tree, self._found = tree.uncoupled, numbers
         self.gravity = self.vector("gravity")
         self.masses = tuple(
             Mass(i, self._found[f"m_{i}_{k}"][0], self.vector(f"com_{i}_{k}"), self.matrix(f"In_{i}_{k}"))
@@ -97,7 +97,9 @@ class Mechanism:
 def write_numbers(tree: Tree, parameters: Mapping[str, Numbers]) -> dict[str, Numbers]:
     """Compute every number of a tree from its parameters."""
     builder = Builder()
-    chain = write_chain(tree, builder, declare_state(tree, builder, rates=False, accelerations=False, forces=False))
+    chain = write_chain(
+        tree, builder, declare_state(tree.uncoupled, builder, rates=False, accelerations=False, forces=False)
+    )
 
     def put(name: str, rows: Iterable[Iterable[Expr]]) -> None:
         builder.output_dense(name, [[chain.scalar(x) for x in row] for row in rows])
