@@ -8,6 +8,7 @@ import io
 import math
 import sys
 import textwrap
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -534,11 +535,16 @@ def _lay_out(section: Section, widths: Sequence[int]) -> Iterator[str]:
         yield from (line(name, *map(str, cost.row)) for name, cost in costs.items())
 
 
+def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
+    click.echo(f"warning: {message}", err=True)
+
+
 def main() -> None:
     """Run the command line; a user's errors are told without a traceback."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # a name may not be in the encoding of the terminal
+    warnings.showwarning = _show_warning
     try:
         cli(prog_name="mbsgen")
     except MbsError as error:

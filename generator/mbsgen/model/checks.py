@@ -7,24 +7,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container, Iterator, Sequence
+from dataclasses import dataclass
+from decimal import Decimal
 
 import numpy as np
 
 from mbsgen.documents import Place, abbreviate
-from mbsgen.expressions import Expression, write
+from mbsgen.expressions import Expression, Negation, Number, write
 from mbsgen.model.compounds import recognise
 from mbsgen.model.expansion import list_steps
 from mbsgen.model.findings import Finding
 from mbsgen.model.following import check_followers
 from mbsgen.model.idleness import check_idle_joints
-from mbsgen.model.model import BASE, COORDINATE, RATE, ZERO, Body, Fixed, Joint, Law, Model, Placement, Wrench
+from mbsgen.model.model import BASE, COORDINATE, RATE, ZERO, Body, Fixed, Inertia, Joint, Law, Model, Placement, Wrench
 from mbsgen.model.naming import check_names
 from mbsgen.model.topology import check_tree, find_carriers
-from mbsgen.model.valuation import LARGEST, Valuation
+from mbsgen.model.valuation import LARGEST, Array, Valuation
 
 MAX_BODIES = 1000
 LIGHTEST = 1e-150  # the product of two masses does not vanish
 INERTIA_TOLERANCE = 1e-9  # of the largest moment
+FEW = 0.005  # of a number that is written with one or two digits, which may be meant exactly
 
 
 def find_faults(model: Model, doubtful: Container[Place] = frozenset()) -> list[Finding]:
@@ -136,11 +139,62 @@ def _check_body(place: Place, body: Body, valuation: Valuation, *, allow_unphysi
         return
     if mass == 0 and inertia.any() and not valuation.changes(body.mass):
         yield Finding(place, "an inertia without a mass", "give the body a mass too, or set allow_unphysical: true")
-    a, b, c = np.linalg.eigvalsh(inertia)
-    if a + b < c - INERTIA_TOLERANCE * np.abs(inertia).max():
-        finding = f"no body has the principal moments of inertia {a:.6g}, {b:.6g}, {c:.6g}"
+    excess = _measure_excess(body.inertia, inertia)
+    if excess.amount > max(INERTIA_TOLERANCE * np.abs(inertia).max(), excess.rounding):
         remedy = "none may be more than the sum of the others; mend them, or set allow_unphysical: true"
-        yield Finding(place, finding, remedy)
+        yield Finding(place, f"no body has {excess.describe()}", remedy)
+
+
+@dataclass(frozen=True)
+class _Excess:
+    """By how much the largest principal moment of a tensor is more than the sum of the others."""
+
+    moments: tuple[float, float, float]
+    amount: float
+    rounding: float  # what of it the last digits may account for, as they are written
+
+    def describe(self) -> str:
+        """Write the moments with as many digits as it takes to see the excess."""
+        for digits in range(6, 18):
+            shown = [f"{moment:.{digits}g}" for moment in self.moments]
+            a, b, c = map(float, shown)
+            if a + b < c:
+                break
+        return f"the principal moments of inertia {', '.join(shown)}"
+
+
+def _measure_excess(written: Inertia, inertia: Array) -> _Excess:
+    """Compare the moments; to first order, an entry that is off by d changes the excess by d times its weight."""
+    moments, axes = np.linalg.eigh(inertia)
+    a, b, c = map(float, moments)
+    e = axes[:, 2]
+    weights = np.abs(np.eye(3) - 2 * np.outer(e, e))
+    units = np.array([[_measure_rounding(entry) for entry in row] for row in written.rows])
+    return _Excess((a, b, c), c - a - b, float((weights * units).sum()))
+
+
+def _measure_rounding(entry: Expression) -> float:
+    """Measure half of the last digit of a number as it is written; of few digits, FEW of the number."""
+    match entry:
+        case Negation(operand):
+            return _measure_rounding(operand)
+        case Number(value) if value:
+            exponent = Decimal(repr(abs(value))).as_tuple().exponent
+            assert isinstance(exponent, int), "a number of a file is finite"
+            return min(0.5 * 10.0**exponent, FEW * abs(value))
+    return 0.0
+
+
+def find_doubts(model: Model) -> list[Finding]:
+    """Find what a checked model may err in: tensors that are physical only if their last digits are rounded."""
+    valuation, findings = Valuation(model.parameters, ()), []
+    for i, body in enumerate(() if model.allow_unphysical else model.bodies):
+        inertia = np.array([valuation.triple((), row) for row in body.inertia.rows])
+        excess = _measure_excess(body.inertia, inertia)
+        if excess.amount > INERTIA_TOLERANCE * np.abs(inertia).max():
+            finding = f"rounding, by the digits given, has made {excess.describe()} of what a body can have"
+            findings.append(Finding(("bodies", i, "inertia"), finding, "give more digits"))
+    return findings
 
 
 def _check_wrench(place: Place, wrench: Wrench, valuation: Valuation) -> Iterator[Finding]:

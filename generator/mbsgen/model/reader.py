@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 from mbsgen.documents import Place, abbreviate, examine, expect, read_document, refuse
 from mbsgen.expressions import Expression
 from mbsgen.model import schema
-from mbsgen.model.checks import find_faults
+from mbsgen.model.checks import find_doubts, find_faults
 from mbsgen.model.compounds import COMPOUNDS, Compound, make_joints
 from mbsgen.model.findings import Finding
 from mbsgen.model.model import (
@@ -42,9 +43,16 @@ def read_model(path: Path) -> Model:
         model = _make_model(section)
         findings = [*_check_axes(section), *find_faults(model, examination.stand_ins)]
         faults += [document.fault(_locate(found.place, section), found.finding, found.remedy) for found in findings]
-    if faults:
+    if faults or section is None:
         raise refuse(faults)
+    for found in find_doubts(model):
+        fault = document.fault(_locate(found.place, section), found.finding, found.remedy)
+        warnings.warn(str(fault), ModelWarning, stacklevel=2)
     return model
+
+
+class ModelWarning(UserWarning):
+    """Something in a model file that is taken as it stands, but may not be meant."""
 
 
 def _make_model(section: schema.ModelSection) -> Model:
