@@ -49,7 +49,7 @@ MBSGEN = Package(
         "verification.derivatives",
         "verification.verify",
         "verification",
-        "report drawing output scaling oracle",
+        "report drawing output scaling oracle interpreted",
         "pipeline",
         "cli",
         "__main__",
@@ -89,6 +89,7 @@ MBSRUN = Package(
         "study",
         "lab.case lab.mechanisms",
         "lab.digits lab.integration lab.optimisation lab.record",
+        "lab.interpretation",
         "lab.chains lab.compilation lab.derivatives lab.expressions lab.inertias lab.locks",
         "lab.cases lab.maps",
         "lab.commands",
@@ -99,7 +100,12 @@ MBSRUN = Package(
     foreign=("sympy", "mbsgen"),
     guests=("mbsgen.errors", "mbsgen.resources", "mbsgen.manifest", "mbsgen.expressions", "mbsgen.documents"),
     # a model file given for a generated folder; its equations in 50 digits; operations of chains
-    lazy={"models": "mbsgen.pipeline", "study.reference": "mbsgen.oracle", "study.growth": "mbsgen.scaling"},
+    lazy={
+        "models": "mbsgen.pipeline",
+        "study.reference": "mbsgen.oracle",
+        "study.growth": "mbsgen.scaling",
+        "lab.interpretation": "mbsgen.interpreted",
+    },
 )
 
 

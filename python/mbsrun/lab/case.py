@@ -6,6 +6,7 @@ method of integration, a representation of optimal control, or the part of the p
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,12 +45,13 @@ class Finding:
     remark: str = ""
     case: str = ""
     trial: str = ""
+    is_contrast: bool = False  # the way is known to fail: it must exceed the bound, beside the one that does not
 
     @property
     def excess(self) -> float:
-        """Tell how close to its bound the number is, by the bound; what misses it is beyond 1."""
-        if self.value is None or not self.bound:
-            return 0.0 if self.is_met else float("inf")
+        """Return the number over its bound: beyond 1 it misses the bound. What has no such ratio is 0, or infinite."""
+        if self.value is None or not self.bound or not math.isfinite(self.value):
+            return 0.0 if self.is_met and not self.is_contrast else math.inf
         return self.value / self.bound
 
 
@@ -96,6 +98,7 @@ class Verdict:
     met: int  # findings that meet the criterion
     total: int
     remark: str
+    is_contrast: bool = False
 
     @property
     def is_met(self) -> bool:
@@ -106,6 +109,17 @@ class Verdict:
 def check(way: str, quantity: str, value: float, bound: float, remark: str = "") -> Finding:
     """Demand that a number is at most `bound`; what is not a number is not."""
     return Finding(way, quantity, float(value), float(bound), bool(value <= bound), remark)
+
+
+def show_failure(way: str, quantity: str, value: float, bound: float, remark: str = "") -> Finding:
+    """Demand that a way which is known to fail exceeds `bound`; infinity does, and what is not a number does not."""
+    return Finding(way, quantity, float(value), float(bound), bool(value > bound), remark, is_contrast=True)
+
+
+def find_worst(values: Iterable[float]) -> float:
+    """Return the largest of some numbers; not a number where there is none, or where one of them is not."""
+    found = [float(x) for x in values]
+    return max(found) if found and not any(map(math.isnan, found)) else math.nan
 
 
 def tell(way: str, quantity: str, value: float, remark: str = "") -> Finding:
@@ -139,4 +153,5 @@ def _sum_up(findings: Sequence[Finding]) -> Verdict:
         met,
         len(findings),
         worst.remark,
+        worst.is_contrast,
     )

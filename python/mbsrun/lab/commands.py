@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -78,7 +77,9 @@ def _choose(names: Sequence[str]) -> list[Case]:
 
 
 def _print_cases(cases: Sequence[Case]) -> None:
-    table = Table("case", "what is done", "what is demanded", box=box.SIMPLE)
+    table = Table(box=box.SIMPLE)
+    for column in ("case", "what is done", "what is demanded"):
+        table.add_column(column, overflow="fold")
     for case in cases:
         exempt = f" Does not apply: {case.exemption}" if case.exemption else ""
         table.add_row(case.id, Text(f"{case.title}. {case.setup}"), Text(case.criterion + exempt))
@@ -86,11 +87,13 @@ def _print_cases(cases: Sequence[Case]) -> None:
 
 
 def _print_verdicts(cases: Sequence[Case], findings: Sequence[Finding]) -> None:
-    table = Table("case", "way", "closest to its bound", box=box.SIMPLE)
+    table = Table(box=box.SIMPLE)
+    for column in ("case", "way", "closest to its bound"):
+        table.add_column(column, overflow="fold")
     for column in ("value", "bound"):
-        table.add_column(column, justify="right")
+        table.add_column(column, justify="right", overflow="fold")
     for column in ("in", "met", ""):
-        table.add_column(column)
+        table.add_column(column, overflow="fold")
     verdicts = judge(findings)
     for case in cases:
         own = [x for x in verdicts if x.case == case.id]
@@ -126,4 +129,5 @@ def _write(value: float | None) -> str:
 
 
 def _console() -> Console:
-    return Console(highlight=False, width=shutil.get_terminal_size().columns if sys.stdout.isatty() else UNCUT)
+    """Take the width of COLUMNS, else that of the terminal; where neither is known, lines are long."""
+    return Console(highlight=False, width=shutil.get_terminal_size((UNCUT, 24)).columns)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsrun.lab.case import Bench, Finding, Loss, check, tell
-from mbsrun.lab.mechanisms import States, write
+from mbsrun.lab.mechanisms import State, States, write
 from mbsrun.models import Extent
 from mbsrun.study.candidates import Found, compile_kernel
 from mbsrun.study.machine import Precision, Variant
@@ -34,6 +34,7 @@ TOLD_BY = {"EXP1": "elimination", "EXP2": "articulated"}
 ALWAYS = 1e-13  # what forces and accelerations lose beside what `condition` looks at
 ABOVE = 16.0  # an error may be so many times what is told: docs/accuracy.md
 SMALL, LARGE = 10, 50  # joints: from which on less is optimised in compiling
+ELIMINATED = 60  # joints: up to which 50 digits are eliminated where refinement fails
 _ENOUGH = 1e-25  # the relative size of a correction after which none is needed
 _CORRECTIONS = 60
 
@@ -100,12 +101,15 @@ class Specimen:
         """Give the equations of motion in 50 digits."""
         return Reference(self.subject.model)
 
-    def _find_exact(self, state: States) -> Exact:
+    def _find_exact(self, state: State) -> Exact:
         moment = self.reference.at(state)
         M = self._compute_mass(state) if self.size > SMALL else np.array(moment.M, dtype=np.float64)
-        return Exact(moment, M, _refine(moment, M) or _eliminate(moment))
+        qdd = _refine(moment, M)
+        if qdd is None and self.size > ELIMINATED:
+            raise ArithmeticError("the accelerations are too ill conditioned for refinement")
+        return Exact(moment, M, qdd or _eliminate(moment))
 
-    def _compute_mass(self, state: States) -> Array:
+    def _compute_mass(self, state: State) -> Array:
         n = self.size
         units = np.vstack((np.zeros((1, n)), np.eye(n)))
         states = {name: np.zeros((n + 1, len(x))) for name, x in state.items()}
@@ -133,7 +137,7 @@ def measure_losses(
     precision: Precision = "float64",
 ) -> list[Loss]:
     """Compute accelerations by EXP1 and EXP2 in all states; what was measured before is taken from the store."""
-    told = (bench.program, mechanism, number, chosen.subject.model.read_bytes(), precision)
+    told = (bench.program, mechanism, number, chosen.subject.model.read_bytes(), chosen.subject.extent, precision)
     key = (*told, [(name, x.tobytes()) for name, x in sorted(states.items())])
     return bench.losses.find_or_measure(
         key, lambda: _measure_losses(mechanism, number, chosen, dict(states), precision)
@@ -143,9 +147,14 @@ def measure_losses(
 def check_told(loss: Loss) -> Finding:
     """Compare an error with what `condition` tells."""
     if loss.told is None:
-        return tell(loss.way, "error where no digit is promised", loss.error or 0.0)
+        return tell(loss.way, "error where no digit is promised", read(loss.error))
     remark = f"{loss.told:.0e} is told, at {loss.number:.0e}"
-    return check(loss.way, "error beyond what is told", loss.error or 0.0, ABOVE * loss.told + ALWAYS, remark)
+    return check(loss.way, "error beyond what is told", read(loss.error), ABOVE * loss.told + ALWAYS, remark)
+
+
+def read(number: float | None) -> float:
+    """Return a number, or not a number for none, which meets no bound."""
+    return float("nan") if number is None else number
 
 
 def _measure_losses(

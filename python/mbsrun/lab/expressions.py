@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsrun.lab.case import Bench, Finding, check
-from mbsrun.lab.digits import EXPLICIT, Specimen, U, relate, specimen
+from mbsrun.lab.case import Bench, Finding, check, show_failure
+from mbsrun.lab.digits import EXPLICIT, KERNELS, RESIDUAL, Specimen, U, relate, specimen
 from mbsrun.lab.mechanisms import describe_spatial, draw
 
 Array = NDArray[np.float64]
@@ -52,13 +52,18 @@ def measure_spring(bench: Bench, distance: float) -> list[Finding]:
     by_hand = STIFFNESS * ((np.cos(q) - np.cos(REST)) ** 2 + (np.sin(q) - np.sin(REST)) ** 2)
     bound = 10 * float((np.abs(by_hand - forces) / forces).max())
     findings = []
-    for way, kernel, result in (("IMPL", "impl", "Phi"), ("EXP1", "exp1", "qdd"), ("EXP2", "exp2", "qdd")):
+    for way, kernel in KERNELS.items():
+        result = "Phi" if way in RESIDUAL else "qdd"
         values = np.array([found[result][0, 0] for found in chosen.evaluate(kernel, states)[1]])
         wanted = forces if result == "Phi" else np.array([x.rounded[0] for x in exact])
         error = float((np.abs(values - wanted) / np.abs(wanted)).max())
         findings.append(
             check(way, "error of the force", error, bound, "ten times what the law errs by as written by hand")
         )
+    sums = STIFFNESS * (2 - 2 * np.cos(q) * np.cos(REST) - 2 * np.sin(q) * np.sin(REST))
+    for way, values in (("multiplied out", sums), ("simplified to 2 - 2 cos", STIFFNESS * (2 - 2 * np.cos(q - REST)))):
+        error = float((np.abs(values - forces) / forces).max())
+        findings.append(show_failure(way, "error of the force", error, bound, "what the generator must not write"))
     return findings
 
 

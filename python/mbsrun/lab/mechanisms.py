@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 States = Mapping[str, Array]  # (K, size) by name
+State = Mapping[str, Array]  # (size,) by name
 
 # Three motions that do not meet: a point mass of 1 kg on a massless rod of 1 m (IFToMM's A01), which a force can push;
 # a spring and a damper with 0.3 kg; and a mass whose own force drives it away, x'' = b x^3.
