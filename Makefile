@@ -5,7 +5,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test fuzz lint bench bench-growth bench-ocp bench-results study mutants golden schema clean
+.PHONY: demo test fuzz lint bench bench-growth bench-ocp bench-results study laboratory mutants golden schema clean
 
 demo: $(VENV)/installed
 	$(BIN)/mbsgen models/arm_pendulum.yaml -o build/arm_pendulum
@@ -61,6 +61,11 @@ study: $(VENV)/installed-study
 # Plants faults, one at a time, and runs the tests that must notice them: a quarter of an hour.
 mutants: $(VENV)/installed-dev
 	$(BIN)/python -m tests.mutants
+
+# The laboratory, whole: an hour on two cores. Verdicts, maps and their tables go into docs/laboratory.
+laboratory: $(VENV)/installed-study
+	$(BIN)/mbsrun lab -o build/laboratory || test $$? -eq 1
+	cp build/laboratory/verdicts.* build/laboratory/map_* build/laboratory/laboratory.section.json docs/laboratory
 
 golden: $(VENV)/installed-dev
 	$(BIN)/python -m tests.golden

@@ -195,7 +195,7 @@ CASES: tuple[Case, ...] = (
     Case(
         "F19",
         "collocation too coarse",
-        "The swing-up of a cart-pole on meshes of 3 to 80 intervals of degree 3 and 5, of 20 to 1280 of degree 1; and "
+        "The swing-up of a cart-pole on meshes of 4 to 80 intervals of degree 3 and 5, of 20 to 1280 of degree 1; and "
         "on a fixed grid of 20 constant inputs, with 1 to 32 steps of Radau in each.",
         "The defect by re-simulation is told, and decides what counts as accurate; it falls with order 2 at least. On "
         "the fixed grid, cost and defect have the order 2 d - 1 of Radau's method, to a tenth. 80 intervals of degree "

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +21,17 @@ from mbsrun.lab.mechanisms import State, States
 from mbsrun.study.candidates import Found
 from mbsrun.study.machine import Precision
 
-if TYPE_CHECKING:
-    from mbsgen.interpreted import Interpreted
-
 Array = NDArray[np.float64]
 
 BLOCK = 32  # states that are computed at once: values of all equations are kept for each
+
+
+class Equations(Protocol):
+    """What is asked of interpreted equations: results (K, size) for inputs (K, size) by name, and a status."""
+
+    def compute(self, states: States) -> dict[str, Array]: ...
+
+    def find_status(self, state: State) -> int: ...
 
 
 class LongChain(Specimen):
@@ -95,7 +100,7 @@ def eliminate(M: Array, right: Array) -> Eliminated:
 
 
 @cache
-def _write(model: Path, kernel: str, *, gravity: bool) -> Interpreted:
+def _write(model: Path, kernel: str, *, gravity: bool) -> Equations:
     from mbsgen.interpreted import Interpreted  # here alone, and late: kernels are called without SymPy
 
     return Interpreted(model, kernel, gravity=gravity)
