@@ -45,7 +45,7 @@ _ALL = (
     *(Compound("cardan", order, _turn(order)) for order in _PAIRS),
     *(Compound("universal", order, _turn(order)) for order in _PAIRS),
     *(Compound("spherical", order, _turn(order)) for order in _TRIPLES),
-    *(Compound("planar", plane, (*plane, f"r{normal}")) for plane, normal in _PLANES.items()),
+    *(Compound("planar", plane, (*plane, f"r{normal}"), actuated=False) for plane, normal in _PLANES.items()),
     Compound("ball", "xyz", _turn("xyz"), floats=True),
     Compound("free", "xyz", ("x", "y", "z", *_turn("xyz")), actuated=False, floats=True),
     *(Compound("floating", order, ("x", "y", "z", *_turn(order)), actuated=False) for order in _TRIPLES),

@@ -129,9 +129,9 @@ def spherical(
 
 
 def planar(
-    plane: str = "xy", *, position: Vector = _ORIGIN, orientation: Turns = (), actuated: bool = True
+    plane: str = "xy", *, position: Vector = _ORIGIN, orientation: Turns = (), actuated: bool = False
 ) -> tuple[Joint, ...]:
-    """Make the joints of a body in a plane: along its two axes, and about its normal."""
+    """Make the joints of a body that moves freely in a plane: along its two axes, and about its normal."""
     return _make_compound("planar", plane, _place(position, orientation), actuated)
 
 

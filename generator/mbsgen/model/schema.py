@@ -178,7 +178,7 @@ class SphericalSection(CompoundSection):
 
 
 class PlanarSection(CompoundSection):
-    """Two prismatic joints along the axes of a plane, and a revolute joint about its normal."""
+    """Two slides along the axes of a plane, then a turn about its normal; passive unless told otherwise."""
 
     type: Literal["planar"] = Field(examples=["planar"])
     plane: Literal["xy", "xz", "yz"] = Field("xy", examples=["xy"])

@@ -238,7 +238,7 @@ def test_a_sequence_is_its_elementary_joints(joint: str, labels: list[str], tmp_
     """The same Tree as of bodies without mass, one joint each, written out by hand."""
     data = yaml.safe_load(joint)
     if isinstance(data, dict):
-        passive = {"actuated": False} if data["type"] == "floating" else {}
+        passive = {"actuated": False} if data["type"] in ("floating", "planar") else {}
         joints = [
             {"type": "revolute" if label[0] == "r" else "prismatic", "axis": label[-1], **passive} for label in labels
         ]
@@ -266,6 +266,8 @@ def test_a_floating_base_is_passive_unless_told_otherwise(tmp_path: Path) -> Non
         return [body.joint.actuated for body in tree.bodies]
 
     assert actuated("") == [False] * 6
+    planar = build(f"bodies:\n  - {{name: b, joint: {{type: planar}}, {TRUNK}}}\n", tmp_path)
+    assert not any(body.joint.actuated for body in planar.bodies)  # nothing drives a body that moves freely in a plane
     assert actuated(", actuated: true") == [True] * 6
     assert actuated(", axes: {rz: {actuated: true}}") == [False, False, False, True, False, False]
     assert actuated(", actuated: true, axes: {z: {actuated: false}}") == [True, True, False, True, True, True]
