@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -43,7 +44,7 @@ def main(
 
     What --prepare makes is found again by a later run, which then takes a minute.
     """
-    console = Console()
+    console = Console(width=None if sys.stdout.isatty() else 160)
     if quick:
         models, rounds = models or QUICK, min(rounds, 10)
     includes = None if quick else find_includes()
