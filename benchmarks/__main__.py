@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -13,12 +12,11 @@ from typing import Any
 import click
 from rich.console import Console
 
-from benchmarks.compilation import BuildError, Workshop, describe_machine, find_cache, find_includes
+from benchmarks.compilation import BuildError, Workshop, describe_flags, describe_machine, find_cache, find_includes
 from benchmarks.preparation import Prepared, prepare
 from benchmarks.study import DisagreementError, measure
 from benchmarks.table import Run, compare, draw_chart, make_tables, read_rows, write_json, write_markdown
 from mbsgen.errors import MbsError
-from mbsrun.library import find_compiler
 
 ROOT = Path(__file__).parents[1]
 MODELS = (
@@ -79,7 +77,7 @@ def _measure(
     prepared: Iterable[Prepared], workshop: Workshop, rounds: int, kept: dict[str, Any] | None, console: Console
 ) -> Iterator[Run]:
     """Measure what an earlier run has not, and print everything: yields all so far, after each model."""
-    run = Run(describe_machine(), " ".join(["-O3", *find_compiler(os.environ).flags]), rounds, {})
+    run = Run(describe_machine(), describe_flags(), rounds, {})
     for one in prepared:
         if kept and kept["digests"].get(one.model) == one.digest:
             rows = read_rows(kept["models"][one.model])

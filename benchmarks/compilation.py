@@ -60,6 +60,11 @@ def describe_machine() -> str:
     )
 
 
+def describe_flags() -> str:
+    """Name the flags that generated C is compiled with."""
+    return " ".join(["-O3", *find_compiler(os.environ).flags])
+
+
 class BuildError(Exception):
     """A peer or kernel that does not compile; says what the compiler said."""
 

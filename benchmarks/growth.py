@@ -26,7 +26,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.candidates import CASADI, LARGE, LARGEST, OURS, PINOCCHIO, SHORT, Candidate
-from benchmarks.compilation import BuildError, Workshop, describe_machine, find_cache, find_includes
+from benchmarks.compilation import BuildError, Workshop, describe_flags, describe_machine, find_cache, find_includes
 from benchmarks.preparation import Prepared, Wanted, describe_kernel, hash_file, prepare_peers
 from benchmarks.robots import ROBOTS, find_robot
 from benchmarks.study import DisagreementError, Study, measure
@@ -196,7 +196,9 @@ def write_markdown(rows: Sequence[Row], machine: str, rounds: int) -> str:
     lines = [
         "# What size costs",
         "",
-        f"{machine}; the shortest of {rounds} rounds, then the median. Generating is for all kernels of a mechanism",
+        f"{machine}; C with `{describe_flags()}`.",
+        "",
+        f"The shortest of {rounds} rounds, then the median. Generating is for all kernels of a mechanism",
         "together, in processor time, and compiling for each; MB are the most that the compiler held for any kernel of",
         "the mechanism so far. Flops are those of kernels with all numbers folded and masses lumped.",
         "",

@@ -169,7 +169,7 @@ def _lay_out(model: str, rows: Sequence[Row]) -> Iterator[_Layout]:
     """Lay out operations, times, and how many times ours the quickest peer takes."""
     counted = tuple(a for a in authors_of(rows) if any((c := r.cells.get(a)) and c.flops is not None for r in rows))
     yield _Layout(
-        f"{model}: operations + − × ÷ √",
+        f"{model}: operations + − × ÷ √, numbers folded, masses lumped",
         counted,
         tuple((row.title, *(_write_flops(row.cells.get(author)) for author in counted)) for row in rows),
     )

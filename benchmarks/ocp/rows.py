@@ -10,6 +10,9 @@ from pathlib import Path
 from rich import box
 from rich.table import Table
 
+from benchmarks.compilation import describe_flags
+from benchmarks.ocp.peer import FLAGS
+
 SAME = 1e-6  # relative difference of costs within which two optima are one
 OURS = "mbsgen"
 POINTS = "CasADi, by points, compiled"
@@ -130,7 +133,7 @@ def write_page(figures: Figures) -> str:
     lines = [
         "# Optimal control: what was measured",
         "",
-        f"{figures.about}.",
+        f"{figures.about}; our C with `{describe_flags()}`, CasADi's with `{' '.join(FLAGS)}`.",
         "",
         "Times are of the processor, compilers included, and per iteration where they are in ms: those of the quickest",
         f"round, then the median. What takes more than {LONG:g} s is solved once. A figure in brackets is relative to",
