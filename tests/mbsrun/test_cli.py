@@ -128,7 +128,6 @@ def test_shooting_is_chosen(quick: Run) -> None:
     for wrong, finding in (
         (("--integrator", "rk4"), "the form is standard"),
         (chosen[:4], "IMPL gives a residual"),
-        (("--form", "shooting", "--solver", "fatrop"), "fatrop"),
     ):
         result = quick("solve", "task.ocp.yaml", "-o", "none", *wrong)
         assert result.exit_code == 2

@@ -1,8 +1,8 @@
-"""The NLP solvers that a problem may choose, and what they may be told.
+"""The NLP solvers that a problem may choose, and the options that they take.
 
-A problem file comes from anywhere, and solvers have options that write files or load libraries: only what stands in
-these tables is passed on. IPOPT and `sqpmethod`, whose quadratic programs IPOPT solves, get the program's own
-derivatives; fatrop lets CasADi differentiate, which is slow around kernels, and is there for comparison.
+A problem file comes from anywhere, and solvers have options that write files or load libraries: only the options in
+these tables are passed on. IPOPT and `sqpmethod`, whose quadratic programs IPOPT solves, get the program's own
+derivatives.
 """
 
 from __future__ import annotations
@@ -124,8 +124,6 @@ SQP_OPTIONS: Mapping[str, Option] = {
     "min_step_size": Amount(0.0, 1.0),
 }
 
-FATROP_OPTIONS: Mapping[str, Option] = {"mu_init": _POSITIVE}
-
 _IPOPT: Settings = {"print_level": 0, "sb": "yes", "nlp_scaling_method": "none"}
 
 
@@ -219,16 +217,9 @@ def _make_sqp(order: Order) -> ca.Function:
     return _make("sqpmethod", order, scale, settings)
 
 
-def _make_fatrop(order: Order) -> ca.Function:
-    told = {"tol": order.tolerance, "max_iter": order.max_iterations, "print_level": 0}
-    settings = {"structure_detection": "none", "fatrop": {**told, **order.options}}
-    return _make("fatrop", order, order.scaling, settings)
-
-
 METHODS: Mapping[str, Method] = {
     "ipopt": Method(IPOPT_OPTIONS, _make_ipopt, scales_outside=False),
     "sqpmethod": Method(SQP_OPTIONS, _make_sqp, scales_outside=True),
-    "fatrop": Method(FATROP_OPTIONS, _make_fatrop, scales_outside=True),
 }
 
 

@@ -65,7 +65,7 @@ Upper = Annotated[float, BeforeValidator(lambda x: math.inf if x is None else x)
 Range = tuple[Lower, Upper]
 Point = tuple[float, float, float]
 Inputs = Literal["zero", "static", "dynamic"]  # of a guess
-SolverName = Literal["ipopt", "sqpmethod", "fatrop"]
+SolverName = Literal["ipopt", "sqpmethod"]
 
 
 @dataclass(frozen=True)
@@ -217,9 +217,6 @@ def find_conflicts(problem: Problem) -> list[Conflict]:
     elif problem.integrator == "rk4" and not representation.is_explicit:
         finding = f"rk4 needs accelerations, and {representation.value} gives a residual"
         found.append(Conflict("integrator", finding, "take representation: EXP2-O, or integrator: collocation"))
-    if form is Form.SHOOTING and problem.solver.method == "fatrop":
-        finding = "around fatrop CasADi differentiates, which it cannot do through shooting"
-        found.append(Conflict("solver", finding, "take method: ipopt"))
     return found
 
 

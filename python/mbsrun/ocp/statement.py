@@ -33,6 +33,7 @@ from mbsgen.documents import (
 from mbsgen.errors import Fault, InputError
 from mbsgen.expressions import FLOATS, Expression, ExpressionError, Number, evaluate, is_free_name, names, parse
 from mbsgen.manifest import Manifest
+from mbsrun.binding import DESIGN, HIDDEN
 from mbsrun.ocp.integrators import IntegratorName
 from mbsrun.ocp.methods import METHODS, Amount
 from mbsrun.ocp.plant import Plant
@@ -234,7 +235,7 @@ class _SolverSection(Section):
     tolerance: NumberField = Field(default=Number(SolverOptions.tolerance), examples=[1e-8])
     max_iterations: int = Field(default=SolverOptions.max_iterations, ge=1, examples=[500])
     objective_scaling: NumberField | None = Field(default=None, examples=[1.0])
-    method: Literal["ipopt", "sqpmethod", "fatrop"] = Field(default="ipopt", examples=["ipopt"])
+    method: Literal["ipopt", "sqpmethod"] = Field(default="ipopt", examples=["ipopt"])
     options: dict[str, bool | int | float | str] = Field(default={}, examples=[{}])
 
 
@@ -280,7 +281,7 @@ class _Reading:
         self.frames = _Names("frame", [f.name for f in manifest.frames])
         self.sensors = _Names("sensor", [f.name for f in manifest.frames if f.sensor])
         self.open_inputs = [
-            i.name for i in manifest.kernel("impl").inputs if i.name not in ("q", "qd", "qdd", "u", "h") and i.nnz
+            i.name for i in manifest.kernel("impl").inputs if i.name not in ("q", "qd", "qdd", "u", HIDDEN, DESIGN) and i.nnz
         ]
         self.quantities = list_quantities(manifest)
         self.used: set[str] = set()  # constants that formulas read
@@ -464,7 +465,7 @@ class _Reading:
         )
         if lower > upper:
             self.fault(place, f"{lower:g} is above {upper:g}", "give [lower, upper]; null is no bound")
-            return (-math.inf, math.inf)
+            return (math.nan, math.nan)  # which no further check minds
         return (lower, upper)
 
     def end(self, section: _EndSection, bounds: Bounds) -> End:

@@ -23,7 +23,7 @@ from tests.mbsrun.peer import Peer, double_integrator
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_every_solver_finds_the_optimum(method: Literal["ipopt", "sqpmethod", "fatrop"]) -> None:
+def test_every_solver_finds_the_optimum(method: Literal["ipopt", "sqpmethod"]) -> None:
     """12 / (1 - 1/N^2), as above; the watch is told the true cost, whatever scale the solver sees."""
     seen: list[Progress] = []
     options = SolverOptions(method=method, objective_scaling=0.01)
