@@ -46,7 +46,7 @@ from mbsrun.ocp.search import (
     list_open_tasks,
     summarise,
 )
-from mbsrun.ocp.solution import Failure, Solution, read_guess, read_solution, write_solution
+from mbsrun.ocp.solution import Failure, Resimulation, Solution, read_guess, read_solution, write_solution
 from mbsrun.ocp.solve import Progress, solve
 from mbsrun.ocp.statement import MAX_STEPS, read_problem
 from mbsrun.simulation.drive import hold_steps, input_labels
@@ -687,8 +687,8 @@ def _print_summary(solution: Solution) -> None:
         **{f"  {name} ": f"{value:.10g}" for name, value in cost.terms if value != 0},
         "violation": f"{violation.constraints:.1e} of constraints, {violation.bounds:.1e} of bounds"
         + ("" if violation.lengths is None else f", {violation.lengths:.1e} of quaternions' lengths"),
-        "defect": f"{_number(check.defect)} in an interval, at most; {solution.problem.accuracy:.1e} asked for",
-        "open loop": f"{_number(check.open_loop_error)} off at the end, under the inputs alone",
+        "defect": f"{_number(check.defect, check)} in an interval, at most; {solution.problem.accuracy:.1e} asked for",
+        "open loop": f"{_number(check.open_loop_error, check)} off at the end, under the inputs alone",
     }
     for name, value in rows.items():
         click.echo(f"{name:<14}{value}")
@@ -699,9 +699,14 @@ def _list_shortcomings(solution: Solution) -> list[str]:
     check, found = solution.resimulation, []
     if solution.is_only_acceptable:
         found.append("IPOPT stopped at an acceptable level, short of the tolerance; try another guess or scaling")
-    if check is not None and not check.is_accurate:
+    if check is not None and check.unfinished:
         found.append(
-            f"the largest defect of an interval, {_number(check.defect)}, is above the accuracy asked for, "
+            f"the re-simulation did not finish, {check.unfinished}, so the accuracy is unknown; "
+            "take a shorter horizon, or check a part of it"
+        )
+    elif check is not None and not check.is_accurate:
+        found.append(
+            f"the largest defect of an interval, {_number(check.defect, check)}, is above the accuracy asked for, "
             f"{solution.problem.accuracy:.1e}; take more intervals or a higher degree"
         )
     return found
@@ -713,8 +718,9 @@ def _tell_failure(failure: Failure, out: Path) -> None:
         _say(f"{out / SOLUTION} is from an earlier solve")
 
 
-def _number(value: float | None) -> str:
-    return "unknown (the integrator gave up)" if value is None else f"{value:.1e}"
+def _number(value: float | None, check: Resimulation) -> str:
+    reason = "the re-simulation did not finish" if check.unfinished else "the integrator gave up"
+    return f"unknown ({reason})" if value is None else f"{value:.1e}"
 
 
 def _say(message: str) -> None:

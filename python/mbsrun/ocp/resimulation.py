@@ -1,4 +1,4 @@
-"""Integrate the true motion under the inputs of a solution, and tell how far the collocation is from it.
+"""Integrate the true motion under the inputs of a solution, and measure how far the collocation is from it.
 
     M(q) qdd = -Phi(q, qd, 0, u),    M = dPhi/dqdd
 
@@ -6,6 +6,7 @@ and the rates of q, which are qd but for quaternions,
 
 by DOP853 at tolerances near rounding: from the start of every interval to its end (the defect, which judges the
 discretisation), and from the start of the horizon to its end (where an unstable plant has multiplied the defects).
+Steps and processor time are limited; a check that does not finish within the limits calls no solution accurate.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.integrate import DOP853
 
 from mbsgen.errors import MbsError
+from mbsrun.limits import Allowance, LimitError, Limits
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.solution import Resimulation, Solution
 from mbsrun.quaternions import find_rates
@@ -24,33 +26,48 @@ from mbsrun.quaternions import find_rates
 Array = NDArray[np.float64]
 
 TOLERANCE = 1e-13  # relative and absolute
+LIMITS = Limits(steps=20_000, seconds=60.0)  # of a whole check; the paper's task takes some 600 steps, 1 s
 
 
-def resimulate(solution: Solution, plant: Plant) -> Solution:
-    """Return the solution with its re-simulation."""
+def resimulate(solution: Solution, plant: Plant, limits: Limits = LIMITS) -> Solution:
+    """Return the solution with its re-simulation, of which `unfinished` states the limit that ended it, if one did."""
     trajectory = solution.trajectory
     step = float(trajectory.t[1] - trajectory.t[0])
     states = np.concatenate((trajectory.q, trajectory.qd), axis=1)
-    ends = integrate(plant, states[:-1], trajectory.u, step)
-    defects = None if ends is None else np.abs(ends - states[1:]).max(axis=1)
-    last: Array | None = states[:1]
-    for u in trajectory.u:
-        last = None if last is None else integrate(plant, last, u[None], step)
+    allowance, defects, last, unfinished = Allowance(limits), None, None, ""
+    try:
+        ends = integrate(plant, states[:-1], trajectory.u, step, allowance)
+        defects = None if ends is None else np.abs(ends - states[1:]).max(axis=1)
+        last = _integrate_all(plant, states[:1], trajectory.u, step, allowance)
+    except LimitError as error:
+        unfinished = error.finding
     return replace(
         solution,
         resimulation=Resimulation(
             defect=None if defects is None else float(defects.max()),
             defect_interval=None if defects is None else int(defects.argmax()),
             open_loop_error=None if last is None else float(np.abs(last[0] - states[-1]).max()),
-            is_accurate=defects is not None and bool(defects.max() <= solution.problem.accuracy),
+            is_accurate=not unfinished and defects is not None and bool(defects.max() <= solution.problem.accuracy),
+            unfinished=unfinished,
         ),
     )
 
 
-def integrate(plant: Plant, states: Array, u: Array, duration: float) -> Array | None:
+def _integrate_all(plant: Plant, state: Array, u: Array, step: float, allowance: Allowance) -> Array | None:
+    """Integrate one motion, (1, nq + n), through all intervals."""
+    last: Array | None = state
+    for own in u:
+        last = None if last is None else integrate(plant, last, own[None], step, allowance)
+    return last
+
+
+def integrate(
+    plant: Plant, states: Array, u: Array, duration: float, allowance: Allowance | None = None
+) -> Array | None:
     """Integrate several motions at once: states (B, nq + n) under constant inputs (B, m) for `duration` s.
 
-    Gives the states at the end, or None where the integrator or a kernel gives up.
+    Returns the states at the end, or None where the integrator or a kernel gives up. Raises LimitError when the
+    allowance is used up.
     """
 
     def rate(_: float, flat: Array) -> Array:
@@ -65,7 +82,11 @@ def integrate(plant: Plant, states: Array, u: Array, duration: float) -> Array |
             return None
         with np.errstate(all="ignore"):  # a motion that runs away ends in a status
             while solver.status == "running":
+                if allowance is not None:
+                    allowance.spend()
                 solver.step()
+    except LimitError:
+        raise
     except (MbsError, np.linalg.LinAlgError):  # a kernel that fails, a mass matrix that is singular
         return None
     return np.asarray(solver.y.reshape(states.shape)) if solver.status == "finished" else None

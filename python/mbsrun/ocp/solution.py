@@ -92,7 +92,8 @@ class Resimulation:
     defect: float | None  # the largest difference at an interval's end, from its start; None: the integrator gave up
     defect_interval: int | None  # where it is, from 0
     open_loop_error: float | None  # the largest difference at the end of the horizon, integrated from its start
-    is_accurate: bool  # whether the defect is within the accuracy that the problem asks for
+    is_accurate: bool  # whether the check finished, and the defect is within the accuracy that the problem asks for
+    unfinished: str = ""  # the limit of time or steps that ended the check, if one did
 
 
 @dataclass(frozen=True, eq=False)

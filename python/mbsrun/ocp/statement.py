@@ -281,7 +281,9 @@ class _Reading:
         self.frames = _Names("frame", [f.name for f in manifest.frames])
         self.sensors = _Names("sensor", [f.name for f in manifest.frames if f.sensor])
         self.open_inputs = [
-            i.name for i in manifest.kernel("impl").inputs if i.name not in ("q", "qd", "qdd", "u", HIDDEN, DESIGN) and i.nnz
+            i.name
+            for i in manifest.kernel("impl").inputs
+            if i.name not in ("q", "qd", "qdd", "u", HIDDEN, DESIGN) and i.nnz
         ]
         self.quantities = list_quantities(manifest)
         self.used: set[str] = set()  # constants that formulas read

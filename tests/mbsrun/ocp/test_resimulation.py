@@ -6,15 +6,19 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
+from scipy.special import ellipj
 
+from mbsgen.manifest import Coordinate
+from mbsrun.limits import Limits
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.resimulation import accelerations, integrate, resimulate
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import solve
 from tests.mbsrun.ocp.test_solve import push
-from tests.mbsrun.peer import Peer, double_integrator
+from tests.mbsrun.peer import FREE, Peer, double_integrator, residual_function
 
 REFERENCE = json.loads((Path(__file__).parents[2] / "reference" / "seed_arm_docquier.json").read_text("utf-8"))
 
@@ -102,4 +106,56 @@ def test_a_plant_that_cannot_be_integrated_is_told() -> None:
     assert check is not None
     assert check.defect is None
     assert check.open_loop_error is None
+    assert not check.is_accurate
+
+
+def test_a_swing_is_integrated_to_rounding() -> None:
+    """A pendulum from rest at a: q(t) = 2 asin(k cd(w t, k^2)), k = sin(a / 2), by elliptic functions; no coarse step.
+
+    Rounding, and the integrator's 1e-13 a step in some ten steps, leave 1e-11.
+    """
+    q, qd, qdd, u = (ca.SX.sym(name) for name in ("q", "qd", "qdd", "u"))
+    functions = {"impl": residual_function(q, qd, qdd, u, qdd + 9.81 * ca.sin(q) - u)}
+    hinge = Coordinate(name="hinge", motion="revolute", actuated=True, **FREE)
+    plant = Peer("pendulum", functions, [hinge], [])
+    angles, t, w = np.array([0.3, 1.0, 2.0, 3.0]), 0.9, np.sqrt(9.81)
+    ends = integrate(plant, np.stack((angles, np.zeros(4)), axis=1), np.zeros((4, 1)), t)
+    k = np.sin(angles / 2)
+    _, cn, dn, _ = ellipj(w * t, k**2)
+    assert ends is not None
+    assert ends[:, 0] == pytest.approx(2 * np.arcsin(k * cn / dn), abs=1e-11)
+
+
+def test_one_bad_interval_of_many_is_not_accurate() -> None:
+    """The largest defect counts, not the mean: 1.5e-6 between two of 64 intervals, where 1e-6 is asked for."""
+    outcome = solve(push(64), double_integrator())
+    assert isinstance(outcome, Solution)
+    q = outcome.trajectory.q.copy()
+    q[30] += 1.5e-6
+    moved = replace(outcome, trajectory=replace(outcome.trajectory, q=q))
+    for accuracy, is_accurate in ((1e-6, False), (2e-6, True)):
+        judged = replace(moved, problem=replace(moved.problem, accuracy=accuracy))
+        check = resimulate(judged, double_integrator()).resimulation
+        assert check is not None
+        assert check.defect == pytest.approx(1.5e-6, rel=1e-3)
+        assert check.is_accurate is is_accurate
+
+
+@pytest.mark.parametrize(
+    ("limits", "has_defect", "finding"),
+    [
+        (Limits(steps=0), False, "limit of 0 steps"),
+        (Limits(seconds=0.0), False, "limit of 0 s of processor time"),
+        (Limits(steps=8), True, "limit of 8 steps"),  # enough for all intervals at once, not for one after the other
+    ],
+)
+def test_a_check_that_does_not_finish_is_no_accuracy(limits: Limits, has_defect: bool, finding: str) -> None:
+    """What was measured before the limit stays; the solution is not called accurate."""
+    outcome = solve(push(64), double_integrator())
+    assert isinstance(outcome, Solution)
+    check = resimulate(outcome, double_integrator(), limits).resimulation
+    assert check is not None
+    assert (check.defect is not None) is has_defect
+    assert check.open_loop_error is None
+    assert finding in check.unfinished
     assert not check.is_accurate
