@@ -6,6 +6,7 @@ import math
 import os
 import sys
 import time
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,8 @@ import click
 import numpy as np
 from rich import box, filesize
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as ProgressBar
 from rich.table import Table
 from rich.text import Text
 
@@ -24,11 +27,12 @@ from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
 from mbsgen.manifest import Manifest
 from mbsrun.cache import Entry, cache_folder, list_entries, remove
 from mbsrun.circumstances import describe_circumstances
-from mbsrun.external import load, load_on_demand
+from mbsrun.external import Mechanism, OnDemand, load, load_on_demand
 from mbsrun.lab.commands import lab_command
 from mbsrun.ocp.integrators import IntegratorName
 from mbsrun.ocp.methods import METHODS as SOLVERS
-from mbsrun.ocp.pictures import animate, draw_mechanism, plot_trajectories
+from mbsrun.ocp.multistart import describe_starts
+from mbsrun.ocp.pictures import animate, draw_mechanism, plot_starts, plot_trajectories
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Form, Inputs, Problem, Representation, SolverName, cylindrical, find_conflicts
 from mbsrun.ocp.record import Attempt, open_record
@@ -42,13 +46,17 @@ from mbsrun.ocp.search import (
     Summary,
     Targets,
     describe,
+    describe_search,
     identify,
     list_open_tasks,
     summarise,
 )
-from mbsrun.ocp.solution import Failure, Resimulation, Solution, read_guess, read_solution, write_solution
+from mbsrun.ocp.solution import Failure, Resimulation, Solution, Starts, read_guess, read_solution, write_solution
 from mbsrun.ocp.solve import Progress, solve
+from mbsrun.ocp.starts import describe_turns, list_turning
 from mbsrun.ocp.statement import MAX_STEPS, read_problem
+from mbsrun.ocp.table import write_table
+from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.simulation.drive import hold_steps, input_labels
 from mbsrun.simulation.methods import METHODS, Formulation
 from mbsrun.simulation.motion import Motion
@@ -57,6 +65,7 @@ from mbsrun.simulation.record import describe_settings, write_motion
 from mbsrun.simulation.simulate import simulate
 from mbsrun.simulation.statement import Recording, read_statement
 from mbsrun.study.commands import advise_command, chart
+from mbsrun.study.starting import Wish, solve_from_many
 from mbsrun.study.study_command import study_command
 
 NOT_SOLVED = 1  # exit codes; 0 is a solution as accurate as the problem asks for
@@ -66,7 +75,11 @@ SOLUTION = "solution.json"
 TRAJECTORIES = "trajectories.png"
 MECHANISM = "mechanism.png"
 ANIMATION = "animation.html"
-FILES = (SOLUTION, TRAJECTORIES, MECHANISM, ANIMATION)
+TABLE = "solution.csv"
+FILES = (SOLUTION, TABLE, TRAJECTORIES, MECHANISM, ANIMATION)
+DISTRIBUTION, STARTS = "starts.png", "starts.sqlite"  # of a search from many starts
+MAX_STARTS = 100_000
+SHOWN = 10  # minima that are printed
 
 LIMITS = ("max_steps", "max_seconds")  # of a simulation
 DAY = 86400.0  # s
@@ -99,13 +112,21 @@ found is then integrated by another method, and the two are compared.
 \b
 The output folder gets
   solution.json       the problem, what the solver did, every number of the trajectory
+  solution.csv        time, coordinates, velocities, accelerations, inputs, sensors;
+                      a row for each mesh and collocation point, names and units on top
   trajectories.png    coordinates, velocities and inputs over time
   mechanism.png       the mechanism on its way
   animation.html      plays the motion in any browser
+  starts.png          with --starts: the cost that each start found
+  starts.sqlite       with --starts: every start, so that the command goes on where it was
+
+A solver finds a local minimum near its guess. --starts 20 solves from 20 starts: the guess, and random ones (bumps and
+noise on the guess, other end poses, whole turns of joints without limits). The best solution is written, and how often
+its cost was found; lower ones may exist. Ctrl-C ends the search, and the best so far is written.
 
 \b
 Exit codes
-  0   solved, and as accurate as the problem asks for
+  0   solved, and as accurate as the problem asks for; nothing is said of lower minima
   1   not solved, and nothing written; or solved, but short of the tolerance or
       the accuracy asked for: then the solution is written, and says so
   2   the problem, its model or an argument cannot be accepted; nothing written
@@ -122,14 +143,19 @@ given again to go on, with more targets, costs, representations, or the other pr
 Protocols
   paper    for each representation the interpolation with inputs 0, and no restart;
            what fails or ends in a higher minimum than any that is known is counted
-  robust   interpolations with the inputs of their motion; random bumps on them; then
-           the solutions of neighbours, and of other representations, until nothing is new
+  robust   interpolations with the inputs of their motion; random starts: bumps and noise
+           on them, other end poses, whole turns of joints without limits; then the
+           solutions of neighbours, and of other representations, until nothing is new
+
+A search finds minima, and cannot show that there is no lower one: the summary says how many independent starts found
+the lowest cost known. Motions with whole turns are compared among themselves, and listed on their own.
 
 \b
 Exit codes
-  0   every task was solved by the robust protocol, and none is in a higher minimum;
-      or the paper protocol is through
-  1   some are not, or the time is over
+  0   the protocol is through; if it is the robust one, every task was solved, in the
+      lowest minimum that was found for its target: lower ones may exist
+  1   some tasks are not solved, or are in a higher minimum than one that was found;
+      or the time is over
   2   the problem, its model or an argument cannot be accepted
 """
 
@@ -248,6 +274,12 @@ def cli() -> None:
 )
 @click.option("--steps", type=click.IntRange(1, MAX_STEPS), help="Of the integrator in an interval; by default 1.")
 @click.option("--solver", type=click.Choice(list(SOLVERS)), help="What solves the program; by default ipopt.")
+@click.option(
+    "--starts", type=click.IntRange(1, MAX_STARTS), help="Solve from so many starts, and write the best solution."
+)
+@click.option("--seed", type=click.IntRange(0), help="Of the random starts; by default 0.")
+@click.option("--minutes", type=click.FloatRange(min=0), help="With --starts: begin no start after so much time.")
+@click.option("--workers", type=click.IntRange(0), help="With --starts: so many processes; by default this one alone.")
 @click.pass_context
 def solve_command(
     context: click.Context,
@@ -256,35 +288,48 @@ def solve_command(
     out: Path | None,
     target: tuple[float, float, float] | None,
     other: Path | None,
+    starts: int | None,
+    seed: int | None,
+    minutes: float | None,
+    workers: int | None,
     **choices: Any,
 ) -> None:
-    """Read, solve, re-simulate, write, tell."""
-    problem, plant = read_problem(file, load_on_demand)
+    """Read, solve, re-simulate, write, print."""
+    models: list[Path] = []
+
+    def load_model(model: Path) -> Mechanism | OnDemand:
+        models.append(model)
+        return load_on_demand(model)
+
+    problem, plant = read_problem(file, load_model)
     if target is not None:
         problem = _retarget(problem, target)
     problem = _choose(problem, **choices)
     if other is None and problem.guess.solution is not None:
         other = file.parent / problem.guess.solution
+    if starts is None and (seed, minutes, workers) != (None, None, None):
+        raise click.UsageError("--seed, --minutes and --workers are of a search from many starts; give --starts too")
+    if starts is not None and other is not None:
+        raise click.UsageError("--starts makes its own starts; it takes no solution to start from")
     guess = None if other is None else read_guess(other, plant.manifest)
     out = out or Path(f"{problem.name}.solution")
-    with MESSAGES.status("making the program") as status:
-
-        def show(progress: Progress) -> None:
-            status.update(
-                f"iteration {progress.iteration}: cost {progress.cost:.8g}, violation {progress.violation:.1e}"
-            )
-
-        outcome = solve(problem, plant, show, guess)
-        if isinstance(outcome, Solution):
-            status.update("integrating again")
-            outcome = resimulate(outcome, plant)
-            status.update("drawing")
-            _write(outcome, plant, out)
+    if starts is None:
+        outcome: Solution | Failure | None = _solve(problem, plant, guess)
+    else:
+        wish = Wish(starts, seed or 0, math.inf if minutes is None else 60 * minutes, workers or 0)
+        outcome = _search(problem, plant, models[-1], wish, out)
+    if outcome is None:
+        _say("the time was over before the first start ended")
+        context.exit(NOT_SOLVED)
     if isinstance(outcome, Failure):
         _tell_failure(outcome, out)
         context.exit(NOT_SOLVED)
+    with MESSAGES.status("integrating again") as status:
+        outcome = resimulate(outcome, plant)
+        status.update("drawing")
+        written = _write(outcome, plant, out)
     _print_summary(outcome)
-    _say(f"wrote {', '.join(str(out / name) for name in FILES)}")
+    _say(f"wrote {', '.join(str(out / name) for name in written)}")
     shortcomings = _list_shortcomings(outcome)
     for shortcoming in shortcomings:
         _say(f"warning: {shortcoming}")
@@ -378,6 +423,7 @@ def sweep_command(
         costs or ((problem.cost.inputs, problem.cost.input_rates),),
         representations,
         _find_bumped(bumped, plant.manifest),
+        list_turning(problem, plant.manifest),
     )
     is_through = True
     about = (identify(study, plant.manifest), describe(study, plant.manifest))
@@ -392,6 +438,8 @@ def sweep_command(
                 is_through = False
         attempts = list(record.attempts())
     _print_summaries(summarise(attempts))
+    for line in describe_search(attempts):
+        click.echo(line)
     if not is_through:
         _say("the time is over; give the command again to go on")
     context.exit(0 if is_through and (protocol == "paper" or not list_open_tasks(study, attempts)) else NOT_SOLVED)
@@ -662,12 +710,67 @@ def _check(problem: Problem) -> None:
         raise click.UsageError("; ".join(f"{c.key}: {c.finding}; {c.remedy}" for c in conflicts))
 
 
-def _write(solution: Solution, plant: Plant, out: Path) -> None:
+def _solve(problem: Problem, plant: Plant, guess: Trajectory | None) -> Solution | Failure:
+    """Solve from one guess, and show the iterations."""
+    with MESSAGES.status("making the program") as status:
+
+        def show(progress: Progress) -> None:
+            status.update(
+                f"iteration {progress.iteration}: cost {progress.cost:.8g}, violation {progress.violation:.1e}"
+            )
+
+        return solve(problem, plant, show, guess)
+
+
+def _search(
+    problem: Problem, plant: Mechanism | OnDemand, model: Path, wish: Wish, out: Path
+) -> Solution | Failure | None:
+    """Solve from many starts, and show how many ended and the best cost."""
+    out.mkdir(parents=True, exist_ok=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with ProgressBar(*columns, console=MESSAGES, transient=True) as bar:
+        task = bar.add_task("solving", total=wish.starts)
+
+        def show(starts: Starts) -> None:
+            best = "" if starts.best is None else f", lowest cost {starts.best.cost:.8g}, found {starts.times} times"
+            bar.update(task, completed=len(starts.results), description=f"solving{best}")
+
+        starts, outcome = solve_from_many(problem, plant, model, wish, out / STARTS, show)
+    _print_starts(starts)
+    return outcome
+
+
+def _print_starts(starts: Starts) -> None:
+    """Print the minima that were found, how often, and the starts that found none."""
+    table = Table(box=box.SIMPLE)
+    table.add_column("cost", justify="right")
+    table.add_column("found", justify="right")
+    table.add_column("whole turns")
+    for minimum in starts.minima[:SHOWN]:
+        table.add_row(f"{minimum.cost:.8g}", str(minimum.found), describe_turns(minimum.turns))
+    if starts.minima:
+        Console(highlight=False, width=None if sys.stdout.isatty() else UNCUT).print(table)
+    if len(starts.minima) > SHOWN:
+        click.echo(f"and {len(starts.minima) - SHOWN} higher costs")
+    failed = Counter(start.status for start in starts.results if start.cost is None)
+    if failed:
+        click.echo("no solution: " + ", ".join(f"{count} {status}" for status, count in failed.most_common()))
+    if len(starts.results) < starts.asked:
+        click.echo(f"{len(starts.results)} of {starts.asked} starts were made; give the command again to go on")
+
+
+def _write(solution: Solution, plant: Plant, out: Path) -> tuple[str, ...]:
+    """Write the files of a solution, and return their names."""
     out.mkdir(parents=True, exist_ok=True)
     write_solution(solution, out / SOLUTION)
+    write_table(solution, plant, out / TABLE)
     plot_trajectories(solution, plant.manifest, out / TRAJECTORIES)
     draw_mechanism(solution, plant, out / MECHANISM)
     animate(solution, plant, out / ANIMATION)
+    if solution.starts is None:
+        return FILES
+    plot_starts(solution.starts, out / DISTRIBUTION)
+    return (*FILES, DISTRIBUTION, STARTS)
 
 
 def _print_summary(solution: Solution) -> None:
@@ -684,6 +787,7 @@ def _print_summary(solution: Solution) -> None:
         "program": f"{size.variables} variables, {size.constraints} constraints",
         "nonzeros": f"{size.jacobian_nonzeros} in the Jacobian, {size.hessian_nonzeros} in the Hessian's triangle",
         "cost": f"{cost.total:.10g}",
+        **({} if solution.starts is None else {"starts": describe_starts(solution.starts)}),
         **{f"  {name} ": f"{value:.10g}" for name, value in cost.terms if value != 0},
         "violation": f"{violation.constraints:.1e} of constraints, {violation.bounds:.1e} of bounds"
         + ("" if violation.lengths is None else f", {violation.lengths:.1e} of quaternions' lengths"),

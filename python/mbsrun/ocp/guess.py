@@ -64,6 +64,20 @@ def find_pose(problem: Problem, plant: Plant) -> Pose:
     return pose if pose.is_reached else kinematics.search(())
 
 
+def scatter_poses(problem: Problem, plant: Plant, rng: np.random.Generator, tries: int) -> Array | None:
+    """Find a pose that meets the targets from random poses within the bounds; None where `tries` of them do not.
+
+    Other poses than that of `find_pose` meet the same targets where inverse kinematics has several branches.
+    """
+    kinematics = _Kinematics(problem, plant)
+    lower, upper = kinematics.extent()
+    for _ in range(tries):
+        pose = kinematics.descend(rng.uniform(lower, upper), ())
+        if pose.is_reached:
+            return pose.q
+    return None
+
+
 def make_guess(problem: Problem, plant: Plant, scheme: Scheme) -> Trajectory | Pose:
     """Make the guess that a problem describes; where no pose meets its targets, give the nearest one found."""
     motion = rest(problem, scheme, plant)
@@ -202,14 +216,18 @@ class _Kinematics:
         return best
 
     def starts(self) -> Array:
-        """Spread poses over the bounds; over half a turn, or half a metre, from the start where there is no bound."""
+        """Spread poses over the bounds."""
+        lower, upper = self.extent()
+        spread = qmc.Halton(len(self.start), scramble=False).random(STARTS)
+        return np.asarray(lower + spread * (upper - lower))
+
+    def extent(self) -> tuple[Array, Array]:
+        """Return the bounds; where there is none, half a turn, or pi metres, from the start."""
         least, most = self.start - np.pi, self.start + np.pi
         for x in self.turning:
             least[x.entries], most[x.entries] = -1.0, 1.0
         lower = np.where(np.isfinite(self.lower), self.lower, least)
-        upper = np.where(np.isfinite(self.upper), self.upper, most)
-        spread = qmc.Halton(len(self.start), scramble=False).random(STARTS)
-        return np.asarray(lower + spread * (upper - lower))
+        return lower, np.where(np.isfinite(self.upper), self.upper, most)
 
     def descend(self, start: Array, upright: tuple[str, ...]) -> Pose:
         """Go down from one pose to the nearest."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mbsgen.manifest import Coordinate, Frame, Manifest
 from mbsrun.animation import Marker, write_animation
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.solution import Solution
+from mbsrun.ocp.solution import Solution, Starts
 from mbsrun.quaternions import find_rates
 
 Array = NDArray[np.float64]
@@ -58,6 +58,26 @@ def plot_trajectories(solution: Solution, manifest: Manifest, path: Path) -> Non
     inputs.set_xlim(0, solution.trajectory.t[-1])
     figure.legend(loc="outside lower center", ncols=3, frameon=False)
     figure.suptitle(_title(solution))
+    _save(figure, path)
+
+
+def plot_starts(starts: Starts, path: Path) -> None:
+    """Plot the cost that each start found, the lowest first, by kind of start, and write the picture."""
+    solved = sorted((start for start in starts.results if start.cost is not None), key=lambda start: start.cost or 0.0)
+    figure = Figure(figsize=(8, 4.5), layout="constrained")
+    axes = figure.subplots()
+    for k, kind in enumerate(dict.fromkeys(start.kind for start in starts.results)):
+        own = [(rank, start.cost or 0.0) for rank, start in enumerate(solved, 1) if start.kind == kind]
+        axes.plot(*zip(*own, strict=True) if own else ([], []), "o", color=COLORS[k], label=f"{kind} ({len(own)})")
+    if solved:
+        axes.axhline(solved[0].cost or 0.0, color="0.6", linewidth=1, zorder=0)
+    axes.set_xlabel("start, by cost")
+    axes.set_ylabel("cost")
+    axes.legend(title="kind of start (solved)", frameon=False)
+    failed = len(starts.results) - len(solved)
+    axes.set_title(
+        f"lowest cost found {starts.times} times in {len(starts.results)} starts; {failed} without a solution"
+    )
     _save(figure, path)
 
 

@@ -1,9 +1,9 @@
 """What searches have tried: every attempt, and the best motions found for each task, in one SQLite file.
 
 An attempt is one transaction, on the disk before the next begins: a process that is killed loses what it was at, and
-nothing else. One file holds any number of studies. Of the motions, one is kept for a task, a protocol and a round,
-where it is better than all of the rounds before; so what a round starts from does not depend on the order in which
-attempts come in, nor on whether the search was interrupted.
+nothing else. One file holds any number of studies. Of the motions, one is kept for a task, a protocol, a round and a
+number of whole turns, where it is better than all of the rounds before; so what a round starts from does not depend on
+the order in which attempts come in, nor on whether the search was interrupted.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ import numpy as np
 from mbsgen.errors import Fault, InputError
 from mbsrun.ocp.trajectory import Trajectory
 
-FORMAT = "mbsrun record 3"
+FORMAT = "mbsrun record 4"
+BEFORE = "mbsrun record 3"  # without turns: it is brought to the present format when it is opened
 SAME = 1e-6  # relative difference of costs within which two optima are one
 
 Key = tuple[object, ...]  # tells which attempt: task, protocol, part, guess
@@ -33,13 +34,17 @@ create table attempts (
   study integer, place_i integer, place_j integer, inputs real, input_rates real, representation text,
   protocol text, part text, guess text, round integer, status text, iterations integer, cpu_seconds real,
   cpu_seconds_evaluating real, cost real, defect real, variables integer, constraints integer,
-  jacobian_nonzeros integer, hessian_nonzeros integer, circumstances integer,
+  jacobian_nonzeros integer, hessian_nonzeros integer, turns text, circumstances integer,
   primary key (study, place_i, place_j, inputs, input_rates, representation, protocol, part, guess));
 create table best (
   study integer, place_i integer, place_j integer, inputs real, input_rates real, representation text,
-  protocol text, round integer, cost real, motion blob,
-  primary key (study, place_i, place_j, inputs, input_rates, representation, protocol, round));
+  protocol text, round integer, turns text, cost real, motion blob,
+  primary key (study, place_i, place_j, inputs, input_rates, representation, protocol, round, turns));
 """
+_ATTEMPTS_BEFORE = """study, place_i, place_j, inputs, input_rates, representation, protocol, part, guess, round,
+  status, iterations, cpu_seconds, cpu_seconds_evaluating, cost, defect, variables, constraints, jacobian_nonzeros,
+  hessian_nonzeros"""
+_BEST_BEFORE = "study, place_i, place_j, inputs, input_rates, representation, protocol, round"
 
 
 @dataclass(frozen=True)
@@ -75,6 +80,7 @@ class Attempt:
     constraints: int | None = None
     jacobian_nonzeros: int | None = None
     hessian_nonzeros: int | None = None  # of the triangle
+    turns: str = ""  # whole turns of joints without limits from start to end, as `starts.count_turns` names them
 
     @property
     def key(self) -> Key:
@@ -126,22 +132,22 @@ class Record:
             done = self._connection.execute(f"insert or ignore into attempts values ({_marks(row)})", row)
             if is_better and motion is not None and done.rowcount:
                 task = (self._study, *attempt.task.row, attempt.protocol, attempt.round)
-                values = (*task, attempt.cost, _pack(motion))
+                values = (*task, attempt.turns, attempt.cost, _pack(motion))
                 self._connection.execute(f"insert or replace into best values ({_marks(values)})", values)
         return is_better
 
     def best(self, protocol: str, before: int | None = None) -> Mapping[Task, Best]:
-        """Give the best of every task that a protocol has solved, in the rounds before one, or in all."""
+        """Give the best without whole turns of every task that a protocol solved, in rounds before one or in all."""
         query = "select place_i, place_j, inputs, input_rates, representation, cost, round from best"
-        query += " where study = ? and protocol = ? and round < ? order by round"
+        query += " where study = ? and protocol = ? and round < ? and turns = '' order by round"
         found = self._connection.execute(query, (self._study, protocol, _LAST if before is None else before))
         return {Task((row[0], row[1]), (row[2], row[3]), row[4]): Best(row[5], row[6]) for row in found}
 
-    def best_motion(self, task: Task, protocol: str, before: int | None = None) -> Trajectory | None:
-        """Give the motion of the best."""
-        query = f"select motion from best where {_IS_TASK} and protocol = ? and round < ? order by round desc limit 1"
-        values = (self._study, *task.row, protocol, _LAST if before is None else before)
-        found = self._connection.execute(query, values).fetchone()
+    def best_motion(self, task: Task, protocol: str, before: int | None = None, turns: str = "") -> Trajectory | None:
+        """Give the motion of the best with some whole turns, by default none."""
+        query = f"select motion from best where {_IS_TASK} and protocol = ? and turns = ? and round < ?"
+        values = (self._study, *task.row, protocol, turns, _LAST if before is None else before)
+        found = self._connection.execute(f"{query} order by round desc limit 1", values).fetchone()
         return None if found is None else _unpack(found[0])
 
     def attempts(self) -> Iterator[Attempt]:
@@ -158,8 +164,8 @@ class Record:
             yield Attempt(Task((row[0], row[1]), (row[2], row[3]), row[4]), *row[5:-1]), row[-1]
 
     def _is_best(self, attempt: Attempt, cost: float) -> bool:
-        query = f"select cost from best where {_IS_TASK} and protocol = ? and round "
-        values = (self._study, *attempt.task.row, attempt.protocol, attempt.round)
+        query = f"select cost from best where {_IS_TASK} and protocol = ? and turns = ? and round "
+        values = (self._study, *attempt.task.row, attempt.protocol, attempt.turns, attempt.round)
         before = self._connection.execute(f"{query} < ? order by round desc limit 1", values).fetchone()
         beside = self._connection.execute(f"{query} = ?", values).fetchone()
         if before is not None and cost >= before[0] - SAME * abs(before[0]):
@@ -201,8 +207,23 @@ def _check(connection: sqlite3.Connection, path: Path) -> None:
     if not connection.execute("select count(*) from sqlite_master").fetchone()[0]:
         connection.executescript(f"begin; {_TABLES} insert into about values ('{FORMAT}'); commit;")
     about = connection.execute("select format from about").fetchone()
+    if about is not None and about[0] == BEFORE:
+        _renew(connection)
+        about = (FORMAT,)
     if about is None or about[0] != FORMAT:
         raise _refuse(path, "it is no record of this version", "give another file")
+
+
+def _renew(connection: sqlite3.Connection) -> None:
+    """Bring a file of the format before to the present one; its searches made no start with whole turns."""
+    attempts, best = f"{_ATTEMPTS_BEFORE}, '', circumstances", f"{_BEST_BEFORE}, '', cost, motion"
+    renamed = " ".join(f"alter table {name} rename to old_{name};" for name in ("attempts", "best"))
+    own = _TABLES[_TABLES.index("create table attempts") :]
+    connection.executescript(
+        f"begin; {renamed} {own} insert into attempts select {attempts} from old_attempts order by rowid; "
+        f"insert into best select {best} from old_best; drop table old_attempts; drop table old_best; "
+        f"update about set format = '{FORMAT}'; commit;"
+    )
 
 
 def _refuse(path: Path, finding: str, remedy: str) -> InputError:

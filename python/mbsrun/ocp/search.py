@@ -3,13 +3,18 @@
 The *paper* protocol is that of a comparison: for each representation one guess, the interpolation without inputs, no
 restart; what fails or ends in a higher minimum is counted (Docquier, Bruls, Fisette, section 4.3).
 
-The *robust* protocol does what it takes to solve every task in its best minimum:
+The *robust* protocol looks for the lowest minimum of every task. It finds minima, and cannot show that there is no
+lower one; so how often independent starts found the lowest is counted (`count_finds`):
 
     interpolation   each representation, from the interpolation with the inputs of its inverse dynamics
-    bumps           the first representation, from interpolations with smooth random bumps, which break symmetries too;
-                    more of them where input rates are free, which makes many minima; none where there are quaternions
+    bumps, noise, branches, turns
+                    the first representation, from the random starts of `starts`: independent of each other; more of
+                    them where input rates are free, which makes many minima; no bumps where there are quaternions
     neighbours      the first representation, from the best motion of each neighbouring target, until nothing is new
     exchange        each representation that is in a higher minimum, from the best motion of another, staying near it
+
+Motions in which joints without limits make whole turns compete among themselves: rounds start from motions without
+turns, and what is higher or lowest is so among these. `list_turned` sums up the others.
 
 A protocol goes on in rounds. What a round tries depends on what the rounds before have found, and on nothing else: its
 trials can be carried out anywhere, at once and in any order, and a search that was interrupted comes to the same end.
@@ -34,7 +39,7 @@ from pydantic import TypeAdapter
 
 from mbsgen.manifest import Manifest
 from mbsrun.ocp import schemes, solution
-from mbsrun.ocp.guess import Pose, adapt, balance, bump, find_pose, interpolate, rest
+from mbsrun.ocp.guess import Pose, adapt, balance, find_pose, interpolate, rest
 from mbsrun.ocp.linear import MUMPS, OWN
 from mbsrun.ocp.methods import LINEAR_SOLVER
 from mbsrun.ocp.plant import Plant
@@ -43,16 +48,27 @@ from mbsrun.ocp.record import SAME, Attempt, Best, Key, Record, Task
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.solution import Failure, Solution
 from mbsrun.ocp.solve import Solver
+from mbsrun.ocp.starts import TURNS, Kind, Variation, coarsen, count_turns, describe_turns, vary
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.ocp.transcription import Structure, structure
 
 ProtocolName = Literal["paper", "robust"]
+MULTISTART = "starts"  # the protocol of a single problem from many starts: see `multistart`
 Place = tuple[int, int]
 Weights = tuple[float, float]
 Circumstances = Mapping[str, str | int]
 
-BUMPS = 6  # for each target, where input rates are free
-FEW_BUMPS = 2  # where they are not
+COUNTS: Mapping[str, tuple[int, int]] = (
+    MappingProxyType(  # of starts for each target: where input rates are free, or not
+        {
+            "bumps": (6, 2),
+            "noise": (12, 4),
+            "branches": (2, 1),
+            "turns": (2, 1),
+        }  # turns: for each joint and number of turns
+    )
+)
+INDEPENDENT = ("interpolation", "bumps", "noise", "branches")  # parts whose starts know nothing of each other
 ROUNDS = 100  # at most
 # IPOPT begins with a barrier that would push a motion out of a shallow minimum; so it stays in it.
 HOLD = MappingProxyType({"mu_init": 1e-6, "bound_push": 1e-8, "bound_frac": 1e-8})
@@ -108,6 +124,7 @@ class Study:
     costs: tuple[Weights, ...]
     representations: tuple[Representation, ...]
     bumped: tuple[int, ...]  # coordinates that bumps move
+    turning: tuple[int, ...] = ()  # entries of q that the robust protocol turns whole turns on
 
     def state(self, task: Task) -> Problem:
         """State the problem of a task."""
@@ -159,10 +176,15 @@ class Interpolation:
 
 
 @dataclass(frozen=True)
-class Bumps:
-    """Start from that motion with random bumps, and with the inputs that make it."""
+class Varied:
+    """Start from a random motion; where it is not smooth and the mesh is fine, solve on a coarse mesh first."""
 
-    number: int
+    variation: Variation
+
+    @property
+    def is_coarse(self) -> bool:
+        """Tell whether a coarse solve comes first."""
+        return self.variation.kind != "bumps"
 
 
 @dataclass(frozen=True)
@@ -173,7 +195,7 @@ class Found:
     is_held: bool = False  # stay near: the motion is an optimum of this task too
 
 
-Start = Interpolation | Bumps | Found
+Start = Interpolation | Varied | Found
 
 
 @dataclass(frozen=True)
@@ -208,7 +230,7 @@ def plan_round(
     if protocol == "paper":
         return list_interpolations(study, "paper", "paper", "zero") if number == 0 else []
     if number == 0:
-        return list_interpolations(study, "robust", "interpolation", "dynamic") + _list_bumps(study)
+        return list_interpolations(study, "robust", "interpolation", "dynamic") + _list_variations(study)
     if number >= ROUNDS:
         return []
     near = [trial for trial in _list_neighbours(study, best, number) if trial.key not in tried]
@@ -225,16 +247,29 @@ def list_interpolations(study: Study, protocol: str, part: str, inputs: Inputs) 
     ]
 
 
-def _list_bumps(study: Study) -> list[Trial]:
-    if study.problem.has_quaternions:  # whose velocities a bump would have to be found for
-        return []
+def _list_variations(study: Study) -> list[Trial]:
     scout = study.representations[0].value
     return [
-        Trial(Task(place, weights, scout), "robust", "bumps", str(k), Bumps(k))
+        Trial(Task(place, weights, scout), "robust", variation.kind, name, Varied(variation))
         for weights in study.costs
         for place in study.targets.spread
-        for k in range(BUMPS if weights[1] == 0 else FEW_BUMPS)
+        for name, variation in _vary_all(study, place, is_rough=weights[1] == 0)
     ]
+
+
+def _vary_all(study: Study, place: Place, *, is_rough: bool) -> Iterator[tuple[str, Variation]]:
+    """Name the variations of a target; each part numbers its own."""
+    counts = {part: few_or_many[0 if is_rough else 1] for part, few_or_many in COUNTS.items()}
+    if not study.problem.has_quaternions:  # whose velocities a bump would have to be found for
+        yield from ((str(k), Variation("bumps", (*place, k))) for k in range(counts["bumps"]))
+    kinds: tuple[Kind, ...] = ("noise", "branches")
+    for code, kind in enumerate(kinds):
+        yield from ((str(k), Variation(kind, (*place, k, code))) for k in range(counts[kind]))
+    for i in study.turning:
+        for turns in TURNS:
+            for k in range(counts["turns"]):
+                seed = (*place, k, len(kinds), i, turns % 2**32)
+                yield f"{i} {turns:+d} {k}", Variation("turns", seed, (i, turns))
 
 
 def _list_neighbours(study: Study, best: Mapping[Task, Best], number: int) -> Iterator[Trial]:
@@ -290,13 +325,13 @@ class Outcome:
 def choose_options(problem: Problem, trial: Trial) -> Problem:
     """Tell IPOPT what a trial wants of it, where the problem says nothing: its linear solver, and whether to stay near.
 
-    The robust protocol is after optima, and takes the quickest linear solver. Times of the others are compared, with
-    the paper's and with each other's: they take MUMPS, as does whoever tells one of its options.
+    Searches for optima take the quickest linear solver. Times of the other protocols are compared, with the paper's and
+    with each other's: they take MUMPS, as does a problem with one of its options.
     """
     solver = problem.solver
     if solver.method != "ipopt":
         return problem
-    is_free = trial.protocol == "robust" and not any(name.startswith(MUMPS) for name, _ in solver.options)
+    is_free = trial.protocol in ("robust", MULTISTART) and not any(name.startswith(MUMPS) for name, _ in solver.options)
     told: dict[str, float | int | str] = {LINEAR_SOLVER: OWN if is_free else MUMPS}
     if isinstance(trial.start, Found) and trial.start.is_held:
         told |= HOLD
@@ -313,16 +348,30 @@ class Bench:
         self._poses: dict[tuple[object, ...], Pose] = {}
 
     def carry_out(self, order: Order) -> Outcome:
-        """Solve what a trial is about, from where it starts."""
-        trial = order.trial
-        problem = choose_options(order.study.state(trial.task), trial)
-        guess = self._make_guess(order, problem)
-        if guess is None:
-            return self._tell(trial, problem, solution.Run(solution.UNREACHABLE, 0, 0.0, 0.0), None)
-        found = self._find_solver(problem).solve(problem, guess)
+        """Solve the problem of a trial from its start, and return what a record keeps of it."""
+        trial, problem = order.trial, choose_options(order.study.state(order.trial.task), order.trial)
+        found = self.solve(order)
         if isinstance(found, Failure) or found.is_only_acceptable:
             return self._tell(trial, problem, found.run, None)
         return self._tell(trial, problem, found.run, resimulate(found, self.plant) if trial.is_checked else found)
+
+    def solve(self, order: Order) -> Solution | Failure:
+        """Solve the problem of a trial from its start; the processor time is that of a coarse solve, too."""
+        trial, problem = order.trial, choose_options(order.study.state(order.trial.task), order.trial)
+        guess = self.make_guess(order, problem)
+        if guess is None:
+            run = solution.Run(solution.UNREACHABLE, 0, 0.0, 0.0)
+            return Failure(problem, run, "no pose meets the targets", "move the target or widen the bounds")
+        begun = 0.0  # processor time of a coarse solve
+        coarse = coarsen(problem) if isinstance(trial.start, Varied) and trial.start.is_coarse else None
+        if coarse is not None:
+            first = self._find_solver(coarse).solve(coarse, guess)
+            if isinstance(first, Failure):
+                return replace(first, problem=problem, run=replace(first.run, status=f"Coarse_{first.run.status}"))
+            begun = first.run.cpu_seconds
+            guess = adapt(first.trajectory, problem, schemes.build(problem.family, problem.degree))
+        found = self._find_solver(problem).solve(problem, guess)
+        return replace(found, run=replace(found.run, cpu_seconds=found.run.cpu_seconds + begun))
 
     def _tell(self, trial: Trial, problem: Problem, run: solution.Run, found: Solution | None) -> Outcome:
         effort = (run.status, run.iterations, run.cpu_seconds, run.cpu_seconds_evaluating)
@@ -342,6 +391,7 @@ class Bench:
             constraints=size.constraints,
             jacobian_nonzeros=size.jacobian_nonzeros,
             hessian_nonzeros=size.hessian_nonzeros,
+            turns=count_turns(found.trajectory, problem, self.plant.manifest),
         )
         return Outcome(attempt, found.trajectory, told)
 
@@ -353,19 +403,18 @@ class Bench:
             self._solvers.popitem(last=False)
         return solver
 
-    def _make_guess(self, order: Order, problem: Problem) -> Trajectory | None:
-        """Make the motion that a trial starts from; None where its target is out of reach."""
+    def make_guess(self, order: Order, problem: Problem) -> Trajectory | None:
+        """Make the motion that a trial starts from, on its own or a coarse mesh; None for a target out of reach."""
         scheme, start = schemes.build(problem.family, problem.degree), order.trial.start
         if isinstance(start, Found):
             assert order.motion is not None, "a trial that starts from a motion is ordered with it"
             return adapt(order.motion, problem, scheme)
+        if isinstance(start, Varied):
+            chosen = (coarsen(problem) if start.is_coarse else None) or problem
+            scheme = schemes.build(chosen.family, chosen.degree)
+            return vary(start.variation, chosen, self.plant, scheme, order.study.bumped)
         motion = self._move(problem)
-        if motion is None:
-            return None
-        if isinstance(start, Interpolation):
-            return balance(motion, problem, self.plant, start.inputs)
-        rng = np.random.default_rng((*order.trial.task.place, start.number))
-        return balance(bump(motion, order.study.bumped, rng), problem, self.plant, "dynamic")
+        return None if motion is None else balance(motion, problem, self.plant, start.inputs)
 
     def _move(self, problem: Problem) -> Trajectory | None:
         scheme = schemes.build(problem.family, problem.degree)
@@ -499,7 +548,7 @@ def list_open_tasks(study: Study, attempts: Sequence[Attempt]) -> list[Task]:
     """List the tasks of a study that are not solved, or in a higher minimum than another representation or guess."""
     lowest, best = find_lowest(attempts), dict[Task, float]()
     for attempt in attempts:
-        if attempt.cost is not None:
+        if attempt.cost is not None and not attempt.turns:
             best[attempt.task] = min(attempt.cost, best.get(attempt.task, attempt.cost))
     tasks = [
         Task(place, weights, representation.value)
@@ -511,13 +560,85 @@ def list_open_tasks(study: Study, attempts: Sequence[Attempt]) -> list[Task]:
 
 
 def find_lowest(attempts: Sequence[Attempt]) -> dict[tuple[Place, Weights], float]:
-    """Give the lowest cost that any attempt, in any representation, found for each target and cost."""
+    """Give the lowest cost without whole turns of each target and cost, of all attempts and representations.
+
+    Where all that was found makes whole turns, it is the lowest of that.
+    """
     lowest: dict[tuple[Place, Weights], float] = {}
+    turned: dict[tuple[Place, Weights], float] = {}
     for attempt in attempts:
-        key = (attempt.task.place, attempt.task.weights)
+        key, held = (attempt.task.place, attempt.task.weights), turned if attempt.turns else lowest
         if attempt.cost is not None:
-            lowest[key] = min(attempt.cost, lowest.get(key, attempt.cost))
-    return lowest
+            held[key] = min(attempt.cost, held.get(key, attempt.cost))
+    return turned | lowest
+
+
+@dataclass(frozen=True)
+class Finds:
+    """How often independent starts found the lowest cost that is known of a target."""
+
+    place: Place
+    weights: Weights
+    lowest: float
+    found: int
+    starts: int
+
+
+def count_finds(attempts: Sequence[Attempt]) -> list[Finds]:
+    """Count the independent starts of the robust protocol, and those that found the lowest, by target and cost."""
+    starts: dict[tuple[Place, Weights], list[Attempt]] = {}
+    for attempt in attempts:
+        if attempt.protocol == "robust" and attempt.part in INDEPENDENT:
+            starts.setdefault((attempt.task.place, attempt.task.weights), []).append(attempt)
+    return [
+        Finds(*key, low, sum(not is_higher(a.cost, low) and not a.turns for a in starts[key]), len(starts[key]))
+        for key, low in find_lowest(attempts).items()
+        if key in starts
+    ]
+
+
+@dataclass(frozen=True)
+class Turned:
+    """The lowest cost of a target with some whole turns, beside the lowest without."""
+
+    place: Place
+    weights: Weights
+    turns: str
+    cost: float
+    lowest: float | None  # without; None: no attempt found any
+
+
+def list_turned(attempts: Sequence[Attempt]) -> list[Turned]:
+    """List the lowest costs of every target and cost with whole turns, by turns."""
+    lowest = find_lowest([attempt for attempt in attempts if not attempt.turns])
+    found: dict[tuple[Place, Weights, str], float] = {}
+    for a in attempts:
+        if a.cost is not None and a.turns:
+            key = (a.task.place, a.task.weights, a.turns)
+            found[key] = min(a.cost, found.get(key, a.cost))
+    return [Turned(*key, cost, lowest.get(key[:2])) for key, cost in sorted(found.items())]
+
+
+def describe_search(attempts: Sequence[Attempt]) -> list[str]:
+    """Say in words, for each cost, how often the lowest costs known were found, and what whole turns gave."""
+    lines, finds, turned = [], count_finds(attempts), list_turned(attempts)
+    for weights in dict.fromkeys(find.weights for find in finds):
+        own = [find for find in finds if find.weights == weights]
+        shares, never = sorted(find.found for find in own), sum(not find.found for find in own)
+        starts = sorted(find.starts for find in own)
+        lines.append(
+            f"cost ({weights[0]:g}, {weights[1]:g}): the lowest cost known of a target was found by "
+            f"{shares[0]} to {shares[-1]} of {starts[0]} to {starts[-1]} independent starts, "
+            f"at {never} of {len(own)} targets by none; lower ones may exist"
+        )
+        lower = [t for t in turned if t.weights == weights and (t.lowest is None or not is_higher(t.cost, t.lowest))]
+        if lower:
+            best = min(lower, key=lambda t: t.cost)
+            lines.append(
+                f"with whole turns lower still at {len({t.place for t in lower})} targets: down to {best.cost:.8g}, "
+                f"{describe_turns(best.turns)}, at target {best.place}"
+            )
+    return lines
 
 
 def summarise(attempts: Sequence[Attempt]) -> list[Summary]:
@@ -531,6 +652,8 @@ def summarise(attempts: Sequence[Attempt]) -> list[Summary]:
         if attempt.protocol == "robust":
             best = results.setdefault((task.weights, task.representation, "result"), {})
             held = best.get(task.place)
+            if attempt.turns:
+                continue
             if held is None or (attempt.cost is not None and (held.cost is None or attempt.cost < held.cost)):
                 best[task.place] = attempt
     groups |= {key: list(best.values()) for key, best in results.items()}
@@ -552,7 +675,7 @@ def _sum_up(
         part=part,
         attempts=len(group),
         solved=len(solved),
-        higher=sum(is_higher(a.cost, lowest[a.task.place, a.task.weights]) for a in solved),
+        higher=sum(is_higher(a.cost, lowest[a.task.place, a.task.weights]) for a in solved if not a.turns),
         iterations=(float(min(iterations)), float(np.median(iterations)), float(max(iterations))),
         cpu_seconds=sum(attempt.cpu_seconds for attempt in group),
         cpu_median=float(np.median([attempt.cpu_seconds for attempt in solved] or [0.0])),

@@ -7,7 +7,7 @@ the same for the same solve but for the times.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -16,6 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 from mbsgen.errors import Fault, InputError
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.record import SAME
 from mbsrun.ocp.trajectory import Trajectory
 
 FORMAT: Literal["mbsrun solution 1"] = "mbsrun solution 1"
@@ -96,6 +97,62 @@ class Resimulation:
     unfinished: str = ""  # the limit of time or steps that ended the check, if one did
 
 
+@dataclass(frozen=True)
+class Start:
+    """What came of one start."""
+
+    number: int
+    kind: str
+    status: str
+    iterations: int
+    cpu_seconds: float
+    cost: float | None  # None: no solution
+    turns: str  # whole turns of joints without limits, as `starts.count_turns` names them
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """A cost that starts found."""
+
+    cost: float
+    turns: str
+    found: int  # times
+
+
+@dataclass(frozen=True)
+class Starts:
+    """What came of all starts."""
+
+    seed: int
+    asked: int
+    results: tuple[Start, ...]  # of the starts that were made
+
+    @property
+    def best(self) -> Start | None:
+        """Return the first start that found the lowest cost; None where no start found a solution."""
+        solved = [(start.cost, start.number, start) for start in self.results if start.cost is not None]
+        return min(solved)[2] if solved else None
+
+    @property
+    def minima(self) -> tuple[Minimum, ...]:
+        """List the costs found, the lowest first; costs that differ by rounding, with the same turns, are one."""
+        found: list[Minimum] = []
+        for start in sorted(self.results, key=lambda s: (s.turns, s.cost or 0.0)):
+            if start.cost is None:
+                continue
+            last = found[-1] if found else None
+            if last and last.turns == start.turns and start.cost <= last.cost + SAME * abs(last.cost):
+                found[-1] = replace(last, found=last.found + 1)
+            else:
+                found.append(Minimum(start.cost, start.turns, 1))
+        return tuple(sorted(found, key=lambda minimum: minimum.cost))
+
+    @property
+    def times(self) -> int:
+        """Count the starts that found the lowest cost."""
+        return self.minima[0].found if self.minima else 0
+
+
 @dataclass(frozen=True, eq=False)
 class Solution:
     """A motion that meets the constraints and, by the solver's word, cannot be made cheaper nearby."""
@@ -111,6 +168,7 @@ class Solution:
     violation: Violation
     trajectory: Trajectory
     resimulation: Resimulation | None = None
+    starts: Starts | None = None  # of the search that found it, if it was one
 
     @property
     def is_only_acceptable(self) -> bool:

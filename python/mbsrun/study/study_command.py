@@ -24,6 +24,7 @@ from rich.progress import (
 
 from mbsrun.ocp.problem import Representation, find_conflicts
 from mbsrun.ocp.search import ProtocolName, Study, Targets, Weights
+from mbsrun.ocp.starts import list_turning
 from mbsrun.study.campaign import (
     QUESTIONS,
     SETS,
@@ -63,7 +64,7 @@ Parts, in this order; all, unless some are chosen
   --question shooting     multiple shooting beside collocation, here and for --system
   --question guess        inputs 0, statics, inverse dynamics
   --question repeats      the same tasks for targets that differ by rounding: how far iterations scatter
-  --protocol robust       what it takes to solve every task in its best minimum
+  --protocol robust       a search for lower minima from many starts; how often each was found
 
 \b
 The output folder gets
@@ -157,7 +158,8 @@ def study_command(
         if conflicts := find_conflicts(replace(problem, representation=representation)):
             raise click.UsageError("; ".join(f"{c.key}: {c.finding}; {c.remedy}" for c in conflicts))
     bumped = tuple(subject.plant.manifest.actuated)
-    study = Study(problem, find_sensor(problem, file), grid, costs or SETS, representations, bumped)
+    turning = list_turning(problem, subject.plant.manifest)
+    study = Study(problem, find_sensor(problem, file), grid, costs or SETS, representations, bumped, turning)
     chosen = bool(protocols or asked)
     campaign = Campaign(
         subject=subject,

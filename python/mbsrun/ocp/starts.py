@@ -1,0 +1,146 @@
+"""Starts of a search among local minima: every kind of motion that a solve may begin from, beside the problem's guess.
+
+    bumps      the guess with smooth random bumps, which break symmetries too
+    noise      the guess with random numbers added to coordinates at every point, and random inputs
+    branches   the same about a motion to another pose that meets the end's targets: inverse kinematics has branches
+    turns      the same about a motion with whole turns of a joint that has no limits, on the way to the pose
+
+A start is a function of the problem and of the seed and number of its variation: it can be made again anywhere. On a
+fine mesh a noisy start is expensive to solve from; so it is made, and solved, on a coarse mesh first (`coarsen`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsgen.manifest import Manifest
+from mbsrun.ocp.guess import balance, bump, find_pose, interpolate, rest, scatter_poses
+from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.problem import Form, Problem, Range
+from mbsrun.ocp.schemes import Scheme
+from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.quaternions import normalise
+
+Array = NDArray[np.float64]
+Kind = Literal["bumps", "noise", "branches", "turns"]
+
+WIDTHS = (0.5, 4.0)  # least and most standard deviation of noise [rad]; each start draws its own
+TURNS = (1, -1, 2, -2)  # numbers of whole turns that are tried of each joint without limits
+TRIES = 20  # poses that a branch is looked for from
+COARSE, FINE, DEGREE, ITERATIONS = 20, 40, 3, 200  # from FINE intervals on: intervals, degree, limit of a coarse solve
+MOST_STEPS = 100  # of shooting, in an interval of a coarse mesh
+
+
+@dataclass(frozen=True)
+class Variation:
+    """One random start: what it varies, and the numbers that its random numbers follow from."""
+
+    kind: Kind
+    seed: tuple[int, ...]
+    turn: tuple[int, int] | None = None  # index into q, whole turns added
+
+
+def list_turning(problem: Problem, manifest: Manifest) -> tuple[int, ...]:
+    """List the entries of q that may end whole turns on: angles without bounds or a value at the end."""
+    angles = {c.name for c in manifest.coordinates if c.motion == "revolute"}
+    fixed = {i for i, _ in problem.end.coordinates}
+    return tuple(
+        i
+        for i, (name, limits) in enumerate(zip(manifest.positions, problem.bounds.q, strict=True))
+        if name in angles and i not in fixed and limits == (-math.inf, math.inf)
+    )
+
+
+def count_turns(trajectory: Trajectory, problem: Problem, manifest: Manifest) -> str:
+    """Name the whole turns that joints without limits make from start to end, such as "q1 +2"; "" for none."""
+    change = (trajectory.q[-1] - trajectory.q[0]) / (2 * np.pi)
+    counts = {manifest.positions[i]: round(float(change[i])) for i in list_turning(problem, manifest)}
+    return ", ".join(f"{name} {count:+d}" for name, count in counts.items() if count)
+
+
+def describe_turns(turns: str) -> str:
+    """Say turns in words: "with +2 turns of q1"."""
+    told = (part.rpartition(" ") for part in turns.split(", ") if part)
+    return ", ".join(f"with {count} turn{'s' * (abs(int(count)) > 1)} of {name}" for name, _, count in told)
+
+
+def vary(
+    variation: Variation, problem: Problem, plant: Plant, scheme: Scheme, bumped: Sequence[int]
+) -> Trajectory | None:
+    """Make the motion of a variation on the problem's grid; None where no pose meets the end's targets.
+
+    `bumped` are the coordinates that bumps move. Raises ValueError for bumps on a motion with quaternions.
+    """
+    rng = np.random.default_rng(variation.seed)
+    motion = _move(variation, problem, plant, scheme, rng)
+    if motion is None:
+        return None
+    if variation.kind == "bumps":
+        return balance(bump(motion, bumped, rng), problem, plant, "dynamic")
+    return add_noise(balance(motion, problem, plant, problem.guess.inputs), problem, plant.manifest, rng)
+
+
+def add_noise(motion: Trajectory, problem: Problem, manifest: Manifest, rng: np.random.Generator) -> Trajectory:
+    """Add normal noise to the coordinates at every point, and take random inputs; all of it within the bounds.
+
+    Its width is drawn between `WIDTHS`; of coordinates in metres, a quarter of the range between their bounds counts as
+    1 rad. Inputs are uniform between their bounds; without these, up to the width times the largest of the motion.
+    """
+    width = float(np.exp(rng.uniform(*np.log(WIDTHS))))
+    lengths = {c.name for c in manifest.coordinates if c.motion == "prismatic"}
+    scales = np.array(
+        [
+            (limits[1] - limits[0]) / 4 if name in lengths and np.isfinite(limits).all() else 1.0
+            for name, limits in zip(manifest.positions, problem.bounds.q, strict=True)
+        ]
+    )
+
+    def move(q: Array) -> Array:
+        noisy = _clip(q + width * scales * rng.normal(size=q.shape), problem.bounds.q)
+        return normalise(noisy, manifest)
+
+    largest = width * np.abs(motion.u).max(axis=0, initial=0.0)
+    ends = np.array(problem.bounds.u).reshape(-1, 2).T
+    lower, upper = np.where(np.isfinite(ends), ends, [-largest, largest])
+    u = _clip(rng.uniform(np.minimum(lower, upper), np.maximum(lower, upper), motion.u.shape), problem.bounds.u)
+    return replace(motion, q=move(motion.q), point_q=move(motion.point_q), u=u)
+
+
+def coarsen(problem: Problem) -> Problem | None:
+    """Put a problem on a coarse mesh, for a first solve; None where its own is coarse enough."""
+    if problem.intervals < FINE:
+        return None
+    solver = replace(problem.solver, max_iterations=min(problem.solver.max_iterations, ITERATIONS))
+    degree = min(problem.degree, DEGREE)
+    steps = problem.steps
+    if problem.form is Form.SHOOTING:
+        steps = min(math.ceil(steps * problem.intervals / COARSE), MOST_STEPS)
+    return replace(problem, intervals=COARSE, degree=degree, steps=steps, solver=solver)
+
+
+def _move(
+    variation: Variation, problem: Problem, plant: Plant, scheme: Scheme, rng: np.random.Generator
+) -> Trajectory | None:
+    """Make the motion that noise or bumps are added to."""
+    if variation.kind == "branches":
+        q = scatter_poses(problem, plant, rng, TRIES)
+        return None if q is None else interpolate(problem, scheme, q, plant)
+    if problem.guess.motion == "rest" and variation.turn is None:
+        return rest(problem, scheme, plant)
+    pose = find_pose(problem, plant)
+    if not pose.is_reached:
+        return None
+    q = pose.q.copy()
+    if variation.turn is not None:
+        q[variation.turn[0]] += 2 * np.pi * variation.turn[1]
+    return interpolate(problem, scheme, q, plant)
+
+
+def _clip(values: Array, bounds: Sequence[Range]) -> Array:
+    return np.asarray(np.clip(values, *np.array(bounds).reshape(-1, 2).T))

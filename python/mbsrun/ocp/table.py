@@ -1,0 +1,83 @@
+"""A solution as a table: Solution and plant -> CSV, a row for each mesh and collocation point, in SI units.
+
+Columns are time, coordinates, velocities, accelerations, inputs and positions of sensors in the base frame; the header
+names each with its unit. Names of the model are bracketed, so that no cell begins like a formula of a spreadsheet.
+"""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsgen.manifest import Manifest
+from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.schemes import read_basis
+from mbsrun.ocp.solution import Solution
+from mbsrun.ocp.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+SAME = 1e-12  # of an interval: points that are as near to its end are the next mesh point
+
+
+def write_table(solution: Solution, plant: Plant, path: Path) -> None:
+    """Write a solution as CSV, with every digit."""
+    columns = [*_read_motion(solution.trajectory), _place_sensors(solution.trajectory, plant)]
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(_name_columns(plant.manifest))
+        writer.writerows(np.concatenate(columns, axis=1).tolist())
+
+
+def _name_columns(manifest: Manifest) -> list[str]:
+    units = {c.name: {"revolute": "rad", "prismatic": "m"}[c.motion] for c in manifest.coordinates}
+    forces = {"rad": "N m", "m": "N"}
+    return [
+        "t [s]",
+        *(f"q[{name}] [{units.get(name, '-')}]" for name in manifest.positions),  # entries of quaternions have no unit
+        *(f"qd[{name}] [{unit}/s]" for name, unit in units.items()),
+        *(f"qdd[{name}] [{unit}/s^2]" for name, unit in units.items()),
+        *(
+            f"u[{manifest.coordinates[i].name}] [{forces[units[manifest.coordinates[i].name]]}]"
+            for i in manifest.actuated
+        ),
+        *(f"{axis}[{frame.name}] [m]" for frame in manifest.frames if frame.sensor for axis in "xyz"),
+    ]
+
+
+def _read_motion(trajectory: Trajectory) -> list[Array]:
+    """List time, q, qd, qdd and u at all points in order.
+
+    Where an interval begins, accelerations and inputs are those of that interval; at the end, of the last. There they
+    are read off the polynomial through the accelerations at the interval's points.
+    """
+    t, step = trajectory.t, float(trajectory.t[1] - trajectory.t[0])
+    nodes = (trajectory.point_t[0] - t[0]) / step
+    inner = nodes < 1 - SAME
+    first, last = (read_basis(nodes, place) for place in (0.0, 1.0))
+    N, kept = len(trajectory.u), 1 + int(inner.sum())
+
+    def join(mesh: Array, points: Array, end: Array) -> Array:
+        rows = np.concatenate((mesh[:, None], points[:, inner]), axis=1).reshape(N * kept, -1)
+        return np.concatenate((rows, end[None]))
+
+    qdd, u = trajectory.point_qdd, trajectory.u
+    return [
+        join(t[:-1, None], trajectory.point_t[..., None], t[-1:]),
+        join(trajectory.q[:-1], trajectory.point_q, trajectory.q[-1]),
+        join(trajectory.qd[:-1], trajectory.point_qd, trajectory.qd[-1]),
+        join(np.einsum("j,kjn->kn", first, qdd), qdd, last @ qdd[-1]),
+        np.concatenate((np.repeat(u, kept, axis=0), u[-1:])),
+    ]
+
+
+def _place_sensors(trajectory: Trajectory, plant: Plant) -> Array:
+    q = _read_motion(trajectory)[1]
+    sensors = [i for i, frame in enumerate(plant.manifest.frames) if frame.sensor]
+    if not sensors:
+        return np.zeros((len(q), 0))
+    p = plant("frames", q=q)["p"][:, :, sensors]  # (rows, 3, sensors)
+    return np.asarray(p.transpose(0, 2, 1).reshape(len(q), -1))
