@@ -17,14 +17,14 @@ from mbsrun.ocp.solution import Start, Starts
 from mbsrun.ocp.starts import TURNS, Kind, Variation, describe_turns, list_turning
 
 GUESS = "guess"
-KINDS: tuple[Kind, ...] = ("noise", "bumps", "noise", "turns", "noise", "branches")  # of the starts 1, 2, ...
+KINDS: tuple[Kind, ...] = ("noise", "waves", "turns", "noise", "bumps", "waves", "branches")  # of the starts 1, 2, ...
 
 
 def state_study(problem: Problem, manifest: Manifest) -> Study:
     """State the study of one problem, as searches take it."""
     weights = (problem.cost.inputs, problem.cost.input_rates)
-    bumped = () if problem.has_quaternions else tuple(manifest.actuated)
-    return Study(problem, None, ONE, (weights,), (problem.representation,), bumped, list_turning(problem, manifest))
+    turning = list_turning(problem, manifest)
+    return Study(problem, None, ONE, (weights,), (problem.representation,), tuple(manifest.actuated), turning)
 
 
 def list_starts(study: Study, seed: int, count: int) -> list[Trial]:
@@ -32,7 +32,7 @@ def list_starts(study: Study, seed: int, count: int) -> list[Trial]:
     task = Task((0, 0), study.costs[0], study.representations[0].value)
     trials = [Trial(task, MULTISTART, GUESS, "0", Interpolation(study.problem.guess.inputs))]
     kinds = [kind for kind in KINDS if kind != "turns" or study.turning]
-    kinds = [kind for kind in kinds if kind != "bumps" or study.bumped]
+    kinds = [kind for kind in kinds if kind not in ("bumps", "waves") or not study.problem.has_quaternions]
     for k in range(1, count):
         kind = kinds[(k - 1) % len(kinds)]
         turn = None

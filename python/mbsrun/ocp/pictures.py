@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import TABLEAU_COLORS, ListedColormap, Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 from numpy.typing import NDArray
 
@@ -22,6 +23,7 @@ from mbsrun.quaternions import find_rates
 
 Array = NDArray[np.float64]
 
+WIDE = 5.0  # ratio of the highest cost to the lowest from which on the axis is logarithmic
 POSES = 9  # of the mechanism, evenly in time
 COLORS = tuple(TABLEAU_COLORS)
 TIME = ListedColormap(colormaps["viridis_r"](np.linspace(0.2, 1, 256)))  # without its pale end
@@ -69,8 +71,12 @@ def plot_starts(starts: Starts, path: Path) -> None:
     for k, kind in enumerate(dict.fromkeys(start.kind for start in starts.results)):
         own = [(rank, start.cost or 0.0) for rank, start in enumerate(solved, 1) if start.kind == kind]
         axes.plot(*zip(*own, strict=True) if own else ([], []), "o", color=COLORS[k], label=f"{kind} ({len(own)})")
+    costs = [start.cost or 0.0 for start in solved]
     if solved:
-        axes.axhline(solved[0].cost or 0.0, color="0.6", linewidth=1, zorder=0)
+        axes.axhline(costs[0], color="0.6", linewidth=1, zorder=0)
+    if solved and costs[0] > 0 and costs[-1] > WIDE * costs[0]:
+        axes.set_yscale("log")
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_xlabel("start, by cost")
     axes.set_ylabel("cost")
     axes.legend(title="kind of start (solved)", frameon=False)

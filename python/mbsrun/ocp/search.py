@@ -7,9 +7,9 @@ The *robust* protocol looks for the lowest minimum of every task. It finds minim
 lower one; so how often independent starts found the lowest is counted (`count_finds`):
 
     interpolation   each representation, from the interpolation with the inputs of its inverse dynamics
-    bumps, noise, branches, turns
+    bumps, noise, waves, branches, turns
                     the first representation, from the random starts of `starts`: independent of each other; more of
-                    them where input rates are free, which makes many minima; no bumps where there are quaternions
+                    them where input rates are free, which makes many minima; quaternions take no bumps and no waves
     neighbours      the first representation, from the best motion of each neighbouring target, until nothing is new
     exchange        each representation that is in a higher minimum, from the best motion of another, staying near it
 
@@ -58,17 +58,12 @@ Place = tuple[int, int]
 Weights = tuple[float, float]
 Circumstances = Mapping[str, str | int]
 
-COUNTS: Mapping[str, tuple[int, int]] = (
-    MappingProxyType(  # of starts for each target: where input rates are free, or not
-        {
-            "bumps": (6, 2),
-            "noise": (12, 4),
-            "branches": (2, 1),
-            "turns": (2, 1),
-        }  # turns: for each joint and number of turns
-    )
+# Starts of the robust protocol for each target: where input rates are free of charge, which makes many minima, and
+# where they are not. Of turns: for each joint and number of turns.
+COUNTS: Mapping[str, tuple[int, int]] = MappingProxyType(
+    {"bumps": (6, 2), "noise": (6, 2), "waves": (8, 3), "branches": (2, 1), "turns": (2, 1)}
 )
-INDEPENDENT = ("interpolation", "bumps", "noise", "branches")  # parts whose starts know nothing of each other
+INDEPENDENT = ("interpolation", "bumps", "noise", "waves", "branches")  # parts whose starts know nothing of each other
 ROUNDS = 100  # at most
 # IPOPT begins with a barrier that would push a motion out of a shallow minimum; so it stays in it.
 HOLD = MappingProxyType({"mu_init": 1e-6, "bound_push": 1e-8, "bound_frac": 1e-8})
@@ -260,15 +255,16 @@ def _list_variations(study: Study) -> list[Trial]:
 def _vary_all(study: Study, place: Place, *, is_rough: bool) -> Iterator[tuple[str, Variation]]:
     """Name the variations of a target; each part numbers its own."""
     counts = {part: few_or_many[0 if is_rough else 1] for part, few_or_many in COUNTS.items()}
+    kinds: tuple[Kind, ...] = ("noise", "branches")
     if not study.problem.has_quaternions:  # whose velocities a bump would have to be found for
         yield from ((str(k), Variation("bumps", (*place, k))) for k in range(counts["bumps"]))
-    kinds: tuple[Kind, ...] = ("noise", "branches")
+        kinds = (*kinds, "waves")
     for code, kind in enumerate(kinds):
         yield from ((str(k), Variation(kind, (*place, k, code))) for k in range(counts[kind]))
     for i in study.turning:
         for turns in TURNS:
             for k in range(counts["turns"]):
-                seed = (*place, k, len(kinds), i, turns % 2**32)
+                seed = (*place, k, len(COUNTS), i, turns % 2**32)
                 yield f"{i} {turns:+d} {k}", Variation("turns", seed, (i, turns))
 
 

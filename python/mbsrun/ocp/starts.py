@@ -2,11 +2,12 @@
 
     bumps      the guess with smooth random bumps, which break symmetries too
     noise      the guess with random numbers added to coordinates at every point, and random inputs
-    branches   the same about a motion to another pose that meets the end's targets: inverse kinematics has branches
-    turns      the same about a motion with whole turns of a joint that has no limits, on the way to the pose
+    waves      the guess with large random oscillations of all coordinates, and the inputs that make them
+    branches   noise or waves about a motion to another pose that meets the end's targets, if there is one
+    turns      noise or waves about a motion with whole turns of a joint that has no limits, on the way to the pose
 
-A start is a function of the problem and of the seed and number of its variation: it can be made again anywhere. On a
-fine mesh a noisy start is expensive to solve from; so it is made, and solved, on a coarse mesh first (`coarsen`).
+A start is a function of the problem and of the seed of its variation: it can be made again anywhere. From such starts a
+solve takes many iterations; so all but bumps are made, and solved, on a coarse mesh first (`coarsen`).
 """
 
 from __future__ import annotations
@@ -28,12 +29,14 @@ from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.quaternions import normalise
 
 Array = NDArray[np.float64]
-Kind = Literal["bumps", "noise", "branches", "turns"]
+Kind = Literal["bumps", "noise", "waves", "branches", "turns"]
 
 WIDTHS = (0.5, 4.0)  # least and most standard deviation of noise [rad]; each start draws its own
+HEIGHTS = (1.0, 4.0)  # least and most standard deviation of the first harmonic of waves [rad, m]
+HARMONICS = 8  # of waves
 TURNS = (1, -1, 2, -2)  # numbers of whole turns that are tried of each joint without limits
 TRIES = 20  # poses that a branch is looked for from
-COARSE, FINE, DEGREE, ITERATIONS = 20, 40, 3, 200  # from FINE intervals on: intervals, degree, limit of a coarse solve
+FINE, COARSE, DEGREE, ITERATIONS = 40, 2, 3, 200  # from FINE intervals on: divisor, degree, limit of a coarse solve
 MOST_STEPS = 100  # of shooting, in an interval of a coarse mesh
 
 
@@ -83,6 +86,9 @@ def vary(
         return None
     if variation.kind == "bumps":
         return balance(bump(motion, bumped, rng), problem, plant, "dynamic")
+    is_mixed = variation.kind in ("branches", "turns")
+    if not problem.has_quaternions and (variation.kind == "waves" or (is_mixed and rng.uniform() < 0.5)):
+        return balance(add_waves(motion, problem, rng), problem, plant, "dynamic")
     return add_noise(balance(motion, problem, plant, problem.guess.inputs), problem, plant.manifest, rng)
 
 
@@ -112,6 +118,38 @@ def add_noise(motion: Trajectory, problem: Problem, manifest: Manifest, rng: np.
     return replace(motion, q=move(motion.q), point_q=move(motion.point_q), u=u)
 
 
+def add_waves(motion: Trajectory, problem: Problem, rng: np.random.Generator) -> Trajectory:
+    """Add random oscillations to all coordinates, none of them a quaternion's; both ends keep state and acceleration.
+
+    Amplitudes are normal and fall with the number of the harmonic; the first deviation is drawn between `HEIGHTS`.
+    Coordinates are cut at their bounds, velocities and accelerations not.
+    """
+    T, n = float(motion.t[-1]), motion.q.shape[1]
+    height = float(np.exp(rng.uniform(*np.log(HEIGHTS))))
+    number = np.arange(1, HARMONICS + 1)
+    amplitude = height * rng.normal(size=(n, HARMONICS)) / number
+    phase = rng.uniform(0, 2 * np.pi, (n, HARMONICS))
+    window = 64 * np.polynomial.Polynomial([0, 1]) ** 3 * np.polynomial.Polynomial([1, -1]) ** 3  # in t / T
+
+    def wave(t: Array, order: int) -> Array:
+        """Return a derivative of the product of window and oscillations: Leibniz's rule."""
+        s, total = t[..., None] / T, np.zeros((*t.shape, n))
+        for k in range(order + 1):
+            angle = np.pi * number * s[..., None] + phase + k * np.pi / 2
+            oscillation = (amplitude * (np.pi * number) ** k * np.sin(angle)).sum(axis=-1)
+            total += math.comb(order, k) * (window.deriv(order - k) if order > k else window)(s) * oscillation
+        return np.asarray(total / T**order)
+
+    return replace(
+        motion,
+        q=_clip(motion.q + wave(motion.t, 0), problem.bounds.q),
+        qd=motion.qd + wave(motion.t, 1),
+        point_q=_clip(motion.point_q + wave(motion.point_t, 0), problem.bounds.q),
+        point_qd=motion.point_qd + wave(motion.point_t, 1),
+        point_qdd=motion.point_qdd + wave(motion.point_t, 2),
+    )
+
+
 def coarsen(problem: Problem) -> Problem | None:
     """Put a problem on a coarse mesh, for a first solve; None where its own is coarse enough."""
     if problem.intervals < FINE:
@@ -120,8 +158,8 @@ def coarsen(problem: Problem) -> Problem | None:
     degree = min(problem.degree, DEGREE)
     steps = problem.steps
     if problem.form is Form.SHOOTING:
-        steps = min(math.ceil(steps * problem.intervals / COARSE), MOST_STEPS)
-    return replace(problem, intervals=COARSE, degree=degree, steps=steps, solver=solver)
+        steps = min(steps * COARSE, MOST_STEPS)
+    return replace(problem, intervals=problem.intervals // COARSE, degree=degree, steps=steps, solver=solver)
 
 
 def _move(
