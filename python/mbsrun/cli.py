@@ -29,6 +29,7 @@ from mbsrun.cache import Entry, cache_folder, list_entries, remove
 from mbsrun.circumstances import describe_circumstances
 from mbsrun.external import Mechanism, OnDemand, load, load_on_demand
 from mbsrun.lab.commands import lab_command
+from mbsrun.ocp.checks import MAX_STEPS
 from mbsrun.ocp.integrators import IntegratorName
 from mbsrun.ocp.methods import METHODS as SOLVERS
 from mbsrun.ocp.multistart import describe_starts
@@ -54,7 +55,7 @@ from mbsrun.ocp.search import (
 from mbsrun.ocp.solution import Failure, Resimulation, Solution, Starts, read_guess, read_solution, write_solution
 from mbsrun.ocp.solve import Progress, solve
 from mbsrun.ocp.starts import describe_turns, list_turning
-from mbsrun.ocp.statement import MAX_STEPS, read_problem
+from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.table import write_table
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.simulation.drive import hold_steps, input_labels

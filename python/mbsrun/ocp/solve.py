@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from mbsgen.manifest import Manifest
 from mbsrun.ocp import schemes, solution
+from mbsrun.ocp.checks import check_problem
 from mbsrun.ocp.guess import Pose, adapt, make_guess
 from mbsrun.ocp.methods import METHODS, Order, read_status
 from mbsrun.ocp.plant import Plant
@@ -79,7 +80,8 @@ class Solver:
     """A transcribed problem, to be solved for any start, targets, bounds and weights."""
 
     def __init__(self, problem: Problem, plant: Plant) -> None:
-        """Transcribe a problem."""
+        """Transcribe a problem. Raises ProblemError with every fault of it."""
+        check_problem(problem, plant.manifest)
         self.plant = plant
         self.transcription = transcribe(problem, plant)
         self._solvers: dict[SolverOptions, tuple[ca.Function, _Callback]] = {}
@@ -88,8 +90,9 @@ class Solver:
         """Solve a problem of the same structure from a guess on its grid; `watch` is told of every iteration.
 
         A guess in which the solver finds nothing to improve may be a saddle or a maximum as well, so it is moved a
-        little and solved again. Raises ValueError for a problem of another structure.
+        little and solved again. Raises ProblemError for a problem with faults, ValueError for one of another structure.
         """
+        check_problem(problem, self.plant.manifest)
         if structure(problem) != self.transcription.structure:
             raise ValueError(f"{problem.name} differs in structure from what was transcribed; make a Solver for it")
         crossed = self._find_crossed_bounds(problem)
@@ -184,8 +187,9 @@ def solve(
 ) -> Solution | Failure:
     """Solve a problem from a guess, by default the one that it describes; a guess may be on any grid.
 
-    Where no pose meets the targets, that is said at once.
+    Where no pose meets the targets, that is said at once. Raises ProblemError with every fault of the problem.
     """
+    check_problem(problem, plant.manifest)
     scheme = schemes.build(problem.family, problem.degree)
     start = make_guess(problem, plant, scheme) if guess is None else adapt(guess, problem, scheme)
     if isinstance(start, Pose):

@@ -33,7 +33,7 @@ from mbsgen.documents import (
 from mbsgen.errors import Fault, InputError
 from mbsgen.expressions import FLOATS, Expression, ExpressionError, Number, evaluate, is_free_name, names, parse
 from mbsgen.manifest import Manifest
-from mbsrun.binding import DESIGN, HIDDEN
+from mbsrun.ocp.checks import LEAST_TOLERANCE, MAX_INTERVALS, MAX_STEPS, list_open_inputs
 from mbsrun.ocp.integrators import IntegratorName
 from mbsrun.ocp.methods import METHODS, Amount
 from mbsrun.ocp.plant import Plant
@@ -64,8 +64,6 @@ from mbsrun.quaternions import (
     normalise,
 )
 
-MAX_INTERVALS = 10_000
-MAX_STEPS = 100  # of an integrator in an interval
 MAX_EXPRESSIONS = 100  # of one kind
 
 T = TypeVar("T")
@@ -280,11 +278,7 @@ class _Reading:
         self.inputs = _Names("actuated coordinate", [manifest.coordinates[i].name for i in manifest.actuated])
         self.frames = _Names("frame", [f.name for f in manifest.frames])
         self.sensors = _Names("sensor", [f.name for f in manifest.frames if f.sensor])
-        self.open_inputs = [
-            i.name
-            for i in manifest.kernel("impl").inputs
-            if i.name not in ("q", "qd", "qdd", "u", HIDDEN, DESIGN) and i.nnz
-        ]
+        self.open_inputs = list_open_inputs(manifest)
         self.quantities = list_quantities(manifest)
         self.used: set[str] = set()  # constants that formulas read
         limits = {
@@ -546,7 +540,7 @@ class _Reading:
     def solver(self, section: _SolverSection) -> SolverOptions:
         place, scaling = ("solver",), section.objective_scaling
         return SolverOptions(
-            tolerance=self.number((*place, "tolerance"), section.tolerance, least=1e-14),
+            tolerance=self.number((*place, "tolerance"), section.tolerance, least=LEAST_TOLERANCE),
             max_iterations=section.max_iterations,
             objective_scaling=None
             if scaling is None

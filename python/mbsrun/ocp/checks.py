@@ -1,0 +1,189 @@
+"""Check a problem that a program made: types first, then its meaning in a model; all faults at once.
+
+`statement` makes the same checks of a file, at its lines; bounds that cross are a failure of the solve (`solve`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from functools import cache
+
+from pydantic import TypeAdapter, ValidationError
+
+from mbsgen.documents import abbreviate
+from mbsgen.errors import MbsError
+from mbsgen.expressions import ExpressionError, names, parse
+from mbsgen.manifest import Manifest
+from mbsrun.binding import DESIGN, HIDDEN
+from mbsrun.ocp.methods import METHODS
+from mbsrun.ocp.problem import Problem, find_conflicts
+from mbsrun.ocp.quantities import list_quantities
+from mbsrun.ocp.schemes import DEGREES
+from mbsrun.quaternions import list_quaternions
+
+MAX_INTERVALS = 10_000
+MAX_STEPS = 100  # of an integrator in an interval
+LEAST_TOLERANCE = 1e-14  # of a solver
+
+Finding = tuple[str, str, str]  # part of the problem, what was found, what to do
+
+
+class ProblemError(MbsError, ValueError):
+    """A problem that cannot be solved as it is stated: every fault, one a line."""
+
+    def __init__(self, name: object, findings: Sequence[Finding]) -> None:
+        self.findings = tuple(findings)
+        lines = (f"problem {name}: {place}: {finding}; {remedy}" for place, finding, remedy in self.findings)
+        super().__init__("\n".join(lines))
+
+
+def check_problem(problem: Problem, manifest: Manifest) -> None:
+    """Raise ProblemError with every fault of a problem for a model."""
+    findings = list(_find_wrong_types(problem)) or [*_find_wrong_values(problem), *_find_strangers(problem, manifest)]
+    if not findings:
+        findings = [(c.key, c.finding, c.remedy) for c in find_conflicts(problem)]
+        findings += _find_divided_quaternions(problem, manifest)
+    if findings:
+        raise ProblemError(getattr(problem, "name", "?"), findings)
+
+
+def list_open_inputs(manifest: Manifest) -> list[str]:
+    """List the inputs of a model's residual that a problem gives no value: external wrenches."""
+    own = ("q", "qd", "qdd", "u", HIDDEN, DESIGN)
+    return [i.name for i in manifest.kernel("impl").inputs if i.name not in own and i.nnz]
+
+
+@cache
+def _adapter() -> TypeAdapter[Problem]:
+    return TypeAdapter(Problem)
+
+
+def _find_wrong_types(problem: Problem) -> Iterator[Finding]:
+    try:
+        plain = asdict(problem)
+    except TypeError:
+        yield ("problem", f"found {abbreviate(type(problem).__name__)}", "give a Problem")
+        return
+    try:
+        _adapter().validate_python(plain)
+    except ValidationError as error:
+        for fault in error.errors(include_url=False):
+            place = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in fault["loc"]).lstrip(".")
+            kind = type(fault["input"]).__name__
+            yield (place, f"found {abbreviate(str(fault['input']))} ({kind})", f"{fault['msg']}")
+
+
+def _find_wrong_values(problem: Problem) -> Iterator[Finding]:
+    solver, cost = problem.solver, problem.cost
+    for place, whole, least, most in (
+        ("intervals", problem.intervals, 1, MAX_INTERVALS),
+        ("degree", problem.degree, DEGREES[0], DEGREES[-1]),
+        ("steps", problem.steps, 1, MAX_STEPS),
+        ("solver.max_iterations", solver.max_iterations, 1, None),
+    ):
+        if whole < least or (most is not None and whole > most):
+            limit = f"from {least} to {most}" if most is not None else f"of at least {least}"
+            yield (place, f"found {whole}", f"give a whole number {limit}")
+    for place, value in (
+        ("horizon", problem.horizon),
+        ("accuracy", problem.accuracy),
+        ("solver.tolerance", solver.tolerance),
+        *([] if solver.objective_scaling is None else [("solver.objective_scaling", solver.objective_scaling)]),
+    ):
+        least_value = LEAST_TOLERANCE if place == "solver.tolerance" else math.ulp(0)
+        if not (math.isfinite(value) and value >= least_value):
+            wanted = f"a number of at least {least_value:g}" if place == "solver.tolerance" else "a positive number"
+            yield (place, f"found {value:g}", f"give {wanted}")
+    if problem.horizon_range is not None:
+        lower, upper = problem.horizon_range
+        if not lower > 0:
+            yield ("horizon_range", f"the least is {lower:g}", "give a positive one")
+        elif not lower <= problem.horizon <= upper:
+            yield ("horizon", f"{problem.horizon:g} is out of [{lower:g}, {upper:g}]", "guess within the range")
+    if not all(map(math.isfinite, cost.weights)) or cost.inputs < 0 or cost.input_rates < 0:
+        yield ("cost", f"the weights are {cost.weights}", "give finite ones, those of inputs and rates not negative")
+    elif not any(cost.weights):
+        yield ("cost", "every weight is 0", "give inputs or input_rates a positive weight")
+    known = METHODS[solver.method].options
+    for name, option in solver.options:
+        if name not in known:
+            yield ("solver.options", f"{solver.method} takes no option {abbreviate(name)} here", "leave it out")
+        elif not known[name].admits(option):
+            yield (f"solver.options.{name}", f"found {abbreviate(option)}", f"give {known[name].wanted}")
+
+
+def _find_strangers(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
+    """Find what has no place in the model: lengths, indices, names."""
+    nq, n, m = len(manifest.positions), len(manifest.coordinates), len(manifest.actuated)
+    if not m:
+        yield ("model", "the model has no actuated coordinate", "give it one: there is nothing to control")
+    if left := list_open_inputs(manifest):
+        remedy = "give the external wrenches in the model: here they have no value"
+        yield ("model", f"the model leaves {', '.join(left)} open, beside the inputs u", remedy)
+    bounds, end = problem.bounds, problem.end
+    for place, values, size in (
+        ("start_q", problem.start_q, nq),
+        ("start_qd", problem.start_qd, n),
+        ("bounds.q", bounds.q, nq),
+        ("bounds.qd", bounds.qd, n),
+        ("bounds.u", bounds.u, m),
+    ):
+        if len(values) != size:
+            yield (place, f"found {len(values)} entries", f"give {size}, as the model {manifest.model} has")
+        elif place.startswith("start") and not all(isinstance(x, float | int) and math.isfinite(x) for x in values):
+            yield (place, f"found {abbreviate(str(values))}", "give finite numbers")
+    for place, indices, size in (
+        ("free_start", problem.free_start, nq + n),
+        ("end.coordinates", [i for i, _ in end.coordinates], nq),
+        ("end.velocities", [i for i, _ in end.velocities], n),
+        ("end.accelerations", [i for i, _ in end.accelerations], n),
+    ):
+        for i in indices:
+            if not 0 <= i < size:
+                yield (place, f"found index {i}", f"give one from 0 to {size - 1}")
+    ends = [*end.coordinates, *end.velocities, *end.accelerations]
+    if not all(math.isfinite(value) for _, value in ends):
+        yield ("end", "a value is not finite", "give finite numbers")
+    yield from _find_unknown_frames(problem, manifest)
+    yield from _find_wrong_expressions(problem, manifest)
+
+
+def _find_unknown_frames(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
+    frames = [frame.name for frame in manifest.frames]
+    sensors = [frame.name for frame in manifest.frames if frame.sensor]
+    for place, kind, wanted, known in (
+        ("end.sensors", "sensor", [name for name, _ in problem.end.sensors], sensors),
+        ("end.sensor_velocities", "sensor", [name for name, _ in problem.end.sensor_velocities], sensors),
+        ("guess.upright", "frame", problem.guess.upright, frames),
+    ):
+        for name in wanted:
+            if name not in known:
+                yield (place, f"the model has no {kind} {abbreviate(name)}", f"there are {', '.join(known) or 'none'}")
+
+
+def _find_wrong_expressions(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
+    known = {*list_quantities(manifest), *(name for name, _ in problem.constants)}
+    cost = problem.cost
+    for place, texts in (
+        ("cost.running", [term.expression for term in cost.running]),
+        ("cost.terminal", [term.expression for term in cost.terminal]),
+        ("constraints", [constraint.expression for constraint in problem.constraints]),
+    ):
+        for i, text in enumerate(texts):
+            own = f"{place}[{i}].expression"
+            try:
+                unknown = sorted(names(parse(text)) - known)
+            except ExpressionError as error:
+                yield (own, error.finding, error.remedy)
+                continue
+            for name in unknown:
+                yield (own, f"unknown name {abbreviate(name)}", "there are t, T, q_NAME, u_NAME, x_SENSOR, constants")
+
+
+def _find_divided_quaternions(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
+    for quaternion in list_quaternions(manifest):
+        for key, named in (("free_start", problem.free_start), ("end.coordinates", dict(problem.end.coordinates))):
+            if 0 < len([i for i in quaternion.entries if i in named]) < 4:
+                yield (key, f"a part of the quaternion of {quaternion.joint}", "name all four entries")
