@@ -278,6 +278,11 @@ def cli() -> None:
 @click.option(
     "--starts", type=click.IntRange(1, MAX_STARTS), help="Solve from so many starts, and write the best solution."
 )
+@click.option(
+    "--hops",
+    type=click.IntRange(0, 1000),
+    help="With --starts: so many more from the best, with waves on it; again while they lead to a lower cost.",
+)
 @click.option("--seed", type=click.IntRange(0), help="Of the random starts; by default 0.")
 @click.option("--minutes", type=click.FloatRange(min=0), help="With --starts: begin no start after so much time.")
 @click.option("--workers", type=click.IntRange(0), help="With --starts: so many processes; by default this one alone.")
@@ -290,6 +295,7 @@ def solve_command(
     target: tuple[float, float, float] | None,
     other: Path | None,
     starts: int | None,
+    hops: int | None,
     seed: int | None,
     minutes: float | None,
     workers: int | None,
@@ -308,8 +314,8 @@ def solve_command(
     problem = _choose(problem, **choices)
     if other is None and problem.guess.solution is not None:
         other = file.parent / problem.guess.solution
-    if starts is None and (seed, minutes, workers) != (None, None, None):
-        raise click.UsageError("--seed, --minutes and --workers are of a search from many starts; give --starts too")
+    if starts is None and (hops, seed, minutes, workers) != (None,) * 4:
+        raise click.UsageError("--hops, --seed, --minutes and --workers belong to a search; give --starts too")
     if starts is not None and other is not None:
         raise click.UsageError("--starts makes its own starts; it takes no solution to start from")
     guess = None if other is None else read_guess(other, plant.manifest)
@@ -317,7 +323,7 @@ def solve_command(
     if starts is None:
         outcome: Solution | Failure | None = _solve(problem, plant, guess)
     else:
-        wish = Wish(starts, seed or 0, math.inf if minutes is None else 60 * minutes, workers or 0)
+        wish = Wish(starts, seed or 0, math.inf if minutes is None else 60 * minutes, workers or 0, hops or 0)
         outcome = _search(problem, plant, models[-1], wish, out)
     if outcome is None:
         _say("the time was over before the first start ended")
@@ -734,7 +740,12 @@ def _search(
 
         def show(starts: Starts) -> None:
             best = "" if starts.best is None else f", lowest cost {starts.best.cost:.8g}, found {starts.times} times"
-            bar.update(task, completed=len(starts.results), description=f"solving{best}")
+            bar.update(
+                task,
+                completed=len(starts.results) + len(starts.hops),
+                total=wish.starts + len(starts.hops),
+                description=f"solving{best}",
+            )
 
         starts, outcome = solve_from_many(problem, plant, model, wish, out / STARTS, show)
     _print_starts(starts)
@@ -753,7 +764,10 @@ def _print_starts(starts: Starts) -> None:
         Console(highlight=False, width=None if sys.stdout.isatty() else UNCUT).print(table)
     if len(starts.minima) > SHOWN:
         click.echo(f"and {len(starts.minima) - SHOWN} higher costs")
-    failed = Counter(start.status for start in starts.results if start.cost is None)
+    if starts.hops:
+        least = min((hop.cost for hop in starts.hops if hop.cost is not None), default=None)
+        click.echo(f"{len(starts.hops)} hops" + ("" if least is None else f", lowest cost {least:.8g}"))
+    failed = Counter(start.status for start in (*starts.results, *starts.hops) if start.cost is None)
     if failed:
         click.echo("no solution: " + ", ".join(f"{count} {status}" for status, count in failed.most_common()))
     if len(starts.results) < starts.asked:

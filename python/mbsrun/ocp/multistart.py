@@ -11,8 +11,8 @@ from collections.abc import Sequence
 
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.record import Attempt, Task
-from mbsrun.ocp.search import MULTISTART, ONE, Interpolation, Study, Trial, Varied
+from mbsrun.ocp.record import Attempt, Best, Task
+from mbsrun.ocp.search import MULTISTART, ONE, Interpolation, Study, Trial, Varied, list_hops
 from mbsrun.ocp.solution import Start, Starts
 from mbsrun.ocp.starts import TURNS, Kind, Variation, describe_turns, list_turning
 
@@ -44,12 +44,24 @@ def list_starts(study: Study, seed: int, count: int) -> list[Trial]:
     return trials[:count]
 
 
-def gather(trials: Sequence[Trial], attempts: Sequence[Attempt], seed: int) -> Starts:
+def plan_hops(study: Study, starts: Starts, number: int, count: int) -> list[Trial]:
+    """List the hops of a round, from 1, from the best that was found before; none where a motion takes no waves."""
+    if starts.best is None or starts.best.cost is None or study.problem.has_quaternions:
+        return []
+    task = Task((0, 0), study.costs[0], study.representations[0].value)
+    best = Best(starts.best.cost, number - 1, starts.best.turns)
+    return list(list_hops(task, best, number, (starts.seed,), MULTISTART, count))
+
+
+def gather(trials: Sequence[Trial], attempts: Sequence[Attempt], seed: int, hops: Sequence[Trial] = ()) -> Starts:
     """Collect what came of the trials that were made."""
     made = {attempt.key: attempt for attempt in attempts}
-    pairs = [(k, made[trial.key]) for k, trial in enumerate(trials) if trial.key in made]
-    results = [Start(k, a.part, a.status, a.iterations, a.cpu_seconds, a.cost, a.turns) for k, a in pairs]
-    return Starts(seed, len(trials), tuple(results))
+
+    def collect(chosen: Sequence[Trial]) -> tuple[Start, ...]:
+        pairs = [(k, made[trial.key]) for k, trial in enumerate(chosen) if trial.key in made]
+        return tuple(Start(k, a.part, a.status, a.iterations, a.cpu_seconds, a.cost, a.turns) for k, a in pairs)
+
+    return Starts(seed, len(trials), collect(trials), collect(hops))
 
 
 def describe_starts(starts: Starts) -> str:
@@ -59,4 +71,5 @@ def describe_starts(starts: Starts) -> str:
         return f"no solution in {made} starts"
     times = "once" if starts.times == 1 else f"{starts.times} times"
     turns = f" ({describe_turns(best.turns)})" if best.turns else ""
-    return f"the lowest cost{turns} was found {times} in {made} starts; lower ones may exist"
+    hops = f", by {len(starts.hops)} hops from the best of them" if starts.hops and not starts.times else ""
+    return f"the lowest cost{turns} was found {times} in {made} starts{hops}; lower ones may exist"

@@ -94,6 +94,7 @@ class Best:
 
     cost: float
     round: int
+    turns: str = ""
 
 
 class Record:
@@ -142,6 +143,13 @@ class Record:
         query += " where study = ? and protocol = ? and round < ? and turns = '' order by round"
         found = self._connection.execute(query, (self._study, protocol, _LAST if before is None else before))
         return {Task((row[0], row[1]), (row[2], row[3]), row[4]): Best(row[5], row[6]) for row in found}
+
+    def best_turned(self, protocol: str, before: int | None = None) -> Mapping[Task, Best]:
+        """Give the best with whole turns, likewise."""
+        query = "select place_i, place_j, inputs, input_rates, representation, cost, round, turns from best"
+        query += " where study = ? and protocol = ? and round < ? and turns != '' order by cost desc, turns"
+        found = self._connection.execute(query, (self._study, protocol, _LAST if before is None else before))
+        return {Task((row[0], row[1]), (row[2], row[3]), row[4]): Best(*row[5:]) for row in found}
 
     def best_motion(self, task: Task, protocol: str, before: int | None = None, turns: str = "") -> Trajectory | None:
         """Give the motion of the best with some whole turns, by default none."""

@@ -11,6 +11,8 @@ lower one; so how often independent starts found the lowest is counted (`count_f
                     the first representation, from the random starts of `starts`: independent of each other; more of
                     them where input rates are free, which makes many minima; quaternions take no bumps and no waves
     neighbours      the first representation, from the best motion of each neighbouring target, until nothing is new
+    hops            the first representation, from its best motions, without whole turns and with, plus random waves;
+                    until none of them leads to a lower minimum
     exchange        each representation that is in a higher minimum, from the best motion of another, staying near it
 
 Motions in which joints without limits make whole turns compete among themselves: rounds start from motions without
@@ -48,7 +50,7 @@ from mbsrun.ocp.record import SAME, Attempt, Best, Key, Record, Task
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.solution import Failure, Solution
 from mbsrun.ocp.solve import Solver
-from mbsrun.ocp.starts import TURNS, Kind, Variation, coarsen, count_turns, describe_turns, vary
+from mbsrun.ocp.starts import TURNS, Kind, Variation, coarsen, count_turns, describe_turns, hop, vary
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.ocp.transcription import Structure, structure
 
@@ -63,6 +65,7 @@ Circumstances = Mapping[str, str | int]
 COUNTS: Mapping[str, tuple[int, int]] = MappingProxyType(
     {"bumps": (6, 2), "noise": (6, 2), "waves": (8, 3), "branches": (2, 1), "turns": (2, 1)}
 )
+HOPS = (6, 2)  # likewise, of hops from a motion
 INDEPENDENT = ("interpolation", "bumps", "noise", "waves", "branches")  # parts whose starts know nothing of each other
 ROUNDS = 100  # at most
 # IPOPT begins with a barrier that would push a motion out of a shallow minimum; so it stays in it.
@@ -176,10 +179,14 @@ class Varied:
 
     variation: Variation
 
-    @property
-    def is_coarse(self) -> bool:
-        """Tell whether a coarse solve comes first."""
-        return self.variation.kind != "bumps"
+
+@dataclass(frozen=True)
+class Hop:
+    """Start from the best motion of a task with some whole turns, plus random waves."""
+
+    origin: Task
+    turns: str
+    seed: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -190,7 +197,7 @@ class Found:
     is_held: bool = False  # stay near: the motion is an optimum of this task too
 
 
-Start = Interpolation | Varied | Found
+Start = Interpolation | Varied | Found | Hop
 
 
 @dataclass(frozen=True)
@@ -217,10 +224,12 @@ def plan_round(
     number: int,
     best: Mapping[Task, Best],
     tried: Collection[Key],
+    turned: Mapping[Task, Best] = MappingProxyType({}),
 ) -> list[Trial]:
     """List the trials of a round of a protocol; there is none after the last round.
 
-    `best` is what the rounds before have found, and `tried` the keys of what they have tried.
+    `best` and `turned` are what the rounds before have found, without whole turns and with; `tried` are the keys of
+    what they have tried.
     """
     if protocol == "paper":
         return list_interpolations(study, "paper", "paper", "zero") if number == 0 else []
@@ -228,7 +237,8 @@ def plan_round(
         return list_interpolations(study, "robust", "interpolation", "dynamic") + _list_variations(study)
     if number >= ROUNDS:
         return []
-    near = [trial for trial in _list_neighbours(study, best, number) if trial.key not in tried]
+    moves = itertools.chain(_list_neighbours(study, best, number), _list_hops(study, best, turned, number))
+    near = [trial for trial in moves if trial.key not in tried]
     return near or [trial for trial in _list_exchanges(study, best, number) if trial.key not in tried]
 
 
@@ -277,6 +287,27 @@ def _list_neighbours(study: Study, best: Mapping[Task, Best], number: int) -> It
                 origin = Task(near, weights, scout)
                 if origin in best:
                     yield _start_from(origin, best[origin], Task(place, weights, scout), "neighbours", number)
+
+
+def _list_hops(study: Study, best: Mapping[Task, Best], turned: Mapping[Task, Best], number: int) -> Iterator[Trial]:
+    """Start every target from waves on its best motions."""
+    if study.problem.has_quaternions:
+        return
+    scout = study.representations[0].value
+    for weights in study.costs:
+        for place in study.targets.spread:
+            task, count = Task(place, weights, scout), HOPS[0 if weights[1] == 0 else 1]
+            for found in (best.get(task), turned.get(task)):
+                if found is not None:
+                    yield from list_hops(task, found, number, place, "robust", count)
+
+
+def list_hops(task: Task, best: Best, number: int, seed: tuple[int, ...], protocol: str, count: int) -> Iterator[Trial]:
+    """List hops from the best motion of a task; a lower one has others."""
+    for k in range(count):
+        name = f"{best.turns or '-'} {best.cost:.9g} {' '.join(map(str, seed))} {k}"
+        start = Hop(task, best.turns, (*seed, number, k))
+        yield Trial(task, protocol, "hops", name, start, number)
 
 
 def _list_exchanges(study: Study, best: Mapping[Task, Best], number: int) -> Iterator[Trial]:
@@ -359,7 +390,7 @@ class Bench:
             run = solution.Run(solution.UNREACHABLE, 0, 0.0, 0.0)
             return Failure(problem, run, "no pose meets the targets", "move the target or widen the bounds")
         begun = 0.0  # processor time of a coarse solve
-        coarse = coarsen(problem) if isinstance(trial.start, Varied) and trial.start.is_coarse else None
+        coarse = coarsen(problem, trial.start.variation) if isinstance(trial.start, Varied) else None
         if coarse is not None:
             first = self._find_solver(coarse).solve(coarse, guess)
             if isinstance(first, Failure):
@@ -405,8 +436,11 @@ class Bench:
         if isinstance(start, Found):
             assert order.motion is not None, "a trial that starts from a motion is ordered with it"
             return adapt(order.motion, problem, scheme)
+        if isinstance(start, Hop):
+            assert order.motion is not None, "a hop is ordered with the motion that it starts from"
+            return hop(adapt(order.motion, problem, scheme), problem, self.plant, start.seed)
         if isinstance(start, Varied):
-            chosen = (coarsen(problem) if start.is_coarse else None) or problem
+            chosen = coarsen(problem, start.variation) or problem
             scheme = schemes.build(chosen.family, chosen.degree)
             return vary(start.variation, chosen, self.plant, scheme, order.study.bumped)
         motion = self._move(problem)
@@ -462,7 +496,8 @@ class Search:
         """Follow a protocol; `plan` is told of every round how many trials it has, and how many of them are done."""
         for number in itertools.count():
             before = {attempt.key for attempt in self.record.attempts() if attempt.round < number}
-            trials = plan_round(self.study, protocol, number, self.record.best(protocol, number), before)
+            best, turned = self.record.best(protocol, number), self.record.best_turned(protocol, number)
+            trials = plan_round(self.study, protocol, number, best, before, turned)
             if not trials:
                 return
             self.try_all(trials, plan)
@@ -488,6 +523,8 @@ class Search:
             motion = None
             if isinstance(start, Found):
                 motion = self.record.best_motion(start.origin, trial.protocol, trial.round)
+            elif isinstance(start, Hop):
+                motion = self.record.best_motion(start.origin, trial.protocol, trial.round, start.turns)
             yield Order(self.study, trial, motion)
 
 
@@ -508,7 +545,8 @@ def find_progress(study: Study, record: Record, protocol: ProtocolName = "robust
     last = Progress(0, 0, 0, is_through=True)
     for number in itertools.count():
         before = {attempt.key for attempt in attempts if attempt.round < number}
-        trials = plan_round(study, protocol, number, record.best(protocol, number), before)
+        best, turned = record.best(protocol, number), record.best_turned(protocol, number)
+        trials = plan_round(study, protocol, number, best, before, turned)
         if not trials:
             return last
         last = Progress(number, len(trials), sum(trial.key in done for trial in trials), is_through=True)

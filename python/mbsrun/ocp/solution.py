@@ -125,17 +125,19 @@ class Starts:
 
     seed: int
     asked: int
-    results: tuple[Start, ...]  # of the starts that were made
+    results: tuple[Start, ...]  # of the starts that were made, independent of each other
+    hops: tuple[Start, ...] = ()  # of what started from the best of them, and from what that led to
 
     @property
     def best(self) -> Start | None:
-        """Return the first start that found the lowest cost; None where no start found a solution."""
-        solved = [(start.cost, start.number, start) for start in self.results if start.cost is not None]
+        """Return the first start or hop that found the lowest cost; None where none found a solution."""
+        every = enumerate((*self.results, *self.hops))
+        solved = [(start.cost, k, start) for k, start in every if start.cost is not None]
         return min(solved)[2] if solved else None
 
     @property
     def minima(self) -> tuple[Minimum, ...]:
-        """List the costs found, the lowest first; costs that differ by rounding, with the same turns, are one."""
+        """List the costs that starts found, the lowest first; of equal turns, those that differ by rounding are one."""
         found: list[Minimum] = []
         for start in sorted(self.results, key=lambda s: (s.turns, s.cost or 0.0)):
             if start.cost is None:
@@ -149,8 +151,12 @@ class Starts:
 
     @property
     def times(self) -> int:
-        """Count the starts that found the lowest cost."""
-        return self.minima[0].found if self.minima else 0
+        """Count the independent starts that found the lowest cost."""
+        least = self.minima[0] if self.minima else None
+        best = self.best
+        if least is None or best is None or best.cost is None or best.cost < least.cost - SAME * abs(least.cost):
+            return 0
+        return least.found
 
 
 @dataclass(frozen=True, eq=False)

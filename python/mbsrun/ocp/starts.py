@@ -36,7 +36,9 @@ HEIGHTS = (1.0, 4.0)  # least and most standard deviation of the first harmonic 
 HARMONICS = 8  # of waves
 TURNS = (1, -1, 2, -2)  # numbers of whole turns that are tried of each joint without limits
 TRIES = 20  # poses that a branch is looked for from
-FINE, COARSE, DEGREE, ITERATIONS = 40, 2, 3, 200  # from FINE intervals on: divisor, degree, limit of a coarse solve
+FINE, LEAST = 40, 16  # intervals from which on a coarse mesh comes first, and the fewest that it has
+COARSE, DEGREE, ITERATIONS = (2, 5), 3, 200  # divisors of the intervals, degree, limit of a coarse solve
+HOPS = (0.5, 2.5)  # as `HEIGHTS`, for waves on a motion that was found
 MOST_STEPS = 100  # of shooting, in an interval of a coarse mesh
 
 
@@ -118,14 +120,21 @@ def add_noise(motion: Trajectory, problem: Problem, manifest: Manifest, rng: np.
     return replace(motion, q=move(motion.q), point_q=move(motion.point_q), u=u)
 
 
-def add_waves(motion: Trajectory, problem: Problem, rng: np.random.Generator) -> Trajectory:
+def hop(motion: Trajectory, problem: Problem, plant: Plant, seed: tuple[int, ...]) -> Trajectory:
+    """Add waves to a motion that was found, and give it the inputs that make it."""
+    return balance(add_waves(motion, problem, np.random.default_rng(seed), HOPS), problem, plant, "dynamic")
+
+
+def add_waves(
+    motion: Trajectory, problem: Problem, rng: np.random.Generator, heights: tuple[float, float] = HEIGHTS
+) -> Trajectory:
     """Add random oscillations to all coordinates, none of them a quaternion's; both ends keep state and acceleration.
 
-    Amplitudes are normal and fall with the number of the harmonic; the first deviation is drawn between `HEIGHTS`.
+    Amplitudes are normal and fall with the number of the harmonic; the first deviation is drawn between `heights`.
     Coordinates are cut at their bounds, velocities and accelerations not.
     """
     T, n = float(motion.t[-1]), motion.q.shape[1]
-    height = float(np.exp(rng.uniform(*np.log(HEIGHTS))))
+    height = float(np.exp(rng.uniform(*np.log(heights))))
     number = np.arange(1, HARMONICS + 1)
     amplitude = height * rng.normal(size=(n, HARMONICS)) / number
     phase = rng.uniform(0, 2 * np.pi, (n, HARMONICS))
@@ -150,16 +159,21 @@ def add_waves(motion: Trajectory, problem: Problem, rng: np.random.Generator) ->
     )
 
 
-def coarsen(problem: Problem) -> Problem | None:
-    """Put a problem on a coarse mesh, for a first solve; None where its own is coarse enough."""
-    if problem.intervals < FINE:
+def coarsen(problem: Problem, variation: Variation) -> Problem | None:
+    """Put a problem on a coarse mesh, for a first solve from a variation; None where its own is coarse enough.
+
+    A coarser mesh has fewer minima, a finer one is nearer to the problem: variations take one or the other.
+    """
+    if problem.intervals < FINE or variation.kind == "bumps":
         return None
+    divisor = COARSE[int(np.random.default_rng((*variation.seed, 1)).integers(len(COARSE)))]
     solver = replace(problem.solver, max_iterations=min(problem.solver.max_iterations, ITERATIONS))
     degree = min(problem.degree, DEGREE)
     steps = problem.steps
     if problem.form is Form.SHOOTING:
-        steps = min(steps * COARSE, MOST_STEPS)
-    return replace(problem, intervals=problem.intervals // COARSE, degree=degree, steps=steps, solver=solver)
+        steps = min(steps * divisor, MOST_STEPS)
+    intervals = max(problem.intervals // divisor, LEAST)
+    return replace(problem, intervals=intervals, degree=degree, steps=steps, solver=solver)
 
 
 def _move(

@@ -10,26 +10,32 @@ import numpy as np
 
 from mbsrun.ocp.record import SAME, Attempt, Record, Task
 from mbsrun.ocp.search import (
+    COUNTS,
     Place,
     Progress,
     Study,
     Targets,
     Weights,
+    count_finds,
     find_progress,
     is_higher,
+    list_turned,
     summarise,
 )
+from mbsrun.ocp.starts import describe_turns
 from mbsrun.study.figures import name_set
 from mbsrun.study.results import Results
 from mbsrun.study.sheets import Cell, Section, Table
 
-PARTS = ("interpolation", "bumps", "neighbours", "exchange")  # in their order
+PARTS = ("interpolation", *COUNTS, "neighbours", "hops", "exchange")  # in their order
 Row = tuple[Cell, ...]
 
 TEXT = (
-    "What it takes to solve every task in its best minimum: other guesses, neighbours, other representations. A task "
+    "A search for lower minima: random starts, neighbours, hops, other representations. It finds minima, and cannot show "
+    "that there is no lower one; how many independent starts found the lowest cost known says how far to trust it. A task "
     "is left in a higher minimum if any attempt in the record, of this protocol or another, in this representation or "
-    f"another, found a cost that is lower by more than {SAME:g} of it. Optima are what counts here, so solves take the "
+    f"another, found a cost that is lower by more than {SAME:g} of it. Motions with whole turns of joints without limits "
+    "compete among themselves, and are listed on their own; all statements are about motions without. Optima are what counts here, so solves take the "
     "project's own linear solver, mbs. The paper's protocol and the questions keep to MUMPS, since their times are "
     "compared with the paper's; what was solved before there was mbs has MUMPS here as well, and is counted so above."
 )
@@ -80,13 +86,16 @@ def report_robust(results: Results, states: Mapping[Weights, State]) -> Section 
     columns = ("cost", "part", "attempts", "solved", "first in the lowest minimum, targets", "iterations, median")
     columns += ("CPU s, median", "CPU s, all", "% of it")
     note = (
-        "Bumps and neighbours are tried in the first representation alone; the others get what it found by exchange. "
+        "Random starts, neighbours and hops are tried in the first representation alone; the others get by exchange what "
+        "it found. "
         "A part is first in the lowest minimum of a target if no part before it, in this round or an earlier one, was."
     )
     rows = tuple(row for weights, attempts in own.items() for row in _list_parts(results, weights, attempts))
+    every = [attempt for attempts in own.values() for attempt in attempts]
+    turned = (_tabulate_turns(every),) if list_turned(every) else ()
     parts = Table("What each part takes", columns, rows, note)
     return Section(
-        "robust", "The robust protocol, beside", " ".join((TEXT, *told)), (left, parts, _tabulate_all(results))
+        "robust", "The robust protocol, beside", " ".join((TEXT, *told)), (left, parts, _tabulate_all(results), *turned)
     )
 
 
@@ -100,11 +109,43 @@ def tell_outcome(results: Results, weights: Weights, attempts: Sequence[Attempt]
     tasks, higher = len(places) * len(results.representations), len(_list_higher(results, best))
     solved = f"all {tasks} tasks are solved" if len(best) == tasks else f"{len(best)} of {tasks} tasks are solved"
     left = f"{higher or 'none'} {'is' if higher < 2 else 'are'} left in a higher minimum"
-    told = f"{solved}, and {left} than another formulation or another guess found"
+    told = (
+        f"{solved}, and {left} than another start in this record found; lower ones may exist; {_tell_finds(attempts)}"
+    )
     if progress.is_through:
         return f"{name} {told}."
     whole = len(results.study.targets.places)
     return f"{name} {_tell_progress(progress)}; for a slice of {len(places)} of {whole} targets it is through: {told}."
+
+
+def _tell_finds(attempts: Sequence[Attempt]) -> str:
+    """Say how many independent starts found the lowest cost known of a target."""
+    finds = count_finds(attempts)
+    if not finds:
+        return "no independent start found any"
+    shares, starts = [find.found for find in finds], sorted(find.starts for find in finds)
+    return (
+        f"of {starts[0]} to {starts[-1]} independent starts at a target, {min(shares)} to {max(shares)} found its lowest "
+        f"cost known, none at {sum(share == 0 for share in shares)} of {len(finds)} targets"
+    )
+
+
+def _tabulate_turns(attempts: Sequence[Attempt]) -> Table:
+    """List the lowest costs with whole turns."""
+    rows = tuple(
+        (
+            name_set(t.weights),
+            f"{t.place[0]},{t.place[1]}",
+            describe_turns(t.turns),
+            _round(t.cost),
+            None if t.lowest is None else _round(t.lowest),
+        )
+        for t in list_turned(attempts)
+    )
+    columns = ("cost", "target", "whole turns", "lowest cost with them", "lowest without")
+    return Table(
+        "Whole turns of joints without limits", columns, rows, "Only what a search found; lower costs may exist."
+    )
 
 
 def _tell_progress(progress: Progress) -> str:
@@ -127,7 +168,7 @@ def _balance(results: Results, weights: Weights, attempts: Sequence[Attempt], st
 def _list_parts(results: Results, weights: Weights, attempts: Sequence[Attempt]) -> list[Row]:
     first: dict[Place, Attempt] = {}
     for a in sorted(attempts, key=lambda a: (a.round, PARTS.index(a.part))):
-        if not is_higher(a.cost, results.lowest.get((a.task.place, weights), np.inf)):
+        if not a.turns and not is_higher(a.cost, results.lowest.get((a.task.place, weights), np.inf)):
             first.setdefault(a.task.place, a)
     whole = sum(a.cpu_seconds for a in attempts)
     rows: list[Row] = []
@@ -162,7 +203,7 @@ def _tabulate_all(results: Results) -> Table:
 def _find_best(attempts: Sequence[Attempt]) -> dict[Task, float]:
     best: dict[Task, float] = {}
     for a in attempts:
-        if a.cost is not None:
+        if a.cost is not None and not a.turns:
             best[a.task] = min(a.cost, best.get(a.task, a.cost))
     return best
 

@@ -14,7 +14,7 @@ from types import FrameType
 from mbsrun.circumstances import describe_circumstances
 from mbsrun.external import Mechanism, OnDemand
 from mbsrun.models import find_folder
-from mbsrun.ocp.multistart import gather, list_starts, state_study
+from mbsrun.ocp.multistart import gather, list_starts, plan_hops, state_study
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.record import Attempt, Record, open_record
 from mbsrun.ocp.search import (
@@ -22,6 +22,7 @@ from mbsrun.ocp.search import (
     Bench,
     Crew,
     Found,
+    Hop,
     Order,
     OutOfTimeError,
     Search,
@@ -35,6 +36,7 @@ from mbsrun.ocp.solution import Failure, Solution, Starts
 from mbsrun.study.cluster import open_workers
 
 Watch = Callable[[Starts], None]
+ROUNDS = 100  # of hops, at most
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,7 @@ class Wish:
     seed: int = 0
     seconds: float = math.inf  # no start begins later
     workers: int = 0  # processes; 0: this one
+    hops: int = 0  # of a round from the best that was found
 
 
 def solve_from_many(
@@ -56,19 +59,30 @@ def solve_from_many(
     over, or an interrupt comes, the starts that ended count.
     """
     study = state_study(problem, plant.manifest)
-    trials = list_starts(study, wish.seed, wish.starts)
+    trials, hops = list_starts(study, wish.seed, wish.starts), list[Trial]()
     with open_record(path, identify(study, plant.manifest), describe(study, plant.manifest)) as record:
 
-        def show(_attempt: Attempt, _is_best: bool) -> None:
-            watch(gather(trials, list(record.attempts()), wish.seed))
+        def look() -> Starts:
+            return gather(trials, list(record.attempts()), wish.seed, hops)
 
-        watch(gather(trials, list(record.attempts()), wish.seed))
+        def show(_attempt: Attempt, _is_best: bool) -> None:
+            watch(look())
+
+        watch(look())
         with suppress(OutOfTimeError, KeyboardInterrupt), _hire(plant, model, wish.workers) as crew:
             search = Search(study, crew, record, show, wish.seconds)
             with _end_at_interrupt(search):
                 search.try_all(trials)
-        starts = gather(trials, list(record.attempts()), wish.seed)
-        return starts, _repeat(study, trials, starts, plant, record)
+                for number in range(1, ROUNDS if wish.hops else 1):
+                    before = look()
+                    own = plan_hops(study, before, number, wish.hops)
+                    hops += own
+                    search.try_all(own)
+                    best, lowest = look().best, before.best
+                    if best is None or lowest is None or best == lowest:
+                        break
+        starts = look()
+        return starts, _repeat(study, (trials, hops), starts, plant, record)
 
 
 @contextmanager
@@ -103,14 +117,17 @@ def _end_at_interrupt(search: Search) -> Iterator[None]:
 
 
 def _repeat(
-    study: Study, trials: list[Trial], starts: Starts, plant: Mechanism | OnDemand, record: Record
+    study: Study, tried: tuple[list[Trial], list[Trial]], starts: Starts, plant: Mechanism | OnDemand, record: Record
 ) -> Solution | Failure | None:
     """Solve from the best start once more, and from its motion if that ends elsewhere; without one, from the first."""
     if not starts.results:
         return None
     best, bench = starts.best or starts.results[0], Bench(plant)
-    trial = trials[best.number]
-    found = bench.solve(Order(study, trial, None))
+    trial = tried[best.kind == "hops"][best.number]
+    motion = None
+    if isinstance(trial.start, Hop):
+        motion = record.best_motion(trial.task, trial.protocol, trial.round, trial.start.turns)
+    found = bench.solve(Order(study, trial, motion))
     if best.cost is not None and (isinstance(found, Failure) or is_higher(found.cost.total, best.cost)):
         motion = record.best_motion(trial.task, trial.protocol, turns=best.turns)
         found = bench.solve(Order(study, replace(trial, start=Found(trial.task, is_held=True)), motion))

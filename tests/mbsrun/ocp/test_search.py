@@ -45,9 +45,10 @@ TARGETS = Targets(0.64, (0.0, 0.02, 0.04), (0.0,), every=(2, 1))
 
 @pytest.fixture
 def study(reach: Problem, monkeypatch: pytest.MonkeyPatch) -> Study:
-    """Two small steps aside on a coarse grid, with few bumps: a solve takes some hundredths of a second."""
-    monkeypatch.setattr("mbsrun.ocp.search.BUMPS", 2)
-    monkeypatch.setattr("mbsrun.ocp.search.FEW_BUMPS", 1)
+    """Two small steps aside on a coarse grid, with few starts: a solve takes some hundredths of a second."""
+    none = {"noise": (0, 0), "waves": (0, 0), "branches": (0, 0), "turns": (0, 0)}
+    monkeypatch.setattr("mbsrun.ocp.search.COUNTS", {"bumps": (2, 1), **none})
+    monkeypatch.setattr("mbsrun.ocp.search.HOPS", (0, 0))
     coarse = replace(reach, intervals=5, degree=2)
     return Study(coarse, "hand", TARGETS, ((1.0, 10.0), (1.0, 0.0)), (Representation.IMPL,), (0, 3))
 
@@ -96,6 +97,23 @@ def test_a_search_that_was_stopped_goes_on(study: Study, arm: Peer, tmp_path: Pa
     whole = carry_out(smooth, arm, tmp_path / "other", "robust")
     assert len(before) == 2
     assert [timeless(attempt) for attempt in before + after] == [timeless(attempt) for attempt in whole]
+
+
+def test_a_search_hops_until_nothing_is_lower(
+    study: Study, arm: Peer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the best without whole turns and from the best with; each round from that of the rounds before."""
+    monkeypatch.setattr("mbsrun.ocp.search.HOPS", (1, 1))
+    counts = dict.fromkeys(("bumps", "noise", "waves", "branches"), (0, 0)) | {"turns": (1, 1)}
+    monkeypatch.setattr("mbsrun.ocp.search.COUNTS", counts)
+    one = replace(study, targets=replace(TARGETS, every=(3, 1)), costs=((1.0, 10.0),), turning=(0,))
+    seen = carry_out(one, arm, tmp_path / "record", "robust")
+    hops = [attempt for attempt in seen if attempt.part == "hops"]
+    assert {attempt.round for attempt in hops} == set(range(1, max(attempt.round for attempt in seen) + 1))
+    lowest = min(attempt.cost for attempt in seen if attempt.cost is not None and not attempt.turns)
+    assert any(attempt.guess.startswith(f"- {lowest:.9g} ") for attempt in hops)
+    assert any(not attempt.guess.startswith("-") for attempt in hops) == any(attempt.turns for attempt in seen)
+    assert carry_out(one, arm, tmp_path / "record", "robust") == []
 
 
 def test_a_search_ends_when_its_time_is_over(study: Study, arm: Peer, tmp_path: Path) -> None:
