@@ -31,11 +31,12 @@ PARTS = ("interpolation", *COUNTS, "neighbours", "hops", "exchange")  # in their
 Row = tuple[Cell, ...]
 
 TEXT = (
-    "A search for lower minima: random starts, neighbours, hops, other representations. It finds minima, and cannot show "
-    "that there is no lower one; how many independent starts found the lowest cost known says how far to trust it. A task "
-    "is left in a higher minimum if any attempt in the record, of this protocol or another, in this representation or "
-    f"another, found a cost that is lower by more than {SAME:g} of it. Motions with whole turns of joints without limits "
-    "compete among themselves, and are listed on their own; all statements are about motions without. Optima are what counts here, so solves take the "
+    "A search for lower minima: random starts, neighbours, hops, other representations. It finds minima, and cannot "
+    "show that there is no lower one; how many independent starts found the lowest cost known says how far to trust it. "
+    "A task is left in a higher minimum if any attempt in the record, of this protocol or another, in this "
+    f"representation or another, found a cost that is lower by more than {SAME:g} of it. Motions with whole turns of "
+    "joints without limits compete among themselves, and are listed on their own; all statements are about motions "
+    "without. Optima are what counts here, so solves take the "
     "project's own linear solver, mbs. The paper's protocol and the questions keep to MUMPS, since their times are "
     "compared with the paper's; what was solved before there was mbs has MUMPS here as well, and is counted so above."
 )
@@ -86,8 +87,8 @@ def report_robust(results: Results, states: Mapping[Weights, State]) -> Section 
     columns = ("cost", "part", "attempts", "solved", "first in the lowest minimum, targets", "iterations, median")
     columns += ("CPU s, median", "CPU s, all", "% of it")
     note = (
-        "Random starts, neighbours and hops are tried in the first representation alone; the others get by exchange what "
-        "it found. "
+        "Random starts, neighbours and hops are tried in the first representation alone; the others get what it found by "
+        "exchange. "
         "A part is first in the lowest minimum of a target if no part before it, in this round or an earlier one, was."
     )
     rows = tuple(row for weights, attempts in own.items() for row in _list_parts(results, weights, attempts))
@@ -125,8 +126,8 @@ def _tell_finds(attempts: Sequence[Attempt]) -> str:
         return "no independent start found any"
     shares, starts = [find.found for find in finds], sorted(find.starts for find in finds)
     return (
-        f"of {starts[0]} to {starts[-1]} independent starts at a target, {min(shares)} to {max(shares)} found its lowest "
-        f"cost known, none at {sum(share == 0 for share in shares)} of {len(finds)} targets"
+        f"of {starts[0]} to {starts[-1]} independent starts at a target, {min(shares)} to {max(shares)} found its "
+        f"lowest cost known, none at {sum(share == 0 for share in shares)} of {len(finds)} targets"
     )
 
 

@@ -55,7 +55,9 @@ from mbsrun.study.sheets import (
 )
 
 MODELS = Path(__file__).parents[3] / "models"
-AZIMUTHS = (0.7, 1.3, 3)
+COUNTS = {"bumps": (6, 2), "noise": (0, 0), "waves": (0, 0), "branches": (0, 0), "turns": (0, 0)}
+FEW = f"import mbsrun.ocp.search as s; s.COUNTS, s.HOPS = {COUNTS}, (0, 0); from mbsrun.cli import main; main()"
+AZIMUTHS = (0.7, 1.3, 7)
 SMOOTH, ROUGH = (1.0, 10.0), (1.0, 0.0)
 
 
@@ -76,7 +78,10 @@ def subject(problem: Path) -> Subject:
 
 
 @pytest.fixture
-def campaign(subject: Subject) -> Campaign:
+def campaign(subject: Subject, monkeypatch: pytest.MonkeyPatch) -> Campaign:
+    """State the robust protocol for seven targets, with few starts."""
+    monkeypatch.setattr("mbsrun.ocp.search.COUNTS", COUNTS)
+    monkeypatch.setattr("mbsrun.ocp.search.HOPS", (0, 0))
     targets = Targets(0.55, tuple(np.linspace(*AZIMUTHS).tolist()), (0.0,))
     study = Study(subject.problem, "hand", targets, (SMOOTH, ROUGH), (Representation.IMPL,), (0, 1))
     return Campaign(subject, study, ("robust",), (), (), is_quick=True)
@@ -99,7 +104,7 @@ def solve_alone(campaign: Campaign, out: Path) -> list[Attempt]:
 def test_what_is_killed_loses_nothing_and_does_nothing_twice(campaign: Campaign, problem: Path, tmp_path: Path) -> None:
     """SIGKILL to the command amid the robust protocol on a Dask cluster; then on, to the end of a run in one go."""
     out = tmp_path / "killed"
-    command = [sys.executable, "-m", "mbsrun", "study", str(problem), "-o", str(out), "--workers", "1"]
+    command = [sys.executable, "-c", FEW, "study", str(problem), "-o", str(out), "--workers", "1"]
     grid = ["--radius", "0.55", "--azimuths", *map(str, AZIMUTHS), "--heights", "0", "0", "1"]
     chosen = ["--protocol", "robust", "--cost", "1", "10", "--cost", "1", "0", "--representation", "IMPL"]
     process = subprocess.Popen([*command, *grid, *chosen], stderr=subprocess.PIPE)
@@ -128,7 +133,7 @@ def tell_what_is_left(campaign: Campaign, out: Path, tried: list[Attempt]) -> No
         states = {w: find_state(replace(campaign.study, costs=(w,)), record) for w in campaign.study.costs}
     section = report_robust(results, states)
     assert section is not None
-    assert section.text.count("all 3 tasks are solved, and none is left in a higher minimum") == 2
+    assert section.text.count("all 7 tasks are solved, and none is left in a higher minimum") == 2
     left, parts, _ = (item for item in section.items if isinstance(item, Table))
     assert [(row[2:6], row[-2:]) for row in left.rows] == [((7, 7, 7, 0), ("through", 7))] * 2
     assert sum(int(row[2]) for row in parts.rows if isinstance(row[2], int)) == len(tried)
