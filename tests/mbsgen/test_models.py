@@ -22,6 +22,7 @@ G = 9.81
 
 # Joints, those of them that slide, those that are driven, sensors.
 PARTS = {
+    "acrobot": (2, 0, 1, 1),
     "arm_pendulum": (6, 0, 4, 2),
     "branched": (7, 5, 5, 2),
     "cart_pole": (2, 1, 1, 1),
