@@ -32,8 +32,8 @@ Row = tuple[Cell, ...]
 
 TEXT = (
     "A search for lower minima: random starts, neighbours, hops, other representations. It finds minima, and cannot "
-    "show that there is no lower one; the number of independent starts that found the lowest cost known says how far to "
-    "trust it. A task is left in a higher minimum if any attempt in the record, of this protocol or another, in this "
+    "show that there is no lower one; the number of independent starts that found the lowest cost known says how far "
+    "to trust it. A task is left in a higher minimum if any attempt in the record, of this protocol or another, in this "
     f"representation or another, found a cost that is lower by more than {SAME:g} of it. Motions with whole turns of "
     "joints without limits compete among themselves, and are listed on their own; all statements are about motions "
     "without. Optima are what counts here, so solves take the "
