@@ -31,12 +31,12 @@ PARTS = ("interpolation", *COUNTS, "neighbours", "hops", "exchange")  # in their
 Row = tuple[Cell, ...]
 
 TEXT = (
-    "A search for lower minima: random starts, neighbours, hops, other representations. It finds minima, and cannot "
-    "show that there is no lower one; the number of independent starts that found the lowest cost known says how far "
-    "to trust it. A task is left in a higher minimum if any attempt in the record, of this protocol or another, in this "
-    f"representation or another, found a cost that is lower by more than {SAME:g} of it. Motions with whole turns of "
-    "joints without limits compete among themselves, and are listed on their own; all statements are about motions "
-    "without. Optima are what counts here, so solves take the "
+    "A search for lower minima: random starts, neighbours, hops, other representations. It finds minima, and "
+    "cannot show that there is no lower one; the number of independent starts that found the lowest cost known "
+    "says how far to trust it. A task is left in a higher minimum if any attempt in the record, of this protocol "
+    f"or another, in this representation or another, found a cost that is lower by more than {SAME:g} of it. "
+    "Motions with whole turns of joints without limits compete among themselves, and are listed on their own; all "
+    "statements are about motions without. Optima are what counts here, so solves take the "
     "project's own linear solver, mbs. The paper's protocol and the questions keep to MUMPS, since their times are "
     "compared with the paper's; what was solved before there was mbs has MUMPS here as well, and is counted so above."
 )
