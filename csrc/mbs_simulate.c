@@ -114,36 +114,3 @@ casadi_int mbs_simulate_rk(const mbs_plant *plant, casadi_int stages, const casa
     *status = 0;
     return steps;
 }
-
-casadi_int mbs_simulate_symplectic(const mbs_plant *plant, casadi_real h, casadi_int steps, const casadi_real *v,
-                                   casadi_int v_step, casadi_real *states, int *status)
-{
-    const casadi_int n = plant->n, nq = plant->nq, size = nq + n;
-    casadi_int step, c;
-    for (step = 0; step < steps; ++step) {
-        const casadi_real *x = states + size * step;
-        casadi_real *y = states + size * (step + 1);
-        for (c = 0; c < nq; ++c)
-            plant->q[c] = x[c];
-        for (c = 0; c < n; ++c)
-            plant->qd[c] = x[nq + c];
-        for (c = 0; c < plant->m; ++c)
-            plant->v[c] = v[step * v_step + c];
-        *status = accelerate(plant);
-        if (*status)
-            return step;
-        for (c = 0; c < n; ++c)
-            plant->qd[c] = y[nq + c] = x[nq + c] + h * plant->qdd[c];
-        *status = move(plant, y);
-        if (*status)
-            return step;
-        for (c = 0; c < nq; ++c)
-            y[c] = x[c] + h * y[c];
-        if (!is_finite(size, y)) {
-            *status = RUNAWAY;
-            return step;
-        }
-    }
-    *status = 0;
-    return steps;
-}

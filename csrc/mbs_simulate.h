@@ -42,11 +42,6 @@ casadi_int mbs_simulate_rk(const mbs_plant *plant, casadi_int stages, const casa
                            casadi_real h, casadi_int steps, const casadi_real *v, casadi_int v_step,
                            casadi_real *states, casadi_real *work, int *status);
 
-/* The same by the symplectic Euler method: velocities by the accelerations at the step's begin, then coordinates by the
- * new velocities. The inputs of step k begin at v + k v_step. */
-casadi_int mbs_simulate_symplectic(const mbs_plant *plant, casadi_real h, casadi_int steps, const casadi_real *v,
-                                   casadi_int v_step, casadi_real *states, int *status);
-
 #ifdef __cplusplus
 }
 #endif

@@ -82,8 +82,8 @@ class Dynamics:
         rest = np.zeros_like(qd)
         if self.formulation is Formulation.IMPL:
             M = self.call("jac_impl", q, qd, v, rest)["jac_Phi_qdd"]
-            return -self._solve(M, self.call("impl", q, qd, v, rest)["Phi"])
-        return -self._solve(self.call("semi", q, qd, v)["M"], self.call("semi_res", q, qd, v, rest)["Phi"])
+            return -self.solve(M, self.call("impl", q, qd, v, rest)["Phi"])
+        return -self.solve(self.call("semi", q, qd, v)["M"], self.call("semi_res", q, qd, v, rest)["Phi"])
 
     def slopes(self, q: Array, qd: Array, v: Array) -> tuple[Array, Array]:
         """Differentiate the accelerations by q and by qd, a row for each."""
@@ -138,7 +138,8 @@ class Dynamics:
             blocks.get(f"jac_{result}_{x}", np.zeros((*shape, self.places if x == "q" else self.size))) for x in by
         )
 
-    def _solve(self, M: Array, right: Array) -> Array:
+    def solve(self, M: Array, right: Array) -> Array:
+        """Solve M x = right, M (..., n, n). Raises SingularError."""
         try:
             L = np.linalg.cholesky(M)
         except np.linalg.LinAlgError:

@@ -1,6 +1,4 @@
-"""Explicit steps of a fixed length, in C: see csrc/mbs_simulate.h. Hairer, Norsett, Wanner, chapter II; for symplectic
-Euler Hairer, Lubich, Wanner, "Geometric Numerical Integration", chapter I.
-"""
+"""Explicit steps of a fixed length, in C: see csrc/mbs_simulate.h. Hairer, Norsett, Wanner, chapter II."""
 
 from __future__ import annotations
 
@@ -44,8 +42,6 @@ typedef struct {
 long long mbs_simulate_rk(const mbs_plant *plant, long long stages, const double *A, const double *b, double h,
                           long long steps, const double *v, long long v_step, double *states, double *work,
                           int *status);
-long long mbs_simulate_symplectic(const mbs_plant *plant, double h, long long steps, const double *v,
-                                  long long v_step, double *states, int *status);
 """
 
 
@@ -81,9 +77,9 @@ def integrate(
     Raises HaltError where a kernel fails, a state is not finite, or the allowance is used up.
     """
     plant = _Plant(dynamics)
-    tableau = TABLEAUS.get(settings.method)
+    tableau = TABLEAUS[settings.method]
     count = count_steps(piece, settings.step)
-    h, c = (piece.end - piece.start) / count, np.zeros(1) if tableau is None else tableau.c
+    h, c = (piece.end - piece.start) / count, tableau.c
     states = np.concatenate((q, qd))[None]
     first = 0
     while first < count:
@@ -185,7 +181,7 @@ class _Plant:
             p.place = ffi.from_buffer("long long[]", place.data)
             p.mass, p.mass_arg, p.mass_res = self._lay(mass_entry, inputs, port.argument.name, self._pointer("M"))
 
-    def run(self, state: Array, tableau: Tableau | None, h: float, steps: int, inputs: Array) -> tuple[int, int, Array]:
+    def run(self, state: Array, tableau: Tableau, h: float, steps: int, inputs: Array) -> tuple[int, int, Array]:
         """Take steps; inputs (steps * stages, m), or one row for all. Gives how many, the status, states by rows."""
         ffi = self.ffi
         states = np.empty((steps + 1, len(state)))
@@ -193,12 +189,9 @@ class _Plant:
         status = ffi.new("int *")
         v, path = ffi.from_buffer("double[]", inputs.data), ffi.from_buffer("double[]", states.data)
         v_step = inputs.shape[1] if len(inputs) > 1 else 0
-        if tableau is None:
-            done = self.lib.mbs_simulate_symplectic(self.plant, h, steps, v, v_step, path, status)
-        else:
-            A, b = (ffi.new("double[]", list(np.ravel(x))) for x in (tableau.A, tableau.b))
-            work = ffi.new("double[]", len(state) * len(tableau.b))
-            done = self.lib.mbs_simulate_rk(self.plant, len(tableau.b), A, b, h, steps, v, v_step, path, work, status)
+        A, b = (ffi.new("double[]", list(np.ravel(x))) for x in (tableau.A, tableau.b))
+        work = ffi.new("double[]", len(state) * len(tableau.b))
+        done = self.lib.mbs_simulate_rk(self.plant, len(tableau.b), A, b, h, steps, v, v_step, path, work, status)
         return done, status[0], states
 
     def _pointer(self, name: str) -> Any:

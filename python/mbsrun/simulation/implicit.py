@@ -6,6 +6,16 @@ Generalised alpha: Chung, Hulbert, Journal of Applied Mechanics 60 (1993); as he
 Dynamics 18 (2007), equations (5) to (12). Collocation: Hairer, Wanner, "Solving Ordinary Differential Equations II",
 section IV.5; the unknowns are the accelerations z of the stages, with Z = A z and A Z for velocities and coordinates.
 
+Symplectic Euler, of the momenta p = M(q) qd and the Hamiltonian H(q, p) (Hairer, Lubich, Wanner, "Geometric Numerical
+Integration", section VI.3),
+
+    p' = p - h dH/dq(q, p') + h Q,    q' = q + h dH/dp(q, p')
+
+is solved for the velocity w = dH/dp(q, p'), with p' = M(q) w. Since dH/dq(q, p') = -dL/dq(q, w), and the residual is
+Phi(q, w, 0) = dM/dt w - dL/dq - Q, what is left is, with B = d(M w)/dq = dPhi/dq(q, 0, w) - dPhi/dq(q, 0, 0),
+
+    M (w - qd) + h (Phi(q, w, 0) - B w) = 0,    d/dw of it:  M - h (B^T + dQ/dw)
+
 Where coordinates change by rates(q, qd), with quaternions, velocities alone follow from the accelerations by these
 formulas, and coordinates from the velocities: at the stages of a collocation they solve its own equations; generalised
 alpha turns by the mean velocity of the step, as it does on groups (Bruls, Cardona, Journal of Computational and
@@ -27,6 +37,7 @@ from mbsrun.ocp import schemes
 from mbsrun.simulation.drive import Piece
 from mbsrun.simulation.dynamics import Dynamics, SingularError
 from mbsrun.simulation.explicit import SINGULAR, count_steps, place_steps
+from mbsrun.simulation.methods import SYMPLECTIC
 from mbsrun.simulation.motion import Chunk, Halt, HaltError, Settings, Stages
 
 Array = NDArray[np.float64]
@@ -60,11 +71,11 @@ Step = Callable[[_State, float, float], _State]  # state, its time, length of th
 
 @dataclass(frozen=True, eq=False)
 class _Scheme:
-    """A method: how it steps, and where in a step (s,) and with what weights (s,) it sums up what happens."""
+    """A method: how it steps, and where in a step (s,) and with what weights (s,) it sums up what happens, if it does."""
 
     step: Step
-    points: Array
-    weights: Array
+    points: Array | None = None
+    weights: Array | None = None
 
 
 def integrate(
@@ -100,6 +111,8 @@ def _gather(done: list[_State], piece: Piece, last: int, count: int, scheme: _Sc
     """Bundle states, the last of which is reached with step number `last` of `count`."""
     t = place_steps(piece, last + 1 - len(done) + np.arange(len(done)), count)
     q, qd = np.array([state.q for state in done]), np.array([state.qd for state in done])
+    if scheme.points is None or scheme.weights is None:
+        return Chunk(t, q, qd)
     stage_q, stage_qd = np.array([x.stage_q for x in done[1:]]), np.array([x.stage_qd for x in done[1:]])
     stages = Stages(t[:-1, None] + np.diff(t)[:, None] * scheme.points, stage_q, stage_qd, scheme.weights)
     return Chunk(t, q, qd, stages=stages)
@@ -126,6 +139,8 @@ def _consistent(dynamics: Dynamics, piece: Piece, q: Array, qd: Array) -> Array:
 
 
 def _choose_scheme(dynamics: Dynamics, piece: Piece, settings: Settings) -> _Scheme:
+    if settings.method == SYMPLECTIC:
+        return _make_symplectic(dynamics, piece)
     if settings.method == "generalized-alpha":
         return _make_alpha(dynamics, piece, settings.rho)
     family = schemes.Family.RADAU if settings.method == "radau-iia" else schemes.Family.LEGENDRE
@@ -237,6 +252,30 @@ def _make_collocation(dynamics: Dynamics, piece: Piece, scheme: schemes.Scheme) 
         return _State(places.end(state.q, Q, V, h), state.qd + h * b @ z, values @ z, Q, V)
 
     return _Scheme(step, c, b)
+
+
+def _make_symplectic(dynamics: Dynamics, piece: Piece) -> _Scheme:
+    """Unknown: the velocity w of the step. Inputs are those at its start."""
+    n = dynamics.size
+
+    def step(state: _State, time: float, h: float) -> _State:
+        q, qd, v = state.q, state.qd, piece.at(time)
+
+        def correct(w: Array) -> Array:
+            rest = np.zeros(n)
+            states = np.tile(q, (4, 1)), np.array([rest, rest, w, -w]), np.array([w, rest, rest, rest])
+            K, C, M = dynamics.stiffnesses(*states, np.tile(v, (4, 1)))
+            B = K[0] - K[1]
+            damping = (C[2] + C[3]) / 2  # the inertia's own part is odd in w
+            residual = M[0] @ (w - qd) + h * (dynamics.residual(q, w, rest, v) - B @ w)
+            return -np.asarray(np.linalg.solve(M[0] + h * (damping - B.T), residual))
+
+        w = _iterate(dynamics, correct, qd, 1 / (1 + np.abs(qd)) + h / (1 + np.abs(q)))
+        end, rest = q + h * w, np.zeros(n)
+        M = dynamics.stiffnesses(np.array([q, end]), np.zeros((2, n)), np.zeros((2, n)), np.tile(v, (2, 1)))[2]
+        return _State(end, dynamics.solve(M[1], M[0] @ w), rest, end[None], w[None])
+
+    return _Scheme(step)
 
 
 def _values_at(points: Array) -> Array:

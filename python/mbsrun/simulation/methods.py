@@ -35,10 +35,12 @@ class Method:
     stability: float | None = None  # explicit: how far along the negative real axis h lambda may lie
 
 
+SYMPLECTIC = "symplectic-euler"
+
 METHODS: Mapping[str, Method] = MappingProxyType(
     {
         "euler": Method(Family.EXPLICIT, 1, "explicit Euler", 2.0),
-        "symplectic-euler": Method(Family.EXPLICIT, 1, "symplectic (semi-implicit) Euler", 2.0),
+        SYMPLECTIC: Method(Family.IMPLICIT, 1, "symplectic Euler in coordinates and momenta"),
         "rk4": Method(Family.EXPLICIT, 4, "the classical Runge-Kutta method", 2.785),
         "dop853": Method(Family.ADAPTIVE, 8, "explicit Runge-Kutta of Dormand and Prince", 6.1),
         "rk45": Method(Family.ADAPTIVE, 5, "explicit Runge-Kutta of Dormand and Prince", 3.3),
@@ -52,3 +54,9 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         ),
     }
 )
+
+
+def choose_formulation(method: str, formulation: Formulation) -> Formulation:
+    """Return what a method evaluates: symplectic Euler needs the mass matrix, and so a residual."""
+    is_direct = formulation in (Formulation.EXP1, Formulation.EXP2)
+    return Formulation.IMPL if method == SYMPLECTIC and is_direct else formulation

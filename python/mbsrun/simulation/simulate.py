@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -16,7 +17,7 @@ from mbsrun.simulation import adaptive, explicit, implicit
 from mbsrun.simulation.drive import Drive, Piece, input_labels
 from mbsrun.simulation.dynamics import Dynamics, SingularError
 from mbsrun.simulation.energy import add_up_work
-from mbsrun.simulation.methods import METHODS, Family, Formulation
+from mbsrun.simulation.methods import METHODS, SYMPLECTIC, Family, Formulation, choose_formulation
 from mbsrun.simulation.motion import (
     STORED,
     Chunk,
@@ -58,6 +59,7 @@ def simulate(
     value.
     """
     start = _check(kernels, drive, q, qd, settings)
+    settings = replace(settings, formulation=choose_formulation(settings.method, settings.formulation))
     dynamics, integrate = Dynamics(kernels, settings.formulation), INTEGRATORS[METHODS[settings.method].family]
     record = _Record(kernels, settings, *start)
     allowance = Allowance(Limits(settings.max_steps, settings.max_seconds))
@@ -97,6 +99,8 @@ def _check(kernels: Kernels, drive: Drive, q: ArrayLike, qd: ArrayLike, settings
         raise ValueError("max_steps and max_seconds must be positive")
     if takes_too_many_steps(settings):
         raise ValueError(f"step = {settings.step} takes more than max_steps = {settings.max_steps} steps")
+    if settings.method == SYMPLECTIC and manifest.quaternions:
+        raise ValueError(f"{SYMPLECTIC} takes no quaternions; gauss with one stage does")
     _check_kernels(kernels, settings)
     if settings.duration > drive.end:
         raise ValueError(f"the inputs end at {drive.end} s, before the duration of {settings.duration} s")
@@ -105,10 +109,11 @@ def _check(kernels: Kernels, drive: Drive, q: ArrayLike, qd: ArrayLike, settings
 
 def _check_kernels(kernels: Kernels, settings: Settings) -> None:
     """Demand what the formulation needs, and what energies, warnings and pictures are computed from."""
+    formulation = choose_formulation(settings.method, settings.formulation)
     residual = {Formulation.IMPL: "impl", Formulation.SEMI: "semi_res"}
-    own = residual.get(settings.formulation, settings.formulation.value)
+    own = residual.get(formulation, formulation.value)
     needed = {own, "energy", "power", "frames"}
-    needed |= {"semi"} if settings.formulation is Formulation.SEMI else set()
+    needed |= {"semi"} if formulation is Formulation.SEMI else set()
     needed |= {"impl", "jac_impl"} if adaptive.is_explicit(settings.method) else {f"jac_{own}"}
     needed |= {"rates", "jac_rates"} if kernels.manifest.configuration else set()
     missing = sorted(needed - {kernel.name for kernel in kernels.manifest.kernels})

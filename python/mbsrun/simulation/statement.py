@@ -37,7 +37,7 @@ from mbsgen.manifest import Manifest, Wrench
 from mbsrun.ocp.schemes import DEGREES
 from mbsrun.quaternions import list_quaternions, neutral, normalise
 from mbsrun.simulation.drive import TIME, Drive, express
-from mbsrun.simulation.methods import METHODS, Formulation
+from mbsrun.simulation.methods import METHODS, SYMPLECTIC, Formulation
 from mbsrun.simulation.motion import Settings, takes_too_many_steps
 
 Array = NDArray[np.float64]
@@ -216,6 +216,10 @@ class _Reading:
         )
         if settings.rho > 1:
             self.fault(("rho",), f"found {settings.rho:g}", "give a number from 0 to 1")
+        if settings.method == SYMPLECTIC and self.manifest.quaternions:
+            self.fault(
+                ("method",), f"{SYMPLECTIC} takes no quaternions", "give gauss; with stages: 1 it is the midpoint rule"
+            )
         if takes_too_many_steps(settings):
             finding = f"{settings.duration / settings.step:.3g} steps would be taken"
             self.fault(("step",), finding, f"take a longer step, or raise max_steps = {settings.max_steps}")
