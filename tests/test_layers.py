@@ -66,7 +66,7 @@ MBSRUN = Package(
         "kernel",
         "external",
         "ocp.factors ocp.linear ocp.schemes ocp.plant ocp.program ocp.trajectory",
-        "ocp.elimination ocp.integrators quaternions",
+        "ocp.elimination ocp.integrators quaternions quantities",
         "animation ocp.methods ocp.problem",
         "simulation ocp.layout ocp.quantities",
         "ocp.condensation ocp.checks",

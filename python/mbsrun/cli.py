@@ -82,7 +82,7 @@ DISTRIBUTION, STARTS = "starts.png", "starts.sqlite"  # of a search from many st
 MAX_STARTS = 100_000
 SHOWN = 10  # minima that are printed
 
-LIMITS = ("max_steps", "max_seconds")  # of a simulation
+PLAIN = ("input_period", "max_steps", "max_seconds")  # of a simulation
 DAY = 86400.0  # s
 UNCUT = 200  # characters in a line where nobody sees a terminal's width
 KINDS = {"generated": "generated", "object": "objects", "library": "libraries", "unfinished": "unfinished"}
@@ -171,7 +171,7 @@ the wrenches that a model leaves open; an option wins over the file:
   method: rk4
   step: 1e-3
   start: {pose: {q1: pi/2}}
-  inputs: {q1: 0.2*sin(3*t)}
+  inputs: {q1: 0.2*sin(3*t) - 2*qd_q1}
   wrenches: {contact: {force: [0, 0, 10*t]}}
 
 \b
@@ -508,8 +508,9 @@ def cache_command(clear: bool, days: float | None) -> None:
     "inputs",
     multiple=True,
     metavar="NAME=EXPRESSION",
-    help="The input of an actuated joint [N m, N], over the time t: --input 'q1=0.2*sin(3*t)'",
+    help="The input of an actuated joint [N m, N], by the time t and the state: --input 'q1=0.2*sin(3*t) - 2*qd_q1'",
 )
+@click.option("--input-period", metavar="H", help="Compute inputs every H seconds, and hold them in between.")
 @click.option("--parameter", "parameters", multiple=True, metavar="NAME=NUMBER", help="A run-time parameter.")
 @click.option(
     "--solution",
@@ -584,7 +585,7 @@ def _count(entries: Sequence[Entry]) -> str:
 
 def _collect_options(given: Mapping[str, Any]) -> dict[str, Data]:
     """Nest options as a settings file does; NAME=VALUE is split at its last =, since names may hold one."""
-    plain = ("duration", "method", "formulation", "step", "output_step", "rtol", "atol", "stages", "rho", *LIMITS)
+    plain = ("duration", "method", "formulation", "step", "output_step", "rtol", "atol", "stages", "rho", *PLAIN)
     options: dict[str, Data] = {name: given[name] for name in plain if given[name] is not None}
     start: dict[str, Data] = {key: pairs for key in ("pose", "velocity") if (pairs := _split(key, given[key]))}
     lists = {"start": start, "inputs": _split("input", given["inputs"])}

@@ -16,7 +16,7 @@ from scipy.integrate import BDF, DOP853, LSODA, RK45, Radau
 
 from mbsrun.kernel import KernelError
 from mbsrun.limits import Allowance, LimitError
-from mbsrun.simulation.drive import Piece
+from mbsrun.simulation.drive import DriveError, Piece
 from mbsrun.simulation.dynamics import Dynamics, SingularError
 from mbsrun.simulation.explicit import SINGULAR
 from mbsrun.simulation.methods import METHODS
@@ -59,12 +59,12 @@ def integrate(
             if len(pictures) == STEPS:
                 yield _gather(times, states, pictures, n)
                 times, states, pictures = times[-1:], states[-1:], []
-    except (KernelError, SingularError, HaltError, LimitError) as error:
+    except (KernelError, SingularError, HaltError, LimitError, DriveError) as error:
         if pictures:
             yield _gather(times, states, pictures, n)
-        if isinstance(error, HaltError):
+        if isinstance(error, HaltError) or (isinstance(error, DriveError) and piece.law is None):
             raise
-        if isinstance(error, LimitError):
+        if isinstance(error, LimitError | DriveError):
             raise HaltError(Halt(times[-1], None, error.finding, error.remedy)) from None
         halt = Halt(times[-1], error.joint, SINGULAR, "start elsewhere, or keep away from this configuration")
         raise HaltError(halt) from None
@@ -96,7 +96,7 @@ def _make_solver(dynamics: Dynamics, piece: Piece, state: Array, settings: Setti
     held = piece.at(piece.start) if piece.is_constant else None
 
     def rate(t: float, y: Array) -> Array:
-        v = piece.at(t) if held is None else held
+        v = piece.at(t, y[:n], y[n:]) if held is None else held
         return np.concatenate((dynamics.rates(y[:n], y[n:]), dynamics.accelerations(y[:n], y[n:], v)))
 
     def jacobian(t: float, y: Array) -> Array:
@@ -104,7 +104,7 @@ def _make_solver(dynamics: Dynamics, piece: Piece, state: Array, settings: Setti
         return np.block([[*dynamics.rate_slopes(q, qd)], [*dynamics.slopes(q, qd, piece.at(t))]])
 
     options: dict[str, Any] = {"rtol": settings.rtol, "atol": settings.atol}
-    if settings.method in ("radau", "bdf", "lsoda"):
+    if settings.method in ("radau", "bdf", "lsoda") and piece.law is None:  # else by differences, feedback and all
         options["jac"] = jacobian
     return SOLVERS[settings.method](rate, piece.start, state, piece.end, **options)
 

@@ -1,12 +1,17 @@
-"""The inputs of a motion over time: the forces u of actuated joints, then the external forces and moments w.
+"""The inputs of a motion: the forces u of actuated joints, then the external forces and moments w.
 
 Time is cut into pieces, within which inputs are smooth: an integrator that steps over a jump would lose its order.
+
+Inputs are given over time, or follow the state: feedback. A feedback acts at once, and is then part of the differential
+equations, or it is sampled: computed every `period`, and held in between, so that each period is a piece.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,14 +19,27 @@ from numpy.typing import ArrayLike, NDArray
 from mbsgen.errors import MbsError
 from mbsgen.expressions import Algebra, Expression, evaluate, names
 from mbsgen.manifest import Manifest
+from mbsrun.kernel import Kernels
+from mbsrun.quantities import Quantity
 
 Array = NDArray[np.float64]
 
+Law = Callable[[Array, Array, Array], Array]  # times (K,), q (K, nq), qd (K, n) -> inputs (K, m)
+Control = Callable[[Kernels, Array, Array, Array], Array]  # a law that asks kernels, for sensors
+
 TIME = "t"  # the name of time in an expression
+STATE = ("q", "qd", "position", "v")  # the kinds of quantities that a feedback may speak of
 
 
 class DriveError(MbsError):
     """Inputs that have no value."""
+
+    def __init__(self, finding: str, remedy: str) -> None:
+        self.finding, self.remedy = finding, remedy
+        super().__init__(f"{finding}; {remedy}")
+
+
+_NONE: Array = np.zeros(0)
 
 
 @dataclass(frozen=True)
@@ -30,24 +48,31 @@ class Piece:
 
     start: float
     end: float
-    values: Callable[[Array], Array]  # times (K,) -> inputs (K, m)
+    values: Callable[[Array], Array]  # times (K,) -> inputs (K, m); not where a law is given
     is_constant: bool
+    law: Law | None = None  # inputs that follow the state
 
-    def at(self, time: float) -> Array:
-        """Give the inputs at one time, shape (m,)."""
-        return np.asarray(self.values(np.array([time]))[0])
+    def follow(self, times: Array, q: Array, qd: Array) -> Array:
+        """Return the inputs at times (K,) and states (K, nq), (K, n), shape (K, m)."""
+        return self.values(times) if self.law is None else self.law(times, q, qd)
+
+    def at(self, time: float, q: Array = _NONE, qd: Array = _NONE) -> Array:
+        """Return the inputs at one time and state, shape (m,); a state matters to a law only."""
+        return np.asarray(self.follow(np.array([time]), q[None], qd[None])[0])
 
 
 @dataclass(frozen=True)
 class Drive:
-    """Inputs from time 0 on, in pieces that follow each other without a gap."""
+    """Inputs from time 0 on, in pieces that follow each other without a gap; or a feedback."""
 
-    pieces: tuple[Piece, ...]
+    pieces: tuple[Piece, ...] = ()
+    control: Control | None = None  # in place of pieces
+    period: float | None = None  # s: how long what the control gives is held; None: it acts at once
 
     @property
     def end(self) -> float:
         """Tell until when there are inputs."""
-        return self.pieces[-1].end
+        return self.pieces[-1].end if self.pieces else np.inf
 
     def until(self, end: float) -> tuple[Piece, ...]:
         """Cut the pieces off at a time."""
@@ -56,6 +81,59 @@ class Drive:
             for piece in self.pieces
             if piece.start < end
         )
+
+    def play(self, kernels: Kernels, end: float, state: Callable[[], tuple[Array, Array]]) -> Iterator[Piece]:
+        """Go through the pieces until `end`; `state` returns q and qd at the time that was reached."""
+        if self.control is None:
+            yield from self.until(end)
+        elif self.period is None:
+            yield Piece(0.0, end, _follow_nothing, False, partial(self.control, kernels))
+        else:
+            for k in range(int(np.ceil(end / self.period * (1 - 1e-12)))):
+                start = k * self.period
+                q, qd = state()
+                held = self.control(kernels, np.array([start]), q[None], qd[None])[0]
+                yield Piece(start, min(start + self.period, end), hold(held).pieces[0].values, True)
+
+
+def _follow_nothing(_: Array) -> Array:
+    raise AssertionError("inputs that follow the state have no value over time alone")
+
+
+def control(law: Callable[[float, Array, Array], ArrayLike], period: float | None = None) -> Drive:
+    """Let inputs follow the state: `law` is given t, q (nq,), qd (n,), and returns u and then w, m numbers.
+
+    With a period [s] it is called once in each, and its inputs are held in between; a law with a memory needs that.
+    Without, it must be a smooth function, and is called whenever an integrator wants it, also for states that turn out
+    to lie beside the motion.
+    """
+    if period is not None and not (np.isfinite(period) and period > 0):
+        raise ValueError(f"period = {period} must be a positive number")
+
+    def compute(_: Kernels, times: Array, q: Array, qd: Array) -> Array:
+        rows = [np.array(law(float(t), *x), dtype=np.float64) for t, *x in zip(times, q, qd, strict=True)]
+        for t, row in zip(times, rows, strict=True):
+            if row.ndim != 1 or not np.isfinite(row).all():
+                found = f"{row.tolist()!s:.60}"
+                raise DriveError(f"the control returned {found} at t = {t:.6g} s", "let it return finite numbers")
+        return np.array(rows)
+
+    return Drive(control=compute, period=period)
+
+
+def differentiate(law: Law, times: Array, q: Array, qd: Array) -> tuple[Array, Array]:
+    """Differentiate a law by q and qd, by central differences: shapes (K, m, nq) and (K, m, n)."""
+    x = np.hstack((q, qd))
+    count, size = x.shape
+    steps = 1e-6 * (1 + np.abs(x))  # errors of some 1e-10, relative: Newton's method needs no more
+    shifts = steps[:, :, None] * np.eye(size)  # (K, size, size): one entry of the state at a time
+    ends = [
+        law(np.repeat(times, size), *np.split((x[:, None] + sign * shifts).reshape(-1, size), [q.shape[1]], axis=1))
+        for sign in (1, -1)
+    ]
+    slopes = (ends[0] - ends[1]).reshape(count, size, -1) / (2 * steps[:, :, None])
+    by_q, by_qd = np.split(slopes.transpose(0, 2, 1), [q.shape[1]], axis=2)
+    return by_q, by_qd
 
 
 def hold(values: ArrayLike) -> Drive:
@@ -76,29 +154,62 @@ def hold_steps(times: ArrayLike, values: ArrayLike) -> Drive:
     return Drive(tuple(pieces))
 
 
-def express(expressions: Sequence[Expression], labels: Sequence[str], constants: Mapping[str, float]) -> Drive:
-    """Compute each input from an expression in `constants` and the time t; labels name them in a DriveError.
+def express(
+    expressions: Sequence[Expression],
+    labels: Sequence[str],
+    constants: Mapping[str, float],
+    quantities: Mapping[str, Quantity] = MappingProxyType({}),
+    period: float | None = None,
+) -> Drive:
+    """Compute each input from an expression in `constants`, the time t, and `quantities` of the state.
 
-    Raises ExpressionError for a name that is unknown.
+    Labels name inputs in a DriveError. With a period, what is computed is held so long. Raises ExpressionError for a
+    name that is unknown.
     """
     known: dict[str, Array] = {name: np.float64(value) * np.ones(1) for name, value in constants.items()}
+    known[TIME] = np.ones(1)
+    used = {
+        name: quantities[name] for e in expressions for name in names(e) if name in quantities and name not in known
+    }
 
-    def values(t: Array) -> Array:
+    def compute(t: Array, state: Mapping[str, Array]) -> Array:
         columns = []
         for expression, label in zip(expressions, labels, strict=True):
             with np.errstate(all="ignore"):
-                column = np.broadcast_to(evaluate(expression, {**known, TIME: t}, ARRAYS), t.shape)
+                column = np.broadcast_to(evaluate(expression, {**known, TIME: t, **state}, ARRAYS), t.shape)
             wrong = np.flatnonzero(~np.isfinite(column))
             if wrong.size:
-                raise DriveError(
-                    f"the input of {label} has no finite value at t = {t[wrong[0]]:.6g} s; mend its expression"
-                )
+                finding = f"the input of {label} has no finite value at t = {t[wrong[0]]:.6g} s"
+                raise DriveError(finding, "mend its expression")
             columns.append(column)
         return np.stack(columns, axis=1) if columns else np.zeros((len(t), 0))
 
-    values(np.zeros(1)) if not any(TIME in names(e) for e in expressions) else _check_names(expressions, known)
+    def follow(kernels: Kernels, t: Array, q: Array, qd: Array) -> Array:
+        return compute(t, _measure(used, kernels, q, qd))
+
+    for expression in expressions:  # an unknown name is told before anything runs
+        with np.errstate(all="ignore"):
+            evaluate(expression, {**known, **dict.fromkeys(used, np.ones(1))}, ARRAYS)
+    if used or period is not None:
+        return Drive(control=follow, period=period)
     is_constant = not any(TIME in names(expression) for expression in expressions)
-    return Drive((Piece(0.0, np.inf, values, is_constant),))
+    return Drive((Piece(0.0, np.inf, lambda t: compute(t, {}), is_constant),))
+
+
+def _measure(used: Mapping[str, Quantity], kernels: Kernels, q: Array, qd: Array) -> dict[str, Array]:
+    """Compute quantities of states (K, nq), (K, n): shape (K,) each."""
+    kinds = {quantity.kind for quantity in used.values()}
+    found = {"q": q, "qd": qd}
+    if "position" in kinds:
+        found["position"] = _flatten(kernels("sensors", q=q)["position"])
+    if "v" in kinds:
+        found["v"] = _flatten(kernels("motion", q=q, qd=qd)["v"])
+    return {name: found[quantity.kind][:, quantity.index] for name, quantity in used.items()}
+
+
+def _flatten(vectors: Array) -> Array:
+    """Lay the vectors of sensors, (K, 3, sensors), one after the other: (K, 3 sensors)."""
+    return vectors.swapaxes(1, 2).reshape(len(vectors), -1)
 
 
 def input_labels(manifest: Manifest) -> tuple[str, ...]:
@@ -112,13 +223,6 @@ def input_labels(manifest: Manifest) -> tuple[str, ...]:
         for axis in "xyz"
     ]
     return (*joints, *parts)
-
-
-def _check_names(expressions: Sequence[Expression], known: Mapping[str, Array]) -> None:
-    """Let an unknown name be told before anything runs, wherever the first time lies."""
-    for expression in expressions:
-        with np.errstate(all="ignore"):
-            evaluate(expression, {**known, TIME: np.ones(1)}, ARRAYS)
 
 
 def _number(value: float) -> Array:

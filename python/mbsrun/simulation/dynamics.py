@@ -43,6 +43,7 @@ class Dynamics:
     kernels: Kernels
     formulation: Formulation
     effort: Effort = field(default_factory=Effort)
+    kept: dict[str, Any] = field(default_factory=dict)  # what an integrator makes once, and wants again
     _taken: dict[str, frozenset[str]] = field(default_factory=dict)  # by kernel: the inputs that it takes
 
     @cached_property
@@ -110,6 +111,14 @@ class Dynamics:
             return -K, -C, np.broadcast_to(np.eye(self.size), C.shape)
         K, C, M = self._pick(f"jac_{self._residual_name}", "Phi", ("q", "qd", "qdd"), q, qd, v, qdd)
         return K, C, M
+
+    def input_slopes(self, q: Array, qd: Array, qdd: Array, v: Array) -> Array:
+        """Differentiate the residual by the inputs, in which it is linear: states (K, ...) -> (K, n, m)."""
+        K, m = v.shape
+        a, b, c = (np.repeat(x, m + 1, axis=0) for x in (q, qd, qdd))
+        inputs = v[:, None] + np.eye(m + 1, m, k=-1)  # as they are; then with each larger by 1
+        residuals = self.residual(a, b, c, inputs.reshape(-1, m)).reshape(K, m + 1, -1)
+        return np.asarray((residuals[:, 1:] - residuals[:, :1]).transpose(0, 2, 1))
 
     def call(self, name: str, q: Array, qd: Array, v: Array, qdd: Array | None = None) -> Mapping[str, Array]:
         """Call a kernel with what it takes of these."""

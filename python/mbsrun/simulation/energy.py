@@ -31,7 +31,7 @@ def add_up_work(dynamics: Dynamics, piece: Piece, chunk: Chunk) -> Array:
     stages, length = chunk.stages or _place_nodes(dynamics, piece, chunk), np.diff(chunk.t)
     k, s, _ = stages.q.shape
     q, qd = (x.reshape(k * s, -1) for x in (stages.q, stages.qd))
-    power = dynamics.call("power", q, qd, piece.values(stages.t.ravel()))["power"]
+    power = dynamics.call("power", q, qd, piece.follow(stages.t.ravel(), q, qd))["power"]
     return np.asarray(length * (power.reshape(k, s) @ stages.weights))
 
 
@@ -40,7 +40,7 @@ def _place_nodes(dynamics: Dynamics, piece: Piece, chunk: Chunk) -> Stages:
     length = np.diff(chunk.t)
     t = chunk.t[:-1, None] + length[:, None] * NODES
     if chunk.dense is None:
-        qdd = dynamics.accelerations(chunk.q, chunk.qd, piece.values(chunk.t))
+        qdd = dynamics.accelerations(chunk.q, chunk.qd, piece.follow(chunk.t, chunk.q, chunk.qd))
         first = dynamics.rates(chunk.q, chunk.qd)
         second = qdd
         if dynamics.kernels.manifest.configuration:

@@ -1,4 +1,7 @@
-"""Explicit steps of a fixed length, in C: see csrc/mbs_simulate.h. Hairer, Norsett, Wanner, chapter II."""
+"""Explicit steps of a fixed length. Hairer, Norsett, Wanner, chapter II.
+
+They are taken in C, see csrc/mbs_simulate.h; under inputs that follow the state, in Python.
+"""
 
 from __future__ import annotations
 
@@ -16,17 +19,18 @@ from numpy.typing import NDArray
 
 from mbsgen import resources
 from mbsrun.binding import DESIGN, HIDDEN, Entry, bind
-from mbsrun.kernel import Kernels
+from mbsrun.kernel import KernelError, Kernels
 from mbsrun.library import compile_library, find_compiler
 from mbsrun.limits import Allowance, LimitError
-from mbsrun.simulation.drive import Piece
-from mbsrun.simulation.dynamics import Dynamics
+from mbsrun.simulation.drive import DriveError, Piece
+from mbsrun.simulation.dynamics import Dynamics, SingularError
 from mbsrun.simulation.methods import Formulation
 from mbsrun.simulation.motion import Chunk, Halt, HaltError, Settings
 
 Array = NDArray[np.float64]
 
 STEPS = 4096  # taken in C at a time
+PYTHON_STEPS = 256  # and in Python
 RUNAWAY = -1  # the C functions' status of a state that is not finite
 
 _CDEF = """
@@ -76,8 +80,13 @@ def integrate(
 
     Raises HaltError where a kernel fails, a state is not finite, or the allowance is used up.
     """
-    plant = _Plant(dynamics)
     tableau = TABLEAUS[settings.method]
+    if piece.law is not None:
+        yield from _integrate_in_python(dynamics, piece, np.concatenate((q, qd)), tableau, settings.step, allowance)
+        return
+    if "plant" not in dynamics.kept:
+        dynamics.kept["plant"] = _Plant(dynamics)
+    plant = dynamics.kept["plant"]
     count = count_steps(piece, settings.step)
     h, c = (piece.end - piece.start) / count, tableau.c
     states = np.concatenate((q, qd))[None]
@@ -96,6 +105,45 @@ def integrate(
         if status:
             raise HaltError(tell(dynamics.kernels, status, times[done], states[done]))
         first += steps
+
+
+def _integrate_in_python(
+    dynamics: Dynamics, piece: Piece, state: Array, tableau: Tableau, step: float, allowance: Allowance
+) -> Iterator[Chunk]:
+    """Do the same where inputs follow the state."""
+    count, n = count_steps(piece, step), dynamics.places
+    h, states, halt = (piece.end - piece.start) / count, [state], None
+    times = place_steps(piece, np.arange(count + 1), count)
+    for k in range(count):
+        try:
+            allowance.spend()
+            with np.errstate(all="ignore"):
+                states.append(_step(dynamics, piece, states[-1], tableau, times[k], h))
+        except (LimitError, DriveError) as error:
+            halt = Halt(times[k], None, error.finding, error.remedy)
+        except (KernelError, SingularError) as error:
+            halt = Halt(times[k], error.joint, SINGULAR, "start elsewhere, or keep away from this configuration")
+        if not np.isfinite(states[-1]).all():
+            states.pop()
+            halt = tell(dynamics.kernels, RUNAWAY, times[k], states[-1])
+        if len(states) > 1 and (halt or k + 1 == count or len(states) > PYTHON_STEPS):
+            done = np.array(states)
+            dynamics.effort.steps += len(done) - 1
+            last = k if halt else k + 1
+            yield Chunk(times[last + 1 - len(done) : last + 1], done[:, :n], done[:, n:])
+            states = states[-1:]
+        if halt:
+            raise HaltError(halt)
+
+
+def _step(dynamics: Dynamics, piece: Piece, state: Array, tableau: Tableau, time: float, h: float) -> Array:
+    """Take one step, of which every stage asks for the inputs. Raises KernelError and SingularError."""
+    rates = np.zeros((len(tableau.b), len(state)))
+    for i, (row, c) in enumerate(zip(tableau.A, tableau.c, strict=True)):
+        q, qd = np.split(state + h * np.array(row) @ rates, [dynamics.places])
+        qdd = dynamics.accelerations(q, qd, piece.at(time + c * h, q, qd))
+        rates[i] = np.concatenate((dynamics.rates(q, qd), qdd))
+    return np.asarray(state + h * np.array(tableau.b) @ rates)
 
 
 def _spend(allowance: Allowance, steps: int, time: float) -> None:

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from mbsrun.kernel import KernelError
 from mbsrun.limits import Allowance, LimitError
 from mbsrun.ocp import schemes
-from mbsrun.simulation.drive import Piece
+from mbsrun.simulation.drive import DriveError, Piece, differentiate
 from mbsrun.simulation.dynamics import Dynamics, SingularError
 from mbsrun.simulation.explicit import SINGULAR, count_steps, place_steps
 from mbsrun.simulation.methods import SYMPLECTIC
@@ -71,11 +71,33 @@ Step = Callable[[_State, float, float], _State]  # state, its time, length of th
 
 @dataclass(frozen=True, eq=False)
 class _Scheme:
-    """A method: how it steps, and where in a step (s,) and with what weights (s,) it sums up what happens, if it does."""
+    """A method: how it steps, and where in a step (s,), with what weights (s,), it sums up what happens, if it does."""
 
     step: Step
     points: Array | None = None
     weights: Array | None = None
+
+
+@dataclass(frozen=True)
+class _Loop:
+    """The residual with the inputs of a piece, which may follow the state."""
+
+    dynamics: Dynamics
+    piece: Piece
+
+    def residual(self, t: Array, q: Array, qd: Array, qdd: Array) -> Array:
+        """Evaluate the residual at times (K,) and states (K, ...), shape (K, n)."""
+        return self.dynamics.residual(q, qd, qdd, self.piece.follow(t, q, qd))
+
+    def stiffnesses(self, t: Array, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array, Array]:
+        """Differentiate it by q, qd and qdd, as `Dynamics.stiffnesses` does; inputs that follow the state, too."""
+        v = self.piece.follow(t, q, qd)
+        K, C, M = self.dynamics.stiffnesses(q, qd, qdd, v)
+        if self.piece.law is None:
+            return K, C, M
+        S = self.dynamics.input_slopes(q, qd, qdd, v)
+        by_q, by_qd = differentiate(self.piece.law, t, q, qd)
+        return K + S @ by_q, C + S @ by_qd, M
 
 
 def integrate(
@@ -99,9 +121,11 @@ def integrate(
             if len(done) > STEPS:
                 yield _gather(done, piece, k + 1, count, scheme)
                 done = done[-1:]
-    except (KernelError, SingularError, LimitError, _StuckError, np.linalg.LinAlgError) as error:
+    except (KernelError, SingularError, LimitError, DriveError, _StuckError, np.linalg.LinAlgError) as error:
         if len(done) > 1:
             yield _gather(done, piece, k, count, scheme)
+        if isinstance(error, DriveError) and piece.law is None:
+            raise
         raise HaltError(_tell(error, time)) from None
     if len(done) > 1:
         yield _gather(done, piece, count, count, scheme)
@@ -120,7 +144,7 @@ def _gather(done: list[_State], piece: Piece, last: int, count: int, scheme: _Sc
 
 def _tell(error: Exception, time: float) -> Halt:
     joint = getattr(error, "joint", None)
-    if isinstance(error, LimitError):
+    if isinstance(error, LimitError | DriveError):
         return Halt(time, None, error.finding, error.remedy)
     if isinstance(error, _StuckError):
         finding = f"Newton's method does not converge within {ITERATIONS} iterations"
@@ -130,7 +154,7 @@ def _tell(error: Exception, time: float) -> Halt:
 
 def _consistent(dynamics: Dynamics, piece: Piece, q: Array, qd: Array) -> Array:
     """Solve the residual at the piece's start for the accelerations; it is linear in them."""
-    v, rest = piece.at(piece.start), np.zeros_like(qd)
+    v, rest = piece.at(piece.start, q, qd), np.zeros_like(qd)
     M = dynamics.stiffnesses(q, qd, rest, v)[2]
     try:
         return -np.asarray(np.linalg.solve(M, dynamics.residual(q, qd, rest, v)))
@@ -197,10 +221,10 @@ def _make_alpha(dynamics: Dynamics, piece: Piece, rho: float) -> _Scheme:
     beta = 0.25 * (gamma + 0.5) ** 2
     ratio = (1 - alpha_f) / (1 - alpha_m)  # d a / d qdd
     places = _Places(dynamics, np.array([[0.5]]), np.array([1.0]))  # from the mean velocity, at the step's middle
-    memory: dict[str, Array] = {}
+    loop, memory = _Loop(dynamics, piece), dict[str, Array]()
 
     def step(state: _State, time: float, h: float) -> _State:
-        a, v = memory.get("a", state.qdd), piece.at(time + h)
+        a, end = memory.get("a", state.qdd), np.array([time + h])
 
         def advance(qdd: Array) -> tuple[Array, Array, Array, Array, Array]:
             """Give q, qd and a at the end, and the middle of the way with its velocity."""
@@ -212,10 +236,11 @@ def _make_alpha(dynamics: Dynamics, piece: Piece, rho: float) -> _Scheme:
 
         def correct(qdd: Array) -> Array:
             q, qd, _, middle, mean = advance(qdd)
-            K, C, M = dynamics.stiffnesses(q, qd, qdd, v)
+            at = (end, q[None], qd[None], qdd[None])
+            K, C, M = (x[0] for x in loop.stiffnesses(*at))
             by_mean = 2 * places.stiffen(K[None], middle, mean, h)[0, 0]  # the end is as far from the middle as that is
             matrix = M + ratio * (h * gamma * C + h * beta * by_mean)
-            return -np.asarray(np.linalg.solve(matrix, dynamics.residual(q, qd, qdd, v)))
+            return -np.asarray(np.linalg.solve(matrix, loop.residual(*at)[0]))
 
         qdd = _iterate(dynamics, correct, state.qdd, _scale(state, h))
         q, qd, memory["a"], *_ = advance(qdd)
@@ -227,10 +252,10 @@ def _make_alpha(dynamics: Dynamics, piece: Piece, rho: float) -> _Scheme:
 def _make_collocation(dynamics: Dynamics, piece: Piece, scheme: schemes.Scheme) -> _Scheme:
     """Unknowns: qdd at the stages, (s, n)."""
     A, b, c, s, n = scheme.integration, scheme.weights, scheme.points, scheme.degree, dynamics.size
-    places, values = _Places(dynamics, A, b), _values_at(c)
+    places, values, loop = _Places(dynamics, A, b), _values_at(c), _Loop(dynamics, piece)
 
     def step(state: _State, time: float, h: float) -> _State:
-        v = piece.values(time + h * c)
+        t = time + h * c
 
         def advance(z: Array) -> tuple[Array, Array]:
             qd = state.qd + h * A @ z
@@ -238,13 +263,13 @@ def _make_collocation(dynamics: Dynamics, piece: Piece, scheme: schemes.Scheme) 
 
         def correct(z: Array) -> Array:
             q, qd = advance(z)
-            K, C, M = dynamics.stiffnesses(q, qd, z, v)
+            K, C, M = loop.stiffnesses(t, q, qd, z)
             by_qd = places.stiffen(K, q, qd, h)
             by_qd[range(s), range(s)] += C
             blocks = h * np.tensordot(by_qd, A, axes=(1, 0)).transpose(0, 1, 3, 2)  # (s, n, s, n)
             blocks[range(s), :, range(s)] += M
             matrix = blocks.reshape(s * n, s * n)
-            residual = dynamics.residual(q, qd, z, v).ravel()
+            residual = loop.residual(t, q, qd, z).ravel()
             return -np.asarray(np.linalg.solve(matrix, residual)).reshape(s, n)
 
         z = _iterate(dynamics, correct, np.tile(state.qdd, (s, 1)), _scale(state, h))
@@ -259,7 +284,7 @@ def _make_symplectic(dynamics: Dynamics, piece: Piece) -> _Scheme:
     n = dynamics.size
 
     def step(state: _State, time: float, h: float) -> _State:
-        q, qd, v = state.q, state.qd, piece.at(time)
+        q, qd, v = state.q, state.qd, piece.at(time, state.q, state.qd)
 
         def correct(w: Array) -> Array:
             rest = np.zeros(n)
@@ -296,15 +321,17 @@ def _scale(state: _State, h: float) -> Array:
 def _iterate(dynamics: Dynamics, correct: Callable[[Array], Array], guess: Array, scale: Array) -> Array:
     """Newton's method for accelerations, until what they change of the state, by `scale` (n,), is within CONVERGED."""
     z = guess
-    change = np.zeros_like(z)
+    before = change = np.zeros_like(z)
     for _ in range(ITERATIONS):
         dynamics.effort.iterations += 1
-        change = correct(z)
-        z = z + change
+        before, change = z, correct(z)
+        z = before + change
         size = float(np.max(np.abs(change) * scale))
         if size <= CONVERGED:
             return z
         if not np.isfinite(size):
             break
+    if not np.isfinite(change).all():
+        change = before  # the numbers have overflowed
     worst = np.nan_to_num(np.abs(change) * scale, nan=np.inf).reshape(-1, dynamics.size).max(axis=0).argmax()
     raise _StuckError(dynamics.kernels.manifest.coordinates[int(worst)].name)

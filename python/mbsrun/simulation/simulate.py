@@ -14,7 +14,7 @@ from mbsrun.kernel import ArgumentError, KernelError, Kernels
 from mbsrun.limits import Allowance, Limits
 from mbsrun.quaternions import measure_lengths
 from mbsrun.simulation import adaptive, explicit, implicit
-from mbsrun.simulation.drive import Drive, Piece, input_labels
+from mbsrun.simulation.drive import Drive, DriveError, Piece, input_labels
 from mbsrun.simulation.dynamics import Dynamics, SingularError
 from mbsrun.simulation.energy import add_up_work
 from mbsrun.simulation.methods import METHODS, SYMPLECTIC, Family, Formulation, choose_formulation
@@ -64,30 +64,33 @@ def simulate(
     record = _Record(kernels, settings, *start)
     allowance = Allowance(Limits(settings.max_steps, settings.max_seconds))
     halt: Halt | None = None
-    for piece in drive.until(settings.duration):
-        record.open(piece)
+    pieces = drive.play(kernels, settings.duration, lambda: record.last)
+    while halt is None and record.last_time < settings.duration:
         try:
+            piece = next(pieces)
+            record.open(piece)
             for chunk in _timed(integrate(dynamics, piece, *record.last, settings, allowance), dynamics.effort):
                 record.add(chunk)
                 show(float(chunk.t[-1]))
         except HaltError as error:
             halt = error.halt
-            break
+        except DriveError as error:
+            if drive.control is None or not record.inputs:
+                raise
+            halt = Halt(record.last_time, None, error.finding, error.remedy)
         finally:
             record.close()
-    return record.finish(drive, dynamics.effort, halt)
+    return record.finish(dynamics.effort, halt)
 
 
 def _check(kernels: Kernels, drive: Drive, q: ArrayLike, qd: ArrayLike, settings: Settings) -> tuple[Array, Array]:
     manifest = kernels.manifest
-    sizes, m = (len(manifest.positions), len(manifest.coordinates)), len(input_labels(manifest))
+    sizes = len(manifest.positions), len(manifest.coordinates)
     start = np.array(q, dtype=np.float64), np.array(qd, dtype=np.float64)
     if any(x.shape != (n,) or not np.isfinite(x).all() for x, n in zip(start, sizes, strict=True)):
         raise ValueError(f"q must be {sizes[0]} finite numbers, qd {sizes[1]}")
     if (measure_lengths(start[0], manifest) == 0).any():
         raise ValueError("a quaternion of q is 0; it turns by 0 as 0, 0, 0, 1")
-    if drive.pieces[0].at(0.0).shape != (m,):
-        raise ValueError(f"the inputs have shape {drive.pieces[0].at(0.0).shape}, ({m},) expected")
     if settings.method not in METHODS:
         raise ValueError(f"no method {settings.method!r}; there are {', '.join(METHODS)}")
     lengths = {"duration": settings.duration, "step": settings.step, "rtol": settings.rtol, "atol": settings.atol}
@@ -145,14 +148,19 @@ class _Record:
         self.observer = Dynamics(kernels, settings.formulation)  # its calls are not the integrator's
         self.distance = settings.output_step or settings.duration / STORED
         self.t, self.q, self.qd, self.work = [0.0], [q], [qd], [0.0]
+        self.inputs: list[Array] = []
         self.last, self.last_time, self.done = (q, qd), 0.0, 0.0
         self.piece: Piece | None = None
         self.work_is_known = True
         self.steps = 0
 
     def open(self, piece: Piece) -> None:
-        """Begin a piece."""
+        """Begin a piece, which has the last word on the inputs where it begins."""
         self.piece, self.steps = piece, 0
+        inputs, count = piece.at(piece.start, *self.last), len(input_labels(self.kernels.manifest))
+        if inputs.shape != (count,):
+            raise ValueError(f"the inputs have shape {inputs.shape}, ({count},) expected")
+        self.inputs[len(self.t) - 1 :] = [inputs]
 
     def add(self, chunk: Chunk) -> None:
         """Take steps: keep the states that are wanted."""
@@ -170,19 +178,16 @@ class _Record:
 
     def close(self) -> None:
         """End a piece: what was reached last is kept in any case."""
-        if self.t[-1] != self.last_time:
+        if self.t[-1] != self.last_time and self.piece is not None:
+            self.inputs += self._ask(np.array([self.last_time]), *(x[None] for x in self.last))
             self.t.append(self.last_time)
             self.q.append(self.last[0])
             self.qd.append(self.last[1])
             self.work.append(self.done)
 
-    def finish(self, drive: Drive, effort: Effort, halt: Halt | None) -> Motion:
+    def finish(self, effort: Effort, halt: Halt | None) -> Motion:
         """Make the motion of all that was kept."""
-        t, q, qd = np.array(self.t), np.array(self.q), np.array(self.qd)
-        inputs = np.empty((len(t), len(input_labels(self.kernels.manifest))))
-        for piece in drive.until(self.settings.duration):  # a later piece has the last word where two meet
-            inside = (t >= piece.start) & (t <= piece.end)
-            inputs[inside] = piece.values(t[inside])
+        t, q, qd, inputs = (np.array(kept) for kept in (self.t, self.q, self.qd, self.inputs))
         energies = self.kernels("energy", q=q, qd=qd)
         energy = Energy(energies["kinetic"][:, 0], energies["potential"][:, 0], np.array(self.work))
         warnings = [*_find_exceeded_limits(self.kernels, t, q), *self._find_stiffness(effort, t, q, qd, inputs)]
@@ -200,10 +205,25 @@ class _Record:
         )
 
     def _keep(self, chunk: Chunk, work: Array, chosen: NDArray[np.intp]) -> None:
+        if chosen.size:
+            self.inputs += self._ask(chunk.t[chosen], chunk.q[chosen], chunk.qd[chosen])
         self.t += chunk.t[chosen].tolist()
         self.q += list(chunk.q[chosen])
         self.qd += list(chunk.qd[chosen])
         self.work += work[chosen].tolist()
+
+    def _ask(self, t: Array, q: Array, qd: Array) -> list[Array]:
+        """Return the inputs at some states; not a number where a feedback has no value, which ends the motion."""
+        assert self.piece is not None, "a state lies in a piece"
+        if self.piece.law is None:
+            return list(self.piece.values(t))
+        rows = []
+        for state in zip(t, q, qd, strict=True):
+            try:
+                rows.append(self.piece.at(*state))
+            except DriveError:
+                rows.append(np.full(len(input_labels(self.kernels.manifest)), np.nan))
+        return rows
 
     def _refine(self, chunk: Chunk) -> tuple[Chunk, NDArray[np.intp]]:
         """Cut steps where outputs are wanted; give the finer chunk, and which of its times those are."""
@@ -228,7 +248,7 @@ class _Record:
             try:
                 with np.errstate(all="ignore"):  # a motion that runs away has no number for its energy
                     return add_up_work(self.observer, self.piece, chunk)
-            except (KernelError, SingularError):
+            except (KernelError, SingularError, DriveError):
                 self.work_is_known = False
         return np.zeros(len(chunk.t) - 1)
 

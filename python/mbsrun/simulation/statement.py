@@ -1,7 +1,7 @@
 """What to simulate, in words: a settings file and the options of a command line -> start, inputs and settings.
 
 Options are laid over the file's data before anything is checked, so both are read by the same rules. Numbers may be
-expressions over the file's `constants`, inputs and wrenches over those and the time t.
+expressions over the file's `constants`; inputs and wrenches over those, the time t and the state.
 """
 
 from __future__ import annotations
@@ -35,8 +35,9 @@ from mbsgen.errors import Fault
 from mbsgen.expressions import FLOATS, Expression, ExpressionError, Number, evaluate, is_free_name, names, parse
 from mbsgen.manifest import Manifest, Wrench
 from mbsrun.ocp.schemes import DEGREES
+from mbsrun.quantities import list_quantities
 from mbsrun.quaternions import list_quaternions, neutral, normalise
-from mbsrun.simulation.drive import TIME, Drive, express
+from mbsrun.simulation.drive import STATE, TIME, Drive, express
 from mbsrun.simulation.methods import METHODS, SYMPLECTIC, Formulation
 from mbsrun.simulation.motion import Settings, takes_too_many_steps
 
@@ -164,6 +165,7 @@ class _SettingsSection(Section):
     max_seconds: NumberField = Field(default=Number(Settings.max_seconds), examples=[60.0])
     start: _StartSection = Field(default=_StartSection(), examples=[{}])
     inputs: dict[str, NumberField] = Field(default={}, examples=[{}])
+    input_period: NumberField | None = Field(default=None, examples=[1e-3])
     wrenches: dict[str, _WrenchSection] = Field(default={}, examples=[{}])
 
 
@@ -179,12 +181,13 @@ class _Reading:
         self.document, self.manifest, self.stand_ins, self.recording = document, manifest, stand_ins, recording
         self.faults: list[Fault] = []
         self.constants: dict[str, float] = {}
+        self.quantities = {name: x for name, x in list_quantities(manifest).items() if x.kind in STATE}
         self.coordinates = [c.name for c in manifest.coordinates]
 
     def statement(self, section: _SettingsSection) -> Statement:
         """Make the statement; it is one only if there are no faults."""
         for key, expression in section.constants.items():
-            if not is_free_name(key) or key == TIME:
+            if not is_free_name(key) or key in (TIME, *self.quantities):
                 self.fault(("constants", key), "no name for a constant", "give a word that means nothing else")
             self.constants[key] = self.number(("constants", key), expression)
         settings, drive = self.settings(section), self.drive(section)
@@ -279,11 +282,15 @@ class _Reading:
                 expressions += vector
                 labels += [f"{wrench.name}, {part} along {axis}" for axis in "xyz"]
         if self.recording is not None:
-            if section.inputs or section.wrenches:
-                place = ("inputs",) if section.inputs else ("wrenches",)
+            given = ("inputs", "wrenches", "input_period")
+            if place := next(((key,) for key in given if getattr(section, key)), ()):
                 self.fault(place, "the inputs are those of a solution", "give one or the other")
             return self.recording.drive
-        return express(expressions, labels, {k: v for k, v in self.constants.items() if math.isfinite(v)})
+        constants = {k: v for k, v in self.constants.items() if math.isfinite(v)}
+        period = None
+        if section.input_period is not None:
+            period = self.number(("input_period",), section.input_period, math.ulp(0))
+        return express(expressions, labels, constants, self.quantities, period)
 
     def wrench(self, wrench: Wrench, section: _WrenchSection) -> Iterator[tuple[str, list[Expression]]]:
         """Read the inputs of a wrench: its force, its moment, or both."""
@@ -317,10 +324,10 @@ class _Reading:
         return value
 
     def formula(self, place: Place, expression: Expression) -> bool:
-        """Tell whether the names of an expression are known: constants, and the time."""
-        unknown = sorted(names(expression) - {TIME, *self.constants})
+        """Tell whether the names of an expression are known: constants, the time, and quantities of the state."""
+        known = [TIME, *self.constants, *self.quantities]
+        unknown = sorted(names(expression) - set(known))
         for name in unknown:
-            known = [TIME, *self.constants]
             meant = nearest(name, known)
             remedy = f"did you mean {abbreviate(meant)}?" if meant else f"known here are {', '.join(known)}"
             self.fault(place, f"unknown name {abbreviate(name)}", remedy)
