@@ -92,8 +92,19 @@ class Energy:
 
     @property
     def is_kept(self) -> bool:
-        """Tell whether the drift is small: of what is exchanged, or, where that is next to nothing, of the motion."""
-        return bool(np.abs(self.drift).max() <= max(DRIFT * self.exchanged, STILL * self.kinetic.max()))
+        """Tell whether the drift is small enough."""
+        return bool(np.abs(self.drift).max() <= self.tolerated)
+
+    @property
+    def tolerated(self) -> float:
+        """Return the drift that is warned of: of what is exchanged, or of the motion, where that is nearly nothing."""
+        return float(max(DRIFT * self.exchanged, STILL * self.kinetic.max()))
+
+    @property
+    def rounding(self) -> float:
+        """Return what rounding makes of the energies: a drift below says nothing of the integration."""
+        sizes = [np.abs(x).max() for x in (self.kinetic, self.potential, self.work)]
+        return float(np.finfo(float).eps * max(sizes))
 
 
 @dataclass(frozen=True, eq=False)

@@ -104,8 +104,14 @@ def _tabulate(motion: Motion, manifest: Manifest) -> str:
 
 
 def plot_motion(motion: Motion, manifest: Manifest, path: Path) -> None:
-    """Plot coordinates, velocities, inputs and energies over time, and write the picture."""
-    rows = 3 + bool(motion.inputs.shape[1])
+    """Write the picture of a motion."""
+    figure = draw_motion(motion, manifest)
+    figure.savefig(path, dpi=120, metadata={"Software": None})  # a version there would change the bytes
+
+
+def draw_motion(motion: Motion, manifest: Manifest) -> Figure:
+    """Plot coordinates, velocities, inputs, energies and their drift over time."""
+    rows = 4 + bool(motion.inputs.shape[1])
     figure = Figure(figsize=(8, 2.6 * rows), layout="constrained")
     axes = list(figure.subplots(rows, 1, sharex=True))
     units = dict.fromkeys({"revolute": "rad", "prismatic": "m"}[c.motion] for c in manifest.coordinates)
@@ -113,13 +119,14 @@ def plot_motion(motion: Motion, manifest: Manifest, path: Path) -> None:
     _plot(axes[1], motion.t, motion.qd, (), rf"$\dot{{q}}$ [{', '.join(f'{unit}/s' for unit in units)}]")
     if motion.inputs.shape[1]:
         _plot(axes[2], motion.t, motion.inputs, input_labels(manifest), "inputs [N m, N]")
-    _plot_energy(axes[-1], motion)
+    _plot_energy(axes[-2], motion)
+    _plot_drift(axes[-1], motion)
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_xlim(motion.t[0], motion.t[-1] or 1.0)
     figure.suptitle(
         _plain(manifest.model) + ("" if motion.halt is None else f": incomplete\n{_plain(str(motion.halt))}")
     )
-    figure.savefig(path, dpi=120, metadata={"Software": None})  # a version there would change the bytes
+    return figure
 
 
 def _plot(axes: Axes, t: Array, values: Array, names: Sequence[str], label: str) -> None:
@@ -134,17 +141,34 @@ def _plot(axes: Axes, t: Array, values: Array, names: Sequence[str], label: str)
 def _plot_energy(axes: Axes, motion: Motion) -> None:
     axes.set_ylabel("energy [J]")
     axes.grid(alpha=0.3)
-    if motion.energy is None:
-        axes.text(
-            0.5, 0.5, "unknown: it overflows, or a kernel fails on the way", transform=axes.transAxes, ha="center"
-        )
-        return
     energy = motion.energy
+    if energy is None:
+        _excuse(axes)
+        return
     for name, values in (("kinetic", energy.kinetic), ("potential", energy.potential)):
         axes.plot(motion.t, values, label=name, linewidth=1)
     axes.plot(motion.t, energy.total, label="total", color="black")
     axes.plot(motion.t, energy.total[0] + energy.work, "--", label="start + work", color="tab:red")
     axes.legend(loc="upper left", bbox_to_anchor=(1, 1), frameon=False, fontsize="small")
+
+
+def _plot_drift(axes: Axes, motion: Motion) -> None:
+    """Plot the drift on a logarithmic scale, between rounding and what is warned of."""
+    axes.set_ylabel("|energy drift| [J]")
+    axes.grid(alpha=0.3)
+    energy = motion.energy
+    if energy is None:
+        _excuse(axes)
+        return
+    least = max(energy.rounding, np.finfo(float).tiny)  # 0 has no place on this scale
+    axes.semilogy(motion.t, np.maximum(np.abs(energy.drift), least), color="black", label="drift", linewidth=1)
+    axes.axhline(max(energy.tolerated, least), linestyle="--", color="tab:red", label="warning above")
+    axes.axhline(least, linestyle=":", color="tab:gray", label="rounding")
+    axes.legend(loc="upper left", bbox_to_anchor=(1, 1), frameon=False, fontsize="small")
+
+
+def _excuse(axes: Axes) -> None:
+    axes.text(0.5, 0.5, "unknown: it overflows, or a kernel fails on the way", transform=axes.transAxes, ha="center")
 
 
 def _plain(name: str) -> str:

@@ -79,7 +79,7 @@ ORDERS = {"euler": 1, "rk4": 4, "generalized-alpha": 2, "radau-iia": 3, "gauss":
 
 @pytest.mark.parametrize(("method", "order"), ORDERS.items())
 def test_a_smooth_feedback_costs_no_order(bench: Mechanism, method: str, order: int) -> None:
-    """Halving the step divides the error by 2^order, to a fifth of an order (at least): a nonlinear law of time and state."""
+    """Halving the step divides the error by 2^order, to a fifth of an order; the law is nonlinear in time and state."""
     drive = say(bench, "-60*tanh(3*q_slider) - 2*qd_slider + sin(5*t)*qd_bob")
     bare = bench.with_parameters(k=0.0, c=0.0)
 

@@ -24,6 +24,7 @@ from mbsrun.kernel import ArgumentError
 from mbsrun.simulation import METHODS, Formulation, Settings, explicit, simulate
 from mbsrun.simulation.drive import ARRAYS, DriveError, express, hold, hold_steps
 from mbsrun.simulation.methods import Family
+from mbsrun.simulation.record import draw_motion
 from mbsrun.simulation.statement import Statement, read_statement
 
 REST = hold(np.zeros(4))
@@ -264,6 +265,28 @@ def test_the_command_writes_and_tells(run: Run) -> None:
     assert summary["complete"] is True
     assert summary["end"]["q"] == [float(rows[-1][f"q[{name}]"]) for name in ("bob", "slider", "runner")]
     assert summary["energy"]["largest_drift"] < 1e-8
+
+
+@pytest.mark.parametrize(
+    ("start", "duration"), [([1.0, 0.0, 0.0], 1.0), ([0.0, 0.0, 0.0], 1.0), ([0.0, 0.0, 2.0], 5.0)]
+)
+def test_the_drift_is_plotted_on_a_logarithmic_scale(bench: Mechanism, start: list[float], duration: float) -> None:
+    """Between rounding and the drift that is warned of; where nothing moves, too; where it is unknown, that is said."""
+    motion = simulate(bench.with_parameters(b=1.0), REST, start, [0, 0, start[2]], Settings(duration, "rk4"))
+    figure = draw_motion(motion, bench.manifest)
+    axes = figure.axes[-1]
+    assert axes.get_ylabel() == "|energy drift| [J]"
+    if motion.energy is None:
+        assert "unknown" in axes.texts[0].get_text()
+        return
+    assert axes.get_yscale() == "log"
+    drift, warning, rounding = (np.array(line.get_ydata()) for line in axes.lines)
+    assert (drift > 0).all()
+    assert rounding[0] <= drift.min()
+    larger = drift > rounding[0]
+    assert larger.any() == (start[0] != 0)
+    np.testing.assert_array_equal(drift[larger], np.abs(motion.energy.drift)[larger])
+    assert motion.energy.is_kept == (drift.max() <= warning[0])
 
 
 def test_the_same_command_writes_the_same_bytes_but_for_the_time_taken(run: Run) -> None:
