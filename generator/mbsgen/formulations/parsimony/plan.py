@@ -17,7 +17,9 @@ class Mass(Enum):
     """Where the mass goes that a revolute joint lets move between its two bodies: points on the axis belong to both."""
 
     PASSED = "passed"  # all of it to the parent: no division
-    BALANCING = "balancing"  # so much that the parent's first moment along the link vanishes; divides by its length
+    BALANCING = (
+        "balancing"  # so much that the parent's first moment vanishes along its longest way to the child; divides
+    )
     KEPT = "kept"  # nothing moves, nor any other inertia that the joint cannot feel
     POINT = "point"  # what stays makes the body a point mass at its centre of percussion; divides by its inertia
 

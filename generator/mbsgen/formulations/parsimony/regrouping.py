@@ -213,11 +213,11 @@ def _on_axis(m: Scalar, s: Scalar, p: Scalar, d: Vector[Scalar], e: Vector[Scala
 
 
 def _lever(segment: Segment) -> int:
-    """Find the one axis of the parent that the link to `segment` lies along."""
+    """Find the axis of the parent along which the link to `segment` is longest, among lengths that are known."""
     along = [k for k in range(3) if not segment.d[k].is_zero]
-    if len(along) != 1:
-        raise NoSuchPlanError("the link does not lie along an axis")
-    return along[0]
+    if not along:
+        raise NoSuchPlanError("there is no link between the two joints")
+    return max(along, key=lambda k: abs(segment.d[k].literal or 0.0))
 
 
 def _percussion(segment: Segment, own: Moments, plan: Plan, total: Scalar) -> tuple[Scalar, Scalar, int]:
