@@ -49,7 +49,7 @@ MBSGEN = Package(
         "verification.derivatives",
         "verification.verify",
         "verification",
-        "report drawing output scaling oracle interpreted",
+        "report drawing output scaling oracle interpreted comparison",
         "pipeline",
         "cli",
         "__main__",

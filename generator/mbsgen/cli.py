@@ -10,18 +10,21 @@ import sys
 import textwrap
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 import click
 from rich.console import Console
+from rich.markup import escape
 from rich.text import Text
 from rich.tree import Tree as Branches
 
 from mbsgen import __version__
 from mbsgen.errors import MbsError
 from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
+from mbsgen.families import Tell, say_nothing
 from mbsgen.formulations.catalogue import FORMULATIONS, FUNCTIONS
 from mbsgen.formulations.reductions import ALL
 from mbsgen.importing import Choices, Mimic, Notice, import_model, is_foreign, write_imported
@@ -144,13 +147,14 @@ HELP = """Turn the description of a multibody system into C kernels for its dyna
   mbsgen report MODEL       count what it costs, and write nothing
   mbsgen scaling            count how cost grows with the length of a chain
   mbsgen check MODEL        tell every fault of the file, and write nothing
+  mbsgen compare ROBOT --with pinocchio    compare the equations of a URDF file
   mbsgen import MODEL       make a model file of URDF or MJCF
 
 MODEL is a YAML file, as models/ holds examples, or one of URDF or MJCF. A file that has the name of a subcommand is
 reached as ./NAME.
 
-Exit codes: 0 done; 1 with --check, the folder is not as it would be written; 2 the model or an argument cannot be
-accepted (nothing has been written).
+Exit codes: 0 done; 1 with --check, the folder is not as it would be written, or compared equations
+differ; 2 the model or an argument cannot be accepted (nothing has been written).
 """
 
 
@@ -264,11 +268,25 @@ def generate_command(
     )
     source = _read(model, choices)
     if check:
-        _check_folder(make(source, options).files, out)
+        with _progress() as tell:
+            made = make(source, options, tell)
+        _check_folder(made.files, out)
         return
-    product = generate(source, out, options)
+    with _progress() as tell:
+        product = generate(source, out, options, tell)
     print_report(product.report)
     click.echo(f"wrote {len(product.files)} files to {out}", err=True)
+
+
+@contextmanager
+def _progress() -> Iterator[Tell]:
+    """Show on a terminal which stage is at work; write nothing into pipes and files."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield say_nothing
+        return
+    with console.status("") as status:
+        yield lambda stage: status.update(escape(stage))
 
 
 def _check_folder(files: Mapping[str, str], out: Path) -> None:
@@ -373,7 +391,9 @@ def _read_coordinates(tree: Tree, text: str) -> list[float]:
 @importing
 def report_command(model: Path, form: str | None, compare: bool, choices: Choices) -> None:
     """Count what MODEL costs: flops and equations."""
-    report = make(_read(model, choices), Options(compare=compare)).report
+    source = _read(model, choices)
+    with _progress() as tell:
+        report = make(source, Options(compare=compare), tell).report
     if form is None:
         print_report(report)
     else:
@@ -412,6 +432,30 @@ def check_command(model: Path, choices: Choices) -> None:
     """Tell every fault of MODEL, and write nothing."""
     read_tree(_read(model, choices))
     click.echo(f"{model}: no fault found", err=True)
+
+
+@cli.command("compare")
+@MODEL
+@click.option("--with", "peer", type=click.Choice(["pinocchio"]), required=True, help="What to compare with.")
+@importing
+def compare_command(model: Path, peer: str, choices: Choices) -> None:
+    """Compare MODEL, a URDF file, with what another program makes of it.
+
+    The largest differences of the residual Phi, the mass matrix M, the bias c and the accelerations qdd at random
+    states are printed, relative to the largest entry, and what they come from. Exit code 1: something else differs.
+    """
+    from mbsgen.comparison import RESULTS, TOLERANCE, compare_with_pinocchio
+
+    if model.suffix.lower() != ".urdf":
+        raise click.UsageError(f"{model}: files of URDF are compared, since {peer} reads these")
+    found = compare_with_pinocchio(model, choices)
+    for title, misses in (("as imported", found.imported), ("without damping, friction and rotors", found.bare)):
+        click.echo(f"{title:38}" + "".join(f"{name} {misses[name]:.1e}   " for name in RESULTS).rstrip())
+    for line in found.named:
+        click.echo(line)
+    if not found.agrees:
+        click.echo(f"the equations differ by more than {TOLERANCE:g}", err=True)
+        sys.exit(DIFFERENT)
 
 
 @cli.command("import")

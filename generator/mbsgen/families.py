@@ -6,7 +6,7 @@ What depends on run-time parameters alone is split off as `setup`. Of a scene, w
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -52,8 +52,19 @@ class OptionError(MbsError):
     """Options that a model cannot be generated with."""
 
 
+Tell = Callable[[str], None]  # is told which stage begins
+
+
+def say_nothing(_: str) -> None:
+    """Take a stage's name, and do nothing."""
+
+
 def write_families(
-    tree: Tree, options: Options = DEFAULT, dynamics: Dynamics | None = None, scene: Scene = EVERYTHING
+    tree: Tree,
+    options: Options = DEFAULT,
+    dynamics: Dynamics | None = None,
+    scene: Scene = EVERYTHING,
+    tell: Tell = say_nothing,
 ) -> tuple[Family, ...]:
     """Write functions of a tree with their derivatives; what depends on parameters alone is split off as `setup`.
 
@@ -65,12 +76,14 @@ def write_families(
     chosen = _choose(options, scene)
     read = dict(scene.results)
     for name, entry in _choose_functions(tree, _list_needed(chosen, scene)).items():
+        tell(name)
         tape = entry.build(tree, options.reductions)
         assert tape.name == name, "the catalogue calls a tape by its own name"
         tape = keep_results(tape, read[name]) if name in read else tape
         if not (entry.differentiated and min(options.derivatives, scene.derivatives)):
             families.append(Family(tape, title=entry.title, meanings=MEANINGS))
             continue
+        tell(f"{name} and its derivatives")
         found = dynamics.differentiate(tape) if entry.of_dynamics else differentiate(tape, differentiable(tape))
         second = found.jac_adj1 if min(options.derivatives, scene.derivatives) > 1 else None
         loops = found.loops

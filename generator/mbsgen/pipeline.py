@@ -14,7 +14,7 @@ from mbsgen.derivatives.dynamics import Dynamics
 from mbsgen.documents import abbreviate, refuse, write_path
 from mbsgen.errors import Fault
 from mbsgen.evidence import gather
-from mbsgen.families import DEFAULT, OptionError, Options, write_families
+from mbsgen.families import DEFAULT, OptionError, Options, Tell, say_nothing, write_families
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.importing import import_model, is_foreign
 from mbsgen.manifest import Coordinate, Frame, Manifest, Parameter, Wrench
@@ -49,19 +49,20 @@ class Product:
     files: Mapping[str, str]  # path in the folder -> text
 
 
-def generate(model: Path | Model, out: Path, options: Options = DEFAULT) -> Product:
+def generate(model: Path | Model, out: Path, options: Options = DEFAULT, tell: Tell = say_nothing) -> Product:
     """Make everything of a model, and write it to the folder `out`. Where `make` raises, nothing is written."""
-    product = make(model, options)
+    product = make(model, options, tell)
     write_folder(product.files, out)
     return product
 
 
-def make(model: Path | Model, options: Options = DEFAULT) -> Product:
+def make(model: Path | Model, options: Options = DEFAULT, tell: Tell = say_nothing) -> Product:
     """Make everything of a model file, or of a model made in Python.
 
-    Raises InputError with every fault of the file, OptionError for functions that there are not, VerificationError for
-    a function that does not compute what it should.
+    `tell` is called with the name of each stage when it begins. Raises InputError with every fault of the file,
+    OptionError for functions that there are not, VerificationError for a function that does not compute what it should.
     """
+    tell("reading the model")
     whole = read(model)
     if options.zeros and not options.runtime:
         raise OptionError("zeros: they are parameters only with the other numbers; give runtime too")
@@ -73,8 +74,9 @@ def make(model: Path | Model, options: Options = DEFAULT) -> Product:
     approximation = _approximate(written, options, scene)
     tree = approximation.tree if approximation else parametric if options.runtime else written
     dynamics = Dynamics(tree, options.reductions, outlined=_needs_loops_alone(options, scene))
-    families = write_families(tree, options, dynamics, scene)
+    families = write_families(tree, options, dynamics, scene, tell)
     has_setup = families[0].value.name == "setup"
+    tell("the check of all functions")
     verification = verify(tree, families, parts=dict(scene.together), still=not scene.motion)
     unit = Unit(
         mangle(tree.name),
@@ -88,9 +90,11 @@ def make(model: Path | Model, options: Options = DEFAULT) -> Product:
         tolerance=scene.tolerance if approximation and approximation.taken else None,
         references=verification.references,
     )
+    tell("C")
     sources = write_c(unit)
     described = _describe(tree, unit, sources, identify_mechanism(staged))
     evidence = None if scene == EVERYTHING else gather(whole, scene, options, approximation)
+    tell("the report")
     report = make_report(
         written, parametric, described.kernels, dynamics.flops, verification, evidence, compare=options.compare
     )

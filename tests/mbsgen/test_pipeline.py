@@ -275,3 +275,19 @@ def test_a_model_made_in_python_is_generated_like_its_file(model: Path, tmp_path
     product = generate(made, tmp_path / "out", Options(functions=("impl",)))
     assert product.files == make(model, Options(functions=("impl",))).files
     assert read_folder(tmp_path / "out") == {name: text.encode() for name, text in product.files.items()}
+
+
+def test_each_stage_is_told_when_it_begins(tmp_path: Path) -> None:
+    path = tmp_path / "branched.yaml"
+    path.write_text(BRANCHED, encoding="utf-8")
+    stages: list[str] = []
+    make(path, Options(functions=("impl", "frames"), derivatives=1), stages.append)
+    assert stages == [
+        "reading the model",
+        "impl",
+        "impl and its derivatives",
+        "frames",
+        "the check of all functions",
+        "C",
+        "the report",
+    ]

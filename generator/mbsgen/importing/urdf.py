@@ -120,6 +120,7 @@ class _Robot:
             raise self._findings.refuse()
         self._add_links(roots[0], links, carried)
         self._tell_ignored()
+        self._tell_conventions(roots[0], carried)
         return self._draft.finish(self._root.attributes.get("name", "robot"), GRAVITY, self._root)
 
     def _index(self, tag: str) -> dict[str, Element]:
@@ -326,6 +327,32 @@ class _Robot:
         """Read the number that an element holds, as its text or its value."""
         value = {"value": text} if (text := element.attributes.get("value", element.text)) else {}
         return self._findings.number(element, "value", default, value)
+
+    def _tell_conventions(self, root: str, carried: dict[str, list[tuple[Element, str]]]) -> None:
+        """Say where the equations are not those that Pinocchio computes of the same file."""
+        damped = sum(any(d.attributes.get(key, "0") != "0" for key in ("damping", "friction")) for d in self._losses())
+        if damped:
+            text = (
+                f"damping and friction of {damped} joints are part of the equations; Pinocchio's recursions have none"
+            )
+            self._findings.sum_up(text)
+        ours, theirs = (self._order(root, carried, by_name=by_name) for by_name in (False, True))
+        if ours != theirs:
+            self._findings.sum_up("joints stand in the order of the file; Pinocchio sorts those of a link by name")
+
+    def _losses(self) -> Iterator[Element]:
+        return (found for joint in self._root.all("joint") if (found := joint.first("dynamics")) is not None)
+
+    def _order(self, root: str, carried: dict[str, list[tuple[Element, str]]], *, by_name: bool) -> list[str]:
+        """List the joints depth first, those of a link as the file has them or by name."""
+        found: list[str] = []
+        waiting = [("", root)]
+        while waiting:
+            name, link = waiting.pop()
+            found.append(name)
+            pairs = [(joint.attributes.get("name", ""), child) for joint, child in carried[link]]
+            waiting += reversed(sorted(pairs) if by_name else pairs)
+        return found
 
     def _tell_ignored(self) -> None:
         seen: Counter[str] = Counter()

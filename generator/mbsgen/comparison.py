@@ -1,0 +1,194 @@
+"""An imported robot beside what Pinocchio makes of the same URDF file: Phi, M, c and qdd at random states.
+
+Pinocchio's recursions know no damping, no friction and no rotors; ours have those of the file. So all is compared
+twice: as it is imported, and without these. Joints are matched by name; where their order differs, that is listed. Of
+joints that follow others, Pinocchio's uncoupled model is taken, and projected: its own reader refuses some.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsgen.errors import Fault, InputError
+from mbsgen.formulations.catalogue import FUNCTIONS
+from mbsgen.formulations.reductions import ALL
+from mbsgen.importing import Choices, import_model
+from mbsgen.model.reduction import build_tree
+from mbsgen.model.tree import NO_FORCE, ZERO, Tree
+from mbsgen.tape.interpreter import evaluate
+from mbsgen.tape.types import Tape
+
+Array = NDArray[np.float64]
+STATES = 5
+TOLERANCE = 1e-9  # relative: some thousand roundings, times what a mass matrix loses
+RESULTS = ("Phi", "M", "c", "qdd")
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The largest differences, relative to the largest entry of each result."""
+
+    imported: Mapping[str, float]  # as the file says
+    bare: Mapping[str, float]  # without damping, friction and rotors
+    named: tuple[str, ...]  # what differs, in words
+
+    @property
+    def agrees(self) -> bool:
+        """Tell whether nothing differs but what is named."""
+        return max(self.bare.values()) <= TOLERANCE
+
+
+def compare_with_pinocchio(path: Path, choices: Choices) -> Comparison:
+    """Import a URDF file twice, and compare. Raises InputError where that cannot be done."""
+    if choices.base == "floating":
+        choices = replace(choices, quaternions=True)  # Pinocchio's coordinates of a free body
+    imported = import_model(path, choices)
+    tree = build_tree(imported.model)
+    peer = _Peer(path, choices, tree)
+    bare = _strip(tree)
+    states = [peer.draw(seed) for seed in range(STATES)]
+    expected = [peer.compute(*state) for state in states]
+    found, without = (_compute(t, states) for t in (tree, bare))
+    return Comparison(_miss(found, expected), _miss(without, expected), tuple(_name(tree, bare, peer)))
+
+
+class _Peer:
+    """Pinocchio's model of the file, with its joints in our order."""
+
+    def __init__(self, path: Path, choices: Choices, tree: Tree) -> None:
+        try:
+            self.pin: Any = importlib.import_module("pinocchio")
+        except ImportError:
+            raise _refuse(path, "Pinocchio is not installed", "`pip install pin`, and compare again") from None
+        root = [self.pin.JointModelFreeFlyer()] if choices.base == "floating" else []
+        model = self.pin.buildModelFromUrdf(str(path), *root)
+        held = [name for name in model.names[1:] if name not in _names(tree) and name != "root_joint"]
+        moving = [name for name in held if model.nvs[model.getJointId(name)] > 0]
+        if moving:
+            model = self._hold(model, moving, choices)
+        self.model, self.data = model, model.createData()
+        self.free = 6 if root else 0
+        names = [body.joint.name for body in tree.bodies[self.free :]]
+        missing = [name for name in names if not model.existJointName(name)]
+        if missing or model.nv != len(tree.bodies):
+            shown = ", ".join(missing[:4]) or f"{model.nv} velocities there, {len(tree.bodies)} here"
+            finding = f"Pinocchio has other joints: {shown}"
+            raise _refuse(path, finding, "compare robots whose joints turn about or slide along single axes")
+        places = [int(model.idx_vs[model.getJointId(name)]) for name in names]
+        self.order = np.array([*range(self.free), *places])
+        self.size, self.names = len(tree.joints), names
+        self.G, self.g = _map_couplings(tree)
+
+    def _hold(self, model: Any, moving: Sequence[str], choices: Choices) -> Any:
+        at = self.pin.neutral(model)
+        for name in moving:
+            at[model.idx_qs[model.getJointId(name)]] = dict(choices.locked).get(name, 0.0)
+        return self.pin.buildReducedModel(model, [model.getJointId(name) for name in moving], at)
+
+    def draw(self, seed: int) -> tuple[Array, Array, Array]:
+        """Draw q, qd and qdd of ours; a free base has its place and its quaternion first."""
+        rng = np.random.default_rng(seed)
+        q = rng.uniform(-1, 1, self.size + (1 if self.free else 0))
+        if self.free:
+            q[3:7] /= np.linalg.norm(q[3:7])
+        return q, rng.uniform(-1, 1, self.size), rng.uniform(-1, 1, self.size)
+
+    def compute(self, q: Array, qd: Array, qdd: Array) -> dict[str, Array]:
+        """Compute all results without forces of joints, in our order."""
+        model, data, pin = self.model, self.data, self.pin
+        angles, first = np.zeros(model.nv), 7 if self.free else 0
+        angles[self.order] = self.G @ np.concatenate((np.zeros(self.free), q[first:])) + self.g
+        at = pin.integrate(model, pin.neutral(model), angles)  # of a joint without limits, cosine and sine
+        if self.free:
+            at[:7] = q[:7]
+        v, a = np.zeros(model.nv), np.zeros(model.nv)
+        v[self.order], a[self.order] = self.G @ qd, self.G @ qdd
+        Phi = self.G.T @ np.array(pin.rnea(model, data, at, v, a))[self.order]
+        c = self.G.T @ np.array(pin.rnea(model, data, at, v, 0 * a))[self.order]
+        upper = np.triu(np.array(pin.crba(model, data, at)))
+        M = self.G.T @ (upper + np.triu(upper, 1).T)[np.ix_(self.order, self.order)] @ self.G
+        return {"Phi": Phi, "M": M, "c": c, "qdd": np.linalg.solve(M, -c)}
+
+
+def _map_couplings(tree: Tree) -> tuple[Array, Array]:
+    """Make G and g of q = G y + g, y being what has a coordinate of its own."""
+    rules = {x.follower: x for x in tree.couplings}
+    kept = [i for i in range(1, len(tree.bodies) + 1) if i not in rules]
+    G, g = np.zeros((len(tree.bodies), len(kept))), np.zeros(len(tree.bodies))
+    for i in range(1, len(tree.bodies) + 1):
+        if i in rules:
+            G[i - 1, kept.index(rules[i].leader)], g[i - 1] = rules[i].ratio, rules[i].offset
+        else:
+            G[i - 1, kept.index(i)] = 1.0
+    return G, g
+
+
+def _refuse(path: Path, finding: str, remedy: str) -> InputError:
+    return InputError([Fault(str(path), 0, "", finding, remedy)])
+
+
+def _names(tree: Tree) -> set[str]:
+    return {body.joint.name for body in tree.bodies}
+
+
+def _strip(tree: Tree) -> Tree:
+    """Take the joints' own forces and rotors away."""
+    joints = (replace(body.joint, law=NO_FORCE, armature=ZERO) for body in tree.bodies)
+    return replace(tree, bodies=tuple(replace(b, joint=j) for b, j in zip(tree.bodies, joints, strict=True)))
+
+
+def _compute(tree: Tree, states: Sequence[tuple[Array, Array, Array]]) -> list[dict[str, Array]]:
+    """Compute Phi, M, c and qdd by the kernels of the tree, without inputs."""
+    tapes = [FUNCTIONS[name].build(tree, replace(ALL, trials=1)) for name in ("impl", "semi", "exp1")]
+    rest = np.zeros(sum(joint.actuated for joint in tree.joints))
+    results: list[dict[str, Array]] = []
+    for q, qd, qdd in states:
+        given = {"q": q, "qd": qd, "qdd": qdd, "u": rest}
+        results.append({name: value for tape in tapes for name, value in _evaluate(tape, given).items()})
+    return results
+
+
+def _evaluate(tape: Tape, given: Mapping[str, Array]) -> dict[str, Array]:
+    values = evaluate(tape, {i.name: list(given[i.name]) for i in tape.inputs})
+    found = {}
+    for o in tape.outputs:
+        full = np.zeros((o.sparsity.rows, o.sparsity.cols))
+        for place, value in zip(o.sparsity.entries, values[o.name], strict=True):
+            full[place] = value
+        found[o.name] = full[:, 0] if o.sparsity.cols == 1 and o.name != "M" else full
+    return found
+
+
+def _miss(found: Sequence[Mapping[str, Array]], expected: Sequence[Mapping[str, Array]]) -> dict[str, float]:
+    return {
+        name: max(
+            float(np.abs(ours[name] - theirs[name]).max() / np.abs(theirs[name]).max())
+            for ours, theirs in zip(found, expected, strict=True)
+        )
+        for name in RESULTS
+    }
+
+
+def _name(tree: Tree, bare: Tree, peer: _Peer) -> Iterator[str]:
+    forced = [a.joint.name for a, b in zip(tree.bodies, bare.bodies, strict=True) if a.joint.law != b.joint.law]
+    driven = [
+        a.joint.name for a, b in zip(tree.bodies, bare.bodies, strict=True) if a.joint.armature != b.joint.armature
+    ]
+    if forced:
+        yield f"damping and friction of {_list(forced)}: in our equations, not in Pinocchio's"
+    if driven:
+        yield f"armature of {_list(driven)}: in our equations; of Pinocchio, set model.armature"
+    if list(peer.order) != sorted(peer.order):
+        theirs = [name for _, name in sorted(zip(peer.order[peer.free :], peer.names, strict=True))]
+        yield f"order of joints: Pinocchio's is {_list(theirs)}; ours is {_list(peer.names)}"
+
+
+def _list(names: Sequence[str]) -> str:
+    return ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
