@@ -43,6 +43,7 @@ bench-ocp: $(VENV)/installed
 # Copies what the three have measured to benchmarks/results, and writes its summary.
 bench-results: $(VENV)/installed-bench
 	$(BIN)/python -m benchmarks.summary
+	$(BIN)/python -m benchmarks.readme
 
 # The study of the paper with charts and laboratory, in one page: a day on two cores. STUDY="--sample 33" solves for
 # a slice of the targets, CHARTS=--quick measures little else; stopped, it goes on where it was. A quarter of an hour

@@ -16,6 +16,8 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.readme import SUMMARY, fill
+
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 BLOCK = re.compile(r"^```(sh|python)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -88,6 +90,14 @@ def test_what_a_document_points_to_is_there(document: Path) -> None:
     links = LINK.findall(document.read_text(encoding="utf-8"))
     local = [link.partition("#")[0] for link in links if not re.match(r"[a-z]+:|#", link)]
     assert not [link for link in local if not (document.parent / link).exists()]
+
+
+def test_the_readme_shows_the_figures_of_the_benchmarks() -> None:
+    """`python -m benchmarks.readme` writes them there, where there is a summary."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert fill(text, "[a](b.md)\n[c](https://d)").count("[a](benchmarks/results/b.md)\n[c](https://d)") == 1
+    if SUMMARY.exists():
+        assert fill(text, SUMMARY.read_text(encoding="utf-8")) == text
 
 
 def test_the_readme_is_among_the_documents() -> None:
