@@ -70,9 +70,10 @@ def make(model: Path | Model, options: Options = DEFAULT, tell: Tell = say_nothi
     staged = stage(whole, scene)
     _check_staged(whole, staged, options)
     written = build_tree(staged)
-    parametric = build_parametric(whole, scene, zeros=options.zeros)
+    parametric = build_parametric(whole, scene)  # zeros stay: so the report counts, whatever is generated
+    released = build_parametric(whole, scene, zeros=True) if options.zeros else parametric
     approximation = _approximate(written, options, scene)
-    tree = approximation.tree if approximation else parametric if options.runtime else written
+    tree = approximation.tree if approximation else released if options.runtime else written
     dynamics = Dynamics(tree, options.reductions, outlined=_needs_loops_alone(options, scene))
     families = write_families(tree, options, dynamics, scene, tell)
     has_setup = families[0].value.name == "setup"

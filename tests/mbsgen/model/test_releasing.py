@@ -358,3 +358,13 @@ def test_a_quarter_turn_in_degrees_has_its_zeros(tmp_path: Path) -> None:
         (tmp_path / f"{k}.yaml").write_text(text, encoding="utf-8")
         trees.append(build_tree(read_model(tmp_path / f"{k}.yaml")))
     assert trees[0] == trees[1]
+
+
+def test_a_report_counts_the_same_whether_zeros_are_parameters(tmp_path: Path) -> None:
+    """Table 4 counts numbers at run time that are not 0."""
+    file = tmp_path / "model.yaml"
+    file.write_text(TURNED, encoding="utf-8")
+    options = Options(runtime=True, functions=("impl",), derivatives=0)
+    plain, zeros = (make(file, replace(options, zeros=choice)) for choice in (False, True))
+    assert zeros.report.formulations == plain.report.formulations
+    assert len(zeros.manifest.parameters) > len(plain.manifest.parameters)
