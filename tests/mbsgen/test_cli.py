@@ -274,6 +274,13 @@ def test_names_are_no_markup(mbsgen: Command) -> None:
     assert "[red] hinge" in mbsgen("show", "model.yaml").out
 
 
+def test_masses_are_not_both_lumped_and_left_alone(mbsgen: Command) -> None:
+    done = mbsgen("pendulum.yaml", "--lump", "--without=lump", "-o", "out")
+    assert done.code == BAD_INPUT
+    assert "--lump" in done.err
+    assert not Path("out").exists()
+
+
 def test_reductions_can_be_left_out(tmp_path: Path) -> None:
     """Each name is accepted; without them a kernel takes more operations."""
     flops = {}
