@@ -55,9 +55,9 @@ class Findings:
         """Keep how the model moves otherwise than an element says."""
         self.notices.append(Notice(element.file, element.line, element.path, text, alters=True))
 
-    def sum_up(self, text: str) -> None:
-        """Keep what was done with the file as a whole."""
-        self.notices.append(Notice(self.file, 0, "", text, alters=False))
+    def sum_up(self, text: str, *, alters: bool = False) -> None:
+        """Keep what was done with the file as a whole; `alters`: the model moves otherwise than the file says."""
+        self.notices.append(Notice(self.file, 0, "", text, alters=alters))
 
     def refuse(self) -> InputError:
         """Make the error of all faults."""

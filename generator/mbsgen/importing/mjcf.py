@@ -76,6 +76,7 @@ class _Scene:
         self._driven = self._read_actuators()
         self._scale = 1.0
         self._skipped: Counter[str] = Counter()
+        self._touching = 0  # geoms of bodies that may have contacts
 
     def read(self) -> Imported:
         """Read the file, and put the model together."""
@@ -210,7 +211,13 @@ class _Scene:
                 self._findings.fault(element, f"no part of a body is called {element.tag[:40]}", "take it out")
             elif element.tag in ("geom", "camera", "light"):
                 self._skipped[element.tag] += 1
+                self._touching += element.tag == "geom" and self._touches(part)
         waiting += found[::-1]
+
+    def _touches(self, part: _Placed) -> bool:
+        """Tell whether a geom may have contacts: it has, unless both its masks are 0."""
+        attributes = self._defaults.resolve(part.element, part.active)
+        return any(attributes.get(mask, "1").strip() != "0" for mask in ("contype", "conaffinity"))
 
     def _unframe(self, element: Element, around: Pose, active: str) -> Iterator[_Placed]:
         """Give what is in a body, or in a <frame>, with all frames taken off."""
@@ -485,7 +492,10 @@ class _Scene:
                 self._skipped[section.tag] += 1
         if self._skipped:
             counts = ", ".join(f"{count} {tag}" for tag, count in sorted(self._skipped.items()))
-            self._findings.sum_up(f"contacts are not part of a model; read for masses, or left out: {counts}")
+            self._findings.sum_up(f"read for masses, or left out: {counts}")
+        if self._touching:
+            text = f"{self._touching} geoms of bodies may touch others; contacts are not part of a model"
+            self._findings.sum_up(text, alters=True)
         if not self._driven:
             self._findings.sum_up("no actuator is given: every hinge and slide has an input u")
 

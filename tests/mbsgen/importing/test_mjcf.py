@@ -191,6 +191,15 @@ def test_locked_joints_and_sensors(tmp_path: Path) -> None:
     assert "no joint to be held" in faults_of(write(tmp_path, world(inner)), Choices(locked=(("three", 0),)))
 
 
+def test_contacts_that_a_model_leaves_out_are_a_warning(tmp_path: Path) -> None:
+    """Unless the masks of a geom, its class's among them, keep it from touching anything."""
+    geoms = '<geom size="0.1"/><geom size="0.1" contype="0"/><geom size="0.1" contype="0" conaffinity="0"/>'
+    inner = world(f'<body name="a"><joint name="one"/>{INERTIAL}{geoms}<geom class="ghost" size="0.1"/></body>')
+    classes = '<default><default class="ghost"><geom contype="0" conaffinity="0"/></default></default>'
+    (warning,) = warnings(import_model(write(tmp_path, classes + inner)))
+    assert "2 geoms of bodies may touch others; contacts are not part of a model" in warning
+
+
 def test_what_alters_the_motion_is_told_one_by_one(tmp_path: Path) -> None:
     inner = world(
         f'<body name="a" gravcomp="1"><joint name="one"/>{INERTIAL}'
