@@ -28,6 +28,7 @@ from mbsgen.tape.types import Tape
 Array = NDArray[np.float64]
 STATES = 5
 TOLERANCE = 1e-9  # relative: some thousand roundings, and what rounded angles of a file make
+SMALL = 1e-6  # what is smaller may be the rounding of a 0
 RESULTS = ("Phi", "M", "c", "qdd")
 
 
@@ -171,7 +172,7 @@ def _evaluate(tape: Tape, given: Mapping[str, Array]) -> dict[str, Array]:
 def _miss(found: Sequence[Mapping[str, Array]], expected: Sequence[Mapping[str, Array]]) -> dict[str, float]:
     return {
         name: max(
-            float(np.abs(ours[name] - theirs[name]).max() / np.abs(theirs[name]).max())
+            float(np.abs(ours[name] - theirs[name]).max() / max(SMALL, np.abs(theirs[name]).max()))
             for ours, theirs in zip(found, expected, strict=True)
         )
         for name in RESULTS

@@ -40,6 +40,13 @@ def test_what_differs_is_named(tmp_path: Path) -> None:
     assert [line.partition(":")[0] for line in found.named] == ["damping and friction of j", "armature of j"]
 
 
+def test_what_is_zero_is_no_difference(tmp_path: Path) -> None:
+    """A door turns about the vertical: its weight is not felt, and c is 0."""
+    hinge = joint("j", "revolute", "a", "b", f'<axis xyz="0 0 1"/>{LIMIT}', rpy="0 0 0.3")
+    found = compare_with_pinocchio(write(tmp_path, link("a") + link("b") + hinge), Choices())
+    assert max(found.imported.values()) < TOLERANCE
+
+
 def test_a_held_joint_is_held_in_both(tmp_path: Path) -> None:
     path = write(tmp_path, "".join(ARM))
     found = compare_with_pinocchio(path, Choices(locked=(("z", 0.4), ("y", -0.2))))
