@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from math import cos, pi, sin
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from rich import filesize
 
 from mbsrun import cli, load
 from mbsrun.cli import DAY
+from mbsrun.limits import Limits
 from mbsrun.ocp.problem import Form
 from mbsrun.ocp.solution import ACCEPTABLE, Solution, read_solution
 from mbsrun.ocp.solve import solve
@@ -61,7 +63,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 @pytest.fixture
 def quick(run: Run, monkeypatch: pytest.MonkeyPatch) -> Run:
     """The same, with empty files for pictures."""
-    for name in ("plot_trajectories", "draw_mechanism", "animate"):
+    for name in ("plot_trajectories", "draw_mechanism", "animate", "plot_starts"):
         monkeypatch.setattr(cli, name, lambda *arguments: arguments[-1].touch())
     return run
 
@@ -72,8 +74,9 @@ def test_a_problem_is_solved(run: Run) -> None:
     assert result.exit_code == 0, result.stderr
     for word in ("task, model peer arm", "Solve_Succeeded", "variables", "cost", "defect", "open loop"):
         assert word in result.stdout
-    assert "wrote out/solution.json, out/trajectories.png, out/mechanism.png, out/animation.html" in result.stderr
-    assert sorted(os.listdir("out")) == ["animation.html", "mechanism.png", "solution.json", "trajectories.png"]
+    assert "wrote out/solution.json, out/solution.csv, out/trajectories.png, out/mechanism.png" in result.stderr
+    names = ["animation.html", "mechanism.png", "solution.csv", "solution.json", "trajectories.png"]
+    assert sorted(os.listdir("out")) == names
     solution = read_solution(Path("out/solution.json"))
     assert f"{solution.cost.total:.10g}" in result.stdout
     assert solution.resimulation is not None
@@ -116,6 +119,71 @@ def test_representation_solver_and_guess_are_chosen(quick: Run) -> None:
     assert result.exit_code == 0, result.stderr
     problem = read_solution(Path("out/solution.json")).problem
     assert (problem.guess.inputs, problem.solver.method, problem.solver.options) == ("static", "sqpmethod", ())
+
+
+def test_many_starts_go_on_and_tell_what_they_found(quick: Run) -> None:
+    """The best of four, by the words of the summary; with six, two more are made. What was found stays with it."""
+    counts = []
+    for starts in (4, 6):
+        result = quick("solve", "task.ocp.yaml", "-o", "out", "--starts", str(starts), "--seed", "3")
+        assert result.exit_code == 0, result.stderr
+        solution = read_solution(Path("out/solution.json"))
+        assert solution.starts is not None
+        assert (solution.starts.seed, len(solution.starts.results)) == (3, starts)
+        assert solution.starts.best is not None
+        assert solution.cost.total == pytest.approx(solution.starts.best.cost, rel=1e-6)
+        times = solution.starts.times
+        told = "once" if times == 1 else f"{times} times"
+        assert f"the lowest cost was found {told} in {starts} starts; lower ones may exist" in result.stdout
+        assert {"starts.png", "starts.sqlite"} <= set(os.listdir("out"))
+        counts.append([start.cpu_seconds for start in solution.starts.results])
+    assert counts[1][:4] == counts[0]  # to the last digit: they were not solved again
+
+
+def test_hops_go_on_from_the_best(quick: Run) -> None:
+    result = quick("solve", "task.ocp.yaml", "-o", "out", "--starts", "1", "--hops", "2")
+    assert result.exit_code == 0, result.stderr
+    starts = read_solution(Path("out/solution.json")).starts
+    assert starts is not None
+    assert len(starts.hops) in range(2, 20, 2)
+    assert f"{len(starts.hops)} hops" in result.stdout
+
+
+def test_a_search_without_time_makes_no_start(quick: Run) -> None:
+    result = quick("solve", "task.ocp.yaml", "-o", "out", "--starts", "3", "--minutes", "0")
+    assert result.exit_code == 1
+    assert "0 of 3 starts were made; give the command again to go on" in result.stdout
+    assert "the time was over before the first start ended" in result.stderr
+    assert not Path("out/solution.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("--seed", "1"), "give --starts too"),
+        (("--hops", "1"), "give --starts too"),
+        (("--starts", "2", "--guess", "other.json"), "it takes no solution to start from"),
+        (("--starts", "0"), "0 is not in the range"),
+    ],
+)
+def test_what_a_search_does_not_take_is_told(quick: Run, arguments: tuple[str, ...], told: str) -> None:
+    result = quick("solve", "task.ocp.yaml", "-o", "out", *arguments)
+    assert result.exit_code == 2
+    assert told in result.stderr
+
+
+def test_a_check_that_does_not_finish_is_told(quick: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The solution is written, and does not count as accurate."""
+    monkeypatch.setattr(cli, "resimulate", partial(cli.resimulate, limits=Limits(steps=3)))
+    result = quick("solve", "task.ocp.yaml", "-o", "out")
+    assert result.exit_code == 1
+    assert (
+        "the re-simulation did not finish, the limit of 3 steps is used up, so the accuracy is unknown" in result.stderr
+    )
+    assert "unknown (the re-simulation did not finish)" in result.stdout
+    check = read_solution(Path("out/solution.json")).resimulation
+    assert check is not None
+    assert not check.is_accurate
 
 
 def test_shooting_is_chosen(quick: Run) -> None:
