@@ -19,6 +19,7 @@ test: lint
 # Searches for inputs that are not taken well, by changing the files that ship: some hours; FUZZ="--count 100" is quick.
 fuzz: $(VENV)/installed-dev
 	$(BIN)/python -m tests.fuzz inputs $(FUZZ)
+	$(BIN)/python -m tests.fuzz mechanisms $(FUZZ)
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .

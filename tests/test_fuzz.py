@@ -6,9 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.fuzz import inputs
+from tests.fuzz import inputs, mechanisms
+from tests.fuzz.absolute import Absolute
 
 COUNT = 12
+SOUND = 1  # the seed of a mechanism that is accepted
 
 
 @pytest.mark.parametrize("name", inputs.KINDS)
@@ -48,3 +50,19 @@ def _leave_half(file: Path) -> None:
 
 def _begin_a_process(_: Path) -> None:
     __import__("os").system("true")
+
+
+def test_mechanisms_agree_with_virtual_power() -> None:
+    """A slice: drawn over all that a model file says, by a program that shares no line with the generator."""
+    tally = mechanisms.search(8, seed=1)
+    assert tally.findings == []
+    assert tally.agreed >= 4
+
+
+def test_a_mechanism_that_is_wrong_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Or else agreement would show nothing: the reference is given another gravity than the file."""
+    drawn = mechanisms.draw(SOUND)
+    assert mechanisms.examine(drawn) == ""
+    model = drawn.model | {"gravity": [0, 0, 1]}
+    monkeypatch.setattr(mechanisms, "Absolute", lambda _, names, **__: Absolute(model, names))
+    assert "impl by" in mechanisms.examine(drawn)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from tests.fuzz import inputs
+from tests.fuzz import inputs, mechanisms
 
 
 @click.group()
@@ -30,6 +30,27 @@ def inputs_command(count: int, seed: int, kinds: tuple[str, ...], keep: Path | N
         for finding in tally.findings:
             click.echo(f"  seed {finding.seed}: {finding.text}")
     sys.exit(1 if failures else 0)
+
+
+@cli.command("mechanisms")
+@click.option("--count", default=1000, show_default=True, help="Mechanisms to try.")
+@click.option("--seed", default=0, show_default=True, help="The first seed; each mechanism has the next.")
+@click.option("--keep", type=click.Path(path_type=Path), help="A folder for the model files that disagree.")
+def mechanisms_command(count: int, seed: int, keep: Path | None) -> None:
+    """Draw mechanisms: all functions are those of virtual power in absolute coordinates."""
+
+    def show(number: int, tally: mechanisms.Tally) -> None:
+        if tally.findings and tally.findings[-1][0] == number:
+            click.echo(f"  seed {number}: {tally.findings[-1][1]}")
+        if (number - seed + 1) % 100 == 0:
+            click.echo(f"{summary(tally)}; go on with --seed {number + 1}")
+
+    def summary(tally: mechanisms.Tally) -> str:
+        return f"{tally.agreed} agree, {len(tally.refused)} refused, {len(tally.findings)} disagree"
+
+    tally = mechanisms.search(count, seed, keep, show)
+    click.echo(summary(tally))
+    sys.exit(1 if tally.findings else 0)
 
 
 if __name__ == "__main__":

@@ -106,6 +106,13 @@ def test_nothing_is_written_where_a_function_is_wrong(tmp_path: Path, monkeypatc
     assert not (tmp_path / "out").exists()
 
 
+def test_parameters_that_no_function_depends_on_are_no_obstacle() -> None:
+    """Of a mass at run time, the poses know nothing: there is no setup."""
+    product = pipeline.make(kite(), replace(ONE_PLAN, functions=("frames",), derivatives=0))
+    assert [kernel.name for kernel in product.manifest.kernels] == ["frames"]
+    assert set(product.report.verification.deviations) == {"frames"}
+
+
 def test_the_report_says_what_was_compared() -> None:
     product = pipeline.make(kite(), replace(ONE_PLAN, functions=("energy", "sensors"), derivatives=1))
     checked = product.report.verification

@@ -1,0 +1,421 @@
+"""Mechanisms drawn at random over what a model file can say: the generator's equations against those of `absolute`.
+
+A mechanism disagrees where a function differs from virtual power by more than rounding; one that is refused in words is
+counted apart. The tapes are evaluated in 50 digits, so that rounding is that of the reference alone.
+"""
+
+from __future__ import annotations
+
+import random
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from mbsgen.errors import MbsError
+from mbsgen.families import Options, write_families
+from mbsgen.formulations.catalogue import FUNCTIONS
+from mbsgen.formulations.reductions import ALL, NONE, Reductions
+from mbsgen.model.reader import read_model
+from mbsgen.model.reduction import build_tree
+from mbsgen.model.scene import read_scene, stage
+from mbsgen.model.tree import Kind, Tree
+from mbsgen.tape.interpreter import DECIMALS, evaluate, fifty_digits
+from mbsgen.tape.types import Tape
+from mbsgen.verification.verify import verify
+from tests.fuzz.absolute import Absolute, Array, Found, value_of
+
+ROUNDING = 1e-10  # of the largest sum of magnitudes: some hundred products in float64, and matrices of three rotations
+FEW = replace(ALL, trials=6)
+CHOICES: Mapping[str, Reductions] = {
+    "all": FEW,
+    "searched": replace(ALL, trials=24),
+    "none": replace(NONE, trials=1),
+    "no regrouping": replace(FEW, regroup=False),
+    "no shared frames": replace(FEW, share_frames=False),
+    "no lumps": replace(FEW, lump=False),
+    "lumps by parameters": replace(FEW, lump_runtime=True),
+    "relative angles": replace(FEW, absolute=False),
+}
+WITH_DERIVATIVES = 50
+FUNCTIONS_COMPARED = ("impl", "semi", "semi_res", "exp1", "exp2", "energy", "power", "sensors", "motion")
+
+
+@dataclass(frozen=True)
+class Mechanism:
+    """A model file and a scene file, as data; what their run-time parameters are set to; how it is written."""
+
+    model: dict[str, Any]
+    scene: dict[str, Any]
+    parameters: Mapping[str, float]
+    reductions: str
+
+
+@dataclass
+class Tally:
+    """What a search found."""
+
+    agreed: int = 0
+    refused: list[tuple[int, str]] = field(default_factory=list)
+    findings: list[tuple[int, str]] = field(default_factory=list)
+
+
+def draw(seed: int) -> Mechanism:
+    """Draw a mechanism."""
+    return _Draw(seed).mechanism()
+
+
+class _Draw:
+    def __init__(self, seed: int) -> None:
+        self.source, self.seed = random.Random(seed), seed
+        self.kinds = {name: self.source.choice(["constant", "runtime", "differentiated"]) for name in "mlak"}
+        self.values = {"m": 1.7, "l": 0.6, "a": 0.35, "k": 2.5}
+        self.bodies: list[dict[str, Any]] = []
+        self.joints: list[str] = []  # that may be followed or locked
+
+    def mechanism(self) -> Mechanism:
+        pick = self.source
+        for i in range(pick.randint(1, 5)):
+            self.bodies.append(self.body(f"b{i}"))
+        model: dict[str, Any] = {
+            "name": f"fuzz{self.seed}",
+            "gravity": pick.choice([[0, 0, -9.81], [0.5, -3.0, 2.0], [0, -9.81, 0], [0, 0, 0]]),
+            "parameters": {
+                name: value if self.kinds[name] == "constant" else {"value": value, "kind": self.kinds[name]}
+                for name, value in self.values.items()
+            },
+            "bodies": pick.sample(self.bodies, len(self.bodies)),
+            "frames": [self.attachment(f"f{k}") for k in range(pick.randint(0, 2))],
+            "wrenches": [self.wrench(f"w{k}") for k in range(pick.choice([0, 0, 1, 2]))],
+        }
+        free = [name for name, kind in self.kinds.items() if kind != "constant"]
+        parameters = {
+            name: value * pick.uniform(0.8, 1.2) if name in free else value for name, value in self.values.items()
+        }
+        scene: dict[str, Any] = {}
+        if pick.random() < 0.3:
+            count = pick.randint(0, max(0, len(self.joints) - 1))
+            scene = {
+                "locked": {name: pick.choice([0, 0.4, "pi/2", -0.7]) for name in pick.sample(self.joints, count)},
+                "gravity": pick.random() < 0.7,
+                "motion": pick.random() < 0.8,
+            }
+        return Mechanism(model, scene, parameters, pick.choice(list(CHOICES)))
+
+    def number(self, low: float, high: float) -> float:
+        return round(self.source.uniform(low, high), 3)
+
+    def vector(self, size: float = 0.6) -> list[Any]:
+        pick = self.source
+        entry = [self.number(-size, size) for _ in range(3)]
+        match pick.randrange(6):
+            case 0:
+                return [0, 0, 0]
+            case 1 | 2:
+                axis = pick.randrange(3)
+                return [x if k == axis else 0 for k, x in enumerate(entry)]
+            case 3:
+                axis = pick.randrange(3)
+                named = pick.choice(["l", "-l/2", "2*l", "l*sin(a)", "sqrt(l)"])
+                return [named if k == axis else 0 for k in range(3)]
+            case 4:
+                axis = pick.randrange(3)
+                return [0 if k == axis else x for k, x in enumerate(entry)]
+        return entry
+
+    def turns(self) -> list[dict[str, Any]]:
+        pick = self.source
+        angles = ["pi/2", "-pi/2", "pi", 0.4, -1.1, "a", "a/2", "2*a"]
+        return [
+            {"axis": pick.choice("xyz"), "angle": pick.choice(angles)} for _ in range(pick.choice([0, 0, 0, 1, 1, 2]))
+        ]
+
+    def place(self) -> dict[str, Any]:
+        return {"position": self.vector(), "orientation": self.turns()}
+
+    def body(self, name: str) -> dict[str, Any]:
+        pick = self.source
+        parents = ["base", *(b["name"] for b in self.bodies)]
+        body: dict[str, Any] = {"name": name, "parent": pick.choice(parents[-2:] if pick.random() < 0.7 else parents)}
+        body["joint"] = self.carrier(body)
+        body["mass"] = pick.choice([self.number(0.5, 3), self.number(0.5, 3), "m", "2*m", "sqrt(m)", "m+1"])
+        body["com"] = self.vector(0.3)
+        thin, diagonal = ["m*l**2/12", "m*l**2/12", 0], [0.2, 0.3, 0.25]
+        body["inertia"] = pick.choice([*[self.tensor()] * 3, *[diagonal] * 3, thin, [0, 0, 0]])
+        return body
+
+    def tensor(self) -> dict[str, float]:
+        points = np.random.default_rng(self.source.randrange(10**6)).normal(size=(6, 3)) * 0.3
+        tensor = sum((p @ p * np.eye(3) - np.outer(p, p) for p in points), np.zeros((3, 3)))
+        return {f"{'xyz'[r]}{'xyz'[c]}": round(float(tensor[r, c]), 4) for r in range(3) for c in range(r, 3)}
+
+    def carrier(self, body: dict[str, Any]) -> Any:
+        pick, name = self.source, body["name"]
+        kinds = (
+            ["revolute"] * 8 + ["prismatic"] * 3 + ["ball"] * 3 + ["fixed", "cardan", "spherical", "planar", "chain"]
+        )
+        kinds += ["free", "free", "floating"] if body["parent"] == "base" else []
+        kind = pick.choice(kinds)
+        match kind:
+            case "revolute" | "prismatic":
+                return self.elementary(name, kind)
+            case "chain":
+                return [self.elementary(f"{name}{k}", pick.choice(["revolute", "prismatic"])) for k in "uv"]
+            case "cardan" | "spherical" | "floating":
+                size = 2 if kind == "cardan" else 3
+                order = "".join(pick.sample("xyz", size))
+                axes = {f"r{x}": self.setting() for x in order}
+                if kind == "floating":
+                    return {"type": kind, **self.place(), "order": order, "axes": axes}
+                self.joints += [f"{name}.{x}" for x in axes]
+                return {"type": kind, **self.place(), "order": order, "axes": axes}
+            case "planar":
+                plane = pick.choice(["xy", "xz", "yz"])
+                self.joints += [f"{name}.{x}" for x in plane]
+                return {"type": kind, **self.place(), "plane": plane, "axes": {x: self.setting() for x in plane}}
+        return {"type": kind, **self.place()} | ({"actuated": pick.random() < 0.5} if kind != "fixed" else {})
+
+    def elementary(self, name: str, kind: str) -> dict[str, Any]:
+        pick = self.source
+        skew = [[0.6, 0, 0.8], [1, -2, 0.5], [0, 1, 1]]
+        axis = pick.choice([*("x", "y", "z") * 3, "-x", "-y", "-z", pick.choice(skew)])
+        joint = {"name": name, "type": kind, "axis": axis, **self.place(), **self.setting()}
+        if self.joints and pick.random() < 0.08:
+            ratio = pick.choice([1, -1, 0.5, -2])
+            joint["follows"] = {"joint": pick.choice(self.joints), "ratio": ratio, "offset": self.number(-1, 1)}
+            joint.pop("actuated", None)
+        else:
+            self.joints.append(name)
+        return joint
+
+    def setting(self) -> dict[str, Any]:
+        pick = self.source
+        offered = {
+            "actuated": pick.random() < 0.6,
+            "stiffness": pick.choice([3.0, "k", "k**2"]),
+            "rest": 0.2,
+            "damping": pick.choice([0.4, "k/5"]),
+            "friction": {"torque": 0.8, "speed": pick.choice([0.3, "l"])},
+            "force": pick.choice(["-3*q**3 + 0.1*qd", "k*sin(q)*qd", "exp(-q**2)"]),
+            "armature": pick.choice([0.15, "k/10", "0.01*k**2"]),
+        }
+        chosen = {key: x for key, x in offered.items() if pick.random() < (0.5 if key == "actuated" else 0.12)}
+        if "stiffness" not in chosen:
+            chosen.pop("rest", None)
+        return chosen
+
+    def attachment(self, name: str) -> dict[str, Any]:
+        return {"name": name, "body": self.source.choice(self.bodies)["name"], **self.place()}
+
+    def wrench(self, name: str) -> dict[str, Any]:
+        pick = self.source
+        return {
+            "name": name,
+            "body": pick.choice(self.bodies)["name"],
+            "position": self.vector(),
+            "frame": pick.choice(["base", "body"]),
+            "force": pick.choice(["input", [1.0, -2.0, 0.5], ["k", 0, 0]]),
+            "moment": pick.choice(["input", [0, 0.3, -0.1], [0, 0, "k*l"]]),
+        }
+
+
+# -- comparison -------------------------------------------------------------------------------------------------------
+
+
+def examine(mechanism: Mechanism, seed: int = 0, *, derivatives: bool = False) -> str:
+    """Compare a mechanism at a random state; return what differs, or nothing. Raises MbsError where it is refused."""
+    with tempfile.TemporaryDirectory() as folder:
+        model, scene = Path(folder) / "model.yaml", Path(folder) / "fuzz.scene.yaml"
+        model.write_text(yaml.safe_dump(mechanism.model, sort_keys=False))
+        scene.write_text(yaml.safe_dump(mechanism.scene or {"motion": True}, sort_keys=False))
+        whole = read_model(model)
+        told = read_scene(scene, whole, {name: entry.results for name, entry in FUNCTIONS.items()})
+    tree = build_tree(stage(whole, told))
+    reductions = CHOICES[mechanism.reductions]
+    functions = (
+        None if derivatives else tuple(x for x in FUNCTIONS_COMPARED if tree.sensors or x not in ("sensors", "motion"))
+    )
+    options = Options(reductions=reductions, functions=functions, derivatives=2 if derivatives else 0)
+    families = write_families(tree, options, scene=told)
+    if derivatives:
+        verify(tree, families, parts={}, still=not told.motion)
+    tapes = {family.value.name: family.value for family in families}
+    with fifty_digits():
+        return _Comparison(mechanism, tree, tapes, seed).run()
+
+
+class _Comparison:
+    def __init__(self, mechanism: Mechanism, tree: Tree, tapes: Mapping[str, Tape], seed: int) -> None:
+        self.mechanism, self.tree, self.tapes = mechanism, tree, tapes
+        scene, source = mechanism.scene, np.random.default_rng(seed)
+        self.absolute = Absolute(mechanism.model, mechanism.parameters, gravity=scene.get("gravity", True))
+        self.names = [joint.name for joint in tree.joints]
+        self.q = dict(zip(tree.coordinates, source.uniform(-1.5, 1.5, len(tree.coordinates)), strict=True))
+        moves = 1.0 if scene.get("motion", True) else 0.0
+        self.qd = dict(zip(self.names, moves * source.uniform(-2, 2, len(self.names)), strict=True))
+        self.qdd = dict(zip(self.names, source.uniform(-3, 3, len(self.names)), strict=True))
+        self.u = {j.name: float(source.uniform(-3, 3)) for j in tree.joints if j.actuated}
+        self.w = {
+            f"{x['name']}.{key}": source.uniform(-3, 3, 3)
+            for x in mechanism.model["wrenches"] for key in ("force", "moment") if x[key] == "input"
+        }  # fmt: skip
+        self.couplings = {
+            joint["name"]: joint["follows"]
+            for body in mechanism.model["bodies"]
+            for joint in (body["joint"] if isinstance(body["joint"], list) else [body["joint"]])
+            if "follows" in joint
+        }
+
+    def run(self) -> str:
+        faults = []
+        for name, deviation in self._deviations():
+            if not deviation <= ROUNDING:
+                faults.append(f"{name} by {deviation:.1e}")
+        return ", ".join(faults)
+
+    def _deviations(self) -> list[tuple[str, float]]:
+        still = self._reference(dict.fromkeys(self.names, 0.0))
+        found, rows = self._reference(self.qdd), {}
+        rows["Phi"] = self._rows(found)
+        rows["c"] = self._rows(still)
+        Q = self._fold(found.Q) + np.array([self.u.get(name, 0.0) for name in self.names])
+        qdd = np.array([self.qdd[name] for name in self.names])
+        size = max(found.size, still.size, float(np.abs(Q).max(initial=0.0)), 1e-3)
+        semi = self._evaluate("semi")
+        n = len(self.names)
+        M = semi["M"].reshape(n, n, order="F")
+        deviations = [
+            ("impl", self._evaluate("impl")["Phi"] - (rows["Phi"] - Q)),
+            ("semi_res", self._evaluate("semi_res")["Phi"] - (rows["Phi"] - Q)),
+            ("M", M @ qdd - (rows["Phi"] - rows["c"])),
+            ("M", M - M.T),
+            ("c", semi["c"] - rows["c"]),
+        ]
+        relative = [(name, float(np.abs(x).max(initial=0.0)) / size) for name, x in deviations]
+        for name in ("exp1", "exp2"):
+            solved = self._reference(dict(zip(self.names, self._evaluate(name)["qdd"], strict=True)))
+            rest = np.abs(self._rows(solved) - Q).max(initial=0.0)
+            relative.append((name, float(rest) / max(size, solved.size)))
+        return relative + self._energies(found, Q) + self._sensors(found)
+
+    def _energies(self, found: Found, Q: Array) -> list[tuple[str, float]]:
+        energy = self._evaluate("energy")
+        other = {name: x * 0.7 + 0.1 for name, x in self.q.items()}
+        fall = energy["potential"][0] - self._evaluate("energy", q=other)["potential"][0]
+        expected = found.potential - self._reference(self.qdd, q=other).potential
+        power = Q @ np.array([self.qd[name] for name in self.names]) + found.pull
+        size = float(np.abs(Q).sum()) + abs(found.pull) + sum(np.abs(x).sum() for x in self.w.values()) + 10
+        return [
+            ("kinetic", abs(energy["kinetic"][0] - found.kinetic) / max(found.kinetic, 1e-3)),
+            ("potential", abs(fall - expected) / max(abs(found.potential), 10)),
+            ("power", abs(self._evaluate("power")["power"][0] - power) / size),
+        ]
+
+    def _sensors(self, found: Found) -> list[tuple[str, float]]:
+        if "sensors" not in self.tapes:
+            return []
+        frames = [found.frames[s.name] for s in self.tree.sensors]
+        pairs = [(self._evaluate("sensors")["position"], [f.p for f in frames])]
+        motion = self._evaluate("motion") if "motion" in self.tapes else {}
+        pairs += [
+            (motion[name], [getattr(f, key) for f in frames])
+            for name, key in (("v", "v"), ("omega", "om"))
+            if name in motion
+        ]
+        return [("sensors", float(np.abs(a - np.concatenate(b)).max()) / 10) for a, b in pairs]
+
+    def _rows(self, found: Found) -> Array:
+        return self._fold(found.Phi)
+
+    def _fold(self, forces: Mapping[str, float]) -> Array:
+        felt = dict.fromkeys(self.names, 0.0)
+        for name, force in forces.items():
+            leader, ratio, _ = self._lead(name)
+            if leader in felt:
+                felt[leader] += ratio * force
+        return np.array([felt[name] for name in self.names])
+
+    def _lead(self, name: str) -> tuple[str, float, float]:
+        """Follow a joint to the one that has the coordinate: its name, the ratio, the offset."""
+        if name not in self.couplings:
+            return name, 1.0, 0.0
+        given = self.couplings[name]
+        leader, ratio, offset = self._lead(given["joint"])
+        return leader, given["ratio"] * ratio, given["ratio"] * offset + given["offset"]
+
+    def _reference(self, qdd: Mapping[str, float], q: Mapping[str, float] | None = None) -> Found:
+        q = self.q if q is None else q
+        locked = {k: value_of(x, self.mechanism.parameters) for k, x in self.mechanism.scene.get("locked", {}).items()}
+        at, rates, accelerations = dict(q), {}, {}
+        for name in self.absolute.velocities():
+            leader, ratio, offset = self._lead(name)
+            rates[name], accelerations[name] = ratio * self.qd.get(leader, 0.0), ratio * float(qdd.get(leader, 0.0))
+            place = locked.get(leader, q.get(leader))
+            if place is not None:
+                at[name] = ratio * place + offset
+        return self.absolute.run(at, rates, accelerations, self.w)
+
+    def _evaluate(self, name: str, q: Mapping[str, float] | None = None) -> dict[str, Array]:
+        tape = self.tapes[name]
+        given = {
+            i.name: [Decimal(float(x)) for x in self._input(i.name, q or self.q)] for i in tape.inputs if i.name != "h"
+        }
+        if any(i.name == "h" for i in tape.inputs):
+            values = [Decimal(x) for x in self._parameters(Kind.RUNTIME)]
+            has_setup = "setup" in self.tapes  # else no function depends on the parameters
+            given["h"] = evaluate(self.tapes["setup"], {"p": values}, DECIMALS)["h"] if has_setup else []
+        return {key: np.array([float(x) for x in found]) for key, found in evaluate(tape, given, DECIMALS).items()}
+
+    def _input(self, name: str, q: Mapping[str, float]) -> Sequence[float]:
+        match name:
+            case "q":
+                return [q[x] for x in self.tree.coordinates]
+            case "qd" | "qdd":
+                return [getattr(self, name)[x] for x in self.names]
+            case "u":
+                return list(self.u.values())
+            case "theta" | "p":
+                return self._parameters(Kind.DIFFERENTIATED if name == "theta" else Kind.RUNTIME)
+        return [
+            float(x)
+            for wrench in self.tree.wrenches
+            for key, given in (("force", wrench.force), ("moment", wrench.moment))
+            if given is None
+            for x in self.w[f"{wrench.name}.{key}"]
+        ]
+
+    def _parameters(self, kind: Kind) -> list[float]:
+        return [self.mechanism.parameters.get(x.name, x.value) for x in self.tree.parameters if x.kind is kind]
+
+
+def search(
+    count: int, seed: int, keep: Path | None = None, show: Callable[[int, Tally], None] = lambda *_: None
+) -> Tally:
+    """Examine mechanisms from a seed on; one in WITH_DERIVATIVES with its derivatives."""
+    tally = Tally()
+    for number in range(seed, seed + count):
+        mechanism = draw(number)
+        try:
+            finding = examine(mechanism, number, derivatives=number % WITH_DERIVATIVES == 0)
+        except MbsError as error:
+            tally.refused.append((number, str(error).splitlines()[0]))
+        except Exception as error:
+            tally.findings.append((number, f"{type(error).__name__}: {error}"))
+        else:
+            if finding:
+                tally.findings.append((number, finding))
+            else:
+                tally.agreed += 1
+        if keep is not None and tally.findings and tally.findings[-1][0] == number:
+            keep.mkdir(parents=True, exist_ok=True)
+            told = f"{tally.findings[-1][1]}\n# reductions: {mechanism.reductions}\n# scene: {mechanism.scene}"
+            text = f"# seed {number}: {told}\n"
+            text += f"# parameters: {dict(mechanism.parameters)}\n" + yaml.safe_dump(mechanism.model, sort_keys=False)
+            (keep / f"mechanism_{number}.yaml").write_text(text)
+        show(number, tally)
+    return tally
