@@ -1,7 +1,7 @@
 /* What generated kernels share: the scalar type, the functions of <math.h> that go with it, CasADi's contract.
  *
- * -DMBS_REAL=float computes in single precision. casadi_real and casadi_int can be defined to suit another caller
- * (acados: -Dcasadi_int=int). C99; needs nothing but <math.h>.
+ * -DMBS_REAL=float computes in single precision. casadi_real and casadi_int can be defined to suit another caller.
+ * C99; needs nothing but <math.h> and <float.h>.
  */
 #ifndef MBS_ABI_H
 #define MBS_ABI_H
@@ -84,15 +84,45 @@ typedef MBS_REAL mbs_real;
 
 /* A function in CasADi's contract with the functions that describe it. Any arg[k] may be NULL (zeros), any res[k] may
  * be NULL (not wanted); only nonzeros are passed, column by column; iw and w are not used. */
-#define MBS_DECLARE_CASADI(f) \
-    int f(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem); \
-    casadi_int f##_n_in(void); \
-    casadi_int f##_n_out(void); \
-    const char *f##_name_in(casadi_int i); \
-    const char *f##_name_out(casadi_int i); \
-    const casadi_int *f##_sparsity_in(casadi_int i); /* rows, columns, then 1, or column pointers and rows */ \
-    const casadi_int *f##_sparsity_out(casadi_int i); \
-    int f##_diff_in(casadi_int i); \
-    int f##_work(casadi_int *sz_arg, casadi_int *sz_res, casadi_int *sz_iw, casadi_int *sz_w)
+#define MBS_DECLARE_CASADI(f) MBS_DECLARE_WITH(f, casadi_int)
+#define MBS_DECLARE_CASADI_INT(f) MBS_DECLARE_WITH(f, int) /* as acados wants its own */
+#define MBS_DECLARE_WITH(f, integer) \
+    int f(const casadi_real **arg, casadi_real **res, integer *iw, casadi_real *w, int mem); \
+    integer f##_n_in(void); \
+    integer f##_n_out(void); \
+    const char *f##_name_in(integer i); \
+    const char *f##_name_out(integer i); \
+    const integer *f##_sparsity_in(integer i); /* rows, columns, then 1, or column pointers and rows */ \
+    const integer *f##_sparsity_out(integer i); \
+    int f##_diff_in(integer i); \
+    int f##_work(integer *sz_arg, integer *sz_res, integer *sz_iw, integer *sz_w)
+
+/* Write the full matrix, row by row as C stores `A[rows][columns]`, or column by column as BLAS and LAPACK store it: from
+ * its nonzeros, and their pattern as f##_sparsity_out gives it. */
+static inline void mbs_fill(const casadi_int *pattern, const mbs_real *nonzeros, mbs_real *A, int by_rows)
+{
+    const casadi_int rows = pattern[0], cols = pattern[1];
+    const int is_full = pattern[2] == 1; /* column pointers begin with 0 */
+    const casadi_int *colind = pattern + 2, *row = pattern + 3 + cols;
+    for (casadi_int k = 0; k < rows * cols; k++)
+        A[k] = 0;
+    for (casadi_int c = 0; c < cols; c++) {
+        const casadi_int first = is_full ? c * rows : colind[c], end = is_full ? first + rows : colind[c + 1];
+        for (casadi_int k = first; k < end; k++) {
+            const casadi_int r = is_full ? k - first : row[k];
+            A[by_rows ? r * cols + c : c * rows + r] = nonzeros[k];
+        }
+    }
+}
+
+static inline void mbs_fill_rows(const casadi_int *pattern, const mbs_real *nonzeros, mbs_real *A)
+{
+    mbs_fill(pattern, nonzeros, A, 1);
+}
+
+static inline void mbs_fill_columns(const casadi_int *pattern, const mbs_real *nonzeros, mbs_real *A)
+{
+    mbs_fill(pattern, nonzeros, A, 0);
+}
 
 #endif

@@ -54,6 +54,12 @@ int mbs_check_bias(const mbs_face *semi, const mbs_face *impl);
 /* The residual of impl is zero at the accelerations that f gives. */
 int mbs_check_accelerations(const mbs_face *f, const mbs_face *impl);
 
+/* The results of f at the first state, one after the other, are as given: rounded from 50 digits. */
+int mbs_check_results(const mbs_face *f, const double *results);
+
+/* The same where the mass matrix is solved with. */
+int mbs_check_solution(const mbs_face *f, const double *results);
+
 /* f and g give the same accelerations. */
 int mbs_check_same_accelerations(const mbs_face *f, const mbs_face *g);
 

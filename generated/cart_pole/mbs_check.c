@@ -309,6 +309,39 @@ int mbs_check_equal(const mbs_face *f, const mbs_face *g)
     return report(compare_results(f, g, ROUNDING), ROUNDING, f->name, "against", g->name);
 }
 
+static int compare_reference(const mbs_face *f, const double *results, double tolerance)
+{
+    call c = open_call(f);
+    verdict v = {0.0, 0};
+    double size = 0.0;
+    size_t k, all = 0;
+    casadi_int o;
+    set_state(c, 0);
+    run(c, &v);
+    for (o = 0; o < f->n_out(); ++o)
+        all += count_nonzeros(f->sparsity_out(o));
+    for (k = 0; k < all; ++k)
+        size = maximum(size, results[k]);
+    for (o = 0; o < f->n_out(); ++o) {
+        const size_t count = count_nonzeros(f->sparsity_out(o));
+        for (k = 0; k < count; ++k)
+            judge(&v, (double)c.out[o][k] - results[k], tolerance * size);
+        results += count;
+    }
+    close_call(c);
+    return report(v, tolerance, f->name, "against", "50 digits");
+}
+
+int mbs_check_results(const mbs_face *f, const double *results)
+{
+    return compare_reference(f, results, ROUNDING);
+}
+
+int mbs_check_solution(const mbs_face *f, const double *results)
+{
+    return compare_reference(f, results, ACCELERATIONS);
+}
+
 int mbs_check_tail(const mbs_face *f, const mbs_face *g)
 {
     return report(compare_results(f, g, ROUNDING), ROUNDING, f->name, "against the last of", g->name);

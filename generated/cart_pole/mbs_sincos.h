@@ -2,8 +2,8 @@
  *
  * An angle less a multiple of pi/2, in three pieces (Cody and Waite, "Software Manual for the Elementary Functions",
  * 1980), leaves a remainder, kept in two numbers, for minimax polynomials. Where the compiler knows vectors, several
- * angles are computed at once. Errors stay below 0.8 units in the last place (0.9 in single precision), and a zero keeps
- * its sign; beyond MBS_SINCOS_LIMIT, and for what is no number, <math.h> is asked. Rounding to nearest is taken
+ * angles are computed at once. Errors stay below 0.86 units in the last place (0.9 in single precision): half of one by the
+ * last rounding, a quarter by that of the square. A zero keeps its sign; beyond MBS_SINCOS_LIMIT, and for what is no number, <math.h> is asked. Rounding to nearest is taken
  * for granted. -DMBS_LIBM asks <math.h> always, -DMBS_SCALAR uses no vectors.
  *
  * C99, reentrant. tests/csrc/minimax.py finds the numbers.
