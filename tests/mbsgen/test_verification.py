@@ -14,8 +14,9 @@ from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.construction import ball, body, frame, free, inertia, make_model, revolute, runtime, wrench
 from mbsgen.model.model import Model
 from mbsgen.model.reduction import build_tree
-from mbsgen.model.tree import Tree
-from mbsgen.tape.types import Op, Tape
+from mbsgen.model.tree import Kind, Tree
+from mbsgen.tape.interpreter import evaluate
+from mbsgen.tape.types import Op, Output, Sparsity, Tape
 from mbsgen.targets.contract import Family
 from mbsgen.verification.verify import TOLERANCE, VerificationError, verify
 
@@ -120,3 +121,24 @@ def test_the_report_says_what_was_compared() -> None:
     assert max(checked.deviations.values()) < float(TOLERANCE)
     assert "at 2 random states" in product.files["report.md"]
     assert '"unchecked": []' in product.files["report.json"]
+
+
+@pytest.mark.parametrize("name", ["exp1", "exp2"])
+def test_guards_have_the_scales_of_constants_where_masses_are_parameters(name: str) -> None:
+    """What a pivot is compared with comes of `setup` then: the same numbers, and none of them 0."""
+    tree = written()[0]
+    fixed = replace(tree, parameters=tuple(replace(p, kind=Kind.CONSTANT) for p in tree.parameters))
+    found = [scales_of(x, name) for x in (tree, fixed)]
+    assert found[0] == pytest.approx(found[1], rel=1e-14)
+    assert min(found[0].values()) > 0
+
+
+def scales_of(tree: Tree, name: str) -> dict[int, float]:
+    """Evaluate what the guards of a function compare with, by joint."""
+    tapes = {f.value.name: f.value for f in write_families(tree, replace(ONE_PLAN, functions=(name,), derivatives=0))}
+    tape, given = tapes[name], {"p": [p.value for p in tree.parameters]}
+    h = evaluate(tapes["setup"], given)["h"] if "setup" in tapes else []
+    scales = tuple(guard.scale for guard in tape.guards)
+    shown = replace(tape, outputs=(Output("scale", Sparsity.dense(len(scales)), scales),))
+    values = evaluate(shown, {i.name: h if i.name == "h" else [0.3] * i.sparsity.nnz for i in tape.inputs})["scale"]
+    return {guard.joint: float(x) for guard, x in zip(tape.guards, values, strict=True)}
