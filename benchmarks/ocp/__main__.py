@@ -62,7 +62,7 @@ def make_ours(name: str, problem: Problem, plant: Plant, guess: Trajectory) -> W
     begin = processor_seconds()
     solver = Solver(problem, plant)
     program = solver.transcription.program
-    solver.solve(replace(problem, solver=replace(problem.solver, max_iterations=0)), guess)  # makes the functions
+    solver.solve(replace(problem, solver=replace(problem.solver, max_iterations=1)), guess)  # makes the functions
 
     def solve() -> Effort:
         outcome = solver.solve(problem, guess)

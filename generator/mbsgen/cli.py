@@ -439,7 +439,7 @@ def check_command(model: Path, choices: Choices) -> None:
 @click.option("--with", "peer", type=click.Choice(["pinocchio"]), required=True, help="What to compare with.")
 @importing
 def compare_command(model: Path, peer: str, choices: Choices) -> None:
-    """Compare MODEL, a URDF file, with what another program makes of it.
+    """Compare MODEL, a URDF file, with another program.
 
     The largest differences of the residual Phi, the mass matrix M, the bias c and the accelerations qdd at random
     states are printed, relative to the largest entry, and what they come from. Exit code 1: something else differs.

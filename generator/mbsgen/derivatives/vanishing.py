@@ -55,7 +55,7 @@ def find_patterns(loop: Columns, columns: Mapping[str, int]) -> dict[str, Sparsi
 
 
 def _vanishes(column: Sequence[Decimal]) -> bool:
-    return all(abs(value) <= VANISHED for value in column)
+    return all(not value.is_nan() and abs(value) <= VANISHED for value in column)  # NaN: outside a function's domain
 
 
 def _draw(tape: Tape, seed: int) -> dict[str, list[Decimal]]:
