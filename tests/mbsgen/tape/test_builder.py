@@ -40,9 +40,9 @@ def test_equal_operations_are_computed_once_whatever_their_order_and_sign():
 def test_zero_and_one_cost_nothing():
     (a,) = inputs(1)
     b = a.builder
-    tape = built(a * b.number(1.0) + b.zero * a, a - a, b.zero * a)
+    tape = built(a * b.number(1.0) + b.zero * a, a - a, b.zero * a, a / a, a / -a)
     assert operations(tape) == {}
-    assert evaluate(tape, {"x": [7.0]}) == {"y": [7.0, 0.0, 0.0]}
+    assert evaluate(tape, {"x": [7.0]}) == {"y": [7.0, 0.0, 0.0, 1.0, -1.0]}
 
 
 def test_literal_factors_are_gathered():
