@@ -147,7 +147,7 @@ HELP = """Turn the description of a multibody system into C kernels for its dyna
   mbsgen report MODEL       count what it costs, and write nothing
   mbsgen scaling            count how cost grows with the length of a chain
   mbsgen check MODEL        tell every fault of the file, and write nothing
-  mbsgen compare ROBOT      compare a URDF's equations with Pinocchio's
+  mbsgen compare MODEL      compare a URDF's equations with Pinocchio's
   mbsgen import MODEL       make a model file of URDF or MJCF
 
 MODEL is a YAML file, as models/ holds examples, or one of URDF or MJCF. A file that has the name of a subcommand is
