@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -87,6 +88,19 @@ def test_without_motion_only_statics_is_left():
     assert [o.name for o in jac.outputs] == ["jac_Phi_q", "jac_Phi_qdd", "jac_Phi_u"]
     assert count(value).paper < count(impl.build(build_tree(model))).paper
     assert max(gather(model, scene, Options()).deviations.values()) < 1e-15
+
+
+@pytest.mark.parametrize("name", ["exp1", "exp2"])
+def test_accelerations_of_another_mechanism_are_no_evidence(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where a scene's tape is that of heavier bodies, gravity aside the same, the comparison shows it."""
+    model = linkage()
+    scene = Scene(functions=(name,), locked=(("cart", Number(0.3)),))
+    options = Options(reductions=FEW)
+    assert gather(model, scene, options).deviations[name] < 1e-9
+    heavier = replace(model, bodies=(model.bodies[0], replace(model.bodies[1], mass=Number(2.0)), *model.bodies[2:]))
+    wrong = {f.value.name: f.value for f in write_families(build_tree(stage(heavier, scene)), options, None, scene)}
+    monkeypatch.setattr("mbsgen.evidence._tapes", lambda *_: wrong)
+    assert gather(model, scene, options).deviations[name] > 1e-3
 
 
 def test_without_gravity_nothing_falls():

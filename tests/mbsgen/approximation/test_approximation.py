@@ -115,6 +115,14 @@ def cranes(damping: float = 1e-4) -> Model:
     )
 
 
+def test_what_is_generated_must_keep_the_tolerance_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cuts that keep it by the estimate alone are not made: here the tapes err by twice of it."""
+    tree, options = build_tree(cranes()), Options(functions=("impl",), reductions=ONE_PLAN)
+    assert approximate(tree, 0.01, options, EVERYTHING).taken
+    monkeypatch.setattr(choice.Comparison, "tell", lambda _, tapes: dict.fromkeys(tapes, 0.02))
+    assert not approximate(tree, 0.01, options, EVERYTHING).taken
+
+
 def test_what_a_joint_alone_stands_on_stays() -> None:
     """All that M has for the hook is below the tolerance of its force, which is friction; M is kept all the same."""
     tree = build_tree(cranes())

@@ -27,6 +27,7 @@ from tests.mbsgen.failures.mechanisms import (
     make_body,
     make_tree,
     mass_matrix,
+    rods,
     scaled_condition,
     spatial_chain,
     status,
@@ -158,3 +159,49 @@ def test_what_elimination_is_told_by(seed: int, reductions: Reductions):
     found = compute_exactly(tape_of("condition", tree, reductions), state)["elimination"]
     np.testing.assert_allclose(found, np.diag(M) * np.diag(np.linalg.inv(M)), rtol=1e-9)
     assert found.max() <= scaled_condition(tree, state) <= n * found.sum()
+
+
+def cross(v: Array) -> Array:
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+
+
+def turn(axis: int, angle: float) -> Array:
+    """Return the rotation about a coordinate axis, from the turned frame."""
+    R = np.eye(3)
+    j, k = (axis + 1) % 3, (axis + 2) % 3
+    R[j, j] = R[k, k] = np.cos(angle)
+    R[k, j], R[j, k] = np.sin(angle), -np.sin(angle)
+    return R
+
+
+def articulate_rods(axes: list[int], q: Array) -> list[float]:
+    """Compute `articulated` of a chain of rods with 6 x 6 matrices: of (linear, angular) parts, in body frames."""
+    n, half, way = len(axes), np.array([0.5, 0, 0]), np.array([1.0, 0, 0])
+    J = np.diag([1 / 1200, 1 / 12, 1 / 12]) - cross(half) @ cross(half)
+    own = np.block([[np.eye(3), -cross(half)], [cross(half), J]])
+    shift = np.block([[np.eye(3), -cross(way)], [np.zeros((3, 3)), np.eye(3)]])
+    turns = [np.kron(np.eye(2), turn(axis, angle)) for axis, angle in zip(axes, q, strict=True)]
+    steps = [turns[k].T @ (shift if k else np.eye(6)) for k in range(n)]  # motions, from the parent to the body
+    parts, left, pivots, loads = [[own] for _ in axes], [own] * n, [0.0] * n, [np.zeros(6)] * n
+    for k in reversed(range(n)):
+        whole, along = sum(parts[k]), 3 + axes[k]
+        pivots[k], loads[k] = whole[along, along], whole[:, along] / whole[along, along]
+        left[k] = whole - np.outer(loads[k], whole[along])
+        if k:
+            parts[k - 1].append(steps[k].T @ left[k] @ steps[k])
+    lost, after = [], np.zeros((6, 6))
+    for k in range(n):
+        before, axis = steps[k] @ after @ steps[k].T, np.eye(6)[3 + axes[k]]
+        freed = np.eye(6) - np.outer(axis, loads[k])
+        after = freed @ before @ freed.T + np.outer(axis, axis) / pivots[k]
+        felt = sum(map(np.abs, parts[k])) if k < n - 1 else np.zeros((6, 6))  # the last pivot is a number
+        lost.append(1 + float((np.abs(before) * np.abs(left[k])).sum() + (np.abs(after) * felt).sum()))
+    return lost
+
+
+@pytest.mark.parametrize("axes", [[2, 2, 2], [2, 1, 0, 2]], ids=["planar", "spatial"])
+def test_what_the_articulated_recursion_is_told_by(axes: list[int]):
+    """Of rods, written in body frames, against matrices; 1e-10 is room for the rounding of doubles."""
+    q = np.random.default_rng(len(axes)).uniform(-np.pi, np.pi, len(axes))
+    found = compute(tape_of("condition", rods(axes), NONE), draw_state(len(axes), 0, q=q))
+    assert found["articulated"].ravel() == pytest.approx(articulate_rods(axes, q), rel=1e-10)
