@@ -273,6 +273,13 @@ def test_a_statement_is_confirmed_and_refuted_by_its_own_numbers(key: str) -> No
     assert [judge(key, results) for results in refuting] == [REFUTED] * len(refuting)
 
 
+def test_failures_count_in_no_median() -> None:
+    whole = make()
+    failed = [replace(a, cost=None, iterations=500) if a.task.place[0] < 3 else a for a in whole.attempts]
+    results = replace(whole, attempts=tuple(failed))
+    assert results.values(ROUGH, "IMPL", "iterations").tolist() == [20.0] * (PLACES - 3)
+
+
 def test_keys_name_statements() -> None:
     assert len({s.key for s in STATEMENTS}) == len({s.words for s in STATEMENTS}) == len(STATEMENTS) == len(CASES)
 
