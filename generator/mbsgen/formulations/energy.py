@@ -12,7 +12,7 @@ from functools import reduce
 from operator import add
 
 from mbsgen.algebra.vectors import Vector
-from mbsgen.formulations.links import Chain, Link, Pull, declare_state, joint_forces, write_chain
+from mbsgen.formulations.links import AppliedWrench, Chain, Link, declare_state, joint_forces, write_chain
 from mbsgen.model.tree import Tree
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.types import Tape
@@ -70,21 +70,21 @@ def build_power(tree: Tree) -> Tape:
     builder = Builder()
     state = declare_state(tree, builder, accelerations=False)
     chain = write_chain(tree, builder, state)
-    bodies = _move_bodies(chain) if chain.pulls else {}
+    bodies = _move_bodies(chain) if chain.wrenches else {}
     total = reduce(add, (force * qd for force, qd in zip(joint_forces(chain), state.qd, strict=True)))
-    total = reduce(add, (_power(chain, pull, bodies[pull.body]) for pull in chain.pulls), total)
+    total = reduce(add, (_power(chain, wrench, bodies[wrench.body]) for wrench in chain.wrenches), total)
     builder.output_dense("power", [[total]])
     return builder.build("power")
 
 
-def _power(chain: Chain, pull: Pull, body: Velocity) -> Scalar:
+def _power(chain: Chain, wrench: AppliedWrench, body: Velocity) -> Scalar:
     """Compute the power of an external wrench."""
-    v, OM = body.v + body.OM.cross(pull.position), body.OM
-    number = pull.body if pull.in_base else 0
+    v, OM = body.v + body.OM.cross(wrench.position), body.OM
+    number = wrench.body if wrench.in_base else 0
     while number:
         link = chain.links[number - 1]
         v, OM, number = link.R.apply(v), link.R.apply(OM), link.parent
-    return pull.force.dot(v) + pull.moment.dot(OM)
+    return wrench.force.dot(v) + wrench.moment.dot(OM)
 
 
 def _nothing(chain: Chain) -> Momentum:

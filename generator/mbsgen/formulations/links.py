@@ -69,7 +69,7 @@ class Link:
 
 
 @dataclass(frozen=True)
-class Pull:
+class AppliedWrench:
     """An external wrench with its numbers."""
 
     body: int
@@ -104,7 +104,7 @@ class Chain:
         return self.vector(self.tree.gravity)
 
     @cached_property
-    def pulls(self) -> tuple[Pull, ...]:
+    def wrenches(self) -> tuple[AppliedWrench, ...]:
         """The external wrenches; what the model leaves open is taken from the input w."""
         given = iter(self.state.w)
 
@@ -113,7 +113,7 @@ class Chain:
             return written if wrench.in_base else self.matrix(wrench.orientation).apply(written)
 
         return tuple(
-            Pull(x.body, self.vector(x.position), x.in_base, components(x, x.force), components(x, x.moment))
+            AppliedWrench(x.body, self.vector(x.position), x.in_base, components(x, x.force), components(x, x.moment))
             for x in self.tree.wrenches
         )
 

@@ -98,11 +98,11 @@ def backward_dynamics(chain: Chain, link: Link, motion: Kinematics, load: dict[i
 def _external_load(chain: Chain, link: Link) -> Wrench:
     """Add up the external wrenches on a body."""
     F, N = chain.still, chain.still
-    for pull in (x for x in chain.pulls if x.body == link.number):
-        force, moment = pull.force, pull.moment
-        if pull.in_base:
+    for wrench in (x for x in chain.wrenches if x.body == link.number):
+        force, moment = wrench.force, wrench.moment
+        if wrench.in_base:
             force, moment = (_carry_out(chain, link, v) for v in (force, moment))
-        F, N = F + force, N + moment + pull.position.cross(force)
+        F, N = F + force, N + moment + wrench.position.cross(force)
     return Wrench(F, N)
 
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mbsgen.algebra.vectors import Vector
-from mbsgen.formulations.links import Pull
+from mbsgen.formulations.links import AppliedWrench
 from mbsgen.formulations.parsimony.motion import Kinematics, Movement
 from mbsgen.formulations.parsimony.regrouping import Lump, guard_divisor
 from mbsgen.formulations.parsimony.segments import Segment, children, unit_vector
@@ -94,17 +94,17 @@ def join_loads(
             N = N + slide_lever(kinematics, child).cross(force)
     for t, direction in enumerate(directions):
         N = N + direction.e.cross(V[t])
-    for pull in segment.pulls:
-        force, moment = (_write_part(kinematics, segment, pull, v) for v in (pull.force, pull.moment))
-        F, N = F - force, N - moment - kinematics.fixed(segment.number, pull.position).cross(force)
+    for wrench in segment.wrenches:
+        force, moment = (_write_part(kinematics, segment, wrench, v) for v in (wrench.force, wrench.moment))
+        F, N = F - force, N - moment - kinematics.fixed(segment.number, wrench.position).cross(force)
     i = segment.number
     kinematics.builder.label((*F, *(N + grouped)), [f"{x}{r}_{i}" for x in "FN" for r in "123"])
     return Load(F, N + grouped, N)
 
 
-def _write_part(kinematics: Kinematics, segment: Segment, pull: Pull, v: Vector[Scalar]) -> Vector[Scalar]:
+def _write_part(kinematics: Kinematics, segment: Segment, wrench: AppliedWrench, v: Vector[Scalar]) -> Vector[Scalar]:
     """Write an external force or moment where its body is written."""
-    return kinematics.arrive_from_base(segment, v) if pull.in_base else kinematics.fixed(segment.number, v)
+    return kinematics.arrive_from_base(segment, v) if wrench.in_base else kinematics.fixed(segment.number, v)
 
 
 def slide_lever(kinematics: Kinematics, child: Segment) -> Vector[Scalar]:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from sympy import Expr
 
 from mbsgen.algebra.vectors import Matrix, Vector, outer
-from mbsgen.formulations.links import Chain, Pull
+from mbsgen.formulations.links import AppliedWrench, Chain
 from mbsgen.model.tree import Body, Lump, Motion
 from mbsgen.tape.builder import Builder, Scalar
 
@@ -46,7 +46,7 @@ class Segment:
     counts_angle: bool  # in absolute rates, from its parent on: it opens a group, or a rotor feels its own angle
     d: Vector[Scalar]  # its origin, at q = 0, from the parent's
     moments: Moments
-    pulls: tuple[Pull, ...]
+    wrenches: tuple[AppliedWrench, ...]
     floats: bool = False  # turn, and d, are those of a quaternion: nothing that it moves belongs to the parent too
 
     @property
@@ -80,10 +80,10 @@ def align(chain: Chain, *, group: bool = True) -> tuple[Segment, ...]:
         moments = _moments(chain, body, turned[number])
         for lump in body.lumps:
             moments = moments + _moments(chain, lump, turned[number])
-        pulls = _pulls(chain, number, turned[number])
+        wrenches = _wrenches(chain, number, turned[number])
         counts = not continues or not chain.armatures[number - 1].is_zero
         place = (number, body.parent, is_revolute, axis, sense, turn, not continues, counts)
-        segments.append(Segment(*place, d, moments, pulls, floats))
+        segments.append(Segment(*place, d, moments, wrenches, floats))
     return tuple(segments)
 
 
@@ -108,14 +108,14 @@ def _moments(chain: Chain, part: Body | Lump, frame: Matrix[Scalar]) -> Moments:
     return Moments(m, S, frame.times(central).times(frame.transposed) + outer(S, l))
 
 
-def _pulls(chain: Chain, number: int, frame: Matrix[Scalar]) -> tuple[Pull, ...]:
+def _wrenches(chain: Chain, number: int, frame: Matrix[Scalar]) -> tuple[AppliedWrench, ...]:
     """List the external wrenches on a body; components in the base frame stay."""
 
-    def turn(pull: Pull) -> Pull:
-        force, moment = (v if pull.in_base else frame.apply(v) for v in (pull.force, pull.moment))
-        return replace(pull, position=frame.apply(pull.position), force=force, moment=moment)
+    def turn(wrench: AppliedWrench) -> AppliedWrench:
+        force, moment = (v if wrench.in_base else frame.apply(v) for v in (wrench.force, wrench.moment))
+        return replace(wrench, position=frame.apply(wrench.position), force=force, moment=moment)
 
-    return tuple(turn(pull) for pull in chain.pulls if pull.body == number)
+    return tuple(turn(wrench) for wrench in chain.wrenches if wrench.body == number)
 
 
 def unit_vector(builder: Builder, axis: int) -> Vector[Scalar]:
