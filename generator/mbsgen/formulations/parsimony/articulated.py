@@ -88,7 +88,7 @@ def articulate(writing: Writing) -> dict[int, Body]:
 def _gather(kinematics: Kinematics, segment: Segment, lump: Lump, bodies: dict[int, Body]) -> tuple[Inertia, ...]:
     """List a body's own inertia, and what each of its joints carries."""
     b = kinematics.builder
-    axes = kinematics.stations[segment.number].directions
+    axes = kinematics.frames[segment.number].directions
     S = kinematics.fixed(segment.number, lump.S)
     M = Matrix.of([lump.m if r == c else b.zero for c in range(3)] for r in range(3))
     parts = [Inertia(M, cross_matrix(b, -S), own_inertia(b, segment, lump, axes))]

@@ -112,7 +112,7 @@ class _Recursion(Recursion):
     def compose(self, segment: Segment, lump: Lump) -> Composite:
         body = super().compose(segment, lump)
         k, i, b = self.kinematics, segment.number, self.builder
-        axes = k.stations[i].directions
+        axes = k.frames[i].directions
         own = self.own(segment, lump)
         moving, turning = self._moving[i], self._turning[i]
         P = own_moments(b, segment, lump, axes)

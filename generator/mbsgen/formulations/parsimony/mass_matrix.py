@@ -60,7 +60,7 @@ def mass_matrix(writing: Writing, *, absolute: bool = False) -> Entries:
 def compose(kinematics: Kinematics, segment: Segment, lump: Lump, composites: dict[int, Composite]) -> Composite:
     """Add to a body what its joints carry."""
     b, axis = kinematics.builder, segment.axis
-    axes = kinematics.stations[segment.number].directions
+    axes = kinematics.frames[segment.number].directions
     m, S, J = lump.m, kinematics.fixed(segment.number, lump.S), own_inertia(b, segment, lump, axes)
     beyond = children(kinematics.segments, segment.number)
     for child in (x for x in beyond if x.counts_angle):

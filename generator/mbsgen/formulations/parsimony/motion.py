@@ -82,15 +82,15 @@ class Turn:
 
 
 @dataclass(frozen=True)
-class Station:
-    """Where a body is written: the turns between that frame, its own, and its predecessor's."""
+class BodyFrame:
+    """The frame that a body is written in, by the turns between it, the body's own frame and its predecessor's."""
 
     segment: Segment
     step: Turn | None  # from the frame before the joint, or the predecessor's, to the one that the body is written in
     rest: Turn | None  # from there on to its own
     angle: Scalar | None  # of `rest`
     sum: str  # the joints whose angles add up in it: `2p3`
-    directions: tuple[Vector[Scalar], Vector[Scalar], Vector[Scalar]]  # own axes, by number, where the body is written
+    directions: tuple[Vector[Scalar], Vector[Scalar], Vector[Scalar]]  # the own axes, by number, in this frame
 
     def own(self, v: Vector[Scalar]) -> Vector[Scalar]:
         """Take components from where the body is written to its own frame."""
@@ -119,31 +119,31 @@ class Movement:
 
 
 class Kinematics:
-    """Stations and movements of all bodies, in order."""
+    """Frames and movements of all bodies, in order."""
 
     def __init__(self, builder: Builder, segments: Sequence[Segment], plan: Plan, q: Sequence[Scalar]) -> None:
         self.builder, self.segments, self.plan, self._q = builder, segments, plan, q
-        self.stations: dict[int, Station] = {}
+        self.frames: dict[int, BodyFrame] = {}
         for segment in segments:
-            self.stations[segment.number] = self._place(segment)
+            self.frames[segment.number] = self._place(segment)
 
     # -- where bodies are written -------------------------------------------------------------------------------
 
-    def _place(self, segment: Segment) -> Station:
+    def _place(self, segment: Segment) -> BodyFrame:
         b = self.builder
         axes = unit_vector(b, 0), unit_vector(b, 1), unit_vector(b, 2)
         if not segment.is_revolute:
-            return Station(segment, None, None, None, "", axes)
+            return BodyFrame(segment, None, None, None, "", axes)
         angle, joints = segment.signed(self._q[segment.number - 1]), str(segment.number)
-        before = None if segment.opens_group else self.stations[segment.parent]
+        before = None if segment.opens_group else self.frames[segment.parent]
         if before and before.angle:
             angle, joints = before.angle + angle, f"{before.sum}{'p' if segment.sense > 0 else 'm'}{joints}"
         turn = Turn(segment.axis, b.sin(angle), b.cos(angle))
         b.label((turn.sine, turn.cosine), (f"S{joints}", f"C{joints}"))
         if self.plan[segment.number].own_frame:
-            return Station(segment, turn, None, None, "", axes)
+            return BodyFrame(segment, turn, None, None, "", axes)
         x, y, z = (turn.back(e) for e in axes)
-        return Station(segment, None, turn, angle, joints, (x, y, z))
+        return BodyFrame(segment, None, turn, angle, joints, (x, y, z))
 
     def slide(self, segment: Segment) -> Scalar:
         """Return how far a prismatic joint is moved along its axis."""
@@ -151,11 +151,11 @@ class Kinematics:
 
     def arrive(self, segment: Segment, v: Vector[Scalar]) -> Vector[Scalar]:
         """Take components from where the parent is written to where `segment` is."""
-        station = self.stations[segment.number]
+        frame = self.frames[segment.number]
         if segment.opens_group:
-            v = self.stations[segment.parent].own(v) if segment.parent else v
+            v = self.frames[segment.parent].own(v) if segment.parent else v
             v = segment.turn.transposed.apply(v) if segment.turn else v
-        return station.step.into(v) if station.step else v
+        return frame.step.into(v) if frame.step else v
 
     def arrive_from_base(self, segment: Segment, v: Vector[Scalar]) -> Vector[Scalar]:
         """Take components from the base frame to where `segment` is written."""
@@ -164,24 +164,24 @@ class Kinematics:
 
     def depart(self, segment: Segment, v: Vector[Scalar]) -> Vector[Scalar]:
         """Take components from where `segment` is written to where its parent is."""
-        station = self.stations[segment.number]
-        v = station.step.back(v) if station.step else v
+        frame = self.frames[segment.number]
+        v = frame.step.back(v) if frame.step else v
         if segment.opens_group:
             v = segment.turn.apply(v) if segment.turn else v
-            v = self.stations[segment.parent].written(v) if segment.parent else v
+            v = self.frames[segment.parent].written(v) if segment.parent else v
         return v
 
     def fixed(self, number: int, v: Vector[Scalar]) -> Vector[Scalar]:
         """Write a vector that is fixed in body `number`, given in its own frame, where the body is written."""
-        return self.stations[number].written(v) if number else v
+        return self.frames[number].written(v) if number else v
 
     def depart_tensor(self, segment: Segment, B: Matrix[Scalar], *, faithful: bool = False) -> Matrix[Scalar]:
         """Take a matrix from where `segment` is written to where its parent is."""
-        station = self.stations[segment.number]
-        B = station.step.back_tensor(B, faithful=faithful) if station.step else B
+        frame = self.frames[segment.number]
+        B = frame.step.back_tensor(B, faithful=faithful) if frame.step else B
         if segment.opens_group:
             B = segment.turn.times(B).times(segment.turn.transposed) if segment.turn else B
-            rest = self.stations[segment.parent].rest if segment.parent else None
+            rest = self.frames[segment.parent].rest if segment.parent else None
             B = rest.back_tensor(B, faithful=faithful) if rest else B
         return B
 
@@ -254,7 +254,7 @@ class Kinematics:
         total = Vector(zero, zero, zero)
         if segment.parent:
             scaled = self.plan[segment.parent].scaled
-            for e, length in zip(self.stations[segment.parent].directions, v, strict=True):
+            for e, length in zip(self.frames[segment.parent].directions, v, strict=True):
                 part = parent.field(e.scale(length)) if scaled else parent.field(e).scale(length)
                 total = total + part
         return total
@@ -277,4 +277,4 @@ class Kinematics:
         j, k = before.across
         across = (parent.w * parent.q - parent.A[k], parent.A[j] - parent.w * parent.p)
         OMp = Vector.of(self._by_axis(before, *across, parent.wp))
-        return self.stations[segment.parent].own(OMp).dot(self._axis_before(segment))
+        return self.frames[segment.parent].own(OMp).dot(self._axis_before(segment))

@@ -116,7 +116,7 @@ def slide_lever(kinematics: Kinematics, child: Segment) -> Vector[Scalar]:
 def directions_of(kinematics: Kinematics, segment: Segment, lump: Lump, movement: Movement) -> list[Direction]:
     """List a body's own axes as directions, with the lengths that the plan gives them."""
     found = []
-    for t, e in enumerate(kinematics.stations[segment.number].directions):
+    for t, e in enumerate(kinematics.frames[segment.number].directions):
         length = None
         if lump.radius is not None and t == lump.direction:
             length = lump.radius

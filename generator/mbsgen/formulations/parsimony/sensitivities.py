@@ -138,7 +138,7 @@ class Recursion:
 
     def own(self, segment: Segment, lump: Lump) -> Composite:
         """Describe a body alone."""
-        om, axes = self.doubled_velocity(segment), self.kinematics.stations[segment.number].directions
+        om, axes = self.doubled_velocity(segment), self.kinematics.frames[segment.number].directions
         S = self.kinematics.fixed(segment.number, lump.S)
         P = own_moments(self.builder, segment, lump, axes)
         J = own_inertia(self.builder, segment, lump, axes)

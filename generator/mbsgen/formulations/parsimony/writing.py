@@ -1,4 +1,4 @@
-"""What every recursion of this folder begins with: segments, lumps and stations, as reductions and a plan want them."""
+"""What every recursion of this folder begins with: segments, lumps and frames, as reductions and a plan want them."""
 
 from __future__ import annotations
 
