@@ -64,15 +64,15 @@ def accelerations(writing: Writing, qd: Sequence[Scalar], Q: Sequence[Scalar]) -
     segments = kinematics.segments
     movements = kinematics.move(writing.chain.gravity, qd, writing.chain.drift)
     bodies = articulate(writing)
-    spare: dict[int, Scalar] = {}  # what a joint's force has to spare over the bias: u
+    force_residual: dict[int, Scalar] = {}  # u = Q - e.bias: the joint force that the bias motion leaves unbalanced
     loads: dict[int, Load] = {}
     for segment in reversed(segments):
         i = segment.number
         force = segment.signed(Q[i - 1])
         bias = join_loads(kinematics, segment, lumps[i], movements[i], loads)
-        spare[i] = force - (bias.N if segment.is_revolute else bias.F)[segment.axis]
-        loads[i] = _hook(segment, bias, bodies[i], spare[i], force)
-    return _accelerate(kinematics, bodies, spare), bodies
+        force_residual[i] = force - (bias.N if segment.is_revolute else bias.F)[segment.axis]
+        loads[i] = _hook(segment, bias, bodies[i], force_residual[i], force)
+    return _accelerate(kinematics, bodies, force_residual), bodies
 
 
 def articulate(writing: Writing) -> dict[int, Body]:
@@ -146,14 +146,14 @@ def _free(chain: Chain, segment: Segment, parts: tuple[Inertia, ...]) -> Body:
     return Body(parts, pivot, slip, KF, KN, Inertia(M, B, J))
 
 
-def _hook(segment: Segment, bias: Load, body: Body, spare: Scalar, force: Scalar) -> Load:
+def _hook(segment: Segment, bias: Load, body: Body, force_residual: Scalar, force: Scalar) -> Load:
     """Add a joint's share to the bias; along its axis, the load is then the joint's force, less the rotor's part."""
-    F, N = list(bias.F + body.KF.scale(spare)), list(bias.N + body.KN.scale(spare))
-    (N if segment.is_revolute else F)[segment.axis] = force - body.slip * spare
+    F, N = list(bias.F + body.KF.scale(force_residual)), list(bias.N + body.KN.scale(force_residual))
+    (N if segment.is_revolute else F)[segment.axis] = force - body.slip * force_residual
     return Load(Vector.of(F), Vector.of(N), Vector.of(N))
 
 
-def _accelerate(kinematics: Kinematics, bodies: dict[int, Body], spare: dict[int, Scalar]) -> list[Scalar]:
+def _accelerate(kinematics: Kinematics, bodies: dict[int, Body], force_residual: dict[int, Scalar]) -> list[Scalar]:
     """From the base to the leaves: share out the increments."""
     zero = kinematics.builder.zero
     still = Vector(zero, zero, zero)
@@ -166,7 +166,7 @@ def _accelerate(kinematics: Kinematics, bodies: dict[int, Body], spare: dict[int
         axis = segment.axis
         before = (OMp if segment.is_revolute else a)[axis]
         rest = [(body.KN, OMp), (body.KF, a)]
-        total = spare[segment.number] / body.pivot
+        total = force_residual[segment.number] / body.pivot
         for K, motion in rest:
             for r in range(3):
                 if r != axis or (K is body.KF) == segment.is_revolute:
