@@ -60,7 +60,7 @@ def _hold(writing: Writing) -> dict[int, Scalar]:
     composites: dict[int, Composite] = {}
     diagonal = {}
     for s in reversed(writing.kinematics.segments):
-        body = compose(writing.kinematics, s, writing.lumps[s.number], composites)
+        body = compose(writing.kinematics, s, writing.inertias[s.number], composites)
         composites[s.number] = body
         felt = body.J[s.axis, s.axis] if s.is_revolute else body.m
         diagonal[s.number] = felt + writing.chain.armatures[s.number - 1]
@@ -75,7 +75,7 @@ def _give_way(kinematics: Kinematics, bodies: Mapping[int, Body]) -> tuple[dict[
     for s in kinematics.segments:
         body, along = bodies[s.number], s.axis + (3 if s.is_revolute else 0)
         before = _arrive(kinematics, s, compliances[s.parent])
-        K = [-body.slip if r == along else x for r, x in enumerate((*body.KF, *body.KN))]  # less the axis itself
+        K = [-body.rotor_share if r == along else x for r, x in enumerate((*body.KF, *body.KN))]  # less the axis itself
         taken = [_dot(row, K) for row in before]
         own = b.number(1.0) / body.pivot + _dot(taken, K)
         free[s.number] = own + taken[along] + taken[along] + before[along][along]

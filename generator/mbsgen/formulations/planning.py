@@ -154,10 +154,12 @@ def _restraint(tree: Tree, reductions: Reductions) -> Restraint:
             return None
 
     def restrain_plan(plan: Plan) -> Plan | None:
-        found = move(replace(plan, choices=tuple(Choice(mass=c.mass, ring=c.ring) for c in plan.choices)))
+        found = move(replace(plan, choices=tuple(Choice(mass=c.mass, spin_from=c.spin_from) for c in plan.choices)))
         if found is None:
             return None
-        choices = (replace(c, mass=x.mass, ring=x.ring) for c, x in zip(plan.choices, found.choices, strict=True))
+        choices = (
+            replace(c, mass=x.mass, spin_from=x.spin_from) for c, x in zip(plan.choices, found.choices, strict=True)
+        )
         return replace(plan, choices=tuple(choices))
 
     return restrain_plan

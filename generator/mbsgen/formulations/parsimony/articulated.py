@@ -7,9 +7,9 @@ Loads and increments of a body are about its origin, where the body is written:
 
     F = M a + B OMp,    N = BT a + J OMp
 
-A rotor feels its joint's own acceleration alone. So its inertia stands in the pivot, and of the joint's force it takes
-the part `slip` that it has of the pivot. Along the axis, the rest is felt by the bodies, and slip of their inertia is
-left to the parent; without a rotor, the whole, and nothing.
+A rotor feels only its joint's own acceleration. So the pivot contains its inertia, and the rotor takes the fraction
+`rotor_share` = rotor / pivot of the joint's force. The bodies take the rest. Along the axis, the parent then feels
+`rotor_share` times the bodies' inertia; without a rotor, nothing.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from mbsgen.algebra.vectors import Matrix, Vector
 from mbsgen.formulations.links import Chain, check_pivot
 from mbsgen.formulations.parsimony.mass_matrix import link, own_inertia
 from mbsgen.formulations.parsimony.motion import Kinematics
-from mbsgen.formulations.parsimony.regrouping import Lump
+from mbsgen.formulations.parsimony.regrouping import RegroupedInertia
 from mbsgen.formulations.parsimony.residual import Load, join_loads
 from mbsgen.formulations.parsimony.segments import Segment, children
 from mbsgen.formulations.parsimony.writing import Writing
@@ -44,7 +44,7 @@ class Body:
 
     parts: tuple[Inertia, ...]  # what its origin feels: of itself, and of what each of its joints carries
     pivot: Scalar  # the inertia that its own joint feels: D
-    slip: Scalar  # the part of it that is the rotor's
+    rotor_share: Scalar  # the part of the pivot that is the rotor's inertia
     KF: Vector[Scalar]  # load for a unit force of its joint
     KN: Vector[Scalar]
     left: Inertia  # what is left with its joint free
@@ -60,7 +60,7 @@ class Increment:
 
 def accelerations(writing: Writing, qd: Sequence[Scalar], Q: Sequence[Scalar]) -> tuple[list[Scalar], dict[int, Body]]:
     """Compute qdd, and what it was found with."""
-    kinematics, lumps = writing.kinematics, writing.lumps
+    kinematics, inertias = writing.kinematics, writing.inertias
     segments = kinematics.segments
     movements = kinematics.move(writing.chain.gravity, qd, writing.chain.drift)
     bodies = articulate(writing)
@@ -69,7 +69,7 @@ def accelerations(writing: Writing, qd: Sequence[Scalar], Q: Sequence[Scalar]) -
     for segment in reversed(segments):
         i = segment.number
         force = segment.signed(Q[i - 1])
-        bias = join_loads(kinematics, segment, lumps[i], movements[i], loads)
+        bias = join_loads(kinematics, segment, inertias[i], movements[i], loads)
         force_residual[i] = force - (bias.N if segment.is_revolute else bias.F)[segment.axis]
         loads[i] = _hook(segment, bias, bodies[i], force_residual[i], force)
     return _accelerate(kinematics, bodies, force_residual), bodies
@@ -80,18 +80,20 @@ def articulate(writing: Writing) -> dict[int, Body]:
     kinematics = writing.kinematics
     bodies: dict[int, Body] = {}
     for segment in reversed(kinematics.segments):
-        parts = _gather(kinematics, segment, writing.lumps[segment.number], bodies)
+        parts = _gather(kinematics, segment, writing.inertias[segment.number], bodies)
         bodies[segment.number] = _free(writing.chain, segment, parts)
     return bodies
 
 
-def _gather(kinematics: Kinematics, segment: Segment, lump: Lump, bodies: dict[int, Body]) -> tuple[Inertia, ...]:
+def _gather(
+    kinematics: Kinematics, segment: Segment, inertia: RegroupedInertia, bodies: dict[int, Body]
+) -> tuple[Inertia, ...]:
     """List a body's own inertia, and what each of its joints carries."""
     b = kinematics.builder
     axes = kinematics.frames[segment.number].directions
-    S = kinematics.fixed(segment.number, lump.S)
-    M = Matrix.of([lump.m if r == c else b.zero for c in range(3)] for r in range(3))
-    parts = [Inertia(M, cross_matrix(b, -S), own_inertia(b, segment, lump, axes))]
+    S = kinematics.fixed(segment.number, inertia.S)
+    M = Matrix.of([inertia.m if r == c else b.zero for c in range(3)] for r in range(3))
+    parts = [Inertia(M, cross_matrix(b, -S), own_inertia(b, segment, inertia, axes))]
     for child in children(kinematics.segments, segment.number):
         beyond, d = bodies[child.number].left, link(kinematics, child)
         M, B, J = (kinematics.depart_tensor(child, x, faithful=True) for x in (beyond.M, beyond.B, beyond.J))
@@ -123,13 +125,13 @@ def _free(chain: Chain, segment: Segment, parts: tuple[Inertia, ...]) -> Body:
         pivot = UF[e] + rotor
     check_pivot(chain.tree, segment.number, pivot)
     inverse = chain.builder.number(1.0) / pivot
-    KF, KN, slip = UF.scale(inverse), UN.scale(inverse), rotor * inverse
+    KF, KN, rotor_share = UF.scale(inverse), UN.scale(inverse), rotor * inverse
 
     def left(
         own: Matrix[Scalar], K: Vector[Scalar], U: Vector[Scalar], along: set[int], *, mirror: bool
     ) -> Matrix[Scalar]:
         rest = {
-            (r, c): slip * own[r, c] if (r in along and mirror) or c in along else own[r, c] - K[r] * U[c]
+            (r, c): rotor_share * own[r, c] if (r in along and mirror) or c in along else own[r, c] - K[r] * U[c]
             for r in range(3)
             for c in range(3)
             if r <= c or not mirror
@@ -142,14 +144,14 @@ def _free(chain: Chain, segment: Segment, parts: tuple[Inertia, ...]) -> Body:
     J = left(whole.J, KN, UN, turned, mirror=True)
     B = left(whole.B, KF, UN, turned, mirror=False)
     if slid:
-        B = Matrix.of([slip * whole.B[r, c] if r == e else B[r, c] for c in range(3)] for r in range(3))
-    return Body(parts, pivot, slip, KF, KN, Inertia(M, B, J))
+        B = Matrix.of([rotor_share * whole.B[r, c] if r == e else B[r, c] for c in range(3)] for r in range(3))
+    return Body(parts, pivot, rotor_share, KF, KN, Inertia(M, B, J))
 
 
 def _hook(segment: Segment, bias: Load, body: Body, force_residual: Scalar, force: Scalar) -> Load:
     """Add a joint's share to the bias; along its axis, the load is then the joint's force, less the rotor's part."""
     F, N = list(bias.F + body.KF.scale(force_residual)), list(bias.N + body.KN.scale(force_residual))
-    (N if segment.is_revolute else F)[segment.axis] = force - body.slip * force_residual
+    (N if segment.is_revolute else F)[segment.axis] = force - body.rotor_share * force_residual
     return Load(Vector.of(F), Vector.of(N), Vector.of(N))
 
 
@@ -171,7 +173,7 @@ def _accelerate(kinematics: Kinematics, bodies: dict[int, Body], force_residual:
             for r in range(3):
                 if r != axis or (K is body.KF) == segment.is_revolute:
                     total = total - K[r] * motion[r]
-        total = total + body.slip * before
+        total = total + body.rotor_share * before
         own = Vector.of(total if r == axis else x for r, x in enumerate(OMp if segment.is_revolute else a))
         increments[segment.number] = Increment(a, own) if segment.is_revolute else Increment(own, OMp)
         qdd.append(segment.signed(total - before))

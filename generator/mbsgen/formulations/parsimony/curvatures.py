@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from mbsgen.algebra.vectors import Matrix, Vector
 from mbsgen.formulations.parsimony.mass_matrix import Entries, link
 from mbsgen.formulations.parsimony.motion import Kinematics
-from mbsgen.formulations.parsimony.regrouping import Lump
+from mbsgen.formulations.parsimony.regrouping import RegroupedInertia
 from mbsgen.formulations.parsimony.residual import Load
 from mbsgen.formulations.parsimony.segments import Segment, children
 from mbsgen.formulations.parsimony.sensitivities import (
@@ -109,13 +109,13 @@ class _Recursion(Recursion):
             moving = moving.along(segment.axis, rate)
         self._turning[i], self._moving[i] = turning, moving
 
-    def compose(self, segment: Segment, lump: Lump) -> Composite:
-        body = super().compose(segment, lump)
+    def compose(self, segment: Segment, inertia: RegroupedInertia) -> Composite:
+        body = super().compose(segment, inertia)
         k, i, b = self.kinematics, segment.number, self.builder
         axes = k.frames[i].directions
-        own = self.own(segment, lump)
+        own = self.own(segment, inertia)
         moving, turning = self._moving[i], self._turning[i]
-        P = own_moments(b, segment, lump, axes)
+        P = own_moments(b, segment, inertia, axes)
         p, h = moving.scale(own.m) + turning.cross(own.S), own.S.cross(moving) + own.J.apply(turning)
         L = turned_outer(moving, own.S) - cross_matrix(turning).times(P)
         twisted = own.p.cross(moving) + own.L.transposed.apply(turning)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from mbsgen.algebra.vectors import Matrix, Vector, outer
 from mbsgen.formulations.parsimony.motion import Kinematics
-from mbsgen.formulations.parsimony.regrouping import Lump
+from mbsgen.formulations.parsimony.regrouping import RegroupedInertia
 from mbsgen.formulations.parsimony.residual import Load, slide_lever
 from mbsgen.formulations.parsimony.segments import Segment, children, unit_vector
 from mbsgen.formulations.parsimony.writing import Writing
@@ -45,11 +45,11 @@ class Part:
 
 def mass_matrix(writing: Writing, *, absolute: bool = False) -> Entries:
     """Compute one triangle of M, in relative or absolute rates; bodies on different branches have no entry."""
-    kinematics, lumps = writing.kinematics, writing.lumps
+    kinematics, inertias = writing.kinematics, writing.inertias
     composites: dict[int, Composite] = {}
     M: Entries = {}
     for segment in reversed(kinematics.segments):
-        body = compose(kinematics, segment, lumps[segment.number], composites)
+        body = compose(kinematics, segment, inertias[segment.number], composites)
         composites[segment.number] = body
         M |= _column(kinematics, segment, body, absolute=absolute)
         own = segment.number, segment.number
@@ -57,11 +57,13 @@ def mass_matrix(writing: Writing, *, absolute: bool = False) -> Entries:
     return M
 
 
-def compose(kinematics: Kinematics, segment: Segment, lump: Lump, composites: dict[int, Composite]) -> Composite:
+def compose(
+    kinematics: Kinematics, segment: Segment, inertia: RegroupedInertia, composites: dict[int, Composite]
+) -> Composite:
     """Add to a body what its joints carry."""
     b, axis = kinematics.builder, segment.axis
     axes = kinematics.frames[segment.number].directions
-    m, S, J = lump.m, kinematics.fixed(segment.number, lump.S), own_inertia(b, segment, lump, axes)
+    m, S, J = inertia.m, kinematics.fixed(segment.number, inertia.S), own_inertia(b, segment, inertia, axes)
     beyond = children(kinematics.segments, segment.number)
     for child in (x for x in beyond if x.counts_angle):
         carried, d = composites[child.number], link(kinematics, child)
@@ -104,17 +106,19 @@ def shift_inertia(J: Matrix[Scalar], d: Vector[Scalar], s: Vector[Scalar], weigh
     return Matrix.of([upper[min(r, c), max(r, c)] for c in range(3)] for r in range(3))
 
 
-def own_inertia(builder: Builder, segment: Segment, lump: Lump, axes: Sequence[Vector[Scalar]]) -> Matrix[Scalar]:
-    """Write a body's own inertia where the body is written; its ring turns about the axis unchanged."""
-    trace = lump.P[0, 0] + lump.P[1, 1] + lump.P[2, 2]
-    along = trace + lump.ring + lump.ring
+def own_inertia(
+    builder: Builder, segment: Segment, inertia: RegroupedInertia, axes: Sequence[Vector[Scalar]]
+) -> Matrix[Scalar]:
+    """Write a body's own inertia where the body is written; its spin inertia is the same at all angles."""
+    trace = inertia.P[0, 0] + inertia.P[1, 1] + inertia.P[2, 2]
+    along = trace + inertia.half_spin + inertia.half_spin
     total = Matrix.of(
         [(along if r == segment.axis else trace) if r == c else builder.zero for c in range(3)] for r in range(3)
     )
     for t, a in enumerate(axes):
         for u, e in enumerate(axes):
-            if not lump.P[t, u].is_zero:
-                total = total - outer(a, e).scale(lump.P[t, u])
+            if not inertia.P[t, u].is_zero:
+                total = total - outer(a, e).scale(inertia.P[t, u])
     return total
 
 

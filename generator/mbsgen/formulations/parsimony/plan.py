@@ -31,7 +31,7 @@ class Choice:
     own_frame: bool = True  # in its own frame, or in the one that its predecessor on parallel axes is written in
     mass: Mass = Mass.PASSED
     scaled: bool = False  # directions across the axis have the length of the link, instead of 1; divides by it
-    ring: int = 1  # which transverse second moment (0, 1: the first or second axis after the joint's) is spread evenly
+    spin_from: int = 1  # the transverse second moment that becomes spin: 0, 1: first, second axis after the joint's
 
 
 @dataclass(frozen=True)

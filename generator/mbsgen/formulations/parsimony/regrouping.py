@@ -1,10 +1,10 @@
 """Regrouping: inertia that a joint cannot feel moves to the body that carries it; base inertial parameters.
 
 Points on a revolute joint's axis belong to both of its bodies. So any mass m, first moment s and second moment p spread
-on the axis may change sides: all of p and s leave the body, and of the mass as much as the plan says. Of what remains,
-one transverse second moment is spread over a ring about the axis, and the ring counted as spin inertia about it less a
-second moment along it, which moves too. On a prismatic joint all of P belongs to the parent. What reaches the base is
-gone.
+on the axis may change sides: all of p and s leave the body, and as much of the mass as the plan says. One transverse
+second moment r is then split off: diag(r, r, 0) = diag(r, r, -r) + r e eT, with e along the axis. The first part has no inertia
+but the spin inertia 2 r about the axis, and stays; the second part lies on the axis, and moves. On a prismatic joint
+all of P moves to the parent. What reaches the base is dropped.
 (Khalil, Kleinfinger, 1987; Gautier, 1991; for the free mass, Niemeyer, Slotine, 1991.)
 """
 
@@ -28,13 +28,13 @@ Fits = Callable[[int, Moments], bool]  # whether these moments may move from a b
 
 
 @dataclass(frozen=True)
-class Lump:
-    """What a body is left with. All moments about its origin, in its own frame."""
+class RegroupedInertia:
+    """The inertia of a body after regrouping. All moments are about its origin, in its own frame."""
 
     m: Scalar
     S: Vector[Scalar]  # nothing along the axis of a revolute joint
-    P: Matrix[Scalar]  # without what the ring holds
-    ring: Scalar  # second moment of the ring about the axis; its spin inertia is twice that
+    P: Matrix[Scalar]  # less the transverse moment that became spin inertia
+    half_spin: Scalar  # half the spin inertia about the axis
     radius: Scalar | None  # a point mass: its distance from the origin ...
     direction: int  # ... along this axis
 
@@ -53,28 +53,29 @@ class Transfer:
         return sum_ if self.cancels is None else Moments(sum_.m, _clear(zero, sum_.S, self.cancels), sum_.P)
 
 
-def keep(builder: Builder, segments: Sequence[Segment]) -> dict[int, Lump]:
+def keep(builder: Builder, segments: Sequence[Segment]) -> dict[int, RegroupedInertia]:
     """Leave every body what it has."""
     return {
-        s.number: Lump(s.moments.m, s.moments.S, s.moments.P, builder.zero, radius=None, direction=0) for s in segments
+        s.number: RegroupedInertia(s.moments.m, s.moments.S, s.moments.P, builder.zero, radius=None, direction=0)
+        for s in segments
     }
 
 
-def regroup(builder: Builder, segments: Sequence[Segment], plan: Plan) -> dict[int, Lump]:
+def regroup(builder: Builder, segments: Sequence[Segment], plan: Plan) -> dict[int, RegroupedInertia]:
     """Regroup from the leaves to the base. Raises NoSuchPlanError for a plan that does not fit."""
-    lumps: dict[int, Lump] = {}
+    inertias: dict[int, RegroupedInertia] = {}
     gathered = {s.number: s.moments for s in segments}
     total = reduce(add, (s.moments.m for s in segments))
     for segment in reversed(segments):
         beyond, balancing = _carried(segments, segment, plan)
         own = gathered[segment.number]
         for child in (*beyond, *balancing):
-            lumps[child.number], transfer = _part(builder, child, gathered[child.number], plan, own, total)
+            inertias[child.number], transfer = _part(builder, child, gathered[child.number], plan, own, total)
             own = transfer.join(own)
         gathered[segment.number] = own
     for segment in children(segments, 0):
-        lumps[segment.number] = _rest_on_base(builder, segment, gathered[segment.number], plan[segment.number])
-    return lumps
+        inertias[segment.number] = _rest_on_base(builder, segment, gathered[segment.number], plan[segment.number])
+    return inertias
 
 
 def restrain(builder: Builder, segments: Sequence[Segment], plan: Plan, fits: Fits) -> Plan:
@@ -113,32 +114,32 @@ def _carried(
 
 
 def _alternatives(choice: Choice) -> Iterator[Choice]:
-    """List what a body may move, in the order of trial: what is planned; the free mass, with either ring."""
+    """List what a body may move, in the order of trial: what is planned; the free mass, with spin from either axis."""
     if choice.mass is not Mass.PASSED:
         yield choice
     yield replace(choice, mass=Mass.PASSED)
-    yield replace(choice, mass=Mass.PASSED, ring=1 - choice.ring)
+    yield replace(choice, mass=Mass.PASSED, spin_from=1 - choice.spin_from)
 
 
 def _part(
     builder: Builder, segment: Segment, own: Moments, plan: Plan, parent: Moments, total: Scalar
-) -> tuple[Lump, Transfer]:
+) -> tuple[RegroupedInertia, Transfer]:
     """Part a body's moments: what stays, and what moves to the parent, whose moments so far are `parent`."""
     zero, axis, choice = builder.zero, segment.axis, plan[segment.number]
     if segment.floats and choice.mass not in (Mass.PASSED, Mass.KEPT):
         raise NoSuchPlanError("nothing moves from a frame that a quaternion turns")
     if choice.mass is Mass.KEPT or segment.floats:
-        return Lump(own.m, own.S, own.P, zero, radius=None, direction=0), Transfer(_nothing(builder))
+        return RegroupedInertia(own.m, own.S, own.P, zero, radius=None, direction=0), Transfer(_nothing(builder))
     turn = segment.turn or unit_matrix(builder)
     if not segment.is_revolute:
         if choice.mass is not Mass.PASSED:
             raise NoSuchPlanError("mass cannot move along a prismatic joint")
         flat = own.P.map(lambda _: zero)
         moved = Moments(zero, own.S.map(lambda _: zero), turn.times(own.P).times(turn.transposed))
-        return Lump(own.m, own.S, flat, zero, radius=None, direction=0), Transfer(moved)
-    ring = own.P[segment.across[choice.ring], segment.across[choice.ring]]
+        return RegroupedInertia(own.m, own.S, flat, zero, radius=None, direction=0), Transfer(moved)
+    half_spin = own.P[segment.across[choice.spin_from], segment.across[choice.spin_from]]
     e = turn.column(axis)
-    along, second = own.S[axis], own.P[axis, axis] + ring
+    along, second = own.S[axis], own.P[axis, axis] + half_spin
     m, radius, direction, cancels = own.m, None, 0, None
     if choice.mass is Mass.BALANCING:
         k = cancels = _lever(segment)
@@ -153,8 +154,10 @@ def _part(
         m = own.m - staying
     _check_size(m, total)
     moved = _on_axis(m, along, second, segment.d, e)
-    P = _without_ring(builder, segment, own.P, ring)
-    return Lump(own.m - m, _clear(zero, own.S, axis), P, ring, radius, direction), Transfer(moved, cancels)
+    P = _without_spin(builder, segment, own.P, half_spin)
+    return RegroupedInertia(own.m - m, _clear(zero, own.S, axis), P, half_spin, radius, direction), Transfer(
+        moved, cancels
+    )
 
 
 def _nothing(builder: Builder) -> Moments:
@@ -162,17 +165,17 @@ def _nothing(builder: Builder) -> Moments:
     return Moments(builder.zero, still, Matrix((still, still, still)))
 
 
-def _rest_on_base(builder: Builder, segment: Segment, own: Moments, choice: Choice) -> Lump:
+def _rest_on_base(builder: Builder, segment: Segment, own: Moments, choice: Choice) -> RegroupedInertia:
     """Keep of a body on the base what its joint can feel."""
     zero = builder.zero
     if choice.mass is not Mass.PASSED:
         raise NoSuchPlanError("the base takes all mass")
     if not segment.is_revolute:
-        return Lump(own.m, own.S, own.P.map(lambda _: zero), zero, radius=None, direction=0)
-    ring = own.P[segment.across[choice.ring], segment.across[choice.ring]]
+        return RegroupedInertia(own.m, own.S, own.P.map(lambda _: zero), zero, radius=None, direction=0)
+    half_spin = own.P[segment.across[choice.spin_from], segment.across[choice.spin_from]]
     S = _clear(zero, own.S, segment.axis)
-    P = _without_ring(builder, segment, own.P, ring)
-    return Lump(zero, S, P, ring, radius=None, direction=0)
+    P = _without_spin(builder, segment, own.P, half_spin)
+    return RegroupedInertia(zero, S, P, half_spin, radius=None, direction=0)
 
 
 def _check_size(moved: Scalar, total: Scalar) -> None:
@@ -196,12 +199,12 @@ def guard_divisor(segment: Segment, divisor: Scalar, scale: Scalar) -> None:
         divisor.builder.guard(divisor.builder.apply(Op.ABS, divisor), scale, ROUNDING, segment.number, early=True)
 
 
-def _without_ring(builder: Builder, segment: Segment, P: Matrix[Scalar], ring: Scalar) -> Matrix[Scalar]:
+def _without_spin(builder: Builder, segment: Segment, P: Matrix[Scalar], half_spin: Scalar) -> Matrix[Scalar]:
     zero, axis = builder.zero, segment.axis
     rows = [[P[r, c] for c in range(3)] for r in range(3)]
     rows[axis][axis] = zero
     for k in segment.across:
-        rows[k][k] = rows[k][k] - ring
+        rows[k][k] = rows[k][k] - half_spin
     return Matrix.of(rows)
 
 
@@ -221,9 +224,9 @@ def _lever(segment: Segment) -> int:
 
 
 def _percussion(segment: Segment, own: Moments, plan: Plan, total: Scalar) -> tuple[Scalar, Scalar, int]:
-    """Find the mass, distance and direction of the point that has a body's S and P, its ring apart."""
+    """Find the mass, distance and direction of the point that has a body's S and P, its spin inertia apart."""
     choice = plan[segment.number]
-    k, other = segment.across[1 - choice.ring], segment.across[choice.ring]
+    k, other = segment.across[1 - choice.spin_from], segment.across[choice.spin_from]
     rest = (own.S[other], own.P[k, other], own.P[k, segment.axis], own.P[other, segment.axis])
     if own.S[k].is_zero or not all(x.is_zero for x in rest):
         raise NoSuchPlanError("the body is no pendulum in a plane of symmetry")

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from mbsgen.algebra.vectors import Vector
 from mbsgen.formulations.links import AppliedWrench
 from mbsgen.formulations.parsimony.motion import Kinematics, Movement
-from mbsgen.formulations.parsimony.regrouping import Lump, guard_divisor
+from mbsgen.formulations.parsimony.regrouping import RegroupedInertia, guard_divisor
 from mbsgen.formulations.parsimony.segments import Segment, children, unit_vector
 from mbsgen.formulations.parsimony.writing import Writing
 from mbsgen.tape.builder import Builder, Scalar
@@ -54,12 +54,14 @@ def residual(writing: Writing, qd: Sequence[Scalar], qdd: Sequence[Scalar], *, a
     the joints that continue the group. What rotors feel is part of both: that of a joint, which has a coordinate of its
     own then.
     """
-    kinematics, lumps = writing.kinematics, writing.lumps
+    kinematics, inertias = writing.kinematics, writing.inertias
     segments = kinematics.segments
     movements = kinematics.move(writing.chain.gravity, qd, qdd)
     loads: dict[int, Load] = {}
     for segment in reversed(segments):
-        loads[segment.number] = join_loads(kinematics, segment, lumps[segment.number], movements[segment.number], loads)
+        loads[segment.number] = join_loads(
+            kinematics, segment, inertias[segment.number], movements[segment.number], loads
+        )
     felt = [_along(s, loads[s.number], absolute=absolute) for s in segments]
     rotors = (rotor * a for rotor, a in zip(writing.chain.armatures, qdd, strict=True))
     return [
@@ -74,11 +76,11 @@ def _along(segment: Segment, load: Load, *, absolute: bool) -> Scalar:
 
 
 def join_loads(
-    kinematics: Kinematics, segment: Segment, lump: Lump, movement: Movement, loads: dict[int, Load]
+    kinematics: Kinematics, segment: Segment, inertia: RegroupedInertia, movement: Movement, loads: dict[int, Load]
 ) -> Load:
     """Add to a body's own load what its joints carry, and what acts on it from outside."""
-    directions = directions_of(kinematics, segment, lump, movement)
-    F, N, V = inertial_load(kinematics.builder, segment, lump, movement, directions)
+    directions = directions_of(kinematics, segment, inertia, movement)
+    F, N, V = inertial_load(kinematics.builder, segment, inertia, movement, directions)
     zero = kinematics.builder.zero
     grouped = Vector(zero, zero, zero)
     for child in children(kinematics.segments, segment.number):
@@ -113,13 +115,15 @@ def slide_lever(kinematics: Kinematics, child: Segment) -> Vector[Scalar]:
     return kinematics.fixed(child.parent, e.scale(kinematics.slide(child)))
 
 
-def directions_of(kinematics: Kinematics, segment: Segment, lump: Lump, movement: Movement) -> list[Direction]:
+def directions_of(
+    kinematics: Kinematics, segment: Segment, inertia: RegroupedInertia, movement: Movement
+) -> list[Direction]:
     """List a body's own axes as directions, with the lengths that the plan gives them."""
     found = []
     for t, e in enumerate(kinematics.frames[segment.number].directions):
         length = None
-        if lump.radius is not None and t == lump.direction:
-            length = lump.radius
+        if inertia.radius is not None and t == inertia.direction:
+            length = inertia.radius
         elif kinematics.plan[segment.number].scaled and t != segment.axis:
             links = [c.d[t] for c in children(kinematics.segments, segment.number) if not c.d[t].is_zero]
             length = links[0] if links else None
@@ -132,28 +136,28 @@ def directions_of(kinematics: Kinematics, segment: Segment, lump: Lump, movement
 
 
 def inertial_load(
-    builder: Builder, segment: Segment, lump: Lump, movement: Movement, directions: Sequence[Direction]
+    builder: Builder, segment: Segment, inertia: RegroupedInertia, movement: Movement, directions: Sequence[Direction]
 ) -> tuple[Vector[Scalar], Vector[Scalar], list[Vector[Scalar]]]:
-    """Form a body's own force, the moment of its ring, and its V by direction."""
+    """Form a body's own force, the moment of its spin inertia, and its V by direction."""
     still = Vector(builder.zero, builder.zero, builder.zero)
-    if lump.radius is not None:  # a point mass: its force acts at the end of its direction
-        F = (movement.a0 + directions[lump.direction].Ue).scale(lump.m)
-        V = [F if t == lump.direction else still for t in range(3)]
-        return F, _ring_moment(builder, segment, lump, movement), V
-    F, V = movement.a0.scale(lump.m), []
+    if inertia.radius is not None:  # a point mass: its force acts at the end of its direction
+        F = (movement.a0 + directions[inertia.direction].Ue).scale(inertia.m)
+        V = [F if t == inertia.direction else still for t in range(3)]
+        return F, _spin_moment(builder, segment, inertia, movement), V
+    F, V = movement.a0.scale(inertia.m), []
     for t, direction in enumerate(directions):
-        F = F + direction.Ue.scale(direction.share(lump.S[t]))
-        v = movement.a0.scale(direction.share(lump.S[t]))
+        F = F + direction.Ue.scale(direction.share(inertia.S[t]))
+        v = movement.a0.scale(direction.share(inertia.S[t]))
         for u, other in enumerate(directions):
-            v = v + other.Ue.scale(other.share(direction.share(lump.P[t, u])))
+            v = v + other.Ue.scale(other.share(direction.share(inertia.P[t, u])))
         V.append(v)
-    return F, _ring_moment(builder, segment, lump, movement), V
+    return F, _spin_moment(builder, segment, inertia, movement), V
 
 
-def _ring_moment(builder: Builder, segment: Segment, lump: Lump, movement: Movement) -> Vector[Scalar]:
-    """Form the moment of a ring about the axis, which is that of its spin alone."""
+def _spin_moment(builder: Builder, segment: Segment, inertia: RegroupedInertia, movement: Movement) -> Vector[Scalar]:
+    """Form the moment of the spin inertia: 2 r (wp e + w OM x e)."""
     j, k = segment.across
-    spin = builder.number(2.0) * lump.ring
+    spin = builder.number(2.0) * inertia.half_spin
     parts = {
         segment.axis: spin * movement.wp,
         j: spin * (movement.w * movement.q),

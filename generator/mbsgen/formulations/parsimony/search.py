@@ -63,8 +63,8 @@ def _beginnings(segments: Sequence[Segment], reductions: Reductions) -> Iterator
         return
     continued = {s.parent for s in segments if not s.opens_group}
     grouped = [s.number in continued or not s.opens_group for s in segments]
-    for ring, scaled in product((0, 1), (False, True) if reductions.lump else (False,)):
-        shared, own = Choice(own_frame=False, ring=ring, scaled=scaled), Choice(ring=ring)
+    for spin_from, scaled in product((0, 1), (False, True) if reductions.lump else (False,)):
+        shared, own = Choice(own_frame=False, spin_from=spin_from, scaled=scaled), Choice(spin_from=spin_from)
         yield Plan(tuple(shared if g else own for g in grouped), runtime)
         yield Plan(tuple(shared if s.number in continued else own for s in segments), runtime)
 
@@ -72,7 +72,7 @@ def _beginnings(segments: Sequence[Segment], reductions: Reductions) -> Iterator
 def _alternatives(
     segments: Sequence[Segment], segment: Segment, choice: Choice, reductions: Reductions
 ) -> Iterator[Choice]:
-    """Change one thing of a body's choice; a mass together with the ring that it goes with; then, all at once."""
+    """Change one thing of a body's choice; a mass together with the axis of its spin inertia; then all at once."""
     if not segment.is_revolute:
         return
     is_leaf = not children(segments, segment.number)
@@ -85,6 +85,6 @@ def _alternatives(
         frames.append(False)
     yield from (replace(choice, own_frame=own) for own in frames)
     yield from (replace(choice, scaled=scaled) for scaled in lengths)
-    yield from (replace(choice, mass=mass, ring=ring) for mass, ring in product(masses, (0, 1)))
-    for own_frame, mass, ring, scaled in product(frames, masses, (0, 1), lengths):
-        yield Choice(own_frame, mass, scaled, ring)
+    yield from (replace(choice, mass=mass, spin_from=spin_from) for mass, spin_from in product(masses, (0, 1)))
+    for own_frame, mass, spin_from, scaled in product(frames, masses, (0, 1), lengths):
+        yield Choice(own_frame, mass, scaled, spin_from)

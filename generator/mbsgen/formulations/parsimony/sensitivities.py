@@ -22,7 +22,7 @@ from typing import Protocol, Self, TypeVar
 from mbsgen.algebra.vectors import Matrix, Vector, outer
 from mbsgen.formulations.parsimony.mass_matrix import Entries, link, own_inertia, shift_inertia
 from mbsgen.formulations.parsimony.motion import Kinematics, Movement
-from mbsgen.formulations.parsimony.regrouping import Lump
+from mbsgen.formulations.parsimony.regrouping import RegroupedInertia
 from mbsgen.formulations.parsimony.residual import Load, join_loads
 from mbsgen.formulations.parsimony.segments import Segment, children, unit_vector
 from mbsgen.formulations.parsimony.writing import Writing
@@ -99,7 +99,7 @@ def sensitivities(writing: Writing, qd: Sequence[Scalar], qdd: Sequence[Scalar])
 
 class Recursion:
     def __init__(self, writing: Writing, qd: Sequence[Scalar], qdd: Sequence[Scalar]) -> None:
-        self.kinematics, self.lumps, self.qd = writing.kinematics, writing.lumps, qd
+        self.kinematics, self.inertias, self.qd = writing.kinematics, writing.inertias, qd
         self.builder = writing.chain.builder
         self.two = self.builder.number(2.0)
         self.movements = self.kinematics.move(writing.chain.gravity, qd, qdd)
@@ -111,8 +111,8 @@ class Recursion:
         loads: dict[int, Load] = {}
         for segment in reversed(self.kinematics.segments):
             i = segment.number
-            loads[i] = join_loads(self.kinematics, segment, self.lumps[i], self.movements[i], loads)
-            self.composites[i] = self.compose(segment, self.lumps[i])
+            loads[i] = join_loads(self.kinematics, segment, self.inertias[i], self.movements[i], loads)
+            self.composites[i] = self.compose(segment, self.inertias[i])
             self.found.Phi[i] = segment.signed((loads[i].N if segment.is_revolute else loads[i].F)[segment.axis])
             self.differentiate(segment, self.composites[i], loads[i])
         return self.found
@@ -136,17 +136,17 @@ class Recursion:
             return v
         return v + axis_before(self.kinematics, child).scale(self.two * child.signed(self.qd[child.number - 1]))
 
-    def own(self, segment: Segment, lump: Lump) -> Composite:
+    def own(self, segment: Segment, inertia: RegroupedInertia) -> Composite:
         """Describe a body alone."""
         om, axes = self.doubled_velocity(segment), self.kinematics.frames[segment.number].directions
-        S = self.kinematics.fixed(segment.number, lump.S)
-        P = own_moments(self.builder, segment, lump, axes)
-        J = own_inertia(self.builder, segment, lump, axes)
-        return Composite(lump.m, S, J, om.cross(S), -cross_matrix(om).times(P))
+        S = self.kinematics.fixed(segment.number, inertia.S)
+        P = own_moments(self.builder, segment, inertia, axes)
+        J = own_inertia(self.builder, segment, inertia, axes)
+        return Composite(inertia.m, S, J, om.cross(S), -cross_matrix(om).times(P))
 
-    def compose(self, segment: Segment, lump: Lump) -> Composite:
+    def compose(self, segment: Segment, inertia: RegroupedInertia) -> Composite:
         """Add to a body what its joints carry."""
-        k, own = self.kinematics, self.own(segment, lump)
+        k, own = self.kinematics, self.own(segment, inertia)
         m, S, J, p, L = own.m, own.S, own.J, own.p, own.L
         for child in children(k.segments, segment.number):
             carried, d = self.composites[child.number], link(k, child)
@@ -274,14 +274,17 @@ def turned_outer(a: Vector[Scalar], b: Vector[Scalar]) -> Matrix[Scalar]:
     return Matrix.of([entry(r, c) for c in range(3)] for r in range(3))
 
 
-def own_moments(builder: Builder, segment: Segment, lump: Lump, axes: Sequence[Vector[Scalar]]) -> Matrix[Scalar]:
-    """Write a body's own second moments where the body is written; those of its ring are the same in all its turns."""
-    along = builder.zero - lump.ring
+def own_moments(
+    builder: Builder, segment: Segment, inertia: RegroupedInertia, axes: Sequence[Vector[Scalar]]
+) -> Matrix[Scalar]:
+    """Write a body's own second moments where the body is written; its spin inertia is the same at all angles."""
+    along = builder.zero - inertia.half_spin
     total = Matrix.of(
-        [(along if r == segment.axis else lump.ring) if r == c else builder.zero for c in range(3)] for r in range(3)
+        [(along if r == segment.axis else inertia.half_spin) if r == c else builder.zero for c in range(3)]
+        for r in range(3)
     )
     for t, a in enumerate(axes):
         for u, e in enumerate(axes):
-            if not lump.P[t, u].is_zero:
-                total = total + outer(a, e).scale(lump.P[t, u])
+            if not inertia.P[t, u].is_zero:
+                total = total + outer(a, e).scale(inertia.P[t, u])
     return total
