@@ -2,8 +2,8 @@
 
 Points on a revolute joint's axis belong to both of its bodies. So any mass m, first moment s and second moment p spread
 on the axis may change sides: all of p and s leave the body, and as much of the mass as the plan says. One transverse
-second moment r is then split off: diag(r, r, 0) = diag(r, r, -r) + r e eT, with e along the axis. The first part has no inertia
-but the spin inertia 2 r about the axis, and stays; the second part lies on the axis, and moves. On a prismatic joint
+second moment r is then split off: diag(r, r, 0) = diag(r, r, -r) + r e eT, with e along the axis. The first part has
+only the spin inertia 2 r about the axis, and stays. The second part lies on the axis, and moves. On a prismatic joint
 all of P moves to the parent. What reaches the base is dropped.
 (Khalil, Kleinfinger, 1987; Gautier, 1991; for the free mass, Niemeyer, Slotine, 1991.)
 """
