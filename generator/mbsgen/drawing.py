@@ -77,7 +77,7 @@ def pose(tree: Tree, q: Sequence[float]) -> Scene:
 def list_masses(tree: Tree) -> list[float]:
     """List the masses of the bodies, at the default parameters: kg."""
     values = {parameter.symbol: exact(parameter.value) for parameter in tree.parameters}
-    masses = (total((body.mass, *(lump.mass for lump in body.lumps))) for body in tree.bodies)
+    masses = (total((body.mass, *(part.mass for part in body.parts))) for body in tree.bodies)
     return [to_double(round_number(mass.xreplace(values))) for mass in masses]
 
 

@@ -145,8 +145,8 @@ def identify(tree: Tree) -> str:
     told: list[object] = []
     for b in tree.bodies:
         numbers = read(*b.position, *chain(*b.orientation), b.mass, *b.com, *chain(*b.inertia))
-        for lump in b.lumps:
-            numbers += read(lump.mass, *lump.com, *chain(*lump.inertia))
+        for part in b.parts:
+            numbers += read(part.mass, *part.com, *chain(*part.inertia))
         if b.joint.armature != 0:
             numbers += read(b.joint.armature)
         told.append((b.parent, b.joint.motion.value, b.joint.axis, str(b.joint.law), numbers))

@@ -15,7 +15,7 @@ from sympy import Add, Expr, Symbol, sstr, tanh
 
 from mbsgen.approximation.moments import Moments, gather_moments, replace_inertia, symmetric
 from mbsgen.model.symbols import exact, to_double
-from mbsgen.model.tree import COORDINATE, RATE, ZERO, Body, Joint, Kind, Lump, Parameter, Tree, Vector
+from mbsgen.model.tree import COORDINATE, RATE, ZERO, Body, Joint, Kind, Parameter, RigidPart, Tree, Vector
 
 AXES = "xyz"
 Take = Callable[[str, Expr], Expr]  # of a number's name and the number, what stands in its place
@@ -96,7 +96,7 @@ def _rewrite(tree: Tree, take: Take, take_terms: Callable[[Mapping[str, Expr]], 
         law = take_terms(_name_terms(joint.name, joint.law.xreplace(constants)))
         return replace(joint, armature=armature, law=law)
 
-    def take_body(body: Body, kept: tuple[Lump, ...], moments: Moments) -> Body:
+    def take_body(body: Body, kept: tuple[RigidPart, ...], moments: Moments) -> Body:
         x, y, z = (number.xreplace(constants) for number in body.position)
         placed = replace(body, position=take_vector(f"{body.name}.position", (x, y, z)), joint=take_joint(body.joint))
         return replace_inertia(placed, kept, take_moments(body.name, moments))

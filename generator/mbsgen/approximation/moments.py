@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from sympy import Expr, Integer
 
 from mbsgen.model.symbols import round_number, to_double, total
-from mbsgen.model.tree import ONE, ZERO, Body, Lump, Matrix, Motion, Tree, Vector
+from mbsgen.model.tree import ONE, ZERO, Body, Matrix, Motion, RigidPart, Tree, Vector
 
 NONE: Vector = (ZERO, ZERO, ZERO)
 HALF = ONE / 2
@@ -62,22 +62,22 @@ class Moments:
         first = _vector([_add(_times(self.m, a), b) for a, b in zip(d, S, strict=True)])
         return Moments(self.m, first, symmetric(upper))
 
-    def write(self, name: str) -> tuple[Lump, ...]:
+    def write(self, name: str) -> tuple[RigidPart, ...]:
         """Write them as masses; a first moment is that of two opposite ones."""
-        lumps = (Lump(name, self.m, NONE, self.J),)
+        parts = (RigidPart(name, self.m, NONE, self.J),)
         if all(x == 0 for x in self.S):
-            return lumps
+            return parts
         arm, back = _vector([x * HALF for x in self.S]), _vector([-x * HALF for x in self.S])
         empty = (NONE, NONE, NONE)
-        return (*lumps, Lump(f"{name}, ahead", ONE, arm, empty), Lump(f"{name}, behind", -ONE, back, empty))
+        return (*parts, RigidPart(f"{name}, ahead", ONE, arm, empty), RigidPart(f"{name}, behind", -ONE, back, empty))
 
 
-def gather_moments(tree: Tree, constants: Mapping[Expr, Expr]) -> tuple[list[tuple[Lump, ...]], list[Moments]]:
+def gather_moments(tree: Tree, constants: Mapping[Expr, Expr]) -> tuple[list[tuple[RigidPart, ...]], list[Moments]]:
     """Give what each body has of its own that depends on parameters, as it is, and the rest, where it is felt."""
-    kept: list[tuple[Lump, ...]] = []
+    kept: list[tuple[RigidPart, ...]] = []
     moments: list[Moments] = []
     for body in tree.bodies:
-        own = [(part, _read(part, constants)) for part in (_as_lump(body), *body.lumps)]
+        own = [(part, _read(part, constants)) for part in (_as_part(body), *body.parts)]
         kept.append(tuple(part for part, found in own if not found.is_known))
         moments.append(sum((found for _, found in own if found.is_known), Moments()))
     inside = {i for x in tree.quaternions for i in x.bodies}
@@ -94,10 +94,10 @@ def gather_moments(tree: Tree, constants: Mapping[Expr, Expr]) -> tuple[list[tup
     return kept, moments
 
 
-def replace_inertia(body: Body, kept: tuple[Lump, ...], moments: Moments) -> Body:
+def replace_inertia(body: Body, kept: tuple[RigidPart, ...], moments: Moments) -> Body:
     """Give a body other masses: those that are kept, and those of moments."""
-    own, *lumps = (*moments.write(body.name), *kept)
-    return replace(body, mass=own.mass, com=own.com, inertia=own.inertia, lumps=tuple(lumps))
+    own, *parts = (*moments.write(body.name), *kept)
+    return replace(body, mass=own.mass, com=own.com, inertia=own.inertia, parts=tuple(parts))
 
 
 def _find_unfelt(body: Body, own: Moments) -> Moments:
@@ -112,11 +112,11 @@ def _find_unfelt(body: Body, own: Moments) -> Moments:
     return Moments(own.m, S, J)
 
 
-def _as_lump(body: Body) -> Lump:
-    return Lump(body.name, body.mass, body.com, body.inertia)
+def _as_part(body: Body) -> RigidPart:
+    return RigidPart(body.name, body.mass, body.com, body.inertia)
 
 
-def _read(part: Lump, constants: Mapping[Expr, Expr]) -> Moments:
+def _read(part: RigidPart, constants: Mapping[Expr, Expr]) -> Moments:
     def value(number: Expr) -> Expr:
         return number.xreplace(dict(constants))
 

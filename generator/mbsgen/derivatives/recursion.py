@@ -64,7 +64,7 @@ def adjoint_jacobian(tree: Tree, reductions: Reductions) -> Tape:
 def _forces(tree: Tree, reductions: Reductions) -> Tape:
     """Write the residual of the tree without mass."""
     bodies = tuple(
-        replace(body, mass=Integer(0), com=NOTHING, inertia=(NOTHING, NOTHING, NOTHING), lumps=())
+        replace(body, mass=Integer(0), com=NOTHING, inertia=(NOTHING, NOTHING, NOTHING), parts=())
         for body in tree.bodies
     )
     return impl.build(replace(tree, gravity=NOTHING, bodies=bodies), replace(reductions, trials=1))

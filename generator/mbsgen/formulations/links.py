@@ -16,7 +16,7 @@ from sympy import Expr
 from mbsgen.algebra.rotations import axis_rotation
 from mbsgen.algebra.vectors import Matrix, Vector, outer
 from mbsgen.errors import TapeError
-from mbsgen.model.tree import COORDINATE, RATE, Body, Joint, Kind, Lump, Motion, Tree, Wrench
+from mbsgen.model.tree import COORDINATE, RATE, Body, Joint, Kind, Motion, RigidPart, Tree, Wrench
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.lowering import lower
 
@@ -190,13 +190,13 @@ def _write_link(chain: Chain, number: int, body: Body, q: Scalar) -> Link:
         slide = chain.still.along(body.joint.axis, q)
         dpt = dpt + placed.apply(slide)
     m, S, J = _write_moments(chain, body)
-    for lump in body.lumps:
-        more = _write_moments(chain, lump)
+    for part in body.parts:
+        more = _write_moments(chain, part)
         m, S, J = m + more[0], S + more[1], J + more[2]
     return Link(number, body.parent, body.joint, R, dpt, slide, m, S, J)
 
 
-def _write_moments(chain: Chain, part: Body | Lump) -> tuple[Scalar, Vector[Scalar], Matrix[Scalar]]:
+def _write_moments(chain: Chain, part: Body | RigidPart) -> tuple[Scalar, Vector[Scalar], Matrix[Scalar]]:
     m, l = chain.scalar(part.mass), chain.vector(part.com)
     S = l.scale(m)
     zero, squared = chain.builder.zero, S.dot(l)

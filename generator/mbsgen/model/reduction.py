@@ -29,10 +29,10 @@ from mbsgen.model.tree import (
     ZERO,
     Coupling,
     Kind,
-    Lump,
     Matrix,
     Parameter,
     Quaternion,
+    RigidPart,
     Tree,
     Vector,
 )
@@ -43,7 +43,7 @@ def build_tree(description: Model) -> Tree:
     parameters, reader = _read_parameters(description)
     expanded = expand(description).model
     seats = {BASE: _Seat(0)}
-    carried: dict[int, list[Lump]] = {0: []}  # what is fixed to the base is not felt
+    carried: dict[int, list[RigidPart]] = {0: []}  # what is fixed to the base is not felt
     moving: list[_Mover] = []
     for body in (expanded.bodies[i] for i in sort_bodies(expanded)):
         assert not isinstance(body.joint, tuple), "an expanded model has no sequences"
@@ -55,7 +55,7 @@ def build_tree(description: Model) -> Tree:
             seat = _Seat(len(moving), axes=author)
             carried[seat.number] = []
         seats[body.name] = seat
-        carried[seat.number].append(_read_lump(body, seat, reader))
+        carried[seat.number].append(_read_part(body, seat, reader))
     bodies = tuple(_make_body(mover, *_merge(carried[i]), reader=reader) for i, mover in enumerate(moving, 1))
     couplings = tuple(_find_couplings(description, moving, reader))
     return Tree(
@@ -223,53 +223,53 @@ class _Mover:
     axes: Matrix
 
 
-def _is_null(lump: Lump) -> bool:
+def _is_null(part: RigidPart) -> bool:
     """Tell whether there is nothing, whatever the parameters."""
-    return lump.mass is ZERO and all(entry is ZERO for row in lump.inertia for entry in row)
+    return part.mass is ZERO and all(entry is ZERO for row in part.inertia for entry in row)
 
 
-def _read_lump(body: model.Body, seat: _Seat, reader: _Reader) -> Lump:
+def _read_part(body: model.Body, seat: _Seat, reader: _Reader) -> RigidPart:
     tensor = _express_tensor(reader.matrix(body.inertia.rows), _transpose(seat.axes))
-    return Lump(body.name, reader.number(body.mass), seat.point(reader.vector(body.com)), tensor)
+    return RigidPart(body.name, reader.number(body.mass), seat.point(reader.vector(body.com)), tensor)
 
 
-def _merge(lumps: Sequence[Lump]) -> list[Lump]:
-    """Make few lumps of those that are fixed together; the first one stands in where none has mass.
+def _merge(parts: Sequence[RigidPart]) -> list[RigidPart]:
+    """Make few parts of those that are fixed together; the first one stands in where none has mass.
 
     One is made of all whose masses are numbers, and of all at one place. The others stay apart: their centre of mass
     would be 0/0 where their masses are 0 at run time.
     """
-    present = [lump for lump in lumps if not _is_null(lump)] or lumps[:1]
-    if all(lump.com == present[0].com for lump in present):
+    present = [part for part in parts if not _is_null(part)] or parts[:1]
+    if all(part.com == present[0].com for part in present):
         return [_join(present)]
-    groups: dict[object, list[Lump]] = {}
-    for lump in present:
-        groups.setdefault(None if lump.mass.is_number else lump.com, []).append(lump)
+    groups: dict[object, list[RigidPart]] = {}
+    for part in present:
+        groups.setdefault(None if part.mass.is_number else part.com, []).append(part)
     return [_join(group) for group in groups.values()]
 
 
-def _join(lumps: Sequence[Lump]) -> Lump:
-    """Make one of lumps with masses of numbers, or at one place."""
-    first, *rest = lumps
+def _join(parts: Sequence[RigidPart]) -> RigidPart:
+    """Make one of parts with masses of numbers, or at one place."""
+    first, *rest = parts
     if not rest:
         return first
-    mass, com = total(lump.mass for lump in lumps), first.com
-    if mass is not ZERO and any(lump.com != com for lump in lumps):
-        x, y, z = (_tidy(total(lump.mass * lump.com[k] for lump in lumps) / mass) for k in range(3))
+    mass, com = total(part.mass for part in parts), first.com
+    if mass is not ZERO and any(part.com != com for part in parts):
+        x, y, z = (_tidy(total(part.mass * part.com[k] for part in parts) / mass) for k in range(3))
         com = x, y, z
     pairs = [(i, j) for i in range(3) for j in range(i, 3)]
-    shifted = [_shift(lump, com) for lump in lumps]
+    shifted = [_shift(part, com) for part in parts]
     tensor = _symmetric({(i, j): _tidy(total(tensor[i][j] for tensor in shifted)) for i, j in pairs})
-    return Lump(first.name, _tidy(mass), com, tensor)
+    return RigidPart(first.name, _tidy(mass), com, tensor)
 
 
-def _shift(lump: Lump, point: Vector) -> Matrix:
+def _shift(part: RigidPart, point: Vector) -> Matrix:
     """Take a tensor about another point: I + m (d.d 1 - d dT), d from the centre of mass to it (Steiner)."""
-    d = [total((a, -b)) for a, b in zip(lump.com, point, strict=True)]
+    d = [total((a, -b)) for a, b in zip(part.com, point, strict=True)]
     squared = total(x * x for x in d)
     return _symmetric(
         {
-            (i, j): total((lump.inertia[i][j], lump.mass * total((squared if i == j else ZERO, -d[i] * d[j]))))
+            (i, j): total((part.inertia[i][j], part.mass * total((squared if i == j else ZERO, -d[i] * d[j]))))
             for i in range(3)
             for j in range(i, 3)
         }
@@ -314,7 +314,7 @@ def _find_range(joint: tree.Joint) -> Range:
     return Range(lower, upper, math.inf if joint.max_speed is None else joint.max_speed)
 
 
-def _make_body(mover: _Mover, lump: Lump, *lumps: Lump, reader: _Reader) -> tree.Body:
+def _make_body(mover: _Mover, part: RigidPart, *parts: RigidPart, reader: _Reader) -> tree.Body:
     assert mover.joint.name is not None, "the joints of an expanded model have names"
     return tree.Body(
         name=mover.name,
@@ -333,11 +333,11 @@ def _make_body(mover: _Mover, lump: Lump, *lumps: Lump, reader: _Reader) -> tree
         ),
         position=mover.position,
         orientation=mover.orientation,
-        mass=lump.mass,
-        com=lump.com,
-        inertia=lump.inertia,
+        mass=part.mass,
+        com=part.com,
+        inertia=part.inertia,
         axes=mover.axes,
-        lumps=lumps,
+        parts=parts,
     )
 
 

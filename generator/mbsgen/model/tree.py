@@ -66,10 +66,10 @@ class Joint:
 
 
 @dataclass(frozen=True)
-class Lump:
-    """A mass fixed to a body, beside the body's own."""
+class RigidPart:
+    """A rigid part welded to a body, beside the body's own mass."""
 
-    name: str  # of the author's body that it was
+    name: str  # of the body in the model file
     mass: Expr  # [kg]
     com: Vector  # centre of mass, in the frame of the body of the Tree [m]
     inertia: Matrix  # about it, in that frame [kg m2]
@@ -88,7 +88,7 @@ class Body:
     com: Vector  # l: centre of mass, in the body's frame [m]
     inertia: Matrix  # In: about the centre of mass, in the body's frame [kg m2]
     axes: Matrix = IDENTITY  # columns: the axes that the author gave the body, in the body's frame
-    lumps: tuple[Lump, ...] = ()  # further masses; their common centre is as parameters tell, if there is one
+    parts: tuple[RigidPart, ...] = ()  # further parts, whose common centre of mass depends on parameters
 
 
 @dataclass(frozen=True)
@@ -198,8 +198,8 @@ class Tree:
         for body in self.bodies:
             numbers += [*body.position, *chain(*body.orientation), body.joint.law, body.joint.armature]
             numbers += [body.mass, *body.com, *chain(*body.inertia)]
-            for lump in body.lumps:
-                numbers += [lump.mass, *lump.com, *chain(*lump.inertia)]
+            for part in body.parts:
+                numbers += [part.mass, *part.com, *chain(*part.inertia)]
         for sensor in self.sensors:
             numbers += [*sensor.position, *chain(*sensor.orientation)]
         for wrench in self.wrenches:

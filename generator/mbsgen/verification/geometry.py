@@ -13,7 +13,7 @@ from decimal import Decimal
 from sympy import Expr
 
 from mbsgen.formulations.links import DESIGN, PARAMETERS, declare_state, write_chain
-from mbsgen.model.tree import Body, Lump, Motion, Tree
+from mbsgen.model.tree import Body, Motion, RigidPart, Tree
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import DECIMALS, evaluate
 from mbsgen.tape.types import Op
@@ -59,7 +59,7 @@ class Mechanism:
         self.masses = tuple(
             Mass(i, self._found[f"m_{i}_{k}"][0], self.vector(f"com_{i}_{k}"), self.matrix(f"In_{i}_{k}"))
             for i, body in enumerate(tree.bodies, 1)
-            for k in range(1 + len(body.lumps))
+            for k in range(1 + len(body.parts))
         )
 
     def vector(self, name: str) -> Vector:
@@ -110,7 +110,7 @@ def write_numbers(tree: Tree, parameters: Mapping[str, Numbers]) -> dict[str, Nu
         put(f"R_{i}", body.orientation)
         put(f"axes_{i}", body.axes)
         put(f"rotor_{i}", [[body.joint.armature]])
-        parts: tuple[Body | Lump, ...] = (body, *body.lumps)
+        parts: tuple[Body | RigidPart, ...] = (body, *body.parts)
         for k, part in enumerate(parts):
             put(f"m_{i}_{k}", [[part.mass]])
             put(f"com_{i}_{k}", [[x] for x in part.com])

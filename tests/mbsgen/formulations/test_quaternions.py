@@ -65,7 +65,7 @@ class Peer:
             joint = self.model.addJoint(joints[first.parent], self._kind(number), place, first.name)
             for i in bodies:
                 body, joints[i] = tree.bodies[i - 1], joint
-                for part in (body, *body.lumps):
+                for part in (body, *body.parts):
                     mass = float(floats(tree, [part.mass])[0])
                     solid = pin.Inertia(mass, floats(tree, part.com), floats(tree, part.inertia))
                     self.model.appendBodyToJoint(joint, solid, pin.SE3.Identity())

@@ -173,7 +173,7 @@ bodies:
 """
     symbolic = build(text.format(m="{value: 1, kind: runtime}", c="{value: 0, kind: runtime}"), tmp_path).bodies[0]
     m, c = map(Symbol, "mc")
-    (load,) = symbolic.lumps
+    (load,) = symbolic.parts
     assert (symbolic.mass, load.mass, load.name) == (2, m, "load")
     assert c in load.com[0].free_symbols
     for values in ({"m": 3.5, "c": -0.2}, {"m": 0.5, "c": 4.0}, {"m": 0.0, "c": 1.0}):
@@ -191,13 +191,13 @@ Moments = tuple[float, Array, Array]
 
 
 def evaluate_moments(body: Body, values: dict[str, float]) -> Moments:
-    """Evaluate the moments of a body and its lumps."""
+    """Evaluate the moments of a body and its parts."""
     table = {Symbol(name): exact(value) for name, value in values.items()}
 
     def restore(numbers: object) -> Array:
         return np.vectorize(lambda x: float(x.subs(table)), otypes=[float])(np.array(numbers, dtype=object))
 
-    return add_moments([(float(restore(x.mass)), restore(x.com), restore(x.inertia)) for x in (body, *body.lumps)])
+    return add_moments([(float(restore(x.mass)), restore(x.com), restore(x.inertia)) for x in (body, *body.parts)])
 
 
 def add_moments(parts: list[Moments]) -> Moments:

@@ -16,7 +16,7 @@ from sympy import Expr
 
 from mbsgen.algebra.vectors import Matrix, Vector, outer
 from mbsgen.formulations.links import AppliedWrench, Chain
-from mbsgen.model.tree import Body, Lump, Motion
+from mbsgen.model.tree import Body, Motion, RigidPart
 from mbsgen.tape.builder import Builder, Scalar
 
 
@@ -78,8 +78,8 @@ def align(chain: Chain, *, group: bool = True) -> tuple[Segment, ...]:
         continues = group and before and is_revolute and before.is_revolute and turn is None and before.axis == axis
         d = turned[body.parent].apply(chain.position(number))
         moments = _moments(chain, body, turned[number])
-        for lump in body.lumps:
-            moments = moments + _moments(chain, lump, turned[number])
+        for part in body.parts:
+            moments = moments + _moments(chain, part, turned[number])
         wrenches = _wrenches(chain, number, turned[number])
         counts = not continues or not chain.armatures[number - 1].is_zero
         place = (number, body.parent, is_revolute, axis, sense, turn, not continues, counts)
@@ -100,7 +100,7 @@ def _is_step(entry: Expr) -> bool:
     return bool(entry.is_number) and entry in (0, 1, -1)
 
 
-def _moments(chain: Chain, part: Body | Lump, frame: Matrix[Scalar]) -> Moments:
+def _moments(chain: Chain, part: Body | RigidPart, frame: Matrix[Scalar]) -> Moments:
     m, l, In = chain.scalar(part.mass), frame.apply(chain.vector(part.com)), chain.matrix(part.inertia)
     half_trace = (In[0, 0] + In[1, 1] + In[2, 2]) * chain.builder.number(0.5)
     central = unit_matrix(chain.builder).scale(half_trace) - In
