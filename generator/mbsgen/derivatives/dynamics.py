@@ -11,13 +11,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cached_property
 
-from mbsgen.derivatives import implicit, kernels, recursion, reverse
+from mbsgen.derivatives import implicit, kernels, recursion
 from mbsgen.derivatives.kernels import Derivatives, differentiable
 from mbsgen.derivatives.vanishing import drop_vanishing, find_patterns
 from mbsgen.formulations import coupling, impl
 from mbsgen.formulations.planning import finish
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Kind, Tree
+from mbsgen.tape import reverse
 from mbsgen.tape.columns import Columns
 from mbsgen.tape.counts import count
 from mbsgen.tape.passes import drop_dead, keep_results

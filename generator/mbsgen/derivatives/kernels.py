@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 
-from mbsgen.derivatives import forward, reverse
 from mbsgen.derivatives.vanishing import drop_vanishing
 from mbsgen.formulations.links import PARAMETERS
+from mbsgen.tape import forward, reverse
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.columns import Columns
 from mbsgen.tape.counts import count

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from sympy import Integer
 
-from mbsgen.derivatives import forward, kernels, reverse
+from mbsgen.derivatives import kernels
 from mbsgen.formulations import impl
 from mbsgen.formulations.links import State, declare_state, write_chain
 from mbsgen.formulations.parsimony.curvatures import Curvatures, curvatures
@@ -22,6 +22,7 @@ from mbsgen.formulations.parsimony.writing import Writing, begin
 from mbsgen.formulations.planning import dynamics_alone, find_plans, finish
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Tree
+from mbsgen.tape import forward, reverse
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.replay import replay
 from mbsgen.tape.types import Tape

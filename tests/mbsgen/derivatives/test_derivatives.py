@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from mbsgen.derivatives import forward, reverse
 from mbsgen.derivatives.kernels import differentiate
 from mbsgen.formulations import impl
+from mbsgen.tape import forward, reverse
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import DIGITS, FLOATS, Numbers, evaluate
 from mbsgen.tape.types import Sparsity, Tape

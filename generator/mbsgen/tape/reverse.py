@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from mbsgen.derivatives.partials import partials
 from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.partials import partials
 from mbsgen.tape.replay import declare_inputs, replay, replay_guards
 from mbsgen.tape.types import Tape
 
