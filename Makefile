@@ -57,7 +57,7 @@ study: $(VENV)/installed-study
 	$(BIN)/mbsrun chart fidelity models/arm_pendulum.yaml -o build/charts $(CHARTS)
 	@# 1: a criterion is not met, or the time is over, which is for the report to tell
 	$(BIN)/mbsrun lab -o build/laboratory $(CHARTS) || test $$? -eq 1
-	$(BIN)/mbsrun study models/arm_reach.ocp.yaml -o build/study --export csv $(STUDY) \
+	$(BIN)/python -m studies.docquier models/arm_reach.ocp.yaml -o build/study --export csv $(STUDY) \
 	    $(SYSTEMS:%=--system %) --with build/charts --with build/laboratory || test $$? -eq 1
 
 # Plants faults, one at a time, and runs the tests that must notice them: a quarter of an hour.
@@ -80,7 +80,7 @@ schema: $(VENV)/installed-dev
 # The environment stays; remove $(VENV) by hand to start from nothing.
 clean:
 	rm -rf build dist .mypy_cache .ruff_cache .hypothesis
-	find generator python tests -name __pycache__ -prune -exec rm -rf {} +
+	find generator python studies tests -name __pycache__ -prune -exec rm -rf {} +
 
 $(VENV)/installed: pyproject.toml | $(VENV)/bin/python
 	$(PIP) --editable .

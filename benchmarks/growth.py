@@ -34,8 +34,8 @@ from benchmarks.table import Basis, Quickest, find_quickest
 from mbsgen.errors import MbsError
 from mbsgen.pipeline import Options, generate
 from mbsrun import load
+from mbsrun.measuring.mechanisms import write_chain
 from mbsrun.models import fingerprint_generator
-from mbsrun.study.mechanisms import write_chain
 
 VALUES = ("impl", "semi", "exp1", "exp2")
 JACOBIANS = ("jac_impl", "jac_exp2")

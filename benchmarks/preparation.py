@@ -57,8 +57,8 @@ from mbsgen.model.tree import Tree
 from mbsgen.pipeline import read_tree
 from mbsrun.external import Mechanism
 from mbsrun.library import compile_library
+from mbsrun.measuring.timing import Variant
 from mbsrun.models import Extent, find_folder, fingerprint
-from mbsrun.study.machine import Variant
 
 VALUES = ("impl", "semi", "exp1", "exp2")
 DIFFERENTIATED = ("impl", "semi_res", "exp1", "exp2")

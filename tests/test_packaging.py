@@ -97,6 +97,16 @@ def test_an_installed_wheel_reads_its_own_files(installed: Path) -> None:
     assert places == [str(installed / place) for place in expected]
 
 
+def test_an_installed_wheel_says_where_the_study_is(installed: Path) -> None:
+    """The folder `studies` is in the sources alone; the command exits with 2 and without a traceback."""
+    command = [sys.executable, "-m", "mbsrun", "study", "problem.ocp.yaml"]
+    environment = {**os.environ, "PYTHONPATH": str(installed)}
+    done = subprocess.run(command, cwd="/", env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 2, done.stderr
+    assert "take the sources of mbsgen, and run there: python -m studies.docquier PROBLEM" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
 def test_an_installed_wheel_generates_the_committed_bytes(installed: Path, tmp_path: Path) -> None:
     model, golden, out = ROOT / "models" / "arm_pendulum.yaml", ROOT / "generated" / "arm_pendulum", tmp_path / "out"
     run(installed / "bin" / "mbsgen", model, "-o", out, PYTHONPATH=str(installed))

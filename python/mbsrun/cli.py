@@ -26,9 +26,10 @@ from mbsgen.errors import Fault, InputError, MbsError
 from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
 from mbsgen.manifest import Manifest
 from mbsrun.cache import Entry, cache_folder, list_entries, remove
-from mbsrun.circumstances import describe_circumstances
+from mbsrun.environment import describe_environment
 from mbsrun.external import Mechanism, OnDemand, load, load_on_demand
 from mbsrun.lab.commands import lab_command
+from mbsrun.measuring.commands import advise_command, chart
 from mbsrun.ocp.checks import MAX_STEPS
 from mbsrun.ocp.integrators import IntegratorName
 from mbsrun.ocp.methods import METHODS as SOLVERS
@@ -54,6 +55,7 @@ from mbsrun.ocp.search import (
 )
 from mbsrun.ocp.solution import Failure, Resimulation, Solution, Starts, read_guess, read_solution, write_solution
 from mbsrun.ocp.solve import Progress, solve
+from mbsrun.ocp.starting import Wish, solve_from_many
 from mbsrun.ocp.starts import describe_turns, list_turning
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.table import write_table
@@ -65,9 +67,7 @@ from mbsrun.simulation.record import FILES as MOTION_FILES
 from mbsrun.simulation.record import describe_settings, write_motion
 from mbsrun.simulation.simulate import simulate
 from mbsrun.simulation.statement import Recording, read_statement
-from mbsrun.study.commands import advise_command, chart
-from mbsrun.study.starting import Wish, solve_from_many
-from mbsrun.study.study_command import study_command
+from mbsrun.studies import study_command
 
 NOT_SOLVED = 1  # exit codes; 0 is a solution as accurate as the problem asks for
 BAD_INPUT = 2
@@ -436,7 +436,7 @@ def sweep_command(
     about = (identify(study, plant.manifest), describe(study, plant.manifest))
     with open_record(out or Path(f"{problem.name}.sweep"), *about) as record:
         with MESSAGES.status("making the program") as status:
-            crew = Alone(plant, describe_circumstances())
+            crew = Alone(plant, describe_environment())
             try:
                 Search(study, crew, record, lambda attempt, _: status.update(_tell(attempt)), 60 * minutes).run(
                     protocol

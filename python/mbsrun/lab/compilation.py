@@ -11,8 +11,8 @@ from mbsrun.lab.case import Bench, Finding, check, demand
 from mbsrun.lab.digits import KERNELS, specimen
 from mbsrun.lab.mechanisms import describe_spatial, draw
 from mbsrun.library import find_compiler
-from mbsrun.study.candidates import compile_kernel
-from mbsrun.study.machine import Variant
+from mbsrun.measuring.candidates import compile_kernel
+from mbsrun.measuring.timing import Variant
 
 REFUSED = ("-ffast-math", "-Ofast", "-funsafe-math-optimizations", "-ffinite-math-only", "-fassociative-math")
 VARIANTS = tuple(

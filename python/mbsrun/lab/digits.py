@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from mbsrun.lab.case import Bench, Finding, Loss, check, tell
 from mbsrun.lab.mechanisms import State, States, write
+from mbsrun.measuring.candidates import Found, compile_kernel
+from mbsrun.measuring.mechanisms import Subject
+from mbsrun.measuring.reference import Moment, Reference
+from mbsrun.measuring.timing import Precision, Variant
 from mbsrun.models import Extent
-from mbsrun.study.candidates import Found, compile_kernel
-from mbsrun.study.machine import Precision, Variant
-from mbsrun.study.mechanisms import Subject
-from mbsrun.study.reference import Moment, Reference
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from mbsgen.errors import InputError
 from mbsrun.lab.case import Bench, Finding, check, demand, show_failure
 from mbsrun.lab.digits import EXPLICIT, KERNELS, RESIDUAL, U, relate, specimen
 from mbsrun.lab.mechanisms import describe_spatial, draw, round_to_single, write
+from mbsrun.measuring.timing import Precision
 from mbsrun.models import Extent, find_folder
-from mbsrun.study.machine import Precision
 
 TINY, HUGE = 1e-150, 1e150
 SIZES: Mapping[str, Sequence[float]] = {

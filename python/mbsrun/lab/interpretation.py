@@ -18,8 +18,8 @@ from scipy.linalg.lapack import dpotrf
 
 from mbsrun.lab.digits import Specimen, U
 from mbsrun.lab.mechanisms import State, States
-from mbsrun.study.candidates import Found
-from mbsrun.study.machine import Precision
+from mbsrun.measuring.candidates import Found
+from mbsrun.measuring.timing import Precision
 
 Array = NDArray[np.float64]
 

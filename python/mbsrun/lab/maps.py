@@ -20,8 +20,8 @@ from mbsrun.lab.case import Bench, Loss, Report
 from mbsrun.lab.digits import EXPLICIT
 from mbsrun.lab.mechanisms import describe_spatial, describe_straight, draw
 from mbsrun.lab.record import write_table
-from mbsrun.study.pictures import save_picture
-from mbsrun.study.sheets import Caption, Outline, write_outline
+from mbsrun.measuring.pictures import save_picture
+from mbsrun.measuring.sections import Caption, Outline, write_outline
 
 LENGTHS = (2, 5, 10, 20)
 RATIOS = tuple(10.0**k for k in range(0, 13, 2))

@@ -17,8 +17,8 @@ from pathlib import Path
 
 from mbsrun.lab.case import Bench, Case, Finding, Loss, Report, Trial, Verdict, demand, judge
 from mbsrun.library import find_compiler
+from mbsrun.measuring.points import Store
 from mbsrun.models import fingerprint_generator
-from mbsrun.study.points import Store
 
 KEPT = ("findings.jsonl", "losses.jsonl")
 MODELS = "models"

@@ -21,8 +21,8 @@ from mbsrun.lab.cases import CASES
 from mbsrun.lab.digits import specimen
 from mbsrun.lab.mechanisms import describe_lock, describe_spatial, draw, write
 from mbsrun.lab.record import name_verdict, open_bench, run_cases, write_findings
+from mbsrun.measuring.sections import read_folders
 from mbsrun.ocp.solution import Failure, Run
-from mbsrun.study.sheets import read_folders
 
 Measure = Callable[[Bench], list[Finding]]
 

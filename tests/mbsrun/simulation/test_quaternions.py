@@ -13,11 +13,11 @@ from mbsgen.model.construction import body, floating, frame, free, make_model, r
 from mbsgen.model.model import Joint, Model
 from mbsgen.model.writer import write_model
 from mbsrun import Mechanism
+from mbsrun.measuring.mechanisms import draw_states
 from mbsrun.models import Extent, find_folder
 from mbsrun.simulation import Formulation, Settings, simulate
 from mbsrun.simulation.drive import hold
 from mbsrun.simulation.statement import read_statement
-from mbsrun.study.mechanisms import draw_states
 
 SIMULATED = ("impl", "semi", "semi_res", "exp2", "energy", "power", "frames", "sensors")
 SPEEDS = [0.3, -0.2, 1.0, 1.5, 2.5, -0.7, 0.4]  # of the trunk along and about x, y, z, and of the wing

@@ -1,0 +1,303 @@
+"""Fidelity: what a reduction of a model saves in a kernel, against the error it makes.
+
+A reduction leaves something out: joints that are locked (their bodies become one), the mass of a body, the forces of
+joints, gravity, velocities, parameters of which values may change, sensors. Its kernels are compared with those of the
+whole model at states drawn at random, joint by joint and sensor by sensor of those that are left:
+
+    as supposed   locked joints stand where they are locked, and what is taken to be still is still
+    anywhere      they do not
+
+Either error is the largest of all states, by the largest entry of the whole model's result.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsgen.documents import Data, read_document
+from mbsgen.errors import InputError
+from mbsgen.expressions import FLOATS, evaluate, parse
+from mbsgen.manifest import Manifest
+from mbsrun.measuring.candidates import Candidate, add_hidden, compile_kernel
+from mbsrun.measuring.mechanisms import Subject, draw_states, refuse_quaternions
+from mbsrun.measuring.points import Cost, Store
+from mbsrun.measuring.timing import Variant, Watch, measure_costs
+from mbsrun.models import Extent
+
+Array = NDArray[np.float64]
+States = Mapping[str, Array]
+
+RESULTS = {"impl": ("Phi",), "semi": ("M", "c"), "exp1": ("qdd",), "exp2": ("qdd",), "sensors": ("position",)}
+KERNELS = tuple(RESULTS)
+STATES = 256
+FORCES = ("stiffness", "rest", "damping", "friction", "force")  # of a joint
+PARTS = ("locked", "parameters", "gravity", "motion", "sensors", "wrenches", "tolerance")  # of scenes, for kernels
+TOLERANCES = (1e-3, 1e-1)
+WHOLE = "whole model"
+
+
+@dataclass(frozen=True)
+class FidelityPoint:
+    """A kernel of a reduced model, beside that of the whole."""
+
+    mechanism: str
+    reduction: str
+    kernel: str
+    flops: int | None  # None: there is no such kernel
+    flops_whole: int
+    ns: Cost | None
+    ns_whole: Cost | None  # timed in turn with it
+    error: float | None  # the largest where what the reduction supposes holds
+    error_anywhere: float | None
+    states: int
+    finding: str = ""  # why there is nothing to tell
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """Something that is left out: of the model file, or by a scene."""
+
+    name: str
+    model: Data  # the model file's data, with less in it
+    scene: Mapping[str, Data]
+
+
+@dataclass(frozen=True)
+class Depth:
+    """How much is measured."""
+
+    rounds: int = 40
+    judged: int = 64  # states of which errors are taken
+    kernels: tuple[str, ...] = KERNELS
+
+
+QUICK = Depth(3, 8, ("impl", "exp2", "sensors"))
+
+
+def list_reductions(model: Path, manifest: Manifest, scenes: Sequence[Path]) -> list[Reduction]:
+    """List what scenes leave out, each of their parts and then all at once; without scenes, one thing after the other.
+
+    Raises InputError for files that cannot be read, MbsError for a model with quaternions.
+    """
+    refuse_quaternions(manifest)
+    data = read_document(model).data
+    if not scenes:
+        return list(_list_usual(data, manifest))
+    reductions = []
+    for path in scenes:
+        scene = read_document(path).data
+        told = {key: value for key, value in scene.items() if key in PARTS} if isinstance(scene, dict) else {}
+        parts = [Reduction(f"{path.stem}: {key}", data, {key: value}) for key, value in told.items()]
+        reductions += [*(parts if len(parts) > 1 else []), Reduction(path.stem, data, told)]
+    return reductions
+
+
+def take_whole(model: Path, depth: Depth) -> Subject:
+    """Take the whole model, with those of the kernels that it can have. Raises InputError where it cannot be read."""
+    data = read_document(model).data
+    has_sensors = isinstance(data, dict) and bool(data.get("frames"))
+    kernels = tuple(name for name in depth.kernels if name != "sensors" or has_sensors)
+    return Subject(model, Extent(kernels, 0))
+
+
+def measure_fidelity(
+    whole: Subject,
+    reductions: Sequence[Reduction],
+    folder: Path,
+    depth: Depth,
+    report: Callable[[str, int, int], None],
+) -> list[FidelityPoint]:
+    """Measure all reductions, kernel by kernel; what was measured before is taken from the folder.
+
+    Raises InputError for a model with faults.
+    """
+    store = Store(folder / "fidelity.jsonl", FidelityPoint)
+    subjects: list[Subject | str] = []
+    for done, reduction in enumerate(reductions):
+        report(f"generating: {reduction.name}", done, len(reductions))
+        subjects.append(_generate(reduction, whole.extent, folder / "models"))
+    points: list[FidelityPoint] = []
+    compiler = Variant().compiler()
+    names = whole.extent.functions or ()
+    for done, kernel in enumerate(names):
+        report(f"measuring: {kernel}", done, len(names))
+        about = (whole.manifest.generator, whole.manifest.model_hash, kernel, depth.rounds, depth.judged)
+        told = ("fidelity", *about, list(reductions), compiler.flags, compiler.macros)
+        bench = _Bench(whole, kernel, list(zip(reductions, subjects, strict=True)), depth)
+        points += store.find_or_measure(told, bench.measure)
+    return points
+
+
+def _list_usual(data: Data, manifest: Manifest) -> Iterator[Reduction]:
+    """Leave out one thing after the other, whatever the model has of it."""
+    bodies = data.get("bodies") if isinstance(data, dict) else None
+    if not isinstance(data, dict) or not isinstance(bodies, list):
+        return
+    if len(manifest.coordinates) > 1:
+        for c in manifest.coordinates:
+            place = min(max(0.0, -np.inf if c.lower is None else c.lower), np.inf if c.upper is None else c.upper)
+            yield Reduction(f"{c.name} locked", data, {"locked": {c.name: float(place)}})
+    for k, body in enumerate(bodies):
+        if isinstance(body, dict) and "mass" in body:
+            light = {key: value for key, value in body.items() if key not in ("mass", "com", "inertia")}
+            yield Reduction(
+                f"{body.get('name')} without mass", {**data, "bodies": [*bodies[:k], light, *bodies[k + 1 :]]}, {}
+            )
+    loose = [_drop_forces(body) for body in bodies]
+    if loose != bodies:
+        yield Reduction("no forces of joints", {**data, "bodies": loose}, {})
+    yield Reduction("no gravity", data, {"gravity": False})
+    yield Reduction("no velocities", data, {"motion": False})
+    if kinds := [p.name for p in (*manifest.parameters, *manifest.design)]:
+        yield Reduction("constant parameters", data, {"parameters": dict.fromkeys(kinds, "constant")})
+    sensors = [frame.name for frame in manifest.frames if frame.sensor]
+    if len(sensors) > 1:
+        yield from (Reduction(f"sensor {name} alone", data, {"sensors": [name]}) for name in sensors)
+    yield from (Reduction(f"tolerance {tolerance:g}", data, {"tolerance": tolerance}) for tolerance in TOLERANCES)
+
+
+def _drop_forces(body: Data) -> Data:
+    """Take the forces of a body's joints away."""
+    if isinstance(body, list):
+        return [_drop_forces(x) for x in body]
+    if not isinstance(body, dict):
+        return body
+    return {key: _drop_forces(value) for key, value in body.items() if key not in FORCES}
+
+
+def _generate(reduction: Reduction, extent: Extent, folder: Path) -> Subject | str:
+    """Generate what a reduction leaves; or say why it leaves nothing that can be."""
+    text, told = json.dumps(reduction.model, indent=1), json.dumps(dict(reduction.scene), indent=1)
+    place = folder / hashlib.sha256((text + told).encode()).hexdigest()[:16]
+    place.mkdir(parents=True, exist_ok=True)
+    model, scene = place / "model.yaml", place / "scene.yaml"
+    model.write_text(text + "\n", encoding="utf-8")
+    scene.write_text(told + "\n", encoding="utf-8")
+    subject = Subject(model, replace(extent, scene=scene if reduction.scene else None))
+    try:
+        assert subject.manifest.coordinates, "a mechanism has joints"
+    except InputError as error:
+        return "; ".join(f"{fault.path}: {fault.finding}" for fault in error.faults)
+    return subject
+
+
+class _Bench:
+    """A kernel of the whole model, and of all reductions."""
+
+    def __init__(
+        self, whole: Subject, kernel: str, reduced: Sequence[tuple[Reduction, Subject | str]], depth: Depth
+    ) -> None:
+        self.whole, self.kernel, self.reduced, self.depth = whole, kernel, reduced, depth
+        self.states = draw_states(whole.manifest, whole.kernels.parameters, STATES)
+
+    def measure(self) -> list[FidelityPoint]:
+        """Evaluate, compare, and time in turn."""
+        candidate = compile_kernel(self.whole, self.kernel, Variant())
+        good = candidate.evaluate(add_hidden(self.whole, self.states))[0] == 0
+        self.states = {name: values[good] for name, values in self.states.items()}
+        flops = self.whole.manifest.kernel(self.kernel).flops.paper
+        first = FidelityPoint(
+            self.whole.manifest.model, WHOLE, self.kernel, flops, flops, None, None, None, None, int(good.sum())
+        )
+        if not good.any():
+            return [replace(first, finding="it fails in all states")]
+        drafts = [self._judge(reduction, subject, first, candidate) for reduction, subject in self.reduced]
+        watches = [Watch(candidate.code, candidate.code.lay(add_hidden(self.whole, self.states)))]
+        watches += [watch for _, watch in drafts if watch is not None]
+        costs = iter(measure_costs(watches, self.depth.rounds))
+        whole = next(costs)
+        points = [replace(first, ns=whole, ns_whole=whole)]
+        for point, watch in drafts:
+            points.append(replace(point, ns=None if watch is None else next(costs), ns_whole=whole))
+        return points
+
+    def _judge(
+        self, reduction: Reduction, subject: Subject | str, first: FidelityPoint, whole: Candidate
+    ) -> tuple[FidelityPoint, Watch | None]:
+        point = replace(first, reduction=reduction.name, flops=None)
+        if isinstance(subject, str):
+            return replace(point, finding=subject), None
+        if self.kernel not in {k.name for k in subject.manifest.kernels}:
+            return replace(point, finding="nothing is left of it"), None
+        candidate = compile_kernel(subject, self.kernel, Variant())
+        judged = {name: values[: self.depth.judged] for name, values in self.states.items()}
+        supposed = self._suppose(judged, reduction)
+        errors = [self._compare(whole, candidate, subject, states) for states in (supposed, judged)]
+        states = _reduce(self.states, self.whole.manifest, subject)
+        statuses = candidate.evaluate(states)[0]
+        point = replace(
+            point,
+            flops=subject.manifest.kernel(self.kernel).flops.paper,
+            error=errors[0],
+            error_anywhere=errors[1],
+            finding="it fails in some states" if statuses.any() else "",
+        )
+        good = {name: values[statuses == 0] for name, values in states.items()}
+        return point, Watch(candidate.code, candidate.code.lay(good)) if (statuses == 0).any() else None
+
+    def _suppose(self, states: States, reduction: Reduction) -> dict[str, Array]:
+        """Put locked joints where they are locked, and stop what is taken to be still."""
+        supposed = {name: values.copy() for name, values in states.items()}
+        locked = reduction.scene.get("locked")
+        for name, value in locked.items() if isinstance(locked, dict) else ():
+            k = [c.name for c in self.whole.manifest.coordinates].index(name)
+            supposed["q"][:, k] = evaluate(parse(str(value)), {}, FLOATS)
+            supposed["qd"][:, k] = supposed["qdd"][:, k] = 0.0
+        if reduction.scene.get("motion") is False:
+            supposed["qd"][:] = 0.0
+        return supposed
+
+    def _compare(self, whole: Candidate, reduced: Candidate, subject: Subject, states: States) -> float | None:
+        """Find the largest error of all results and states; None where one of both fails."""
+        expected = whole.evaluate(add_hidden(self.whole, states))[1]
+        found = reduced.evaluate(_reduce(states, self.whole.manifest, subject))[1]
+        if not all(expected) or not all(found):
+            return None
+        worst = 0.0
+        for name in RESULTS[self.kernel]:
+            pairs = [
+                (values[name], _pick(name, results[name], self.whole.manifest, subject.manifest))
+                for values, results in zip(found, expected, strict=True)
+            ]
+            off = max(float(np.abs(a - b).max(initial=0.0)) for a, b in pairs)
+            size = max(float(np.abs(b).max(initial=0.0)) for _, b in pairs)
+            worst = max(worst, off / size if size else off)
+        return worst
+
+
+def _reduce(states: States, whole: Manifest, subject: Subject) -> dict[str, Array]:
+    """Take from states of the whole model what the reduced one has of them."""
+    manifest = subject.manifest
+    kept = _find([c.name for c in whole.coordinates], [c.name for c in manifest.coordinates])
+    driven = [whole.coordinates[i].name for i in whole.actuated]
+    reduced = {name: states[name][:, kept] for name in ("q", "qd", "qdd")}
+    reduced["u"] = states["u"][:, _find(driven, [manifest.coordinates[i].name for i in manifest.actuated])]
+    entries = [f"{x.name} {k}" for x in whole.wrenches for k in range(3 * x.force + 3 * x.moment)]
+    left = [f"{x.name} {k}" for x in manifest.wrenches for k in range(3 * x.force + 3 * x.moment)]
+    reduced["w"] = states["w"][:, _find(entries, left)]
+    values = subject.kernels.parameters
+    for name, given in (("p", manifest.parameters), ("theta", manifest.design)):
+        reduced[name] = np.tile([values[p.name] for p in given], (len(states["q"]), 1))
+    return add_hidden(subject, reduced)
+
+
+def _pick(name: str, values: Array, whole: Manifest, reduced: Manifest) -> Array:
+    """Take from a result of the whole model the rows and columns that are left."""
+    joints = _find([c.name for c in whole.coordinates], [c.name for c in reduced.coordinates])
+    if name == "M":
+        return values[np.ix_(joints, joints)]
+    if name == "position":
+        sensors = [[frame.name for frame in x.frames if frame.sensor] for x in (whole, reduced)]
+        return values[:, _find(*sensors)]
+    return values[joints]
+
+
+def _find(names: Sequence[str], wanted: Sequence[str]) -> list[int]:
+    return [names.index(name) for name in wanted]

@@ -1,0 +1,238 @@
+"""Kernels: nanoseconds of a call against the error, by formulation, precision, flags of the compiler, and size.
+
+Errors are against 50 digits at the same inputs (`reference`), the largest over the states tried:
+
+    of a result x      max |x - x*| / max |x*|;       of several results, the largest
+    of the equations   max_i |r_i| / (|M| |qdd| + |c| + |Q|)_i,    the backward error
+
+where r is what a residual is off by, or what is left of it at accelerations as they were computed: by how much the
+forces would have to be others for the result to be exact. A state whose kernel gives a status counts as failed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsrun.measuring.candidates import VARIABLES, Candidate, add_hidden, compile_kernel, difference, differentiate
+from mbsrun.measuring.mechanisms import Subject, draw_states, write_chain
+from mbsrun.measuring.points import KernelPoint, Store
+from mbsrun.measuring.reference import Moment, Reference
+from mbsrun.measuring.timing import Variant, Watch, measure_costs
+from mbsrun.models import Extent
+
+Array = NDArray[np.float64]
+Results = Mapping[str, Array]
+
+RESIDUAL, MASS, ACCELERATIONS = "residual", "mass matrix and bias", "accelerations"
+SLOPES_R, SLOPES_A = "Jacobian of the residual", "Jacobian of the accelerations"
+KERNELS = {RESIDUAL: ("impl", "semi_res"), MASS: ("semi",), ACCELERATIONS: ("exp1", "exp2")}
+SLOPES = {SLOPES_R: RESIDUAL, SLOPES_A: ACCELERATIONS}
+FUNCTIONS = ("impl", "semi", "semi_res", "exp1", "exp2")
+VALUES = Extent(FUNCTIONS, 0)
+DERIVATIVES = Extent(FUNCTIONS, 1, python=True)
+
+USUAL, SINGLE = Variant(), Variant("float32")
+VARIANTS = (
+    *(Variant(level=level) for level in ("-O0", "-O1", "-O2", "-O3")),
+    Variant(contract=False),
+    Variant(libm=True),
+    SINGLE,
+    Variant("float32", level="-O1"),
+    Variant("float32", contract=False),
+    Variant("float32", libm=True),
+)
+STATES = 256  # that are timed: for an arm, more than the first cache holds
+
+
+@dataclass(frozen=True)
+class Depth:
+    """How much is measured."""
+
+    sizes: tuple[int, ...] = (2, 5, 10, 20)  # of chains, beside the model
+    variants: tuple[Variant, ...] = VARIANTS
+    rounds: int = 40
+    judged: int = 16  # states of which errors are taken
+    derivatives: bool = True  # of the model, not of the chains
+
+
+QUICK = Depth((3,), (Variant(level="-O0"), USUAL, SINGLE), 3, 3)
+
+
+@dataclass(frozen=True)
+class Errors:
+    """By how much the result of one state is off."""
+
+    error: float
+    backward: float | None
+
+
+def measure_kernels(
+    model: Path, folder: Path, depth: Depth, report: Callable[[str, int, int], None]
+) -> list[KernelPoint]:
+    """Measure a model and chains; what was measured before is taken from the folder. `report` is told what is done.
+
+    Raises InputError for a model with faults, CompileError.
+    """
+    own = Subject(model, DERIVATIVES if depth.derivatives else VALUES)
+    report(f"{own.manifest.model}: generating", 0, 1)  # a model with faults is refused before anything is written
+    chains = [Subject(write_chain(size, folder / "models"), VALUES) for size in depth.sizes]
+    jobs = [(own, task) for task in (*KERNELS, *(SLOPES if depth.derivatives else ()))]
+    jobs += [(chain, task) for chain in chains for task in KERNELS]
+    store = Store(folder / "kernels.jsonl", KernelPoint)
+    points: list[KernelPoint] = []
+    for done, (subject, task) in enumerate(jobs):
+        report(f"{subject.model.stem}: {task}", done, len(jobs))
+        points += measure_task(subject, task, depth, store)
+    return points
+
+
+def measure_task(subject: Subject, task: str, depth: Depth, store: Store[KernelPoint]) -> list[KernelPoint]:
+    """Measure all ways of one task in turn."""
+    variants = depth.variants if task in KERNELS else tuple(v for v in (USUAL, SINGLE) if v in depth.variants)
+    compilers = [variant.compiler() for variant in variants]
+    versions = [(c.command, c.flags, c.macros) for c in compilers]
+    told = (
+        "kernels",
+        subject.manifest.generator,
+        subject.manifest.model_hash,
+        task,
+        versions,
+        depth.rounds,
+        depth.judged,
+        STATES,
+    )
+    return store.find_or_measure(told, lambda: _Bench(subject, task, depth).measure(variants))
+
+
+class _Bench:
+    """One task of one mechanism, with what its results are compared with."""
+
+    def __init__(self, subject: Subject, task: str, depth: Depth) -> None:
+        self.subject, self.task, self.depth = subject, task, depth
+        manifest, parameters = subject.manifest, subject.kernels.parameters
+        self.states = add_hidden(subject, draw_states(manifest, parameters, max(STATES, depth.judged)))
+
+    @cached_property
+    def moments(self) -> list[Moment]:
+        """Look at the states that are judged, in 50 digits."""
+        reference = Reference(self.subject.model)
+        return [
+            reference.at({name: values[k] for name, values in self.states.items()}) for k in range(self.depth.judged)
+        ]
+
+    @cached_property
+    def expected(self) -> list[dict[str, Array]]:
+        """Compute in 50 digits what the judged states should give; round it."""
+        return [_expect(self.task, moment) for moment in self.moments]
+
+    def measure(self, variants: Sequence[Variant]) -> list[KernelPoint]:
+        """Evaluate, judge, and time in turn."""
+        candidates = [x for variant in variants for x in self._list_candidates(variant)]
+        drafts = [self._judge(x) for x in candidates]
+        timed = [(draft, watch) for draft, watch in drafts if watch is not None]
+        costs = measure_costs([watch for _, (watch, _) in timed], self.depth.rounds)
+        cost_of = {
+            id(draft): replace(cost, shortest=cost.shortest * calls, median=cost.median * calls)
+            for (draft, (_, calls)), cost in zip(timed, costs, strict=True)
+        }
+        return [replace(draft, ns=cost_of.get(id(draft))) for draft, _ in drafts]
+
+    def _list_candidates(self, variant: Variant) -> Iterator[Candidate | KernelPoint]:
+        if self.task in KERNELS:
+            yield from (compile_kernel(self.subject, name, variant) for name in KERNELS[self.task])
+            return
+        names = KERNELS[SLOPES[self.task]]
+        yield from (compile_kernel(self.subject, f"jac_{name}", variant) for name in names)
+        yield from difference(self.subject, names[0] if self.task == SLOPES_R else names[1], variant)
+        if variant.precision == "float64":  # CasADi's C calls sine in double precision
+            for name in names:
+                found = differentiate(self.subject, name, variant)
+                yield self._point(f"{name}, CasADi's AD", variant, found) if isinstance(found, str) else found
+
+    def _point(self, way: str, variant: Variant, finding: str = "") -> KernelPoint:
+        manifest = self.subject.manifest
+        size, states = len(manifest.coordinates), len(self.states["q"])
+        told = (manifest.model, size, self.task, way, variant.precision, variant.label)
+        return KernelPoint(*told, None, None, None, None, states, 0, finding)
+
+    def _judge(self, candidate: Candidate | KernelPoint) -> tuple[KernelPoint, tuple[Watch, int] | None]:
+        """Compare with 50 digits, and prepare to time the states that do not fail."""
+        if isinstance(candidate, KernelPoint):
+            return candidate, None
+        judged = {name: values[: self.depth.judged] for name, values in self.states.items()}
+        errors = [self._compare(k, found) for k, found in enumerate(candidate.evaluate(judged)[1]) if found]
+        finite = [e for e in errors if np.isfinite(e.error)]
+        statuses, _ = candidate.evaluate(self.states)
+        point = replace(
+            self._point(candidate.way, candidate.code.variant, self._tell(statuses, len(errors) - len(finite))),
+            failed=int(np.count_nonzero(statuses)),
+        )
+        if finite:
+            sizes, backward = [e.error for e in finite], [e.backward for e in finite if e.backward is not None]
+            point = replace(
+                point,
+                error=float(np.max(sizes)),
+                error_median=float(np.median(sizes)),
+                backward=float(np.max(backward)) if backward else None,
+            )
+        good = {name: values[statuses == 0] for name, values in self.states.items()}
+        return point, candidate.watch(good) if len(good["q"]) else None
+
+    def _tell(self, statuses: NDArray[np.int64], overflown: int) -> str:
+        """Say what failed, and where."""
+        told = []
+        if statuses.any():
+            names = [c.name for c in self.subject.manifest.coordinates]
+            joints = ", ".join(names[s - 1] for s in sorted(set(statuses[statuses > 0].tolist())))
+            told.append(f"digits lost at {joints} in {np.count_nonzero(statuses)} of {len(statuses)} states")
+        if overflown:
+            told.append(f"not a number, with status 0, in {overflown} of {self.depth.judged} states")
+        return "; ".join(told)
+
+    def _compare(self, k: int, found: Results) -> Errors:
+        moment, expected = self.moments[k], self.expected[k]
+        parts = [
+            float(np.abs(found[name] - value).max() / np.abs(value).max())
+            for name, value in expected.items()
+            if value.size and np.abs(value).max() > 0
+        ]
+        return Errors(max(parts, default=0.0), _measure_backward(self.task, moment, found, expected))
+
+
+def _expect(task: str, moment: Moment) -> dict[str, Array]:
+    """Compute results in 50 digits, by the names that kernels give them."""
+    if task == RESIDUAL:
+        return {"Phi": _round([moment.residual()]).T}
+    if task == MASS:
+        return {"M": _round(moment.M), "c": _round([moment.bias]).T}
+    if task == ACCELERATIONS:
+        return {"qdd": _round([moment.qdd]).T}
+    names = [name for name in VARIABLES if moment.state.get(name)]
+    if task == SLOPES_R:
+        return {f"jac_Phi_{name}": _round(moment.slopes(name, moment.state["qdd"])).T for name in names}
+    slopes = {name: moment.slopes(name, moment.qdd) for name in names if name != "qdd"}
+    return {f"jac_qdd_{name}": -_round([moment.solve(row) for row in rows]).T for name, rows in slopes.items()}
+
+
+def _measure_backward(task: str, moment: Moment, found: Results, expected: Results) -> float | None:
+    if task == RESIDUAL:
+        return _relate(found["Phi"] - expected["Phi"], moment.scale(moment.state["qdd"]))
+    if task == ACCELERATIONS and np.isfinite(found["qdd"]).all():
+        qdd = [moment.context.mpf(float(x)) for x in found["qdd"].ravel()]
+        return _relate(_round([moment.residual(qdd=qdd)]), moment.scale(qdd))
+    return None
+
+
+def _relate(rest: Array, scale: Array) -> float:
+    """Divide entry by entry; what nothing acts on has nothing to be off by."""
+    return float((np.abs(rest.ravel()) / np.where(scale > 0, scale, 1.0)).max())
+
+
+def _round(rows: Sequence[Sequence[object]]) -> Array:
+    return np.array(rows, dtype=np.float64)

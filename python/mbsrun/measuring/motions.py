@@ -1,0 +1,195 @@
+"""Simulation: processor time against the global error, by formulation, method, and step or tolerance.
+
+The error is the largest difference from a reference at the end of the motion. The reference is made by a method that is
+not among those measured, Gauss collocation with six stages, and is as accurate as it agrees with DOP853 at a tolerance
+of 1e-13; below that nothing can be told. Beside it stands the drift of energy, which needs no reference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsgen.errors import MbsError
+from mbsgen.manifest import Manifest
+from mbsrun.external import Mechanism
+from mbsrun.measuring.mechanisms import draw_states
+from mbsrun.measuring.points import MotionPoint, Store
+from mbsrun.measuring.timing import Variant, sum_up
+from mbsrun.models import Extent
+from mbsrun.simulation.drive import Drive, hold, input_labels
+from mbsrun.simulation.methods import METHODS, Family, Formulation
+from mbsrun.simulation.motion import Motion, Settings
+from mbsrun.simulation.simulate import simulate
+
+Array = NDArray[np.float64]
+
+EXTENT = Extent(("impl", "semi", "semi_res", "exp1", "exp2", "energy", "power", "frames"), 1)
+TIGHT = 1e-13  # the tolerance of the check of the reference
+PATIENCE = 5.0  # s; what takes longer is run once
+ANGLE = 0.2  # of the range that a coordinate is drawn from: how far from its middle a motion starts
+
+IMPL, SEMI, EXP1, EXP2 = Formulation
+FAMILIES: tuple[tuple[str, Formulation], ...] = (
+    *(("rk4", formulation) for formulation in Formulation),
+    *(("dop853", formulation) for formulation in Formulation),
+    *((method, EXP2) for method in ("euler", "symplectic-euler", "rk45", "lsoda", "bdf", "radau")),
+    *((method, formulation) for method in ("gauss", "radau-iia") for formulation in Formulation),
+    ("generalized-alpha", IMPL),
+)
+
+
+class NoReferenceError(MbsError):
+    """A motion that cannot be integrated with the accuracy that a reference needs."""
+
+
+@dataclass(frozen=True)
+class Course:
+    """A motion to be integrated."""
+
+    mechanism: Mechanism
+    q: Array  # (n,)
+    qd: Array  # (n,)
+    drive: Drive
+    duration: float  # s
+    told: str  # all that start and inputs depend on, beside the model
+
+    def integrate(self, settings: Settings) -> Motion:
+        """Integrate by some settings."""
+        settings = replace(settings, duration=self.duration, max_seconds=np.inf)  # slow ways are measured, too
+        return simulate(self.mechanism, self.drive, self.q, self.qd, settings)
+
+
+@dataclass(frozen=True)
+class Standard:
+    """What motions are compared with."""
+
+    state: Array  # at the end, (2 n,)
+    accuracy: float  # by how much two methods differ
+    steps: int  # that an adaptive method of order 8 takes at a tolerance of 1e-6: a measure of the motion's pace
+    duration: float
+    title: str = "Gauss collocation, six stages, against DOP853 at 1e-13"
+
+
+@dataclass(frozen=True)
+class Depth:
+    """How much is measured."""
+
+    families: tuple[tuple[str, Formulation], ...] = FAMILIES
+    divisions: tuple[int, ...] = (1, 2, 4, 8, 16, 32, 64)  # of the pace, for implicit methods with fixed steps
+    shorter: tuple[int, ...] = (1, 4, 16, 64, 256, 1024)  # for explicit ones, whose steps cost little
+    tolerances: tuple[float, ...] = (1e-3, 1e-5, 1e-7, 1e-9, 1e-11)
+    rounds: int = 3
+
+
+QUICK = Depth((("rk4", EXP2), ("dop853", EXP2), ("gauss", IMPL)), (1, 4), (1, 16, 64), (1e-4, 1e-8), 1)
+
+
+def draw_course(mechanism: Mechanism, duration: float) -> Course:
+    """Let a mechanism go from a pose drawn once and for all, at rest, without inputs."""
+    manifest = mechanism.manifest
+    q = ANGLE * draw_states(manifest, mechanism.parameters, 1)["q"][0]
+    inputs = hold(np.zeros(len(input_labels(manifest))))
+    return Course(mechanism, _move_within(q, manifest), np.zeros(len(q)), inputs, duration, "drawn")
+
+
+def measure_motions(
+    course: Course, standard: Standard, depth: Depth, store: Store[MotionPoint], report: Callable[[str, int, int], None]
+) -> list[MotionPoint]:
+    """Integrate by all methods of `depth`; what was measured before is taken from the store."""
+    points: list[MotionPoint] = []
+    compiler = Variant().compiler()
+    for done, (method, formulation) in enumerate(depth.families):
+        report(f"{method}, {formulation.value}", done, len(depth.families))
+        levels = [(x, replace(s, formulation=formulation)) for x, s in _list_levels(method, standard, depth)]
+        manifest, values = course.mechanism.manifest, dict(course.mechanism.parameters)
+        told = ("motions", manifest.generator, manifest.model_hash, values, course.told, course.duration)
+        settings = ([s for _, s in levels], depth.rounds, compiler.flags, compiler.macros)
+        points += store.find_or_measure((*told, *settings), _Bench(course, standard, depth, levels).measure)
+    return points
+
+
+def find_standard(course: Course) -> Standard:
+    """Integrate with two methods as accurately as there is. Raises NoReferenceError."""
+    pace = _reach(course, Settings(course.duration, rtol=1e-6, atol=1e-6)).effort.steps
+    check = _reach(course, Settings(course.duration, rtol=TIGHT, atol=TIGHT))
+    step = course.duration / (4 * max(pace, 10))
+    tight = _reach(course, Settings(course.duration, "gauss", Formulation.IMPL, step, stages=6))
+    state = _end(tight)
+    return Standard(state, float(np.abs(state - _end(check)).max()), max(pace, 10), course.duration)
+
+
+class _Bench:
+    """A method on a formulation, with several steps or tolerances."""
+
+    def __init__(
+        self, course: Course, standard: Standard, depth: Depth, levels: Sequence[tuple[float, Settings]]
+    ) -> None:
+        self.course, self.standard, self.depth, self.levels = course, standard, depth, levels
+
+    def measure(self) -> list[MotionPoint]:
+        """Integrate in rounds; those that take long once."""
+        replace(self.course, duration=self.course.duration / 100).integrate(self.levels[0][1])  # compiles
+        motions = [self.course.integrate(settings) for _, settings in self.levels]
+        times = [[motion.effort.seconds] for motion in motions]
+        for _ in range(self.depth.rounds - 1):
+            for own, (_, settings) in zip(times, self.levels, strict=True):
+                if own[0] < PATIENCE:
+                    own.append(self.course.integrate(settings).effort.seconds)
+        return [
+            self._judge(x, motion, np.array(own))
+            for (x, _), motion, own in zip(self.levels, motions, times, strict=True)
+        ]
+
+    def _judge(self, value: float, motion: Motion, seconds: Array) -> MotionPoint:
+        settings, energy = motion.settings, motion.energy
+        is_adaptive = METHODS[settings.method].family is Family.ADAPTIVE
+        error = np.abs(_end(motion) - self.standard.state).max() if motion.is_complete else np.nan
+        drift = np.nan
+        if energy is not None:
+            drift = np.abs(energy.drift).max() / (np.ptp(energy.kinetic) + np.ptp(energy.potential) or 1.0)
+        return MotionPoint(
+            mechanism=self.course.mechanism.manifest.model,
+            method=settings.method,
+            formulation=settings.formulation.value,
+            setting="tolerance" if is_adaptive else "step",
+            value=value,
+            seconds=sum_up(seconds) if motion.is_complete else None,
+            error=float(error) if np.isfinite(error) else None,
+            drift=float(drift) if np.isfinite(drift) else None,
+            evaluations=motion.effort.evaluations,
+            finding="" if motion.halt is None else str(motion.halt),
+        )
+
+
+def _list_levels(method: str, standard: Standard, depth: Depth) -> list[tuple[float, Settings]]:
+    if METHODS[method].family is Family.ADAPTIVE:
+        return [(x, Settings(standard.duration, method, rtol=x, atol=x)) for x in depth.tolerances]
+    divisions = depth.shorter if METHODS[method].family is Family.EXPLICIT else depth.divisions
+    steps = [standard.duration / (standard.steps * x) for x in divisions]
+    return [(x, Settings(standard.duration, method, step=x)) for x in steps]
+
+
+def _reach(course: Course, settings: Settings) -> Motion:
+    motion = course.integrate(settings)
+    if motion.halt is not None:
+        raise NoReferenceError(
+            f"{course.mechanism.manifest.model}: there is no reference for this motion: {motion.halt}; "
+            "a --settings file may start it elsewhere"
+        )
+    return motion
+
+
+def _end(motion: Motion) -> Array:
+    return np.concatenate((motion.q[-1], motion.qd[-1]))
+
+
+def _move_within(q: Array, manifest: Manifest) -> Array:
+    """Move a pose to where its coordinates have limits on both sides of it."""
+    bounds = [
+        (-np.inf if c.lower is None else c.lower, np.inf if c.upper is None else c.upper) for c in manifest.coordinates
+    ]
+    return np.asarray(np.clip(q, *np.array(bounds).T))

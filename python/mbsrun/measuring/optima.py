@@ -1,0 +1,165 @@
+"""Optimal control: processor time of a solve against what its optimum errs by, by collocation and representation.
+
+Inputs are constant over an interval, so a number N of intervals is a control grid, and has an optimum J*(N) of its own:
+
+    error of the cost        |J - J*(N)| / |J*(N)|      what collocation errs by, on the same control grid
+    error of the grid        |J*(N) - J*| / |J*|        what the control grid itself costs
+
+J*(N) is the optimum with Legendre points of degree 9, and is as accurate as it agrees with that of Radau points of
+degree 9; J* is extrapolated from the finest two grids with order 2, and is as accurate as it agrees with that of the
+two before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from mbsrun.measuring.points import Cost, SolvePoint, Store
+from mbsrun.measuring.solves import Case, measure_solve
+from mbsrun.ocp.problem import Form, Problem, Representation, SolverOptions
+from mbsrun.ocp.schemes import Family
+
+EXACT = 9  # degree of the reference
+TIGHT = 1e-11  # its solver's tolerance
+
+
+@dataclass(frozen=True)
+class Depth:
+    """How much is measured."""
+
+    intervals: tuple[int, ...] = (5, 10, 20, 40)
+    degrees: tuple[int, ...] = (1, 2, 3, 4, 5)
+    families: tuple[Family, ...] = tuple(Family)
+    representations: tuple[Representation, ...] = tuple(Representation)
+    repeats: int = 2
+
+
+QUICK = Depth((5, 10), (2, 4), (Family.RADAU,), (Representation.IMPL, Representation.EXP2_O), 1)
+
+
+@dataclass(frozen=True)
+class GridOptimum:
+    """The optimum of a control grid."""
+
+    mechanism: str
+    intervals: int
+    cost: float | None  # None: the reference was not solved
+    accuracy: float | None  # of it, relative; None: nothing to compare with
+    error: float | None  # of the grid, relative to the limit of fine grids
+    error_accuracy: float | None
+    finding: str = ""
+
+
+@dataclass(frozen=True)
+class OptimumPoint:
+    """A solve, and what its optimum errs by."""
+
+    mechanism: str
+    representation: str
+    family: str
+    degree: int
+    intervals: int
+    seconds: Cost | None  # of processor time; None: not solved
+    error: float | None  # of the cost, on the same control grid, relative
+    total_error: float | None  # against the limit of fine grids, relative
+    defect: float | None  # the largest error of an interval, by re-simulation
+    cost: float | None
+    iterations: int
+    finding: str = ""
+
+
+def measure_optima(
+    case: Case, depth: Depth, store: Store[SolvePoint], report: Callable[[str, int, int], None]
+) -> tuple[list[OptimumPoint], list[GridOptimum]]:
+    """Solve all combinations, and the references; what was measured before is taken from the store."""
+    jobs = [
+        (intervals, family, degree, representation)
+        for intervals in depth.intervals
+        for family in depth.families
+        for degree in depth.degrees
+        for representation in depth.representations
+    ]
+    total = len(jobs) + 2 * len(depth.intervals)
+    pairs = []
+    for done, intervals in enumerate(depth.intervals):
+        report(f"reference, {intervals} intervals", 2 * done, total)
+        exact = [_refine(case.problem, family, intervals) for family in (Family.LEGENDRE, Family.RADAU)]
+        pairs.append([measure_solve(case, problem, 1, store) for problem in exact])
+    grids = _judge_grids(case, depth.intervals, pairs)
+    points = []
+    for done, (intervals, family, degree, representation) in enumerate(jobs, 2 * len(depth.intervals)):
+        report(f"{intervals} intervals, {family.value} {degree}, {representation.value}", done, total)
+        problem = replace(case.problem, intervals=intervals, family=family, degree=degree)
+        problem = _represent(problem, representation)
+        points.append(measure_solve(case, problem, depth.repeats, store))
+    limit = _find_limit([(g.intervals, g.cost) for g in grids if g.cost is not None])
+    own = {grid.intervals: grid.cost for grid in grids}
+    return [_judge(point, own[point.intervals], limit) for point in points], grids
+
+
+def _refine(problem: Problem, family: Family, intervals: int) -> Problem:
+    solver = SolverOptions(TIGHT, problem.solver.max_iterations, problem.solver.objective_scaling)
+    exact = replace(problem, family=family, degree=EXACT, intervals=intervals, solver=solver)
+    return _represent(exact, problem.representation)
+
+
+def _represent(problem: Problem, representation: Representation) -> Problem:
+    """Write a problem by collocation, in the integral form where it asks for that and may have it."""
+    is_integral = problem.form is Form.INTEGRAL and not representation.is_ode
+    form = Form.INTEGRAL if is_integral else Form.STANDARD
+    return replace(problem, representation=representation, form=form, integrator="collocation", steps=1)
+
+
+def _judge_grids(case: Case, intervals: Sequence[int], pairs: Sequence[Sequence[SolvePoint]]) -> list[GridOptimum]:
+    name = case.mechanism.manifest.model
+    solved = [(n, pair[0].cost) for n, pair in zip(intervals, pairs, strict=True) if pair[0].cost is not None]
+    limit, before = _find_limit(solved), _find_limit(solved[:-1])
+    grids = []
+    for n, (first, second) in zip(intervals, pairs, strict=True):
+        is_known = first.cost is not None and limit is not None
+        grids.append(
+            GridOptimum(
+                mechanism=name,
+                intervals=n,
+                cost=first.cost,
+                accuracy=_relate(second.cost, first.cost),
+                error=_relate(first.cost, limit) if is_known else None,
+                error_accuracy=_relate(before, limit),
+                finding=first.finding,
+            )
+        )
+    return grids
+
+
+def _find_limit(costs: Sequence[tuple[int, float | None]]) -> float | None:
+    """Extrapolate from the last two of some grids, (N, J), with order 2."""
+    known = [(n, cost) for n, cost in costs if cost is not None]
+    if len(known) < 2:
+        return None
+    (coarse, first), (fine, second) = sorted(known)[-2:]
+    square = (fine / coarse) ** 2
+    return (square * second - first) / (square - 1)
+
+
+def _judge(point: SolvePoint, own: float | None, limit: float | None) -> OptimumPoint:
+    return OptimumPoint(
+        mechanism=point.mechanism,
+        representation=point.representation,
+        family=point.family,
+        degree=point.degree,
+        intervals=point.intervals,
+        seconds=point.seconds,
+        error=_relate(point.cost, own),
+        total_error=_relate(point.cost, limit),
+        defect=point.defect,
+        cost=point.cost,
+        iterations=point.iterations,
+        finding=point.finding,
+    )
+
+
+def _relate(found: float | None, exact: float | None) -> float | None:
+    if found is None or exact is None:
+        return None
+    return abs(found - exact) / (abs(exact) or 1.0)

@@ -1,0 +1,292 @@
+"""Charts of speed against accuracy: points in series, their front drawn and labelled, failures at the edges.
+
+A point stands at the shortest time of its rounds, with a line to their median; left is faster, low is more accurate.
+Only points on the front have labels, and labels do not overlap; a table lists all points. One sentence above each chart
+names the two ends of its front.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.colors import TABLEAU_COLORS
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
+from PIL import Image
+
+from mbsrun.measuring.fidelity import WHOLE, FidelityPoint
+from mbsrun.measuring.fronts import Mark, describe_front, find_front
+from mbsrun.measuring.kernels import KERNELS, SLOPES
+from mbsrun.measuring.motions import Standard
+from mbsrun.measuring.optima import GridOptimum, OptimumPoint
+from mbsrun.measuring.points import KernelPoint, MotionPoint
+
+COLORS = tuple(TABLEAU_COLORS)
+SHADES = 128  # colours of a picture
+LABELS_APART = 0.5  # decades of error between two labels: a front falls, so no two of them overlap
+LINE = 80  # characters of a sentence below a small chart
+MARKERS = {"float64": "o", "float32": "s"}
+EXACT, WORST = 1e-17, 100.0  # where smaller and larger errors are drawn, and those that are not known
+ROUNDINGS = {"float64": 2.0**-53, "float32": 2.0**-24}
+
+
+def save_picture(figure: Figure, path: Path, dpi: int) -> None:
+    """Write a figure as PNG, in few colours: a third of the bytes; the same figure gives the same ones."""
+    whole = io.BytesIO()
+    figure.savefig(whole, format="png", dpi=dpi)
+    with Image.open(whole) as picture:
+        picture.convert("RGB").quantize(SHADES, dither=Image.Dither.NONE).save(path, optimize=True)
+
+
+def draw_kernels(points: Sequence[KernelPoint], folder: Path) -> list[Path]:
+    """Draw kernels.png and kernels_backward.png, a row for each mechanism, and derivatives.png; give their paths."""
+    pictures = {
+        "kernels": (tuple(KERNELS), "error", "largest error, by the largest entry of a result"),
+        "kernels_backward": (tuple(KERNELS), "backward", "largest backward error"),
+        "derivatives": (tuple(SLOPES), "error", "largest error, by the largest entry of a block"),
+    }
+    paths = []
+    for name, (tasks, number, axis) in pictures.items():
+        shown = [p for p in points if p.task in tasks and (number == "error" or _has_backward(p, points))]
+        if shown:
+            paths.append(folder / f"{name}.png")
+            _draw_tasks(shown, number, axis, paths[-1])
+    return paths
+
+
+def draw_motions(points: Sequence[MotionPoint], standard: Standard, folder: Path) -> list[Path]:
+    """Draw simulation.png: error of place and drift of energy against processor time; give its path."""
+    figure = Figure(figsize=(20, 11), layout="constrained")
+    left, right = figure.subplots(1, 2, sharex=True)
+    for axes, number in ((left, "error"), (right, "drift")):
+        marks = [
+            Mark(
+                f"{p.method}, {p.formulation}",
+                f"{p.value:.1e}",
+                p.seconds,
+                getattr(p, number),
+                is_failure=bool(p.finding),
+            )
+            for p in points
+        ]
+        sentence = _draw_marks(axes, marks, "s", lines=True)
+        axes.set_xlabel(f"processor time [s]\n{sentence}", fontsize=8)
+    left.set_ylabel("largest error at the end [rad, m; rad/s, m/s]")
+    left.axhspan(standard.accuracy / 100, standard.accuracy, color="0.9", zorder=0)
+    left.set_title(f"below {standard.accuracy:.0e} (grey) the reference is no better: {standard.title}", fontsize=9)
+    right.set_ylabel("largest drift of energy, by the energy that is exchanged")
+    right.set_title(f"labels: step [s] or tolerance; x: failed, or beyond {WORST:g}", fontsize=9)
+    figure.suptitle(f"{_plain(points[0].mechanism)}, {standard.duration:g} s: simulation, speed against accuracy")
+    handles, labels = left.get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=7)
+    path = folder / "simulation.png"
+    save_picture(figure, path, 110)
+    return [path]
+
+
+def draw_optima(points: Sequence[OptimumPoint], grids: Sequence[GridOptimum], folder: Path) -> list[Path]:
+    """Draw optimisation.png, a column for each control grid, and control_grid.png; give their paths."""
+    figure = Figure(figsize=(6 * len(grids), 10), layout="constrained")
+    rows = figure.subplots(2, len(grids), squeeze=False)
+    for column, grid in enumerate(grids):
+        own = [p for p in points if p.intervals == grid.intervals]
+        for axes, number in zip(rows[:, column], ("error", "defect"), strict=True):
+            sentence = _draw_marks(axes, [_mark_optimum(p, number) for p in own], "s")
+            axes.set_xlabel(f"processor time of a solve [s]\n{textwrap.fill(sentence, LINE)}", fontsize=8)
+        axes = rows[0, column]
+        if grid.accuracy:
+            axes.axhspan(grid.accuracy / 100, grid.accuracy, color="0.9", zorder=0)
+        if grid.error:
+            axes.axhline(grid.error, color="0.4", linewidth=0.8, linestyle="--")
+        told = "unknown" if grid.error is None else f"{grid.error:.0e} (dashed)"
+        axes.set_title(f"{grid.intervals} intervals; the grid's own error: {told}", fontsize=9)
+    rows[0, 0].set_ylabel("error of the cost, on the same control grid")
+    rows[1, 0].set_ylabel("largest defect of an interval [rad, m; rad/s, m/s]")
+    handles, labels = rows[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=6)
+    mechanism = _plain(points[0].mechanism)
+    told = "circles: Radau, squares: Legendre, labels: degree; grey: the reference is no better; x: failed"
+    figure.suptitle(f"{mechanism}: optimal control, speed against accuracy ({told})", fontsize=10)
+    path = folder / "optimisation.png"
+    save_picture(figure, path, 90)
+    return [path, _draw_grids(points, grids, folder)]
+
+
+def draw_fidelity(points: Sequence[FidelityPoint], folder: Path) -> list[Path]:
+    """Draw fidelity.png: a row for each kernel, errors as supposed and anywhere against time; give its path."""
+    kernels = list(dict.fromkeys(p.kernel for p in points))
+    figure = Figure(figsize=(16, 5 * len(kernels)), layout="constrained")
+    rows = figure.subplots(len(kernels), 2, squeeze=False)
+    for kernel, row in zip(kernels, rows, strict=True):
+        own = [p for p in points if p.kernel == kernel]
+        (whole,) = [p for p in own if p.reduction == WHOLE]
+        for axes, (number, title) in zip(
+            row, (("error", "where what is supposed holds"), ("error_anywhere", "anywhere")), strict=True
+        ):
+            sentence = _draw_marks(axes, [_mark_reduction(p, number) for p in own if p.reduction != WHOLE], "ns")
+            if whole.ns is not None:
+                axes.axvline(whole.ns.shortest, color="0.4", linewidth=0.8, linestyle="--")
+            axes.set_title(f"{kernel}, {whole.flops} flops as a whole (dashed: its time): {title}", fontsize=9)
+            axes.set_xlabel(f"time of a call [ns]\n{textwrap.fill(sentence, LINE)}", fontsize=8)
+        row[0].set_ylabel("largest error, by the whole model's largest result")
+    figure.suptitle(
+        f"{_plain(points[0].mechanism)}: what is left out, and which part of the flops that saves; x: failed",
+        fontsize=10,
+    )
+    handles, labels = rows[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=6)
+    path = folder / "fidelity.png"
+    save_picture(figure, path, 90)
+    return [path]
+
+
+def _draw_grids(points: Sequence[OptimumPoint], grids: Sequence[GridOptimum], folder: Path) -> Path:
+    """Draw what a control grid itself costs, and what collocation adds, against the number of intervals."""
+    figure = Figure(figsize=(9, 6.5), layout="constrained")
+    axes = figure.subplots()
+    known = [(g.intervals, g.error) for g in grids if g.error]
+    if known:
+        axes.plot(*zip(*known, strict=True), color="black", marker="D", label="control grid alone")
+    first = points[0].representation
+    for i, (family, degree) in enumerate(dict.fromkeys((p.family, p.degree) for p in points)):
+        own = [p for p in points if (p.family, p.degree, p.representation) == (family, degree, first)]
+        shown = [(p.intervals, max(p.error, EXACT)) for p in own if p.error is not None]
+        style, marker = ("-", "o") if family == "radau" else ("--", "s")
+        color, label = COLORS[i % len(COLORS)], f"collocation alone, {family} {degree}, {first}"
+        if shown:
+            axes.plot(*zip(*shown, strict=True), color=color, marker=marker, linestyle=style, label=label)
+    accuracies = [g.error_accuracy for g in grids if g.error_accuracy]
+    if accuracies:
+        axes.axhspan(accuracies[0] / 100, accuracies[0], color="0.9", zorder=0)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xticks([g.intervals for g in grids], [str(g.intervals) for g in grids])
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.set_xlabel("intervals, over each of which inputs are constant")
+    axes.set_ylabel("relative error of the cost")
+    axes.grid(color="0.9", linewidth=0.5)
+    axes.legend(fontsize=7)
+    told = (
+        "grey: below, the limit of fine grids is not known" if accuracies else "the limit is known of two grids alone"
+    )
+    axes.set_title(
+        f"{_plain(points[0].mechanism)}: what the control grid costs, and collocation on it; {told}", fontsize=9
+    )
+    path = folder / "control_grid.png"
+    save_picture(figure, path, 90)
+    return path
+
+
+def _mark_optimum(point: OptimumPoint, number: str) -> Mark:
+    marker = "o" if point.family == "radau" else "s"
+    is_failure = bool(point.finding)
+    return Mark(point.representation, str(point.degree), point.seconds, getattr(point, number), marker, is_failure)
+
+
+def _mark_reduction(point: FidelityPoint, number: str) -> Mark:
+    saved = "" if point.flops is None else f", {1 - point.flops / point.flops_whole:.0%}"
+    return Mark(
+        point.reduction, point.reduction + saved, point.ns, getattr(point, number), is_failure=bool(point.finding)
+    )
+
+
+def _plain(name: str) -> str:
+    """Keep a name of the user's from being read as a formula."""
+    return name.replace("$", r"\$")
+
+
+def _has_backward(point: KernelPoint, points: Sequence[KernelPoint]) -> bool:
+    """Tell whether backward errors are known of a point's task."""
+    return any(p.backward is not None for p in points if p.task == point.task)
+
+
+def _draw_tasks(points: Sequence[KernelPoint], number: str, axis: str, path: Path) -> None:
+    rows = list(dict.fromkeys(p.mechanism for p in points))
+    columns = list(dict.fromkeys(p.task for p in points))
+    figure = Figure(figsize=(5.5 * len(columns), 1 + 4.2 * len(rows)), layout="constrained")
+    grid = figure.subplots(len(rows), len(columns), squeeze=False)
+    for r, mechanism in enumerate(rows):
+        for c, task in enumerate(columns):
+            own = [p for p in points if (p.mechanism, p.task) == (mechanism, task)]
+            sentence = _draw_marks(grid[r, c], [_mark(p, number) for p in own], "ns")
+            for precision, rounding in ROUNDINGS.items():
+                if any(p.precision == precision for p in own):
+                    grid[r, c].axhline(rounding, color="0.6", linewidth=0.8, linestyle=":")
+            joints = own[0].joints if own else 0
+            grid[r, c].set_title(f"{_plain(mechanism)}, {joints} joints: {task}", fontsize=9)
+            grid[r, c].set_xlabel(f"time of a call [ns]\n{textwrap.fill(sentence, LINE)}", fontsize=7)
+            grid[r, c].legend(fontsize=7, loc="best")
+        grid[r, 0].set_ylabel(axis, fontsize=8)
+    told = "grey line: the front; circles: float64, squares: float32, dotted: half a unit in the last place; x: failed"
+    figure.suptitle(told, fontsize=9)
+    save_picture(figure, path, 110)
+
+
+def _mark(point: KernelPoint, number: str) -> Mark:
+    way, label = point.way, point.flags
+    if "differences" in way:
+        way, label = way.rsplit(", ", 1)
+    is_failure = point.failed > 0 or bool(point.finding)
+    return Mark(way, label, point.ns, getattr(point, number), MARKERS[point.precision], is_failure)
+
+
+def _draw_marks(axes: Axes, marks: Sequence[Mark], unit: str, *, lines: bool = False) -> str:
+    """Draw marks by series, and their front; return the sentence that describes the front.
+
+    A mark without a time or without an error stands at the right or the upper edge.
+    """
+    _prepare(axes)
+    last = max((m.cost.median for m in marks if m.cost), default=1.0) * 1.5
+    worst = min(WORST, max(1.0, *(3 * m.error for m in marks if m.error is not None), 1.0))
+
+    def place(mark: Mark) -> tuple[float, float]:
+        height = worst if mark.error is None else min(max(mark.error, EXACT), WORST)
+        return (mark.cost.shortest if mark.cost else last), height
+
+    for i, series in enumerate(dict.fromkeys(m.series for m in marks)):
+        own, color = [m for m in marks if m.series == series], COLORS[i % len(COLORS)]
+        style = ("-", "--", ":")[i // len(COLORS) % 3]
+        axes.plot([], [], color=color, marker="o", linestyle=style if lines else "", markersize=4, label=series)
+        if lines:
+            whole = [place(m) for m in own if m.error is not None]
+            axes.plot(*zip(*whole, strict=True), color=color, linewidth=0.8, linestyle=style) if whole else None
+        for m in own:
+            x, y = place(m)
+            if m.cost:
+                axes.plot([x, m.cost.median], [y, y], color=color, linewidth=0.8)
+            is_cross = m.is_failure or y == WORST
+            marker, size = ("x", 6) if is_cross else (m.marker, 4)
+            axes.plot(x, y, color=color, marker=marker, markersize=size, linestyle="")
+    front = find_front(marks)
+    if front:
+        _draw_front(axes, [place(m) for m in front], [m.label for m in front])
+    return describe_front(marks, unit)
+
+
+def _prepare(axes: Axes) -> None:
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.margins(0.12)
+    axes.grid(color="0.9", linewidth=0.5)
+
+
+def _draw_front(axes: Axes, places: Sequence[tuple[float, float]], labels: Sequence[str]) -> None:
+    """Draw the front as steps, and label it: on the side where no other mark is, and where no label stands yet."""
+    x, y = zip(*places, strict=True)
+    axes.step(x, y, where="post", color="0.6", linewidth=2.5, alpha=0.6, zorder=0.5)
+    heights: list[float] = []
+    for place, label in zip(places, labels, strict=True):
+        height = math.log10(place[1])
+        if all(abs(height - other) >= LABELS_APART for other in heights):
+            heights.append(height)
+            axes.annotate(
+                label, place, (-5, -5), textcoords="offset points", fontsize=6, color="0.2", ha="right", va="top"
+            )

@@ -1,0 +1,163 @@
+"""Optimal control: processor time of a solve against the defect, by collocation, grid and representation.
+
+The defect is the largest error of an interval by re-simulation. First a representation is solved on grids that are made
+finer until the defect is small enough, for each kind and degree of points; then all representations on the cheapest of
+those grids. Inputs are constant over an interval, so a finer grid is another problem too, with a lower cost.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mbsgen.errors import MbsError
+from mbsgen.manifest import Manifest
+from mbsrun.external import Mechanism
+from mbsrun.measuring.points import SolvePoint, Store
+from mbsrun.measuring.timing import sum_up
+from mbsrun.ocp.problem import Bounds, Cost, End, Form, Problem, Representation
+from mbsrun.ocp.resimulation import resimulate
+from mbsrun.ocp.schemes import Family
+from mbsrun.ocp.solution import Failure
+from mbsrun.ocp.solve import solve
+
+HORIZON = 1.0  # s
+REACH = 0.5  # rad, and a fifth of it in m: how far the actuated joints go
+
+
+@dataclass(frozen=True)
+class Depth:
+    """How much is measured."""
+
+    families: tuple[Family, ...] = (Family.RADAU, Family.LEGENDRE)
+    degrees: tuple[int, ...] = (2, 3, 4, 5)
+    intervals: tuple[int, ...] = (5, 10, 20, 40, 80)
+    representations: tuple[Representation, ...] = tuple(Representation)
+    repeats: int = 3  # of the representations' comparison
+
+
+QUICK = Depth((Family.RADAU,), (3,), (5, 10), (Representation.IMPL, Representation.EXP2_O), 1)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A problem and the mechanism that it is of."""
+
+    problem: Problem
+    mechanism: Mechanism
+
+
+def state_reach(mechanism: Mechanism) -> Case:
+    """State a problem for any mechanism: its actuated joints move a little way, from rest to rest, with least effort.
+
+    What is passive goes along. Raises MbsError where nothing is actuated.
+    """
+    manifest = mechanism.manifest
+    if not manifest.actuated:
+        raise MbsError(f"{manifest.model}: nothing is actuated, so there is nothing to optimise")
+    ranges = [
+        (-math.inf if c.lower is None else c.lower, math.inf if c.upper is None else c.upper)
+        for c in manifest.coordinates
+    ]
+    start = tuple(float(np.clip(0.0, *bounds)) for bounds in ranges)
+    free = (-math.inf, math.inf)
+    problem = Problem(
+        name=f"{manifest.model}_reach",
+        horizon=HORIZON,
+        intervals=20,
+        family=Family.RADAU,
+        degree=4,
+        cost=Cost(inputs=1.0),
+        start_q=start,
+        start_qd=(0.0,) * len(start),
+        bounds=Bounds(tuple(ranges), (free,) * len(start), (free,) * len(manifest.actuated)),
+        end=End(
+            coordinates=tuple((i, _find_goal(manifest, i, start[i])) for i in manifest.actuated),
+            velocities=tuple((i, 0.0) for i in manifest.actuated),
+        ),
+    )
+    return Case(problem, mechanism)
+
+
+def measure_solves(
+    case: Case, accuracy: float, depth: Depth, store: Store[SolvePoint], report: Callable[[str, int, int], None]
+) -> list[SolvePoint]:
+    """Solve on grids, then in representations; what was measured before is taken from the store."""
+    bench = _Bench(case, store)
+    points: list[SolvePoint] = []
+    kinds = [(family, degree) for family in depth.families for degree in depth.degrees]
+    total = len(kinds) + len(depth.representations)
+    first = depth.representations[0]
+    for done, (family, degree) in enumerate(kinds):
+        for intervals in depth.intervals:
+            report(f"{family.value}, degree {degree}, {intervals} intervals", done, total)
+            problem = replace(case.problem, family=family, degree=degree, intervals=intervals, representation=first)
+            points.append(bench.measure(problem, 1))
+            if points[-1].defect is not None and points[-1].defect <= accuracy:
+                break
+    good = [p for p in points if p.seconds and p.defect is not None and p.defect <= accuracy]
+    if not good:
+        return points
+    best = min(good, key=lambda p: p.seconds.shortest if p.seconds else math.inf)
+    for done, representation in enumerate(depth.representations, len(kinds)):
+        report(representation.value, done, total)
+        problem = replace(
+            case.problem,
+            family=Family(best.family),
+            degree=best.degree,
+            intervals=best.intervals,
+            representation=representation,
+            form=Form.STANDARD if representation.is_ode else case.problem.form,
+        )
+        points.append(bench.measure(problem, depth.repeats))
+    return list({(p.representation, p.family, p.degree, p.intervals): p for p in points}.values())
+
+
+def measure_solve(case: Case, problem: Problem, repeats: int, store: Store[SolvePoint]) -> SolvePoint:
+    """Solve a problem of a case's mechanism some times, or find in the store what was measured."""
+    return _Bench(case, store).measure(problem, repeats)
+
+
+class _Bench:
+    """Solves, and keeps what it took."""
+
+    def __init__(self, case: Case, store: Store[SolvePoint]) -> None:
+        self.case, self.store = case, store
+
+    def measure(self, problem: Problem, repeats: int) -> SolvePoint:
+        """Solve some times, or find what was measured."""
+        manifest, values = self.case.mechanism.manifest, dict(self.case.mechanism.parameters)
+        told = ("solves", manifest.generator, manifest.model_hash, values, problem, repeats)
+        (point,) = self.store.find_or_measure(told, lambda: [self._solve(problem, repeats)])
+        return point
+
+    def _solve(self, problem: Problem, repeats: int) -> SolvePoint:
+        outcome = solve(problem, self.case.mechanism)
+        told = (self.case.mechanism.manifest.model, problem.representation.value, problem.family.value)
+        grid = (problem.degree, problem.intervals)
+        if isinstance(outcome, Failure):
+            return SolvePoint(*told, *grid, None, None, None, outcome.run.iterations, outcome.finding)
+        check = resimulate(outcome, self.case.mechanism).resimulation
+        times = [outcome.run.cpu_seconds]
+        for _ in range(repeats - 1):
+            again = solve(problem, self.case.mechanism)
+            times.append(again.run.cpu_seconds)
+        defect = None if check is None else check.defect
+        finding = "" if defect is not None else "the integrator gave up in the re-simulation"
+        return SolvePoint(
+            *told, *grid, sum_up(np.array(times)), defect, outcome.cost.total, outcome.run.iterations, finding
+        )
+
+
+def _find_goal(manifest: Manifest, i: int, start: float) -> float:
+    """Go up, where there is room, or down."""
+    coordinate = manifest.coordinates[i]
+    way = REACH if coordinate.motion == "revolute" else REACH / 5
+    upper = math.inf if coordinate.upper is None else coordinate.upper
+    lower = -math.inf if coordinate.lower is None else coordinate.lower
+    if start + way <= upper:
+        return start + way
+    return max(start - way, (start + lower) / 2) if math.isfinite(lower) else start - way

@@ -1,0 +1,144 @@
+"""Attempts in many processes: orders go to the workers of a Dask cluster, and outcomes come back to be recorded.
+
+A worker gets the generated C of a model, as a kit, and compiles it into its own cache, once; so it needs neither the
+model file nor a file system that it shares, only this program. It builds one program for each structure that it meets.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import logging
+import re
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path, PurePath
+from typing import Any
+
+from mbsgen.errors import MbsError
+from mbsrun.cache import MODELS, find_or_make
+from mbsrun.environment import describe_environment
+from mbsrun.external import Mechanism
+from mbsrun.ocp.search import Alone, Bench, Crew, Order, Outcome
+
+PATIENCE = 60  # s; how long a cluster may take to offer a worker
+AHEAD = 2  # orders for each worker that are under way: it need not wait for the next
+HERE = "127.0.0.1:0"  # where Dask's own pages are: any port, and for this machine alone
+_FILE = re.compile(r"[A-Za-z0-9_]+\.(c|h|json)", re.ASCII)
+
+
+class ClusterError(MbsError):
+    """A cluster that there is not, or that a worker of fails."""
+
+
+@dataclass(frozen=True)
+class Kit:
+    """The generated files of a model."""
+
+    key: str  # names their content
+    files: tuple[tuple[str, bytes], ...]
+
+    def unpack(self, folder: Path) -> Path:
+        """Write them."""
+        made = folder / "generated"
+        made.mkdir()
+        for name, content in self.files:
+            if not _FILE.fullmatch(name):
+                raise ClusterError(f"{name!r} is no name of a generated file")
+            (made / name).write_bytes(content)
+        return made
+
+
+def pack_kit(folder: Path) -> Kit:
+    """Read the files of a generated folder that kernels are made of."""
+    files = tuple((path.name, path.read_bytes()) for path in sorted(folder.iterdir()) if _FILE.fullmatch(path.name))
+    digest = hashlib.sha256()
+    for name, content in files:
+        digest.update(f"{name} {len(content)}\n".encode())
+        digest.update(content)
+    return Kit(digest.hexdigest()[:40], files)
+
+
+class Cluster:
+    """The workers of a cluster, as those who make attempts."""
+
+    def __init__(self, client: Any, kit: Kit) -> None:
+        """Take a connected `distributed.Client`."""
+        self._client, self._kit = client, kit
+
+    def carry_out(self, orders: Iterable[Order]) -> Iterator[Outcome]:
+        """Keep all workers busy, and give outcomes as they come. Raises ClusterError where a worker fails."""
+        from distributed import as_completed
+
+        left = iter(orders)
+        kit = self._client.scatter(self._kit, hash=False)
+        under_way = as_completed()
+
+        def submit(count: int) -> None:
+            for order in itertools.islice(left, count):
+                under_way.add(self._client.submit(carry_out, kit, order, pure=False))
+
+        submit(AHEAD * max(1, sum(self._client.nthreads().values())))
+        for future in under_way:
+            try:
+                outcome: Outcome = future.result()
+            except Exception as error:  # a worker's, of whatever kind, or its end
+                raise ClusterError(f"a worker of the cluster failed: {type(error).__name__}: {error}") from None
+            submit(1)
+            yield outcome
+
+
+def carry_out(kit: Kit, order: Order) -> Outcome:
+    """Make an attempt in a worker."""
+    if kit.key not in _BENCHES:
+        folder = find_or_make(PurePath(MODELS, kit.key), kit.unpack)
+        _BENCHES[kit.key] = Bench(Mechanism(folder), describe_environment())
+    return _BENCHES[kit.key].carry_out(order)
+
+
+_BENCHES: dict[str, Bench] = {}  # of this process, by the key of their kit
+
+
+@contextmanager
+def open_workers(workers: int, scheduler: str | None) -> Iterator[Callable[[Path], Crew]]:
+    """Give what offers workers for the model of a generated folder: processes here, or those of a cluster.
+
+    With 0 workers it is this process that makes the attempts. Raises ClusterError.
+    """
+    if scheduler is None and workers == 0:
+        yield lambda folder: Alone(Mechanism(folder), describe_environment())
+        return
+    try:
+        import distributed
+    except ImportError:
+        raise ClusterError(
+            "this needs Dask: pip install 'mbsgen[study]'; or let this process do it alone: --workers 0"
+        ) from None
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # it warns of workers that are busy solving
+    with _connect(distributed, scheduler) if scheduler else _start(distributed, workers) as client:
+        yield lambda folder: Cluster(client, pack_kit(folder))
+
+
+@contextmanager
+def _start(distributed: Any, workers: int) -> Iterator[Any]:
+    """Start processes on this machine, with one thread each; they end with this process, however it ends."""
+    settings: dict[str, Any] = {"threads_per_worker": 1, "processes": True, "memory_limit": 0}
+    settings |= dict.fromkeys(("dashboard_address", "worker_dashboard_address"), HERE)
+    with (
+        distributed.LocalCluster(n_workers=workers, host="127.0.0.1", silence_logs=logging.CRITICAL, **settings) as own,
+        distributed.Client(own) as client,
+    ):
+        yield client
+
+
+@contextmanager
+def _connect(distributed: Any, scheduler: str) -> Iterator[Any]:
+    """Connect to a cluster, and wait for a worker."""
+    try:
+        client = distributed.Client(scheduler, timeout=PATIENCE)
+        client.wait_for_workers(1, timeout=PATIENCE)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise ClusterError(f"--scheduler {scheduler}: there is no cluster with a worker: {error}") from None
+    with client:
+        yield client

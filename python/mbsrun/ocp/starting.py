@@ -1,0 +1,135 @@
+"""Solve one problem from many starts, in this process or in many; a record keeps what was tried, so that it goes on."""
+
+from __future__ import annotations
+
+import math
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import FrameType
+
+from mbsrun.environment import describe_environment
+from mbsrun.external import Mechanism, OnDemand
+from mbsrun.models import find_folder
+from mbsrun.ocp.cluster import open_workers
+from mbsrun.ocp.multistart import gather, list_starts, plan_hops, state_study
+from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.record import Attempt, Record, open_record
+from mbsrun.ocp.search import (
+    Alone,
+    Bench,
+    Crew,
+    Found,
+    Hop,
+    Order,
+    OutOfTimeError,
+    Search,
+    Study,
+    Trial,
+    describe,
+    identify,
+    is_higher,
+)
+from mbsrun.ocp.solution import Failure, Solution, Starts
+
+Watch = Callable[[Starts], None]
+ROUNDS = 100  # of hops, at most
+
+
+@dataclass(frozen=True)
+class Wish:
+    """How many starts, and what they may take."""
+
+    starts: int
+    seed: int = 0
+    seconds: float = math.inf  # no start begins later
+    workers: int = 0  # processes; 0: this one
+    hops: int = 0  # of a round from the best that was found
+
+
+def solve_from_many(
+    problem: Problem, plant: Mechanism | OnDemand, model: Path, wish: Wish, path: Path, watch: Watch
+) -> tuple[Starts, Solution | Failure | None]:
+    """Solve a problem from many starts, and solve it again from the best of them; None where no start was made.
+
+    What is in the record at `path` is not tried again. `watch` gets what was found, after every start. When the time is
+    over, or an interrupt comes, the starts that ended count.
+    """
+    study = state_study(problem, plant.manifest)
+    trials, hops = list_starts(study, wish.seed, wish.starts), list[Trial]()
+    with open_record(path, identify(study, plant.manifest), describe(study, plant.manifest)) as record:
+
+        def look() -> Starts:
+            return gather(trials, list(record.attempts()), wish.seed, hops)
+
+        def show(_attempt: Attempt, _is_best: bool) -> None:
+            watch(look())
+
+        watch(look())
+        with suppress(OutOfTimeError, KeyboardInterrupt), _hire(plant, model, wish.workers) as crew:
+            search = Search(study, crew, record, show, wish.seconds)
+            with _end_at_interrupt(search):
+                search.try_all(trials)
+                for number in range(1, ROUNDS if wish.hops else 1):
+                    before = look()
+                    own = plan_hops(study, before, number, wish.hops)
+                    hops += own
+                    search.try_all(own)
+                    best, lowest = look().best, before.best
+                    if best is None or lowest is None or best == lowest:
+                        break
+        starts = look()
+        return starts, _repeat(study, (trials, hops), starts, plant, record)
+
+
+@contextmanager
+def _hire(plant: Mechanism | OnDemand, model: Path, workers: int) -> Iterator[Crew]:
+    if workers == 0:
+        yield Alone(plant, describe_environment())
+        return
+    with open_workers(workers, None) as crew_for:
+        yield crew_for(find_folder(model))
+
+
+@contextmanager
+def _end_at_interrupt(search: Search) -> Iterator[None]:
+    """Let the first interrupt end a search with the starts under way, and the second at once.
+
+    A solver that is interrupted gives a status of its own, which would be recorded as what came of its start.
+    """
+
+    def end(_number: int, _frame: FrameType | None) -> None:
+        search.end = -math.inf
+        signal.signal(signal.SIGINT, before)
+
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread():  # signals are the main thread's
+        yield
+        return
+    signal.signal(signal.SIGINT, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _repeat(
+    study: Study, tried: tuple[list[Trial], list[Trial]], starts: Starts, plant: Mechanism | OnDemand, record: Record
+) -> Solution | Failure | None:
+    """Solve from the best start once more, and from its motion if that ends elsewhere; without one, from the first."""
+    if not starts.results:
+        return None
+    best, bench = starts.best or starts.results[0], Bench(plant)
+    trial = tried[best.kind == "hops"][best.number]
+    motion = None
+    if isinstance(trial.start, Hop):
+        motion = record.best_motion(trial.task, trial.protocol, trial.round, trial.start.turns)
+    found = bench.solve(Order(study, trial, motion))
+    if best.cost is not None and (isinstance(found, Failure) or is_higher(found.cost.total, best.cost)):
+        motion = record.best_motion(trial.task, trial.protocol, turns=best.turns)
+        found = bench.solve(Order(study, replace(trial, start=Found(trial.task, is_held=True)), motion))
+    found = replace(found, problem=study.state(trial.task))
+    return found if isinstance(found, Failure) else replace(found, starts=starts)

@@ -1,0 +1,1 @@
+"""Studies of questions in the literature, by means of `mbsrun`; not part of the installed package."""

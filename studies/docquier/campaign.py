@@ -1,0 +1,421 @@
+"""The whole study of a problem: what is to be solved, by whom, and what has become of it.
+
+Every attempt goes into `study.sqlite` in the output folder as it ends, by this process alone; so the study goes on
+where it was, however it was stopped.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from mbsgen.errors import Fault, InputError, MbsError
+from mbsrun.environment import describe_environment
+from mbsrun.external import Mechanism
+from mbsrun.measuring.sections import Cell, Section, Table
+from mbsrun.models import find_folder, fingerprint_generator
+from mbsrun.ocp.problem import Problem, Representation
+from mbsrun.ocp.record import Attempt, Record, open_record
+from mbsrun.ocp.search import (
+    Alone,
+    Crew,
+    OutOfTimeError,
+    ProtocolName,
+    Search,
+    Study,
+    Targets,
+    Weights,
+    describe,
+    identify,
+)
+from mbsrun.ocp.statement import read_problem
+from studies.docquier import questions, spread
+from studies.docquier.differentiated import WAYS, Differentiated
+from studies.docquier.export import Row, list_rows
+from studies.docquier.figures import draw_figures
+from studies.docquier.growth import Growth, count_growth
+from studies.docquier.judgement import SHOWN, judge_all
+from studies.docquier.questions import GridPoint, System, TaskList, name_transcription
+from studies.docquier.results import Effort, Results, find_shown_task
+from studies.docquier.robustness import find_state, report_robust
+from studies.docquier.summary import summarise_run
+from studies.docquier.tables import tabulate, tabulate_spreads, tabulate_statements
+
+STORE = "study.sqlite"
+QUESTIONS = ("repeats", "derivatives", "grids", "systems", "shooting", "guess")
+SETS: tuple[Weights, ...] = ((1.0, 0.0), (1.0, 1e5))  # the paper's costs
+Attempts = Sequence[tuple[Attempt, str]]  # with the circumstances of each
+
+WHOLE = 231  # tasks of each set and representation in the paper
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A problem file, read: the model's file, and the folder that was generated of it."""
+
+    problem: Problem
+    plant: Mechanism
+    model: Path
+    folder: Path
+
+    @property
+    def system(self) -> System:
+        """Give what a list of tasks needs."""
+        return System(self.problem, self.folder)
+
+
+@dataclass(frozen=True, eq=False)
+class Campaign:
+    """What is to be done."""
+
+    subject: Subject
+    study: Study
+    protocols: tuple[ProtocolName, ...]
+    questions: tuple[str, ...]
+    systems: tuple[Subject, ...]
+    is_quick: bool  # little of the questions
+
+
+def read_subject(file: Path) -> Subject:
+    """Read a problem file, and generate of its model. Raises InputError."""
+    paths: list[tuple[Path, Path]] = []
+
+    def load(model: Path) -> Mechanism:
+        paths.append((Path(model), find_folder(Path(model))))
+        return Mechanism(paths[-1][1])
+
+    problem, plant = read_problem(file, load)
+    return Subject(problem, plant, *paths[-1])
+
+
+def find_sensor(problem: Problem, file: Path) -> str:
+    """Name the one sensor that has a target. Raises InputError."""
+    names = [name for name, _ in problem.end.sensors]
+    if len(names) != 1:
+        told = f"it has targets for {', '.join(names) or 'no sensor'}"
+        raise InputError([Fault(str(file), 0, "end.sensors", told, "give a problem with a target for one sensor")])
+    return names[0]
+
+
+def choose_steps(targets: Targets, sample: int) -> tuple[int, int]:
+    """Choose which azimuths and heights a slice of about `sample` targets takes: evenly, ends included.
+
+    Of slices that are as near, that with more azimuths.
+    """
+    counts = (len(targets.azimuths), len(targets.heights))
+    steps = [[s for s in range(1, max(n, 2)) if (n - 1) % s == 0] for n in counts]
+    taken = [((counts[0] - 1) // a + 1, (counts[1] - 1) // b + 1, a, b) for a in steps[0] for b in steps[1]]
+    _, _, a, b = min(taken, key=lambda t: (abs(t[0] * t[1] - sample), -t[0]))
+    return a, b
+
+
+@contextmanager
+def hold(folder: Path) -> Iterator[None]:
+    """Keep others from writing to a folder. Raises MbsError where another does."""
+    folder.mkdir(parents=True, exist_ok=True)
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    except BlockingIOError:
+        raise MbsError(f"{folder}: another study is at work there; wait for its end, or give another folder") from None
+    finally:
+        os.close(descriptor)
+
+
+# --- solving -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Step:
+    """What is being done, for who looks on."""
+
+    title: str
+    trials: int  # of the list that is worked on
+    done: int
+    last: Attempt | None = None
+
+
+Watch = Callable[[Step], None]
+
+
+class Runner:
+    """Carries a campaign out."""
+
+    def __init__(
+        self, campaign: Campaign, record: Record, crew_for: Callable[[Path], Crew], watch: Watch, seconds: float
+    ) -> None:
+        """Take what offers workers for a generated folder, and the time that there is."""
+        self.campaign, self.record, self.crew_for, self.watch = campaign, record, crew_for, watch
+        self.end = time.monotonic() + seconds
+        self._crews: dict[Path, Crew] = {}
+
+    def run(self) -> None:
+        """Do all of it. Raises OutOfTimeError."""
+        campaign = self.campaign
+        if "paper" in campaign.protocols:
+            self._follow("paper")
+        for name in campaign.questions:
+            self._try_all(name, list_tasks(campaign, name))
+        if "robust" in campaign.protocols:
+            self._follow("robust")
+
+    def _follow(self, protocol: ProtocolName) -> None:
+        study, subject = self.campaign.study, self.campaign.subject
+        count = _Count(self.watch, f"{protocol} protocol")
+        record = self._record(study, subject.plant)
+        self._search(study, record, self._crew(subject.folder), count).run(protocol, count.plan)
+
+    def _try_all(self, title: str, lists: Sequence[TaskList]) -> None:
+        records = [self._record(tasks.study, self._own_subject(tasks).plant) for tasks in lists]
+        done = sum(r.find(trial.key) for r, tasks in zip(records, lists, strict=True) for trial in tasks.trials)
+        count = _Count(self.watch, title)
+        count.plan(sum(len(tasks.trials) for tasks in lists), done)
+        for record, tasks in zip(records, lists, strict=True):
+            own = self._own_subject(tasks)
+            if title == "derivatives":  # times are compared: in this process, one after the other
+                plant = own.plant
+                is_compiled = tasks.way == WAYS[1]
+                by = plant if tasks.way == WAYS[0] else Differentiated(plant, own.model, is_compiled)
+                crew: Crew = Alone(by, describe_environment())
+            else:
+                crew = self._crew(tasks.folder)
+            self._search(tasks.study, record, crew, count).try_all(tasks.trials)
+
+    def _own_subject(self, tasks: TaskList) -> Subject:
+        subjects = (self.campaign.subject, *self.campaign.systems)
+        return next(s for s in subjects if s.folder == tasks.folder)
+
+    def _crew(self, folder: Path) -> Crew:
+        if folder not in self._crews:
+            self._crews[folder] = self.crew_for(folder)
+        return self._crews[folder]
+
+    def _record(self, study: Study, plant: Mechanism) -> Record:
+        return self.record.of(identify(study, plant.manifest), describe(study, plant.manifest))
+
+    def _search(self, study: Study, record: Record, crew: Crew, count: _Count) -> Search:
+        return Search(study, crew, record, count.step, max(0.0, self.end - time.monotonic()))
+
+
+class _Count:
+    """Counts what is done."""
+
+    def __init__(self, watch: Watch, title: str) -> None:
+        self.watch, self.title, self.trials, self.done = watch, title, 0, 0
+
+    def plan(self, trials: int, done: int) -> None:
+        self.trials, self.done = trials, done
+        self.watch(Step(self.title, self.trials, self.done))
+
+    def step(self, attempt: Attempt, _: bool) -> None:
+        self.done += 1
+        self.watch(Step(self.title, self.trials, self.done, attempt))
+
+
+def list_tasks(campaign: Campaign, question: str) -> list[TaskList]:
+    """Declare the tasks of a question."""
+    subject, study = campaign.subject, campaign.study
+    if question == "derivatives":
+        return questions.list_derivatives(subject.problem, subject.folder, study.representations)
+    if question == "grids":
+        grids = questions.QUICK_GRIDS if campaign.is_quick else questions.GRIDS
+        return questions.list_grids(subject.problem, subject.folder, grids)
+    if question == "systems":
+        return questions.list_systems([s.system for s in campaign.systems])
+    if question == "shooting":
+        return questions.list_shooting(study, subject.folder, [s.system for s in campaign.systems])
+    if question == "repeats":
+        return questions.list_repeats(study, subject.folder)
+    return questions.list_guesses(study, subject.folder)
+
+
+def carry_out(campaign: Campaign, out: Path, crew_for: Callable[[Path], Crew], watch: Watch, seconds: float) -> bool:
+    """Do what is not done yet; tell whether all of it is. Raises what a crew and a record raise."""
+    with _open(campaign, out) as record:
+        try:
+            Runner(campaign, record, crew_for, watch, seconds).run()
+        except OutOfTimeError:
+            return False
+    return True
+
+
+@contextmanager
+def _open(campaign: Campaign, out: Path) -> Iterator[Record]:
+    study, manifest = campaign.study, campaign.subject.plant.manifest
+    with open_record(out / STORE, identify(study, manifest), describe(study, manifest)) as record:
+        yield record
+
+
+# --- what came of it -----------------------------------------------------------------------------------------------
+
+
+def list_attempts(campaign: Campaign, out: Path) -> list[Row]:
+    """List every attempt of the campaign, and of its questions, as rows."""
+    rows: list[Row] = []
+    with _open(campaign, out) as record:
+        rows += list_rows(campaign.study, record.list_all())
+        for study, own in _list_own_records(campaign, record):
+            rows += list_rows(study, own.list_all())
+    return rows
+
+
+def _list_own_records(campaign: Campaign, record: Record) -> Iterator[tuple[Study, Record]]:
+    """Give the records of the questions' studies that are not the campaign's own."""
+    subjects = (campaign.subject, *campaign.systems)
+    own = identify(campaign.study, campaign.subject.plant.manifest)
+    seen = {own}
+    for question in QUESTIONS:
+        for tasks in list_tasks(campaign, question):
+            manifest = next(s for s in subjects if s.folder == tasks.folder).plant.manifest
+            identity = identify(tasks.study, manifest)
+            if identity not in seen:
+                seen.add(identity)
+                yield tasks.study, record.of(identity, describe(tasks.study, manifest))
+
+
+def gather(
+    campaign: Campaign, record: Record, growth: tuple[Growth, ...], own: Sequence[tuple[Study, Attempts]]
+) -> Results:
+    """Collect the results of the study proper."""
+    study, report = campaign.study, _read_report(campaign.subject.folder)
+    attempts = tuple(a for a in record.attempts() if _is_part(a, study))
+    motions = []
+    for weights in study.costs:
+        motion = record.best_motion(find_shown_task(study, weights), "paper")
+        if motion is not None:
+            motions.append((weights, motion))
+    efforts = tuple(
+        (name, Effort(found["flops"]["paper"], found["equations"]))
+        for name, found in report.get("formulations", {}).items()
+    )
+    shots: dict[str, list[Attempt]] = {}
+    for each, found in ((study, attempts), *((s, [a for a, _ in rows]) for s, rows in own if s.sensor is not None)):
+        for a in found:
+            if a.part == "shooting":
+                shots.setdefault(name_transcription(each.problem), []).append(a)
+    shooting = tuple((name, tuple(found)) for name, found in shots.items())
+    repeats = [a for _, rows in own for a, _ in rows if a.part == "repeats"]
+    spreads = spread.measure((a for a in attempts if a.protocol == "paper"), repeats, SHOWN)
+    return Results(study, attempts, tuple(motions), efforts, growth, shooting, spreads)
+
+
+def _is_part(attempt: Attempt, study: Study) -> bool:
+    """Tell whether an attempt is of the targets, costs and representations that are asked for."""
+    task = attempt.task
+    names = [r.value for r in study.representations]
+    return task.place in study.targets.places and task.weights in study.costs and task.representation in names
+
+
+def report(campaign: Campaign, out: Path) -> list[Section]:
+    """Make all sections of the report that there are numbers for."""
+    study = campaign.study
+    with _open(campaign, out) as record:
+        own = [(s, tuple(r.list_all())) for s, r in _list_own_records(campaign, record)]
+        results = gather(campaign, record, _find_growth(out), own)
+        states = {weights: find_state(replace(study, costs=(weights,)), record) for weights in study.costs}
+        told = Counter(text for rows in (record.list_all(), *(rows for _, rows in own)) for _, text in rows)
+    judgements, scatter = judge_all(results), tabulate_spreads(results.spreads)
+    sections = [
+        summarise_run(results, judgements),
+        Section(
+            "statements",
+            "What the paper says, and what this run finds",
+            "Each statement of section 4.3 and of the conclusion, beside the numbers of the paper's protocol: one "
+            "stated guess for all representations, the interpolation with inputs 0, and no restart.",
+            (tabulate_statements(judgements), *([scatter] if scatter else [])),
+        ),
+        Section("tables", "The paper's tables", "", tuple(tabulate(results))),
+        Section("figures", "The paper's figures", "", tuple(draw_figures(results, campaign.subject.plant))),
+    ]
+    run = Section("run", "The run", "", (_tabulate_run(results, own), *_tabulate_circumstances(told)))
+    rest = (report_robust(results, states), *_answer(campaign, results, own))
+    return sections + [section for section in (*rest, run) if section is not None]
+
+
+def _answer(campaign: Campaign, results: Results, own: Sequence[tuple[Study, Attempts]]) -> list[Section | None]:
+    def select(question: str) -> list[tuple[Study, list[Attempt]]]:
+        """Pick from the records: one study may serve several questions."""
+        part = [(s, [a for a, _ in rows if a.part == question]) for s, rows in own]
+        part.append((campaign.study, [a for a in results.attempts if a.part == question]))
+        return [(s, attempts) for s, attempts in part if attempts]
+
+    ways = _read_report(campaign.subject.folder).get("ways", {})
+    derivatives = [a for _, attempts in select("derivatives") for a in attempts]
+    grids = [GridPoint(s.problem, a) for s, attempts in select("grids") for a in attempts]
+    systems = [(s.problem.name, attempts) for s, attempts in select("systems")]
+    return [
+        questions.answer_guess(results),
+        questions.answer_derivatives(derivatives, ways),
+        questions.answer_grids(grids),
+        questions.answer_systems(systems),
+        questions.answer_shooting([(s.problem, attempts) for s, attempts in select("shooting")]),
+    ]
+
+
+def _tabulate_run(results: Results, own: Sequence[tuple[Study, Attempts]]) -> Table:
+    """Say how large the run is."""
+    groups: dict[str, list[Attempt]] = {}
+    for a in results.attempts:
+        groups.setdefault(f"{a.protocol} protocol" if a.protocol in ("paper", "robust") else a.part, []).append(a)
+    for a in (a for _, rows in own for a, _ in rows):
+        groups.setdefault(a.part, []).append(a)
+    sets, names = len(SETS), len(Representation)
+    whole = WHOLE * sets * names
+    table: list[tuple[Cell, ...]] = []
+    for name, attempts in groups.items():
+        tasks = {a.task for a in attempts}
+        share = round(100 * len(tasks) / whole, 1) if name == "paper protocol" else None
+        solved, cpu = sum(a.cost is not None for a in attempts), round(sum(a.cpu_seconds for a in attempts), 1)
+        table.append((name, len(attempts), len(tasks), share, solved, cpu))
+    columns = ("part", "attempts", "tasks", "% of the paper's", "solved", "CPU s")
+    note = f"The paper's study has {whole} tasks: {WHOLE} targets, {sets} costs, {names} representations."
+    return Table("How large the run is", columns, tuple(table), note)
+
+
+def _tabulate_circumstances(told: Mapping[str, int]) -> Iterator[Table]:
+    """Tell by what attempts were made, and how many by each; results of several versions may stand in one record."""
+    circumstances = [(json.loads(text), count) for text, count in sorted(told.items()) if text]
+    if circumstances:
+        columns = tuple(dict.fromkeys(key for each, _ in circumstances for key in each))
+        rows = tuple((count, *(each.get(key) for key in columns)) for each, count in circumstances)
+        note = (
+            "CPU times are of the processor, in one thread. Other programs on the machine lengthen them. Of what was "
+            "generated, the beginning of its hash is told: what other versions of mbsgen generated has another."
+        )
+        yield Table("Versions and machines", ("attempts", *columns), rows, note, is_folded=True)
+
+
+def _find_growth(out: Path) -> tuple[Growth, ...]:
+    """Count, or read what was counted by the same generator."""
+    path, own = out / "growth.json", fingerprint_generator().hex()
+    if path.exists():
+        found = json.loads(path.read_text(encoding="utf-8"))
+        if found.get("generator") == own:
+            return tuple(Growth(g["formulation"], tuple(map(tuple, g["flops"])), g["degree"]) for g in found["growth"])
+    growth = count_growth()
+    told = [{"formulation": g.formulation, "flops": g.flops, "degree": g.degree} for g in growth]
+    path.write_text(json.dumps({"generator": own, "growth": told}) + "\n", encoding="utf-8")
+    return growth
+
+
+def _read_report(folder: Path) -> dict[str, Any]:
+    """Read what the generator counted, where it is there."""
+    path = folder / "report.json"
+    found = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    return found if isinstance(found, dict) else {}
+
+
+def restrict(study: Study, sample: int | None) -> Study:
+    """Take a slice of the targets."""
+    if sample is None:
+        return study
+    return replace(study, targets=replace(study.targets, every=choose_steps(study.targets, sample)))

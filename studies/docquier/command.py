@@ -1,0 +1,237 @@
+"""The command of the study, also `mbsrun study`: read a problem file; write a record, tables, figures and a report."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from mbsgen.errors import MbsError
+from mbsrun.measuring.page import render_page
+from mbsrun.measuring.sections import distinguish, read_folders, write_section
+from mbsrun.ocp.cluster import open_workers
+from mbsrun.ocp.problem import Representation, find_conflicts
+from mbsrun.ocp.search import ProtocolName, Study, Targets, Weights
+from mbsrun.ocp.starts import list_turning
+from studies.docquier.campaign import (
+    QUESTIONS,
+    SETS,
+    Campaign,
+    Step,
+    Watch,
+    carry_out,
+    find_sensor,
+    hold,
+    list_attempts,
+    read_subject,
+    report,
+    restrict,
+)
+from studies.docquier.export import Form, export
+from studies.docquier.judgement import INSIDE, TURNS
+from studies.docquier.statements import CONFIRMED, REFUTED
+
+NOT_THROUGH, BAD_INPUT = 1, 2  # exit codes
+STYLES = {CONFIRMED: "confirmed", REFUTED: "refuted", TURNS: "open", INSIDE: "open"}  # of verdicts on the page
+PAGE, DATA, ATTEMPTS = "study.html", "data", "attempts"
+SPEED = 1800.0  # s of which the pace is taken that tells the time left
+
+STUDY_HELP = """Carry out the study of Docquier, Bruls, Fisette on PROBLEM, and write a report.
+
+The arm of the paper is models/arm_reach.ocp.yaml: 231 targets, 6 representations, 2 costs. Targets are places for the
+one sensor that has a target, on a cylinder about the base's z axis. What is solved goes into the output folder at once,
+with versions, machine and options: the command can be stopped, or killed, and given again to go on. Given again when
+all is done, or with --minutes 0, it only writes the report.
+
+\b
+Parts, in this order; all, unless some are chosen
+  --protocol paper        one guess, no restart; what fails or ends in a higher minimum is counted
+  --question derivatives  generated sensitivities against AD of the same equations
+  --question grids        Radau and Legendre points, degrees 1 to 5, N from 25 to 200
+  --question systems      the problems of --system, in all representations
+  --question shooting     multiple shooting beside collocation, here and for --system
+  --question guess        inputs 0, statics, inverse dynamics
+  --question repeats      the same tasks for targets that differ by rounding: how far iterations scatter
+  --protocol robust       a search for lower minima from many starts; how often each was found
+
+\b
+The output folder gets
+  study.html     the report, one page: it needs no network and no other file
+  data/          its tables as CSV, its pictures
+  study.sqlite   every attempt
+
+\b
+Exit codes
+  0   all that was asked for is done
+  1   the time is over
+  2   a file or an argument cannot be accepted, or there is no cluster
+"""
+
+
+@click.command("study", help=STUDY_HELP)
+@click.argument("file", metavar="PROBLEM", type=click.Path(path_type=Path))
+@click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="By default NAME.study.")
+@click.option("--sample", type=click.IntRange(1), help="Take a slice of about so many targets, spread over all; 33.")
+@click.option("--protocol", "protocols", type=click.Choice(["paper", "robust"]), multiple=True)
+@click.option("--question", "asked", type=click.Choice(QUESTIONS), multiple=True)
+@click.option("--system", "systems", type=click.Path(path_type=Path), multiple=True, help="A problem file of another.")
+@click.option("--cost", "costs", type=(float, float), multiple=True, metavar="K1 K2", help="1 0 and 1 1e5.")
+@click.option(
+    "--representation",
+    "names",
+    type=click.Choice([r.value for r in Representation], case_sensitive=False),
+    multiple=True,
+    help="By default all six.",
+)
+@click.option("--radius", type=float, default=0.63, help="Of the cylinder [m]; 0.63.")
+@click.option(
+    "--azimuths",
+    type=(float, float, click.IntRange(1, 1000)),
+    default=(-math.pi / 2, math.pi / 2, 21),
+    metavar="FROM TO COUNT",
+    help="A quarter turn to either side, 21.",
+)
+@click.option(
+    "--heights",
+    type=(float, float, click.IntRange(1, 1000)),
+    default=(-0.1, 0.1, 11),
+    metavar="FROM TO COUNT",
+    help="-0.1 0.1 11.",
+)
+@click.option(
+    "--workers", type=click.IntRange(0), help="Processes, by default one per core; 0: this one, without Dask."
+)
+@click.option("--scheduler", metavar="tcp://…", help="An existing Dask cluster, in the place of processes here.")
+@click.option("--minutes", type=click.FloatRange(min=0), default=math.inf, help="Begin nothing after so much time.")
+@click.option("--quick", is_flag=True, help="Little of the questions, to see how it looks.")
+@click.option("--export", "form", type=click.Choice(["csv", "parquet"]), help="Write all attempts as one table, too.")
+@click.option(
+    "--with",
+    "folders",
+    type=click.Path(path_type=Path),
+    multiple=True,
+    help="A folder whose tables and pictures the report takes in, such as that of `mbsrun chart`.",
+)
+@click.pass_context
+def study_command(
+    context: click.Context,
+    /,
+    file: Path,
+    out: Path | None,
+    sample: int | None,
+    protocols: tuple[ProtocolName, ...],
+    asked: tuple[str, ...],
+    systems: tuple[Path, ...],
+    costs: tuple[Weights, ...],
+    names: tuple[str, ...],
+    radius: float,
+    azimuths: tuple[float, float, int],
+    heights: tuple[float, float, int],
+    workers: int | None,
+    scheduler: str | None,
+    minutes: float,
+    quick: bool,
+    form: Form | None,
+    folders: tuple[Path, ...],
+) -> None:
+    """Read, solve, write."""
+    if workers is not None and scheduler is not None:
+        raise click.UsageError("a cluster has its own workers; give --workers, or --scheduler, but not both")
+    extra = read_folders(folders)
+    subject = read_subject(file)
+    problem = subject.problem
+    grid = Targets(radius, tuple(np.linspace(*azimuths).tolist()), tuple(np.linspace(*heights).tolist()))
+    representations = tuple(Representation(name) for name in names) or tuple(Representation)
+    for representation in representations:
+        if conflicts := find_conflicts(replace(problem, representation=representation)):
+            raise click.UsageError("; ".join(f"{c.key}: {c.finding}; {c.remedy}" for c in conflicts))
+    bumped = tuple(subject.plant.manifest.actuated)
+    turning = list_turning(problem, subject.plant.manifest)
+    study = Study(problem, find_sensor(problem, file), grid, costs or SETS, representations, bumped, turning)
+    chosen = bool(protocols or asked)
+    campaign = Campaign(
+        subject=subject,
+        study=restrict(study, sample),
+        protocols=protocols if chosen else ("paper", "robust"),
+        questions=tuple(name for name in QUESTIONS if name in asked or not chosen),
+        systems=tuple(map(read_subject, systems)),
+        is_quick=quick,
+    )
+    out = out or Path(f"{problem.name}.study")
+    is_through = True
+    with hold(out):
+        if minutes > 0:
+            processes = len(os.sched_getaffinity(0)) if workers is None else workers
+            with open_workers(processes, scheduler) as crew_for, show_steps() as watch:
+                is_through = carry_out(campaign, out, crew_for, watch, 60 * minutes)
+        sections = distinguish([*report(campaign, out), *extra])
+        for section in sections:
+            write_section(section, out / DATA)
+        if form is not None:
+            export(list_attempts(campaign, out), out / DATA / ATTEMPTS, form)
+        page = render_page(
+            f"Formulations of multibody dynamics in optimal control: {problem.name}", _INTRODUCTION, sections, STYLES
+        )
+        (out / PAGE).write_text(page, encoding="utf-8")
+    click.echo(f"wrote {out / PAGE}, {out / DATA}", err=True)
+    if not is_through:
+        click.echo("the time is over; give the command again to go on", err=True)
+    context.exit(0 if is_through else NOT_THROUGH)
+
+
+_INTRODUCTION = (
+    "Q. Docquier, O. Brüls and P. Fisette compare four formulations of the equations of motion of a multibody system, "
+    "in six representations, by solving optimal control problems (“Comparison and Analysis of Multibody Dynamics "
+    "Formalisms for Solving Optimal Control Problem”). This page repeats their section 4.3, and goes on where it ends.",
+    "A click on the name of a column sorts a table, one on a picture shows it in its own size. Every table is beside "
+    "this page as CSV.",
+)
+
+
+@contextmanager
+def show_steps() -> Iterator[Watch]:
+    """Show on stderr what is being solved, and the time left; where nobody watches a terminal, a line for each list."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())
+    times = (TimeElapsedColumn(), TimeRemainingColumn())
+    seen: set[str] = set()
+    with Progress(*columns, *times, console=console, transient=True, speed_estimate_period=SPEED) as progress:
+        bar = progress.add_task("beginning", total=None)
+
+        def show(step: Step) -> None:
+            if step.last is None:
+                progress.reset(bar, total=step.trials, completed=step.done, description=step.title)
+                if not sys.stderr.isatty() and step.title not in seen:
+                    seen.add(step.title)
+                    click.echo(f"{step.title}: {step.done} of {step.trials} attempts are there", err=True)
+                return
+            last = step.last
+            told = f"{step.title}: {last.task.place}, {last.task.representation}, {last.status}"
+            progress.update(bar, completed=step.done, total=step.trials, description=told)
+
+        yield show
+
+
+def main() -> None:
+    """Run the command; print errors of the user without a traceback."""
+    try:
+        study_command(prog_name="python -m studies.docquier")
+    except (MbsError, OSError) as error:
+        click.echo(str(error), err=True)
+        sys.exit(BAD_INPUT)

@@ -1,0 +1,73 @@
+"""A model's kernels with derivatives that CasADi makes of the same equations, in the place of those that are generated.
+
+The equations are those that mbsgen writes as Python, traced in CasADi's SX; CasADi differentiates them twice, and runs
+the result in its virtual machine, or as C that it writes and that is compiled as our kernels are.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from functools import cached_property
+from pathlib import Path
+from types import ModuleType
+from typing import Literal
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mbsgen.manifest import Manifest
+from mbsrun.library import compile_library
+from mbsrun.measuring.candidates import load_equations, trace
+from mbsrun.measuring.mechanisms import Subject
+from mbsrun.measuring.timing import Variant
+from mbsrun.models import Extent
+from mbsrun.ocp.plant import Plant
+
+DYNAMICS = ("impl", "semi_res", "exp1", "exp2")
+
+Way = Literal["generated", "CasADi's AD, compiled", "CasADi's AD, interpreted"]
+WAYS: tuple[Way, ...] = ("generated", "CasADi's AD, compiled", "CasADi's AD, interpreted")
+
+
+class Differentiated:
+    """The kernels of a model, those of its dynamics differentiated by CasADi."""
+
+    def __init__(self, plant: Plant, model: Path, is_compiled: bool) -> None:
+        """Take the generated kernels, for all else, and the model file that they are of."""
+        self._plant, self._is_compiled = plant, is_compiled
+        self._subject = Subject(model, Extent(DYNAMICS, 0, python=True))
+
+    @property
+    def manifest(self) -> Manifest:
+        """Describe the kernels."""
+        return self._plant.manifest
+
+    def __call__(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> dict[str, NDArray[np.float64]]:
+        """Evaluate a generated kernel."""
+        return self._plant(name, sparse=sparse, **inputs)
+
+    def casadi(self, name: str) -> ca.Function:
+        """Give a kernel as a CasADi function."""
+        if name not in DYNAMICS:
+            return self._plant.casadi(name)
+        function = trace(self._equations, self._subject.manifest.kernel(name))
+        return self._compile(function) if self._is_compiled else function
+
+    @cached_property
+    def _equations(self) -> ModuleType:
+        return load_equations(self._subject)
+
+    def _compile(self, function: ca.Function) -> ca.Function:
+        """Let CasADi write C of a function and of the derivatives that a program asks for, and compile it."""
+        prefix, x = self._subject.manifest.prefix, function.sx_in()
+        name = f"casadi_{prefix}_{function.name()}"  # exp2 is a name of C's
+        function = ca.Function(name, x, function.call(x), function.name_in(), function.name_out())
+        adjoint = function.reverse(1)
+        with tempfile.TemporaryDirectory() as place:
+            generator = ca.CodeGenerator(f"{name}.c")
+            for each in (function, function.jacobian(), adjoint, adjoint.jacobian()):
+                generator.add(each)
+            generator.generate(f"{place}/")
+            library = compile_library(Path(place), prefix, [f"{name}.c"], Variant().compiler())
+        return ca.external(name, str(library))

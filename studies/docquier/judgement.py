@@ -1,0 +1,71 @@
+"""Judge the paper's statements on a run: over what counts as one minimum, and over the scatter of iterations.
+
+A verdict that turns with the threshold of "the same minimum" says more about the threshold than about the paper. A
+verdict that turns when iterations are drawn again from their scatter is inside that scatter. Both are reported as such.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from studies.docquier.results import Results
+from studies.docquier.statements import CONFIRMED, REFUTED, STATEMENTS, Statement
+
+UNMEASURED = "not measured"
+TURNS = "depends on the threshold"
+INSIDE = "inside the scatter"
+VERDICTS = (CONFIRMED, REFUTED, TURNS, INSIDE, UNMEASURED)
+
+SHOWN = 1e-2  # the relative difference of two costs that one can see in the paper's box plots
+THRESHOLDS = (1e-6, 1e-4, 1e-3, SHOWN, 5e-2)
+DRAWS = 200  # of all iterations
+SURE = 0.95  # share of the draws that must agree
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What a run finds about one statement."""
+
+    statement: Statement
+    verdict: str  # one of VERDICTS
+    numbers: str  # at the threshold SHOWN
+    by_threshold: tuple[str, ...] = ()  # the verdict at each of THRESHOLDS
+    share: float | None = None  # of the draws that confirm; None where iterations do not matter, or have no spread
+
+
+def judge_all(results: Results) -> list[Judgement]:
+    """Judge every statement, in the paper's order."""
+    by_threshold = [results.with_same(same) for same in THRESHOLDS]
+    source, shown = np.random.default_rng(0), results.with_same(SHOWN)
+    draws = [shown.resample(source) for _ in range(DRAWS)] if results.spreads else []
+    return [_judge(statement, by_threshold, draws) for statement in STATEMENTS]
+
+
+def _judge(statement: Statement, by_threshold: Sequence[Results], draws: Sequence[Results]) -> Judgement:
+    findings = [statement.judge(results) for results in by_threshold]
+    found = findings[THRESHOLDS.index(SHOWN)]
+    if found is None:
+        return Judgement(statement, UNMEASURED, "")
+    verdicts = tuple(UNMEASURED if f is None else f.verdict for f in findings)
+    share = _share(statement, draws) if statement.scatters and draws else None
+    verdict = found.verdict
+    if len(set(verdicts)) > 1:
+        verdict = TURNS
+    elif share is not None and not (share >= SURE or share <= 1 - SURE):
+        verdict = INSIDE
+    return Judgement(statement, verdict, found.numbers, verdicts, share)
+
+
+def _share(statement: Statement, draws: Sequence[Results]) -> float:
+    findings = [statement.judge(results) for results in draws]
+    return sum(f is not None and f.verdict == CONFIRMED for f in findings) / len(findings)
+
+
+def write_thresholds(judgement: Judgement) -> str:
+    """Write where the verdict changes: "" where it is the same at all thresholds."""
+    if len(set(judgement.by_threshold)) < 2:
+        return ""
+    return "; ".join(f"{same:g}: {verdict}" for same, verdict in zip(THRESHOLDS, judgement.by_threshold, strict=True))

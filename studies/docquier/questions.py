@@ -1,0 +1,451 @@
+"""The questions that Docquier, Bruls, Fisette leave open, each a declared list of tasks, and what came of them.
+
+guess         how much of the formulations' difference is the initial guess's, and why the implicit forms fall into
+              higher minima: inputs 0, those that hold each pose, those that make the motion
+derivatives   generated sensitivities against algorithmic differentiation of the same equations
+grids         other transcriptions: Radau and Legendre points, degrees 1 to 5, N from 25 to 200
+repeats       how far the iterations of one task scatter, for targets that differ by rounding alone
+systems       other systems
+shooting      multiple shooting, on the study's problem and on the other systems
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from mbsrun.measuring.sections import Cell, Picture, Section, Table
+from mbsrun.ocp.integrators import IntegratorName
+from mbsrun.ocp.problem import Form, Problem, Representation, find_conflicts
+from mbsrun.ocp.record import Attempt, Task
+from mbsrun.ocp.schemes import Family
+from mbsrun.ocp.search import ONE, Interpolation, Place, Study, Trial, is_higher, list_interpolations
+from studies.docquier.differentiated import WAYS, Way
+from studies.docquier.figures import draw_scatter, name_set
+from studies.docquier.results import Results
+from studies.docquier.statements import COLLOCATION
+
+PROTOCOL = "question"  # of attempts that belong to none of the two
+REPEATS = 4  # of each task whose iterations are repeated
+NUDGE = 2.0**-50  # relative, of the radius of the targets: a few units in the last place
+ROUNDS = 3  # in which ways of differentiating are timed
+GRIDS = tuple(
+    (family, degree, intervals) for intervals in (25, 50, 100, 200) for family in Family for degree in range(1, 6)
+)
+QUICK_GRIDS = tuple((Family.RADAU, degree, intervals) for degree in (1, 2) for intervals in (5, 10))
+APART = 0.01  # relative difference of costs from which on two transcriptions are in other minima
+GRID_REPRESENTATIONS = (Representation.IMPL, Representation.EXP2_O)
+
+
+@dataclass(frozen=True, eq=False)
+class TaskList:
+    """Trials of one study, on one model."""
+
+    folder: Path  # with the generated kernels
+    study: Study
+    trials: tuple[Trial, ...]
+    way: Way = "generated"  # where derivatives come from
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """A problem and the generated folder of its model."""
+
+    problem: Problem
+    folder: Path
+
+
+def _alone(problem: Problem, representations: Iterable[Representation]) -> Study:
+    """Take a problem as it is, with its own cost and target, in the representations that its form admits."""
+    costs = ((problem.cost.inputs, problem.cost.input_rates),)
+    return Study(problem, None, ONE, costs, _admit(problem, representations), ())
+
+
+def _admit(problem: Problem, representations: Iterable[Representation]) -> tuple[Representation, ...]:
+    return tuple(r for r in representations if not find_conflicts(replace(problem, representation=r)))
+
+
+# --- guess ---------------------------------------------------------------------------------------------------------
+
+
+def thin(study: Study) -> Study:
+    """Keep every second azimuth, and the lowest and the highest place of each."""
+    targets = study.targets
+    a, b = targets.every
+    last = max(j for _, j in targets.places)
+    return replace(study, targets=replace(targets, every=(2 * a, last or b)))
+
+
+def list_guesses(study: Study, folder: Path) -> list[TaskList]:
+    """Start a part of the targets from three guesses; the first is that of the paper's protocol."""
+    few = thin(study)
+    trials = (
+        *list_interpolations(few, "paper", "paper", "zero"),
+        *list_interpolations(few, PROTOCOL, "guess", "static"),
+        *list_interpolations(few, PROTOCOL, "guess", "dynamic"),
+    )
+    return [TaskList(folder, few, trials)]
+
+
+_GUESSES = {("paper", "zero"): "0", ("guess", "static"): "statics", ("guess", "dynamic"): "inverse dynamics"}
+
+
+def answer_guess(results: Results) -> Section | None:
+    """Compare guesses over the places that all of them were tried at, in all representations."""
+    rows: list[tuple[Cell, ...]] = []
+    for weights in results.study.costs:
+        groups: dict[tuple[str, str], dict[Place, Attempt]] = {
+            (name, told): {} for name in results.representations for told in _GUESSES.values()
+        }
+        for a in results.attempts:
+            if (a.part, a.guess) in _GUESSES and a.task.weights == weights:
+                groups[a.task.representation, _GUESSES[a.part, a.guess]][a.task.place] = a
+        common = sorted(set.intersection(*(set(found) for found in groups.values())))
+        for (name, told), found in groups.items():
+            own = [found[place] for place in common]
+            if own:
+                rows.append((name_set(weights), name, told, len(own), *_count(own, results)))
+    if not rows:
+        return None
+    columns: tuple[str, ...] = (
+        "cost",
+        "representation",
+        "inputs of the guess",
+        "tasks",
+        "solved",
+        "in a higher minimum",
+    )
+    columns += ("iterations, median", "CPU s, median", "CPU s, all")
+    note = "The motion is the same interpolation; a higher minimum is one above the lowest that any attempt found."
+    items: list[Table | Picture] = [Table("By the inputs of the guess", columns, tuple(rows), note)]
+    exchanged = _count_exchanges(results)
+    if exchanged:
+        columns = ("cost", "representation", "in a higher minimum by itself", "from another's solution")
+        columns += ("then in that minimum",)
+        note = (
+            "A representation that ended in a higher minimum was started again from the best motion of another. Where "
+            "it stays in that motion's minimum, both programs have this minimum, and it is the way from the guess that "
+            "differs, not the formulation's set of minima."
+        )
+        items.append(Table("Why higher minima", columns, tuple(exchanged), note))
+    return Section("guess", "How much is the initial guess's, and why there are higher minima", "", tuple(items))
+
+
+def _count(attempts: Sequence[Attempt], results: Results) -> tuple[Cell, ...]:
+    solved = [a for a in attempts if a.cost is not None]
+    higher = sum(is_higher(a.cost, results.lowest[a.task.place, a.task.weights]) for a in solved)
+    cpu = [a.cpu_seconds for a in solved]
+    iterations = float(np.median([a.iterations for a in solved])) if solved else None
+    return (len(solved), higher, iterations, _round(float(np.median(cpu))) if cpu else None, _round(sum(cpu)))
+
+
+def _count_exchanges(results: Results) -> list[tuple[Cell, ...]]:
+    rows: list[tuple[Cell, ...]] = []
+    for weights in results.study.costs:
+        for name in results.representations:
+            own = [a for a in results.pick(weights, name, "robust") if a.part == "exchange"]
+            if not own:
+                continue
+            first = [a for a in results.pick(weights, name, "robust") if a.part == "interpolation"]
+            higher = sum(is_higher(a.cost, results.lowest[a.task.place, weights]) for a in first)
+            reached = sum(not is_higher(a.cost, float(a.guess.split()[-1])) for a in own)
+            rows.append((name_set(weights), name, higher, len(own), reached))
+    return rows
+
+
+# --- repeats -------------------------------------------------------------------------------------------------------
+
+
+def list_repeats(study: Study, folder: Path) -> list[TaskList]:
+    """Solve a small part of the targets again, by the paper's protocol, on cylinders whose radii differ by rounding."""
+    few = thin(thin(study))
+    lists = []
+    for k in range(1, REPEATS + 1):
+        radius = few.targets.radius * (1 + k * NUDGE)
+        moved = replace(few, targets=replace(few.targets, radius=radius))
+        lists.append(TaskList(folder, moved, tuple(list_interpolations(moved, PROTOCOL, "repeats", "zero"))))
+    return lists
+
+
+# --- derivatives ---------------------------------------------------------------------------------------------------
+
+
+def list_derivatives(problem: Problem, folder: Path, representations: Sequence[Representation]) -> list[TaskList]:
+    """Solve the problem itself with derivatives from three sources, in rounds."""
+    study = _alone(problem, representations)
+    task = {r: Task((0, 0), study.costs[0], r.value) for r in study.representations}
+    start = Interpolation("dynamic")
+    return [
+        TaskList(
+            folder,
+            study,
+            tuple(Trial(task[r], PROTOCOL, "derivatives", f"{way}, round {k}", start, k) for k in range(ROUNDS)),
+            way,
+        )
+        for r in study.representations
+        for way in WAYS
+    ]
+
+
+def answer_derivatives(attempts: Sequence[Attempt], ways: Mapping[str, Mapping[str, int]]) -> Section | None:
+    """Compare the quickest rounds; `ways` are the flops of each kernel by the way it was written."""
+    own = [a for a in attempts if a.part == "derivatives" and a.cost is not None]
+    rows: list[tuple[Cell, ...]] = []
+    for name in dict.fromkeys(a.task.representation for a in own):
+        quickest: dict[str, Attempt] = {}
+        for a in own:
+            way = a.guess.rpartition(", ")[0]
+            if a.task.representation == name and (way not in quickest or a.cpu_seconds < quickest[way].cpu_seconds):
+                quickest[way] = a
+        ours = quickest.get(WAYS[0])
+        for way, a in quickest.items():
+            evaluating = 1e3 * a.cpu_seconds_evaluating / max(a.iterations, 1)
+            rest = 1e3 * (a.cpu_seconds - a.cpu_seconds_evaluating) / max(a.iterations, 1)
+            times = None
+            if ours is not None:
+                times = _round(evaluating / (1e3 * ours.cpu_seconds_evaluating / max(ours.iterations, 1)))
+            told = (name, way, a.iterations, _round(evaluating), times)
+            rows.append((*told, _round(rest), _round(a.cpu_seconds), a.cost))
+    if not rows:
+        return None
+    columns: tuple[str, ...] = ("representation", "derivatives", "iterations", "evaluation ms per iteration", "by ours")
+    columns += ("algebra ms per iteration", "CPU s", "cost")
+    note = (
+        f"The quickest of {ROUNDS} rounds, from the interpolation with the inputs of its inverse dynamics. The "
+        "equations are the same; programs are assembled in the same way from Jacobians and adjoint Jacobians."
+    )
+    items: list[Table | Picture] = [Table("Solves, by where derivatives come from", columns, tuple(rows), note)]
+    if ways:
+        flops = tuple(
+            (kernel, way, count, _round(count / min(by_way.values())))
+            for kernel, by_way in ways.items()
+            for way, count in by_way.items()
+        )
+        note = "tape: differentiated operation by operation, and simplified; the others: by mechanics."
+        columns = ("kernel", "way", "flops", "by the least")
+        items.append(Table("Flops of derivatives, by the way of writing them", columns, flops, note))
+    return Section("derivatives", "Generated sensitivities against algorithmic differentiation", "", tuple(items))
+
+
+# --- grids ---------------------------------------------------------------------------------------------------------
+
+
+def list_grids(problem: Problem, folder: Path, grids: Sequence[tuple[Family, int, int]]) -> list[TaskList]:
+    """Solve the problem itself on many grids, and re-simulate."""
+    lists = []
+    for family, degree, intervals in grids:
+        other = replace(problem, family=family, degree=degree, intervals=intervals)
+        study = _alone(other, GRID_REPRESENTATIONS)
+        trials = tuple(
+            Trial(
+                Task((0, 0), study.costs[0], r.value), PROTOCOL, "grids", "dynamic", Interpolation("dynamic"), 0, True
+            )
+            for r in study.representations
+        )
+        lists.append(TaskList(folder, study, trials))
+    return lists
+
+
+@dataclass(frozen=True)
+class GridPoint:
+    """A solve on a grid."""
+
+    problem: Problem
+    attempt: Attempt
+
+    @property
+    def series(self) -> str:
+        """Name what a line of a chart joins: all but N."""
+        p = self.problem
+        return f"{self.attempt.task.representation}, {p.family.value} {p.degree}"
+
+
+def answer_grids(points: Sequence[GridPoint]) -> Section | None:
+    """Chart CPU time against the defect, and against the error of the cost on the same control grid."""
+    if not points:
+        return None
+    finest: dict[int, Attempt] = {}  # by N: the solve with the least defect, which the others' costs are judged by
+    for p in points:
+        if p.attempt.defect is not None and p.attempt.cost is not None:
+            held = finest.get(p.problem.intervals)
+            if held is None or held.defect is None or p.attempt.defect < held.defect:
+                finest[p.problem.intervals] = p.attempt
+    best = {n: a.cost for n, a in finest.items() if a.cost is not None}
+    last = best[max(best)] if best else math.nan
+    rows: list[tuple[Cell, ...]] = []
+    errors: dict[int, float] = {}
+    for k, p in enumerate(points):
+        a, n = p.attempt, p.problem.intervals
+        error = None
+        if a.cost is not None and n in best and a is not finest[n]:
+            error = errors[k] = abs(a.cost - best[n]) / abs(best[n])
+        control = None if n not in best else abs(best[n] - last) / abs(last)
+        told = (a.task.representation, p.problem.family.value, p.problem.degree, n, a.status, a.iterations)
+        rows.append((*told, _round(a.cpu_seconds), a.cost, _round(error), _round(control), _round(a.defect)))
+    columns: tuple[str, ...] = ("representation", "points", "degree", "N", "status", "iterations", "CPU s", "cost")
+    columns += ("error of the cost", "error of the control grid", "defect")
+    note = (
+        "Inputs are constant over an interval, so N makes the control grid, too. The error of the cost is that against "
+        "the solve with the least defect on the same control grid; that of the control grid, the best cost against the "
+        "best on the finest. The defect is the largest error of an interval by re-simulation [rad, rad/s]."
+    )
+    attempts = [p.attempt for p in points]
+    place = {id(p.attempt): (p, k) for k, p in enumerate(points)}
+
+    def read(
+        number: Callable[[GridPoint, int], float | None],
+    ) -> Callable[[Attempt], tuple[float | None, float | None]]:
+        return lambda a: (a.cpu_seconds if a.cost is not None else None, number(*place[id(a)]))
+
+    def series(a: Attempt) -> str:
+        return place[id(a)][0].series
+
+    pictures = (
+        draw_scatter(
+            attempts,
+            series,
+            read(lambda p, _: p.attempt.defect),
+            ("CPU time [s]", "largest defect of an interval [rad, rad/s]", "N grows along a line"),
+            "CPU time against the defect",
+            "Crosses: solved, but the integrator gave up. What was not solved stands in the table.",
+        ),
+        draw_scatter(
+            attempts,
+            series,
+            read(lambda _, k: errors.get(k)),
+            ("CPU time [s]", "relative error of the cost", "N grows along a line"),
+            "CPU time against the error of the cost on the same control grid",
+            "Crosses: the solve that the others are judged by.",
+        ),
+    )
+    return Section("grids", "Other transcriptions", "", (*pictures, Table("Grids", columns, tuple(rows), note)))
+
+
+# --- shooting ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Transcription:
+    """How equations of motion become constraints between mesh points."""
+
+    name: str
+    form: Form
+    integrator: IntegratorName = "collocation"
+    steps: int = 1
+
+    def apply(self, problem: Problem) -> Problem:
+        """Give the problem in this form."""
+        return replace(problem, form=self.form, integrator=self.integrator, steps=self.steps)
+
+
+TRANSCRIPTIONS = (
+    Transcription(COLLOCATION, Form.STANDARD),
+    Transcription("shooting, the collocation's method", Form.SHOOTING),
+    Transcription("shooting, two steps of RK4", Form.SHOOTING, "rk4", 2),
+)
+
+
+def list_shooting(study: Study, folder: Path, systems: Sequence[System]) -> list[TaskList]:
+    """Solve for the extreme targets and the middle, and other systems, by collocation and by multiple shooting."""
+    i, j = len(study.targets.azimuths) - 1, len(study.targets.heights) - 1
+    few = replace(study.targets, every=(max(i // 2, 1), max(j, 1)))
+    cost = tuple(w for w in study.costs if w[1] > 0) or study.costs
+    studies = [(folder, replace(study, targets=few, costs=cost))]
+    studies += [(system.folder, _alone(system.problem, GRID_REPRESENTATIONS)) for system in systems]
+    lists = []
+    for place, each in studies:
+        for way in TRANSCRIPTIONS:
+            problem = way.apply(each.problem)
+            own = replace(each, problem=problem, representations=_admit(problem, GRID_REPRESENTATIONS))
+            lists.append(TaskList(place, own, tuple(list_interpolations(own, PROTOCOL, "shooting", "dynamic"))))
+    return [tasks for tasks in lists if tasks.trials]
+
+
+def name_transcription(problem: Problem) -> str:
+    """Name the way a problem is transcribed by."""
+    return next(way.name for way in TRANSCRIPTIONS if way.apply(problem) == problem)
+
+
+def answer_shooting(found: Sequence[tuple[Problem, Sequence[Attempt]]]) -> Section | None:
+    """Compare robustness and effort."""
+    rows: list[tuple[Cell, ...]] = []
+    lowest: dict[tuple[str, Place], float] = {}
+    for problem, attempts in found:
+        for a in attempts:
+            key = (problem.name, a.task.place)
+            lowest[key] = min(lowest.get(key, math.inf), math.inf if a.cost is None else a.cost)
+    for problem, attempts in sorted(found, key=lambda x: x[0].name):
+        for name in dict.fromkeys(a.task.representation for a in attempts):
+            own = [a for a in attempts if a.task.representation == name]
+            solved = [a for a in own if a.cost is not None]
+            worse = sum(a.cost > (1 + APART) * lowest[problem.name, a.task.place] for a in solved if a.cost is not None)
+            told = (problem.name, name_transcription(problem), name, len(own), len(solved), worse)
+            numbers: tuple[Cell, ...] = (None, None, None, None)
+            if solved:
+                iterations, cpu = ([getattr(a, x) for a in solved] for x in ("iterations", "cpu_seconds"))
+                each = [1e3 * s / max(i, 1) for s, i in zip(cpu, iterations, strict=True)]
+                marks = [_round(float(np.median(x))) for x in (iterations, cpu, each)]
+                numbers = (solved[0].variables, *marks)
+            rows.append((*told, *numbers))
+    if not rows:
+        return None
+    columns: tuple[str, ...] = ("problem", "transcription", "representation", "tasks", "solved", "in a higher minimum")
+    columns += ("variables", "iterations, median", "CPU s, median", "CPU ms per iteration, median")
+    note = (
+        f"A higher minimum is one {APART:.1%} above the lowest of all rows: integrators of other accuracy have other "
+        "costs. The balance of the pole has no constraint at its end."
+    )
+    return Section("shooting", "Multiple shooting", "", (Table("Multiple shooting", columns, tuple(rows), note),))
+
+
+# --- systems -------------------------------------------------------------------------------------------------------
+
+
+def list_systems(systems: Sequence[System]) -> list[TaskList]:
+    """Solve other problems in all representations, from two guesses."""
+    lists = []
+    for system in systems:
+        study = _alone(system.problem, Representation)
+        trials = tuple(
+            Trial(Task((0, 0), study.costs[0], r.value), PROTOCOL, "systems", inputs, Interpolation(inputs), 0, True)
+            for inputs in ("zero", "dynamic")
+            for r in study.representations
+        )
+        lists.append(TaskList(system.folder, study, trials))
+    return lists
+
+
+def answer_systems(found: Sequence[tuple[str, Sequence[Attempt]]]) -> Section | None:
+    """List what each system took, in each representation, from each guess."""
+    rows: list[tuple[Cell, ...]] = []
+    for name, attempts in found:
+        own = [a for a in attempts if a.part == "systems"]
+        lowest = min((a.cost for a in own if a.cost is not None), default=math.nan)
+        for a in own:
+            verdict = "not solved" if a.cost is None else "higher minimum" if is_higher(a.cost, lowest) else "lowest"
+            each = _round(1e3 * a.cpu_seconds / max(a.iterations, 1))
+            told = (name, a.task.representation, a.guess, a.status, verdict, a.iterations, _round(a.cpu_seconds), each)
+            rows.append((*told, a.cost, _round(a.defect)))
+    if not rows:
+        return None
+    columns: tuple[str, ...] = (
+        "problem",
+        "representation",
+        "inputs of the guess",
+        "status",
+        "minimum",
+        "iterations",
+        "CPU s",
+    )
+    columns += ("CPU ms per iteration", "cost", "defect")
+    note = "The lowest minimum is that of all attempts at the problem in this table."
+    return Section("systems", "Other systems", "", (Table("Other systems", columns, tuple(rows), note),))
+
+
+def _round(value: float | None) -> float | None:
+    """Keep four digits: more is noise."""
+    return None if value is None else float(f"{value:.4g}")

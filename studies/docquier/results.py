@@ -1,0 +1,171 @@
+"""The results of the paper's protocol, in the form that tables, figures and statements need.
+
+A set of tasks has one cost. The paper's first is without smoothing, its second with a price for the inputs' rates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsrun.ocp.problem import Representation
+from mbsrun.ocp.record import SAME, Attempt, Task
+from mbsrun.ocp.search import Place, Study, Weights, find_lowest
+from mbsrun.ocp.trajectory import Trajectory
+from studies.docquier.growth import Growth
+from studies.docquier.spread import Spread
+
+Array = NDArray[np.float64]
+
+FIGURES = ("cost", "iterations", "cpu", "cpu per iteration", "evaluation per iteration")
+
+
+@dataclass(frozen=True)
+class Effort:
+    """What the four functions take, from the generator's report; parameters at run time."""
+
+    flops: int  # by the paper's convention
+    equations: int
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """All attempts of a study, and what stands beside them."""
+
+    study: Study
+    attempts: tuple[Attempt, ...]
+    motions: tuple[tuple[Weights, Trajectory], ...]  # to the target of Fig. 8, by cost
+    efforts: tuple[tuple[str, Effort], ...]  # by formulation
+    growth: tuple[Growth, ...]
+    shooting: tuple[tuple[str, tuple[Attempt, ...]], ...] = ()  # of the study's problem, by transcription
+    spreads: tuple[Spread, ...] = ()  # of iterations, by perturbed repeats
+    same: float = SAME  # relative difference of costs within which two minima count as one
+
+    @cached_property
+    def lowest(self) -> dict[tuple[Place, Weights], float]:
+        """Give the lowest cost that any attempt of any protocol found."""
+        return find_lowest(self.attempts)
+
+    @property
+    def representations(self) -> tuple[str, ...]:
+        """Name the representations that the study compares."""
+        return tuple(r.value for r in self.study.representations)
+
+    @property
+    def rough(self) -> Weights | None:
+        """Give the cost without smoothing."""
+        return next((w for w in self.study.costs if w[1] == 0), None)
+
+    @property
+    def smooth(self) -> Weights | None:
+        """Give the cost with smoothing."""
+        return next((w for w in self.study.costs if w[1] > 0), None)
+
+    def pick(self, weights: Weights, representation: str, protocol: str = "paper") -> list[Attempt]:
+        """List the attempts of a set; of the paper's protocol at the places that are compared."""
+        return self._sets.get((protocol, weights, representation), [])
+
+    @cached_property
+    def _sets(self) -> dict[tuple[str, Weights, str], list[Attempt]]:
+        sets: dict[tuple[str, Weights, str], list[Attempt]] = {}
+        for a in self.attempts:
+            if a.protocol != "paper" or a.task.place in self.compared.get(a.task.weights, ()):
+                sets.setdefault((a.protocol, a.task.weights, a.task.representation), []).append(a)
+        return sets
+
+    @cached_property
+    def compared(self) -> dict[Weights, set[Place]]:
+        """Give the places at which the paper's protocol is through with all representations, by cost."""
+        tried = {(a.task.weights, a.task.place, a.task.representation) for a in self.attempts if a.protocol == "paper"}
+        return {
+            weights: {
+                place
+                for place in self.study.targets.places
+                if all((weights, place, name) in tried for name in self.representations)
+            }
+            for weights in self.study.costs
+        }
+
+    def is_measured(self, weights: Weights | None, *names: str) -> bool:
+        """Tell whether a set has been solved in some representations, at any place."""
+        return weights is not None and all(any(a.cost is not None for a in self.pick(weights, n)) for n in names)
+
+    def values(self, weights: Weights, representation: str, figure: str) -> Array:
+        """Give a figure of all attempts of the paper's protocol that were solved."""
+        solved = [a for a in self.pick(weights, representation) if a.cost is not None]
+        return np.array([read_figure(a, figure) for a in solved])
+
+    def higher(self, weights: Weights, representation: str) -> list[Place]:
+        """List the places where a representation ended in a higher minimum than the lowest known."""
+        return [
+            a.task.place
+            for a in self.pick(weights, representation)
+            if a.cost is not None and self.is_higher(a.cost, self.lowest[a.task.place, weights])
+        ]
+
+    def is_higher(self, cost: float, lowest: float) -> bool:
+        """Return whether a cost is above the lowest by more than the difference that counts as none."""
+        return cost > lowest + self.same * abs(lowest)
+
+    def with_same(self, same: float) -> Results:
+        """Return the same results with another difference of costs within which two minima count as one."""
+        return replace(self, same=same)
+
+    def resample(self, source: np.random.Generator) -> Results:
+        """Return results whose iterations are drawn from their spread; times change in proportion."""
+        sizes = {(s.weights, s.representation): s.deviation for s in self.spreads}
+
+        def draw(a: Attempt) -> Attempt:
+            deviation = sizes.get((a.task.weights, a.task.representation), 0.0)
+            if a.protocol != "paper" or deviation == 0.0:
+                return a
+            iterations = max(round(a.iterations * float(np.exp(source.normal(0.0, deviation)))), 1)
+            factor = iterations / max(a.iterations, 1)
+            times = (a.cpu_seconds * factor, a.cpu_seconds_evaluating * factor)
+            return replace(a, iterations=iterations, cpu_seconds=times[0], cpu_seconds_evaluating=times[1])
+
+        return replace(self, attempts=tuple(map(draw, self.attempts)))
+
+    def size(self, representation: str) -> tuple[int, int, int, int] | None:
+        """Give variables, constraints and nonzeros of a program that was solved."""
+        for a in self.attempts:
+            if a.task.representation == representation and a.variables is not None:
+                return (a.variables, a.constraints or 0, a.jacobian_nonzeros or 0, a.hessian_nonzeros or 0)
+        return None
+
+
+def read_figure(attempt: Attempt, figure: str) -> float:
+    """Read one number of an attempt that was solved."""
+    if figure == "cost":
+        assert attempt.cost is not None, "asked for of what was solved"
+        return attempt.cost
+    if figure == "iterations":
+        return float(attempt.iterations)
+    if figure == "cpu":
+        return attempt.cpu_seconds
+    seconds = attempt.cpu_seconds if figure == "cpu per iteration" else attempt.cpu_seconds_evaluating
+    return 1e3 * seconds / max(attempt.iterations, 1)
+
+
+def find_outliers(values: Array) -> Array:
+    """Give what lies beyond the whiskers of a box plot: more than 1.5 boxes away from the box."""
+    if not values.size:
+        return values
+    lower, upper = np.percentile(values, (25, 75))
+    reach = 1.5 * (upper - lower)
+    return np.asarray(values[(values < lower - reach) | (values > upper + reach)])
+
+
+def find_shown_task(study: Study, weights: Weights) -> Task:
+    """Find the task of Fig. 8: the last azimuth and the lowest height, in the first representation."""
+    place = max(study.targets.places, key=lambda p: (study.targets.azimuths[p[0]], -study.targets.heights[p[1]]))
+    return Task(place, weights, study.representations[0].value)
+
+
+def is_dae_of_explicit(representation: str) -> bool:
+    """Tell whether accelerations are variables though the form is explicit: EXP1-A, EXP2-A."""
+    kind = Representation(representation)
+    return kind.is_explicit and not kind.is_ode

@@ -1,0 +1,217 @@
+"""What the robust protocol reached, cost by cost, and what each of its parts took."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from mbsrun.measuring.sections import Cell, Section, Table
+from mbsrun.ocp.record import SAME, Attempt, Record, Task
+from mbsrun.ocp.search import (
+    COUNTS,
+    Place,
+    Progress,
+    Study,
+    Targets,
+    Weights,
+    count_finds,
+    find_progress,
+    is_higher,
+    list_turned,
+    summarise,
+)
+from mbsrun.ocp.starts import describe_turns
+from studies.docquier.figures import name_set
+from studies.docquier.results import Results
+
+PARTS = ("interpolation", *COUNTS, "neighbours", "hops", "exchange")  # in their order
+Row = tuple[Cell, ...]
+
+TEXT = (
+    "A search for lower minima: random starts, neighbours, hops, other representations. It finds minima, and "
+    "cannot show that there is no lower one; the number of independent starts that found the lowest cost known "
+    "says how far to trust it. A task is left in a higher minimum if any attempt in the record, of this protocol "
+    f"or another, in this representation or another, found a cost that is lower by more than {SAME:g} of it. "
+    "Motions with whole turns of joints without limits compete among themselves, and are listed on their own; all "
+    "statements are about motions without. Optima are what counts here, so solves take the "
+    "project's own linear solver, mbs. The paper's protocol and the questions keep to MUMPS, since their times are "
+    "compared with the paper's; what was solved before there was mbs has MUMPS here as well, and is counted so above."
+)
+
+
+@dataclass(frozen=True)
+class State:
+    """How far the search is for a cost, and the targets for which it is through: all, a slice of them, or none."""
+
+    progress: Progress
+    done: Targets | None
+
+
+def find_state(study: Study, record: Record) -> State:
+    """Find how far the search is for a study of one cost; slices that are ever coarser are looked at."""
+    for targets in list_slices(study.targets):
+        progress = find_progress(replace(study, targets=targets), record)
+        if progress.is_through:
+            return State(find_progress(study, record), targets)
+    return State(find_progress(study, record), None)
+
+
+def list_slices(targets: Targets) -> list[Targets]:
+    """List the slices of targets that have both ends of azimuths and heights, that with most of them first."""
+    ends = [count - 1 for count in (len(targets.azimuths), len(targets.heights))]
+    i, j = (
+        [k for k in range(step, max(end, step) + 1, step) if end % k == 0]
+        for step, end in zip(targets.every, ends, strict=True)
+    )
+    slices = [replace(targets, every=every) for every in product(i, j)]
+    return sorted(slices, key=lambda found: -len(found.places))
+
+
+def report_robust(results: Results, states: Mapping[Weights, State]) -> Section | None:
+    """Tell for each cost whether a task is left, and what it took."""
+    own: dict[Weights, list[Attempt]] = {}
+    for weights in results.study.costs:
+        found = [a for a in results.attempts if a.protocol == "robust" and a.task.weights == weights]
+        if found:
+            own[weights] = found
+    if not own:
+        return None
+    told = [tell_outcome(results, weights, attempts, states[weights]) for weights, attempts in own.items()]
+    balance = tuple(_balance(results, weights, attempts, states[weights]) for weights, attempts in own.items())
+    columns: tuple[str, ...] = ("cost", "targets", "tasks", "tried", "solved", "in a higher minimum", "by at most %")
+    columns += ("attempts", "CPU s", "CPU s by task tried", "the search", "through for targets")
+    left = Table("Whether a task is left", columns, balance, "A task is a target in one representation.")
+    columns = ("cost", "part", "attempts", "solved", "first in the lowest minimum, targets", "iterations, median")
+    columns += ("CPU s, median", "CPU s, all", "% of it")
+    note = (
+        "Random starts, neighbours and hops are tried in the first representation alone; the others get what it found "
+        "by exchange. "
+        "A part is first in the lowest minimum of a target if no part before it, in this round or an earlier one, was."
+    )
+    rows = tuple(row for weights, attempts in own.items() for row in _list_parts(results, weights, attempts))
+    every = [attempt for attempts in own.values() for attempt in attempts]
+    turned = (_tabulate_turns(every),) if list_turned(every) else ()
+    parts = Table("What each part takes", columns, rows, note)
+    return Section(
+        "robust", "The robust protocol, beside", " ".join((TEXT, *told)), (left, parts, _tabulate_all(results), *turned)
+    )
+
+
+def tell_outcome(results: Results, weights: Weights, attempts: Sequence[Attempt], state: State) -> str:
+    """Say in words whether a task is left."""
+    name, progress = f"With {name_set(weights)}", state.progress
+    if state.done is None:
+        return f"{name} {_tell_progress(progress)}."
+    places = set(state.done.places)
+    best = {task: cost for task, cost in _find_best(attempts).items() if task.place in places}
+    tasks, higher = len(places) * len(results.representations), len(_list_higher(results, best))
+    solved = f"all {tasks} tasks are solved" if len(best) == tasks else f"{len(best)} of {tasks} tasks are solved"
+    left = f"{higher or 'none'} {'is' if higher < 2 else 'are'} left in a higher minimum"
+    told = (
+        f"{solved}, and {left} than another start in this record found; lower ones may exist; {_tell_finds(attempts)}"
+    )
+    if progress.is_through:
+        return f"{name} {told}."
+    whole = len(results.study.targets.places)
+    return f"{name} {_tell_progress(progress)}; for a slice of {len(places)} of {whole} targets it is through: {told}."
+
+
+def _tell_finds(attempts: Sequence[Attempt]) -> str:
+    """Say how many independent starts found the lowest cost known of a target."""
+    finds = count_finds(attempts)
+    if not finds:
+        return "no independent start found any"
+    shares, starts = [find.found for find in finds], sorted(find.starts for find in finds)
+    return (
+        f"of {starts[0]} to {starts[-1]} independent starts at a target, {min(shares)} to {max(shares)} found its "
+        f"lowest cost known, none at {sum(share == 0 for share in shares)} of {len(finds)} targets"
+    )
+
+
+def _tabulate_turns(attempts: Sequence[Attempt]) -> Table:
+    """List the lowest costs with whole turns."""
+    rows = tuple(
+        (
+            name_set(t.weights),
+            f"{t.place[0]},{t.place[1]}",
+            describe_turns(t.turns),
+            _round(t.cost),
+            None if t.lowest is None else _round(t.lowest),
+        )
+        for t in list_turned(attempts)
+    )
+    columns = ("cost", "target", "whole turns", "lowest cost with them", "lowest without")
+    return Table(
+        "Whole turns of joints without limits", columns, rows, "Only what a search found; lower costs may exist."
+    )
+
+
+def _tell_progress(progress: Progress) -> str:
+    return f"the search is under way, in round {progress.round}, with {progress.done} of {progress.trials} attempts"
+
+
+def _balance(results: Results, weights: Weights, attempts: Sequence[Attempt], state: State) -> Row:
+    best, places, progress = _find_best(attempts), results.study.targets.places, state.progress
+    tasks = len(places) * len(results.representations)
+    higher = _list_higher(results, best)
+    above = [100 * (best[task] / results.lowest[task.place, weights] - 1) for task in higher]
+    cpu = sum(a.cpu_seconds for a in attempts)
+    told = "through" if progress.is_through else f"round {progress.round}: {progress.done} of {progress.trials}"
+    tried = len({a.task for a in attempts})
+    through = 0 if state.done is None else len(state.done.places)
+    numbers = (tried, len(best), len(higher), _round(max(above)) if above else None, len(attempts))
+    return (name_set(weights), len(places), tasks, *numbers, _round(cpu), _round(cpu / tried), told, through)
+
+
+def _list_parts(results: Results, weights: Weights, attempts: Sequence[Attempt]) -> list[Row]:
+    first: dict[Place, Attempt] = {}
+    for a in sorted(attempts, key=lambda a: (a.round, PARTS.index(a.part))):
+        if not a.turns and not is_higher(a.cost, results.lowest.get((a.task.place, weights), np.inf)):
+            first.setdefault(a.task.place, a)
+    whole = sum(a.cpu_seconds for a in attempts)
+    rows: list[Row] = []
+    for part in PARTS:
+        own = [a for a in attempts if a.part == part]
+        solved = [a for a in own if a.cost is not None]
+        if own:
+            found = sum(a.part == part for a in first.values())
+            iterations = float(np.median([a.iterations for a in solved])) if solved else None
+            cpu = sum(a.cpu_seconds for a in own)
+            median = _round(float(np.median([a.cpu_seconds for a in own])))
+            told = (name_set(weights), part, len(own), len(solved), found, iterations, median, _round(cpu))
+            rows.append((*told, round(100 * cpu / whole, 1)))
+    return rows
+
+
+def _tabulate_all(results: Results) -> Table:
+    """Sum up the parts by representation."""
+    rows: list[Row] = []
+    for s in summarise([a for a in results.attempts if a.protocol == "robust"]):
+        least, median, most = s.iterations
+        told = (name_set(s.weights), s.representation, s.part, s.attempts, s.solved, s.higher)
+        rows.append((*told, median, least, most, _round(s.cpu_median), _round(s.cpu_seconds)))
+    columns: tuple[str, ...] = ("cost", "representation", "part", "attempts", "solved", "in a higher minimum")
+    columns += ("iterations, median", "least", "most", "CPU s, median", "CPU s, all")
+    note = (
+        '"result" is what all parts reached for each target; a higher minimum is one above that of other attempts here.'
+    )
+    return Table("Robust protocol, by representation", columns, tuple(rows), note)
+
+
+def _find_best(attempts: Sequence[Attempt]) -> dict[Task, float]:
+    best: dict[Task, float] = {}
+    for a in attempts:
+        if a.cost is not None and not a.turns:
+            best[a.task] = min(a.cost, best.get(a.task, a.cost))
+    return best
+
+
+def _list_higher(results: Results, best: Mapping[Task, float]) -> list[Task]:
+    return [task for task, cost in best.items() if is_higher(cost, results.lowest[task.place, task.weights])]
+
+
+def _round(value: float) -> float:
+    return float(f"{value:.4g}")

@@ -1,0 +1,707 @@
+"""The statements of Docquier, Bruls, Fisette about their study, and a judge for each of them.
+
+A judge computes its numbers from the results of a run, and returns a verdict with these numbers. Where the paper's
+words have no number, the bounds below say how they are read. `judgement` repeats this over thresholds and scatter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsrun.ocp.search import Place, Weights
+from mbsrun.ocp.trajectory import Trajectory
+from studies.docquier.results import Results, find_outliers, is_dae_of_explicit
+
+Array = NDArray[np.float64]
+
+ALIKE = 0.10  # "the same", "does not vary significantly": within so much of the larger
+SIMILAR = 0.25  # "similar", "comparable"
+HALF = (0.4, 0.6)  # "about half"
+MANY = 0.05  # "a high number": of all tasks
+IMPLICIT, EXPLICIT = ("IMPL", "SEMI"), ("EXP1-O", "EXP1-A", "EXP2-O", "EXP2-A")
+ODE, DAE = ("EXP1-O", "EXP2-O"), ("EXP1-A", "EXP2-A")
+ALL = IMPLICIT + EXPLICIT
+COLLOCATION = "collocation"  # among transcriptions
+CONFIRMED, REFUTED = "confirmed", "not confirmed"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The verdict of one judge on one set of results."""
+
+    verdict: str
+    numbers: str
+
+
+@dataclass(frozen=True)
+class Statement:
+    """A sentence of the paper."""
+
+    key: str  # names it in tables and tests
+    place: str  # section, figure or table
+    words: str
+    meaning: str  # what was computed, and when it counts as confirmed
+    judge: Callable[[Results], Finding | None]  # None: not measured
+    scatters: bool = False  # it compares numbers of iterations, which scatter
+
+
+# --- numbers that statements share ---------------------------------------------------------------------------------
+
+
+def _find(is_so: bool, numbers: str) -> Finding:
+    return Finding(CONFIRMED if is_so else REFUTED, numbers)
+
+
+def _medians(results: Results, weights: Weights, figure: str, names: tuple[str, ...]) -> dict[str, float]:
+    return {name: float(np.median(results.values(weights, name, figure))) for name in names}
+
+
+def _tell(values: dict[str, float]) -> str:
+    return ", ".join(f"{name} {value:.4g}" for name, value in values.items())
+
+
+def _are_within(a: float, b: float, share: float) -> bool:
+    return abs(a - b) <= share * max(abs(a), abs(b))
+
+
+def _name(results: Results, weights: Weights) -> str:
+    return "with smoothing" if weights == results.smooth else "without smoothing"
+
+
+def _count_higher(results: Results, weights: Weights) -> dict[str, float]:
+    return {name: float(len(results.higher(weights, name))) for name in ALL}
+
+
+# --- section 4.3.1 -------------------------------------------------------------------------------------------------
+
+
+def list_grids(results: Results, weights: Weights) -> list[tuple[Place, ...]]:
+    """List ever finer grids of what was solved: every 8th azimuth and height of the run's, every 4th, …"""
+    targets = results.study.targets
+    rows, columns = (sorted({place[k] for place in targets.places}) for k in (0, 1))
+    grids: list[tuple[Place, ...]] = []
+    for step in (8, 4, 2, 1):
+        grid = tuple((i, j) for i in rows[::step] for j in columns[::step])
+        if results.compared[weights].issuperset(grid) and (not grids or len(grid) > len(grids[-1])):
+            grids.append(grid)
+    return grids
+
+
+def mean_iterations(results: Results, weights: Weights, name: str, grid: tuple[Place, ...]) -> float:
+    """Average the iterations of the tasks of a grid that were solved."""
+    taken = set(grid)
+    found = [a.iterations for a in results.pick(weights, name) if a.task.place in taken and a.cost is not None]
+    return float(np.mean(found)) if found else float("nan")
+
+
+def _judge_convergence(results: Results) -> Finding | None:
+    changes, told = [], []
+    for weights in (results.rough, results.smooth):
+        grids = list_grids(results, weights) if results.is_measured(weights, *ALL) and weights is not None else []
+        if weights is None or len(grids) < 3:
+            continue
+        means = [[mean_iterations(results, weights, name, grid) for name in ALL] for grid in grids[-2:]]
+        changes.append(max(abs(a - b) / max(a, b) for a, b in zip(*means, strict=True)))
+        sizes = f"from {len(grids[-2])} to {len(grids[-1])} tasks"
+        told.append(f"{_name(results, weights)}: {sizes} the means change by {changes[-1]:.1%} at most")
+    return _find(max(changes) <= ALIKE, "; ".join(told)) if changes else None
+
+
+# --- Fig. 8 --------------------------------------------------------------------------------------------------------
+
+
+def _two_motions(results: Results) -> tuple[Trajectory, Trajectory] | None:
+    motions = dict(results.motions)
+    rough, smooth = (None if w is None else motions.get(w) for w in (results.rough, results.smooth))
+    return None if rough is None or smooth is None else (rough, smooth)
+
+
+def _compare_motions(
+    measure: Callable[[Trajectory], float], unit: str, wanted: Callable[[float, float], bool]
+) -> Callable[[Results], Finding | None]:
+    def judge(results: Results) -> Finding | None:
+        pair = _two_motions(results)
+        if pair is None:
+            return None
+        rough, smooth = map(measure, pair)
+        return _find(wanted(rough, smooth), f"without smoothing {rough:.4g} {unit}, with {smooth:.4g} {unit}")
+
+    return judge
+
+
+def _effort(motion: Trajectory) -> float:
+    """Integrate |u|^2."""
+    return float((np.diff(motion.t)[:, None] * motion.u**2).sum())
+
+
+def _variation(motion: Trajectory) -> float:
+    """Sum up how far the inputs go up and down."""
+    return float(np.abs(np.diff(motion.u, axis=0)).sum())
+
+
+def _late_turns(motion: Trajectory) -> float:
+    """Count the turns of the inputs in the last quarter of the time; those below a thousandth of the range are none."""
+    late = motion.u[3 * len(motion.u) // 4 :]
+    turns = 0
+    for column, whole in zip(late.T, motion.u.T, strict=True):
+        steps = np.diff(column)
+        steps = steps[np.abs(steps) > 1e-3 * np.ptp(whole)]
+        turns += int((np.diff(np.sign(steps)) != 0).sum())
+    return float(turns)
+
+
+def _speed(motion: Trajectory) -> float:
+    return float(np.abs(motion.qd).max())
+
+
+def _judge_same_end(results: Results) -> Finding | None:
+    pair = _two_motions(results)
+    if pair is None:
+        return None
+    poses, inputs = (float(np.abs(a - b).max()) for a, b in ((pair[0].q[-1], pair[1].q[-1]), _last_inputs(*pair)))
+    return _find(poses < 1e-4 and inputs < 1e-2, f"they differ by {poses:.1e} rad and {inputs:.1e} N m")
+
+
+def _last_inputs(a: Trajectory, b: Trajectory) -> tuple[Array, Array]:
+    return a.u[-1], b.u[-1]
+
+
+# --- Fig. 9: minima ------------------------------------------------------------------------------------------------
+
+
+def _judge_smooth_minima(results: Results) -> Finding | None:
+    if not results.is_measured(results.smooth, *ALL) or results.smooth is None:
+        return None
+    counts = _count_higher(results, results.smooth)
+    return _find(sum(count > 0 for count in counts.values()) == 1, f"tasks in a higher minimum: {_tell(counts)}")
+
+
+def _judge_more_without_smoothing(results: Results) -> Finding | None:
+    if not (results.is_measured(results.rough, *ALL) and results.is_measured(results.smooth, *ALL)):
+        return None
+    assert results.rough is not None
+    assert results.smooth is not None
+    without, with_ = (sum(_count_higher(results, w).values()) for w in (results.rough, results.smooth))
+    return _find(without > with_, f"tasks in a higher minimum: {without:.0f} without smoothing, {with_:.0f} with")
+
+
+def _judge_implicit_trapped(results: Results) -> Finding | None:
+    if not results.is_measured(results.rough, *ALL) or results.rough is None:
+        return None
+    counts = _count_higher(results, results.rough)
+    implicit, explicit = (float(np.mean([counts[n] for n in names])) for names in (IMPLICIT, EXPLICIT))
+    return _find(implicit > explicit, f"tasks in a higher minimum: {_tell(counts)}")
+
+
+def _judge_sides(results: Results) -> Finding | None:
+    """Look where the higher minima of the set without smoothing are: in the outer tenth of azimuths, or at 0."""
+    if not results.is_measured(results.rough, *ALL) or results.rough is None:
+        return None
+    azimuths = results.study.targets.azimuths
+    widest, found = max(map(abs, azimuths)), [p for name in ALL for p in results.higher(results.rough, name)]
+    if not found:
+        return None
+    at = [abs(azimuths[i]) / widest for i, _ in found]
+    sides, centre = sum(a >= 0.9 for a in at), sum(a <= 0.05 for a in at)
+    told = f"of {len(found)}, {sides} are at the far sides, {centre} in the centre, {len(at) - sides - centre} between"
+    return _find(sides + centre > 0.5 * len(found), told)
+
+
+def _judge_explicit_lower(results: Results) -> Finding | None:
+    """Ask of every task in which IMPL or SEMI is in a higher minimum whether an explicit form reached the lowest."""
+    if not results.is_measured(results.rough, *ALL) or results.rough is None:
+        return None
+    trapped = {p for name in IMPLICIT for p in results.higher(results.rough, name)}
+    if not trapped:
+        return None
+    reached = 0
+    for place in trapped:
+        reached += any(
+            a.task.place == place and a.cost is not None and place not in results.higher(results.rough, name)
+            for name in EXPLICIT
+            for a in results.pick(results.rough, name)
+        )
+    told = f"in {reached} of {len(trapped)} such tasks an explicit form reached the lowest minimum known"
+    return _find(reached > 0.5 * len(trapped), told)
+
+
+def _judge_centre(results: Results) -> Finding | None:
+    """Compare the iterations without lateral movement with those of all tasks."""
+    weights, azimuths = results.rough, results.study.targets.azimuths
+    if not results.is_measured(weights, *ALL) or weights is None:
+        return None
+    centre = {p for p in results.study.targets.places if abs(azimuths[p[0]]) < 1e-9}
+    harder, told = 0, []
+    for name in ALL:
+        own = results.pick(weights, name)
+        at = [a.iterations for a in own if a.task.place in centre]
+        if not at:
+            return None
+        usual = float(np.median([a.iterations for a in own]))
+        harder += float(np.median(at)) > usual
+        told.append(f"{name} {np.median(at):.0f} against {usual:.0f}")
+    return _find(harder == len(ALL), f"median iterations in the centre, and of all: {', '.join(told)}")
+
+
+# --- Fig. 10 and 11: effort ----------------------------------------------------------------------------------------
+
+
+def _judge_iteration_outliers(results: Results) -> Finding | None:
+    """Count outliers of iterations, and how many of them are in higher minima."""
+    weights = results.rough
+    if not results.is_measured(weights, *ALL) or weights is None:
+        return None
+    outliers = trapped = total = 0
+    for name in ALL:
+        values, higher = results.values(weights, name, "iterations"), set(results.higher(weights, name))
+        beyond = set(find_outliers(values).tolist())
+        own = [a for a in results.pick(weights, name) if a.cost is not None]
+        total += len(own)
+        outliers += sum(a.iterations in beyond for a in own)
+        trapped += sum(a.iterations in beyond and a.task.place in higher for a in own)
+    told = f"{outliers} of {total} solves are outliers, {trapped} of them in a higher minimum"
+    return _find(outliers > MANY * total and trapped > 0.5 * outliers, told)
+
+
+def _judge_dae_iterations(results: Results) -> Finding | None:
+    weights = results.rough
+    if not results.is_measured(weights, *ALL) or weights is None:
+        return None
+    means = {name: float(results.values(weights, name, "iterations").mean()) for name in ALL}
+    dae = [value for name, value in means.items() if is_dae_of_explicit(name)]
+    rest = [value for name, value in means.items() if not is_dae_of_explicit(name)]
+    return _find(min(dae) > max(rest), f"means: {_tell(means)}")
+
+
+def _compare_groups(
+    which: str, figure: str, better: tuple[str, ...], worse: tuple[str, ...], unit: str = ""
+) -> Callable[[Results], Finding | None]:
+    """Confirm that the medians of all in one group are below those of all in the other."""
+
+    def judge(results: Results) -> Finding | None:
+        weights = results.rough if which == "rough" else results.smooth
+        if not results.is_measured(weights, *better, *worse) or weights is None:
+            return None
+        medians = _medians(results, weights, figure, better + worse)
+        is_so = max(medians[n] for n in better) < min(medians[n] for n in worse)
+        return _find(is_so, f"medians{unit}: {_tell(medians)}")
+
+    return judge
+
+
+def _compare_ode(which: str, is_clear: bool) -> Callable[[Results], Finding | None]:
+    """Compare ODE and DAE of both explicit forms in iterations: clear if both are fewer by a tenth."""
+
+    def judge(results: Results) -> Finding | None:
+        weights = results.rough if which == "rough" else results.smooth
+        if not results.is_measured(weights, *EXPLICIT) or weights is None:
+            return None
+        medians = _medians(results, weights, "iterations", EXPLICIT)
+        fewer = [medians[o] < (1 - ALIKE) * medians[a] for o, a in zip(ODE, DAE, strict=True)]
+        return _find(all(fewer) is is_clear, f"median iterations: {_tell(medians)}")
+
+    return judge
+
+
+def _judge_explicit_cpu_alike(results: Results) -> Finding | None:
+    sets = [w for w in (results.rough, results.smooth) if results.is_measured(w, *EXPLICIT) and w is not None]
+    if not sets:
+        return None
+    medians = [_medians(results, weights, "cpu", EXPLICIT) for weights in sets]
+    is_so = all(_are_within(m[o], m[a], SIMILAR) for m in medians for o, a in zip(ODE, DAE, strict=True))
+    return _find(is_so, "median CPU s: " + "; ".join(map(_tell, medians)))
+
+
+def _judge_order_n_dae(results: Results) -> Finding | None:
+    sets = [w for w in (results.rough, results.smooth) if results.is_measured(w, "EXP2-O", "EXP2-A") and w is not None]
+    if not sets:
+        return None
+    medians = [_medians(results, weights, "cpu per iteration", ("EXP2-O", "EXP2-A")) for weights in sets]
+    told = "median CPU ms per iteration: " + "; ".join(map(_tell, medians))
+    return _find(all(m["EXP2-A"] < m["EXP2-O"] for m in medians), told)
+
+
+def _judge_order_n_iterations(results: Results) -> Finding | None:
+    """Confirm that EXP2-A takes more iterations than EXP2-O, and no less CPU time in spite of the cheaper ones."""
+    sets = [w for w in (results.rough, results.smooth) if results.is_measured(w, "EXP2-O", "EXP2-A") and w is not None]
+    if not sets:
+        return None
+    names = ("EXP2-O", "EXP2-A")
+    found = [(_medians(results, w, "iterations", names), _medians(results, w, "cpu", names)) for w in sets]
+    is_so = all(i["EXP2-A"] > i["EXP2-O"] and c["EXP2-A"] >= c["EXP2-O"] for i, c in found)
+    return _find(is_so, "; ".join(f"median iterations {_tell(i)}, CPU s {_tell(c)}" for i, c in found))
+
+
+# --- section 4.3.3 -------------------------------------------------------------------------------------------------
+
+PAPER_SIZES = {  # Table 3: variables, constraints, nonzeros of Jacobian and Hessian
+    "IMPL": (8812, 8427, 72435, 39021),
+    "SEMI": (8812, 8427, 72435, 39021),
+    "EXP1-O": (6412, 6027, 62519, 35286),
+    "EXP1-A": (8812, 8427, 69635, 35021),
+    "EXP2-O": (6412, 6027, 62519, 35286),
+    "EXP2-A": (8812, 8427, 69635, 35021),
+}
+PAPER_EFFORTS = {"IMPL": (460, 114), "SEMI": (830, 264), "EXP1": (991, 328), "EXP2": (1784, 395)}  # Table 4
+
+
+def _judge_sizes(results: Results) -> Finding | None:
+    sizes = {name: results.size(name) for name in ALL}
+    if any(size is None for size in sizes.values()):
+        return None
+    known = {name: size for name, size in sizes.items() if size is not None}
+    told = ", ".join(f"{name} {size[0]}/{size[1]}" for name, size in known.items())
+    is_so = all(known[large][k] > known[small][k] for large in IMPLICIT + DAE for small in ODE for k in (0, 1))
+    return _find(is_so, f"variables/constraints: {told}")
+
+
+def _judge_nonzeros(results: Results) -> Finding | None:
+    impl, semi = results.size("IMPL"), results.size("SEMI")
+    if impl is None or semi is None:
+        return None
+    told = f"Jacobian {impl[2]} and {semi[2]}, Hessian {impl[3]} and {semi[3]}"
+    return _find(impl[2:] == semi[2:], told)
+
+
+def _compare_flops(a: str, b: str, wanted: Callable[[float], bool]) -> Callable[[Results], Finding | None]:
+    """Judge the flops of a formulation by those of another."""
+
+    def judge(results: Results) -> Finding | None:
+        efforts = dict(results.efforts)
+        if a not in efforts or b not in efforts:
+            return None
+        ratio = efforts[a].flops / efforts[b].flops
+        printed = PAPER_EFFORTS[a][0] / PAPER_EFFORTS[b][0]
+        told = f"{efforts[a].flops} by {efforts[b].flops} flops: {ratio:.2f}; by the paper's Table 4: {printed:.2f}"
+        return _find(wanted(ratio), told)
+
+    return judge
+
+
+def _judge_crossing(results: Results) -> Finding | None:
+    """Find the length of a chain from which on the order-N form takes fewer flops than elimination."""
+    growth = {g.formulation: dict(g.flops) for g in results.growth}
+    sizes = sorted(set(growth.get("EXP1", {})) & set(growth.get("EXP2", {})))
+    if not sizes:
+        return None
+    cheaper = [n for n in sizes if all(growth["EXP2"][m] < growth["EXP1"][m] for m in sizes if m >= n)]
+    if not cheaper:
+        return _find(False, f"up to {sizes[-1]} joints EXP1 takes fewer flops")
+    told = f"from {cheaper[0]} joints on, among chains of {', '.join(map(str, sizes))}"
+    return _find(10 <= cheaper[0] <= 20, told)
+
+
+def _compare_iterations(which: str, is_same: bool) -> Callable[[Results], Finding | None]:
+    """Count the tasks in which IMPL and SEMI take the same number of iterations."""
+
+    def judge(results: Results) -> Finding | None:
+        weights = results.rough if which == "rough" else results.smooth
+        if not results.is_measured(weights, *IMPLICIT) or weights is None:
+            return None
+        impl, semi = ({a.task.place: a.iterations for a in results.pick(weights, name)} for name in IMPLICIT)
+        both = sorted(set(impl) & set(semi))
+        same = sum(impl[p] == semi[p] for p in both)
+        medians = _medians(results, weights, "iterations", IMPLICIT)
+        told = f"in {same} of {len(both)} tasks; medians: {_tell(medians)}"
+        if is_same:
+            return _find(same >= (1 - ALIKE) * len(both), told)
+        return _find(same < len(both) and _are_within(medians["IMPL"], medians["SEMI"], SIMILAR), told)
+
+    return judge
+
+
+def _judge_order_n_prefers_dae(results: Results) -> Finding | None:
+    sets = [w for w in (results.rough, results.smooth) if results.is_measured(w, *EXPLICIT) and w is not None]
+    if not sets:
+        return None
+    medians = [_medians(results, weights, "cpu", EXPLICIT) for weights in sets]
+    is_so = all(m["EXP2-A"] < m["EXP2-O"] and m["EXP1-O"] < m["EXP1-A"] for m in medians)
+    return _find(is_so, "median CPU s: " + "; ".join(map(_tell, medians)))
+
+
+def _judge_shooting(results: Results) -> Finding | None:
+    """Compare multiple shooting with collocation on the explicit form at the extreme targets."""
+    rates, cpu = dict[str, float](), dict[str, float]()
+    for name, attempts in results.shooting:
+        own = [a for a in attempts if a.task.representation in ODE]
+        if own:
+            rates[name] = sum(a.cost is not None for a in own) / len(own)
+            cpu[name] = float(np.median([a.cpu_seconds for a in own]))
+    base = COLLOCATION
+    others = [name for name in rates if name != base]
+    if base not in rates or not others:
+        return None
+    is_so = all(rates[name] < rates[base] and cpu[name] > cpu[base] for name in others)
+    told = "; ".join(f"{name}: {rates[name]:.0%} solved, median CPU {cpu[name]:.3g} s" for name in (base, *others))
+    return _find(is_so, told)
+
+
+STATEMENTS: tuple[Statement, ...] = (
+    Statement(
+        "refinement",
+        "4.3.1, Fig. 7",
+        "The mean number of iterations does not vary significantly between two refinements after a certain size.",
+        f"from the second finest grid within the run's to the run's, every mean changes by {ALIKE:.0%} at most",
+        _judge_convergence,
+        scatters=True,
+    ),
+    Statement(
+        "smoother",
+        "4.3.2, Fig. 8",
+        "The second cost definition leads to a smoother actuation.",
+        "how far the torques go up and down in all is less",
+        _compare_motions(_variation, "N m", lambda rough, smooth: smooth < rough),
+    ),
+    Statement(
+        "effort",
+        "4.3.2, Fig. 8",
+        "The smoother actuation is more important.",
+        "the integral of the squared torques is larger",
+        _compare_motions(_effort, "N² m² s", lambda rough, smooth: smooth > rough),
+    ),
+    Statement(
+        "oscillations",
+        "4.3.2, Fig. 8",
+        "There are less oscillations at the end of the trajectory.",
+        "the torques turn less often in the last quarter of the time",
+        _compare_motions(_late_turns, "turns", lambda rough, smooth: smooth < rough),
+    ),
+    Statement(
+        "speeds",
+        "4.3.2, Fig. 8",
+        "Joint velocities have lower values than for the non-smoothed actuation.",
+        "the largest joint velocity at a mesh point is lower",
+        _compare_motions(_speed, "rad/s", lambda rough, smooth: smooth < rough),
+    ),
+    Statement(
+        "same-end",
+        "4.3.2, Fig. 8",
+        "For the 2 cost definitions, the same final angular positions and the same final actuation are obtained.",
+        "angles agree to 1e-4 rad, torques of the last interval to 1e-2 N m",
+        _judge_same_end,
+    ),
+    Statement(
+        "one-outlier",
+        "4.3.2, Fig. 9.b",
+        "With smoothed actuation, only one formulation presents an outlier, which corresponds to a higher local "
+        "minimum.",
+        "one representation has tasks in a higher minimum than the lowest known",
+        _judge_smooth_minima,
+    ),
+    Statement(
+        "fewer-minima",
+        "4.3.2, Fig. 9",
+        "The actuation smoothing seems to reduce the problem of higher local minima.",
+        "all representations together are in fewer higher minima with smoothing",
+        _judge_more_without_smoothing,
+    ),
+    Statement(
+        "implicit-trapped",
+        "4.3.2, Fig. 9.a; 4.3.3; 5",
+        "Without smoothing, the implicit and semi-explicit formulations are more frequently trapped in higher local "
+        "minima than the explicit ones.",
+        "IMPL and SEMI are in more higher minima, on average, than the explicit forms",
+        _judge_implicit_trapped,
+    ),
+    Statement(
+        "sides-and-centre",
+        "4.3.2, Fig. 9.a",
+        "Outliers correspond to points at the far left or the far right, and to the central point.",
+        "most higher minima are at azimuths in the outer tenth, or at 0",
+        _judge_sides,
+    ),
+    Statement(
+        "explicit-lower",
+        "4.3.2, Fig. 9.a",
+        "Lower minima are reached by the explicit formulations for the same tasks.",
+        "of the tasks in which IMPL or SEMI is in a higher minimum, most are in the lowest known by an explicit form",
+        _judge_explicit_lower,
+    ),
+    Statement(
+        "no-lateral-movement",
+        "4.3.2",
+        "All the formulations seem to struggle with the problem without lateral movement.",
+        "without smoothing, every form's median of iterations at azimuth 0 is above that of all tasks",
+        _judge_centre,
+        scatters=True,
+    ),
+    Statement(
+        "iteration-outliers",
+        "4.3.2, Fig. 10.a",
+        "Without smoothing, the number of iterations has a high number of outliers corresponding to the high local "
+        "minima.",
+        f"more than {MANY:.0%} of the solves are outliers, and most outliers are in a higher minimum",
+        _judge_iteration_outliers,
+        scatters=True,
+    ),
+    Statement(
+        "dae-iterations",
+        "4.3.2, Fig. 10.a",
+        "Without smoothing, the DAE explicit formulations need a larger average number of iterations than the four "
+        "others.",
+        "both means are above those of all others",
+        _judge_dae_iterations,
+        scatters=True,
+    ),
+    Statement(
+        "implicit-iterations",
+        "4.3.2, Fig. 10.b",
+        "With smoothing, the implicit and semi-explicit formulations generally perform better (iterations).",
+        "both medians are below those of the explicit forms",
+        _compare_groups("smooth", "iterations", IMPLICIT, EXPLICIT),
+        scatters=True,
+    ),
+    Statement(
+        "implicit-cpu-rough",
+        "4.3.2, Fig. 10.a; 4.3.3; 5",
+        "Without smoothing, the implicit and the semi-explicit formulations lead to better CPU times than the explicit "
+        "ones.",
+        "both medians are below those of the explicit forms",
+        _compare_groups("rough", "cpu", IMPLICIT, EXPLICIT, " of CPU s"),
+        scatters=True,
+    ),
+    Statement(
+        "implicit-cpu-smooth",
+        "4.3.2, Fig. 10.b; 4.3.3; 5",
+        "With smoothing, the implicit and the semi-explicit formulations lead to better CPU times than the explicit "
+        "ones.",
+        "both medians are below those of the explicit forms",
+        _compare_groups("smooth", "cpu", IMPLICIT, EXPLICIT, " of CPU s"),
+        scatters=True,
+    ),
+    Statement(
+        "implicit-cpu-per-iteration-rough",
+        "4.3.2, Fig. 11.a",
+        "This tendency is also observed for the CPU time per iteration: without smoothing.",
+        "both medians are below those of the explicit forms",
+        _compare_groups("rough", "cpu per iteration", IMPLICIT, EXPLICIT, " of CPU ms"),
+    ),
+    Statement(
+        "implicit-cpu-per-iteration-smooth",
+        "4.3.2, Fig. 11.b",
+        "This tendency is also observed for the CPU time per iteration: with smoothing.",
+        "both medians are below those of the explicit forms",
+        _compare_groups("smooth", "cpu per iteration", IMPLICIT, EXPLICIT, " of CPU ms"),
+    ),
+    Statement(
+        "ode-iterations",
+        "4.3.2, Fig. 10.a",
+        "The ODE representation gives better results in terms of iterations for the first set of tasks.",
+        f"without smoothing, both explicit forms take at least {ALIKE:.0%} fewer iterations as ODE",
+        _compare_ode("rough", True),
+        scatters=True,
+    ),
+    Statement(
+        "ode-iterations-unclear",
+        "4.3.2, Fig. 10.b",
+        "This difference is not so clear for the second set of tasks.",
+        f"with smoothing, not both explicit forms take at least {ALIKE:.0%} fewer iterations as ODE",
+        _compare_ode("smooth", False),
+        scatters=True,
+    ),
+    Statement(
+        "explicit-cpu-alike",
+        "4.3.2, Fig. 10",
+        "The two explicit forms exhibit similar performances in terms of CPU time as ODE and as DAE systems.",
+        f"medians within {SIMILAR:.0%}",
+        _judge_explicit_cpu_alike,
+        scatters=True,
+    ),
+    Statement(
+        "order-n-dae-per-iteration",
+        "4.3.2, Fig. 11",
+        "The Order-N implementation yields a lower CPU time per iteration when formulated as a DAE system.",
+        "EXP2-A's median is below EXP2-O's, in each set",
+        _judge_order_n_dae,
+    ),
+    Statement(
+        "order-n-iterations",
+        "4.3.2, Fig. 10",
+        "Its poor performances in terms of total CPU time are explained by its high number of iterations.",
+        "EXP2-A takes more iterations than EXP2-O, and no less time, in each set",
+        _judge_order_n_iterations,
+        scatters=True,
+    ),
+    Statement(
+        "dae-larger",
+        "4.3.3, Table 3",
+        "The DAE form leads to a larger problem as both the number of equations and variables is higher.",
+        "compared for all forms",
+        _judge_sizes,
+    ),
+    Statement(
+        "nonzeros",
+        "4.3.3, Table 3",
+        "The implicit and semi-explicit formulations lead to the exact same number of non-zero terms in the Jacobian "
+        "and the Hessian.",
+        "counted",
+        _judge_nonzeros,
+    ),
+    Statement(
+        "flops-half",
+        "4.3.3, Table 4",
+        "Φ takes about half of the operations of the M and c terms.",
+        f"flops of IMPL by those of SEMI, from {HALF[0]:g} to {HALF[1]:g}",
+        _compare_flops("IMPL", "SEMI", lambda ratio: HALF[0] <= ratio <= HALF[1]),
+    ),
+    Statement(
+        "flops-exp1",
+        "4.3.3, Table 4",
+        "The modified NER with Cholesky decomposition takes a number of flops comparable with the semi-explicit form.",
+        f"flops of EXP1 by those of SEMI, up to {1 + SIMILAR:g}",
+        _compare_flops("EXP1", "SEMI", lambda ratio: ratio <= 1 + SIMILAR),
+    ),
+    Statement(
+        "flops-exp2",
+        "4.3.3, Table 4",
+        "The Order-N method takes more than 4 times the number of operations of the implicit form.",
+        "flops of EXP2 by those of IMPL, above 4",
+        _compare_flops("EXP2", "IMPL", lambda ratio: ratio > 4),
+    ),
+    Statement(
+        "crossing",
+        "4.3.3",
+        "The linear behaviour of the Order-N method becomes only interesting for a greater number of joints (around "
+        "15).",
+        "from 10 to 20 joints of a chain on, EXP2 takes fewer flops than EXP1",
+        _judge_crossing,
+    ),
+    Statement(
+        "same-iterations",
+        "4.3.3, Fig. 10.b",
+        "With smoothing, IMPL and SEMI take an almost exact same number of iterations in the 231 tasks.",
+        f"the same in {1 - ALIKE:.0%} of the tasks",
+        _compare_iterations("smooth", True),
+        scatters=True,
+    ),
+    Statement(
+        "similar-iterations",
+        "4.3.3, Fig. 10.a",
+        "Without smoothing, a similar but non-identical number of iterations is observed for the two formulations.",
+        f"not the same in all tasks, medians within {SIMILAR:.0%}",
+        _compare_iterations("rough", False),
+        scatters=True,
+    ),
+    Statement(
+        "order-n-prefers-dae",
+        "5",
+        "The Order-N explicit form works better with a DAE representation, while a pure ODE seems more appropriate for "
+        "the NER explicit form.",
+        "medians of CPU time, in each set: EXP2-A below EXP2-O, and EXP1-O below EXP1-A",
+        _judge_order_n_prefers_dae,
+        scatters=True,
+    ),
+    Statement(
+        "shooting",
+        "4.3.3; 5",
+        "Multiple shooting led to lower performances in terms of robustness: lower success rate for the extreme points "
+        "and slower convergence.",
+        "at the extreme targets and in the middle, with smoothing, every kind of shooting solves fewer tasks, and is "
+        "slower, for an explicit form",
+        _judge_shooting,
+    ),
+)

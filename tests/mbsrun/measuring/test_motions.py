@@ -1,0 +1,100 @@
+"""Charts of simulation: the reference against a closed form, errors against orders, failures kept."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.special import ellipj, ellipk
+
+from mbsrun.external import Mechanism
+from mbsrun.measuring import motions
+from mbsrun.measuring.motions import EXTENT, Course, Depth, NoReferenceError, draw_course
+from mbsrun.measuring.pictures import draw_motions
+from mbsrun.measuring.points import MotionPoint, Store
+from mbsrun.models import find_folder
+from mbsrun.simulation.methods import Formulation
+
+PENDULUM = """
+name: pendulum
+gravity: [0, 0, -9.81]
+bodies:
+  - name: rod
+    joint: {name: q1, type: revolute, axis: y, actuated: false}
+    mass: 1
+    com: [0, 0, -1]
+    inertia: [0, 0, 0]
+"""
+DURATION = 2.0
+
+
+def quiet(*_: object) -> None:
+    """Tell nobody."""
+
+
+@pytest.fixture(scope="module")
+def pendulum(tmp_path_factory: pytest.TempPathFactory) -> Mechanism:
+    """A point mass on a rod of 1 m: Phi = qdd + 9.81 sin q."""
+    path = tmp_path_factory.mktemp("pendulum") / "pendulum.yaml"
+    path.write_text(PENDULUM, encoding="utf-8")
+    return Mechanism(find_folder(path, EXTENT))
+
+
+def swing(pendulum: Mechanism) -> Course:
+    """Let it go from 1 rad."""
+    return replace(draw_course(pendulum, DURATION), q=np.array([1.0]), qd=np.array([0.0]))
+
+
+def test_the_reference_is_as_accurate_as_it_says(pendulum: Mechanism) -> None:
+    """sin(q/2) = k sn(K - w t), with k = sin(1/2), w^2 = g / l."""
+    standard = motions.find_standard(swing(pendulum))
+    k, w = np.sin(0.5), np.sqrt(9.81)
+    sn, cn, _, _ = ellipj(ellipk(k**2) - w * DURATION, k**2)
+    q = 2 * np.arcsin(k * sn)
+    exact = np.array([q, -2 * k * w * cn])
+    assert np.abs(standard.state - exact).max() < 1e-11
+    assert standard.accuracy < 1e-11
+
+
+def test_errors_fall_with_the_order_of_the_method(pendulum: Mechanism, tmp_path: Path) -> None:
+    """Half the step: 1/16 of the error by rk4 and by Gauss collocation with two stages, 1/2 by symplectic Euler."""
+    course = swing(pendulum)
+    standard = motions.find_standard(course)
+    orders = {"rk4": 4, "gauss": 4, "symplectic-euler": 1}
+    depth = Depth(tuple((method, Formulation.EXP2) for method in orders), (8, 16), (8, 16), (), 1)
+    store = Store(tmp_path / "simulation.jsonl", MotionPoint)
+    points = motions.measure_motions(course, standard, depth, store, quiet)
+    for method, order in orders.items():
+        coarse, fine = (p.error for p in points if p.method == method)
+        assert coarse is not None
+        assert fine is not None
+        assert np.log2(coarse / fine) == pytest.approx(order, abs=0.35)
+    again = motions.measure_motions(course, standard, depth, Store(tmp_path / "simulation.jsonl", MotionPoint), quiet)
+    assert again == points
+
+
+def test_motions_that_stop_are_points_and_are_drawn(tmp_path: Path) -> None:
+    """Explicit Euler on a spring of 1e9 rad/s^2 overflows: no error, no time, but a finding."""
+    path = tmp_path / "stiff.yaml"
+    path.write_text(PENDULUM.replace("axis: y,", "axis: y, stiffness: 1e9,"), encoding="utf-8")
+    mechanism = Mechanism(find_folder(path, EXTENT))
+    course = replace(swing(mechanism), duration=2.0)
+    standard = motions.Standard(np.zeros(2), 1e-12, 40, 2.0)
+    depth = Depth((("euler", Formulation.EXP2), ("radau-iia", Formulation.IMPL)), (10,), (10,), (), 1)
+    store = Store(tmp_path / "simulation.jsonl", MotionPoint)
+    failed, done = motions.measure_motions(course, standard, depth, store, quiet)
+    assert (failed.seconds, failed.error) == (None, None)
+    assert "stopped at t" in failed.finding
+    assert not done.finding
+    (picture,) = draw_motions([failed, done], standard, tmp_path)
+    assert picture.stat().st_size > 10_000
+
+
+def test_a_motion_without_a_reference_is_refused(locked: Path) -> None:
+    """Started in its lock, a Cardan joint without mass has no accelerations."""
+    mechanism = Mechanism(find_folder(locked, EXTENT))
+    course = replace(draw_course(mechanism, 1.0), q=np.array([0.0, np.pi / 2, 0.0]), qd=np.array([1.0, 1.0, 1.0]))
+    with pytest.raises(NoReferenceError, match="there is no reference"):
+        motions.find_standard(course)

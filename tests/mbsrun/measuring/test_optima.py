@@ -1,0 +1,93 @@
+"""Charts of optimal control: what optima err by, against a push whose optimum is known on every control grid."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from mbsrun import cli, load
+from mbsrun.lab.mechanisms import SLIDE
+from mbsrun.lab.optimisation import state_push
+from mbsrun.measuring.captions import OUTLINES, write_captions
+from mbsrun.measuring.optima import Depth, measure_optima
+from mbsrun.measuring.pictures import draw_optima
+from mbsrun.measuring.points import SolvePoint, Store, write_table
+from mbsrun.measuring.sections import read_folders
+from mbsrun.measuring.solves import Case
+from mbsrun.ocp.problem import Representation
+from mbsrun.ocp.schemes import Family
+
+PUSH = """
+model: slide.yaml
+horizon: 1
+intervals: 8
+scheme: radau
+degree: 2
+cost: {inputs: 1}
+start: {pose: {}}
+end: {pose: {slide: 1}, velocity: zero}
+"""
+
+
+def quiet(*_: object) -> None:
+    """Tell nobody."""
+
+
+@pytest.fixture
+def slide(tmp_path: Path) -> Path:
+    path = tmp_path / "slide.yaml"
+    path.write_text(SLIDE, encoding="utf-8")
+    return path
+
+
+def test_errors_are_those_of_the_closed_form(slide: Path, tmp_path: Path) -> None:
+    """J*(N) = 12 / (1 - 1/N^2) J, and 12 J in the limit: degree 2 has the first exactly, and one interval has none.
+
+    Degree 1, implicit Euler, has that cost as well, with another motion: which the defect tells.
+    From N = 5 and 10 the limit is extrapolated to 4e-4: what is left is of the order N^-4.
+    """
+    case = Case(state_push(8), load(slide))
+    depth = Depth((1, 5, 10), (1, 2), (Family.RADAU,), (Representation.IMPL,), 1)
+    store = Store(tmp_path / "out" / "optimisation.jsonl", SolvePoint)
+    points, grids = measure_optima(case, depth, store, quiet)
+    for grid in grids[1:]:
+        exact = 12 / (1 - 1 / grid.intervals**2)
+        assert grid.cost == pytest.approx(exact, rel=1e-8)
+        assert grid.accuracy is not None
+        assert grid.accuracy < 1e-8
+        assert grid.error == pytest.approx(exact / 12 - 1, abs=5e-4)
+    assert grids[0].cost is None
+    assert grids[0].finding
+    by_grid = {(p.degree, p.intervals): p for p in points}
+    assert all("more is asked for" in by_grid[degree, 1].finding for degree in (1, 2))
+    for intervals in (5, 10):
+        coarse, fine = by_grid[1, intervals], by_grid[2, intervals]
+        assert fine.error is not None
+        assert fine.error < 1e-8
+        assert fine.defect is not None
+        assert coarse.defect is not None
+        assert fine.defect < 1e-7 < 1e-3 < coarse.defect
+    write_table(points, tmp_path / "out", "optimisation")
+    paths = draw_optima(points, grids, tmp_path / "out")
+    assert [path.name for path in paths] == ["optimisation.png", "control_grid.png"]
+    write_captions("optimisation", "a reach", tmp_path / "out")
+    (section,) = read_folders([tmp_path / "out"])
+    assert [item.title for item in section.items] == [x.title for x in OUTLINES["optimisation"].items[:3]]
+    again, _ = measure_optima(case, depth, store, lambda *_: None)
+    assert again == points
+
+
+def test_the_command_writes_chart_and_tables(slide: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (slide.parent / "push.ocp.yaml").write_text(PUSH, encoding="utf-8")
+    monkeypatch.chdir(slide.parent)
+    arguments = ["--quick", "--intervals", "4", "--degree", "2", "--representation", "EXP2-O", "-o", "chart"]
+    monkeypatch.setattr(sys, "argv", ["mbsrun", "chart", "optimisation", "push.ocp.yaml", *arguments])
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    assert end.value.code in (0, None)
+    (solved,) = json.loads(Path("chart/optimisation.json").read_text(encoding="utf-8"))
+    assert (solved["intervals"], solved["representation"], solved["total_error"]) == (4, "EXP2-O", None)
+    assert Path("chart/control_grid.png").exists()
