@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.approximation.cuts import Cut, Released, release
-from mbsgen.approximation.effects import Bench, Comparison, Wanted
+from mbsgen.approximation.effects import Comparison, ReleasedFunctions, Wanted
 from mbsgen.approximation.states import draw
 from mbsgen.families import Options, list_functions, write_families
 from mbsgen.model.scene import Scene
@@ -60,13 +60,13 @@ def approximate(tree: Tree, tolerance: float, options: Options, scene: Scene) ->
     names = list_functions(tree, options, scene)
     released = release(tree)
     wanted = Wanted(names, dict(scene.results), motion=scene.motion)
-    bench = Bench(released, wanted)
+    functions = ReleasedFunctions(released, wanted)
     choosing, checking = (
-        Comparison(bench, draw(tree, count, seed, motion=wanted.motion), poses)
+        Comparison(functions, draw(tree, count, seed, motion=wanted.motion), poses)
         for count, seed, poses in zip((CHOOSING, CHECKING), SEEDS, (POSES, CHECKING), strict=True)
     )
     whole = _write(tree, options, scene, names)
-    choice = _Choice(released, bench, choosing)
+    choice = _Choice(released, functions, choosing)
     share = MARGIN
     for _ in range(NARROWER):
         chosen = choice.choose(share * tolerance)
@@ -97,8 +97,8 @@ def _total(tapes: Mapping[str, Tape]) -> int:
 
 
 class _Choice:
-    def __init__(self, released: Released, bench: Bench, comparison: Comparison) -> None:
-        self._released, self._bench, self._comparison = released, bench, comparison
+    def __init__(self, released: Released, functions: ReleasedFunctions, comparison: Comparison) -> None:
+        self._released, self._functions, self._comparison = released, functions, comparison
         self._alone = comparison.judge(np.eye(len(released.cuts), dtype=bool))
 
     def choose(self, tolerance: float) -> Chosen:
@@ -126,15 +126,15 @@ class _Choice:
         """Put back what saves nothing, what errs most first."""
         while True:
             more = self._count_put_back(chosen)
-            idle = [k for k in range(len(chosen)) if chosen[k] and more[k] == 0]
-            if not idle:
+            unused = [k for k in range(len(chosen)) if chosen[k] and more[k] == 0]
+            if not unused:
                 return chosen
-            chosen = _without(chosen, max(idle, key=lambda k: (self._alone[k], k)))
+            chosen = _without(chosen, max(unused, key=lambda k: (self._alone[k], k)))
 
     def _count_put_back(self, chosen: Chosen) -> NDArray[np.int64]:
         """Count what all functions take more with each of the chosen cuts put back; 0 for others."""
         members = [int(k) for k in np.flatnonzero(chosen)]
-        counts = self._bench.count(np.array([chosen, *(_without(chosen, k) for k in members)]))
+        counts = self._functions.count(np.array([chosen, *(_without(chosen, k) for k in members)]))
         more = np.zeros(len(chosen), np.int64)
         more[members] = counts[1:] - counts[0]
         return more

@@ -46,7 +46,7 @@ class Wanted:
     motion: bool  # else velocities are 0, and no input
 
 
-class Bench:
+class ReleasedFunctions:
     """A released tree's functions, evaluated with any of its numbers 0."""
 
     def __init__(self, released: Released, wanted: Wanted) -> None:
@@ -109,35 +109,35 @@ def _fill(output: Output, values: Sequence[Any], shape: tuple[int, int]) -> Arra
 
 
 class Comparison:
-    """A bench at some states: what the whole tree has there, and how far from it others are.
+    """Functions at some states: what the whole tree has there, and how far from it others are.
 
     M is looked at in the first `poses` of them.
     """
 
-    def __init__(self, bench: Bench, states: States, poses: int) -> None:
-        self._bench = bench
+    def __init__(self, functions: ReleasedFunctions, states: States, poses: int) -> None:
+        self._functions = functions
         none = self._none
-        released = bench.released
+        released = functions.released
         residual = impl.build(released.tree, Reductions(trials=1))
         still = dict(states) | {"u": np.zeros((len(states["q"]), sum(b.joint.actuated for b in released.tree.bodies)))}
-        torques = bench.evaluate(residual, still, none)["Phi"][0, :, :, 0]
+        torques = functions.evaluate(residual, still, none)["Phi"][0, :, :, 0]
         driven = [k for k, body in enumerate(released.tree.bodies) if body.joint.actuated]
         self._still, self._driven = still, still | {"u": torques[:, driven]}
-        self._whole = {name: self._evaluate(name, none) for name in bench.judged}
+        self._whole = {name: self._evaluate(name, none) for name in functions.judged}
         self._poses = {name: values[:poses] for name, values in still.items()}
         self._inertia = semi.build(released.tree, Reductions(trials=1))
 
     @property
     def _none(self) -> Sets:
-        return np.zeros((1, len(self._bench.released.numbers)), bool)
+        return np.zeros((1, len(self._functions.released.numbers)), bool)
 
     def _evaluate(self, name: str, sets: Sets, tape: Tape | None = None) -> Results:
         states = self._driven if name in ("exp1", "exp2") else self._still
-        return self._bench.evaluate(tape or self._bench.tapes[name], states, sets)
+        return self._functions.evaluate(tape or self._functions.tapes[name], states, sets)
 
     def judge(self, sets: Sets) -> Array:
         """Tell the largest error of all functions without each set of numbers; infinite where M is not kept: (k,)."""
-        size = max((len(self._bench.tapes[name].operations) for name in self._whole), default=1)
+        size = max((len(self._functions.tapes[name].operations) for name in self._whole), default=1)
         step = max(1, VALUES // (size * len(self._still["q"]) + 1))
         parts = [sets[k : k + step] for k in range(0, len(sets), step)]
         return np.concatenate([self._judge(part) for part in parts]) if parts else np.zeros(0)
@@ -173,7 +173,7 @@ class Comparison:
 
     def keeps_inertia(self, sets: Sets) -> NDArray[np.bool_]:
         """Tell whether M without each set of numbers has enough of that of the whole, in every direction: (k,)."""
-        reduced = self._bench.evaluate(self._inertia, self._poses, sets)["M"]
+        reduced = self._functions.evaluate(self._inertia, self._poses, sets)["M"]
         left = reduced - LEAST_INERTIA * self._whole_inertia
         kept: NDArray[np.bool_] = np.array([bool(np.isfinite(x).all()) for x in left])
         kept[kept] = (np.linalg.eigvalsh(left[kept] / self._sizes) > 0).all(axis=(1, 2))
@@ -181,7 +181,7 @@ class Comparison:
 
     @cached_property
     def _whole_inertia(self) -> Array:
-        return self._bench.evaluate(self._inertia, self._poses, self._none)["M"]
+        return self._functions.evaluate(self._inertia, self._poses, self._none)["M"]
 
     @cached_property
     def _sizes(self) -> Array:

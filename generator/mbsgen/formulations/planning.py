@@ -40,19 +40,19 @@ class Plans:
     @cached_property
     def residual(self) -> Plan:
         """IMPL."""
-        return self._search(lambda bench, plan: residual(bench.begin(plan), bench.state.qd, bench.state.qdd))
+        return self._search(lambda shared, plan: residual(shared.begin(plan), shared.state.qd, shared.state.qdd))
 
     @cached_property
     def bias(self) -> Plan:
         """c of SEMI and EXP1: the residual at qdd = 0."""
-        return self._search(lambda bench, plan: bench.write_bias(plan, absolute=False), self.residual)
+        return self._search(lambda shared, plan: shared.write_bias(plan, absolute=False), self.residual)
 
     @cached_property
     def mass_matrix(self) -> Plan:
         """M of SEMI."""
 
-        def write(bench: Bench, plan: Plan) -> Sequence[Scalar]:
-            return [*mass_matrix(bench.begin(plan)).values(), *bench.bias(self.bias, absolute=False)]
+        def write(shared: PlanTrials, plan: Plan) -> Sequence[Scalar]:
+            return [*mass_matrix(shared.begin(plan)).values(), *shared.bias(self.bias, absolute=False)]
 
         return self._search(write, self.bias)
 
@@ -61,10 +61,10 @@ class Plans:
         """M of EXP1."""
         absolute = self._reductions.absolute
 
-        def write(bench: Bench, plan: Plan) -> Sequence[Scalar]:
-            M = mass_matrix(bench.begin(plan), absolute=absolute)
-            right = dict(enumerate(bench.bias(self.bias, absolute=absolute), 1))
-            return list(solve(bench.chain.builder, M, right, self._size, partial(check_pivot, self._tree)).x.values())
+        def write(shared: PlanTrials, plan: Plan) -> Sequence[Scalar]:
+            M = mass_matrix(shared.begin(plan), absolute=absolute)
+            right = dict(enumerate(shared.bias(self.bias, absolute=absolute), 1))
+            return list(solve(shared.chain.builder, M, right, self._size, partial(check_pivot, self._tree)).x.values())
 
         return self._search(write, self.mass_matrix) if self._size <= ELIMINATED else self.mass_matrix
 
@@ -72,8 +72,10 @@ class Plans:
     def articulated(self) -> Plan:
         """EXP2."""
 
-        def write(bench: Bench, plan: Plan) -> Sequence[Scalar]:
-            return accelerations(bench.begin(plan), bench.state.qd, bench.state.qdd)[0]  # any n numbers will do for Q
+        def write(shared: PlanTrials, plan: Plan) -> Sequence[Scalar]:
+            return accelerations(shared.begin(plan), shared.state.qd, shared.state.qdd)[
+                0
+            ]  # any n numbers will do for Q
 
         return self._search(write, self.residual, restrain=_restraint(self._tree, self._reductions))
 
@@ -81,28 +83,28 @@ class Plans:
     def sensitivities(self) -> Plan:
         """The derivatives of IMPL."""
 
-        def write(bench: Bench, plan: Plan) -> Sequence[Scalar]:
-            found = sensitivities(bench.begin(plan), bench.state.qd, bench.state.qdd)
+        def write(shared: PlanTrials, plan: Plan) -> Sequence[Scalar]:
+            found = sensitivities(shared.begin(plan), shared.state.qd, shared.state.qdd)
             return [*found.q.values(), *found.qd.values(), *found.qdd.values()]
 
         return self._search(write, self.mass_matrix) if self._size <= ELIMINATED else self.mass_matrix
 
     def _search(
-        self, write: Callable[[Bench, Plan], Sequence[Scalar]], *start: Plan, restrain: Restraint = leave
+        self, write: Callable[[PlanTrials, Plan], Sequence[Scalar]], *start: Plan, restrain: Restraint = leave
     ) -> Plan:
-        bench = Bench(self._tree, self._reductions)
+        shared = PlanTrials(self._tree, self._reductions)
         if self._reductions.lump_runtime and self._reductions.regroup:
-            restrain = _allow(self._tree, self._reductions, bench.segments, restrain)
+            restrain = _allow(self._tree, self._reductions, shared.segments, restrain)
 
         def cost(plan: Plan) -> int | None:
             try:
-                return bench.cost(write(bench, plan))
+                return shared.cost(write(shared, plan))
             except NoSuchPlanError:
                 return None
 
         wanted = self._reductions.trials
         trials = _trials(self._size) if wanted is None else wanted
-        return search(bench.segments, cost, self._reductions, trials, start, restrain)
+        return search(shared.segments, cost, self._reductions, trials, start, restrain)
 
 
 def _align_numbers(tree: Tree, reductions: Reductions) -> tuple[Builder, tuple[Segment, ...]]:
@@ -185,7 +187,7 @@ def dynamics_alone(tree: Tree, *, driven: bool) -> Tree:
     return replace(tree, bodies=bodies, wrenches=(), sensors=())
 
 
-class Bench:
+class PlanTrials:
     """What the trials of one search share: a builder, in which most of what a plan writes is known already."""
 
     def __init__(self, tree: Tree, reductions: Reductions) -> None:

@@ -325,8 +325,8 @@ class _Scene:
                     self._findings.tell(part.element, text)
                 self._warn_of_six(part.element, attributes, "a ball")
                 driven = not self._driven or attributes.get("name") in self._driven
-                loose = self._choices.quaternions and alone
-                moves += turn_freely(part.element, step, quaternion=loose, actuated=driven)
+                is_quaternion = self._choices.quaternions and alone
+                moves += turn_freely(part.element, step, quaternion=is_quaternion, actuated=driven)
             else:
                 moves.append(self._read_move(part, kind, attributes, step))
         return moves, anchor

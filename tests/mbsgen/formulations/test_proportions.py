@@ -11,7 +11,7 @@ from mbsgen.formulations.parsimony.plan import Choice, Mass, Plan
 from mbsgen.formulations.parsimony.proportions import Proportions
 from mbsgen.formulations.parsimony.regrouping import restrain
 from mbsgen.formulations.parsimony.segments import Moments
-from mbsgen.formulations.planning import Bench, find_plans
+from mbsgen.formulations.planning import PlanTrials, find_plans
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
@@ -27,7 +27,7 @@ def masses(tree) -> list[Mass]:
 
 def growths(tree) -> dict[int, float]:
     """Measure what all mass that may move to the base does on its way."""
-    bench, found = Bench(tree, REDUCED), {}
+    bench, found = PlanTrials(tree, REDUCED), {}
     proportions = Proportions(bench.segments)
 
     def note(number: int, moved: Moments) -> bool:
