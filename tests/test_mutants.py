@@ -1,9 +1,12 @@
-"""The list of planted faults fits the source: each text stands once in its file, and its tests exist."""
+"""The list of planted faults fits the source, and a fault is killed only by a test that passes without it."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
+from tests.mutants.__main__ import BROKEN, KILLED, Outcome, Trial
 from tests.mutants.faults import GOLDEN, ROOT, Fault, read_faults
 
 
@@ -16,3 +19,21 @@ def test_a_fault_can_be_planted(fault: Fault) -> None:
     for test in fault.tests:
         assert test != GOLDEN
         assert (ROOT / test.partition("::")[0]).exists()
+
+
+def test_only_a_test_that_passes_without_the_fault_kills_it(tmp_path: Path) -> None:
+    """The same failing test kills the fault where it passes without it, and shows nothing where it does not."""
+    (tmp_path / "tests").mkdir()
+    (tmp_path / "source.py").write_text("TWO = 2\n", encoding="utf-8")
+    texts = {"right": "assert TWO == 2", "wrong": "assert TWO == 3"}
+    for name, text in texts.items():
+        code = f"from source import TWO\n\n\ndef test_{name}() -> None:\n    {text}\n"
+        (tmp_path / "tests" / f"test_{name}.py").write_text(code, encoding="utf-8")
+    (tmp_path / "pyproject.toml").write_text('[tool.pytest.ini_options]\npythonpath = ["."]\n', encoding="utf-8")
+    trial = Trial(tmp_path)
+    found = {name: trial.try_fault(Fault("three", "source.py", "2", "4", (f"tests/test_{name}.py",))) for name in texts}
+    assert found == {
+        "right": Outcome(KILLED, "tests/test_right.py::test_right"),
+        "wrong": Outcome(BROKEN, "without the fault: tests/test_wrong.py::test_wrong"),
+    }
+    assert (tmp_path / "source.py").read_text("utf-8") == "TWO = 2\n"

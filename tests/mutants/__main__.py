@@ -1,7 +1,8 @@
 """Plant every fault of the list, one at a time, and run the tests that must notice it: `python -m tests.mutants`.
 
-Golden files do not count. A fault is killed if a test fails, and survives if all pass; a run that cannot collect its
-tests is an error of the list. What was decided is kept in `build/mutants.json` until the tree changes.
+Golden files do not count. The tests first run without the fault: where they fail, the fault is not tried. A fault is
+killed if a test fails, and survives if all pass; a run that cannot collect its tests is an error of the list. Outcomes
+are kept in `build/mutants.json` until the tree changes.
 """
 
 from __future__ import annotations
@@ -9,18 +10,20 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import click
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
+from rich.table import Column, Table
 
 from tests.mutants.faults import GOLDEN, ROOT, Fault, read_faults
 
@@ -29,53 +32,84 @@ FILES = ("pyproject.toml", "Makefile", "README.md", "ARCHITECTURE.md", "CHANGELO
 RECORD = ROOT / "build" / "mutants.json"
 SECONDS = 600  # a fault may make a test hang; that is noticed too
 KILLED, SURVIVED, BROKEN = "killed", "survived", "not run"
+FAILED = re.compile(r"^(?:FAILED|ERROR) (tests/.+?)(?: - .*)?$", re.MULTILINE)  # of pytest's summary
 ENOUGH = 0.95
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the tests of a fault show."""
+
+    verdict: str
+    test: str = ""  # the test that fails, or why there is none
+
+
+@dataclass
+class Trial:
+    """A copy of the tree in which faults are planted, and the outcomes of the tests without a fault."""
+
+    tree: Path
+    baselines: dict[tuple[str, ...], Outcome] = field(default_factory=dict)
+
+    def try_fault(self, fault: Fault) -> Outcome:
+        """Run the tests of a fault without it, once for each set of tests, and with it."""
+        if fault.tests not in self.baselines:
+            self.baselines[fault.tests] = self._run(fault.tests)
+        baseline = self.baselines[fault.tests]
+        if baseline.verdict != SURVIVED:
+            return Outcome(BROKEN, f"without the fault: {baseline.test}")
+        original = (self.tree / fault.file).read_bytes()
+        try:
+            fault.apply(self.tree)
+            return self._run(fault.tests)
+        finally:
+            (self.tree / fault.file).write_bytes(original)
+
+    def _run(self, tests: tuple[str, ...]) -> Outcome:
+        paths = os.pathsep.join(str(self.tree / name) for name in ("generator", "python"))
+        command = [sys.executable, "-m", "pytest", "-x", "-q", "-rfE", f"--ignore={GOLDEN}", *tests]
+        with tempfile.TemporaryDirectory() as cache:
+            own = {"PYTHONPATH": paths, "XDG_CACHE_HOME": cache, "PYTHONDONTWRITEBYTECODE": "1"}
+            environment = {**os.environ, **own, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}  # no test needs a plugin
+            try:
+                run = subprocess.run(
+                    command,
+                    cwd=self.tree,
+                    env=environment,
+                    capture_output=True,
+                    text=True,
+                    timeout=SECONDS,
+                    check=False,
+                )
+            except subprocess.TimeoutExpired:
+                return Outcome(KILLED, f"no end after {SECONDS} s")
+        if run.returncode == 1:
+            return Outcome(KILLED, ", ".join(FAILED.findall(run.stdout)))
+        return Outcome(SURVIVED) if run.returncode == 0 else Outcome(BROKEN, f"pytest returns {run.returncode}")
 
 
 @click.command()
 @click.option("--only", default="", help="Plant the faults alone whose name has this in it.")
 def main(only: str) -> None:
-    """Print which faults are killed; exit with 1 if fewer than 95 % are."""
+    """Print which faults are killed, and by which test; exit with 1 if fewer than 95 % are."""
     faults = [f for f in read_faults() if only in f.name]
     known = _read_record()
     with _copy_tree() as tree:
-        state = _fingerprint(tree)
+        state, trial = _fingerprint(tree), Trial(tree)
         for fault in track(faults, "faults", console=Console(stderr=True)):
             key = f"{state} {fault}"
             if key not in known:
-                known[key] = try_fault(fault, tree)
+                known[key] = trial.try_fault(fault)
                 _write_record(known)
-    verdicts = {fault: known[f"{state} {fault}"] for fault in faults}
-    table = Table("fault", "file", "verdict")
-    for fault, verdict in verdicts.items():
-        table.add_row(fault.name, fault.file, verdict)
-    killed = sum(v == KILLED for v in verdicts.values())
+    outcomes = {fault: known[f"{state} {fault}"] for fault in faults}
+    table = Table("fault", "file", "verdict", Column("test", overflow="fold"))
+    for fault, outcome in outcomes.items():
+        table.add_row(fault.name, fault.file, outcome.verdict, outcome.test)
+    killed = sum(outcome.verdict == KILLED for outcome in outcomes.values())
     console = Console()
     console.print(table)
-    console.print(f"{killed} of {len(verdicts)} faults are killed.")
-    sys.exit(killed < ENOUGH * len(verdicts))
-
-
-def try_fault(fault: Fault, tree: Path) -> str:
-    """Plant a fault in the copy of the tree, run its tests, and take it out again; return the verdict."""
-    original = (tree / fault.file).read_bytes()
-    with tempfile.TemporaryDirectory() as cache:
-        try:
-            fault.apply(tree)
-            return _run(fault, tree, cache)
-        finally:
-            (tree / fault.file).write_bytes(original)
-
-
-def _run(fault: Fault, tree: Path, cache: str) -> str:
-    paths = os.pathsep.join(str(tree / name) for name in ("generator", "python"))
-    environment = {**os.environ, "PYTHONPATH": paths, "XDG_CACHE_HOME": cache, "PYTHONDONTWRITEBYTECODE": "1"}
-    command = [sys.executable, "-m", "pytest", "-x", "-q", f"--ignore={GOLDEN}", *fault.tests]
-    try:
-        run = subprocess.run(command, cwd=tree, env=environment, capture_output=True, timeout=SECONDS, check=False)
-    except subprocess.TimeoutExpired:
-        return KILLED
-    return {0: SURVIVED, 1: KILLED}.get(run.returncode, BROKEN)
+    console.print(f"{killed} of {len(outcomes)} faults are killed.")
+    sys.exit(killed < ENOUGH * len(outcomes))
 
 
 @contextmanager
@@ -96,13 +130,17 @@ def _fingerprint(tree: Path) -> str:
     return digest.hexdigest()[:16]
 
 
-def _read_record() -> dict[str, str]:
-    return json.loads(RECORD.read_text(encoding="utf-8")) if RECORD.exists() else {}
+def _read_record() -> dict[str, Outcome]:
+    if not RECORD.exists():
+        return {}
+    found = json.loads(RECORD.read_text(encoding="utf-8"))
+    return {key: Outcome(**entry) for key, entry in found.items() if isinstance(entry, dict)}
 
 
-def _write_record(known: dict[str, str]) -> None:
+def _write_record(known: dict[str, Outcome]) -> None:
     RECORD.parent.mkdir(exist_ok=True)
-    RECORD.write_text(json.dumps(known, indent=1), encoding="utf-8")
+    text = json.dumps({key: asdict(outcome) for key, outcome in known.items()}, indent=1)
+    RECORD.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":
