@@ -18,7 +18,9 @@ import pytest
 from rich import filesize
 
 from mbsrun import cli, load
-from mbsrun.cli import DAY
+from mbsrun.commands import simulate, sweep
+from mbsrun.commands import solve as solving
+from mbsrun.commands.cache import DAY
 from mbsrun.limits import Limits
 from mbsrun.ocp.problem import Form
 from mbsrun.ocp.solution import ACCEPTABLE, Solution, read_solution
@@ -47,8 +49,9 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     """Run the command in an empty folder with the arm made by hand; a problem's text is put into task.ocp.yaml."""
     monkeypatch.chdir(tmp_path)
     arm = peer_arm()
-    monkeypatch.setattr(cli, "load", lambda _: arm)
-    monkeypatch.setattr(cli, "load_on_demand", lambda _: arm)
+    monkeypatch.setattr(simulate, "load", lambda _: arm)
+    monkeypatch.setattr(solving, "load_on_demand", lambda _: arm)
+    monkeypatch.setattr(sweep, "load_on_demand", lambda _: arm)
 
     def call(*arguments: str, text: str = COARSE) -> Result:
         Path("task.ocp.yaml").write_text(text, "utf-8")
@@ -64,7 +67,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 def quick(run: Run, monkeypatch: pytest.MonkeyPatch) -> Run:
     """The same, with empty files for pictures."""
     for name in ("plot_trajectories", "draw_mechanism", "animate", "plot_starts"):
-        monkeypatch.setattr(cli, name, lambda *arguments: arguments[-1].touch())
+        monkeypatch.setattr(solving, name, lambda *arguments: arguments[-1].touch())
     return run
 
 
@@ -174,7 +177,7 @@ def test_what_a_search_does_not_take_is_told(quick: Run, arguments: tuple[str, .
 
 def test_a_check_that_does_not_finish_is_told(quick: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """The solution is written, and does not count as accurate."""
-    monkeypatch.setattr(cli, "resimulate", partial(cli.resimulate, limits=Limits(steps=3)))
+    monkeypatch.setattr(solving, "resimulate", partial(solving.resimulate, limits=Limits(steps=3)))
     result = quick("solve", "task.ocp.yaml", "-o", "out")
     assert result.exit_code == 1
     assert (
@@ -252,7 +255,7 @@ def test_an_acceptable_solution_is_written_with_a_warning(quick: Run, monkeypatc
         assert isinstance(outcome, Solution)
         return replace(outcome, run=replace(outcome.run, status=ACCEPTABLE))
 
-    monkeypatch.setattr(cli, "solve", stop_short)
+    monkeypatch.setattr(solving, "solve", stop_short)
     result = quick("solve", "task.ocp.yaml", "-o", "out")
     assert result.exit_code == 1
     assert "warning: IPOPT stopped at an acceptable level" in result.stderr
@@ -344,7 +347,8 @@ def test_help_and_version(arguments: list[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "text"), [(["-h"], cli.HELP), (["solve", "-h"], cli.SOLVE_HELP), (["sweep", "-h"], cli.SWEEP_HELP)]
+    ("arguments", "text"),
+    [(["-h"], cli.HELP), (["solve", "-h"], solving.SOLVE_HELP), (["sweep", "-h"], sweep.SWEEP_HELP)],
 )
 def test_lists_in_the_help_keep_their_lines(run: Run, arguments: list[str], text: str) -> None:
     """A terminal of 80 columns shows what is indented in the text as it is written."""

@@ -1,0 +1,59 @@
+"""Options, messages and tables that the commands share."""
+
+from __future__ import annotations
+
+import sys
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
+from mbsrun.ocp.problem import Problem, find_conflicts
+
+NOT_SOLVED = 1  # exit codes; 0 is a solution as accurate as the problem asks for
+BAD_INPUT = 2
+
+UNCUT = 200  # characters in a line where nobody sees a terminal's width
+
+MESSAGES = Console(stderr=True)
+
+
+class NumberType(click.ParamType[float]):
+    """A number, or an expression such as pi/2."""
+
+    name = "number"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Read one number of an argument."""
+        try:
+            return value if isinstance(value, float) else evaluate(parse(str(value)), {}, FLOATS)
+        except ExpressionError as error:
+            self.fail(str(error), param, ctx)
+
+
+def find_sensor(problem: Problem, argument: str) -> str:
+    """Name the one sensor that has a target."""
+    sensors = [name for name, _ in problem.end.sensors]
+    if len(sensors) != 1:
+        raise click.BadParameter(
+            f"the problem has targets for {', '.join(sensors) or 'no sensor'}; it must have one for one sensor",
+            param_hint=argument,
+        )
+    return sensors[0]
+
+
+def check_conflicts(problem: Problem) -> None:
+    """Refuse what does not go together."""
+    if conflicts := find_conflicts(problem):
+        raise click.UsageError("; ".join(f"{c.key}: {c.finding}; {c.remedy}" for c in conflicts))
+
+
+def say(message: str) -> None:
+    """Print a message to stderr."""
+    click.echo(message, err=True)
+
+
+def print_table(table: Table) -> None:
+    """Print a table to stdout, as wide as the terminal."""
+    Console(highlight=False, width=None if sys.stdout.isatty() else UNCUT).print(table)

@@ -1,0 +1,203 @@
+"""`mbsrun simulate`: a model and settings -> a motion, with tables and pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from mbsgen.documents import Data
+from mbsgen.errors import Fault, InputError
+from mbsgen.manifest import Manifest
+from mbsrun.commands.console import (
+    MESSAGES,
+    NOT_SOLVED,
+    say,
+)
+from mbsrun.external import load
+from mbsrun.ocp.solution import read_solution
+from mbsrun.simulation.drive import hold_steps, input_labels
+from mbsrun.simulation.methods import METHODS, Formulation
+from mbsrun.simulation.motion import Motion
+from mbsrun.simulation.record import FILES as MOTION_FILES
+from mbsrun.simulation.record import describe_settings, write_motion
+from mbsrun.simulation.simulate import simulate
+from mbsrun.simulation.statement import Recording, read_statement
+
+PLAIN = ("input_period", "max_steps", "max_seconds")  # of a simulation
+
+
+SIMULATE_HELP = """Integrate the motion of MODEL, and write it with its energy, plots and an animation.
+
+MODEL is a model file, or a folder that mbsgen wrote. The motion starts at time 0 where --pose and --velocity put it (0
+where they do not), under the inputs of --input. What is written again and again goes into a file, which may also give
+the wrenches that a model leaves open; an option wins over the file:
+
+\b
+  duration: 5
+  method: rk4
+  step: 1e-3
+  start: {pose: {q1: pi/2}}
+  inputs: {q1: 0.2*sin(3*t) - 2*qd_q1}
+  wrenches: {contact: {force: [0, 0, 10*t]}}
+
+\b
+Methods
+  euler, symplectic-euler, rk4             explicit, of the fixed length --step; they run in C
+  dop853, rk45                             explicit, adaptive; dop853 is what you get
+  lsoda, radau, bdf                        adaptive, for stiff motions too, with exact Jacobians
+  generalized-alpha, radau-iia, gauss      implicit, of the fixed length --step, on the
+                                           residual: no mass matrix is formed with impl
+
+\b
+Formulations
+  exp2, exp1   accelerations: by articulated bodies, by elimination in the mass matrix
+  semi, impl   mass matrix and bias, residual; explicit methods then solve for accelerations
+
+\b
+The output folder gets
+  simulation.json   settings, effort, energies, warnings, where the motion ends
+  trajectory.csv    every number kept: coordinates, velocities, inputs, energies
+  plots.png         the same over time
+  animation.html    plays the motion in any browser
+
+Energies are a check: what kinetic and potential energy have become beyond the work of inputs, springs, dampers and
+wrenches is the drift that the integration errs by.
+
+\b
+Exit codes
+  0   the end was reached
+  1   it was not: a kernel, a step or the motion failed, or a limit of steps or seconds is
+      used up; the message gives time, joint and reason; what was reached is written, and
+      marked as incomplete
+  2   the model, a file or an argument cannot be accepted; nothing written
+"""
+
+
+@click.command("simulate", help=SIMULATE_HELP)
+@click.argument("model", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    "out",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="The folder to write to; by default NAME.simulation here, for a model NAME.",
+)
+@click.option("--settings", "file", type=click.Path(path_type=Path), help="A file with settings; see above.")
+@click.option("--duration", metavar="T", help="How long the motion is [s].")
+@click.option("--method", type=click.Choice(list(METHODS)), help="How to integrate; by default dop853.")
+@click.option("--formulation", type=click.Choice([f.value for f in Formulation]), help="On what; by default exp2.")
+@click.option("--step", metavar="H", help="The longest step of a method with fixed ones [s]; by default 1e-3.")
+@click.option("--rtol", metavar="R", help="The relative tolerance of an adaptive method; by default 1e-9.")
+@click.option("--atol", metavar="A", help="The absolute one, in rad, m, rad/s and m/s; by default 1e-9.")
+@click.option("--stages", type=int, metavar="S", help="The stages of radau-iia and gauss, 1 to 9; by default 2.")
+@click.option(
+    "--rho",
+    metavar="R",
+    help="What a step of generalized-alpha leaves of the highest frequencies: 0 nothing, 1 all; by default 0.8.",
+)
+@click.option("--output-step", metavar="H", help="The time between states that are kept [s]; by default T/1000.")
+@click.option("--max-steps", type=int, metavar="N", help="Take at most so many steps; by default 10 million.")
+@click.option("--max-seconds", metavar="S", help="Take at most so much processor time; by default 60 s.")
+@click.option("--pose", multiple=True, metavar="NAME=NUMBER", help="Where a coordinate starts [rad, m]: --pose q1=pi/2")
+@click.option("--velocity", multiple=True, metavar="NAME=NUMBER", help="How fast it starts [rad/s, m/s].")
+@click.option(
+    "--input",
+    "inputs",
+    multiple=True,
+    metavar="NAME=EXPRESSION",
+    help="The input of an actuated joint [N m, N], by the time t and the state: --input 'q1=0.2*sin(3*t) - 2*qd_q1'",
+)
+@click.option("--input-period", metavar="H", help="Compute inputs every H seconds, and hold them in between.")
+@click.option("--parameter", "parameters", multiple=True, metavar="NAME=NUMBER", help="A run-time parameter.")
+@click.option(
+    "--solution",
+    type=click.Path(path_type=Path),
+    help="A solution.json of `mbsrun solve`: its inputs, and its start unless another is given.",
+)
+@click.pass_context
+def simulate_command(
+    context: click.Context, /, model: Path, out: Path | None, file: Path | None, solution: Path | None, **given: Any
+) -> None:
+    """Read, integrate, write, tell."""
+    mechanism = load(model)
+    recording = None if solution is None else _read_recording(solution, mechanism.manifest)
+    statement = read_statement(file, _collect_options(given), mechanism.manifest, recording)
+    mechanism = mechanism.with_parameters(**statement.parameters)
+    out = out or Path(f"{model.stem}.simulation")
+    with MESSAGES.status("integrating") as status:
+
+        def show(time: float) -> None:
+            status.update(f"integrating: t = {time:.4g} of {statement.settings.duration:.4g} s")
+
+        motion = simulate(mechanism, statement.drive, statement.q, statement.qd, statement.settings, show)
+        status.update("writing")
+        write_motion(motion, mechanism, out)
+    _print_motion(motion, mechanism.manifest)
+    say(f"wrote {', '.join(str(out / name) for name in MOTION_FILES)}")
+    for warning in motion.warnings:
+        say(f"warning: {warning}")
+    if motion.halt is not None:
+        say(f"{motion.halt}; what was written is incomplete")
+        context.exit(NOT_SOLVED)
+
+
+def _collect_options(given: Mapping[str, Any]) -> dict[str, Data]:
+    """Nest options as a settings file does; NAME=VALUE is split at its last =, since names may hold one."""
+    plain = ("duration", "method", "formulation", "step", "output_step", "rtol", "atol", "stages", "rho", *PLAIN)
+    options: dict[str, Data] = {name: given[name] for name in plain if given[name] is not None}
+    start: dict[str, Data] = {key: pairs for key in ("pose", "velocity") if (pairs := _split(key, given[key]))}
+    lists = {"start": start, "inputs": _split("input", given["inputs"])}
+    lists["parameters"] = _split("parameter", given["parameters"])
+    return {**options, **{key: pairs for key, pairs in lists.items() if pairs}}
+
+
+def _split(option: str, pairs: Sequence[str]) -> dict[str, Data]:
+    values: dict[str, Data] = {}
+    for pair in pairs:
+        name, sign, value = pair.rpartition("=")
+        if not sign or not name.strip() or name.strip() in values:
+            finding = f"{name.strip()} is given twice" if sign and name.strip() else f"found {pair!r}"
+            raise click.BadParameter(f"{finding}; give NAME=VALUE, each name once", param_hint=f"--{option}")
+        values[name.strip()] = value
+    return values
+
+
+def _read_recording(path: Path, manifest: Manifest) -> Recording:
+    """Take start and inputs of a solution; it must be one of this model."""
+    found = read_solution(path)
+    names = manifest.positions
+    inputs = input_labels(manifest)
+    if (found.coordinates, found.inputs) != (names, inputs):
+        told = f"it is of model {found.model}, with coordinates {', '.join(found.coordinates)}"
+        raise InputError([Fault(str(path), 0, "", told, f"give one of a model with {', '.join(names)}")])
+    if found.model_hash != manifest.model_hash:
+        say(f"warning: {path} was made with another version of the model")
+    trajectory = found.trajectory
+    return Recording(hold_steps(trajectory.t, trajectory.u), trajectory.q[0], trajectory.qd[0])
+
+
+def _print_motion(motion: Motion, manifest: Manifest) -> None:
+    settings, effort, energy = describe_settings(motion.settings), motion.effort, motion.energy
+    numbers = ", ".join(f"{key} {value}" for key, value in settings.items() if key not in ("method", "formulation"))
+    rows = {
+        "model": f"{manifest.model}, {len(manifest.coordinates)} coordinates",
+        "method": f"{settings['method']} ({METHODS[motion.settings.method].title}), {settings['formulation']}",
+        "settings": numbers,
+        "reached": f"{motion.t[-1]:.6g} s" + ("" if motion.halt is None else f" of {motion.settings.duration:.6g} s"),
+        "steps": f"{effort.steps}, "
+        + ("rejected: not told" if effort.rejected is None else f"{effort.rejected} rejected"),
+        "evaluations": f"{effort.evaluations}, {effort.jacobians} of Jacobians, {effort.iterations} Newton iterations",
+        "time": f"{effort.seconds:.3g} s of processor",
+    }
+    if energy is None:
+        rows["energy"] = "unknown: it overflows, or a kernel fails on the way"
+    else:
+        total, drift = energy.total, np.abs(energy.drift).max()
+        rows["energy"] = f"{total[0]:.8g} J at the start, {total[-1]:.8g} J at the end, {energy.work[-1]:.4g} J of work"
+        rows["energy drift"] = f"{drift:.1e} J at most"
+    for name, text in rows.items():
+        click.echo(f"{name:<14}{text}")

@@ -1,0 +1,348 @@
+"""`mbsrun solve`: a problem file -> a solution, with tables and pictures."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, get_args
+
+import click
+from rich import box
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as ProgressBar
+from rich.table import Table
+
+from mbsrun.commands.console import (
+    MESSAGES,
+    NOT_SOLVED,
+    NumberType,
+    check_conflicts,
+    find_sensor,
+    print_table,
+    say,
+)
+from mbsrun.external import Mechanism, OnDemand, load_on_demand
+from mbsrun.ocp.checks import MAX_STEPS
+from mbsrun.ocp.integrators import IntegratorName
+from mbsrun.ocp.methods import METHODS as SOLVERS
+from mbsrun.ocp.multistart import describe_starts
+from mbsrun.ocp.pictures import animate, draw_mechanism, plot_starts, plot_trajectories
+from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.problem import Form, Inputs, Problem, Representation, SolverName, cylindrical
+from mbsrun.ocp.resimulation import resimulate
+from mbsrun.ocp.solution import Failure, Resimulation, Solution, Starts, read_guess, write_solution
+from mbsrun.ocp.solve import Progress, solve
+from mbsrun.ocp.starting import Wish, solve_from_many
+from mbsrun.ocp.starts import describe_turns
+from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.table import write_table
+from mbsrun.ocp.trajectory import Trajectory
+
+SOLUTION = "solution.json"
+TRAJECTORIES = "trajectories.png"
+MECHANISM = "mechanism.png"
+ANIMATION = "animation.html"
+TABLE = "solution.csv"
+FILES = (SOLUTION, TABLE, TRAJECTORIES, MECHANISM, ANIMATION)
+DISTRIBUTION, STARTS = "starts.png", "starts.sqlite"  # of a search from many starts
+MAX_STARTS = 100_000
+SHOWN = 10  # minima that are printed
+
+
+SOLVE_HELP = """Solve the optimal control problem of the file PROBLEM.
+
+It is put on a grid by direct collocation or multiple shooting, and solved by IPOPT with the exact derivatives of the
+generated kernels, from the guess that the problem describes, or from another solution. The motion under the inputs
+found is then integrated by another method, and the two are compared.
+
+\b
+The output folder gets
+  solution.json       the problem, what the solver did, every number of the trajectory
+  solution.csv        time, coordinates, velocities, accelerations, inputs, sensors;
+                      a row for each mesh and collocation point, names and units on top
+  trajectories.png    coordinates, velocities and inputs over time
+  mechanism.png       the mechanism on its way
+  animation.html      plays the motion in any browser
+  starts.png          with --starts: the cost that each start found
+  starts.sqlite       with --starts: every start, so that the command goes on where it was
+
+A solver finds a local minimum near its guess. --starts 20 solves from 20 starts: the guess, and random ones (bumps and
+noise on the guess, other end poses, whole turns of joints without limits). The best solution is written, and how often
+its cost was found; lower ones may exist. Ctrl-C ends the search, and the best so far is written.
+
+\b
+Exit codes
+  0   solved, and as accurate as the problem asks for; nothing is said of lower minima
+  1   not solved, and nothing written; or solved, but short of the tolerance or
+      the accuracy asked for: then the solution is written, and says so
+  2   the problem, its model or an argument cannot be accepted; nothing written
+"""
+
+
+@click.command("solve", help=SOLVE_HELP)
+@click.argument("file", metavar="PROBLEM", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    "out",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="The folder to write to; by default NAME.solution here, for a problem file NAME.ocp.yaml.",
+)
+@click.option(
+    "--target",
+    type=NumberType(),
+    nargs=3,
+    metavar="R PHI Z",
+    help="Another target for the sensor that the problem has a target for: radius [m], azimuth [rad] and height [m] "
+    "about the base's z axis. Expressions will do: --target 0.63 pi/2 -0.1",
+)
+@click.option(
+    "--guess",
+    "other",
+    type=click.Path(path_type=Path),
+    metavar="SOLUTION",
+    help="A solution.json to start from; its grid, horizon and representation may be others.",
+)
+@click.option(
+    "--guess-inputs",
+    type=click.Choice(["zero", "static", "dynamic"]),
+    help="The inputs of a guess that is made here: 0, what holds its poses, or what makes its motion.",
+)
+@click.option(
+    "--representation",
+    type=click.Choice([r.value for r in Representation], case_sensitive=False),
+    help="How the equations of motion become constraints; by default as the problem says.",
+)
+@click.option(
+    "--form",
+    type=click.Choice([form.value for form in Form]),
+    help="What of the motion within an interval is a variable; shooting: nothing. By default as the problem says.",
+)
+@click.option(
+    "--integrator", type=click.Choice(get_args(IntegratorName)), help="Of shooting: the scheme's own method, or rk4."
+)
+@click.option("--steps", type=click.IntRange(1, MAX_STEPS), help="Of the integrator in an interval; by default 1.")
+@click.option("--solver", type=click.Choice(list(SOLVERS)), help="What solves the program; by default ipopt.")
+@click.option(
+    "--starts", type=click.IntRange(1, MAX_STARTS), help="Solve from so many starts, and write the best solution."
+)
+@click.option(
+    "--hops",
+    type=click.IntRange(0, 1000),
+    help="With --starts: so many more from the best, with waves on it; again while they lead to a lower cost.",
+)
+@click.option("--seed", type=click.IntRange(0), help="Of the random starts; by default 0.")
+@click.option("--minutes", type=click.FloatRange(min=0), help="With --starts: begin no start after so much time.")
+@click.option("--workers", type=click.IntRange(0), help="With --starts: so many processes; by default this one alone.")
+@click.pass_context
+def solve_command(
+    context: click.Context,
+    /,
+    file: Path,
+    out: Path | None,
+    target: tuple[float, float, float] | None,
+    other: Path | None,
+    starts: int | None,
+    hops: int | None,
+    seed: int | None,
+    minutes: float | None,
+    workers: int | None,
+    **choices: Any,
+) -> None:
+    """Read, solve, re-simulate, write, print."""
+    models: list[Path] = []
+
+    def load_model(model: Path) -> Mechanism | OnDemand:
+        models.append(model)
+        return load_on_demand(model)
+
+    problem, plant = read_problem(file, load_model)
+    if target is not None:
+        problem = _retarget(problem, target)
+    problem = _choose(problem, **choices)
+    if other is None and problem.guess.solution is not None:
+        other = file.parent / problem.guess.solution
+    if starts is None and (hops, seed, minutes, workers) != (None,) * 4:
+        raise click.UsageError("--hops, --seed, --minutes and --workers belong to a search; give --starts too")
+    if starts is not None and other is not None:
+        raise click.UsageError("--starts makes its own starts; it takes no solution to start from")
+    guess = None if other is None else read_guess(other, plant.manifest)
+    out = out or Path(f"{problem.name}.solution")
+    if starts is None:
+        outcome: Solution | Failure | None = _solve(problem, plant, guess)
+    else:
+        wish = Wish(starts, seed or 0, math.inf if minutes is None else 60 * minutes, workers or 0, hops or 0)
+        outcome = _search(problem, plant, models[-1], wish, out)
+    if outcome is None:
+        say("the time was over before the first start ended")
+        context.exit(NOT_SOLVED)
+    if isinstance(outcome, Failure):
+        _tell_failure(outcome, out)
+        context.exit(NOT_SOLVED)
+    with MESSAGES.status("integrating again") as status:
+        outcome = resimulate(outcome, plant)
+        status.update("drawing")
+        written = _write(outcome, plant, out)
+    _print_summary(outcome)
+    say(f"wrote {', '.join(str(out / name) for name in written)}")
+    shortcomings = _list_shortcomings(outcome)
+    for shortcoming in shortcomings:
+        say(f"warning: {shortcoming}")
+    context.exit(NOT_SOLVED if shortcomings else 0)
+
+
+def _retarget(problem: Problem, target: tuple[float, float, float]) -> Problem:
+    return problem.with_target(find_sensor(problem, "--target"), cylindrical(*target))
+
+
+def _choose(
+    problem: Problem,
+    representation: str | None,
+    form: str | None,
+    integrator: IntegratorName | None,
+    steps: int | None,
+    solver: SolverName | None,
+    guess_inputs: Inputs | None,
+) -> Problem:
+    """Let the options win over the problem; what another solver was to be told goes with it.
+
+    So do integrator and steps with shooting, which has them. Raises UsageError for what does not go together.
+    """
+    if representation is not None:
+        problem = replace(problem, representation=Representation(representation))
+    if form is not None and Form(form) is not problem.form:
+        problem = replace(problem, form=Form(form), integrator=Problem.integrator, steps=Problem.steps)
+    problem = replace(problem, integrator=integrator or problem.integrator, steps=steps or problem.steps)
+    if guess_inputs is not None:
+        problem = replace(problem, guess=replace(problem.guess, inputs=guess_inputs))
+    if solver is not None and solver != problem.solver.method:
+        problem = replace(problem, solver=replace(problem.solver, method=solver, options=()))
+    check_conflicts(problem)
+    return problem
+
+
+def _solve(problem: Problem, plant: Plant, guess: Trajectory | None) -> Solution | Failure:
+    """Solve from one guess, and show the iterations."""
+    with MESSAGES.status("making the program") as status:
+
+        def show(progress: Progress) -> None:
+            status.update(
+                f"iteration {progress.iteration}: cost {progress.cost:.8g}, violation {progress.violation:.1e}"
+            )
+
+        return solve(problem, plant, show, guess)
+
+
+def _search(
+    problem: Problem, plant: Mechanism | OnDemand, model: Path, wish: Wish, out: Path
+) -> Solution | Failure | None:
+    """Solve from many starts, and show how many ended and the best cost."""
+    out.mkdir(parents=True, exist_ok=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with ProgressBar(*columns, console=MESSAGES, transient=True) as bar:
+        task = bar.add_task("solving", total=wish.starts)
+
+        def show(starts: Starts) -> None:
+            best = "" if starts.best is None else f", lowest cost {starts.best.cost:.8g}, found {starts.times} times"
+            bar.update(
+                task,
+                completed=len(starts.results) + len(starts.hops),
+                total=wish.starts + len(starts.hops),
+                description=f"solving{best}",
+            )
+
+        starts, outcome = solve_from_many(problem, plant, model, wish, out / STARTS, show)
+    _print_starts(starts)
+    return outcome
+
+
+def _print_starts(starts: Starts) -> None:
+    """Print the minima that were found, how often, and the starts that found none."""
+    table = Table(box=box.SIMPLE)
+    table.add_column("cost", justify="right")
+    table.add_column("found", justify="right")
+    table.add_column("whole turns")
+    for minimum in starts.minima[:SHOWN]:
+        table.add_row(f"{minimum.cost:.8g}", str(minimum.found), describe_turns(minimum.turns))
+    if starts.minima:
+        print_table(table)
+    if len(starts.minima) > SHOWN:
+        click.echo(f"and {len(starts.minima) - SHOWN} higher costs")
+    if starts.hops:
+        least = min((hop.cost for hop in starts.hops if hop.cost is not None), default=None)
+        click.echo(f"{len(starts.hops)} hops" + ("" if least is None else f", lowest cost {least:.8g}"))
+    failed = Counter(start.status for start in (*starts.results, *starts.hops) if start.cost is None)
+    if failed:
+        click.echo("no solution: " + ", ".join(f"{count} {status}" for status, count in failed.most_common()))
+    if len(starts.results) < starts.asked:
+        click.echo(f"{len(starts.results)} of {starts.asked} starts were made; give the command again to go on")
+
+
+def _write(solution: Solution, plant: Plant, out: Path) -> tuple[str, ...]:
+    """Write the files of a solution, and return their names."""
+    out.mkdir(parents=True, exist_ok=True)
+    write_solution(solution, out / SOLUTION)
+    write_table(solution, plant, out / TABLE)
+    plot_trajectories(solution, plant.manifest, out / TRAJECTORIES)
+    draw_mechanism(solution, plant, out / MECHANISM)
+    animate(solution, plant, out / ANIMATION)
+    if solution.starts is None:
+        return FILES
+    plot_starts(solution.starts, out / DISTRIBUTION)
+    return (*FILES, DISTRIBUTION, STARTS)
+
+
+def _print_summary(solution: Solution) -> None:
+    run, size, cost, check = solution.run, solution.size, solution.cost, solution.resimulation
+    violation = solution.violation
+    assert check is not None, "a solution is re-simulated before it is shown"
+    rows = {
+        "problem": f"{solution.problem.name}, model {solution.model}",
+        "status": f"{run.status}, {run.iterations} iterations",
+        "time": f"{run.seconds:.2f} s",
+        "  processor": f"{run.cpu_seconds:.2f} s: {run.cpu_seconds_evaluating:.2f} s for functions and derivatives, "
+        f"{run.cpu_seconds_solving:.2f} s for linear algebra and the rest",
+        "horizon": f"{solution.trajectory.t[-1]:.10g} s",
+        "program": f"{size.variables} variables, {size.constraints} constraints",
+        "nonzeros": f"{size.jacobian_nonzeros} in the Jacobian, {size.hessian_nonzeros} in the Hessian's triangle",
+        "cost": f"{cost.total:.10g}",
+        **({} if solution.starts is None else {"starts": describe_starts(solution.starts)}),
+        **{f"  {name} ": f"{value:.10g}" for name, value in cost.terms if value != 0},
+        "violation": f"{violation.constraints:.1e} of constraints, {violation.bounds:.1e} of bounds"
+        + ("" if violation.lengths is None else f", {violation.lengths:.1e} of quaternions' lengths"),
+        "defect": f"{_number(check.defect, check)} in an interval, at most; {solution.problem.accuracy:.1e} asked for",
+        "open loop": f"{_number(check.open_loop_error, check)} off at the end, under the inputs alone",
+    }
+    for name, value in rows.items():
+        click.echo(f"{name:<14}{value}")
+
+
+def _list_shortcomings(solution: Solution) -> list[str]:
+    """Say what keeps a solution from being all that was asked for."""
+    check, found = solution.resimulation, []
+    if solution.is_only_acceptable:
+        found.append("IPOPT stopped at an acceptable level, short of the tolerance; try another guess or scaling")
+    if check is not None and check.unfinished:
+        found.append(
+            f"the re-simulation did not finish, {check.unfinished}, so the accuracy is unknown; "
+            "take a shorter horizon, or check a part of it"
+        )
+    elif check is not None and not check.is_accurate:
+        found.append(
+            f"the largest defect of an interval, {_number(check.defect, check)}, is above the accuracy asked for, "
+            f"{solution.problem.accuracy:.1e}; take more intervals or a higher degree"
+        )
+    return found
+
+
+def _tell_failure(failure: Failure, out: Path) -> None:
+    say(f"not solved ({failure.run.status}): {failure.finding}; {failure.remedy}")
+    if (out / SOLUTION).exists():
+        say(f"{out / SOLUTION} is from an earlier solve")
+
+
+def _number(value: float | None, check: Resimulation) -> str:
+    reason = "the re-simulation did not finish" if check.unfinished else "the integrator gave up"
+    return f"unknown ({reason})" if value is None else f"{value:.1e}"

@@ -1,0 +1,210 @@
+"""`mbsrun sweep`: a problem file and a grid of targets -> a record of attempts, and a summary."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from rich import box
+from rich.table import Table
+
+from mbsgen.manifest import Manifest
+from mbsrun.commands.console import (
+    MESSAGES,
+    NOT_SOLVED,
+    NumberType,
+    check_conflicts,
+    find_sensor,
+    print_table,
+    say,
+)
+from mbsrun.environment import describe_environment
+from mbsrun.external import load_on_demand
+from mbsrun.ocp.problem import Representation
+from mbsrun.ocp.record import Attempt, open_record
+from mbsrun.ocp.search import (
+    Alone,
+    OutOfTimeError,
+    ProtocolName,
+    Search,
+    Study,
+    Summary,
+    Targets,
+    describe,
+    describe_search,
+    identify,
+    list_open_tasks,
+    summarise,
+)
+from mbsrun.ocp.starts import list_turning
+from mbsrun.ocp.statement import read_problem
+
+SWEEP_HELP = """Solve PROBLEM for a grid of targets, in several representations, and sum up.
+
+Targets are places for the one sensor that has a target, on a cylinder about the base's z axis; the usual grid is the 21
+times 11 of Docquier, Bruls, Fisette. Every attempt goes into the file -o as it ends: the command can be stopped, and
+given again to go on, with more targets, costs, representations, or the other protocol.
+
+\b
+Protocols
+  paper    for each representation the interpolation with inputs 0, and no restart;
+           what fails or ends in a higher minimum than any that is known is counted
+  robust   interpolations with the inputs of their motion; random starts: bumps and noise
+           on them, other end poses, whole turns of joints without limits; then the
+           solutions of neighbours, and of other representations, until nothing is new
+
+A search finds minima, and cannot show that there is no lower one: the summary says how many independent starts found
+the lowest cost known. Motions with whole turns are compared among themselves, and listed on their own.
+
+\b
+Exit codes
+  0   the protocol is through; if it is the robust one, every task was solved, in the
+      lowest minimum that was found for its target: lower ones may exist
+  1   some tasks are not solved, or are in a higher minimum than one that was found;
+      or the time is over
+  2   the problem, its model or an argument cannot be accepted
+"""
+
+
+@click.command("sweep", help=SWEEP_HELP)
+@click.argument("file", metavar="PROBLEM", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    "out",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="The file to keep the attempts in; by default NAME.sweep here, for a problem file NAME.ocp.yaml.",
+)
+@click.option("--protocol", type=click.Choice(["paper", "robust"]), default="robust", help="By default robust.")
+@click.option("--radius", type=NumberType(), default=0.63, help="Of the cylinder [m]; by default 0.63.")
+@click.option(
+    "--azimuths",
+    type=(NumberType(), NumberType(), click.IntRange(1, 1000)),
+    default=(-math.pi / 2, math.pi / 2, 21),
+    metavar="FROM TO COUNT",
+    help="By default -pi/2 pi/2 21.",
+)
+@click.option(
+    "--heights",
+    type=(NumberType(), NumberType(), click.IntRange(1, 1000)),
+    default=(-0.1, 0.1, 11),
+    metavar="FROM TO COUNT",
+    help="By default -0.1 0.1 11.",
+)
+@click.option(
+    "--every",
+    type=(click.IntRange(1), click.IntRange(1)),
+    default=(1, 1),
+    metavar="I J",
+    help="Take every I-th azimuth and every J-th height only; by default all.",
+)
+@click.option(
+    "--cost",
+    "costs",
+    type=(NumberType(), NumberType()),
+    multiple=True,
+    metavar="K1 K2",
+    help="Weights of inputs and of their rates, in place of the problem's cost; may be given several times.",
+)
+@click.option(
+    "--representation",
+    "names",
+    type=click.Choice([r.value for r in Representation], case_sensitive=False),
+    multiple=True,
+    help="By default all; the first given is the one that looks for better minima.",
+)
+@click.option(
+    "--bump",
+    "bumped",
+    metavar="NAME",
+    multiple=True,
+    help="A coordinate that random bumps move; by default all that are actuated.",
+)
+@click.option("--minutes", type=click.FloatRange(min=0), default=math.inf, help="Stop after so much time.")
+@click.pass_context
+def sweep_command(
+    context: click.Context,
+    /,
+    file: Path,
+    out: Path | None,
+    protocol: ProtocolName,
+    costs: tuple[tuple[float, float], ...],
+    names: tuple[str, ...],
+    bumped: tuple[str, ...],
+    minutes: float,
+    **grid: Any,
+) -> None:
+    """Read, search, sum up."""
+    problem, plant = read_problem(file, load_on_demand)
+    sensor = find_sensor(problem, "PROBLEM")
+    representations = tuple(Representation(name) for name in names) or tuple(Representation)
+    for representation in representations:
+        check_conflicts(replace(problem, representation=representation))
+    targets = Targets(
+        grid["radius"],
+        tuple(np.linspace(*grid["azimuths"]).tolist()),
+        tuple(np.linspace(*grid["heights"]).tolist()),
+        grid["every"],
+    )
+    study = Study(
+        problem,
+        sensor,
+        targets,
+        costs or ((problem.cost.inputs, problem.cost.input_rates),),
+        representations,
+        _find_bumped(bumped, plant.manifest),
+        list_turning(problem, plant.manifest),
+    )
+    is_through = True
+    about = (identify(study, plant.manifest), describe(study, plant.manifest))
+    with open_record(out or Path(f"{problem.name}.sweep"), *about) as record:
+        with MESSAGES.status("making the program") as status:
+            crew = Alone(plant, describe_environment())
+            try:
+                Search(study, crew, record, lambda attempt, _: status.update(_tell(attempt)), 60 * minutes).run(
+                    protocol
+                )
+            except OutOfTimeError:
+                is_through = False
+        attempts = list(record.attempts())
+    _print_summaries(summarise(attempts))
+    for line in describe_search(attempts):
+        click.echo(line)
+    if not is_through:
+        say("the time is over; give the command again to go on")
+    context.exit(0 if is_through and (protocol == "paper" or not list_open_tasks(study, attempts)) else NOT_SOLVED)
+
+
+def _find_bumped(names: Sequence[str], manifest: Manifest) -> tuple[int, ...]:
+    """Find coordinates by name; all that are actuated, if there is none."""
+    known = [c.name for c in manifest.coordinates]
+    if names and manifest.quaternions:
+        raise click.BadParameter("guesses of models with quaternions are not bumped", param_hint="--bump")
+    for name in names:
+        if name not in known:
+            raise click.BadParameter(f"the model has no coordinate {name!r}: {', '.join(known)}", param_hint="--bump")
+    return tuple(known.index(name) for name in names) or tuple(manifest.actuated)
+
+
+def _tell(attempt: Attempt) -> str:
+    task, cost = attempt.task, "-" if attempt.cost is None else f"{attempt.cost:.8g}"
+    return f"{attempt.part}: target {task.place}, {task.representation}: {attempt.status}, cost {cost}"
+
+
+def _print_summaries(summaries: Sequence[Summary]) -> None:
+    table = Table(box=box.SIMPLE)
+    for column in ("cost", "representation", "part"):
+        table.add_column(column)
+    for column in ("attempts", "solved", "higher minima", "iterations", "CPU s, median", "CPU s, all"):
+        table.add_column(column, justify="right")
+    for s in summaries:
+        least, median, most = s.iterations
+        texts = (f"({s.weights[0]:g}, {s.weights[1]:g})", s.representation, s.part)
+        numbers = (str(s.attempts), str(s.solved), str(s.higher), f"{median:g} ({least:g}-{most:g})")
+        table.add_row(*texts, *numbers, f"{s.cpu_median:.2f}", f"{s.cpu_seconds:.1f}")
+    print_table(table)
