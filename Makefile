@@ -67,8 +67,10 @@ mutants: $(VENV)/installed-dev
 # The laboratory, whole: an hour on two cores. Verdicts, maps and their tables go into docs/laboratory.
 laboratory: $(VENV)/installed-study
 	$(BIN)/mbsrun lab -o build/laboratory || test $$? -eq 1
-	cp build/laboratory/verdicts.* build/laboratory/map_* build/laboratory/laboratory.section.json docs/laboratory
+	cp build/laboratory/verdicts.md build/laboratory/verdicts.csv build/laboratory/map_*.csv \
+	    build/laboratory/map_*.png docs/laboratory
 
+# Renews generated/: a sample, and the hashes of all that the other models generate.
 golden: $(VENV)/installed-dev
 	$(BIN)/python -m tests.golden
 

@@ -108,8 +108,12 @@ def test_an_installed_wheel_says_where_the_study_is(installed: Path) -> None:
 
 
 def test_an_installed_wheel_generates_the_committed_bytes(installed: Path, tmp_path: Path) -> None:
-    model, golden, out = ROOT / "models" / "arm_pendulum.yaml", ROOT / "generated" / "arm_pendulum", tmp_path / "out"
-    run(installed / "bin" / "mbsgen", model, "-o", out, PYTHONPATH=str(installed))
+    model, golden, out = (
+        ROOT / "models" / "double_pendulum.yaml",
+        ROOT / "generated" / "double_pendulum",
+        tmp_path / "out",
+    )
+    run(installed / "bin" / "mbsgen", model, "-o", out, "--python", "--matlab", PYTHONPATH=str(installed))
     assert files_below(out) == files_below(golden)
     assert not [file for file in files_below(golden) if (out / file).read_bytes() != (golden / file).read_bytes()]
 
