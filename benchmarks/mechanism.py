@@ -35,11 +35,6 @@ def write_mechanism(tree: Tree) -> str:
     return "\n".join([first, *map(line, tree.bodies)]) + "\n"
 
 
-def is_chain(tree: Tree) -> bool:
-    """Tell whether every body turns on the one before it."""
-    return all(b.parent == i and b.joint.motion is Motion.REVOLUTE for i, b in enumerate(tree.bodies))
-
-
 def _is_depth_first(parents: Iterable[int]) -> bool:
     """Tell whether each body, of 1, 2, …, stands on the one before it, or on one that carries that."""
     path = [0]

@@ -35,7 +35,8 @@ MBSGEN = Package(
     source=ROOT / "generator" / "mbsgen",
     layers=(
         "errors resources",
-        "manifest expressions documents",
+        "manifest expressions",
+        "documents",
         "model",
         "importing",
         "algebra",

@@ -235,18 +235,21 @@ def _check_tokens(text: str) -> None:
         if previous == "number" and token.lastgroup in ("number", "name"):
             raise ExpressionError(f"{_quote(text[:60])} joins a number to a word", "put * or a space between")
         if token["number"]:
-            _check_number(token["number"])
+            read_double(token["number"])
         previous = token.lastgroup or ""
         position = token.end()
 
 
-def _check_number(digits: str) -> None:
+def read_double(digits: str) -> float:
+    """Read a number in decimal digits. Raises ExpressionError where no double other than 0 or infinity is near."""
     if len(digits) > MAX_DIGITS:
         raise ExpressionError(f"a number of {len(digits)} characters", f"give at most {MAX_DIGITS}")
-    if math.isinf(float(digits)):
+    value = float(digits)
+    if math.isinf(value):
         raise ExpressionError(f"{digits} is beyond the largest double", "give a smaller number")
-    if float(digits) == 0 and re.search("[1-9]", re.split("[eE]", digits)[0]):
+    if value == 0 and re.search("[1-9]", re.split("[eE]", digits)[0]):
         raise ExpressionError(f"{digits} is below the smallest double", "give 0 or a larger number")
+    return value
 
 
 def _convert(node: ast.expr, depth: int = 1) -> Expression:

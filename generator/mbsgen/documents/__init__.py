@@ -8,6 +8,7 @@ those of one file come together.
 from __future__ import annotations
 
 from mbsgen.documents.kinds import expect
+from mbsgen.documents.numbers import read_number
 from mbsgen.documents.places import Data, Place, abbreviate, lies_under, nearest, refuse, write_path
 from mbsgen.documents.reading import Document, read_bytes, read_document
 from mbsgen.documents.validation import Examination, Section, WrongValueError, examine, validate
@@ -26,6 +27,7 @@ __all__ = [
     "nearest",
     "read_bytes",
     "read_document",
+    "read_number",
     "refuse",
     "validate",
     "write_path",

@@ -14,12 +14,12 @@ import yaml
 
 from mbsgen.documents.places import Data, Place, refuse, write_path
 from mbsgen.errors import Fault, InputError
+from mbsgen.expressions import MAX_DIGITS, ExpressionError, read_double
 
 MAX_BYTES = 1 << 20
 GENERATED = "manifest.json"  # a folder that mbsgen has generated holds this file
 MAX_DEPTH = 32
 MAX_VALUES = 50_000
-MAX_DIGITS = 64  # characters of one number
 _DISPUTED = re.compile(r"[\t?]")  # libyaml takes tabs for blanks, and ? into plain words within brackets
 
 
@@ -223,12 +223,11 @@ class _Composer:
             return int(text, 0)
         if re.fullmatch(r"[-+]?[0-9]+", text):
             return int(text, 10)
-        number = float(text)
-        if math.isinf(number):
-            self.fault(place, line, f"{text} is beyond the largest double", "give a smaller number")
-        if number == 0 and re.search("[1-9]", re.split("[eE]", text)[0]):
-            self.fault(place, line, f"{text} is below the smallest double", "give 0 or a larger number")
-        return number
+        try:
+            return read_double(text)
+        except ExpressionError as error:
+            self.fault(place, line, error.finding, error.remedy)
+            return None
 
     def string(self, text: str, place: Place, line: int) -> str:
         """Take a string; an escape in quotes may have brought a control character in."""

@@ -14,8 +14,9 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Field, PlainValidator, Tag
 from pydantic.json_schema import GenerateJsonSchema
 
+from mbsgen import documents
 from mbsgen.documents import Section, WrongValueError, abbreviate
-from mbsgen.expressions import Expression, ExpressionError, Number, parse
+from mbsgen.expressions import Expression, Number
 from mbsgen.model.compounds import UNITS
 from mbsgen.model.model import BASE, ONE, ORIGIN, ZERO, Triple
 from mbsgen.model.tree import Kind
@@ -25,16 +26,7 @@ _DIRECTION = "give x, y, z, -x, -y, -z or a direction such as [0, 0.6, 0.8]"
 
 def read_number(value: Any) -> Expression:
     """Read a number or an expression."""
-    if isinstance(value, str):
-        try:
-            return parse(value)
-        except ExpressionError as error:
-            raise WrongValueError(error.finding, error.remedy) from None
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise WrongValueError(f"found {abbreviate(value)}", "give a number, or an expression such as l1/2")
-    if not math.isfinite(value):
-        raise WrongValueError(f"found {value}", "give a finite number")
-    return Number(float(value) or 0.0)  # no -0
+    return documents.read_number(value, example="l1/2")
 
 
 def read_limit(value: Any) -> Expression | None:

@@ -11,22 +11,9 @@ from mbsgen.tape.replay import declare_inputs, leaves, operate, replay, replay_g
 from mbsgen.tape.types import Guard, Sparsity, Tape
 
 
-def fold_constants(tape: Tape) -> Tape:
-    """Evaluate operations on literals; drop additions of 0, products with 0 and 1, and chains of literal factors."""
-    return _rebuild(tape, Builder(fold=True, number=False))
-
-
-def number_values(tape: Tape) -> Tape:
-    """Compute equal operations once: commutativity and signs are seen through."""
-    return _rebuild(tape, Builder(fold=False, number=True))
-
-
 def drop_dead(tape: Tape) -> Tape:
     """Leave out the operations that no output needs."""
-    return _rebuild(tape, Builder(fold=False, number=False))
-
-
-def _rebuild(tape: Tape, builder: Builder) -> Tape:
+    builder = Builder(fold=False, number=False)
     values = replay(tape, builder, declare_inputs(tape, builder))
     for output in tape.outputs:
         builder.output(output.name, output.sparsity, [values[v] for v in output.values])

@@ -28,6 +28,7 @@ from mbsgen.documents import (
     lies_under,
     nearest,
     read_document,
+    read_number,
     refuse,
 )
 from mbsgen.errors import Fault, InputError
@@ -92,26 +93,13 @@ def read_problem(path: Path, load: Callable[[Path], SomePlant]) -> tuple[Problem
 # --- schema --------------------------------------------------------------------------------------------------------
 
 
-def _read_number(value: Any) -> Expression:
-    if isinstance(value, bool) or not isinstance(value, int | float | str):
-        raise WrongValueError(f"found {abbreviate(value)}", "give a number, or an expression such as pi/2")
-    if isinstance(value, str):
-        try:
-            return parse(value)
-        except ExpressionError as error:
-            raise WrongValueError(error.finding, error.remedy) from None
-    if not math.isfinite(value):
-        raise WrongValueError(f"found {value}", "give a finite number")
-    return Number(float(value))
-
-
 def _both_ways(bound: float | None) -> Range:
     return (-math.inf, math.inf) if bound is None else (-bound, bound)
 
 
 def _read_formula(value: Any) -> str:
     """Admit an expression; it is kept as text."""
-    _read_number(value)
+    read_number(value)
     return str(value)
 
 
@@ -139,8 +127,8 @@ def _form(value: Any) -> str:
     return "mapping" if isinstance(value, dict) else "list"
 
 
-NumberField = Annotated[Expression, PlainValidator(_read_number), Field(examples=[1.0])]
-LimitField = Annotated[Expression | None, PlainValidator(lambda v: None if v is None else _read_number(v))]
+NumberField = Annotated[Expression, PlainValidator(read_number), Field(examples=[1.0])]
+LimitField = Annotated[Expression | None, PlainValidator(lambda v: None if v is None else read_number(v))]
 RangeField = tuple[LimitField, LimitField]  # null: no bound
 NumbersField = Annotated[  # one for each coordinate, or by name and else 0
     Annotated[tuple[NumberField, ...], Tag("list")] | Annotated[dict[str, NumberField], Tag("mapping")],

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +28,12 @@ from mbsgen.documents import (
     lies_under,
     nearest,
     read_document,
+    read_number,
     refuse,
     write_path,
 )
 from mbsgen.errors import Fault
-from mbsgen.expressions import FLOATS, Expression, ExpressionError, Number, evaluate, is_free_name, names, parse
+from mbsgen.expressions import FLOATS, Expression, ExpressionError, Number, evaluate, is_free_name, names
 from mbsgen.manifest import Manifest, Wrench
 from mbsrun.ocp.schemes import DEGREES
 from mbsrun.quantities import list_quantities
@@ -116,26 +117,13 @@ def _attribute(fault: Fault, options: tuple[str, ...], file: Path | None) -> Fau
 # --- schema --------------------------------------------------------------------------------------------------------
 
 
-def _read_number(value: Any) -> Expression:
-    if isinstance(value, bool) or not isinstance(value, int | float | str):
-        raise WrongValueError(f"found {abbreviate(value)}", "give a number, or an expression such as pi/2")
-    if isinstance(value, str):
-        try:
-            return parse(value)
-        except ExpressionError as error:
-            raise WrongValueError(error.finding, error.remedy) from None
-    if not math.isfinite(value):
-        raise WrongValueError(f"found {value}", "give a finite number")
-    return Number(float(value))
-
-
 def _check_method(name: str) -> str:
     if name not in METHODS:
         raise WrongValueError(f"found {abbreviate(name)}", f"give one of {', '.join(METHODS)}")
     return name
 
 
-NumberField = Annotated[Expression, PlainValidator(_read_number), Field(examples=[1.0])]
+NumberField = Annotated[Expression, PlainValidator(read_number), Field(examples=[1.0])]
 VectorField = tuple[NumberField, NumberField, NumberField]
 
 
