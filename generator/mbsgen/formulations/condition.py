@@ -1,15 +1,16 @@
-"""Condition: Tree -> Tape of `condition`, which tells how many roundings an acceleration by EXP1 or EXP2 is off by.
+"""Condition: Tree -> Tape of `condition`, which estimates the rounding errors of accelerations by EXP1 and EXP2.
 
-M^-1 has two faces. (M^-1)_ii is what joint i gives way for a unit of its force, with all joints free; M_ii is what it
-resists with all others held. Their product is 1 where the others do not matter, and grows without bound towards a
-lock: elimination subtracts all but that part from M_ii. It is the diagonal of C^-1, C = D^-1/2 M D^-1/2 with D the
-diagonal of M, so that cond(C) lies between its largest entry and n times its sum; units do not matter.
+(M^-1)_ii is the acceleration of joint i for a unit of its force, with all joints free. 1 / M_ii is the same with all
+other joints held. M_ii (M^-1)_ii is 1 where the other joints do not matter, and grows without bound towards a lock:
+there, elimination subtracts nearly all of M_ii. These products are the diagonal of C^-1 with C = D^-1/2 M D^-1/2, D =
+diag(M). So cond(C) lies between the largest product and n times their sum, whatever the units.
 
-The articulated recursion subtracts elsewhere. Omega of a body is the 6 x 6 matrix of what its origin gives way for a
-unit of force and moment there (Kreutz-Delgado, Jain, Rodriguez, 1992); it is also the derivative of log det M, the sum
-of the logarithms of the pivots, by the body's articulated inertia. So a rounding of its entries by a part u of them
-changes the pivots by up to u |Omega| |IA|, added up over the entries: of all that EXP2 adds up to IA, and of what it
-leaves of IA to the parent, in the frames that EXP2 writes them in.
+The articulated recursion subtracts elsewhere. Omega of a body is the 6 x 6 matrix of its operational-space compliance:
+the acceleration of its origin for a unit of force and moment there (Kreutz-Delgado, Jain, Rodriguez, 1992). It is also
+the derivative of log det M, the sum of the logarithms of the pivots, by the body's articulated inertia IA. A relative
+rounding u of the entries of IA therefore changes the pivots by up to the sum of u |Omega| |IA| over the entries. EXP2
+rounds the terms that it adds to IA, and the part of IA that moves to the parent; both are counted, in the frames of
+EXP2.
 """
 
 from __future__ import annotations
@@ -38,12 +39,13 @@ Square = list[list[Scalar]]  # 6 x 6: acceleration of the origin, angular accele
 def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
     """Write `condition`: inputs q [, p]; outputs elimination and articulated, shape (n,). It has no guard.
 
-    A result of EXP1 errs by about epsilon times the largest of `elimination`, one of EXP2 by epsilon times the largest
-    of `articulated`, relative to the largest acceleration. What is not finite tells that no digit is left.
+    Relative to the largest acceleration, EXP1 errs by about epsilon times the largest entry of `elimination`, EXP2 by
+    about epsilon times the largest entry of `articulated`. A value that is not finite means that no digit is left.
     """
     builder = Builder()
     state = declare_state(tree, builder, rates=False, accelerations=False, forces=False, wrenches=False)
-    chain = write_chain(replace(tree, wrenches=()), builder, state)  # M knows none; their inputs are not declared
+    # M does not depend on wrenches, so their inputs are not declared
+    chain = write_chain(replace(tree, wrenches=()), builder, state)
     segments = align(chain, group=reductions.share_frames)
     writing = begin(chain, segments, find_plans(tree, reductions).articulated, reductions)
     bodies = articulate(writing)
@@ -56,7 +58,7 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
 
 
 def _hold(writing: Writing) -> dict[int, Scalar]:
-    """Compute the diagonal of M: what each joint feels with all others held."""
+    """Compute the diagonal of M: the inertia of each joint with all others held."""
     composites: dict[int, Composite] = {}
     diagonal = {}
     for s in reversed(writing.kinematics.segments):
@@ -68,14 +70,14 @@ def _hold(writing: Writing) -> dict[int, Scalar]:
 
 
 def _give_way(kinematics: Kinematics, bodies: Mapping[int, Body]) -> tuple[dict[int, Scalar], dict[int, Scalar]]:
-    """From the base to the leaves: the diagonal of M^-1, and what rounding does to the pivots, by joint."""
+    """Compute the diagonal of M^-1 and the effect of rounding on the pivots, by joint, from the base to the leaves."""
     b = kinematics.builder
     compliances: dict[int, Square] = {0: [[b.zero] * 6 for _ in range(6)]}
     free, lost = {}, {}
     for s in kinematics.segments:
         body, along = bodies[s.number], s.axis + (3 if s.is_revolute else 0)
         before = _arrive(kinematics, s, compliances[s.parent])
-        K = [-body.rotor_share if r == along else x for r, x in enumerate((*body.KF, *body.KN))]  # less the axis itself
+        K = [-body.rotor_share if r == along else x for r, x in enumerate((*body.KF, *body.KN))]
         taken = [_dot(row, K) for row in before]
         own = b.number(1.0) / body.pivot + _dot(taken, K)
         free[s.number] = own + taken[along] + taken[along] + before[along][along]
@@ -83,9 +85,7 @@ def _give_way(kinematics: Kinematics, bodies: Mapping[int, Body]) -> tuple[dict[
         after[along] = [own if c == along else -x for c, x in enumerate(taken)]
         compliances[s.number] = after
         lost[s.number] = b.number(1.0) + _weigh(before, (body.left,))
-        if (
-            body.pivot.is_literal
-        ):  # it was found by more digits than rounding leaves, and so was what is left of numbers
+        if body.pivot.is_literal:  # computed in 60 digits, as all literals: only the final differences are rounded
             lost[s.number] = lost[s.number] + _weigh(before, body.parts, body.left)
         else:
             lost[s.number] = lost[s.number] + _weigh(after, body.parts)
@@ -93,7 +93,7 @@ def _give_way(kinematics: Kinematics, bodies: Mapping[int, Body]) -> tuple[dict[
 
 
 def _arrive(kinematics: Kinematics, segment: Segment, square: Square) -> Square:
-    """Take a compliance from the parent's origin to that of `segment`, which its joint carries."""
+    """Refer a compliance from the parent's origin to the origin of `segment`, beyond its joint."""
     half = [_arrive_column(kinematics, segment, column) for column in zip(*square, strict=True)]
     return [_arrive_column(kinematics, segment, column) for column in zip(*half, strict=True)]
 
@@ -110,7 +110,7 @@ def _dot(row: Sequence[Scalar], other: Sequence[Scalar]) -> Scalar:
 
 
 def _weigh(compliance: Square, inertias: Sequence[Inertia], left: Inertia | None = None) -> Scalar:
-    """Add up |Omega| |I| over the entries; given what is left of them, over those that it is a difference of."""
+    """Return the sum of |Omega| |I| over the entries; with `left`, only over entries that were subtracted from."""
     total = compliance[0][0].builder.zero
     for r, row in enumerate(compliance):
         for c, x in enumerate(row):
@@ -122,12 +122,12 @@ def _weigh(compliance: Square, inertias: Sequence[Inertia], left: Inertia | None
 
 
 def _is_difference(left: Scalar, entries: Sequence[Scalar]) -> bool:
-    """Tell whether something was subtracted that is known at run time only."""
+    """Return whether something known only at run time was subtracted."""
     return not left.is_literal and left.ref not in [entry.ref for entry in entries]
 
 
 def _entry(inertia: Inertia, row: int, column: int) -> Scalar:
-    """Look an entry up: [M, B; BT, J]."""
+    """Return an entry of [M, B; BT, J]."""
     block = ((inertia.M, inertia.B), (inertia.B.transposed, inertia.J))[row // 3][column // 3]
     return block[row % 3, column % 3]
 

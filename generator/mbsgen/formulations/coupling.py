@@ -1,8 +1,8 @@
 """Joints that follow others, eliminated exactly: tapes of the uncoupled tree -> tapes of the coupled one.
 
-With y the coordinates that are left, q = G y + g, qd = G yd and qdd = G ydd, where every row of G has one entry. By
+With y the independent coordinates, q = G y + g, qd = G yd and qdd = G ydd, where every row of G has one entry. By
 virtual power, forces are GT Q: the residual is GT Phi, the mass matrix GT M G, the bias GT c. G is constant, so
-derivatives transform likewise: rows by what is differentiated, columns by what it is differentiated by.
+derivatives transform likewise: rows as the result, columns as the variable.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ Block = dict[tuple[int, int], Scalar]  # by (row, column), from 0
 POSITIONS, VELOCITIES = "q", "qd"  # the spaces that G maps
 _SPACES = {"q": POSITIONS, "rate": POSITIONS} | dict.fromkeys(("qd", "qdd", "Phi", "c", "Q"), VELOCITIES)
 _MATRICES = {"M": (VELOCITIES, VELOCITIES), "J": ("", VELOCITIES)}  # of rows and columns
-_SELECTED = ("qdd", "rate")  # results that are coordinates themselves: those of followers are left out
+_SELECTED = ("qdd", "rate")  # results that are coordinates themselves: entries of followers are left out
 
 
 def write(build: Callable[[Tree, Reductions], Tape], tree: Tree, reductions: Reductions) -> Tape:
-    """Write a function of a tree, by a recursion that knows nothing of couplings."""
+    """Write a function of a tree, by a recursion that ignores couplings."""
     if not tree.couplings:
         return build(tree, reductions)
     coupled = {exp1.build: _write_exp1, exp2.build: _write_exp2}
@@ -42,7 +42,7 @@ def write(build: Callable[[Tree, Reductions], Tape], tree: Tree, reductions: Red
 
 
 def couple(tape: Tape, tree: Tree) -> Tape:
-    """Write a tape of the uncoupled tree for the coupled one: results that G maps, and what guards them."""
+    """Write a tape of the uncoupled tree for the coupled one: results mapped by G, guards by joint."""
     builder = Builder()
     map = _Map.of(tree, builder)
     inputs = {
@@ -68,11 +68,11 @@ def couple(tape: Tape, tree: Tree) -> Tape:
 
 @dataclass(frozen=True)
 class _Map:
-    """G and g, by the entries of q and of qd: the entry that each follows, and how."""
+    """G and g, by the entries of q and of qd: the entry that each follows, its ratio and its offset."""
 
     builder: Builder
     targets: Mapping[str, tuple[int, ...]]  # by space
-    ratios: Mapping[str, Mapping[int, Scalar]]  # of those that follow
+    ratios: Mapping[str, Mapping[int, Scalar]]  # of the followers
     offsets: Mapping[int, Scalar]
 
     @staticmethod
@@ -93,15 +93,15 @@ class _Map:
         return _Map(builder, targets, ratios, offsets)
 
     def joint(self, number: int) -> int:
-        """Number the joint, from 1, that a joint of the uncoupled tree is or follows."""
+        """Return the number, from 1, of the joint that a joint of the uncoupled tree is or follows."""
         return self.targets[VELOCITIES][number - 1] + 1
 
     def space(self, name: str) -> str:
-        """Tell which space a vector is of: q, qd, or neither."""
+        """Return the space of a vector: q, qd, or neither."""
         return _SPACES.get(name.removeprefix("adj_"), "")
 
     def spaces(self, name: str, inputs: Sequence[str]) -> tuple[str, str]:
-        """Tell which spaces the rows and the columns of a result are of."""
+        """Return the spaces of the rows and the columns of a result."""
         if not name.startswith("jac_"):
             return _MATRICES.get(name, (self.space(name), ""))
         col = max((x for x in inputs if name.endswith(f"_{x}")), key=len)
@@ -116,7 +116,7 @@ class _Map:
         return self.builder.vector(name, self.size(self.space(name), rows))
 
     def expand(self, name: str, given: Sequence[Scalar]) -> list[Scalar]:
-        """Give the entries of the uncoupled tree."""
+        """Return the entries of the uncoupled tree."""
         space = self.space(name)
         if not space:
             return list(given)
@@ -126,7 +126,7 @@ class _Map:
         return found
 
     def gather(self, block: Block, rows: str, cols: str, *, selected: bool = False) -> Block:
-        """Multiply by GT from the left and G from the right, as far as rows and columns are of a space."""
+        """Multiply by GT from the left and G from the right, where rows and columns belong to a space."""
         total: Block = {}
         for (r, c), value in block.items():
             if selected and r in self.ratios[rows]:
@@ -141,7 +141,7 @@ class _Map:
 
 
 def _seat_coordinates(tree: Tree) -> list[int]:
-    """Number the body of each entry of q of the uncoupled tree."""
+    """Return the number of the body of each entry of q of the uncoupled tree."""
     inside = {i: x for x in tree.quaternions for i in x.bodies}
     numbers = []
     for i in range(1, len(tree.bodies) + 1):
@@ -160,7 +160,7 @@ def _known(place: int | None) -> int:
 
 @dataclass(frozen=True)
 class _Coupled:
-    """The inputs of an acceleration, and what of the uncoupled tree is computed from them."""
+    """The inputs of an acceleration, and the quantities of the uncoupled tree computed from them."""
 
     tree: Tree
     reductions: Reductions
@@ -185,17 +185,17 @@ class _Coupled:
         return self.map.size(VELOCITIES, 0)
 
     def column(self, name: str) -> list[Scalar]:
-        """List the entries of what drives the uncoupled tree."""
+        """Return the entries of a quantity that drives the uncoupled tree."""
         return [value for _, value in sorted(self.drive.get(name, {}).items())]
 
     def weigh(self, number: int, inertia: Scalar) -> Scalar:
-        """Give the inertia that a joint's followed one feels for it."""
+        """Return the inertia of a joint as felt by the joint that it follows."""
         ratio = self.map.ratios[VELOCITIES].get(number - 1)
         return inertia if ratio is None else inertia * ratio * ratio
 
     @property
     def scales(self) -> dict[int, Scalar]:
-        """Bound what each joint can feel, for itself and for those that follow it."""
+        """Bound the inertia that each joint can feel, including its followers."""
         total: dict[int, Scalar] = {}
         for number, inertia in enumerate(self.column("largest"), 1):
             joint, felt = self.map.joint(number), self.weigh(number, inertia)
@@ -230,9 +230,10 @@ def _write_exp1(tree: Tree, reductions: Reductions) -> Tape:
 def _write_exp2(tree: Tree, reductions: Reductions) -> Tape:
     """Write `exp2`: articulated bodies of the uncoupled tree, and the forces that keep the couplings.
 
-    With a coupling's row J of q'' = ratio times another, the accelerations are a + sum of B lambda, where a are those
-    of the uncoupled tree, B = M^-1 JT those that a unit of each coupling's force makes, and J B lambda = -J a. Forces
-    of joints that follow act in those that they follow, so that a light follower is not thrown far.
+    A coupling has the row J: q'' less ratio times the leader's q'' is 0. The accelerations are a + sum of B lambda,
+    with a the accelerations of the uncoupled tree and B = M^-1 JT the accelerations for a unit of each coupling's
+    force. The forces solve J B lambda = -J a. Forces of followers act in the joints that they follow, so that a light
+    follower is not thrown far.
     """
     own = _Coupled.declare(tree, reductions)
     map, builder = own.map, own.map.builder
@@ -258,7 +259,7 @@ def _write_exp2(tree: Tree, reductions: Reductions) -> Tape:
 def _accelerate(
     own: _Coupled, tape: Tape, qd: Sequence[Scalar], forces: Sequence[Scalar], *, still: bool
 ) -> tuple[list[Scalar], list[Scalar]]:
-    """Compute accelerations of the uncoupled tree; `still`: without gravity and wrenches. Also give all values."""
+    """Compute accelerations of the uncoupled tree, and all values; `still`: without gravity and wrenches."""
     zero = own.map.builder.zero
     w, gravity = ([zero] * len(own.column(name)) if still else own.column(name) for name in ("w", "gravity"))
     given = {**own.given, "qd": qd, "u": forces, "w": w, "p": [*own.given.get("p", ()), *gravity]}
@@ -267,7 +268,7 @@ def _accelerate(
 
 
 def _guard_couplings(own: _Coupled, tape: Tape, values: Sequence[Scalar], lost: Mapping[int, Scalar]) -> None:
-    """Guard the pivots of the uncoupled tree, and what is left of each coupling's row when those before it are met."""
+    """Guard the pivots of the uncoupled tree, and the remainder of each coupling's row after the rows before it."""
     builder = own.map.builder
     for guard in tape.guards:
         pivot = -values[guard.value] if guard.negated else values[guard.value]
@@ -280,7 +281,7 @@ def _guard_couplings(own: _Coupled, tape: Tape, values: Sequence[Scalar], lost: 
 
 
 def _open(tree: Tree) -> Tree:
-    """Make gravity, wrenches and the forces of all joints inputs."""
+    """Turn gravity, wrenches and the forces of all joints into inputs."""
     gravity = [
         Parameter(f"gravity {axis}", Symbol(f"gravity {axis}"), 0.0, Kind.RUNTIME) if number != 0 else None
         for axis, number in zip("xyz", tree.gravity, strict=True)
@@ -297,9 +298,9 @@ def _open(tree: Tree) -> Tree:
 
 
 def _write_drive(tree: Tree) -> tuple[Tape, frozenset[int]]:
-    """Write what drives an uncoupled tree: Q of all joints, the components of wrenches, gravity where it is not 0.
+    """Write the quantities that drive an uncoupled tree: Q of all joints, components of wrenches, nonzero gravity.
 
-    With these, by parameters alone, the largest inertias that joints can feel; and beside, which joints cannot lock.
+    Added are the largest inertias that joints can feel, from parameters alone. Also return the joints that cannot lock.
     """
     builder = Builder()
     state = declare_state(tree, builder, accelerations=False)
@@ -327,7 +328,7 @@ def _along(row: Mapping[int, Scalar], column: Sequence[Scalar]) -> Scalar:
 
 
 def _results(tape: Tape, builder: Builder, given: Mapping[str, Sequence[Scalar]]) -> dict[str, Block]:
-    """Replay a tape; give its results by place."""
+    """Replay a tape; return its results by position."""
     values = replay(tape, builder, {i.name: given[i.name] for i in tape.inputs})
     return {
         o.name: {place: values[v] for place, v in zip(o.sparsity.entries, o.values, strict=True)} for o in tape.outputs

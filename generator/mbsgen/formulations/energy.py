@@ -1,8 +1,13 @@
-"""Energy and momentum: Tree -> Tapes of `energy` and `power`, which no reduction touches: every body counts as it is.
+"""Energy and momentum: Tree -> Tapes of `energy` and `power`, in which every body counts unreduced.
 
-The momentum of all that a joint carries is added up from the leaves to the base; its part along the joint is a row of
-M qd, so that the kinetic energy takes one product more for each joint. A rotor has the energy of its spin relative to
-the body that holds it, I qd2 / 2, and no momentum: what it is driven by acts between two bodies.
+Mass m, first moment S, momentum P and moment of momentum H of all bodies beyond a joint are summed from the leaves to
+the base:
+
+    P = m v + OM x S,    H = J OM + S x v,    (M qd)_i = e.H (revolute) or e.P (prismatic)
+    T = 1/2 sum qd_i (M qd)_i + 1/2 sum rotor_i qd_i2,    V = -g.S_whole
+
+So the kinetic energy takes one more product for each joint. A rotor has the energy of its spin relative to the body
+that holds it, and no momentum: its drive acts between two bodies.
 """
 
 from __future__ import annotations
@@ -20,7 +25,7 @@ from mbsgen.tape.types import Tape
 
 @dataclass(frozen=True)
 class Velocity:
-    """How a body moves, in its own frame."""
+    """The velocity of a body, in its own frame."""
 
     v: Vector[Scalar]  # of its origin
     OM: Vector[Scalar]  # angular velocity
@@ -63,10 +68,7 @@ def build(tree: Tree) -> Tape:
 
 
 def build_power(tree: Tree) -> Tape:
-    """Write `power`: inputs q, qd, u [, w] [, p]; output power, shape (1,) [W]: of all forces but gravity.
-
-    It is the rate at which kinetic and potential energy grow: u and force laws in the joints, wrenches on the bodies.
-    """
+    """Write `power`: inputs q, qd, u [, w] [, p]; output power, shape (1,) [W], of all forces except gravity."""
     builder = Builder()
     state = declare_state(tree, builder, accelerations=False)
     chain = write_chain(tree, builder, state)
@@ -92,7 +94,7 @@ def _nothing(chain: Chain) -> Momentum:
 
 
 def _add_up(chain: Chain) -> dict[int, Momentum]:
-    """From the leaves to the base: the momentum of what each joint carries, about the joint in its body's frame."""
+    """Compute the momentum beyond each joint, about the joint and in its body's frame, from the leaves to the base."""
     bodies = _move_bodies(chain)
     carried: dict[int, Momentum] = {}
     for link in reversed(chain.links):
@@ -102,7 +104,7 @@ def _add_up(chain: Chain) -> dict[int, Momentum]:
 
 
 def _move_bodies(chain: Chain) -> dict[int, Velocity]:
-    """From the base to the leaves: velocities of every body; entry 0 is the base's."""
+    """Compute velocities of every body, from the base to the leaves; entry 0 is the base."""
     bodies = {0: Velocity(chain.still, chain.still)}
     for link, qd in zip(chain.links, chain.state.qd, strict=True):
         parent, to_body, axis = bodies[link.parent], link.R.transposed, link.joint.axis
@@ -118,11 +120,11 @@ def _own(link: Link, body: Velocity) -> Momentum:
 
 
 def _refer(link: Link, own: Momentum) -> Momentum:
-    """Refer what a joint carries to its parent's origin, in the parent's frame."""
+    """Refer the momentum beyond a joint to its parent's origin, in the parent's frame."""
     S, P = link.R.apply(own.S) + link.dpt.scale(own.m), link.R.apply(own.P)
     return Momentum(own.m, S, P, link.R.apply(own.H) + link.dpt.cross(P))
 
 
 def _along(link: Link, carried: Momentum) -> Scalar:
-    """Take the part along a joint: its row of M qd."""
+    """Return the component along a joint: its row of M qd."""
     return (carried.H if link.is_revolute else carried.P)[link.joint.axis]

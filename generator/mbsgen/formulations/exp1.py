@@ -1,8 +1,9 @@
 """Explicit form by elimination (EXP1): Tree -> Tape of qdd = gamma(q, qd, Q) = M^-1 (Q - c).
 
-Docquier, Bruls, Fisette, eq. (18). M = LT D L is sparse where the tree branches, and is eliminated from the leaves.
-Within a group of parallel axes the unknowns are absolute angles, whose M has fewer terms; their differences come out.
-Of a joint with a rotor, the unknown is its own angle.
+Docquier, Bruls, Fisette, eq. (18). M = LT D L is sparse where the tree branches, and is eliminated from the leaves
+(Featherstone, 2008, 6.5). Within a group of parallel axes the unknowns are the accelerations of absolute angles,
+because M has fewer terms in these; their differences are the result. The unknown of a joint with a rotor is its own
+angle.
 """
 
 from __future__ import annotations
@@ -20,10 +21,10 @@ from mbsgen.model.tree import Tree
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.types import Tape
 
-# A result errs by up to 2.5 epsilon over the ratio of a pivot to the entry of M that it is left of. A joint fails below
-# n u 1000 = 500 n epsilon, where no more than some three digits are left; above, `condition` estimates how many.
-# A joint whose own body has no inertia about its axis may lock. It fails where errors could exceed 1e-6, which takes
-# 2.5e6 epsilon of the largest inertia that it can feel: the smaller bound would let errors of 4e-4 pass.
+# A result errs by up to 2.5 epsilon times the ratio of the entry of M to the pivot that remains of it. A joint fails
+# below n u 1000 = 500 n epsilon, where about three digits remain; above, `condition` estimates how many. A joint whose
+# own body has no inertia about its axis may lock. It fails where errors could exceed 1e-6, below 2.5e6 epsilon of the
+# largest inertia that it can feel: the smaller bound would let errors of 4e-4 pass.
 PIVOT_TOLERANCE = 500.0
 LOCKING_TOLERANCE = 2.5e6
 
@@ -54,7 +55,7 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
 
 
 def _absolute_forces(segments: Sequence[Segment], Q: Sequence[Scalar]) -> list[Scalar]:
-    """Form the forces that go with absolute angles: a joint's own, less those of the joints that continue its group."""
+    """Return the forces of absolute angles: a joint's own, less the forces of joints that continue its group."""
     along = [s.signed(force) for s, force in zip(segments, Q, strict=True)]
     forces = list(along)
     for s in segments:

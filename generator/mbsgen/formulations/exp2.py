@@ -1,6 +1,7 @@
-"""Order-N form (EXP2): Tree -> Tape of qdd = nu(q, qd, Q) by articulated bodies.
+"""Order-N form (EXP2): Tree -> Tape of qdd = nu(q, qd, Q) by articulated bodies; O(n) equations.
 
-Docquier, Bruls, Fisette, eq. (19); Schwertassek, Rulka (1989). O(n) equations.
+Docquier, Bruls, Fisette, eq. (19); Schwertassek, Rulka (1989); Featherstone (1983). The recursion is in
+`parsimony.articulated`.
 """
 
 from __future__ import annotations
@@ -18,10 +19,10 @@ from mbsgen.model.tree import Tree
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.types import Tape
 
-# A pivot must stand out of the rounding of the largest inertia that its joint can feel: that bounds what was subtracted
-# to make it. A body with an inertia of its own has that to lean on, and turns in place leave products alone: there the
-# pivot is what it is, as long as it is no more than rounding. Else a result errs by up to 2.5 epsilon over its ratio to
-# the largest inertia: from this many epsilon on, errors stay below 1e-6, as those of EXP1.
+# A pivot must stand out of the rounding of the largest inertia that its joint can feel: this bounds the numbers whose
+# difference it is. Where the joint's own body has inertia about the axis, the pivot is at least that; where axes are in
+# line, it is a sum of products: there, a pivot above rounding is exact enough. Elsewhere a result errs by up to 2.5
+# epsilon over the pivot's ratio to the largest inertia: from 2.5e6 epsilon on, errors stay below 1e-6, as in EXP1.
 PIVOT_TOLERANCE = 8.0
 LOCKING_TOLERANCE = 2.5e6
 
@@ -44,7 +45,7 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
 
 
 def _may_lock(segments: Sequence[Segment], segment: Segment) -> bool:
-    """Tell whether a joint feels only what stands off its axis or askew: then its pivot is made of differences."""
+    """Return whether a joint feels only inertia off its axis or askew, so that its pivot is a difference."""
     return not feels_itself(segment) and any(
         child.turn is not None or not _is_null(child.d) or (_is_massless(child) and _may_lock(segments, child))
         for child in children(segments, segment.number)

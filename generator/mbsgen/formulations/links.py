@@ -1,7 +1,12 @@
-"""Links: the bodies of a Tree with their numbers written to a builder; the ground that every recursion stands on.
+"""Links: the bodies of a Tree, with their numbers written to a builder. Every recursion starts from these.
 
-The inertia of body i is given by its moments about the body's own origin, its joint: mass m, first moment
-S = m l, and J = In + m (l.l 1 - l lT). They depend on parameters alone, so they are folded or move to `setup`.
+The frame of body i has its origin at joint i. With the constant placement (dpt0, R0) on the parent and the joint axis
+e,
+
+    revolute:  R = R0 Rot(e, q), dpt = dpt0        prismatic:  R = R0, dpt = dpt0 + R0 e q
+
+The inertia of body i is given by its moments about its own origin: mass m, first moment S = m l, and J = In + m (l.l 1
+- l lT) (Steiner). They depend on parameters alone, so they are folded or move to `setup`.
 """
 
 from __future__ import annotations
@@ -26,19 +31,19 @@ DESIGN = "theta"  # the input that holds differentiated parameters
 
 @dataclass(frozen=True)
 class Frame:
-    """How a quaternion's coordinates place the bodies that stand for it, on where they stand else."""
+    """The placement that the coordinates of a quaternion add to the constant placement of its bodies."""
 
     p: Vector[Scalar]
-    v: Vector[Scalar]  # of the quaternion, as it is given
+    v: Vector[Scalar]  # the quaternion's vector part, as given
     s: Scalar  # its scalar part
     R: Matrix[Scalar]  # columns: axes
 
 
 @dataclass(frozen=True)
 class State:
-    """The inputs of a formulation, declared in a builder; those that it does not take are empty."""
+    """The inputs of a formulation, declared in a builder; inputs that it does not take are empty lists."""
 
-    q: list[Scalar]  # of each joint; 0 for those that stand for a quaternion
+    q: list[Scalar]  # of each joint; 0 for joints that stand for a quaternion
     qd: list[Scalar]
     qdd: list[Scalar]
     u: list[Scalar]
@@ -57,14 +62,14 @@ class Link:
     joint: Joint
     R: Matrix[Scalar]  # columns: the body's axes in the parent's frame
     dpt: Vector[Scalar]  # the body's origin from the parent's, in the parent's frame
-    slide: Vector[Scalar]  # the part of it along a prismatic joint, in the body's frame
+    slide: Vector[Scalar]  # the displacement along a prismatic joint, in the body's frame
     m: Scalar
     S: Vector[Scalar]
     J: Matrix[Scalar]
 
     @property
     def is_revolute(self) -> bool:
-        """Tell whether the joint turns; else it slides."""
+        """Return whether the joint turns; else it slides."""
         return self.joint.motion is Motion.REVOLUTE
 
 
@@ -95,7 +100,7 @@ class Chain:
 
     @cached_property
     def armatures(self) -> tuple[Scalar, ...]:
-        """What rotors add to the diagonal of M: each feels the acceleration of its joint alone."""
+        """The rotors' inertias, added to the diagonal of M: each rotor feels the acceleration of its joint alone."""
         return tuple(self.scalar(body.joint.armature) for body in self.tree.bodies)
 
     @cached_property
@@ -130,23 +135,23 @@ class Chain:
         return Matrix.of(self.vector(row) for row in rows)
 
     def position(self, number: int) -> Vector[Scalar]:
-        """Write where a body's joint stands on its parent."""
+        """Return the position of a body's joint on its parent."""
         body, frame = self.tree.bodies[number - 1], self.state.frames.get(number)
         position = self.vector(body.position)
         return position + self.matrix(body.orientation).apply(frame.p) if frame else position
 
     def orientation(self, number: int) -> Matrix[Scalar]:
-        """Write how a body stands to its parent while its joint is at 0."""
+        """Return the rotation from a body to its parent, at joint coordinate 0."""
         body, frame = self.tree.bodies[number - 1], self.state.frames.get(number)
         orientation = self.matrix(body.orientation)
         return orientation.times(frame.R) if frame else orientation
 
     @cached_property
     def drift(self) -> tuple[Scalar, ...]:
-        """The accelerations of the joints while those of the model are 0.
+        """The joint accelerations at which the model's accelerations are 0.
 
-        Of turns about x, y, z in a row, the last body has the angular acceleration qdd + (w2 w3, -w1 w3, w1 w2), in its
-        own axes; the velocity v along these changes by w x v besides, as they turn.
+        After turns about x, y, z in a row, the last body has the angular acceleration qdd + (w2 w3, -w1 w3, w1 w2), in
+        its own axes. The velocity v along these axes changes by w x v besides, as they turn.
         """
         found = [self.builder.zero] * len(self.tree.bodies)
         for x in self.tree.quaternions:
@@ -160,7 +165,7 @@ class Chain:
         return tuple(found)
 
     def accelerate(self, qdd: Sequence[Scalar]) -> list[Scalar]:
-        """Give the accelerations of the joints for those of the model."""
+        """Return the joint accelerations that belong to the model's accelerations."""
         return [own + more for own, more in zip(qdd, self.drift, strict=True)]
 
     @property
@@ -171,7 +176,7 @@ class Chain:
 
 
 def write_chain(tree: Tree, builder: Builder, state: State) -> Chain:
-    """Begin a tree in the builder that its state is declared in."""
+    """Start a tree in the builder that declares its state."""
     symbols: dict[Expr, Scalar] = {}
     for kind, given in ((Kind.RUNTIME, state.p), (Kind.DIFFERENTIATED, state.theta)):
         symbols |= dict(zip((x.symbol for x in tree.parameters if x.kind is kind), given, strict=True))
@@ -213,7 +218,7 @@ def declare_state(
     forces: bool = True,
     wrenches: bool = True,
 ) -> State:
-    """Declare q, and where wanted qd, qdd, u; w for open wrenches, theta and p for parameters, if there are any."""
+    """Declare q; qd, qdd, u where requested; w for open wrenches; theta and p for parameters, if there are any."""
     assert not tree.couplings, "recursions see the uncoupled tree; see coupling.write"
     n = len(tree.bodies)
     given = builder.vector("q", len(tree.coordinates))
@@ -235,7 +240,7 @@ def declare_state(
 
 
 def _share_out(tree: Tree, builder: Builder, given: Sequence[Scalar]) -> tuple[list[Scalar], dict[int, Frame]]:
-    """Give each joint its coordinate, and each quaternion its frame."""
+    """Assign each joint its coordinate, and each quaternion its frame."""
     entries, zero = iter(given), builder.zero
     inside = {i: x for x in tree.quaternions for i in x.bodies}
     q: list[Scalar] = []
@@ -251,10 +256,10 @@ def _share_out(tree: Tree, builder: Builder, given: Sequence[Scalar]) -> tuple[l
 
 
 def turn(v: Vector[Scalar], s: Scalar) -> Matrix[Scalar]:
-    """Write the rotation of a quaternion of any length but 0: 1 + 2 (s v~ + v~ v~) / (v.v + s2).
+    """Return the rotation matrix of a quaternion of any nonzero length: 1 + 2 (s v~ + v~ v~) / (v.v + s2).
 
-    It does not change with the length, so that its derivatives by the components are those of the unit quaternion, with
-    nothing along it.
+    It does not depend on the length. So its derivatives by the components are the derivatives at the unit quaternion,
+    without a part along the quaternion.
     """
     one, (x, y, z) = s.builder.number(1.0), v
     a, b, c = v.scale(s.builder.number(2.0) / (v.dot(v) + s * s))
@@ -268,14 +273,14 @@ def turn(v: Vector[Scalar], s: Scalar) -> Matrix[Scalar]:
 
 
 def check_pivot(tree: Tree, number: int, pivot: Scalar) -> None:
-    """Refuse a joint that feels nothing whatever the state. Raises TapeError; a model that was checked has none."""
+    """Refuse a joint that has no inertia in any state. Raises TapeError; a checked model has no such joint."""
     if pivot.is_zero:
         finding = f"joint {tree.bodies[number - 1].joint.name!r} moves nothing, so its acceleration is not determined"
         raise TapeError(f"{tree.name}: {finding}; give a body it carries mass, or take the joint away")
 
 
 def joint_forces(chain: Chain) -> list[Scalar]:
-    """Add up Q = Qa + Qp: u in the actuated joints, and every joint's law (Docquier et al., eq. 14)."""
+    """Return Q = Qa + Qp: u in the actuated joints, plus the force law of every joint (Docquier et al., eq. 14)."""
     state, active = chain.state, iter(chain.state.u)
     forces = []
     for body, q, qd in zip(chain.tree.bodies, state.q, state.qd, strict=True):

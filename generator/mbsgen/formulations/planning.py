@@ -1,4 +1,4 @@
-"""Plans of a tree: for each recursion, the choices that write it with the fewest operations; searched for once."""
+"""Plans of a tree: for each recursion, the choices with the fewest operations; each is searched for once."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from mbsgen.tape.counts import count
 from mbsgen.tape.factoring import factor
 from mbsgen.tape.types import Tape
 
-LARGEST_GROWTH = 16.0  # of what rounding loses in EXP2, by moving inertia between bodies
-ELIMINATED = 16  # larger trees write the M of EXP1, and sensitivities, as the M of SEMI: a trial takes too long
+LARGEST_GROWTH = 16.0  # bound on the factor by which regrouping may raise the rounding errors of EXP2
+ELIMINATED = 16  # larger trees use the plan of SEMI's M for EXP1 and sensitivities, whose trials take too long
 
 
 class Plans:
-    """How to write each recursion of a tree; searched for when it is asked for."""
+    """The plan of each recursion of a tree, searched for on first use."""
 
     def __init__(self, tree: Tree, reductions: Reductions) -> None:
         self._tree, self._reductions = tree, reductions
@@ -73,9 +73,8 @@ class Plans:
         """EXP2."""
 
         def write(shared: PlanTrials, plan: Plan) -> Sequence[Scalar]:
-            return accelerations(shared.begin(plan), shared.state.qd, shared.state.qdd)[
-                0
-            ]  # any n numbers will do for Q
+            state = shared.state
+            return accelerations(shared.begin(plan), state.qd, state.qdd)[0]  # any n numbers serve as Q
 
         return self._search(write, self.residual, restrain=_restraint(self._tree, self._reductions))
 
@@ -108,7 +107,7 @@ class Plans:
 
 
 def _align_numbers(tree: Tree, reductions: Reductions) -> tuple[Builder, tuple[Segment, ...]]:
-    """Align the bodies of a tree at the parameters' values."""
+    """Align the bodies of a tree, with the parameters at their values."""
     builder = Builder()
     known = replace(tree, parameters=tuple(replace(p, kind=Kind.CONSTANT) for p in tree.parameters))
     return builder, align(write_chain(known, builder, declare_state(known, builder)), group=reductions.share_frames)
@@ -139,7 +138,7 @@ def _allow(tree: Tree, reductions: Reductions, segments: Sequence[Segment], rest
 
 
 def _restraint(tree: Tree, reductions: Reductions) -> Restraint:
-    """Leave where it is what would dwarf the inertia that it moves to, at the parameters' values."""
+    """Keep inertia in place where it would dwarf the inertia that it moves to, with the parameters at their values."""
     if not reductions.regroup:
         return leave
     builder, segments = _align_numbers(tree, reductions)
@@ -173,12 +172,12 @@ def _plans(tree: Tree, reductions: Reductions) -> Plans:
 
 
 def find_plans(tree: Tree, reductions: Reductions) -> Plans:
-    """Find the plans of a tree; they do not depend on what drives it."""
+    """Return the plans of a tree; they do not depend on forces and wrenches."""
     return _plans(dynamics_alone(tree, driven=False), reductions)
 
 
 def dynamics_alone(tree: Tree, *, driven: bool) -> Tree:
-    """Take force laws, external wrenches and sensors away, and drive all joints or none."""
+    """Remove force laws, external wrenches and sensors, and actuate all joints or none."""
     followers = tree.followers
     joints = (
         replace(b.joint, actuated=driven and i not in followers, law=NO_FORCE) for i, b in enumerate(tree.bodies, 1)
@@ -188,7 +187,7 @@ def dynamics_alone(tree: Tree, *, driven: bool) -> Tree:
 
 
 class PlanTrials:
-    """What the trials of one search share: a builder, in which most of what a plan writes is known already."""
+    """The parts that the trials of one search share: above all a builder, which holds most values of a plan already."""
 
     def __init__(self, tree: Tree, reductions: Reductions) -> None:
         builder = Builder()
@@ -199,7 +198,7 @@ class PlanTrials:
         self._biases: dict[tuple[Plan, bool], Sequence[Scalar]] = {}
 
     def begin(self, plan: Plan) -> Writing:
-        """Begin to write by a plan."""
+        """Start to write by a plan."""
         return begin(self.chain, self.segments, plan, self._reductions)
 
     def write_bias(self, plan: Plan, *, absolute: bool) -> Sequence[Scalar]:
@@ -207,24 +206,24 @@ class PlanTrials:
         return residual(self.begin(plan), self.state.qd, self.chain.drift, absolute=absolute)
 
     def bias(self, plan: Plan, *, absolute: bool) -> Sequence[Scalar]:
-        """Write c by a plan, once."""
+        """Write c by a plan, or return it if it is written."""
         key = (plan, absolute)
         if key not in self._biases:
             self._biases[key] = self.write_bias(plan, absolute=absolute)
         return self._biases[key]
 
     def cost(self, values: Sequence[Scalar]) -> int:
-        """Count the operations of a trial, parameters' own apart."""
+        """Count the operations of a trial, except operations on parameters alone."""
         return self.chain.builder.cost(values, {PARAMETERS})
 
 
 def _trials(size: int) -> int:
-    """Try fewer plans for larger trees: an evaluation's time grows with the size, and so does the number of choices."""
+    """Return the number of plans to try: fewer for larger trees, whose trials take longer and are more."""
     return 12 + 6_000 // (size + 4) ** 2
 
 
 def finish(tape: Tape, reductions: Reductions) -> Tape:
-    """Take common factors out of a finished recursion, if that is wanted and lowers its cost."""
+    """Take common factors out of a finished recursion, if requested and if this lowers its cost."""
     if not reductions.factor:
         return tape
     return min(tape, factor(tape, {PARAMETERS}), key=lambda t: count(t).paper)

@@ -1,6 +1,7 @@
 """Poses of bodies and sensors: Tree -> Tape of `sensors` (positions) and `frames` (positions and rotations).
 
-All results are in the base frame. The axes of a body are its author's, whatever frame the recursions see it in.
+With parent h: R_i = R_h R and p_i = p_h + R_h dpt. All results are in the base frame. The axes of a body are the axes
+in the model file, whichever frame the recursions use.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from mbsgen.tape.types import Tape
 
 @dataclass(frozen=True)
 class Pose:
-    """Where a frame is: its origin, and its axes as columns."""
+    """The pose of a frame: its origin, and its axes as columns."""
 
     p: Vector[Scalar]
     R: Matrix[Scalar]
@@ -34,7 +35,7 @@ def build_sensors(tree: Tree) -> Tape:
 
 
 def _position(chain: Chain, sensor: Sensor) -> Vector[Scalar]:
-    """Carry a point from its body towards the base: one rotation of one vector for each joint on the way."""
+    """Carry a point from its body to the base: one rotation of one vector for each joint on the way."""
     point, number = chain.vector(sensor.position), sensor.body
     while number:
         link = chain.links[number - 1]
@@ -56,7 +57,7 @@ def build_frames(tree: Tree) -> Tape:
 
 
 def place_bodies(chain: Chain) -> dict[int, Pose]:
-    """From the base to the leaves: the pose of every body; entry 0 is the base's."""
+    """Compute the pose of every body, from the base to the leaves; entry 0 is the base."""
     one, zero = chain.builder.number(1.0), chain.builder.zero
     unit = Matrix.of([[one if r == c else zero for c in range(3)] for r in range(3)])
     poses = {0: Pose(chain.still, unit)}

@@ -1,10 +1,10 @@
 """Rates of the coordinates: Tree -> Tape of `rates`, for trees whose velocities are not the rates of q.
 
-A quaternion q = (v, s), scalar last, turns with the angular velocity w, along the body's axes, by
+A quaternion q = (v, s), scalar last, turns with the angular velocity w, in the body's axes, by
 
     v' = (s w + v x w) / 2,    s' = -v.w / 2,
 
-which keeps its length. The place of a free body changes by R v.
+which keeps its length (Wittenburg, 2008, 2.2). The position of a free body changes by R v.
 """
 
 from __future__ import annotations

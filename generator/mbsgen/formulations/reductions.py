@@ -1,4 +1,4 @@
-"""Reductions: what may be done to lower the operation count, each of which can be switched off."""
+"""Reductions: the transformations that lower the operation count. Each can be switched off."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Reductions:
-    """What to do. With all off, the recursions are the textbook's, in body frames."""
+    """The transformations to use. With all off, the recursions are the textbook's, in body frames."""
 
-    regroup: bool = True  # move inertia that a joint cannot feel to the body that carries it
+    regroup: bool = True  # move inertia that a joint cannot feel to the parent body
     share_frames: bool = True  # write consecutive bodies on parallel axes in one frame, and add up their angles
-    lump: bool = True  # place free masses where terms vanish; divides by lengths and inertias that are known numbers
-    lump_runtime: bool = False  # ... and by run-time parameters, which then must not be 0
+    lump: bool = True  # place free masses where terms vanish; divides by lengths and inertias that are numbers
+    lump_runtime: bool = False  # ... and by run-time parameters, which must not be 0 then
     absolute: bool = True  # eliminate in absolute angles within groups of parallel axes
     factor: bool = True  # take common factors out of sums
-    trials: int | None = None  # plans to try for each function; None: as many as the size of the tree lets wait for
+    trials: int | None = None  # plans to try for each function; None: fewer for larger trees
 
     @property
     def is_textbook(self) -> bool:
-        """Tell whether the recursions are to be the textbook's."""
+        """Return whether the recursions are to be the textbook's."""
         return not (self.regroup or self.share_frames)
 
 

@@ -1,7 +1,7 @@
 """Semi-explicit form (SEMI): Tree -> Tapes of M(q), c(q, qd), and of the residual M qdd + c - Q.
 
-Docquier, Bruls, Fisette, eqs. (16)-(17); Fisette, Samin (1996). c is the Newton-Euler recursion at qdd = 0; M comes
-from composite bodies. O(n2) equations.
+Docquier, Bruls, Fisette, eqs. (16)-(17); Fisette, Samin (1996). c is the Newton-Euler recursion at qdd = 0; M is summed
+over composite bodies (Walker, Orin, 1982). O(n2) equations.
 """
 
 from __future__ import annotations

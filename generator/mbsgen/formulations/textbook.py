@@ -1,7 +1,16 @@
 """The textbook's Newton-Euler recursion: Phi(q, qd, qdd) in body frames, without any reduction.
 
-Docquier, Bruls, Fisette, eqs. (12)-(15); Luh, Walker, Paul (1980). O(n) equations.
-Vectors of body i are in body frame i; gravity enters as acceleration -g of the base.
+Docquier, Bruls, Fisette, eqs. (12)-(15); Luh, Walker, Paul (1980). O(n) equations. Vectors of body i are in body frame
+i; gravity enters as acceleration -g of the base. From the base to the leaves, with parent h and joint axis e:
+
+    OM_i = RT OM_h + e qd,    OMp_i = RT OMp_h + (RT OM_h) x e qd + e qdd,    K = OMp~ + OM~ OM~
+    A_i = RT (A_h + K_h dpt)                 and, for a prismatic joint instead,  A_i += 2 (RT OM_h) x e qd + e qdd
+
+From the leaves to the base, summed over the children j:
+
+    F_i = m A + K S - Fext + sum R_j F_j,    N_i = J OMp + OM x J OM + S x A - Next + sum (R_j N_j + dpt_j x R_j F_j)
+
+and Phi_i = e.N_i for a revolute joint, e.F_i for a prismatic one, plus the rotor's inertia times qdd.
 """
 
 from __future__ import annotations
@@ -16,11 +25,11 @@ from mbsgen.tape.builder import Scalar
 
 @dataclass(frozen=True)
 class Kinematics:
-    """Motion of one body, in its own frame."""
+    """The motion of one body, in its own frame."""
 
     OM: Vector[Scalar]  # angular velocity
     OMp: Vector[Scalar]  # angular acceleration
-    K: Matrix[Scalar]  # OMp~ + OM~ OM~: takes a point's place to its acceleration from the origin's
+    K: Matrix[Scalar]  # OMp~ + OM~ OM~: maps a point's position to its acceleration relative to the origin
     A: Vector[Scalar]  # acceleration of the origin, less gravity
 
 
@@ -33,7 +42,7 @@ class Wrench:
 
 
 def residual(chain: Chain, qd: Sequence[Scalar], qdd: Sequence[Scalar]) -> list[Scalar]:
-    """Compute Phi(q, qd, qdd): the joint forces that make the chain, and the rotors of its joints, move so."""
+    """Compute Phi(q, qd, qdd): the joint forces of the given motion of the bodies and the rotors."""
     motion = forward_kinematics(chain, qd, qdd)
     load: dict[int, Wrench] = {}
     for link in reversed(chain.links):
@@ -43,7 +52,7 @@ def residual(chain: Chain, qd: Sequence[Scalar], qdd: Sequence[Scalar]) -> list[
 
 
 def forward_kinematics(chain: Chain, qd: Sequence[Scalar], qdd: Sequence[Scalar]) -> dict[int, Kinematics]:
-    """From the base to the leaves: velocities and accelerations of every body; entry 0 is the base's."""
+    """Compute velocities and accelerations of every body, from the base to the leaves; entry 0 is the base."""
     zero = chain.still
     motion = {0: Kinematics(zero, zero, Matrix((zero, zero, zero)), -chain.gravity)}
     for link, rate, acceleration in zip(chain.links, qd, qdd, strict=True):

@@ -1,6 +1,8 @@
-"""Velocities of sensors: Tree -> Tape of `motion` (velocities) and `jacobian` (how the joints' velocities make them).
+"""Velocities of sensors: Tree -> Tape of `motion` (velocities) and `jacobian` (J, with velocities J qd).
 
-All vectors are in the base frame: that takes fewer operations than body frames, and derivatives the more so.
+With parent h and joint axis e: OM_i = OM_h + e qd and v_i = v_h + OM_h x dpt for a revolute joint; a prismatic joint
+adds e qd to v_i instead. The columns of J are (e x r, e) or (e, 0), with r from the joint to the sensor. All vectors
+are in the base frame: this takes fewer operations than body frames, in derivatives above all.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from mbsgen.tape.types import Tape
 
 @dataclass(frozen=True)
 class Velocity:
-    """How a body moves."""
+    """The velocity of a body."""
 
     v: Vector[Scalar]  # of its origin
     OM: Vector[Scalar]  # angular velocity
@@ -41,7 +43,7 @@ def build_motion(tree: Tree) -> Tape:
 
 
 def _move_bodies(chain: Chain, poses: dict[int, Pose]) -> dict[int, Velocity]:
-    """From the base to the leaves: velocities of every body; entry 0 is the base's."""
+    """Compute velocities of every body, from the base to the leaves; entry 0 is the base."""
     bodies = {0: Velocity(chain.still, chain.still)}
     for link, qd in zip(chain.links, chain.state.qd, strict=True):
         parent = bodies[link.parent]
@@ -72,7 +74,7 @@ def build_jacobian(tree: Tree) -> Tape:
 
 
 def _columns(chain: Chain, sensor: Sensor, poses: dict[int, Pose]) -> dict[int, list[Scalar]]:
-    """Write the columns of a sensor's Jacobian that are not zero, by the places of their coordinates in q."""
+    """Return the nonzero columns of a sensor's Jacobian, by the positions of their coordinates in q."""
     body = poses[sensor.body]
     place = body.p + body.R.apply(chain.vector(sensor.position))
     columns: dict[int, list[Scalar]] = {}

@@ -1,14 +1,18 @@
 """Order-N accelerations (EXP2): qdd = nu(q, qd, Q) by articulated bodies, in three recursions.
 
-Schwertassek, Rulka (1989); Featherstone (1983). The bias is the Newton-Euler recursion at qdd = 0; the accelerations
-that come on top of it, `Increment`, are counted from there. So a load carried down has the joint's force along the axis
-once the joint's share K u is hooked in, and the product of articulated inertia and bias acceleration never arises.
-Loads and increments of a body are about its origin, where the body is written:
+Schwertassek, Rulka (1989); Featherstone (1983; 2008, 7.3). Loads and accelerations of a body are about its origin,
+where the body is written: F = M a + B OMp, N = BT a + J OMp. With IA = [M B; BT J], the joint's unit motion e, its
+rotor, and the bias load p of the Newton-Euler recursion at qdd = 0, from the leaves to the base:
 
-    F = M a + B OMp,    N = BT a + J OMp
+    U = IA e,    D = e.U + rotor,    K = U / D,    u = Q - e.p
+    IA_parent += X (IA - K UT) XT,    p_parent += X (p + K u)
 
-A rotor feels only its joint's own acceleration. So the pivot contains its inertia, and the rotor takes the fraction
-`rotor_share` = rotor / pivot of the joint's force. The bodies take the rest. Along the axis, the parent then feels
+and from the base to the leaves, with the acceleration a' on top of the bias (`Increment`): qdd = u / D - K.a'. Since a'
+counts from the bias motion, the product of articulated inertia and bias acceleration never arises. Along the joint's
+axis, p + K u is the joint's force, so that it is not computed.
+
+A rotor feels only its joint's own acceleration. So the pivot D contains its inertia, and the rotor takes the fraction
+`rotor_share` = rotor / D of the joint's force. The bodies take the rest. Along the axis, the parent then feels
 `rotor_share` times the bodies' inertia; without a rotor, nothing.
 """
 
@@ -31,7 +35,7 @@ from mbsgen.tape.builder import Builder, Scalar
 
 @dataclass(frozen=True)
 class Inertia:
-    """What a body's origin feels of it and of all beyond it, with the joints there free."""
+    """The articulated inertia of a body at its origin: with all bodies beyond it, whose joints are free."""
 
     M: Matrix[Scalar]  # symmetric
     B: Matrix[Scalar]
@@ -40,14 +44,14 @@ class Inertia:
 
 @dataclass(frozen=True)
 class Body:
-    """A body's part in the elimination."""
+    """The terms of a body in the elimination."""
 
-    parts: tuple[Inertia, ...]  # what its origin feels: of itself, and of what each of its joints carries
-    pivot: Scalar  # the inertia that its own joint feels: D
+    parts: tuple[Inertia, ...]  # its own inertia, and the articulated inertia beyond each of its joints
+    pivot: Scalar  # D: the inertia that its own joint feels
     rotor_share: Scalar  # the part of the pivot that is the rotor's inertia
-    KF: Vector[Scalar]  # load for a unit force of its joint
+    KF: Vector[Scalar]  # K: load for a unit force of its joint
     KN: Vector[Scalar]
-    left: Inertia  # what is left with its joint free
+    left: Inertia  # the articulated inertia that its parent feels, with its joint free
 
 
 @dataclass(frozen=True)
@@ -59,12 +63,12 @@ class Increment:
 
 
 def accelerations(writing: Writing, qd: Sequence[Scalar], Q: Sequence[Scalar]) -> tuple[list[Scalar], dict[int, Body]]:
-    """Compute qdd, and what it was found with."""
+    """Compute qdd; also return the terms of the elimination."""
     kinematics, inertias = writing.kinematics, writing.inertias
     segments = kinematics.segments
     movements = kinematics.move(writing.chain.gravity, qd, writing.chain.drift)
     bodies = articulate(writing)
-    force_residual: dict[int, Scalar] = {}  # u = Q - e.bias: the joint force that the bias motion leaves unbalanced
+    force_residual: dict[int, Scalar] = {}  # u = Q - e.p: the joint force residual of the bias motion
     loads: dict[int, Load] = {}
     for segment in reversed(segments):
         i = segment.number
@@ -76,7 +80,7 @@ def accelerations(writing: Writing, qd: Sequence[Scalar], Q: Sequence[Scalar]) -
 
 
 def articulate(writing: Writing) -> dict[int, Body]:
-    """From the leaves to the base: what each body feels of all beyond it, and what its joint takes of that."""
+    """Compute the articulated inertia of each body and eliminate its joint, from the leaves to the base."""
     kinematics = writing.kinematics
     bodies: dict[int, Body] = {}
     for segment in reversed(kinematics.segments):
@@ -88,7 +92,7 @@ def articulate(writing: Writing) -> dict[int, Body]:
 def _gather(
     kinematics: Kinematics, segment: Segment, inertia: RegroupedInertia, bodies: dict[int, Body]
 ) -> tuple[Inertia, ...]:
-    """List a body's own inertia, and what each of its joints carries."""
+    """List a body's own inertia, and the articulated inertia beyond each of its joints."""
     b = kinematics.builder
     axes = kinematics.frames[segment.number].directions
     S = kinematics.fixed(segment.number, inertia.S)
@@ -106,7 +110,7 @@ def _add(first: Inertia, second: Inertia) -> Inertia:
 
 
 def _shift(builder: Builder, inertia: Inertia, d: Vector[Scalar]) -> Inertia:
-    """Refer an inertia to a point from which its own is at d."""
+    """Refer an inertia to a point; its own reference point is at d from there."""
     lever = cross_matrix(builder, d)
     B = inertia.B - inertia.M.times(lever)
     first, second = lever.times(inertia.B), lever.times(B)
@@ -115,7 +119,7 @@ def _shift(builder: Builder, inertia: Inertia, d: Vector[Scalar]) -> Inertia:
 
 
 def _free(chain: Chain, segment: Segment, parts: tuple[Inertia, ...]) -> Body:
-    """Eliminate a joint: what it takes of a load, and the inertia that is left to its parent."""
+    """Eliminate a joint: its shares of a load, and the articulated inertia that its parent feels."""
     e, rotor, whole = segment.axis, chain.armatures[segment.number - 1], reduce(_add, parts)
     if segment.is_revolute:
         UF, UN = whole.B.column(e), whole.J.column(e)
@@ -149,14 +153,14 @@ def _free(chain: Chain, segment: Segment, parts: tuple[Inertia, ...]) -> Body:
 
 
 def _hook(segment: Segment, bias: Load, body: Body, force_residual: Scalar, force: Scalar) -> Load:
-    """Add a joint's share to the bias; along its axis, the load is then the joint's force, less the rotor's part."""
+    """Add a joint's share K u to the bias load; along the axis, this is the joint's force, less the rotor's part."""
     F, N = list(bias.F + body.KF.scale(force_residual)), list(bias.N + body.KN.scale(force_residual))
     (N if segment.is_revolute else F)[segment.axis] = force - body.rotor_share * force_residual
     return Load(Vector.of(F), Vector.of(N), Vector.of(N))
 
 
 def _accelerate(kinematics: Kinematics, bodies: dict[int, Body], force_residual: dict[int, Scalar]) -> list[Scalar]:
-    """From the base to the leaves: share out the increments."""
+    """Compute the increments and qdd, from the base to the leaves."""
     zero = kinematics.builder.zero
     still = Vector(zero, zero, zero)
     increments = {0: Increment(still, still)}

@@ -1,14 +1,14 @@
 """Curvatures of the residual: the first and second derivatives of lambdaT Phi by one recursion over composite bodies.
 
-With lambda as rates of the joints, lambdaT Phi is the power of the accelerated mass at the velocities v' that they
-make: the integral of v'.a dm. What lies beyond joint j enters its derivatives by force and moment (F, N), by momentum
-(p, h) at v', and by k, the integral of 2 v x v' dm, each on the motion of the axis of j (see `sensitivities`; x e
-stands for the change of v', seen from the body that turned):
+With lambda as rates of the joints, lambdaT Phi is the power of the accelerated mass at the velocities v' that lambda
+makes: the integral of v'.a dm. The bodies beyond joint j enter its derivatives by force and moment (F, N), by momentum
+(p, h) at v', and by k, the integral of 2 v x v' dm. Each is multiplied by the motion of the axis of j (see
+`sensitivities`; v'_O x e and om' x e are the change of v', in the frame of the body that turned):
 
     by q_j: (v'_O x e).F + (om' x e).N + (a x e).p + e''.h + e'.k,    by qd_j: 2 e'.h + e.k,    by qdd_j: e.h.
 
-The motion of that axis knows nothing of the joints beyond. So the second derivatives ask how these few quantities
-change with each of them: changes are carried down to the base as the loads of `sensitivities` are.
+The motion of that axis does not depend on the joints beyond. So the second derivatives need only the changes of these
+few quantities with each joint beyond; the changes are carried down to the base as the loads of `sensitivities` are.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Curvatures:
 def curvatures(
     writing: Writing, qd: Sequence[Scalar], qdd: Sequence[Scalar], multipliers: Sequence[Scalar]
 ) -> tuple[Sensitivities, Curvatures]:
-    """Differentiate Phi, and lambdaT Phi twice; what drives the chain, rotors and external wrenches, left out."""
+    """Differentiate Phi once and lambdaT Phi twice, without actuators, force laws, rotors and external wrenches."""
     recursion = _Recursion(writing, qd, qdd, multipliers)
     return recursion.run(), recursion.curvatures
 
@@ -143,7 +143,7 @@ class _Recursion(Recursion):
                 self._write(below, segment, by, change)
 
     def _twist(self, segment: Segment) -> tuple[Vector[Scalar], Vector[Scalar]]:
-        """Return how v' changes, seen from the body that turns: v'_O x e and om' x e; or slides: om' x e."""
+        """Return the change of v', in the frame of the body that turns: v'_O x e and om' x e; or slides: om' x e."""
         e, i = self.axes[segment.number].e, segment.number
         turned = self._turning[i].cross(e)
         return (self._moving[i].cross(e), turned) if segment.is_revolute else (turned, turned.scale(self.builder.zero))
@@ -168,7 +168,7 @@ class _Recursion(Recursion):
             place[i] = segment.signed(value)
 
     def _changes(self, segment: Segment, body: Composite) -> _Changes:
-        """Form what a joint changes, where its body is written."""
+        """Return the changes with a joint, where its body is written."""
         axis, momentum = self.axes[segment.number], self._momenta[segment.number]
         v, om = self._twist(segment)
         e, rate = axis.e, axis.doubled_rate

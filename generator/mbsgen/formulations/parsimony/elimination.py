@@ -1,4 +1,7 @@
-"""Solve M x = b by LT D L, from the leaves to the base; only ancestors have entries (Featherstone, 2008, 6.5)."""
+"""Solve M x = b by M = LT D L, from the leaves to the base; only ancestors have entries (Featherstone, 2008, 6.5).
+
+For k = n, ..., 1, over the ancestors i, j of k:    L_ik = M_ik / D_k,    M_ij -= L_ik D_k L_jk,    D_k = M_kk.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ Column = dict[int, Scalar]  # by number, from 1
 
 @dataclass(frozen=True)
 class Solution:
-    """The solution, and the pivots by which it was found."""
+    """The solution and its pivots."""
 
     x: Column
     pivots: Column
@@ -43,7 +46,7 @@ class Factors:
         return y
 
     def rise(self, y: Mapping[int, Scalar], known: Mapping[int, Scalar] | None = None) -> Column:
-        """Solve D L x = y, from the base to the leaves; what is known of x is taken over."""
+        """Solve D L x = y, from the base to the leaves; known entries of x are taken over."""
         x: Column = dict(known or {})
         for k in range(1, self.size + 1):
             if k not in x:
@@ -54,7 +57,7 @@ class Factors:
         return x
 
     def invert(self, columns: Iterable[int]) -> dict[int, Column]:
-        """Compute columns of the inverse of M; entries that two of them share by symmetry once."""
+        """Compute columns of the inverse of M; an entry that two columns share by symmetry is computed once."""
         found: dict[int, Column] = {}
         for j in sorted(columns, reverse=True):
             y = self.descend({j: self.builder.number(1.0)})
@@ -62,16 +65,16 @@ class Factors:
         return found
 
     def ancestors(self, k: int) -> Sequence[int]:
-        """List the unknowns that k is eliminated from."""
+        """List the unknowns from which k is eliminated."""
         return [i for i in range(1, k) if (i, k) in self.L]
 
 
 def factorise(
     builder: Builder, matrix: Mapping[tuple[int, int], Scalar], size: int, check: Check = lambda *_: None
 ) -> Factors:
-    """Factorise a matrix of the unknowns 1 to `size`; each later one is eliminated from those before it.
+    """Factorise a matrix of the unknowns 1 to `size`; each later unknown is eliminated from the earlier ones.
 
-    `check` sees each pivot, with its number, before anything is divided by it.
+    `check` sees each pivot, with its number, before a division by it.
     """
     H = dict(matrix)
     L: Entries = {}

@@ -1,11 +1,16 @@
-"""Mass matrix of regrouped segments: composite bodies, written where the plan says.
+"""Mass matrix of regrouped segments: composite bodies, in the frames of the plan.
 
-A column of M is the load that its joint's unit acceleration asks of all that lies beyond it, taken as one rigid body,
-and carried down to the base (Walker, Orin, 1982; Fisette, Samin, 1996).
+All bodies beyond joint i, taken as one rigid body, have m, S and J about its origin, summed from the leaves to the
+base. The unit acceleration of joint i needs the load
 
-In *absolute* rates the coordinate of a body in a group of parallel axes is its angle to the frame before the group:
-what lies beyond it in the group does not turn with it. Many terms of M then vanish that relative angles add up. A joint
-with a rotor keeps its own angle: the rotor is on the diagonal of M, and what may be large is not subtracted elsewhere.
+    revolute:  F = e x S,  N = J e        prismatic:  F = m e,  N = S x e
+
+which is carried down to the base; M_ji is its component along joint j, and the rotor is added to M_ii (Walker, Orin,
+1982; Fisette, Samin, 1996; Featherstone, 2008, 6.2).
+
+In *absolute* rates the coordinate of a body in a group of parallel axes is its angle to the frame before the group: the
+bodies beyond it in the group do not turn with it. Many terms that relative angles add up in M then vanish. A joint with
+a rotor keeps its own angle: the rotor, which may be large, is then on the diagonal of M alone.
 """
 
 from __future__ import annotations
@@ -26,7 +31,7 @@ Entries = dict[tuple[int, int], Scalar]  # of M, by body numbers (ancestor, desc
 
 @dataclass(frozen=True)
 class Composite:
-    """A body with all beyond it: mass, first moment and inertia about its origin, where it is written."""
+    """A body with all bodies beyond it: mass, first moment and inertia about its origin, where it is written."""
 
     m: Scalar
     S: Vector[Scalar]
@@ -36,11 +41,11 @@ class Composite:
 
 @dataclass(frozen=True)
 class Part:
-    """What turns with a body when its absolute angle changes: not the bodies that have an absolute one too."""
+    """The part that turns when a body's absolute angle changes: without bodies that have an absolute angle too."""
 
     S: Vector[Scalar]
-    Je: Vector[Scalar]  # J e_axis: the moment for a unit acceleration, with that of the bodies that only follow
-    axial: Scalar  # what the joint itself feels of it
+    Je: Vector[Scalar]  # J e_axis: the moment for a unit acceleration, including bodies that only follow
+    axial: Scalar  # the component of it along the joint
 
 
 def mass_matrix(writing: Writing, *, absolute: bool = False) -> Entries:
@@ -123,7 +128,7 @@ def own_inertia(
 
 
 def link(kinematics: Kinematics, child: Segment) -> Vector[Scalar]:
-    """Write the link to a child where its parent is written; a prismatic joint's way is part of it."""
+    """Return the link to a child, where its parent is written, including the displacement of a prismatic joint."""
     d = kinematics.fixed(child.parent, child.d)
     return d if child.is_revolute else d + slide_lever(kinematics, child)
 
@@ -139,7 +144,7 @@ def unit_load(builder: Builder, segment: Segment, body: Composite, *, absolute: 
 
 
 def _column(kinematics: Kinematics, segment: Segment, body: Composite, *, absolute: bool) -> Entries:
-    """Carry a joint's load down to the base, and take its part along every joint on the way."""
+    """Carry a joint's load down to the base, and take its component along every joint on the way."""
     load = unit_load(kinematics.builder, segment, body, absolute=absolute)
     own = body.alone.axial if absolute and segment.is_revolute else _along(load, segment)
     column = {(segment.number, segment.number): own}
@@ -150,7 +155,7 @@ def _column(kinematics: Kinematics, segment: Segment, body: Composite, *, absolu
         lever = link(kinematics, at).cross(F)
         N = kinematics.depart(at, load.N) + lever
         load = Load(F, N, N)
-        keeps_angle = absolute and not at.counts_angle  # what lies beyond `at` only follows its origin
+        keeps_angle = absolute and not at.counts_angle  # bodies beyond `at` only follow its origin
         along = lever[below.axis] if keeps_angle else _along(load, below)
         same = absolute or below.sense == segment.sense
         column[below.number, segment.number] = along if same else -along

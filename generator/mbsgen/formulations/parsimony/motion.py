@@ -1,15 +1,19 @@
 """Kinematics in chosen frames: forward recursion over segments, from the base to the leaves.
 
-A body is *written in* a frame whose axis `axis` is its joint's: its own frame, or the one its predecessor in the group
-is written in, or, where it opens a group, the parent's. Its state there:
+A body is *written in* a frame whose axis `axis` is its joint's: its own frame, or the frame in which its predecessor in
+the group is written, or, where it opens a group, the parent's. Its state there:
 
     p, q    angular velocity across the axis, in cyclic order      w, wp   angular velocity and acceleration along it
-    A       U e_axis, what U has for points of the axis            a0      acceleration of the origin, less gravity
+    A       U e_axis, the field along the axis                     a0      acceleration of the origin, less gravity
 
-with U = OMp~ + OM~ OM~. p, q and A are the same for all bodies of a group, up to the turn between their frames: points
-of the axis do not notice the joint. The rest of U follows: with e1, e2 across the axis,
+with U = OMp~ + OM~ OM~, which maps a vector r fixed in the body to the acceleration of its end relative to its start.
+p, q and A are the same for all bodies of a group, up to the turn between their frames, because points of the axis do
+not move with the joint. The other columns of U follow: with e1, e2 across the axis,
 
     U e1 = -(q2 + w2) e1 + (p q + wp) e2 + (2 w p - A1) e,    U e2 = (p q - wp) e1 - (p2 + w2) e2 + (2 w q - A2) e.
+
+From parent h to body i, revolute: a0 = a0_h + U_h d, w = w_h + qd, wp = wp_h + qdd; and A = U_h e where a group opens.
+A prismatic joint adds A q + 2 OM x e qd + e qdd to a0 instead.
 """
 
 from __future__ import annotations
@@ -25,26 +29,26 @@ from mbsgen.tape.builder import Builder, Scalar
 
 @dataclass(frozen=True)
 class Turn:
-    """A rotation about a coordinate axis, by its sine and cosine; None stands for none."""
+    """A rotation about a coordinate axis, by its sine and cosine."""
 
     axis: int
     sine: Scalar
     cosine: Scalar
 
     def into(self, v: Vector[Scalar]) -> Vector[Scalar]:
-        """Take components into the turned frame."""
+        """Convert components to the turned frame."""
         return self._turn(v, self.sine)
 
     def back(self, v: Vector[Scalar]) -> Vector[Scalar]:
-        """Take components back out of the turned frame."""
+        """Convert components back from the turned frame."""
         return self._turn(v, -self.sine)
 
     def back_tensor(self, B: Matrix[Scalar], *, faithful: bool = False) -> Matrix[Scalar]:
-        """Take a matrix back out of the turned frame: 11 operations across the axis, 12 along it.
+        """Convert a matrix back from the turned frame: 11 operations across the axis, 12 along it.
 
-        The diagonal changes by what a sine multiplies: in a chain that is stretched or folded, whose links have little
-        inertia along and much across, nothing of the one leaks into the other. By cosines it would, by rounding; but
-        that may save operations where an entry of the diagonal is the structural zero. `faithful`: not even there.
+        The diagonal changes by products with the sine. In a stretched or folded chain, whose links have little inertia
+        along and much across, neither leaks into the other. By cosines it would, by rounding; but cosines may save
+        operations where an entry of the diagonal is the structural zero. `faithful`: not even there.
         """
         a, j, k = self.axis, (self.axis + 1) % 3, (self.axis + 2) % 3
         c, s = self.cosine, self.sine
@@ -86,18 +90,18 @@ class BodyFrame:
     """The frame that a body is written in, by the turns between it, the body's own frame and its predecessor's."""
 
     segment: Segment
-    step: Turn | None  # from the frame before the joint, or the predecessor's, to the one that the body is written in
-    rest: Turn | None  # from there on to its own
+    step: Turn | None  # from the frame before the joint, or the predecessor's, to the frame that the body is written in
+    rest: Turn | None  # from there to its own frame
     angle: Scalar | None  # of `rest`
     sum: str  # the joints whose angles add up in it: `2p3`
     directions: tuple[Vector[Scalar], Vector[Scalar], Vector[Scalar]]  # the own axes, by number, in this frame
 
     def own(self, v: Vector[Scalar]) -> Vector[Scalar]:
-        """Take components from where the body is written to its own frame."""
+        """Convert components from where the body is written to its own frame."""
         return self.rest.into(v) if self.rest else v
 
     def written(self, v: Vector[Scalar]) -> Vector[Scalar]:
-        """Take components from the body's own frame to where it is written."""
+        """Convert components from the body's own frame to where it is written."""
         return self.rest.back(v) if self.rest else v
 
 
@@ -119,7 +123,7 @@ class Movement:
 
 
 class Kinematics:
-    """Frames and movements of all bodies, in order."""
+    """The frames and movements of all bodies, in order."""
 
     def __init__(self, builder: Builder, segments: Sequence[Segment], plan: Plan, q: Sequence[Scalar]) -> None:
         self.builder, self.segments, self.plan, self._q = builder, segments, plan, q

@@ -1,4 +1,4 @@
-"""The plan: for each body, the choices that change what its equations cost but not what they compute."""
+"""The plan: for each body, the choices that change the cost of its equations but not their values."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from mbsgen.tape.builder import Scalar
 
 
 class NoSuchPlanError(TapeError):
-    """A plan that asks of a body what its moments or its parameters do not allow."""
+    """A plan that a body's moments or parameters do not allow."""
 
 
 class Mass(Enum):
-    """Where the mass goes that a revolute joint lets move between its two bodies: points on the axis belong to both."""
+    """The destination of the mass that a revolute joint allows to move: points on the axis belong to both bodies."""
 
     PASSED = "passed"  # all of it to the parent: no division
     BALANCING = (
-        "balancing"  # so much that the parent's first moment vanishes along its longest way to the child; divides
+        "balancing"  # as much as makes the parent's first moment vanish along its longest lever to the child; divides
     )
     KEPT = "kept"  # nothing moves, nor any other inertia that the joint cannot feel
-    POINT = "point"  # what stays makes the body a point mass at its centre of percussion; divides by its inertia
+    POINT = "point"  # the remainder is a point mass at the centre of percussion; divides by the body's inertia
 
 
 @dataclass(frozen=True)
 class Choice:
     """How one body is written."""
 
-    own_frame: bool = True  # in its own frame, or in the one that its predecessor on parallel axes is written in
+    own_frame: bool = True  # its own frame, or the frame that its predecessor on parallel axes is written in
     mass: Mass = Mass.PASSED
     scaled: bool = False  # directions across the axis have the length of the link, instead of 1; divides by it
     spin_from: int = 1  # the transverse second moment that becomes spin: 0, 1: first, second axis after the joint's
@@ -46,7 +46,7 @@ class Plan:
         return self.choices[number - 1]
 
     def put(self, number: int, choice: Choice) -> Plan:
-        """Choose otherwise for one body."""
+        """Return the plan with another choice for one body."""
         return replace(self, choices=(*self.choices[: number - 1], choice, *self.choices[number:]))
 
     def check_divisor(self, divisor: Scalar) -> None:

@@ -1,11 +1,10 @@
-"""How large the inertia that regrouping moves is, beside what is there: the digits that moving it costs.
+"""The size of the inertia that regrouping moves, relative to the inertia present: the digits that moving it costs.
 
-What a joint carries is added to the body that carries it, in the articulated recursion: IA = I + what the joints leave.
-Regrouping takes a part out of what the joints leave, and puts it into I; rounded to u, the sum is then lost to
-u (1 + growth), with the largest ratio of the moved to IA, by kinetic energy over all motions, as growth. IA is no less
-than the body's own inertia, as joints only give way; nor than what the child's own leaves. As what moves lies on the
-joint's axis, both bounds hold in any position. A body without inertia has what its joints leave, in one position that
-is nothing special.
+The articulated recursion adds to a body's own inertia I the articulated inertia of its children: IA = I + sum Ia.
+Regrouping takes a part out of Ia, and puts it into I. With rounding u, the sum is then off by u (1 + growth), where
+growth is the largest ratio of the moved inertia to IA, by kinetic energy over all motions. IA is at least I, as joints
+only give way, and at least the Ia of the child itself. The moved part lies on the joint's axis, so both bounds hold in
+any position. For a body without inertia, Ia of its children is taken in one generic position.
 """
 
 from __future__ import annotations
@@ -21,12 +20,12 @@ from mbsgen.tape.builder import Scalar
 
 Array = NDArray[np.float64]
 
-ANGLE = 1.0  # rad: where the joints beyond a body without inertia stand
-NEGLIGIBLE = 1e-9  # what is below that part of its scale counts as none
+ANGLE = 1.0  # rad: the position of joints beyond a body without inertia
+NEGLIGIBLE = 1e-9  # relative to the scale of an entry; smaller values count as none
 
 
 class Proportions:
-    """The inertias of a chain's bodies, and what they feel of what moves. All numbers of the chain must be literals."""
+    """The inertias of a chain's bodies, as bounds for moved inertia. All numbers of the chain must be literals."""
 
     def __init__(self, segments: Sequence[Segment]) -> None:
         self._segments = {s.number: s for s in segments}
@@ -40,14 +39,14 @@ class Proportions:
             self._left[segment.number] = _free(segment, least)
 
     def _bound(self, segment: Segment, beyond: Sequence[int]) -> Array:
-        """Bound what a body feels of itself and of all beyond it."""
+        """Bound the articulated inertia of a body from below."""
         own = _spatial(segment.moments)
         if _weakest(own) > NEGLIGIBLE:
             return own
         return own + sum((self._carry(number, ANGLE) for number in beyond), np.zeros((6, 6)))
 
     def _carry(self, number: int, angle: float) -> Array:
-        """Refer what a joint leaves to its parent's origin, in the parent's frame, with the joint turned."""
+        """Refer the articulated inertia beyond a turned joint to its parent's origin, in the parent's frame."""
         segment = self._segments[number]
         turn = _numbers(segment.turn) if segment.turn and not segment.floats else np.eye(3)
         if segment.is_revolute:
@@ -59,7 +58,7 @@ class Proportions:
         return carried
 
     def growth(self, number: int, moved: Moments) -> float:
-        """Tell what moves from body `number`, about its parent's origin, in terms of what is there."""
+        """Return the largest ratio of the moments that leave body `number` to the inertia present."""
         inertia = _spatial(moved)
         there = self._least[self._segments[number].parent], self._carry(number, 0.0)
         return min(_ratio(inertia, x) for x in there)
@@ -100,7 +99,7 @@ def _rotation(axis: int, angle: float) -> Array:
 
 
 def _free(segment: Segment, inertia: Array) -> Array:
-    """Let a joint give way."""
+    """Free a joint: subtract U UT / D."""
     along = segment.axis + (3 if segment.is_revolute else 0)
     pivot = inertia[along, along]
     felt = inertia[:, along]

@@ -4,7 +4,7 @@ Points on a revolute joint's axis belong to both of its bodies. So any mass m, f
 on the axis may change sides: all of p and s leave the body, and as much of the mass as the plan says. One transverse
 second moment r is then split off: diag(r, r, 0) = diag(r, r, -r) + r e eT, with e along the axis. The first part has
 only the spin inertia 2 r about the axis, and stays. The second part lies on the axis, and moves. On a prismatic joint
-all of P moves to the parent. What reaches the base is dropped.
+all of P moves to the parent. Moments that reach the base are dropped.
 (Khalil, Kleinfinger, 1987; Gautier, 1991; for the free mass, Niemeyer, Slotine, 1991.)
 """
 
@@ -22,7 +22,7 @@ from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.types import Op
 
 LARGEST_MOVE = 10.0  # times the mass of all bodies
-ROUNDING = 1024.0  # epsilons: what a difference by which is divided must stand out of
+ROUNDING = 1024.0  # epsilons: the least size of a difference that is divided by
 
 Fits = Callable[[int, Moments], bool]  # whether these moments may move from a body to its parent
 
@@ -41,20 +41,20 @@ class RegroupedInertia:
 
 @dataclass(frozen=True)
 class Transfer:
-    """What moves from a body to its parent: moments about the parent's origin, in the parent's frame."""
+    """The moments that move from a body to its parent: about the parent's origin, in the parent's frame."""
 
     moments: Moments
     cancels: int | None = None  # the axis along which they make the parent's first moment vanish
 
     def join(self, own: Moments) -> Moments:
-        """Add what moves to the parent's own moments."""
+        """Add the transfer to the parent's own moments."""
         sum_ = own + self.moments
         zero = sum_.m.builder.zero
         return sum_ if self.cancels is None else Moments(sum_.m, _clear(zero, sum_.S, self.cancels), sum_.P)
 
 
 def keep(builder: Builder, segments: Sequence[Segment]) -> dict[int, RegroupedInertia]:
-    """Leave every body what it has."""
+    """Keep the moments of every body."""
     return {
         s.number: RegroupedInertia(s.moments.m, s.moments.S, s.moments.P, builder.zero, radius=None, direction=0)
         for s in segments
@@ -79,10 +79,10 @@ def regroup(builder: Builder, segments: Sequence[Segment], plan: Plan) -> dict[i
 
 
 def restrain(builder: Builder, segments: Sequence[Segment], plan: Plan, fits: Fits) -> Plan:
-    """Change a plan where what it moves does not fit: move something else, or nothing. Raises NoSuchPlanError.
+    """Change a plan where a transfer does not fit: move something else, or nothing. Raises NoSuchPlanError.
 
-    What is kept counts as moved for the bodies nearer to the base. So in a long chain all of these keep theirs, and not
-    one here and there: cost grows evenly with the number of bodies.
+    Moments that are kept count as moved for the bodies nearer to the base. So in a long chain all of these keep theirs,
+    not one here and there: cost grows evenly with the number of bodies.
     """
     gathered = {s.number: s.moments for s in segments}
     total = reduce(add, (s.moments.m for s in segments))
@@ -105,7 +105,7 @@ def restrain(builder: Builder, segments: Sequence[Segment], plan: Plan, fits: Fi
 def _carried(
     segments: Sequence[Segment], segment: Segment, plan: Plan
 ) -> tuple[tuple[Segment, ...], tuple[Segment, ...]]:
-    """List the children of a body: those that do not balance it, and the one that does, if any."""
+    """List the children of a body: the children that do not balance it, and the child that does, if any."""
     beyond = children(segments, segment.number)
     balancing = tuple(s for s in beyond if plan[s.number].mass is Mass.BALANCING)
     if len(balancing) > 1:
@@ -114,7 +114,7 @@ def _carried(
 
 
 def _alternatives(choice: Choice) -> Iterator[Choice]:
-    """List what a body may move, in the order of trial: what is planned; the free mass, with spin from either axis."""
+    """List the transfers of a body, in the order of trial: the planned one; the free mass, with spin from each axis."""
     if choice.mass is not Mass.PASSED:
         yield choice
     yield replace(choice, mass=Mass.PASSED)
@@ -124,7 +124,7 @@ def _alternatives(choice: Choice) -> Iterator[Choice]:
 def _part(
     builder: Builder, segment: Segment, own: Moments, plan: Plan, parent: Moments, total: Scalar
 ) -> tuple[RegroupedInertia, Transfer]:
-    """Part a body's moments: what stays, and what moves to the parent, whose moments so far are `parent`."""
+    """Split a body's moments: the rest, and the transfer to the parent, whose moments so far are `parent`."""
     zero, axis, choice = builder.zero, segment.axis, plan[segment.number]
     if segment.floats and choice.mass not in (Mass.PASSED, Mass.KEPT):
         raise NoSuchPlanError("nothing moves from a frame that a quaternion turns")
@@ -166,7 +166,7 @@ def _nothing(builder: Builder) -> Moments:
 
 
 def _rest_on_base(builder: Builder, segment: Segment, own: Moments, choice: Choice) -> RegroupedInertia:
-    """Keep of a body on the base what its joint can feel."""
+    """Keep the inertia of a body on the base that its joint can feel."""
     zero = builder.zero
     if choice.mass is not Mass.PASSED:
         raise NoSuchPlanError("the base takes all mass")
@@ -179,7 +179,7 @@ def _rest_on_base(builder: Builder, segment: Segment, own: Moments, choice: Choi
 
 
 def _check_size(moved: Scalar, total: Scalar) -> None:
-    """Refuse to move a mass that dwarfs the mechanism's: digits would be lost in the differences that it makes."""
+    """Refuse to move a mass that dwarfs the mechanism's: its differences would lose digits."""
     if moved.literal is not None and total.literal is not None and abs(moved.literal) > LARGEST_MOVE * total.literal:
         raise NoSuchPlanError("the mass to move is out of proportion")
 
@@ -194,7 +194,7 @@ def guard_quotient(segment: Segment, moment: Scalar, divisor: Scalar, total: Sca
 
 
 def guard_divisor(segment: Segment, divisor: Scalar, scale: Scalar) -> None:
-    """Refuse parameters by which a divisor is 0, or no more than the rounding of what has that scale."""
+    """Refuse parameters by which a divisor is 0, or within the rounding of the given scale."""
     if not divisor.is_literal:
         divisor.builder.guard(divisor.builder.apply(Op.ABS, divisor), scale, ROUNDING, segment.number, early=True)
 
@@ -209,14 +209,14 @@ def _without_spin(builder: Builder, segment: Segment, P: Matrix[Scalar], half_sp
 
 
 def _on_axis(m: Scalar, s: Scalar, p: Scalar, d: Vector[Scalar], e: Vector[Scalar]) -> Moments:
-    """Form the moments about the parent's origin of m, s and p spread on the axis e through d."""
+    """Return the moments about the parent's origin of m, s and p spread on the axis e through d."""
     along = e.scale(s)
     P = outer(d.scale(m), d) + outer(d, along) + outer(along, d) + outer(e.scale(p), e)
     return Moments(m, d.scale(m) + along, P)
 
 
 def _lever(segment: Segment) -> int:
-    """Find the axis of the parent along which the link to `segment` is longest, among lengths that are known."""
+    """Return the axis of the parent along which the link to `segment` is longest, among known lengths."""
     along = [k for k in range(3) if not segment.d[k].is_zero]
     if not along:
         raise NoSuchPlanError("there is no link between the two joints")
@@ -224,7 +224,7 @@ def _lever(segment: Segment) -> int:
 
 
 def _percussion(segment: Segment, own: Moments, plan: Plan, total: Scalar) -> tuple[Scalar, Scalar, int]:
-    """Find the mass, distance and direction of the point that has a body's S and P, its spin inertia apart."""
+    """Return the mass, distance and direction of the point with a body's S and P, without its spin inertia."""
     choice = plan[segment.number]
     k, other = segment.across[1 - choice.spin_from], segment.across[choice.spin_from]
     rest = (own.S[other], own.P[k, other], own.P[k, segment.axis], own.P[other, segment.axis])

@@ -1,8 +1,12 @@
 """Newton-Euler residual, direction by direction: Phi(q, qd, qdd) of regrouped segments.
 
-With directions e_t fixed in a body, S = sum s_t e_t, links d = sum l_t e_t and P = sum p_tu e_t e_uT, the moment about
-its origin is sum e_t x V_t with V_t = s_t a0 + sum p_tu U e_u + sum l_t F_child: U e_t serves link, first and second
-moment alike.
+This is the recursion of `textbook` (Luh, Walker, Paul, 1980), with its terms grouped otherwise. With directions e_t
+fixed in a body, S = sum s_t e_t, links d = sum l_t e_t and P = sum p_tu e_t e_uT, the moment about its origin is
+
+    N = sum e_t x V_t,    V_t = s_t a0 + sum p_tu U e_u + sum l_t F_child,    F = m a0 + sum s_t U e_t + sum F_child
+
+So one product U e_t serves link, first and second moment. External wrenches are subtracted, and moments of children
+added; the spin inertia 2 r adds 2 r (wp e + w OM x e).
 """
 
 from __future__ import annotations
@@ -21,23 +25,23 @@ from mbsgen.tape.builder import Builder, Scalar
 
 @dataclass(frozen=True)
 class Load:
-    """What a joint carries: force, and moment about the body's origin, where the body is written."""
+    """The force, and the moment about the body's origin, that a joint transmits, where the body is written."""
 
     F: Vector[Scalar]
     N: Vector[Scalar]
-    alone: Vector[Scalar]  # N without what the bodies add that have an absolute angle of their own
+    alone: Vector[Scalar]  # N without the moments of bodies that have relative angles
 
 
 @dataclass(frozen=True)
 class Direction:
-    """A direction fixed in a body, where the body is written, and what the body has along it."""
+    """A direction fixed in a body, where the body is written, with its length and its field."""
 
     e: Vector[Scalar]
     length: Scalar | None  # None: a unit vector
     Ue: Vector[Scalar]
 
     def share(self, amount: Scalar) -> Scalar:
-        """Express an amount along the unit vector as one along e."""
+        """Convert an amount along the unit vector to an amount along e."""
         if self.length is None:
             return amount
         return _one(amount) if amount.ref == self.length.ref else amount / self.length
@@ -48,11 +52,11 @@ def _one(scalar: Scalar) -> Scalar:
 
 
 def residual(writing: Writing, qd: Sequence[Scalar], qdd: Sequence[Scalar], *, absolute: bool = False) -> list[Scalar]:
-    """Compute Phi: the joint forces that make the chain move so; or the forces that go with absolute rates.
+    """Compute Phi: the joint forces of the given motion; or, with `absolute`, the forces of absolute rates.
 
-    The latter are along the positive axes; for a body in a group of parallel axes, its joint's moment less those of
-    the joints that continue the group. What rotors feel is part of both: that of a joint, which has a coordinate of its
-    own then.
+    Forces of absolute rates are along the positive axes. For a body in a group of parallel axes, the force is its
+    joint's moment less the moments of the joints that continue the group. Both include the rotors' forces: a joint with
+    a rotor has its own angle as absolute coordinate.
     """
     kinematics, inertias = writing.kinematics, writing.inertias
     segments = kinematics.segments
@@ -105,12 +109,12 @@ def join_loads(
 
 
 def _write_part(kinematics: Kinematics, segment: Segment, wrench: AppliedWrench, v: Vector[Scalar]) -> Vector[Scalar]:
-    """Write an external force or moment where its body is written."""
+    """Write an external force or moment in the frame that its body is written in."""
     return kinematics.arrive_from_base(segment, v) if wrench.in_base else kinematics.fixed(segment.number, v)
 
 
 def slide_lever(kinematics: Kinematics, child: Segment) -> Vector[Scalar]:
-    """Return how far a prismatic child is moved, where its parent is written."""
+    """Return the displacement of a prismatic child, where its parent is written."""
     e = child.turn.column(child.axis) if child.turn else unit_vector(kinematics.builder, child.axis)
     return kinematics.fixed(child.parent, e.scale(kinematics.slide(child)))
 

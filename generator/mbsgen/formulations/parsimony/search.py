@@ -1,4 +1,4 @@
-"""Search for the plan with the fewest flops: descent over bodies, from a few sensible beginnings."""
+"""Search for the plan with the fewest flops: coordinate descent over the bodies, from a few starting plans."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from mbsgen.formulations.parsimony.segments import Segment, children
 from mbsgen.formulations.reductions import Reductions
 
 Cost = Callable[[Plan], int | None]  # None: the plan does not fit the model
-Restraint = Callable[[Plan], Plan | None]  # what is left of a plan by other criteria; None: it does not fit
+Restraint = Callable[[Plan], Plan | None]  # the nearest plan that meets other criteria; None: there is none
 
 
 def leave(plan: Plan) -> Plan:
-    """Leave a plan as it is: no restraint."""
+    """Return a plan unchanged: no restraint."""
     return plan
 
 
@@ -27,7 +27,7 @@ def search(
     start: Sequence[Plan] = (),
     restrain: Restraint = leave,
 ) -> Plan:
-    """Return the best plan found in about `trials` evaluations of `cost`, from the given plans and sensible others."""
+    """Return the best plan found in about `trials` evaluations of `cost`, from the given plans and standard ones."""
     known: dict[Plan, int | None] = {}
 
     def evaluate(plan: Plan) -> int | None:
@@ -56,7 +56,7 @@ def search(
 
 
 def _beginnings(segments: Sequence[Segment], reductions: Reductions) -> Iterator[Plan]:
-    """Begin with own frames, with shared frames in groups, and with those, but the last of each in its own."""
+    """List plans to start from: own frames; frames shared in groups; shared, with the last of each group in its own."""
     runtime = reductions.lump_runtime
     yield Plan((Choice(),) * len(segments), runtime)
     if not reductions.share_frames:
@@ -72,7 +72,7 @@ def _beginnings(segments: Sequence[Segment], reductions: Reductions) -> Iterator
 def _alternatives(
     segments: Sequence[Segment], segment: Segment, choice: Choice, reductions: Reductions
 ) -> Iterator[Choice]:
-    """Change one thing of a body's choice; a mass together with the axis of its spin inertia; then all at once."""
+    """List choices that differ in one thing (a mass with the axis of its spin inertia), then in all at once."""
     if not segment.is_revolute:
         return
     is_leaf = not children(segments, segment.number)

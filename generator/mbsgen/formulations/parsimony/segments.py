@@ -1,10 +1,14 @@
 """Segments: the bodies of a Tree in aligned frames, with their moments of mass.
 
-A body's frame is chosen anew where that makes its turn to the parent vanish at q = 0: when the axes of both stand at
-right angles. Then a joint's axis is a coordinate axis of both bodies, up to its sense, and consecutive joints with
-parallel axes form a *group*, in whose frames their common axis stands still.
-Moments are about the body's own origin, its joint: mass m, first moment S, second moment P (the integral of r rT dm;
-J = tr(P) 1 - P). In this form mass moves between bodies by sums alone.
+A body's frame is turned such that it is parallel to the parent's frame at q = 0, wherever their axes are at right
+angles. Then a joint's axis is a coordinate axis of both bodies, up to its sense. Consecutive joints with parallel axes
+form a *group*; their common axis is constant in all frames of the group.
+
+Moments are about the body's own origin, its joint:
+
+    m = int dm,    S = int r dm,    P = int r rT dm = 1/2 tr(J) 1 - J,    J = tr(P) 1 - P
+
+In this form mass moves between bodies by sums alone (Wittenburg, 2008, 3.1, for J and P).
 """
 
 from __future__ import annotations
@@ -41,26 +45,26 @@ class Segment:
     is_revolute: bool
     axis: int
     sense: int  # +1 or -1: the joint turns about, or slides along, sense * axis
-    turn: Matrix[Scalar] | None  # columns: axes at q = 0 in the parent's frame; None: those of the parent
-    opens_group: bool  # its axis is not its predecessor's
-    counts_angle: bool  # in absolute rates, from its parent on: it opens a group, or a rotor feels its own angle
+    turn: Matrix[Scalar] | None  # columns: axes at q = 0 in the parent's frame; None: the unit matrix
+    opens_group: bool  # its axis differs from its predecessor's
+    counts_angle: bool  # in absolute rates, relative to its parent: it opens a group, or has a rotor
     d: Vector[Scalar]  # its origin, at q = 0, from the parent's
     moments: Moments
     wrenches: tuple[AppliedWrench, ...]
-    floats: bool = False  # turn, and d, are those of a quaternion: nothing that it moves belongs to the parent too
+    floats: bool = False  # a quaternion sets turn and d: no inertia that they move belongs to the parent
 
     @property
     def across(self) -> tuple[int, int]:
-        """The two axes after the joint's, in cyclic order."""
+        """Return the two axes after the joint's, in cyclic order."""
         return (self.axis + 1) % 3, (self.axis + 2) % 3
 
     def signed(self, value: Scalar) -> Scalar:
-        """Give a joint's quantity the sense of the axis."""
+        """Return a joint's quantity with the sense of the axis."""
         return value if self.sense > 0 else -value
 
 
 def align(chain: Chain, *, group: bool = True) -> tuple[Segment, ...]:
-    """Make the segments of a tree; without `group`, every joint opens a group of its own."""
+    """Make the segments of a tree; without `group`, every joint opens its own group."""
     unit = unit_matrix(chain.builder)
     turned = {0: unit}  # columns: the axes of each body of the Tree in the aligned frame
     segments: list[Segment] = []
@@ -135,9 +139,10 @@ def children(segments: Sequence[Segment], number: int) -> tuple[Segment, ...]:
 
 
 def largest_inertias(chain: Chain, segments: Sequence[Segment]) -> dict[int, Scalar]:
-    """Bound what each joint can feel of what it carries, stretched out: moment of inertia, or mass.
+    """Bound the inertia that each joint can feel, with everything beyond it stretched out: moment of inertia, or mass.
 
-    From parameters alone. By the triangle inequality in the norm (integral of r2 dm)^1/2; a slider's way is left out.
+    Uses parameters alone, and the triangle inequality in the norm (integral of r2 dm)^1/2. The displacement of
+    prismatic joints is left out.
     """
     b = chain.builder
     bounds: dict[int, Scalar] = {}
@@ -155,7 +160,7 @@ def largest_inertias(chain: Chain, segments: Sequence[Segment]) -> dict[int, Sca
 
 
 def feels_itself(segment: Segment) -> bool:
-    """Return whether a joint's own body, without those that it carries, has inertia along the joint's motion."""
+    """Return whether a joint's own body, without the bodies beyond it, has inertia along the joint's motion."""
     if not segment.is_revolute:
         return not segment.moments.m.is_zero
     return not all(segment.moments.P[k, k].is_zero for k in segment.across)

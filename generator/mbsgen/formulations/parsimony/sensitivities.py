@@ -1,16 +1,19 @@
 """Sensitivities of the residual: dPhi/dq, dPhi/dqd and dPhi/dqdd by one recursion over composite bodies.
 
-When joint j turns by dq, the points r beyond it move by (e x r) dq, r from the joint's origin. Seen from the body that
-turned, their accelerations change by a x e + e'' x r + 2 e' x v, where e is the axis, e' = om x e and e'' = U e its
-derivatives as a direction of the body before the joint, a the acceleration of the origin, and v the velocity of the
-point relative to it. By the rates: 2 e' x r + 2 e x v; by the accelerations: e x r. A slider's: e'', 2 e' and e.
+When joint j turns by dq, a point r beyond it moves by (e x r) dq, with r from the joint's origin. In the frame of the
+body that turned, the accelerations of the points change by
 
-Each joint i thus asks three loads of what lies beyond it, taken as one body with its momentum: they are carried down
-to the base and give the entries (j, i) of ancestors j. The entries (i, j) take the first load alone, on the motion of
-the axis of j, besides one vector K carried along. Between parallel axes of a group, one changes by U (e x d).
+    by q: a x e + e'' x r + 2 e' x v,    by qd: 2 e' x r + 2 e x v,    by qdd: e x r
+
+with the axis e, its derivatives e' = om x e and e'' = U e as a direction of the body before the joint, the acceleration
+a of the origin, and the velocity v of the point relative to the origin. For a prismatic joint: e'', 2 e' and e.
+
+So each joint i needs three loads on the bodies beyond it, taken as one body with its momentum. They are carried down to
+the base and give the entries (j, i) of ancestors j. The entries (i, j) use the third load alone, with the motion of the
+axis of j, and one carried vector K. Between parallel axes of a group, an entry changes by U (e x d).
 
 After Echeandia, Wensing (2021) and Singh, Russell, Wensing (2022), in the frames and regrouped masses of this folder.
-Velocities come twice, since none is needed once.
+Velocities are stored doubled, as they are used only so.
 """
 
 from __future__ import annotations
@@ -41,7 +44,9 @@ class Sensitivities:
 
 @dataclass(frozen=True)
 class Composite:
-    """A body with all beyond it, about its origin, where it is written; with twice the velocities v relative to it."""
+    """A body with all bodies beyond it, about its origin, where it is written; with twice the velocities v relative to
+    it.
+    """
 
     m: Scalar
     S: Vector[Scalar]
@@ -52,7 +57,7 @@ class Composite:
 
 @dataclass(frozen=True)
 class Axis:
-    """A joint's axis, where its body is written, and how it moves with the body before the joint."""
+    """A joint's axis, where its body is written, and its motion with the body before the joint."""
 
     e: Vector[Scalar]
     doubled_rate: Vector[Scalar]  # 2 e'
@@ -69,31 +74,33 @@ class Force:
     N: Vector[Scalar]
 
     def depart(self, kinematics: Kinematics, segment: Segment, d: Vector[Scalar]) -> Force:
-        """Refer it to the origin of the body before `segment`, which is at d from there, and write it there."""
+        """Refer the force to the origin of the body before `segment`, which is at d from there, and write it there."""
         F = kinematics.depart(segment, self.F)
         return Force(F, kinematics.depart(segment, self.N) + d.cross(F))
 
 
 @dataclass(frozen=True)
 class Step:
-    """A step down between parallel axes: `at` stands beyond; turning about either axis differs by a way `change`."""
+    """A step down between parallel axes: turning about `at`'s axis or the one before it differs by the translation
+    `change`.
+    """
 
     at: Segment
     change: Vector[Scalar]  # e x d
 
 
 class Carried(Protocol):
-    """What is carried down to the base."""
+    """Quantities that are carried down to the base."""
 
     def depart(self, kinematics: Kinematics, segment: Segment, d: Vector[Scalar], v: Vector[Scalar]) -> Self:
-        """Carry it to the body before `segment`, whose origin is at -d and moves by -v, twice, from there."""
+        """Carry them to the body before `segment`, whose origin is at -d and moves by -v, twice, from there."""
 
 
 L = TypeVar("L", bound=Carried)
 
 
 def sensitivities(writing: Writing, qd: Sequence[Scalar], qdd: Sequence[Scalar]) -> Sensitivities:
-    """Differentiate Phi(q, qd, qdd) of a chain's bodies; what drives it, rotors and external wrenches, left out."""
+    """Differentiate Phi(q, qd, qdd) of the bodies, without actuators, force laws, rotors and external wrenches."""
     return Recursion(writing, qd, qdd).run()
 
 
@@ -137,7 +144,7 @@ class Recursion:
         return v + axis_before(self.kinematics, child).scale(self.two * child.signed(self.qd[child.number - 1]))
 
     def own(self, segment: Segment, inertia: RegroupedInertia) -> Composite:
-        """Describe a body alone."""
+        """Return the composite of a body alone."""
         om, axes = self.doubled_velocity(segment), self.kinematics.frames[segment.number].directions
         S = self.kinematics.fixed(segment.number, inertia.S)
         P = own_moments(self.builder, segment, inertia, axes)
@@ -145,7 +152,7 @@ class Recursion:
         return Composite(inertia.m, S, J, om.cross(S), -cross_matrix(om).times(P))
 
     def compose(self, segment: Segment, inertia: RegroupedInertia) -> Composite:
-        """Add to a body what its joints carry."""
+        """Add the composites of its children to a body."""
         k, own = self.kinematics, self.own(segment, inertia)
         m, S, J, p, L = own.m, own.S, own.J, own.p, own.L
         for child in children(k.segments, segment.number):
@@ -167,7 +174,7 @@ class Recursion:
                 self._write_row(below, segment, by, through)
 
     def descend(self, segment: Segment, by: L) -> Iterator[tuple[Segment, L, Step | None]]:
-        """Carry loads from a body down to the base; also tell the last step, if it was between parallel axes."""
+        """Carry loads from a body down to the base; also yield the last step, if it was between parallel axes."""
         yield segment, by, None
         at = segment
         while at.parent:
@@ -205,7 +212,7 @@ class Recursion:
 def add_to(
     entries: Entries, through: Step, below: Segment, segment: Segment, more: Scalar, *, by_column: bool = False
 ) -> None:
-    """Write the entry of `below` and `segment`, which is that of the parallel axis before, and `more`."""
+    """Write the entry of `below` and `segment`: the entry of the parallel axis before, plus `more`."""
     place, before = (below.number, segment.number), (through.at.number, segment.number)
     if by_column:
         place, before = place[::-1], before[::-1]
@@ -215,7 +222,7 @@ def add_to(
 
 @dataclass(frozen=True)
 class Loads:
-    """What a joint asks of all beyond it for a unit of its coordinate, rate and acceleration; and K.
+    """The loads on all bodies beyond a joint for a unit of its coordinate, rate and acceleration; and K.
 
     e.K is the moment of 2 e x v about the joint: K = integral of 2 v x (e x r) dm.
     """
