@@ -11,7 +11,7 @@ from mbsgen.documents.kinds import expect
 from mbsgen.documents.numbers import read_number
 from mbsgen.documents.places import Data, Place, abbreviate, lies_under, nearest, refuse, write_path
 from mbsgen.documents.reading import Document, read_bytes, read_document
-from mbsgen.documents.validation import Examination, Section, WrongValueError, examine, validate
+from mbsgen.documents.validation import Examination, Section, WrongValueError, examine, take, validate
 
 __all__ = [
     "Data",
@@ -29,6 +29,7 @@ __all__ = [
     "read_document",
     "read_number",
     "refuse",
+    "take",
     "validate",
     "write_path",
 ]

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from mbsgen.documents.places import MAX_FAULTS, Data, Place, abbreviate, lies_under, nearest, refuse
+from mbsgen.documents.places import MAX_FAULTS, Data, Place, abbreviate, lies_under, nearest, refuse, write_path
 from mbsgen.documents.reading import Document
 from mbsgen.errors import Fault
 
@@ -60,6 +60,16 @@ def validate(document: Document, schema: type[Shape]) -> Shape:
         raise refuse(examination.faults)
     assert examination.value is not None, "a document without faults has a value"
     return examination.value
+
+
+def take(data: Data, schema: type[Shape]) -> Shape:
+    """Check plain data against a schema. Raises WrongValueError with the first fault."""
+    value, errors = _load(data, schema)
+    if value is not None:
+        return value
+    place, error = next(iter(_troubles(errors, data).items()))
+    finding, remedy = _explain(error, place, schema, data)
+    raise WrongValueError(f"{write_path(place)}: {finding}", remedy)
 
 
 def examine(document: Document, schema: type[Shape]) -> Examination[Shape]:

@@ -21,8 +21,7 @@ from mbsgen.importing.markup import Element
 from mbsgen.importing.poses import ORIGIN, Array, Pose, Writer, turn, write_triple
 from mbsgen.importing.solids import NOTHING, Solid, add, find_miss, show_moments, write_inertia
 from mbsgen.model.checks import find_faults
-from mbsgen.model.compounds import UNITS
-from mbsgen.model.model import BASE, FREE, Body, Fixed, Follow, Frame, Friction, Joint, Law, Model, Triple
+from mbsgen.model.model import BASE, FREE, UNITS, Body, Fixed, Follow, Frame, Friction, Joint, Law, Model, Triple
 from mbsgen.model.naming import MAX_LENGTH
 from mbsgen.model.topology import find_carriers
 from mbsgen.model.tree import Motion

@@ -6,7 +6,7 @@ What lies under a doubtful place has been found wrong already; its value is nan 
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Container, Iterator
 from dataclasses import dataclass
 from decimal import Decimal
 
@@ -14,14 +14,15 @@ import numpy as np
 
 from mbsgen.documents import Place, abbreviate
 from mbsgen.expressions import Expression, Negation, Number, write
-from mbsgen.model.compounds import recognise
 from mbsgen.model.expansion import list_steps
 from mbsgen.model.findings import Finding
 from mbsgen.model.following import check_followers
 from mbsgen.model.idleness import check_idle_joints
+from mbsgen.model.joints.quaternions import is_pure
 from mbsgen.model.model import BASE, COORDINATE, RATE, ZERO, Body, Fixed, Inertia, Joint, Law, Model, Placement, Wrench
 from mbsgen.model.naming import check_names
 from mbsgen.model.topology import check_tree, find_carriers
+from mbsgen.model.tree import Motion
 from mbsgen.model.valuation import LARGEST, Array, Valuation
 
 MAX_BODIES = 1000
@@ -59,17 +60,9 @@ def _check_carrier(i: int, body: Body, valuation: Valuation) -> Iterator[Finding
         yield Finding(("bodies", i, "joint"), finding, "give two or more, or one joint by itself")
     for step in list_steps(i, body):
         yield from _check_joint(step.place, step.joint, valuation)
-    if any(joint.floats for joint in body.joints):
-        yield from _check_loose(("bodies", i, "joint"), body.joints)
-
-
-def _check_loose(place: Place, joints: Sequence[Joint]) -> Iterator[Finding]:
-    """Find what a joint with a quaternion cannot have; only models made in Python can say it."""
-    plain = [Joint(j.motion, j.axis, None, j.placement, j.actuated, floats=True) for j in joints]
-    compound = recognise(joints)
-    if compound is None or not compound.floats or list(joints) != plain:
+    if any(joint.floats for joint in body.joints) and not is_pure(body.joints):  # only a model made in Python has them
         finding = "joints of a quaternion with other joints, or with names, limits, forces or rotors of their own"
-        yield Finding(place, finding, "make them by ball() or free(), and leave them as they are")
+        yield Finding(("bodies", i, "joint"), finding, "make them by ball() or free(), and leave them as they are")
 
 
 def _check_joint(place: Place, joint: Joint, valuation: Valuation) -> Iterator[Finding]:
@@ -216,8 +209,8 @@ def _check_fixed(model: Model) -> Iterator[Finding]:
     """Find what goes wrong where bodies that are fixed to each other become one."""
     carriers = find_carriers(model)
     for i, body in enumerate(model.bodies):
-        compound = recognise(body.joints) if body.joints else None
-        if compound is not None and compound.type == "free" and carriers[body.parent] != BASE:
+        is_free = any(joint.floats and joint.motion is Motion.PRISMATIC for joint in body.joints)
+        if is_free and carriers[body.parent] != BASE:
             finding = f"a free body within the tree, on {abbreviate(body.parent)}"
             yield Finding(("bodies", i, "joint"), finding, f"let only bodies on {BASE} move freely")
     if set(carriers.values()) == {BASE}:

@@ -16,14 +16,16 @@ from dataclasses import replace
 from numbers import Real
 from typing import Literal, TypedDict, Unpack
 
-from mbsgen.documents import WrongValueError, abbreviate, refuse, write_path
+from mbsgen.documents import Data, WrongValueError, abbreviate, refuse, take, write_path
 from mbsgen.errors import Fault
-from mbsgen.expressions import Expression
+from mbsgen.expressions import Expression, write
 from mbsgen.model.checks import find_faults
-from mbsgen.model.compounds import COMPOUNDS, make_joints
+from mbsgen.model.joints import find_joint_type
+from mbsgen.model.joints.section import JointSection
 from mbsgen.model.model import (
     BASE,
     Body,
+    Carrier,
     Fixed,
     Follow,
     Frame,
@@ -38,7 +40,7 @@ from mbsgen.model.model import (
     Triple,
     Wrench,
 )
-from mbsgen.model.schema import read_direction, read_number
+from mbsgen.model.sections import read_direction, read_number
 from mbsgen.model.tree import Kind, Motion
 
 Quantity = Expression | float | str  # a number, or an expression as text
@@ -118,43 +120,57 @@ def cardan(
     order: str = "xy", *, position: Vector = _ORIGIN, orientation: Turns = (), actuated: bool = True
 ) -> tuple[Joint, ...]:
     """Make the two revolute joints of a Cardan, or universal, joint."""
-    return _make_compound("cardan", order, _place(position, orientation), actuated)
+    return _make_row("cardan", position, orientation, order=order, actuated=actuated)
 
 
 def spherical(
     order: str = "zyx", *, position: Vector = _ORIGIN, orientation: Turns = (), actuated: bool = True
 ) -> tuple[Joint, ...]:
     """Make three revolute joints about one point; where the second is at a quarter turn, they lock."""
-    return _make_compound("spherical", order, _place(position, orientation), actuated)
+    return _make_row("spherical", position, orientation, order=order, actuated=actuated)
 
 
 def planar(
     plane: str = "xy", *, position: Vector = _ORIGIN, orientation: Turns = (), actuated: bool = False
 ) -> tuple[Joint, ...]:
     """Make the joints of a body that moves freely in a plane: along its two axes, and about its normal."""
-    return _make_compound("planar", plane, _place(position, orientation), actuated)
+    return _make_row("planar", position, orientation, plane=plane, actuated=actuated)
 
 
 def floating(
     order: str = "zyx", *, position: Vector = _ORIGIN, orientation: Turns = (), actuated: bool = False
 ) -> tuple[Joint, ...]:
     """Make the joints of a free body: along x, y, z, and as a spherical joint; passive unless told otherwise."""
-    return _make_compound("floating", order, _place(position, orientation), actuated)
+    return _make_row("floating", position, orientation, order=order, actuated=actuated)
 
 
 def ball(*, position: Vector = _ORIGIN, orientation: Turns = (), actuated: bool = True) -> tuple[Joint, ...]:
     """Make a joint that turns in any direction, by a quaternion, with angular velocities along the body's axes."""
-    return _make_compound("ball", "xyz", _place(position, orientation), actuated)
+    return _make_row("ball", position, orientation, actuated=actuated)
 
 
 def free(*, position: Vector = _ORIGIN, orientation: Turns = (), actuated: bool = False) -> tuple[Joint, ...]:
     """Make the joint of a body that moves freely, by its place and a quaternion, with velocities along its axes."""
-    return _make_compound("free", "xyz", _place(position, orientation), actuated)
+    return _make_row("free", position, orientation, actuated=actuated)
+
+
+def joint(type: str, *, position: Vector = _ORIGIN, orientation: Turns = (), **fields: object) -> JointSection:
+    """Describe a joint of any type by its fields in a file; `body` makes its elementary joints.
+
+    joint("helical", axis="z", pitch="p/(2*pi)", limits=(0, 6)), for example.
+    """
+    turns: Data = [{"axis": axis, "angle": _to_data(angle)} for axis, angle in orientation]
+    own = {key: _to_data(value) for key, value in fields.items()}
+    given = {"type": type, "position": _to_data(position), "orientation": turns, **own}
+    described = take(given, find_joint_type(type))
+    for found in described.find_faults():
+        raise WrongValueError(f"{write_path(found.place)}: {found.finding}", found.remedy)
+    return described
 
 
 def body(
     name: str,
-    joint: Joint | Fixed | tuple[Joint, ...],
+    joint: Carrier | JointSection,
     *,
     parent: str = BASE,
     mass: Quantity = 0.0,
@@ -163,7 +179,8 @@ def body(
 ) -> Body:
     """Make a body; three numbers for its inertia are the diagonal of the tensor."""
     tensor = inertia if isinstance(inertia, Inertia) else Inertia(*vector(inertia))
-    return Body(name, joint, parent, number(mass), vector(com), tensor)
+    carrier = joint.make(name) if isinstance(joint, JointSection) else joint
+    return Body(name, carrier, parent, number(mass), vector(com), tensor)
 
 
 def inertia(
@@ -254,11 +271,24 @@ def _make_joint(
     return Joint(motion, direction, name, place, driven, lower, upper, law, speed, effort, number(armature), follow)
 
 
-def _make_compound(type: str, order: str, placement: Placement, actuated: bool) -> tuple[Joint, ...]:
-    if (type, order) not in COMPOUNDS:
-        orders = [known.order for known in COMPOUNDS.values() if known.type == type]
-        raise WrongValueError(f"found {_show(order)}", f"give {', '.join(orders)}")
-    return make_joints(COMPOUNDS[type, order], placement, actuated=actuated)
+def _make_row(type: str, position: Vector, orientation: Turns, **fields: object) -> tuple[Joint, ...]:
+    made = joint(type, position=position, orientation=orientation, **fields).make("")
+    assert isinstance(made, tuple), "the type is one of joints in a row"
+    return made
+
+
+def _to_data(value: object) -> Data:
+    """Return a value as a file would have it."""
+    match value:
+        case None | bool() | str():
+            return value
+        case Real():
+            return float(value)
+        case Mapping():
+            return {str(key): _to_data(entry) for key, entry in value.items()}
+        case Iterable():
+            return [*map(_to_data, value)]
+    return write(number(value))
 
 
 def _show(value: object) -> str:

@@ -7,8 +7,9 @@ file (`writer`). `reduction.build_tree` makes of it the Tree that the recursions
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from mbsgen.expressions import Call, Expression, Name, Negation, Number, Operation
 from mbsgen.model.tree import Kind, Motion
@@ -20,6 +21,13 @@ Triple = tuple[Expression, Expression, Expression]
 
 ZERO, ONE = Number(0.0), Number(1.0)
 ORIGIN: Triple = (ZERO, ZERO, ZERO)
+UNITS: Mapping[str, Triple] = MappingProxyType(
+    {
+        sign + axis: (Number(length * (axis == "x")), Number(length * (axis == "y")), Number(length * (axis == "z")))
+        for sign, length in (("", 1.0), ("-", -1.0))
+        for axis in "xyz"
+    }
+)  # the directions that have names
 
 
 @dataclass(frozen=True)
@@ -117,7 +125,8 @@ class Joint:
     max_force: Expression | None = None  # of its input u either way [N m or N]
     armature: Expression = ZERO  # of the rotor that drives it, times its gear ratio squared [kg m2 or kg]
     follows: Follow | None = None  # another joint; it has neither a coordinate nor an input then
-    floats: bool = False  # one of those that stand for a quaternion, see `compounds`: at 0, of a frame that moves
+    floats: bool = False  # one of those that stand for a quaternion, see `joints`: at 0, of a frame that moves
+    part_of: str = ""  # the joint type that the author named, where its elementary joints alone do not show it
 
 
 @dataclass(frozen=True)
@@ -125,6 +134,9 @@ class Fixed:
     """What holds a body fast on its parent."""
 
     placement: Placement = HERE  # of the body's frame, in the parent's
+
+
+Carrier = Joint | Fixed | tuple[Joint, ...]  # a joint, nothing that moves, or joints in a row from the parent on
 
 
 @dataclass(frozen=True)
@@ -149,7 +161,7 @@ class Body:
     """A rigid body, and what carries it: a joint, a sequence of joints from the parent on, or nothing that moves."""
 
     name: str
-    joint: Joint | Fixed | tuple[Joint, ...]
+    joint: Carrier
     parent: str = BASE  # or a body's name
     mass: Expression = ZERO
     com: Triple = ORIGIN  # centre of mass, in the body's frame

@@ -13,8 +13,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from mbsgen.expressions import Expression, Name, Number, evaluate, names
-from mbsgen.model.compounds import recognise
 from mbsgen.model.expansion import Step, list_steps
+from mbsgen.model.joints import describe_joint
 from mbsgen.model.laws import replace_numbers
 from mbsgen.model.model import (
     Body,
@@ -115,7 +115,7 @@ class _Release:
             (step,) = list_steps(i, body)
             return self._joint(step, self._placement(step.name, step.joint.placement))
         steps = [*list_steps(i, body)]
-        if recognise(body.joint) is None:
+        if describe_joint(body) is None:
             return tuple(self._joint(step, self._placement(step.name, step.joint.placement)) for step in steps)
         first, *rest = steps  # a joint with a name for all of it has one place, that of the first
         placement = self._placement(body.name, first.joint.placement)

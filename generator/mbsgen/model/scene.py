@@ -21,7 +21,7 @@ from mbsgen.model.expansion import list_steps
 from mbsgen.model.following import list_joints
 from mbsgen.model.locking import lock
 from mbsgen.model.model import BASE, ORIGIN, Model
-from mbsgen.model.schema import NumberField
+from mbsgen.model.sections import NumberField
 from mbsgen.model.topology import find_carriers
 from mbsgen.model.tree import Kind
 

@@ -8,18 +8,19 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 from mbsgen.expressions import Expression, Number, write
-from mbsgen.model.compounds import UNITS, Compound, recognise
+from mbsgen.model.joints import describe_joint
 from mbsgen.model.model import (
     BASE,
     FREE,
     HERE,
     ONE,
     ORIGIN,
+    UNITS,
     ZERO,
     Body,
-    Fixed,
     Follow,
     Frame,
     Inertia,
@@ -66,7 +67,7 @@ def _write_body(body: Body) -> Mapped:
     content: Mapped = {"name": _quote(body.name)}
     if body.parent != BASE:
         content["parent"] = _quote(body.parent)
-    content["joint"] = _write_carrier(body.joint)
+    content["joint"] = _write_carrier(body)
     if body.mass != ZERO:
         content["mass"] = _write_number(body.mass)
     if body.com != ORIGIN:
@@ -76,35 +77,30 @@ def _write_body(body: Body) -> Mapped:
     return content
 
 
-def _write_carrier(joint: Joint | Fixed | tuple[Joint, ...]) -> Value:
-    match joint:
-        case Fixed():
-            return {"type": "fixed", **_write_placement(joint.placement)}
-        case Joint():
-            return _write_joint(joint)
-    compound = recognise(joint)
-    return [_write_joint(one) for one in joint] if compound is None else _write_compound(compound, joint)
-
-
-def _write_joint(joint: Joint) -> Mapped:
-    motion: Mapped = {"type": joint.motion.value, "axis": _write_axis(joint.axis)}
-    return _write_name(joint) | motion | _write_placement(joint.placement) | _write_setting(joint, actuated=True)
-
-
-def _write_compound(compound: Compound, joints: Sequence[Joint]) -> Mapped:
-    content: Mapped = {"type": compound.type}
-    if not compound.floats:
-        content["plane" if compound.type == "planar" else "order"] = compound.order
-    content |= _write_placement(joints[0].placement)
-    actuated = compound.actuated
-    if all(joint.actuated != actuated for joint in joints):
+def _write_carrier(body: Body) -> Value:
+    described = describe_joint(body)
+    if described is None:
+        return [_write_carrier(replace(body, joint=joint)) for joint in body.joints]
+    content: Mapped = {"type": described.type}
+    content |= {key: _write_field(value) for key, value in described.fields.items()}
+    content |= _write_placement(described.placement)
+    if described.setting is not None:
+        return _write_name(described.setting) | content | _write_setting(described.setting, actuated=True)
+    actuated = described.actuated
+    if described.axes and all(joint.actuated != actuated for joint in described.axes.values()):
         actuated = not actuated
         content["actuated"] = _write_truth(actuated)
     axes: Mapped = {}
-    for joint, label in zip(joints, compound.labels, strict=True):
+    for label, joint in described.axes.items():
         if setting := _write_name(joint) | _write_setting(joint, actuated=actuated):
             axes[label] = setting
     return content | ({"axes": axes} if axes else {})
+
+
+def _write_field(value: str | Expression | Triple) -> Value:
+    if isinstance(value, str):
+        return value
+    return _write_axis(value) if isinstance(value, tuple) else _write_number(value)
 
 
 def _write_name(joint: Joint) -> Mapped:

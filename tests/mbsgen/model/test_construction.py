@@ -116,8 +116,8 @@ WRONG: dict[str, tuple[Callable[[], object], str]] = {
     "a vector of a word": (lambda: body("b", revolute("x"), com="xyz"), "'xyz'"),
     "an axis": (lambda: revolute("w"), '"w"'),
     "an axis of two": (lambda: prismatic((1, 2)), r"\(1, 2\)"),
-    "an order": (lambda: floating("xyx"), "'xyx'"),
-    "an order of another joint": (lambda: cardan("xyz"), "'xyz'"),
+    "an order": (lambda: floating("xyx"), '"xyx"'),
+    "an order of another joint": (lambda: cardan("xyz"), '"xyz"'),
     "a turn": (lambda: fixed(orientation=[("-z", 1)]), "'-z'"),
     "a frame": (lambda: wrench("w", "b", frame="world"), "'world'"),  # type: ignore[arg-type]
     "an input": (lambda: wrench("w", "b", force="inputs"), "'inputs'"),  # type: ignore[arg-type]

@@ -13,16 +13,18 @@ import yaml
 from numpy.typing import NDArray
 
 from mbsgen.derivatives.dynamics import Dynamics
+from mbsgen.documents import take
 from mbsgen.formulations import impl
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import ALL, NONE
-from mbsgen.model.compounds import COMPOUNDS
 from mbsgen.model.construction import body, fixed, frame, make_model, revolute
 from mbsgen.model.expansion import label_joints
+from mbsgen.model.joints import find_joint_type
+from mbsgen.model.joints.compound import CompoundSection
 from mbsgen.model.model import Joint, Model
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
-from mbsgen.model.schema import read_direction
+from mbsgen.model.sections import read_direction
 from mbsgen.model.tree import Kind, Motion, Tree
 from mbsgen.model.writer import write_model
 from mbsgen.pipeline import Options, build_parametric, make
@@ -77,9 +79,8 @@ def list_owners(data: Data) -> list[tuple[str, Data]]:
             found += [(j.get("name", f"{item['name']}.{x}"), j) for j, x in zip(joint, labels, strict=True)]
         else:
             found.append((joint.get("name", item["name"]), joint))
-            order = joint.get("order", joint.get("plane", "xyz"))
-            known = COMPOUNDS.get((joint["type"], order))
-            for label in known.labels if known and not known.floats else ():
+            made = take(joint, find_joint_type(joint["type"]))
+            for label in label_joints(made.list_joints()) if isinstance(made, CompoundSection) else ():
                 setting = joint.setdefault("axes", {}).setdefault(label, {})
                 found.append((setting.get("name", f"{item['name']}.{label}"), setting))
     return found

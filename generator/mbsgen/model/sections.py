@@ -1,0 +1,135 @@
+"""The parts of a model file that joints of every type share: numbers, directions, placements, settings.
+
+A section is the shape of one mapping in the file; its examples tell users what is right, and stand in for what is wrong
+while the rest of the file is examined. Lengths are in m, angles in rad, forces in N, moments in N m.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, PlainValidator
+
+from mbsgen import documents
+from mbsgen.documents import Section, WrongValueError, abbreviate
+from mbsgen.expressions import Expression
+from mbsgen.model.model import ONE, ORIGIN, UNITS, ZERO, Follow, Friction, Joint, Law, Placement, Rotation, Triple
+
+_DIRECTION = "give x, y, z, -x, -y, -z or a direction such as [0, 0.6, 0.8]"
+
+
+def read_number(value: Any) -> Expression:
+    """Read a number or an expression."""
+    return documents.read_number(value, example="l1/2")
+
+
+def read_limit(value: Any) -> Expression | None:
+    """Read a number, an expression, or nothing where there is no limit."""
+    if isinstance(value, float) and math.isinf(value):
+        raise WrongValueError(f"found {value}", "give null where there is no limit")
+    return None if value is None else read_number(value)
+
+
+def read_direction(value: Any) -> Triple:
+    """Read a named axis or three numbers."""
+    if isinstance(value, str) and value in UNITS:
+        return UNITS[value]
+    if isinstance(value, list) and len(value) == 3:
+        a, b, c = map(read_number, value)
+        return a, b, c
+    raise WrongValueError(f"found {abbreviate(value)}", _DIRECTION)
+
+
+def read_optional_direction(value: Any) -> Triple | None:
+    """Read a direction, or nothing."""
+    return None if value is None else read_direction(value)
+
+
+Written = float | str  # a number, or an expression
+WrittenDirection = Literal["x", "y", "z", "-x", "-y", "-z"] | tuple[Written, Written, Written]
+NumberField = Annotated[Expression, PlainValidator(read_number, json_schema_input_type=Written)]
+LimitField = Annotated[Expression | None, PlainValidator(read_limit, json_schema_input_type=Written | None)]
+DirectionField = Annotated[Triple, PlainValidator(read_direction, json_schema_input_type=WrittenDirection)]
+OptionalDirectionField = Annotated[
+    Triple | None, PlainValidator(read_optional_direction, json_schema_input_type=WrittenDirection | None)
+]
+TripleField = tuple[NumberField, NumberField, NumberField]
+
+
+class RotationSection(Section):
+    """A rotation about one axis of the frame turned so far."""
+
+    axis: Literal["x", "y", "z"] = Field(examples=["z"])
+    angle: NumberField = Field(examples=[0.5])
+
+
+class PlacementSection(Section):
+    """Where a frame stands: its origin, and rotations in turn, each about the axes turned so far."""
+
+    position: TripleField = Field(ORIGIN, examples=[[0.1, 0.0, 0.0]])
+    orientation: tuple[RotationSection, ...] = Field((), examples=[[{"axis": "x", "angle": 0.5}]])
+
+    @property
+    def placement(self) -> Placement:
+        """The same as a part of a Model."""
+        rotations = tuple(Rotation("xyz".index(step.axis), step.angle) for step in self.orientation)
+        return Placement(self.position, rotations)
+
+
+class FrictionSection(Section):
+    """Dry friction, smoothed: -torque*tanh(qd/speed)."""
+
+    torque: NumberField = Field(examples=[0.5], description="Nm; of a prismatic joint, the force in N")
+    speed: NumberField = Field(examples=[0.01], description="at which 3/4 of it are reached, in rad/s or m/s")
+
+
+class FollowSection(Section):
+    """A joint without a coordinate of its own: it goes with another one, as by a gear or a linkage."""
+
+    joint: str = Field(examples=["q1"], description="the joint that it follows")
+    ratio: NumberField = Field(ONE, examples=[-1.0], description="of its q to that of the other joint; constant")
+    offset: NumberField = Field(ZERO, examples=[0.1], description="its q where that of the other is 0; constant")
+
+
+class SettingSection(Section):
+    """What an elementary joint may be given beside its axis."""
+
+    name: str | None = Field(None, examples=["q1"], description="else the body's, or made of it and the axis")
+    actuated: bool | None = Field(None, examples=[True], description="whether it takes an input u; else it is passive")
+    limits: tuple[LimitField, LimitField] = Field((None, None), examples=[[-1.0, 1.0]], description="rad or m")
+    max_speed: LimitField = Field(None, examples=[2.0], description="of qd either way, rad/s or m/s")
+    max_force: LimitField = Field(None, examples=[50.0], description="of the input u either way, Nm or N")
+    stiffness: NumberField = Field(ZERO, examples=[10.0], description="of a spring: -stiffness*(q - rest)")
+    rest: NumberField = Field(ZERO, examples=[0.1], description="q where the spring is slack")
+    damping: NumberField = Field(ZERO, examples=[0.1], description="of a damper: -damping*qd")
+    friction: FrictionSection | None = Field(None, examples=[{"torque": 0.5, "speed": 0.01}])
+    follows: FollowSection | None = Field(
+        None, examples=[{"joint": "q1", "ratio": -1.0}], description="another joint; then it has no coordinate and no u"
+    )
+    armature: NumberField = Field(
+        ZERO, examples=[0.02], description="of a rotor: its inertia times the gear ratio squared, in kg m2 or kg"
+    )
+    force: NumberField = Field(
+        ZERO, examples=["-2*q**3"], description="Nm or N, added to all else: an expression over parameters, q and qd"
+    )
+
+    def apply(self, joint: Joint) -> Joint:
+        """Return an elementary joint with these settings."""
+        dry = None if self.friction is None else Friction(self.friction.torque, self.friction.speed)
+        followed = self.follows
+        follows = None if followed is None else Follow(followed.joint, followed.ratio, followed.offset)
+        actuated = joint.actuated and follows is None
+        return replace(
+            joint,
+            name=self.name,
+            actuated=actuated if self.actuated is None else self.actuated,
+            lower=self.limits[0],
+            upper=self.limits[1],
+            max_speed=self.max_speed,
+            max_force=self.max_force,
+            law=Law(self.stiffness, self.rest, self.damping, dry, self.force),
+            armature=self.armature,
+            follows=follows,
+        )
