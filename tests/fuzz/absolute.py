@@ -61,17 +61,18 @@ def _evaluate(node: ast.AST, names: Mapping[str, float]) -> float:
 
 @dataclass(frozen=True)
 class Column:
-    """What the unit of a velocity does: a slide along an axis, or a turn about it through a point."""
+    """What the unit of a velocity does: a slide along an axis, or a turn about it through a point, or both."""
 
     name: str
     axis: Array
     point: Array | None
+    pitch: float = 0.0  # of a screw: how far it slides in a turn of 1 rad
 
     def at(self, place: Array) -> tuple[Array, Array]:
         """Return the velocity of a place and the angular velocity."""
         if self.point is None:
             return self.axis, np.zeros(3)
-        return np.cross(self.axis, place - self.point), self.axis
+        return np.cross(self.axis, place - self.point) + self.pitch * self.axis, self.axis
 
 
 @dataclass
@@ -201,6 +202,10 @@ class Absolute:
         if joint["type"] in ("ball", "free"):
             return _float(motion, body["name"], q, qd, qdd, is_free=joint["type"] == "free")
         for name, kind, axis in self._steps(body, joint):
+            if kind == "helical":
+                pitch = self._number(joint["pitch"])
+                motion = _screw(motion, name, axis, pitch, q[name], qd[name], qdd[name])
+                continue
             motion = _step(motion, name, kind, axis, q[name], qd[name], qdd[name])
         return motion
 
@@ -208,9 +213,19 @@ class Absolute:
         """List the elementary joints of a joint: name, kind, axis."""
         own, kind = body["name"], joint["type"]
         match kind:
-            case "revolute" | "prismatic":
-                axis = np.array(UNITS[joint["axis"]] if isinstance(joint["axis"], str) else self._vector(joint["axis"]))
-                return [(joint.get("name", own), kind, axis / np.linalg.norm(axis))]
+            case "revolute" | "prismatic" | "helical":
+                return [(joint.get("name", own), kind, self._direction(joint["axis"]))]
+            case "universal" if "axis" in joint:
+                return _label(own, [("revolute", self._direction(joint[key])) for key in ("axis", "axis2")])
+            case "cylindrical":
+                axis = self._direction(joint["axis"])
+                return _label(own, [("revolute", axis), ("prismatic", axis)])
+            case "planar" if "normal" in joint:
+                normal = self._direction(joint["normal"])
+                nearest = np.eye(3)[np.argmin(np.abs(normal))]
+                first = np.cross(normal, np.cross(nearest, normal))
+                slides = [("prismatic", e / np.linalg.norm(e)) for e in (first, np.cross(normal, first))]
+                return _label(own, [*slides, ("revolute", normal)])
             case "cardan" | "universal" | "spherical":
                 slides, turns = "", joint["order"]
             case "planar":
@@ -219,15 +234,16 @@ class Absolute:
                 slides, turns = "xyz", joint["order"]
             case _:
                 return []
-        found = [(f"{own}.{x}", "prismatic", np.array(UNITS[x], float)) for x in slides]
-        return found + [(f"{own}.r{x}", "revolute", np.array(UNITS[x], float)) for x in turns]
+        kinds = [("prismatic", x) for x in slides] + [("revolute", x) for x in turns]
+        return _label(own, [(kind, self._direction(x)) for kind, x in kinds])
 
     def _elementary(self) -> Iterator[tuple[str, Data]]:
         """List all elementary joints with their settings."""
         for body in self.model["bodies"]:
             for joint in body["joint"] if isinstance(body["joint"], list) else [body["joint"]]:
                 for name, _, _ in self._steps(body, joint):
-                    yield name, joint.get("axes", {}).get(name.split(".")[-1], {}) if "axis" not in joint else joint
+                    alone = joint["type"] in ("revolute", "prismatic", "helical")
+                    yield name, joint if alone else joint.get("axes", {}).get(name.split(".")[-1], {})
 
     def _law(self, joint: Data, q: float, qd: float) -> float:
         force = -self._number(joint.get("stiffness", 0.0)) * (q - self._number(joint.get("rest", 0.0)))
@@ -241,6 +257,10 @@ class Absolute:
 
     def _number(self, number: Any) -> float:
         return value_of(number, self.names)
+
+    def _direction(self, axis: Any) -> Array:
+        e = np.array(UNITS[axis], float) if isinstance(axis, str) else self._vector(axis)
+        return np.asarray(e / np.linalg.norm(e))
 
     def _vector(self, numbers: Any) -> Array:
         return np.array([self._number(x) for x in numbers])
@@ -260,6 +280,25 @@ class Absolute:
     def _components(self, wrench: Data, key: str, w: Mapping[str, Array]) -> Array:
         given = wrench.get(key, [0, 0, 0])
         return w[f"{wrench['name']}.{key}"] if given == "input" else self._vector(given)
+
+
+def _label(own: str, steps: list[tuple[str, Array]]) -> list[tuple[str, str, Array]]:
+    """Name joints in a row by what they do: t and r where an axis is none of the coordinate axes."""
+    found: list[tuple[str, str, Array]] = []
+    for kind, axis in steps:
+        letters = [x for x, component in zip("xyz", axis, strict=True) if component]
+        label = ("r" if kind == "revolute" else "") + (letters[0] if len(letters) == 1 else "") or "t"
+        count = sum(name.rstrip("2") == f"{own}.{label}" for name, _, _ in found)
+        found.append((f"{own}.{label}{count + 1 if count else ''}", kind, axis))
+    return found
+
+
+def _screw(motion: Motion, name: str, axis: Array, pitch: float, q: float, qd: float, qdd: float) -> Motion:
+    """Slide along an axis and turn about it, by one velocity."""
+    moved = _step(motion, name, "prismatic", axis, pitch * q, pitch * qd, pitch * qdd)
+    moved = _step(moved, name, "revolute", axis, q, qd, qdd)
+    moved.columns = (*motion.columns, Column(name, motion.R @ axis, moved.p, pitch))
+    return moved
 
 
 def _step(motion: Motion, name: str, kind: str, axis: Array, q: float, qd: float, qdd: float) -> Motion:

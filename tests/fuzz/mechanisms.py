@@ -43,6 +43,7 @@ CHOICES: Mapping[str, Reductions] = {
     "relative angles": replace(FEW, absolute=False),
 }
 WITH_DERIVATIVES = 50
+SKEW = ([0.6, 0, 0.8], [1, -2, 0.5], [0, 1, 1])
 FUNCTIONS_COMPARED = ("impl", "semi", "semi_res", "exp1", "exp2", "energy", "power", "sensors", "motion")
 
 
@@ -159,6 +160,7 @@ class _Draw:
         kinds = (
             ["revolute"] * 8 + ["prismatic"] * 3 + ["ball"] * 3 + ["fixed", "cardan", "spherical", "planar", "chain"]
         )
+        kinds += ["helical", "universal", "cylindrical", "plane"]
         kinds += ["free", "free", "floating"] if body["parent"] == "base" else []
         kind = pick.choice(kinds)
         match kind:
@@ -174,17 +176,32 @@ class _Draw:
                     return {"type": kind, **self.place(), "order": order, "axes": axes}
                 self.joints += [f"{name}.{x}" for x in axes]
                 return {"type": kind, **self.place(), "order": order, "axes": axes}
+            case "helical":
+                self.joints.append(name)
+                pitch = {"pitch": pick.choice([0.1, -0.4, "0.3/pi"]), "axis": self.axis()}
+                return {"type": kind, **self.place(), **self.setting(), **pitch}
+            case "universal":
+                return {"type": kind, **self.place(), "axis": self.axis(), "axis2": pick.choice(SKEW)}
+            case "cylindrical":
+                axis = pick.choice("xyz")
+                self.joints += [f"{name}.r{axis}", f"{name}.{axis}"]
+                axes = {label: self.setting() for label in (f"r{axis}", axis)}
+                return {"type": kind, **self.place(), "axis": axis, "axes": axes}
+            case "plane":
+                return {"type": "planar", **self.place(), "normal": pick.choice(SKEW), "actuated": pick.random() < 0.5}
             case "planar":
                 plane = pick.choice(["xy", "xz", "yz"])
                 self.joints += [f"{name}.{x}" for x in plane]
                 return {"type": kind, **self.place(), "plane": plane, "axes": {x: self.setting() for x in plane}}
         return {"type": kind, **self.place()} | ({"actuated": pick.random() < 0.5} if kind != "fixed" else {})
 
+    def axis(self) -> Any:
+        pick = self.source
+        return pick.choice([*("x", "y", "z") * 3, "-x", "-y", "-z", pick.choice(SKEW)])
+
     def elementary(self, name: str, kind: str) -> dict[str, Any]:
         pick = self.source
-        skew = [[0.6, 0, 0.8], [1, -2, 0.5], [0, 1, 1]]
-        axis = pick.choice([*("x", "y", "z") * 3, "-x", "-y", "-z", pick.choice(skew)])
-        joint = {"name": name, "type": kind, "axis": axis, **self.place(), **self.setting()}
+        joint = {"name": name, "type": kind, "axis": self.axis(), **self.place(), **self.setting()}
         if self.joints and pick.random() < 0.08:
             ratio = pick.choice([1, -1, 0.5, -2])
             joint["follows"] = {"joint": pick.choice(self.joints), "ratio": ratio, "offset": self.number(-1, 1)}
