@@ -82,6 +82,7 @@ MBSRUN = Package(
         "ocp.solve ocp.table",
         "ocp.resimulation",
         "ocp.search",
+        "ocp.executor",
         "ocp.pictures ocp.multistart ocp.cluster",
         "ocp.starting",
         "ocp",

@@ -22,11 +22,11 @@ from mbsrun.environment import describe_environment
 from mbsrun.external import Mechanism
 from mbsrun.measuring.sections import Cell, Section, Table
 from mbsrun.models import find_folder, fingerprint_generator
+from mbsrun.ocp.executor import LocalExecutor
 from mbsrun.ocp.problem import Problem, Representation
 from mbsrun.ocp.record import Attempt, Record, open_record
 from mbsrun.ocp.search import (
-    Alone,
-    Crew,
+    Executor,
     OutOfTimeError,
     ProtocolName,
     Search,
@@ -151,12 +151,12 @@ class Runner:
     """Carries a campaign out."""
 
     def __init__(
-        self, campaign: Campaign, record: Record, crew_for: Callable[[Path], Crew], watch: Watch, seconds: float
+        self, campaign: Campaign, record: Record, executor_for: Callable[[Path], Executor], watch: Watch, seconds: float
     ) -> None:
         """Take what offers workers for a generated folder, and the time that there is."""
-        self.campaign, self.record, self.crew_for, self.watch = campaign, record, crew_for, watch
+        self.campaign, self.record, self.executor_for, self.watch = campaign, record, executor_for, watch
         self.end = time.monotonic() + seconds
-        self._crews: dict[Path, Crew] = {}
+        self._executors: dict[Path, Executor] = {}
 
     def run(self) -> None:
         """Do all of it. Raises OutOfTimeError."""
@@ -172,7 +172,7 @@ class Runner:
         study, subject = self.campaign.study, self.campaign.subject
         count = _Count(self.watch, f"{protocol} protocol")
         record = self._record(study, subject.plant)
-        self._search(study, record, self._crew(subject.folder), count).run(protocol, count.plan)
+        self._search(study, record, self._executor(subject.folder), count).run(protocol, count.plan)
 
     def _try_all(self, title: str, lists: Sequence[TaskList]) -> None:
         records = [self._record(tasks.study, self._own_subject(tasks).plant) for tasks in lists]
@@ -185,25 +185,25 @@ class Runner:
                 plant = own.plant
                 is_compiled = tasks.way == WAYS[1]
                 by = plant if tasks.way == WAYS[0] else Differentiated(plant, own.model, is_compiled)
-                crew: Crew = Alone(by, describe_environment())
+                executor: Executor = LocalExecutor(by, describe_environment())
             else:
-                crew = self._crew(tasks.folder)
-            self._search(tasks.study, record, crew, count).try_all(tasks.trials)
+                executor = self._executor(tasks.folder)
+            self._search(tasks.study, record, executor, count).try_all(tasks.trials)
 
     def _own_subject(self, tasks: TaskList) -> Subject:
         subjects = (self.campaign.subject, *self.campaign.systems)
         return next(s for s in subjects if s.folder == tasks.folder)
 
-    def _crew(self, folder: Path) -> Crew:
-        if folder not in self._crews:
-            self._crews[folder] = self.crew_for(folder)
-        return self._crews[folder]
+    def _executor(self, folder: Path) -> Executor:
+        if folder not in self._executors:
+            self._executors[folder] = self.executor_for(folder)
+        return self._executors[folder]
 
     def _record(self, study: Study, plant: Mechanism) -> Record:
         return self.record.of(identify(study, plant.manifest), describe(study, plant.manifest))
 
-    def _search(self, study: Study, record: Record, crew: Crew, count: _Count) -> Search:
-        return Search(study, crew, record, count.step, max(0.0, self.end - time.monotonic()))
+    def _search(self, study: Study, record: Record, executor: Executor, count: _Count) -> Search:
+        return Search(study, executor, record, count.step, max(0.0, self.end - time.monotonic()))
 
 
 class _Count:
@@ -238,11 +238,13 @@ def list_tasks(campaign: Campaign, question: str) -> list[TaskList]:
     return questions.list_guesses(study, subject.folder)
 
 
-def carry_out(campaign: Campaign, out: Path, crew_for: Callable[[Path], Crew], watch: Watch, seconds: float) -> bool:
-    """Do what is not done yet; tell whether all of it is. Raises what a crew and a record raise."""
+def carry_out(
+    campaign: Campaign, out: Path, executor_for: Callable[[Path], Executor], watch: Watch, seconds: float
+) -> bool:
+    """Make the attempts that the record lacks, and return whether all are made. Raises ClusterError, InputError."""
     with _open(campaign, out) as record:
         try:
-            Runner(campaign, record, crew_for, watch, seconds).run()
+            Runner(campaign, record, executor_for, watch, seconds).run()
         except OutOfTimeError:
             return False
     return True

@@ -178,8 +178,8 @@ def study_command(
     with hold(out):
         if minutes > 0:
             processes = len(os.sched_getaffinity(0)) if workers is None else workers
-            with open_workers(processes, scheduler) as crew_for, show_steps() as watch:
-                is_through = carry_out(campaign, out, crew_for, watch, 60 * minutes)
+            with open_workers(processes, scheduler) as executor_for, show_steps() as watch:
+                is_through = carry_out(campaign, out, executor_for, watch, 60 * minutes)
         sections = distinguish([*report(campaign, out), *extra])
         for section in sections:
             write_section(section, out / DATA)

@@ -25,10 +25,10 @@ from mbsrun.commands.console import (
 )
 from mbsrun.environment import describe_environment
 from mbsrun.external import load_on_demand
+from mbsrun.ocp.executor import LocalExecutor
 from mbsrun.ocp.problem import Representation
 from mbsrun.ocp.record import Attempt, open_record
 from mbsrun.ocp.search import (
-    Alone,
     OutOfTimeError,
     ProtocolName,
     Search,
@@ -164,9 +164,9 @@ def sweep_command(
     about = (identify(study, plant.manifest), describe(study, plant.manifest))
     with open_record(out or Path(f"{problem.name}.sweep"), *about) as record:
         with MESSAGES.status("making the program") as status:
-            crew = Alone(plant, describe_environment())
+            executor = LocalExecutor(plant, describe_environment())
             try:
-                Search(study, crew, record, lambda attempt, _: status.update(_tell(attempt)), 60 * minutes).run(
+                Search(study, executor, record, lambda attempt, _: status.update(_tell(attempt)), 60 * minutes).run(
                     protocol
                 )
             except OutOfTimeError:

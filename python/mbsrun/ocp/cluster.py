@@ -1,7 +1,7 @@
-"""Attempts in many processes: orders go to the workers of a Dask cluster, and outcomes come back to be recorded.
+"""Execute trials in many processes: send orders to the workers of a Dask cluster, and collect their outcomes.
 
-A worker gets the generated C of a model, as a kit, and compiles it into its own cache, once; so it needs neither the
-model file nor a file system that it shares, only this program. It builds one program for each structure that it meets.
+A worker receives the generated C of a model, as a kit, and compiles it into its cache, once. So a worker needs this
+program and a C compiler, but no model file and no shared file system. It builds one program for each structure.
 """
 
 from __future__ import annotations
@@ -20,16 +20,17 @@ from mbsgen.errors import MbsError
 from mbsrun.cache import MODELS, find_or_make
 from mbsrun.environment import describe_environment
 from mbsrun.external import Mechanism
-from mbsrun.ocp.search import Alone, Bench, Crew, Order, Outcome
+from mbsrun.ocp.executor import LocalExecutor, Worker
+from mbsrun.ocp.search import Executor, Order, Outcome
 
-PATIENCE = 60  # s; how long a cluster may take to offer a worker
-AHEAD = 2  # orders for each worker that are under way: it need not wait for the next
-HERE = "127.0.0.1:0"  # where Dask's own pages are: any port, and for this machine alone
+PATIENCE = 60  # s; how long a cluster waits for a worker
+AHEAD = 2  # orders sent to each worker in advance, so that it never waits for the next
+HERE = "127.0.0.1:0"  # the address of Dask's status pages: any port, for this machine alone
 _FILE = re.compile(r"[A-Za-z0-9_]+\.(c|h|json)", re.ASCII)
 
 
 class ClusterError(MbsError):
-    """A cluster that there is not, or that a worker of fails."""
+    """The cluster is unreachable, or one of its workers failed."""
 
 
 @dataclass(frozen=True)
@@ -40,18 +41,18 @@ class Kit:
     files: tuple[tuple[str, bytes], ...]
 
     def unpack(self, folder: Path) -> Path:
-        """Write them."""
+        """Write the files to a new folder in `folder`, and return it. Raises ClusterError for a bad name."""
         made = folder / "generated"
         made.mkdir()
         for name, content in self.files:
             if not _FILE.fullmatch(name):
-                raise ClusterError(f"{name!r} is no name of a generated file")
+                raise ClusterError(f"{name!r} is not the name of a generated file")
             (made / name).write_bytes(content)
         return made
 
 
 def pack_kit(folder: Path) -> Kit:
-    """Read the files of a generated folder that kernels are made of."""
+    """Read the files of a generated folder that the kernels are compiled from."""
     files = tuple((path.name, path.read_bytes()) for path in sorted(folder.iterdir()) if _FILE.fullmatch(path.name))
     digest = hashlib.sha256()
     for name, content in files:
@@ -60,15 +61,15 @@ def pack_kit(folder: Path) -> Kit:
     return Kit(digest.hexdigest()[:40], files)
 
 
-class Cluster:
-    """The workers of a cluster, as those who make attempts."""
+class ClusterExecutor:
+    """Executes orders on the workers of a cluster."""
 
     def __init__(self, client: Any, kit: Kit) -> None:
         """Take a connected `distributed.Client`."""
         self._client, self._kit = client, kit
 
     def carry_out(self, orders: Iterable[Order]) -> Iterator[Outcome]:
-        """Keep all workers busy, and give outcomes as they come. Raises ClusterError where a worker fails."""
+        """Keep all workers busy, and yield outcomes as they come. Raises ClusterError where a worker fails."""
         from distributed import as_completed
 
         left = iter(orders)
@@ -83,46 +84,46 @@ class Cluster:
         for future in under_way:
             try:
                 outcome: Outcome = future.result()
-            except Exception as error:  # a worker's, of whatever kind, or its end
+            except Exception as error:  # any error of a worker, or its end
                 raise ClusterError(f"a worker of the cluster failed: {type(error).__name__}: {error}") from None
             submit(1)
             yield outcome
 
 
 def carry_out(kit: Kit, order: Order) -> Outcome:
-    """Make an attempt in a worker."""
-    if kit.key not in _BENCHES:
+    """Make an attempt, in a process of the cluster."""
+    if kit.key not in _WORKERS:
         folder = find_or_make(PurePath(MODELS, kit.key), kit.unpack)
-        _BENCHES[kit.key] = Bench(Mechanism(folder), describe_environment())
-    return _BENCHES[kit.key].carry_out(order)
+        _WORKERS[kit.key] = Worker(Mechanism(folder), describe_environment())
+    return _WORKERS[kit.key].carry_out(order)
 
 
-_BENCHES: dict[str, Bench] = {}  # of this process, by the key of their kit
+_WORKERS: dict[str, Worker] = {}  # in this process, by the key of the kit
 
 
 @contextmanager
-def open_workers(workers: int, scheduler: str | None) -> Iterator[Callable[[Path], Crew]]:
-    """Give what offers workers for the model of a generated folder: processes here, or those of a cluster.
+def open_workers(workers: int, scheduler: str | None) -> Iterator[Callable[[Path], Executor]]:
+    """Open workers: processes on this machine, or a cluster; with 0 workers, this process.
 
-    With 0 workers it is this process that makes the attempts. Raises ClusterError.
+    Yields a function that returns the executor for a generated folder. Raises ClusterError.
     """
     if scheduler is None and workers == 0:
-        yield lambda folder: Alone(Mechanism(folder), describe_environment())
+        yield lambda folder: LocalExecutor(Mechanism(folder), describe_environment())
         return
     try:
         import distributed
     except ImportError:
         raise ClusterError(
-            "this needs Dask: pip install 'mbsgen[study]'; or let this process do it alone: --workers 0"
+            "this needs Dask: pip install 'mbsgen[study]'; or take this process alone: --workers 0"
         ) from None
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # it warns of workers that are busy solving
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # it warns that solving keeps workers busy
     with _connect(distributed, scheduler) if scheduler else _start(distributed, workers) as client:
-        yield lambda folder: Cluster(client, pack_kit(folder))
+        yield lambda folder: ClusterExecutor(client, pack_kit(folder))
 
 
 @contextmanager
 def _start(distributed: Any, workers: int) -> Iterator[Any]:
-    """Start processes on this machine, with one thread each; they end with this process, however it ends."""
+    """Start processes on this machine, with one thread each; they end with this process."""
     settings: dict[str, Any] = {"threads_per_worker": 1, "processes": True, "memory_limit": 0}
     settings |= dict.fromkeys(("dashboard_address", "worker_dashboard_address"), HERE)
     with (
@@ -139,6 +140,8 @@ def _connect(distributed: Any, scheduler: str) -> Iterator[Any]:
         client = distributed.Client(scheduler, timeout=PATIENCE)
         client.wait_for_workers(1, timeout=PATIENCE)
     except (OSError, ValueError, TimeoutError) as error:
-        raise ClusterError(f"--scheduler {scheduler}: there is no cluster with a worker: {error}") from None
+        raise ClusterError(
+            f"--scheduler {scheduler}: no cluster with a worker answers: {error}; check the address"
+        ) from None
     with client:
         yield client

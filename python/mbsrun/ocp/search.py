@@ -30,7 +30,6 @@ import itertools
 import json
 import sys
 import time
-from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -40,25 +39,15 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from mbsgen.manifest import Manifest
-from mbsrun.ocp import schemes, solution
-from mbsrun.ocp.guess import Pose, adapt, balance, find_pose, interpolate, rest
-from mbsrun.ocp.linear import MUMPS, OWN
-from mbsrun.ocp.methods import LINEAR_SOLVER
-from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Inputs, Point, Problem, Representation, cylindrical
 from mbsrun.ocp.record import SAME, Attempt, Best, Key, Record, Task
-from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.solution import Failure, Solution
-from mbsrun.ocp.solve import Solver
-from mbsrun.ocp.starts import TURNS, Kind, Variation, coarsen, count_turns, describe_turns, hop, vary
+from mbsrun.ocp.starts import TURNS, Kind, Variation, describe_turns
 from mbsrun.ocp.trajectory import Trajectory
-from mbsrun.ocp.transcription import Structure, structure
 
 ProtocolName = Literal["paper", "robust"]
 MULTISTART = "starts"  # the protocol of a single problem from many starts: see `multistart`
 Place = tuple[int, int]
 Weights = tuple[float, float]
-Circumstances = Mapping[str, str | int]
 
 # Starts of the robust protocol for each target: where input rates are free of charge, which makes many minima, and
 # where they are not. Of turns: for each joint and number of turns.
@@ -68,10 +57,6 @@ COUNTS: Mapping[str, tuple[int, int]] = MappingProxyType(
 HOPS = (6, 2)  # likewise, of hops from a motion
 INDEPENDENT = ("interpolation", "bumps", "noise", "waves", "branches")  # parts whose starts know nothing of each other
 ROUNDS = 100  # at most
-# IPOPT begins with a barrier that would push a motion out of a shallow minimum; so it stays in it.
-HOLD = MappingProxyType({"mu_init": 1e-6, "bound_push": 1e-8, "bound_frac": 1e-8})
-DIGITS = 12  # of the hash of what was generated, as it is told with results
-SOLVERS = 12  # that are kept for the next trial: the representations, standard and otherwise
 
 
 @dataclass(frozen=True)
@@ -346,133 +331,14 @@ class Outcome:
 
     attempt: Attempt
     motion: Trajectory | None
-    circumstances: str  # versions, machine, what was generated and how it was solved, as JSON
+    environment: str  # versions, machine, hash of the generated code and options of the solver, as JSON
 
 
-def choose_options(problem: Problem, trial: Trial) -> Problem:
-    """Tell IPOPT what a trial wants of it, where the problem says nothing: its linear solver, and whether to stay near.
-
-    Searches for optima take the quickest linear solver. Times of the other protocols are compared, with the paper's and
-    with each other's: they take MUMPS, as does a problem with one of its options.
-    """
-    solver = problem.solver
-    if solver.method != "ipopt":
-        return problem
-    is_free = trial.protocol in ("robust", MULTISTART) and not any(name.startswith(MUMPS) for name, _ in solver.options)
-    told: dict[str, float | int | str] = {LINEAR_SOLVER: OWN if is_free else MUMPS}
-    if isinstance(trial.start, Found) and trial.start.is_held:
-        told |= HOLD
-    return replace(problem, solver=replace(solver, options=tuple((told | dict(solver.options)).items())))
-
-
-class Bench:
-    """Makes attempts in one process: a program is built once for each structure, and solved again and again."""
-
-    def __init__(self, plant: Plant, circumstances: Circumstances = MappingProxyType({})) -> None:
-        """Take a model's kernels; `circumstances`, versions and machine, are told with every outcome."""
-        self.plant, self.circumstances = plant, circumstances
-        self._solvers: OrderedDict[Structure, Solver] = OrderedDict()
-        self._poses: dict[tuple[object, ...], Pose] = {}
-
-    def carry_out(self, order: Order) -> Outcome:
-        """Solve the problem of a trial from its start, and return what a record keeps of it."""
-        trial, problem = order.trial, choose_options(order.study.state(order.trial.task), order.trial)
-        found = self.solve(order)
-        if isinstance(found, Failure) or found.is_only_acceptable:
-            return self._tell(trial, problem, found.run, None)
-        return self._tell(trial, problem, found.run, resimulate(found, self.plant) if trial.is_checked else found)
-
-    def solve(self, order: Order) -> Solution | Failure:
-        """Solve the problem of a trial from its start; the processor time is that of a coarse solve, too."""
-        trial, problem = order.trial, choose_options(order.study.state(order.trial.task), order.trial)
-        guess = self.make_guess(order, problem)
-        if guess is None:
-            run = solution.Run(solution.UNREACHABLE, 0, 0.0, 0.0)
-            return Failure(problem, run, "no pose meets the targets", "move the target or widen the bounds")
-        begun = 0.0  # processor time of a coarse solve
-        coarse = coarsen(problem, trial.start.variation) if isinstance(trial.start, Varied) else None
-        if coarse is not None:
-            first = self._find_solver(coarse).solve(coarse, guess)
-            if isinstance(first, Failure):
-                return replace(first, problem=problem, run=replace(first.run, status=f"Coarse_{first.run.status}"))
-            begun = first.run.cpu_seconds
-            guess = adapt(first.trajectory, problem, schemes.build(problem.family, problem.degree))
-        found = self._find_solver(problem).solve(problem, guess)
-        return replace(found, run=replace(found.run, cpu_seconds=found.run.cpu_seconds + begun))
-
-    def _tell(self, trial: Trial, problem: Problem, run: solution.Run, found: Solution | None) -> Outcome:
-        effort = (run.status, run.iterations, run.cpu_seconds, run.cpu_seconds_evaluating)
-        named = (trial.task, trial.protocol, trial.part, trial.guess, trial.round)
-        solver = {"solver": problem.solver.method, **dict(problem.solver.options)}
-        code = {"model": self.plant.manifest.model, "generated": self.plant.manifest.model_hash[:DIGITS]}
-        told = json.dumps({**self.circumstances, **code, **solver})
-        if found is None:
-            return Outcome(Attempt(*named, *effort, None), None, told)
-        size, check = found.size, found.resimulation
-        attempt = Attempt(
-            *named,
-            *effort,
-            found.cost.total,
-            defect=None if check is None else check.defect,
-            variables=size.variables,
-            constraints=size.constraints,
-            jacobian_nonzeros=size.jacobian_nonzeros,
-            hessian_nonzeros=size.hessian_nonzeros,
-            turns=count_turns(found.trajectory, problem, self.plant.manifest),
-        )
-        return Outcome(attempt, found.trajectory, told)
-
-    def _find_solver(self, problem: Problem) -> Solver:
-        shape = structure(problem)
-        solver = self._solvers.pop(shape, None) or Solver(problem, self.plant)
-        self._solvers[shape] = solver
-        if len(self._solvers) > SOLVERS:
-            self._solvers.popitem(last=False)
-        return solver
-
-    def make_guess(self, order: Order, problem: Problem) -> Trajectory | None:
-        """Make the motion that a trial starts from, on its own or a coarse mesh; None for a target out of reach."""
-        scheme, start = schemes.build(problem.family, problem.degree), order.trial.start
-        if isinstance(start, Found):
-            assert order.motion is not None, "a trial that starts from a motion is ordered with it"
-            return adapt(order.motion, problem, scheme)
-        if isinstance(start, Hop):
-            assert order.motion is not None, "a hop is ordered with the motion that it starts from"
-            return hop(adapt(order.motion, problem, scheme), problem, self.plant, start.seed)
-        if isinstance(start, Varied):
-            chosen = coarsen(problem, start.variation) or problem
-            scheme = schemes.build(chosen.family, chosen.degree)
-            return vary(start.variation, chosen, self.plant, scheme, order.study.bumped)
-        motion = self._move(problem)
-        return None if motion is None else balance(motion, problem, self.plant, start.inputs)
-
-    def _move(self, problem: Problem) -> Trajectory | None:
-        scheme = schemes.build(problem.family, problem.degree)
-        if problem.guess.motion == "rest":
-            return rest(problem, scheme, self.plant)
-        key = (problem.start_q, problem.bounds.q, problem.end.sensors, problem.end.coordinates, problem.guess.upright)
-        if key not in self._poses:
-            self._poses[key] = find_pose(problem, self.plant)
-        pose = self._poses[key]
-        return interpolate(problem, scheme, pose.q, self.plant) if pose.is_reached else None
-
-
-class Crew(Protocol):
-    """Who makes attempts: this process, or many."""
+class Executor(Protocol):
+    """Makes attempts: in this process, or in many."""
 
     def carry_out(self, orders: Iterable[Order]) -> Iterator[Outcome]:
-        """Carry orders out, and give what came of each as it comes; no order is taken long before its turn."""
-
-
-class Alone:
-    """Makes attempts one by one, in this process."""
-
-    def __init__(self, plant: Plant, circumstances: Circumstances = MappingProxyType({})) -> None:
-        self._bench = Bench(plant, circumstances)
-
-    def carry_out(self, orders: Iterable[Order]) -> Iterator[Outcome]:
-        """Carry orders out in order."""
-        yield from map(self._bench.carry_out, orders)
+        """Carry out orders, and yield their outcomes as they come; take no order long before its turn."""
 
 
 class OutOfTimeError(Exception):
@@ -486,10 +352,15 @@ class Search:
     """Carries a study out; this process alone writes to the record."""
 
     def __init__(
-        self, study: Study, crew: Crew, record: Record, watch: Watch | None = None, seconds: float = float("inf")
+        self,
+        study: Study,
+        executor: Executor,
+        record: Record,
+        watch: Watch | None = None,
+        seconds: float = float("inf"),
     ) -> None:
         """Begin; after `seconds` no further attempt begins, and OutOfTimeError is raised when those under way end."""
-        self.study, self.crew, self.record, self.watch = study, crew, record, watch
+        self.study, self.executor, self.record, self.watch = study, executor, record, watch
         self.end = time.monotonic() + seconds
 
     def run(self, protocol: ProtocolName, plan: Callable[[int, int], None] | None = None) -> None:
@@ -507,8 +378,8 @@ class Search:
         left = [trial for trial in trials if not self.record.find(trial.key)]
         if plan is not None:
             plan(len(trials), len(trials) - len(left))
-        for outcome in self.crew.carry_out(self._order(left)):
-            is_best = self.record.add(outcome.attempt, outcome.motion, outcome.circumstances)
+        for outcome in self.executor.carry_out(self._order(left)):
+            is_best = self.record.add(outcome.attempt, outcome.motion, outcome.environment)
             if self.watch is not None:
                 self.watch(outcome.attempt, is_best)
         if not all(self.record.find(trial.key) for trial in left):

@@ -1,4 +1,4 @@
-"""Solve one problem from many starts, in this process or in many; a record keeps what was tried, so that it goes on."""
+"""Solve one problem from many starts, in this process or in many; a record keeps every attempt."""
 
 from __future__ import annotations
 
@@ -15,13 +15,12 @@ from mbsrun.environment import describe_environment
 from mbsrun.external import Mechanism, OnDemand
 from mbsrun.models import find_folder
 from mbsrun.ocp.cluster import open_workers
+from mbsrun.ocp.executor import LocalExecutor, Worker
 from mbsrun.ocp.multistart import gather, list_starts, plan_hops, state_study
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.record import Attempt, Record, open_record
 from mbsrun.ocp.search import (
-    Alone,
-    Bench,
-    Crew,
+    Executor,
     Found,
     Hop,
     Order,
@@ -41,22 +40,22 @@ ROUNDS = 100  # of hops, at most
 
 @dataclass(frozen=True)
 class Wish:
-    """How many starts, and what they may take."""
+    """The number of starts, and the limits of the search."""
 
     starts: int
     seed: int = 0
     seconds: float = math.inf  # no start begins later
     workers: int = 0  # processes; 0: this one
-    hops: int = 0  # of a round from the best that was found
+    hops: int = 0  # in each round, from the best solution so far
 
 
 def solve_from_many(
     problem: Problem, plant: Mechanism | OnDemand, model: Path, wish: Wish, path: Path, watch: Watch
 ) -> tuple[Starts, Solution | Failure | None]:
-    """Solve a problem from many starts, and solve it again from the best of them; None where no start was made.
+    """Solve a problem from many starts, and solve it again from the best start; return None where none was made.
 
-    What is in the record at `path` is not tried again. `watch` gets what was found, after every start. When the time is
-    over, or an interrupt comes, the starts that ended count.
+    The search skips attempts in the record at `path`. It passes the results so far to `watch` after every start. At the
+    end of the time, or at an interrupt, the finished starts count.
     """
     study = state_study(problem, plant.manifest)
     trials, hops = list_starts(study, wish.seed, wish.starts), list[Trial]()
@@ -69,8 +68,8 @@ def solve_from_many(
             watch(look())
 
         watch(look())
-        with suppress(OutOfTimeError, KeyboardInterrupt), _hire(plant, model, wish.workers) as crew:
-            search = Search(study, crew, record, show, wish.seconds)
+        with suppress(OutOfTimeError, KeyboardInterrupt), _open_executor(plant, model, wish.workers) as executor:
+            search = Search(study, executor, record, show, wish.seconds)
             with _end_at_interrupt(search):
                 search.try_all(trials)
                 for number in range(1, ROUNDS if wish.hops else 1):
@@ -86,19 +85,19 @@ def solve_from_many(
 
 
 @contextmanager
-def _hire(plant: Mechanism | OnDemand, model: Path, workers: int) -> Iterator[Crew]:
+def _open_executor(plant: Mechanism | OnDemand, model: Path, workers: int) -> Iterator[Executor]:
     if workers == 0:
-        yield Alone(plant, describe_environment())
+        yield LocalExecutor(plant, describe_environment())
         return
-    with open_workers(workers, None) as crew_for:
-        yield crew_for(find_folder(model))
+    with open_workers(workers, None) as executor_for:
+        yield executor_for(find_folder(model))
 
 
 @contextmanager
 def _end_at_interrupt(search: Search) -> Iterator[None]:
-    """Let the first interrupt end a search with the starts under way, and the second at once.
+    """End a search at the first interrupt after the current starts, and at the second at once.
 
-    A solver that is interrupted gives a status of its own, which would be recorded as what came of its start.
+    An interrupted solver returns a status that the record would keep as the result of its start.
     """
 
     def end(_number: int, _frame: FrameType | None) -> None:
@@ -119,17 +118,17 @@ def _end_at_interrupt(search: Search) -> Iterator[None]:
 def _repeat(
     study: Study, tried: tuple[list[Trial], list[Trial]], starts: Starts, plant: Mechanism | OnDemand, record: Record
 ) -> Solution | Failure | None:
-    """Solve from the best start once more, and from its motion if that ends elsewhere; without one, from the first."""
+    """Solve from the best start again, and from its motion if that ends elsewhere; without a best, from the first."""
     if not starts.results:
         return None
-    best, bench = starts.best or starts.results[0], Bench(plant)
+    best, worker = starts.best or starts.results[0], Worker(plant)
     trial = tried[best.kind == "hops"][best.number]
     motion = None
     if isinstance(trial.start, Hop):
         motion = record.best_motion(trial.task, trial.protocol, trial.round, trial.start.turns)
-    found = bench.solve(Order(study, trial, motion))
+    found = worker.solve(Order(study, trial, motion))
     if best.cost is not None and (isinstance(found, Failure) or is_higher(found.cost.total, best.cost)):
         motion = record.best_motion(trial.task, trial.protocol, turns=best.turns)
-        found = bench.solve(Order(study, replace(trial, start=Found(trial.task, is_held=True)), motion))
+        found = worker.solve(Order(study, replace(trial, start=Found(trial.task, is_held=True)), motion))
     found = replace(found, problem=study.state(trial.task))
     return found if isinstance(found, Failure) else replace(found, starts=starts)

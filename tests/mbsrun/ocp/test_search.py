@@ -14,13 +14,12 @@ import pytest
 
 from mbsgen.errors import InputError
 from mbsrun.ocp import schemes
+from mbsrun.ocp.executor import LocalExecutor, Worker, choose_options
 from mbsrun.ocp.guess import bump, interpolate
 from mbsrun.ocp.problem import Problem, Representation
 from mbsrun.ocp.record import Attempt, Best, Record, Task, open_record
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.search import (
-    Alone,
-    Bench,
     Found,
     Order,
     Outcome,
@@ -30,7 +29,6 @@ from mbsrun.ocp.search import (
     Study,
     Targets,
     Trial,
-    choose_options,
     identify,
     list_open_tasks,
     plan_round,
@@ -57,7 +55,7 @@ def carry_out(study: Study, arm: Peer, path: Path, protocol: ProtocolName, secon
     """Search; return what was tried this time."""
     seen: list[Attempt] = []
     with open_record(path, identify(study, arm.manifest)) as record:
-        Search(study, Alone(arm), record, lambda attempt, _: seen.append(attempt), seconds).run(protocol)
+        Search(study, LocalExecutor(arm), record, lambda attempt, _: seen.append(attempt), seconds).run(protocol)
         assert seen == list(record.attempts())[-len(seen) or 10**9 :]
     return seen
 
@@ -92,7 +90,7 @@ def test_a_search_that_was_stopped_goes_on(study: Study, arm: Peer, tmp_path: Pa
             raise KeyboardInterrupt
 
     with open_record(tmp_path / "record", identify(smooth, arm.manifest)) as record, pytest.raises(KeyboardInterrupt):
-        Search(smooth, Alone(arm), record, stop).run("robust")
+        Search(smooth, LocalExecutor(arm), record, stop).run("robust")
     after = carry_out(smooth, arm, tmp_path / "record", "robust")
     whole = carry_out(smooth, arm, tmp_path / "other", "robust")
     assert len(before) == 2
@@ -141,7 +139,7 @@ def test_attempts_tell_what_they_were_made_with(study: Study, arm: Peer, tmp_pat
     """The code that was generated, and the solver with its options, beside what the caller tells."""
     one = replace(study, targets=replace(TARGETS, every=(3, 1)), costs=((1.0, 10.0),))
     with open_record(tmp_path / "record", identify(one, arm.manifest)) as record:
-        Search(one, Alone(arm, {"cores": 3}), record).run("paper")
+        Search(one, LocalExecutor(arm, {"cores": 3}), record).run("paper")
         (found,) = [json.loads(told) for _, told in record.list_all()]
     assert found["generated"] == arm.manifest.model_hash[:12]
     assert (found["cores"], found["model"]) == (3, arm.manifest.model)
@@ -219,11 +217,11 @@ def test_higher_minima_are_counted_across_representations_and_parts() -> None:
 class Pessimist:
     """Makes attempts as they are ordered, the last first; at one place SEMI's interpolation costs a percent more."""
 
-    bench: Bench
+    worker: Worker
 
     def carry_out(self, orders: Iterable[Order]) -> Iterator[Outcome]:
         for order in reversed(list(orders)):
-            outcome = self.bench.carry_out(order)
+            outcome = self.worker.carry_out(order)
             attempt = outcome.attempt
             if (attempt.task.representation, attempt.task.place, attempt.part) == ("SEMI", (2, 0), "interpolation"):
                 assert attempt.cost is not None
@@ -238,7 +236,7 @@ def test_representations_exchange_what_they_found(study: Study, arm: Peer, tmp_p
     semi.__dict__.update(arm.__dict__)
     semi._functions = {**arm._functions, "semi_res": arm._functions["impl"]}
     with open_record(tmp_path / "record", identify(two, arm.manifest)) as record:
-        Search(two, Pessimist(Bench(semi)), record).run("robust")
+        Search(two, Pessimist(Worker(semi)), record).run("robust")
         attempts = list(record.attempts())
         best = record.best("robust")
     exchanged = [attempt for attempt in attempts if attempt.part == "exchange"]
@@ -251,15 +249,15 @@ def test_representations_exchange_what_they_found(study: Study, arm: Peer, tmp_p
 def test_the_order_in_which_attempts_come_in_decides_nothing(study: Study, arm: Peer, tmp_path: Path) -> None:
     """A round depends on the rounds before alone: done backwards, a search tries the same, and ends alike."""
 
-    class Backwards(Alone):
+    class Backwards(LocalExecutor):
         def carry_out(self, orders: Iterable[Order]) -> Iterator[Outcome]:
             return super().carry_out(reversed(list(orders)))
 
     three = replace(study, targets=replace(TARGETS, every=(1, 1)), costs=((1.0, 0.0),))
     found: list[dict[object, Attempt]] = []
-    for crew in (Alone(arm), Backwards(arm)):
-        with open_record(tmp_path / type(crew).__name__, identify(three, arm.manifest)) as record:
-            Search(three, crew, record).run("robust")
+    for executor in (LocalExecutor(arm), Backwards(arm)):
+        with open_record(tmp_path / type(executor).__name__, identify(three, arm.manifest)) as record:
+            Search(three, executor, record).run("robust")
             found.append({attempt.key: timeless(attempt) for attempt in record.attempts()})
     assert found[0] == found[1]
 

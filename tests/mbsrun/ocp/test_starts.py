@@ -14,6 +14,7 @@ from mbsrun.external import load_on_demand
 from mbsrun.lab.optimisation import state_swing_up
 from mbsrun.ocp import record as records
 from mbsrun.ocp import schemes
+from mbsrun.ocp.executor import Worker
 from mbsrun.ocp.guess import find_pose, interpolate, scatter_poses
 from mbsrun.ocp.multistart import describe_starts, gather, list_starts, state_study
 from mbsrun.ocp.pictures import plot_starts
@@ -22,7 +23,6 @@ from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.record import Attempt, Task, open_record
 from mbsrun.ocp.search import (
     COUNTS,
-    Bench,
     Order,
     count_finds,
     describe_search,
@@ -221,9 +221,9 @@ def test_what_many_starts_found_is_told_as_it_is(tmp_path: Path) -> None:
 
 
 def search(problem: Problem, plant: Plant, count: int) -> Starts:
-    study, bench = state_study(problem, plant.manifest), Bench(plant)
+    study, worker = state_study(problem, plant.manifest), Worker(plant)
     trials = list_starts(study, 0, count)
-    return gather(trials, [bench.carry_out(Order(study, trial, None)).attempt for trial in trials], 0)
+    return gather(trials, [worker.carry_out(Order(study, trial, None)).attempt for trial in trials], 0)
 
 
 def test_a_record_of_before_goes_on(tmp_path: Path, coarse: Problem) -> None:

@@ -96,8 +96,8 @@ def solve_alone(campaign: Campaign, out: Path) -> list[Attempt]:
             seen.append(step.last)
 
     out.mkdir(exist_ok=True)
-    with open_workers(0, None) as crew_for:
-        assert carry_out(campaign, out, crew_for, watch, 1e9)
+    with open_workers(0, None) as executor_for:
+        assert carry_out(campaign, out, executor_for, watch, 1e9)
     return seen
 
 
@@ -198,8 +198,8 @@ def test_a_study_is_asked_reported_and_exported(
     assert "Fig. 9: cost at the optimum" in [item.title for item in sections["figures"].items]
 
 
-def test_a_cluster_that_there_is_not_is_told(tmp_path: Path) -> None:
-    with pytest.raises(ClusterError, match="there is no cluster"), open_workers(0, "nothing://127.0.0.1:1"):
+def test_an_unreachable_cluster_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(ClusterError, match="no cluster with a worker"), open_workers(0, "nothing://127.0.0.1:1"):
         pass
     with hold(tmp_path), pytest.raises(MbsError, match="another study is at work"), hold(tmp_path):
         pass
