@@ -12,6 +12,7 @@ from types import MappingProxyType
 
 from mbsgen import manifest
 from mbsgen.derivatives.kernels import differentiate
+from mbsgen.formulations import ports
 from mbsgen.manifest import Coordinate, Frame, Manifest, Parameter
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.types import Sparsity, Tape
@@ -29,7 +30,7 @@ def sample_tape(name: str = "impl", *, parametric: bool = True) -> Tape:
     x, y = b.vector("x", 3), b.vector("y", 2)
     b.vector("u", 0)
     b.vector("z", 1)
-    h = b.vector("h", 2) if parametric else [b.number(1.75), b.number(0.7)]
+    h = b.vector(ports.SETUP, 2) if parametric else [b.number(1.75), b.number(0.7)]
     sine, root = b.sin(x[0] * y[0]), b.sqrt(x[1] * x[1] + b.number(0.1) * h[0])
     b.label([sine, root], ["S1", "r"])
     b.output_dense("f", [[sine * x[2] - root / y[1]], [b.cos(x[0]) * root - x[1] * (x[2] * y[1])], [-x[2] * h[1]]])
@@ -41,8 +42,8 @@ def sample_tape(name: str = "impl", *, parametric: bool = True) -> Tape:
 def setup_tape() -> Tape:
     """Write h = (p0 p1, p0)."""
     b = Builder()
-    p = b.vector("p", 2)
-    b.output_dense("h", [[p[0] * p[1]], [p[0]]])
+    p = b.vector(ports.PARAMETERS, 2)
+    b.output_dense(ports.SETUP, [[p[0] * p[1]], [p[0]]])
     return b.build("setup")
 
 

@@ -34,7 +34,7 @@ class Package:
 MBSGEN = Package(
     source=ROOT / "generator" / "mbsgen",
     layers=(
-        "errors resources",
+        "errors resources roles",
         "manifest expressions",
         "documents",
         "model",

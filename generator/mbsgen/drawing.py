@@ -24,8 +24,9 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 from numpy.typing import NDArray
 
+from mbsgen.formulations import ports
 from mbsgen.formulations.coupling import couple
-from mbsgen.formulations.links import DESIGN, PARAMETERS, declare_state, write_chain
+from mbsgen.formulations.links import declare_state, write_chain
 from mbsgen.formulations.poses import build_frames
 from mbsgen.model.symbols import exact, round_number, to_double, total
 from mbsgen.model.tree import Kind, Motion, Tree
@@ -61,8 +62,8 @@ def pose(tree: Tree, q: Sequence[float]) -> Scene:
     """Compute where everything is at the joint coordinates `q` [rad or m] and the default parameters."""
     n, s = len(tree.bodies), len(tree.sensors)
     at = {"q": list(q)}
-    for name, kind in ((PARAMETERS, Kind.RUNTIME), (DESIGN, Kind.DIFFERENTIATED)):
-        at[name] = [parameter.value for parameter in tree.parameters if parameter.kind is kind]
+    for port, kind in ((ports.PARAMETERS, Kind.RUNTIME), (ports.DESIGN, Kind.DIFFERENTIATED)):
+        at[port.name] = [parameter.value for parameter in tree.parameters if parameter.kind is kind]
     frames, masses = (
         {name: np.array(values, float) for name, values in evaluate(tape, at).items()}
         for tape in (couple(build_frames(tree.uncoupled), tree), couple(_build_masses(tree.uncoupled), tree))

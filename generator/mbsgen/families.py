@@ -13,18 +13,18 @@ from pathlib import Path
 from mbsgen.derivatives.dynamics import Dynamics
 from mbsgen.derivatives.kernels import differentiable, differentiate
 from mbsgen.errors import MbsError
-from mbsgen.formulations.catalogue import FUNCTIONS, MEANINGS, SETUP, Entry, select_functions
-from mbsgen.formulations.links import PARAMETERS
+from mbsgen.formulations import ports
+from mbsgen.formulations.catalogue import FUNCTIONS, Entry, select_functions
 from mbsgen.formulations.reductions import ALL, Reductions
 from mbsgen.model.scene import EVERYTHING, Scene
 from mbsgen.model.tree import Kind, Tree
+from mbsgen.roles import Order, Role
 from mbsgen.tape.counts import count
 from mbsgen.tape.passes import hoist, keep_results, merge, set_zero
+from mbsgen.tape.ports import Function, is_of
 from mbsgen.tape.types import Outline, Tape
 from mbsgen.targets import acados
 from mbsgen.targets.contract import Family
-
-_RATE = "qd"  # what is zero where nothing moves
 
 
 @dataclass(frozen=True)
@@ -81,14 +81,14 @@ def write_families(
         assert tape.name == name, "the catalogue calls a tape by its own name"
         tape = keep_results(tape, read[name]) if name in read else tape
         if not (entry.differentiated and min(options.derivatives, scene.derivatives)):
-            families.append(Family(tape, title=entry.title, meanings=MEANINGS))
+            families.append(Family(tape, title=entry.title))
             continue
         tell(f"{name} and its derivatives")
         found = dynamics.differentiate(tape) if entry.of_dynamics else differentiate(tape, differentiable(tape))
         second = found.jac_adj1 if min(options.derivatives, scene.derivatives) > 1 else None
         loops = found.loops
-        families.append(Family(tape, found.jac, found.adj1, second, entry.title, MEANINGS, loops))
-        families.append(Family(found.lin, title=f"{entry.title}, with its Jacobians", meanings=MEANINGS, loops=loops))
+        families.append(Family(tape, found.jac, found.adj1, second, entry.title, loops))
+        families.append(Family(found.lin, title=f"{entry.title}, with its Jacobians", loops=loops))
     families = _finish(families, scene, chosen)
     if options.acados and tree.quaternions:
         raise OptionError("acados: its states are q and qd, of one size; a joint with a quaternion has more of the one")
@@ -123,9 +123,11 @@ def _finish(families: Sequence[Family], scene: Scene, chosen: Sequence[str] | No
     for name, parts in scene.together:
         members = [by_name[part] for part in parts]
         jacs = [family.jac for family in members if family.jac is not None]
-        value, jac = merge([family.value for family in members], name), merge(jacs, f"jac_{name}") if jacs else None
-        joined.append(Family(value, jac, title=" and ".join(parts), meanings=MEANINGS))
-    kept = [f for f in still if chosen is None or f.value.name.removeprefix("lin_") in chosen]
+        function = Function(name)
+        value = merge([family.value for family in members], function)
+        jac = merge(jacs, function.to(Order.JACOBIAN)) if jacs else None
+        joined.append(Family(value, jac, title=" and ".join(parts)))
+    kept = [f for f in still if chosen is None or f.value.function.base in chosen]
     return [*kept, *joined]
 
 
@@ -135,8 +137,8 @@ def _let_rest(family: Family) -> Family:
     def rest(tape: Tape | None) -> Tape | None:
         if tape is None:
             return None
-        moving = {o.name for o in tape.outputs if _RATE in o.name.split("_")}
-        return set_zero(keep_results(tape, {o.name for o in tape.outputs} - moving), {_RATE})
+        kept = {o.name for o in tape.outputs if not is_of(o.port, Role.VELOCITY)}
+        return set_zero(keep_results(tape, kept), Role.VELOCITY)
 
     value = rest(family.value)
     assert value is not None, "a family has a value"
@@ -183,7 +185,7 @@ def _choose_functions(tree: Tree, names: tuple[str, ...] | None) -> Mapping[str,
 def _split_setup(families: list[Family]) -> tuple[Family, ...]:
     loops = {loop.tape.name: loop.tape for family in families for loop in family.loops.values()}
     tapes = [*(tape for family in families for tape in family.tapes), *loops.values()]
-    setup, hoisted = hoist([tape for tape in tapes if not isinstance(tape, Outline)], PARAMETERS, SETUP)
+    setup, hoisted = hoist([tape for tape in tapes if not isinstance(tape, Outline)], ports.PARAMETERS, ports.SETUP)
     rest = {tape.name: tape for tape in hoisted}
     for family in families:
         for name, loop in family.loops.items():
@@ -205,6 +207,6 @@ def _split_setup(families: list[Family]) -> tuple[Family, ...]:
         )
         for f in families
     ]
-    if not setup.output(SETUP).sparsity.nnz:  # parameters matter to none of the functions chosen
+    if not setup.output(ports.SETUP.name).sparsity.nnz:  # parameters matter to none of the functions chosen
         return tuple(split)
-    return (Family(setup, title="what the kernels need of the run-time parameters", meanings=MEANINGS), *split)
+    return (Family(setup, title="what the kernels need of the run-time parameters"), *split)

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from mbsgen.formulations import ports
 from mbsgen.formulations.coupling import couple
 from mbsgen.formulations.links import declare_state, joint_forces, write_chain
 from mbsgen.formulations.textbook import residual
@@ -28,8 +29,8 @@ class Oracle:
         state = declare_state(tree.uncoupled, builder)
         chain = write_chain(tree.uncoupled, builder, state)
         Phi = residual(chain, state.qd, chain.accelerate(state.qdd))
-        for name, column in (("Phi", Phi), ("Q", joint_forces(chain))):
-            builder.output_dense(name, [[entry] for entry in column])
+        for port, column in ((ports.RESIDUAL, Phi), (ports.JOINT_FORCES, joint_forces(chain))):
+            builder.output_dense(port, [[entry] for entry in column])
         self._tape = couple(builder.build("equations"), tree)
 
     @property

@@ -15,7 +15,7 @@ from mbsgen.documents import abbreviate, refuse, write_path
 from mbsgen.errors import Fault
 from mbsgen.evidence import gather
 from mbsgen.families import DEFAULT, OptionError, Options, Tell, say_nothing, write_families
-from mbsgen.formulations.catalogue import FUNCTIONS
+from mbsgen.formulations.catalogue import RESULTS
 from mbsgen.importing import import_model, is_foreign
 from mbsgen.manifest import Coordinate, Frame, Manifest, Parameter, Wrench
 from mbsgen.model.checks import find_faults
@@ -28,6 +28,7 @@ from mbsgen.model.tree import NO_FORCE, Kind, Tree
 from mbsgen.model.writer import write_model
 from mbsgen.output import write_folder
 from mbsgen.report import Report, make_report, write_json, write_markdown
+from mbsgen.roles import Role
 from mbsgen.tape.types import Outline
 from mbsgen.targets.c import Sources, Unit, write_c
 from mbsgen.targets.contract import Family
@@ -76,7 +77,7 @@ def make(model: Path | Model, options: Options = DEFAULT, tell: Tell = say_nothi
     tree = approximation.tree if approximation else released if options.runtime else written
     dynamics = Dynamics(tree, options.reductions, outlined=_needs_loops_alone(options, scene))
     families = write_families(tree, options, dynamics, scene, tell)
-    has_setup = families[0].value.name == "setup"
+    has_setup = families[0].value.giving(Role.SETUP) is not None
     tell("the check of all functions")
     verification = verify(tree, families, parts=dict(scene.together), still=not scene.motion)
     unit = Unit(
@@ -144,7 +145,7 @@ def read(model: Path | Model) -> Model:
 def _read_scene(options: Options, model: Model) -> Scene:
     scene = options.scene
     if not isinstance(scene, Scene):
-        scene = read_scene(scene, model, {name: entry.results for name, entry in FUNCTIONS.items()})
+        scene = read_scene(scene, model, RESULTS)
     tolerance = scene.tolerance if options.tolerance is None else options.tolerance
     if not 0 <= (tolerance or 0) <= LARGEST_TOLERANCE:
         raise OptionError(f"tolerance: {tolerance} is no relative error; give a number from 0 to {LARGEST_TOLERANCE}")

@@ -18,8 +18,8 @@ from types import MappingProxyType
 from sympy import Expr
 
 from mbsgen.evidence import Evidence, describe, describe_cuts
+from mbsgen.formulations import ports
 from mbsgen.formulations.catalogue import FORMULATIONS
-from mbsgen.formulations.links import PARAMETERS
 from mbsgen.formulations.planning import dynamics_alone
 from mbsgen.formulations.reductions import ALL, NONE, Reductions
 from mbsgen.manifest import Flops, Kernel
@@ -163,7 +163,9 @@ def _fold(tree: Tree) -> Tree:
 def _write(name: str, tree: Tree, reductions: Reductions) -> tuple[Tape, Tape]:
     """Write a formulation's dynamics alone; part what its parameters decide from the rest."""
     row = FORMULATIONS[name]
-    setup, (tape,) = hoist([row.build(dynamics_alone(tree, driven=row.driven), reductions)], PARAMETERS, "h")
+    setup, (tape,) = hoist(
+        [row.build(dynamics_alone(tree, driven=row.driven), reductions)], ports.PARAMETERS, ports.SETUP
+    )
     return setup, tape
 
 

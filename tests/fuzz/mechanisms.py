@@ -19,7 +19,7 @@ import yaml
 
 from mbsgen.errors import MbsError
 from mbsgen.families import Options, write_families
-from mbsgen.formulations.catalogue import FUNCTIONS
+from mbsgen.formulations.catalogue import RESULTS
 from mbsgen.formulations.reductions import ALL, NONE, Reductions
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
@@ -251,7 +251,7 @@ def examine(mechanism: Mechanism, seed: int = 0, *, derivatives: bool = False) -
         model.write_text(yaml.safe_dump(mechanism.model, sort_keys=False))
         scene.write_text(yaml.safe_dump(mechanism.scene or {"motion": True}, sort_keys=False))
         whole = read_model(model)
-        told = read_scene(scene, whole, {name: entry.results for name, entry in FUNCTIONS.items()})
+        told = read_scene(scene, whole, RESULTS)
     tree = build_tree(stage(whole, told))
     reductions = CHOICES[mechanism.reductions]
     functions = (

@@ -12,7 +12,7 @@ from mbsgen.evidence import gather
 from mbsgen.expressions import Number, parse
 from mbsgen.families import Options, write_families
 from mbsgen.formulations import impl
-from mbsgen.formulations.catalogue import FUNCTIONS
+from mbsgen.formulations.catalogue import FUNCTIONS, RESULTS
 from mbsgen.formulations.reductions import ALL, Reductions
 from mbsgen.model.construction import body, frame, make_model, prismatic, revolute
 from mbsgen.model.model import Model
@@ -24,7 +24,6 @@ from mbsgen.pipeline import make
 from mbsgen.tape.counts import count
 
 MODELS = Path(__file__).parents[2] / "models"
-RESULTS = {name: entry.results for name, entry in FUNCTIONS.items()}
 FEW = Reductions(trials=1)
 
 

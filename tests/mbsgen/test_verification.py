@@ -15,7 +15,9 @@ from mbsgen.model.construction import ball, body, frame, free, inertia, make_mod
 from mbsgen.model.model import Model
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Kind, Tree
+from mbsgen.roles import Role
 from mbsgen.tape.interpreter import evaluate
+from mbsgen.tape.ports import Port
 from mbsgen.tape.types import Op, Output, Sparsity, Tape
 from mbsgen.targets.contract import Family
 from mbsgen.verification.verify import TOLERANCE, VerificationError, verify
@@ -139,6 +141,6 @@ def scales_of(tree: Tree, name: str) -> dict[int, float]:
     tape, given = tapes[name], {"p": [p.value for p in tree.parameters]}
     h = evaluate(tapes["setup"], given)["h"] if "setup" in tapes else []
     scales = tuple(guard.scale for guard in tape.guards)
-    shown = replace(tape, outputs=(Output("scale", Sparsity.dense(len(scales)), scales),))
+    shown = replace(tape, outputs=(Output(Port("scale", Role.RESULT), Sparsity.dense(len(scales)), scales),))
     values = evaluate(shown, {i.name: h if i.name == "h" else [0.3] * i.sparsity.nnz for i in tape.inputs})["scale"]
     return {guard.joint: float(x) for guard, x in zip(tape.guards, values, strict=True)}

@@ -270,8 +270,8 @@ def scaled(tape: Tape | None, factor: float) -> Tape:
     values = replay(tape, builder, declare_inputs(tape, builder))
     for output in tape.outputs:
         results = [builder.number(factor) * values[v] for v in output.values]
-        builder.output(output.name, output.sparsity, results)
-    return builder.build(tape.name)
+        builder.output(output.port, output.sparsity, results)
+    return builder.build(tape.function)
 
 
 def variant(folder: Path, *, jac: float = 1.0, jac_adj1: float = 1.0) -> Mechanism:

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from mbsgen.approximation.cuts import Released
 from mbsgen.approximation.states import Array, States
-from mbsgen.formulations import impl, semi
+from mbsgen.formulations import impl, ports, semi
 from mbsgen.formulations.catalogue import FUNCTIONS
-from mbsgen.formulations.links import DESIGN, PARAMETERS
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Kind
+from mbsgen.roles import Role
 from mbsgen.tape.interpreter import FLOATS, evaluate
 from mbsgen.tape.passes import keep_results, set_zero
 from mbsgen.tape.types import Output, Tape
@@ -57,7 +57,7 @@ class ReleasedFunctions:
         tape = FUNCTIONS[name].build(self.released.tree, Reductions(trials=1))
         if name in self.wanted.results:
             tape = keep_results(tape, self.wanted.results[name])
-        return tape if self.wanted.motion else set_zero(tape, {"qd"})
+        return tape if self.wanted.motion else set_zero(tape, Role.VELOCITY)
 
     @property
     def judged(self) -> tuple[str, ...]:
@@ -72,7 +72,7 @@ class ReleasedFunctions:
         for tape in self.tapes.values():
             step = max(1, MARKS // (len(tape.operations) + 1))
             for k in range(0, len(sets), step):
-                total[k : k + step] += count_without(tape, PARAMETERS, entries[k : k + step])
+                total[k : k + step] += count_without(tape, ports.PARAMETERS.name, entries[k : k + step])
         return total
 
     @property
@@ -94,7 +94,7 @@ class ReleasedFunctions:
         design = [p.value for p in self.released.tree.parameters if p.kind is Kind.DIFFERENTIATED]
         given = {name: list(columns.T[:, None, :]) for name, columns in states.items()}
         numbers = [np.where(zero, 0.0, value)[:, None] for zero, value in zip(sets.T, values, strict=True)]
-        given |= {DESIGN: design, PARAMETERS: [*self._given, *numbers]}
+        given |= {ports.DESIGN.name: design, ports.PARAMETERS.name: [*self._given, *numbers]}
         with np.errstate(all="ignore"):  # what is no number is told as such
             found = evaluate(tape, {i.name: given[i.name] for i in tape.inputs}, FLOATS)
         shape = len(sets), len(states["q"])

@@ -14,17 +14,18 @@ from functools import cached_property
 from mbsgen.derivatives import implicit, kernels, recursion
 from mbsgen.derivatives.kernels import Derivatives, differentiable
 from mbsgen.derivatives.vanishing import drop_vanishing, find_patterns
-from mbsgen.formulations import coupling, impl
+from mbsgen.formulations import coupling, impl, ports
 from mbsgen.formulations.planning import finish
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Kind, Tree
+from mbsgen.roles import Order, Role
 from mbsgen.tape import reverse
 from mbsgen.tape.columns import Columns
 from mbsgen.tape.counts import count
 from mbsgen.tape.passes import drop_dead, keep_results
+from mbsgen.tape.ports import Function, Port, derivative_port
 from mbsgen.tape.types import Outline, Sparsity, Tape
 
-ACCELERATIONS = ("exp1", "exp2")
 # Operations from which on columns are looped over. A Panda's Jacobian of EXP1 (4700 operations) takes 0.47 us straight
 # and 0.62 with a loop, a quadruped's (20,000) 3.4 and 3.2, a humanoid's (110,000) 24 and 20.
 STRAIGHT = 16_000
@@ -51,11 +52,11 @@ class Dynamics:
 
     def differentiate(self, tape: Tape) -> Derivatives:
         """Differentiate a formulation by all its inputs but parameters."""
-        if tape.name in ACCELERATIONS:
+        if tape.giving(Role.ACCELERATION):
             found = _OfAccelerations(tape, self._residual, self._choice, self._first)
             self._first = self._first or found
             return found
-        return self._residual if tape.name == "impl" else _Renamed(tape, self._residual)
+        return self._residual if tape.function == self._residual.tape.function else _Renamed(tape, self._residual)
 
     @property
     def flops(self) -> Mapping[str, Mapping[str, int]]:
@@ -79,18 +80,18 @@ class _Choice:
         """Lower a finished tape's cost by what is wanted for that."""
         return finish(tape, self._reductions)
 
-    def among(self, name: str, ways: Ways, others: Ways) -> Tape:
+    def among(self, function: Function, ways: Ways, others: Ways) -> Tape:
         """Choose among `ways` and, in trees that are not too large for that, `others`."""
         tried = {**ways, **others} if self.is_compared else ways
         written = {way: self.finish(write()) for way, write in tried.items()}
-        if not name.startswith("adj1_"):  # the results of an adjoint stay dense
+        if function.order is not Order.ADJOINT:  # the results of an adjoint stay dense
             written = {way: drop_vanishing(tape) for way, tape in written.items()}
-        self.flops[name] = {way: count(tape).paper for way, tape in written.items()}
+        self.flops[function.name] = {way: count(tape).paper for way, tape in written.items()}
         return min(written.values(), key=lambda tape: count(tape).paper)
 
-    def note(self, name: str, way: str, tape: Tape) -> Tape:
+    def note(self, way: str, tape: Tape) -> Tape:
         """Keep what a derivative takes that comes of another one, without a choice."""
-        self.flops[name] = {way: count(tape).paper}
+        self.flops[tape.name] = {way: count(tape).paper}
         return tape
 
 
@@ -110,9 +111,9 @@ class _OfResidual(Derivatives):
     @cached_property
     def jac(self) -> Tape:
         if not self._choice.is_compared:  # then all that it takes is in `lin`
-            return self._choice.note("jac_impl", "recursion", _leave_out(self.lin, implicit.RESIDUAL, "jac_impl"))
+            return self._choice.note("recursion", _leave_values_out(self.lin))
         return self._choice.among(
-            "jac_impl",
+            self.tape.function.to(Order.JACOBIAN),
             self._by_recursion(recursion.jacobian),
             {"tape": lambda: kernels.jacobian(self.tape, self.wrt)},
         )
@@ -120,19 +121,20 @@ class _OfResidual(Derivatives):
     @cached_property
     def lin(self) -> Tape:
         return self._choice.among(
-            "lin_impl",
+            self.tape.function.to(Order.LINEARISATION),
             self._by_recursion(recursion.linearisation),
             {"tape": lambda: kernels.linearise(self.tape, self.jac)},
         )
 
     @cached_property
     def adj1(self) -> Tape:
-        return self._choice.among("adj1_impl", {"tape": lambda: reverse.adjoint(self.tape, self.wrt, "adj1_impl")}, {})
+        function = self.tape.function.to(Order.ADJOINT)
+        return self._choice.among(function, {"tape": lambda: reverse.adjoint(self.tape, self.wrt)}, {})
 
     @cached_property
     def jac_adj1(self) -> Tape:
         return self._choice.among(
-            "jac_adj1_impl",
+            self.tape.function.to(Order.ADJOINT_JACOBIAN),
             self._by_recursion(recursion.adjoint_jacobian),
             {"tape": lambda: kernels.adjoint_jacobian(self.tape, self.adj1, self.wrt)},
         )
@@ -146,7 +148,7 @@ class _Renamed(Derivatives):
         self._residual = residual
 
     def _rename(self, found: Tape) -> Tape:
-        return replace(found, name=found.name.replace(self._residual.tape.name, self.tape.name))
+        return replace(found, function=self.tape.function.to(found.function.order))
 
     @cached_property
     def jac(self) -> Tape:
@@ -185,33 +187,32 @@ class _OfAccelerations(Derivatives):
             return None
         early = tuple(guard for guard in written.guards if guard.early)
         guards = early + tuple(replace(known[guard.joint], tolerance=guard.tolerance) for guard in own)
-        name = written.name.replace(self._first.tape.name, self.tape.name)
-        found = replace(written, name=name, guards=guards)
+        found = replace(written, function=self.tape.function.to(written.function.order), guards=guards)
         return found if len(guards) == len(written.guards) else drop_dead(found)
 
     @cached_property
     def jac(self) -> Tape:
-        name = f"jac_{self.tape.name}"
+        function = self.tape.function.to(Order.JACOBIAN)
         if self._is_surely_long:
-            return self._outline(name, self._patterns)
+            return self._outline(function, self._patterns)
         if not self._choice.is_compared:  # then all that it takes is in `lin`
-            return self._choice.note(name, "implicit", _leave_out(self.lin, implicit.ACCELERATIONS, name))
+            return self._choice.note("implicit", _leave_values_out(self.lin))
         return self._choice.among(
-            name,
+            function,
             {"implicit": lambda: implicit.jacobian(self.tape, self._residual, self.wrt)},
             {"tape": lambda: kernels.jacobian(self.tape, self.wrt)},
         )
 
     @cached_property
     def lin(self) -> Tape:
-        name = f"lin_{self.tape.name}"
+        function = self.tape.function.to(Order.LINEARISATION)
         if self._is_surely_long:
             value = self.tape.output(implicit.ACCELERATIONS)
-            return self._outline(name, {value.name: value.sparsity, **self._patterns})
+            return self._outline(function, {value.port: value.sparsity, **self._patterns})
         if self._first and (taken := self._take(self._first.lin)):
-            return self._choice.note(name, "implicit", taken)
+            return self._choice.note("implicit", taken)
         return self._choice.among(
-            name,
+            function,
             {"implicit": lambda: implicit.linearisation(self.tape, self._residual, self.wrt)},
             {"tape": lambda: kernels.linearise(self.tape, self.jac)},
         )
@@ -223,16 +224,18 @@ class _OfAccelerations(Derivatives):
         for written in (self.jac, self.lin):
             if isinstance(written, Outline) or len(written.operations) > STRAIGHT:
                 whole = self._loop
-                name = f"columns_{written.name}"
-                tape = whole.tape if written is self.lin else _leave_out(whole.tape, implicit.ACCELERATIONS, name)
-                found[written.name] = replace(whole, tape=replace(tape, name=name))
+                tape = whole.tape if written is self.lin else keep_results(whole.tape, _blocks_of(whole.tape))
+                found[written.name] = replace(
+                    whole, tape=replace(tape, function=implicit.name_columns(written.function))
+                )
         return found
 
     @cached_property
     def _loop(self) -> Columns:
         """Write the accelerations and their Jacobian with a loop."""
         if self._first and (taken := self._take(self._first._loop.tape)):
-            return replace(self._first._loop, tape=taken)
+            own = replace(taken, function=implicit.name_columns(self.tape.function.to(Order.LINEARISATION)))
+            return replace(self._first._loop, tape=own)
         found = implicit.columns(self.tape, self._residual, self.wrt)
         return replace(found, tape=self._choice.finish(found.tape))
 
@@ -242,41 +245,45 @@ class _OfAccelerations(Derivatives):
         return self._choice.outlined and self._loop.counts(0).paper > SURELY
 
     @cached_property
-    def _patterns(self) -> Mapping[str, Sparsity]:
+    def _patterns(self) -> Mapping[Port, Sparsity]:
         if self._first:
             return self._first._patterns
-        sizes = {f"jac_{implicit.ACCELERATIONS}_{x}": self.tape.input(x).sparsity.nnz for x in self.wrt}
+        given = [self.tape.input(x) for x in self.wrt]
+        sizes = {derivative_port(ports.ACCELERATIONS, i.port): i.sparsity.nnz for i in given}
         return find_patterns(self._loop, sizes)
 
-    def _outline(self, name: str, patterns: Mapping[str, Sparsity]) -> Outline:
+    def _outline(self, function: Function, patterns: Mapping[Port, Sparsity]) -> Outline:
         counts = self._loop.counts(sum(pattern.nnz for pattern in self._patterns.values()))
-        self._choice.flops[name] = {"implicit": counts.paper}
-        return Outline.of(name, self.tape.inputs, patterns)
+        self._choice.flops[function.name] = {"implicit": counts.paper}
+        return Outline.of(function, self.tape.inputs, patterns)
 
     @cached_property
     def adj1(self) -> Tape:
-        name = f"adj1_{self.tape.name}"
         if self._first and (taken := self._take(self._first.adj1)):
-            return self._choice.note(name, "implicit", taken)
+            return self._choice.note("implicit", taken)
         return self._choice.among(
-            name,
+            self.tape.function.to(Order.ADJOINT),
             {"implicit": lambda: implicit.adjoint(self.tape, self._residual, self.wrt)},
-            {"tape": lambda: reverse.adjoint(self.tape, self.wrt, name)},
+            {"tape": lambda: reverse.adjoint(self.tape, self.wrt)},
         )
 
     @cached_property
     def jac_adj1(self) -> Tape:
-        name = f"jac_adj1_{self.tape.name}"
         if self._first and (taken := self._take(self._first.jac_adj1)):
-            return self._choice.note(name, "implicit", taken)
+            return self._choice.note("implicit", taken)
         by_tape = Derivatives(self.tape, self.wrt)
         return self._choice.among(
-            name,
+            self.tape.function.to(Order.ADJOINT_JACOBIAN),
             {"implicit": lambda: implicit.adjoint_jacobian(self.tape, self._residual, self.wrt)},
             {"tape": lambda: by_tape.jac_adj1},
         )
 
 
-def _leave_out(lin: Tape, value: str, name: str) -> Tape:
-    """Leave the Jacobians, or what a loop makes them of, under a name of their own."""
-    return replace(keep_results(lin, {o.name for o in lin.outputs} - {value}), name=name)
+def _leave_values_out(lin: Tape) -> Tape:
+    """Return the Jacobian alone of a function with its Jacobian."""
+    return replace(keep_results(lin, _blocks_of(lin)), function=lin.function.to(Order.JACOBIAN))
+
+
+def _blocks_of(lin: Tape) -> set[str]:
+    """Name the results that are no values: the Jacobians, or the parts that a loop makes them of."""
+    return {o.name for o in lin.outputs if o.port.role not in (Role.ACCELERATION, Role.RESIDUAL)}

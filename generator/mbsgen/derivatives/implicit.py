@@ -16,13 +16,16 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from mbsgen.derivatives.kernels import Derivatives
+from mbsgen.formulations import ports
 from mbsgen.formulations.parsimony.elimination import Entries, Factors, factorise
+from mbsgen.roles import Order
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.columns import COLUMNS, INVERSES, LOWER, Columns, pad
-from mbsgen.tape.replay import replay, replay_guards
+from mbsgen.tape.ports import Function, Port, adjoint_port, derivative_port, seed_port
+from mbsgen.tape.replay import declare_inputs, replay, replay_guards
 from mbsgen.tape.types import Input, Sparsity, Tape
 
-ACCELERATIONS, RESIDUAL = "qdd", "Phi"
+ACCELERATIONS, RESIDUAL = ports.ACCELERATIONS.name, ports.RESIDUAL.name
 Block = dict[tuple[int, int], Scalar]  # by (row, column), from 0
 Inputs = Mapping[str, Sequence[Scalar]]
 
@@ -32,25 +35,25 @@ def jacobian(tape: Tape, residual: Derivatives, wrt: Sequence[str]) -> Tape:
 
     The pivots of M are guarded as those of `tape` are.
     """
-    return _write_slopes(_State.declare(tape, residual), wrt, f"jac_{tape.name}")
+    return _write_slopes(_State.declare(tape, residual), wrt, Order.JACOBIAN)
 
 
 def linearisation(tape: Tape, residual: Derivatives, wrt: Sequence[str]) -> Tape:
     """Write the accelerations, and their Jacobian."""
     state = _State.declare(tape, residual)
-    state.builder.output_dense(ACCELERATIONS, [[x] for x in state.inputs[ACCELERATIONS]])
-    return _write_slopes(state, wrt, f"lin_{tape.name}")
+    state.builder.output_dense(ports.ACCELERATIONS, [[x] for x in state.inputs[ACCELERATIONS]])
+    return _write_slopes(state, wrt, Order.LINEARISATION)
 
 
 def columns(tape: Tape, residual: Derivatives, wrt: Sequence[str]) -> Columns:
     """Write the accelerations and their Jacobian, with the columns to be solved for in a loop."""
     state = _State.declare(tape, residual)
-    state.builder.output_dense(ACCELERATIONS, [[x] for x in state.inputs[ACCELERATIONS]])
+    state.builder.output_dense(ports.ACCELERATIONS, [[x] for x in state.inputs[ACCELERATIONS]])
     blocks: dict[str, int] = {}
     right: Block = {}
     used = 0
     for x in wrt:
-        blocks[f"jac_{ACCELERATIONS}_{x}"] = used
+        blocks[state.slope(x).name] = used
         right |= {(r, used + c): value for (r, c), value in state.right_hand_sides(x).items()}
         used += tape.input(x).sparsity.nnz
     width, factors = pad(used), state.factors
@@ -62,44 +65,54 @@ def columns(tape: Tape, residual: Derivatives, wrt: Sequence[str]) -> Columns:
         state.builder.output_dense(LOWER, lower)
     state.builder.output_dense(INVERSES, [[factors.inverses[k]] for k in range(1, state.size + 1)])
     state.builder.output(COLUMNS, places, [flat[place] for place, _ in places.entries])
-    return Columns(state.finish(f"columns_lin_{tape.name}"), ancestors, width, blocks)
+    return Columns(state.builder.build(name_columns(tape.function.to(Order.LINEARISATION))), ancestors, width, blocks)
 
 
-def _write_slopes(state: _State, wrt: Sequence[str], name: str) -> Tape:
+def name_columns(function: Function) -> Function:
+    """Name the tape that hands columns to the loop of a kernel."""
+    return Function(f"columns_{function.name}")
+
+
+def _write_slopes(state: _State, wrt: Sequence[str], order: Order) -> Tape:
     for x, block in state.slopes(wrt).items():
-        state.builder.output_nonzeros(f"jac_{ACCELERATIONS}_{x}", state.size, state.tape.input(x).sparsity.nnz, block)
-    return state.finish(name)
+        state.builder.output_nonzeros(state.slope(x), state.size, state.tape.input(x).sparsity.nnz, block)
+    return state.finish(order)
 
 
 def adjoint(tape: Tape, residual: Derivatives, wrt: Sequence[str]) -> Tape:
     """Write the adjoint of `tape`."""
     state = _State.declare(tape, residual, seeded=True)
-    found = state.replay(residual.adj1, {**state.inputs, f"adj_{RESIDUAL}": state.multipliers})
-    for name in wrt:
-        pattern = tape.input(name).sparsity
-        state.builder.output(f"adj_{name}", pattern, found[f"adj_{name}"].column(pattern.nnz, state.builder))
-    return state.finish(f"adj1_{tape.name}")
+    found = state.replay(residual.adj1, {**state.inputs, seed_port(ports.RESIDUAL).name: state.multipliers})
+    for given in map(tape.input, wrt):
+        pattern, port = given.sparsity, adjoint_port(given.port)
+        state.builder.output(port, pattern, found[port.name].column(pattern.nnz, state.builder))
+    return state.finish(Order.ADJOINT)
 
 
 def adjoint_jacobian(tape: Tape, residual: Derivatives, wrt: Sequence[str]) -> Tape:
     """Write the Jacobian of the adjoint of `tape`."""
     state = _State.declare(tape, residual, seeded=True)
     assert residual.jac_adj1, "second derivatives are made of the residual's"
-    found = state.replay(residual.jac_adj1, {**state.inputs, f"adj_{RESIDUAL}": state.multipliers})
+    found = state.replay(residual.jac_adj1, {**state.inputs, seed_port(ports.RESIDUAL).name: state.multipliers})
+    inputs = {name: tape.input(name).port for name in wrt}
+
+    def block_of(row: str, col: Port) -> Port:
+        return derivative_port(adjoint_port(inputs[row]), col)
+
     slopes = state.slopes(wrt)
-    mixed = {a: found[f"jac_adj_{a}_{ACCELERATIONS}"].entries for a in wrt}
+    mixed = {a: found[block_of(a, ports.ACCELERATIONS).name].entries for a in wrt}
     sizes = {name: tape.input(name).sparsity.nnz for name in wrt}
     for n, a in enumerate(wrt):
         for b in wrt:
             one, other = (a, b) if n >= wrt.index(b) else (b, a)  # each pair is formed once
-            block = dict(found[f"jac_adj_{one}_{other}"].entries)
+            block = dict(found[block_of(one, inputs[other]).name].entries)
             _accumulate(block, _product(mixed[one], slopes[other]))
             _accumulate(block, _transposed(_product(mixed[other], slopes[one])))
-            state.builder.output_nonzeros(
-                f"jac_adj_{a}_{b}", sizes[a], sizes[b], block if one == a else _transposed(block)
-            )
-        state.builder.output_nonzeros(f"jac_adj_{a}_adj_{ACCELERATIONS}", sizes[a], state.size, _transposed(slopes[a]))
-    return state.finish(f"jac_adj1_{tape.name}")
+            entries = block if one == a else _transposed(block)
+            state.builder.output_nonzeros(block_of(a, inputs[b]), sizes[a], sizes[b], entries)
+        port = block_of(a, seed_port(ports.ACCELERATIONS))
+        state.builder.output_nonzeros(port, sizes[a], state.size, _transposed(slopes[a]))
+    return state.finish(Order.ADJOINT_JACOBIAN)
 
 
 def _product(A: Block, B: Block) -> Block:
@@ -145,17 +158,17 @@ class _State:
     @staticmethod
     def declare(tape: Tape, residual: Derivatives, *, seeded: bool = False) -> _State:
         builder = Builder()
-        given = {i.name: builder.input(i.name, i.sparsity) for i in tape.inputs}
+        given: dict[str, Sequence[Scalar]] = dict(declare_inputs(tape, builder))
         size = tape.output(ACCELERATIONS).sparsity.rows
         at_rest = given | {ACCELERATIONS: [builder.zero] * size}
-        M = _replay(builder, residual.jac, at_rest)[f"jac_{RESIDUAL}_{ACCELERATIONS}"].entries
+        M = _replay(builder, residual.jac, at_rest)[derivative_port(ports.RESIDUAL, ports.ACCELERATIONS).name].entries
         upper: Entries = {(i + 1, j + 1): value for (i, j), value in M.items() if i <= j}
         factors = factorise(builder, upper, size)
         bias = _replay(builder, residual.tape, at_rest)[RESIDUAL].entries
         qdd = factors.solve({i + 1: -value for (i, _), value in bias.items()})
         multipliers: list[Scalar] = []
         if seeded:
-            seeds = builder.input(f"adj_{ACCELERATIONS}", tape.output(ACCELERATIONS).sparsity)
+            seeds = builder.input(seed_port(ports.ACCELERATIONS), tape.output(ACCELERATIONS).sparsity)
             mu = factors.solve({i: -seed for i, seed in enumerate(seeds, 1)})
             multipliers = [mu[i] for i in range(1, size + 1)]
         inputs = given | {ACCELERATIONS: [qdd[i] for i in range(1, size + 1)]}
@@ -176,7 +189,7 @@ class _State:
 
     def right_hand_sides(self, name: str) -> Block:
         """Give dPhi/dx, of which dy/dx = -M^-1 dPhi/dx."""
-        return self._slopes_of_residual[f"jac_{RESIDUAL}_{name}"].entries
+        return self._slopes_of_residual[derivative_port(ports.RESIDUAL, self.tape.input(name).port).name].entries
 
     def slopes(self, wrt: Sequence[str]) -> dict[str, Block]:
         """Solve for dy/dx, by columns. Columns that a unit vector makes are those of the inverse of M."""
@@ -203,8 +216,12 @@ class _State:
             pivot = self.factors.D[guard.joint]
             self.builder.guard(pivot, values[guard.scale], guard.tolerance, guard.joint)
 
-    def finish(self, name: str) -> Tape:
-        return self.builder.build(name)
+    def slope(self, name: str) -> Port:
+        """Return the port of the derivative of the accelerations by an input."""
+        return derivative_port(ports.ACCELERATIONS, self.tape.input(name).port)
+
+    def finish(self, order: Order) -> Tape:
+        return self.builder.build(self.tape.function.to(order))
 
 
 def _is_one(value: Scalar) -> bool:

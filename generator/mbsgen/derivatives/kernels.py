@@ -6,14 +6,15 @@ from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 from mbsgen.derivatives.vanishing import drop_vanishing
-from mbsgen.formulations.links import PARAMETERS
+from mbsgen.roles import Order, Role
 from mbsgen.tape import forward, reverse
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.columns import Columns
 from mbsgen.tape.counts import count
 from mbsgen.tape.passes import merge
+from mbsgen.tape.ports import derivative_port
 from mbsgen.tape.replay import declare_inputs, replay, replay_guards
-from mbsgen.tape.types import Tape
+from mbsgen.tape.types import Output, Tape
 
 
 class Derivatives:
@@ -40,7 +41,7 @@ class Derivatives:
     @cached_property
     def adj1(self) -> Tape:
         """`adj1_f`: adj_<in> = sum over outputs of (d out / d in)T adj_<out>."""
-        return reverse.adjoint(self.tape, self.wrt, f"adj1_{self.tape.name}")
+        return reverse.adjoint(self.tape, self.wrt)
 
     @cached_property
     def jac_adj1(self) -> Tape:
@@ -50,7 +51,7 @@ class Derivatives:
 
 def differentiable(tape: Tape) -> list[str]:
     """List what a tape is differentiated by: all inputs but parameters."""
-    return [i.name for i in tape.inputs if i.name != PARAMETERS]
+    return [i.name for i in tape.inputs if i.port.role.is_differentiated]
 
 
 def differentiate(tape: Tape, wrt: Sequence[str]) -> Derivatives:
@@ -60,14 +61,13 @@ def differentiate(tape: Tape, wrt: Sequence[str]) -> Derivatives:
 
 def linearise(tape: Tape, jac: Tape) -> Tape:
     """Write `lin_<name>`: a function and its Jacobians at one state; what both need is computed once."""
-    return merge((tape, jac), f"lin_{tape.name}")
+    return merge((tape, jac), tape.function.to(Order.LINEARISATION))
 
 
 def jacobian(tape: Tape, wrt: Sequence[str]) -> Tape:
     """Write `jac_<name>`, by the direction that takes fewer flops."""
-    name = f"jac_{tape.name}"
     found = min(
-        (forward.jacobian(tape, wrt, name), reverse.jacobian(tape, wrt, name)),
+        (forward.jacobian(tape, wrt), reverse.jacobian(tape, wrt)),
         key=lambda candidate: count(candidate).paper,
     )
     return drop_vanishing(found)
@@ -78,23 +78,32 @@ def adjoint_jacobian(tape: Tape, adj1: Tape, wrt: Sequence[str]) -> Tape:
     builder = Builder()
     values = replay(adj1, builder, declare_inputs(adj1, builder))
     replay_guards(adj1, builder, values)
-    seeds = [f"adj_{output.name}" for output in tape.outputs]
-    gradients = forward.propagate(adj1, builder, values, (*wrt, *seeds))
+    seeds = [i for i in adj1.inputs if i.port.role is Role.SEED]
+    adjoints = {o.port.by.name: o for o in adj1.outputs if o.port.by}
+    gradients = forward.propagate(adj1, builder, values, (*wrt, *(seed.name for seed in seeds)))
     order = {name: k for k, name in enumerate(wrt)}
-    hessian = _Hessian(adj1, builder, wrt, gradients)
+    hessian = _Hessian(adj1, adjoints, builder, wrt, gradients)
     for row in wrt:
         for col in wrt:
             hessian.write(row, col, upper=order[row] < order[col])
         for seed in seeds:
-            forward.write_block(builder, adj1, f"adj_{row}", adj1.input(seed), gradients)
-    return drop_vanishing(builder.build(f"jac_adj1_{tape.name}"))
+            forward.write_block(builder, adj1, adjoints[row], seed, gradients)
+    return drop_vanishing(builder.build(tape.function.to(Order.ADJOINT_JACOBIAN)))
 
 
 class _Hessian:
     """Blocks of the symmetric second derivative, each entry taken from the lower triangle."""
 
-    def __init__(self, adj1: Tape, builder: Builder, wrt: Sequence[str], gradients: Sequence[forward.Gradient]) -> None:
-        self._builder = builder
+    def __init__(
+        self,
+        adj1: Tape,
+        adjoints: Mapping[str, Output],
+        builder: Builder,
+        wrt: Sequence[str],
+        gradients: Sequence[forward.Gradient],
+    ) -> None:
+        self._builder, self._adjoints = builder, {name: o.port for name, o in adjoints.items()}
+        self._inputs = {name: adj1.input(name).port for name in wrt}
         self._sizes = {name: adj1.input(name).sparsity.nnz for name in wrt}
         first, offsets = 0, {}
         for i in adj1.inputs:
@@ -108,13 +117,13 @@ class _Hessian:
                     for column, derivative in gradients[value].items()
                     if offsets[other] <= column < offsets[other] + self._sizes[other]
                 }
-                for value in adj1.output(f"adj_{name}").values
+                for value in adjoints[name].values
             ]
             for name in wrt
         }
 
     def write(self, row: str, col: str, *, upper: bool) -> None:
-        """Declare the block jac_adj_<row>_<col>."""
+        """Declare the derivative of the adjoint by `row`, by the input `col`."""
         entries = {}
         for r in range(self._sizes[row]):
             for c in range(self._sizes[col]):
@@ -122,7 +131,8 @@ class _Hessian:
                 found = self._entry(col, c, row, r) if mirrored else self._entry(row, r, col, c)
                 if found is not None:
                     entries[r, c] = found
-        self._builder.output_nonzeros(f"jac_adj_{row}_{col}", self._sizes[row], self._sizes[col], entries)
+        port = derivative_port(self._adjoints[row], self._inputs[col])
+        self._builder.output_nonzeros(port, self._sizes[row], self._sizes[col], entries)
 
     def _entry(self, row: str, r: int, col: str, c: int) -> Scalar | None:
         """Take an entry of the lower triangle, unless its mirror image shows that it is zero."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from sympy import Integer
 
 from mbsgen.derivatives import kernels
-from mbsgen.formulations import impl
+from mbsgen.formulations import impl, ports
 from mbsgen.formulations.links import State, declare_state, write_chain
 from mbsgen.formulations.parsimony.curvatures import Curvatures, curvatures
 from mbsgen.formulations.parsimony.mass_matrix import Entries
@@ -22,8 +22,10 @@ from mbsgen.formulations.parsimony.writing import Writing, begin
 from mbsgen.formulations.planning import dynamics_alone, find_plans, finish
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Tree
+from mbsgen.roles import Order
 from mbsgen.tape import forward, reverse
 from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.ports import Port, adjoint_port, derivative_port, seed_port
 from mbsgen.tape.replay import replay
 from mbsgen.tape.types import Tape
 
@@ -36,8 +38,8 @@ def jacobian(tree: Tree, reductions: Reductions) -> Tape:
     writer = _Writer.declare(tree, reductions)
     found = sensitivities(writer.begin(), writer.state.qd, writer.state.qdd)
     forces = _forces(tree, reductions)
-    writer.write_blocks(_jacobian_blocks(found), forward.jacobian(forces, kernels.differentiable(forces), "jac_impl"))
-    return writer.finish("jac_impl")
+    writer.write_blocks(_jacobian_blocks(found), forward.jacobian(forces, kernels.differentiable(forces)))
+    return writer.finish(Order.JACOBIAN)
 
 
 def linearisation(tree: Tree, reductions: Reductions) -> Tape:
@@ -45,21 +47,21 @@ def linearisation(tree: Tree, reductions: Reductions) -> Tape:
     writer = _Writer.declare(tree, reductions)
     found = sensitivities(writer.begin(), writer.state.qd, writer.state.qdd)
     forces = _forces(tree, reductions)
-    writer.write_blocks({"Phi": {(i - 1, 0): value for i, value in found.Phi.items()}}, forces)
-    writer.write_blocks(_jacobian_blocks(found), forward.jacobian(forces, kernels.differentiable(forces), "jac_impl"))
-    return writer.finish("lin_impl")
+    writer.write_blocks({ports.RESIDUAL: {(i - 1, 0): value for i, value in found.Phi.items()}}, forces)
+    writer.write_blocks(_jacobian_blocks(found), forward.jacobian(forces, kernels.differentiable(forces)))
+    return writer.finish(Order.LINEARISATION)
 
 
 def adjoint_jacobian(tree: Tree, reductions: Reductions) -> Tape:
     """Write `jac_adj1_impl`: inputs of `impl` and adj_Phi; outputs jac_adj_<in>_<in> and jac_adj_<in>_adj_Phi."""
     writer = _Writer.declare(tree, reductions)
-    multipliers = writer.seed("adj_Phi", len(tree.bodies))
+    multipliers = writer.seed(seed_port(ports.RESIDUAL), len(tree.bodies))
     blocks = _second_blocks(*curvatures(writer.begin(), writer.state.qd, writer.state.qdd, multipliers))
     forces = _forces(tree, reductions)
     wrt = kernels.differentiable(forces)
-    adj1 = reverse.adjoint(forces, wrt, "adj1_impl")
+    adj1 = reverse.adjoint(forces, wrt)
     writer.write_blocks(blocks, kernels.adjoint_jacobian(forces, adj1, wrt))
-    return writer.finish("jac_adj1_impl")
+    return writer.finish(Order.ADJOINT_JACOBIAN)
 
 
 def _forces(tree: Tree, reductions: Reductions) -> Tape:
@@ -71,24 +73,25 @@ def _forces(tree: Tree, reductions: Reductions) -> Tape:
     return impl.build(replace(tree, gravity=NOTHING, bodies=bodies), replace(reductions, trials=1))
 
 
-def _jacobian_blocks(found: Sensitivities) -> dict[str, Block]:
-    named = {"jac_Phi_q": found.q, "jac_Phi_qd": found.qd, "jac_Phi_qdd": found.qdd}
-    return {name: _from_zero(entries) for name, entries in named.items()}
+def _jacobian_blocks(found: Sensitivities) -> dict[Port, Block]:
+    by = {ports.COORDINATES: found.q, ports.VELOCITIES: found.qd, ports.ACCELERATIONS: found.qdd}
+    return {derivative_port(ports.RESIDUAL, port): _from_zero(entries) for port, entries in by.items()}
 
 
-def _second_blocks(first: Sensitivities, second: Curvatures) -> dict[str, Block]:
+def _second_blocks(first: Sensitivities, second: Curvatures) -> dict[Port, Block]:
+    q, qd, qdd = ports.COORDINATES, ports.VELOCITIES, ports.ACCELERATIONS
     q_qd, q_qdd = _from_zero(second.q_qd), _from_zero(second.q_qdd)
     blocks = {
-        "jac_adj_q_q": _mirrored(_from_zero(second.q_q)),
-        "jac_adj_q_qd": q_qd,
-        "jac_adj_q_qdd": q_qdd,
-        "jac_adj_qd_q": transposed(q_qd),
-        "jac_adj_qd_qd": _mirrored(_from_zero(second.qd_qd)),
-        "jac_adj_qdd_q": transposed(q_qdd),
+        (q, q): _mirrored(_from_zero(second.q_q)),
+        (q, qd): q_qd,
+        (q, qdd): q_qdd,
+        (qd, q): transposed(q_qd),
+        (qd, qd): _mirrored(_from_zero(second.qd_qd)),
+        (qdd, q): transposed(q_qdd),
     }
-    for name, entries in (("q", first.q), ("qd", first.qd), ("qdd", first.qdd)):
-        blocks[f"jac_adj_{name}_adj_Phi"] = transposed(_from_zero(entries))
-    return blocks
+    for port, entries in ((q, first.q), (qd, first.qd), (qdd, first.qdd)):
+        blocks[port, seed_port(ports.RESIDUAL)] = transposed(_from_zero(entries))
+    return {derivative_port(adjoint_port(row), col): block for (row, col), block in blocks.items()}
 
 
 def _from_zero(entries: Entries) -> Block:
@@ -120,9 +123,9 @@ class _Writer:
         state = declare_state(tree, builder)
         return _Writer(tree, reductions, builder, state, dict(vars(state)))
 
-    def seed(self, name: str, size: int) -> list[Scalar]:
-        seeds = self.builder.vector(name, size)
-        self.given[name] = seeds
+    def seed(self, port: Port, size: int) -> list[Scalar]:
+        seeds = self.builder.vector(port, size)
+        self.given[port.name] = seeds
         return seeds
 
     def begin(self) -> Writing:
@@ -130,17 +133,17 @@ class _Writer:
         segments = align(chain, group=self.reductions.share_frames)
         return begin(chain, segments, find_plans(self.tree, self.reductions).sensitivities, self.reductions)
 
-    def write_blocks(self, blocks: Mapping[str, Block], forces: Tape) -> None:
+    def write_blocks(self, blocks: Mapping[Port, Block], forces: Tape) -> None:
         """Declare the outputs of `forces`, each with its block of inertia added."""
         values = replay(forces, self.builder, self.given)
         for output in forces.outputs:
-            block = dict(blocks.get(output.name, {}))
+            block = dict(blocks.get(output.port, {}))
             for place, value in zip(output.sparsity.entries, output.values, strict=True):
                 block[place] = block[place] + values[value] if place in block else values[value]
             if output.sparsity.is_dense:
-                self.builder.output(output.name, output.sparsity, [block[place] for place in output.sparsity.entries])
+                self.builder.output(output.port, output.sparsity, [block[place] for place in output.sparsity.entries])
             else:
-                self.builder.output_nonzeros(output.name, output.sparsity.rows, output.sparsity.cols, block)
+                self.builder.output_nonzeros(output.port, output.sparsity.rows, output.sparsity.cols, block)
 
-    def finish(self, name: str) -> Tape:
-        return finish(self.builder.build(name), self.reductions)
+    def finish(self, order: Order) -> Tape:
+        return finish(self.builder.build(impl.FUNCTION.to(order)), self.reductions)

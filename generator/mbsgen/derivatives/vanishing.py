@@ -11,9 +11,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from decimal import Decimal
 
+from mbsgen.roles import Role
 from mbsgen.tape.columns import Columns
 from mbsgen.tape.interpreter import DECIMALS, evaluate, fifty_digits
 from mbsgen.tape.passes import drop_dead
+from mbsgen.tape.ports import Port
 from mbsgen.tape.types import Output, Sparsity, Tape
 
 POINTS = 3
@@ -21,13 +23,13 @@ VANISHED = Decimal("1e-35")
 
 
 def drop_vanishing(tape: Tape) -> Tape:
-    """Leave out of every block `jac_…` the nonzeros that vanish identically, and what only they need."""
+    """Leave out of every block of derivatives the nonzeros that vanish identically, and what only they need."""
     with fifty_digits():
         drawn = [evaluate(tape, _draw(tape, seed), DECIMALS) for seed in range(POINTS)]
     outputs = []
     for output in tape.outputs:
         columns = zip(*(values[output.name] for values in drawn), strict=True)
-        is_block = output.name.startswith("jac_")  # a function's own values stay where it has them
+        is_block = output.port.role is Role.DERIVATIVE  # a function's own values stay where it has them
         kept = [k for k, column in enumerate(columns) if not (is_block and _vanishes(column))]
         outputs.append(_select(output, kept))
     if all(a.sparsity == b.sparsity for a, b in zip(outputs, tape.outputs, strict=True)):
@@ -35,22 +37,22 @@ def drop_vanishing(tape: Tape) -> Tape:
     return drop_dead(replace(tape, outputs=tuple(outputs)))
 
 
-def find_patterns(loop: Columns, columns: Mapping[str, int]) -> dict[str, Sparsity]:
+def find_patterns(loop: Columns, columns: Mapping[Port, int]) -> dict[Port, Sparsity]:
     """Find the nonzeros of the blocks that a loop makes, each of so many columns: the entries that do not vanish."""
     with fifty_digits():
         drawn = [loop.solve(evaluate(loop.tape, _draw(loop.tape, seed), DECIMALS)) for seed in range(POINTS)]
     return {
-        name: Sparsity.of(
+        port: Sparsity.of(
             loop.size,
-            columns[name],
+            width,
             [
                 (r, c)
                 for r in range(loop.size)
-                for c in range(columns[name])
-                if not _vanishes([rows[r][first + c] for rows in drawn])
+                for c in range(width)
+                if not _vanishes([rows[r][loop.blocks[port.name] + c] for rows in drawn])
             ],
         )
-        for name, first in loop.blocks.items()
+        for port, width in columns.items()
     }
 
 
@@ -67,4 +69,4 @@ def _draw(tape: Tape, seed: int) -> dict[str, list[Decimal]]:
 def _select(output: Output, kept: list[int]) -> Output:
     entries = output.sparsity.entries
     pattern = Sparsity.of(output.sparsity.rows, output.sparsity.cols, [entries[k] for k in kept])
-    return Output(output.name, pattern, tuple(output.values[k] for k in kept))
+    return Output(output.port, pattern, tuple(output.values[k] for k in kept))

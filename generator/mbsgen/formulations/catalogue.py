@@ -7,13 +7,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
 
-from mbsgen.formulations import condition, coupling, energy, exp1, exp2, impl, poses, rates, semi, velocities
-from mbsgen.formulations.links import DESIGN, PARAMETERS
+from mbsgen.formulations import condition, coupling, energy, exp1, exp2, impl, ports, poses, rates, semi, velocities
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Tree
+from mbsgen.tape.ports import Port
 from mbsgen.tape.types import Tape
-
-SETUP = "h"  # what `setup` computes from the parameters
 
 
 @dataclass(frozen=True)
@@ -22,7 +20,7 @@ class Entry:
 
     build: Callable[[Tree, Reductions], Tape]
     title: str  # for readers of the generated code
-    results: tuple[str, ...]
+    results: tuple[Port, ...]
     differentiated: bool  # by all inputs but parameters
     of_sensors: bool = False  # a tree without sensors has no such function
     of_quaternions: bool = False  # nor one without quaternions
@@ -35,117 +33,94 @@ def _plainly(build: Callable[[Tree], Tape]) -> Callable[[Tree, Reductions], Tape
     return lambda tree, _: build(tree)
 
 
-MEANINGS: Mapping[str, str] = MappingProxyType(
-    {
-        "q": "joint coordinates, rad or m",
-        "qd": "joint velocities, rad/s or m/s",
-        "qdd": "joint accelerations, rad/s2 or m/s2",
-        "u": "forces of the actuated joints, in joint order, N m or N",
-        "w": "external forces and moments that the model leaves open, in its order, N and N m",
-        DESIGN: "differentiated parameters, in the manifest's order",
-        PARAMETERS: "run-time parameters, in the manifest's order",
-        SETUP: "what setup computes from the run-time parameters",
-        "Phi": "residual Phi(q, qd, qdd) - Q(q, qd, u), N m or N",
-        "M": "mass matrix, kg m2, kg m or kg",
-        "c": "bias: the joints' forces at qdd = 0, N m or N",
-        "position": "places of the sensors in the base frame, a column each, m",
-        "v": "velocities of the sensors in the base frame, a column each, m/s",
-        "omega": "angular velocities of the sensors in the base frame, a column each, rad/s",
-        "J": "six rows for each sensor: J qd is its velocity, then its angular velocity, in the base frame",
-        "elimination": "by joint, what rounding is multiplied by in exp1: M_ii times the same entry of M^-1",
-        "articulated": "by joint, what rounding is multiplied by in exp2: |inertia| times |what it gives way|",
-        "kinetic": "kinetic energy, J",
-        "potential": "potential energy of gravity, 0 with all mass at the base's origin, J",
-        "power": "power of all forces but gravity, W",
-        "momentum": "momentum in the base frame, kg m/s",
-        "angular_momentum": "moment of momentum about the base's origin, in the base frame, kg m2/s",
-        "com": "centre of mass in the base frame, m",
-        "frames.p": "origins of the frames in the base frame, a column each, m",
-        "R": "axes of the frames as columns, in the base frame",
-        "rate": "time derivatives of q",
-    }
-)
-
 _UNCOUPLED: Mapping[str, Entry] = MappingProxyType(
     {
         "impl": Entry(
             impl.build,
             "residual of the equations of motion, recursive Newton-Euler",
-            results=("Phi",),
+            results=(ports.RESIDUAL,),
             differentiated=True,
             of_dynamics=True,
         ),
-        "semi": Entry(semi.build, "mass matrix and bias: M qdd + c = Q", results=("M", "c"), differentiated=False),
+        "semi": Entry(
+            semi.build,
+            "mass matrix and bias: M qdd + c = Q",
+            results=(ports.MASS_MATRIX, ports.BIAS),
+            differentiated=False,
+        ),
         "semi_res": Entry(
             semi.build_residual,
             "residual by mass matrix and bias: M qdd + c - Q",
-            results=("Phi",),
+            results=(ports.RESIDUAL,),
             differentiated=True,
             of_dynamics=True,
         ),
         "exp1": Entry(
             exp1.build,
             "accelerations by elimination in the mass matrix",
-            results=("qdd",),
+            results=(ports.ACCELERATIONS,),
             differentiated=True,
             of_dynamics=True,
         ),
         "exp2": Entry(
             exp2.build,
             "accelerations by articulated bodies, order N",
-            results=("qdd",),
+            results=(ports.ACCELERATIONS,),
             differentiated=True,
             of_dynamics=True,
         ),
         "sensors": Entry(
             _plainly(poses.build_sensors),
             "places of the sensors",
-            results=("position",),
+            results=(ports.POSITION,),
             differentiated=True,
             of_sensors=True,
         ),
         "motion": Entry(
             _plainly(velocities.build_motion),
             "velocities of the sensors",
-            results=("v", "omega"),
+            results=(ports.VELOCITY, ports.ANGULAR_VELOCITY),
             differentiated=True,
             of_sensors=True,
         ),
         "jacobian": Entry(
             _plainly(velocities.build_jacobian),
             "Jacobians of the sensors",
-            results=("J",),
+            results=(ports.SENSOR_JACOBIAN,),
             differentiated=False,
             of_sensors=True,
         ),
         "condition": Entry(
             condition.build,
             "how many digits exp1 and exp2 lose at a position",
-            results=("elimination", "articulated"),
+            results=(ports.ELIMINATION, ports.ARTICULATED),
             differentiated=False,
             of_uncoupled=True,
         ),
         "energy": Entry(
             _plainly(energy.build),
             "energy and momentum",
-            results=("kinetic", "potential", "momentum", "angular_momentum", "com"),
+            results=(ports.KINETIC, ports.POTENTIAL, ports.MOMENTUM, ports.ANGULAR_MOMENTUM, ports.CENTRE_OF_MASS),
             differentiated=False,
         ),
         "power": Entry(
             _plainly(energy.build_power),
             "power of all forces but gravity",
-            results=("power",),
+            results=(ports.POWER,),
             differentiated=False,
         ),
         "rates": Entry(
             _plainly(rates.build),
             "time derivatives of the coordinates",
-            results=("rate",),
+            results=(ports.RATES,),
             differentiated=True,
             of_quaternions=True,
         ),
         "frames": Entry(
-            _plainly(poses.build_frames), "poses of all bodies and sensors", results=("p", "R"), differentiated=False
+            _plainly(poses.build_frames),
+            "poses of all bodies and sensors",
+            results=(ports.ORIGINS, ports.ROTATIONS),
+            differentiated=False,
         ),
     }
 )
@@ -153,6 +128,11 @@ _UNCOUPLED: Mapping[str, Entry] = MappingProxyType(
 
 FUNCTIONS: Mapping[str, Entry] = MappingProxyType(
     {name: replace(entry, build=partial(coupling.write, entry.build)) for name, entry in _UNCOUPLED.items()}
+)
+
+
+RESULTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {name: tuple(port.name for port in entry.results) for name, entry in FUNCTIONS.items()}
 )
 
 

@@ -21,6 +21,7 @@ from functools import reduce
 from operator import add
 
 from mbsgen.algebra.vectors import Vector
+from mbsgen.formulations import ports
 from mbsgen.formulations.links import declare_state, write_chain
 from mbsgen.formulations.parsimony.articulated import Body, Inertia, articulate
 from mbsgen.formulations.parsimony.mass_matrix import Composite, compose, link
@@ -52,8 +53,8 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
     held = _hold(writing)
     free, lost = _give_way(writing.kinematics, bodies)
     n = len(segments)
-    builder.output_dense("elimination", [[_size(held[i] * free[i])] for i in range(1, n + 1)])
-    builder.output_dense("articulated", [[lost[i]] for i in range(1, n + 1)])
+    builder.output_dense(ports.ELIMINATION, [[_size(held[i] * free[i])] for i in range(1, n + 1)])
+    builder.output_dense(ports.ARTICULATED, [[lost[i]] for i in range(1, n + 1)])
     return builder.build("condition")
 
 

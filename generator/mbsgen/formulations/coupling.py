@@ -10,25 +10,26 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
+from typing import TypeGuard
 
 from sympy import Symbol
 
-from mbsgen.formulations import exp1, exp2, semi
+from mbsgen.formulations import exp1, exp2, ports, semi
 from mbsgen.formulations.links import declare_state, joint_forces, write_chain
 from mbsgen.formulations.parsimony.elimination import factorise
 from mbsgen.formulations.parsimony.segments import align, feels_itself, largest_inertias
 from mbsgen.formulations.planning import finish
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import NO_FORCE, Kind, Parameter, Tree
+from mbsgen.roles import Axis, Role
 from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.ports import Port
 from mbsgen.tape.replay import replay
-from mbsgen.tape.types import Tape
+from mbsgen.tape.types import Input, Tape
 
 Block = dict[tuple[int, int], Scalar]  # by (row, column), from 0
-POSITIONS, VELOCITIES = "q", "qd"  # the spaces that G maps
-_SPACES = {"q": POSITIONS, "rate": POSITIONS} | dict.fromkeys(("qd", "qdd", "Phi", "c", "Q"), VELOCITIES)
-_MATRICES = {"M": (VELOCITIES, VELOCITIES), "J": ("", VELOCITIES)}  # of rows and columns
-_SELECTED = ("qdd", "rate")  # results that are coordinates themselves: entries of followers are left out
+_MAPPED = (Axis.COORDINATES, Axis.VELOCITIES)  # the entries that G maps
+_SELECTED = (Role.ACCELERATION, Role.RATE)  # results that are coordinates themselves: those of followers are left out
 
 
 def write(build: Callable[[Tree, Reductions], Tape], tree: Tree, reductions: Reductions) -> Tape:
@@ -45,25 +46,20 @@ def couple(tape: Tape, tree: Tree) -> Tape:
     """Write a tape of the uncoupled tree for the coupled one: results mapped by G, guards by joint."""
     builder = Builder()
     map = _Map.of(tree, builder)
-    inputs = {
-        i.name: map.declare(i.name, i.sparsity.rows) if map.space(i.name) else builder.input(i.name, i.sparsity)
-        for i in tape.inputs
-    }
-    values = replay(tape, builder, {name: map.expand(name, given) for name, given in inputs.items()})
-    names = [i.name for i in tape.inputs]
+    values = replay(tape, builder, {i.name: map.expand(i.port, map.declare(i)) for i in tape.inputs})
     for o in tape.outputs:
         found = {place: values[v] for place, v in zip(o.sparsity.entries, o.values, strict=True)}
-        rows, cols = map.spaces(o.name, names)
-        block = map.gather(found, rows, cols, selected=o.name in _SELECTED)
+        rows, cols = o.port.rows, o.port.cols
+        block = map.gather(found, rows, cols, selected=o.port.role in _SELECTED)
         shape = map.size(rows, o.sparsity.rows), map.size(cols, o.sparsity.cols)
         if o.sparsity.is_dense:
-            builder.output_dense(o.name, [[block[r, c] for c in range(shape[1])] for r in range(shape[0])])
+            builder.output_dense(o.port, [[block[r, c] for c in range(shape[1])] for r in range(shape[0])])
         else:
-            builder.output_nonzeros(o.name, *shape, block)
+            builder.output_nonzeros(o.port, *shape, block)
     for guard in tape.guards:
         value = -values[guard.value] if guard.negated else values[guard.value]
         builder.guard(value, values[guard.scale], guard.tolerance, map.joint(guard.joint))
-    return builder.build(tape.name)
+    return builder.build(tape.function)
 
 
 @dataclass(frozen=True)
@@ -71,73 +67,69 @@ class _Map:
     """G and g, by the entries of q and of qd: the entry that each follows, its ratio and its offset."""
 
     builder: Builder
-    targets: Mapping[str, tuple[int, ...]]  # by space
-    ratios: Mapping[str, Mapping[int, Scalar]]  # of the followers
+    targets: Mapping[Axis, tuple[int, ...]]
+    ratios: Mapping[Axis, Mapping[int, Scalar]]  # of the followers
     offsets: Mapping[int, Scalar]
 
     @staticmethod
     def of(tree: Tree, builder: Builder) -> _Map:
         by_body = {x.follower: x for x in tree.couplings}
-        bodies = {VELOCITIES: list(range(1, len(tree.bodies) + 1)), POSITIONS: _seat_coordinates(tree)}
+        bodies = {Axis.VELOCITIES: list(range(1, len(tree.bodies) + 1)), Axis.COORDINATES: _seat_coordinates(tree)}
         targets, ratios = {}, {}
-        for space, numbers in bodies.items():
+        for axis, numbers in bodies.items():
             kept = count()
             own = [None if i in by_body else next(kept) for i in numbers]  # a quaternion has several entries
             first = dict(reversed([*zip(numbers, own, strict=True)]))
-            targets[space] = tuple(
+            targets[axis] = tuple(
                 _known(first[by_body[i].leader]) if i in by_body else _known(k)
                 for i, k in zip(numbers, own, strict=True)
             )
-            ratios[space] = {n: builder.number(by_body[i].ratio) for n, i in enumerate(numbers) if i in by_body}
-        offsets = {n: builder.number(by_body[i].offset) for n, i in enumerate(bodies[POSITIONS]) if i in by_body}
+            ratios[axis] = {n: builder.number(by_body[i].ratio) for n, i in enumerate(numbers) if i in by_body}
+        offsets = {n: builder.number(by_body[i].offset) for n, i in enumerate(bodies[Axis.COORDINATES]) if i in by_body}
         return _Map(builder, targets, ratios, offsets)
 
     def joint(self, number: int) -> int:
-        """Return the number, from 1, of the joint that a joint of the uncoupled tree is or follows."""
-        return self.targets[VELOCITIES][number - 1] + 1
+        """Number the joint, from 1, that a joint of the uncoupled tree is or follows."""
+        return self.targets[Axis.VELOCITIES][number - 1] + 1
 
-    def space(self, name: str) -> str:
-        """Return the space of a vector: q, qd, or neither."""
-        return _SPACES.get(name.removeprefix("adj_"), "")
+    def size(self, axis: Axis | None, otherwise: int) -> int:
+        """Count the entries of an axis, in the coupled tree."""
+        return max(self.targets[axis]) + 1 if _is_mapped(axis) else otherwise
 
-    def spaces(self, name: str, inputs: Sequence[str]) -> tuple[str, str]:
-        """Return the spaces of the rows and the columns of a result."""
-        if not name.startswith("jac_"):
-            return _MATRICES.get(name, (self.space(name), ""))
-        col = max((x for x in inputs if name.endswith(f"_{x}")), key=len)
-        return self.space(name.removeprefix("jac_").removesuffix(f"_{col}")), self.space(col)
-
-    def size(self, space: str, otherwise: int) -> int:
-        """Count the entries of a space, in the coupled tree."""
-        return max(self.targets[space]) + 1 if space else otherwise
-
-    def declare(self, name: str, rows: int) -> list[Scalar]:
+    def declare(self, given: Input) -> list[Scalar]:
         """Declare an input of the coupled tree."""
-        return self.builder.vector(name, self.size(self.space(name), rows))
+        if _is_mapped(given.port.rows):
+            return self.builder.vector(given.port, self.size(given.port.rows, 0))
+        return self.builder.input(given.port, given.sparsity)
 
-    def expand(self, name: str, given: Sequence[Scalar]) -> list[Scalar]:
+    def expand(self, port: Port, given: Sequence[Scalar]) -> list[Scalar]:
         """Return the entries of the uncoupled tree."""
-        space = self.space(name)
-        if not space:
+        axis = port.rows
+        if not _is_mapped(axis):
             return list(given)
-        found = [self._scale(space, n, given[k]) for n, k in enumerate(self.targets[space])]
-        if name == POSITIONS:
+        found = [self._scale(axis, n, given[k]) for n, k in enumerate(self.targets[axis])]
+        if port.role is Role.COORDINATE:
             found = [x + self.offsets[n] if n in self.offsets else x for n, x in enumerate(found)]
         return found
 
-    def gather(self, block: Block, rows: str, cols: str, *, selected: bool = False) -> Block:
-        """Multiply by GT from the left and G from the right, where rows and columns belong to a space."""
+    def gather(self, block: Block, rows: Axis | None, cols: Axis | None, *, selected: bool = False) -> Block:
+        """Multiply by GT from the left and by G from the right, where G maps the entries of rows and columns."""
         total: Block = {}
         for (r, c), value in block.items():
-            if selected and r in self.ratios[rows]:
+            if selected and _is_mapped(rows) and r in self.ratios[rows]:
                 continue
-            row, col = self.targets[rows][r] if rows else r, self.targets[cols][c] if cols else c
+            row = self.targets[rows][r] if _is_mapped(rows) else r
+            col = self.targets[cols][c] if _is_mapped(cols) else c
             scaled = self._scale(cols, c, value if selected else self._scale(rows, r, value))
             total[row, col] = total[row, col] + scaled if (row, col) in total else scaled
         return total
 
-    def _scale(self, space: str, n: int, value: Scalar) -> Scalar:
-        return value * self.ratios[space][n] if space and n in self.ratios[space] else value
+    def _scale(self, axis: Axis | None, n: int, value: Scalar) -> Scalar:
+        return value * self.ratios[axis][n] if _is_mapped(axis) and n in self.ratios[axis] else value
+
+
+def _is_mapped(axis: Axis | None) -> TypeGuard[Axis]:
+    return axis in _MAPPED
 
 
 def _seat_coordinates(tree: Tree) -> list[int]:
@@ -172,17 +164,12 @@ class _Coupled:
     @staticmethod
     def declare(tree: Tree, reductions: Reductions) -> _Coupled:
         map, (drive, firm) = _Map.of(tree, Builder()), _write_drive(tree.uncoupled)
-        given = {}
-        for i in drive.inputs:
-            declared = (
-                map.declare(i.name, i.sparsity.rows) if map.space(i.name) else map.builder.input(i.name, i.sparsity)
-            )
-            given[i.name] = map.expand(i.name, declared)
+        given = {i.name: map.expand(i.port, map.declare(i)) for i in drive.inputs}
         return _Coupled(tree, reductions, map, given, _results(drive, map.builder, given), firm)
 
     @property
     def size(self) -> int:
-        return self.map.size(VELOCITIES, 0)
+        return self.map.size(Axis.VELOCITIES, 0)
 
     def column(self, name: str) -> list[Scalar]:
         """Return the entries of a quantity that drives the uncoupled tree."""
@@ -190,7 +177,7 @@ class _Coupled:
 
     def weigh(self, number: int, inertia: Scalar) -> Scalar:
         """Return the inertia of a joint as felt by the joint that it follows."""
-        ratio = self.map.ratios[VELOCITIES].get(number - 1)
+        ratio = self.map.ratios[Axis.VELOCITIES].get(number - 1)
         return inertia if ratio is None else inertia * ratio * ratio
 
     @property
@@ -203,7 +190,7 @@ class _Coupled:
         return total
 
     def finish(self, name: str, qdd: Sequence[Scalar]) -> Tape:
-        self.map.builder.output_dense("qdd", [[x] for x in qdd])
+        self.map.builder.output_dense(ports.ACCELERATIONS, [[x] for x in qdd])
         return finish(self.map.builder.build(name), self.reductions)
 
 
@@ -212,10 +199,10 @@ def _write_exp1(tree: Tree, reductions: Reductions) -> Tape:
     own = _Coupled.declare(tree, reductions)
     map, builder = own.map, own.map.builder
     terms = _results(semi.build(tree.uncoupled, reductions), builder, own.given)
-    M = map.gather(terms["M"], VELOCITIES, VELOCITIES)
+    M = map.gather(terms["M"], Axis.VELOCITIES, Axis.VELOCITIES)
     upper = {(i + 1, j + 1): value for (i, j), value in M.items() if i <= j and not value.is_zero}
     net = {place: own.drive["Q"][place] - bias for place, bias in terms["c"].items()}
-    b = {i + 1: value for (i, _), value in map.gather(net, VELOCITIES, "").items()}
+    b = {i + 1: value for (i, _), value in map.gather(net, Axis.VELOCITIES, None).items()}
     factors = factorise(builder, upper, own.size)
     scales, firm = own.scales, {own.map.joint(i) for i in own.firm}
     for i in range(own.size, 0, -1):
@@ -238,10 +225,10 @@ def _write_exp2(tree: Tree, reductions: Reductions) -> Tape:
     own = _Coupled.declare(tree, reductions)
     map, builder = own.map, own.map.builder
     tape = exp2.build(_open(tree.uncoupled), reductions)
-    forces = map.gather(own.drive["Q"], VELOCITIES, "")
-    followers = map.ratios[VELOCITIES]
+    forces = map.gather(own.drive["Q"], Axis.VELOCITIES, None)
+    followers = map.ratios[Axis.VELOCITIES]
     n = len(tree.bodies)
-    moved = [builder.zero if i in followers else forces[map.targets[VELOCITIES][i], 0] for i in range(n)]
+    moved = [builder.zero if i in followers else forces[map.targets[Axis.VELOCITIES][i], 0] for i in range(n)]
     a, values = _accelerate(own, tape, own.given["qd"], moved, still=False)
     rows = [{x.follower - 1: builder.number(1.0), x.leader - 1: builder.number(-x.ratio)} for x in tree.couplings]
     rest = [builder.zero] * n

@@ -17,6 +17,7 @@ from functools import reduce
 from operator import add
 
 from mbsgen.algebra.vectors import Vector
+from mbsgen.formulations import ports
 from mbsgen.formulations.links import AppliedWrench, Chain, Link, declare_state, joint_forces, write_chain
 from mbsgen.model.tree import Tree
 from mbsgen.tape.builder import Builder, Scalar
@@ -58,12 +59,12 @@ def build(tree: Tree) -> Tape:
     twice = reduce(add, (_along(x, carried[x.number]) * qd for x, qd in zip(chain.links, state.qd, strict=True)))
     twice = reduce(add, (rotor * qd * qd for rotor, qd in zip(chain.armatures, state.qd, strict=True)), twice)
     whole = reduce(add, (_refer(x, carried[x.number]) for x in chain.links if not x.parent), _nothing(chain))
-    builder.output_dense("kinetic", [[builder.number(0.5) * twice]])
-    builder.output_dense("potential", [[-chain.gravity.dot(whole.S)]])
-    builder.output_dense("momentum", [[x] for x in whole.P])
-    builder.output_dense("angular_momentum", [[x] for x in whole.H])
+    builder.output_dense(ports.KINETIC, [[builder.number(0.5) * twice]])
+    builder.output_dense(ports.POTENTIAL, [[-chain.gravity.dot(whole.S)]])
+    builder.output_dense(ports.MOMENTUM, [[x] for x in whole.P])
+    builder.output_dense(ports.ANGULAR_MOMENTUM, [[x] for x in whole.H])
     if not whole.m.is_zero:
-        builder.output_dense("com", [[x / whole.m] for x in whole.S])
+        builder.output_dense(ports.CENTRE_OF_MASS, [[x / whole.m] for x in whole.S])
     return builder.build("energy")
 
 
@@ -75,7 +76,7 @@ def build_power(tree: Tree) -> Tape:
     bodies = _move_bodies(chain) if chain.wrenches else {}
     total = reduce(add, (force * qd for force, qd in zip(joint_forces(chain), state.qd, strict=True)))
     total = reduce(add, (_power(chain, wrench, bodies[wrench.body]) for wrench in chain.wrenches), total)
-    builder.output_dense("power", [[total]])
+    builder.output_dense(ports.POWER, [[total]])
     return builder.build("power")
 
 

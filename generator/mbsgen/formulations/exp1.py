@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
+from mbsgen.formulations import ports
 from mbsgen.formulations.links import check_pivot, declare_state, joint_forces, write_chain
 from mbsgen.formulations.parsimony.elimination import solve
 from mbsgen.formulations.parsimony.segments import Segment, align, feels_itself, largest_inertias
@@ -50,7 +51,7 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
     qdd = [found.x[i] for i in range(1, n + 1)]
     if reductions.absolute:
         qdd = _relative_accelerations(segments, qdd)
-    builder.output_dense("qdd", [[x] for x in qdd])
+    builder.output_dense(ports.ACCELERATIONS, [[x] for x in qdd])
     return finish(builder.build("exp1"), reductions)
 
 

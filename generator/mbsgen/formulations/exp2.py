@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from mbsgen.algebra.vectors import Vector
+from mbsgen.formulations import ports
 from mbsgen.formulations.links import declare_state, joint_forces, write_chain
 from mbsgen.formulations.parsimony.articulated import accelerations
 from mbsgen.formulations.parsimony.segments import Segment, align, children, feels_itself, largest_inertias
@@ -40,7 +41,7 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
     for i in range(len(tree.bodies), 0, -1):
         tolerance = LOCKING_TOLERANCE if _may_lock(segments, segments[i - 1]) else PIVOT_TOLERANCE
         builder.guard(bodies[i].pivot, largest[i], tolerance, i)
-    builder.output_dense("qdd", [[x] for x in qdd])
+    builder.output_dense(ports.ACCELERATIONS, [[x] for x in qdd])
     return finish(builder.build("exp2"), reductions)
 
 

@@ -6,7 +6,7 @@ reductions off, the textbook's.
 
 from __future__ import annotations
 
-from mbsgen.formulations import textbook
+from mbsgen.formulations import ports, textbook
 from mbsgen.formulations.links import declare_state, joint_forces, write_chain
 from mbsgen.formulations.parsimony.residual import residual
 from mbsgen.formulations.parsimony.segments import align
@@ -15,7 +15,10 @@ from mbsgen.formulations.planning import find_plans, finish
 from mbsgen.formulations.reductions import ALL, Reductions
 from mbsgen.model.tree import Tree
 from mbsgen.tape.builder import Builder
+from mbsgen.tape.ports import Function
 from mbsgen.tape.types import Tape
+
+FUNCTION = Function("impl")
 
 
 def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
@@ -30,5 +33,5 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
         plan = find_plans(tree, reductions).residual
         Phi = residual(begin(chain, segments, plan, reductions), state.qd, chain.accelerate(state.qdd))
     Q = joint_forces(chain)
-    builder.output_dense("Phi", [[phi - force] for phi, force in zip(Phi, Q, strict=True)])
-    return finish(builder.build("impl"), reductions)
+    builder.output_dense(ports.RESIDUAL, [[phi - force] for phi, force in zip(Phi, Q, strict=True)])
+    return finish(builder.build(FUNCTION), reductions)

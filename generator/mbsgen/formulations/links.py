@@ -21,12 +21,11 @@ from sympy import Expr
 from mbsgen.algebra.rotations import axis_rotation
 from mbsgen.algebra.vectors import Matrix, Vector, outer
 from mbsgen.errors import TapeError
+from mbsgen.formulations import ports
 from mbsgen.model.tree import COORDINATE, RATE, Body, Joint, Kind, Motion, RigidPart, Tree, Wrench
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.lowering import lower
-
-PARAMETERS = "p"  # the input that holds run-time parameters
-DESIGN = "theta"  # the input that holds differentiated parameters
+from mbsgen.tape.ports import Port
 
 
 @dataclass(frozen=True)
@@ -221,18 +220,18 @@ def declare_state(
     """Declare q; qd, qdd, u where requested; w for open wrenches; theta and p for parameters, if there are any."""
     assert not tree.couplings, "recursions see the uncoupled tree; see coupling.write"
     n = len(tree.bodies)
-    given = builder.vector("q", len(tree.coordinates))
-    qd = builder.vector("qd", n) if rates else []
-    qdd = builder.vector("qdd", n) if accelerations else []
-    u = builder.vector("u", sum(body.joint.actuated for body in tree.bodies)) if forces else []
+    given = builder.vector(ports.COORDINATES, len(tree.coordinates))
+    qd = builder.vector(ports.VELOCITIES, n) if rates else []
+    qdd = builder.vector(ports.ACCELERATIONS, n) if accelerations else []
+    u = builder.vector(ports.FORCES, sum(body.joint.actuated for body in tree.bodies)) if forces else []
     left_open = 3 * sum(vector is None for x in tree.wrenches for vector in (x.force, x.moment))
-    w = builder.vector("w", left_open) if wrenches and left_open else []
+    w = builder.vector(ports.WRENCHES, left_open) if wrenches and left_open else []
 
-    def declare(name: str, kind: Kind) -> list[Scalar]:
+    def declare(port: Port, kind: Kind) -> list[Scalar]:
         size = sum(x.kind is kind for x in tree.parameters)
-        return builder.vector(name, size) if size else []
+        return builder.vector(port, size) if size else []
 
-    theta, p = declare(DESIGN, Kind.DIFFERENTIATED), declare(PARAMETERS, Kind.RUNTIME)
+    theta, p = declare(ports.DESIGN, Kind.DIFFERENTIATED), declare(ports.PARAMETERS, Kind.RUNTIME)
     if not tree.quaternions:
         return State(given, qd, qdd, u, w, theta, p)
     q, frames = _share_out(tree, builder, given)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import cache, cached_property, lru_cache, partial
 
 from mbsgen.errors import TapeError
-from mbsgen.formulations.links import PARAMETERS, check_pivot, declare_state, write_chain
+from mbsgen.formulations.links import check_pivot, declare_state, write_chain
 from mbsgen.formulations.parsimony.articulated import accelerations
 from mbsgen.formulations.parsimony.elimination import solve
 from mbsgen.formulations.parsimony.mass_matrix import mass_matrix
@@ -21,6 +21,7 @@ from mbsgen.formulations.parsimony.sensitivities import sensitivities
 from mbsgen.formulations.parsimony.writing import Writing, begin
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import NO_FORCE, Kind, Tree
+from mbsgen.roles import Role
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.counts import count
 from mbsgen.tape.factoring import factor
@@ -214,7 +215,7 @@ class PlanTrials:
 
     def cost(self, values: Sequence[Scalar]) -> int:
         """Count the operations of a trial, except operations on parameters alone."""
-        return self.chain.builder.cost(values, {PARAMETERS})
+        return self.chain.builder.cost(values, {Role.PARAMETER})
 
 
 def _trials(size: int) -> int:
@@ -226,4 +227,4 @@ def finish(tape: Tape, reductions: Reductions) -> Tape:
     """Take common factors out of a finished recursion, if requested and if this lowers its cost."""
     if not reductions.factor:
         return tape
-    return min(tape, factor(tape, {PARAMETERS}), key=lambda t: count(t).paper)
+    return min(tape, factor(tape, {Role.PARAMETER}), key=lambda t: count(t).paper)

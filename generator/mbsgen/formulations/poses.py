@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from mbsgen.algebra.vectors import Matrix, Vector
+from mbsgen.formulations import ports
 from mbsgen.formulations.links import Chain, declare_state, write_chain
 from mbsgen.model.tree import Sensor, Tree
 from mbsgen.tape.builder import Builder, Scalar
@@ -30,7 +31,7 @@ def build_sensors(tree: Tree) -> Tape:
     chain = write_chain(tree, builder, state)
     columns = [_position(chain, sensor) for sensor in tree.sensors]
     entries = {(r, c): column[r] for c, column in enumerate(columns) for r in range(3)}
-    builder.output_dense("position", [[entries[r, c] for c in range(len(columns))] for r in range(3)])
+    builder.output_dense(ports.POSITION, [[entries[r, c] for c in range(len(columns))] for r in range(3)])
     return builder.build("sensors")
 
 
@@ -51,8 +52,8 @@ def build_frames(tree: Tree) -> Tape:
     poses = place_bodies(chain)
     drawn = [Pose(poses[i].p, poses[i].R.times(chain.matrix(b.axes))) for i, b in enumerate(tree.bodies, 1)]
     drawn += [_place(poses[s.body], chain.vector(s.position), chain.matrix(s.orientation)) for s in tree.sensors]
-    builder.output_dense("p", [[pose.p[r] for pose in drawn] for r in range(3)])
-    builder.output_dense("R", [[pose.R[r, c] for pose in drawn for c in range(3)] for r in range(3)])
+    builder.output_dense(ports.ORIGINS, [[pose.p[r] for pose in drawn] for r in range(3)])
+    builder.output_dense(ports.ROTATIONS, [[pose.R[r, c] for pose in drawn for c in range(3)] for r in range(3)])
     return builder.build("frames")
 
 

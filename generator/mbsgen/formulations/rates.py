@@ -10,6 +10,7 @@ which keeps its length (Wittenburg, 2008, 2.2). The position of a free body chan
 from __future__ import annotations
 
 from mbsgen.algebra.vectors import Vector
+from mbsgen.formulations import ports
 from mbsgen.formulations.links import declare_state
 from mbsgen.model.tree import Tree
 from mbsgen.tape.builder import Builder, Scalar
@@ -34,5 +35,5 @@ def build(tree: Tree) -> Tape:
                 rates += frame.R.apply(Vector.of(own[:3]))
             rates += (w.scale(frame.s) + frame.v.cross(w)).scale(half)
             rates.append(-(frame.v.dot(w) * half))
-    builder.output_dense("rate", [[x] for x in rates])
+    builder.output_dense(ports.RATES, [[x] for x in rates])
     return builder.build("rates")

@@ -9,6 +9,7 @@ from __future__ import annotations
 from functools import reduce
 from operator import add
 
+from mbsgen.formulations import ports
 from mbsgen.formulations.links import Chain, State, declare_state, joint_forces, write_chain
 from mbsgen.formulations.parsimony.mass_matrix import Entries, mass_matrix
 from mbsgen.formulations.parsimony.plan import Plan
@@ -30,8 +31,8 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
     M, c = terms(chain, state, find_plans(tree, reductions).mass_matrix, reductions)
     n = len(tree.bodies)
     full = {(i - 1, j - 1): v for (i, j), v in M.items()} | {(j - 1, i - 1): v for (i, j), v in M.items()}
-    builder.output_dense("M", [[full.get((i, j), builder.zero) for j in range(n)] for i in range(n)])
-    builder.output_dense("c", [[x] for x in c])
+    builder.output_dense(ports.MASS_MATRIX, [[full.get((i, j), builder.zero) for j in range(n)] for i in range(n)])
+    builder.output_dense(ports.BIAS, [[x] for x in c])
     return finish(builder.build("semi"), reductions)
 
 
@@ -47,7 +48,7 @@ def build_residual(tree: Tree, reductions: Reductions = ALL) -> Tape:
         products = [v * state.qdd[a + b - i - 1] for (a, b), v in M.items() if i in (a, b)]
         return reduce(add, products, c[i - 1]) - Q[i - 1]
 
-    builder.output_dense("Phi", [[row(i)] for i in range(1, len(tree.bodies) + 1)])
+    builder.output_dense(ports.RESIDUAL, [[row(i)] for i in range(1, len(tree.bodies) + 1)])
     return finish(builder.build("semi_res"), reductions)
 
 

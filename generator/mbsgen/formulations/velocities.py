@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from mbsgen.algebra.vectors import Vector
+from mbsgen.formulations import ports
 from mbsgen.formulations.links import Chain, declare_state, write_chain
 from mbsgen.formulations.poses import Pose, place_bodies
 from mbsgen.model.tree import Sensor, Tree
@@ -37,8 +38,8 @@ def build_motion(tree: Tree) -> Tape:
         for s in tree.sensors
     ]
     omega = [bodies[s.body].OM for s in tree.sensors]
-    builder.output_dense("v", [[column[r] for column in v] for r in range(3)])
-    builder.output_dense("omega", [[column[r] for column in omega] for r in range(3)])
+    builder.output_dense(ports.VELOCITY, [[column[r] for column in v] for r in range(3)])
+    builder.output_dense(ports.ANGULAR_VELOCITY, [[column[r] for column in omega] for r in range(3)])
     return builder.build("motion")
 
 
@@ -69,7 +70,7 @@ def build_jacobian(tree: Tree) -> Tape:
         for column, rows in _columns(chain, sensor, poses).items()
         for row, value in enumerate(rows)
     }
-    builder.output_nonzeros("J", 6 * len(tree.sensors), len(tree.bodies), entries)
+    builder.output_nonzeros(ports.SENSOR_JACOBIAN, 6 * len(tree.sensors), len(tree.bodies), entries)
     return builder.build("jacobian")
 
 

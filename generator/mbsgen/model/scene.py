@@ -24,10 +24,10 @@ from mbsgen.model.model import BASE, ORIGIN, Model
 from mbsgen.model.sections import NumberField
 from mbsgen.model.topology import find_carriers
 from mbsgen.model.tree import Kind
+from mbsgen.roles import RESERVED
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,30}", re.ASCII)
 TAKEN = ("setup", "check", "names", "default_parameters")  # of other files of a generated folder
-DERIVED = ("jac_", "adj1_", "lin_", "fwd1_")  # how the names of derivatives begin
 LARGEST_TOLERANCE = 0.5  # half of what is wanted: beyond, nothing that has a meaning is left
 
 
@@ -169,7 +169,7 @@ class _Judgement:
     def _check_together(self, section: SceneSection) -> Iterator[tuple[Place, Fault]]:
         for name, parts in section.together.items():
             place: Place = ("together", name)
-            if not NAME.fullmatch(name) or name in (*self.functions, *TAKEN) or name.startswith(DERIVED):
+            if not NAME.fullmatch(name) or name in (*self.functions, *TAKEN) or name.startswith(RESERVED):
                 remedy = "give small letters, digits and _, at most 31, and no name of a function or of its derivatives"
                 yield self._tell(place, f"{abbreviate(name)} cannot be the name of a function", remedy)
             if len(parts) < 2 or len(set(parts)) < len(parts):

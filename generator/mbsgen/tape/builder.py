@@ -12,6 +12,8 @@ from collections.abc import Iterable, Sequence, Set
 from mpmath import mpf
 
 from mbsgen.errors import TapeError
+from mbsgen.roles import Role
+from mbsgen.tape.ports import Function, Port
 from mbsgen.tape.types import EVEN, LARGEST_THRESHOLD, LITERALS, ODD, Input, Op, Sparsity, Tape
 from mbsgen.tape.writer import Key, Ref, Result, Test, Writer, sign_of
 
@@ -94,31 +96,31 @@ class Builder:
 
     # -- what goes in and out ---------------------------------------------------------------------------------
 
-    def input(self, name: str, sparsity: Sparsity) -> list[Scalar]:
-        """Declare an input; return its nonzeros."""
+    def input(self, port: Port | str, sparsity: Sparsity) -> list[Scalar]:
+        """Declare an input; return its nonzeros. A name alone makes a port without a meaning, here and below."""
         first = len(self._nodes)
-        self._inputs.append((Input(name, sparsity), first))
+        self._inputs.append((Input(_make_port(port, Role.ARGUMENT), sparsity), first))
         self._nodes.extend([None] * sparsity.nnz)
         return [Scalar(self, first + k) for k in range(sparsity.nnz)]
 
-    def vector(self, name: str, size: int) -> list[Scalar]:
+    def vector(self, port: Port | str, size: int) -> list[Scalar]:
         """Declare a dense column as input."""
-        return self.input(name, Sparsity.dense(size))
+        return self.input(port, Sparsity.dense(size))
 
-    def output(self, name: str, sparsity: Sparsity, values: Sequence[Scalar]) -> None:
+    def output(self, port: Port | str, sparsity: Sparsity, values: Sequence[Scalar]) -> None:
         """Declare an output by the values of its nonzeros."""
-        self._results.append(Result(name, sparsity, tuple(v.ref for v in values)))
+        self._results.append(Result(_make_port(port, Role.RESULT), sparsity, tuple(v.ref for v in values)))
 
-    def output_dense(self, name: str, rows: Sequence[Sequence[Scalar]]) -> None:
+    def output_dense(self, port: Port | str, rows: Sequence[Sequence[Scalar]]) -> None:
         """Declare a dense output by rows."""
         sparsity = Sparsity.dense(len(rows), len(rows[0]) if rows else 0)
-        self.output(name, sparsity, [rows[r][c] for r, c in sparsity.entries])
+        self.output(port, sparsity, [rows[r][c] for r, c in sparsity.entries])
 
-    def output_nonzeros(self, name: str, rows: int, cols: int, entries: dict[tuple[int, int], Scalar]) -> None:
+    def output_nonzeros(self, port: Port | str, rows: int, cols: int, entries: dict[tuple[int, int], Scalar]) -> None:
         """Declare an output whose pattern is made of the entries that are not the structural zero."""
         nonzero = {place: value for place, value in entries.items() if not value.is_zero}
         sparsity = Sparsity.of(rows, cols, nonzero)
-        self.output(name, sparsity, [nonzero[place] for place in sparsity.entries])
+        self.output(port, sparsity, [nonzero[place] for place in sparsity.entries])
 
     def guard(self, value: Scalar, scale: Scalar, tolerance: float, joint: int, *, early: bool = False) -> None:
         """Let the kernel fail at `joint` unless value > threshold * scale, see Guard.
@@ -280,8 +282,8 @@ class Builder:
             self._nodes.append(key)
         return ref
 
-    def cost(self, values: Iterable[Scalar], constant: Set[str] = frozenset()) -> int:
-        """Count the operations that `values` need, but for those on literals and the inputs `constant` alone.
+    def cost(self, values: Iterable[Scalar], constant: Set[Role] = frozenset()) -> int:
+        """Count the operations that `values` need, but for those on literals and inputs of the roles `constant` alone.
 
         A quick estimate, for comparing ways to write the same: signs that must be carried out are not seen. `constant`
         must be the same in every call to one builder.
@@ -297,10 +299,10 @@ class Builder:
                 stack.extend(abs(ref) for ref in key[1:] if ref)
         return len(seen)
 
-    def _mark_fixed(self, constant: Set[str]) -> bytearray:
+    def _mark_fixed(self, constant: Set[Role]) -> bytearray:
         fixed = self._fixed
         constants = [
-            range(first, first + source.sparsity.nnz) for source, first in self._inputs if source.name in constant
+            range(first, first + source.sparsity.nnz) for source, first in self._inputs if source.port.role in constant
         ]
         for node in range(len(fixed), len(self._nodes)):
             key = self._nodes[node]
@@ -312,9 +314,15 @@ class Builder:
 
     # -- the tape ---------------------------------------------------------------------------------------------
 
-    def build(self, name: str) -> Tape:
+    def build(self, function: Function | str) -> Tape:
         """Build the tape of the declared inputs and outputs; operations that no output needs are left out."""
-        return Writer(self._nodes, self._inputs, self._results, self._tests, self._labels).tape(name)
+        return Writer(self._nodes, self._inputs, self._results, self._tests, self._labels).tape(
+            Function(function) if isinstance(function, str) else function
+        )
+
+
+def _make_port(port: Port | str, role: Role) -> Port:
+    return Port(port, role) if isinstance(port, str) else port
 
 
 def _call(op: Op, values: Sequence[mpf]) -> mpf:

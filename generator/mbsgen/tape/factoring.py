@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Sequence, Set
 from dataclasses import dataclass
 
+from mbsgen.roles import Role
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.replay import declare_inputs, leaves, operate, replay_guards
 from mbsgen.tape.types import Op, Tape
@@ -29,13 +30,13 @@ class _Term:
         return self.second if factor == self.first else self.first
 
 
-def factor(tape: Tape, constant: Set[str] = frozenset()) -> Tape:
-    """Take common factors out of sums; `constant` names the inputs that count as constants."""
+def factor(tape: Tape, constant: Set[Role] = frozenset()) -> Tape:
+    """Take common factors out of sums; inputs of the roles `constant` count as constants."""
     return _Factoring(tape, constant).run()
 
 
 class _Factoring:
-    def __init__(self, tape: Tape, constant: Set[str]) -> None:
+    def __init__(self, tape: Tape, constant: Set[Role]) -> None:
         self.tape = tape
         self.uses = Counter(x for op, *operands in tape.operations for x in operands[: op.arity])
         self.uses.update(v for o in tape.outputs for v in o.values)
@@ -43,8 +44,8 @@ class _Factoring:
         self.is_constant = self._find_constants(constant)
         self.inner = self._find_inner()
 
-    def _find_constants(self, constant: Set[str]) -> list[bool]:
-        found = [i.name in constant for i in self.tape.inputs for _ in range(i.sparsity.nnz)]
+    def _find_constants(self, constant: Set[Role]) -> list[bool]:
+        found = [i.port.role in constant for i in self.tape.inputs for _ in range(i.sparsity.nnz)]
         found += [True] * len(self.tape.literals)
         for op, a, b in self.tape.operations:
             found.append(found[a] and (op.arity == 1 or found[b]))
@@ -82,9 +83,9 @@ class _Factoring:
         labelled = [(v, text) for v, text in sorted(self.tape.labels.items()) if v not in self.inner]
         builder.label([values[v] for v, _ in labelled], [text for _, text in labelled])
         for o in self.tape.outputs:
-            builder.output(o.name, o.sparsity, [values[v] for v in o.values])
+            builder.output(o.port, o.sparsity, [values[v] for v in o.values])
         replay_guards(self.tape, builder, values)
-        return builder.build(self.tape.name)
+        return builder.build(self.tape.function)
 
     def _terms(self, value: int, sign: int) -> list[_Term]:
         found = self._operation(value)

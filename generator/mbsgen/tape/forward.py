@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from mbsgen.roles import Order
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.partials import partials
+from mbsgen.tape.ports import derivative_port
 from mbsgen.tape.replay import declare_inputs, replay, replay_guards
-from mbsgen.tape.types import Input, Tape
+from mbsgen.tape.types import Input, Output, Tape
 
 Gradient = dict[int, Scalar]  # nonzero derivatives of one value, by column: the place among all input nonzeros
 
 
-def jacobian(tape: Tape, wrt: Sequence[str], name: str) -> Tape:
+def jacobian(tape: Tape, wrt: Sequence[str]) -> Tape:
     """Differentiate every output of `tape` by the dense columns `wrt`, forward.
 
     Outputs: `jac_<out>_<in>`, shape (numel(out), numel(in)), structural nonzeros only, in compressed-column order.
@@ -23,8 +25,8 @@ def jacobian(tape: Tape, wrt: Sequence[str], name: str) -> Tape:
     gradients = propagate(tape, builder, values, wrt)
     for output in tape.outputs:
         for source in (tape.input(i) for i in wrt):
-            write_block(builder, tape, output.name, source, gradients)
-    return builder.build(name)
+            write_block(builder, tape, output, source, gradients)
+    return builder.build(tape.function.to(Order.JACOBIAN))
 
 
 def propagate(tape: Tape, builder: Builder, values: Sequence[Scalar], wrt: Sequence[str]) -> list[Gradient]:
@@ -57,12 +59,11 @@ def _combine(terms: Sequence[tuple[Scalar, Gradient]]) -> Gradient:
 def write_block(
     builder: Builder,
     tape: Tape,
-    output: str,
+    given: Output,
     source: Input,
     gradients: Sequence[Gradient],
 ) -> None:
-    """Declare the output `jac_<output>_<source>`."""
-    given = tape.output(output)
+    """Declare the derivative of the output `given` by the input `source`."""
     first, numel_in = _first_column(tape, source.name), source.sparsity.rows * source.sparsity.cols
     places = [r + c * source.sparsity.rows for r, c in source.sparsity.entries]
     entries = {}
@@ -72,7 +73,7 @@ def write_block(
             if first <= column < first + source.sparsity.nnz:
                 entries[row, places[column - first]] = derivative
     numel = given.sparsity.rows * given.sparsity.cols
-    builder.output_nonzeros(f"jac_{output}_{source.name}", numel, numel_in, entries)
+    builder.output_nonzeros(derivative_port(given.port, source.port), numel, numel_in, entries)
 
 
 def _first_column(tape: Tape, name: str) -> int:

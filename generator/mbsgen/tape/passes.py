@@ -6,7 +6,9 @@ from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 
+from mbsgen.roles import Role
 from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.ports import Function, Port
 from mbsgen.tape.replay import declare_inputs, leaves, operate, replay, replay_guards
 from mbsgen.tape.types import Guard, Sparsity, Tape
 
@@ -16,40 +18,40 @@ def drop_dead(tape: Tape) -> Tape:
     builder = Builder(fold=False, number=False)
     values = replay(tape, builder, declare_inputs(tape, builder))
     for output in tape.outputs:
-        builder.output(output.name, output.sparsity, [values[v] for v in output.values])
+        builder.output(output.port, output.sparsity, [values[v] for v in output.values])
     replay_guards(tape, builder, values)
-    return builder.build(tape.name)
+    return builder.build(tape.function)
 
 
-def merge(tapes: Sequence[Tape], name: str) -> Tape:
+def merge(tapes: Sequence[Tape], function: Function) -> Tape:
     """Make one tape of several, of the inputs of all: what they share is computed once. Results keep their names."""
     builder = Builder()
     inputs: dict[str, list[Scalar]] = {}
     for given in dict.fromkeys(i for tape in tapes for i in tape.inputs):
-        inputs[given.name] = builder.input(given.name, given.sparsity)
+        inputs[given.name] = builder.input(given.port, given.sparsity)
     for tape in tapes:
         values = replay(tape, builder, inputs)
         for o in tape.outputs:
-            builder.output(o.name, o.sparsity, [values[v] for v in o.values])
+            builder.output(o.port, o.sparsity, [values[v] for v in o.values])
         replay_guards(tape, builder, values)
-    return builder.build(name)
+    return builder.build(function)
 
 
-def set_zero(tape: Tape, names: Collection[str]) -> Tape:
-    """Let inputs be zero, and take them away."""
+def set_zero(tape: Tape, role: Role) -> Tape:
+    """Replace the inputs of a role by zeros, and take them away."""
     builder = Builder()
-    inputs = {i.name: builder.input(i.name, i.sparsity) for i in tape.inputs if i.name not in names}
-    inputs |= {i.name: [builder.zero] * i.sparsity.nnz for i in tape.inputs if i.name in names}
+    inputs = {i.name: builder.input(i.port, i.sparsity) for i in tape.inputs if i.port.role is not role}
+    inputs |= {i.name: [builder.zero] * i.sparsity.nnz for i in tape.inputs if i.port.role is role}
     values = replay(tape, builder, inputs)
     for o in tape.outputs:
         found = [values[v] for v in o.values]
         if o.sparsity.is_dense:
-            builder.output(o.name, o.sparsity, found)
+            builder.output(o.port, o.sparsity, found)
         else:
             places = dict(zip(o.sparsity.entries, found, strict=True))
-            builder.output_nonzeros(o.name, o.sparsity.rows, o.sparsity.cols, places)
+            builder.output_nonzeros(o.port, o.sparsity.rows, o.sparsity.cols, places)
     replay_guards(tape, builder, values)
-    return builder.build(tape.name)
+    return builder.build(tape.function)
 
 
 def keep_results(tape: Tape, names: Collection[str]) -> Tape:
@@ -57,7 +59,7 @@ def keep_results(tape: Tape, names: Collection[str]) -> Tape:
     return drop_dead(replace(tape, outputs=tuple(o for o in tape.outputs if o.name in names)))
 
 
-def hoist(tapes: Sequence[Tape], source: str, target: str) -> tuple[Tape, tuple[Tape, ...]]:
+def hoist(tapes: Sequence[Tape], source: Port, target: Port) -> tuple[Tape, tuple[Tape, ...]]:
     """Move what depends on the input `source` alone out of all tapes into one: the setup.
 
     Returns the setup tape (input `source`, output `target`), and the tapes with the input `target`, a vector of the
@@ -66,8 +68,8 @@ def hoist(tapes: Sequence[Tape], source: str, target: str) -> tuple[Tape, tuple[
     divided by, however constant.
     """
     setup = Builder()
-    sizes = {i.sparsity.nnz for tape in tapes for i in tape.inputs if i.name == source}
-    assert len(sizes) == 1, f"all tapes must have the same input {source}"
+    sizes = {i.sparsity.nnz for tape in tapes for i in tape.inputs if i.port == source}
+    assert len(sizes) == 1, f"all tapes must have the same input {source.name}"
     given = setup.vector(source, sizes.pop())
     split = [_Split.of(tape, source, setup, given) for tape in tapes]
     signs: Counter[int] = Counter()  # of each node of the setup: how much more often tapes have it with its sign
@@ -84,17 +86,17 @@ def hoist(tapes: Sequence[Tape], source: str, target: str) -> tuple[Tape, tuple[
 class _Split:
     """A tape with its values told apart: those that depend on the parameters alone, and the rest."""
 
-    def __init__(self, tape: Tape, source: str, hoisted: dict[int, Scalar], frontier: list[int]) -> None:
+    def __init__(self, tape: Tape, source: Port, hoisted: dict[int, Scalar], frontier: list[int]) -> None:
         self.tape, self.source, self.hoisted, self.frontier = tape, source, hoisted, frontier
 
     @staticmethod
-    def of(tape: Tape, source: str, setup: Builder, given: Sequence[Scalar]) -> _Split:
-        inputs = {i.name: given if i.name == source else [setup.zero] * i.sparsity.nnz for i in tape.inputs}
+    def of(tape: Tape, source: Port, setup: Builder, given: Sequence[Scalar]) -> _Split:
+        inputs = {i.name: given if i.port == source else [setup.zero] * i.sparsity.nnz for i in tape.inputs}
         hoisted = dict(enumerate(leaves(tape, setup, inputs)))
         place = 0
         for i in tape.inputs:
             for value in range(place, place := place + i.sparsity.nnz):
-                if i.name != source:
+                if i.port != source:
                     del hoisted[value]
         frontier: dict[int, None] = {}
         for value, (op, a, b) in enumerate(tape.operations, tape.first_operation):
@@ -123,12 +125,12 @@ class _Split:
             value = self.hoisted[g.value]
             setup.guard(-value if g.negated else value, self.hoisted[g.scale], g.tolerance, g.joint, early=True)
 
-    def rest(self, entries: dict[int, int], target: str) -> Tape:
+    def rest(self, entries: dict[int, int], target: Port) -> Tape:
         """Write the tape again with the hoisted values read from `target`."""
         tape, builder = self.tape, Builder()
-        inputs = {i.name: builder.input(i.name, i.sparsity) for i in tape.inputs if i.name != self.source}
+        inputs = {i.name: builder.input(i.port, i.sparsity) for i in tape.inputs if i.port != self.source}
         vector = builder.vector(target, len(entries))
-        inputs[self.source] = [builder.zero] * tape.input(self.source).sparsity.nnz
+        inputs[self.source.name] = [builder.zero] * tape.input(self.source.name).sparsity.nnz
         values = leaves(tape, builder, inputs)
         known = {x: self._entry(x, entries, vector) for x in self.frontier}
         for value, (op, a, b) in enumerate(tape.operations, tape.first_operation):
@@ -141,11 +143,11 @@ class _Split:
         labelled = [(v, text) for v, text in sorted(tape.labels.items()) if v not in self.hoisted]
         builder.label([values[v] for v, _ in labelled], [text for _, text in labelled])
         for o in tape.outputs:
-            builder.output(o.name, o.sparsity, [known.get(x, values[x]) for x in o.values])
+            builder.output(o.port, o.sparsity, [known.get(x, values[x]) for x in o.values])
         for g in (g for g in tape.guards if not self._is_early(g)):
             pivot, scale = (known.get(x, values[x]) for x in (g.value, g.scale))
             builder.guard(-pivot if g.negated else pivot, scale, g.tolerance, g.joint, early=g.early)
-        return builder.build(tape.name)
+        return builder.build(tape.function)
 
     def _entry(self, value: int, entries: dict[int, int], vector: Sequence[Scalar]) -> Scalar:
         ref = self.hoisted[value].ref

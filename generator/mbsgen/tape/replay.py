@@ -10,7 +10,7 @@ from mbsgen.tape.types import Op, Outline, Tape
 
 def declare_inputs(tape: Tape, builder: Builder) -> dict[str, list[Scalar]]:
     """Declare the tape's inputs in the builder, as they are."""
-    return {i.name: builder.input(i.name, i.sparsity) for i in tape.inputs}
+    return {i.name: builder.input(i.port, i.sparsity) for i in tape.inputs}
 
 
 def replay(tape: Tape, builder: Builder, inputs: Mapping[str, Sequence[Scalar]]) -> list[Scalar]:

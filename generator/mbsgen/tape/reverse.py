@@ -4,32 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from mbsgen.roles import Order
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.partials import partials
+from mbsgen.tape.ports import adjoint_port, derivative_port, seed_port
 from mbsgen.tape.replay import declare_inputs, replay, replay_guards
 from mbsgen.tape.types import Tape
 
 
-def adjoint(tape: Tape, wrt: Sequence[str], name: str) -> Tape:
+def adjoint(tape: Tape, wrt: Sequence[str]) -> Tape:
     """Write the adjoint: inputs of `tape`, then `adj_<out>`; outputs `adj_<in>`, dense, for the inputs `wrt`."""
     builder = Builder()
     values = replay(tape, builder, declare_inputs(tape, builder))
     replay_guards(tape, builder, values)
     seeds: dict[int, Scalar] = {}
     for output in tape.outputs:
-        for value, seed in zip(output.values, builder.input(f"adj_{output.name}", output.sparsity), strict=True):
+        for value, seed in zip(output.values, builder.input(seed_port(output.port), output.sparsity), strict=True):
             seeds[value] = seeds[value] + seed if value in seeds else seed
     adjoints = sweep(tape, builder, values, seeds)
     first = 0
     for i in tape.inputs:
         if i.name in wrt:
             found = [adjoints.get(first + k, builder.zero) for k in range(i.sparsity.nnz)]
-            builder.output(f"adj_{i.name}", i.sparsity, found)
+            builder.output(adjoint_port(i.port), i.sparsity, found)
         first += i.sparsity.nnz
-    return builder.build(name)
+    return builder.build(tape.function.to(Order.ADJOINT))
 
 
-def jacobian(tape: Tape, wrt: Sequence[str], name: str) -> Tape:
+def jacobian(tape: Tape, wrt: Sequence[str]) -> Tape:
     """Differentiate as `forward.jacobian` does, to the same outputs, by one reverse sweep for each output nonzero."""
     builder = Builder()
     values = replay(tape, builder, declare_inputs(tape, builder))
@@ -50,9 +52,9 @@ def jacobian(tape: Tape, wrt: Sequence[str], name: str) -> Tape:
                     if first + k in adjoints
                 }
                 numel = output.sparsity.rows * output.sparsity.cols
-                builder.output_nonzeros(f"jac_{output.name}_{i.name}", numel, i.sparsity.nnz, entries)
+                builder.output_nonzeros(derivative_port(output.port, i.port), numel, i.sparsity.nnz, entries)
             first += i.sparsity.nnz
-    return builder.build(name)
+    return builder.build(tape.function.to(Order.JACOBIAN))
 
 
 def sweep(tape: Tape, builder: Builder, values: Sequence[Scalar], seeds: Mapping[int, Scalar]) -> dict[int, Scalar]:

@@ -15,6 +15,8 @@ from types import MappingProxyType
 from mpmath import MPContext, mpf
 
 from mbsgen.errors import TapeError
+from mbsgen.roles import Role
+from mbsgen.tape.ports import Function, Port
 
 LITERALS = MPContext()  # literals are kept to 60 digits and rounded once, in the target
 LITERALS.dps = 60
@@ -112,19 +114,29 @@ class Sparsity:
 
 @dataclass(frozen=True)
 class Input:
-    """A typed input; its nonzeros are values of the tape."""
+    """A port with its pattern; its nonzeros are values of the tape."""
 
-    name: str
+    port: Port
     sparsity: Sparsity
+
+    @property
+    def name(self) -> str:
+        """Name the input."""
+        return self.port.name
 
 
 @dataclass(frozen=True)
 class Output:
-    """A typed output: the value of each nonzero, in storage order."""
+    """A port with its pattern, and the value of each nonzero, in storage order."""
 
-    name: str
+    port: Port
     sparsity: Sparsity
     values: tuple[int, ...]
+
+    @property
+    def name(self) -> str:
+        """Name the output."""
+        return self.port.name
 
 
 LARGEST_THRESHOLD = 3.0e-5  # float32 is not asked for digits that it hardly has: two are left where a pivot just passes
@@ -157,7 +169,7 @@ Operation = tuple[Op, int, int]  # (op, first operand, second operand or -1)
 class Tape:
     """A straight-line program. Its invariants are checked when it is built."""
 
-    name: str
+    function: Function
     inputs: tuple[Input, ...]
     literals: tuple[mpf, ...]
     operations: tuple[Operation, ...]
@@ -188,6 +200,11 @@ class Tape:
                 raise TapeError(f"{self.name}: names repeat: {names}")
 
     @property
+    def name(self) -> str:
+        """Name the kernel."""
+        return self.function.name
+
+    @property
     def first_literal(self) -> int:
         """Number the first literal: the count of input nonzeros."""
         return sum(i.sparsity.nnz for i in self.inputs)
@@ -205,6 +222,14 @@ class Tape:
         """Look an output up by name."""
         return next(o for o in self.outputs if o.name == name)
 
+    def holding(self, role: Role) -> Input | None:
+        """Return the input of a role, if there is one."""
+        return next((i for i in self.inputs if i.port.role is role), None)
+
+    def giving(self, role: Role) -> Output | None:
+        """Return the first output of a role, if there is one."""
+        return next((o for o in self.outputs if o.port.role is role), None)
+
 
 @dataclass(frozen=True)
 class Outline(Tape):
@@ -214,7 +239,7 @@ class Outline(Tape):
     """
 
     @staticmethod
-    def of(name: str, inputs: tuple[Input, ...], patterns: Mapping[str, Sparsity]) -> Outline:
+    def of(function: Function, inputs: tuple[Input, ...], patterns: Mapping[Port, Sparsity]) -> Outline:
         """Make an outline of the patterns of its outputs."""
-        outputs = tuple(Output(x, pattern, (0,) * pattern.nnz) for x, pattern in patterns.items())
-        return Outline(name, inputs, (LITERALS.mpf(0),), (), outputs)
+        outputs = tuple(Output(port, pattern, (0,) * pattern.nnz) for port, pattern in patterns.items())
+        return Outline(function, inputs, (LITERALS.mpf(0),), (), outputs)

@@ -8,6 +8,7 @@ from types import MappingProxyType
 
 from mpmath import mpf
 
+from mbsgen.tape.ports import Function, Port
 from mbsgen.tape.types import EVEN, LITERALS, ODD, Guard, Input, Op, Output, Sparsity, Tape
 
 Ref = int  # +n or -n: node n, or its negative; 0: the number 0
@@ -19,7 +20,7 @@ _TURNABLE = ODD | {Op.ADD, Op.SUB, Op.MUL, Op.DIV}  # whose operands may decide 
 class Result:
     """An output, by references."""
 
-    name: str
+    port: Port
     sparsity: Sparsity
     refs: tuple[Ref, ...]
 
@@ -54,7 +55,7 @@ class Writer:
         self._literals: dict[Ref, None] = {}  # in the order of their first use
         self._written: dict[Ref, tuple[Op, Ref, Ref]] = {}  # result -> operation on kept references
 
-    def tape(self, name: str) -> Tape:
+    def tape(self, function: Function) -> Tape:
         """Write the operations, then number the values."""
         for source, first in self._inputs:
             self._kept.update((node, node) for node in range(first, first + source.sparsity.nnz))
@@ -70,12 +71,12 @@ class Writer:
         )
         place = {ref: value for value, ref in enumerate((*order, *self._written))}
         return Tape(
-            name,
+            function,
             tuple(source for source, _ in self._inputs),
             tuple(self._literal(ref) for ref in self._literals),
             tuple((op, place[a], place[b] if op.arity == 2 else -1) for op, a, b in self._written.values()),
             tuple(
-                Output(result.name, result.sparsity, tuple(place[ref] for ref in refs))
+                Output(result.port, result.sparsity, tuple(place[ref] for ref in refs))
                 for result, refs in zip(self._results, outputs, strict=True)
             ),
             tuple(

@@ -17,32 +17,35 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import islice
 
+from mbsgen.formulations import ports
+from mbsgen.roles import Order, Role, name_kernel
 from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.ports import Port, adjoint_port, derivative_port
 from mbsgen.tape.replay import replay, replay_guards
 from mbsgen.tape.types import Sparsity, Tape
 from mbsgen.targets.contract import Family
 
 Block = dict[tuple[int, int], Scalar]  # by (row, column), from 0
-Found = Mapping[str, Block]  # the results of a tape
+Found = Mapping[Port, Block]  # the results of a tape
+Given = Mapping[Role, Sequence[Scalar]]  # the inputs of a tape
 
 RESIDUAL, EXPLICIT = "impl", ("exp1", "exp2")  # the kernels that the functions are made of
-MEANINGS = {
-    "x": "q, then qd",
-    "xdot": "its rate",
-    "t": "time: not used",
-    "z": "algebraic variables: there are none",
-    "p": "run-time parameters, then differentiated ones, then the external forces w",
-    "multiplier": "weights of the residuals",
-    "Sx": "sensitivity of x to the initial state",
-    "Sp": "sensitivity of x to u",
-    "lambdaX": "weights of the rates",
-    "f_impl": "the residuals",
-    "f_expl": "the rates",
-    "vdeX": "the rate of Sx",
-    "vdeP": "the rate of Sp",
-    "adj": "gradient of the weighted rates by x, then u",
-    "HESS": "second derivatives of the weighted residuals by x, xdot, z, u",
-}
+X = Port("x", Role.ARGUMENT, meaning="q, then qd")
+XDOT = Port("xdot", Role.ARGUMENT, meaning="its rate")
+T = Port("t", Role.ARGUMENT, meaning="time: not used")
+Z = Port("z", Role.ARGUMENT, meaning="algebraic variables: there are none")
+P = Port("p", Role.ARGUMENT, meaning="run-time parameters, then differentiated ones, then the external forces w")
+U = Port("u", Role.FORCE)
+MULTIPLIER = Port("multiplier", Role.ARGUMENT, meaning="weights of the residuals")
+SX = Port("Sx", Role.ARGUMENT, meaning="sensitivity of x to the initial state")
+SP = Port("Sp", Role.ARGUMENT, meaning="sensitivity of x to u")
+LAMBDA_X = Port("lambdaX", Role.ARGUMENT, meaning="weights of the rates")
+F_IMPL = Port("f_impl", Role.RESULT, meaning="the residuals")
+F_EXPL = Port("f_expl", Role.RESULT, meaning="the rates")
+VDE_X = Port("vdeX", Role.RESULT, meaning="the rate of Sx")
+VDE_P = Port("vdeP", Role.RESULT, meaning="the rate of Sp")
+ADJ = Port("adj", Role.RESULT, meaning="gradient of the weighted rates by x, then u")
+HESS = Port("HESS", Role.RESULT, meaning="second derivatives of the weighted residuals by x, xdot, z, u")
 _TITLES = {
     "impl_dae_fun": "residuals",
     "impl_dae_fun_jac_x_xdot_z": "residuals and Jacobians",
@@ -63,13 +66,15 @@ def write_acados(tapes: Mapping[str, Tape], explicit: str, *, timed: bool = True
     an argument t where they are `timed`, as acados asks for since its version 0.3.
     """
     return tuple(
-        Family(tape, title=f"for acados: {_TITLES[tape.name]}", meanings=MEANINGS, integer="int")
+        Family(tape, title=f"for acados: {_TITLES[tape.name]}", integer="int")
         for tape in (*_write_implicit(tapes, timed=timed), *_write_explicit(tapes, explicit))
     )
 
 
 def _write_implicit(tapes: Mapping[str, Tape], *, timed: bool) -> Iterator[Tape]:
-    value, lin, second = (tapes.get(name) for name in (RESIDUAL, f"lin_{RESIDUAL}", f"jac_adj1_{RESIDUAL}"))
+    value, lin, second = (
+        tapes.get(name_kernel(RESIDUAL, order)) for order in (Order.VALUE, Order.LINEARISATION, Order.ADJOINT_JACOBIAN)
+    )
     if value:
         yield _Implicit(value, timed=timed).write("fun", ["fun"])
     if lin:
@@ -82,7 +87,9 @@ def _write_implicit(tapes: Mapping[str, Tape], *, timed: bool) -> Iterator[Tape]
 
 
 def _write_explicit(tapes: Mapping[str, Tape], name: str) -> Iterator[Tape]:
-    value, lin, adj1 = (tapes.get(kernel) for kernel in (name, f"lin_{name}", f"adj1_{name}"))
+    value, lin, adj1 = (
+        tapes.get(name_kernel(name, order)) for order in (Order.VALUE, Order.LINEARISATION, Order.ADJOINT)
+    )
     if value:
         yield _write_rates(value)
     if lin:
@@ -96,16 +103,16 @@ class _Implicit:
 
     def __init__(self, tape: Tape, *, timed: bool, weighted: bool = False) -> None:
         self.builder = builder = Builder()
-        n = self.n = tape.input("q").sparsity.rows
-        x, self.xdot = builder.vector("x", 2 * n), builder.vector("xdot", 2 * n)
-        self.u = builder.vector("u", _size(tape, "u"))
-        builder.vector("z", 0)
-        weights = builder.vector("multiplier", 2 * n) if weighted else []
+        n = self.n = _size(tape, Role.COORDINATE)
+        x, self.xdot = builder.vector(X, 2 * n), builder.vector(XDOT, 2 * n)
+        self.u = builder.vector(U, _size(tape, Role.FORCE))
+        builder.vector(Z, 0)
+        weights = builder.vector(MULTIPLIER, 2 * n) if weighted else []
         if timed:
-            builder.vector("t", 1)
+            builder.vector(T, 1)
         self.qd = x[n:]
-        given = {"q": x[:n], "qd": x[n:], "qdd": self.xdot[n:], "u": self.u, **_read_p(tape, builder)}
-        self.found = _call(tape, builder, given | {"adj_Phi": weights[n:]})
+        given = {Role.ACCELERATION: self.xdot[n:], Role.SEED: weights[n:]}
+        self.found = _call(tape, builder, _split_state(x, n) | given | {Role.FORCE: self.u} | _read_p(tape, builder))
 
     def write(self, name: str, results: Sequence[str]) -> Tape:
         """Write the function that gives the named results."""
@@ -115,110 +122,121 @@ class _Implicit:
         for result in results:
             match result:
                 case "fun":
-                    Phi = self.found["Phi"]
+                    Phi = self.found[ports.RESIDUAL]
                     rows = [self.xdot[i] - self.qd[i] for i in range(n)] + [Phi[i, 0] for i in range(n)]
-                    builder.output_dense("f_impl", [[row] for row in rows])
+                    builder.output_dense(F_IMPL, [[row] for row in rows])
                 case "x":
-                    slopes = {(i, n + i): -one for i in range(n)} | below(self.jac("q")) | below(self.jac("qd"), col=n)
+                    slopes = {(i, n + i): -one for i in range(n)} | below(self.jac(ports.COORDINATES))
+                    slopes |= below(self.jac(ports.VELOCITIES), col=n)
                     _write_dense(builder, "jac_x", 2 * n, 2 * n, slopes)
                 case "xdot":
-                    slopes = {(i, i): one for i in range(n)} | below(self.jac("qdd"), col=n)
+                    slopes = {(i, i): one for i in range(n)} | below(self.jac(ports.ACCELERATIONS), col=n)
                     _write_dense(builder, "jac_xdot", 2 * n, 2 * n, slopes)
                 case "u":
-                    _write_dense(builder, "jac_u", 2 * n, m, below(self.jac("u")))
+                    _write_dense(builder, "jac_u", 2 * n, m, below(self.jac(ports.FORCES)))
                 case "z":
                     _write_dense(builder, "jac_z", 2 * n, 0, {})
                 case "hess":
-                    _write_dense(builder, "HESS", 4 * n + m, 4 * n + m, self.hessian())
+                    _write_dense(builder, HESS, 4 * n + m, 4 * n + m, self.hessian())
         return builder.build(f"impl_dae_{name}")
 
-    def jac(self, name: str) -> Block:
-        """Give the Jacobian of Phi by an input."""
-        return self.found.get(f"jac_Phi_{name}", {})
+    def jac(self, by: Port) -> Block:
+        """Return the Jacobian of Phi by an input."""
+        return self.found.get(derivative_port(ports.RESIDUAL, by), {})
 
     def hessian(self) -> Block:
         """Put the blocks of second derivatives in the order x, xdot, z, u."""
         n = self.n
-        places = {"q": 0, "qd": n, "qdd": 3 * n, "u": 4 * n}
+        places = {ports.COORDINATES: 0, ports.VELOCITIES: n, ports.ACCELERATIONS: 3 * n, ports.FORCES: 4 * n}
         entries: Block = {}
         for a, row in places.items():
             for b, col in places.items():
-                entries |= _shift(self.found.get(f"jac_adj_{a}_{b}", {}), row=row, col=col)
+                entries |= _shift(self.found.get(derivative_port(adjoint_port(a), b), {}), row=row, col=col)
         return entries
 
 
 def _write_rates(tape: Tape) -> Tape:
     builder = Builder()
-    n = tape.input("q").sparsity.rows
-    x, u = builder.vector("x", 2 * n), builder.vector("u", _size(tape, "u"))
-    found = _call(tape, builder, {"q": x[:n], "qd": x[n:], "u": u, **_read_p(tape, builder)})
-    builder.output_dense("f_expl", [[rate] for rate in _rates(found, x[n:])])
+    n = _size(tape, Role.COORDINATE)
+    x, u = builder.vector(X, 2 * n), builder.vector(U, _size(tape, Role.FORCE))
+    found = _call(tape, builder, _split_state(x, n) | {Role.FORCE: u} | _read_p(tape, builder))
+    builder.output_dense(F_EXPL, [[rate] for rate in _rates(found, x[n:])])
     return builder.build("expl_ode_fun")
 
 
 def _write_sensitivities(tape: Tape) -> Tape:
     builder = Builder()
-    n, m = tape.input("q").sparsity.rows, _size(tape, "u")
-    x = builder.vector("x", 2 * n)
-    Sx, Sp = (_read_matrix(builder, name, 2 * n, cols) for name, cols in (("Sx", 2 * n), ("Sp", m)))
-    u = builder.vector("u", m)
-    found = _call(tape, builder, {"q": x[:n], "qd": x[n:], "u": u, **_read_p(tape, builder)})
-    slopes = found.get("jac_qdd_q", {}) | _shift(found.get("jac_qdd_qd", {}), col=n)
-    by_u = found.get("jac_qdd_u", {})
-    builder.output_dense("f_expl", [[rate] for rate in _rates(found, x[n:])])
-    for name, S, cols, direct in (("vdeX", Sx, 2 * n, {}), ("vdeP", Sp, m, by_u)):
+    n, m = _size(tape, Role.COORDINATE), _size(tape, Role.FORCE)
+    x = builder.vector(X, 2 * n)
+    Sx, Sp = (_read_matrix(builder, port, 2 * n, cols) for port, cols in ((SX, 2 * n), (SP, m)))
+    u = builder.vector(U, m)
+    found = _call(tape, builder, _split_state(x, n) | {Role.FORCE: u} | _read_p(tape, builder))
+    by_q, by_qd, by_u = (
+        found.get(derivative_port(ports.ACCELERATIONS, by), {})
+        for by in (ports.COORDINATES, ports.VELOCITIES, ports.FORCES)
+    )
+    slopes = by_q | _shift(by_qd, col=n)
+    builder.output_dense(F_EXPL, [[rate] for rate in _rates(found, x[n:])])
+    for port, S, cols, direct in ((VDE_X, Sx, 2 * n, {}), (VDE_P, Sp, m, by_u)):
         rates = {(i, c): S[n + i, c] for i in range(n) for c in range(cols)}
         for c in range(cols):
             for i in range(n):
                 terms = [slopes[i, k] * S[k, c] for k in range(2 * n) if (i, k) in slopes]
                 rates[n + i, c] = _sum(builder, [*terms, *([direct[i, c]] if (i, c) in direct else [])])
-        _write_dense(builder, name, 2 * n, cols, rates)
+        _write_dense(builder, port, 2 * n, cols, rates)
     return builder.build("expl_vde_forw")
 
 
 def _write_adjoint(tape: Tape) -> Tape:
     builder = Builder()
-    n, m = tape.input("q").sparsity.rows, _size(tape, "u")
-    x, weights, u = (builder.vector(name, size) for name, size in (("x", 2 * n), ("lambdaX", 2 * n), ("u", m)))
-    given = {"q": x[:n], "qd": x[n:], "u": u, **_read_p(tape, builder), "adj_qdd": weights[n:]}
-    found = _call(tape, builder, given)
+    n, m = _size(tape, Role.COORDINATE), _size(tape, Role.FORCE)
+    x, weights, u = (builder.vector(port, size) for port, size in ((X, 2 * n), (LAMBDA_X, 2 * n), (U, m)))
+    given = {Role.FORCE: u, Role.SEED: weights[n:]}
+    found = _call(tape, builder, _split_state(x, n) | given | _read_p(tape, builder))
 
-    def gradient(name: str, size: int) -> list[Scalar]:
-        block = found.get(f"adj_{name}", {})
+    def gradient(by: Port, size: int) -> list[Scalar]:
+        block = found.get(adjoint_port(by), {})
         return [block.get((i, 0), builder.zero) for i in range(size)]
 
-    by_qd = [own + weight for own, weight in zip(gradient("qd", n), weights[:n], strict=True)]
-    builder.output_dense("adj", [[entry] for entry in (*gradient("q", n), *by_qd, *gradient("u", m))])
+    by_qd = [own + weight for own, weight in zip(gradient(ports.VELOCITIES, n), weights[:n], strict=True)]
+    builder.output_dense(
+        ADJ, [[entry] for entry in (*gradient(ports.COORDINATES, n), *by_qd, *gradient(ports.FORCES, m))]
+    )
     return builder.build("expl_vde_adj")
 
 
-def _size(tape: Tape, name: str) -> int:
-    return next((i.sparsity.rows for i in tape.inputs if i.name == name), 0)
+def _size(tape: Tape, role: Role) -> int:
+    given = tape.holding(role)
+    return given.sparsity.rows if given else 0
 
 
-def _read_p(tape: Tape, builder: Builder) -> dict[str, list[Scalar]]:
-    """Declare acados' p, the last input, and part it."""
-    sizes = {name: _size(tape, name) for name in ("p", "theta", "w")}
-    p = iter(builder.vector("p", sum(sizes.values())))
-    return {name: list(islice(p, size)) for name, size in sizes.items()}
+def _split_state(x: Sequence[Scalar], n: int) -> dict[Role, Sequence[Scalar]]:
+    return {Role.COORDINATE: x[:n], Role.VELOCITY: x[n:]}
 
 
-def _read_matrix(builder: Builder, name: str, rows: int, cols: int) -> Block:
+def _read_p(tape: Tape, builder: Builder) -> dict[Role, Sequence[Scalar]]:
+    """Declare acados' p, the last input, and split it."""
+    sizes = {role: _size(tape, role) for role in (Role.PARAMETER, Role.DESIGN, Role.WRENCH)}
+    p = iter(builder.vector(P, sum(sizes.values())))
+    return {role: list(islice(p, size)) for role, size in sizes.items()}
+
+
+def _read_matrix(builder: Builder, port: Port, rows: int, cols: int) -> Block:
     places = [(r, c) for c in range(cols) for r in range(rows)]
-    return dict(zip(places, builder.input(name, Sparsity.of(rows, cols, places)), strict=True))
+    return dict(zip(places, builder.input(port, Sparsity.of(rows, cols, places)), strict=True))
 
 
-def _call(tape: Tape, builder: Builder, given: Mapping[str, Sequence[Scalar]]) -> Found:
+def _call(tape: Tape, builder: Builder, given: Given) -> Found:
     """Compute a tape's results; its pivots stay guarded."""
-    values = replay(tape, builder, given)
+    values = replay(tape, builder, {i.name: given[i.port.role] for i in tape.inputs})
     replay_guards(tape, builder, values)
     return {
-        o.name: {place: values[v] for place, v in zip(o.sparsity.entries, o.values, strict=True)} for o in tape.outputs
+        o.port: {place: values[v] for place, v in zip(o.sparsity.entries, o.values, strict=True)} for o in tape.outputs
     }
 
 
 def _rates(found: Found, qd: Sequence[Scalar]) -> list[Scalar]:
-    return [*qd, *(found["qdd"][i, 0] for i in range(len(qd)))]
+    return [*qd, *(found[ports.ACCELERATIONS][i, 0] for i in range(len(qd)))]
 
 
 def _shift(block: Block, *, row: int = 0, col: int = 0) -> Block:
@@ -229,6 +247,6 @@ def _sum(builder: Builder, terms: Iterable[Scalar]) -> Scalar:
     return sum(terms, start=builder.zero)
 
 
-def _write_dense(builder: Builder, name: str, rows: int, cols: int, entries: Block) -> None:
+def _write_dense(builder: Builder, port: Port | str, rows: int, cols: int, entries: Block) -> None:
     places = [(r, c) for c in range(cols) for r in range(rows)]
-    builder.output(name, Sparsity.of(rows, cols, places), [entries.get(place, builder.zero) for place in places])
+    builder.output(port, Sparsity.of(rows, cols, places), [entries.get(place, builder.zero) for place in places])

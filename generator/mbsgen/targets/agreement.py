@@ -38,10 +38,10 @@ def compare(families: Sequence[Family], *, only_driven: bool) -> tuple[Compariso
 
 
 def _compare_derivatives(family: Family) -> Iterator[Comparison]:
-    name = family.value.name
-    if family.jac:
-        yield Comparison("mbs_check_jacobian", (name, f"jac_{name}"))
-    if family.jac and family.adj1:
-        yield Comparison("mbs_check_adjoint", (name, f"jac_{name}", f"adj1_{name}"))
-    if family.adj1 and family.jac_adj1:
-        yield Comparison("mbs_check_jacobian", (f"adj1_{name}", f"jac_adj1_{name}"))
+    value, jac, adj1, jac_adj1 = family.value, family.jac, family.adj1, family.jac_adj1
+    if jac:
+        yield Comparison("mbs_check_jacobian", (value.name, jac.name))
+    if jac and adj1:
+        yield Comparison("mbs_check_adjoint", (value.name, jac.name, adj1.name))
+    if adj1 and jac_adj1:
+        yield Comparison("mbs_check_jacobian", (adj1.name, jac_adj1.name))

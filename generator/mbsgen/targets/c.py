@@ -272,7 +272,7 @@ def _view(prefix: str, face: Face) -> _View:
         symbol=face.symbol,
         function=face.function,
         integer=face.family.integer,
-        title=face.family.describe(face.kernel),
+        title=face.family.describe(face.tape),
         flops=counts.flops,
         equations=counts.equations,
         parameters=_parameters(prefix, face),
@@ -369,7 +369,7 @@ def _parameters(prefix: str, face: Face) -> tuple[_Parameter, ...]:
         name, told_by = argument.name, f"{face.symbol}_sparsity_{way}({k})"
         return _Parameter(
             f"{qualifier}mbs_real *MBS_RESTRICT {name}",
-            _note(face.family, way, argument, told_by),
+            _note(way, argument, told_by),
             f"{prefix}_{face.kernel}_NNZ_{name}",
             argument.sparsity.nnz,
             ""
@@ -388,10 +388,10 @@ def _parameters(prefix: str, face: Face) -> tuple[_Parameter, ...]:
     )
 
 
-def _note(family: Family, way: str, argument: Input | Output, told_by: str) -> str:
+def _note(way: str, argument: Input | Output, told_by: str) -> str:
     pattern = argument.sparsity
     nonzeros = "" if pattern.is_dense else f", {pattern.nnz} nonzeros, placed by {told_by}"
-    meaning = family.meaning(argument.name)
+    meaning = argument.port.note
     return f"{argument.name} ({way}, {pattern.rows} x {pattern.cols}{nonzeros})" + (f": {meaning}" if meaning else "")
 
 

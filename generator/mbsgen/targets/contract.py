@@ -13,25 +13,24 @@ are there with an empty pattern.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
+from mbsgen.roles import FAMILY, Order, name_adjoint, name_derivative, name_kernel, name_unneeded
 from mbsgen.tape.columns import Columns
 from mbsgen.tape.counts import Counts, count
+from mbsgen.tape.ports import Port, adjoint_port, derivative_port, seed_port
 from mbsgen.tape.types import Input, Output, Sparsity, Tape
 
 
 @dataclass(frozen=True)
 class Family:
-    """A function, and those of its derivatives that are generated. Their names are made from the function's."""
+    """A function, and those of its derivatives that are generated."""
 
     value: Tape
     jac: Tape | None = None
     adj1: Tape | None = None
     jac_adj1: Tape | None = None
     title: str = ""  # what it computes; for readers
-    meanings: Mapping[str, str] = field(
-        default_factory=dict
-    )  # `argument` or `function.argument` -> what it is, its unit
     loops: Mapping[str, Columns] = field(default_factory=dict)  # tape -> the same with a loop, where that is quicker
     integer: str = "casadi_int"  # the type of counts and places in CasADi's contract
 
@@ -40,28 +39,40 @@ class Family:
         """List the function and those of its derivatives that there are."""
         return tuple(t for t in (self.value, self.jac, self.adj1, self.jac_adj1) if t is not None)
 
-    def describe(self, kernel: str) -> str:
-        """Tell what the function or a derivative of it computes; for readers."""
-        name = self.value.name
-        return {
-            name: f"{name}: {self.title}" if self.title else name,
-            f"jac_{name}": f"jac_{name}: Jacobians of {name}, jac_<result>_<input>",
-            f"adj1_{name}": f"adj1_{name}: adj_<input>, the sum over results of (d result / d input)^T adj_<result>",
-            f"jac_adj1_{name}": f"jac_adj1_{name}: Jacobians of adj1_{name}, jac_<result>_<input>",
-        }[kernel]
+    def __post_init__(self) -> None:
+        own, derivatives = self.value.function, (self.jac, self.adj1, self.jac_adj1)
+        for tape, order in zip(derivatives, FAMILY[1:], strict=True):
+            assert tape is None or tape.function == own.to(order), f"{tape and tape.name} is no {order.value} of {own}"
 
-    def meaning(self, argument: str) -> str:
-        """Tell what an argument of the function is, with its unit; empty where nobody said."""
-        return self.meanings.get(f"{self.value.name}.{argument}", self.meanings.get(argument, ""))
+    def describe(self, tape: Tape) -> str:
+        """Describe the function or a derivative of it; for readers."""
+        name = tape.name
+        jacobians = f"Jacobians of {{}}, {name_derivative('<result>', '<input>')}"
+        adjoint, weight = name_adjoint("<input>"), name_adjoint("<result>")
+        match tape.function.order:
+            case Order.JACOBIAN:
+                text = jacobians.format(self.value.name)
+            case Order.ADJOINT:
+                text = f"{adjoint}, the sum over results of (d result / d input)^T {weight}"
+            case Order.ADJOINT_JACOBIAN:
+                text = jacobians.format(tape.function.to(Order.ADJOINT).name)
+            case _:
+                text = self.title
+        return f"{name}: {text}" if text else name
 
 
 @dataclass(frozen=True)
 class Slot:
     """One argument of a face."""
 
-    name: str
+    port: Port
     sparsity: Sparsity
     differentiable: bool
+
+    @property
+    def name(self) -> str:
+        """Name the argument."""
+        return self.port.name
 
 
 @dataclass(frozen=True)
@@ -97,63 +108,71 @@ def arguments(tape: Tape) -> list[Input | Output]:
 def faces(family: Family, prefix: str) -> tuple[Face, ...]:
     """List the faces of a function and its derivatives, the function's own first."""
     value = family.value
-    own = tuple(Slot(i.name, i.sparsity, _is_differentiable(family, i)) for i in value.inputs)
-    out = tuple(_empty(f"out_{o.name}", o.sparsity) for o in value.outputs)
-    adj = tuple(Slot(f"adj_{o.name}", o.sparsity, True) for o in value.outputs)
-    found = [_face(family, prefix, "", value, own, tuple(Slot(o.name, o.sparsity, True) for o in value.outputs))]
+    own = tuple(Slot(i.port, i.sparsity, _is_differentiable(family, i)) for i in value.inputs)
+    out = tuple(_unneeded(o) for o in value.outputs)
+    adj = tuple(Slot(seed_port(o.port), o.sparsity, True) for o in value.outputs)
+    found = [_face(family, prefix, value, own, tuple(Slot(o.port, o.sparsity, True) for o in value.outputs))]
     if family.jac:
-        found.append(_face(family, prefix, "jac_", family.jac, own + out, _blocks(family.jac, value.outputs, own)))
+        found.append(_face(family, prefix, family.jac, own + out, _blocks(family.jac, value.outputs, own)))
     if family.adj1:
-        gradient = tuple(_slot(family.adj1, f"adj_{s.name}", s.sparsity) for s in own)
-        found.append(_face(family, prefix, "adj1_", family.adj1, own + out + adj, gradient))
+        gradient = tuple(_slot(family.adj1, adjoint_port(s.port), s.sparsity) for s in own)
+        found.append(_face(family, prefix, family.adj1, own + out + adj, gradient))
         if family.jac_adj1:
             inputs = own + out + adj
-            seeds = tuple(_empty(f"out_{s.name}", s.sparsity) for s in gradient)
+            unneeded = tuple(map(_unneeded, gradient))
             blocks = _blocks(family.jac_adj1, gradient, inputs)
-            found.append(_face(family, prefix, "jac_adj1_", family.jac_adj1, inputs + seeds, blocks))
+            found.append(_face(family, prefix, family.jac_adj1, inputs + unneeded, blocks))
     return tuple(found)
 
 
-def _face(
-    family: Family, prefix: str, order: str, tape: Tape, inputs: tuple[Slot, ...], outputs: tuple[Slot, ...]
-) -> Face:
-    name = family.value.name
+def _face(family: Family, prefix: str, tape: Tape, inputs: tuple[Slot, ...], outputs: tuple[Slot, ...]) -> Face:
     held = {slot.name for slot in (*inputs, *outputs) if slot.sparsity.nnz}
     missing = [x.name for x in arguments(tape) if x.sparsity.nnz and x.name not in held]
-    assert not missing, f"{order}{name}: CasADi's contract has no place for {missing}"
-    symbol, function = f"{order}{prefix}_{name}", f"{prefix}_compute_{order}{name}"
-    return Face(family, f"{order}{name}", symbol, function, tape, inputs, outputs)
+    assert not missing, f"{tape.name}: CasADi's contract has no place for {missing}"
+    symbol, function = name_symbol(prefix, family, tape), f"{prefix}_compute_{tape.name}"
+    return Face(family, tape.name, symbol, function, tape, inputs, outputs)
+
+
+def name_symbol(prefix: str, family: Family, tape: Tape) -> str:
+    """Name the function in CasADi's contract: CasADi puts the order before the name of the function, as `jac_arm_f`."""
+    own = f"{prefix}_{family.value.name}"
+    return own if tape is family.value else name_kernel(own, tape.function.order)
 
 
 def _is_differentiable(family: Family, source: Input) -> bool:
     """Tell whether the derivatives know the input; without any, CasADi is to ask for one and fail aloud."""
     if family.adj1:
-        return any(o.name == f"adj_{source.name}" for o in family.adj1.outputs)
+        return any(o.port.by == source.port for o in family.adj1.outputs)
     if family.jac:
-        wanted = {f"jac_{o.name}_{source.name}" for o in family.value.outputs}
-        return any(o.name in wanted for o in family.jac.outputs)
+        return any(o.port.by == source.port for o in family.jac.outputs)
     return True
 
 
 def _blocks(tape: Tape, rows: tuple[Output, ...] | tuple[Slot, ...], cols: tuple[Slot, ...]) -> tuple[Slot, ...]:
     return tuple(
-        _slot(tape, f"jac_{o.name}_{i.name}", Sparsity.of(_numel(o.sparsity), _numel(i.sparsity), ()))
+        _slot(tape, derivative_port(o.port, i.port), Sparsity.of(_numel(o.sparsity), _numel(i.sparsity), ()))
         for o in rows
         for i in cols
     )
 
 
-def _slot(tape: Tape, name: str, shape: Sparsity) -> Slot:
+def _slot(tape: Tape, port: Port, shape: Sparsity) -> Slot:
     """Make the slot of a result: with the tape's pattern, or empty where the tape has no such result."""
     for output in tape.outputs:
-        if output.name == name:
-            assert (output.sparsity.rows, output.sparsity.cols) == (shape.rows, shape.cols), f"{name} has another shape"
-            return Slot(name, output.sparsity, True)
-    return _empty(name, shape)
+        if output.port == port:
+            is_same = (output.sparsity.rows, output.sparsity.cols) == (shape.rows, shape.cols)
+            assert is_same, f"{port.name} has another shape"
+            return Slot(port, output.sparsity, True)
+    return _empty(port, shape)
 
 
-def _empty(name: str, shape: Sparsity) -> Slot:
-    return Slot(name, Sparsity.of(shape.rows, shape.cols, ()), False)
+def _unneeded(result: Output | Slot) -> Slot:
+    """Make the slot of a result among the inputs of a derivative, which has no use for it."""
+    return _empty(replace(result.port, name=name_unneeded(result.port.name)), result.sparsity)
+
+
+def _empty(port: Port, shape: Sparsity) -> Slot:
+    return Slot(port, Sparsity.of(shape.rows, shape.cols, ()), False)
 
 
 def _numel(sparsity: Sparsity) -> int:

@@ -94,10 +94,10 @@ def _view(prefix: str, family: Family, tape: Tape) -> _View:
     return _View(
         name=name,
         signature=_write_signature(name, tape),
-        title=family.describe(tape.name),
+        title=family.describe(tape),
         flops=count(tape).flops,
-        inputs=tuple(_describe(family, i) for i in tape.inputs),
-        outputs=tuple(_describe(family, o) for o in tape.outputs),
+        inputs=tuple(_describe(i) for i in tape.inputs),
+        outputs=tuple(_describe(o) for o in tape.outputs),
         lines=write_lines(
             body,
             "{target} = {expression};",
@@ -118,9 +118,9 @@ def _write_signature(name: str, tape: Tape) -> tuple[str, ...]:
     return ("function [ ...", *(f"    {line} ..." for line in results), f"    ] = {given}")
 
 
-def _describe(family: Family, argument: Input | Output) -> _Argument:
+def _describe(argument: Input | Output) -> _Argument:
     name, rows, cols = argument.name, argument.sparsity.rows, argument.sparsity.cols
-    meaning = family.meaning(name)
+    meaning = argument.port.note
     return _Argument(
         name=name,
         shape=f"{rows}, {cols}",

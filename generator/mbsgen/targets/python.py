@@ -55,7 +55,7 @@ def _view(family: Family, tape: Tape) -> _View:
     return _View(
         name=tape.name,
         inputs=tuple(i.name for i in tape.inputs),
-        title=family.describe(tape.name),
+        title=family.describe(tape),
         flops=count(tape).flops,
         lines=write_lines(body, "{target} = {expression}", "_check({joint}, {value}, {tolerance}, {scale}, functions)"),
         results=body.results,

@@ -9,11 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from decimal import Decimal
 
+from mbsgen.roles import Order, Role
 from mbsgen.tape.columns import Columns
 from mbsgen.tape.interpreter import DECIMALS, evaluate
-from mbsgen.tape.types import Outline, Sparsity, Tape
+from mbsgen.tape.ports import Port
+from mbsgen.tape.types import Outline, Output, Sparsity, Tape
 from mbsgen.targets.contract import Family
-from mbsgen.verification.functions import Comparison, Results, largest
+from mbsgen.verification.functions import Comparison, largest
 from mbsgen.verification.geometry import STEP, ZERO, dot, slope
 from mbsgen.verification.states import Numbers, draw
 
@@ -31,19 +33,19 @@ def compare_derivatives(family: Family, arguments: Arguments) -> Iterator[tuple[
     along = slope_of(value, arguments(value), way)
     if family.jac:
         for name, found in _products(family, family.jac, arguments, way):
-            yield f"jac_{value.name}", Comparison(name, found, along[name], _size(value, arguments, name))
+            yield family.jac.name, Comparison(name, found, along[name], _size(value, arguments, name))
     if family.adj1:
         given = arguments(family.adj1)
         adjoint = evaluate(family.adj1, given, DECIMALS)
-        gradient = [dot(adjoint[f"adj_{x}"], v) for x, v in way.of(adjoint, "adj_").items()]
-        weighted = [dot(given[f"adj_{name}"], v) for name, v in along.items() if f"adj_{name}" in given]
+        gradient = [dot(adjoint[o.name], way.take(by.name, len(o.values))) for o, by in _adjoints(family.adj1)]
+        weighted = [dot(given[i.name], along[i.port.of.name]) for i in family.adj1.inputs if i.port.of]
         scale = max(largest(gradient), largest(weighted))
-        yield f"adj1_{value.name}", Comparison("adj", [sum(gradient, ZERO)], [sum(weighted, ZERO)], scale)
+        yield family.adj1.name, Comparison("adj", [sum(gradient, ZERO)], [sum(weighted, ZERO)], scale)
         if family.jac_adj1:
             way = _Direction(family, of_adjoint=True)
             along = slope_of(family.adj1, given, way)
             for name, product in _products(family, family.jac_adj1, arguments, way):
-                yield f"jac_adj1_{value.name}", Comparison(name, product, along[name], largest(adjoint[name]))
+                yield family.jac_adj1.name, Comparison(name, product, along[name], largest(adjoint[name]))
 
 
 def compare_linearised(lin: Family, plain: Family, arguments: Arguments) -> Iterator[Comparison]:
@@ -66,22 +68,21 @@ class _Direction:
 
     def wrt(self) -> set[str]:
         """Name the inputs that derivatives are taken by."""
-        names = {i.name for i in self._family.value.inputs}
-        results = {o.name for o in self._family.value.outputs}
-        if self._family.adj1:
-            found = {o.name.removeprefix("adj_") for o in self._family.adj1.outputs}
-        else:
-            assert self._family.jac is not None, "there is something to compare"
-            found = {x for x in names for r in results if f"jac_{r}_{x}" in {o.name for o in self._family.jac.outputs}}
-        return found | ({f"adj_{r}" for r in results} if self._of_adjoint else set())
+        written = self._family.adj1 or self._family.jac
+        assert written is not None, "there is something to compare"
+        found = {o.port.by.name for o in written.outputs if o.port.by}
+        seeds = {i.name for i in written.inputs if i.port.role is Role.SEED}
+        return found | seeds if self._of_adjoint else found
 
     def take(self, name: str, size: int) -> Numbers:
         return list(draw(f"{DIRECTION} {name}", size, 0))
 
-    def of(self, results: Results, prefix: str) -> Vectors:
-        """Take the directions of the inputs that results are named after."""
-        names = [x.removeprefix(prefix) for x in results]
-        return {x: self.take(x, len(results[prefix + x])) for x in names}
+
+def _adjoints(adj1: Tape) -> Iterator[tuple[Output, Port]]:
+    """List the results of an adjoint, each with the input that it is the derivative by."""
+    for o in adj1.outputs:
+        assert o.port.by, "an adjoint is by an input"
+        yield o, o.port.by
 
 
 def slope_of(tape: Tape, given: Mapping[str, Numbers], way: _Direction) -> Vectors:
@@ -101,32 +102,32 @@ def _products(
     family: Family, tape: Tape, arguments: Arguments, way: _Direction, loops: Mapping[str, Columns] | None = None
 ) -> Iterator[tuple[str, Numbers]]:
     """Multiply the blocks of a Jacobian by the direction, for each result; once more by its loop, if it has one."""
-    of_adjoint = family.adj1 if tape.name.startswith("jac_adj1_") else None
+    of_adjoint = family.adj1 if tape.function.order is Order.ADJOINT_JACOBIAN else None
     function = of_adjoint or family.value
     if not isinstance(tape, Outline):
         blocks = evaluate(tape, arguments(tape), DECIMALS)
-        yield from _multiply(function, {o.name: (o.sparsity, blocks[o.name]) for o in tape.outputs}, way)
+        yield from _multiply(function, {o.port: (o.sparsity, blocks[o.name]) for o in tape.outputs}, way)
     loop = (family.loops if loops is None else loops).get(tape.name)
     if loop:
         rows = loop.solve(evaluate(loop.tape, arguments(loop.tape), DECIMALS))
-        patterns = {o.name: o.sparsity for o in tape.outputs if o.name in loop.blocks}
+        patterns = {o.port: o.sparsity for o in tape.outputs if o.name in loop.blocks}
         found = {
-            name: (pattern, [rows[r][loop.blocks[name] + c] for r, c in pattern.entries])
-            for name, pattern in patterns.items()
+            port: (pattern, [rows[r][loop.blocks[port.name] + c] for r, c in pattern.entries])
+            for port, pattern in patterns.items()
         }
         yield from _multiply(function, found, way)
 
 
 def _multiply(
-    function: Tape, blocks: Mapping[str, tuple[Sparsity, Sequence[Decimal]]], way: _Direction
+    function: Tape, blocks: Mapping[Port, tuple[Sparsity, Sequence[Decimal]]], way: _Direction
 ) -> Iterator[tuple[str, Numbers]]:
     """Yield J v for every result of `function`, in its storage order. Blocks that there are none of are zero."""
     for o in function.outputs:
         size = o.sparsity.rows * o.sparsity.cols
         total = [ZERO] * size
-        for name, (pattern, values) in blocks.items():
-            if name.startswith(f"jac_{o.name}_") and pattern.rows == size:
-                direction = way.take(name.removeprefix(f"jac_{o.name}_"), pattern.cols)
+        for port, (pattern, values) in blocks.items():
+            if port.of == o.port and port.by:
+                direction = way.take(port.by.name, pattern.cols)
                 for (r, c), value in zip(pattern.entries, values, strict=True):
                     total[r] += value * direction[c]
         places = [c * o.sparsity.rows + r for r, c in o.sparsity.entries]

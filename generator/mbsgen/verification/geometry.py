@@ -12,7 +12,8 @@ from decimal import Decimal
 
 from sympy import Expr
 
-from mbsgen.formulations.links import DESIGN, PARAMETERS, declare_state, write_chain
+from mbsgen.formulations import ports
+from mbsgen.formulations.links import declare_state, write_chain
 from mbsgen.model.tree import Body, Motion, RigidPart, Tree
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import DECIMALS, evaluate
@@ -126,7 +127,9 @@ def write_numbers(tree: Tree, parameters: Mapping[str, Numbers]) -> dict[str, Nu
                 put(f"{name}_{k}", [[x] for x in vector])
     tape = builder.build("numbers")
     given = {i.name: parameters.get(i.name, [ZERO] * i.sparsity.nnz) for i in tape.inputs}
-    assert all(given[name] for name in (PARAMETERS, DESIGN) if name in given), "all parameters have a value"
+    assert all(given[port.name] for port in (ports.PARAMETERS, ports.DESIGN) if port.name in given), (
+        "all parameters have a value"
+    )
     return evaluate(tape, given, DECIMALS)
 
 

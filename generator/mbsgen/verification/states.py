@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from decimal import Decimal
 
-from mbsgen.formulations.links import DESIGN, PARAMETERS
+from mbsgen.formulations import ports
 from mbsgen.model.tree import Kind, Tree
 
 Numbers = list[Decimal]
@@ -40,12 +40,12 @@ def draw_states(tree: Tree, *, still: bool) -> Iterator[State]:
 
 def _draw_parameters(tree: Tree, number: int) -> dict[str, Numbers]:
     found = {}
-    for name, kind in ((PARAMETERS, Kind.RUNTIME), (DESIGN, Kind.DIFFERENTIATED)):
+    for port, kind in ((ports.PARAMETERS, Kind.RUNTIME), (ports.DESIGN, Kind.DIFFERENTIATED)):
         values = [Decimal(x.value) for x in tree.parameters if x.kind is kind]
-        changes = draw(name, len(values), number)
+        changes = draw(port.name, len(values), number)
         if number:
             values = [x + SPREAD * (x if x else 1) * change for x, change in zip(values, changes, strict=True)]
-        found[name] = values
+        found[port.name] = values
     return found
 
 

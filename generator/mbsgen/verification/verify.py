@@ -12,9 +12,9 @@ from decimal import Decimal
 from itertools import islice
 
 from mbsgen.errors import MbsError
-from mbsgen.formulations.catalogue import SETUP
-from mbsgen.formulations.links import PARAMETERS
+from mbsgen.formulations import ports
 from mbsgen.model.tree import Tree
+from mbsgen.roles import Order, Role
 from mbsgen.tape.interpreter import DECIMALS, evaluate, fifty_digits
 from mbsgen.tape.types import Outline, Tape
 from mbsgen.targets.contract import Family
@@ -67,7 +67,7 @@ class _Verifier:
             self._compare_values(truth)
         for truth in truths[:1]:
             self._compare_derivatives(truth.state)
-        kernels = [tape.name for family in self.families for tape in family.tapes if tape.name != "setup"]
+        kernels = [tape.name for family in self.families for tape in family.tapes if not tape.giving(Role.SETUP)]
         unchecked = tuple(name for name in kernels if name not in self.deviations)
         return Verification(len(truths), self.deviations, unchecked, self.references)
 
@@ -97,21 +97,22 @@ class _Verifier:
         for name, family in self.by_name.items():
             for kernel, comparison in compare_derivatives(family, arguments):
                 self._judge(kernel, comparison, state)
-            plain = self.by_name.get(name.removeprefix("lin_"))
-            if name.startswith("lin_") and plain is not None:
+            plain = self.by_name.get(family.value.function.base)
+            if family.value.function.order is Order.LINEARISATION and plain is not None:
                 for comparison in compare_linearised(family, plain, arguments):
                     self._judge(name, comparison, state)
 
     def _arguments(self, tape: Tape, state: State) -> dict[str, Numbers]:
         return {
-            i.name: self._setup(state) if i.name == SETUP else state.take(i.name, i.sparsity.nnz) for i in tape.inputs
+            i.name: self._setup(state) if i.port.role is Role.SETUP else state.take(i.name, i.sparsity.nnz)
+            for i in tape.inputs
         }
 
     def _setup(self, state: State) -> Numbers:
-        if "setup" not in self.by_name:  # no function depends on the parameters
+        setup = next((family.value for family in self.families if family.value.giving(Role.SETUP)), None)
+        if setup is None:  # no function depends on the parameters
             return []
-        setup = self.by_name["setup"].value
-        return evaluate(setup, {PARAMETERS: state.parameters[PARAMETERS]}, DECIMALS)[SETUP]
+        return evaluate(setup, self._arguments(setup, state), DECIMALS)[ports.SETUP.name]
 
     def _judge(self, kernel: str, comparison: Comparison, state: State) -> None:
         deviation = comparison.deviation

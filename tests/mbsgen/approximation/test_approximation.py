@@ -16,8 +16,7 @@ from mbsgen.approximation.effects import LEAST_INERTIA
 from mbsgen.approximation.states import Array, draw
 from mbsgen.errors import InputError
 from mbsgen.families import OptionError, Options
-from mbsgen.formulations import energy, impl, semi
-from mbsgen.formulations.links import DESIGN, PARAMETERS
+from mbsgen.formulations import energy, impl, ports, semi
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.construction import body, make_model, revolute
 from mbsgen.model.model import Model
@@ -39,7 +38,7 @@ STATES, SEED = 200, 4711  # others than those that the choice and its check look
 def results(tape: Tape, tree: Tree, states: dict[str, Array]) -> dict[str, Array]:
     """Evaluate a tape: (states, nonzeros) of each result."""
     given = {name: list(columns.T) for name, columns in states.items()}
-    given[PARAMETERS], given[DESIGN] = (
+    given[ports.PARAMETERS.name], given[ports.DESIGN.name] = (
         [p.value for p in tree.parameters if p.kind is kind] for kind in (Kind.RUNTIME, Kind.DIFFERENTIATED)
     )
     given["u"] = [np.zeros(STATES)] * sum(b.joint.actuated for b in tree.bodies)

@@ -65,7 +65,7 @@ def differences(tape: Tape, at: dict[str, list[float]], output: str, source: str
 def test_both_directions_give_the_jacobian_of_every_operation(direction):
     tape = every_operation()
     at = arguments(tape, 0)
-    jac = direction(tape, ("x", "y"), "jac")
+    jac = direction(tape, ("x", "y"))
     values = evaluate(jac, at)
     for output in ("f", "g"):
         for source in ("x", "y"):
@@ -74,14 +74,14 @@ def test_both_directions_give_the_jacobian_of_every_operation(direction):
 
 
 def test_entries_that_are_zero_by_structure_are_not_stored():
-    jac = forward.jacobian(every_operation(), ("x", "y"), "jac")
+    jac = forward.jacobian(every_operation(), ("x", "y"))
     assert (2, 0) not in jac.output("jac_f_x").sparsity.entries
     assert all(r != 3 for r, _ in jac.output("jac_f_x").sparsity.entries)
 
 
 def test_adjoint_is_the_transposed_jacobian_applied():
     tape = every_operation()
-    adj1, jac = reverse.adjoint(tape, ("x", "y"), "adj1"), forward.jacobian(tape, ("x", "y"), "jac")
+    adj1, jac = reverse.adjoint(tape, ("x", "y")), forward.jacobian(tape, ("x", "y"))
     at = arguments(adj1, 1)
     J, lam = evaluate(jac, {k: at[k] for k in ("x", "y")}), at["adj_f"]
     g = np.zeros(4)

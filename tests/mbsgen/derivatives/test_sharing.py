@@ -89,6 +89,6 @@ def test_whoever_needs_the_straight_form_gets_it(wish: str, monkeypatch: pytest.
 def test_an_outline_computes_nothing() -> None:
     """An outline that gets where operations are wanted is a mistake of ours, and is found out."""
     tape = FUNCTIONS["impl"].build(random_tree(5, 2), ONE_PLAN)
-    outline = Outline.of("impl", tape.inputs, {o.name: o.sparsity for o in tape.outputs})
+    outline = Outline.of(tape.function, tape.inputs, {o.port: o.sparsity for o in tape.outputs})
     with pytest.raises(AssertionError):
         evaluate(outline, {i.name: [0.5] * i.sparsity.nnz for i in tape.inputs})

@@ -9,9 +9,11 @@ from mbsgen.derivatives.vanishing import drop_vanishing
 from mbsgen.formulations import impl
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
+from mbsgen.roles import Role
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.counts import count
 from mbsgen.tape.interpreter import evaluate
+from mbsgen.tape.ports import Port
 from mbsgen.tape.types import Sparsity, Tape
 
 ARM = Path(__file__).parents[3] / "models" / "arm_pendulum.yaml"
@@ -23,7 +25,7 @@ def with_identity() -> Tape:
     x, y = b.vector("x", 2)
     one = b.sin(x) * b.sin(x) + b.cos(x) * b.cos(x)
     values = [one - b.number(1.0), x / (x - x * y), b.number(1e-30) * x]
-    b.output("jac_y_x", Sparsity.dense(3), values)
+    b.output(Port("jac_y_x", Role.DERIVATIVE), Sparsity.dense(3), values)
     return b.build("f")
 
 

@@ -12,6 +12,8 @@ from sympy import Float, Symbol
 from mbsgen.errors import TapeError
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Body, Kind, Motion, Parameter, Tree
+from mbsgen.roles import Role
+from mbsgen.tape.ports import Port
 from mbsgen.tape.types import Output, Sparsity, Tape
 from tests.mbsgen.failures.mechanisms import (
     EXPLICIT,
@@ -72,7 +74,10 @@ def near_lock(tree: Tree, lock: float, distance: float, seed: int) -> dict[str, 
 def weakest_pivot(tape: Tape, state: dict[str, Array]) -> float:
     """Find the smallest pivot in terms of the largest inertia that its joint can feel."""
     places = [g.value for g in tape.guards], [g.scale for g in tape.guards]
-    outputs = tuple(Output(n, Sparsity.dense(len(v)), tuple(v)) for n, v in zip(("D", "scale"), places, strict=True))
+    outputs = tuple(
+        Output(Port(n, Role.RESULT), Sparsity.dense(len(v)), tuple(v))
+        for n, v in zip(("D", "scale"), places, strict=True)
+    )
     found = compute(replace(tape, outputs=outputs, guards=()), state)
     signs = np.array([-1.0 if g.negated else 1.0 for g in tape.guards])
     return float((signs * found["D"] / found["scale"]).min())

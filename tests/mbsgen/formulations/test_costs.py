@@ -7,13 +7,14 @@ from pathlib import Path
 
 import pytest
 
+from mbsgen.formulations import ports
 from mbsgen.formulations.catalogue import FORMULATIONS
-from mbsgen.formulations.links import PARAMETERS
 from mbsgen.formulations.planning import dynamics_alone
 from mbsgen.formulations.reductions import NONE, Reductions
 from mbsgen.model.reader import read_model
 from mbsgen.model.tree import Tree
 from mbsgen.pipeline import build_parametric
+from mbsgen.roles import Role
 from mbsgen.scaling import PERIOD, Growth, find_crossing, grow
 from mbsgen.tape.counts import Counts, count
 from mbsgen.tape.passes import hoist
@@ -28,8 +29,8 @@ def cost(name: str, tree: Tree, reductions: Reductions) -> Counts:
     """Count a formulation with parameters at run time, setup apart."""
     row = FORMULATIONS[name]
     tape = row.build(dynamics_alone(tree, driven=row.driven), reductions)
-    if any(i.name == PARAMETERS for i in tape.inputs):
-        _, (tape,) = hoist([tape], PARAMETERS, "h")
+    if tape.holding(Role.PARAMETER):
+        _, (tape,) = hoist([tape], ports.PARAMETERS, ports.SETUP)
     return count(tape)
 
 
@@ -66,7 +67,7 @@ def test_no_division_by_parameters_unless_it_is_allowed(name: str):
     """Without leave to divide by what may be 0 at run time, setup has no division."""
     row = FORMULATIONS[name]
     tape = row.build(dynamics_alone(arm(), driven=row.driven), Reductions())
-    setup, _ = hoist([tape], PARAMETERS, "h")
+    setup, _ = hoist([tape], ports.PARAMETERS, ports.SETUP)
     constant_pivot = 1 if name == "EXP1" else 0  # the pendulum's inertia about its last axis, which is never 0
     assert sum(op.name == "DIV" for op, _, _ in setup.operations) <= constant_pivot + (name == "EXP2")
 

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from sympy import Float, Integer, Rational, Symbol, exp
 
 from mbsgen.derivatives.kernels import differentiate
-from mbsgen.formulations import exp1, exp2, impl, semi
-from mbsgen.formulations.links import PARAMETERS
+from mbsgen.formulations import exp1, exp2, impl, ports, semi
 from mbsgen.formulations.reductions import ALL, NONE, Reductions
 from mbsgen.model.tree import COORDINATE, RATE, Kind, Parameter, Tree, Wrench
 from mbsgen.tape.interpreter import DIGITS, evaluate
@@ -35,7 +34,7 @@ def driven(seed: int, size: int, *, runtime: bool = False, tidy: bool = True) ->
 def state_of(tree: Tree, tape: Tape, seed: int) -> dict[str, Array]:
     rng = np.random.default_rng(seed + 70)
     given = {i.name: rng.uniform(-2, 2, i.sparsity.nnz) for i in tape.inputs}
-    return given | ({PARAMETERS: np.array(values_of(tree))} if PARAMETERS in given else {})
+    return given | ({ports.PARAMETERS.name: np.array(values_of(tree))} if ports.PARAMETERS.name in given else {})
 
 
 def evaluated(tape: Tape, at: dict[str, Array]) -> dict[str, Array]:
@@ -100,7 +99,7 @@ def test_derivatives_know_laws_and_wrenches(build: Build):
     """Every block of the Jacobian, that by w included, against 50-digit differences."""
     tree = driven(5, 4)
     tape = build(tree, QUICK)
-    wrt = [i.name for i in tape.inputs if i.name != PARAMETERS]
+    wrt = [i.name for i in tape.inputs if i.port != ports.PARAMETERS]
     assert "w" in wrt
     jac = differentiate(tape, wrt).jac
     at = {name: [DIGITS.literal(x) for x in v] for name, v in state_of(tree, tape, 5).items()}

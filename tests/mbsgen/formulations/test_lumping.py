@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from mbsgen.families import Options, write_families
-from mbsgen.formulations.catalogue import SETUP
-from mbsgen.formulations.links import PARAMETERS
+from mbsgen.formulations import ports
 from mbsgen.formulations.reductions import ALL, Reductions
 from mbsgen.model.reader import read_model
 from mbsgen.model.tree import Tree
@@ -43,10 +42,10 @@ def attempt(
 ) -> dict[str, list[float]] | int:
     """Compute what a kernel gives after `setup`, or the status of either."""
     with np.errstate(all="ignore"):
-        given = {PARAMETERS: [np.float64(x) for x in p]}
+        given = {ports.PARAMETERS.name: [np.float64(x) for x in p]}
         if failed := find_failure(tapes["setup"], given, HARDWARE):
             return failed
-        inputs = {**at, SETUP: evaluate(tapes["setup"], given, HARDWARE)[SETUP]}
+        inputs = {**at, ports.SETUP.name: evaluate(tapes["setup"], given, HARDWARE)[ports.SETUP.name]}
         inputs = {i.name: inputs[i.name] for i in tapes[name].inputs}
         return find_failure(tapes[name], inputs, HARDWARE) or evaluate(tapes[name], inputs, HARDWARE)
 

@@ -7,10 +7,12 @@ from itertools import pairwise
 
 import pytest
 
+from mbsgen.roles import Role
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import evaluate, find_failure
 from mbsgen.tape.ordering import arrange
 from mbsgen.tape.passes import drop_dead
+from mbsgen.tape.ports import Function, Port
 from mbsgen.tape.types import Input, Op, Output, Sparsity, Tape
 from tests.mbsgen.targets.test_guards import guarded_tape
 from tests.sample import sample_families
@@ -25,8 +27,15 @@ def random_tape(seed: int) -> Tape:
     for value in range(3, 103):
         op = rng.choice([Op.ADD, Op.SUB, Op.MUL, Op.NEG, Op.SIN, Op.COS])
         operations.append((op, rng.randrange(value), rng.randrange(value) if op.arity == 2 else -1))
-    outputs = (Output("f", Sparsity.dense(4), tuple(rng.randrange(103) for _ in range(4))),)
-    return Tape("impl", (Input("x", Sparsity.dense(3)),), (), tuple(operations), outputs, labels={50: "a", 60: "b"})
+    outputs = (Output(Port("f", Role.RESULT), Sparsity.dense(4), tuple(rng.randrange(103) for _ in range(4))),)
+    return Tape(
+        Function("impl"),
+        (Input(Port("x", Role.ARGUMENT), Sparsity.dense(3)),),
+        (),
+        tuple(operations),
+        outputs,
+        labels={50: "a", 60: "b"},
+    )
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from mbsgen.formulations import ports
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.counts import count
 from mbsgen.tape.interpreter import evaluate
@@ -53,14 +54,14 @@ def test_dead_operations_are_dropped():
 def parametric(name: str) -> Tape:
     """Write y = p0 p1 x + p1 / p0, and z = -(p0 p1)."""
     b = Builder()
-    (x,), p = b.vector("x", 1), b.vector("p", 2)
+    (x,), p = b.vector("x", 1), b.vector(ports.PARAMETERS, 2)
     b.output("y", Sparsity.dense(1), [p[0] * p[1] * x + p[1] / p[0]])
     b.output("z", Sparsity.dense(1), [-(p[0] * p[1])])
     return b.build(name)
 
 
 def test_what_depends_on_parameters_alone_moves_to_setup_once_for_all_tapes():
-    setup, tapes = hoist([parametric("a"), parametric("b")], "p", "h")
+    setup, tapes = hoist([parametric("a"), parametric("b")], ports.PARAMETERS, ports.SETUP)
     assert count(setup).operations == {Op.MUL: 1, Op.DIV: 1, Op.NEG: 1}  # the sign is part of what is handed over
     p, x = [2.0, 7.0], [3.0]
     h = evaluate(setup, {"p": p})["h"]
@@ -71,7 +72,7 @@ def test_what_depends_on_parameters_alone_moves_to_setup_once_for_all_tapes():
 
 def test_a_parameter_used_as_it_is_is_handed_through():
     b = Builder()
-    (x,), p = b.vector("x", 1), b.vector("p", 1)
+    (x,), p = b.vector("x", 1), b.vector(ports.PARAMETERS, 1)
     b.output("y", Sparsity.dense(1), [p[0] * x])
-    setup, (tape,) = hoist([b.build("f")], "p", "h")
+    setup, (tape,) = hoist([b.build("f")], ports.PARAMETERS, ports.SETUP)
     assert evaluate(tape, {"x": [3.0], "h": evaluate(setup, {"p": [5.0]})["h"]}) == {"y": [15.0]}

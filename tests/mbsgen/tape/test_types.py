@@ -5,9 +5,11 @@ from __future__ import annotations
 import pytest
 
 from mbsgen.errors import TapeError
+from mbsgen.roles import Role
+from mbsgen.tape.ports import Function, Port
 from mbsgen.tape.types import LITERALS, Input, Op, Output, Sparsity, Tape
 
-X = Input("x", Sparsity.dense(2))
+X = Input(Port("x", Role.ARGUMENT), Sparsity.dense(2))
 
 
 def test_operations_know_the_number_of_their_operands():
@@ -18,22 +20,22 @@ def test_operations_know_the_number_of_their_operands():
 
 def test_an_operation_uses_earlier_values_only():
     with pytest.raises(TapeError, match="does not precede"):
-        Tape("f", (X,), (), ((Op.ADD, 0, 2),), ())
+        Tape(Function("f"), (X,), (), ((Op.ADD, 0, 2),), ())
 
 
 def test_an_output_has_a_value_for_each_nonzero():
     with pytest.raises(TapeError, match="2 nonzeros, 1 values"):
-        Tape("f", (X,), (), (), (Output("y", Sparsity.dense(2), (0,)),))
+        Tape(Function("f"), (X,), (), (), (Output(Port("y", Role.RESULT), Sparsity.dense(2), (0,)),))
 
 
 def test_an_output_refers_to_values_that_exist():
     with pytest.raises(TapeError, match="does not exist"):
-        Tape("f", (X,), (LITERALS.mpf(1),), (), (Output("y", Sparsity.dense(1), (3,)),))
+        Tape(Function("f"), (X,), (LITERALS.mpf(1),), (), (Output(Port("y", Role.RESULT), Sparsity.dense(1), (3,)),))
 
 
 def test_names_are_unique():
     with pytest.raises(TapeError, match="repeat"):
-        Tape("f", (X, X), (), (), ())
+        Tape(Function("f"), (X, X), (), (), ())
 
 
 def test_patterns_are_kept_in_compressed_columns():

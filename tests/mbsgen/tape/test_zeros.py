@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbsgen.formulations import ports
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.counts import count
 from mbsgen.tape.passes import hoist
@@ -15,7 +16,7 @@ from mbsgen.tape.zeros import count_without
 def write() -> Tape:
     """Write a tape that has each way of becoming 0, and each of becoming a copy."""
     b = Builder()
-    (p, r, s), (x, y) = b.vector("p", 3), b.vector("x", 2)
+    (p, r, s), (x, y) = b.vector(ports.PARAMETERS, 3), b.vector("x", 2)
     product = p * x + y
     turned = b.sin(r * x) * y + s * (x + y)
     b.output_dense(
@@ -27,12 +28,12 @@ def write() -> Tape:
 def written_without(tape: Tape, zeros: tuple[bool, ...]) -> int:
     """Write a tape with entries of `p` 0, and count it but for what depends on `p` alone."""
     b = Builder()
-    p, x = b.vector("p", 3), b.vector("x", 2)
+    p, x = b.vector(ports.PARAMETERS, 3), b.vector("x", 2)
     left = [b.zero if zero else entry for zero, entry in zip(zeros, p, strict=True)]
     values = replay(tape, b, {"p": left, "x": x})
     for o in tape.outputs:
-        b.output(o.name, o.sparsity, [values[v] for v in o.values])
-    (kernel,) = hoist([b.build("f")], "p", "h")[1]
+        b.output(o.port, o.sparsity, [values[v] for v in o.values])
+    (kernel,) = hoist([b.build("f")], ports.PARAMETERS, ports.SETUP)[1]
     return count(kernel).paper
 
 

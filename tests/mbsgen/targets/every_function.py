@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from mbsgen.roles import Role
+from mbsgen.tape.ports import Function, Port
 from mbsgen.tape.types import FUNCTIONS, Input, Op, Output, Sparsity, Tape
 
 
@@ -10,5 +12,5 @@ def functions_tape() -> Tape:
     operands = {Op.SQRT: (0, -1), Op.LOG: (0, -1), Op.ATAN2: (1, 0)}
     operations = tuple((op, *operands.get(op, (1, -1))) for op in FUNCTIONS)
     values = tuple(range(2, 2 + len(operations)))
-    result = Output("f", Sparsity.dense(len(values)), values)
-    return Tape("impl", (Input("x", Sparsity.dense(2)),), (), operations, (result,))
+    result = Output(Port("f", Role.RESULT), Sparsity.dense(len(values)), values)
+    return Tape(Function("impl"), (Input(Port("x", Role.ARGUMENT), Sparsity.dense(2)),), (), operations, (result,))

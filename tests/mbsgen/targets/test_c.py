@@ -15,9 +15,12 @@ import numpy as np
 import pytest
 
 from mbsgen import manifest
+from mbsgen.formulations import ports
 from mbsgen.resources import folder
+from mbsgen.roles import Role
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import FLOATS, evaluate
+from mbsgen.tape.ports import Function, Port
 from mbsgen.tape.types import LITERALS, Input, Op, Output, Sparsity, Tape
 from mbsgen.targets.c import Unit, write_c
 from mbsgen.targets.contract import Family, faces
@@ -104,8 +107,8 @@ def test_the_text_is_the_same_under_any_hash_seed() -> None:
 def test_the_default_parameters_are_written_to_the_last_bit(tmp_path: Path, requires: Requires) -> None:
     values = {"third": 1 / 3, "tiny": 5e-324, "large": -1.7976931348623157e308}
     b = Builder()
-    p = b.vector("p", 3)
-    b.output_dense("h", [[x * x] for x in p])
+    p = b.vector(ports.PARAMETERS, 3)
+    b.output_dense(ports.SETUP, [[x * x] for x in p])
     sample = write_sample(tmp_path, families=(Family(b.build("setup")),), parameters=values)
     run(requires("gcc"), "-std=c99", "-fPIC", "-shared", *kernels(sample), "-lm", "-o", tmp_path / "lib.so")
     found = np.zeros(3)
@@ -121,7 +124,9 @@ def test_the_name_of_a_model_is_not_in_its_files(name: str, tmp_path: Path) -> N
 
 
 def test_a_number_beyond_floats_is_refused_by_the_compiler(tmp_path: Path, requires: Requires) -> None:
-    tape = Tape("impl", (), (LITERALS.mpf("1e300"),), (), (Output("f", Sparsity.dense(1), (0,)),))
+    tape = Tape(
+        Function("impl"), (), (LITERALS.mpf("1e300"),), (), (Output(Port("f", Role.RESULT), Sparsity.dense(1), (0,)),)
+    )
     write_sample(tmp_path, families=(Family(tape),))
     options = ["-std=c99", "-Werror", "-c", tmp_path / "sample_impl.c", "-o", tmp_path / "x.o"]
     run(requires("gcc"), *options)
@@ -139,11 +144,11 @@ def random_tape(seed: int, size: int) -> Tape:
         operations.append((op, rng.choice(recent), rng.choice(recent) if op.arity == 2 else -1))
     outputs = tuple(range(7 + size - 8, 7 + size))
     return Tape(
-        "impl",
-        (Input("x", Sparsity.dense(3)),),
+        Function("impl"),
+        (Input(Port("x", Role.ARGUMENT), Sparsity.dense(3)),),
         literals,
         tuple(operations),
-        (Output("f", Sparsity.dense(8), outputs),),
+        (Output(Port("f", Role.RESULT), Sparsity.dense(8), outputs),),
     )
 
 
@@ -219,6 +224,7 @@ def test_the_manifest_lists_what_the_tapes_take_and_give() -> None:
 def test_a_tape_that_casadi_has_no_place_for_is_our_mistake() -> None:
     own = family(sample_tape())
     assert own.jac is not None
-    stray = replace(own.jac, outputs=(replace(own.jac.outputs[0], name="jac_f_w"), *own.jac.outputs[1:]))
+    first, *others = own.jac.outputs
+    stray = replace(own.jac, outputs=(replace(first, port=replace(first.port, name="jac_f_w")), *others))
     with pytest.raises(AssertionError, match="no place for"):
         faces(replace(own, jac=stray), "sample")

@@ -65,8 +65,8 @@ def changed(tape: Tape | None, output: str, change: Callable[[Builder, list[Scal
     values = replay(tape, builder, declare_inputs(tape, builder))
     for o in tape.outputs:
         results = [values[v] for v in o.values]
-        builder.output(o.name, o.sparsity, change(builder, results) if o.name == output else results)
-    return builder.build(tape.name)
+        builder.output(o.port, o.sparsity, change(builder, results) if o.name == output else results)
+    return builder.build(tape.function)
 
 
 def turn_last(_: Builder, values: list[Scalar]) -> list[Scalar]:

@@ -9,15 +9,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbsgen.errors import TapeError
+from mbsgen.roles import Role
 from mbsgen.tape.counts import INLINED
+from mbsgen.tape.ports import Function, Port
 from mbsgen.tape.types import LITERALS, Input, Op, Output, Sparsity, Tape
 from mbsgen.targets.statements import Statement, wrap, write_body, write_literal
 
 
 def tape(operations: list[tuple[Op, int, int]], labels: dict[int, str] | None = None, size: int = 3) -> Tape:
     """Make a tape of x (size) that gives out its last value."""
-    last = Output("f", Sparsity.dense(1), (size + len(operations) - 1,))
-    return Tape("impl", (Input("x", Sparsity.dense(size)),), (), tuple(operations), (last,), labels=labels or {})
+    last = Output(Port("f", Role.RESULT), Sparsity.dense(1), (size + len(operations) - 1,))
+    return Tape(
+        Function("impl"),
+        (Input(Port("x", Role.ARGUMENT), Sparsity.dense(size)),),
+        (),
+        tuple(operations),
+        (last,),
+        labels=labels or {},
+    )
 
 
 def written(found: Tape) -> list[str]:
@@ -95,8 +104,10 @@ def test_a_number_beyond_doubles_is_an_error() -> None:
 
 
 def test_inputs_that_nothing_reads_are_told() -> None:
-    sources = tuple(Input(name, Sparsity.dense(size)) for name, size in (("x", 1), ("u", 0), ("z", 2)))
-    found = Tape("impl", sources, (), (), (Output("f", Sparsity.dense(1), (0,)),))
+    sources = tuple(
+        Input(Port(name, Role.ARGUMENT), Sparsity.dense(size)) for name, size in (("x", 1), ("u", 0), ("z", 2))
+    )
+    found = Tape(Function("impl"), sources, (), (), (Output(Port("f", Role.RESULT), Sparsity.dense(1), (0,)),))
     body = write_body(found)
     assert body.unused == ("z",)
     assert body.results[0].statements == (Statement("f[0]", "x[0]"),)

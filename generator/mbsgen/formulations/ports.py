@@ -1,0 +1,98 @@
+"""The arguments of the functions of a tree: names, roles, units and meanings, each stated once.
+
+    M(q) qdd + c(q, qd, w) = Q(q, qd, u),    Phi = M qdd + c - Q
+
+Names are those of Docquier, Bruls and Fisette (2019), where they have one.
+"""
+
+from __future__ import annotations
+
+from mbsgen.roles import Axis, Role
+from mbsgen.tape.ports import Port
+
+COORDINATES = Port("q", Role.COORDINATE, Axis.COORDINATES, unit="rad or m", meaning="joint coordinates")
+VELOCITIES = Port("qd", Role.VELOCITY, Axis.VELOCITIES, unit="rad/s or m/s", meaning="joint velocities")
+ACCELERATIONS = Port("qdd", Role.ACCELERATION, Axis.VELOCITIES, unit="rad/s2 or m/s2", meaning="joint accelerations")
+FORCES = Port("u", Role.FORCE, Axis.FORCES, unit="N m or N", meaning="forces of the actuated joints, in joint order")
+WRENCHES = Port(
+    "w",
+    Role.WRENCH,
+    Axis.COMPONENTS,
+    unit="N and N m",
+    meaning="external forces and moments that the model leaves open, in its order",
+)
+DESIGN = Port("theta", Role.DESIGN, Axis.DESIGN, meaning="differentiated parameters, in the manifest's order")
+PARAMETERS = Port("p", Role.PARAMETER, Axis.PARAMETERS, meaning="run-time parameters, in the manifest's order")
+SETUP = Port("h", Role.SETUP, meaning="what setup computes from the run-time parameters")
+
+JOINT_FORCES = Port("Q", Role.RESULT, Axis.VELOCITIES, unit="N m or N", meaning="joint forces")
+RESIDUAL = Port(
+    "Phi", Role.RESIDUAL, Axis.VELOCITIES, unit="N m or N", meaning="residual Phi(q, qd, qdd) - Q(q, qd, u)"
+)
+MASS_MATRIX = Port(
+    "M", Role.MASS_MATRIX, Axis.VELOCITIES, Axis.VELOCITIES, unit="kg m2, kg m or kg", meaning="mass matrix"
+)
+BIAS = Port("c", Role.BIAS, Axis.VELOCITIES, unit="N m or N", meaning="bias: the joints' forces at qdd = 0")
+RATES = Port("rate", Role.RATE, Axis.COORDINATES, meaning="time derivatives of q")
+
+POSITION = Port(
+    "position",
+    Role.RESULT,
+    cols=Axis.SENSORS,
+    unit="m",
+    meaning="places of the sensors in the base frame, a column each",
+)
+VELOCITY = Port(
+    "v",
+    Role.RESULT,
+    cols=Axis.SENSORS,
+    unit="m/s",
+    meaning="velocities of the sensors in the base frame, a column each",
+)
+ANGULAR_VELOCITY = Port(
+    "omega",
+    Role.RESULT,
+    cols=Axis.SENSORS,
+    unit="rad/s",
+    meaning="angular velocities of the sensors in the base frame, a column each",
+)
+SENSOR_JACOBIAN = Port(
+    "J",
+    Role.RESULT,
+    Axis.SENSORS,
+    Axis.VELOCITIES,
+    meaning="six rows for each sensor: J qd is its velocity, then its angular velocity, in the base frame",
+)
+ORIGINS = Port(
+    "p", Role.RESULT, cols=Axis.FRAMES, unit="m", meaning="origins of the frames in the base frame, a column each"
+)
+ROTATIONS = Port("R", Role.RESULT, cols=Axis.FRAMES, meaning="axes of the frames as columns, in the base frame")
+
+ELIMINATION = Port(
+    "elimination",
+    Role.RESULT,
+    Axis.VELOCITIES,
+    meaning="by joint, what rounding is multiplied by in exp1: M_ii times the same entry of M^-1",
+)
+ARTICULATED = Port(
+    "articulated",
+    Role.RESULT,
+    Axis.VELOCITIES,
+    meaning="by joint, what rounding is multiplied by in exp2: |inertia| times |what it gives way|",
+)
+KINETIC = Port("kinetic", Role.RESULT, unit="J", meaning="kinetic energy")
+POTENTIAL = Port(
+    "potential",
+    Role.RESULT,
+    unit="J",
+    meaning="potential energy of gravity, 0 with all mass at the base's origin",
+)
+POWER = Port("power", Role.RESULT, unit="W", meaning="power of all forces but gravity")
+MOMENTUM = Port("momentum", Role.RESULT, unit="kg m/s", meaning="momentum in the base frame")
+ANGULAR_MOMENTUM = Port(
+    "angular_momentum",
+    Role.RESULT,
+    unit="kg m2/s",
+    meaning="moment of momentum about the base's origin, in the base frame",
+)
+CENTRE_OF_MASS = Port("com", Role.RESULT, unit="m", meaning="centre of mass in the base frame")

@@ -1,0 +1,104 @@
+"""Roles of arguments, orders of derivatives, and the names that follow from both.
+
+A function y = f(x) of the catalogue has the order `value`. Of its derivatives, with weights lambda of the results,
+
+    jacobian            dy/dx
+    adjoint             (dy/dx)T lambda
+    adjoint_jacobian    d((dy/dx)T lambda)/dx, the Hessian of lambdaT y, and by lambda
+    linearisation       y and dy/dx
+
+are generated. Generator and solver decide by roles and orders. Names are made here, and taken apart nowhere.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class Role(Enum):
+    """The part that an argument plays in a function."""
+
+    COORDINATE = "coordinate"  # q
+    VELOCITY = "velocity"  # qd
+    ACCELERATION = "acceleration"  # qdd, as an input or as a result
+    FORCE = "force"  # u, the forces of the actuated joints
+    WRENCH = "wrench"  # w, components of external wrenches
+    PARAMETER = "parameter"  # p, run-time parameters
+    DESIGN = "design"  # theta, differentiated parameters
+    SETUP = "setup"  # h, computed from the run-time parameters by a function of its own
+    ARGUMENT = "argument"  # any other input
+    RESIDUAL = "residual"  # Phi - Q, which vanishes along a motion
+    MASS_MATRIX = "mass_matrix"  # M of M qdd + c = Q
+    BIAS = "bias"  # c of M qdd + c = Q
+    RATE = "rate"  # time derivatives of q
+    RESULT = "result"  # any other result
+    SEED = "seed"  # the weights of a result, of which the adjoint is the sum
+    ADJOINT = "adjoint"  # the derivative of the weighted sum of all results, by an input
+    DERIVATIVE = "derivative"  # a block of a Jacobian
+
+    @property
+    def is_differentiated(self) -> bool:
+        """Return whether a function is differentiated by an input of this role."""
+        return self not in (Role.PARAMETER, Role.SETUP)
+
+
+class Axis(Enum):
+    """The meaning of the entries along one side of an argument."""
+
+    COORDINATES = "coordinates"  # the entries of q
+    VELOCITIES = "velocities"  # the joints: the entries of qd
+    FORCES = "forces"  # the actuated joints
+    COMPONENTS = "components"  # of the open wrenches
+    PARAMETERS = "parameters"  # run-time parameters
+    DESIGN = "design"  # differentiated parameters
+    SENSORS = "sensors"  # one entry or more for each sensor
+    FRAMES = "frames"  # one entry or more for each body, then for each sensor
+
+
+class Order(Enum):
+    """The order of differentiation of a kernel; the value of a member is the one that a manifest holds."""
+
+    VALUE = "value"
+    JACOBIAN = "jacobian"
+    ADJOINT = "adjoint"
+    ADJOINT_JACOBIAN = "adjoint_jacobian"
+    LINEARISATION = "linearisation"
+
+    @property
+    def prefix(self) -> str:
+        """Return the beginning of the names of kernels of this order."""
+        return _PREFIXES[self]
+
+
+_PREFIXES = {
+    Order.VALUE: "",
+    Order.JACOBIAN: "jac_",
+    Order.ADJOINT: "adj1_",
+    Order.ADJOINT_JACOBIAN: "jac_adj1_",
+    Order.LINEARISATION: "lin_",
+}
+RESERVED = (
+    *(prefix for prefix in _PREFIXES.values() if prefix),
+    "fwd1_",
+)  # of no function's own name; CasADi looks for all but one
+FAMILY = (Order.VALUE, Order.JACOBIAN, Order.ADJOINT, Order.ADJOINT_JACOBIAN)  # one function to CasADi
+
+
+def name_kernel(base: str, order: Order) -> str:
+    """Name the kernel of a function of an order, as in `jac_impl`."""
+    return order.prefix + base
+
+
+def name_derivative(of: str, by: str) -> str:
+    """Name the block of a Jacobian, as in `jac_Phi_q`."""
+    return f"jac_{of}_{by}"
+
+
+def name_adjoint(of: str) -> str:
+    """Name the adjoint of an input or the weights of a result, as in `adj_q` and `adj_Phi`."""
+    return f"adj_{of}"
+
+
+def name_unneeded(result: str) -> str:
+    """Name the place of a result among the inputs of a derivative, as in `out_Phi`; CasADi has one for each."""
+    return f"out_{result}"
