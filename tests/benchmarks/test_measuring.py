@@ -121,20 +121,20 @@ def test_a_compiler_that_fails_says_why(workshop: Workshop, tmp_path: Path) -> N
 TYPED = """
 #include <stdio.h>
 #include "mbs_timing.h"
-#include "arm_pendulum.h"
+#include "double_pendulum.h"
 
-MBS_TIMED(time_impl, arm_pendulum_compute_impl(arg[0], arg[1], arg[2], arg[3], res[0]))
+MBS_TIMED(time_impl, double_pendulum_compute_impl(arg[0], arg[1], arg[2], res[0]))
 
 int main(void)
 {
-    static const double q[2][6] = {{0}, {0.1, 0.2, 0.3, 0.4, 0.5, 0.6}}, zero[2][6] = {{0}};
-    const double *inputs[4];
-    const long long steps[4] = {6, 6, 6, 4};
-    double Phi[6], expected[6], *results[1];
-    mbs_pool pool = {2, 4, 0, 0, 0, 0, 0, arm_pendulum_impl};
-    inputs[0] = q[0], inputs[1] = inputs[2] = inputs[3] = zero[0];
+    static const double q[2][2] = {{0}, {0.1, 0.2}}, zero[2][2] = {{0}};
+    const double *inputs[3];
+    const long long steps[3] = {2, 2, 2};
+    double Phi[2], expected[2], *results[1];
+    mbs_pool pool = {2, 3, 0, 0, 0, 0, 0, double_pendulum_impl};
+    inputs[0] = q[0], inputs[1] = inputs[2] = zero[0];
     results[0] = Phi, pool.inputs = inputs, pool.steps = steps, pool.results = results;
-    arm_pendulum_compute_impl(q[1], zero[0], zero[0], zero[0], expected);
+    double_pendulum_compute_impl(q[1], zero[0], zero[0], expected);
     printf("%d ", time_impl(&pool, 10) > 0 && Phi[1] == expected[1]);
     Phi[1] = 0;
     printf("%d\\n", mbs_time_kernel(&pool, 10) > 0 && Phi[1] == expected[1]);
@@ -144,9 +144,9 @@ int main(void)
 
 
 def test_typed_functions_are_timed_by_the_same_loop(requires: Callable[[str], str], tmp_path: Path) -> None:
-    model, csrc = ROOT / "generated" / "arm_pendulum", ROOT / "csrc"
+    model, csrc = ROOT / "generated" / "double_pendulum", ROOT / "csrc"
     (tmp_path / "time.c").write_text(TYPED, encoding="utf-8")
-    sources = [tmp_path / "time.c", csrc / "timing" / "mbs_timing.c", model / "arm_pendulum_impl.c"]
+    sources = [tmp_path / "time.c", csrc / "timing" / "mbs_timing.c", model / "double_pendulum_impl.c"]
     flags = ["-std=c99", "-D_POSIX_C_SOURCE=199309L", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
     include = [f"-I{path}" for path in (csrc, csrc / "timing", model)]
     command = [requires("cc"), *flags, "-O1", *include, *map(str, sources), "-lm", "-o", str(tmp_path / "time")]

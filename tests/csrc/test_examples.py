@@ -1,4 +1,4 @@
-"""The examples of csrc/ are built as their first lines say, with the committed arm, and print what is true of it."""
+"""Build the examples of csrc/ as their first lines say, with the generated arm, and compare what they print."""
 
 from __future__ import annotations
 
@@ -15,10 +15,13 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from mbsrun import load
+from mbsrun.models import find_folder
+from tests.mbsrun.conftest import cache, run_folder
+
+__all__ = ["cache", "run_folder"]
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "csrc" / "examples"
-ARM = ROOT / "generated" / "arm_pendulum"
 FLAGS = "CFLAGS=-std=c99 -O2 -Wall -Wextra -Wpedantic -Werror"
 Array = NDArray[np.float64]
 
@@ -31,11 +34,17 @@ def run(*command: str | Path, cwd: Path) -> str:
 
 
 @pytest.fixture
-def make(requires: Callable[[str], str], tmp_path: Path) -> Callable[[str], str]:
+def arm_folder() -> Path:
+    """Find the generated folder of the arm in the cache of this run."""
+    return find_folder(ROOT / "models" / "arm_pendulum.yaml")
+
+
+@pytest.fixture
+def make(requires: Callable[[str], str], arm_folder: Path, tmp_path: Path) -> Callable[[str], str]:
     """Build an example by its Makefile, and run it."""
 
     def build(name: str) -> str:
-        run(requires("make"), "-f", EXAMPLES / name / "Makefile", f"MODEL={ARM}", FLAGS, cwd=tmp_path)
+        run(requires("make"), "-f", EXAMPLES / name / "Makefile", f"MODEL={arm_folder}", FLAGS, cwd=tmp_path)
         return run(tmp_path / name, cwd=tmp_path)
 
     return build
@@ -51,10 +60,10 @@ def test_inverse_dynamics(make: Callable[[str], str]) -> None:
     assert found == pytest.approx([float(x) for x in state["exact50"]["tau_id"]], rel=1e-13)
 
 
-def test_falling_arm(make: Callable[[str], str]) -> None:
+def test_falling_arm(make: Callable[[str], str], arm_folder: Path) -> None:
     """Another integrator, with accelerations from the residual's Jacobian; both err by less than 1e-7 in a second."""
     rows = [[float(x) for x in row] for row in list(csv.reader(make("falling_arm").splitlines()))[1:]]
-    found, arm = np.array(rows), load(ARM)
+    found, arm = np.array(rows), load(arm_folder)
 
     def derive(_: float, x: Array) -> Array:
         rest = {"q": x[:6], "qd": x[6:], "qdd": np.zeros(6), "u": np.zeros(4)}
@@ -67,11 +76,11 @@ def test_falling_arm(make: Callable[[str], str]) -> None:
     np.testing.assert_allclose(found[:, 1:], expected, rtol=0, atol=1e-7 * np.abs(expected).max())
 
 
-def test_gravity_torques(requires: Callable[[str], str], tmp_path: Path) -> None:
+def test_gravity_torques(requires: Callable[[str], str], arm_folder: Path, tmp_path: Path) -> None:
     """About the shoulder: the weight of each body, at its distance along x from there; the arm is stretched out."""
     cmake = requires("cmake")
     requires("g++")
-    run(cmake, "-S", EXAMPLES / "gravity_torques", "-B", tmp_path, f"-DMODEL={ARM}", cwd=tmp_path)
+    run(cmake, "-S", EXAMPLES / "gravity_torques", "-B", tmp_path, f"-DMODEL={arm_folder}", cwd=tmp_path)
     run(cmake, "--build", tmp_path, cwd=tmp_path)
     told = run(tmp_path / "gravity_torques", cwd=tmp_path)
     found = re.findall(r"q2 = *(\S+) rad: \S+ (\S+)", told)

@@ -27,7 +27,7 @@ from rich.table import Column, Table
 
 from tests.mutants.faults import GOLDEN, ROOT, Fault, read_faults
 
-FOLDERS = ("benchmarks", "csrc", "docs", "generated", "generator", "models", "python", "templates", "tests")
+FOLDERS = ("benchmarks", "csrc", "docs", "generated", "generator", "models", "python", "studies", "templates", "tests")
 FILES = ("pyproject.toml", "Makefile", "README.md", "ARCHITECTURE.md", "CHANGELOG.md", "LICENSE", "LICENSE-GENERATED")
 RECORD = ROOT / "build" / "mutants.json"
 SECONDS = 600  # a fault may make a test hang; that is noticed too
