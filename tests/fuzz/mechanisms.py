@@ -181,14 +181,19 @@ class _Draw:
                 pitch = {"pitch": pick.choice([0.1, -0.4, "0.3/pi"]), "axis": self.axis()}
                 return {"type": kind, **self.place(), **self.setting(), **pitch}
             case "universal":
-                return {"type": kind, **self.place(), "axis": self.axis(), "axis2": pick.choice(SKEW)}
+                return {"type": kind, **self.place(), "axis": self.axis(), "axis2": [*pick.choice(SKEW)]}
             case "cylindrical":
                 axis = pick.choice("xyz")
                 self.joints += [f"{name}.r{axis}", f"{name}.{axis}"]
                 axes = {label: self.setting() for label in (f"r{axis}", axis)}
                 return {"type": kind, **self.place(), "axis": axis, "axes": axes}
             case "plane":
-                return {"type": "planar", **self.place(), "normal": pick.choice(SKEW), "actuated": pick.random() < 0.5}
+                return {
+                    "type": "planar",
+                    **self.place(),
+                    "normal": [*pick.choice(SKEW)],
+                    "actuated": pick.random() < 0.5,
+                }
             case "planar":
                 plane = pick.choice(["xy", "xz", "yz"])
                 self.joints += [f"{name}.{x}" for x in plane]
@@ -197,7 +202,7 @@ class _Draw:
 
     def axis(self) -> Any:
         pick = self.source
-        return pick.choice([*("x", "y", "z") * 3, "-x", "-y", "-z", pick.choice(SKEW)])
+        return pick.choice([*("x", "y", "z") * 3, "-x", "-y", "-z", [*pick.choice(SKEW)]])
 
     def elementary(self, name: str, kind: str) -> dict[str, Any]:
         pick = self.source
