@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,95 +12,23 @@ import yaml
 from numpy.typing import NDArray
 
 from mbsgen.derivatives.dynamics import Dynamics
-from mbsgen.documents import take
 from mbsgen.formulations import impl
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import ALL, NONE
 from mbsgen.model.construction import body, fixed, frame, make_model, revolute
-from mbsgen.model.expansion import label_joints
-from mbsgen.model.joints import find_joint_type
-from mbsgen.model.joints.compound import CompoundSection
-from mbsgen.model.model import Joint, Model
+from mbsgen.model.model import Model
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
-from mbsgen.model.sections import read_direction
-from mbsgen.model.tree import Kind, Motion, Tree
+from mbsgen.model.tree import Kind, Tree
 from mbsgen.model.writer import write_model
 from mbsgen.pipeline import Options, build_parametric, make
 from mbsgen.tape.interpreter import DIGITS, evaluate
+from tests.number_paths import set_number
 from tests.random_scenes import random_model
 
 Array = NDArray[np.float64]
-Data = dict[str, Any]
 MODELS = [f for f in sorted((Path(__file__).parents[3] / "models").glob("*.yaml")) if not f.stem.endswith(".ocp")]
 CLOSE = 1e-12  # relative: rounding of some hundred operations, of numbers that are rounded once more
-
-
-def change(data: Data, path: str, value: float) -> None:
-    """Write a number into a model file, by the path that a parameter has."""
-    if path in data.get("parameters", {}):
-        given = data["parameters"][path]
-        data["parameters"][path] = given | {"value": value} if isinstance(given, dict) else value
-        return None
-    if path.startswith("gravity."):
-        data["gravity"]["xyz".index(path[-1])] = value
-        return None
-    for section in ("frames", "wrenches"):
-        for item in data.get(section, []):
-            if path.startswith(start := f"{section}.{item['name']}."):
-                return set_number(item, path.removeprefix(start).split("."), value)
-    owners = [(name, owner) for name, owner in list_owners(data) if path.startswith(f"{name}.")]
-    for name, owner in owners:
-        place = path.removeprefix(f"{name}.").split(".")
-        if place[0] in owner_keys(owner):
-            return set_number(owner, place, value)
-    raise AssertionError(f"no place in the file is called {path}")
-
-
-def owner_keys(owner: Data) -> tuple[str, ...]:
-    """Tell what a mapping of the file can hold: of a body, or of a joint."""
-    if "joint" in owner:
-        return "mass", "com", "inertia"
-    law = ("stiffness", "rest", "damping", "friction", "force", "armature")
-    place, is_elementary = ("position", "orientation"), owner.get("type") in ("revolute", "prismatic")
-    return (*place, *law) if is_elementary else place if "type" in owner else law
-
-
-def list_owners(data: Data) -> list[tuple[str, Data]]:
-    """List bodies and joints by their names, as the documentation gives them."""
-    found = []
-    for item in data["bodies"]:
-        found.append((item["name"], item))
-        joint = item["joint"]
-        if isinstance(joint, list):
-            motions = [Joint(Motion(j["type"]), read_direction(j["axis"])) for j in joint]
-            labels = label_joints(motions)
-            found += [(j.get("name", f"{item['name']}.{x}"), j) for j, x in zip(joint, labels, strict=True)]
-        else:
-            found.append((joint.get("name", item["name"]), joint))
-            made = take(joint, find_joint_type(joint["type"]))
-            for label in label_joints(made.list_joints()) if isinstance(made, CompoundSection) else ():
-                setting = joint.setdefault("axes", {}).setdefault(label, {})
-                found.append((setting.get("name", f"{item['name']}.{label}"), setting))
-    return found
-
-
-def set_number(owner: Data, place: list[str], value: float) -> None:
-    key, *rest = place
-    match key, rest:
-        case "orientation", [k]:
-            owner["orientation"][int(k) - 1]["angle"] = value
-        case "inertia", [entry]:
-            tensor = owner.get("inertia", [0, 0, 0])
-            if isinstance(tensor, list):
-                tensor = dict(zip(("xx", "yy", "zz"), tensor, strict=True))
-            owner["inertia"] = tensor | {entry: value}
-        case "friction", [entry]:
-            owner["friction"][entry] = value
-        case _, [axis]:
-            owner.setdefault(key, [0, 0, 0])["xyz".index(axis)] = value
-        case _, []:
-            owner[key] = value
 
 
 def draw_state(tree: Tree, seed: int) -> dict[str, list[float]]:
@@ -139,7 +66,7 @@ def assert_parameters_are_numbers_of_the_file(text: str, folder: Path, seed: int
         is_within = re.search(r"\.force\.[0-9]+$", parameter.name)
         values.append(parameter.value if is_within else drawn)
         if not is_within:
-            change(data, parameter.name, drawn)
+            set_number(data, parameter.name, drawn)
     assert values
     file.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
     tree = build_tree(fix_parameters(read_model(file)))
