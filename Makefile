@@ -16,10 +16,11 @@ demo: $(VENV)/installed
 test: lint
 	$(BIN)/pytest -n 2
 
-# Searches for inputs that are not taken well, by changing the files that ship: some hours; FUZZ="--count 100" is quick.
+# Changes the files that ship, and draws mechanisms, to find faults: some hours. FUZZ="--count 100" is quick, and goes to
+# both searches; FUZZ_INPUTS="--kind models" and FUZZ_MECHANISMS="--seed 1000" go to one.
 fuzz: $(VENV)/installed-dev
-	$(BIN)/python -m tests.fuzz inputs $(FUZZ)
-	$(BIN)/python -m tests.fuzz mechanisms $(FUZZ)
+	$(BIN)/python -m tests.fuzz inputs $(FUZZ) $(FUZZ_INPUTS)
+	$(BIN)/python -m tests.fuzz mechanisms $(FUZZ) $(FUZZ_MECHANISMS)
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .

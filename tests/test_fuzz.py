@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from tests.fuzz import inputs, mechanisms
-from tests.fuzz.absolute import Absolute
+from tests.fuzz.absolute import Absolute, Data
 
 COUNT = 12
 SOUND = 1  # the seed of a mechanism that is accepted
+ROUGH = 9  # the seed of a mechanism that a tolerance changes
 
 
 @pytest.mark.parametrize("name", inputs.KINDS)
 def test_files_are_accepted_or_refused_in_words(name: str) -> None:
-    """What ships is accepted; nothing that it is changed to brings a traceback, a process, or half an output."""
+    """A file that ships, changed at random, brings no traceback, no process, and no half of an output."""
     tally = inputs.search(inputs.KINDS[name], COUNT, seed=0)
     assert tally.findings == ()
     assert tally.accepted + tally.refused == COUNT
@@ -23,7 +26,7 @@ def test_files_are_accepted_or_refused_in_words(name: str) -> None:
 
 @pytest.mark.parametrize("name", sorted(set(inputs.KINDS) - {"models"}))
 def test_the_search_starts_from_files_that_are_accepted(name: str, tmp_path: Path) -> None:
-    """Or else it would try refusals alone."""
+    """Otherwise it would try refusals alone."""
     kind = inputs.KINDS[name]
     for k, (file, content) in enumerate(kind.sources()):
         folder = tmp_path / str(k)
@@ -32,7 +35,7 @@ def test_the_search_starts_from_files_that_are_accepted(name: str, tmp_path: Pat
 
 
 def test_the_search_sees_what_is_not_well(tmp_path: Path) -> None:
-    """A traceback, a file beside, an output of what is refused: the search would tell."""
+    """The search finds a traceback, a file beside the output, an output of what is refused, and a process."""
     trials = {"ValueError": _raise, "left half": _leave_half, "os.system": _begin_a_process}
     for trouble, use in trials.items():
         _, seen = inputs.attempt(inputs.Kind(tuple, use), "file", b"", tmp_path)
@@ -53,16 +56,33 @@ def _begin_a_process(_: Path) -> None:
 
 
 def test_mechanisms_agree_with_virtual_power() -> None:
-    """A slice: drawn over all that a model file says, by a program that shares no line with the generator."""
+    """All functions are those of virtual power, in a program that shares no line with the generator."""
     tally = mechanisms.search(8, seed=1)
     assert tally.findings == []
     assert tally.agreed >= 4
 
 
-def test_a_mechanism_that_is_wrong_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Or else agreement would show nothing: the reference is given another gravity than the file."""
-    drawn = mechanisms.draw(SOUND)
-    assert mechanisms.examine(drawn) == ""
-    model = drawn.model | {"gravity": [0, 0, 1]}
-    monkeypatch.setattr(mechanisms, "Absolute", lambda _, names, **__: Absolute(model, names))
-    assert "impl by" in mechanisms.examine(drawn)
+@pytest.mark.parametrize("numbers", [*mechanisms.NUMBERS])
+def test_a_mechanism_agrees_whatever_is_done_with_its_numbers(numbers: str) -> None:
+    """As the file has them; all changed at run time, with and without zeros; and approximated."""
+    tolerance = 0.01 if numbers == "approximate" else 0.0
+    assert mechanisms.examine(replace(mechanisms.draw(SOUND), numbers=numbers, tolerance=tolerance)) == ""
+
+
+class Weightless(Absolute):
+    """The reference, wrong: with another gravity than the file's."""
+
+    def __init__(self, model: Data, names: Mapping[str, float], *, gravity: bool = True) -> None:
+        super().__init__({**model, "gravity": [0, 0, 1]}, names, gravity=gravity)
+
+
+def test_a_mechanism_that_is_wrong_is_found() -> None:
+    """Otherwise agreement would show nothing."""
+    assert "impl by" in mechanisms.examine(mechanisms.draw(SOUND), reference=Weightless)
+
+
+def test_an_approximation_that_errs_by_more_than_the_tolerance_is_found() -> None:
+    """Otherwise agreement would show nothing: here an approximation is held to a tenth of its tolerance."""
+    rough = replace(mechanisms.draw(ROUGH), numbers="approximate", tolerance=0.1)
+    assert mechanisms.examine(rough) == ""
+    assert "errs by more than" in mechanisms.examine(rough, beyond=0.1)

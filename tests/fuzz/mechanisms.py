@@ -1,12 +1,16 @@
 """Mechanisms drawn at random over what a model file can say: the generator's equations against those of `absolute`.
 
 A mechanism disagrees where a function differs from virtual power by more than rounding; one that is refused in words is
-counted apart. The tapes are evaluated in 50 digits, so that rounding is that of the reference alone.
+counted apart. The tapes are evaluated in 50 digits, so that only the reference is rounded. Where every number is a
+run-time parameter, all of them are changed, in the parameters and at their paths in the file. Where a tolerance is
+given, the approximated functions are compared with the exact ones, at states that the approximation has not seen.
 """
 
 from __future__ import annotations
 
+import copy
 import random
+import re
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,18 +21,22 @@ from typing import Any
 import numpy as np
 import yaml
 
+from mbsgen.approximation.choice import approximate
+from mbsgen.approximation.states import draw as draw_states
 from mbsgen.errors import MbsError
 from mbsgen.families import Options, write_families
-from mbsgen.formulations.catalogue import RESULTS
+from mbsgen.formulations.catalogue import FUNCTIONS, RESULTS
 from mbsgen.formulations.reductions import ALL, NONE, Reductions
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
-from mbsgen.model.scene import read_scene, stage
+from mbsgen.model.scene import Scene, read_scene, stage
 from mbsgen.model.tree import Kind, Tree
+from mbsgen.pipeline import build_parametric, make
 from mbsgen.tape.interpreter import DECIMALS, evaluate, fifty_digits
 from mbsgen.tape.types import Tape
 from mbsgen.verification.verify import verify
 from tests.fuzz.absolute import Absolute, Array, Found, value_of
+from tests.number_paths import set_number
 
 ROUNDING = 1e-10  # of the largest sum of magnitudes: some hundred products in float64, and matrices of three rotations
 FEW = replace(ALL, trials=6)
@@ -44,6 +52,9 @@ CHOICES: Mapping[str, Reductions] = {
 }
 WITH_DERIVATIVES = 50
 SKEW = ([0.6, 0, 0.8], [1, -2, 0.5], [0, 1, 1])
+NUMBERS = {"given": 16, "runtime": 2, "zeros": 2, "approximate": 1}  # what is done with the file's numbers, how often
+STATES = 256  # at which an approximation is compared; it was measured at 1024
+BEYOND = 1.25  # times the tolerance: so much more may an error be at states that were not measured
 FUNCTIONS_COMPARED = ("impl", "semi", "semi_res", "exp1", "exp2", "energy", "power", "sensors", "motion")
 
 
@@ -55,6 +66,8 @@ class Mechanism:
     scene: dict[str, Any]
     parameters: Mapping[str, float]
     reductions: str
+    numbers: str = "given"  # one of NUMBERS
+    tolerance: float = 0.0
 
 
 @dataclass
@@ -106,7 +119,9 @@ class _Draw:
                 "gravity": pick.random() < 0.7,
                 "motion": pick.random() < 0.8,
             }
-        return Mechanism(model, scene, parameters, pick.choice(list(CHOICES)))
+        reductions, numbers = pick.choice(list(CHOICES)), pick.choices([*NUMBERS], [*NUMBERS.values()])[0]
+        tolerance = pick.choice([1e-3, 1e-2, 0.1]) if numbers == "approximate" else 0.0
+        return Mechanism(model, scene, parameters, reductions, numbers, tolerance)
 
     def number(self, low: float, high: float) -> float:
         return round(self.source.uniform(low, high), 3)
@@ -249,16 +264,32 @@ class _Draw:
 # -- comparison -------------------------------------------------------------------------------------------------------
 
 
-def examine(mechanism: Mechanism, seed: int = 0, *, derivatives: bool = False) -> str:
-    """Compare a mechanism at a random state; return what differs, or nothing. Raises MbsError where it is refused."""
+def examine(
+    mechanism: Mechanism,
+    seed: int = 0,
+    *,
+    derivatives: bool = False,
+    reference: type[Absolute] = Absolute,
+    beyond: float = BEYOND,
+) -> str:
+    """Compare a mechanism at a random state; return what differs, or nothing. Raises MbsError where it is refused.
+
+    `reference` computes the virtual power; an approximation may err by `beyond` times its tolerance.
+    """
     with tempfile.TemporaryDirectory() as folder:
         model, scene = Path(folder) / "model.yaml", Path(folder) / "fuzz.scene.yaml"
         model.write_text(yaml.safe_dump(mechanism.model, sort_keys=False))
         scene.write_text(yaml.safe_dump(mechanism.scene or {"motion": True}, sort_keys=False))
         whole = read_model(model)
         told = read_scene(scene, whole, RESULTS)
-    tree = build_tree(stage(whole, told))
     reductions = CHOICES[mechanism.reductions]
+    tree = build_tree(stage(whole, told))
+    if mechanism.tolerance and tree.couplings:
+        make(whole, Options(scene=told, tolerance=mechanism.tolerance))
+        return "a tolerance is accepted where joints follow others"
+    if mechanism.numbers in ("runtime", "zeros"):
+        tree = build_parametric(whole, told, zeros=mechanism.numbers == "zeros")
+        mechanism = change_numbers(mechanism, tree, seed)
     functions = (
         None if derivatives else tuple(x for x in FUNCTIONS_COMPARED if tree.sensors or x not in ("sensors", "motion"))
     )
@@ -268,14 +299,73 @@ def examine(mechanism: Mechanism, seed: int = 0, *, derivatives: bool = False) -
         verify(tree, families, parts={}, still=not told.motion)
     tapes = {family.value.name: family.value for family in families}
     with fifty_digits():
-        return _Comparison(mechanism, tree, tapes, seed).run()
+        found = _Comparison(mechanism, tree, tapes, seed, reference).run()
+    return found or (compare_approximation(tree, mechanism, told, seed, beyond) if mechanism.tolerance else "")
+
+
+def change_numbers(mechanism: Mechanism, tree: Tree, seed: int) -> Mechanism:
+    """Change every run-time parameter of a tree, and the file at its path; numbers in a law of force have no path."""
+    source, model = random.Random(f"{seed} numbers"), copy.deepcopy(mechanism.model)
+    values = dict(mechanism.parameters)
+    for parameter in (p for p in tree.parameters if p.kind is Kind.RUNTIME):
+        if re.search(r"\.force\.[0-9]+$", parameter.name) and not parameter.name.startswith("wrenches."):
+            continue
+        drawn = parameter.value * source.uniform(0.9, 1.1) if parameter.value else source.uniform(0.0, 0.02)
+        values[parameter.name] = drawn
+        set_number(model, parameter.name, drawn)
+    return replace(mechanism, model=model, parameters=values)
+
+
+def compare_approximation(tree: Tree, mechanism: Mechanism, scene: Scene, seed: int, beyond: float) -> str:
+    """Compare the approximated joint forces and M with the exact ones; return what differs by more than is claimed.
+
+    An entry errs by its largest difference at the states, relative to its largest value; M_ij relative to the largest
+    of sqrt(M_ii M_jj).
+    """
+    options = Options(reductions=CHOICES[mechanism.reductions], functions=("impl", "semi"), derivatives=0)
+    found = approximate(tree, mechanism.tolerance, options, scene)
+    states = draw_states(tree, STATES, 4711 + seed, motion=scene.motion)
+    n = len(tree.bodies)
+    exact, near = (_evaluate_floats(x, options.reductions, states) for x in (tree, found.tree))
+    size = np.sqrt(np.abs(exact["M"]).max(axis=0).reshape(n, n).diagonal())
+    limits = {"Phi": np.abs(exact["Phi"]).max(axis=0), "c": np.abs(exact["c"]).max(axis=0), "M": np.outer(size, size)}
+    faults = []
+    for name, limit in limits.items():
+        off = np.abs(near[name] - exact[name]).max(axis=0)
+        if not (off <= beyond * mechanism.tolerance * limit.ravel() + ROUNDING * limit.max()).all():
+            faults.append(f"{name} errs by more than {mechanism.tolerance}")
+    if not max(found.errors.values(), default=0.0) <= mechanism.tolerance:
+        faults.append(f"an error of {max(found.errors.values())} is reported")
+    return ", ".join(faults)
+
+
+def _evaluate_floats(tree: Tree, reductions: Reductions, states: Mapping[str, Array]) -> dict[str, Array]:
+    """Evaluate impl and semi at arrays of states, without inputs of joints: (states, entries); M dense, by columns."""
+    given: dict[str, Any] = {name: list(columns.T) for name, columns in states.items()}
+    given |= {
+        name: [p.value for p in tree.parameters if p.kind is kind]
+        for name, kind in (("p", Kind.RUNTIME), ("theta", Kind.DIFFERENTIATED))
+    }
+    given["u"] = [np.zeros(STATES)] * sum(body.joint.actuated for body in tree.bodies)
+    results: dict[str, Array] = {}
+    for function in ("impl", "semi"):
+        tape = FUNCTIONS[function].build(tree, reductions)
+        found = evaluate(tape, {i.name: given[i.name] for i in tape.inputs})
+        for output in tape.outputs:
+            dense = np.zeros((STATES, output.sparsity.rows * output.sparsity.cols))
+            for (r, c), value in zip(output.sparsity.entries, found[output.name], strict=True):
+                dense[:, r + c * output.sparsity.rows] = value
+            results[output.name] = dense
+    return results
 
 
 class _Comparison:
-    def __init__(self, mechanism: Mechanism, tree: Tree, tapes: Mapping[str, Tape], seed: int) -> None:
+    def __init__(
+        self, mechanism: Mechanism, tree: Tree, tapes: Mapping[str, Tape], seed: int, reference: type[Absolute]
+    ) -> None:
         self.mechanism, self.tree, self.tapes = mechanism, tree, tapes
         scene, source = mechanism.scene, np.random.default_rng(seed)
-        self.absolute = Absolute(mechanism.model, mechanism.parameters, gravity=scene.get("gravity", True))
+        self.absolute = reference(mechanism.model, mechanism.parameters, gravity=scene.get("gravity", True))
         self.names = [joint.name for joint in tree.joints]
         self.q = dict(zip(tree.coordinates, source.uniform(-1.5, 1.5, len(tree.coordinates)), strict=True))
         moves = 1.0 if scene.get("motion", True) else 0.0
@@ -436,7 +526,7 @@ def search(
         if keep is not None and tally.findings and tally.findings[-1][0] == number:
             keep.mkdir(parents=True, exist_ok=True)
             told = f"{tally.findings[-1][1]}\n# reductions: {mechanism.reductions}\n# scene: {mechanism.scene}"
-            text = f"# seed {number}: {told}\n"
+            text = f"# seed {number}: {told}\n# numbers: {mechanism.numbers}, tolerance: {mechanism.tolerance}\n"
             text += f"# parameters: {dict(mechanism.parameters)}\n" + yaml.safe_dump(mechanism.model, sort_keys=False)
             (keep / f"mechanism_{number}.yaml").write_text(text)
         show(number, tally)
