@@ -9,7 +9,7 @@ from mbsgen.model.expansion import label_joints
 from mbsgen.model.joints import find_joint_type
 from mbsgen.model.joints.compound import CompoundSection
 from mbsgen.model.model import Joint
-from mbsgen.model.sections import read_direction
+from mbsgen.model.sections import SettingSection, read_direction
 from mbsgen.model.tree import Motion
 
 Data = dict[str, Any]
@@ -41,8 +41,10 @@ def _list_keys(owner: Data) -> tuple[str, ...]:
     if "joint" in owner:
         return "mass", "com", "inertia"
     law = ("stiffness", "rest", "damping", "friction", "force", "armature")
-    place, is_elementary = ("position", "orientation"), owner.get("type") in ("revolute", "prismatic")
-    return (*place, *law) if is_elementary else place if "type" in owner else law
+    if "type" not in owner:
+        return law
+    place = ("position", "orientation")
+    return (*place, *law) if issubclass(find_joint_type(owner["type"]), SettingSection) else place
 
 
 def _list_owners(data: Data) -> list[tuple[str, Data]]:

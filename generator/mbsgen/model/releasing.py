@@ -119,7 +119,14 @@ class _Release:
             return tuple(self._joint(step, self._placement(step.name, step.joint.placement)) for step in steps)
         first, *rest = steps  # a joint with a name for all of it has one place, that of the first
         placement = self._placement(body.name, first.joint.placement)
-        return self._joint(first, placement), *(self._joint(step, step.joint.placement) for step in rest)
+        return self._joint(first, placement), *(self._part(step, first.name) for step in rest)
+
+    def _part(self, step: Step, first: str) -> Joint:
+        """Release a part of a joint with a name for all of it; the slide of a screw has no settings in the file."""
+        follows = step.joint.follows
+        if follows is not None and follows.joint == first:
+            return replace(step.joint, follows=self._follow(follows))
+        return self._joint(step, step.joint.placement)
 
     def _joint(self, step: Step, placement: Placement) -> Joint:
         if step.joint.floats:

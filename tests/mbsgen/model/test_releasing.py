@@ -33,7 +33,7 @@ CLOSE = 1e-12  # relative: rounding of some hundred operations, of numbers that 
 
 def draw_state(tree: Tree, seed: int) -> dict[str, list[float]]:
     rng = np.random.default_rng(seed)
-    n, m = len(tree.bodies), sum(body.joint.actuated for body in tree.bodies)
+    n, m = len(tree.joints), sum(joint.actuated for joint in tree.joints)
     w = 3 * sum(v is None for x in tree.wrenches for v in (x.force, x.moment))
     sizes = {"q": len(tree.coordinates), "qd": n, "qdd": n, "u": m, "w": w}
     return {name: list(rng.uniform(-1, 1, size)) for name, size in sizes.items()}
@@ -151,6 +151,15 @@ def test_zeros_become_parameters_where_they_are_asked_for(tmp_path: Path) -> Non
         "arm.damping",
         "load.position.x",
     } <= names
+
+
+def test_a_screw_has_the_parameters_of_its_turn_alone(tmp_path: Path) -> None:
+    """The slide that goes with the turn is not in the file, so it has no stiffness, damping or rotor there."""
+    text = (
+        "name: screw\ngravity: [0, 0, -9.81]\nbodies:\n"
+        "  - {name: nut, joint: {type: helical, axis: z, pitch: 0.01, damping: 0.2}, mass: 1, inertia: [1, 1, 1]}\n"
+    )
+    assert_parameters_are_numbers_of_the_file(text, tmp_path, 0, zeros=True)
 
 
 def test_names_that_are_alike_stay_apart() -> None:
