@@ -32,11 +32,16 @@ def jacobian(tape: Tape, wrt: Sequence[str]) -> Tape:
 def propagate(tape: Tape, builder: Builder, values: Sequence[Scalar], wrt: Sequence[str]) -> list[Gradient]:
     """Compute the nonzero derivatives of every value of a replayed tape by the nonzeros of the inputs `wrt`."""
     one = builder.number(1.0)
-    gradients: list[Gradient] = []
+    given: list[Gradient] = []
     for i in tape.inputs:
-        first = len(gradients)
-        gradients.extend({first + k: one} if i.name in wrt else {} for k in range(i.sparsity.nnz))
-    gradients.extend({} for _ in tape.literals)
+        first = len(given)
+        given.extend({first + k: one} if i.name in wrt else {} for k in range(i.sparsity.nnz))
+    return carry(tape, builder, values, given)
+
+
+def carry(tape: Tape, builder: Builder, values: Sequence[Scalar], given: Sequence[Gradient]) -> list[Gradient]:
+    """Compute the nonzero derivatives of every value of a replayed tape from those of its input nonzeros."""
+    gradients = [*given, *({} for _ in tape.literals)]
     for value, (op, a, b) in enumerate(tape.operations, tape.first_operation):
         operands = (a, b)[: op.arity]
         if not any(gradients[x] for x in operands):

@@ -19,7 +19,7 @@ import numpy as np
 from mpmath import MPContext, mpf
 
 from mbsgen.errors import TapeError
-from mbsgen.tape.types import FUNCTIONS, Op, Outline, Tape
+from mbsgen.tape.types import FUNCTIONS, LARGEST_THRESHOLD, LITERALS, Op, Outline, Tape
 
 
 @dataclass(frozen=True)
@@ -68,20 +68,40 @@ DECIMALS = Numbers(
 def evaluate(tape: Tape, arguments: Mapping[str, Sequence[Any]], numbers: Numbers = FLOATS) -> dict[str, list[Any]]:
     """Evaluate every output: its nonzeros in storage order. `arguments` hold the nonzeros of each input likewise.
 
-    Guards are not looked at: `find_failure` does that.
+    Guards are not tested: `find_failure` does that.
     """
-    values = _evaluate_values(tape, arguments, numbers)
-    return {o.name: [values[v] for v in o.values] for o in tape.outputs}
+    return run(tape, arguments, numbers, tested=False)[1]
 
 
 def find_failure(tape: Tape, arguments: Mapping[str, Sequence[Any]], numbers: Numbers = FLOATS) -> int:
     """Return the joint at which the kernel fails for these arguments, or 0: the status that generated code returns."""
+    return run(tape, arguments, numbers, tested=True)[0]
+
+
+def run(
+    tape: Tape, arguments: Mapping[str, Sequence[Any]], numbers: Numbers, *, tested: bool
+) -> tuple[int, dict[str, list[Any]]]:
+    """Return the status, which is 0 unless a guard is `tested` and fails, and every output."""
     values = _evaluate_values(tape, arguments, numbers)
+    status = _test(tape, values, numbers) if tested else 0
+    return status, {o.name: [values[v] for v in o.values] for o in tape.outputs}
+
+
+def _test(tape: Tape, values: Sequence[Any], numbers: Numbers) -> int:
     for guard in tape.guards:
         pivot = -values[guard.value] if guard.negated else values[guard.value]
-        if not pivot > guard.threshold(numbers.epsilon) * values[guard.scale]:
+        if not pivot > find_threshold(guard.tolerance, numbers) * values[guard.scale]:
             return guard.joint
     return 0
+
+
+def find_threshold(tolerance: float, numbers: Numbers) -> Any:
+    """Return the part of its scale that a pivot must exceed, in the numbers that are computed with."""
+    return min(_literal(tolerance, numbers) * numbers.epsilon, _literal(LARGEST_THRESHOLD, numbers))
+
+
+def _literal(number: float, numbers: Numbers) -> Any:
+    return numbers.literal(LITERALS.mpf(number))
 
 
 def _evaluate_values(tape: Tape, arguments: Mapping[str, Sequence[Any]], numbers: Numbers) -> list[Any]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from mbsgen.roles import Role
 from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.counts import count_uses
 from mbsgen.tape.ports import Function, Port
 from mbsgen.tape.replay import declare_inputs, leaves, operate, replay, replay_guards
 from mbsgen.tape.types import Guard, Sparsity, Tape
@@ -57,6 +58,17 @@ def set_zero(tape: Tape, role: Role) -> Tape:
 def keep_results(tape: Tape, names: Collection[str]) -> Tape:
     """Leave out all results but some, and what only they need."""
     return drop_dead(replace(tape, outputs=tuple(o for o in tape.outputs if o.name in names)))
+
+
+def drop_unused_inputs(tape: Tape) -> Tape:
+    """Leave out the inputs of which nothing is read."""
+    uses = count_uses(tape)
+    unused, first = set(), 0
+    for i in tape.inputs:
+        if not any(uses[first + k] for k in range(i.sparsity.nnz)):
+            unused.add(i.name)
+        first += i.sparsity.nnz
+    return set_zero(tape, unused) if unused else tape
 
 
 def hoist(tapes: Sequence[Tape], source: Port, target: Port) -> tuple[Tape, tuple[Tape, ...]]:

@@ -157,10 +157,6 @@ class Guard:
     negated: bool = False  # the tape has the pivot with its sign changed
     early: bool = False  # it guards a division by parameters, and is tested where these are given: in `setup`
 
-    def threshold(self, epsilon: float) -> float:
-        """Tell what part of its scale the pivot must exceed."""
-        return min(self.tolerance * epsilon, LARGEST_THRESHOLD)
-
 
 Operation = tuple[Op, int, int]  # (op, first operand, second operand or -1)
 

@@ -1,0 +1,55 @@
+"""Fusion: the same procedure without what no result needs, neighbouring straight stages made one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import groupby
+
+from mbsgen.procedure.procedure import Procedure
+from mbsgen.procedure.sheet import Sheet
+from mbsgen.procedure.stages import Stage
+from mbsgen.procedure.straight import Straight
+from mbsgen.tape.builder import Scalar
+from mbsgen.tape.replay import replay, replay_guards
+
+
+def fuse(procedure: Procedure) -> Procedure:
+    """Drop dead stages and results, then join straight stages: what they share is computed once."""
+    live = drop_dead(procedure)
+    stages: list[Stage] = []
+    for is_straight, run in groupby(live.stages, lambda stage: isinstance(stage, Straight)):
+        group = list(run)
+        straight = [stage for stage in group if isinstance(stage, Straight)]
+        stages += [_join(straight, live)] if is_straight and len(group) > 1 else group
+    return drop_dead(replace(live, stages=tuple(stages)))
+
+
+def drop_dead(procedure: Procedure) -> Procedure:
+    """Leave out the stages, and the wires that they give, that no result needs. Guards of what is left stay."""
+    needed = {wire.name for wire in procedure.outputs}
+    kept: list[Stage] = []
+    for stage in reversed(procedure.stages):
+        given = frozenset(wire.name for wire in stage.gives) & needed
+        if given:
+            left = stage.keep(given)
+            kept.append(left)
+            needed |= {wire.name for wire in left.reads}
+    return replace(procedure, stages=tuple(reversed(kept)))
+
+
+def _join(stages: Sequence[Straight], procedure: Procedure) -> Straight:
+    sheet = Sheet()
+    known: dict[str, Sequence[Scalar]] = {}
+    own = {stage.name for stage in stages}
+    read = {wire.name for s in procedure.stages if s.name not in own for wire in s.reads}
+    needed = read | {wire.name for wire in procedure.outputs}
+    for stage in stages:
+        given = {wire.name: known[wire.name] if wire.name in known else sheet.take(wire) for wire in stage.reads}
+        values = replay(stage.tape, sheet.builder, given)
+        replay_guards(stage.tape, sheet.builder, values)
+        for wire, output in zip(stage.gives, stage.tape.outputs, strict=True):
+            known[wire.name] = [values[v] for v in output.values]
+            if wire.name in needed:
+                sheet.give(wire, known[wire.name])
+    return Straight(sheet.finish(stages[0].name))

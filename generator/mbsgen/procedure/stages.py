@@ -1,0 +1,112 @@
+"""What all kinds of stages have in common: the wires between them, and the rules that a kind states.
+
+A stage reads wires and gives wires. A wire holds the nonzeros of a matrix, column by column, and is written once. For a
+stage z = s(w) with w(x), the rules of its kind return further stages:
+
+    push    dz/dx of dw/dx               forward differentiation
+    pull    (dz/dw)T zbar of zbar        reverse differentiation
+
+So a kind of stages is one file: a subclass of `Stage`. How a language prints it stands with the language.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from mbsgen.tape.counts import Counts
+from mbsgen.tape.interpreter import Numbers
+from mbsgen.tape.types import Sparsity
+
+if TYPE_CHECKING:
+    from mbsgen.procedure.adjoints import Adjoints
+    from mbsgen.procedure.slopes import Slopes
+
+Values = Mapping[str, Sequence[Any]]  # by wire: the nonzeros
+
+
+@dataclass(frozen=True)
+class Wire:
+    """A matrix that passes between stages: its name and its nonzero pattern."""
+
+    name: str
+    sparsity: Sparsity
+    is_whole: bool = False  # whole numbers, such as places; nothing is differentiated by them
+
+    @property
+    def numel(self) -> int:
+        """Count the entries, zeros included."""
+        return self.sparsity.rows * self.sparsity.cols
+
+    @property
+    def places(self) -> tuple[int, ...]:
+        """List the place of each nonzero among all entries, column by column."""
+        return tuple(r + c * self.sparsity.rows for r, c in self.sparsity.entries)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a stage or a procedure gives: a status, which is 0 unless it failed, and the wires by name."""
+
+    status: int
+    results: dict[str, Sequence[Any]]
+
+
+@dataclass(frozen=True)
+class Arithmetic:
+    """What a run computes with: a number type, and whether guards that fail decide the status."""
+
+    numbers: Numbers
+    tested: bool
+
+
+class Stage(ABC):
+    """One step of a procedure. Each kind states these rules once."""
+
+    name: str  # unique in its procedure
+
+    @property
+    @abstractmethod
+    def reads(self) -> tuple[Wire, ...]:
+        """List the wires that it reads."""
+
+    @property
+    @abstractmethod
+    def gives(self) -> tuple[Wire, ...]:
+        """List the wires that it writes."""
+
+    @property
+    @abstractmethod
+    def can_fail(self) -> bool:
+        """Return whether there are arguments for which its status is not 0."""
+
+    @abstractmethod
+    def run(self, given: Values, arithmetic: Arithmetic) -> Outcome:
+        """Compute what it gives."""
+
+    @abstractmethod
+    def count(self) -> Counts:
+        """Count operations, equations and guards."""
+
+    def keep(self, names: frozenset[str]) -> Stage:
+        """Leave out what it gives besides these wires, as far as that is possible."""
+        assert not names.isdisjoint(wire.name for wire in self.gives), f"nothing needs stage {self.name}"
+        return self
+
+    @abstractmethod
+    def push(self, slopes: Slopes) -> Sequence[Stage]:
+        """Return stages that give the same, and the slopes of it; register them in `slopes`."""
+
+    @abstractmethod
+    def pull(self, adjoints: Adjoints) -> Pulled:
+        """Return stages that give the same, and those that carry the adjoints of what it gives to what it reads."""
+
+
+@dataclass(frozen=True)
+class Pulled:
+    """A stage, in both directions of a reverse sweep."""
+
+    onward: tuple[Stage, ...]  # in the place of the stage
+    back: tuple[Stage, ...]  # after all stages, in the opposite order
