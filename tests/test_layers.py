@@ -41,6 +41,7 @@ MBSGEN = Package(
         "importing",
         "algebra",
         "tape",
+        "procedure",
         "formulations",
         "derivatives",
         "targets",

@@ -137,9 +137,11 @@ class Newton(Stage):
         places: dict[tuple[int, int], Scalar] = {}
         blocks, used = [], 0
         for x in wrt:
-            blocks.append(Block(slopes.register(self.solution, x, Sparsity.dense(n, slopes.sizes[x])), used))
+            entries = [(r, k) for r in range(n) for k in slopes.places[x]]
+            pattern = Sparsity.of(n, slopes.sizes[x], entries)
+            blocks.append(Block(slopes.register(self.solution, x, pattern), used))
             for r, value in enumerate(self.residual.outputs[0].values):
-                for k in range(slopes.sizes[x]):
+                for k in slopes.places[x]:
                     entry = gradients[value].get(slopes.column(x, k))
                     if entry is not None and not entry.is_zero:
                         places[used + k, r] = entry

@@ -25,6 +25,7 @@ class Slopes:
         self._matrices = matrices  # of which a wire holds factors
         self._first: dict[str, int] = {}
         self.sizes: dict[str, int] = {}
+        self.places = {x.name: x.places for x in wrt}  # entries that are not zero
         for x in wrt:
             self._first[x.name] = sum(self.sizes.values())
             self.sizes[x.name] = x.numel

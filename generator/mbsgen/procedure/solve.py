@@ -183,12 +183,12 @@ class Solve(Stage):
             together = block.result.numel // n
             for x in wrt:
                 size = slopes.sizes[x]
-                entries = [(row, d) for row in block.result.places for d in range(size)]
+                entries = [(row, d) for row in block.result.places for d in slopes.places[x]]
                 wire = slopes.register(block.result, x, Sparsity.of(block.result.numel, size, entries))
                 blocks.append(Block(wire, used))
                 for (r, c), gradient in right.items():
                     if block.first <= c < block.first + together:
-                        for d in range(size):
+                        for d in slopes.places[x]:
                             value = gradient.get(slopes.column(x, d))
                             if value is not None and not value.is_zero:
                                 places[used + d * together + c - block.first, r] = value

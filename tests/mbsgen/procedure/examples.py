@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from mbsgen.procedure.newton import Newton
 from mbsgen.procedure.patterns import General, Pattern, Symmetric, Tree
@@ -35,9 +36,8 @@ def entries_of(pattern: Pattern, x: Sequence[Scalar], builder: Builder) -> dict[
         pairs = [(k, i) for k, row in enumerate(pattern.ancestors) for i in row]
         diagonal = {(k, k): builder.number(4.0 + k) + x[k % 3] for k in range(4)}
         return diagonal | {(k, i): builder.sin(x[(k + i) % 3]) for k, i in pairs}
-    entries = {
-        (i, j): x[(i + 2 * j) % 3] * builder.number(1.0 + i + j * j) for i in range(4) for j in range(4) if i != j
-    }
+    places = [(i, j) for i in range(4) for j in range(4) if i != j]
+    entries = {(i, j): x[(i + 2 * j) % 3] * builder.number(1.0 + i + j * j) for i, j in places}
     if isinstance(pattern, Symmetric):
         return {(i, j): value for (i, j), value in entries.items() if i > j} | {(0, 0): builder.cos(x[1])}
     return entries | {(2, 2): builder.cos(x[1])}
@@ -65,7 +65,7 @@ def solve(pattern: Pattern) -> Procedure:
 
 
 def repeat() -> Procedure:
-    """Return z[i] = sin(a[i]) x2, w[i] = a[i]^2 / x2 with a = (x0, x1, x0): a map that fails with 5 where x2 is small."""
+    """Return z[i] = sin(a[i]) x2, w[i] = a[i]^2 / x2 with a = (x0, x1, x0): a map that fails with 5 for small x2."""
     builder = Builder()
     (a,) = builder.vector("a", 1)
     x = builder.vector("x", 3)
@@ -88,9 +88,8 @@ def four_bar_residual() -> Tape:
     a, b, c, d = lengths
     sines = [builder.sin(angle) for angle in (q, *y)]
     cosines = [builder.cos(angle) for angle in (q, *y)]
-    builder.output_dense(
-        "g", [[a * cosines[0] + b * cosines[1] - c * cosines[2] - d], [a * sines[0] + b * sines[1] - c * sines[2]]]
-    )
+    along = a * cosines[0] + b * cosines[1] - c * cosines[2] - d
+    builder.output_dense("g", [[along], [a * sines[0] + b * sines[1] - c * sines[2]]])
     builder.output_dense("J", [[-(b * sines[1]), c * sines[2]], [b * cosines[1], -(c * cosines[2])]])
     return builder.build("closure")
 
@@ -99,19 +98,17 @@ Q, LINKS, START = Wire("q", Sparsity.dense(1)), Wire("lengths", Sparsity.dense(4
 OPEN = 3  # the status of a loop that cannot be closed
 
 
-def four_bar(pattern: Pattern | None = None) -> Procedure:
+def four_bar() -> Procedure:
     """Solve a four-bar for the angles of coupler and rocker, by Newton's method."""
     y = Wire("angles", Sparsity.dense(2))
-    stage = Newton("closure", four_bar_residual(), "y", START, y, pattern or General(2), OPEN)
+    stage = Newton("closure", four_bar_residual(), "y", START, y, General(2), OPEN)
     return Procedure("four_bar", (Q, LINKS, START), (stage,), (y,))
 
 
 def saddle_point() -> Procedure:
     """Solve [[M, J^T], [J, 0]] (qdd, -lambda) = (f, g): M definite of 3 rows, J of 2."""
-    M, J = (
-        Wire("M", Sparsity.of(3, 3, [(i, j) for i in range(3) for j in range(i + 1)])),
-        Wire("J", Sparsity.dense(2, 3)),
-    )
+    triangle = Sparsity.of(3, 3, [(i, j) for i in range(3) for j in range(i + 1)])
+    M, J = Wire("M", triangle), Wire("J", Sparsity.dense(2, 3))
     f, g = Wire("f", Sparsity.dense(3)), Wire("g", Sparsity.dense(2))
     sheet = Sheet()
     entries = sheet.place(M) | {(3 + r, c): value for (r, c), value in sheet.place(J).items()}
@@ -131,9 +128,27 @@ def saddle_point() -> Procedure:
     return Procedure("saddle_point", (M, J, f, g), stages, (qdd, multipliers))
 
 
-EXAMPLES: dict[str, Callable[[], Procedure]] = {
-    "straight": straight,
-    **{f"solve_{name}": (lambda pattern=pattern: solve(pattern)) for name, pattern in PATTERNS.items()},
-    "repeat": repeat,
-}
+@dataclass(frozen=True)
+class Example:
+    """A procedure, a point at which it has results, and the inputs that it is differentiated by."""
+
+    procedure: Procedure
+    point: dict[str, list[float]]
+    wrt: tuple[str, ...]
+
+
 POINT = {"x": [0.7, 1.1, 1.4]}
+CLOSED = {"q": [0.8], "lengths": [*LENGTHS], "start": [0.5, 1.5]}
+SADDLE = {
+    "M": [4.0, 0.3, 0.2, 5.0, 0.1, 3.0],
+    "J": [1.0, 0.4, -0.3, 0.8, 0.2, -1.1],
+    "f": [1.0, -2.0, 0.5],
+    "g": [0.3, 0.6],
+}
+EXAMPLES = {
+    "straight": Example(straight(), POINT, ("x",)),
+    **{f"solve {name}": Example(solve(pattern), POINT, ("x",)) for name, pattern in PATTERNS.items()},
+    "repeat": Example(repeat(), POINT, ("x",)),
+    "newton": Example(four_bar(), CLOSED, ("q", "lengths")),
+    "saddle point": Example(saddle_point(), SADDLE, ("M", "J", "f", "g")),
+}
