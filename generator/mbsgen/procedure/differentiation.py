@@ -9,6 +9,7 @@ Either is a procedure, so that second derivatives are the Jacobian of the adjoin
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 
 from mbsgen.procedure.adjoints import Adjoints
 from mbsgen.procedure.fusion import fuse
@@ -19,32 +20,35 @@ from mbsgen.procedure.slopes import Slopes
 from mbsgen.procedure.solve import Factor
 from mbsgen.procedure.stages import Stage, Wire
 from mbsgen.procedure.straight import written
+from mbsgen.roles import Order
+from mbsgen.tape.ports import adjoint_port, derivative_port, seed_port
 from mbsgen.tape.types import Sparsity
 
 
-def jacobian(procedure: Procedure, wrt: Sequence[str], name: str) -> Procedure:
+def jacobian(procedure: Procedure, wrt: Sequence[str]) -> Procedure:
     """Differentiate every result by the inputs `wrt`. Blocks that are zero are left out."""
+    own = procedure.function
+    order = Order.ADJOINT_JACOBIAN if own.order is Order.ADJOINT else Order.JACOBIAN
     slopes = Slopes([procedure.input(x) for x in wrt], _find_matrices(procedure), _list_names(procedure))
     stages = [stage for given in procedure.stages for stage in given.push(slopes)]
-    wanted = [(output, x, f"jac_{output.name}_{x}") for output in procedure.outputs for x in wrt]
     sheet, outputs = Sheet(), []
-    for output, x, block in wanted:
+    for output, x in product(procedure.outputs, wrt):
         if x in (found := slopes.find(output)):
-            wire = found[x]
-            if wire is None or wire.name != block:  # an input that is a result, or a name that was taken
-                renamed = Wire(block, wire.sparsity if wire else _unit(output))
-                sheet.give(renamed, sheet.take(wire) if wire else [sheet.builder.number(1.0)] * output.sparsity.nnz)
-                wire = renamed
-            outputs.append(wire)
+            wire, port = found[x], derivative_port(output.port, procedure.input(x).port)
+            block = Wire.to(port, wire.sparsity if wire else _unit(output))
+            if wire is None or wire.name != block.name:  # an input that is a result, or a name that was taken
+                sheet.give(block, sheet.take(wire) if wire else [sheet.builder.number(1.0)] * output.sparsity.nnz)
+            outputs.append(block)
     stages += written(sheet, slopes.name("renamed"))
-    return fuse(Procedure(name, procedure.inputs, tuple(stages), tuple(outputs)))
+    return fuse(Procedure(own.to(order), procedure.inputs, tuple(stages), tuple(outputs)))
 
 
-def adjoint(procedure: Procedure, wrt: Sequence[str], name: str) -> Procedure:
+def adjoint(procedure: Procedure, wrt: Sequence[str]) -> Procedure:
     """Carry weights `adj_<out>`, further inputs, back to the inputs `wrt`."""
     names = _list_names(procedure)
-    seeds = {output.name: Wire(names.make(f"adj_{output.name}"), output.sparsity) for output in procedure.outputs}
-    results = [Wire(names.make(f"adj_{x}"), procedure.input(x).sparsity) for x in wrt]
+    seeds = {output.name: Wire.to(seed_port(output.port), output.sparsity) for output in procedure.outputs}
+    results = [Wire.to(adjoint_port(x.port), x.sparsity) for x in map(procedure.input, wrt)]
+    names.take(wire.name for wire in (*seeds.values(), *results))
     active = set(wrt)
     for stage in procedure.stages:
         if any(wire.name in active for wire in stage.reads):
@@ -63,7 +67,9 @@ def adjoint(procedure: Procedure, wrt: Sequence[str], name: str) -> Procedure:
     for result, x in zip(results, wrt, strict=True):
         sheet.give(result, adjoints.take(sheet, procedure.input(x)))
     stages = (*onward, *back, *written(sheet, names.make("sums")))
-    return fuse(Procedure(name, (*procedure.inputs, *seeds.values()), stages, tuple(results)))
+    return fuse(
+        Procedure(procedure.function.to(Order.ADJOINT), (*procedure.inputs, *seeds.values()), stages, tuple(results))
+    )
 
 
 def _unit(wire: Wire) -> Sparsity:

@@ -12,6 +12,10 @@ class Names:
     def __init__(self, taken: Iterable[str]) -> None:
         self._taken = set(taken)
 
+    def take(self, names: Iterable[str]) -> None:
+        """Take names that are fixed; their owner answers for it that they are free."""
+        self._taken.update(names)
+
     def make(self, wanted: str) -> str:
         """Take a name: the one that is wanted, or the first free one with a number."""
         name = next(n for k in count(1) if (n := wanted if k == 1 else f"{wanted}_{k}") not in self._taken)

@@ -72,12 +72,12 @@ class Newton(Stage):
     def jacobian(self) -> Wire:
         """Return the output that is dg/dy."""
         output = self.residual.outputs[1]
-        return Wire(output.name, output.sparsity)
+        return Wire.of(output)
 
     @property
     def wires(self) -> tuple[Wire, ...]:
         """List what the residual depends on besides the unknown."""
-        return tuple(Wire(i.name, i.sparsity) for i in self.residual.inputs if i.name != self.unknown)
+        return tuple(Wire.of(i) for i in self.residual.inputs if i.name != self.unknown)
 
     @property
     def reads(self) -> tuple[Wire, ...]:

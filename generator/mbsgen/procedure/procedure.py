@@ -16,13 +16,14 @@ from mbsgen.errors import TapeError
 from mbsgen.procedure.stages import Arithmetic, Outcome, Stage, Values, Wire
 from mbsgen.tape.counts import Counts
 from mbsgen.tape.interpreter import FLOATS, Numbers
+from mbsgen.tape.ports import Function
 
 
 @dataclass(frozen=True)
 class Procedure:
     """A function of wires: its inputs, its stages in order, and the wires that are its results."""
 
-    name: str
+    function: Function
     inputs: tuple[Wire, ...]
     stages: tuple[Stage, ...]
     outputs: tuple[Wire, ...]
@@ -47,6 +48,11 @@ class Procedure:
             raise TapeError(f"{self.name}: {reader} {wire.name}, which no input or earlier stage gives")
         if known[wire.name] != wire:
             raise TapeError(f"{self.name}: {reader} {wire.name} with another pattern than it is given with")
+
+    @property
+    def name(self) -> str:
+        """Name the kernel."""
+        return self.function.name
 
     @property
     def can_fail(self) -> bool:

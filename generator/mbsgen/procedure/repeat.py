@@ -66,7 +66,7 @@ class Repeat(Stage):
     def shared(self) -> tuple[Wire, ...]:
         """List the wires that are the same for all i."""
         gathered = {gather.input for gather in self.gathers}
-        return tuple(Wire(i.name, i.sparsity) for i in self.tape.inputs if i.name not in gathered)
+        return tuple(Wire.of(i) for i in self.tape.inputs if i.name not in gathered)
 
     @property
     def reads(self) -> tuple[Wire, ...]:

@@ -20,7 +20,7 @@ class Sheet:
     def take(self, wire: Wire) -> list[Scalar]:
         """Read the nonzeros of a wire."""
         if wire.name not in self._read:
-            self._read[wire.name] = self.builder.input(wire.name, wire.sparsity)
+            self._read[wire.name] = self.builder.input(wire.declared or wire.name, wire.sparsity)
         return self._read[wire.name]
 
     def place(self, wire: Wire) -> dict[tuple[int, int], Scalar]:
@@ -29,7 +29,7 @@ class Sheet:
 
     def give(self, wire: Wire, values: Sequence[Scalar]) -> None:
         """Write the nonzeros of a wire."""
-        self.builder.output(wire.name, wire.sparsity, values)
+        self.builder.output(wire.declared or wire.name, wire.sparsity, values)
         self._given.add(wire.name)
 
     @property

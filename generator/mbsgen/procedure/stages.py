@@ -13,12 +13,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from mbsgen.roles import Role
 from mbsgen.tape.counts import Counts
 from mbsgen.tape.interpreter import Numbers
-from mbsgen.tape.types import Sparsity
+from mbsgen.tape.ports import Port
+from mbsgen.tape.types import Input, Output, Sparsity
 
 if TYPE_CHECKING:
     from mbsgen.procedure.adjoints import Adjoints
@@ -34,6 +36,22 @@ class Wire:
     name: str
     sparsity: Sparsity
     is_whole: bool = False  # whole numbers, such as places; nothing is differentiated by them
+    declared: Port | None = field(default=None, compare=False)  # of an argument of the function
+
+    @staticmethod
+    def of(argument: Input | Output) -> Wire:
+        """Make the wire of an argument of a tape."""
+        return Wire(argument.name, argument.sparsity, declared=argument.port)
+
+    @staticmethod
+    def to(port: Port, sparsity: Sparsity) -> Wire:
+        """Make the wire of an argument of a function."""
+        return Wire(port.name, sparsity, declared=port)
+
+    @property
+    def port(self) -> Port:
+        """Return the port of an argument; what passes between stages alone has none of its own."""
+        return self.declared or Port(self.name, Role.RESULT)
 
     @property
     def numel(self) -> int:

@@ -41,12 +41,12 @@ class Straight(Stage):
     @property
     def reads(self) -> tuple[Wire, ...]:
         """List the inputs of the tape."""
-        return tuple(Wire(i.name, i.sparsity) for i in self.tape.inputs)
+        return tuple(Wire.of(i) for i in self.tape.inputs)
 
     @property
     def gives(self) -> tuple[Wire, ...]:
         """List the outputs of the tape."""
-        return tuple(Wire(o.name, o.sparsity) for o in self.tape.outputs)
+        return tuple(Wire.of(o) for o in self.tape.outputs)
 
     @property
     def can_fail(self) -> bool:

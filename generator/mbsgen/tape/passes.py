@@ -62,13 +62,18 @@ def keep_results(tape: Tape, names: Collection[str]) -> Tape:
 
 def drop_unused_inputs(tape: Tape) -> Tape:
     """Leave out the inputs of which nothing is read."""
-    uses = count_uses(tape)
-    unused, first = set(), 0
+    uses, builder = count_uses(tape), Builder(fold=False, number=False)
+    inputs: dict[str, list[Scalar]] = {}
+    first = 0
     for i in tape.inputs:
-        if not any(uses[first + k] for k in range(i.sparsity.nnz)):
-            unused.add(i.name)
+        is_read = any(uses[first + k] for k in range(i.sparsity.nnz))
+        inputs[i.name] = builder.input(i.port, i.sparsity) if is_read else [builder.zero] * i.sparsity.nnz
         first += i.sparsity.nnz
-    return set_zero(tape, unused) if unused else tape
+    values = replay(tape, builder, inputs)
+    for o in tape.outputs:
+        builder.output(o.port, o.sparsity, [values[v] for v in o.values])
+    replay_guards(tape, builder, values)
+    return builder.build(tape.function)
 
 
 def hoist(tapes: Sequence[Tape], source: Port, target: Port) -> tuple[Tape, tuple[Tape, ...]]:

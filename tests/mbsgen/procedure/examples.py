@@ -14,6 +14,7 @@ from mbsgen.procedure.solve import Block, Factor, Solve
 from mbsgen.procedure.stages import Wire
 from mbsgen.procedure.straight import Straight
 from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.ports import Function
 from mbsgen.tape.types import Sparsity, Tape
 
 TREE = Tree(((), (0,), (0,), (0, 2)))
@@ -27,7 +28,7 @@ def straight() -> Procedure:
     builder = Builder()
     x = builder.vector("x", 3)
     builder.output_dense("y", [[x[0] * builder.sin(x[1]) + x[2]], [builder.number(1.0) / x[2]]])
-    return Procedure("straight", (X,), (Straight(builder.build("all")),), (Wire("y", Sparsity.dense(2)),))
+    return Procedure(Function("straight"), (X,), (Straight(builder.build("all")),), (Wire("y", Sparsity.dense(2)),))
 
 
 def entries_of(pattern: Pattern, x: Sequence[Scalar], builder: Builder) -> dict[tuple[int, int], Scalar]:
@@ -61,7 +62,7 @@ def solve(pattern: Pattern) -> Procedure:
     y = Wire("y", Sparsity.dense(2))
     last.give(y, [X0[0] * X0[1], X1[0]])
     stages = (Straight(sheet.finish("before")), factor, solved, Straight(last.finish("after")))
-    return Procedure(f"solve_{type(pattern).__name__.lower()}", (X,), stages, (y, first))
+    return Procedure(Function(f"solve_{type(pattern).__name__.lower()}"), (X,), stages, (y, first))
 
 
 def repeat() -> Procedure:
@@ -72,7 +73,7 @@ def repeat() -> Procedure:
     builder.guard(x[2], builder.number(1.0), 16.0, 5)
     builder.output_dense("z", [[builder.sin(a) * x[2]], [a * a / x[2]]])
     stage = Repeat("each", builder.build("each"), 3, (Gather("a", X, ((0,), (1,), (0,))),))
-    return Procedure("repeat", (X,), (stage,), stage.gives)
+    return Procedure(Function("repeat"), (X,), (stage,), stage.gives)
 
 
 LENGTHS = (1.0, 4.0, 2.5, 3.0)  # of crank, coupler, rocker and base: Grashof's condition holds
@@ -102,7 +103,7 @@ def four_bar() -> Procedure:
     """Solve a four-bar for the angles of coupler and rocker, by Newton's method."""
     y = Wire("angles", Sparsity.dense(2))
     stage = Newton("closure", four_bar_residual(), "y", START, y, General(2), OPEN)
-    return Procedure("four_bar", (Q, LINKS, START), (stage,), (y,))
+    return Procedure(Function("four_bar"), (Q, LINKS, START), (stage,), (y,))
 
 
 def saddle_point() -> Procedure:
@@ -125,7 +126,7 @@ def saddle_point() -> Procedure:
     last.give(qdd, values[:3])
     last.give(multipliers, [-value for value in values[3:]])
     stages = (Straight(sheet.finish("before")), factor, solved, Straight(last.finish("after")))
-    return Procedure("saddle_point", (M, J, f, g), stages, (qdd, multipliers))
+    return Procedure(Function("saddle_point"), (M, J, f, g), stages, (qdd, multipliers))
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from mbsgen.procedure.procedure import Procedure, count
 from mbsgen.procedure.repeat import Gather, Repeat
 from mbsgen.procedure.solve import Block, Factor, Solve
 from mbsgen.procedure.stages import Wire
+from mbsgen.tape.ports import Function
 from mbsgen.tape.types import Op, Sparsity
 from tests.mbsgen.procedure.examples import Q, X, four_bar, repeat, solve, straight
 from tests.mbsgen.procedure.test_interpretation import system
@@ -53,9 +54,7 @@ def test_an_iteration_is_counted_once() -> None:
 
 def test_few_columns_are_not_widened_many_are() -> None:
     """The Jacobian of a tree's solution by 3 inputs has 6 columns; one by 6 inputs or more has a multiple of 16."""
-    (solved,) = (
-        s for s in jacobian(solve(Tree(((), (0,), (0,), (0, 2)))), ["x"], "jac").stages if s.name == "solved_slopes"
-    )
+    (solved,) = (s for s in jacobian(solve(Tree(((), (0,), (0,), (0, 2)))), ["x"]).stages if s.name == "solved_slopes")
     assert isinstance(solved, Solve)
     assert solved.width == 6
     assert [Tree(()).widen(width) for width in (1, 8, 9, 16, 17)] == [1, 8, 16, 16, 32]
@@ -75,7 +74,7 @@ def test_a_procedure_is_checked_when_it_is_built() -> None:
         ((X,), (stage,), (Wire("y", Sparsity.dense(1, 2)),), "a result is y with another pattern"),
     ):
         with pytest.raises(TapeError, match=fault):
-            Procedure("p", inputs, stages, outputs)
+            Procedure(Function("p"), inputs, stages, outputs)
 
 
 def test_stages_are_checked_when_they_are_built() -> None:

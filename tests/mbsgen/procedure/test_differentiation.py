@@ -17,6 +17,7 @@ from mbsgen.procedure.straight import Straight
 from mbsgen.tape import forward, reverse
 from mbsgen.tape.counts import count as count_tape
 from mbsgen.tape.interpreter import DIGITS
+from mbsgen.tape.ports import Function
 from mbsgen.tape.types import Sparsity
 from tests.mbsgen.procedure.examples import EXAMPLES, POINT, TREE, Q, solve, straight
 from tests.mbsgen.procedure.test_interpretation import convert
@@ -54,9 +55,9 @@ def test_jacobians_are_differences(name: str) -> None:
     """Of every result by every input; so do those of a Jacobian."""
     example = EXAMPLES[name]
     point = convert(example.point, DIGITS)
-    first = jacobian(example.procedure, example.wrt, "jac")
+    first = jacobian(example.procedure, example.wrt)
     compare(example.procedure, first, point, example.wrt)
-    compare(first, jacobian(first, example.wrt[:1], "jac_jac"), point, example.wrt[:1])
+    compare(first, jacobian(first, example.wrt[:1]), point, example.wrt[:1])
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
@@ -66,8 +67,8 @@ def test_adjoints_are_weighted_jacobians(name: str) -> None:
     procedure, wrt = example.procedure, example.wrt
     seeds = {f"adj_{o.name}": [DIGITS.literal(0.3 + 0.4 * k) for k in range(o.sparsity.nnz)] for o in procedure.outputs}
     point = convert(example.point, DIGITS) | seeds
-    back = adjoint(procedure, wrt, "adj1")
-    found, J = evaluate(back, point, DIGITS), jacobian(procedure, wrt, "jac")
+    back = adjoint(procedure, wrt)
+    found, J = evaluate(back, point, DIGITS), jacobian(procedure, wrt)
     blocks = evaluate(J, point, DIGITS)
     for x in wrt:
         total = dict.fromkeys(procedure.input(x).places, DIGITS.literal(0))
@@ -77,7 +78,7 @@ def test_adjoints_are_weighted_jacobians(name: str) -> None:
                 for (r, c), value in zip(block.sparsity.entries, blocks[block.name], strict=True):
                     total[c] += weights[r] * value
         assert max(abs(a - b) for a, b in zip(found[f"adj_{x}"], total.values(), strict=True)) < 1e-40
-    compare(back, jacobian(back, [*wrt, *seeds], "jac_adj1"), point, [*wrt, *seeds])
+    compare(back, jacobian(back, [*wrt, *seeds]), point, [*wrt, *seeds])
 
 
 def test_a_straight_procedure_has_the_derivatives_of_its_tape() -> None:
@@ -85,37 +86,37 @@ def test_a_straight_procedure_has_the_derivatives_of_its_tape() -> None:
     procedure = straight()
     (stage,) = procedure.stages
     assert isinstance(stage, Straight)
-    derived, back = jacobian(procedure, ["x"], "jac"), adjoint(procedure, ["x"], "adj1")
-    assert count(derived).operations == count_tape(forward.jacobian(stage.tape, ["x"], "jac")).operations
-    assert count(back).operations == count_tape(reverse.adjoint(stage.tape, ["x"], "adj1")).operations
+    derived, back = jacobian(procedure, ["x"]), adjoint(procedure, ["x"])
+    assert count(derived).operations == count_tape(forward.jacobian(stage.tape, ["x"])).operations
+    assert count(back).operations == count_tape(reverse.adjoint(stage.tape, ["x"])).operations
 
 
 @pytest.mark.parametrize("name", [name for name in EXAMPLES if name != "newton"])
 def test_no_factorisation_is_differentiated(name: str) -> None:
     """First and second derivatives solve by the factors of the function itself, which are computed once."""
     procedure, wrt = EXAMPLES[name].procedure, EXAMPLES[name].wrt
-    back = adjoint(procedure, wrt, "adj1")
+    back = adjoint(procedure, wrt)
     factors = sum(isinstance(stage, Factor) for stage in procedure.stages)
-    for derived in (jacobian(procedure, wrt, "jac"), back, jacobian(back, wrt, "jac_adj1")):
+    for derived in (jacobian(procedure, wrt), back, jacobian(back, wrt)):
         assert sum(isinstance(stage, Factor) for stage in derived.stages) == factors
 
 
 def test_no_iteration_is_differentiated() -> None:
     """Derivatives begin with the iteration of the function itself; its start has none."""
     procedure = EXAMPLES["newton"].procedure
-    for derived in (jacobian(procedure, ["q", "start"], "jac"), adjoint(procedure, ["q", "start"], "adj1")):
+    for derived in (jacobian(procedure, ["q", "start"]), adjoint(procedure, ["q", "start"])):
         assert [stage for stage in derived.stages if isinstance(stage, Newton)] == list(procedure.stages)
-    assert [wire.name for wire in jacobian(procedure, ["q", "start"], "jac").outputs] == ["jac_angles_q"]
+    assert [wire.name for wire in jacobian(procedure, ["q", "start"]).outputs] == ["jac_angles_q"]
 
 
 def test_what_no_result_depends_on_is_left_out() -> None:
     """The Jacobian of one result by one input has no stage for the others."""
     before = solve(TREE)
-    procedure = Procedure("narrow", before.inputs, before.stages, before.outputs[:1])
-    assert len(jacobian(procedure, ["x"], "jac").outputs) == 1
-    still = Procedure("still", (*before.inputs, Q), before.stages, before.outputs)
-    assert not jacobian(still, ["q"], "jac").stages
-    assert evaluate(adjoint(still, ["q"], "adj1"), {**POINT, "q": [0.0], "adj_y": [1, 1], "adj_X0": [1] * 4}) == {
+    procedure = Procedure(Function("narrow"), before.inputs, before.stages, before.outputs[:1])
+    assert len(jacobian(procedure, ["x"]).outputs) == 1
+    still = Procedure(Function("still"), (*before.inputs, Q), before.stages, before.outputs)
+    assert not jacobian(still, ["q"]).stages
+    assert evaluate(adjoint(still, ["q"]), {**POINT, "q": [0.0], "adj_y": [1, 1], "adj_X0": [1] * 4}) == {
         "adj_q": [0.0]
     }
 
@@ -124,6 +125,6 @@ def test_a_solve_by_factors_of_no_known_matrix_is_not_differentiated() -> None:
     """Factors that come as inputs, or from a tape, belong to no matrix that could be differentiated."""
     factors, right = TREE.factors("M"), Wire("right", Sparsity.dense(1, 4))
     stage = Solve("S", TREE, factors, right, (Block(Wire("y", Sparsity.dense(4)), 0),))
-    procedure = Procedure("p", (*factors, right), (stage,), stage.gives)
+    procedure = Procedure(Function("p"), (*factors, right), (stage,), stage.gives)
     with pytest.raises(TapeError, match="S cannot be differentiated: no stage factorises M_lower"):
-        jacobian(procedure, ["right"], "jac")
+        jacobian(procedure, ["right"])

@@ -14,6 +14,7 @@ from mbsgen.procedure.procedure import Procedure, evaluate, interpret
 from mbsgen.procedure.solve import Block, Factor, Solve
 from mbsgen.procedure.stages import Wire
 from mbsgen.tape.interpreter import DECIMALS, DIGITS, FLOATS, Numbers, fifty_digits
+from mbsgen.tape.ports import Function
 from mbsgen.tape.types import LITERALS, Sparsity
 from tests.mbsgen.procedure.examples import (
     CLOSED,
@@ -44,7 +45,7 @@ def system(pattern: Pattern, width: int, *, transposed: bool = False, negated: b
     A, right = Wire("A", Sparsity.of(n, n, entries)), Wire("right", Sparsity.dense(width, n))
     factor, X = Factor("F", A, pattern, SINGULAR), Wire("X", Sparsity.dense(n, width))
     solve = Solve("S", pattern, factor.gives, right, (Block(X, 0),), negated=negated, transposed=transposed)
-    return Procedure("system", (A, right), (factor, solve), (X,))
+    return Procedure(Function("system"), (A, right), (factor, solve), (X,))
 
 
 def draw_matrix(pattern: Pattern, rng: np.random.Generator) -> np.ndarray:
@@ -181,7 +182,9 @@ def test_batches_pass_stages_without_exchanges() -> None:
     pattern = Tree(((), (0,)))
     factors = (Wire("lower", Sparsity.dense(1)), Wire("inverses", Sparsity.dense(2)))
     right, X = Wire("right", Sparsity.dense(1, 2)), Wire("X", Sparsity.dense(2))
-    procedure = Procedure("batch", (*factors, right), (Solve("S", pattern, factors, right, (Block(X, 0),)),), (X,))
+    procedure = Procedure(
+        Function("batch"), (*factors, right), (Solve("S", pattern, factors, right, (Block(X, 0),)),), (X,)
+    )
     batch = {"lower": [np.array([0.5, 0.2])], "inverses": [np.array([1.0, 2.0])] * 2, "right": [np.ones(2)] * 2}
     found = evaluate(procedure, batch)["X"]
     for k in range(2):
