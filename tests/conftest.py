@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import shutil
+import zlib
 from collections.abc import Callable, Generator
 from typing import TypeVar
 
+import numpy as np
 import pytest
 
 Report = TypeVar("Report", pytest.TestReport, pytest.CollectReport)
@@ -23,6 +25,12 @@ def requires() -> Callable[[str], str]:
         return path
 
     return find
+
+
+@pytest.fixture
+def rng(request: pytest.FixtureRequest) -> np.random.Generator:
+    """Random numbers of one test, made from its name: no other test changes them."""
+    return np.random.default_rng(zlib.crc32(request.node.name.encode()))
 
 
 @pytest.hookimpl(wrapper=True)

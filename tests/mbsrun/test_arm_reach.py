@@ -17,7 +17,7 @@ from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import solve
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.transcription import transcribe
-from tests.mbsrun.ocp.test_transcription import TABLE_3
+from tests.mbsrun.ocp.programs import TABLE_3
 from tests.mbsrun.peer import Peer
 from tests.mbsrun.peer_arm import peer_arm
 

@@ -9,8 +9,6 @@ from scipy import sparse
 
 from mbsrun.ocp.program import Block, Program
 
-RNG = np.random.default_rng(0)
-
 
 def function() -> ca.Function:
     """A function of two vectors with zeros in its Jacobian and in its Hessian."""
@@ -18,10 +16,10 @@ def function() -> ca.Function:
     return ca.Function("F", [a, b], [ca.vertcat(ca.sin(a[0]) * b[1], a[2] ** 2 * a[0] + b[0], b[0] * b[1])])
 
 
-def program(columns_a: np.ndarray, columns_b: np.ndarray, rows: np.ndarray) -> Program:
+def program(rng: np.random.Generator, columns_a: np.ndarray, columns_b: np.ndarray, rows: np.ndarray) -> Program:
     """A program of 7 variables and 8 constraints around the function at given places."""
-    A = sparse.random_array((8, 7), density=0.3, rng=RNG, format="csc")
-    H = tuple((S + S.T).tocsc() for S in (sparse.random_array((7, 7), density=0.2, rng=RNG) for _ in range(2)))
+    A = sparse.random_array((8, 7), density=0.3, rng=rng, format="csc")
+    H = tuple((S + S.T).tocsc() for S in (sparse.random_array((7, 7), density=0.2, rng=rng) for _ in range(2)))
     return Program(A, H, (Block(function(), (columns_a, columns_b), rows),))
 
 
@@ -33,11 +31,11 @@ PLACES = {
 
 
 @pytest.fixture(params=PLACES.values(), ids=PLACES.keys())
-def some_program(request: pytest.FixtureRequest) -> Program:
-    return program(*(np.array(indices) for indices in request.param))
+def some_program(request: pytest.FixtureRequest, rng: np.random.Generator) -> Program:
+    return program(rng, *(np.array(indices) for indices in request.param))
 
 
-def test_derivatives_equal_those_of_the_whole(some_program: Program) -> None:
+def test_derivatives_equal_those_of_the_whole(some_program: Program, rng: np.random.Generator) -> None:
     """Jacobian, gradient and Hessian at a random point, to a few roundings of numbers of order 1."""
     x, p = ca.MX.sym("x", 7), ca.MX.sym("p", 2)
     f, g = some_program.objective(x, p), some_program.constraint(x, p)
@@ -46,24 +44,24 @@ def test_derivatives_equal_those_of_the_whole(some_program: Program) -> None:
     whole = ca.Function(
         "whole", [x, p, lam_f, lam_g], [ca.gradient(f, x), ca.jacobian(g, x), ca.densify(ca.triu(hessian))]
     )
-    at = [RNG.uniform(-1, 1, size) for size in (7, 2, 1, 8)]
+    at = [rng.uniform(-1, 1, size) for size in (7, 2, 1, 8)]
     gradient, jacobian, upper = (m.full() for m in whole(*at))
     assert some_program.gradient(*at[:2])[1].full() == pytest.approx(gradient, abs=1e-14)
     assert some_program.jacobian(*at[:2])[1].full() == pytest.approx(jacobian, abs=1e-14)
     assert some_program.hessian(*at).full() == pytest.approx(upper, abs=1e-14)
 
 
-def test_values_come_with_derivatives(some_program: Program) -> None:
+def test_values_come_with_derivatives(some_program: Program, rng: np.random.Generator) -> None:
     """The functions that nlpsol takes give f and g as well."""
-    at = [RNG.uniform(-1, 1, size) for size in (7, 2)]
+    at = [rng.uniform(-1, 1, size) for size in (7, 2)]
     assert float(some_program.gradient(*at)[0]) == pytest.approx(float(some_program.objective(*at)), rel=1e-14)
     assert np.array_equal(some_program.jacobian(*at)[0].full(), some_program.constraint(*at).full())
 
 
-def test_pattern_holds_no_more_than_the_function_has() -> None:
+def test_pattern_holds_no_more_than_the_function_has(rng: np.random.Generator) -> None:
     """7 nonzeros of F's Jacobian and 5 of its Hessian's triangle, at each of 2 places that do not meet."""
     places = tuple(np.array(indices) for indices in PLACES["apart"])
-    bare = Program(sparse.csc_array((8, 7)), (sparse.csc_array((7, 7)),), program(*places).blocks)
+    bare = Program(sparse.csc_array((8, 7)), (sparse.csc_array((7, 7)),), program(rng, *places).blocks)
     assert bare.jacobian.nnz_out(1) == 2 * 7
     assert bare.hessian.nnz_out(0) == 2 * 5
 

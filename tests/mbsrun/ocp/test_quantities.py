@@ -11,9 +11,8 @@ from mbsrun.ocp.problem import Representation
 from mbsrun.ocp.quantities import formulate, list_quantities
 from tests.mbsrun.peer import Peer
 
-RNG = np.random.default_rng(2)
-Q, QD, QDD = RNG.uniform(-1, 1, (3, 6))
-U = RNG.uniform(-1, 1, 4)
+Q, QD, QDD = np.random.default_rng(2).uniform(-1, 1, (3, 6))
+U = np.random.default_rng(3).uniform(-1, 1, 4)
 VALUES = {"q": Q, "qd": QD, "qdd": QDD, "u": U, "T": 2.0, "constants": [0.25, 3.0], "s": 0.75}
 
 

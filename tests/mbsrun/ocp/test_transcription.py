@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -10,43 +9,31 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Form, Problem, Representation, Term
+from mbsrun.ocp.problem import Bounds, Cost, End, Form, Problem, Representation
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.trajectory import Trajectory, grid
 from mbsrun.ocp.transcription import Transcription, structure, transcribe
+from tests.mbsrun.ocp.programs import TABLE_3, check_derivatives, rich, small
 from tests.mbsrun.peer import Peer, double_integrator
 
-RNG = np.random.default_rng(1)
 SCHEMES = [(Family.RADAU, 1), (Family.RADAU, 3), (Family.LEGENDRE, 1), (Family.LEGENDRE, 4)]
 
 
-def small(reach: Problem, family: Family, degree: int) -> Problem:
-    return replace(reach, intervals=3, family=family, degree=degree)
-
-
-def polynomial_motion(problem: Problem, transcription: Transcription) -> tuple[Trajectory, np.ndarray]:
+def polynomial_motion(
+    problem: Problem, transcription: Transcription, rng: np.random.Generator
+) -> tuple[Trajectory, np.ndarray]:
     """A motion of degree d in q, hence in the collocation's reach; with the accelerations at T."""
     d = problem.degree
-    c = RNG.uniform(-0.5, 0.5, (d + 1, len(problem.start_q)))
+    c = rng.uniform(-0.5, 0.5, (d + 1, len(problem.start_q)))
     t, point_t = grid(problem.horizon, problem.intervals, transcription.scheme.points)
 
     def values(t: np.ndarray, order: int) -> np.ndarray:
         derivative = np.polynomial.polynomial.polyder(c, order, axis=0) if order <= d else np.zeros((1, c.shape[1]))
         return np.moveaxis(np.polynomial.polynomial.polyval(t, derivative), 0, -1)
 
-    u = RNG.uniform(-1, 1, (problem.intervals, len(problem.bounds.u)))
+    u = rng.uniform(-1, 1, (problem.intervals, len(problem.bounds.u)))
     motion = Trajectory(t, values(t, 0), values(t, 1), u, point_t, *(values(point_t, k) for k in range(3)))
     return motion, values(np.array(problem.horizon), 2)
-
-
-TABLE_3 = {  # variables, constraints, nonzeros of the Jacobian, nonzeros of the Hessian's upper triangle
-    Representation.IMPL: (8812, 8427, 72435, 39206),
-    Representation.SEMI: (8812, 8427, 72435, 39206),
-    Representation.EXP1_O: (6412, 6027, 62519, 35286),
-    Representation.EXP1_A: (8812, 8427, 69635, 35206),
-    Representation.EXP2_O: (6412, 6027, 62519, 35286),
-    Representation.EXP2_A: (8812, 8427, 69635, 35206),
-}
 
 
 @pytest.mark.parametrize(("representation", "sizes"), TABLE_3.items())
@@ -70,36 +57,6 @@ def test_sizes_of_table_3(
     assert (program.variables, program.constraints, *nonzeros) == sizes
 
 
-def rich(reach: Problem, representation: Representation, family: Family, free: bool) -> Problem:
-    """Ask for everything that a problem can ask for."""
-    return replace(
-        small(reach, family, 2),
-        representation=representation,
-        horizon_range=(1.0, 3.0) if free else None,
-        free_start=(1, 8),
-        cost=Cost(
-            3.0,
-            0.5,
-            (Term("(q_q2 - a)**2 + u_q1*qd_q1", 2.0), Term("t*sin(q_q3) + T*y_hand", 0.25), *[Term("1", 0.125)] * 2),
-            (Term("T**2 + z_hand*q_q5", 4.0), Term("qdd_q2**2", 0.1)),
-        ),
-        end=End(
-            sensors=(("hand", (0.1, 0.2, 0.3)),),
-            coordinates=((4, 0.25),),
-            velocities=((1, 0.5), (2, -0.5)),
-            accelerations=((0, 1.5), (5, -1.0)),
-            sensor_velocities=(("pendulum", (0.1, 0.0, -0.1)),),
-        ),
-        constraints=(
-            Constraint("x_hand**2 + b*t", (-1.0, 2.0)),
-            Constraint("qdd_q1 - u_q1", (-np.inf, 3.0)),
-            Constraint("qdd_q3 + q_q1", (0.0, 0.0), "start"),
-            Constraint("vx_hand - a*T", (0.0, np.inf), "end"),
-        ),
-        constants=(("a", 0.3), ("b", -0.7)),
-    )
-
-
 def integral(problem: Problem, representation: Representation) -> Problem:
     bounds = Bounds(problem.bounds.q, ((-7.0, np.inf), *problem.bounds.qd[1:]), problem.bounds.u)
     return replace(problem, representation=representation, form=Form.INTEGRAL, free_start=(), bounds=bounds)
@@ -107,7 +64,7 @@ def integral(problem: Problem, representation: Representation) -> Problem:
 
 @pytest.mark.parametrize("form", Form)
 def test_ipopt_finds_no_fault_in_the_derivatives(
-    arm: Peer, reach: Problem, form: Form, capfd: pytest.CaptureFixture[str]
+    arm: Peer, reach: Problem, form: Form, capfd: pytest.CaptureFixture[str], rng: np.random.Generator
 ) -> None:
     """IPOPT compares first and second derivatives with differences of its own."""
     problem = rich(reach, Representation.IMPL, Family.RADAU, form is Form.STANDARD)
@@ -123,7 +80,7 @@ def test_ipopt_finds_no_fault_in_the_derivatives(
     functions = {"grad_f": program.gradient, "jac_g": program.jacobian, "hess_lag": program.hessian}
     settings = {**functions, "ipopt": {**test, "max_iter": 0}, "print_time": False}
     solver = ca.nlpsol("check", "ipopt", nlp, {**settings, "no_nlp_grad": True, "calc_lam_p": False})
-    solver(x0=RNG.uniform(0.5, 1, program.variables), p=transcription.parameters(problem))
+    solver(x0=rng.uniform(0.5, 1, program.variables), p=transcription.parameters(problem))
     assert "No errors detected by derivative checker." in capfd.readouterr().out
 
 
@@ -140,13 +97,13 @@ def test_derivatives_of_the_integral_form(
 
 @pytest.mark.parametrize(("representation", "family"), INTEGRAL)
 def test_the_integral_form_is_the_standard_form_solved(
-    arm: Peer, reach: Problem, representation: Representation, family: Family
+    arm: Peer, reach: Problem, representation: Representation, family: Family, rng: np.random.Generator
 ) -> None:
     """States at the points from accelerations: put into the standard form they satisfy it, and all else is equal."""
     problem = integral(rich(reach, representation, family, False), representation)
     standard = replace(problem, form=Form.STANDARD)
     ours, theirs = transcribe(problem, arm), transcribe(standard, arm)
-    x = RNG.uniform(0.5, 1, ours.layout.size)
+    x = rng.uniform(0.5, 1, ours.layout.size)
     y = theirs.pack(ours.unpack(x))
     assert ours.pack(ours.unpack(x)) == pytest.approx(x, abs=1e-14)
     g = ours.program.constraint(x, ours.parameters(problem)).full().ravel()
@@ -161,7 +118,9 @@ def test_the_integral_form_is_the_standard_form_solved(
 
 
 @pytest.mark.parametrize("family", Family)
-def test_bounds_hold_at_points_that_are_no_variables(arm: Peer, reach: Problem, family: Family) -> None:
+def test_bounds_hold_at_points_that_are_no_variables(
+    arm: Peer, reach: Problem, family: Family, rng: np.random.Generator
+) -> None:
     """A row for each state with a bound at each point that is no mesh point, with its bounds."""
     problem = integral(small(reach, family, 3), Representation.IMPL)
     transcription = transcribe(problem, arm)
@@ -169,7 +128,7 @@ def test_bounds_hold_at_points_that_are_no_variables(arm: Peer, reach: Problem, 
     bounded = [1, 2, 3, 4, 5, 6]
     inner = 2 if family is Family.RADAU else 3
     assert rows.shape == (3, inner, 6)
-    x = RNG.uniform(-1, 1, transcription.layout.size)
+    x = rng.uniform(-1, 1, transcription.layout.size)
     motion = transcription.unpack(x)
     states = np.concatenate((motion.point_q, motion.point_qd), axis=2)[:, :inner, bounded]
     g = transcription.program.constraint(x, transcription.parameters(problem)).full().ravel()
@@ -222,38 +181,15 @@ def test_derivatives_of_everything_equal_casadis(
     check_derivatives(rich(reach, representation, family, free), arm)
 
 
-def check_derivatives(
-    problem: Problem, arm: Peer, expand: Callable[[Any, ca.MX], tuple[Any, ca.MX]] = lambda program, x: (program, x)
-) -> None:
-    """Compare with CasADi's of the same program; `expand` gives a form of it that CasADi can differentiate."""
-    transcription = transcribe(problem, arm)
-    program = transcription.program
-    x, p = ca.MX.sym("x", program.variables), ca.MX.sym("p", program.parameters)
-    plain, v = expand(program, x)
-    nlp = {"x": x, "p": p, "f": plain.objective(v, p), "g": plain.constraint(v, p)}
-    whole = ca.nlpsol("whole", "ipopt", nlp, {"ipopt.print_level": 0})
-    at = RNG.uniform(0.5, 1, program.variables), transcription.parameters(problem)
-    multipliers = (0.7, RNG.uniform(-1, 1, program.constraints))
-    for name, ours, arguments in (
-        ("nlp_grad_f", program.gradient, at),
-        ("nlp_jac_g", program.jacobian, at),
-        ("nlp_hess_l", program.hessian, (*at, *multipliers)),
-    ):
-        expected, found = (f.call([ca.DM(a) for a in arguments])[-1] for f in (whole.get_function(name), ours))
-        scale = np.abs(expected.full()).max()
-        assert np.abs((found - expected).full()).max() <= 1e-10 * scale, name
-        assert found.nnz() <= expected.nnz(), name
-
-
 @pytest.mark.parametrize(("representation", "family", "free"), RICH)
 def test_everything_means_what_it_says(
-    arm: Peer, reach: Problem, representation: Representation, family: Family, free: bool
+    arm: Peer, reach: Problem, representation: Representation, family: Family, free: bool, rng: np.random.Generator
 ) -> None:
     """Terms of the cost and rows of constraints, computed from the trajectory without the program."""
     problem = rich(reach, representation, family, free)
     transcription = transcribe(problem, arm)
     rows, scheme, N = transcription.rows, transcription.scheme, problem.intervals
-    x = RNG.uniform(0.5, 1, transcription.layout.size)
+    x = rng.uniform(0.5, 1, transcription.layout.size)
     motion = transcription.unpack(x)
     T = motion.t[-1]
     assert (x[-1] if free else problem.horizon) == T
@@ -322,7 +258,7 @@ def test_bounds_of_everything(arm: Peer, reach: Problem) -> None:
     assert list(lower[rows.sensor_velocities[0]]) == [0.1, 0.0, -0.1]
 
 
-def test_constants_are_parameters(arm: Peer, reach: Problem) -> None:
+def test_constants_are_parameters(arm: Peer, reach: Problem, rng: np.random.Generator) -> None:
     """Constants, weights and ranges belong to a solve; a program knows only what is asked for."""
     problem = rich(reach, Representation.EXP1_A, Family.RADAU, True)
     other = replace(
@@ -337,7 +273,7 @@ def test_constants_are_parameters(arm: Peer, reach: Problem) -> None:
     assert structure(replace(problem, horizon_range=None)) != structure(problem)
     assert structure(replace(problem, constraints=problem.constraints[1:])) != structure(problem)
     transcription = transcribe(problem, arm)
-    x = RNG.uniform(0.5, 1, transcription.layout.size)
+    x = rng.uniform(0.5, 1, transcription.layout.size)
     f, g = transcription.program.objective, transcription.program.constraint
     first, second = (transcription.parameters(p) for p in (problem, other))
     difference = (g(x, second) - g(x, first)).full().ravel()
@@ -354,7 +290,7 @@ VARIANTS = [
 
 @pytest.mark.parametrize(("representation", "family", "degree"), VARIANTS)
 def test_derivatives_equal_casadis_of_the_same_program(
-    arm: Peer, reach: Problem, representation: Representation, family: Family, degree: int
+    arm: Peer, reach: Problem, representation: Representation, family: Family, degree: int, rng: np.random.Generator
 ) -> None:
     """nlpsol's own functions, made by differentiating the map, have the same pattern, and values to rounding.
 
@@ -367,8 +303,8 @@ def test_derivatives_equal_casadis_of_the_same_program(
     x, p = ca.MX.sym("x", program.variables), ca.MX.sym("p", 2)
     nlp = {"x": x, "p": p, "f": program.objective(x, p), "g": program.constraint(x, p)}
     whole = ca.nlpsol("whole", "ipopt", nlp, {"ipopt.print_level": 0})
-    at = RNG.uniform(-1, 1, program.variables), transcription.parameters(problem)
-    multipliers = (0.7, RNG.uniform(-1, 1, program.constraints))
+    at = rng.uniform(-1, 1, program.variables), transcription.parameters(problem)
+    multipliers = (0.7, rng.uniform(-1, 1, program.constraints))
     for name, ours, arguments in (
         ("nlp_grad_f", program.gradient, at),
         ("nlp_jac_g", program.jacobian, at),
@@ -382,11 +318,13 @@ def test_derivatives_equal_casadis_of_the_same_program(
 
 
 @pytest.mark.parametrize(("family", "degree"), SCHEMES)
-def test_polynomials_of_its_degree_meet_the_collocation(arm: Peer, reach: Problem, family: Family, degree: int) -> None:
+def test_polynomials_of_its_degree_meet_the_collocation(
+    arm: Peer, reach: Problem, family: Family, degree: int, rng: np.random.Generator
+) -> None:
     """q of degree d with its derivatives: states and continuity hold; rows at the end show what they ask."""
     problem = small(reach, family, degree)
     transcription = transcribe(problem, arm)
-    motion, acceleration = polynomial_motion(problem, transcription)
+    motion, acceleration = polynomial_motion(problem, transcription, rng)
     rows = transcription.rows
     g = transcription.program.constraint(transcription.pack(motion), transcription.parameters(problem)).full().ravel()
     small_enough = 1e-12
@@ -400,11 +338,11 @@ def test_polynomials_of_its_degree_meet_the_collocation(arm: Peer, reach: Proble
     assert g[rows.sensors[0]] == pytest.approx(hand, abs=small_enough)
 
 
-def test_dynamics_hold_at_every_collocation_point(arm: Peer, reach: Problem) -> None:
+def test_dynamics_hold_at_every_collocation_point(arm: Peer, reach: Problem, rng: np.random.Generator) -> None:
     """The rows of the dynamics are the residual at the points, each with the inputs of its interval."""
     problem = small(reach, Family.RADAU, 4)
     transcription = transcribe(problem, arm)
-    motion, _ = polynomial_motion(problem, transcription)
+    motion, _ = polynomial_motion(problem, transcription, rng)
     g = transcription.program.constraint(transcription.pack(motion), transcription.parameters(problem)).full().ravel()
     for k in range(problem.intervals):
         for j in range(problem.degree):
@@ -422,17 +360,17 @@ def test_every_variable_and_every_row_has_one_place(arm: Peer, reach: Problem) -
     assert sorted(np.concatenate([r.ravel() for r in parts])) == list(range(rows.size))
 
 
-def test_a_trajectory_survives_packing(arm: Peer, reach: Problem) -> None:
+def test_a_trajectory_survives_packing(arm: Peer, reach: Problem, rng: np.random.Generator) -> None:
     transcription = transcribe(small(reach, Family.LEGENDRE, 3), arm)
-    x = RNG.uniform(-1, 1, transcription.layout.size)
+    x = rng.uniform(-1, 1, transcription.layout.size)
     assert np.array_equal(transcription.pack(transcription.unpack(x)), x)
 
 
-def test_cost_is_the_stated_one(arm: Peer, reach: Problem) -> None:
+def test_cost_is_the_stated_one(arm: Peer, reach: Problem, rng: np.random.Generator) -> None:
     """f = h sum k1 |u_k|^2 + h sum over N - 1 differences of k2 |(u_(k+1) - u_k) / h|^2, at random inputs."""
     problem = replace(small(reach, Family.RADAU, 2), cost=Cost(3.0, 0.5))
     transcription = transcribe(problem, arm)
-    x = RNG.uniform(-1, 1, transcription.layout.size)
+    x = rng.uniform(-1, 1, transcription.layout.size)
     u, h = transcription.unpack(x).u, problem.horizon / problem.intervals
     rates = (u[1:] - u[:-1]) / h
     expected = 3.0 * h * (u**2).sum() + 0.5 * h * (rates**2).sum()
@@ -467,12 +405,12 @@ def test_values_alone_do_not_shape_the_program(reach: Problem) -> None:
     assert structure(replace(reach, end=replace(reach.end, acceleration_zero=False))) != structure(reach)
 
 
-def test_ends_in_coordinates(arm: Peer, reach: Problem) -> None:
+def test_ends_in_coordinates(arm: Peer, reach: Problem, rng: np.random.Generator) -> None:
     """A coordinate asked for at the end is a row that shows it."""
     end = End(coordinates=((0, 0.25), (4, -0.5)))
     problem = replace(small(reach, Family.RADAU, 2), end=end)
     transcription = transcribe(problem, arm)
-    motion, _ = polynomial_motion(problem, transcription)
+    motion, _ = polynomial_motion(problem, transcription, rng)
     g = transcription.program.constraint(transcription.pack(motion), transcription.parameters(problem)).full().ravel()
     assert g[transcription.rows.coordinates] == pytest.approx(motion.q[-1, [0, 4]], abs=1e-14)
     assert list(transcription.constraint_bounds(problem)[0][transcription.rows.coordinates]) == [0.25, -0.5]
