@@ -7,17 +7,18 @@ import sys
 import click
 
 from mbsgen.errors import MbsError
+from mbsrun.commands.advise import advise_command
 from mbsrun.commands.cache import cache_command
+from mbsrun.commands.chart import chart
 from mbsrun.commands.console import (
     BAD_INPUT,
     say,
 )
+from mbsrun.commands.lab import lab_command
 from mbsrun.commands.simulate import simulate_command
 from mbsrun.commands.solve import solve_command
+from mbsrun.commands.study import study_command
 from mbsrun.commands.sweep import sweep_command
-from mbsrun.lab.commands import lab_command
-from mbsrun.measuring.commands import advise_command, chart
-from mbsrun.studies import study_command
 
 HELP = """Simulate multibody systems, and solve optimal control problems of theirs.
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import click
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
@@ -17,6 +20,8 @@ BAD_INPUT = 2
 UNCUT = 200  # characters in a line where nobody sees a terminal's width
 
 MESSAGES = Console(stderr=True)
+
+Report = Callable[[str, int, int], None]  # takes the current step, the number of finished steps and of all
 
 
 class NumberType(click.ParamType[float]):
@@ -56,4 +61,18 @@ def say(message: str) -> None:
 
 def print_table(table: Table) -> None:
     """Print a table to stdout, as wide as the terminal."""
-    Console(highlight=False, width=None if sys.stdout.isatty() else UNCUT).print(table)
+    open_console().print(table)
+
+
+def open_console() -> Console:
+    """Return stdout as wide as the terminal; lines are long where there is none."""
+    return Console(highlight=False, width=None if sys.stdout.isatty() else UNCUT)
+
+
+@contextmanager
+def show_progress() -> Iterator[Report]:
+    """Show the current step and the remaining time on stderr."""
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("beginning", total=None)
+        yield lambda text, done, total: progress.update(task, description=text, completed=done, total=total)

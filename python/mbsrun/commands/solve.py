@@ -27,14 +27,13 @@ from mbsrun.external import Mechanism, OnDemand, load_on_demand
 from mbsrun.ocp.checks import MAX_STEPS
 from mbsrun.ocp.integrators import IntegratorName
 from mbsrun.ocp.methods import METHODS as SOLVERS
-from mbsrun.ocp.multistart import describe_starts
+from mbsrun.ocp.multistart import Wish, describe_starts, solve_from_many
 from mbsrun.ocp.pictures import animate, draw_mechanism, plot_starts, plot_trajectories
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Form, Inputs, Problem, Representation, SolverName, cylindrical
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.solution import Failure, Resimulation, Solution, Starts, read_guess, write_solution
 from mbsrun.ocp.solve import Progress, solve
-from mbsrun.ocp.starting import Wish, solve_from_many
 from mbsrun.ocp.starts import describe_turns
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.table import write_table

@@ -9,21 +9,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.errors import MbsError
 from mbsgen.manifest import Manifest
-from mbsrun.external import Mechanism
-from mbsrun.measuring.mechanisms import draw_states
+from mbsrun.external import Mechanism, load
+from mbsrun.measuring.mechanisms import draw_states, refuse_quaternions
 from mbsrun.measuring.points import MotionPoint, Store
 from mbsrun.measuring.timing import Variant, sum_up
-from mbsrun.models import Extent
+from mbsrun.models import Extent, find_folder
 from mbsrun.simulation.drive import Drive, hold, input_labels
 from mbsrun.simulation.methods import METHODS, Family, Formulation
 from mbsrun.simulation.motion import Motion, Settings
 from mbsrun.simulation.simulate import simulate
+from mbsrun.simulation.statement import read_statement
 
 Array = NDArray[np.float64]
 
@@ -94,6 +96,19 @@ def draw_course(mechanism: Mechanism, duration: float) -> Course:
     q = ANGLE * draw_states(manifest, mechanism.parameters, 1)["q"][0]
     inputs = hold(np.zeros(len(input_labels(manifest))))
     return Course(mechanism, _move_within(q, manifest), np.zeros(len(q)), inputs, duration, "drawn")
+
+
+def read_course(model: Path, file: Path | None, duration: float | None) -> Course:
+    """Read the motion of a settings file, or draw one without a file. Raises InputError."""
+    mechanism = load(model) if model.is_dir() else Mechanism(find_folder(model, EXTENT))
+    if file is None:
+        return draw_course(mechanism, duration or 2.0)
+    refuse_quaternions(mechanism.manifest)
+    statement = read_statement(file, {}, mechanism.manifest)
+    mechanism = mechanism.with_parameters(**statement.parameters)
+    told = (file.read_text(encoding="utf-8"), tuple(statement.parameters.items()))
+    settings = statement.settings
+    return Course(mechanism, statement.q, statement.qd, statement.drive, settings.duration, repr(told))
 
 
 def measure_motions(

@@ -1,27 +1,58 @@
-"""One problem from many starts: which, in what order, and what came of them.
+"""Solve one problem from many starts, in this process or in many; a record keeps every attempt.
 
-Start 0 is the problem's own guess; the others are random, of all kinds of `starts` in turn. Start k follows from the
-seed and k alone: with more starts, the first ones stay the same. They share nothing, so how often the lowest cost was
-found says how likely it is that one more start finds it, and warns where it was found once.
+Start 0 is the guess of the problem; the others are random, of all kinds of `starts` in turn. Start k depends on the
+seed and k alone, so a longer list of starts begins with the shorter one. Starts are independent of each other: the
+number of starts that found the lowest cost shows the chance of one more start to find it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import FrameType
 
 from mbsgen.manifest import Manifest
+from mbsrun.environment import describe_environment
+from mbsrun.external import Mechanism, OnDemand
+from mbsrun.models import find_folder
+from mbsrun.ocp.cluster import open_workers
+from mbsrun.ocp.executor import LocalExecutor, Worker
 from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.record import Attempt, Best, Task
-from mbsrun.ocp.search import MULTISTART, ONE, Interpolation, Study, Trial, Varied, list_hops
-from mbsrun.ocp.solution import Start, Starts
+from mbsrun.ocp.record import Attempt, Best, Record, Task, open_record
+from mbsrun.ocp.search import (
+    MULTISTART,
+    ONE,
+    Executor,
+    Found,
+    Hop,
+    Interpolation,
+    Order,
+    OutOfTimeError,
+    Search,
+    Study,
+    Trial,
+    Varied,
+    describe,
+    identify,
+    is_higher,
+    list_hops,
+)
+from mbsrun.ocp.solution import Failure, Solution, Start, Starts
 from mbsrun.ocp.starts import TURNS, Kind, Variation, describe_turns, list_turning
 
+Watch = Callable[[Starts], None]
 GUESS = "guess"
 KINDS: tuple[Kind, ...] = ("noise", "waves", "turns", "noise", "bumps", "waves", "branches")  # of the starts 1, 2, ...
+ROUNDS = 100  # of hops, at most
 
 
 def state_study(problem: Problem, manifest: Manifest) -> Study:
-    """State the study of one problem, as searches take it."""
+    """Return the study of one problem, for a search."""
     weights = (problem.cost.inputs, problem.cost.input_rates)
     turning = list_turning(problem, manifest)
     return Study(problem, None, ONE, (weights,), (problem.representation,), tuple(manifest.actuated), turning)
@@ -45,7 +76,7 @@ def list_starts(study: Study, seed: int, count: int) -> list[Trial]:
 
 
 def plan_hops(study: Study, starts: Starts, number: int, count: int) -> list[Trial]:
-    """List the hops of a round, from 1, from the best that was found before; none where a motion takes no waves."""
+    """List the hops of a round from the best start of the rounds before; rounds count from 1."""
     if starts.best is None or starts.best.cost is None or study.problem.has_quaternions:
         return []
     task = Task((0, 0), study.costs[0], study.representations[0].value)
@@ -54,7 +85,7 @@ def plan_hops(study: Study, starts: Starts, number: int, count: int) -> list[Tri
 
 
 def gather(trials: Sequence[Trial], attempts: Sequence[Attempt], seed: int, hops: Sequence[Trial] = ()) -> Starts:
-    """Collect what came of the trials that were made."""
+    """Collect the results of the finished trials."""
     made = {attempt.key: attempt for attempt in attempts}
 
     def collect(chosen: Sequence[Trial]) -> tuple[Start, ...]:
@@ -65,7 +96,7 @@ def gather(trials: Sequence[Trial], attempts: Sequence[Attempt], seed: int, hops
 
 
 def describe_starts(starts: Starts) -> str:
-    """Say in words what was found, and no more."""
+    """Describe the lowest cost and the number of starts that found it, in words."""
     made, best = len(starts.results), starts.best
     if best is None:
         return f"no solution in {made} starts"
@@ -73,3 +104,102 @@ def describe_starts(starts: Starts) -> str:
     turns = f" ({describe_turns(best.turns)})" if best.turns else ""
     hops = f", by {len(starts.hops)} hops from the best of them" if starts.hops and not starts.times else ""
     return f"the lowest cost{turns} was found {times} in {made} starts{hops}; lower ones may exist"
+
+
+# --- the search -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Wish:
+    """The number of starts, and the limits of the search."""
+
+    starts: int
+    seed: int = 0
+    seconds: float = math.inf  # no start begins later
+    workers: int = 0  # processes; 0: this one
+    hops: int = 0  # in each round, from the best solution so far
+
+
+def solve_from_many(
+    problem: Problem, plant: Mechanism | OnDemand, model: Path, wish: Wish, path: Path, watch: Watch
+) -> tuple[Starts, Solution | Failure | None]:
+    """Solve a problem from many starts, and solve it again from the best start; return None where none was made.
+
+    The search skips attempts in the record at `path`. It passes the results so far to `watch` after every start. At the
+    end of the time, or at an interrupt, the finished starts count.
+    """
+    study = state_study(problem, plant.manifest)
+    trials, hops = list_starts(study, wish.seed, wish.starts), list[Trial]()
+    with open_record(path, identify(study, plant.manifest), describe(study, plant.manifest)) as record:
+
+        def look() -> Starts:
+            return gather(trials, list(record.attempts()), wish.seed, hops)
+
+        def show(_attempt: Attempt, _is_best: bool) -> None:
+            watch(look())
+
+        watch(look())
+        with suppress(OutOfTimeError, KeyboardInterrupt), _open_executor(plant, model, wish.workers) as executor:
+            search = Search(study, executor, record, show, wish.seconds)
+            with _end_at_interrupt(search):
+                search.try_all(trials)
+                for number in range(1, ROUNDS if wish.hops else 1):
+                    before = look()
+                    own = plan_hops(study, before, number, wish.hops)
+                    hops += own
+                    search.try_all(own)
+                    best, lowest = look().best, before.best
+                    if best is None or lowest is None or best == lowest:
+                        break
+        starts = look()
+        return starts, _repeat(study, (trials, hops), starts, plant, record)
+
+
+@contextmanager
+def _open_executor(plant: Mechanism | OnDemand, model: Path, workers: int) -> Iterator[Executor]:
+    if workers == 0:
+        yield LocalExecutor(plant, describe_environment())
+        return
+    with open_workers(workers, None) as executor_for:
+        yield executor_for(find_folder(model))
+
+
+@contextmanager
+def _end_at_interrupt(search: Search) -> Iterator[None]:
+    """End a search at the first interrupt after the current starts, and at the second at once.
+
+    An interrupted solver returns a status that the record would keep as the result of its start.
+    """
+
+    def end(_number: int, _frame: FrameType | None) -> None:
+        search.end = -math.inf
+        signal.signal(signal.SIGINT, before)
+
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread():  # signals are the main thread's
+        yield
+        return
+    signal.signal(signal.SIGINT, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _repeat(
+    study: Study, tried: tuple[list[Trial], list[Trial]], starts: Starts, plant: Mechanism | OnDemand, record: Record
+) -> Solution | Failure | None:
+    """Solve from the best start again, and from its motion if that ends elsewhere; without a best, from the first."""
+    if not starts.results:
+        return None
+    best, worker = starts.best or starts.results[0], Worker(plant)
+    trial = tried[best.kind == "hops"][best.number]
+    motion = None
+    if isinstance(trial.start, Hop):
+        motion = record.best_motion(trial.task, trial.protocol, trial.round, trial.start.turns)
+    found = worker.solve(Order(study, trial, motion))
+    if best.cost is not None and (isinstance(found, Failure) or is_higher(found.cost.total, best.cost)):
+        motion = record.best_motion(trial.task, trial.protocol, turns=best.turns)
+        found = worker.solve(Order(study, replace(trial, start=Found(trial.task, is_held=True)), motion))
+    found = replace(found, problem=study.state(trial.task))
+    return found if isinstance(found, Failure) else replace(found, starts=starts)

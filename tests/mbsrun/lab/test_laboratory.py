@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from mbsrun import cli
-from mbsrun.lab import chains, commands, derivatives, digits, integration, interpretation, locks, maps, optimisation
+from mbsrun.commands import lab as lab_commands
+from mbsrun.lab import chains, derivatives, digits, integration, interpretation, locks, maps, optimisation
 from mbsrun.lab.case import Bench, Case, Finding, Loss, Trial, check, demand, find_worst, judge, show_failure
 from mbsrun.lab.cases import CASES
 from mbsrun.lab.digits import specimen
@@ -321,6 +322,6 @@ def test_the_command_tells_by_its_exit_code(
     assert "does not apply" in capsys.readouterr().out
     assert {path.name for path in (tmp_path / "out").iterdir()} >= {"verdicts.json", "findings.csv", "findings.jsonl"}
     broken = Case("F07", "broken", "", "", (Trial("broken", break_down),))
-    monkeypatch.setattr(commands, "CASES", (broken,))
+    monkeypatch.setattr(lab_commands, "CASES", (broken,))
     assert run(monkeypatch, "F07", "-o", "other") == 1
     assert "not met: F07, broken" in capsys.readouterr().out

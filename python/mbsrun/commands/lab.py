@@ -12,11 +12,11 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from mbsrun.commands.console import UNCUT, show_progress
 from mbsrun.lab.case import Case, Finding, Verdict, judge
 from mbsrun.lab.cases import CASES
 from mbsrun.lab.maps import draw_maps, measure_maps
 from mbsrun.lab.record import name_verdict, open_bench, run_cases, write_findings
-from mbsrun.measuring.commands import UNCUT, show_progress
 
 NOT_MET = 1
 

@@ -9,7 +9,7 @@ import click
 
 from mbsgen.errors import MbsError
 
-SOURCES = Path(__file__).resolve().parents[2]  # in a checkout or an editable install
+SOURCES = Path(__file__).resolve().parents[3]  # in a checkout or an editable install
 MODULE = "studies.docquier"
 
 

@@ -1,0 +1,166 @@
+"""The command `mbsrun advise`: measure the options for a model, and print the fastest that are accurate enough."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from mbsgen.errors import Fault, InputError
+from mbsrun.commands.console import Report, open_console, show_progress
+from mbsrun.external import load
+from mbsrun.measuring import kernels, motions, solves
+from mbsrun.measuring.advice import Advice, Option, advise_control, advise_optimisation, advise_simulation
+from mbsrun.measuring.mechanisms import Subject
+from mbsrun.measuring.points import Cost, KernelPoint, MotionPoint, SolvePoint, Store, write_table
+from mbsrun.ocp.statement import read_problem
+
+ADVISE_HELP = """Tell how to compute with MODEL, with errors of --accuracy at most, and as fast as can be.
+
+Everything is measured here and now on MODEL itself, the measurements are printed with the advice, and what was not
+measured is named. They are kept in the output folder, so that the next question about MODEL takes less time.
+
+\b
+Tasks
+  simulate   formulation, method, step or tolerance; on the motion of --settings, else one from a pose that is drawn
+  optimise   representation, collocation, degree, intervals; on --problem, else a small reach from rest to rest
+  control    kernels and their precision, for torques, accelerations and derivatives of both
+
+\b
+Exit codes
+  0   there is something for everything that is asked for
+  1   there is not: nothing that was measured is so accurate
+  2   the model, a file or an argument cannot be accepted
+"""
+
+NOTHING_GOOD = 1  # exit code
+
+
+@click.command("advise", help=ADVISE_HELP)
+@click.argument("model", type=click.Path(path_type=Path))
+@click.option("--accuracy", type=click.FloatRange(0, min_open=True), default=1e-6, help="The largest error; 1e-6.")
+@click.option("--task", type=click.Choice(["simulate", "optimise", "control"]), default="simulate", help="simulate.")
+@click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="By default NAME.advice.")
+@click.option("--settings", "settings", type=click.Path(path_type=Path), help="simulate: the motion to be measured on.")
+@click.option("--problem", type=click.Path(path_type=Path), help="optimise: the problem to be measured on.")
+@click.option("--quick", is_flag=True, help="Measure little.")
+@click.pass_context
+def advise_command(
+    context: click.Context,
+    /,
+    model: Path,
+    accuracy: float,
+    task: str,
+    out: Path | None,
+    settings: Path | None,
+    problem: Path | None,
+    quick: bool,
+) -> None:
+    """Measure, choose, tell."""
+    for name, value, own in (("--settings", settings, "simulate"), ("--problem", problem, "optimise")):
+        if value is not None and task != own:
+            raise click.UsageError(f"{name} is for --task {own}")
+    out = out or Path(f"{model.stem}.advice")
+    with show_progress() as report:
+        if task == "simulate":
+            advice = _measure_simulation(motions.read_course(model, settings, None), out, accuracy, quick, report)
+        elif task == "optimise":
+            advice = _measure_optimisation(model, problem, out, accuracy, quick, report)
+        else:
+            advice = _measure_control(model, out, accuracy, quick, report)
+    _print_advice(advice)
+    context.exit(0 if advice.is_complete else NOTHING_GOOD)
+
+
+def _measure_simulation(course: motions.Course, out: Path, accuracy: float, quick: bool, report: Report) -> Advice:
+    report("reference", 0, 1)
+    standard = motions.find_standard(course)
+    depth = motions.QUICK if quick else motions.Depth()
+    store = Store(out / "simulation.jsonl", MotionPoint)
+    points = motions.measure_motions(course, standard, depth, store, report)
+    write_table(points, out, "simulation")
+    return advise_simulation(course, standard, points, accuracy)
+
+
+def _measure_optimisation(
+    model: Path, problem: Path | None, out: Path, accuracy: float, quick: bool, report: Report
+) -> Advice:
+    mechanism = load(model)
+    case = solves.state_reach(mechanism)
+    told = "a reach from rest to rest in 1 s, stated for any model"
+    if problem is not None:
+        found, plant = read_problem(problem, load)
+        if plant.manifest.model_hash != mechanism.manifest.model_hash:
+            fault = f"its model is {plant.manifest.model}, which is not {model}"
+            raise InputError([Fault(str(problem), 0, "model", fault, "give the problem's model")])
+        case, told = solves.Case(found, mechanism), str(problem)
+    depth = solves.QUICK if quick else solves.Depth()
+    store = Store(out / "problem.jsonl", SolvePoint)
+    points = solves.measure_solves(case, accuracy, depth, store, report)
+    write_table(points, out, "problem")
+    return advise_optimisation(mechanism.manifest.model, told, points, accuracy)
+
+
+def _measure_control(model: Path, out: Path, accuracy: float, quick: bool, report: Report) -> Advice:
+    subject = Subject(model, kernels.DERIVATIVES)
+    depth = kernels.Depth((), (kernels.USUAL, kernels.SINGLE), 3 if quick else 40, 4 if quick else 16)
+    store = Store(out / "control.jsonl", KernelPoint)
+    points: list[KernelPoint] = []
+    tasks = (*kernels.KERNELS, *kernels.SLOPES)
+    for done, task in enumerate(tasks):
+        report(task, done, len(tasks))
+        points += kernels.measure_task(subject, task, depth, store)
+    write_table(points, out, "control")
+    return advise_control(subject.manifest.model, points, accuracy, depth.judged)
+
+
+def _print_advice(advice: Advice) -> None:
+    console = open_console()
+    console.print(f"{advice.model}: {advice.task}, with errors of {advice.accuracy:g} at most", markup=False)
+    console.print(f"error: {advice.meaning}", markup=False)
+    for need in advice.needs:
+        best = advice.choose(need)
+        console.print(
+            f"\n{need}: " + ("nothing that was measured is so accurate" if best is None else _tell(best)), markup=False
+        )
+        table = Table(box=box.SIMPLE)
+        options = advice.shortlist(need)
+        for name in _list_columns(options):
+            table.add_column(name)
+        for column in ("time", "spread", "error"):
+            table.add_column(column, justify="right")
+        table.add_column("")
+        for option in options:
+            verdict = option.finding or ("" if option.meets(advice.accuracy) else "not accurate enough")
+            time, spread = (_format_time(option), _format_spread(option.cost)) if option.cost else ("-", "-")
+            error = "-" if option.error is None else f"{option.error:.1e}"
+            marked = "taken" if option is best else verdict
+            choices = dict(option.choices)
+            cells = (*(choices.get(name, "") for name in _list_columns(options)), time, spread, error, marked)
+            table.add_row(*map(Text, cells))
+        console.print(table)
+    console.print("not measured:", markup=False)
+    for text in advice.unmeasured:
+        console.print(f"- {text}", markup=False)
+
+
+def _list_columns(options: Sequence[Option]) -> list[str]:
+    return list(dict.fromkeys(name for option in options for name, _ in option.choices))
+
+
+def _tell(option: Option) -> str:
+    chosen = ", ".join(f"{name} {value}" for name, value in option.choices)
+    return f"{chosen}; {_format_time(option)}, error {option.error:.1e}"
+
+
+def _format_time(option: Option) -> str:
+    """Write the shortest time, with its unit."""
+    return f"{option.price:.3g} {option.unit}"
+
+
+def _format_spread(cost: Cost) -> str:
+    return "timed once" if cost.rounds == 1 else f"{cost.spread:.0%}"

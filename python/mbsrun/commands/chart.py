@@ -1,0 +1,184 @@
+"""The command `mbsrun chart`: measure kernels, simulation, optimisation or fidelity; draw time against error."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from mbsrun.commands.console import show_progress
+from mbsrun.external import load
+from mbsrun.measuring import fidelity, kernels, motions, optima, solves
+from mbsrun.measuring.captions import write_captions
+from mbsrun.measuring.pictures import draw_fidelity, draw_kernels, draw_motions, draw_optima
+from mbsrun.measuring.points import MotionPoint, SolvePoint, Store, write_table
+from mbsrun.ocp.problem import Representation
+from mbsrun.ocp.statement import read_problem
+
+CHART_HELP = """Measure speed against accuracy, and draw it.
+
+What is measured is kept in the output folder as it comes: a command that was stopped goes on where it was when it is
+given again, and one that is through only draws. Remove the folder to measure anew. `mbsrun study --with FOLDER` takes
+pictures and tables into its report, by the captions that NAME.section.json holds.
+"""
+
+KERNELS_HELP = """Chart kernels of MODEL, a model file, and of chains: time of a call against error to 50 digits.
+
+Formulations, single and double precision, flags of the compiler; derivatives of MODEL beside finite differences, and
+beside CasADi's differentiation of the same equations.
+
+\b
+The output folder gets
+  kernels.png, kernels_backward.png, derivatives.png
+  kernels.csv, kernels.json   every number drawn
+  kernels.jsonl               what was measured so far
+"""
+
+SIMULATION_HELP = """Chart the simulation of MODEL: processor time against error and against drift of energy.
+
+All methods of `mbsrun simulate`, on all formulations where that matters, with several steps and tolerances. The motion
+is that of a settings file of `mbsrun simulate`; without one, MODEL is let go from a pose that is drawn.
+
+\b
+The output folder gets
+  simulation.png
+  simulation.csv, simulation.json   every number drawn
+  simulation.jsonl                  what was measured so far
+"""
+
+OPTIMISATION_HELP = """Chart the optimal control of PROBLEM: time of a solve against error of the cost, and defect.
+
+Numbers of intervals, degrees, Radau and Legendre points, and representations, in all combinations. Inputs are constant
+over an interval, so each number of intervals is a control grid with an optimum of its own, which a degree of 9 tells;
+what the grid itself costs stands in a picture of its own.
+
+\b
+The output folder gets
+  optimisation.png, control_grid.png
+  optimisation.csv, optimisation.json   every solve
+  control_grid.csv, control_grid.json   every reference, with its accuracy
+  optimisation.jsonl                    what was measured so far
+"""
+
+FIDELITY_HELP = """Chart what is saved by leaving something out of MODEL, against the error that it makes.
+
+Without a scene, one thing after the other: each joint locked, each body without mass, no forces of joints, no gravity,
+no velocities, constant parameters, one sensor alone, what a tolerance admits. With scenes, their parts, and each as a
+whole.
+
+\b
+The output folder gets
+  fidelity.png
+  fidelity.csv, fidelity.json   flops, times, and errors: where what is supposed holds, and anywhere
+  fidelity.jsonl                what was measured so far
+"""
+
+
+@click.group("chart", help=CHART_HELP)
+def chart() -> None:
+    """Measure and draw."""
+
+
+@chart.command("kernels", help=KERNELS_HELP)
+@click.argument("model", type=click.Path(path_type=Path))
+@click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="By default NAME.chart.")
+@click.option("--size", "sizes", type=click.IntRange(1, 50), multiple=True, help="Joints of a chain; 2 5 10 20.")
+@click.option("--rounds", type=click.IntRange(1), help="In which all are timed; 40.")
+@click.option("--quick", is_flag=True, help="Little of everything, to see how it looks.")
+def chart_kernels_command(
+    model: Path, out: Path | None, sizes: tuple[int, ...], rounds: int | None, quick: bool
+) -> None:
+    """Measure, write, draw."""
+    usual = kernels.QUICK if quick else kernels.Depth()
+    depth = kernels.Depth(sizes or usual.sizes, usual.variants, rounds or usual.rounds, usual.judged)
+    out = out or Path(f"{model.stem}.chart")
+    with show_progress() as report:
+        points = kernels.measure_kernels(model, out, depth, report)
+    _print_written([*write_table(points, out, "kernels"), *draw_kernels(points, out)])
+    write_captions("kernels", points[0].mechanism, out)
+
+
+@chart.command("simulation", help=SIMULATION_HELP)
+@click.argument("model", type=click.Path(path_type=Path))
+@click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="By default NAME.chart.")
+@click.option("--settings", "file", type=click.Path(path_type=Path), help="Start, inputs and duration of the motion.")
+@click.option("--duration", type=click.FloatRange(0, min_open=True), help="Without a settings file [s]; 2.")
+@click.option("--quick", is_flag=True, help="Little of everything, to see how it looks.")
+def chart_simulation_command(
+    model: Path, out: Path | None, file: Path | None, duration: float | None, quick: bool
+) -> None:
+    """Measure, write, draw."""
+    if file is not None and duration is not None:
+        raise click.UsageError("the settings file tells the duration; give it, or --duration, but not both")
+    course = motions.read_course(model, file, duration)
+    out = out or Path(f"{model.stem}.chart")
+    store = Store(out / "simulation.jsonl", MotionPoint)
+    with show_progress() as report:
+        report("reference", 0, 1)
+        standard = motions.find_standard(course)
+        depth = motions.QUICK if quick else motions.Depth()
+        points = motions.measure_motions(course, standard, depth, store, report)
+    _print_written([*write_table(points, out, "simulation"), *draw_motions(points, standard, out)])
+    write_captions("simulation", points[0].mechanism, out)
+
+
+@chart.command("optimisation", help=OPTIMISATION_HELP)
+@click.argument("problem", type=click.Path(path_type=Path))
+@click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="By default NAME.chart.")
+@click.option("--intervals", type=click.IntRange(1, 10_000), multiple=True, help="By default 5 10 20 40.")
+@click.option("--degree", "degrees", type=click.IntRange(1, 8), multiple=True, help="By default 1 2 3 4 5.")
+@click.option(
+    "--representation",
+    "names",
+    type=click.Choice([r.value for r in Representation], case_sensitive=False),
+    multiple=True,
+    help="By default all.",
+)
+@click.option("--quick", is_flag=True, help="Little of everything, to see how it looks.")
+def chart_optimisation_command(
+    problem: Path,
+    out: Path | None,
+    intervals: tuple[int, ...],
+    degrees: tuple[int, ...],
+    names: tuple[str, ...],
+    quick: bool,
+) -> None:
+    """Measure, write, draw."""
+    stated, plant = read_problem(problem, load)
+    usual = optima.QUICK if quick else optima.Depth()
+    depth = replace(
+        usual,
+        intervals=tuple(sorted(set(intervals))) or usual.intervals,
+        degrees=tuple(sorted(set(degrees))) or usual.degrees,
+        representations=tuple(map(Representation, dict.fromkeys(names))) or usual.representations,
+    )
+    out = out or Path(f"{problem.name.split('.')[0]}.chart")
+    store = Store(out / "optimisation.jsonl", SolvePoint)
+    with show_progress() as report:
+        points, grids = optima.measure_optima(solves.Case(stated, plant), depth, store, report)
+    tables = [*write_table(points, out, "optimisation"), *write_table(grids, out, "control_grid")]
+    _print_written([*tables, *draw_optima(points, grids, out)])
+    write_captions("optimisation", f"{plant.manifest.model}, {stated.name}", out)
+
+
+@chart.command("fidelity", help=FIDELITY_HELP)
+@click.argument("model", type=click.Path(path_type=Path))
+@click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="By default NAME.chart.")
+@click.option("--scene", "scenes", type=click.Path(path_type=Path), multiple=True, help="What is to be left out.")
+@click.option("--quick", is_flag=True, help="Little of everything, to see how it looks.")
+def chart_fidelity_command(model: Path, out: Path | None, scenes: tuple[Path, ...], quick: bool) -> None:
+    """Measure, write, draw."""
+    depth = fidelity.QUICK if quick else fidelity.Depth()
+    whole = fidelity.take_whole(model, depth)
+    out = out or Path(f"{model.stem}.chart")
+    with show_progress() as report:
+        report("generating the whole model", 0, 1)
+        reductions = fidelity.list_reductions(model, whole.manifest, scenes)
+        points = fidelity.measure_fidelity(whole, reductions, out, depth, report)
+    _print_written([*write_table(points, out, "fidelity"), *draw_fidelity(points, out)])
+    write_captions("fidelity", points[0].mechanism, out)
+
+
+def _print_written(paths: list[Path]) -> None:
+    click.echo(f"wrote {', '.join(map(str, paths))}", err=True)
