@@ -108,7 +108,14 @@ MBSRUN = Package(
         "__main__",
     ),
     foreign=("sympy", "mbsgen", "studies", "benchmarks"),
-    guests=("mbsgen.errors", "mbsgen.resources", "mbsgen.manifest", "mbsgen.expressions", "mbsgen.documents"),
+    guests=(
+        "mbsgen.errors",
+        "mbsgen.resources",
+        "mbsgen.manifest",
+        "mbsgen.roles",
+        "mbsgen.expressions",
+        "mbsgen.documents",
+    ),
     # a model file given for a generated folder; its equations in 50 digits; the command of a study
     lazy={
         "models": "mbsgen.pipeline",

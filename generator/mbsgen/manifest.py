@@ -10,11 +10,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, ValidationError, model_serializer
+from pydantic_core import from_json
 
 from mbsgen.errors import Fault, InputError
+from mbsgen.roles import Order, Role
 
-FORMAT = 1
+FORMAT = 2
 FILE_NAME = "manifest.json"
 
 
@@ -22,15 +24,28 @@ class _Entry(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
 
+_RARE = ("matrix", "unit", "of", "by")
+
+
 class Argument(_Entry):
     """An input or output of a kernel: a matrix given by its nonzeros, column by column."""
 
     name: str
+    role: Role
     rows: int
     cols: int
     colind: tuple[int, ...] | None = None  # compressed columns; None for a dense matrix
     row: tuple[int, ...] | None = None
     differentiable: bool = True
+    matrix: bool = False  # a matrix even with one column
+    unit: str = ""
+    of: str | None = None  # of a derivative: the argument that is differentiated; of a seed: the result that it weights
+    by: str | None = None  # of a derivative or an adjoint: the argument that is differentiated by
+
+    @model_serializer(mode="wrap")
+    def _leave_out(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave the fields out that say nothing of most arguments."""
+        return {k: x for k, x in write(self).items() if k not in _RARE or x}
 
     @property
     def nnz(self) -> int:
@@ -57,6 +72,8 @@ class Kernel(_Entry):
     """One C function, in its two faces."""
 
     name: str  # "impl", "jac_impl", "adj1_impl", "jac_adj1_impl", "sensors", "frames", "setup"
+    base: str  # the function that it is, or is a derivative of: "impl"
+    order: Order
     symbol: str  # the function in CasADi's contract, e.g. "jac_arm_pendulum_impl"
     function: str  # the typed C function, e.g. "arm_pendulum_compute_jac_impl"
     sources: tuple[str, ...]  # the C files that it is compiled from, headers aside
@@ -64,6 +81,15 @@ class Kernel(_Entry):
     outputs: tuple[Argument, ...]
     flops: Flops
     equations: int
+    integer: Literal["casadi_int", "int"] = "casadi_int"  # the type of counts and places in CasADi's contract
+
+    def taking(self, role: Role) -> Argument | None:
+        """Return the input of a role, if there is one."""
+        return next((a for a in self.inputs if a.role is role), None)
+
+    def giving(self, role: Role) -> Argument | None:
+        """Return the first result of a role, if there is one."""
+        return next((a for a in self.outputs if a.role is role), None)
 
 
 class Coordinate(_Entry):
@@ -131,6 +157,19 @@ class Manifest(_Entry):
                 return kernel
         raise KeyError(f"no kernel {name!r}; there are {', '.join(k.name for k in self.kernels)}")
 
+    def find(self, base: str, order: Order = Order.VALUE) -> Kernel | None:
+        """Return the kernel of a function and an order, if there is one."""
+        return next((k for k in self.kernels if (k.base, k.order) == (base, order)), None)
+
+    @property
+    def setup(self) -> Kernel | None:
+        """The kernel that computes from the run-time parameters what others need of them, if there is one."""
+        return next((kernel for kernel in self.kernels if kernel.giving(Role.SETUP)), None)
+
+    def list_giving(self, role: Role) -> tuple[str, ...]:
+        """Name the functions that give a result of a role."""
+        return tuple(k.base for k in self.kernels if k.order is Order.VALUE and k.giving(role))
+
     @property
     def positions(self) -> tuple[str, ...]:
         """Names of the entries of q."""
@@ -155,13 +194,17 @@ def write(manifest: Manifest) -> str:
 def read(path: Path) -> Manifest:
     """Read a manifest; InputError when it is missing, of another format, or not a manifest."""
     try:
-        return Manifest.model_validate_json(path.read_bytes())
+        text = path.read_bytes()
+        return Manifest.model_validate_json(text)
     except FileNotFoundError:
         fault = Fault(str(path), 0, "", "there is no such file", "generate the folder with `mbsgen MODEL -o DIR`")
         raise InputError([fault]) from None
     except OSError as error:
         raise InputError([Fault(str(path), 0, "", f"cannot be read: {error.strerror}", "check the path")]) from None
     except ValidationError as error:
+        if (found := _read_format(text)) not in (None, FORMAT):
+            finding = f"the manifest has format {found}, this mbsgen reads format {FORMAT}"
+            raise InputError([Fault(str(path), 0, "format", finding, "generate the folder again")]) from None
         faults = [
             Fault(
                 str(path),
@@ -173,3 +216,13 @@ def read(path: Path) -> Manifest:
             for e in error.errors()
         ]
         raise InputError(faults) from None
+
+
+def _read_format(text: bytes) -> int | None:
+    """Return the format of a manifest that is none of this format; None where it has no such number."""
+    try:
+        found = from_json(text)
+    except ValueError:
+        return None
+    number = found.get("format") if isinstance(found, dict) else None
+    return number if isinstance(number, int) else None

@@ -7,7 +7,8 @@ A function y = f(x) of the catalogue has the order `value`. Of its derivatives, 
     adjoint_jacobian    d((dy/dx)T lambda)/dx, the Hessian of lambdaT y, and by lambda
     linearisation       y and dy/dx
 
-are generated. Generator and solver decide by roles and orders. Names are made here, and taken apart nowhere.
+are generated. Generator and solver decide by roles and orders. Names are made here, and taken apart
+nowhere else.
 """
 
 from __future__ import annotations
@@ -69,6 +70,12 @@ class Order(Enum):
         """Return the beginning of the names of kernels of this order."""
         return _PREFIXES[self]
 
+    @property
+    def derivatives(self) -> tuple[Order, ...]:
+        """List this order, and the orders of the kernels that CasADi looks for beside one of it."""
+        adjoint = (Order.ADJOINT, Order.ADJOINT_JACOBIAN)
+        return {Order.VALUE: FAMILY, Order.ADJOINT: adjoint}.get(self, (self,))
+
 
 _PREFIXES = {
     Order.VALUE: "",
@@ -81,12 +88,20 @@ RESERVED = (
     *(prefix for prefix in _PREFIXES.values() if prefix),
     "fwd1_",
 )  # of no function's own name; CasADi looks for all but one
-FAMILY = (Order.VALUE, Order.JACOBIAN, Order.ADJOINT, Order.ADJOINT_JACOBIAN)  # one function to CasADi
+# One function to CasADi, which looks for the derivatives beside the value.
+FAMILY = (Order.VALUE, Order.JACOBIAN, Order.ADJOINT, Order.ADJOINT_JACOBIAN)
 
 
 def name_kernel(base: str, order: Order) -> str:
     """Name the kernel of a function of an order, as in `jac_impl`."""
     return order.prefix + base
+
+
+def split_kernel(name: str) -> tuple[str, Order]:
+    """Return the function and the order of a kernel that is asked for by name, before it is generated."""
+    orders = sorted(_PREFIXES, key=lambda order: -len(order.prefix))
+    order = next(order for order in orders if name.startswith(order.prefix))
+    return name[len(order.prefix) :], order
 
 
 def name_derivative(of: str, by: str) -> str:

@@ -18,18 +18,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from mbsgen.errors import MbsError
 from mbsgen.manifest import Argument, Kernel
+from mbsgen.roles import Role
 from mbsrun.library import CompileError
 
 Array = NDArray[np.float64]
 Status = NDArray[np.int32]
 
-DESIGN = "theta"  # the differentiated parameters; filled in for the caller who gives none
-HIDDEN = "h"  # what `setup` makes of the run-time parameters; filled in for the caller
-# Matrices even with one column.
-_MATRICES = {
-    "in": frozenset({"adj_position", "adj_v", "adj_omega"}),
-    "out": frozenset({"M", "position", "v", "omega", "J", "p", "R"}),
-}
 _BATCH = """
 long long mbs_batch(int (*f)(const double **arg, double **res, long long *iw, double *w, int mem), long long states,
                     long long n_in, const double **arg, const long long *arg_step,
@@ -58,7 +52,16 @@ class Port:
 
     argument: Argument
     position: int
-    is_vector: bool  # a column that is passed as a one-dimensional array
+
+    @cached_property
+    def is_vector(self) -> bool:
+        """Whether it is a column that is passed as a one-dimensional array."""
+        return self.argument.cols == 1 and not self.argument.matrix
+
+    @cached_property
+    def is_hidden(self) -> bool:
+        """Whether it is computed from the run-time parameters, and filled in for the caller."""
+        return self.argument.role is Role.SETUP
 
     @cached_property
     def shape(self) -> tuple[int, ...]:
@@ -100,12 +103,13 @@ class Entry:
     @cached_property
     def takes_hidden(self) -> bool:
         """Whether run-time parameters matter to it."""
-        return any(port.argument.name == HIDDEN for port in self.inputs)
+        return self.kernel.taking(Role.SETUP) is not None
 
     @cached_property
-    def takes_design(self) -> bool:
-        """Whether differentiated parameters matter to it."""
-        return any(port.argument.name == DESIGN for port in self.inputs)
+    def design(self) -> str | None:
+        """The name of the input that holds differentiated parameters, where they matter to it."""
+        found = self.kernel.taking(Role.DESIGN)
+        return found.name if found else None
 
     def call_once(self, inputs: Mapping[str, ArrayLike], hidden: Array | None) -> tuple[int, dict[str, Array]] | None:
         """Call for one state; give the status and dense results, or None where the inputs are not plainly that."""
@@ -151,8 +155,8 @@ class _Desk:
 
     def __init__(self, entry: Entry) -> None:
         ffi = entry.ffi
-        given = [port for port in entry.inputs if port.argument.nnz and port.argument.name != HIDDEN]
-        self.hidden = next((port.position for port in entry.inputs if port.argument.name == HIDDEN), None)
+        given = [port for port in entry.inputs if port.argument.nnz and not port.is_hidden]
+        self.hidden = next((port.position for port in entry.inputs if port.is_hidden), None)
         self.is_plain = all(port.places is None for port in given)
         self.given = np.zeros(sum(port.argument.nnz for port in given))
         self.found = np.zeros(sum(port.argument.nnz for port in entry.outputs) + 1)  # the last, [-1], stays 0
@@ -241,8 +245,7 @@ def _find_ports(ffi: cffi.FFI, lib: Any, kernel: Kernel, side: str, arguments: t
         pattern = sparsity(position)
         if any(pattern[i] != x for i, x in enumerate(_compress(argument))):
             raise LookupError(argument.name)
-        is_matrix = argument.name.startswith("jac_") or argument.name in _MATRICES[side]
-        yield Port(argument, position, argument.cols == 1 and not is_matrix)
+        yield Port(argument, position)
 
 
 def _compress(argument: Argument) -> list[int]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -10,13 +9,13 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from mbsgen.manifest import Manifest
-from mbsrun.binding import DESIGN, ArgumentError
-from mbsrun.kernel import DERIVATIVES, HIDDEN, Array, Kernels
+from mbsgen.roles import Role, split_kernel
+from mbsrun.binding import ArgumentError
+from mbsrun.kernel import Array, Kernels
 from mbsrun.models import MODEL_SUFFIXES, Extent, find_folder
 
+INTEGER = "casadi_int"  # the integers of functions that CasADi can call
 START = Extent(("impl", "frames"), 1)
-ORDERS = ("jac_adj1_", "adj1_", "jac_", "lin_")
-FOR_ACADOS = ("impl_dae_", "expl_ode_", "expl_vde_")  # how the names of its functions begin
 
 
 class Mechanism(Kernels):
@@ -32,14 +31,15 @@ class Mechanism(Kernels):
         Raises ArgumentError for a kernel that there is not, and for those of acados: their integers are not CasADi's.
         """
         kernel = self._binder.describe(name)  # a name that only libm knows would be found there
-        if kernel.name.startswith(FOR_ACADOS):
+        if kernel.integer != INTEGER:
             raise ArgumentError(f"{name} is written for acados, not for CasADi; take impl, exp1 or exp2")
-        family = [order + name for order in DERIVATIVES if order + name in self._binder.kernels]
+        orders = kernel.order.derivatives
+        family = [found.name for order in orders if (found := self.manifest.find(kernel.base, order))]
         external = ca.external(kernel.symbol, str(self.compile(*family)))
         names, outputs = [a.name for a in kernel.inputs], [a.name for a in kernel.outputs]
-        fixed = {HIDDEN: self._hidden} if HIDDEN in names else {}
-        if DESIGN in names and not design:
-            fixed[DESIGN] = self._design
+        fixed = {a.name: self._hidden for a in kernel.inputs if a.role is Role.SETUP}
+        if not design:
+            fixed |= {a.name: self._design for a in kernel.inputs if a.role is Role.DESIGN}
         if external.name_in() == names and external.name_out() == outputs and not fixed:
             return external
         inputs = {name: ca.MX.sym(name, external.sparsity_in(name)) for name in names if name not in fixed}
@@ -68,7 +68,7 @@ class OnDemand:
         """Call a kernel, as `Kernels.__call__` does."""
         if any(kernel.name == name for kernel in self.manifest.kernels):
             return self._start(name, sparse=sparse, **inputs)
-        return self._load(re.sub(f"^({'|'.join(ORDERS)})", "", name))(name, sparse=sparse, **inputs)
+        return self._load(split_kernel(name)[0])(name, sparse=sparse, **inputs)
 
     def casadi(self, name: str) -> ca.Function:
         """Give a function with its exact derivatives, as `Mechanism.casadi` does."""

@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,12 +19,11 @@ from mbsgen import manifest as manifests
 from mbsgen import resources
 from mbsgen.errors import MbsError
 from mbsgen.manifest import Kernel, Manifest
-from mbsrun.binding import DESIGN, HIDDEN, ArgumentError, Array, Entry, Port, Status, bind, load_batch
+from mbsgen.roles import FAMILY, Order, Role, name_kernel
+from mbsrun.binding import ArgumentError, Array, Entry, Port, Status, bind, load_batch
 from mbsrun.library import Compiler, compile_library, find_compiler
 
-__all__ = ["HIDDEN", "ArgumentError", "Array", "KernelError", "Kernels"]
-
-DERIVATIVES = ("", "jac_", "adj1_", "jac_adj1_")
+__all__ = ["ArgumentError", "Array", "KernelError", "Kernels"]
 
 
 class KernelError(MbsError):
@@ -76,8 +75,8 @@ class Kernels:
         where a state cannot be computed.
         """
         entry = self._binder.bind(name)
-        if entry.takes_design:
-            inputs.setdefault(DESIGN, self._design)
+        if entry.design:
+            inputs.setdefault(entry.design, self._design)
         done = None if sparse else entry.call_once(inputs, self._hidden_for(entry))
         if done is None:
             results, status = self.attempt(name, sparse=sparse, **inputs)
@@ -96,8 +95,8 @@ class Kernels:
         state are not a number. Raises ArgumentError.
         """
         entry = self._binder.bind(name)
-        if entry.takes_design:
-            inputs.setdefault(DESIGN, self._design)
+        if entry.design:
+            inputs.setdefault(entry.design, self._design)
         arrays = _collect(entry, inputs)
         batches = {array.shape[0] for port, array in arrays if array.ndim > len(port.shape)}
         if len(batches) > 1:
@@ -105,7 +104,7 @@ class Kernels:
                 f"{name}: the inputs have batches of {sorted(batches)} states; give all the same number"
             )
         given = [(port, _gather(name, port, array)) for port, array in arrays]
-        hidden = [(port, self._hidden[None]) for port in entry.inputs if port.argument.name == HIDDEN]
+        hidden = [(port, self._hidden[None]) for port in entry.inputs if port.is_hidden]
         status, nonzeros = entry.call(self._binder.batch, given + hidden, batches.pop() if batches else 1)
         results = {
             port.argument.name: values if sparse else _scatter(port, values)
@@ -117,22 +116,22 @@ class Kernels:
 
     def jac(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> dict[str, Array]:
         """Call `jac_<name>`: the Jacobians `jac_<result>_<input>`; rows are entries of the result."""
-        return self(f"jac_{name}", sparse=sparse, **inputs)
+        return self(name_kernel(name, Order.JACOBIAN), sparse=sparse, **inputs)
 
     def lin(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> dict[str, Array]:
         """Call `lin_<name>`: what `<name>` and `jac_<name>` give, for less than both."""
-        return self(f"lin_{name}", sparse=sparse, **inputs)
+        return self(name_kernel(name, Order.LINEARISATION), sparse=sparse, **inputs)
 
     def adj(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> dict[str, Array]:
         """Call `adj1_<name>`: the gradients `adj_<input>` of the sum of results weighted by inputs `adj_<result>`."""
-        return self(f"adj1_{name}", sparse=sparse, **inputs)
+        return self(name_kernel(name, Order.ADJOINT), sparse=sparse, **inputs)
 
     def hess(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> dict[str, Array]:
         """Call `jac_adj1_<name>`: second derivatives of the sum of results weighted by inputs `adj_<result>`.
 
         `jac_adj_<a>_<b>` is the block of its Hessian by the inputs a, down the rows, and b.
         """
-        return self(f"jac_adj1_{name}", sparse=sparse, **inputs)
+        return self(name_kernel(name, Order.ADJOINT_JACOBIAN), sparse=sparse, **inputs)
 
     def matrix(self, name: str, result: str, nonzeros: Array) -> scipy_sparse.csc_array:
         """Make a sparse matrix of what the kernel `name` gave for a result with `sparse=True`, for one state."""
@@ -174,14 +173,24 @@ class Kernels:
     @cached_property
     def _hidden(self) -> Array:
         """What the kernels need of the parameters; computed when one is first called."""
-        if "setup" not in self._binder.kernels:
+        setup = self.manifest.setup
+        if setup is None:
             return np.zeros(0)
-        return self("setup", p=[self.parameters[p.name] for p in self.manifest.parameters])[HIDDEN]
+        values = np.array([self.parameters[p.name] for p in self.manifest.parameters])
+        given: dict[str, Any] = {setup.inputs[0].name: values}
+        return self(setup.name, **given)[setup.outputs[0].name]
 
     @cached_property
     def _design(self) -> Array:
         """The differentiated parameters."""
         return np.array([self.parameters[p.name] for p in self.manifest.design])
+
+    @property
+    def filled(self) -> dict[str, Array]:
+        """The inputs that come from parameters, by name: the differentiated ones, and the result of the setup."""
+        arguments = [a for kernel in self.manifest.kernels for a in kernel.inputs]
+        hidden = {a.name: self._hidden for a in arguments if a.role is Role.SETUP}
+        return hidden | {a.name: self._design for a in arguments if a.role is Role.DESIGN}
 
     def _hidden_for(self, entry: Entry) -> Array | None:
         return self._hidden if entry.takes_hidden else None
@@ -199,7 +208,8 @@ class _Binder:
         self.manifest = manifests.read(folder / manifests.FILE_NAME)
         self.kernels = {kernel.name: kernel for kernel in self.manifest.kernels}
         self._entries: dict[str, Entry] = {}
-        own = re.compile(rf"(jac_|adj1_|jac_adj1_)?{re.escape(self.manifest.prefix)}_\w+", re.ASCII)
+        orders = "|".join(order.prefix for order in FAMILY)
+        own = re.compile(rf"({orders}){re.escape(self.manifest.prefix)}_\w+", re.ASCII)
         strange = [kernel.symbol for kernel in self.manifest.kernels if not own.fullmatch(kernel.symbol)]
         if strange:  # `gamma` would be found in libm
             raise ArgumentError(
@@ -238,7 +248,7 @@ class _Binder:
 
 def _collect(entry: Entry, inputs: Mapping[str, ArrayLike]) -> list[tuple[Port, Array]]:
     """Pair ports with arrays; all that does not fit is told at once."""
-    wanted = {port.argument.name: port for port in entry.inputs if port.argument.name != HIDDEN}
+    wanted = {port.argument.name: port for port in entry.inputs if not port.is_hidden}
     faults = [f"{name}: there is no such input" for name in inputs if name not in wanted]
     arrays = []
     for name, port in wanted.items():

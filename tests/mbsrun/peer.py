@@ -8,7 +8,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mbsgen.formulations import ports
 from mbsgen.manifest import FORMAT, Argument, Coordinate, Flops, Frame, Kernel, Manifest
+from mbsgen.roles import Role, split_kernel
+from mbsgen.tape.ports import Port
 
 _NAMES_OF_RESIDUAL = (["q", "qd", "qdd", "u"], ["Phi"])
 FREE = {"lower": None, "upper": None}
@@ -115,9 +118,17 @@ def double_integrator() -> Peer:
     )
 
 
+_ROLES = {
+    port.name: port.role for port in vars(ports).values() if isinstance(port, Port) and port.role is not Role.RESULT
+}
+
+
 def _describe(name: str, function: ca.Function) -> Kernel:
+    base, order = split_kernel(name)
     return Kernel(
         name=name,
+        base=base,
+        order=order,
         symbol=function.name(),
         function=function.name(),
         sources=(),
@@ -129,4 +140,4 @@ def _describe(name: str, function: ca.Function) -> Kernel:
 
 
 def _argument(name: str, size: tuple[int, int]) -> Argument:
-    return Argument(name=name, rows=size[0], cols=size[1])
+    return Argument(name=name, role=_ROLES.get(name, Role.RESULT), rows=size[0], cols=size[1])

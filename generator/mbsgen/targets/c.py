@@ -129,8 +129,11 @@ def _describe(prefix: str, face: Face) -> Kernel:
     """Describe a kernel by the arguments of its tape; the empty ones that CasADi counts besides are left to the C."""
     counts = face.counts
     slots = {slot.name: slot for slot in (*face.inputs, *face.outputs)}
+    of = face.tape.function
     return Kernel(
         name=face.kernel,
+        base=of.base,
+        order=of.order,
         symbol=face.symbol,
         function=face.function,
         sources=(_file(prefix, face),),
@@ -138,6 +141,7 @@ def _describe(prefix: str, face: Face) -> Kernel:
         outputs=tuple(map(_argument, face.tape.outputs)),
         flops=counts.flops,
         equations=counts.equations,
+        integer=face.family.integer,
     )
 
 
@@ -146,15 +150,20 @@ def _file(prefix: str, face: Face) -> str:
 
 
 def _argument(source: Input | Output, differentiable: bool = True) -> Argument:
-    pattern = source.sparsity
+    pattern, port = source.sparsity, source.port
     dense = pattern.is_dense
     return Argument(
-        name=source.name,
+        name=port.name,
+        role=port.role,
         rows=pattern.rows,
         cols=pattern.cols,
         colind=None if dense else pattern.colind,
         row=None if dense else pattern.row,
         differentiable=differentiable,
+        matrix=port.is_matrix,
+        unit=port.unit,
+        of=port.of.name if port.of else None,
+        by=port.by.name if port.by else None,
     )
 
 

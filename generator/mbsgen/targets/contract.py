@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 from mbsgen.roles import FAMILY, Order, name_adjoint, name_derivative, name_kernel, name_unneeded
 from mbsgen.tape.columns import Columns
@@ -32,7 +33,7 @@ class Family:
     jac_adj1: Tape | None = None
     title: str = ""  # what it computes; for readers
     loops: Mapping[str, Columns] = field(default_factory=dict)  # tape -> the same with a loop, where that is quicker
-    integer: str = "casadi_int"  # the type of counts and places in CasADi's contract
+    integer: Literal["casadi_int", "int"] = "casadi_int"  # the type of counts and places in CasADi's contract
 
     @property
     def tapes(self) -> tuple[Tape, ...]:

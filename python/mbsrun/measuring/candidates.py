@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.manifest import Kernel
-from mbsrun.binding import HIDDEN
 from mbsrun.library import compile_library
 from mbsrun.measuring.mechanisms import Subject
 from mbsrun.measuring.timing import Code, Numbers, Variant, Watch
@@ -147,9 +146,11 @@ def differentiate(subject: Subject, name: str, variant: Variant) -> Candidate | 
 
 def add_hidden(subject: Subject, states: States) -> dict[str, Array]:
     """Add what kernels need of run-time parameters."""
-    if all(kernel.name != "setup" for kernel in subject.manifest.kernels):  # there are none, or none matters
+    setup = subject.manifest.setup
+    if setup is None:  # there are no parameters, or none matters
         return dict(states)
-    return {**states, HIDDEN: np.tile(subject.kernels("setup", p=states["p"][0])[HIDDEN], (len(states["q"]), 1))}
+    found = subject.kernels(setup.name, p=states["p"][0])
+    return {**states, **{name: np.tile(value, (len(states["q"]), 1)) for name, value in found.items()}}
 
 
 def load_equations(subject: Subject) -> ModuleType:

@@ -16,7 +16,7 @@ from mbsgen.documents import abbreviate
 from mbsgen.errors import MbsError
 from mbsgen.expressions import ExpressionError, names, parse
 from mbsgen.manifest import Manifest
-from mbsrun.binding import DESIGN, HIDDEN
+from mbsgen.roles import Role
 from mbsrun.ocp.methods import METHODS
 from mbsrun.ocp.problem import Problem, find_conflicts
 from mbsrun.ocp.quantities import list_quantities
@@ -51,8 +51,8 @@ def check_problem(problem: Problem, manifest: Manifest) -> None:
 
 def list_open_inputs(manifest: Manifest) -> list[str]:
     """List the inputs of a model's residual that a problem gives no value: external wrenches."""
-    own = ("q", "qd", "qdd", "u", HIDDEN, DESIGN)
-    return [i.name for i in manifest.kernel("impl").inputs if i.name not in own and i.nnz]
+    own = (Role.COORDINATE, Role.VELOCITY, Role.ACCELERATION, Role.FORCE, Role.SETUP, Role.DESIGN)
+    return [i.name for i in manifest.kernel("impl").inputs if i.role not in own and i.nnz]
 
 
 @cache

@@ -18,7 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen import resources
-from mbsrun.binding import DESIGN, HIDDEN, Entry, bind
+from mbsgen.manifest import Argument, Kernel
+from mbsgen.roles import Role
+from mbsrun.binding import Entry, bind
 from mbsrun.kernel import KernelError, Kernels
 from mbsrun.library import compile_library, find_compiler
 from mbsrun.limits import Allowance, LimitError
@@ -204,10 +206,11 @@ class _Plant:
             "v": np.zeros(forces + count_wrench_entries(kernels) + 1),
             "matrix": np.zeros(n * n),
         }
-        self.memory |= _compute_parameters(kernels)
+        filled = kernels.filled
+        self.memory |= filled
         inputs = {name: self._pointer(name) for name in ("q", "qd", "v", "matrix")}
         inputs |= {"u": inputs["v"], "w": inputs["v"] + forces, "qdd": self._pointer("rest")}
-        inputs |= {name: self._pointer(name) for name in (HIDDEN, DESIGN) if name in self.memory}
+        inputs |= {name: self._pointer(name) for name in filled}
         self.kept: list[Any] = [rate_entry, mass_entry]  # that C is given pointers to
         p: Any = ffi.new("mbs_plant *")
         self.plant = p
@@ -221,7 +224,7 @@ class _Plant:
             p.qt = self._pointer("qt")
             p.change, p.change_arg, p.change_res = self._lay(change, inputs, "rate", p.qt)
         if mass_entry is not None:
-            (port,) = (x for x in mass_entry.outputs if x.argument.name in ("M", "jac_Phi_qdd"))
+            port = next(x for x in mass_entry.outputs if _is_mass_matrix(mass_entry.kernel, x.argument))
             self.memory["M"] = np.zeros(port.argument.nnz)
             numbers = port.spread()
             place = self.places = np.flatnonzero(numbers >= 0)[np.argsort(numbers[numbers >= 0])].astype(np.int64)
@@ -273,15 +276,10 @@ def count_wrench_entries(kernels: Kernels) -> int:
     return sum(3 * wrench.force + 3 * wrench.moment for wrench in kernels.manifest.wrenches)
 
 
-def _compute_parameters(kernels: Kernels) -> dict[str, Array]:
-    """Give the inputs of kernels that come from parameters: as they are, or by `setup`."""
-    manifest, values = kernels.manifest, kernels.parameters
-    found = {}
-    if manifest.parameters:
-        found[HIDDEN] = kernels("setup", p=[values[p.name] for p in manifest.parameters])[HIDDEN]
-    if manifest.design:
-        found[DESIGN] = np.array([values[p.name] for p in manifest.design])
-    return found
+def _is_mass_matrix(kernel: Kernel, argument: Argument) -> bool:
+    """Return whether a result is M: as such, or as the derivative of the residual by the accelerations."""
+    accelerations = kernel.taking(Role.ACCELERATION)
+    return argument.role is Role.MASS_MATRIX or (accelerations is not None and argument.by == accelerations.name)
 
 
 def _bind(kernels: Kernels, name: str) -> Entry:

@@ -9,6 +9,7 @@ import pytest
 
 from mbsgen.errors import Fault, InputError
 from mbsgen.manifest import Argument
+from mbsgen.roles import Role
 from mbsrun.ocp.problem import Constraint, Cost, Form, Problem, Representation, Term
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.statement import read_problem
@@ -338,7 +339,8 @@ def test_a_model_with_open_wrenches_is_refused(tmp_path: Path, arm: Peer) -> Non
     """An input that a problem file has no word for."""
     pushed = Peer.__new__(Peer)
     kernels = [
-        k.model_copy(update={"inputs": (*k.inputs, Argument(name="w", rows=3, cols=1))}) for k in arm.manifest.kernels
+        k.model_copy(update={"inputs": (*k.inputs, Argument(name="w", role=Role.WRENCH, rows=3, cols=1))})
+        for k in arm.manifest.kernels
     ]
     pushed.manifest = arm.manifest.model_copy(update={"kernels": tuple(kernels)})
     with pytest.raises(InputError, match="leaves w open"):
