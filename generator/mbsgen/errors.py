@@ -1,7 +1,7 @@
-"""What goes wrong, told so that a user can mend it.
+"""Errors that a user can mend.
 
-A `Fault` is one finding in one place of a file; `InputError` carries all faults of a file at once. Every
-exception that a user may meet derives from `MbsError`, and the command lines print it without a traceback.
+A `Fault` is one finding in one place of a file; `InputError` carries all faults of a file at once. Every exception that
+a user may meet derives from `MbsError`, and the command lines print it without a traceback.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, order=True)
 class Fault:
-    """One finding: where it is, what was found there, what to do about it."""
+    """One finding: its place, what was found, and what to do."""
 
     file: str
-    line: int  # from 1; 0 where the whole file is meant
-    path: str  # e.g. `bodies[2].joint.axis`; empty where the whole file is meant
+    line: int  # from 1; 0 for the whole file
+    path: str  # e.g. `bodies[2].joint.axis`; empty for the whole file
     finding: str
     remedy: str
 
@@ -27,14 +27,14 @@ class Fault:
 
 
 class MbsError(Exception):
-    """An error that is the user's to mend, or the machine's; its text is complete without a traceback."""
+    """An error for the user to mend, or a fault of the machine; its text is complete without a traceback."""
 
 
 class InputError(MbsError):
     """A file that cannot be accepted, with every fault found in it."""
 
     def __init__(self, faults: Sequence[Fault]) -> None:
-        assert faults, "an InputError needs a fault to tell"
+        assert faults, "an InputError needs a fault"
         self.faults = tuple(sorted(faults))
         super().__init__("\n".join(map(str, self.faults)))
 

@@ -39,7 +39,7 @@ def test_a_file_of_another_kind_is_told_by_its_kind(found: str, wanted: str, tmp
         return
     file = tmp_path / "file.yaml"
     file.write_text(FILES[found], encoding="utf-8")
-    with pytest.raises(InputError, match=rf"this file describes .*{found}.*; wanted is .*{wanted}") as told:
+    with pytest.raises(InputError, match=rf"this file describes .*{found}.*; expected: .*{wanted}") as told:
         READERS[wanted](file)
     assert len(told.value.faults) == 1
 

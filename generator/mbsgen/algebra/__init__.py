@@ -1,1 +1,1 @@
-"""Vectors and rotations in three dimensions, over whatever numbers they are given."""
+"""Vectors and rotations in three dimensions, over any numbers."""

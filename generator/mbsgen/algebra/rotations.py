@@ -1,4 +1,4 @@
-"""Rotation about a coordinate axis, as a matrix over any ring: where it has 0 and 1, products with it cost nothing."""
+"""Rotation about a coordinate axis, as a matrix over any ring; its zeros and ones make products with it cheaper."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Vectors and matrices of three dimensions over any ring: tape scalars, SymPy expressions, floats.
 
-The operations are written out, so that the numbers decide what a zero or a one saves.
+The operations are written out, so that the number type can save operations with zeros and ones.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Untrusted YAML files: text -> `Document` (plain data with line numbers) -> a validated pydantic schema.
 
 The language is YAML 1.2's core schema without anchors, aliases, tags, directives and merge keys: `1e3` is a number,
-`on` and `12:30` are strings, `010` is ten. Every fault becomes a `Fault` with file, line, path, finding and remedy;
-those of one file come together.
+`on` and `12:30` are strings, `010` is ten. Every fault becomes a `Fault` with file, line, path, finding and remedy; all
+faults of a file are raised together.
 """
 
 from __future__ import annotations

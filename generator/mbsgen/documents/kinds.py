@@ -1,4 +1,4 @@
-"""Which kind of file a document is, told by its keys: whoever gives one for another is told what it is."""
+"""The kind of a file, recognised by its keys: an error names the kind that was given and the kind that was expected."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mbsgen.documents.reading import Document
 
 FileKind = Literal["model", "problem", "settings", "scene"]
 
-_KEYS: Mapping[FileKind, frozenset[str]] = MappingProxyType(  # one that has none of the others' words
+_KEYS: Mapping[FileKind, frozenset[str]] = MappingProxyType(  # keys that no other kind has
     {
         "model": frozenset({"bodies"}),
         "problem": frozenset({"horizon", "intervals"}),
@@ -24,7 +24,7 @@ _MEANT: Mapping[FileKind, str] = MappingProxyType(
         "model": "`mbsgen FILE -o DIR` generates from it, `mbsrun simulate FILE` simulates it",
         "problem": "`mbsrun solve FILE` solves it, and its key `model` names its model",
         "settings": "`mbsrun simulate MODEL --settings FILE` simulates with them",
-        "scene": "`mbsgen MODEL --scene FILE -o DIR` generates what it asks for",
+        "scene": "`mbsgen MODEL --scene FILE -o DIR` generates the functions that it lists",
     }
 )
 _SHOWN: Mapping[FileKind, str] = MappingProxyType(
@@ -39,5 +39,5 @@ def expect(document: Document, kind: FileKind) -> None:
         return
     for other, known in _KEYS.items():
         if keys & known:
-            finding = f"this file describes {_SHOWN[other]}; wanted is {_SHOWN[kind]}"
+            finding = f"this file describes {_SHOWN[other]}; expected: {_SHOWN[kind]}"
             raise refuse([document.fault((), finding, _MEANT[other])])

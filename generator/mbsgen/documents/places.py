@@ -1,4 +1,4 @@
-"""Places in a document, how users read them, and how values and words are shown to users."""
+"""Places in a document, their paths for users, and the display of values and words."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from collections.abc import Container, Sequence
 
 from mbsgen.errors import Fault, InputError
 
-MAX_FAULTS = 100  # told of one file
-MAX_CANDIDATES = 200  # words that a mistyped one is compared with
+MAX_FAULTS = 100  # shown of one file
+MAX_CANDIDATES = 200  # words that a misspelt one is compared with
 
 Data = dict[str, "Data"] | list["Data"] | str | int | float | bool | None
 Place = tuple[str | int, ...]  # keys and indices from the top of a document
 
 
 def lies_under(place: Place, places: Container[Place]) -> bool:
-    """Tell whether a place is one of `places` or inside one."""
+    """Return whether a place is one of `places` or inside one."""
     return any(place[:i] in places for i in range(len(place) + 1))
 
 
 def write_path(place: Place) -> str:
-    """Write a place as a user reads it: `bodies[2].joint.axis`."""
+    """Return a place as a path: `bodies[2].joint.axis`."""
     path = ""
     for step in place:
         if isinstance(step, int):
@@ -36,7 +36,7 @@ def write_path(place: Place) -> str:
 
 
 def abbreviate(data: Data) -> str:
-    """Show a value in at most some sixty characters."""
+    """Return a value in at most about sixty characters."""
     match data:
         case None:
             return "nothing"
@@ -55,13 +55,13 @@ def abbreviate(data: Data) -> str:
 
 
 def nearest(word: str, words: Sequence[str]) -> str | None:
-    """Find the word that was probably meant."""
+    """Return the word that was probably meant."""
     known = {known.casefold(): known for known in words[:MAX_CANDIDATES]}
     return next((known[found] for found in difflib.get_close_matches(word[:100].casefold(), known, 1)), None)
 
 
 def refuse(faults: Sequence[Fault]) -> InputError:
-    """Make the error of a file that is not accepted; of very many faults the first ones are told."""
+    """Make the error of a file that is not accepted; of very many faults, it lists the first."""
     ordered = sorted(set(faults))
     if len(ordered) > MAX_FAULTS:
         last = ordered[MAX_FAULTS - 1]

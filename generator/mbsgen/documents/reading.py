@@ -1,4 +1,4 @@
-"""YAML -> Document: bounded in size, depth and number of values before anything is composed; nothing of it is run."""
+"""YAML -> Document: bounded in size, depth and number of values before it is composed; nothing in it is run."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ class Document:
     file: str
     data: Data
     lines: Mapping[Place, int]
-    faults: Mapping[Place, Fault]  # that did not stop the reading
+    faults: Mapping[Place, Fault]  # faults that did not stop the reading
 
     def line(self, place: Place) -> int:
-        """Return the line, from 1, of a value, or of the nearest thing around it that is in the file."""
+        """Return the line, from 1, of a value, or of the nearest enclosing value in the file."""
         while place and place not in self.lines:
             place = place[:-1]
         return self.lines.get(place, 0)
@@ -44,16 +44,16 @@ class Document:
 
 
 def read_document(path: Path) -> Document:
-    """Read a YAML file. Raises InputError for what cannot be read on; lesser faults wait in `Document.faults`."""
+    """Read a YAML file. Raises InputError if reading cannot continue; lesser faults are in `Document.faults`."""
     file = str(path)
     text = _read_text(path, file)
     return _read_fast(file, text) or _read(file, text, yaml.SafeLoader)
 
 
 def _read_fast(file: str, text: str) -> Document | None:
-    """Read by libyaml, which is many times faster; None where PyYAML's own parser shall have the word.
+    """Read by libyaml, which is many times faster; None where PyYAML's own parser decides.
 
-    So it does where libyaml is not present, finds anything wrong, or may let through what the other refuses.
+    It decides where libyaml is missing, finds a fault, or may accept a text that PyYAML refuses.
     """
     if not yaml.__with_libyaml__ or _DISPUTED.search(text):
         return None
@@ -99,7 +99,7 @@ def read_bytes(path: Path, limit: int) -> bytes:
         if not path.exists():
             raise InputError([Fault(file, 0, "", "there is no such file", "check the path")])
         if path.is_dir():
-            raise InputError([Fault(file, 0, "", *_tell_folder(path))])
+            raise InputError([Fault(file, 0, "", *_describe_folder(path))])
         if not path.is_file():
             raise InputError([Fault(file, 0, "", "this is not a file", "give the path of a file")])
         with path.open("rb") as stream:
@@ -112,8 +112,8 @@ def read_bytes(path: Path, limit: int) -> bytes:
     return raw
 
 
-def _tell_folder(path: Path) -> tuple[str, str]:
-    """Tell what a folder is that stands where a file is wanted, and what may be meant."""
+def _describe_folder(path: Path) -> tuple[str, str]:
+    """Return finding and remedy for a folder in place of a file."""
     if (path / GENERATED).is_file():
         return "this is a folder that mbsgen has generated", "give the file that it was generated from"
     inside = sorted(entry.name for entry in path.iterdir() if entry.suffix in (".yaml", ".yml", ".urdf", ".xml"))
@@ -122,7 +122,7 @@ def _tell_folder(path: Path) -> tuple[str, str]:
 
 
 def _is_control(character: str) -> bool:
-    """Tell characters that no text needs: control, separators of lines, overrides of direction, no characters."""
+    """Return whether no text needs a character: controls, line separators, overrides of direction, noncharacters."""
     return (
         unicodedata.category(character) in {"Cc", "Cs", "Zl", "Zp"}
         or character in _OVERRIDES
@@ -143,7 +143,7 @@ class _Composer:
         self.values = 0
 
     def compose(self, events: Iterator[yaml.Event]) -> Data:
-        """Compose the one document of a stream. Raises InputError for what makes no sense to read on."""
+        """Compose the one document of a stream. Raises InputError if reading cannot continue."""
         next(events)  # stream start
         start = next(events)
         if not isinstance(start, yaml.DocumentStartEvent):
@@ -160,7 +160,7 @@ class _Composer:
         return data
 
     def value(self, event: yaml.Event, events: Iterator[yaml.Event], place: Place) -> Data:
-        """Compose the value that begins with `event`."""
+        """Compose the value that starts with `event`."""
         line = _line(event)
         self.lines.setdefault(place, line)
         self.values += 1
@@ -183,14 +183,14 @@ class _Composer:
         return self.string(event.value, place, line) if event.style else self.scalar(event.value, place, line)
 
     def sequence(self, events: Iterator[yaml.Event], place: Place) -> list[Data]:
-        """Compose a list whose start has been taken."""
+        """Compose a list whose start event has been read."""
         items: list[Data] = []
         while not isinstance(event := next(events), yaml.SequenceEndEvent):
             items.append(self.value(event, events, (*place, len(items))))
         return items
 
     def mapping(self, events: Iterator[yaml.Event], place: Place) -> dict[str, Data]:
-        """Compose a mapping whose start has been taken; of a repeated key the first value stays."""
+        """Compose a mapping whose start event has been read; of a repeated key the first value stays."""
         mapping: dict[str, Data] = {}
         while not isinstance(event := next(events), yaml.MappingEndEvent):
             line = _line(event)
@@ -230,7 +230,7 @@ class _Composer:
             return None
 
     def string(self, text: str, place: Place, line: int) -> str:
-        """Take a string; an escape in quotes may have brought a control character in."""
+        """Return a string without control characters, which escapes in quotes may contain."""
         for character in text:
             if character not in "\n\t" and not " " <= character <= "~" and _is_control(character):
                 self.fault(place, line, f"control character U+{ord(character):04X}", "remove it")

@@ -1,6 +1,6 @@
 """Document -> a pydantic schema, or every fault of its shape.
 
-The examples of a schema's fields tell users what is right, and stand in for what is wrong while the rest is examined.
+The examples of a schema's fields show users what is right. They also replace wrong values while the rest is checked.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from mbsgen.documents.places import MAX_FAULTS, Data, Place, abbreviate, lies_un
 from mbsgen.documents.reading import Document
 from mbsgen.errors import Fault
 
-MAX_ROUNDS = 3  # of stand-ins: what has got a type from an example may lack what goes with it
+MAX_ROUNDS = 3  # of replacements: an example may lack keys that belong to its type
 
 Shape = TypeVar("Shape", bound=BaseModel)
 
 
 class Section(BaseModel):
-    """Base of the schemas of files: nothing is converted, nothing unknown is let through, nothing changes later."""
+    """Base of the schemas of files: nothing is converted, unknown keys are refused, and values do not change later."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class WrongValueError(ValueError):
-    """Raised by a schema's validator: what was found, and what to do about it."""
+    """Raised by a schema's validator, with the finding and the remedy."""
 
     def __init__(self, finding: str, remedy: str) -> None:
         self.finding = finding
@@ -42,10 +42,10 @@ class WrongValueError(ValueError):
 
 @dataclass(frozen=True)
 class Examination(Generic[Shape]):
-    """What validation tells: all faults, and a value to look for further faults in.
+    """The result of validation: all faults, and a value in which further faults can be looked for.
 
-    Where the file is at fault, `value` holds the example that the schema gives there; what follows from such a place
-    (listed in `stand_ins`) tells nothing about the file. `value` is None where the schema has no example.
+    Where the file is at fault, `value` holds the schema's example. Findings at such a place (listed in `stand_ins`) do
+    not concern the file. `value` is None where the schema has no example.
     """
 
     value: Shape | None
@@ -73,7 +73,7 @@ def take(data: Data, schema: type[Shape]) -> Shape:
 
 
 def examine(document: Document, schema: type[Shape]) -> Examination[Shape]:
-    """Check a document against a schema, and go on with examples in place of what is at fault."""
+    """Check a document against a schema, and continue with examples in place of wrong values."""
     value, errors = _load(document.data, schema)
     troubles = _troubles(errors, document.data)
     if not troubles:
@@ -106,7 +106,7 @@ def _load(data: Data, schema: type[Shape]) -> tuple[Shape | None, list[ErrorDeta
 
 
 def _troubles(errors: Sequence[ErrorDetails], data: Data) -> dict[Place, ErrorDetails]:
-    """Sort errors by place, one each; of a union's members the one that got deepest into the data is believed."""
+    """Sort errors by place, one each; of a union's members, the one that matches the data deepest is believed."""
     by_place: dict[Place, ErrorDetails] = {}
     for error in errors:
         by_place.setdefault(_place(error, data), error)
@@ -115,7 +115,7 @@ def _troubles(errors: Sequence[ErrorDetails], data: Data) -> dict[Place, ErrorDe
 
 
 def _place(error: ErrorDetails, data: Data) -> Place:
-    """Take pydantic's own tags (of unions, of keys) out of an error's location."""
+    """Remove pydantic's own tags (of unions, of keys) from an error's location."""
     place: Place = ()
     for i, step in enumerate(error["loc"]):
         if isinstance(data, dict) and step in data:
@@ -131,12 +131,12 @@ def _place(error: ErrorDetails, data: Data) -> Place:
 
 
 def _discriminator(error: ErrorDetails) -> str:
-    """Name the key whose value tells which member of a union a mapping is."""
+    """Return the key whose value selects the member of a union."""
     return str(error["ctx"]["discriminator"]).strip("'")
 
 
 def _explain(error: ErrorDetails, place: Place, schema: type[BaseModel], data: Data) -> tuple[str, str]:
-    """Put a pydantic error into finding and remedy."""
+    """Translate a pydantic error into finding and remedy."""
     context = error.get("ctx", {})
     if isinstance(wrong := context.get("error"), WrongValueError):
         return wrong.finding, wrong.remedy
@@ -181,7 +181,7 @@ def _suggest(key: str, keys: Sequence[str]) -> str:
 
 
 def _stand_in(data: Data, place: Place, error: ErrorDetails, schema: type[BaseModel]) -> Place:
-    """Put an example of what is right where an error is, or around it; return the place that was changed."""
+    """Put an example in place of an error, or around it; return the place that was changed."""
     if error["type"] == "extra_forbidden":
         _change(data, place, None)
         return place
@@ -194,7 +194,7 @@ def _stand_in(data: Data, place: Place, error: ErrorDetails, schema: type[BaseMo
 
 
 def _change(data: Data, place: Place, new: Data) -> None:
-    """Set a value in place; with None, take the key away."""
+    """Set a value in place; None removes the key."""
     inner: Any = data
     for step in place[:-1]:
         inner = inner[step]
@@ -204,12 +204,12 @@ def _change(data: Data, place: Place, new: Data) -> None:
         inner[place[-1]] = new
 
 
-# --- what a schema says of a place -----------------------------------------------------------------------------------
+# --- the schema at a place -------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class _Slot:
-    """A type that a schema admits at some place, with the example it gives there."""
+    """A type that a schema admits at some place, with its example."""
 
     annotation: Any
     example: Data
@@ -266,7 +266,7 @@ def _example(schema: type[BaseModel], place: Place) -> Data:
 
 
 def _keys(schema: type[BaseModel], place: Place, data: Data) -> list[str]:
-    """List the keys that a schema knows at a place; of a union, those of the members that the data there may be."""
+    """List the keys of a schema at a place; of a union, the keys of the members that match the data there."""
     choices = [c for slot in _slots(schema, place) for c in _choices(slot.annotation)]
     models = [c for c in choices if isinstance(c, type) and issubclass(c, BaseModel)]
     inner: Any = data
@@ -277,7 +277,7 @@ def _keys(schema: type[BaseModel], place: Place, data: Data) -> list[str]:
 
 
 def _may_be(data: Data, model: type[BaseModel]) -> bool:
-    """Tell whether a mapping has the words that a schema wants in places where it takes certain words only."""
+    """Return whether a mapping has allowed words in the keys that the schema restricts to certain words."""
     if not isinstance(data, dict):
         return True
     words = {

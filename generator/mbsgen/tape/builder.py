@@ -1,8 +1,9 @@
-"""The builder: scalars that write equations as they are computed with; folding and value numbering as they come.
+"""The builder: scalars that write equations as they are computed, folded and numbered on the way.
 
-A value is referred to by a signed integer: +n or -n for node n, 0 for the number 0. So a change of sign costs nothing,
-a - b and b - a are one node, and sin(-x) is -sin(x); where a minus must be carried out after all, `build` looks for a
-difference or a literal to turn round before it spends an operation on it.
+A value is referred to by a signed integer: +n or -n for node n, 0 for the number 0. Node n is an operation on
+references; equal operations are one node (value numbering, or hash-consing). So a change of sign costs nothing, a - b
+and b - a are one node, and sin(-x) is -sin(x). Where a minus must be computed after all, `build` first looks for a
+difference or a literal that can take the sign.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ SINGLE_EPSILON = 2.0**-23
 
 
 class Scalar:
-    """A value under construction: reads like a number, writes to its builder."""
+    """A value under construction: it behaves like a number, and writes to its builder."""
 
     __slots__ = ("builder", "ref")
 
@@ -32,7 +33,7 @@ class Scalar:
         self.builder = builder
         self.ref = ref
 
-    # Zeros are met often, and are dealt with before anything else.
+    # zeros are frequent, so they are handled first
 
     def __add__(self, other: Scalar) -> Scalar:
         if not self.ref:
@@ -61,22 +62,22 @@ class Scalar:
 
     @property
     def is_zero(self) -> bool:
-        """Tell whether this is the structural zero."""
+        """Return whether this is the structural zero."""
         return self.ref == 0
 
     @property
     def is_literal(self) -> bool:
-        """Tell whether this is a number known now."""
+        """Return whether this is a number known at generation."""
         return self.literal is not None
 
     @property
     def literal(self) -> float | None:
-        """The number that this is, if it is known now."""
+        """Return the number, if it is known at generation."""
         return self.builder.value(self.ref)
 
 
 class Builder:
-    """Collects operations, and builds the Tape of those that an output needs.
+    """Collects operations, and builds the Tape of the operations that outputs and guards need.
 
     fold: evaluate operations on literals, drop 0 and 1, gather literal factors. number: give equal operations one node.
     """
@@ -88,7 +89,7 @@ class Builder:
         self._known: dict[Key, Ref] = {}
         self._literals: dict[mpf, Ref] = {}
         self._numbers: dict[float | mpf, Scalar] = {}
-        self._fixed = bytearray(1)  # of each node: whether it is known before the inputs that vary; see `cost`
+        self._fixed = bytearray(1)  # of each node: whether the inputs that vary do not reach it; see `cost`
         self._inputs: list[tuple[Input, int]] = []  # with the node of the first nonzero
         self._results: list[Result] = []
         self._tests: list[Test] = []
@@ -117,15 +118,15 @@ class Builder:
         self.output(port, sparsity, [rows[r][c] for r, c in sparsity.entries])
 
     def output_nonzeros(self, port: Port | str, rows: int, cols: int, entries: dict[tuple[int, int], Scalar]) -> None:
-        """Declare an output whose pattern is made of the entries that are not the structural zero."""
+        """Declare an output with the pattern of its entries that are not the structural zero."""
         nonzero = {place: value for place, value in entries.items() if not value.is_zero}
         sparsity = Sparsity.of(rows, cols, nonzero)
         self.output(port, sparsity, [nonzero[place] for place in sparsity.entries])
 
     def guard(self, value: Scalar, scale: Scalar, tolerance: float, joint: int, *, early: bool = False) -> None:
-        """Let the kernel fail at `joint` unless value > threshold * scale, see Guard.
+        """Make the kernel fail at `joint` unless value > threshold * scale, see Guard.
 
-        Of literals, what holds for float32 is settled now. A division by parameters is guarded once.
+        A guard on literals is decided now if it holds in float32. A division by parameters is guarded once.
         """
         pivot, size = value.literal, scale.literal
         threshold = min(tolerance * SINGLE_EPSILON, LARGEST_THRESHOLD)
@@ -136,7 +137,9 @@ class Builder:
             self._tests.append(test)
 
     def label(self, values: Iterable[Scalar], names: Iterable[str]) -> None:
-        """Give values the field's names, for readers; a value keeps its first, inputs and literals their own."""
+        """Name values for readers, in the field's letters. A value keeps its first name; inputs and literals keep
+        theirs.
+        """
         for value, name in zip(values, names, strict=True):
             if value.ref > 0 and isinstance(self._nodes[value.ref], tuple):
                 self._labels.setdefault(value.ref, name)
@@ -168,7 +171,7 @@ class Builder:
         return self.apply(Op.SQRT, x)
 
     def apply(self, op: Op, x: Scalar, y: Scalar | None = None) -> Scalar:
-        """Apply a function: any operation but + - * / and unary minus. Only the arc tangent of y/x has two operands."""
+        """Apply a function: any operation except + - * / and minus. Only the arc tangent of y/x has two operands."""
         return Scalar(self, self.call(op, x.ref, y.ref if y is not None else 0))
 
     # -- operations on references -----------------------------------------------------------------------------
@@ -223,7 +226,7 @@ class Builder:
         return sign * self._node(Op.MUL, x, y)
 
     def div(self, x: Ref, y: Ref) -> Ref:
-        """Refer to x / y; by a literal, to the product with its inverse."""
+        """Refer to x / y; for a literal y, to the product with its inverse."""
         if y == 0:
             raise TapeError("division by the structural zero")
         if x == 0:
@@ -239,7 +242,7 @@ class Builder:
         return sign * self._node(Op.DIV, x, y)
 
     def call(self, op: Op, x: Ref, y: Ref = 0) -> Ref:
-        """Refer to op(x) or op(x, y); signs are taken out where the function is odd or even."""
+        """Refer to op(x) or op(x, y); the sign of x is moved outside where the function is odd or even."""
         sign = 1
         if x < 0 and (op in ODD or op in EVEN):
             sign, x = (-1 if op in ODD else 1), -x
@@ -255,7 +258,7 @@ class Builder:
         return -found if found is not None and ref < 0 else found
 
     def value(self, ref: Ref) -> float | None:
-        """Return the number that `ref` stands for, or None if an input decides it."""
+        """Return the number that `ref` refers to, or None if it depends on an input."""
         found = self._value(abs(ref)) if ref else LITERALS.mpf(0)
         return None if found is None else float(found) * sign_of(ref)
 
@@ -285,8 +288,8 @@ class Builder:
     def cost(self, values: Iterable[Scalar], constant: Set[Role] = frozenset()) -> int:
         """Count the operations that `values` need, but for those on literals and inputs of the roles `constant` alone.
 
-        A quick estimate, for comparing ways to write the same: signs that must be carried out are not seen. `constant`
-        must be the same in every call to one builder.
+        This is a quick estimate for comparing two ways to write the same: it ignores signs that must be computed.
+        `constant` must be the same in every call to one builder.
         """
         fixed = self._mark_fixed(constant)
         seen: set[int] = set()
@@ -315,7 +318,7 @@ class Builder:
     # -- the tape ---------------------------------------------------------------------------------------------
 
     def build(self, function: Function | str) -> Tape:
-        """Build the tape of the declared inputs and outputs; operations that no output needs are left out."""
+        """Build the tape of the declared inputs and outputs, without operations that no output needs."""
         return Writer(self._nodes, self._inputs, self._results, self._tests, self._labels).tape(
             Function(function) if isinstance(function, str) else function
         )
@@ -326,7 +329,7 @@ def _make_port(port: Port | str, role: Role) -> Port:
 
 
 def _call(op: Op, values: Sequence[mpf]) -> mpf:
-    """Compute a function of literals; TapeError where it has no value, or one that no double comes near."""
+    """Compute a function of literals. Raises TapeError where it has no value, or none within the range of doubles."""
     numbers = ", ".join(LITERALS.nstr(value, 6) for value in values)
     if op is Op.EXP and values[0] > 1000:
         raise TapeError(f"exp({numbers}) is beyond the range of a double")

@@ -1,7 +1,7 @@
-"""What a tape costs: one table of policy, two conventions.
+"""The cost of a tape: one table of policy, two conventions.
 
-An equation is an assignment of the C function that computes something: a value with a name (a sine and a cosine have
-one each), or a nonzero of a result that is computed where it is stored. The targets write what `named_values` names.
+An equation is an assignment in the C function that computes something: a named value (a sine and a cosine have one
+each), or a nonzero of a result that is computed where it is stored. The targets write the names of `named_values`.
 """
 
 from __future__ import annotations
@@ -15,9 +15,7 @@ from mbsgen.tape.types import Op, Tape
 
 ARITHMETIC = frozenset({Op.ADD, Op.SUB, Op.MUL, Op.DIV})
 PAPER = ARITHMETIC | {Op.NEG, Op.SQRT, Op.SIN, Op.COS}  # the closest match to the counts that Robotran prints
-INLINED = (
-    3  # the most operations of a value that is written into the expression of another; a sum goes on at any length
-)
+INLINED = 3  # the most operations of a value that is written into another expression; a sum may be of any length
 _SUMS = frozenset({Op.ADD, Op.SUB})
 _TURNS = frozenset({Op.SIN, Op.COS})
 
@@ -28,15 +26,15 @@ class Counts:
 
     operations: dict[Op, int]
     equations: int
-    guards: int = 0  # products and signs of the guards' tests; they are no operations of the tape
+    guards: int = 0  # products and signs in the tests of guards; they are not operations of the tape
 
     def of(self, *ops: Op) -> int:
-        """Add up the operations of the given kinds."""
+        """Return the number of operations of the given kinds."""
         return sum(self.operations.get(op, 0) for op in ops)
 
     @property
     def flops(self) -> Flops:
-        """Table the operations as manifest and report carry them."""
+        """Return the table of operations in manifest and report."""
         return Flops(
             paper=self.paper,
             arithmetic=self.arithmetic,
@@ -52,17 +50,17 @@ class Counts:
 
     @property
     def paper(self) -> int:
-        """Count by the paper's convention: + - * /, unary minus, sqrt, sin and cos, one each."""
+        """Return the count by the paper's convention: + - * /, unary minus, sqrt, sin and cos, one each."""
         return self.of(*PAPER)
 
     @property
     def arithmetic(self) -> int:
-        """Count + - * /."""
+        """Return the count of + - * /."""
         return self.of(*ARITHMETIC)
 
 
 def count(tape: Tape) -> Counts:
-    """Count a tape's operations, those of its guards, and its equations."""
+    """Count the operations of a tape, the operations of its guards, and its equations."""
     operations = dict(Counter(op for op, _, _ in tape.operations))
     return Counts(operations, _count_equations(tape), sum(1 + guard.negated for guard in tape.guards))
 
@@ -75,9 +73,9 @@ def _count_equations(tape: Tape) -> int:
 
 
 def named_values(tape: Tape) -> frozenset[int]:
-    """Choose the values that get a name: those with a label, sines and cosines, those used several times, long ones.
+    """Choose the values that get a name: with a label, sines and cosines, used several times, or with long expressions.
 
-    Others are written into the expression that uses them. What nothing uses is not written at all.
+    Other values are written into the expression that uses them; unused values are not written.
     """
     first, uses = tape.first_operation, count_uses(tape)
     labels = Counter(tape.labels.values())
@@ -102,7 +100,7 @@ def count_uses(tape: Tape) -> Counter[int]:
 
 
 def find_sums(tape: Tape, uses: Counter[int]) -> frozenset[int]:
-    """Find the sums that another sum goes on from: of its operands, the first that nothing else uses."""
+    """Find the sums that another sum continues: its first operand that has no other use."""
 
     def goes_on(x: int) -> bool:
         k = x - tape.first_operation

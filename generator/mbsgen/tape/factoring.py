@@ -1,8 +1,8 @@
 """Factoring: a b + a c becomes a (b + c), within each sum of a tape.
 
-A sum is taken whole, through additions and subtractions whose result serves nothing else; so are the products in it.
-Of the factors that several products share, one whose partners are constant goes first (they add up outside the
-recursion), then the one shared by most.
+A sum is taken whole, through additions and subtractions whose result has no other use; so are the products in it. Among
+the shared factors, one with constant partners goes first (the partners are added up outside the recursion), then the
+factor shared by most products.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class _Factoring:
         return self.tape.operations[k] if k >= 0 else None
 
     def _find_inner(self) -> set[int]:
-        """Find the operations that are written only as part of the sum that they belong to."""
+        """Find the operations that are written only as part of the sum they belong to."""
         inner: set[int] = set()
         for op, *operands in self.tape.operations:
             if op in (Op.ADD, Op.SUB):

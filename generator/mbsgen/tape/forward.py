@@ -1,4 +1,7 @@
-"""Forward differentiation: Tape of f -> Tape of its Jacobian, equation by equation."""
+"""Forward differentiation: Tape of f -> Tape of its Jacobian, equation by equation.
+
+For v = op(a, b): dv = d op/da da + d op/db db, with da, db the sparse gradients of the operands (Griewank, Walther, 2008, ch. 3). Only structural nonzeros are propagated.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from mbsgen.tape.ports import derivative_port
 from mbsgen.tape.replay import declare_inputs, replay, replay_guards
 from mbsgen.tape.types import Input, Output, Tape
 
-Gradient = dict[int, Scalar]  # nonzero derivatives of one value, by column: the place among all input nonzeros
+Gradient = dict[int, Scalar]  # nonzero derivatives of one value, by column: the position among all input nonzeros
 
 
 def jacobian(tape: Tape, wrt: Sequence[str]) -> Tape:

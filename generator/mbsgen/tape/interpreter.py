@@ -1,7 +1,7 @@
 """Evaluate a tape in any number type: the oracle for every target.
 
 `FLOATS` computes in float64 (scalars, or NumPy arrays along a batch), `DIGITS` in 50 decimal digits. `DECIMALS` has 50
-digits too, in the numbers of Python's `decimal`: some seven times as quick, and within `fifty_digits()` alone.
+digits too, in Python's `decimal`: about seven times as quick, but valid only within `fifty_digits()`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from mbsgen.tape.types import FUNCTIONS, LARGEST_THRESHOLD, LITERALS, Op, Outlin
 
 @dataclass(frozen=True)
 class Numbers:
-    """A number type: how to make a literal, and the functions that operators do not cover."""
+    """A number type: its literals, and the functions that operators do not cover."""
 
     literal: Callable[[mpf], Any]
     functions: Mapping[Op, Callable[..., Any]]
@@ -39,7 +39,7 @@ DIGITS = Numbers(_FIFTY.mpf, {op: getattr(_FIFTY, op.value[0]) for op in FUNCTIO
 
 
 def fifty_digits() -> AbstractContextManager[Context]:
-    """Let `decimal` compute in 50 digits; what has no value is NaN or infinite, and raises nothing."""
+    """Make `decimal` compute in 50 digits; an undefined result is NaN or infinite, and raises nothing."""
     return localcontext(Context(prec=_FIFTY.dps, traps=[]))
 
 
@@ -66,7 +66,7 @@ DECIMALS = Numbers(
 
 
 def evaluate(tape: Tape, arguments: Mapping[str, Sequence[Any]], numbers: Numbers = FLOATS) -> dict[str, list[Any]]:
-    """Evaluate every output: its nonzeros in storage order. `arguments` hold the nonzeros of each input likewise.
+    """Evaluate the nonzeros of every output, in storage order. `arguments` hold the nonzeros of each input likewise.
 
     Guards are not tested: `find_failure` does that.
     """
@@ -120,7 +120,7 @@ def _evaluate_values(tape: Tape, arguments: Mapping[str, Sequence[Any]], numbers
 
 
 def _divide(a: Any, b: Any) -> Any:
-    """Divide; by zero, as floating-point hardware would, for the guard that is tested after it."""
+    """Divide; a division by zero gives NaN, for the guard that is tested after it."""
     try:
         return a / b
     except ZeroDivisionError:

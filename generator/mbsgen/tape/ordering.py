@@ -1,7 +1,7 @@
-"""The order of operations: the same tape, with sines and cosines side by side and few values to be kept at a time.
+"""The order of operations: the same tape, with sines and cosines side by side and few live values at a time.
 
-A processor has some dozen registers. What must be kept while other things are computed goes to memory and comes back,
-and that is what long kernels spend their time with.
+A processor has some dozen registers. Values that must be kept while others are computed go to memory and come back;
+long kernels spend their time on this. The order in depth follows Sethi, Ullman (1970): the deepest operand first.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ Operands = Sequence[tuple[int, ...]]  # of each operation
 
 
 def arrange(tape: Tape) -> Tape:
-    """Order the operations for a processor: results one after the other where that keeps fewer values at a time.
+    """Order the operations for a processor: result after result, if this keeps fewer values live at a time.
 
-    What sines and cosines are taken of is computed first, so that all of them can be computed together.
+    The arguments of sines and cosines are computed first, so that all of these can be computed together.
     """
     assert not isinstance(tape, Outline), "an outline has no operations"
     operands = [(a,) if b < 0 else (a, b) for _, a, b in tape.operations]
@@ -30,7 +30,7 @@ def arrange(tape: Tape) -> Tape:
 
 
 def _follow_results(tape: Tape, operands: Operands) -> list[int]:
-    """Order the operations by the results that need them, in depth: the guards come first, as they are tested."""
+    """Order the operations by the results that need them, depth first; guards come first, as they are tested first."""
     first = tape.first_operation
     depths = [0] * first  # the operations between each value and the leaves
     for used in operands:
@@ -55,17 +55,17 @@ def _follow_results(tape: Tape, operands: Operands) -> list[int]:
 
 
 def _find_stages(tape: Tape, operands: Operands) -> list[int]:
-    """Number the operations so that sorting by it moves sines together, and what they are taken of before them.
+    """Number the operations such that sorting by the number gathers sines, with their arguments before them.
 
     There are several such groups where angles depend on sines.
     """
     first = tape.first_operation
     are_sines = [op in _TRIGONOMETRIC for op, _, _ in tape.operations]
-    levels = [0] * first  # how many sines, one of the other, a value depends on
+    levels = [0] * first  # the length of the chain of sines, each an argument of the next, below a value
     for is_sine, used in zip(are_sines, operands, strict=True):
         levels.append(max(levels[x] for x in used) + is_sine)
     last = 1 + max(levels, default=0)
-    groups = [last] * len(levels)  # the group that a value is in, or is needed for
+    groups = [last] * len(levels)  # the group that a value belongs to, or is needed for
     for k in range(len(operands) - 1, -1, -1):
         if are_sines[k]:
             groups[first + k] = levels[first + k]
@@ -75,7 +75,7 @@ def _find_stages(tape: Tape, operands: Operands) -> list[int]:
 
 
 def _permute(tape: Tape, order: Sequence[int]) -> Tape:
-    """Write the operations of these places, and no others, in this order."""
+    """Write the operations with these positions, and no others, in this order."""
     first = tape.first_operation
     numbers = {value: value for value in range(-1, first)} | {first + k: first + n for n, k in enumerate(order)}
     ordered = (tape.operations[k] for k in order)
@@ -89,7 +89,7 @@ def _permute(tape: Tape, order: Sequence[int]) -> Tape:
 
 
 def _count_kept(first: int, operands: Operands, order: Sequence[int]) -> int:
-    """Sum up, over the operations in an order, the values that later ones read."""
+    """Return the sum, over the operations in an order, of the number of values that later operations read."""
     last = {x: n for n, k in enumerate(order) for x in operands[k] if x >= first}
     ends = Counter(last.values())
     kept = total = 0

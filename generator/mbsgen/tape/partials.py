@@ -1,4 +1,4 @@
-"""Partial derivatives of single operations: what forward and reverse differentiation are made of."""
+"""Partial derivatives of single operations, for forward and reverse differentiation."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from mbsgen.tape.types import Op
 
 
 def partials(builder: Builder, op: Op, a: Scalar, b: Scalar | None, result: Scalar) -> tuple[Scalar, ...]:
-    """Differentiate `result` = op(a, b) by each operand; `result` itself is used where that is cheaper.
+    """Differentiate `result` = op(a, b) by each operand; reuse `result` where this is cheaper.
 
-    |x| has the sign of x for a derivative, and 0 at 0.
+    The derivative of |x| is the sign of x, and 0 at 0.
     """
     one = builder.number(1.0)
     match op:

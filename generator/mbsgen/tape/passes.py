@@ -1,4 +1,4 @@
-"""Passes: functions Tape -> Tape that keep what is computed and lower what it costs."""
+"""Passes: functions Tape -> Tape that keep the values of the results and lower their cost."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mbsgen.tape.types import Guard, Sparsity, Tape
 
 
 def drop_dead(tape: Tape) -> Tape:
-    """Leave out the operations that no output needs."""
+    """Remove the operations that no output needs."""
     builder = Builder(fold=False, number=False)
     values = replay(tape, builder, declare_inputs(tape, builder))
     for output in tape.outputs:
@@ -25,7 +25,9 @@ def drop_dead(tape: Tape) -> Tape:
 
 
 def merge(tapes: Sequence[Tape], function: Function) -> Tape:
-    """Make one tape of several, of the inputs of all: what they share is computed once. Results keep their names."""
+    """Merge tapes into one, with the inputs of all: operations that they share are computed once. Results keep their
+    names.
+    """
     builder = Builder()
     inputs: dict[str, list[Scalar]] = {}
     for given in dict.fromkeys(i for tape in tapes for i in tape.inputs):
@@ -56,7 +58,7 @@ def set_zero(tape: Tape, role: Role) -> Tape:
 
 
 def keep_results(tape: Tape, names: Collection[str]) -> Tape:
-    """Leave out all results but some, and what only they need."""
+    """Remove all results except some, and the operations that only the removed results need."""
     return drop_dead(replace(tape, outputs=tuple(o for o in tape.outputs if o.name in names)))
 
 
@@ -80,19 +82,19 @@ def hoist(tapes: Sequence[Tape], source: Port, target: Port) -> tuple[Tape, tupl
     """Move what depends on the input `source` alone out of all tapes into one: the setup.
 
     Returns the setup tape (input `source`, output `target`), and the tapes with the input `target`, a vector of the
-    values that they use, in place of `source`; each has the sign that most of its uses ask for. Values that several
-    tapes use are computed once. Divisions by parameters are guarded in the setup; pivots stay guarded where they are
-    divided by, however constant.
+    values that they use, in place of `source`. Each entry has the sign that most of its uses need. Values that several
+    tapes use are computed once. Divisions by parameters are guarded in the setup; pivots stay guarded where a kernel
+    divides by them, even if they depend on parameters alone.
     """
     setup = Builder()
     sizes = {i.sparsity.nnz for tape in tapes for i in tape.inputs if i.port == source}
     assert len(sizes) == 1, f"all tapes must have the same input {source.name}"
     given = setup.vector(source, sizes.pop())
     split = [_Split.of(tape, source, setup, given) for tape in tapes]
-    signs: Counter[int] = Counter()  # of each node of the setup: how much more often tapes have it with its sign
+    signs: Counter[int] = Counter()  # of each node of the setup: uses with its sign less uses with the other sign
     for part in split:
         for value in part.frontier:
-            ref, weight = part.hoisted[value].ref, len(tapes) + 1 if value in part.told else 1
+            ref, weight = part.hoisted[value].ref, len(tapes) + 1 if value in part.exact else 1
             signs[abs(ref)] += weight if ref > 0 else -weight
         part.guard_early(setup)
     entries = {node if signs[node] >= 0 else -node: place for place, node in enumerate(signs)}
@@ -101,7 +103,7 @@ def hoist(tapes: Sequence[Tape], source: Port, target: Port) -> tuple[Tape, tupl
 
 
 class _Split:
-    """A tape with its values told apart: those that depend on the parameters alone, and the rest."""
+    """A tape with its values split: values that depend on the parameters alone, and the rest."""
 
     def __init__(self, tape: Tape, source: Port, hoisted: dict[int, Scalar], frontier: list[int]) -> None:
         self.tape, self.source, self.hoisted, self.frontier = tape, source, hoisted, frontier
@@ -129,21 +131,21 @@ class _Split:
         return _Split(tape, source, hoisted, [x for x in frontier if x not in literals and hoisted[x].ref])
 
     @property
-    def told(self) -> set[int]:
-        """Collect what is given out or tested as it is; elsewhere, a sum or a product can take another sign."""
+    def exact(self) -> set[int]:
+        """Return the values that are stored or tested as they are; other uses can take another sign."""
         return {x for o in self.tape.outputs for x in o.values} | {g.scale for g in self.tape.guards}
 
     def _is_early(self, guard: Guard) -> bool:
         return guard.early and guard.value in self.hoisted and guard.scale in self.hoisted
 
     def guard_early(self, setup: Builder) -> None:
-        """Guard in the setup what is divided by there."""
+        """Guard the divisors of the setup in the setup."""
         for g in filter(self._is_early, self.tape.guards):
             value = self.hoisted[g.value]
             setup.guard(-value if g.negated else value, self.hoisted[g.scale], g.tolerance, g.joint, early=True)
 
     def rest(self, entries: dict[int, int], target: Port) -> Tape:
-        """Write the tape again with the hoisted values read from `target`."""
+        """Write the tape again, reading the hoisted values from `target`."""
         tape, builder = self.tape, Builder()
         inputs = {i.name: builder.input(i.port, i.sparsity) for i in tape.inputs if i.port != self.source}
         vector = builder.vector(target, len(entries))

@@ -1,4 +1,4 @@
-"""Replay a tape into a builder, operation by operation: the step that passes and differentiation are made of."""
+"""Replay a tape into a builder, operation by operation: the common step of passes and differentiation."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from mbsgen.tape.types import Op, Outline, Tape
 
 
 def declare_inputs(tape: Tape, builder: Builder) -> dict[str, list[Scalar]]:
-    """Declare the tape's inputs in the builder, as they are."""
+    """Declare the tape's inputs in the builder, unchanged."""
     return {i.name: builder.input(i.port, i.sparsity) for i in tape.inputs}
 
 

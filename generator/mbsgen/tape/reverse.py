@@ -1,4 +1,7 @@
-"""Reverse differentiation: Tape of f -> Tape of its adjoint JT lambda, or of its Jacobian, row by row."""
+"""Reverse differentiation: Tape of f -> Tape of its adjoint JT lambda, or of its Jacobian, row by row.
+
+In reverse order, for v = op(a, b): a_bar += d op/da v_bar and b_bar += d op/db v_bar (Griewank, Walther, 2008, ch. 3).
+"""
 
 from __future__ import annotations
 
@@ -32,7 +35,7 @@ def adjoint(tape: Tape, wrt: Sequence[str]) -> Tape:
 
 
 def jacobian(tape: Tape, wrt: Sequence[str]) -> Tape:
-    """Differentiate as `forward.jacobian` does, to the same outputs, by one reverse sweep for each output nonzero."""
+    """Compute the same outputs as `forward.jacobian`, by one reverse sweep for each output nonzero."""
     builder = Builder()
     values = replay(tape, builder, declare_inputs(tape, builder))
     replay_guards(tape, builder, values)
@@ -58,7 +61,7 @@ def jacobian(tape: Tape, wrt: Sequence[str]) -> Tape:
 
 
 def sweep(tape: Tape, builder: Builder, values: Sequence[Scalar], seeds: Mapping[int, Scalar]) -> dict[int, Scalar]:
-    """Carry adjoints of values back to the inputs of a replayed tape; inputs that nothing reaches are left out."""
+    """Propagate adjoints of values back to the inputs of a replayed tape; unreached inputs are left out."""
     adjoints = dict(seeds)
     start = max((v for v in seeds), default=-1)
     for value in range(start, tape.first_operation - 1, -1):

@@ -1,7 +1,7 @@
 """The Tape: a straight-line program with typed inputs and outputs; an immutable value.
 
-Values are numbered: first the nonzeros of the inputs in order, then the literals, then one per operation; an operation
-uses earlier values only. `view.equations` groups operations into the `name = rhs` that a reader sees.
+Values are numbered: first the nonzeros of the inputs in order, then the literals, then one per operation. An operation
+uses earlier values only (single assignment).
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ class Op(Enum):
     LOG = ("log", 1)
     TANH = ("tanh", 1)
     ABS = ("fabs", 1)
-    SIGN = ("sign", 1)  # -1, 0 or 1: what the derivative of |x| is taken to be, 0 where there is none
+    SIGN = ("sign", 1)  # -1, 0 or 1: used as the derivative of |x|, 0 where there is none
 
     def __init__(self, _: str, arity: int) -> None:
-        self.arity = arity  # not a property: it is asked of every operation of a tape, many times over
+        self.arity = arity  # not a property: it is read for every operation of a tape, many times over
 
     __hash__ = object.__hash__  # members are singletons; Enum's own hash is slower
 
@@ -103,7 +103,7 @@ class Sparsity:
 
     @property
     def is_dense(self) -> bool:
-        """Tell whether every entry is a nonzero."""
+        """Return whether every entry is a nonzero."""
         return self.nnz == self.rows * self.cols
 
     @property
@@ -139,23 +139,23 @@ class Output:
         return self.port.name
 
 
-LARGEST_THRESHOLD = 3.0e-5  # float32 is not asked for digits that it hardly has: two are left where a pivot just passes
+LARGEST_THRESHOLD = 3.0e-5  # float32 has few digits, so less is required: two are left where a pivot just passes
 
 
 @dataclass(frozen=True)
 class Guard:
     """A pivot that must stand out of rounding: value > threshold * scale; else the kernel fails at `joint`.
 
-    The threshold is tolerance * epsilon, but never above LARGEST_THRESHOLD; epsilon is that of the numbers computed
-    with. A kernel that fails gives out nothing.
+    The threshold is tolerance * epsilon, at most LARGEST_THRESHOLD, with the epsilon of the number type in use. A
+    kernel that fails stores no result.
     """
 
     value: int
     scale: int
     tolerance: float
     joint: int  # from 1
-    negated: bool = False  # the tape has the pivot with its sign changed
-    early: bool = False  # it guards a division by parameters, and is tested where these are given: in `setup`
+    negated: bool = False  # the tape holds the pivot with its sign changed
+    early: bool = False  # it guards a division by parameters, and is tested where these are set: in `setup`
 
 
 Operation = tuple[Op, int, int]  # (op, first operand, second operand or -1)
@@ -163,7 +163,7 @@ Operation = tuple[Op, int, int]  # (op, first operand, second operand or -1)
 
 @dataclass(frozen=True)
 class Tape:
-    """A straight-line program. Its invariants are checked when it is built."""
+    """A straight-line program. Its invariants are checked at construction."""
 
     function: Function
     inputs: tuple[Input, ...]
@@ -236,6 +236,6 @@ class Outline(Tape):
 
     @staticmethod
     def of(function: Function, inputs: tuple[Input, ...], patterns: Mapping[Port, Sparsity]) -> Outline:
-        """Make an outline of the patterns of its outputs."""
+        """Make an outline from the patterns of its outputs."""
         outputs = tuple(Output(port, pattern, (0,) * pattern.nnz) for port, pattern in patterns.items())
         return Outline(function, inputs, (LITERALS.mpf(0),), (), outputs)

@@ -1,4 +1,4 @@
-"""From signed nodes to a Tape: which nodes are kept with their sign changed, what no output needs, the numbering."""
+"""From signed nodes to a Tape: the sign of each stored node, the nodes that outputs need, and the numbering."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mbsgen.tape.types import EVEN, LITERALS, ODD, Guard, Input, Op, Output, Spa
 
 Ref = int  # +n or -n: node n, or its negative; 0: the number 0
 Key = tuple[Op, Ref, Ref]  # an operation on references
-_TURNABLE = ODD | {Op.ADD, Op.SUB, Op.MUL, Op.DIV}  # whose operands may decide the sign of the result
+_TURNABLE = ODD | {Op.ADD, Op.SUB, Op.MUL, Op.DIV}  # their operands may decide the sign of the result
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Test:
 
 
 class Writer:
-    """Turns signed nodes into plain operations: decides which nodes are kept with their sign changed."""
+    """Turns signed nodes into plain operations: chooses the sign with which each node is stored."""
 
     def __init__(
         self,
@@ -51,7 +51,7 @@ class Writer:
         self._tests = tests
         self._uses = self._count_uses()
         self._turned = self._choose_turned()
-        self._kept: dict[int, Ref] = {}  # node -> the node with the sign it is kept with
+        self._kept: dict[int, Ref] = {}  # node -> the node with its stored sign
         self._literals: dict[Ref, None] = {}  # in the order of their first use
         self._written: dict[Ref, tuple[Op, Ref, Ref]] = {}  # result -> operation on kept references
 
@@ -59,7 +59,7 @@ class Writer:
         """Write the operations, then number the values."""
         for source, first in self._inputs:
             self._kept.update((node, node) for node in range(first, first + source.sparsity.nnz))
-        for node in sorted(self._uses):  # operands have smaller numbers than what uses them
+        for node in sorted(self._uses):  # operands have smaller numbers than their users
             key = self._nodes[node]
             if isinstance(key, tuple):
                 self._write(node, *key)
@@ -96,7 +96,7 @@ class Writer:
     # -- which nodes are needed, and which are turned round ---------------------------------------------------
 
     def _count_uses(self) -> dict[int, int]:
-        """Count how often each node that is needed is used; a guard takes a value with whatever sign it has."""
+        """Count the uses of each needed node; a guard takes a value with either sign."""
         uses: dict[int, int] = {}
         self._walk(uses, [ref for result in self._results for ref in result.refs])
         tested = [ref for test in self._tests for ref in (test.value, test.scale)]
@@ -121,7 +121,7 @@ class Writer:
         return turned
 
     def _turn(self, node: int, turned: set[int]) -> bool:
-        """Try to compute `node` with the other sign at no cost, through operands that serve nothing else."""
+        """Try to compute `node` with the other sign at no cost, through operands without other uses."""
         key = self._nodes[node]
         if not isinstance(key, tuple) or node in turned or key[0] not in _TURNABLE:
             return False
@@ -140,7 +140,7 @@ class Writer:
         if op in (Op.ADD, Op.SUB):
             x, y = self._keep(a), self._keep(b)
             first, second = sign * sign_of(x), sign * sign_of(y) * (1 if op is Op.ADD else -1)
-            if first < 0 and second < 0:  # both against it: keep the sum with the other sign
+            if first < 0 and second < 0:  # both are subtracted: store the sum with the other sign
                 sign, first, second = -sign, 1, 1
             if first < 0:
                 x, y, first, second = y, x, second, first
@@ -159,19 +159,19 @@ class Writer:
             self._record(node, op, self._with_sign(a), self._with_sign(b) if op.arity == 2 else 0)
 
     def _keep(self, node: int) -> Ref:
-        """Refer to a node with the sign it is kept with; a literal can have either, and starts with its own."""
+        """Refer to a node with its stored sign; a literal can have either, and starts with its own."""
         return node if self._is_literal(node) else self._kept[node]
 
     def _record(self, result: Ref, op: Op, a: Ref, b: Ref) -> None:
         for ref in (a, b):
             if ref and self._is_literal(ref):
                 self._literals[ref] = None
-        # A literal is written with its sign; any other operand is written as it is kept.
+        # A literal is written with its sign; any other operand is written with its stored sign.
         self._written[result] = (op, a, b)
         self._kept[abs(result)] = result
 
     def _with_sign(self, ref: Ref) -> Ref:
-        """Refer to a value with the sign wanted; spend an operation on the sign where it is kept with the other."""
+        """Refer to a value with the given sign; spend an operation on the sign where the stored sign differs."""
         if ref == 0 or self._is_literal(ref):
             self._literals[ref] = None
             return ref
@@ -181,7 +181,7 @@ class Writer:
         return ref
 
     def _as_kept(self, ref: Ref) -> Ref:
-        """Refer to a value with whatever sign it is kept with."""
+        """Refer to a value with its stored sign."""
         return self._with_sign(ref if ref == 0 or self._is_literal(ref) else self._kept[abs(ref)])
 
     def _is_literal(self, ref: Ref) -> bool:

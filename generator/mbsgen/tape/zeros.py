@@ -1,4 +1,4 @@
-"""What a tape would cost if entries of an input were 0: counted for many sets of entries at once, and none written."""
+"""The cost of a tape with entries of an input set to 0, counted for many sets of entries at once."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _KEEPING = ODD | {Op.NEG, Op.SQRT, Op.ABS}  # f(0) = 0
 
 
 def count_without(tape: Tape, source: str, sets: Sets) -> NDArray[np.int64]:
-    """Count flops, by the paper's convention, with the entries of the input `source` 0 that each set names: (k, size).
+    """Count flops, by the paper's convention, with the entries of the input `source` in each set 0: (k, size).
 
-    Operations on literals and on `source` alone are not counted: they move to the setup, or are folded. What only
-    becomes equal to another value is not seen.
+    Operations on literals and on `source` alone are not counted: they move to the setup, or are folded. Values that
+    merely become equal to each other are still counted twice.
     """
     zero = _find_zeros(tape, source, sets)
     live = _find_live(tape, zero)
@@ -26,14 +26,14 @@ def count_without(tape: Tape, source: str, sets: Sets) -> NDArray[np.int64]:
     for value, (op, a, b) in enumerate(tape.operations, tape.first_operation):
         if op in PAPER and not fixed[value]:
             counted = live[value] & ~zero[value]
-            if op in (Op.ADD, Op.SUB):  # of one operand alone, nothing is to be computed
+            if op in (Op.ADD, Op.SUB):  # with one operand 0, nothing is computed
                 counted &= ~(zero[a] | zero[b])
             total += counted
     return total
 
 
 def _find_zeros(tape: Tape, source: str, sets: Sets) -> Sets:
-    """Tell which values are 0: (values, k)."""
+    """Return which values are 0: (values, k)."""
     zero = np.zeros((tape.first_operation + len(tape.operations), len(sets)), bool)
     first = 0
     for i in tape.inputs:
@@ -51,7 +51,7 @@ def _find_zeros(tape: Tape, source: str, sets: Sets) -> Sets:
 
 
 def _find_live(tape: Tape, zero: Sets) -> Sets:
-    """Tell which values a result or a guard needs."""
+    """Return which values a result or a guard needs."""
     live = np.zeros_like(zero)
     live[[v for o in tape.outputs for v in o.values] + [v for g in tape.guards for v in (g.value, g.scale)]] = True
     for value in range(len(zero) - 1, tape.first_operation - 1, -1):
@@ -64,7 +64,7 @@ def _find_live(tape: Tape, zero: Sets) -> Sets:
 
 
 def _find_fixed(tape: Tape, source: str) -> list[bool]:
-    """Tell which values depend on literals and `source` alone."""
+    """Return which values depend on literals and `source` alone."""
     fixed = [i.name == source for i in tape.inputs for _ in range(i.sparsity.nnz)] + [True] * len(tape.literals)
     for op, *operands in tape.operations:
         fixed.append(all(fixed[x] for x in operands[: op.arity]))
