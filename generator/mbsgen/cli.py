@@ -1,4 +1,4 @@
-"""The command line `mbsgen`: a model file in; a folder of C, a report, a picture or a verdict out."""
+"""The command line `mbsgen`: a model file in; a folder of C, a report, a picture or a result of a check out."""
 
 from __future__ import annotations
 
@@ -51,24 +51,24 @@ from mbsgen.report import (
 )
 from mbsgen.scaling import LARGEST, PERIOD, find_crossing, grow
 
-_UNCUT = 10_000  # characters in a line: neither a pipe nor a narrow terminal cuts anything off
+_UNCUT = 10_000  # characters in a line, so that neither a pipe nor a narrow terminal cuts text off
 SWITCHES = {name.replace("_", "-"): name for name in ("regroup", "share_frames", "lump", "absolute", "factor")}
-DIFFERENT = 1  # exit code: a folder is not as it would be written
-BAD_INPUT = 2  # exit code: a file or an argument that cannot be accepted; 0 is success
+DIFFERENT = 1  # exit code: a folder differs from the generated one
+BAD_INPUT = 2  # exit code: an unacceptable file or argument; 0 is success
 
 MODEL = click.argument("model", type=click.Path(path_type=Path))
 
 
 _IMPORTING = (
-    click.option("--name", help="The model's name; else that in the file."),
+    click.option("--name", help="The model's name; by default, the name in the file."),
     click.option(
         "--base",
         type=click.Choice(["fixed", "floating"]),
         default="fixed",
         show_default=True,
-        help="Whether the root link of URDF stands, or floats.",
+        help="Fix URDF's root link, or let it float.",
     ),
-    click.option("--gravity", metavar="X,Y,Z", help="In m/s2; else that of MJCF, or 0,0,-9.81."),
+    click.option("--gravity", metavar="X,Y,Z", help="In m/s2; by default, MJCF's own, or 0,0,-9.81."),
     click.option("--sensor", "sensors", multiple=True, metavar="NAME", help="A link, body or site to become a frame."),
     click.option("--lock", "locks", multiple=True, metavar="JOINT=VALUE", help="Hold a joint at a coordinate."),
     click.option(
@@ -76,7 +76,7 @@ _IMPORTING = (
         type=click.Choice(["couple", "lock", "free"]),
         default="couple",
         show_default=True,
-        help="Let joints that follow others do so, stand where the other is at 0, or move freely.",
+        help="Couple joints that follow others, lock them where the other is at 0, or free them.",
     ),
     click.option("--quaternions", is_flag=True, help="Give balls and free bodies quaternions, not turns in a row."),
     click.option(
@@ -84,21 +84,21 @@ _IMPORTING = (
         type=click.FloatRange(0, 1e6, min_open=True),
         default=Choices.friction_speed,
         show_default=True,
-        help="Where dry friction reaches 3/4 of its force, rad/s or m/s.",
+        help="The speed at which dry friction reaches 3/4 of its force, rad/s or m/s.",
     ),
     click.option(
         "--quarter-turns",
         type=click.FloatRange(0, 0.01),
         default=Choices.quarter_turns,
         show_default=True,
-        help="Take angles that are this near to quarter turns as such, rad.",
+        help="Round angles within this distance of a quarter turn to it, rad.",
     ),
-    click.option("--allow-unphysical", is_flag=True, help="Take even inertias that are far from what a body can have."),
+    click.option("--allow-unphysical", is_flag=True, help="Accept inertias that no body can have."),
 )
 
 
 def importing(command: Callable[..., None]) -> Callable[..., None]:
-    """Add the options that say how URDF and MJCF are imported; the command gets them as `choices`."""
+    """Add the options of the import of URDF and MJCF; the command gets them as `choices`."""
 
     @functools.wraps(command)
     def call(
@@ -144,16 +144,16 @@ HELP = """Turn the description of a multibody system into C kernels for its dyna
 \b
   mbsgen MODEL -o DIR       generate the folder DIR: C, manifest, report
   mbsgen show MODEL         print the tree of its bodies; with -o, draw it
-  mbsgen report MODEL       count what it costs, and write nothing
+  mbsgen report MODEL       print its cost, and write nothing
   mbsgen scaling            count how cost grows with the length of a chain
-  mbsgen check MODEL        tell every fault of the file, and write nothing
+  mbsgen check MODEL        print every fault of the file
   mbsgen compare MODEL      compare a URDF's equations with Pinocchio's
   mbsgen import MODEL       make a model file of URDF or MJCF
 
-MODEL is a YAML file, as models/ holds examples, or one of URDF or MJCF. A file that has the name of a subcommand is
-reached as ./NAME.
+MODEL is a YAML file (models/ holds examples), a URDF or an MJCF file. Write ./NAME for a file with the name of
+a subcommand.
 
-Exit codes: 0 done; 1 with --check, the folder is not as it would be written, or compared equations
+Exit codes: 0 done; 1 with --check, the folder differs from the generated one, or compared equations
 differ; 2 the model or an argument cannot be accepted (nothing has been written).
 """
 
@@ -162,7 +162,7 @@ class ModelFirst(click.Group):
     """A group whose default command is `generate`: `mbsgen MODEL -o DIR`. A subcommand wins over a file of its name."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Put the default command before arguments that begin with no command and no option of the group."""
+        """Put the default command before arguments that start with neither a command nor an option of the group."""
         own = {*self.commands, *ctx.help_option_names, "--version"}
         first = args[0] if args else ""
         is_word = first.isalpha() and first not in own and not Path(first).exists()
@@ -188,9 +188,9 @@ def cli() -> None:
 @click.option(
     "--runtime",
     is_flag=True,
-    help="Make the numbers of the model parameters at run time, but for zeros, quarter turns, axes and limits.",
+    help="Make the numbers of the model parameters at run time, except zeros, quarter turns, axes and limits.",
 )
-@click.option("--zeros", is_flag=True, help="With --runtime: zeros and quarter turns too, which costs operations.")
+@click.option("--zeros", is_flag=True, help="With --runtime: zeros and quarter turns too; this costs operations.")
 @click.option(
     "--lump",
     is_flag=True,
@@ -200,31 +200,31 @@ def cli() -> None:
     "--without",
     multiple=True,
     type=click.Choice(list(SWITCHES)),
-    help="Leave a reduction out; may be given several times. share-frames also keeps the sine of each angle apart.",
+    help="Switch a reduction off; repeatable. Without share-frames, each angle also has its own sine.",
 )
 @click.option("--python", is_flag=True, help="Also write the kernels as a Python module, for any number type.")
 @click.option("--matlab", is_flag=True, help="Also write the kernels as functions for Matlab and GNU Octave.")
-@click.option("--acados", is_flag=True, help="Also write the functions that acados asks for, under its names.")
+@click.option("--acados", is_flag=True, help="Also write the functions for acados, under its names.")
 @click.option("--acados-untimed", "untimed", is_flag=True, help="The same for acados before 0.3, which passes no time.")
 @click.option(
     "--functions",
     metavar="NAME,...",
-    help=f"Only these functions, with their derivatives: {', '.join(FUNCTIONS)}; by default all that the model has.",
+    help=f"Only these functions, with their derivatives: {', '.join(FUNCTIONS)}; by default all.",
 )
 @click.option(
     "--derivatives",
     type=click.IntRange(0, 2),
     default=2,
     show_default=True,
-    help="Up to which order derivatives are generated. CasADi needs both for exact Hessians.",
+    help="The highest order of generated derivatives. CasADi needs both for exact Hessians.",
 )
-@click.option("--scene", type=click.Path(path_type=Path), help="A file that tells what is wanted of the model.")
+@click.option("--scene", type=click.Path(path_type=Path), help="A scene file: the part of the model to generate.")
 @click.option(
     "--tolerance",
     type=float,
-    help="A relative error that functions may have: what matters less is left out. Else that of the scene, or none.",
+    help="Relative error allowed for functions: smaller effects are left out. By default, the scene's, or none.",
 )
-@click.option("--check", is_flag=True, help="Write nothing; fail if the folder is not as it would be written.")
+@click.option("--check", is_flag=True, help="Write nothing; fail if the folder differs from the generated one.")
 @importing
 def generate_command(
     model: Path,
@@ -248,10 +248,10 @@ def generate_command(
 
     It holds the kernels in C, their header, manifest.json, report.md and report.json.
 
-    What the kernels cost is printed. The folder appears as a whole, and replaces one that mbsgen wrote before.
+    The cost of the kernels is printed. The folder appears as a whole, and replaces one that mbsgen wrote before.
     """
     if lump and "lump" in without:
-        raise click.BadParameter("it is what --without lump leaves out; give one of the two", param_hint="--lump")
+        raise click.BadParameter("it contradicts --without lump; give one of the two", param_hint="--lump")
     reductions = replace(ALL, lump_runtime=lump, **{SWITCHES[name]: False for name in without})
     options = Options(
         runtime=runtime,
@@ -290,7 +290,7 @@ def _progress() -> Iterator[Tell]:
 
 
 def _check_folder(files: Mapping[str, str], out: Path) -> None:
-    """Tell which files of a folder are not as they would be written, and exit."""
+    """Print the files of a folder that differ from the generated ones; exit if there are any."""
     different = find_differences(files, out)
     for name in different:
         click.echo(f"{out / name}: not as generated now", err=True)
@@ -302,12 +302,12 @@ def _check_folder(files: Mapping[str, str], out: Path) -> None:
 @cli.command("show")
 @MODEL
 @click.option("-o", "--output", "out", type=click.Path(path_type=Path), help="The picture to write: .png or .svg.")
-@click.option("--at", "coordinates", metavar="q1=0.3,...", help="Coordinates to draw it at, rad or m; else 0.")
+@click.option("--at", "coordinates", metavar="q1=0.3,...", help="Coordinates of the drawing, rad or m; 0 by default.")
 @importing
 def show_command(model: Path, out: Path | None, coordinates: str | None, choices: Choices) -> None:
     """Print the tree of MODEL; with -o, draw it.
 
-    The tree lists bodies, joints and masses, and the places, from 0, of joints in q and u and of frames among sensors.
+    The tree lists bodies, joints and masses, and the indices, from 0, of joints in q and u and of frames among sensors.
     The picture shows the tree beside the mechanism in space.
     """
     from mbsgen.drawing import FORMATS, describe_joint, list_masses, render  # drawing takes long to load
@@ -334,7 +334,7 @@ def show_command(model: Path, out: Path | None, coordinates: str | None, choices
 
 
 def _find_places(tree: Tree) -> dict[int, str]:
-    """Find the places of each body's joint in q, in qd where these differ, and in u; from 0, as the header has them."""
+    """Return the indices, from 0, of each body's joint in q, in qd where these differ, and in u, as in the header."""
     followers, places = tree.followers, {}
     seen = {"qd": 0, "u": 0}
     for i, body in enumerate(tree.bodies, 1):
@@ -363,7 +363,7 @@ def _describe_limits(lower: float | None, upper: float | None) -> str:
 
 
 def _read_coordinates(tree: Tree, text: str) -> list[float]:
-    """Read `name=number,...` as the coordinates of all joints. Raises click.BadParameter with all that is wrong."""
+    """Read `name=number,...` as the coordinates of all joints. Raises click.BadParameter with all faults."""
     values = dict(zip(tree.coordinates, tree.neutral, strict=True))
     faults = []
     for part in filter(str.strip, text.split(",")):
@@ -387,10 +387,10 @@ def _read_coordinates(tree: Tree, text: str) -> list[float]:
 @MODEL
 @click.option("--json", "form", flag_value="json", help="Print report.json.")
 @click.option("--markdown", "form", flag_value="markdown", help="Print report.md.")
-@click.option("--compare", is_flag=True, help="Count without each reduction too: what it saves.")
+@click.option("--compare", is_flag=True, help="Also count without each reduction, to show its savings.")
 @importing
 def report_command(model: Path, form: str | None, compare: bool, choices: Choices) -> None:
-    """Count what MODEL costs: flops and equations."""
+    """Count the cost of MODEL: flops and equations."""
     source = _read(model, choices)
     with _progress() as tell:
         report = make(source, Options(compare=compare), tell).report
@@ -429,20 +429,20 @@ def scaling_command(largest: int) -> None:
 @MODEL
 @importing
 def check_command(model: Path, choices: Choices) -> None:
-    """Tell every fault of MODEL, and write nothing."""
+    """Print every fault of MODEL, and write nothing."""
     read_tree(_read(model, choices))
     click.echo(f"{model}: no fault found", err=True)
 
 
 @cli.command("compare")
 @MODEL
-@click.option("--with", "peer", type=click.Choice(["pinocchio"]), required=True, help="What to compare with.")
+@click.option("--with", "peer", type=click.Choice(["pinocchio"]), required=True, help="The program to compare with.")
 @importing
 def compare_command(model: Path, peer: str, choices: Choices) -> None:
     """Compare MODEL, a URDF file, with another program.
 
-    The largest differences of the residual Phi, the mass matrix M, the bias c and the accelerations qdd at random
-    states are printed, relative to the largest entry, and what they come from. Exit code 1: something else differs.
+    Prints the largest differences of the residual Phi, the mass matrix M, the bias c and the accelerations qdd at
+    random states, relative to the largest entry, and their known causes. Exit code 1: an unexplained difference.
     """
     from mbsgen.comparison import RESULTS, TOLERANCE, compare_with_pinocchio
 
@@ -469,7 +469,7 @@ def import_command(
 ) -> None:
     """Make a model file of MODEL, a file of URDF or MJCF.
 
-    What is changed or left out is told on stderr, and in comments of the model file.
+    Changes and omissions are printed on stderr, and written as comments into the model file.
     """
     imported = import_model(model, choices)
     _tell(imported.notices)
@@ -482,7 +482,7 @@ def import_command(
 
 
 def _read(model: Path, choices: Choices) -> Path | Model:
-    """Read a model that is to be imported, and tell what is known about it; give the path of any other."""
+    """Import a foreign model and print its notices; return the path of any other model."""
     if not is_foreign(model):
         return model
     imported = import_model(model, choices)
@@ -516,7 +516,7 @@ def _read_lock(text: str) -> tuple[str, float]:
 
 
 def _read_finite(text: str) -> float:
-    """Read a number, or an expression such as `30 deg`; nan is what is none."""
+    """Read a number, or an expression such as `30 deg`; nan for anything else."""
     try:
         return evaluate(parse(text), {}, FLOATS)
     except ExpressionError:
@@ -524,7 +524,7 @@ def _read_finite(text: str) -> float:
 
 
 def print_report(report: Report) -> None:
-    """Print what a model costs on stdout: tables whose columns are the same, whatever takes them up."""
+    """Print the cost of a model on stdout: tables with the same columns, whatever their contents."""
     cells = [
         (name, *map(str, cost.row)) for s in sections(report) for costs in s.groups for name, cost in costs.items()
     ]
@@ -564,7 +564,7 @@ def _print_ways(report: Report) -> None:
 
 
 def _lay_out(section: Section, widths: Sequence[int]) -> Iterator[str]:
-    """Set a table in columns; a blank line parts what are not single rows."""
+    """Arrange a table in columns; a blank line separates groups of several rows."""
 
     def line(*cells: str) -> str:
         return "  ".join((cells[0].ljust(widths[0]), *map(str.rjust, cells[1:], widths[1:])))
@@ -584,10 +584,10 @@ def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
 
 
 def main() -> None:
-    """Run the command line; a user's errors are told without a traceback."""
+    """Run the command line; a user's errors are printed without a traceback."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # a name may not be in the encoding of the terminal
+            stream.reconfigure(errors="backslashreplace")  # the terminal's encoding may lack the characters of a name
     warnings.showwarning = _show_warning
     try:
         cli(prog_name="mbsgen")

@@ -1,8 +1,8 @@
-"""An imported robot beside what Pinocchio makes of the same URDF file: Phi, M, c and qdd at random states.
+"""An imported robot compared with Pinocchio's model of the same URDF file: Phi, M, c and qdd at random states.
 
-Pinocchio's recursions know no damping, no friction and no rotors; ours have those of the file. So all is compared
-twice: as it is imported, and without these. Joints are matched by name; where their order differs, that is listed. Of
-joints that follow others, Pinocchio's uncoupled model is taken, and projected: its own reader refuses some.
+Pinocchio's recursions ignore damping, friction and rotors; our equations include them. So everything is compared twice:
+as imported, and without these. Joints are matched by name; differences in their order are listed. For coupled joints,
+Pinocchio's uncoupled model is projected, because its reader refuses some couplings.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from mbsgen.tape.types import Tape
 
 Array = NDArray[np.float64]
 STATES = 5
-TOLERANCE = 1e-9  # relative: some thousand roundings, and what rounded angles of a file make
-SMALL = 1e-6  # what is smaller may be the rounding of a 0
+TOLERANCE = 1e-9  # relative: some thousand roundings, and the effect of rounded angles in the file
+SMALL = 1e-6  # smaller values may be the rounding of 0
 RESULTS = ("Phi", "M", "c", "qdd")
 
 
@@ -36,19 +36,19 @@ RESULTS = ("Phi", "M", "c", "qdd")
 class Comparison:
     """The largest differences, relative to the largest entry of each result."""
 
-    imported: Mapping[str, float]  # as the file says
+    imported: Mapping[str, float]  # with everything in the file
     bare: Mapping[str, float]  # without damping, friction and rotors
-    named: tuple[str, ...]  # what differs, in words
+    named: tuple[str, ...]  # the known differences, in words
     lost: float  # by solving for qdd: epsilon times the condition of M
 
     @property
     def agrees(self) -> bool:
-        """Tell whether nothing differs but what is named."""
+        """Return whether only the known differences remain."""
         return all(miss <= max(TOLERANCE, self.lost if name == "qdd" else 0.0) for name, miss in self.bare.items())
 
 
 def compare_with_pinocchio(path: Path, choices: Choices) -> Comparison:
-    """Import a URDF file twice, and compare. Raises InputError where that cannot be done."""
+    """Import a URDF file, with and without joint forces, and compare. Raises InputError where this is impossible."""
     if choices.base == "floating":
         choices = replace(choices, quaternions=True)  # Pinocchio's coordinates of a free body
     imported = import_model(path, choices)
@@ -96,7 +96,7 @@ class _Peer:
         return self.pin.buildReducedModel(model, [model.getJointId(name) for name in moving], at)
 
     def draw(self, seed: int) -> tuple[Array, Array, Array]:
-        """Draw q, qd and qdd of ours; a free base has its place and its quaternion first."""
+        """Draw q, qd and qdd in our order; a free base comes first, with its position and its quaternion."""
         rng = np.random.default_rng(seed)
         q = rng.uniform(-1, 1, self.size + (1 if self.free else 0))
         if self.free:
@@ -104,11 +104,11 @@ class _Peer:
         return q, rng.uniform(-1, 1, self.size), rng.uniform(-1, 1, self.size)
 
     def compute(self, q: Array, qd: Array, qdd: Array) -> dict[str, Array]:
-        """Compute all results without forces of joints, in our order."""
+        """Compute all results without joint forces, in our order."""
         model, data, pin = self.model, self.data, self.pin
         angles, first = np.zeros(model.nv), 7 if self.free else 0
         angles[self.order] = self.G @ np.concatenate((np.zeros(self.free), q[first:])) + self.g
-        at = pin.integrate(model, pin.neutral(model), angles)  # of a joint without limits, cosine and sine
+        at = pin.integrate(model, pin.neutral(model), angles)  # for a joint without limits, cosine and sine
         if self.free:
             at[:7] = q[:7]
         v, a = np.zeros(model.nv), np.zeros(model.nv)
@@ -121,7 +121,7 @@ class _Peer:
 
 
 def _map_couplings(tree: Tree) -> tuple[Array, Array]:
-    """Make G and g of q = G y + g, y being what has a coordinate of its own."""
+    """Return G and g of q = G y + g, with y the independent coordinates."""
     rules = {x.follower: x for x in tree.couplings}
     kept = [i for i in range(1, len(tree.bodies) + 1) if i not in rules]
     G, g = np.zeros((len(tree.bodies), len(kept))), np.zeros(len(tree.bodies))
@@ -142,7 +142,7 @@ def _names(tree: Tree) -> set[str]:
 
 
 def _strip(tree: Tree) -> Tree:
-    """Take the joints' own forces and rotors away."""
+    """Remove force laws and rotors of joints."""
     joints = (replace(body.joint, law=NO_FORCE, armature=ZERO) for body in tree.bodies)
     return replace(tree, bodies=tuple(replace(b, joint=j) for b, j in zip(tree.bodies, joints, strict=True)))
 

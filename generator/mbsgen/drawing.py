@@ -1,6 +1,6 @@
 """Drawing: Tree, joint coordinates -> a picture of the mechanism in space beside its tree.
 
-Every number comes of a tape: poses of that of `frames`, masses and centres of mass of one made here.
+All numbers are evaluated from tapes: poses from `frames`, masses and centres of mass from `masses`.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ Array = NDArray[np.float64]
 
 FORMATS = ("png", "svg")
 COLORS = tuple(color for color in TABLEAU_COLORS if color != "tab:gray")
-AXES = {Motion.REVOLUTE: "-", Motion.PRISMATIC: "--"}  # how joint axes are drawn
+AXES = {Motion.REVOLUTE: "-", Motion.PRISMATIC: "--"}  # line styles of joint axes
 TURNED = {Motion.REVOLUTE: "about", Motion.PRISMATIC: "along"}
-INK = "0.35"  # of what is no body
+INK = "0.35"  # of everything except bodies
 SHARE = 0.58  # of the picture's width, for the mechanism in space
 _LONGEST = 24  # characters of a name in a picture
 _MASSES = 0.15  # where the column of masses ends, of the width of the tree
@@ -59,7 +59,7 @@ class Scene:
 
 
 def pose(tree: Tree, q: Sequence[float]) -> Scene:
-    """Compute where everything is at the joint coordinates `q` [rad or m] and the default parameters."""
+    """Compute all positions at the joint coordinates `q` [rad or m] and the default parameters."""
     n, s = len(tree.bodies), len(tree.sensors)
     at = {"q": list(q)}
     for port, kind in ((ports.PARAMETERS, Kind.RUNTIME), (ports.DESIGN, Kind.DIFFERENTIATED)):
@@ -97,7 +97,7 @@ def _build_masses(tree: Tree) -> Tape:
 
 
 def describe_joint(tree: Tree, number: int) -> str:
-    """Say what the joint of a body does."""
+    """Return a joint's type in words."""
     joint = tree.bodies[number - 1].joint
     kind = f"{joint.motion.value} {TURNED[joint.motion]} {'xyz'[joint.axis]}"
     for x in tree.couplings:
@@ -203,11 +203,11 @@ def _frame_up(space: Axes3D, points: Array) -> None:
 
 
 def _fit(space: Axes3D) -> None:
-    """Draw what is in space smaller, until the labels of its axes are within the picture."""
+    """Shrink the drawing in space until the labels of its axes are within the picture."""
     figure = space.get_figure()
     assert isinstance(figure, Figure)
     zoom = 1.0
-    for _ in range(4):  # the size of labels stays, so one step is not all
+    for _ in range(4):  # labels keep their size, so one step is not enough
         figure.draw_without_rendering()
         room, drawn = _find_page(figure), space.get_tightbbox()
         middle = space.get_window_extent()
@@ -227,7 +227,7 @@ def _fit(space: Axes3D) -> None:
 
 
 def _find_page(figure: Figure) -> Bbox:
-    """Find the part of the picture, in pixels, that the mechanism and its labels may fill: below the title."""
+    """Return the part of the picture, in pixels, for the mechanism and its labels: below the title."""
     width, height = figure.get_size_inches() * figure.dpi
     return Bbox.from_extents(4, 4, SHARE * width, height - 40)
 
@@ -245,7 +245,7 @@ def _draw_legend(space: Axes3D, tree: Tree) -> None:
 
 
 def _write_names(space: Axes3D, tree: Tree, scene: Scene, points: Array) -> None:
-    """Write the names of joints and frames near to where they are, one label for each place, clear of `points`."""
+    """Write the names of joints and frames near them, one label for each place, clear of `points`."""
     names: dict[tuple[float, ...], list[str]] = {}
     for i, body in enumerate(tree.bodies):
         names.setdefault(tuple(np.round(scene.origins[i], 9)), []).append(_shorten(body.joint.name))
@@ -287,7 +287,7 @@ def _project(space: Axes3D, point: Array) -> tuple[float, float]:
 def _find_room(
     x: float, y: float, width: float, height: float, taken: Sequence[Bbox], page: Bbox
 ) -> tuple[float, float]:
-    """Find a centre near (x, y), for a box on the page that lies on none of those, or on as few as may be."""
+    """Return a centre near (x, y) for a box that overlaps none of the given boxes, or as few as possible."""
     best, fewest = (x, y), len(taken) + 1
     for reach in (0.0, 10.0, 22.0, 36.0, 52.0, 70.0, 90.0, 120.0, 160.0):
         for turn in range(12):
@@ -313,7 +313,7 @@ def _keep(value: float, low: float, high: float) -> float:
 
 
 def _draw_tree(panel: Axes, tree: Tree, masses: Array) -> None:
-    """List the bodies, a line each, moved to the right by their depth; masses stand in a column before them."""
+    """List the bodies, one per line, indented by depth; masses are in a column before them."""
     panel.axis("off")
     listed, depths = list_rows(tree)
     rows = listed[:_MOST]
@@ -343,7 +343,7 @@ def _draw_tree(panel: Axes, tree: Tree, masses: Array) -> None:
 
 
 def _narrow(panel: Axes, lines: Sequence[tuple[Annotation, Annotation]]) -> None:
-    """Write lines that would leave the picture smaller, each by as much as it takes."""
+    """Shrink lines that would leave the picture, each by as much as necessary."""
     end = panel.get_window_extent().x1
     for name, text in lines:
         for _ in range(3):  # widths go in steps
@@ -356,7 +356,7 @@ def _narrow(panel: Axes, lines: Sequence[tuple[Annotation, Annotation]]) -> None
 
 
 def list_rows(tree: Tree) -> tuple[list[int], dict[int, int]]:
-    """Number the bodies from the base outwards, each before those it carries, and count their depths from 1."""
+    """Number the bodies from the base outwards, each before its children, and count their depths from 1."""
     rows: list[int] = []
     depths = {0: 0}
     waiting = list(reversed(tree.children(0)))

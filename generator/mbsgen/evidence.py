@@ -1,8 +1,8 @@
-"""Evidence for a scene: what each thing left out saves, and that what is left agrees with the whole model.
+"""Evidence for a scene: the flops that each reduction saves, and the agreement of the rest with the whole model.
 
-The reduced functions are compared with those of the whole model at random states, in which locked joints stand where
-they are locked; gravity and wrenches that a scene leaves out count in neither. Accelerations are put into the whole
-model's residual, whose rows of moving joints must vanish then: the others hold what locks the joints.
+The reduced functions are compared with the whole model's at random states, in which locked joints have their locked
+coordinates. Gravity and wrenches that a scene leaves out are left out of both. Accelerations are put into the whole
+model's residual; its rows of moving joints must then vanish, and the other rows hold the forces that lock the joints.
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ from mbsgen.tape.interpreter import FLOATS, evaluate
 from mbsgen.tape.types import Tape
 
 POINTS = 3  # random states
-_OF_ALL_MASS = ("potential", "com")  # they do not count what does not move
+_OF_ALL_MASS = ("potential", "com")  # results that include bodies at rest
 Array = NDArray[np.float64]
 State = dict[str, Array]
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a scene saves, and what it changes."""
+    """The flops that a scene saves, and the deviations that it causes."""
 
-    flops: Mapping[str, Mapping[str, int]]  # of functions, by what has been left out so far
+    flops: Mapping[str, Mapping[str, int]]  # of functions, by the parts left out so far
     deviations: Mapping[str, float]  # of functions from the whole model's, relative to the largest result
-    approximation: Approximation | None = None  # what is left out besides, and what that changes
+    approximation: Approximation | None = None  # the numbers left out besides, and their effect
 
 
 def gather(model: Model, scene: Scene, options: Options, approximation: Approximation | None = None) -> Evidence:
-    """Count what each part of a scene saves, and compare the rest with the whole model.
+    """Count the flops that each part of a scene saves, and compare the rest with the whole model.
 
-    What an approximation leaves out is counted after all else; it brings its own comparison.
+    An approximation is counted last; it brings its own comparison.
     """
     plain = replace(options, derivatives=0, acados=False)
     flops = {title: _count(build_tree(stage(model, part)), plain, part) for title, part in _steps(scene)}
@@ -97,13 +97,13 @@ def _compare(model: Model, scene: Scene, options: Options) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class _Comparison:
-    """The whole model and what a scene leaves of it, with constant parameters."""
+    """The whole model and the model reduced by a scene, with constant parameters."""
 
     whole: Tree
     reduced: Tree
-    at: Array  # the coordinates that locked joints have; others are 0
-    moving: list[int]  # the numbers, from 0, of the whole model's joints that are left
-    free: list[int]  # those of its coordinates: the same, but where there are quaternions
+    at: Array  # the coordinates of locked joints; others are 0
+    moving: list[int]  # indices, from 0, of the whole model's joints that remain
+    free: list[int]  # indices of their coordinates: the same, except with quaternions
     reductions: Reductions
     scene: Scene
 
@@ -142,7 +142,7 @@ class _Comparison:
 
     @property
     def _is_grounded(self) -> bool:
-        """Tell whether a body is locked to the base, which has no mass."""
+        """Return whether a body is locked to the base, which has no mass."""
         left = {body.joint.name for body in self.reduced.bodies}
         return any(body.parent == 0 and body.joint.name not in left for body in self.whole.bodies)
 
@@ -161,7 +161,7 @@ class _Comparison:
         return state
 
     def _reduce(self, state: State) -> State:
-        """Take from a state of the whole model what the reduced one has of it."""
+        """Return the state of the reduced model that belongs to a state of the whole model."""
         driven = [k for k, joint in enumerate(self.whole.joints) if joint.actuated]
         kept = [x.name for x in self.reduced.wrenches]
         left = [x.name in kept for x in self.whole.wrenches for v in (x.force, x.moment) if v is None for _ in "xyz"]
@@ -173,7 +173,7 @@ class _Comparison:
         }
 
     def _pick(self, function: str, result: str, values: Array) -> Array:
-        """Take from a result of the whole model the rows and columns that are left."""
+        """Select the remaining rows and columns of a result of the whole model."""
         sensors = [k for k, x in enumerate(self.whole.sensors) if x.name in {s.name for s in self.reduced.sensors}]
         match function, result:
             case ("impl" | "semi_res" | "semi", "Phi" | "c"):
@@ -213,7 +213,7 @@ def _differ(found: Array, expected: Array) -> float:
 
 
 def describe(evidence: Evidence, names: Sequence[str]) -> list[tuple[str, ...]]:
-    """Lay evidence out in rows: a title, then a cell for each function."""
+    """Arrange evidence in rows: a title, then a cell for each function."""
     rows = [(title, *(str(flops.get(name, "")) for name in names)) for title, flops in evidence.flops.items()]
     if evidence.deviations:
         rows.append(_tell("differs from the whole by", evidence.deviations, names))
@@ -227,7 +227,7 @@ def _tell(title: str, found: Mapping[str, float], names: Sequence[str]) -> tuple
 
 
 def describe_cuts(evidence: Evidence) -> list[tuple[str, ...]]:
-    """Lay out what an approximation leaves out: its name, its value, what it errs by alone, what it saves."""
+    """Arrange the cuts of an approximation in rows: name, value, error of this cut alone, saved flops."""
     if evidence.approximation is None:
         return []
     return [(x.cut.name, x.cut.value, f"{x.error:.1e}", str(x.flops)) for x in evidence.approximation.taken]

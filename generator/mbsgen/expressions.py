@@ -1,9 +1,9 @@
 """Expressions in untrusted files, such as `2*l1 + sin(pi/4)`: text -> `Expression` -> a number of any type.
 
-`90 deg` is 90*(pi/180): the word multiplies what stands before it, from the last + or - on.
+`90 deg` is 90*(pi/180): the word multiplies the term before it, back to the last + or -.
 
-Python's parser gives the grammar, a white list what is let through, and nothing of the text is ever run. What comes out
-is a small tree of our own. Length, nesting, size and powers are bounded.
+Python's parser gives the grammar, a white list decides which nodes are accepted, and the text is never run. The result
+is a small tree of our own types. Length, nesting, size and powers are bounded.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ MAX_DEGREE = 64  # of the whole: powers of powers, and products, in the same nam
 MAX_DIGITS = 64  # characters of one number
 
 _UNARY = ("sin", "cos", "tan", "asin", "acos", "atan", "sqrt", "exp", "log", "tanh", "abs")
-FUNCTIONS: Mapping[str, int] = MappingProxyType({**dict.fromkeys(_UNARY, 1), "atan2": 2})  # with numbers of arguments
+FUNCTIONS: Mapping[str, int] = MappingProxyType({**dict.fromkeys(_UNARY, 1), "atan2": 2})  # number of arguments
 CONSTANTS = ("pi",)
 
 
 class ExpressionError(MbsError):
-    """An expression that cannot be read, or has no value: what was found, and what to do about it."""
+    """An expression that cannot be read, or has no value: the finding and the remedy."""
 
     def __init__(self, finding: str, remedy: str) -> None:
         self.finding = finding
@@ -51,14 +51,14 @@ class Number:
 
 @dataclass(frozen=True)
 class Constant:
-    """A number that has a name in mathematics: pi."""
+    """A number with a name in mathematics: pi."""
 
     name: str
 
 
 @dataclass(frozen=True)
 class Name:
-    """A name that whoever evaluates gives a value."""
+    """A name whose value is given at evaluation."""
 
     name: str
 
@@ -102,7 +102,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Algebra(Generic[T]):
-    """What evaluation needs to know of a number type.
+    """The operations of a number type that evaluation needs.
 
     Its functions raise ArithmeticError or ValueError where they are not defined, or overflow.
     """
@@ -136,13 +136,13 @@ def parse(text: str) -> Expression:
 
 
 def is_free_name(text: str) -> bool:
-    """Tell whether expressions can use a text as the name of a number, and have no meaning of their own for it."""
+    """Return whether expressions can use a text as the name of a number, because it has no other meaning."""
     is_word = re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", text) is not None
     return is_word and text not in (*FUNCTIONS, *CONSTANTS) and not keyword.iskeyword(text)
 
 
 def names(expression: Expression) -> frozenset[str]:
-    """Collect the names that an expression needs values of."""
+    """Collect the names in an expression."""
     if isinstance(expression, Name):
         return frozenset((expression.name,))
     return frozenset().union(*map(names, _operands(expression)))
@@ -216,14 +216,14 @@ def _operands(expression: Expression) -> tuple[Expression, ...]:
 
 _NUMBER = re.compile(r"(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
 _TOKEN = re.compile(rf"(?P<number>{_NUMBER.pattern})|(?P<name>[^\W\d]\w*)|\*\*|[-+*/(),]|[ \t\n]+", re.ASCII)
-_DEGREES = re.compile(r"(?<=[\w.)])[ \t\n]+deg(?!\w)(?![ \t\n]*\()", re.ASCII)  # what stands before is in degrees
+_DEGREES = re.compile(r"(?<=[\w.)])[ \t\n]+deg(?!\w)(?![ \t\n]*\()", re.ASCII)  # the term before it is in degrees
 _OPERATORS: Mapping[type[ast.operator], Literal["+", "-", "*", "/"]] = MappingProxyType(
     {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
 )
 
 
 def _check_tokens(text: str) -> None:
-    """Let only the words of the language reach Python's parser."""
+    """Check that a text contains only words of the language, before Python's parser sees it."""
     position, previous = 0, ""
     while position < len(text):
         token = _TOKEN.match(text, position)
@@ -307,7 +307,7 @@ def _quote(text: str) -> str:
 
 
 def _write(expression: Expression, binding: int) -> str:
-    """Write with brackets where what stands around binds more strongly: + - 1, * / 2, minus sign 3, ** 4, else 5."""
+    """Write with brackets where the context binds more strongly: + - 1, * / 2, minus sign 3, ** 4, else 5."""
     match expression:
         case Number(value):
             text = str(int(value)) if value.is_integer() and abs(value) < 1e16 else repr(value)
@@ -331,7 +331,7 @@ def _write(expression: Expression, binding: int) -> str:
 
 
 def _finite(function: Callable[..., float]) -> Callable[..., float]:
-    """Let a function raise where it overflows, as it does where it is undefined."""
+    """Make a function raise where it overflows, as it does where it is undefined."""
 
     def compute(*operands: float) -> float:
         result = function(*operands)

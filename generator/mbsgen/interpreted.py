@@ -1,6 +1,6 @@
 """A formulation of a model file in double precision, without a compiler: for mechanisms too large for straight C.
 
-The equations are those of the generated kernels, but for common factors, which take long to find in large ones.
+The equations are the same as in generated kernels, except for common factors, which take long to find in large ones.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Interpreted:
     """`impl` or `exp2` of a model file, with its gravity or without."""
 
     def __init__(self, model: Path, name: str, *, gravity: bool = True) -> None:
-        """Write the equations. Raises InputError with every fault of the model."""
+        """Write the equations. Raises InputError with every fault in the model."""
         tree = build_tree(read_model(model))
         self._tape = _BUILDS[name](tree if gravity else replace(tree, gravity=_NOWHERE), ONE_PLAN)
 

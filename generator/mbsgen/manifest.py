@@ -1,7 +1,7 @@
-"""The manifest: all that the solving side may know of generated code. Written by mbsgen, read by mbsrun.
+"""The manifest: everything that the solving side knows of generated code. Written by mbsgen, read by mbsrun.
 
-`manifest.json` lies beside the C files. It names every kernel with the shapes and nonzero patterns of its arguments,
-and carries what a picture and an initial guess need: coordinates with their limits, frames and the edges between them.
+`manifest.json` is beside the C files. It names every kernel with the shapes and nonzero patterns of its arguments. It
+also holds the data for pictures and initial guesses: coordinates with their limits, frames and the edges between them.
 The user's names appear here only; in C they are mangled.
 """
 
@@ -54,7 +54,7 @@ class Argument(_Entry):
 
 
 class Flops(_Entry):
-    """Operations of one evaluation, by kind, with the two totals that are always reported."""
+    """Operations of one evaluation, by kind, with the two totals of every report."""
 
     paper: int  # + - * /, unary minus, sqrt, sin and cos: one each
     arithmetic: int  # + - * /
@@ -69,7 +69,7 @@ class Flops(_Entry):
 
 
 class Kernel(_Entry):
-    """One C function, in its two faces."""
+    """One C function, with its two signatures."""
 
     name: str  # "impl", "jac_impl", "adj1_impl", "jac_adj1_impl", "sensors", "frames", "setup"
     base: str  # the function that it is, or is a derivative of: "impl"
@@ -93,7 +93,7 @@ class Kernel(_Entry):
 
 
 class Coordinate(_Entry):
-    """One joint: an entry of qd and qdd, and of q where `configuration` does not tell otherwise."""
+    """One joint: an entry of qd and qdd, and of q unless `configuration` lists others."""
 
     name: str
     motion: Literal["revolute", "prismatic"]
@@ -112,7 +112,7 @@ class Parameter(_Entry):
 
 
 class Frame(_Entry):
-    """A frame whose pose the `frames` kernel gives: a joint frame (moving with its body) or a named sensor."""
+    """A frame whose pose the `frames` kernel computes: a joint frame (moving with its body) or a named sensor."""
 
     name: str
     parent: int  # index of the frame that an edge is drawn from; -1: the base
@@ -137,21 +137,21 @@ class Manifest(_Entry):
     model: str  # the user's name
     prefix: str  # its mangled form; every C name starts with it
     model_hash: str  # SHA-256 of the tree and the options it was generated with
-    mechanism: str = ""  # SHA-256 of what the model says, however it is written, and whatever was generated of it
+    mechanism: str = ""  # SHA-256 of the mechanism in the model file, independent of its wording and of the functions
     header: str
     sources: tuple[str, ...]  # C files to compile, in order
     coordinates: tuple[Coordinate, ...]
-    configuration: tuple[str, ...] = ()  # names of the entries of q, where those of qd are others: with quaternions
-    quaternions: tuple[int, ...] = ()  # where in q each begins: four entries, the scalar last
+    configuration: tuple[str, ...] = ()  # names of the entries of q where they differ from qd: with quaternions
+    quaternions: tuple[int, ...] = ()  # the index in q at which each begins: four entries, the scalar last
     parameters: tuple[Parameter, ...]  # run-time parameters, in the order of p
     design: tuple[Parameter, ...] = ()  # differentiated parameters, in the order of theta
     frames: tuple[Frame, ...]
     wrenches: tuple[Wrench, ...] = ()
     kernels: tuple[Kernel, ...]
-    tolerance: float | None = None  # what kernels may differ from the model's by, relative; None: not at all
+    tolerance: float | None = None  # bound on the relative error of the kernels; None: exact
 
     def kernel(self, name: str) -> Kernel:
-        """Look a kernel up by name; KeyError names those there are."""
+        """Return a kernel by name; KeyError lists the kernels."""
         for kernel in self.kernels:
             if kernel.name == name:
                 return kernel
@@ -182,7 +182,7 @@ class Manifest(_Entry):
 
 
 def write(manifest: Manifest) -> str:
-    """Write a manifest as it stands in its file."""
+    """Return the text of a manifest's file."""
     unsaid: dict[str, Any] = {} if manifest.configuration else {"configuration": True, "quaternions": True}
     if not any(c.max_speed or c.max_force for c in manifest.coordinates):
         unsaid["coordinates"] = {"__all__": {"max_speed", "max_force"}}

@@ -1,7 +1,7 @@
-"""Equations of motion in 50 digits, by the textbook's recursion: what generated kernels are measured against.
+"""Equations of motion in 50 digits, by the textbook's recursion: the reference for generated kernels.
 
-The recursion is written without any reduction, and its numbers are the model's, before any of them is folded. So an
-error against it holds all that a kernel loses: by the way it is written, by its coefficients, and by arithmetic.
+The recursion has no reduction, and its numbers are the model's, before any of them is folded. So an error against it
+includes everything that a kernel loses: by its form, by its coefficients, and by arithmetic.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class Oracle:
     """The equations of motion of a model file: Phi(q, qd, qdd) = Q(q, qd, u)."""
 
     def __init__(self, model: Path) -> None:
-        """Read a model file. Raises InputError with every fault of it."""
+        """Read a model file. Raises InputError with every fault in it."""
         tree, builder = build_tree(read_model(model)), Builder()
         state = declare_state(tree.uncoupled, builder)
         chain = write_chain(tree.uncoupled, builder, state)
@@ -35,7 +35,7 @@ class Oracle:
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Name what it takes: q, qd, qdd, u, and those of w, theta and p that the model has."""
+        """Return the names of the inputs: q, qd, qdd, u, and w, theta and p where the model has them."""
         return tuple(i.name for i in self._tape.inputs)
 
     def evaluate(self, arguments: Mapping[str, Sequence[Any]]) -> dict[str, list[Any]]:

@@ -1,4 +1,4 @@
-"""Output on disk: a folder that is there as a whole or not at all, and never in place of what others wrote."""
+"""Output on disk: a folder appears complete or not at all, and never replaces files that others wrote."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mbsgen import manifest
 from mbsgen.errors import Fault, InputError
 
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # of Linux: <fcntl.h>, <linux/fs.h>
-# What mbsgen writes for a model of the prefix {0}, and what compilers and Python make of it in the same place.
+# The files that mbsgen writes for a model with prefix {0}, and files that compilers and Python add to them.
 _OWN = (
     r"{0}(_\w+)?\.(c|h|pc|py)|mbs_\w+\.[ch]|CMakeLists\.txt|manifest\.json|report\.(json|md)|matlab|matlab/{0}_\w+\.m"
     r"|check|\w+\.o|__pycache__|__pycache__/.*"
@@ -22,7 +22,7 @@ _OWN = (
 
 
 def find_differences(files: Mapping[str, str], out: Path) -> tuple[str, ...]:
-    """List the files, by path, that `out` lacks or holds otherwise; what else it holds is left aside."""
+    """List the files, by path, that are missing in `out` or differ there; other files there are ignored."""
     return tuple(
         name
         for name, text in files.items()
@@ -35,7 +35,7 @@ def write_folder(files: Mapping[str, str], out: Path) -> None:
 
     Raises InputError when `out` holds anything that mbsgen did not write, or cannot be written.
     """
-    out = Path(os.path.realpath(out))  # of a link, what it leads to
+    out = Path(os.path.realpath(out))  # a link is followed
     strange = _find_strange(out)
     if strange:
         raise InputError([Fault(str(out), 0, "", strange, "name another folder with -o, or remove this one")])
@@ -61,16 +61,16 @@ def write_file(content: bytes, out: Path) -> None:
 
 
 def _refuse(out: Path, error: OSError) -> InputError:
-    """Tell why a place cannot be written."""
+    """Return the error for a place that cannot be written."""
     finding = f"it cannot be written: {error.strerror}"
     return InputError([Fault(str(out), 0, "", finding, "name a place with -o that can be")])
 
 
 def _replace(fresh: Path, out: Path) -> None:
-    """Put a folder in the place of another; what was there is left beside `fresh`, or in its place.
+    """Put a folder in the place of another; the old folder stays beside `fresh`, or in its place.
 
-    A process that is killed leaves the old folder or the new one, and the hidden one beside them. Where folders cannot
-    be exchanged, one moment is left in which neither is in place: then the old one is in the hidden folder.
+    A process that is killed leaves the old folder or the new one, and the hidden folder beside them. Where folders
+    cannot be exchanged, there is a moment with neither in place: then the old one is in the hidden folder.
     """
     if not out.exists():
         fresh.rename(out)
@@ -80,7 +80,7 @@ def _replace(fresh: Path, out: Path) -> None:
 
 
 def _exchange(one: Path, other: Path) -> bool:
-    """Exchange two folders in one step; tell whether it was done. Only Linux can, on most file systems."""
+    """Exchange two folders in one step; return whether this succeeded. Only Linux can, on most file systems."""
     try:
         renameat2 = ctypes.CDLL(None).renameat2
     except AttributeError:
@@ -90,7 +90,7 @@ def _exchange(one: Path, other: Path) -> bool:
 
 
 def _find_strange(out: Path) -> str:
-    """Tell why what is at `out` is not to be replaced; empty if it may be, or if there is nothing."""
+    """Return the reason why a path must not be replaced; empty if it may be, or does not exist."""
     if Path.cwd().is_relative_to(out):
         return "it is the folder you are in, and would be replaced by another of its name"
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):

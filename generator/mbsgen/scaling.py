@@ -1,4 +1,4 @@
-"""How cost grows with size: flops and equations of the formulations for uniform serial chains (the paper's Table 1)."""
+"""Cost by size: flops and equations of the formulations for uniform serial chains (the paper's Table 1)."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Body, Joint, Matrix, Motion, Tree
 from mbsgen.tape.counts import Counts, count
 
-PERIOD = 3  # axes repeat: what a body adds is the same three bodies later
+PERIOD = 3  # axes repeat: each body adds as much as the body three places before it
 LARGEST: Mapping[str, int] = {"IMPL": 100, "SEMI": 50, "EXP1": 50, "EXP2": 100}
-ONE_PLAN = Reductions(trials=1)  # of the sensible beginnings, the best: the same for all sizes
+ONE_PLAN = Reductions(trials=1)  # the best of the standard plans: the same for all sizes
 
 _ZERO, _ONE = Integer(0), Integer(1)
 _UNIT: Matrix = ((_ONE, _ZERO, _ZERO), (_ZERO, _ONE, _ZERO), (_ZERO, _ZERO, _ONE))
@@ -49,7 +49,7 @@ class Growth:
     counts: Mapping[int, Counts]
 
     def degree(self, figure: str) -> int | None:
-        """Find the degree of the polynomial that "flops" or "equations" follow, by constant differences; None: none."""
+        """Return the degree of the polynomial of "flops" or "equations", by constant differences; None: it is none."""
         values = [self._figure(n, figure) for n in sorted(self.counts)]
         for degree in range(len(values) - 2):
             rest = differences(values, degree)[-3:]
@@ -82,7 +82,7 @@ def grow(formulation: str, sizes: Iterable[int]) -> Growth:
 
 
 def find_crossing(slower: Mapping[int, Counts], faster: Mapping[int, Counts]) -> int | None:
-    """Find the smallest size from which on `faster` takes fewer flops, among the sizes counted for both."""
+    """Return the smallest size from which on `faster` takes fewer flops, among the sizes counted for both."""
     both = sorted(set(slower) & set(faster))
     first = None
     for n in reversed(both):

@@ -1,8 +1,8 @@
-"""The choice of cuts: as many flops as can be saved while every function keeps the tolerance.
+"""The choice of cuts: the most flops saved while every function keeps the tolerance.
 
-Each cut is measured alone. Those that keep the tolerance are taken in the order of what they err by for each flop that
-they save, as long as all together keep it; then what saves nothing is put back. So that other states keep it too, the
-choice leaves a margin, which is wider where states drawn anew find it too narrow.
+Each cut is measured alone. Cuts that keep the tolerance are taken in the order of error per saved flop, as long as all
+together keep it. Then cuts that save nothing are put back. The choice leaves a margin, so that other states keep the
+tolerance too; the margin is widened if states drawn anew do not.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from mbsgen.model.tree import Kind, Tree
 from mbsgen.tape.counts import count
 from mbsgen.tape.types import Tape
 
-CHOOSING, CHECKING = 64, 1024  # states at which cuts are chosen, and then all together measured
-SEEDS = 1, 2  # of the one and the other
-POSES = 8  # of the first, at which M is looked at; of the second, all
-MARGIN = 0.8  # of the tolerance: the share that is used at the states of the choice
-NARROWER = 5  # times that the share is made smaller
+CHOOSING, CHECKING = 64, 1024  # states at which cuts are chosen, and states at which all are measured together
+SEEDS = 1, 2  # of the two sets of states
+POSES = 8  # of the first set, at which M is checked; of the second set, all are
+MARGIN = 0.8  # fraction of the tolerance that the choice may use
+NARROWER = 5  # times that the fraction is reduced
 AHEAD = 16  # sets that are measured at a time
 
 Chosen = NDArray[np.bool_]  # of each cut
@@ -37,25 +37,25 @@ class Taken:
     """A cut that was made."""
 
     cut: Cut
-    error: float  # of this alone
-    flops: int  # that all functions would take more with it put back, by the estimate that the choice uses
+    error: float  # of this cut alone
+    flops: int  # that all functions would take more with the cut put back, by the estimate of the choice
 
 
 @dataclass(frozen=True)
 class Approximation:
-    """A tree with less in it."""
+    """A tree with some numbers set to 0."""
 
     tolerance: float
     tree: Tree
     taken: tuple[Taken, ...]
     errors: Mapping[str, float]  # of the functions as they are generated, at states that were not used for the choice
-    states: int = CHECKING  # so many
+    states: int = CHECKING  # number of these states
 
 
 def approximate(tree: Tree, tolerance: float, options: Options, scene: Scene) -> Approximation:
-    """Leave out of a tree what the functions wanted feel by no more than a tolerance: a relative error, above 0.
+    """Remove numbers from a tree that change the requested functions by at most a tolerance: a relative error, above 0.
 
-    Where nothing can be left out, or nothing is saved by it, the tree stays as it is.
+    The tree stays as it is where nothing can be removed, or removing saves nothing.
     """
     names = list_functions(tree, options, scene)
     released = release(tree)
@@ -75,17 +75,17 @@ def approximate(tree: Tree, tolerance: float, options: Options, scene: Scene) ->
         reduced = released.reduce({cut.name for cut, is_taken in zip(released.cuts, chosen, strict=True) if is_taken})
         error = float(checking.judge(chosen[None])[0])
         tapes = _write(reduced, options, scene, names) if error <= tolerance else {}
-        errors = checking.tell(tapes)
+        errors = checking.measure(tapes)
         if tapes and max(errors.values(), default=0.0) <= tolerance:
             if _total(tapes) < _total(whole):
                 return Approximation(tolerance, reduced, choice.describe(chosen), errors)
             break
         share *= MARGIN * min(1.0, tolerance / error)
-    return Approximation(tolerance, tree, (), checking.tell(whole))
+    return Approximation(tolerance, tree, (), checking.measure(whole))
 
 
 def _write(tree: Tree, options: Options, scene: Scene, names: tuple[str, ...]) -> dict[str, Tape]:
-    """Write functions as they are generated, but for parameters, which have their values."""
+    """Write functions as they are generated, except that parameters have their values."""
     fixed = replace(tree, parameters=tuple(replace(p, kind=Kind.CONSTANT) for p in tree.parameters))
     plain = replace(options, derivatives=0, acados=False, functions=names)
     families = write_families(fixed, plain, None, replace(scene, together=()))
@@ -102,7 +102,7 @@ class _Choice:
         self._alone = comparison.judge(np.eye(len(released.cuts), dtype=bool))
 
     def choose(self, tolerance: float) -> Chosen:
-        """Choose cuts that together err by no more than a tolerance."""
+        """Choose cuts whose error together is at most a tolerance."""
         possible = self._alone <= tolerance
         saved = self._count_put_back(possible)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -111,7 +111,7 @@ class _Choice:
         return self._put_back(self._fill(order, tolerance))
 
     def _fill(self, order: list[int], tolerance: float) -> Chosen:
-        """Take cuts in order, but for those that would break the tolerance."""
+        """Take cuts in order, except cuts that would break the tolerance."""
         chosen = np.zeros(len(self._alone), bool)
         while order:
             ahead = order[:AHEAD]
@@ -123,7 +123,7 @@ class _Choice:
         return chosen
 
     def _put_back(self, chosen: Chosen) -> Chosen:
-        """Put back what saves nothing, what errs most first."""
+        """Put back cuts that save nothing, the largest error first."""
         while True:
             more = self._count_put_back(chosen)
             unused = [k for k in range(len(chosen)) if chosen[k] and more[k] == 0]
@@ -132,7 +132,7 @@ class _Choice:
             chosen = _without(chosen, max(unused, key=lambda k: (self._alone[k], k)))
 
     def _count_put_back(self, chosen: Chosen) -> NDArray[np.int64]:
-        """Count what all functions take more with each of the chosen cuts put back; 0 for others."""
+        """Count the flops that all functions take more with each of the chosen cuts put back; 0 for others."""
         members = [int(k) for k in np.flatnonzero(chosen)]
         counts = self._functions.count(np.array([chosen, *(_without(chosen, k) for k in members)]))
         more = np.zeros(len(chosen), np.int64)
@@ -140,7 +140,7 @@ class _Choice:
         return more
 
     def describe(self, chosen: Chosen) -> tuple[Taken, ...]:
-        """Describe what was chosen, in the order of the tree."""
+        """Return the chosen cuts, in the order of the tree."""
         more = self._count_put_back(chosen)
         return tuple(
             Taken(cut, float(self._alone[k]), int(more[k])) for k, cut in enumerate(self._released.cuts) if chosen[k]

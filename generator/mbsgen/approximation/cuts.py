@@ -1,8 +1,8 @@
-"""Cuts: what may be left out of a tree, as numbers that become 0.
+"""Cuts: parts of a tree that may be left out, as numbers that become 0.
 
-A tree is released: its inertia is gathered where it is felt (`moments`), and whatever number of it may go becomes a
-run-time parameter of its own, so that one tape tells what any of them does. Numbers that depend on parameters which
-change are not among them.
+A tree is released: its inertia is gathered where it is felt (`moments`), and each number that may be left out becomes a
+run-time parameter. So one tape computes the effect of any cut. Numbers that depend on run-time parameters are not
+released.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from mbsgen.model.symbols import exact, to_double
 from mbsgen.model.tree import COORDINATE, RATE, ZERO, Body, Joint, Kind, Parameter, RigidPart, Tree, Vector
 
 AXES = "xyz"
-Take = Callable[[str, Expr], Expr]  # of a number's name and the number, what stands in its place
+Take = Callable[[str, Expr], Expr]  # (name, number) -> the number in its place
 
 
 @dataclass(frozen=True)
 class Cut:
-    """Something that may be left out: a number that becomes 0."""
+    """A part that may be left out: a number that becomes 0."""
 
     name: str  # such as `hand.inertia.xy` or `wrist.damping`: a parameter of the released tree
-    value: str  # what it is in the model, for readers
+    value: str  # its value in the model, for readers
 
 
 @dataclass(frozen=True)
 class Released:
-    """A tree of which every number that may go is a parameter at run time."""
+    """A tree in which every number that may be left out is a parameter at run time."""
 
     whole: Tree
     tree: Tree
@@ -39,7 +39,7 @@ class Released:
     cuts: tuple[Cut, ...]  # a cut for each
 
     def reduce(self, cuts: Collection[str]) -> Tree:
-        """Take numbers out of the whole tree."""
+        """Return the whole tree with some numbers removed."""
 
         def take_terms(terms: Mapping[str, Expr]) -> Expr:
             return Add(*(term for name, term in terms.items() if name not in cuts))
@@ -48,7 +48,7 @@ class Released:
 
 
 def release(tree: Tree) -> Released:
-    """Make a parameter of each number that may go: of inertias, places of joints, rotors, terms of joints' forces."""
+    """Make a parameter of each removable number: of inertias, joint positions, rotors and terms of joint forces."""
     numbers: dict[str, float] = {}
     cuts: list[Cut] = []
 
@@ -78,7 +78,7 @@ def release(tree: Tree) -> Released:
 
 
 def _rewrite(tree: Tree, take: Take, take_terms: Callable[[Mapping[str, Expr]], Expr]) -> Tree:
-    """Put other numbers in the place of a tree's, with its inertia gathered."""
+    """Replace the numbers of a tree, with its inertia gathered."""
     constants: dict[Expr, Expr] = {p.symbol: exact(p.value) for p in tree.parameters if p.kind is Kind.CONSTANT}
 
     def take_vector(name: str, vector: Vector) -> Vector:
@@ -105,7 +105,7 @@ def _rewrite(tree: Tree, take: Take, take_terms: Callable[[Mapping[str, Expr]], 
 
 
 def _name_terms(joint: str, law: Expr) -> dict[str, Expr]:
-    """Give the terms of a joint's own force names: those of springs, dampers and friction, where they are such."""
+    """Name the terms of a joint's force law: springs, dampers and friction, where a term is one of these."""
     terms: dict[str, Expr] = {}
     for term in Add.make_args(law):
         if term != 0:

@@ -1,9 +1,9 @@
-"""Effects: what functions of a tree err by, and what they save, while some of its numbers are 0.
+"""Effects: the errors of a tree's functions, and the flops they save, while some numbers of the tree are 0.
 
-An entry of a result errs by its largest difference from the whole tree's at the states compared, by the largest value
-that it has there itself. Entries of one vector share that value, as those of a place do; M_ij is compared with the
-largest of sqrt(M_ii M_jj). The error of a function is that of its worst entry. Accelerations are compared for the
-forces that give the whole tree the accelerations drawn, as far as its joints are driven.
+The error of an entry is its largest difference from the whole tree's at the compared states, divided by its own largest
+value there. The entries of a vector, such as a position, share that value; M_ij is divided by the largest sqrt(M_ii
+M_jj). The error of a function is the error of its worst entry. Accelerations are compared for the forces that give the
+whole tree the drawn accelerations, as far as its joints are driven.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from mbsgen.tape.types import Output, Tape
 from mbsgen.tape.zeros import Sets, count_without
 
 ALIKE: Mapping[str, str] = {"semi_res": "impl", "exp1": "exp2"}  # the same function, written twice
-UNJUDGED = ("condition",)  # it tells of digits, and is no result of mechanics
-LEAST_INERTIA = 0.5  # of the kinetic energy of any motion, what must be left at least
-ROUNDING = 1e-13  # of a result's largest entry: differences that mean nothing
-VALUES, MARKS = 2**24, 2**27  # numbers, and truths, that are held at a time
+UNJUDGED = ("condition",)  # it estimates digits, and is no result of mechanics
+LEAST_INERTIA = 0.5  # fraction of the kinetic energy of any motion that must remain
+ROUNDING = 1e-13  # relative to a result's largest entry: smaller differences are ignored
+VALUES, MARKS = 2**24, 2**27  # numbers, and truth values, that are held at a time
 
 Results = dict[str, Array]  # (sets, states, rows, columns)
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is to be compared: functions, of some of them only some results."""
+    """The functions to compare, and for some of them the results to compare."""
 
     functions: tuple[str, ...]
     results: Mapping[str, Sequence[str]]
@@ -61,7 +61,7 @@ class ReleasedFunctions:
 
     @property
     def judged(self) -> tuple[str, ...]:
-        """Name the functions whose errors count, each of those that are alike once."""
+        """Return the functions whose errors count; of two forms of one function, one."""
         told = [name for name, tape in self.tapes.items() if name not in UNJUDGED and tape.outputs]
         return tuple(dict.fromkeys(ALIKE[name] if ALIKE.get(name) in told else name for name in told))
 
@@ -136,7 +136,7 @@ class Comparison:
         return self._functions.evaluate(tape or self._functions.tapes[name], states, sets)
 
     def judge(self, sets: Sets) -> Array:
-        """Tell the largest error of all functions without each set of numbers; infinite where M is not kept: (k,)."""
+        """Return the largest error of all functions without each set of numbers; infinite where M is not kept: (k,)."""
         size = max((len(self._functions.tapes[name].operations) for name in self._whole), default=1)
         step = max(1, VALUES // (size * len(self._still["q"]) + 1))
         parts = [sets[k : k + step] for k in range(0, len(sets), step)]
@@ -148,8 +148,8 @@ class Comparison:
             worst = np.maximum(worst, self._differ(name, self._evaluate(name, sets)))
         return worst
 
-    def tell(self, tapes: Mapping[str, Tape]) -> dict[str, float]:
-        """Tell the error of each function as it was generated, by a tape that has no numbers to leave out."""
+    def measure(self, tapes: Mapping[str, Tape]) -> dict[str, float]:
+        """Return the error of each function as it is generated, from tapes without released numbers."""
         known = {name: self._find_alike(name) for name, tape in tapes.items() if name not in UNJUDGED and tape.outputs}
         return {
             name: float(self._differ(whole, self._evaluate(whole, self._none, tapes[name]))[0])
@@ -172,7 +172,7 @@ class Comparison:
         return worst
 
     def keeps_inertia(self, sets: Sets) -> NDArray[np.bool_]:
-        """Tell whether M without each set of numbers has enough of that of the whole, in every direction: (k,)."""
+        """Return whether M without each set of numbers keeps enough of the whole M, in every direction: (k,)."""
         reduced = self._functions.evaluate(self._inertia, self._poses, sets)["M"]
         left = reduced - LEAST_INERTIA * self._whole_inertia
         kept: NDArray[np.bool_] = np.array([bool(np.isfinite(x).all()) for x in left])
@@ -191,7 +191,7 @@ class Comparison:
 
 
 def _share(result: str, largest: Array) -> Array:
-    """Give the entries of a result, from the largest value of each, the value that their errors are divided by."""
+    """Return the value that errors of each entry of a result are divided by, from the largest value of each entry."""
     match result:
         case "M":
             diagonal = np.sqrt(np.diag(largest))

@@ -1,9 +1,10 @@
-"""Moments: the inertia of a tree's bodies in as few numbers as the joints can tell apart.
+"""Moments: the inertia of a tree's bodies in the fewest numbers, the base inertial parameters.
 
-A body's inertia is its mass m, its first moment S and its tensor J about its own origin, its joint. A joint does not
-feel all of it: of a body that turns about e, mass on the axis, and a line of mass along it, might as well be fixed to
-what carries the body; of one that slides, J might. That is done here, body by body from the leaves: what is left are
-the base inertial parameters (Khalil, Bennis, 1991), each of which shows in the motion. Nothing is moved to the base.
+A body's inertia is its mass m, first moment S and tensor J about its own origin, its joint. A joint does not feel all
+of it. For a revolute joint along e, mass on the axis and a line of mass along it could as well be fixed to the parent;
+for a prismatic joint, J could. These parts are moved to the parent, body by body from the leaves. The rest are the base
+inertial parameters (Khalil, Bennis, 1991; Gautier, Khalil, 1990), each of which changes the motion. Nothing is moved to
+the base.
 """
 
 from __future__ import annotations
@@ -39,11 +40,11 @@ class Moments:
 
     @property
     def is_known(self) -> bool:
-        """Tell whether all of it are numbers."""
+        """Return whether all entries are numbers."""
         return all(x.is_number for x in (self.m, *self.S, *(x for row in self.J for x in row)))
 
     def place(self, d: Vector, R: Matrix) -> Moments:
-        """Refer them to a frame in which this one stands at d, with the axes R (columns): Steiner."""
+        """Refer them to a frame in which this frame has the origin d and the axes R (columns), by Steiner's theorem."""
         S = _vector([_add(*(_times(R[i][k], self.S[k]) for k in range(3))) for i in range(3)])
         pairs = [(k, l) for k in range(3) for l in range(3)]
         twice = (2 * _times(a, b) for a, b in zip(d, S, strict=True))
@@ -63,7 +64,7 @@ class Moments:
         return Moments(self.m, first, symmetric(upper))
 
     def write(self, name: str) -> tuple[RigidPart, ...]:
-        """Write them as masses; a first moment is that of two opposite ones."""
+        """Write them as rigid parts; a first moment becomes a pair of opposite masses."""
         parts = (RigidPart(name, self.m, NONE, self.J),)
         if all(x == 0 for x in self.S):
             return parts
@@ -73,7 +74,9 @@ class Moments:
 
 
 def gather_moments(tree: Tree, constants: Mapping[Expr, Expr]) -> tuple[list[tuple[RigidPart, ...]], list[Moments]]:
-    """Give what each body has of its own that depends on parameters, as it is, and the rest, where it is felt."""
+    """Return, for each body, its parts that depend on parameters, unchanged, and the moments of the rest, where they
+    are felt.
+    """
     kept: list[tuple[RigidPart, ...]] = []
     moments: list[Moments] = []
     for body in tree.bodies:
@@ -95,13 +98,13 @@ def gather_moments(tree: Tree, constants: Mapping[Expr, Expr]) -> tuple[list[tup
 
 
 def replace_inertia(body: Body, kept: tuple[RigidPart, ...], moments: Moments) -> Body:
-    """Give a body other masses: those that are kept, and those of moments."""
+    """Replace a body's masses by the given parts and moments."""
     own, *parts = (*moments.write(body.name), *kept)
     return replace(body, mass=own.mass, com=own.com, inertia=own.inertia, parts=tuple(parts))
 
 
 def _find_unfelt(body: Body, own: Moments) -> Moments:
-    """Find what might as well be fixed to what carries a body."""
+    """Return the moments that could as well be fixed to a body's parent."""
     if body.joint.motion is Motion.PRISMATIC:
         return Moments(J=own.J)
     e = body.joint.axis
@@ -148,5 +151,5 @@ def _matrix(rows: list[list[Expr]]) -> Matrix:
 
 
 def symmetric(upper: Mapping[tuple[int, int], Expr]) -> Matrix:
-    """Make a matrix of its upper triangle."""
+    """Return the symmetric matrix of an upper triangle."""
     return _matrix([[upper[min(i, j), max(i, j)] for j in range(3)] for i in range(3)])

@@ -1,4 +1,4 @@
-"""States at which functions are compared: within the joints' bounds, drawn by numbers that any machine draws alike."""
+"""States at which functions are compared: within the joints' limits, the same on any machine."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from mbsgen.model.tree import Joint, Motion, Tree
 
-SPEED, ACCELERATION, WRENCH = 3.0, 10.0, 10.0  # of what has no bounds: rad/s or m/s, rad/s2 or m/s2, N or N m
-TURN, SLIDE = 2 * math.pi, 2.0  # how far coordinates without limits reach, rad and m
+SPEED, ACCELERATION, WRENCH = 3.0, 10.0, 10.0  # of unbounded quantities: rad/s or m/s, rad/s2 or m/s2, N or N m
+TURN, SLIDE = 2 * math.pi, 2.0  # the range of coordinates without limits, rad and m
 
 Array = NDArray[np.float64]
 States = Mapping[str, Array]  # (count, size) for each of q, qd, qdd, w
@@ -21,8 +21,8 @@ States = Mapping[str, Array]  # (count, size) for each of q, qd, qdd, w
 def draw(tree: Tree, count: int, seed: int, *, motion: bool = True) -> dict[str, Array]:
     """Draw states of a tree; without motion, its velocities are 0.
 
-    Coordinates lie within their limits. Of velocities and accelerations, every second state has each at one end of its
-    range, where what is quadratic in them is largest.
+    Coordinates lie within their limits. In every second state each velocity and acceleration is at one end of its
+    range, where quadratic terms are largest.
     """
     source = random.Random(seed)
     drawn = [dict(_draw(tree, source, at_ends=k % 2 == 1, motion=motion)) for k in range(count)]
@@ -54,7 +54,7 @@ def _draw_coordinates(tree: Tree, source: random.Random) -> Iterator[float]:
 
 
 def _find_range(joint: Joint) -> tuple[float, float]:
-    """Give a joint's limits; where there is none, as much as lets the whole be a turn, or two metres."""
+    """Return a joint's range; without limits, one turn, or two metres."""
     width = TURN if joint.motion is Motion.REVOLUTE else SLIDE
     if joint.lower is not None:
         return joint.lower, joint.lower + width if joint.upper is None else joint.upper

@@ -1,4 +1,4 @@
-"""The derivative tapes that go with a kernel: `jac_`, `adj1_` and `jac_adj1_`, as few flops as the ways here yield."""
+"""The derivative tapes of a function: `jac_`, `adj1_` and `jac_adj1_`, in the way with the fewest flops."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mbsgen.tape.types import Output, Tape
 
 
 class Derivatives:
-    """The derivatives of one tape f by chosen inputs; each is written when it is asked for."""
+    """The derivatives of one tape f by chosen inputs; each is written on first use."""
 
     def __init__(self, tape: Tape, wrt: Sequence[str]) -> None:
         self.tape, self.wrt = tape, tuple(wrt)
@@ -30,12 +30,12 @@ class Derivatives:
 
     @cached_property
     def lin(self) -> Tape:
-        """`lin_f`: the outputs of f, and those of jac_f."""
+        """`lin_f`: the outputs of f and of jac_f."""
         return linearise(self.tape, self.jac)
 
     @cached_property
     def loops(self) -> Mapping[str, Columns]:
-        """By name, those that are written with a loop as well, as shorter code."""
+        """Return, by name, the derivatives that are also written with a loop, as shorter code."""
         return {}
 
     @cached_property
@@ -50,7 +50,7 @@ class Derivatives:
 
 
 def differentiable(tape: Tape) -> list[str]:
-    """List what a tape is differentiated by: all inputs but parameters."""
+    """Return the inputs by which a tape is differentiated: all except parameters."""
     return [i.name for i in tape.inputs if i.port.role.is_differentiated]
 
 
@@ -60,12 +60,12 @@ def differentiate(tape: Tape, wrt: Sequence[str]) -> Derivatives:
 
 
 def linearise(tape: Tape, jac: Tape) -> Tape:
-    """Write `lin_<name>`: a function and its Jacobians at one state; what both need is computed once."""
+    """Write `lin_<name>`: a function and its Jacobians at one state; shared operations are computed once."""
     return merge((tape, jac), tape.function.to(Order.LINEARISATION))
 
 
 def jacobian(tape: Tape, wrt: Sequence[str]) -> Tape:
-    """Write `jac_<name>`, by the direction that takes fewer flops."""
+    """Write `jac_<name>`, forward or in reverse, whichever takes fewer flops."""
     found = min(
         (forward.jacobian(tape, wrt), reverse.jacobian(tape, wrt)),
         key=lambda candidate: count(candidate).paper,
@@ -135,6 +135,6 @@ class _Hessian:
         self._builder.output_nonzeros(port, self._sizes[row], self._sizes[col], entries)
 
     def _entry(self, row: str, r: int, col: str, c: int) -> Scalar | None:
-        """Take an entry of the lower triangle, unless its mirror image shows that it is zero."""
+        """Return an entry of the lower triangle, unless its mirror image shows that it is zero."""
         own, mirror = self._rows[row][r].get((col, c)), self._rows[col][c].get((row, r))
         return own if mirror is not None else None

@@ -1,7 +1,8 @@
 """Derivatives of the residual by mechanics: Tree -> Tapes of `jac_impl`, `lin_impl` and `jac_adj1_impl`.
 
-What the recursions leave out, the forces of joints, their rotors and external wrenches, is a residual too: that of the
-same tree without mass. It is differentiated as a tape, and added.
+Phi is the sum of the inertial residual, which `parsimony.sensitivities` and `parsimony.curvatures` differentiate, and
+of the rest: forces of joints, rotors and external wrenches. The rest is the residual of the same tree without mass and
+gravity. It is differentiated as a tape, and added.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ def jacobian(tree: Tree, reductions: Reductions) -> Tape:
 
 
 def linearisation(tree: Tree, reductions: Reductions) -> Tape:
-    """Write `lin_impl`: outputs Phi and those of `jac_impl`."""
+    """Write `lin_impl`: the outputs Phi and the outputs of `jac_impl`."""
     writer = _Writer.declare(tree, reductions)
     found = sensitivities(writer.begin(), writer.state.qd, writer.state.qdd)
     forces = _forces(tree, reductions)
@@ -65,7 +66,7 @@ def adjoint_jacobian(tree: Tree, reductions: Reductions) -> Tape:
 
 
 def _forces(tree: Tree, reductions: Reductions) -> Tape:
-    """Write the residual of the tree without mass."""
+    """Write the residual of the tree without mass and gravity."""
     bodies = tuple(
         replace(body, mass=Integer(0), com=NOTHING, inertia=(NOTHING, NOTHING, NOTHING), parts=())
         for body in tree.bodies
@@ -109,7 +110,7 @@ def _mirrored(block: Block) -> Block:
 
 @dataclass(frozen=True)
 class _Writer:
-    """What is written to: a tree's state, and where its recursions begin."""
+    """A tree's state in a builder, and the start of its recursions."""
 
     tree: Tree
     reductions: Reductions
@@ -134,7 +135,7 @@ class _Writer:
         return begin(chain, segments, find_plans(self.tree, self.reductions).sensitivities, self.reductions)
 
     def write_blocks(self, blocks: Mapping[Port, Block], forces: Tape) -> None:
-        """Declare the outputs of `forces`, each with its block of inertia added."""
+        """Declare the outputs of `forces`, each with its inertial block added."""
         values = replay(forces, self.builder, self.given)
         for output in forces.outputs:
             block = dict(blocks.get(output.port, {}))

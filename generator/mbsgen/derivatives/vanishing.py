@@ -1,7 +1,8 @@
-"""Entries that are zero whatever the inputs, though no operation shows it: found by evaluation, and left out.
+"""Entries that are zero for all inputs, though no operation shows it: found by evaluation, and left out.
 
-A derivative may cancel by an identity (a force through an axis has no moment about it) that value numbering cannot see.
-An expression that is 0 to 35 of 50 digits at several points drawn at random is taken for an identity.
+A derivative may vanish by an identity that value numbering cannot see; for example, a force through an axis has no
+moment about it. An expression that is 0 to 35 of 50 digits at several random points is taken to be identically zero
+(Schwartz, Zippel).
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ def drop_vanishing(tape: Tape) -> Tape:
 
 
 def find_patterns(loop: Columns, columns: Mapping[Port, int]) -> dict[Port, Sparsity]:
-    """Find the nonzeros of the blocks that a loop makes, each of so many columns: the entries that do not vanish."""
+    """Return the patterns of the blocks that a loop computes: the entries that do not vanish."""
     with fifty_digits():
         drawn = [loop.solve(evaluate(loop.tape, _draw(loop.tape, seed), DECIMALS)) for seed in range(POINTS)]
     return {
@@ -61,7 +62,7 @@ def _vanishes(column: Sequence[Decimal]) -> bool:
 
 
 def _draw(tape: Tape, seed: int) -> dict[str, list[Decimal]]:
-    """Draw positive numbers of the size of 1 for every input: no divisor among them is zero."""
+    """Draw positive numbers of magnitude 1 for every input, so that no divisor among them is zero."""
     source = random.Random(seed)
     return {i.name: [Decimal(source.uniform(0.3, 1.7)) for _ in range(i.sparsity.nnz)] for i in tape.inputs}
 

@@ -1,7 +1,7 @@
 """Forward differentiation: Tape of f -> Tape of its Jacobian, equation by equation.
 
-For v = op(a, b): dv = d op/da da + d op/db db, with da, db the sparse gradients of the operands (Griewank, Walther, 2008,
-ch. 3). Only structural nonzeros are propagated.
+For v = op(a, b): dv = d op/da da + d op/db db, with da, db the sparse gradients of the operands (Griewank, Walther,
+2008, ch. 3). Only structural nonzeros are propagated.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Derivatives, in 50 digits, along one direction drawn at random: Jacobians and adjoints against central differences.
+"""Derivatives, in 50 digits, along one random direction: Jacobians and adjoints against central differences.
 
 A Jacobian is compared with differences of its function, an adjoint with the Jacobian, and second derivatives with
-differences of the adjoint: each with something that was compared before.
+differences of the adjoint. So each is compared with something that was compared before.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from mbsgen.verification.functions import Comparison, largest
 from mbsgen.verification.geometry import STEP, ZERO, dot, slope
 from mbsgen.verification.states import Numbers, draw
 
-Arguments = Callable[[Tape], dict[str, Numbers]]  # what a tape takes at a state
+Arguments = Callable[[Tape], dict[str, Numbers]]  # the arguments of a tape at a state
 Vectors = dict[str, Numbers]  # by result or by input
 
-DIRECTION = "direction"  # what its numbers are drawn by, with the name of the input
+DIRECTION = "direction"  # the name under which its numbers are drawn, with the name of the input
 
 
 def compare_derivatives(family: Family, arguments: Arguments) -> Iterator[tuple[str, Comparison]]:
@@ -49,7 +49,7 @@ def compare_derivatives(family: Family, arguments: Arguments) -> Iterator[tuple[
 
 
 def compare_linearised(lin: Family, plain: Family, arguments: Arguments) -> Iterator[Comparison]:
-    """Compare a function that comes with its Jacobians with the function, and with its Jacobian."""
+    """Compare a `lin_` function with the function and with its Jacobian."""
     way = _Direction(plain)
     along = slope_of(plain.value, arguments(plain.value), way)
     if not isinstance(lin.value, Outline):
@@ -61,13 +61,13 @@ def compare_linearised(lin: Family, plain: Family, arguments: Arguments) -> Iter
 
 
 class _Direction:
-    """Numbers for every input that is differentiated by."""
+    """The direction: numbers for every input that derivatives are taken by."""
 
     def __init__(self, family: Family, *, of_adjoint: bool = False) -> None:
         self._family, self._of_adjoint = family, of_adjoint
 
     def wrt(self) -> set[str]:
-        """Name the inputs that derivatives are taken by."""
+        """Return the inputs that derivatives are taken by."""
         written = self._family.adj1 or self._family.jac
         assert written is not None, "there is something to compare"
         found = {o.port.by.name for o in written.outputs if o.port.by}
@@ -121,7 +121,7 @@ def _products(
 def _multiply(
     function: Tape, blocks: Mapping[Port, tuple[Sparsity, Sequence[Decimal]]], way: _Direction
 ) -> Iterator[tuple[str, Numbers]]:
-    """Yield J v for every result of `function`, in its storage order. Blocks that there are none of are zero."""
+    """Yield J v for every result of `function`, in its storage order. Missing blocks are zero."""
     for o in function.outputs:
         size = o.sparsity.rows * o.sparsity.cols
         total = [ZERO] * size

@@ -1,6 +1,6 @@
-"""What each function of the catalogue must give at a state: the textbook's recursion, and geometry.
+"""The expected results of each function of the catalogue at a state: by the textbook's recursion, and by geometry.
 
-An expectation compares the results that a function has with what does not come from any plan. A comparison is of
+An expectation compares the results of a function with values that do not depend on any plan. A comparison is of
 vectors, relative to the largest number that enters them.
 """
 
@@ -40,17 +40,17 @@ from mbsgen.verification.states import Numbers, State
 
 Results = Mapping[str, Numbers]  # nonzeros of each output
 
-LARGEST_INVERSE = 12  # joints, up to which `condition` is compared: M is inverted for that
+LARGEST_INVERSE = 12  # joints, up to which `condition` is compared: this inverts M
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two vectors that must be equal, and the size of what they are sums of."""
+    """Two vectors that must be equal, and the size of their terms."""
 
-    of: str  # which result
+    of: str  # the result
     found: Numbers
     expected: Numbers
-    scale: Decimal = ZERO  # beside the largest of what is expected
+    scale: Decimal = ZERO  # beside the largest expected number
 
     @property
     def deviation(self) -> Decimal:
@@ -79,14 +79,14 @@ def write_equations(tree: Tree) -> Tape:
 
 
 class Truth:
-    """A tree at one state. Functions know the joints that follow no other; bodies move by all."""
+    """A tree at one state. Functions have the joints that follow no other; bodies move by all joints."""
 
     def __init__(self, tree: Tree, equations: Tape, state: State) -> None:
-        """Take a tree, what `write_equations` wrote of it, and a state."""
+        """Take a tree, its tape of `write_equations`, and a state."""
         self.coupled, self.tree, self.state, self._equations = tree, tree.uncoupled, state, equations
         self.n = len(tree.joints)
-        self.qd, self.qdd = state.take("qd", self.n), state.take("qdd", self.n)  # of joints that follow none
-        self.q = self.place(state.take("q", len(tree.coordinates)))  # of all
+        self.qd, self.qdd = state.take("qd", self.n), state.take("qdd", self.n)  # of joints that follow no other
+        self.q = self.place(state.take("q", len(tree.coordinates)))  # of all joints
         self.all_qd = self.move(self.qd)
 
     @cached_property
@@ -94,22 +94,22 @@ class Truth:
         return {self.tree.bodies[x.follower - 1].joint.name: x for x in self.coupled.couplings}
 
     def place(self, q: Numbers) -> Numbers:
-        """Give the coordinates of all joints."""
+        """Return the coordinates of all joints."""
         free = dict(zip(self.coupled.coordinates, q, strict=True))
         return [self._follow(name, free, is_place=True) for name in self.tree.coordinates]
 
     def move(self, qd: Numbers) -> Numbers:
-        """Give the velocities, or the accelerations, of all joints."""
+        """Return the velocities, or the accelerations, of all joints."""
         free = dict(zip([joint.name for joint in self.coupled.joints], qd, strict=True))
         return [self._follow(body.joint.name, free) for body in self.tree.bodies]
 
     def select(self, q: Numbers) -> Numbers:
-        """Take the coordinates that are left from those of all joints."""
+        """Select the independent coordinates from the coordinates of all joints."""
         by_name = dict(zip(self.tree.coordinates, q, strict=True))
         return [by_name[name] for name in self.coupled.coordinates]
 
     def gather(self, forces: Numbers) -> Numbers:
-        """Let joints feel the forces of those that follow them, by virtual power."""
+        """Add the forces of followers to the joints that they follow, by virtual power."""
         felt = {joint.name: ZERO for joint in self.coupled.joints}
         for body, force in zip(self.tree.bodies, forces, strict=True):
             coupling = self._leaders.get(body.joint.name)
@@ -125,7 +125,7 @@ class Truth:
 
     @cached_property
     def is_finite(self) -> bool:
-        """Tell whether the equations have values here: a force law may have none."""
+        """Return whether the equations have values here: a force law may have none."""
         return all(x.is_finite() for x in (*self.residual(self.qdd), *self.Q))
 
     @cached_property
@@ -215,7 +215,7 @@ def _terms(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
 
 
 def _accelerations(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
-    """Put the accelerations into the equations of motion."""
+    """Compare Phi at the computed accelerations with Q."""
     Phi = truth.residual(results["qdd"])
     inertial = [a - b for a, b in zip(Phi, truth.bias, strict=True)]
     scale = max(largest(inertial), largest(truth.Q), largest(truth.bias))
@@ -234,7 +234,7 @@ def _velocities(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]
 
 
 def _jacobian(truth: Truth, tape: Tape, results: Results) -> Iterator[Comparison]:
-    """Compare J qd with the velocities, also where functions know of none."""
+    """Compare J qd with the velocities, also where functions have no velocities."""
     truth = truth.moving
     found = [ZERO] * (6 * len(truth.tree.sensors))
     for (r, c), value in zip(tape.output("J").sparsity.entries, results["J"], strict=True):
@@ -255,7 +255,7 @@ def _frames(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
 
 
 def _rates(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
-    """Move along the rates: bodies must have their velocities, and quaternions their lengths."""
+    """Move along the rates: bodies must have their velocities, and quaternions keep their lengths."""
     ahead, behind = (
         truth.mechanism.poses(
             truth.place([a + h * b for a, b in zip(truth.select(truth.q), results["rate"], strict=True)])
@@ -272,7 +272,7 @@ def _rates(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
 
 
 def _energy(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
-    """Add up bodies one by one."""
+    """Sum over the bodies."""
     zero = [ZERO] * 3
     kinetic, momentum, turning, first, total, size = ZERO, zero, zero, zero, ZERO, ZERO
     for mass in truth.mechanism.masses:
@@ -299,13 +299,13 @@ def _energy(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
 
 
 def _power(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
-    """Add up the power of each force."""
+    """Sum the power of each force."""
     parts = [*(Q * qd for Q, qd in zip(truth.Q, truth.qd, strict=True)), *_pull(truth)]
     yield Comparison("power", results["power"], [sum(parts, ZERO)], largest(parts))
 
 
 def _pull(truth: Truth) -> Iterator[Decimal]:
-    """Compute the power of external forces and moments, one after the other."""
+    """Yield the power of each external force and moment."""
     sizes = 3 * sum(v is None for x in truth.tree.wrenches for v in (x.force, x.moment))
     open_ones = iter(truth.state.take("w", sizes))
     for k, wrench in enumerate(truth.tree.wrenches):
@@ -321,7 +321,7 @@ def _pull(truth: Truth) -> Iterator[Decimal]:
 
 
 def _condition(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
-    """Compare M_ii (M^-1)_ii; what `articulated` adds up depends on how EXP2 is written."""
+    """Compare M_ii (M^-1)_ii; `articulated` depends on the plan of EXP2, so it has no reference."""
     if "elimination" in results and truth.n <= LARGEST_INVERSE:
         rest = truth.residual([ZERO] * truth.n)
         units = [[Decimal(int(i == j)) for j in range(truth.n)] for i in range(truth.n)]
@@ -331,7 +331,7 @@ def _condition(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
 
 
 def _invert(M: list[Numbers]) -> list[Numbers]:
-    """Invert a matrix by elimination, with the largest pivots."""
+    """Invert a matrix by elimination with partial pivoting."""
     n = len(M)
     rows = [[*row, *(Decimal(int(i == j)) for j in range(n))] for i, row in enumerate(M)]
     for k in range(n):
@@ -363,9 +363,9 @@ EXPECTATIONS: Mapping[str, Expectation] = MappingProxyType(
 
 
 def grow_energy(truth: Truth, energy: Callable[[dict[str, Numbers]], Results]) -> Comparison:
-    """Compare the growth of `energy`, a function of q and qd, with the power that the textbook's recursion asks for.
+    """Compare the growth of `energy`, a function of q and qd, with the power by the textbook's recursion.
 
-    Along qd and qdd, T + V grows by qd . Phi, and by the power of wrenches, which Phi has taken off.
+    Along qd and qdd, T + V grows by qd . Phi plus the power of wrenches, which Phi does not contain.
     """
     totals = []
     for h in (STEP, -STEP):

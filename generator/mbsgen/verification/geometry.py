@@ -1,7 +1,7 @@
-"""Where bodies are, in 50 digits, by products of rotations: Tree, numbers, state -> poses and velocities.
+"""Positions of bodies, in 50 digits, by products of rotations: Tree, numbers, state -> poses and velocities.
 
-Velocities are differences of poses a step apart: no equation of a generated function is used. A quaternion's frame is
-displaced along its angular velocity w by 1 + h w~ + (h w~)2 / 2, which is all that a central difference sees.
+Velocities are differences of poses, so no equation of a generated function is used. A quaternion's frame is displaced
+along its angular velocity w by 1 + h w~ + (h w~)2 / 2; a central difference needs no more terms.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from mbsgen.verification.states import Numbers
 Vector = list[Decimal]
 Matrix = list[Vector]  # rows
 
-STEP = Decimal("1e-16")  # of differences: they are right to the square of it, in the order of 1e-32
+STEP = Decimal("1e-16")  # of differences, whose error is of the order of its square, 1e-32
 ZERO, ONE = Decimal(0), Decimal(1)
 UNIT: Matrix = [[ONE, ZERO, ZERO], [ZERO, ONE, ZERO], [ZERO, ZERO, ONE]]
 
@@ -36,13 +36,13 @@ class Pose:
     R: Matrix
 
     def place(self, r: Vector) -> Vector:
-        """Return where a point is that is given in this frame."""
+        """Return the position of a point that is given in this frame."""
         return add(self.p, apply(self.R, r))
 
 
 @dataclass(frozen=True)
 class Mass:
-    """A part of a body with a mass: its number in the tree, and mass, centre and inertia in the body's frame."""
+    """A part of a body with mass: its number in the tree, and mass, centre and inertia in the body's frame."""
 
     body: int
     m: Decimal
@@ -54,7 +54,7 @@ class Mechanism:
     """A tree with numbers for its parameters."""
 
     def __init__(self, tree: Tree, numbers: Mapping[str, Numbers]) -> None:
-        """Take the numbers that `write_numbers` found for the tree."""
+        """Take the numbers of `write_numbers` for the tree."""
         self.tree, self._found = tree.uncoupled, numbers
         self.gravity = self.vector("gravity")
         self.masses = tuple(
@@ -64,16 +64,16 @@ class Mechanism:
         )
 
     def vector(self, name: str) -> Vector:
-        """Look a vector up."""
+        """Return a vector by name."""
         return list(self._found[name])
 
     def matrix(self, name: str) -> Matrix:
-        """Look a matrix up; it is stored by columns."""
+        """Return a matrix by name; it is stored by columns."""
         entries = self._found[name]
         return [[entries[r + 3 * c] for c in range(3)] for r in range(3)]
 
     def poses(self, q: Numbers, displacement: Numbers | None = None) -> list[Pose]:
-        """Place the base and all bodies; with every joint displaced along its velocity, if that is wanted."""
+        """Place the base and all bodies, each joint displaced along its velocity if a displacement is given."""
         quaternions = {x.first: x for x in self.tree.quaternions}
         inside = {i for x in self.tree.quaternions for i in x.bodies}
         moved, entries, poses = displacement or [ZERO] * len(self.tree.bodies), iter(q), [Pose([ZERO] * 3, UNIT)]
@@ -155,7 +155,7 @@ def _float(frame: Pose, q: Numbers, ways: Numbers) -> Pose:
 
 
 def rotation(v: Vector, s: Decimal) -> Matrix:
-    """Turn by the unit quaternion along (v, s): (s2 - v.v) 1 + 2 v vT + 2 s v~."""
+    """Return the rotation by the unit quaternion along (v, s): (s2 - v.v) 1 + 2 v vT + 2 s v~."""
     length = (dot(v, v) + s * s).sqrt()
     v, s = [x / length for x in v], s / length
     skew = cross_matrix(v)
@@ -178,7 +178,7 @@ def velocity(here: Pose, ahead: Pose, behind: Pose) -> tuple[Vector, Vector]:
 
 
 def slope(ahead: Sequence[Decimal], behind: Sequence[Decimal]) -> Vector:
-    """Return the central difference over a step each way."""
+    """Return the central difference over one step each way."""
     return [(a - b) / (2 * STEP) for a, b in zip(ahead, behind, strict=True)]
 
 
@@ -214,6 +214,6 @@ def transpose(A: Matrix) -> Matrix:
 
 
 def cross_matrix(v: Vector) -> Matrix:
-    """Make v~, with v~ w = v x w."""
+    """Return v~, with v~ w = v x w."""
     x, y, z = v
     return [[ZERO, -z, y], [z, ZERO, -x], [-y, x, ZERO]]

@@ -1,4 +1,4 @@
-"""Pseudo-random states in 50 digits: those that the C check program draws, and parameters near their values."""
+"""Pseudo-random states in 50 digits: the states of the C check program, and parameters near their values."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def _draw_parameters(tree: Tree, number: int) -> dict[str, Numbers]:
 
 
 def draw(name: str, size: int, state: int) -> tuple[Decimal, ...]:
-    """Draw numbers between -1 and 1 as `draw` of csrc/mbs_check.c does: 23 bits, by a congruential generator."""
+    """Draw numbers between -1 and 1 as `draw` in csrc/mbs_check.c does: 23 bits, by a congruential generator."""
     x = 2166136261 + state
     for letter in name.encode():
         x = ((x ^ letter) * 16777619) & 0xFFFFFFFF

@@ -1,7 +1,7 @@
 """Verify families before they are written: values against the textbook and geometry, derivatives against differences.
 
-Everything is computed in 50 digits, where equal things differ by rounding far below a tolerance that is far below any
-fault. So a function that is wrong anywhere shows at almost every state: few are enough.
+Everything is computed in 50 digits. There, equal results differ by rounding far below the tolerance, and the tolerance
+is far below any fault. A function that is wrong anywhere is wrong at almost every state, so two states are enough.
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ from mbsgen.verification.states import Numbers, State, draw_states
 
 STATES = 2  # with parameters at their values, and near them
 TRIED = 8  # states, where force laws have no value at some
-TOLERANCE = Decimal("1e-20")  # rounding is 1e-45, that of differences 1e-30; faults change leading digits
+TOLERANCE = Decimal("1e-20")  # rounding is 1e-45, differences err by 1e-30; faults change leading digits
 
 
 class VerificationError(MbsError):
-    """A function that does not compute what its mechanism asks for: a fault of this program."""
+    """A function that does not compute the equations of its mechanism: a fault of this program."""
 
 
 @dataclass(frozen=True)
 class Verification:
-    """What was compared, and how well it agrees."""
+    """The comparisons that were made, and their largest deviations."""
 
     states: int
     deviations: Mapping[str, float]  # by kernel: the largest, relative
-    unchecked: tuple[str, ...]  # kernels that were compared with nothing
-    references: Mapping[str, tuple[float, ...]]  # what functions give at the first state of the check program
+    unchecked: tuple[str, ...]  # kernels that were not compared
+    references: Mapping[str, tuple[float, ...]]  # results of functions at the first state of the check program
 
 
 def verify(tree: Tree, families: Sequence[Family], *, parts: Mapping[str, Sequence[str]], still: bool) -> Verification:
     """Compare all functions of a tree. Raises VerificationError for the first that differs.
 
-    `parts` names the functions that one is made of; still: velocities are zero, and no input.
+    `parts` names the functions that a combined function computes; still: velocities are zero, and no input.
     """
     with fifty_digits():
         return _Verifier(tree, families, parts, still=still).run()
@@ -118,8 +118,8 @@ class _Verifier:
         deviation = comparison.deviation
         if not deviation <= TOLERANCE:
             raise VerificationError(
-                f"{self.tree.name}: {kernel}: {comparison.of} differs by {deviation:.1e} of its size from what the "
-                f"mechanism asks for (state {state.number}); nothing is written. This is a fault of mbsgen: please "
+                f"{self.tree.name}: {kernel}: {comparison.of} differs by {deviation:.1e} of its size from the "
+                f"mechanism's equations (state {state.number}); nothing is written. This is a fault of mbsgen: please "
                 "report it with the model"
             )
         self.deviations[kernel] = max(self.deviations.get(kernel, 0.0), float(deviation))

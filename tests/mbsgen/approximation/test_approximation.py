@@ -118,7 +118,7 @@ def test_what_is_generated_must_keep_the_tolerance_itself(monkeypatch: pytest.Mo
     """Cuts that keep it by the estimate alone are not made: here the tapes err by twice of it."""
     tree, options = build_tree(cranes()), Options(functions=("impl",), reductions=ONE_PLAN)
     assert approximate(tree, 0.01, options, EVERYTHING).taken
-    monkeypatch.setattr(choice.Comparison, "tell", lambda _, tapes: dict.fromkeys(tapes, 0.02))
+    monkeypatch.setattr(choice.Comparison, "measure", lambda _, tapes: dict.fromkeys(tapes, 0.02))
     assert not approximate(tree, 0.01, options, EVERYTHING).taken
 
 
