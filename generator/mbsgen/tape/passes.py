@@ -25,9 +25,7 @@ def drop_dead(tape: Tape) -> Tape:
 
 
 def merge(tapes: Sequence[Tape], function: Function) -> Tape:
-    """Merge tapes into one, with the inputs of all: operations that they share are computed once. Results keep their
-    names.
-    """
+    """Merge tapes into one, with the inputs of all; shared operations are computed once. Results keep their names."""
     builder = Builder()
     inputs: dict[str, list[Scalar]] = {}
     for given in dict.fromkeys(i for tape in tapes for i in tape.inputs):
