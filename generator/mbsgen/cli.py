@@ -27,7 +27,7 @@ from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
 from mbsgen.families import Tell, say_nothing
 from mbsgen.formulations.catalogue import FORMULATIONS, FUNCTIONS
 from mbsgen.formulations.reductions import ALL
-from mbsgen.importing import Choices, Mimic, Notice, import_model, is_foreign, write_imported
+from mbsgen.importing import Choices, Mimic, Notice, import_model, is_foreign, list_formats, write_imported
 from mbsgen.model.model import Model
 from mbsgen.model.scene import EVERYTHING
 from mbsgen.model.tree import Tree
@@ -98,7 +98,7 @@ _IMPORTING = (
 
 
 def importing(command: Callable[..., None]) -> Callable[..., None]:
-    """Add the options of the import of URDF and MJCF; the command gets them as `choices`."""
+    """Add the options of files that are imported; the command gets them as `choices`."""
 
     @functools.wraps(command)
     def call(
@@ -130,7 +130,7 @@ def importing(command: Callable[..., None]) -> Callable[..., None]:
         )
         if choices != Choices() and not is_foreign(model):
             raise click.UsageError(
-                f"{model} is a model file: --name, --base, --lock and the like are for URDF and MJCF"
+                f"{model} is a model file: --name, --base, --lock and the like are for files of {list_formats()}"
             )
         command(model=model, choices=choices, **own)
 
@@ -139,7 +139,7 @@ def importing(command: Callable[..., None]) -> Callable[..., None]:
     return call
 
 
-HELP = """Turn the description of a multibody system into C kernels for its dynamics.
+HELP = f"""Turn the description of a multibody system into C kernels for its dynamics.
 
 \b
   mbsgen MODEL -o DIR       generate the folder DIR: C, manifest, report
@@ -148,9 +148,9 @@ HELP = """Turn the description of a multibody system into C kernels for its dyna
   mbsgen scaling            count how cost grows with the length of a chain
   mbsgen check MODEL        print every fault of the file
   mbsgen compare MODEL      compare a URDF's equations with Pinocchio's
-  mbsgen import MODEL       make a model file of URDF or MJCF
+  mbsgen import MODEL       make a model file of {list_formats()}
 
-MODEL is a YAML file (models/ holds examples), a URDF or an MJCF file. Write ./NAME for a file with the name of
+MODEL is a YAML file (models/ holds examples), or a file of {list_formats()}. Write ./NAME for a file with the name of
 a subcommand.
 
 Exit codes: 0 done; 1 with --check, the folder differs from the generated one, or compared equations
@@ -458,7 +458,13 @@ def compare_command(model: Path, peer: str, choices: Choices) -> None:
         sys.exit(DIFFERENT)
 
 
-@cli.command("import")
+@cli.command(
+    "import",
+    help=f"""Make a model file of MODEL, a file of {list_formats()}.
+
+    Changes and omissions are printed on stderr, and written as comments into the model file.
+    """,
+)
 @MODEL
 @click.option("-o", "--output", "out", type=click.Path(path_type=Path), help="The model file to write; else stdout.")
 @importing
@@ -467,10 +473,7 @@ def import_command(
     out: Path | None,
     choices: Choices,
 ) -> None:
-    """Make a model file of MODEL, a file of URDF or MJCF.
-
-    Changes and omissions are printed on stderr, and written as comments into the model file.
-    """
+    """Make a model file of a file in another format."""
     imported = import_model(model, choices)
     _tell(imported.notices)
     text = write_imported(imported)

@@ -127,7 +127,7 @@ def build_parametric(model: Model, scene: Scene = EVERYTHING, *, zeros: bool = F
 
 
 def read(model: Path | Model) -> Model:
-    """Read a model file, or one of URDF or MJCF by its suffix. Raises InputError with every fault of the file.
+    """Read a model file, or by its suffix one to import. Raises InputError with every fault of the file.
 
     Where the model of another format moves otherwise than its file says, Python's warnings tell how.
     """

@@ -12,7 +12,7 @@ from mbsgen.manifest import Manifest
 from mbsgen.roles import Role, split_kernel
 from mbsrun.binding import ArgumentError
 from mbsrun.kernel import Array, Kernels
-from mbsrun.models import MODEL_SUFFIXES, Extent, find_folder
+from mbsrun.models import Extent, find_folder, is_model
 
 INTEGER = "casadi_int"  # the integers of functions that CasADi can call
 START = Extent(("impl", "frames"), 1)
@@ -85,7 +85,7 @@ def load_on_demand(path: Path) -> Mechanism | OnDemand:
 
     Raises InputError as `load` does.
     """
-    return OnDemand(path) if path.suffix in MODEL_SUFFIXES else load(path)
+    return OnDemand(path) if is_model(path) else load(path)
 
 
 def load(path: str | Path, parameters: Mapping[str, float] | None = None) -> Mechanism:

@@ -26,7 +26,11 @@ class Extent:
 
 
 WHOLE = Extent()
-MODEL_SUFFIXES = (".yaml", ".yml")
+
+
+def is_model(path: Path) -> bool:
+    """Test whether a path is that of a model file, in any format; else it is that of a generated folder."""
+    return path.is_file() or (bool(path.suffix) and not path.is_dir())
 
 
 def find_folder(path: Path, extent: Extent = WHOLE) -> Path:
@@ -35,7 +39,7 @@ def find_folder(path: Path, extent: Extent = WHOLE) -> Path:
     A folder that is given holds what it holds. Raises InputError with every fault of the model, OptionError for
     functions that it does not have, CacheError if the cache cannot be written.
     """
-    if not (path.is_file() or path.suffix in MODEL_SUFFIXES):
+    if not is_model(path):
         return path
 
     def make(building: Path) -> Path:

@@ -116,7 +116,8 @@ def _describe_folder(path: Path) -> tuple[str, str]:
     """Return finding and remedy for a folder in place of a file."""
     if (path / GENERATED).is_file():
         return "this is a folder that mbsgen has generated", "give the file that it was generated from"
-    inside = sorted(entry.name for entry in path.iterdir() if entry.suffix in (".yaml", ".yml", ".urdf", ".xml"))
+    files = sorted(entry for entry in path.iterdir() if entry.is_file() and entry.suffix)
+    inside = [file.name for file in sorted(files, key=lambda file: file.suffix not in (".yaml", ".yml"))]
     shown = ", ".join(inside[:3]) + (", ..." if len(inside) > 3 else "")
     return "this is a folder", f"give a file, such as {shown} in it" if inside else "give the path of a file"
 

@@ -1,0 +1,88 @@
+"""File formats that models are imported from: one entry each in FORMATS, and a reader in a file of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from mbsgen.documents import abbreviate
+from mbsgen.errors import Fault, InputError
+from mbsgen.importing.drafting import Choices, Imported
+from mbsgen.importing.findings import Findings
+from mbsgen.importing.markup import Element, read_markup
+from mbsgen.importing.mjcf import read_mjcf
+from mbsgen.importing.urdf import read_urdf
+
+DEFAULT = Choices()
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file to import."""
+
+    path: Path
+
+    @cached_property
+    def root(self) -> Element:
+        """The root element of an XML file. Raises InputError for any other file."""
+        return read_markup(self.path)
+
+
+@dataclass(frozen=True)
+class Format:
+    """A file format."""
+
+    name: str  # in help texts
+    suffixes: tuple[str, ...]  # of files that are imported; formats may share them
+    mark: str  # by which a user recognises a file, in messages
+    recognise: Callable[[Source], bool]  # may raise InputError
+    read: Callable[[Source, Choices], Imported]  # raises InputError with all faults of the file
+
+
+_MARKUP = (".urdf", ".xml", ".mjcf", ".xacro", ".sdf")  # the root element shows the format, whatever the file's name
+_ADVICE = {"sdf": "SDF is not read; convert it to URDF", "mujocoinclude": "import the file that includes this one"}
+
+
+def make_markup_format(name: str, tag: str, read: Callable[[Element, Choices, Findings], Imported]) -> Format:
+    """Make the entry of a format of XML, whose root element has this tag."""
+    return Format(
+        name,
+        _MARKUP,
+        f"<{tag}>",
+        lambda source: source.root.tag == tag,
+        lambda source, choices: read(source.root, choices, Findings(str(source.path))),
+    )
+
+
+FORMATS: tuple[Format, ...] = (
+    make_markup_format("URDF", "robot", read_urdf),
+    make_markup_format("MJCF", "mujoco", read_mjcf),
+)
+
+
+def list_formats() -> str:
+    """List the names of all formats, in words."""
+    *most, last = (known.name for known in FORMATS)
+    return f"{', '.join(most)} or {last}" if most else last
+
+
+def is_foreign(path: Path) -> bool:
+    """Test by its name whether a file is one to import."""
+    return any(path.suffix.lower() in known.suffixes for known in FORMATS)
+
+
+def import_model(path: Path, choices: Choices = DEFAULT) -> Imported:
+    """Read a file of one of FORMATS as a model. Raises InputError with all faults of the file."""
+    source, suffix = Source(path), path.suffix.lower()
+    likely = [known for known in FORMATS if suffix in known.suffixes] or FORMATS
+    for known in likely:
+        if known.recognise(source):
+            return known.read(source, choices)
+    *most, last = (f"{known.name} ({known.mark})" for known in likely)
+    remedy = f"give a file of {', '.join(most)}{' or ' if most else ''}{last}"
+    if suffix not in _MARKUP:
+        raise InputError([Fault(str(path), 0, "", "the file is of no format that is read", remedy)])
+    tag = source.root.tag
+    raise InputError([source.root.fault(f"the file is <{abbreviate(tag)[1:-1]}>", _ADVICE.get(tag, remedy))])
