@@ -13,14 +13,15 @@ from typing import Literal
 
 import numpy as np
 
-from mbsgen.documents import Place, abbreviate, nearest
+from mbsgen.documents import Data, Place, abbreviate, nearest, take
 from mbsgen.errors import Fault
-from mbsgen.expressions import Number
+from mbsgen.expressions import FLOATS, Number, evaluate
 from mbsgen.importing.findings import Findings, Notice
 from mbsgen.importing.markup import Element
 from mbsgen.importing.poses import ORIGIN, Array, Pose, Writer, turn, write_triple
 from mbsgen.importing.solids import NOTHING, Solid, add, find_miss, show_moments, write_inertia
 from mbsgen.model.checks import find_faults
+from mbsgen.model.joints import find_joint_type
 from mbsgen.model.model import BASE, FREE, UNITS, Body, Fixed, Follow, Frame, Friction, Joint, Law, Model, Triple
 from mbsgen.model.naming import MAX_LENGTH
 from mbsgen.model.topology import find_carriers
@@ -85,19 +86,26 @@ class Move:
         return self.pose @ Pose(np.eye(3), self.axis / np.linalg.norm(self.axis) * q, ())
 
 
-def move_freely(source: Element, *, quaternion: bool = False) -> list[Move]:
-    """Make the six joints of a free body: along x, y, z of what carries it, then a ball; without a motor."""
-    slides = [Move(Motion.PRISMATIC, axis, source, actuated=False, floats=quaternion) for axis in np.eye(3)]
-    return slides + turn_freely(source, ORIGIN, quaternion=quaternion, actuated=False)
-
-
-def turn_freely(source: Element, pose: Pose, *, quaternion: bool, actuated: bool) -> list[Move]:
-    """Make the three joints of a ball: about z, y, x in turn, or those that stand for a quaternion."""
-    axes = np.eye(3) if quaternion else np.eye(3)[::-1]
+def list_moves(type: str, source: Element, pose: Pose = ORIGIN, *, actuated: bool = True, **fields: Data) -> list[Move]:
+    """List the elementary joints of a joint type of model files, given its fields as a file has them."""
+    joints = take({"type": type, **fields}, find_joint_type(type)).make("")
+    assert isinstance(joints, tuple), "the type is one of joints in a row"
     return [
-        Move(Motion.REVOLUTE, axis, source, pose=ORIGIN if k else pose, actuated=actuated, floats=quaternion)
-        for k, axis in enumerate(axes)
+        Move(
+            joint.motion,
+            np.array([evaluate(component, {}, FLOATS) for component in joint.axis]),
+            source,
+            pose=ORIGIN if k else pose,
+            actuated=actuated,
+            floats=joint.floats,
+        )
+        for k, joint in enumerate(joints)
     ]
+
+
+def move_freely(source: Element, *, quaternion: bool = False) -> list[Move]:
+    """List the six joints of a free body: along x, y, z of what carries it, then a ball; without a motor."""
+    return list_moves("free" if quaternion else "floating", source, actuated=False)
 
 
 def make_law(

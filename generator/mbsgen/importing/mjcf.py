@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbsgen.documents import abbreviate, nearest
-from mbsgen.importing.drafting import GRAVITY, Choices, Draft, Imported, Move, make_law, move_freely, turn_freely
+from mbsgen.importing.drafting import GRAVITY, Choices, Draft, Imported, Move, list_moves, make_law, move_freely
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.geometry import SHAPES, SIZES, SPANNED, WEIGHTLESS, make_solid
 from mbsgen.importing.inheritance import MAIN, Defaults, include_files
@@ -326,7 +326,7 @@ class _Scene:
                 self._warn_of_six(part.element, attributes, "a ball")
                 driven = not self._driven or attributes.get("name") in self._driven
                 is_quaternion = self._choices.quaternions and alone
-                moves += turn_freely(part.element, step, quaternion=is_quaternion, actuated=driven)
+                moves += list_moves("ball" if is_quaternion else "spherical", part.element, step, actuated=driven)
             else:
                 moves.append(self._read_move(part, kind, attributes, step))
         return moves, anchor

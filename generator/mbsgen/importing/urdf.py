@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from mbsgen.documents import abbreviate, nearest
-from mbsgen.importing.drafting import GRAVITY, Choices, Draft, Imported, Move, make_law, move_freely
+from mbsgen.importing.drafting import GRAVITY, Choices, Draft, Imported, Move, list_moves, make_law, move_freely
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.markup import Element
 from mbsgen.importing.poses import ORIGIN, Array, Pose, place
@@ -205,14 +205,7 @@ class _Robot:
                 yield from move_freely(joint, quaternion=self._choices.quaternions)
             case "planar":
                 self._refuse_mimic(joint)
-                normal = self._read_axis(joint)
-                first = np.eye(3)[int(np.argmin(np.abs(normal)))]
-                first = first - (first @ normal) / (normal @ normal) * normal
-                first /= np.linalg.norm(first)
-                second = np.cross(normal / np.linalg.norm(normal), first)
-                yield Move(Motion.PRISMATIC, first, joint, actuated=False)
-                yield Move(Motion.PRISMATIC, second, joint, actuated=False)
-                yield Move(Motion.REVOLUTE, normal, joint, actuated=False)
+                yield from list_moves("planar", joint, actuated=False, normal=[*map(float, self._read_axis(joint))])
             case "revolute" | "continuous" | "prismatic":
                 yield self._read_move(joint, kind, name)
             case _:
