@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import click
 from rich.console import Console
@@ -15,8 +14,9 @@ from rich.console import Console
 from benchmarks.compilation import BuildError, Workshop, describe_flags, describe_machine, find_cache, find_includes
 from benchmarks.preparation import Prepared, prepare
 from benchmarks.study import DisagreementError, measure
-from benchmarks.table import Run, compare, draw_chart, make_tables, read_rows, write_json, write_markdown
+from benchmarks.table import Row, Run, compare, draw_chart, make_tables, write_json, write_markdown
 from mbsgen.errors import MbsError
+from mbsrun.measuring.store import Store
 
 ROOT = Path(__file__).parents[1]
 MODELS = (
@@ -60,10 +60,9 @@ def main(
         if only:
             console.print(f"{workshop.folder} holds what was prepared.")
             return
-        kept = None if again else _read(out, rounds)
-        for run in _measure(prepared, workshop, rounds, kept, console):
-            digests = {one.model: one.digest for one in prepared if one.model in run.comparisons}
-            (out / "benchmarks.json").write_text(write_json(run, digests), encoding="utf-8")
+        store = Store(out / "benchmarks.jsonl", Row, is_renewed=again)
+        for run in _measure(prepared, rounds, store, console):
+            (out / "benchmarks.json").write_text(write_json(run), encoding="utf-8")
     except (MbsError, BuildError, DisagreementError, ArithmeticError, ValueError) as error:
         raise click.ClickException(str(error)) from None
     (out / "benchmarks.md").write_text(write_markdown(run), encoding="utf-8")
@@ -73,31 +72,21 @@ def main(
     )
 
 
-def _measure(
-    prepared: Iterable[Prepared], workshop: Workshop, rounds: int, kept: dict[str, Any] | None, console: Console
-) -> Iterator[Run]:
-    """Measure what an earlier run has not, and print everything: yields all so far, after each model."""
+def _measure(prepared: Iterable[Prepared], rounds: int, store: Store[Row], console: Console) -> Iterator[Run]:
+    """Measure the mechanisms that the store lacks, and print all rows; yield the run after each mechanism."""
     run = Run(describe_machine(), describe_flags(), rounds, {})
     for one in prepared:
-        if kept and kept["digests"].get(one.model) == one.digest:
-            rows = read_rows(kept["models"][one.model])
-        else:
-            with console.status(one.model) as status:
-                rows = compare(measure(one, workshop, rounds, _follow(status.update, one.model)))
+        with console.status(one.model) as status:
+            work = partial(_compare, one, rounds, _follow(status.update, one.model))
+            rows = store.find_or_measure((run.machine, run.flags, rounds, one.digest), work)
         for table in make_tables(one.model, rows):
             console.print(table)
         run = replace(run, comparisons={**run.comparisons, one.model: rows})
         yield run
 
 
-def _read(out: Path, rounds: int) -> dict[str, Any] | None:
-    """Read what an earlier run on the same machine measured with as many rounds."""
-    path = out / "benchmarks.json"
-    if not path.exists():
-        return None
-    content: dict[str, Any] = json.loads(path.read_text("utf-8"))
-    same = (content.get("machine"), content.get("rounds")) == (describe_machine(), rounds)
-    return content if same and "digests" in content else None
+def _compare(prepared: Prepared, rounds: int, report: Callable[[str], None]) -> Sequence[Row]:
+    return compare(measure(prepared, rounds, report))
 
 
 def _follow(update: Callable[[str], None], name: str) -> Callable[[str], None]:

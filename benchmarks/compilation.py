@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import platform
 import shlex
 import subprocess
 from collections.abc import Mapping, Sequence
@@ -22,11 +21,11 @@ import casadi as ca
 from benchmarks.candidates import Sines
 from mbsgen import resources
 from mbsrun.cache import cache_folder
+from mbsrun.environment import describe_environment
 from mbsrun.library import find_compiler
 
 HERE = Path(__file__).parent
 CSRC = resources.folder("csrc")
-TIMING = CSRC / "timing"
 HEADERS = tuple(CSRC / name for name in ("mbs_sincos.h", "mbs_abi.h"))  # what C may include
 # CasADi's small functions are global: a compiler that lets anyone replace them would not inline them.
 EXPORTED = ("-fvisibility=hidden", "-DGCC_HASCLASSVISIBILITY")
@@ -47,17 +46,9 @@ BOOST = (
 
 
 def describe_machine() -> str:
-    """Name the processor and the compiler that times are of."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:  # not Linux
-        lines = []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    compiler = find_compiler(os.environ)
-    said = subprocess.run([*compiler.command, "--version"], capture_output=True, text=True, check=False).stdout
-    return (
-        f"{names[0] if names else platform.processor() or platform.machine()}, {said.splitlines()[0] if said else ''}"
-    )
+    """Return the processor and the compiler that times depend on."""
+    environment = describe_environment()
+    return f"{environment['processor']}, compiler {environment['compiler']}"
 
 
 def describe_flags() -> str:
@@ -91,12 +82,6 @@ class Workshop:
         """Compile one C file as a library, with further flags."""
         included = HEADERS if "mbs_sincos.h" in source.read_text(encoding="utf-8") else ()
         return self._build(name, (*self.c, *flags, "-shared"), (source, *included), ("-lm",), (CSRC,))
-
-    def compile_timing(self) -> Path:
-        """Compile the timing loop."""
-        flags = ("-fPIC", "-shared", "-D_POSIX_C_SOURCE=199309L")
-        command = (*find_compiler(os.environ).command, "-std=c99", "-O3", *flags)
-        return self._build("timing", command, (TIMING / "mbs_timing.c", TIMING / "mbs_timing.h"), (), (CSRC,))
 
     def compile_pinocchio(self, sines: Sines = "libm") -> Path:
         """Compile Pinocchio's algorithms over doubles, in CasADi's contract, with the sines that are named."""

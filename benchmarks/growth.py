@@ -7,7 +7,6 @@ Residuals and accelerations, and the first derivatives of IMPL and EXP2.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import multiprocessing
 import os
@@ -18,6 +17,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import click
@@ -35,6 +35,7 @@ from mbsgen.errors import MbsError
 from mbsgen.pipeline import Options, generate
 from mbsrun import load
 from mbsrun.measuring.mechanisms import write_chain
+from mbsrun.measuring.store import Store
 from mbsrun.models import fingerprint_generator
 
 VALUES = ("impl", "semi", "exp1", "exp2")
@@ -136,10 +137,10 @@ def _make(mechanism: Mechanism, cache: Path) -> Made:
     return Made(tuple(candidates), costs)
 
 
-def time_kernels(made: Made, peers: Prepared, workshop: Workshop, rounds: int) -> Iterator[Row]:
+def time_kernels(made: Made, peers: Prepared, rounds: int) -> Iterator[Row]:
     """Time kernels beside their peers. Raises BuildError, DisagreementError, ArithmeticError."""
     both = replace(peers, candidates=(*made.candidates, *peers.candidates))
-    study = measure(both, workshop, rounds)
+    study = measure(both, rounds)
     for name, costs in made.costs.items():
         yield _make_row(study, peers.sizes.joints, name, costs)
 
@@ -220,35 +221,10 @@ def write_markdown(rows: Sequence[Row], machine: str, rounds: int) -> str:
     return "\n".join(lines) + "\n"
 
 
-@dataclass(frozen=True)
-class _Figures:
-    """The rows of a run that may have been interrupted."""
-
-    about: str  # what rows must share
-    machine: str
-    rounds: int
-    rows: tuple[Row, ...] = ()
-
-    @property
-    def measured(self) -> set[str]:
-        """List the mechanisms."""
-        return {row.mechanism for row in self.rows}
-
-
-def _read(path: Path, about: str) -> tuple[Row, ...]:
-    """Read the rows of an earlier run of the same kind."""
-    content = json.loads(path.read_text("utf-8")) if path.exists() else {}
-    if content.get("about") != about:
-        return ()
-    return tuple(
-        Row(**{**row, "quickest": {basis: Quickest(**found) for basis, found in row["quickest"].items()}})
-        for row in content["rows"]
-    )
-
-
-def _write(figures: _Figures, out: Path) -> None:
-    (out / "growth.json").write_text(json.dumps(asdict(figures), indent=1) + "\n", encoding="utf-8")
-    (out / "growth.md").write_text(write_markdown(figures.rows, figures.machine, figures.rounds), encoding="utf-8")
+def _write(rows: Sequence[Row], machine: str, rounds: int, out: Path) -> None:
+    content = {"machine": machine, "rounds": rounds, "rows": [asdict(row) for row in rows]}
+    (out / "growth.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    (out / "growth.md").write_text(write_markdown(rows, machine, rounds), encoding="utf-8")
 
 
 @click.command()
@@ -271,10 +247,10 @@ def main(out: Path, rounds: int, robots: tuple[str, ...], sizes: tuple[int, ...]
         if only:
             console.print(f"{workshop.folder} holds what was prepared.")
             return
-        figures = _measure(prepared, workshop, rounds, out, console, again=again)
+        rows = _measure(prepared, rounds, out, console, again=again)
     except (MbsError, BuildError, DisagreementError, ArithmeticError, ValueError) as error:
         raise click.ClickException(str(error)) from None
-    for table in make_tables(figures.rows):
+    for table in make_tables(rows):
         console.print(table)
     console.print(f"{out / 'growth.json'} holds the figures, growth.md the table.")
 
@@ -293,30 +269,25 @@ def _list_mechanisms(out: Path, robots: Sequence[str], sizes: Sequence[int], con
 
 
 def _measure(
-    prepared: Sequence[tuple[Mechanism, Prepared]],
-    workshop: Workshop,
-    rounds: int,
-    out: Path,
-    console: Console,
-    *,
-    again: bool,
-) -> _Figures:
-    """Measure what an earlier run has not, and write after each mechanism."""
-    machine = describe_machine()
-    told = [machine, rounds, fingerprint_generator().hex(), *((hash_file(m.path), p.digest) for m, p in prepared)]
-    figures = _Figures(hashlib.sha256(repr(told).encode()).hexdigest()[:16], machine, rounds)
-    figures = figures if again else replace(figures, rows=_read(out / "growth.json", figures.about))
+    prepared: Sequence[tuple[Mechanism, Prepared]], rounds: int, out: Path, console: Console, *, again: bool
+) -> list[Row]:
+    """Measure the mechanisms that the store lacks, and write all rows after each mechanism."""
+    machine, generator = describe_machine(), fingerprint_generator().hex()
+    store = Store(out / "growth.jsonl", Row, is_renewed=again)
+    rows: list[Row] = []
     for mechanism, peers in prepared:
-        if mechanism.name in figures.measured:
-            continue
-        with tempfile.TemporaryDirectory() as cache:
-            with console.status(f"{mechanism.name}: generating and compiling"):
-                made = make_kernels(mechanism, Path(cache))
-            with console.status(f"{mechanism.name}: timing"):
-                rows = tuple(time_kernels(made, peers, workshop, rounds))
-        figures = replace(figures, rows=(*figures.rows, *rows))
-        _write(figures, out)
-    return figures
+        facts = (machine, rounds, generator, hash_file(mechanism.path), peers.digest)
+        rows += store.find_or_measure(facts, partial(_measure_one, mechanism, peers, rounds, console))
+        _write(rows, machine, rounds, out)
+    return rows
+
+
+def _measure_one(mechanism: Mechanism, peers: Prepared, rounds: int, console: Console) -> list[Row]:
+    with tempfile.TemporaryDirectory() as cache:
+        with console.status(f"{mechanism.name}: generating and compiling"):
+            made = make_kernels(mechanism, Path(cache))
+        with console.status(f"{mechanism.name}: timing"):
+            return list(time_kernels(made, peers, rounds))
 
 
 if __name__ == "__main__":

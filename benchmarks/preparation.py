@@ -27,13 +27,8 @@ from benchmarks.candidates import (
     PINOCCHIO,
     SHORT,
     TAPE,
-    Block,
     Candidate,
-    Code,
-    Face,
     Sines,
-    dense,
-    load_code,
     read_candidate,
     write_candidate,
 )
@@ -51,13 +46,12 @@ from benchmarks.compilation import (
 from benchmarks.mechanism import write_mechanism
 from benchmarks.newton_euler import write_functions
 from benchmarks.symbolic import adjoint_jacobian, count_arithmetic, eliminate, jacobian, read_tape
-from benchmarks.timing import Sizes
 from mbsgen.manifest import Manifest
 from mbsgen.model.tree import Tree
 from mbsgen.pipeline import read_tree
 from mbsrun.external import Mechanism
 from mbsrun.library import compile_library
-from mbsrun.measuring.timing import Variant
+from mbsrun.measuring.functions import Block, Face, Function, Variant, dense, find_function
 from mbsrun.models import Extent, find_folder, fingerprint
 
 VALUES = ("impl", "semi", "exp1", "exp2")
@@ -72,6 +66,14 @@ _EXTENT = Extent(python=True)
 
 Report = Callable[[str], None]  # takes what is being done
 Named = list[tuple[str, ca.Function]]  # the kernel that a function stands in for, and the function
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Dimensions of the arguments of a mechanism."""
+
+    joints: int
+    driven: int
 
 
 @dataclass(frozen=True)
@@ -230,7 +232,7 @@ def describe_kernel(manifest: Manifest, library: Path, name: str, sines: Sines =
     """Describe a kernel in a library."""
     kernel = manifest.kernel(name)
     flops = kernel.flops.arithmetic + kernel.flops.sqrt
-    return Candidate(OURS, name, name, flops, load_code(library, kernel.symbol), sines, kernel.flops.guard)
+    return Candidate(OURS, name, name, flops, find_function(library, kernel.symbol), sines, kernel.flops.guard)
 
 
 # --- CasADi's C ----------------------------------------------------------------------------------------------------
@@ -306,7 +308,7 @@ class _Job:
     def make(self, author: str, workshop: Workshop) -> Candidate:
         """Compile it."""
         library = workshop.compile_c(self.source, self.symbol, self.flags)
-        code = Code(library, self.symbol, describe_face(self.function))
+        code = Function(library, self.symbol, describe_face(self.function))
         way = f"{self.symbol}{self.variant}"
         return Candidate(author, self.target, way, count_arithmetic(self.function), code, self.sines)
 
@@ -373,7 +375,7 @@ def describe_pinocchio(n: int, names: Iterable[str], libraries: dict[Sines, Path
         "jac_exp2": Face(forward, tuple(dense(f"jac_qdd_{x}", n, n) for x in ("q", "qd", "Q"))),
     }
     return [
-        Candidate(PINOCCHIO, name, f"pin_{name}", None, Code(library, f"pin_{name}", faces[name]), sines)
+        Candidate(PINOCCHIO, name, f"pin_{name}", None, Function(library, f"pin_{name}", faces[name]), sines)
         for name in names
         for sines, library in libraries.items()
     ]

@@ -11,7 +11,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import matplotlib.figure
 import numpy as np
@@ -278,37 +278,19 @@ def write_markdown(run: Run) -> str:
     return "\n".join(lines) + "\n"
 
 
-def write_json(run: Run, digests: Mapping[str, str]) -> str:
-    """Write everything that the tables show; `digests` name what was prepared of each model."""
+def write_json(run: Run) -> str:
+    """Return everything that the tables show, as JSON."""
     content = {
         "machine": run.machine,
         "flags": run.flags,
         "rounds": run.rounds,
         "authors": dict(AUTHORS),
-        "digests": dict(digests),
         "models": {
             model: {row.title: {key: value for key, value in asdict(row).items() if key != "title"} for row in rows}
             for model, rows in run.comparisons.items()
         },
     }
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
-
-
-def read_rows(content: Mapping[str, Any]) -> tuple[Row, ...]:
-    """Read a model's rows from what `write_json` wrote."""
-
-    def read_cell(cell: Mapping[str, Any]) -> Cell:
-        timed: dict[Sines, Timed] = {sines: Timed(**found) for sines, found in cell["timed"].items()}
-        return Cell(cell["flops"], cell["flops_by"], cell["flops_ratio"], cell["guards"], timed)
-
-    return tuple(
-        Row(
-            title,
-            {author: read_cell(cell) for author, cell in row["cells"].items()},
-            {basis: Quickest(**found) for basis, found in row["quickest"].items()},
-        )
-        for title, row in content.items()
-    )
 
 
 def draw_chart(comparisons: Mapping[str, Sequence[Row]], path: Path) -> None:

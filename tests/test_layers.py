@@ -87,7 +87,8 @@ MBSRUN = Package(
         "ocp.pictures ocp.cluster",
         "ocp.multistart",
         "ocp",
-        "measuring.points measuring.mechanisms measuring.reference measuring.sections",
+        "measuring.points measuring.functions measuring.mechanisms measuring.reference measuring.sections "
+        "measuring.store",
         "measuring.timing measuring.captions measuring.fronts measuring.page",
         "measuring.candidates",
         "measuring.fidelity measuring.kernels measuring.motions measuring.solves",

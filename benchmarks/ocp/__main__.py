@@ -19,14 +19,15 @@ from rich.console import Console
 
 from benchmarks.compilation import describe_machine, find_cache
 from benchmarks.ocp.peer import Effort, Peer, Points, Shelf, list_settings, processor_seconds, write_dynamics
-from benchmarks.ocp.rows import LONG, OURS, POINTS, Figures, Loads, Row, read_figures, replace_rows, show, write_figures
+from benchmarks.ocp.rows import LONG, OURS, POINTS, Figures, Measured, Row, show, write_figures
 from benchmarks.study import DisagreementError
 from benchmarks.symbolic import read_tape
 from mbsgen.manifest import FILE_NAME, Kernel
 from mbsgen.manifest import read as read_manifest
 from mbsgen.pipeline import read_tree
 from mbsrun import Mechanism, load
-from mbsrun.models import Extent, find_folder
+from mbsrun.measuring.store import Store
+from mbsrun.models import Extent, find_folder, fingerprint_generator
 from mbsrun.ocp import schemes
 from mbsrun.ocp.guess import make_guess
 from mbsrun.ocp.linear import LINEAR_SOLVERS, OWN
@@ -168,6 +169,13 @@ def measure(ways: Sequence[Way], representation: str, rounds: int) -> list[Row]:
     return [make_row(representation, way, efforts[way.name]) for way in ways]
 
 
+def measure_representation(problem: Problem, plant: Mechanism, shelf: Shelf | None, rounds: int) -> list[Measured]:
+    """Make and solve all ways for the representation of a problem, and note the load of the machine."""
+    before = os.getloadavg()[0]
+    rows = measure(list(make_ways(problem, plant, shelf)), problem.representation.value, rounds)
+    return [Measured(tuple(rows), before, os.getloadavg()[0])]
+
+
 def make_row(representation: str, way: Way, efforts: Sequence[Effort]) -> Row:
     """Describe a way by its quickest solve, and the medians of all."""
     best = min(efforts, key=lambda effort: effort.cpu_seconds)
@@ -214,7 +222,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     output: Path = given.output.absolute()
     shelf = None if given.quick or given.interpreted else Shelf(find_cache() / PEERS)
     chosen_names = given.representation or (["IMPL", "EXP1-O"] if given.quick else names)
-    kept = None if given.quick or given.again else read_figures(output / "ocp.json", about)
     with tempfile.TemporaryDirectory() as scratch:
         if not (given.quick or given.prepare):
             os.environ["XDG_CACHE_HOME"] = scratch  # nothing is found made
@@ -229,14 +236,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             problems = [replace(problem, representation=Representation(name)) for name in chosen_names]
             compile_peers(problems, plant, Shelf(find_cache() / PEERS))
             return 0
-        figures = kept or Figures(about, len(os.sched_getaffinity(0)), seconds)
+        figures = Figures(about, len(os.sched_getaffinity(0)), seconds)
+        store = Store(output / "ocp.jsonl", Measured, is_renewed=given.again)
         for name in chosen_names:
-            if name in figures.representations:
-                continue
-            before = os.getloadavg()[0]
-            ways = make_ways(replace(problem, representation=Representation(name)), plant, shelf)
-            rows = measure(list(ways), name, 1 if given.quick else given.rounds)
-            figures = replace_rows(figures, rows, Loads(name, before, os.getloadavg()[0]))
+            chosen = replace(problem, representation=Representation(name))
+            facts = (about, given.quick, shelf is None, fingerprint_generator().hex(), chosen)
+            rounds = 1 if given.quick else given.rounds
+            found = store.find_or_measure(facts, partial(measure_representation, chosen, plant, shelf, rounds))
+            figures = replace(figures, measured=(*figures.measured, *found))
             write_figures(figures, output)
     Console(width=None if sys.stdout.isatty() else 160).print(show(figures))
     return 0 if all(row.status == "Solve_Succeeded" for row in figures.rows) else 1

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -67,49 +66,46 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Loads:
-    """How many processes wanted to run while a representation was measured, in the mean of a minute."""
+class Measured:
+    """The rows of a representation, and the load of the machine: processes that want to run, in means of a minute."""
 
-    representation: str
-    before: float
-    after: float
+    rows: tuple[Row, ...]
+    load_before: float
+    load_after: float
+
+    @property
+    def representation(self) -> str:
+        """Return the representation of all rows."""
+        return self.rows[0].representation
+
+    @property
+    def ours(self) -> Row:
+        """Return the row that others are compared with."""
+        return next(row for row in self.rows if row.way == OURS)
 
 
 @dataclass(frozen=True)
 class Figures:
-    """A run: where it was measured, and what was."""
+    """The results of a run, and the machine."""
 
-    about: str  # machine, rounds and problem: what rows must share
+    about: str  # machine, rounds and problem
     cores: int
     seconds_generating: float | None
-    rows: tuple[Row, ...] = ()
-    loads: tuple[Loads, ...] = ()
+    measured: tuple[Measured, ...] = ()
 
     @property
-    def representations(self) -> list[str]:
-        """List those that have rows, in order."""
-        return list(dict.fromkeys(row.representation for row in self.rows))
-
-    def ours(self, representation: str) -> Row:
-        """Return the row that others are compared with."""
-        return next(row for row in self.rows if (row.representation, row.way) == (representation, OURS))
-
-
-def read_figures(path: Path, about: str) -> Figures | None:
-    """Read what an interrupted run kept; None where there is nothing of the same kind."""
-    if not path.exists():
-        return None
-    content = json.loads(path.read_text("utf-8"))
-    if content.get("about") != about:
-        return None
-    rows, loads = (Row(**row) for row in content["rows"]), (Loads(**row) for row in content["loads"])
-    return Figures(about, content["cores"], content["seconds_generating"], tuple(rows), tuple(loads))
+    def rows(self) -> list[Row]:
+        """List the rows of all representations."""
+        return [row for part in self.measured for row in part.rows]
 
 
 def write_figures(figures: Figures, folder: Path) -> None:
     """Write the figures, and the page that shows them."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "ocp.json").write_text(json.dumps(asdict(figures), indent=1) + "\n", "utf-8")
+    content = {name: value for name, value in asdict(figures).items() if name != "measured"}
+    content["rows"] = [asdict(row) for row in figures.rows]
+    content["loads"] = [(part.load_before, part.load_after) for part in figures.measured]
+    (folder / "ocp.json").write_text(json.dumps(content, indent=1) + "\n", "utf-8")
     (folder / "ocp.md").write_text(write_page(figures), "utf-8")
 
 
@@ -122,14 +118,15 @@ def show(figures: Figures) -> Table:
         table.add_column(column)
     for column in COLUMNS:
         table.add_column(column, justify="right")
-    for row in figures.rows:
-        table.add_row(row.representation, row.way, *row.compare(figures.ours(row.representation)))
+    for part in figures.measured:
+        for row in part.rows:
+            table.add_row(row.representation, row.way, *row.compare(part.ours))
     return table
 
 
 def write_page(figures: Figures) -> str:
     """Write a table for each representation, and what the machine was doing."""
-    loads = [load for entry in figures.loads for load in (entry.before, entry.after)]
+    loads = [load for part in figures.measured for load in (part.load_before, part.load_after)]
     lines = [
         "# Optimal control: what was measured",
         "",
@@ -151,18 +148,8 @@ def write_page(figures: Figures) -> str:
             lines[-1] += " So the run was disturbed, and ratios say more than times."
     if figures.seconds_generating is not None:
         lines += ["", f"Generating the model took {figures.seconds_generating:.1f} s, before all that is built below."]
-    for representation in figures.representations:
-        lines += ["", f"## {representation}", "", f"| | {' | '.join(COLUMNS)} |", "|---|" + "---:|" * len(COLUMNS)]
-        lines += [
-            f"| {row.way} | {' | '.join(row.compare(figures.ours(representation)))} |"
-            for row in figures.rows
-            if row.representation == representation
-        ]
+    for part in figures.measured:
+        lines += ["", f"## {part.representation}", "", f"| | {' | '.join(COLUMNS)} |"]
+        lines += ["|---|" + "---:|" * len(COLUMNS)]
+        lines += [f"| {row.way} | {' | '.join(row.compare(part.ours))} |" for row in part.rows]
     return "\n".join(lines) + "\n"
-
-
-def replace_rows(figures: Figures, rows: Sequence[Row], load: Loads) -> Figures:
-    """Add the rows of a representation, in place of those it had."""
-    kept = [row for row in figures.rows if row.representation != load.representation]
-    loads = [entry for entry in figures.loads if entry.representation != load.representation]
-    return Figures(figures.about, figures.cores, figures.seconds_generating, (*kept, *rows), (*loads, load))

@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from mbsgen.manifest import Manifest
 from mbsrun.library import compile_library
 from mbsrun.measuring.candidates import load_equations, trace
+from mbsrun.measuring.functions import Variant
 from mbsrun.measuring.mechanisms import Subject
-from mbsrun.measuring.timing import Variant
 from mbsrun.models import Extent
 from mbsrun.ocp.plant import Plant
 

@@ -17,16 +17,19 @@ from click.testing import CliRunner
 from benchmarks import growth
 from benchmarks.__main__ import main
 from benchmarks.angles import separate, write_source
-from benchmarks.candidates import OURS, SHORT, TAPE, Call, Candidate, Code, Sines, load_code
+from benchmarks.candidates import OURS, SHORT, TAPE, Candidate, Sines, read_candidate, write_candidate
 from benchmarks.compilation import BuildError, Workshop
-from benchmarks.ocp.rows import POINTS, Row
+from benchmarks.ocp.rows import POINTS
+from benchmarks.ocp.rows import Row as SolveRow
 from benchmarks.preparation import describe_face
-from benchmarks.study import Measurement, Study
+from benchmarks.study import Entry, Measurement, Study, find_disagreements, load
 from benchmarks.summary import FILES
 from benchmarks.summary import main as summarise
 from benchmarks.symbolic import adjoint_jacobian, count_arithmetic, jacobian
-from benchmarks.table import BASES, ROWS, Quickest, Run, Timed, compare, read_rows, write_json, write_markdown
-from benchmarks.timing import Stopwatch, find_disagreements, measure_rounds
+from benchmarks.table import BASES, ROWS, Quickest, Row, Run, Timed, compare, write_json, write_markdown
+from mbsrun.measuring.functions import Function, find_function
+from mbsrun.measuring.store import Store
+from mbsrun.measuring.timing import Watch, measure_rounds
 
 ROOT = Path(__file__).parents[2]
 
@@ -65,24 +68,28 @@ def workshop(tmp_path: Path) -> Workshop:
 
 
 @pytest.fixture
-def bind(workshop: Workshop, tmp_path: Path) -> Callable[[str, ca.SX, ca.SX], Call]:
+def bind(workshop: Workshop, tmp_path: Path) -> Callable[[str, ca.SX, ca.SX], Entry]:
     """Compile a function of q as a candidate, and bind it to three states."""
     states = {"q": np.array([[0.1, 2.0], [0.2, 3.0], [0.3, 5.0]])}
 
-    def make(name: str, q: ca.SX, result: ca.SX) -> Call:
+    def make(name: str, q: ca.SX, result: ca.SX) -> Entry:
         function = ca.Function(name, [q], [result], ["q"], ["Phi"])
         function.generate(f"{name}.c", {"with_header": False})
         return make_call(name)
 
-    def make_call(name: str) -> Call:
-        code = load_code(workshop.compile_c(tmp_path / f"{name}.c", name), name)
-        return Call(Candidate(TAPE, "impl", name, None, code), code, states)
+    def make_call(name: str) -> Entry:
+        function = find_function(workshop.compile_c(tmp_path / f"{name}.c", name), name)
+        candidate = Candidate(TAPE, "impl", name, None, function)
+        assert read_candidate(json.loads(json.dumps(write_candidate(candidate)))) == candidate
+        entry = load(candidate, states)
+        assert entry is not None
+        return entry
 
     return make
 
 
 def test_a_peer_that_computes_something_else_is_found(
-    bind: Callable[[str, ca.SX, ca.SX], Call], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bind: Callable[[str, ca.SX, ca.SX], Entry], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     q = ca.SX.sym("q", 2)
@@ -98,16 +105,16 @@ def test_a_peer_that_computes_something_else_is_found(
 
 
 def test_the_timing_loop_passes_every_state(
-    bind: Callable[[str, ca.SX, ca.SX], Call], workshop: Workshop, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bind: Callable[[str, ca.SX, ca.SX], Entry], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """After a pass the results are those of the last state; every round times every call."""
+    """After a pass the results are those of the last state; every round times every function."""
     monkeypatch.chdir(tmp_path)
     q = ca.SX.sym("q", 2)
-    call = bind("product", q, q[0] * q[1])
-    stopwatch = Stopwatch(workshop.compile_timing())
-    assert stopwatch.measure(call, 2) > 0
-    assert call.results[0][0] == pytest.approx(0.3 * 5.0)
-    rounds = list(measure_rounds(stopwatch, [call, call], 3))
+    entry = bind("product", q, q[0] * q[1])
+    watch = Watch(entry.code, entry.inputs)
+    assert watch.measure(2) > 0
+    assert watch.last[0][0] == pytest.approx(0.3 * 5.0)
+    rounds = list(measure_rounds([watch, watch], 3))
     assert np.shape(rounds) == (3, 2)
     assert np.all(np.array(rounds) > 0)
 
@@ -162,7 +169,7 @@ def measurement(
     return Measurement(candidate, None if times is None else np.array(times))
 
 
-def test_a_row_takes_the_best_of_each_author() -> None:
+def test_a_row_takes_the_best_of_each_author(tmp_path: Path) -> None:
     """In the second of three rounds the machine was slow, for both alike: ratios within a round do not see it."""
     study = Study(
         "arm",
@@ -190,8 +197,9 @@ def test_a_row_takes_the_best_of_each_author() -> None:
         "as they come": (TAPE, "libm", 2.5, 3.0),
     }
     run = Run("a machine", "-O3", 3, {"arm": (row,)})
-    kept = json.loads(write_json(run, {"arm": "0123"}))
-    assert read_rows(kept["models"]["arm"]) == (row,)
+    assert json.loads(write_json(run))["models"]["arm"]["Jacobian of EXP1"]["quickest"]["C library"]["ratio"] == 1.25
+    Store(tmp_path / "rows.jsonl", Row).find_or_measure(("arm",), lambda: [row])
+    assert Store(tmp_path / "rows.jsonl", Row).find_or_measure(("arm",), list) == [row]
     assert "| Jacobian of EXP1 | 1.50 · 2.00 | 1.25 · 1.50 | 2.50 · 3.00 |" in write_markdown(run)
 
 
@@ -208,9 +216,10 @@ def test_sines_of_the_header_are_those_of_the_library(workshop: Workshop, tmp_pa
     assert count_arithmetic(separated.function) + count_arithmetic(separated.angles) == count_arithmetic(function)
     source = write_source(separated, "swing_header", tmp_path)
     library = workshop.compile_c(source, "swing_header", ("-O1", "-DCASADI_SYMBOL_EXPORT=static"))
-    code = Code(library, "swing_header", describe_face(function))
+    code = Function(library, "swing_header", describe_face(function))
     states = {"q": np.array([[0.7, -2.0], [2.9, 40.0]]), "u": np.array([[1.1], [3.0]])}
-    call = Call(Candidate(TAPE, "impl", "swing", None, code), code, states)
+    call = load(Candidate(TAPE, "impl", "swing", None, code), states)
+    assert call is not None
     for k, (angle, force) in enumerate(zip(states["q"], states["u"], strict=True)):
         for value, expected in zip(call.evaluate(k).values(), function(angle, force), strict=True):
             np.testing.assert_allclose(value, expected.full(), rtol=4e-16, atol=4e-16)
@@ -282,7 +291,7 @@ def test_the_summary_compares_the_quickest_of_either_side(tmp_path: Path) -> Non
         return {basis: asdict(Quickest(SHORT, "way", "libm", ours, ns, ns / ours, 1.0)) for basis, ns in both.items()}
 
     def solve(way: str, seconds: float) -> dict[str, Any]:
-        return asdict(Row("IMPL", way, 1.0, 9, 9, "Solve_Succeeded", 10, 5.0, seconds, seconds / 10, 3, 1.0, 1.0))
+        return asdict(SolveRow("IMPL", way, 1.0, 9, 9, "Solve_Succeeded", 10, 5.0, seconds, seconds / 10, 3, 1.0, 1.0))
 
     kernels = {"EXP1": {"quickest": quickest(20.0, 40.0, 60.0)}, "EXP2": {"quickest": quickest(25.0, 30.0, 80.0)}}
     contents = {

@@ -25,15 +25,14 @@ from benchmarks.ocp.peer import Effort, Peer, Points, Shelf, list_settings, writ
 from benchmarks.ocp.rows import (
     OURS,
     Figures,
-    Loads,
+    Measured,
     Row,
-    read_figures,
-    replace_rows,
     write_figures,
     write_page,
 )
 from benchmarks.study import DisagreementError
 from mbsgen.pipeline import read_tree
+from mbsrun.measuring.store import Store
 from mbsrun.ocp import schemes
 from mbsrun.ocp.guess import make_guess
 from mbsrun.ocp.problem import Problem, Representation
@@ -163,17 +162,17 @@ def test_ours_are_all_forms_solvers_and_barriers(problem: Problem) -> None:
     assert dict(told) == {"linear_solver": "mumps", "mu_strategy": "adaptive"}
 
 
-def test_what_an_interrupted_run_kept_is_found(tmp_path: Path) -> None:
-    """By what it is about; a representation that is measured again replaces its rows, and loads are told."""
+def test_an_interrupted_run_is_kept_and_its_load_shown(tmp_path: Path) -> None:
+    """The store returns the rows of a representation; the page warns where more processes than cores wanted to run."""
     row = Row("IMPL", OURS, 1.0, 10, 9, "Solve_Succeeded", 4, 2.0, 0.5, 0.1, 3, 0.6, 0.2)
-    first = replace_rows(Figures("a machine", 2, 3.0), [row, replace(row, way="other")], Loads("IMPL", 0.5, 7.0))
-    write_figures(first, tmp_path)
-    assert read_figures(tmp_path / "ocp.json", "a machine") == first
-    assert read_figures(tmp_path / "ocp.json", "another") is None
+    busy = Measured((row, replace(row, way="other")), 0.5, 7.0)
+    path = tmp_path / "ocp.jsonl"
+    assert Store(path, Measured).find_or_measure(("IMPL",), lambda: [busy]) == [busy]
+    assert Store(path, Measured).find_or_measure(("IMPL",), lambda: pytest.fail("it is kept")) == [busy]
+    calm = replace(busy, load_after=0.7)
+    assert Store(path, Measured, is_renewed=True).find_or_measure(("IMPL",), lambda: [calm]) == [calm]
+    write_figures(Figures("a machine", 2, 3.0, (busy,)), tmp_path)
     page = (tmp_path / "ocp.md").read_text("utf-8")
     assert "0.5 to 7.0 processes" in page
     assert "disturbed" in page
-    again = replace_rows(first, [row], Loads("IMPL", 0.5, 0.7))
-    assert again.rows == (row,)
-    assert again.representations == ["IMPL"]
-    assert "disturbed" not in write_page(again)
+    assert "disturbed" not in write_page(Figures("a machine", 2, 3.0, (calm,)))

@@ -16,7 +16,8 @@ from mbsrun.external import load
 from mbsrun.measuring import kernels, motions, solves
 from mbsrun.measuring.advice import Advice, Option, advise_control, advise_optimisation, advise_simulation
 from mbsrun.measuring.mechanisms import Subject
-from mbsrun.measuring.points import Cost, KernelPoint, MotionPoint, SolvePoint, Store, write_table
+from mbsrun.measuring.points import Cost, KernelPoint, MotionPoint, SolvePoint, write_table
+from mbsrun.measuring.store import Store
 from mbsrun.ocp.statement import read_problem
 
 ADVISE_HELP = """Tell how to compute with MODEL, with errors of --accuracy at most, and as fast as can be.

@@ -12,7 +12,8 @@ from mbsrun.external import load
 from mbsrun.measuring import fidelity, kernels, motions, optima, solves
 from mbsrun.measuring.captions import write_captions
 from mbsrun.measuring.pictures import draw_fidelity, draw_kernels, draw_motions, draw_optima
-from mbsrun.measuring.points import MotionPoint, SolvePoint, Store, write_table
+from mbsrun.measuring.points import MotionPoint, SolvePoint, write_table
+from mbsrun.measuring.store import Store
 from mbsrun.ocp.problem import Representation
 from mbsrun.ocp.statement import read_problem
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mbsrun.measuring.points import Store
+from mbsrun.measuring.store import Store
 
 Report = Callable[[str, int, int], None]
 

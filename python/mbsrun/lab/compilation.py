@@ -12,7 +12,7 @@ from mbsrun.lab.digits import KERNELS, specimen
 from mbsrun.lab.mechanisms import describe_spatial, draw
 from mbsrun.library import find_compiler
 from mbsrun.measuring.candidates import compile_kernel
-from mbsrun.measuring.timing import Variant
+from mbsrun.measuring.functions import Variant
 
 REFUSED = ("-ffast-math", "-Ofast", "-funsafe-math-optimizations", "-ffinite-math-only", "-fassociative-math")
 VARIANTS = tuple(

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from mbsrun.lab.case import Bench, Finding, Loss, check, tell
 from mbsrun.lab.mechanisms import State, States, write
 from mbsrun.measuring.candidates import Found, compile_kernel
+from mbsrun.measuring.functions import Precision, Variant
 from mbsrun.measuring.mechanisms import Subject
 from mbsrun.measuring.reference import Moment, Reference
-from mbsrun.measuring.timing import Precision, Variant
 from mbsrun.models import Extent
 
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ from mbsgen.errors import InputError
 from mbsrun.lab.case import Bench, Finding, check, demand, show_failure
 from mbsrun.lab.digits import EXPLICIT, KERNELS, RESIDUAL, U, relate, specimen
 from mbsrun.lab.mechanisms import describe_spatial, draw, round_to_single, write
-from mbsrun.measuring.timing import Precision
+from mbsrun.measuring.functions import Precision
 from mbsrun.models import Extent, find_folder
 
 TINY, HUGE = 1e-150, 1e150

@@ -19,7 +19,7 @@ from scipy.linalg.lapack import dpotrf
 from mbsrun.lab.digits import Specimen, U
 from mbsrun.lab.mechanisms import State, States
 from mbsrun.measuring.candidates import Found
-from mbsrun.measuring.timing import Precision
+from mbsrun.measuring.functions import Precision
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from mbsrun.lab.case import Bench, Case, Finding, Loss, Report, Trial, Verdict, demand, judge
 from mbsrun.library import find_compiler
-from mbsrun.measuring.points import Store
+from mbsrun.measuring.store import Store
 from mbsrun.models import fingerprint_generator
 
 KEPT = ("findings.jsonl", "losses.jsonl")

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from mbsgen.manifest import Kernel
 from mbsrun.library import compile_library
+from mbsrun.measuring.functions import Code, Numbers, Variant, find_function
 from mbsrun.measuring.mechanisms import Subject
-from mbsrun.measuring.timing import Code, Numbers, Variant, Watch
+from mbsrun.measuring.timing import Watch
 
 Array = NDArray[np.float64]
 States = Mapping[str, Array]  # (K, size) by name
@@ -45,6 +46,7 @@ class Candidate:
 
     way: str
     code: Code
+    variant: Variant
     differences: Differences | None = None  # of the code's result; None: the code gives what is wanted
 
     def evaluate(self, states: States) -> Found:
@@ -106,7 +108,7 @@ def compile_kernel(subject: Subject, name: str, variant: Variant) -> Candidate:
     """Compile a generated kernel."""
     kernel, manifest = subject.manifest.kernel(name), subject.manifest
     library = compile_library(subject.folder, manifest.prefix, kernel.sources, variant.compiler())
-    return Candidate(name, Code(library, kernel.symbol, variant))
+    return Candidate(name, Code(find_function(library, kernel.symbol), variant.precision), variant)
 
 
 def difference(subject: Subject, name: str, variant: Variant) -> Iterator[Candidate]:
@@ -119,7 +121,7 @@ def difference(subject: Subject, name: str, variant: Variant) -> Iterator[Candid
     for central, lengths in zip((False, True), steps, strict=True):
         for step in lengths:
             taken = Differences(step, central)
-            yield Candidate(f"{name}, {taken.label}", code, taken)
+            yield Candidate(f"{name}, {taken.label}", code, variant, taken)
 
 
 def differentiate(subject: Subject, name: str, variant: Variant) -> Candidate | str:
@@ -141,7 +143,7 @@ def differentiate(subject: Subject, name: str, variant: Variant) -> Candidate | 
         generator.add(jacobian)
         generator.generate(f"{place}/")
         library = compile_library(Path(place), subject.manifest.prefix, [f"{symbol}.c"], variant.compiler())
-    return Candidate(f"{name}, CasADi's AD", Code(library, symbol, variant))
+    return Candidate(f"{name}, CasADi's AD", Code(find_function(library, symbol), variant.precision), variant)
 
 
 def add_hidden(subject: Subject, states: States) -> dict[str, Array]:

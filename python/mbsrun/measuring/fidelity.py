@@ -26,9 +26,11 @@ from mbsgen.errors import InputError
 from mbsgen.expressions import FLOATS, evaluate, parse
 from mbsgen.manifest import Manifest
 from mbsrun.measuring.candidates import Candidate, add_hidden, compile_kernel
+from mbsrun.measuring.functions import Variant
 from mbsrun.measuring.mechanisms import Subject, draw_states, refuse_quaternions
-from mbsrun.measuring.points import Cost, Store
-from mbsrun.measuring.timing import Variant, Watch, measure_costs
+from mbsrun.measuring.points import Cost
+from mbsrun.measuring.store import Store
+from mbsrun.measuring.timing import Watch, measure_costs
 from mbsrun.models import Extent
 
 Array = NDArray[np.float64]

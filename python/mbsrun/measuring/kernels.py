@@ -20,10 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsrun.measuring.candidates import VARIABLES, Candidate, add_hidden, compile_kernel, difference, differentiate
+from mbsrun.measuring.functions import Variant
 from mbsrun.measuring.mechanisms import Subject, draw_states, write_chain
-from mbsrun.measuring.points import KernelPoint, Store
+from mbsrun.measuring.points import KernelPoint
 from mbsrun.measuring.reference import Moment, Reference
-from mbsrun.measuring.timing import Variant, Watch, measure_costs
+from mbsrun.measuring.store import Store
+from mbsrun.measuring.timing import Watch, measure_costs
 from mbsrun.models import Extent
 
 Array = NDArray[np.float64]
@@ -170,7 +172,7 @@ class _Bench:
         finite = [e for e in errors if np.isfinite(e.error)]
         statuses, _ = candidate.evaluate(self.states)
         point = replace(
-            self._point(candidate.way, candidate.code.variant, self._tell(statuses, len(errors) - len(finite))),
+            self._point(candidate.way, candidate.variant, self._tell(statuses, len(errors) - len(finite))),
             failed=int(np.count_nonzero(statuses)),
         )
         if finite:

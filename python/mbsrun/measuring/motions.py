@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 from mbsgen.errors import MbsError
 from mbsgen.manifest import Manifest
 from mbsrun.external import Mechanism, load
+from mbsrun.measuring.functions import Variant
 from mbsrun.measuring.mechanisms import draw_states, refuse_quaternions
-from mbsrun.measuring.points import MotionPoint, Store
-from mbsrun.measuring.timing import Variant, sum_up
+from mbsrun.measuring.points import MotionPoint
+from mbsrun.measuring.store import Store
+from mbsrun.measuring.timing import sum_up
 from mbsrun.models import Extent, find_folder
 from mbsrun.simulation.drive import Drive, hold, input_labels
 from mbsrun.simulation.methods import METHODS, Family, Formulation

@@ -15,8 +15,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from mbsrun.measuring.points import Cost, SolvePoint, Store
+from mbsrun.measuring.points import Cost, SolvePoint
 from mbsrun.measuring.solves import Case, measure_solve
+from mbsrun.measuring.store import Store
 from mbsrun.ocp.problem import Form, Problem, Representation, SolverOptions
 from mbsrun.ocp.schemes import Family
 

@@ -1,22 +1,13 @@
-"""What a chart is made of, and the file that keeps it while it is measured.
-
-A store is a text file with a line of JSON for each bundle of points: points that are timed in turn, round by round,
-are measured and kept together. A bundle is found again by a key that tells all that it depends on, so a study that was
-stopped goes on with the bundle that it was stopped in; a line that a killed process left unfinished is passed over.
-"""
+"""The points of charts: the cost and the error of a kernel, a simulation or a solve; and their tables."""
 
 from __future__ import annotations
 
 import csv
-import hashlib
 import json
-import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Generic, TypeVar
-
-from pydantic import TypeAdapter, ValidationError
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -81,47 +72,6 @@ class SolvePoint:
     cost: float | None  # at the optimum
     iterations: int
     finding: str = ""  # why there is no solution
-
-
-Point = TypeVar("Point", bound="DataclassInstance")
-
-
-class Store(Generic[Point]):
-    """Bundles of points in a file."""
-
-    def __init__(self, path: Path, kind: type[Point]) -> None:
-        """Open a file, which need not be there yet."""
-        self._path = path
-        self._reader: TypeAdapter[list[Point]] = TypeAdapter(list[kind])  # type: ignore[valid-type]
-        self._bundles: dict[str, list[Point]] = self._read()
-
-    def find_or_measure(self, told: Sequence[object], measure: Callable[[], list[Point]]) -> list[Point]:
-        """Give the points of a bundle; those that are not there yet are measured, and kept at once."""
-        key = hashlib.sha256(repr(tuple(told)).encode()).hexdigest()[:40]
-        if key not in self._bundles:
-            points = measure()
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            line = json.dumps({"key": key, "points": [asdict(point) for point in points]})
-            with self._path.open("a", encoding="utf-8") as file:
-                file.write(line + "\n")
-                file.flush()
-                os.fsync(file.fileno())
-            self._bundles[key] = points
-        return self._bundles[key]
-
-    def _read(self) -> dict[str, list[Point]]:
-        bundles: dict[str, list[Point]] = {}
-        if self._path.exists():
-            text = self._path.read_text(encoding="utf-8")
-            if text and not text.endswith("\n"):  # so that the next line begins a line
-                self._path.write_text(text + "\n", encoding="utf-8")
-            for line in text.splitlines():
-                try:
-                    entry = json.loads(line)
-                    bundles[str(entry["key"])] = self._reader.validate_python(entry["points"])
-                except (ValueError, TypeError, KeyError, ValidationError):
-                    continue
-        return bundles
 
 
 def write_table(points: Sequence[DataclassInstance], folder: Path, name: str) -> tuple[Path, Path]:

@@ -16,7 +16,8 @@ import numpy as np
 from mbsgen.errors import MbsError
 from mbsgen.manifest import Manifest
 from mbsrun.external import Mechanism
-from mbsrun.measuring.points import SolvePoint, Store
+from mbsrun.measuring.points import SolvePoint
+from mbsrun.measuring.store import Store
 from mbsrun.measuring.timing import sum_up
 from mbsrun.ocp.problem import Bounds, Cost, End, Form, Problem, Representation
 from mbsrun.ocp.resimulation import resimulate

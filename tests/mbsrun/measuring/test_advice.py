@@ -12,7 +12,8 @@ from mbsgen.errors import MbsError
 from mbsrun import cli, load
 from mbsrun.measuring import solves
 from mbsrun.measuring.advice import Advice, Option
-from mbsrun.measuring.points import Cost, SolvePoint, Store
+from mbsrun.measuring.points import Cost, SolvePoint
+from mbsrun.measuring.store import Store
 from mbsrun.ocp.problem import Representation
 from mbsrun.ocp.schemes import Family
 

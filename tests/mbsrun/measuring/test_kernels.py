@@ -11,12 +11,13 @@ import pytest
 
 from mbsgen.errors import InputError
 from mbsrun.measuring import kernels
+from mbsrun.measuring.functions import Variant
 from mbsrun.measuring.kernels import ACCELERATIONS, MASS, RESIDUAL, SINGLE, SLOPES_R, USUAL, VALUES, Depth
 from mbsrun.measuring.mechanisms import Subject, draw_states, write_chain
 from mbsrun.measuring.pictures import draw_kernels
-from mbsrun.measuring.points import KernelPoint, Store, write_table
+from mbsrun.measuring.points import KernelPoint, write_table
 from mbsrun.measuring.reference import Reference
-from mbsrun.measuring.timing import Variant
+from mbsrun.measuring.store import Store
 from mbsrun.models import Extent
 
 U = {"float64": 2.0**-53, "float32": 2.0**-24}

@@ -13,7 +13,8 @@ from mbsrun.external import Mechanism
 from mbsrun.measuring import motions
 from mbsrun.measuring.motions import EXTENT, Course, Depth, NoReferenceError, draw_course
 from mbsrun.measuring.pictures import draw_motions
-from mbsrun.measuring.points import MotionPoint, Store
+from mbsrun.measuring.points import MotionPoint
+from mbsrun.measuring.store import Store
 from mbsrun.models import find_folder
 from mbsrun.simulation.methods import Formulation
 

@@ -14,9 +14,10 @@ from mbsrun.lab.optimisation import state_push
 from mbsrun.measuring.captions import OUTLINES, write_captions
 from mbsrun.measuring.optima import Depth, measure_optima
 from mbsrun.measuring.pictures import draw_optima
-from mbsrun.measuring.points import SolvePoint, Store, write_table
+from mbsrun.measuring.points import SolvePoint, write_table
 from mbsrun.measuring.sections import read_folders
 from mbsrun.measuring.solves import Case
+from mbsrun.measuring.store import Store
 from mbsrun.ocp.problem import Representation
 from mbsrun.ocp.schemes import Family
 
