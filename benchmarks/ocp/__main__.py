@@ -31,7 +31,7 @@ from mbsrun.models import Extent, find_folder, fingerprint_generator
 from mbsrun.ocp import schemes
 from mbsrun.ocp.guess import make_guess
 from mbsrun.ocp.linear import LINEAR_SOLVERS, OWN
-from mbsrun.ocp.methods import LINEAR_SOLVER
+from mbsrun.ocp.methods.ipopt import LINEAR_SOLVER
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Form, Problem, Representation, find_conflicts
 from mbsrun.ocp.solution import Solution

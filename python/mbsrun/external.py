@@ -8,7 +8,7 @@ from pathlib import Path
 import casadi as ca
 from numpy.typing import ArrayLike
 
-from mbsgen.manifest import Manifest
+from mbsgen.manifest import Kernel, Manifest
 from mbsgen.roles import Role, split_kernel
 from mbsrun.binding import ArgumentError
 from mbsrun.kernel import Array, Kernels
@@ -64,11 +64,19 @@ class OnDemand:
         self._mechanisms: dict[str, Mechanism] = {}
         self.manifest = self._start.manifest
 
+    def describe(self, name: str) -> Kernel:
+        """Describe a kernel, as `Kernels.describe` does."""
+        return self._find(name).describe(name)
+
     def __call__(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> dict[str, Array]:
         """Call a kernel, as `Kernels.__call__` does."""
+        return self._find(name)(name, sparse=sparse, **inputs)
+
+    def _find(self, name: str) -> Mechanism:
+        """Find the kernels that hold one, by its own name or as a derivative."""
         if any(kernel.name == name for kernel in self.manifest.kernels):
-            return self._start(name, sparse=sparse, **inputs)
-        return self._load(split_kernel(name)[0])(name, sparse=sparse, **inputs)
+            return self._start
+        return self._load(split_kernel(name)[0])
 
     def casadi(self, name: str) -> ca.Function:
         """Give a function with its exact derivatives, as `Mechanism.casadi` does."""

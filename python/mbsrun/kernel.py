@@ -64,6 +64,10 @@ class Kernels:
         """
         return self._binder.compile([self._binder.describe(name) for name in names])
 
+    def describe(self, name: str) -> Kernel:
+        """Describe a kernel as the manifest does. Raises ArgumentError with the names of those there are."""
+        return self._binder.describe(name)
+
     def __call__(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> dict[str, Array]:
         """Call a kernel; return its results by name.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import casadi as ca
 import numpy as np
@@ -15,6 +15,11 @@ from mbsgen.tape.ports import Port
 
 _NAMES_OF_RESIDUAL = (["q", "qd", "qdd", "u"], ["Phi"])
 FREE = {"lower": None, "upper": None}
+_DERIVATIVES: Mapping[str, Callable[[ca.Function], ca.Function]] = {
+    "jac_adj1_": lambda function: function.reverse(1).jacobian(),
+    "adj1_": lambda function: function.reverse(1),
+    "jac_": lambda function: function.jacobian(),
+}
 _NONE = Flops(paper=0, arithmetic=0, add=0, mul=0, div=0, neg=0, sqrt=0, trig=0, other=0)
 
 
@@ -42,17 +47,26 @@ class Peer:
 
     def with_functions(self, functions: Mapping[str, ca.Function]) -> Peer:
         """Return the same with more functions."""
-        known = {name: function for name, function in self._functions.items() if name != "jac_impl"}
+        known = {k: function for k, function in self._functions.items() if not k.startswith(tuple(_DERIVATIVES))}
         m = self.manifest
         return Peer(m.model, {**known, **functions}, m.coordinates, m.frames)
 
     def casadi(self, name: str) -> ca.Function:
-        """Give a kernel as a CasADi function."""
+        """Return a kernel as a CasADi function; derivatives are CasADi's."""
+        if name not in self._functions:
+            for prefix, differentiate in _DERIVATIVES.items():
+                if name.startswith(prefix):
+                    self._functions[name] = differentiate(self.casadi(name.removeprefix(prefix)))
+                    break
         return self._functions[name]
 
-    def __call__(self, name: str, /, **inputs: ArrayLike) -> dict[str, NDArray[np.float64]]:
+    def describe(self, name: str) -> Kernel:
+        """Describe a kernel, with its patterns."""
+        return _describe(name, self.casadi(name))
+
+    def __call__(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> dict[str, NDArray[np.float64]]:
         """Evaluate; a leading batch axis on all inputs is allowed."""
-        function = self._functions[name]
+        function = self.casadi(name)
         arrays = {key: np.asarray(value, dtype=float) for key, value in inputs.items()}
         wanted = [key for key in function.name_in() if not key.startswith("out_")]
         assert set(arrays) == set(wanted), f"{name} takes {wanted}"
@@ -65,8 +79,11 @@ class Peer:
         out = {}
         for i, key in enumerate(function.name_out()):
             rows, cols = function.size_out(i)
-            value = ca.densify(results[key]).full().reshape(rows, states, cols).transpose(1, 0, 2)
-            value = value[:, :, 0] if cols == 1 and not key.startswith("jac_") else value
+            if sparse:
+                value = np.array(results[key].nonzeros()).reshape(states, function.nnz_out(i))
+            else:
+                value = ca.densify(results[key]).full().reshape(rows, states, cols).transpose(1, 0, 2)
+                value = value[:, :, 0] if cols == 1 and not key.startswith("jac_") else value
             out[key] = value if is_batch else value[0]
         return out
 
@@ -132,12 +149,17 @@ def _describe(name: str, function: ca.Function) -> Kernel:
         symbol=function.name(),
         function=function.name(),
         sources=(),
-        inputs=tuple(_argument(function.name_in(i), function.size_in(i)) for i in range(function.n_in())),
-        outputs=tuple(_argument(function.name_out(i), function.size_out(i)) for i in range(function.n_out())),
+        inputs=tuple(_argument(function.name_in(i), function.sparsity_in(i)) for i in range(function.n_in())),
+        outputs=tuple(_argument(function.name_out(i), function.sparsity_out(i)) for i in range(function.n_out())),
         flops=_NONE,
         equations=0,
     )
 
 
-def _argument(name: str, size: tuple[int, int]) -> Argument:
-    return Argument(name=name, role=_ROLES.get(name, Role.RESULT), rows=size[0], cols=size[1])
+def _argument(name: str, pattern: ca.Sparsity) -> Argument:
+    (rows, cols), role = pattern.shape, _ROLES.get(name, Role.RESULT)
+    if pattern.is_dense():
+        return Argument(name=name, role=role, rows=rows, cols=cols)
+    return Argument(
+        name=name, role=role, rows=rows, cols=cols, colind=tuple(pattern.colind()), row=tuple(pattern.row())
+    )

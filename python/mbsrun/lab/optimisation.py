@@ -30,8 +30,9 @@ from mbsrun.ocp.problem import (
 )
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.solution import BAD_GUESS, SOLVED, Failure, Solution
+from mbsrun.ocp.solution import Failure, Solution
 from mbsrun.ocp.solve import Solver, solve
+from mbsrun.ocp.status import BAD_GUESS, SOLVED
 from mbsrun.ocp.trajectory import Trajectory
 
 Array = NDArray[np.float64]

@@ -1,34 +1,35 @@
-"""Unknowns that groups of equations give: solved for at one place after another, with derivatives, never twice.
+"""Inner variables of the intervals, solved for at one place after another, with derivatives, never twice.
 
-The groups are alike: each holds the same functions, applied to the same linear combinations y = C (z; w) of its
-unknowns z and its knowns w, so what one group has as matrices all have, and all are computed at once:
+Intervals are alike: each holds the same functions, applied to the same linear combinations y = C (z; w) of its unknowns
+z and its knowns w. So one interval's matrices serve all, and all intervals are computed at once:
 
     r(z, w) = A (z; w) + sum over applications of scale * F(C (z; w)) = 0
     dz/dw = -r_z^-1 r_w,    mu = -r_z^-T gradient,    the Hessian of mu' r by w = sum of Y' (that of mu' F) Y,
     with Y = C (dz/dw; 1).
 
-What is found belongs to the knowns that it was found for, and is kept with them: asked for again at the very same
-numbers, whoever asks, it is there; at any others it is computed.
+Newton's method solves r = 0, or substitution where r is triangular. The last solution is kept with the knowns that it
+belongs to: asked for again at the very same numbers, it is not computed again. So constraints, Jacobian and Hessian at
+one iterate share one solve.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
 from mbsrun.ocp.factors import Factors
-from mbsrun.ocp.program import Block, Indices, Program
+from mbsrun.ocp.functions import Array, Evaluation, Function, Indices, Pattern
+from mbsrun.ocp.program import Block, Column, Program
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Bind = Callable[[Function, int], Evaluation]  # a backend's: a function and a number of places -> its evaluation
 
 ITERATIONS = 30  # of Newton's method, before the equations count as having no solution
 STEP = 1e-8  # relative to unknowns above 1: a step so small leaves an error of its square, with slopes of its own place
@@ -38,67 +39,41 @@ SLOW = 0.05  # the rate above which slopes are computed anew
 
 @dataclass(frozen=True)
 class Groups:
-    """Equations that share no unknowns: G groups of as many equations as unknowns, in matching order."""
+    """Equations that share no unknowns: G groups of as many equations as unknowns."""
 
     unknowns: Indices  # (G, s): variables of the program
-    equations: Indices  # (G, s): rows of it
-    knowns: Indices  # (G, k): the other variables that the equations feel; none is in two groups
-
-
-class Call:
-    """A function mapped over places, on buffers of its own: (places, nonzeros) for each input and result."""
-
-    def __init__(self, function: ca.Function, places: int, inputs: Sequence[int], results: Sequence[int]) -> None:
-        """Bind some inputs and results, by number; other inputs are zeros, other results are not wanted."""
-        mapped = function.map(places)
-        self._buffer, self._run = mapped.buffer()
-        self.inputs = [np.zeros((places, function.nnz_in(i))) for i in inputs]
-        self.results = [np.zeros((places, function.nnz_out(j))) for j in results]
-        for i, array in zip(inputs, self.inputs, strict=True):
-            self._buffer.set_arg(i, array.data)  # type: ignore[call-arg]  # the size is read off it
-        for j, array in zip(results, self.results, strict=True):
-            if array.size:
-                self._buffer.set_res(j, array.data)  # type: ignore[call-arg]
-
-    def __call__(self, arguments: Sequence[Array]) -> list[Array]:
-        """Evaluate; the results are overwritten by the next call, and not numbers where the function fails."""
-        for held, given in zip(self.inputs, arguments, strict=True):
-            held[:] = given
-        self._run()
-        if self._buffer.ret():
-            for array in self.results:
-                array[:] = np.nan
-        return self.results
+    knowns: Indices  # (G, k): the other variables that the equations read; none is in two groups
 
 
 class Application:
     """A function that every one of G groups applies at P places, with its derivatives."""
 
-    def __init__(self, block: Block, C: Array, rows: Indices, scale: Array, groups: int) -> None:
+    def __init__(self, bind: Bind, function: Function, C: Array, rows: Indices, scale: Array, groups: int) -> None:
         """C is (P, size of all arguments, unknowns and knowns of a group), rows (P, results), scale (P,)."""
         self.C, self.rows, self.scale = C, rows, scale
-        self._block, self._groups = block, groups
-        self._function, self._n = block.function, len(block.columns)
-        self._bounds = np.cumsum([0, *(self._function.size1_in(i) for i in range(self._n))])
+        self._bind, self._function, self._groups = bind, function, groups
+        self._evaluation = bind(function, groups * len(rows))
+        self._bounds = np.cumsum([0, *self._evaluation.sizes])
 
     def take(self, places: Indices) -> Application:
         """Keep some of the P places."""
-        return Application(self._block, self.C[places], self.rows[places], self.scale[places], self._groups)
+        chosen = (self.C[places], self.rows[places], self.scale[places])
+        return Application(self._bind, self._function, *chosen, self._groups)
 
     def value(self, v: Array) -> Array:
-        """Give the results at (G, unknowns and knowns), scaled: (G, P, results)."""
-        (found,) = self._value(self._split(v))
+        """Return the results at (G, unknowns and knowns), scaled: (G, P, results)."""
+        found = self._evaluation.value(self._split(v))
         return self.scale[:, None] * found.reshape(self._groups, *self.rows.shape)
 
     def slopes(self, v: Array) -> Array:
-        """Give the derivatives of the results by their arguments, scaled: (G, P, results, size of all arguments)."""
-        found = _spread(self._slopes(self._split(v)), self._slope_places, self._slope_shape)
+        """Return the derivatives of the results by their arguments, scaled: (G, P, results, size of all arguments)."""
+        found = _spread(self._evaluation.jacobian(self._split(v)), self._slope_places, self._slope_shape)
         return self.scale[:, None, None] * found.reshape(self._groups, -1, *self._slope_shape)
 
     def curvature(self, v: Array, multipliers: Array) -> Array:
-        """Give the Hessian of multipliers' results, scaled: (G, P, size of all arguments, the same)."""
+        """Return the Hessian of multipliers' results, scaled: (G, P, size of all arguments, the same)."""
         weights = (self.scale[:, None] * multipliers).reshape(-1, self.rows.shape[1])
-        found = self._curvature([*self._split(v), weights])
+        found = self._evaluation.hessian(self._split(v), weights)
         whole = _spread(found, self._curvature_places, self._curvature_shape)
         return whole.reshape(self._groups, -1, *self._curvature_shape)
 
@@ -118,36 +93,8 @@ class Application:
 
     @cached_property
     def _sparse(self) -> sparse.csr_array:
-        """Give C, its P parts below each other; few of it are not 0, and BLAS would start threads."""
+        """Return C, its P parts below each other; most of it is 0, and BLAS would start threads."""
         return sparse.csr_array(self.C.reshape(-1, self.C.shape[2]))
-
-    # --- the function and its derivatives, as CasADi calls them ---
-
-    @cached_property
-    def _value(self) -> Call:
-        return Call(self._function, self._places, range(self._n), [0])
-
-    @cached_property
-    def _slopes(self) -> Call:
-        return Call(self._function.jacobian(), self._places, range(self._n), range(self._n))
-
-    @cached_property
-    def _curvature(self) -> Call:
-        weights = self._function.n_in() + 1  # inputs: F's, its result, weights, the adjoint's results
-        return Call(self._adjoint_slopes, self._places, [*range(self._n), weights], self._pairs)
-
-    @cached_property
-    def _adjoint_slopes(self) -> ca.Function:
-        return self._function.reverse(1).jacobian()
-
-    @property
-    def _pairs(self) -> list[int]:
-        """Number the results of `_adjoint_slopes` that are second derivatives, row by row."""
-        return [i * (self._function.n_in() + 2) + j for i in range(self._n) for j in range(self._n)]
-
-    @property
-    def _places(self) -> int:
-        return self._groups * len(self.rows)
 
     @property
     def _slope_shape(self) -> tuple[int, int]:
@@ -159,26 +106,23 @@ class Application:
 
     @cached_property
     def _slope_places(self) -> list[Indices]:
-        """Say where the nonzeros of each block of the slopes lie, in the flattened whole."""
-        jacobian = self._function.jacobian()
-        return [
-            _flatten(jacobian.sparsity_out(i), 0, int(self._bounds[i]), int(self._bounds[-1])) for i in range(self._n)
-        ]
+        """Where the nonzeros of each block of the slopes lie, in the flattened whole."""
+        width, patterns = int(self._bounds[-1]), self._evaluation.jacobian_patterns
+        return [_flatten(p, 0, int(left), width) for p, left in zip(patterns, self._bounds[:-1], strict=True)]
 
     @cached_property
     def _curvature_places(self) -> list[Indices]:
         corners = [(int(a), int(b)) for a in self._bounds[:-1] for b in self._bounds[:-1]]
-        patterns = [self._adjoint_slopes.sparsity_out(k) for k in self._pairs]
-        width = int(self._bounds[-1])
+        patterns, width = self._evaluation.hessian_patterns, int(self._bounds[-1])
         return [_flatten(pattern, *corner, width) for pattern, corner in zip(patterns, corners, strict=True)]
 
 
 @dataclass
 class _Found:
-    """What is known at one place; None for what nobody asked for."""
+    """The solution at one place; None for parts that were not asked for."""
 
     key: bytes
-    v: Array  # (G, s + k): unknowns, which are not numbers where there is no solution, then knowns
+    v: Array  # (G, s + k): unknowns, not numbers where there is no solution, then knowns
     factors: Factors | None = None  # of r_z
     slopes: Array | None = None  # (G, s, k): dz/dw
 
@@ -190,10 +134,11 @@ class Elimination:
     """
 
     def __init__(
-        self, A: Array, applications: Sequence[Application], groups: int, orders: Sequence[Indices] = ()
+        self, A: Array, applications: Sequence[Application], groups: Groups, orders: Sequence[Indices] = ()
     ) -> None:
         """A is (s, s + k); orders are equations of a triangular system with ones on its diagonal, one after another."""
         self.A, self.applications, self.groups = A, applications, groups
+        self._count = len(groups.unknowns)
         self._sparse = sparse.csr_array(A)
         self.orders = [
             (rows, [part.take(chosen) for part in applications if (chosen := _find(part.rows, rows)).size])
@@ -203,23 +148,23 @@ class Elimination:
         self._last: _Found | None = None
 
     def solve(self, w: Array) -> Array:
-        """Give the unknowns, (G, s), for knowns (G, k); not numbers where there is no solution."""
+        """Return the unknowns, (G, s), for knowns (G, k); not numbers where there is no solution."""
         with self._turn():
             return self._find(w).v[:, : self._s].copy()
 
     def differentiate(self, w: Array) -> Array:
-        """Give dz/dw, (G, s, k)."""
+        """Return dz/dw, (G, s, k)."""
         with self._turn():
             return self._differentiate(self._find(w)).copy()
 
     def curve(self, w: Array, gradient: Array) -> Array:
-        """Give the Hessian by w, (G, k, k), that equations add to a function with a gradient by z, (G, s)."""
+        """Return the Hessian by w, (G, k, k), that equations add to a function with a gradient by z, (G, s)."""
         with self._turn():
             found = self._find(w)
             slopes = self._differentiate(found)
             assert found.factors is not None, "slopes are made with them"
             mu = -found.factors.solve_transposed(gradient)
-            whole = np.zeros((self.groups, slopes.shape[2], slopes.shape[2]))
+            whole = np.zeros((self._count, slopes.shape[2], slopes.shape[2]))
             for part in self.applications:
                 curvature = part.curvature(found.v, mu[:, part.rows])
                 for p, C in enumerate(part.C):
@@ -229,17 +174,17 @@ class Elimination:
 
     @cached_property
     def slope_pattern(self) -> Mask:
-        """Tell which of dz/dw, (s, k), may be nonzero: all that stands beside a known that is felt at all."""
-        felt = self.A != 0
+        """Mark the entries of dz/dw, (s, k), that may be nonzero: all of each known that the equations read."""
+        read = self.A != 0
         for part in self.applications:
             for rows, C in zip(part.rows, part.C, strict=True):
-                felt[rows] |= _reaches(part.slope_pattern, C != 0)
-        known: Mask = felt[:, self._s :].any(axis=0)
+                read[rows] |= _reaches(part.slope_pattern, C != 0)
+        known: Mask = read[:, self._s :].any(axis=0)
         return np.broadcast_to(known, (self._s, known.size))
 
     @cached_property
     def curvature_pattern(self) -> Mask:
-        """Tell which entries of `curve`, (k, k), may be nonzero."""
+        """Mark the entries of `curve`, (k, k), that may be nonzero."""
         k = self.A.shape[1] - self._s
         pattern = np.zeros((k, k), dtype=bool)
         for part in self.applications:
@@ -252,7 +197,7 @@ class Elimination:
 
     @contextmanager
     def _turn(self) -> Iterator[None]:
-        """Let others wait; what is not a number goes on as such."""
+        """Let other threads wait; a number that is none is passed on as such."""
         with self._lock, np.errstate(all="ignore"):
             yield
 
@@ -263,7 +208,7 @@ class Elimination:
     def _find(self, w: Array) -> _Found:
         key = w.tobytes()
         if self._last is None or self._last.key != key:
-            z = np.zeros((self.groups, self._s))
+            z = np.zeros((self._count, self._s))
             v = np.concatenate((z, w), axis=1)
             if not (self._substitute(v) if self.orders else self._iterate(v)):
                 v[:, : self._s] = np.nan
@@ -284,10 +229,10 @@ class Elimination:
         return bool(np.isfinite(v).all())
 
     def _iterate(self, v: Array) -> bool:
-        """Solve by Newton's method; tell whether it ends.
+        """Solve by Newton's method; return whether it ends.
 
-        Slopes are kept as long as steps shrink quickly with them. A step that does not is not taken, so what is found
-        is what Newton's method finds with slopes of every place.
+        Slopes are kept as long as steps shrink quickly with them. A step that does not is not taken, so the solution is
+        the one that Newton's method finds with slopes of every place.
         """
         z, last = v[:, : self._s], np.inf
         kept: Factors | None = None
@@ -314,16 +259,16 @@ class Elimination:
         return False
 
     def _residual(self, v: Array, parts: Sequence[Application] | None = None) -> Array:
-        """Give the equations' values, (G, s); with some parts, of those rows alone that no others add to."""
+        """Return the equations' values, (G, s); with some parts, of the rows alone to which no others add."""
         r = np.ascontiguousarray((self._sparse @ v.T).T)
         for part in self.applications if parts is None else parts:
             r[:, part.rows] += part.value(v)
         return r
 
     def _slopes(self, v: Array, *, unknowns_only: bool = False) -> Array:
-        """Give the equations' derivatives by unknowns and knowns, (G, s, s + k), or by unknowns, (G, s, s)."""
+        """Return the equations' derivatives by unknowns and knowns, (G, s, s + k), or by unknowns, (G, s, s)."""
         columns = slice(self._s if unknowns_only else None)
-        J = np.repeat(self.A[None, :, columns], self.groups, axis=0)
+        J = np.repeat(self.A[None, :, columns], self._count, axis=0)
         for part in self.applications:
             slopes = part.slopes(v)
             for p, rows in enumerate(part.rows):
@@ -331,56 +276,63 @@ class Elimination:
         return J
 
 
-def eliminate(program: Program, groups: Groups, orders: Sequence[Indices] = ()) -> Elimination:
-    """Read the equations of a program, which read no parameters, as those of groups that are alike.
-
-    orders: rows of a group's equations, (size,) each, where each order's are its unknowns minus a function of those
-    of the orders before.
-    """
+def eliminate(program: Program, bind: Bind) -> Elimination:
+    """Read the inner equations of a program, which read no parameters, as those of intervals that are alike."""
+    stages = program.stages
+    assert stages is not None, "inner variables are those of stages"
+    G, S, size = stages.inner.shape
+    equations = program.restrict(stages.equations.ravel())
+    groups = Groups(stages.inner.reshape(G, -1), np.concatenate((stages.states[:-1], stages.inputs), axis=1))
     order = np.concatenate((groups.unknowns, groups.knowns), axis=1)  # (G, s + k)
     column = np.full(program.variables, -1)  # where a variable stands in its group
     column[order] = np.arange(order.shape[1])
-    row = np.full(program.constraints, -1)
-    row[groups.equations] = np.arange(groups.equations.shape[1])
-    owner = np.full(program.constraints, -1)
-    owner[groups.equations] = np.arange(len(groups.equations))[:, None]
-    A = sparse.csr_array(program.A)[groups.equations.ravel()]
-    parts = [_read_block(block, column, row, owner, len(order)) for block in program.blocks]
-    shape = (len(order), groups.equations.shape[1], order.shape[1])
-    return Elimination(_localise(A, shape, column), parts, len(order), orders)
+    parts = [_read_block(block, column, order.shape, S * size, bind) for block in equations.blocks]
+    A = _localise(sparse.csr_array(equations.A), (G, S * size, order.shape[1]), column)
+    orders = list(np.arange(S * size).reshape(S, size)) if stages.is_triangular else []
+    return Elimination(A, parts, groups, orders)
 
 
-def _read_block(block: Block, column: Indices, row: Indices, owner: Indices, groups: int) -> Application:
-    """Say what each group applies of a block."""
+def _read_block(block: Block, column: Indices, shape: tuple[int, ...], equations: int, bind: Bind) -> Application:
+    """Read what each group applies of a block; `shape` is that of groups and their variables."""
     assert (block.data, block.factor, block.parameters.size) == (None, None, 0), "equations read variables alone"
-    owners = owner[block.rows[0]]
-    places = np.argsort(owners, kind="stable").reshape(groups, -1)  # (G, P)
-    assert (owners[places] == np.arange(groups)[:, None]).all(), "groups are alike"
-    P, width = places.shape[1], int(column.max()) + 1
-    matrices = []
-    for part in block.columns:
-        if isinstance(part, np.ndarray):
-            size, at = len(part), part[:, places.ravel()].T
-            ones = (np.ones(at.size), at.ravel(), np.arange(at.size + 1))
-            matrix = sparse.csr_array(ones, shape=(at.size, column.size))
-        else:
-            size = part.shape[0] // block.places
-            matrix = sparse.csr_array(part)[(places.reshape(-1, 1) * size + np.arange(size)).ravel()]
-        matrices.append(_localise(matrix, (groups, P * size, width), column).reshape(P, size, width))
-    rows, scales = row[block.rows[:, places]].transpose(1, 2, 0), block.scales[places]
+    groups, width = shape
+    places = np.argsort(block.stages, kind="stable").reshape(groups, -1)  # (G, P)
+    assert (block.stages[places] == np.arange(groups)[:, None]).all(), "groups are alike"
+    rows, scales = block.rows[:, places].transpose(1, 2, 0), block.scales[places]
+    assert (rows // equations == np.arange(groups)[:, None, None]).all(), "a place adds to rows of its stage"
+    rows = rows % equations
     assert (rows == rows[0]).all(), "groups are alike"
     assert (scales == scales[0]).all(), "groups are alike"
     assert np.unique(rows[0]).size == rows[0].size, "no two places add to a row"
-    return Application(block, np.concatenate(matrices, axis=1), rows[0], scales[0], groups)
+    C = np.concatenate([_read_part(part, places, column, width) for part in block.columns], axis=1)
+    return Application(bind, block.function, C, rows[0], scales[0], groups)
+
+
+def _read_part(part: Column, places: Indices, column: Indices, width: int) -> Array:
+    """Return the matrix, (P, size, width), of a part at the places of a group, by the variables of the group."""
+    P = places.shape[1]
+    if isinstance(part, np.ndarray):
+        local, coefficients = column[part[:, places]].transpose(1, 2, 0), np.ones((P, len(part)))
+        C, at = np.zeros((P, len(part), width)), (np.arange(P)[:, None], np.arange(len(part)), local[0])
+    else:
+        which, local = part.which[places], column[part.variables[places]]
+        assert (which == which[0]).all(), "groups are alike"
+        coefficients = part.matrices[which[0]]
+        C = np.zeros((P, part.size, width))
+        at = (np.arange(P)[:, None, None], np.arange(part.size)[:, None], local[0][:, None, :])
+    assert (local >= 0).all(), "the equations read their knowns and unknowns alone"
+    assert (local == local[0]).all(), "groups are alike"
+    np.add.at(C, at, coefficients)
+    return C
 
 
 def _localise(matrix: sparse.csr_array, shape: tuple[int, int, int], column: Indices) -> Array:
-    """Give the rows that all groups have in common, by the variables of a group; `matrix` is those of all, in turn."""
+    """Return the rows that all groups have in common, by the variables of a group; `matrix` holds all, in turn."""
     groups, size, width = shape
     matrix.sum_duplicates()
     r, c = matrix.tocoo().coords
     owner, row, col = r // size, r % size, column[c]
-    assert (col >= 0).all(), "the equations feel their knowns and unknowns alone"
+    assert (col >= 0).all(), "the equations read their knowns and unknowns alone"
     order = np.lexsort((col, row, owner))
     owners, rows, cols, data = (part[order].reshape(groups, -1) for part in (owner, row, col, matrix.data))
     assert (owners == np.arange(groups)[:, None]).all(), "groups are alike"
@@ -396,14 +348,13 @@ def _find(rows: Indices, wanted: Indices) -> Indices:
 
 
 def _measure(step: Array, z: Array) -> float:
-    """Tell how large a step is beside the unknowns that it leads to."""
+    """Measure a step relative to the unknowns that it leads to."""
     return float(np.abs(step).max() / (1 + np.abs(z - step).max()))
 
 
-def _flatten(pattern: ca.Sparsity, top: int, left: int, width: int) -> Indices:
-    """Say where the nonzeros of a block lie in a flattened matrix that has it at (top, left)."""
-    rows, cols = (np.asarray(k, dtype=np.int64) for k in pattern.get_triplet())
-    return (rows + top) * width + cols + left
+def _flatten(pattern: Pattern, top: int, left: int, width: int) -> Indices:
+    """Number the nonzeros of a block in a flattened matrix that has it at (top, left)."""
+    return (pattern.row + top) * width + pattern.col + left
 
 
 def _spread(found: Sequence[Array], places: Sequence[Indices], shape: tuple[int, int]) -> Array:
@@ -421,5 +372,5 @@ def _mark(places: Sequence[Indices], shape: tuple[int, int]) -> Mask:
 
 
 def _reaches(first: Mask, second: Mask) -> Mask:
-    """Give the pattern of a product."""
+    """Return the pattern of a product."""
     return np.asarray((first.astype(np.int64) @ second.astype(np.int64)) > 0)

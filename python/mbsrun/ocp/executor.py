@@ -15,7 +15,7 @@ from types import MappingProxyType
 from mbsrun.ocp import schemes, solution
 from mbsrun.ocp.guess import Pose, adapt, balance, find_pose, interpolate, rest
 from mbsrun.ocp.linear import MUMPS, OWN
-from mbsrun.ocp.methods import LINEAR_SOLVER
+from mbsrun.ocp.methods.ipopt import LINEAR_SOLVER
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.record import Attempt
@@ -25,7 +25,8 @@ from mbsrun.ocp.solution import Failure, Solution
 from mbsrun.ocp.solve import Solver
 from mbsrun.ocp.starts import coarsen, count_turns, hop, vary
 from mbsrun.ocp.trajectory import Trajectory
-from mbsrun.ocp.transcription import Structure, structure
+from mbsrun.ocp.status import UNREACHABLE
+from mbsrun.ocp.structure import Structure, structure
 
 Environment = Mapping[str, str | int]
 
@@ -73,7 +74,7 @@ class Worker:
         trial, problem = order.trial, choose_options(order.study.state(order.trial.task), order.trial)
         guess = self.make_guess(order, problem)
         if guess is None:
-            run = solution.Run(solution.UNREACHABLE, 0, 0.0, 0.0)
+            run = solution.Run(UNREACHABLE, 0, 0.0, 0.0)
             return Failure(problem, run, "no pose meets the targets", "move the target or widen the bounds")
         begun = 0.0  # processor time of a coarse solve
         coarse = coarsen(problem, trial.start.variation) if isinstance(trial.start, Varied) else None

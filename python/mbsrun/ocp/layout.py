@@ -4,8 +4,10 @@ Interval by interval: the state x_k = (q, qd) at the mesh point; at each colloca
 the equations of motion are an ODE, the acceleration z_kj; the inputs u_k, constant over the interval. At the end x_N,
 and the horizon T where it is free. With quaternions there are more entries of q than of qd and z.
 
-In the integral form the states at the points are no variables: they are linear in x_k and the accelerations at the
-stages of an integrator, which are those at the points unless the integrator says otherwise (see `integrators`).
+In the integral form the states at the points are no variables. They are linear in x_k and the accelerations z_k at the
+stages of an integrator, with the matrices of `integrators`, h being the length of an interval:
+
+    q = q_k + h c qd_k + h^2 P z_k,    qd = qd_k + h V z_k,    qdd = W z_k
 """
 
 from __future__ import annotations
@@ -18,10 +20,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
+from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.integrators import Integrator, Reading
-from mbsrun.ocp.program import Indices, Matrix
+from mbsrun.ocp.program import Column, Combination, Matrix
 
-Array = NDArray[np.float64]
 Scalar = TypeVar("Scalar", np.float64, np.int64)
 
 
@@ -43,8 +45,30 @@ class Layout:
         return int(self.mesh.shape[1]) - self.nq
 
     def split(self, states: NDArray[Scalar]) -> tuple[NDArray[Scalar], NDArray[Scalar]]:
-        """Split states (..., nq + n), or what there is of each of their entries, into coordinates and velocities."""
+        """Split states (..., nq + n), or any array with their last axis, into coordinates and velocities."""
         return states[..., : self.nq], states[..., self.nq :]
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Where each constraint lies."""
+
+    start: Indices  # (nq + n,)
+    lengths: Indices  # (quaternions,) where the start is free, or empty
+    states: Indices  # (N, S, nq + n); (N, S, 0) in the integral form
+    dynamics: Indices  # (N, S, n): for an ODE, the rows of the states that hold the equations of motion
+    continuity: Indices  # (N, nq + n)
+    inner: Indices  # (N, points, bounded states): where points have no states
+    sensors: Indices  # (targets, 3)
+    coordinates: Indices  # (targets,); quaternions apart
+    attitudes: Indices  # (targets, 3)
+    velocity: Indices  # (n,), or empty
+    acceleration: Indices  # (n,), or empty
+    velocities: Indices  # (targets,)
+    accelerations: Indices  # (targets,)
+    sensor_velocities: Indices  # (targets, 3)
+    constraints: tuple[Indices, ...]  # of each, (places,)
+    size: int
 
 
 def lay_out(
@@ -58,7 +82,7 @@ def lay_out(
     has_accelerations: bool,
     horizon_is_free: bool,
 ) -> Layout:
-    """Number the variables; `has_states` and `has_accelerations` tell what the stages have of their own."""
+    """Number the variables; `has_states` and `has_accelerations` say which variables the stages have."""
     N, S, width = intervals, stages, nq + n
     states = width * has_states
     at_stage = states + n * has_accelerations
@@ -80,20 +104,22 @@ def lay_out(
 class Places:
     """Where functions of the motion are applied: parts of the variables as a block takes them."""
 
-    q: Indices | Matrix  # (nq, places)
-    qd: Indices | Matrix
-    qdd: Indices | Matrix  # (0, places) where accelerations are no variables
+    q: Column  # size nq
+    qd: Column
+    qdd: Column  # size 0 where accelerations are no variables
     u: Indices  # (m, places)
     s: Array  # (places,): time over the horizon
+    stage: Indices  # (places,): of the states
+    interval: Indices  # (places,): of inputs and accelerations
 
 
 def at_points(layout: Layout, integrator: Integrator, h: float) -> Places:
-    """Give all points of the scheme, interval by interval; h is the length of an interval, for the integral form."""
+    """Return all points of the scheme, interval by interval; the integral form needs h, the length of an interval."""
     return _at(layout, integrator.points, h)
 
 
 def at_stages(layout: Layout, integrator: Integrator, h: float) -> Places:
-    """Give all stages of the integrator, likewise."""
+    """Return all stages of the integrator, interval by interval."""
     return _at(layout, integrator.stages, h)
 
 
@@ -101,47 +127,46 @@ def _at(layout: Layout, reading: Reading, h: float) -> Places:
     N, k = len(layout.inputs), len(reading.c)
     u = np.repeat(layout.inputs, k, axis=0).T
     s = (np.arange(N)[:, None] + reading.c).ravel() / N
+    interval = np.repeat(np.arange(N), k)
     accelerations = layout.accelerations.reshape(N * layout.accelerations.shape[1], -1).T
     if layout.points.size:
         q, qd = (part.reshape(N * k, -1).T for part in layout.split(layout.points))
-        return Places(q, qd, accelerations, u, s)
+        return Places(q, qd, accelerations, u, s, interval, interval)
     motion = read_motion(layout, reading, h)
-    return Places(motion.q, motion.qd, accelerations if reading.are_stages else motion.qdd, u, s)
+    qdd = accelerations if reading.are_stages else motion.qdd
+    return Places(motion.q, motion.qd, qdd, u, s, interval, interval)
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion at k places of every interval, as linear functions of the variables, each (N k n, variables)."""
+    """A motion at k places of every interval, (N k) in all, each of size n."""
 
-    q: Matrix
-    qd: Matrix
-    qdd: Matrix
+    q: Combination
+    qd: Combination
+    qdd: Combination
 
 
 def read_motion(layout: Layout, reading: Reading, h: float) -> Motion:
     """Read a motion, without quaternions, off the states at the mesh points and the accelerations at the stages."""
-    (N, _, n), k = layout.accelerations.shape, len(reading.c)
-    row = np.arange(N * k * n).reshape(N, k, n)
-    q, qd = layout.split(layout.mesh[:-1])
+    (N, S, n), k = layout.accelerations.shape, len(reading.c)
+    variables = np.concatenate((layout.mesh[:-1], layout.accelerations.reshape(N, S * n)), axis=1)
+    which, repeated = np.tile(np.arange(k), N), np.repeat(variables, k, axis=0)
+    one, zero = np.ones(k), np.zeros(k)
 
-    def matrix(parts: Sequence[tuple[Indices, Array]], weights: Array) -> Matrix:
-        """Put columns with a value for each place, and accelerations with weights, (k, S)."""
-        entries = Entries()
-        for col, value in parts:
-            entries.put(row, col[:, None, :], value[:, None])
-        entries.put(row[:, :, None, :], layout.accelerations[:, None], weights[:, :, None])
-        return entries.matrix((row.size, layout.size))
+    def combine(q: Array, qd: Array, weights: Array) -> Combination:
+        """Combine with a coefficient of q_k and of qd_k for each place, and of accelerations, (k, S)."""
+        coefficients = np.concatenate((q[:, None], qd[:, None], weights), axis=1)
+        return Combination(_spread(coefficients, n), which, repeated)
 
-    one = np.ones(k)
     return Motion(
-        q=matrix([(q, one), (qd, h * reading.c)], h**2 * reading.P),
-        qd=matrix([(qd, one)], h * reading.V),
-        qdd=matrix([], reading.W),
+        q=combine(one, h * reading.c, h**2 * reading.P),
+        qd=combine(zero, one, h * reading.V),
+        qdd=combine(zero, zero, reading.W),
     )
 
 
 def at_mesh(layout: Layout, integrator: Integrator, k: Sequence[int]) -> Places:
-    """Give some mesh points, with the inputs of the interval before; the first has those of the interval after.
+    """Return some mesh points, with the inputs of the interval before; the first has those of the interval after.
 
     Accelerations there are read off the stages of that interval.
     """
@@ -149,12 +174,17 @@ def at_mesh(layout: Layout, integrator: Integrator, k: Sequence[int]) -> Places:
     interval, n = np.maximum(at - 1, 0), layout.n
     q, qd = (part.T for part in layout.split(layout.mesh[at]))
     s = at / len(layout.inputs)
-    if not stages.size:
-        return Places(q, qd, np.zeros((0, at.size), dtype=np.int64), layout.inputs[interval].T, s)
-    qdd = Entries()
-    weights = integrator.ends.W[(at > 0).astype(np.int64)]  # (places, S)
-    qdd.put(np.arange(at.size * n).reshape(-1, 1, n), stages[interval], weights[:, :, None])
-    return Places(q, qd, qdd.matrix((at.size * n, layout.size)), layout.inputs[interval].T, s)
+    qdd: Column = np.zeros((0, at.size), dtype=np.int64)
+    if stages.size:
+        matrices = _spread(integrator.ends.W, n)
+        qdd = Combination(matrices, (at > 0).astype(np.int64), stages[interval].reshape(at.size, matrices.shape[2]))
+    return Places(q, qd, qdd, layout.inputs[interval].T, s, at, interval)
+
+
+def _spread(coefficients: Array, n: int) -> Array:
+    """Repeat coefficients (places, width) for n entries alike: (places, n, width * n)."""
+    whole = coefficients[:, None, :, None] * np.eye(n)[None, :, None, :]
+    return np.asarray(whole.reshape(len(coefficients), n, -1))
 
 
 class Entries:
@@ -169,13 +199,13 @@ class Entries:
         kept = values.ravel() != 0.0
         self.parts.append((row.ravel()[kept], col.ravel()[kept], values.ravel()[kept]))
 
-    def put_matrix(self, rows: Indices, matrix: sparse.csr_array) -> None:
-        """Put a matrix with rows of its own."""
-        coo = matrix.tocoo()
-        self.put(rows[coo.coords[0]], coo.coords[1], coo.data)
+    def put_part(self, rows: Indices, part: Combination, entries: Sequence[int]) -> None:
+        """Add some entries of a part of the variables at every place: rows are (places, entries)."""
+        coefficients = part.matrices[part.which][:, list(entries)]  # (places, entries, width)
+        self.put(rows[:, :, None], part.variables[:, None, :], coefficients)
 
     def matrix(self, shape: tuple[int, int]) -> Matrix:
-        """Give the matrix."""
+        """Return the matrix."""
         row, col, value = (np.concatenate(part) for part in zip(*self.parts, strict=True))
         matrix = sparse.coo_array((value, (row, col)), shape=shape).tocsc()
         matrix.sum_duplicates()

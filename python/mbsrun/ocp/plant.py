@@ -1,14 +1,16 @@
-"""What optimal control needs of a model: loaded kernels, or anything that offers the same."""
+"""The kernels of a model as optimal control needs them: loaded kernels, or anything with the same methods."""
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mbsgen.manifest import Manifest
+from mbsgen.manifest import Kernel, Manifest
+
+if TYPE_CHECKING:
+    import casadi as ca
 
 
 class Plant(Protocol):
@@ -18,8 +20,11 @@ class Plant(Protocol):
     def manifest(self) -> Manifest:
         """Describe the kernels."""
 
+    def describe(self, name: str) -> Kernel:
+        """Describe one kernel, which the manifest need not list yet; raises ArgumentError where there is none."""
+
     def __call__(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> dict[str, NDArray[np.float64]]:
         """Evaluate a kernel; a leading batch axis on all inputs is allowed; sparse: only the nonzeros."""
 
     def casadi(self, name: str) -> ca.Function:
-        """Give a kernel as a CasADi function with its exact derivatives."""
+        """Return a kernel as a CasADi function with its exact derivatives."""

@@ -17,36 +17,8 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, PlainSerializer
 
 from mbsrun.ocp.integrators import IntegratorName
+from mbsrun.ocp.representations import Representation as Representation
 from mbsrun.ocp.schemes import Family
-
-
-class Representation(Enum):
-    """The equations of motion as constraints: a formulation, as a residual, an ODE, or algebraic in the accelerations.
-
-    Docquier, Bruls, Fisette, section 3.3.
-    """
-
-    IMPL = "IMPL"  # Phi(q, qd, z) - Q(q, qd, u) = 0
-    SEMI = "SEMI"  # M(q) z + c(q, qd) - Q(q, qd, u) = 0
-    EXP1_O = "EXP1-O"  # d/dt qd = gamma(q, qd, u)
-    EXP1_A = "EXP1-A"  # d/dt qd = z, z - gamma(q, qd, u) = 0
-    EXP2_O = "EXP2-O"  # the same two by the order-N recursion
-    EXP2_A = "EXP2-A"
-
-    @property
-    def kernel(self) -> str:
-        """Name the kernel."""
-        return {"IMPL": "impl", "SEMI": "semi_res", "EXP1": "exp1", "EXP2": "exp2"}[self.value[:4]]
-
-    @property
-    def is_explicit(self) -> bool:
-        """Tell whether the kernel gives accelerations, and not a residual."""
-        return self.value.startswith("EXP")
-
-    @property
-    def is_ode(self) -> bool:
-        """Tell whether accelerations are no variables."""
-        return self.value.endswith("-O")
 
 
 class Form(Enum):
@@ -210,7 +182,8 @@ def find_conflicts(problem: Problem) -> list[Conflict]:
         found.append(Conflict("form", finding, "take EXP1-A or IMPL"))
     if form is Form.SHOOTING and representation.is_explicit and not representation.is_ode:
         finding = f"{representation.value} has accelerations as variables, shooting has none"
-        found.append(Conflict("representation", finding, f"take {representation.value[:4]}-O"))
+        ode = representation.as_ode
+        found.append(Conflict("representation", finding, f"take {ode.value if ode else 'form: standard'}"))
     if form is not Form.SHOOTING and (problem.integrator != "collocation" or problem.steps != 1):
         finding = f"an integrator, and steps of it, are for shooting, and the form is {form.value}"
         found.append(Conflict("form", finding, "take form: shooting, or leave integrator and steps out"))

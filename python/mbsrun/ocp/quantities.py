@@ -1,4 +1,4 @@
-"""Expressions of a motion: what they may speak of, and how they become functions that a program applies.
+"""Expressions of a motion as formulas that a program applies.
 
     t, T                                          time, horizon
     q_NAME, qd_NAME, qdd_NAME                     of a coordinate: value, velocity, acceleration
@@ -6,105 +6,110 @@
     x_NAME, y_NAME, z_NAME, vx_NAME, ...          of a sensor: position and velocity in the base frame
 
 where dots and spaces of a name are written _, and q has names of its own where there are quaternions (q_trunk_qx); and
-the constants of the problem, which are parameters of the program. Units are SI. An expression is read by the white list
-of `mbsgen.expressions`; its derivatives are CasADi's, through the kernels that sensors and accelerations take.
+the constants of the problem, which are parameters of the program. Units are SI. `mbsgen.expressions` reads an
+expression by a white list. Sensors, and accelerations of an ODE, are no variables: kernels compute them.
 """
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
-import casadi as ca
-
-from mbsgen.expressions import FUNCTIONS, Algebra, evaluate, names, parse
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Representation
+from mbsgen.expressions import (
+    FUNCTIONS,
+    Algebra,
+    Call,
+    Constant,
+    Expression,
+    Name,
+    Negation,
+    Number,
+    Operation,
+    Power,
+    evaluate,
+    names,
+    parse,
+)
+from mbsgen.manifest import Manifest
+from mbsrun.ocp.functions import Formula, Input, KernelResult
+from mbsrun.ocp.representations import Representation
 from mbsrun.quantities import Quantity, list_quantities
 
-_SYMBOLS: Algebra[ca.SX] = Algebra(
-    number=ca.SX,
-    constants={"pi": ca.SX(ca.pi)},
-    negate=operator.neg,
-    operations={"+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv},
-    power=operator.pow,
-    functions={"abs": ca.fabs} | {name: getattr(ca, name) for name in FUNCTIONS if name != "abs"},
+__all__ = ["Quantity", "formulate", "list_quantities"]
+
+CONSTANTS = "constants"  # the kind of what a problem's constants are
+TIME = "s"  # the kind of the time over the horizon, which is given at each place
+_TIME_NAME = "@s"  # which no text can hold
+_ORDER = ("q", "qd", "qdd", "u", "T")  # of the inputs of a formula
+
+
+def _call(function: str, *arguments: Expression) -> Expression:
+    return Call(function, arguments)
+
+
+def _operate(symbol: str) -> Callable[[Expression, Expression], Expression]:
+    return partial(Operation, symbol)  # type: ignore[arg-type]  # one of the four
+
+
+_TREES: Algebra[Expression] = Algebra(
+    number=Number,
+    constants={"pi": Constant("pi")},
+    negate=Negation,
+    operations={symbol: _operate(symbol) for symbol in "+-*/"},
+    power=Power,
+    functions={name: partial(_call, name) for name in FUNCTIONS},
 )
-
-__all__ = ["Formula", "Quantity", "formulate", "list_quantities"]
-
-
-@dataclass(frozen=True)
-class Formula:
-    """Some expressions as one function; its inputs are those of q, qd, qdd, u, T, constants, s that they need.
-
-    s is the time over the horizon.
-    """
-
-    function: ca.Function
-    inputs: tuple[str, ...]
 
 
 def formulate(
     texts: Sequence[str],
     constants: Sequence[str],
-    plant: Plant,
+    manifest: Manifest,
     representation: Representation,
     horizon: float | None,
 ) -> Formula:
-    """Turn expressions into a function of the variables of a representation.
+    """Turn expressions into a formula in the variables of a representation.
 
     `horizon` is None where it is a variable. Raises ExpressionError for an expression that cannot be read.
     """
-    manifest = plant.manifest
-    known = list_quantities(manifest)
-    n, m, sensors = len(manifest.coordinates), len(manifest.actuated), sum(f.sensor for f in manifest.frames)
-    sizes = {"q": len(manifest.positions), "qd": n, "qdd": n, "u": m}
-    sizes |= {"position": 3 * sensors, "v": 3 * sensors, "T": 1, "s": 1}
-    symbols = {kind: ca.SX.sym(kind, size) for kind, size in sizes.items()}
-    symbols["constants"] = ca.SX.sym("constants", len(constants))
-    if horizon is not None:
-        symbols["T"] = ca.SX(horizon)
-    symbols["t"] = symbols["s"] * symbols["T"]
-    values = {name: symbols[quantity.kind][quantity.index] for name, quantity in known.items()}
-    values |= {name: symbols["constants"][i] for i, name in enumerate(constants)}
-    expressions = [parse(text) for text in texts]
-    results = ca.vertcat(*(evaluate(expression, values, _SYMBOLS) for expression in expressions))
-    order = [k for k in ("q", "qd", "qdd", "u", "position", "v", "T", "constants", "s") if symbols[k].is_valid_input()]
-    used = _used(order, [values[name] for expression in expressions for name in names(expression)], symbols) or ["s"]
-    plain = ca.Function("formula", [symbols[kind] for kind in used], [results], used, ["value"], _options(used))
-    return _composed(plain, used, sizes, plant, representation)
+    known = {name: (quantity.kind, quantity.index) for name, quantity in list_quantities(manifest).items()}
+    known |= {_TIME_NAME: (TIME, 0), **{name: (CONSTANTS, i) for i, name in enumerate(constants)}}
+    computed = _list_computed(representation)
+    expressions = [_read(text, known, horizon) for text in texts]
+    read = {name: known[name] for expression in expressions for name in sorted(names(expression))}
+    kinds = {kind for kind, _ in read.values()}
+    made = {kind: call for kind, call in computed.items() if kind in kinds}
+    needed = (kinds - set(made)).union(*(call.inputs for call in made.values()))
+    sizes = _count(manifest)
+    inputs = tuple(Input(kind, sizes[kind]) for kind in _ORDER if kind in needed)
+    return Formula(
+        expressions=tuple(expressions),
+        names=read,
+        inputs=inputs,
+        parameters=Input(CONSTANTS, len(constants)) if CONSTANTS in needed else None,
+        data=Input(TIME, 1) if TIME in needed or not needed else None,
+        computed=tuple(made.items()),
+    )
 
 
-def _used(order: Sequence[str], read: Sequence[ca.SX], symbols: Mapping[str, ca.SX]) -> list[str]:
-    """Keep of the inputs those that are read."""
-    together = ca.vertcat(*read)
-    return [kind for kind in order if symbols[kind].numel() and ca.depends_on(together, symbols[kind])]
+def _read(text: str, known: Mapping[str, tuple[str, int]], horizon: float | None) -> Expression:
+    """Parse an expression; write the time as the horizon times its part, and a horizon that is given as a number."""
+    T: Expression = Name("T") if horizon is None else Number(horizon)
+    values: dict[str, Expression] = {name: Name(name) for name, (kind, _) in known.items() if kind != TIME}
+    values |= {"T": T, "t": Operation("*", Name(_TIME_NAME), T)}
+    return evaluate(parse(text), values, _TREES)
 
 
-def _options(inputs: Sequence[str]) -> dict[str, list[bool]]:
-    """Name the inputs that are variables: by the others nothing is differentiated."""
-    return {"is_diff_in": [kind not in ("constants", "s") for kind in inputs]}
+def _list_computed(representation: Representation) -> dict[str, KernelResult]:
+    """List what kernels compute, by kind, where a representation has no variables for it."""
+    computed = {
+        "position": KernelResult("sensors", ("q",), "position"),
+        "v": KernelResult("motion", ("q", "qd"), "v"),
+    }
+    return computed | ({"qdd": representation.equations.function} if representation.is_ode else {})
 
 
-def _composed(
-    plain: ca.Function, used: Sequence[str], sizes: Mapping[str, int], plant: Plant, representation: Representation
-) -> Formula:
-    """Put kernels in the place of what is no variable: sensors, and accelerations of an ODE."""
-    made = {"position": ("q",), "v": ("q", "qd")} | ({"qdd": ("q", "qd", "u")} if representation.is_ode else {})
-    if not set(made) & set(used):
-        return Formula(plain, tuple(used))
-    needed = {part for kind in used for part in made.get(kind, (kind,))}
-    inputs: list[str] = [k for k in ("q", "qd", "qdd", "u", "T", "constants", "s") if k in needed]
-    given = {k: ca.MX.sym(k, plain.size1_in(k) if k in used else sizes[k]) for k in inputs}
-    values = dict(given)
-    if "position" in used:
-        values["position"] = ca.vec(plant.casadi("sensors")(given["q"]))
-    if "v" in used:
-        values["v"] = ca.vec(plant.casadi("motion")(q=given["q"], qd=given["qd"])["v"])
-    if "qdd" in used and "qdd" not in given:
-        values["qdd"] = plant.casadi(representation.kernel)(given["q"], given["qd"], given["u"])
-    result = plain.call([values[kind] for kind in used])[0]
-    function = ca.Function("formula", list(given.values()), [result], inputs, ["value"], _options(inputs))
-    return Formula(function, tuple(inputs))
+def _count(manifest: Manifest) -> dict[str, int]:
+    """Count the entries of each kind of variable."""
+    n = len(manifest.coordinates)
+    return {"q": len(manifest.positions), "qd": n, "qdd": n, "u": len(manifest.actuated), "T": 1}

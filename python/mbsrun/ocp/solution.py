@@ -17,15 +17,10 @@ from mbsgen.errors import Fault, InputError
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.record import SAME
+from mbsrun.ocp.status import ACCEPTABLE
 from mbsrun.ocp.trajectory import Trajectory
 
 FORMAT: Literal["mbsrun solution 1"] = "mbsrun solution 1"
-
-SOLVED = "Solve_Succeeded"
-ACCEPTABLE = "Solved_To_Acceptable_Level"
-UNREACHABLE = "Target_Out_Of_Reach"
-BAD_BOUNDS = "Bad_Bounds"
-BAD_GUESS = "Bad_Guess"
 
 
 @dataclass(frozen=True)

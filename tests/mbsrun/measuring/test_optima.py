@@ -63,7 +63,7 @@ def test_errors_are_those_of_the_closed_form(slide: Path, tmp_path: Path) -> Non
     assert grids[0].cost is None
     assert grids[0].finding
     by_grid = {(p.degree, p.intervals): p for p in points}
-    assert all("more is asked for" in by_grid[degree, 1].finding for degree in (1, 2))
+    assert all("more constraints than" in by_grid[degree, 1].finding for degree in (1, 2))
     for intervals in (5, 10):
         coarse, fine = by_grid[1, intervals], by_grid[2, intervals]
         assert fine.error is not None

@@ -1,12 +1,12 @@
-"""A program without the variables that some of its equations give: they are solved for at every evaluation.
+"""CasADi functions of a program whose inner variables are solved for at every evaluation.
 
-With w the variables that stay and z those that equations r(w, z) = 0 give, by the implicit function theorem
+With w the variables that stay and z those that the inner equations r(w, z) = 0 give, by the implicit function theorem
 
     dz/dw = -r_z^-1 r_w,    V = (1; dz/dw),    d/dw g(w, z(w)) = g_w + g_z dz/dw,
     the Hessian of f + lam' g by w = V' (that of f + lam' g + mu' r by w and z) V,    r_z' mu = -(f_z + g_z' lam),
 
-so derivatives are as exact as those of the program, from which they are made; nothing is differenced, and no iteration
-is differentiated. What is of the equations, `elimination` computes, once at each place; what is of the rest, CasADi.
+so derivatives are as exact as those of the program; nothing is differenced, and no iteration is differentiated.
+`elimination` computes the terms of the equations, once at each place; CasADi those of the rest.
 """
 
 from __future__ import annotations
@@ -18,37 +18,37 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
-from mbsrun.ocp.elimination import Elimination, Groups, eliminate
-from mbsrun.ocp.program import Indices, Program
+from mbsrun.ocp.backends.casadi import CasadiProgram, Functions, make_function
+from mbsrun.ocp.backends.mapped import MappedFunction
+from mbsrun.ocp.elimination import Elimination, eliminate
+from mbsrun.ocp.functions import Array, Indices
+from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.program import Program
 
-Array = NDArray[np.float64]
+
+def build(program: Program, plant: Plant) -> Functions:
+    """Make the functions of a program for CasADi's solvers."""
+    return condense(program, plant) if program.solves_inner else CasadiProgram(program, plant)
 
 
 @dataclass(frozen=True)
 class Condensed:
-    """A program in fewer variables, with fewer rows; what it offers is what a program offers.
+    """Functions of fewer variables, with fewer rows; they may be called as long as this object exists."""
 
-    Its functions may be called as long as it is there.
-    """
-
-    rest: Program  # the cost, and the rows that stay
-    equations: Program  # the rows that are solved, group by group
-    groups: Groups
+    program: Program
+    rest: CasadiProgram  # the cost, and the rows that stay
     elimination: Elimination
-    kept: Indices  # the variables that stay
-    kept_rows: Indices
 
     @property
     def variables(self) -> int:
         """Count the entries of x."""
-        return self.kept.size
+        return self.program.kept.size
 
     @property
     def constraints(self) -> int:
         """Count the entries of g."""
-        return self.kept_rows.size
+        return self.program.kept_rows.size
 
     @property
     def parameters(self) -> int:
@@ -56,9 +56,10 @@ class Condensed:
         return self.rest.parameters
 
     def complete(self, x: Array) -> Array:
-        """Give the variables of the whole program. Raises ValueError where the equations have no solution."""
+        """Return all variables of the program. Raises ValueError where the equations have no solution."""
         found = np.empty(self.rest.variables)
-        found[self.kept], found[self.groups.unknowns] = x, self.elimination.solve(np.asarray(x)[self._knowns])
+        found[self.program.kept] = x
+        found[self.elimination.groups.unknowns] = self.elimination.solve(np.asarray(x)[self._knowns])
         if not np.isfinite(found).all():
             raise ValueError("the equations that are condensed have no solution")
         return found
@@ -86,8 +87,8 @@ class Condensed:
         """(x, p) -> f, its gradient."""
         x, p = self._symbols()
         f, gradient = self.rest.gradient(self._costing(x), p)
-        by_x = gradient[self.kept.tolist()]
-        if self._cost_feels_unknowns:
+        by_x = gradient[self.program.kept.tolist()]
+        if self._cost_reads_unknowns:
             by_x += self._slopes(x).T @ gradient[self._z]
         return ca.Function("nlp_grad_f", [x, p], [f, by_x], ["x", "p"], ["f", "grad_f_x"])
 
@@ -96,7 +97,7 @@ class Condensed:
         """(x, p) -> g, its Jacobian."""
         x, p = self._symbols()
         g, J = self.rest.jacobian(self._completion(x), p)
-        by_x = J[:, self.kept.tolist()] + J[:, self._z] @ self._slopes(x)
+        by_x = J[:, self.program.kept.tolist()] + J[:, self._z] @ self._slopes(x)
         return ca.Function("nlp_jac_g", [x, p], [g, by_x], ["x", "p"], ["g", "jac_g_x"])
 
     @cached_property
@@ -104,9 +105,9 @@ class Condensed:
         """(x, p, lam_f, lam_g) -> upper triangle of the Hessian of lam_f f + lam_g' g."""
         x, p = self._symbols()
         lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", self.constraints)
-        v, kept = self._completion(x), self.kept.tolist()
+        v, kept = self._completion(x), self.program.kept.tolist()
         gradient = self.rest.jacobian(v, p)[1].T @ lam_g
-        if self._cost_feels_unknowns:
+        if self._cost_reads_unknowns:
             gradient += lam_f * self.rest.gradient(v, p)[1]
         H = ca.triu2symm(self.rest.hessian(v, p, lam_f, lam_g))
         whole = H[kept, kept]
@@ -122,12 +123,12 @@ class Condensed:
 
     @cached_property
     def _z(self) -> list[int]:
-        return [int(i) for i in self.groups.unknowns.ravel()]
+        return [int(i) for i in self.elimination.groups.unknowns.ravel()]
 
     @cached_property
     def _knowns(self) -> Indices:
         """(G, k): where the knowns of each group are in x."""
-        return np.searchsorted(self.kept, self.groups.knowns)
+        return np.searchsorted(self.program.kept, self.elimination.groups.knowns)
 
     @cached_property
     def _completion(self) -> ca.Function:
@@ -144,8 +145,8 @@ class Condensed:
     @cached_property
     def _slopes(self) -> _Function:
         """x -> dz/dx."""
-        s = self.groups.unknowns.shape[1]
-        row = np.arange(self.groups.unknowns.size).reshape(-1, s, 1)
+        s = self.elimination.groups.unknowns.shape[1]
+        row = np.arange(self.elimination.groups.unknowns.size).reshape(-1, s, 1)
         pattern, order = _order(
             row, self._knowns[:, None, :], self.elimination.slope_pattern, len(self._z), self.variables
         )
@@ -158,40 +159,38 @@ class Condensed:
 
     @cached_property
     def _curvature(self) -> _Function:
-        """(x, gradient by z) -> upper triangle of what the equations add to the Hessian."""
+        """(x, gradient by z) -> upper triangle of the term that the equations add to the Hessian."""
         row, col = self._knowns[:, :, None], self._knowns[:, None, :]
         upper = self.elimination.curvature_pattern & (row <= col)
         pattern, order = _order(row, col, upper, self.variables, self.variables)
 
         def curve(x: Array, gradient: Array) -> Array:
-            by_z = gradient.reshape(self.groups.unknowns.shape)
+            by_z = gradient.reshape(self.elimination.groups.unknowns.shape)
             return np.asarray(self.elimination.curve(x[self._knowns], by_z).ravel()[order])
 
         return _Function("curvature", [self.variables, len(self._z)], pattern, curve)
 
     def _spread(self, x: ca.MX, z: ca.MX) -> ca.MX:
         """Put what stays and the unknowns in the order of the whole program."""
-        order = np.argsort(np.concatenate((self.kept, self.groups.unknowns.ravel())))
+        order = np.argsort(np.concatenate((self.program.kept, self.elimination.groups.unknowns.ravel())))
         return ca.vertcat(x, z)[order.tolist()]
 
     def _costing(self, x: ca.MX) -> ca.MX:
-        """Give the variables of the whole program as far as the cost needs them."""
-        return self._completion(x) if self._cost_feels_unknowns else self._spread(x, ca.MX.zeros(len(self._z)))
+        """Return all variables as far as the cost needs them."""
+        return self._completion(x) if self._cost_reads_unknowns else self._spread(x, ca.MX.zeros(len(self._z)))
 
     @cached_property
-    def _cost_feels_unknowns(self) -> bool:
-        felt = np.zeros(self.rest.variables, dtype=bool)
-        for block in self.rest.costs:
-            for part in block.columns:
-                felt[part.ravel() if isinstance(part, np.ndarray) else sparse.csc_array(part).tocoo().coords[1]] = True
-        return bool(felt[self._z].any()) or any(H[:, self._z].nnz for H in self.rest.H)
+    def _cost_reads_unknowns(self) -> bool:
+        program = self.rest.program
+        read = [program.list_variables(block)[self._z].any() for block in program.costs]
+        return any(read) or any(H[:, self._z].nnz for H in program.H)
 
     def _symbols(self) -> tuple[ca.MX, ca.MX]:
         return ca.MX.sym("x", self.variables), ca.MX.sym("p", self.parameters)
 
 
 class _Function(ca.Callback):
-    """Vectors -> nonzeros of a matrix, computed by NumPy; it has no derivatives."""
+    """Vectors -> nonzeros of a matrix, computed by NumPy; it has no derivatives in CasADi."""
 
     def __init__(self, name: str, sizes: Sequence[int], pattern: ca.Sparsity, evaluate: Callable[..., Array]) -> None:
         super().__init__()
@@ -224,30 +223,17 @@ class _Function(ca.Callback):
         return 0
 
 
-def condense(
-    program: Program, unknowns: Indices, equations: Indices, knowns: Indices, *, is_triangular: bool
-) -> Condensed:
-    """Solve some rows of a program, which read no parameters, for as many variables: G groups of S orders.
-
-    unknowns and equations are (G, S, size), knowns (G, k); groups are alike. is_triangular: the equations of an order
-    are the unknowns of that order minus a function of those of lower ones.
-    """
-    G, S, size = unknowns.shape
-    solved = program.restrict(equations.ravel())
-    groups = Groups(unknowns.reshape(G, -1), np.arange(solved.constraints).reshape(G, -1), knowns)
-    kept_rows = np.setdiff1d(np.arange(program.constraints), equations)
+def condense(program: Program, plant: Plant) -> Condensed:
+    """Solve the inner equations of a program; they read no parameters, and all intervals are alike."""
     return Condensed(
-        rest=program.restrict(kept_rows, with_cost=True),
-        equations=solved,
-        groups=groups,
-        elimination=eliminate(solved, groups, list(np.arange(S * size).reshape(S, size)) if is_triangular else []),
-        kept=np.setdiff1d(np.arange(program.variables), unknowns),
-        kept_rows=kept_rows,
+        program=program,
+        rest=CasadiProgram(program.restrict(program.kept_rows, with_cost=True), plant),
+        elimination=eliminate(program, lambda function, places: MappedFunction(make_function(function, plant), places)),
     )
 
 
 def _order(row: Indices, col: Indices, mask: NDArray[np.bool_], rows: int, cols: int) -> tuple[ca.Sparsity, Indices]:
-    """Give the pattern that groups' matrices make where a mask holds, and which entries are its nonzeros, in order."""
+    """Return the pattern of groups' matrices where a mask holds, and which entries are its nonzeros, in order."""
     row, col, mask = np.broadcast_arrays(row, col, mask)
     (chosen,) = np.nonzero(mask.ravel())
     order = chosen[np.lexsort((row.ravel()[chosen], col.ravel()[chosen]))]

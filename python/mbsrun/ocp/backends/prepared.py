@@ -1,0 +1,24 @@
+"""A program and the kernels that it applies; each backend makes its functions when they are first asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from mbsrun.ocp.backends import condensation
+from mbsrun.ocp.backends.casadi import Functions
+from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.program import Program
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A program, ready to be evaluated."""
+
+    data: Program
+    plant: Plant
+
+    @cached_property
+    def casadi(self) -> Functions:
+        """The functions for CasADi's solvers."""
+        return condensation.build(self.data, self.plant)

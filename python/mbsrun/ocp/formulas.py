@@ -1,0 +1,66 @@
+"""Formulas that transcription writes itself, beside those of a problem: rates, lengths, attitudes, costs of inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import reduce
+
+from mbsgen.expressions import Expression, Name, Number, Operation, Power
+from mbsrun.ocp.functions import Formula, Input
+
+
+def _name(kind: str, size: int) -> list[Expression]:
+    return [Name(f"{kind}{i}") for i in range(size)]
+
+
+def _sum(terms: Iterable[Expression]) -> Expression:
+    return reduce(lambda a, b: Operation("+", a, b), terms)
+
+
+def _formula(expressions: Sequence[Expression], inputs: Sequence[Input], parameters: Input | None = None) -> Formula:
+    known = (*inputs, *([] if parameters is None else [parameters]))
+    names = {f"{part.kind}{i}": (part.kind, i) for part in known for i in range(part.size)}
+    return Formula(tuple(expressions), names, tuple(inputs), parameters)
+
+
+def copy(size: int) -> Formula:
+    """Return v of v: a variable as it is, so that a block can multiply it by another."""
+    return _formula(_name("v", size), [Input("v", size)])
+
+
+def measure_length() -> Formula:
+    """Return |x|^2 of a quaternion x."""
+    return _formula([_sum(Power(x, 2) for x in _name("x", 4))], [Input("x", 4)])
+
+
+def compare_attitudes() -> Formula:
+    """Return the vector of target^-1 * found, (3,), of a quaternion; the target is a parameter.
+
+    With quaternions (v, s) it is s_t v - s v_t - v_t x v: 0 where both are one attitude, and linear in what is found.
+    Its derivatives are independent there, and it does not change along `found`. So these are three equations; four on a
+    quaternion whose length is given already would be one too many.
+    """
+    found, target = _name("found", 4), _name("target", 4)
+
+    def times(a: Expression, b: Expression) -> Expression:
+        return Operation("*", a, b)
+
+    def entry(i: int) -> Expression:
+        j, k = (i + 1) % 3, (i + 2) % 3
+        turned = Operation("-", times(target[3], found[i]), times(found[3], target[i]))
+        cross = Operation("-", times(target[j], found[k]), times(target[k], found[j]))
+        return Operation("-", turned, cross)
+
+    return _formula([entry(i) for i in range(3)], [Input("found", 4)], Input("target", 4))
+
+
+def square_inputs(m: int) -> Formula:
+    """Return |u|^2."""
+    return _formula([_sum(Power(x, 2) for x in _name("u", m))], [Input("u", m)])
+
+
+def square_rates(m: int, intervals: int) -> Formula:
+    """Return h |(u - before) / h|^2 for the length h = T / intervals."""
+    steps = (Power(Operation("-", u, before), 2) for u, before in zip(_name("u", m), _name("before", m), strict=True))
+    rate = Operation("/", Operation("*", Number(float(intervals)), _sum(steps)), Name("T0"))
+    return _formula([rate], [Input("before", m), Input("u", m), Input("T", 1)])

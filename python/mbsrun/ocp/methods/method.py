@@ -1,0 +1,69 @@
+"""What an NLP method is: a table of options, and a function that makes a solver of a program."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from mbsrun.ocp.backends.prepared import Prepared
+from mbsrun.ocp.functions import Array
+from mbsrun.ocp.methods.options import Option, Settings
+
+
+@dataclass(frozen=True)
+class Order:
+    """What a solver is made for."""
+
+    program: Prepared
+    tolerance: float
+    max_iterations: int
+    scaling: float  # of the objective, as the solver sees it
+    options: Settings
+
+
+@dataclass(frozen=True)
+class Iterate:
+    """Where a solver is."""
+
+    number: int
+    cost: float
+    g: Array
+
+
+Watch = Callable[[Iterate], None]  # an exception in it ends the solver, and is raised again
+
+
+@dataclass(frozen=True)
+class Start:
+    """The numbers of one solve."""
+
+    x: Array
+    parameters: Array
+    lower: Array  # of x
+    upper: Array
+    g_lower: Array
+    g_upper: Array
+    watch: Watch | None = None
+
+
+@dataclass(frozen=True)
+class Answer:
+    """How a solver ended."""
+
+    x: Array
+    status: str  # SOLVED or ACCEPTABLE of `status`, or the solver's word for a failure
+    iterations: int
+    evaluating: float = 0.0  # s in functions and derivatives
+    cpu_evaluating: float = 0.0
+
+
+Solver = Callable[[Start], Answer]
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to solve programs."""
+
+    title: str
+    options: Mapping[str, Option]
+    make: Callable[[Order], Solver]

@@ -1,0 +1,81 @@
+"""The six representations of the equations of motion as constraints, in one table.
+
+Docquier, Bruls, Fisette, section 3.3. With accelerations z at the collocation points,
+
+    residual         Phi(q, qd, z) - Q(q, qd, u) = 0          IMPL; SEMI: M(q) z + c(q, qd) - Q(q, qd, u) = 0
+    ODE              d/dt qd = gamma(q, qd, u)                EXP1-O, EXP2-O: accelerations are no variables
+    algebraic        d/dt qd = z,  z - gamma(q, qd, u) = 0    EXP1-A, EXP2-A
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from types import MappingProxyType
+
+from mbsrun.ocp.functions import KernelResult
+
+
+@dataclass(frozen=True)
+class Equations:
+    """How the equations of motion are written."""
+
+    kernel: str
+    is_explicit: bool  # the kernel returns accelerations; else a residual that reads them
+    has_accelerations: bool  # accelerations at the collocation points are variables
+
+    @property
+    def function(self) -> KernelResult:
+        """Return the kernel's result as a program applies it."""
+        inputs = ("q", "qd", "u") if self.is_explicit else ("q", "qd", "qdd", "u")
+        return KernelResult(self.kernel, inputs, "qdd" if self.is_explicit else "Phi")
+
+
+class Representation(Enum):
+    """The name of a representation: a formulation, and O for an ODE or A for algebraic accelerations."""
+
+    IMPL = "IMPL"
+    SEMI = "SEMI"
+    EXP1_O = "EXP1-O"
+    EXP1_A = "EXP1-A"
+    EXP2_O = "EXP2-O"
+    EXP2_A = "EXP2-A"
+
+    @property
+    def equations(self) -> Equations:
+        """Return the entry of the table."""
+        return REPRESENTATIONS[self]
+
+    @property
+    def kernel(self) -> str:
+        """Name the kernel."""
+        return self.equations.kernel
+
+    @property
+    def is_explicit(self) -> bool:
+        """Return whether the kernel returns accelerations, not a residual."""
+        return self.equations.is_explicit
+
+    @property
+    def is_ode(self) -> bool:
+        """Return whether accelerations are no variables."""
+        return not self.equations.has_accelerations
+
+    @property
+    def as_ode(self) -> Representation | None:
+        """Return the representation by the same kernel that has no accelerations as variables, if there is one."""
+        same = (other for other in REPRESENTATIONS if other.kernel == self.kernel and other.is_ode)
+        return next(same, None)
+
+
+REPRESENTATIONS: Mapping[Representation, Equations] = MappingProxyType(
+    {
+        Representation.IMPL: Equations("impl", is_explicit=False, has_accelerations=True),
+        Representation.SEMI: Equations("semi_res", is_explicit=False, has_accelerations=True),
+        Representation.EXP1_O: Equations("exp1", is_explicit=True, has_accelerations=False),
+        Representation.EXP1_A: Equations("exp1", is_explicit=True, has_accelerations=True),
+        Representation.EXP2_O: Equations("exp2", is_explicit=True, has_accelerations=False),
+        Representation.EXP2_A: Equations("exp2", is_explicit=True, has_accelerations=True),
+    }
+)

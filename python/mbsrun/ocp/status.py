@@ -1,0 +1,51 @@
+"""How a solve can end, and how a failure is explained: finding and remedy by status."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+SOLVED = "Solve_Succeeded"
+ACCEPTABLE = "Solved_To_Acceptable_Level"
+UNREACHABLE = "Target_Out_Of_Reach"  # these three without a call of the solver
+BAD_BOUNDS = "Bad_Bounds"
+BAD_GUESS = "Bad_Guess"
+
+_UNKNOWN = ("the solver ended with {status} after {iterations} iterations", "check bounds, horizon and guess")
+_REASONS: Mapping[str, tuple[str, str]] = MappingProxyType(
+    {
+        "Infeasible_Problem_Detected": (
+            "the search ended where the constraints contradict each other",
+            "check target, bounds and horizon",
+        ),
+        "Maximum_Iterations_Exceeded": (
+            "the search was not over after {iterations} iterations",
+            "raise solver.max_iterations, or check bounds and horizon",
+        ),
+        "Invalid_Number_Detected": (
+            "a kernel failed, or returned a number that is not finite",
+            "check the start and the bounds for poses that the model cannot take",
+        ),
+        "Not_Enough_Degrees_Of_Freedom": (
+            "the problem has more constraints than the inputs can meet",
+            "drop a constraint, or take more intervals",
+        ),
+        "NonIpopt_Exception_Thrown": ("the search was interrupted", "let it run to its end"),
+        "Diverging_Iterates": (
+            "the iterates diverge: the cost seems to have no lower bound",
+            "bound what can grow, or give the cost a term that grows with it",
+        ),
+        "Restoration_Failed": (
+            "the search could not come closer to meeting the constraints after {iterations} iterations",
+            "try another guess, or check target, bounds and horizon",
+        ),
+        "Maximum_CpuTime_Exceeded": ("the search was not over in its time", "raise max_cpu_time, or drop it"),
+        "Maximum_WallTime_Exceeded": ("the search was not over in its time", "raise max_wall_time, or drop it"),
+    }
+)
+
+
+def explain(status: str, iterations: int) -> tuple[str, str]:
+    """Return what a failure means, and what to do."""
+    finding, remedy = _REASONS.get(status, _UNKNOWN)
+    return finding.format(status=status, iterations=iterations), remedy

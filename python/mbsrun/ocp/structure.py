@@ -1,0 +1,68 @@
+"""The structure of a problem: everything that shapes its program; problems with equal structures share one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbsrun.ocp.integrators import IntegratorName
+from mbsrun.ocp.problem import Form, Problem, Representation
+from mbsrun.ocp.schemes import Family
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What of a problem shapes its program; start, targets, bounds, weights and constants do not."""
+
+    horizon: float | None  # None where it is free
+    intervals: int
+    family: Family
+    degree: int
+    representation: Representation
+    form: Form
+    integrator: IntegratorName
+    steps: int
+    bounded: tuple[int, ...]  # indices into (q, qd) of states whose bounds are constraints: where points have no states
+    start_is_free: bool
+    running: tuple[str, ...]  # expressions
+    terminal: tuple[str, ...]
+    constraints: tuple[tuple[str, str], ...]  # expression, where it holds
+    constants: tuple[str, ...]
+    sensors: tuple[str, ...]
+    coordinates: tuple[int, ...]
+    velocity_zero: bool
+    acceleration_zero: bool
+    velocities: tuple[int, ...]
+    accelerations: tuple[int, ...]
+    sensor_velocities: tuple[str, ...]
+
+
+def structure(problem: Problem) -> Structure:
+    """Return the structure of a problem."""
+    cost, end = problem.cost, problem.end
+    states = problem.bounds.q + problem.bounds.qd
+    bounded = [i for i, bounds in enumerate(states) if np.isfinite(bounds).any()]
+    return Structure(
+        horizon=problem.horizon if problem.horizon_range is None else None,
+        intervals=problem.intervals,
+        family=problem.family,
+        degree=problem.degree,
+        representation=problem.representation,
+        form=problem.form,
+        integrator=problem.integrator,
+        steps=problem.steps,
+        bounded=() if problem.form is Form.STANDARD else tuple(bounded),
+        start_is_free=bool(problem.free_start),
+        running=tuple(term.expression for term in cost.running),
+        terminal=tuple(term.expression for term in cost.terminal),
+        constraints=tuple((constraint.expression, constraint.at) for constraint in problem.constraints),
+        constants=tuple(name for name, _ in problem.constants),
+        sensors=tuple(name for name, _ in end.sensors),
+        coordinates=tuple(i for i, _ in end.coordinates),
+        velocity_zero=end.velocity_zero,
+        acceleration_zero=end.acceleration_zero,
+        velocities=tuple(i for i, _ in end.velocities),
+        accelerations=tuple(i for i, _ in end.accelerations),
+        sensor_velocities=tuple(name for name, _ in end.sensor_velocities),
+    )

@@ -1,0 +1,393 @@
+"""The rows, blocks and costs of a program, group by group: see `transcription` for the equations.
+
+Every row and every place of a block has a stage: the interval whose variables it reads, and perhaps the next state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy import sparse
+
+from mbsgen.expressions import names, parse
+from mbsrun.ocp import formulas
+from mbsrun.ocp.functions import Array, Fixed, Function, Indices, KernelResult
+from mbsrun.ocp.integrators import Integrator
+from mbsrun.ocp.layout import Entries, Layout, Places, Rows, at_mesh, at_points, at_stages, lay_out
+from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.problem import Form
+from mbsrun.ocp.program import Block, Column, Combination, Matrix, Program, Stages
+from mbsrun.ocp.quantities import Quantity, formulate, list_quantities
+from mbsrun.ocp.schemes import Scheme
+from mbsrun.ocp.structure import Structure
+from mbsrun.quaternions import Quaternion, find_quaternion, list_quaternions, neutral
+
+
+def find_targets(shape: Structure, quaternions: Sequence[Quaternion]) -> list[Quaternion]:
+    """Find the quaternions that must have an attitude at the end; each is named whole."""
+    return [quaternion for quaternion in quaternions if quaternion.first in shape.coordinates]
+
+
+class Writer:
+    """Writes the program of a structure; rows are numbered in the order in which they are written."""
+
+    def __init__(self, shape: Structure, plant: Plant, scheme: Scheme, integrator: Integrator) -> None:
+        """Lay out the variables."""
+        self.shape, self.plant, self.manifest = shape, plant, plant.manifest
+        self.quaternions = list_quaternions(plant.manifest)
+        self.scheme, self.integrator, self.equations = scheme, integrator, shape.representation.equations
+        self.layout = lay_out(
+            len(plant.manifest.positions),
+            len(plant.manifest.coordinates),
+            len(plant.manifest.actuated),
+            shape.intervals,
+            len(integrator.stages.c),
+            has_states=shape.form is Form.STANDARD,
+            has_accelerations=shape.form is not Form.STANDARD or self.equations.has_accelerations,
+            horizon_is_free=shape.horizon is None,
+        )
+        self.h = (1.0 if shape.horizon is None else shape.horizon) / shape.intervals  # times T, where that is free
+        self.points = at_points(self.layout, integrator, self.h)
+        self.last = at_mesh(self.layout, integrator, [shape.intervals])
+        self.A = Entries()
+        self.blocks: list[Block] = []
+        self.stages: list[Indices] = []  # of the rows
+        self.size = 0
+        self.weights = 2 + len(shape.running) + len(shape.terminal)
+        self.parameters = self.weights + len(shape.constants)  # and then attitudes, where they are written
+
+    def write(self) -> tuple[Rows, Program]:
+        """Write all rows and costs."""
+        shape, N = self.shape, self.shape.intervals
+        q, qd = self.layout.split(self.layout.mesh[-1])
+        every = tuple(range(qd.size))
+        start = self.write_states(self.layout.mesh[0], 0)
+        lengths = self.write_lengths()
+        inner, equations, continuity = self.write_collocation()
+        width = self.layout.points.shape[2]
+        rows = Rows(
+            start=start,
+            lengths=lengths,
+            states=equations[:, :, :width],
+            dynamics=equations[:, :, -self.layout.n :],
+            continuity=continuity,
+            inner=self.write_inner_bounds(),
+            sensors=self.write_sensors([self.position(name) for name in shape.sensors]),
+            coordinates=self.write_states(
+                q[[i for i in shape.coordinates if find_quaternion(self.quaternions, i) is None]], N
+            ),
+            attitudes=self.write_attitudes(q),
+            velocity=self.write_states(qd[: qd.size * shape.velocity_zero], N),
+            acceleration=self.write_accelerations(every if shape.acceleration_zero else ()),
+            velocities=self.write_states(qd[list(shape.velocities)], N),
+            accelerations=self.write_accelerations(shape.accelerations),
+            sensor_velocities=self.write_sensors([self.velocity(name) for name in shape.sensor_velocities]),
+            constraints=self.write_constraints(),
+            size=self.size,
+        )
+        H, costs = self.write_cost()
+        program = Program(
+            A=self.A.matrix((self.size, self.layout.size)),
+            H=H,
+            blocks=tuple(self.blocks),
+            costs=costs,
+            constants=self.parameters - self.weights,
+            stages=Stages(
+                states=self.layout.mesh,
+                inputs=self.layout.inputs,
+                inner=inner,
+                equations=equations,
+                continuity=continuity,
+                common=np.array([] if self.layout.horizon is None else [self.layout.horizon], dtype=np.int64),
+                rows=np.concatenate(self.stages),
+                is_triangular=self.integrator.is_explicit and shape.form is Form.SHOOTING,
+            ),
+            solves_inner=shape.form is Form.SHOOTING,
+        )
+        return rows, program
+
+    def take(self, stages: Indices | int, *shape: int) -> Indices:
+        """Number some rows; `stages` is broadcast to their shape from the left."""
+        first, self.size = self.size, self.size + int(np.prod(shape))
+        given = np.asarray(stages, dtype=np.int64)
+        self.stages.append(
+            np.broadcast_to(given.reshape(*given.shape, *[1] * (len(shape) - given.ndim)), shape).ravel()
+        )
+        return np.arange(first, self.size).reshape(shape)
+
+    # --- the motion ---
+
+    def write_collocation(self) -> tuple[Indices, Indices, Indices]:
+        """Write the equations of motion, and the rows that tie states to each other.
+
+        Return the inner variables of the intervals, their equations, and the rows that carry the state on.
+        """
+        layout, n = self.layout, self.layout.n
+        N, S, width = layout.points.shape
+        at_stage = width + (n if layout.accelerations.size else 0)
+        interval = self.take(np.arange(N), N, S * at_stage + layout.mesh.shape[1])
+        equations, continuity = interval[:, : S * at_stage].reshape(N, S, at_stage), interval[:, S * at_stage :]
+        self.A.put(continuity, layout.mesh[1:], 1.0)
+        if self.shape.form is Form.STANDARD:
+            self.write_states_at_points(equations[:, :, :width], continuity)
+        else:
+            self.write_integrals(continuity)
+        self.write_dynamics(equations[:, :, -n:].reshape(N * S, n).T)
+        return np.concatenate((layout.points, layout.accelerations), axis=2), equations, continuity
+
+    def write_inner_bounds(self) -> Indices:
+        """Write the states at the points that have bounds, where they are no variables and no mesh points."""
+        N, d, n = self.shape.intervals, self.scheme.degree, self.layout.n
+        # the last Radau point is the next mesh point
+        inner = d - bool(self.scheme.points[-1] == 1.0)
+        rows = self.take(np.arange(N), N, inner, len(self.shape.bounded))
+        chosen = np.arange(N * d).reshape(N, d)[:, :inner].ravel()
+        for k, i in enumerate(self.shape.bounded):
+            part = self.points.q if i < self.layout.nq else self.points.qd
+            assert isinstance(part, Combination), "states at points that are variables have bounds, not rows"
+            self.A.put_part(rows[:, :, k].reshape(-1, 1), part.restrict(chosen), [i % n])
+        return rows
+
+    def write_states_at_points(self, states: Indices, continuity: Indices) -> None:
+        """Differentiate the states at the points, and read the states at the interval's end off them."""
+        layout, scheme = self.layout, self.scheme
+        nodes = [layout.mesh[:-1], *layout.points.transpose(1, 0, 2)]  # 0 and the points, each (N, nq + n)
+        for r, node in enumerate(nodes):
+            for j in range(scheme.degree):
+                self.A.put(states[:, j], node, scheme.D[j, r])
+            self.A.put(continuity, node, -scheme.end[r])
+        rates = layout.accelerations
+        if self.quaternions:
+            rows, states = layout.split(states)
+            self.write_turning(rows.reshape(-1, layout.nq).T)
+        else:
+            rates = np.concatenate((layout.split(layout.points)[1], rates), axis=2)
+        self.write_rates(states[:, :, : rates.shape[2]], rates)
+
+    def write_integrals(self, continuity: Indices) -> None:
+        """Read the states at the interval's end off those at its start and the accelerations."""
+        layout, n, h, end = self.layout, self.layout.n, self.h, self.integrator.ends
+        self.A.put(continuity, layout.mesh[:-1], -1.0)
+        self.A.put(continuity[:, :n], layout.mesh[:-1, n:], -h)
+        for j in range(len(self.integrator.stages.c)):
+            self.A.put(continuity[:, :n], layout.accelerations[:, j], -(h**2) * end.P[1, j])
+            self.A.put(continuity[:, n:], layout.accelerations[:, j], -h * end.V[1, j])
+
+    def write_turning(self, rows: Indices) -> None:
+        """Write -h times the rates of coordinates that are no velocities."""
+        rates = KernelResult("rates", ("q", "qd"), "rate")
+        columns, interval = (self.points.q, self.points.qd), self.points.interval
+        self.blocks.append(Block(rates, columns, rows, interval, scale=-self.h, factor=self.layout.horizon))
+
+    def write_rates(self, rows: Indices, rates: Indices) -> None:
+        """Write -h times the derivatives of states, where these are variables."""
+        if not rates.size:
+            return
+        if self.layout.horizon is None:
+            self.A.put(rows, rates, -self.h)
+            return
+        columns, placed = (part.reshape(-1, rates.shape[2]).T for part in (rates, rows))
+        identity, interval = formulas.copy(rates.shape[2]), self.points.interval
+        self.blocks.append(Block(identity, (columns,), placed, interval, scale=-self.h, factor=self.layout.horizon))
+
+    def write_dynamics(self, rows: Indices) -> None:
+        """Apply the equations of motion at every stage, as the representation writes them."""
+        layout, kernel = self.layout, self.equations.function
+        places = at_stages(layout, self.integrator, self.h)
+        scale, factor = 1.0, None
+        if self.equations.is_explicit and layout.accelerations.size:
+            self.A.put(rows.T.reshape(layout.accelerations.shape), layout.accelerations, 1.0)
+            scale = -1.0
+        elif self.equations.is_explicit:
+            scale, factor = -self.h, layout.horizon
+        columns = _pick(places, kernel)
+        self.blocks.append(Block(kernel, columns, rows, places.interval, scale=scale, factor=factor))
+
+    # --- start, end, constraints ---
+
+    def write_states(self, states: Indices, stage: int) -> Indices:
+        """Write some states, whose rows the bounds give a value."""
+        rows = self.take(stage, states.size)
+        self.A.put(rows, states, 1.0)
+        return rows
+
+    def write_attitudes(self, q: Indices) -> Indices:
+        """Compare quaternions at the end with targets, which are parameters."""
+        targets = find_targets(self.shape, self.quaternions)
+        rows = self.take(self.shape.intervals, len(targets), 3)
+        for row, quaternion in zip(rows, targets, strict=True):
+            parameters = self.parameters + np.arange(4)
+            self.write_end(formulas.compare_attitudes(), (q[quaternion.entries, None],), row, parameters)
+            self.parameters += 4
+        return rows
+
+    def write_end(
+        self, function: Function, columns: tuple[Column, ...], row: Indices, parameters: Indices | None = None
+    ) -> None:
+        """Apply a function of the state at the end."""
+        stage = np.array([self.shape.intervals])
+        block = Block(function, columns, row[:, None], stage)
+        self.blocks.append(block if parameters is None else replace(block, parameters=parameters))
+
+    def write_lengths(self) -> Indices:
+        """Write the squared lengths of quaternions at the start, where that may be free."""
+        chosen = self.quaternions if self.shape.start_is_free else ()
+        rows = self.take(0, len(chosen))
+        if chosen:
+            columns = np.stack([self.layout.mesh[0, quaternion.entries] for quaternion in chosen], axis=1)
+            stages = np.zeros(len(chosen), dtype=np.int64)
+            self.blocks.append(Block(formulas.measure_length(), (columns,), rows[None], stages))
+        return rows
+
+    def write_sensors(self, sensors: Sequence[tuple[KernelResult, tuple[Column, ...]]]) -> Indices:
+        """Write functions of the state at the end that have three results."""
+        rows = self.take(self.shape.intervals, len(sensors), 3)
+        for row, (function, columns) in zip(rows, sensors, strict=True):
+            self.write_end(function, columns, row)
+        return rows
+
+    def position(self, name: str) -> tuple[KernelResult, tuple[Column, ...]]:
+        """Return the position of a sensor at the end as a function of the coordinates that move it."""
+        entries = self.find_entries(name)
+        (pattern,) = (a for a in self.plant.describe("jac_sensors").outputs if a.name == "jac_position_q")
+        moving = tuple(range(pattern.cols))
+        if pattern.colind is not None and pattern.row is not None:
+            columns = np.repeat(np.arange(pattern.cols), np.diff(pattern.colind))
+            moving = tuple(int(j) for j in np.unique(columns[np.isin(pattern.row, entries)]))
+        fixed = Fixed(moving, tuple(neutral(self.manifest).tolist()))
+        q, _ = self.layout.split(self.layout.mesh[-1])
+        return KernelResult("sensors", ("q",), "position", entries, fixed), (q[list(moving), None],)
+
+    def velocity(self, name: str) -> tuple[KernelResult, tuple[Column, ...]]:
+        """Return the velocity of a sensor at the end."""
+        q, qd = self.layout.split(self.layout.mesh[-1])
+        return KernelResult("motion", ("q", "qd"), "v", self.find_entries(name)), (q[:, None], qd[:, None])
+
+    def find_entries(self, name: str) -> tuple[int, ...]:
+        """Find the three entries of a sensor among those of all sensors."""
+        first = 3 * [frame.name for frame in self.manifest.frames if frame.sensor].index(name)
+        return (first, first + 1, first + 2)
+
+    def write_accelerations(self, which: Sequence[int]) -> Indices:
+        """Write some accelerations at the end, which is read off the last interval."""
+        rows, end = self.take(self.shape.intervals - 1, len(which)), self.last
+        if which and not self.equations.has_accelerations:
+            kernel = self.equations.function
+            if len(which) < self.layout.n:
+                kernel = replace(kernel, entries=tuple(which))
+            self.blocks.append(Block(kernel, _pick(end, kernel), rows[:, None], end.interval))
+        elif which:
+            assert isinstance(end.qdd, Combination), "accelerations at mesh points are read off others"
+            self.A.put_part(rows[None], end.qdd, which)
+        return rows
+
+    def write_constraints(self) -> tuple[Indices, ...]:
+        """Write the constraints by expressions; those at the same places are one function."""
+        N, shape = self.shape.intervals, self.shape
+        kinds = list_quantities(self.manifest)
+        has_ends = bool(self.scheme.points[-1] == 1.0)
+        path_mesh = [*([0] * shape.start_is_free), *(() if has_ends else range(1, N + 1))]
+        on_path = [i for i, (_, at) in enumerate(shape.constraints) if at == "path"]
+        of_states = [i for i in on_path if not _reads_jumps(shape.constraints[i][0], kinds)]
+        rows: list[list[Indices]] = [[] for _ in shape.constraints]
+        for chosen, places in (
+            (on_path, self.points),
+            (of_states, at_mesh(self.layout, self.integrator, path_mesh)),
+            ([i for i, (_, at) in enumerate(shape.constraints) if at == "start"], self.first),
+            ([i for i, (_, at) in enumerate(shape.constraints) if at == "end"], self.last),
+        ):
+            if chosen and places.s.size:
+                stages = places.stage if chosen is of_states else places.interval
+                taken = self.take(np.tile(stages, len(chosen)).reshape(len(chosen), -1), len(chosen), places.s.size)
+                self.blocks.append(self.apply([shape.constraints[i][0] for i in chosen], places, taken, stages))
+                for i, row in zip(chosen, taken, strict=True):
+                    rows[i].append(row)
+        return tuple(np.concatenate(parts) for parts in rows)
+
+    @property
+    def first(self) -> Places:
+        """Return the start."""
+        return at_mesh(self.layout, self.integrator, [0])
+
+    def apply(
+        self, texts: Sequence[str], places: Places, rows: Indices, stages: Indices, scale: Array | float = 1.0
+    ) -> Block:
+        """Apply expressions at some places."""
+        shape, layout = self.shape, self.layout
+        formula = formulate(texts, shape.constants, self.manifest, shape.representation, shape.horizon)
+        parts = {"q": places.q, "qd": places.qd, "qdd": places.qdd, "u": places.u}
+        if layout.horizon is not None:
+            parts["T"] = np.full((1, places.s.size), layout.horizon)
+        return Block(
+            function=formula,
+            columns=tuple(parts[part.kind] for part in formula.inputs),
+            rows=rows,
+            stages=stages,
+            parameters=self.weights + np.arange(0 if formula.parameters is None else formula.parameters.size),
+            data=None if formula.data is None else places.s[None],
+            scale=scale,
+        )
+
+    # --- the cost ---
+
+    def write_cost(self) -> tuple[tuple[Matrix, ...], tuple[Block, ...]]:
+        """Return the quadratic terms, a matrix for each weight, and the others."""
+        shape, layout = self.shape, self.layout
+        running, terminal = len(shape.running), len(shape.terminal)
+        blocks = []
+        if running:
+            places = self.points
+            rows = np.broadcast_to(2 + np.arange(running)[:, None], (running, places.s.size))
+            integral = self.h * np.tile(self.scheme.weights, shape.intervals)
+            block = self.apply(shape.running, places, rows, places.interval, integral)
+            blocks.append(replace(block, factor=layout.horizon))
+        if terminal:
+            rows = 2 + running + np.arange(terminal)[:, None]
+            blocks.append(self.apply(shape.terminal, self.last, rows, self.last.interval))
+        nothing = sparse.csc_array((layout.size, layout.size))
+        others = (nothing,) * (running + terminal)
+        if layout.horizon is None:
+            return (_input_cost(layout, self.h), _rate_cost(layout, self.h), *others), tuple(blocks)
+        return (nothing, nothing, *others), (*_input_costs(layout, layout.horizon), *blocks)
+
+
+def _pick(places: Places, kernel: KernelResult) -> tuple[Column, ...]:
+    """Pick the inputs of a kernel."""
+    parts = {"q": places.q, "qd": places.qd, "qdd": places.qdd, "u": places.u}
+    return tuple(parts[name] for name in kernel.inputs)
+
+
+def _reads_jumps(text: str, known: Mapping[str, Quantity]) -> bool:
+    """Return whether an expression reads inputs or accelerations, which jump where an interval ends."""
+    return any(known[name].kind in ("u", "qdd") for name in names(parse(text)) if name in known)
+
+
+def _input_cost(layout: Layout, h: float) -> Matrix:
+    """Return the Hessian of the integral of |u|^2."""
+    H = Entries()
+    H.put(layout.inputs, layout.inputs, 2 * h)
+    return H.matrix((layout.size, layout.size))
+
+
+def _rate_cost(layout: Layout, h: float) -> Matrix:
+    """Return the Hessian of the sum over the N - 1 steps of h |(u_(k+1) - u_k) / h|^2."""
+    H = Entries()
+    before, after = layout.inputs[:-1], layout.inputs[1:]
+    for row in (before, after):
+        for col in (before, after):
+            H.put(row, col, 2 / h if row is col else -2 / h)
+    return H.matrix((layout.size, layout.size))
+
+
+def _input_costs(layout: Layout, horizon: int) -> list[Block]:
+    """Return the same two terms as functions of the inputs and the horizon."""
+    N, m = layout.inputs.shape
+    rows, interval = np.zeros((1, N), dtype=np.int64), np.arange(N)
+    inputs = Block(formulas.square_inputs(m), (layout.inputs.T,), rows, interval, scale=1 / N, factor=horizon)
+    if N == 1:
+        return [inputs]
+    columns = (layout.inputs[:-1].T, layout.inputs[1:].T, np.full((1, N - 1), horizon))
+    rates = Block(formulas.square_rates(m, N), columns, np.ones((1, N - 1), dtype=np.int64), interval[:-1])
+    return [inputs, rates]
