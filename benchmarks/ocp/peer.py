@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from benchmarks.compilation import EXPORTED, run
 from benchmarks.newton_euler import write_functions
-from mbsgen.manifest import Manifest
+from mbsgen.manifest import Kernel, Manifest
 from mbsgen.model.tree import Tree
 from mbsrun.library import find_compiler
 from mbsrun.ocp.plant import Plant
@@ -197,6 +197,10 @@ class Points:
     def manifest(self) -> Manifest:
         """Describe the kernels."""
         return self._plant.manifest
+
+    def describe(self, name: str) -> Kernel:
+        """Describe a generated kernel."""
+        return self._plant.describe(name)
 
     def __call__(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> dict[str, Array]:
         """Evaluate a generated kernel."""

@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -75,15 +74,6 @@ def measure_lengths(q: Array, manifest: Manifest) -> Array:
     """Give the lengths of the quaternions of q (..., nq): (..., quaternions)."""
     lengths = [np.linalg.norm(q[..., x.entries], axis=-1) for x in list_quaternions(manifest)]
     return np.stack(lengths, axis=-1) if lengths else np.zeros((*q.shape[:-1], 0))
-
-
-def compare(target: ca.SX, found: ca.SX) -> ca.SX:
-    """Give the vector (3,) of target^-1 * found, 0 where both are one attitude.
-
-    It is linear in `found`; its derivatives are independent, and nothing along `found` changes it where it is 0: three
-    equations, where four on a quaternion whose length is given already would be one too many.
-    """
-    return target[3] * found[:3] - found[3] * target[:3] - ca.cross(target[:3], found[:3])
 
 
 # --- rates and velocities ------------------------------------------------------------------------------------------

@@ -16,8 +16,7 @@ from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import solve
 from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.transcription import transcribe
-from tests.mbsrun.ocp.programs import TABLE_3
+from tests.mbsrun.ocp.programs import TABLE_3, functions_of
 from tests.mbsrun.peer import Peer
 from tests.mbsrun.peer_arm import peer_arm
 
@@ -55,7 +54,7 @@ def test_sizes_with_generated_kernels(
 ) -> None:
     """Table 3: the patterns of the generated derivatives are exact."""
     problem, mechanism = generated
-    program = transcribe(replace(problem, representation=representation), mechanism).program
+    program = functions_of(replace(problem, representation=representation), mechanism)
     nonzeros = (program.jacobian.nnz_out(1), program.hessian.nnz_out(0))
     assert (program.variables, program.constraints, *nonzeros) == sizes
 

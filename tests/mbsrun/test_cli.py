@@ -23,8 +23,9 @@ from mbsrun.commands import solve as solving
 from mbsrun.commands.cache import DAY
 from mbsrun.limits import Limits
 from mbsrun.ocp.problem import Form
-from mbsrun.ocp.solution import ACCEPTABLE, Solution, read_solution
+from mbsrun.ocp.solution import Solution, read_solution
 from mbsrun.ocp.solve import solve
+from mbsrun.ocp.status import ACCEPTABLE
 from tests.mbsrun.peer_arm import peer_arm
 from tests.sample import write_sample
 

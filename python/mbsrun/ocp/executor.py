@@ -24,9 +24,9 @@ from mbsrun.ocp.search import MULTISTART, Found, Hop, Order, Outcome, Trial, Var
 from mbsrun.ocp.solution import Failure, Solution
 from mbsrun.ocp.solve import Solver
 from mbsrun.ocp.starts import coarsen, count_turns, hop, vary
-from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.ocp.status import UNREACHABLE
 from mbsrun.ocp.structure import Structure, structure
+from mbsrun.ocp.trajectory import Trajectory
 
 Environment = Mapping[str, str | int]
 

@@ -9,9 +9,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from mbsrun.ocp.backends import condensation
+from mbsrun.ocp.backends.casadi import Functions
+from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Constraint, Cost, End, Problem, Representation, Term
 from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.transcription import transcribe
+from mbsrun.ocp.transcription import Transcription, transcribe
 from tests.mbsrun.peer import Peer
 
 
@@ -59,12 +62,30 @@ def rich(reach: Problem, representation: Representation, family: Family, free: b
     )
 
 
+def functions_of(problem: Problem, plant: Plant) -> Functions:
+    """Transcribe a problem, and make the functions of its program."""
+    return condensation.build(transcribe(problem, plant).program, plant)
+
+
+def evaluate_rows(transcription: Transcription, plant: Plant, problem: Problem, x: np.ndarray) -> np.ndarray:
+    """Return g at x."""
+    functions = condensation.build(transcription.program, plant)
+    return np.asarray(functions.constraint(x, transcription.parameters(problem)).full().ravel())
+
+
+def evaluate_terms(transcription: Transcription, plant: Plant, problem: Problem, x: np.ndarray) -> list[float]:
+    """Return the terms of the cost at x, weights included."""
+    functions = condensation.build(transcription.program, plant)
+    terms = functions.terms(x, transcription.parameters(problem)).full().ravel() * problem.cost.weights
+    return [float(term) for term in terms]
+
+
 def check_derivatives(
     problem: Problem, arm: Peer, expand: Callable[[Any, ca.MX], tuple[Any, ca.MX]] = lambda program, x: (program, x)
 ) -> None:
     """Compare with CasADi's of the same program; `expand` gives a form of it that CasADi can differentiate."""
     transcription = transcribe(problem, arm)
-    program = transcription.program
+    program = condensation.build(transcription.program, arm)
     x, p = ca.MX.sym("x", program.variables), ca.MX.sym("p", program.parameters)
     plain, v = expand(program, x)
     nlp = {"x": x, "p": p, "f": plain.objective(v, p), "g": plain.constraint(v, p)}

@@ -17,6 +17,7 @@ from mbsgen.model.writer import write_model
 from mbsrun import Mechanism
 from mbsrun.external import load_on_demand
 from mbsrun.models import Extent, find_folder
+from mbsrun.ocp.backends.condensation import build as build_functions
 from mbsrun.ocp.guess import bump, find_pose, interpolate, make_guess, rest
 from mbsrun.ocp.pictures import animate, plot_trajectories
 from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Form, Problem, Representation, Term
@@ -147,7 +148,7 @@ def test_ipopt_finds_no_fault_in_the_derivatives(sphere: Mechanism, capfd: pytes
         constraints=(Constraint("q_ball_qw**2", (0.0, 0.5)),),
     )
     transcription = transcribe(problem, sphere)
-    program = transcription.program
+    program = build_functions(transcription.program, sphere)
     x, p = ca.MX.sym("x", program.variables), ca.MX.sym("p", program.parameters)
     nlp = {"x": x, "p": p, "f": program.objective(x, p), "g": program.constraint(x, p)}
     functions = {"grad_f": program.gradient, "jac_g": program.jacobian, "hess_lag": program.hessian}

@@ -34,7 +34,7 @@ from mbsrun.ocp.search import (
     plan_round,
     summarise,
 )
-from mbsrun.ocp.solution import UNREACHABLE
+from mbsrun.ocp.status import UNREACHABLE
 from mbsrun.ocp.trajectory import Trajectory
 from tests.mbsrun.peer import Peer
 

@@ -14,16 +14,16 @@ import pytest
 from mbsrun.lab.optimisation import state_catch
 from mbsrun.lab.optimisation import state_swing_up as swing_up
 from mbsrun.ocp import integrators, schemes
-from mbsrun.ocp.condensation import Condensed
+from mbsrun.ocp.backends.casadi import CasadiProgram
+from mbsrun.ocp.backends.condensation import Condensed, build
 from mbsrun.ocp.guess import interpolate
 from mbsrun.ocp.problem import Bounds, Cost, End, Form, Problem, Representation, Term, cylindrical
-from mbsrun.ocp.program import Program
 from mbsrun.ocp.resimulation import integrate, resimulate
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.solution import Failure, Solution
 from mbsrun.ocp.solve import Solver, solve
 from mbsrun.ocp.transcription import transcribe
-from tests.mbsrun.ocp.programs import check_derivatives, rich
+from tests.mbsrun.ocp.programs import check_derivatives, evaluate_rows, functions_of, rich
 from tests.mbsrun.ocp.test_optima import FREE_RANGE, pendulum
 from tests.mbsrun.ocp.test_pitfalls import cart_pole, unstable
 from tests.mbsrun.ocp.test_solve import push
@@ -95,9 +95,10 @@ def test_rows_of_rk4_are_the_textbooks(plant: Peer) -> None:
     problem = shot(swing_up(5, 4), horizon=0.2, **EXPLICIT, steps=3)
     transcription = transcribe(problem, plant)
     rng = np.random.default_rng(0)
-    x = rng.uniform(-1, 1, transcription.program.variables)
-    motion = transcription.unpack(x)
-    g = transcription.program.constraint(x, transcription.parameters(problem)).full().ravel()
+    functions = build(transcription.program, plant)
+    x = rng.uniform(-1, 1, functions.variables)
+    motion = transcription.unpack(functions.complete(x))
+    g = evaluate_rows(transcription, plant, problem, x)
     states = np.concatenate((motion.q, motion.qd), axis=1)
     gaps = [states[k + 1] - rk4(plant, states[k], motion.u[k], 0.04, 3) for k in range(5)]
     first = int(np.flatnonzero(np.isin(transcription.program.kept_rows, transcription.rows.continuity[0, 0]))[0])
@@ -111,19 +112,27 @@ def test_rows_of_rk4_are_the_textbooks(plant: Peer) -> None:
 # --- derivatives ---------------------------------------------------------------------------------------------------
 
 
-def unroll(program: Condensed, x: ca.MX) -> tuple[Program, ca.MX]:
+def equations_of(condensed: Condensed) -> CasadiProgram:
+    """The rows that are solved."""
+    program = condensed.program
+    assert program.stages is not None
+    return CasadiProgram(program.restrict(program.stages.equations.ravel()), condensed.rest.plant)
+
+
+def unroll(condensed: Condensed, x: ca.MX) -> tuple[CasadiProgram, ca.MX]:
     """Give the rows that stay, and all variables by as many iterations as they take, that CasADi differentiates."""
-    z, unknowns = ca.MX.zeros(program.groups.unknowns.size), program.groups.unknowns.ravel()
-    order = np.argsort(np.concatenate((program.kept, unknowns))).tolist()
-    nothing = ca.DM.zeros(program.parameters)
-    if program.elimination.orders:  # stage after stage is exact
-        for _ in program.elimination.orders:
-            z -= program.equations.constraint(ca.vertcat(x, z)[order], nothing)
+    unknowns, equations = condensed.elimination.groups.unknowns.ravel(), equations_of(condensed)
+    z = ca.MX.zeros(unknowns.size)
+    order = np.argsort(np.concatenate((condensed.program.kept, unknowns))).tolist()
+    nothing = ca.DM.zeros(condensed.parameters)
+    if condensed.elimination.orders:  # stage after stage is exact
+        for _ in condensed.elimination.orders:
+            z -= equations.constraint(ca.vertcat(x, z)[order], nothing)
     else:
         for _ in range(8):
-            r, J = program.equations.jacobian(ca.vertcat(x, z)[order], nothing)
+            r, J = equations.jacobian(ca.vertcat(x, z)[order], nothing)
             z -= ca.solve(J[:, unknowns.tolist()], r, "qr")
-    return program.rest, ca.vertcat(x, z)[order]
+    return condensed.rest, ca.vertcat(x, z)[order]
 
 
 def test_derivatives_of_shooting_equal_casadis(arm: Peer, reach: Problem) -> None:
@@ -140,21 +149,22 @@ def test_derivatives_through_newtons_method_equal_casadis(plant: Peer) -> None:
 
 def test_kept_slopes_lead_to_where_newtons_method_leads(plant: Peer) -> None:
     """Over intervals so long that there are several solutions; groups together, as all wait for the last."""
-    program = transcribe(shot(swing_up(4, 3), horizon=1.6), plant).program
+    program = functions_of(shot(swing_up(4, 3), horizon=1.6), plant)
     assert isinstance(program, Condensed)
+    equations, groups = equations_of(program), program.elimination.groups
     rng, found = np.random.default_rng(3), 0
     nothing = np.zeros(program.parameters)
     for _ in range(40):
-        v = np.zeros(program.equations.variables)
-        v[program.kept] = rng.uniform(-4, 4, program.variables)
+        v = np.zeros(equations.variables)
+        v[program.program.kept] = rng.uniform(-4, 4, program.variables)
         for _ in range(30):
-            r, J = program.equations.jacobian(v, nothing)
-            unknowns = program.groups.unknowns.ravel()
+            r, J = equations.jacobian(v, nothing)
+            unknowns = groups.unknowns.ravel()
             step = np.linalg.solve(J.full()[:, unknowns], r.full().ravel())
             v[unknowns] -= step
             if np.abs(step).max() < 1e-12 * (1 + np.abs(v[unknowns]).max()):
-                z = program.elimination.solve(v[program.groups.knowns])
-                assert z == pytest.approx(v[program.groups.unknowns], rel=1e-9, abs=1e-9)
+                z = program.elimination.solve(v[groups.knowns])
+                assert z == pytest.approx(v[groups.unknowns], rel=1e-9, abs=1e-9)
                 found += 1
                 break
     assert found >= 20
@@ -184,7 +194,7 @@ def test_no_order_of_calls_meets_what_was_found_elsewhere(plant: Peer, changes: 
     problem = shot(replace(swing_up(4, 2), cost=Cost(1.0, running=(Term("qdd_cart**2", 0.5),))), **changes)
 
     def make() -> Any:
-        return transcribe(problem, plant).program
+        return functions_of(problem, plant)
 
     asked = make()
     x = np.random.default_rng(0).uniform(0.5, 1, asked.variables)
@@ -200,7 +210,7 @@ def test_no_order_of_calls_meets_what_was_found_elsewhere(plant: Peer, changes: 
 
 def test_threads_take_turns(plant: Peer) -> None:
     """One program, asked by four threads at places of their own, gives each what it gives when asked alone."""
-    program = transcribe(shot(swing_up(4, 2)), plant).program
+    program = functions_of(shot(swing_up(4, 2)), plant)
     places = np.random.default_rng(1).uniform(0.5, 1, (4, program.variables))
     expected = [evaluate(program, at, FUNCTIONS) for at in places]
     with ThreadPoolExecutor(4) as pool:

@@ -12,8 +12,9 @@ import pytest
 from mbsgen.errors import InputError
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.solution import ACCEPTABLE, Run, Solution, read_solution, write_solution
+from mbsrun.ocp.solution import Run, Solution, read_solution, write_solution
 from mbsrun.ocp.solve import solve
+from mbsrun.ocp.status import ACCEPTABLE
 from tests.mbsrun.peer import Peer
 
 

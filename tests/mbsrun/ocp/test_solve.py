@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 from mbsrun.ocp import schemes
+from mbsrun.ocp.backends.casadi import Functions
+from mbsrun.ocp.backends.condensation import build
 from mbsrun.ocp.guess import interpolate
 from mbsrun.ocp.problem import Bounds, Cost, End, Problem, SolverOptions, Term, cylindrical
-from mbsrun.ocp.program import Program
 from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.solution import BAD_BOUNDS, BAD_GUESS, UNREACHABLE, Failure, Solution
+from mbsrun.ocp.solution import Failure, Solution
 from mbsrun.ocp.solve import Progress, Solver, solve
+from mbsrun.ocp.status import BAD_BOUNDS, BAD_GUESS, UNREACHABLE
 from mbsrun.ocp.transcription import transcribe
 from tests.mbsrun.peer import Peer, double_integrator, pose_functions, residual_function
 
@@ -210,7 +212,7 @@ def test_a_solution_of_another_grid_is_a_guess(arm: Peer, reach: Problem, reache
 # --- derivatives as IPOPT sees them --------------------------------------------------------------------------------
 
 
-def check_derivatives(program: Program, p: np.ndarray, x0: np.ndarray, **scaled: ca.Function) -> None:
+def check_derivatives(program: Functions, p: np.ndarray, x0: np.ndarray, **scaled: ca.Function) -> None:
     """Have IPOPT compare the derivatives with differences; it prints what it finds."""
     x, weights = ca.MX.sym("x", program.variables), ca.MX.sym("p", 2)
     nlp = {"x": x, "p": weights, "f": program.objective(x, weights), "g": program.constraint(x, weights)}
@@ -221,17 +223,17 @@ def check_derivatives(program: Program, p: np.ndarray, x0: np.ndarray, **scaled:
 
 
 @pytest.fixture
-def tiny(arm: Peer, reach: Problem) -> tuple[Program, np.ndarray, np.ndarray]:
+def tiny(arm: Peer, reach: Problem) -> tuple[Functions, np.ndarray, np.ndarray]:
     """The arm and its hand on two intervals, with weights and a point."""
     end = replace(reach.end, velocity_zero=False, acceleration_zero=False)
     problem = replace(reach, intervals=2, degree=1, cost=Cost(1.0, 1.0), end=end)
     transcription = transcribe(problem, arm)
     x0 = np.random.default_rng(3).uniform(-0.5, 0.5, transcription.layout.size)
-    return transcription.program, transcription.parameters(problem), x0
+    return build(transcription.program, arm), transcription.parameters(problem), x0
 
 
 def test_ipopt_finds_no_fault_in_the_derivatives(
-    tiny: tuple[Program, np.ndarray, np.ndarray], capfd: pytest.CaptureFixture[str]
+    tiny: tuple[Functions, np.ndarray, np.ndarray], capfd: pytest.CaptureFixture[str]
 ) -> None:
     check_derivatives(*tiny)
     assert "No errors detected by derivative checker." in capfd.readouterr().out
@@ -239,7 +241,7 @@ def test_ipopt_finds_no_fault_in_the_derivatives(
 
 @pytest.mark.parametrize(("name", "result", "factor"), [("jac_g", 1, 1.1), ("hess_lag", 0, 1.5)])
 def test_ipopt_finds_the_fault_in_scaled_derivatives(
-    tiny: tuple[Program, np.ndarray, np.ndarray],
+    tiny: tuple[Functions, np.ndarray, np.ndarray],
     capfd: pytest.CaptureFixture[str],
     name: str,
     result: int,

@@ -9,11 +9,21 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from mbsrun.ocp.backends.condensation import build
 from mbsrun.ocp.problem import Bounds, Cost, End, Form, Problem, Representation
 from mbsrun.ocp.schemes import Family
+from mbsrun.ocp.structure import structure
 from mbsrun.ocp.trajectory import Trajectory, grid
-from mbsrun.ocp.transcription import Transcription, structure, transcribe
-from tests.mbsrun.ocp.programs import TABLE_3, check_derivatives, rich, small
+from mbsrun.ocp.transcription import Transcription, transcribe
+from tests.mbsrun.ocp.programs import (
+    TABLE_3,
+    check_derivatives,
+    evaluate_rows,
+    evaluate_terms,
+    functions_of,
+    rich,
+    small,
+)
 from tests.mbsrun.peer import Peer, double_integrator
 
 SCHEMES = [(Family.RADAU, 1), (Family.RADAU, 3), (Family.LEGENDRE, 1), (Family.LEGENDRE, 4)]
@@ -52,7 +62,7 @@ def test_sizes_of_table_3(
     divide. Nothing of this program has 185 entries, and its ODE, made of the same parts, is as printed. Of the same
     program without these kernels CasADi finds our three numbers, 3.6 as well as 3.8.
     """
-    program = transcribe(replace(reach, representation=representation), arm).program
+    program = functions_of(replace(reach, representation=representation), arm)
     nonzeros = (program.jacobian.nnz_out(1), program.hessian.nnz_out(0))
     assert (program.variables, program.constraints, *nonzeros) == sizes
 
@@ -74,7 +84,7 @@ def test_ipopt_finds_no_fault_in_the_derivatives(
     if form is Form.SHOOTING:  # at states from which Newton's method finds the next: IPOPT tests up to 10 away from x0
         problem, test["point_perturbation_radius"] = replace(problem, horizon=0.2), 0.0
     transcription = transcribe(problem, arm)
-    program = transcription.program
+    program = build(transcription.program, arm)
     x, p = ca.MX.sym("x", program.variables), ca.MX.sym("p", program.parameters)
     nlp = {"x": x, "p": p, "f": program.objective(x, p), "g": program.constraint(x, p)}
     functions = {"grad_f": program.gradient, "jac_g": program.jacobian, "hess_lag": program.hessian}
@@ -106,15 +116,15 @@ def test_the_integral_form_is_the_standard_form_solved(
     x = rng.uniform(0.5, 1, ours.layout.size)
     y = theirs.pack(ours.unpack(x))
     assert ours.pack(ours.unpack(x)) == pytest.approx(x, abs=1e-14)
-    g = ours.program.constraint(x, ours.parameters(problem)).full().ravel()
-    expected = theirs.program.constraint(y, theirs.parameters(problem)).full().ravel()
+    g = evaluate_rows(ours, arm, problem, x)
+    expected = evaluate_rows(theirs, arm, standard, y)
     assert np.abs(expected[theirs.rows.states]).max() < 1e-12
     for name in ("start", "dynamics", "continuity", "sensors", "acceleration", "accelerations", "sensor_velocities"):
         assert g[getattr(ours.rows, name)] == pytest.approx(expected[getattr(theirs.rows, name)], abs=1e-11), name
     for row, other in zip(ours.rows.constraints, theirs.rows.constraints, strict=True):
         assert g[row] == pytest.approx(expected[other], abs=1e-11)
-    expected_costs = [value for _, value in theirs.cost_terms(problem, y)]
-    assert [value for _, value in ours.cost_terms(problem, x)] == pytest.approx(expected_costs, rel=1e-12)
+    expected_costs = evaluate_terms(theirs, arm, standard, y)
+    assert evaluate_terms(ours, arm, problem, x) == pytest.approx(expected_costs, rel=1e-12)
 
 
 @pytest.mark.parametrize("family", Family)
@@ -131,7 +141,7 @@ def test_bounds_hold_at_points_that_are_no_variables(
     x = rng.uniform(-1, 1, transcription.layout.size)
     motion = transcription.unpack(x)
     states = np.concatenate((motion.point_q, motion.point_qd), axis=2)[:, :inner, bounded]
-    g = transcription.program.constraint(x, transcription.parameters(problem)).full().ravel()
+    g = evaluate_rows(transcription, arm, problem, x)
     assert g[rows] == pytest.approx(states, abs=1e-13)
     lower, upper = transcription.constraint_bounds(problem)
     assert (lower[rows] == np.array([*reach.bounds.q[1:], (-7.0, np.inf)])[:, 0]).all()
@@ -140,7 +150,7 @@ def test_bounds_hold_at_points_that_are_no_variables(
 
 def test_sizes_of_the_integral_form(arm: Peer, reach: Problem) -> None:
     """100 (12 + 4 * 6 + 4) + 12 variables; 100 (4 * 6 + 12) + 27 constraints and 5 bounded states at 3 inner points."""
-    program = transcribe(replace(reach, form=Form.INTEGRAL), arm).program
+    program = functions_of(replace(reach, form=Form.INTEGRAL), arm)
     assert (program.variables, program.constraints) == (4012, 3627 + 100 * 3 * 5)
 
 
@@ -208,7 +218,7 @@ def test_everything_means_what_it_says(
     def integral(values: np.ndarray) -> float:
         return float((values.reshape(N, -1) @ weights).sum())
 
-    costs = [value for _, value in transcription.cost_terms(problem, x)]
+    costs = evaluate_terms(transcription, arm, problem, x)
     assert costs == pytest.approx(
         [
             3.0 * T / N * (motion.u**2).sum(),
@@ -223,8 +233,9 @@ def test_everything_means_what_it_says(
         rel=1e-12,
     )
     p = transcription.parameters(problem)
-    assert float(transcription.program.objective(x, p)) == pytest.approx(sum(costs), rel=1e-12)
-    g = transcription.program.constraint(x, p).full().ravel()
+    functions = build(transcription.program, arm)
+    assert float(functions.objective(x, p)) == pytest.approx(sum(costs), rel=1e-12)
+    g = functions.constraint(x, p).full().ravel()
     close = {"rel": 1e-9, "abs": 1e-9}
     path = hand[:, 0] ** 2 - 0.7 * motion.point_t.ravel()
     mesh = last_hand[:, 0] ** 2 - 0.7 * motion.t
@@ -274,7 +285,8 @@ def test_constants_are_parameters(arm: Peer, reach: Problem, rng: np.random.Gene
     assert structure(replace(problem, constraints=problem.constraints[1:])) != structure(problem)
     transcription = transcribe(problem, arm)
     x = rng.uniform(0.5, 1, transcription.layout.size)
-    f, g = transcription.program.objective, transcription.program.constraint
+    functions = build(transcription.program, arm)
+    f, g = functions.objective, functions.constraint
     first, second = (transcription.parameters(p) for p in (problem, other))
     difference = (g(x, second) - g(x, first)).full().ravel()
     t = transcription.unpack(x).point_t.ravel()
@@ -299,7 +311,7 @@ def test_derivatives_equal_casadis_of_the_same_program(
     rounding = 1e-10 if representation.is_explicit else 1e-14
     problem = replace(small(reach, family, degree), representation=representation)
     transcription = transcribe(problem, arm)
-    program = transcription.program
+    program = build(transcription.program, arm)
     x, p = ca.MX.sym("x", program.variables), ca.MX.sym("p", 2)
     nlp = {"x": x, "p": p, "f": program.objective(x, p), "g": program.constraint(x, p)}
     whole = ca.nlpsol("whole", "ipopt", nlp, {"ipopt.print_level": 0})
@@ -326,7 +338,7 @@ def test_polynomials_of_its_degree_meet_the_collocation(
     transcription = transcribe(problem, arm)
     motion, acceleration = polynomial_motion(problem, transcription, rng)
     rows = transcription.rows
-    g = transcription.program.constraint(transcription.pack(motion), transcription.parameters(problem)).full().ravel()
+    g = evaluate_rows(transcription, arm, problem, transcription.pack(motion))
     small_enough = 1e-12
     assert np.abs(g[rows.states]).max() < small_enough
     assert np.abs(g[rows.continuity]).max() < small_enough
@@ -343,7 +355,7 @@ def test_dynamics_hold_at_every_collocation_point(arm: Peer, reach: Problem, rng
     problem = small(reach, Family.RADAU, 4)
     transcription = transcribe(problem, arm)
     motion, _ = polynomial_motion(problem, transcription, rng)
-    g = transcription.program.constraint(transcription.pack(motion), transcription.parameters(problem)).full().ravel()
+    g = evaluate_rows(transcription, arm, problem, transcription.pack(motion))
     for k in range(problem.intervals):
         for j in range(problem.degree):
             q, qd, qdd = motion.point_q[k, j], motion.point_qd[k, j], motion.point_qdd[k, j]
@@ -374,9 +386,8 @@ def test_cost_is_the_stated_one(arm: Peer, reach: Problem, rng: np.random.Genera
     u, h = transcription.unpack(x).u, problem.horizon / problem.intervals
     rates = (u[1:] - u[:-1]) / h
     expected = 3.0 * h * (u**2).sum() + 0.5 * h * (rates**2).sum()
-    assert float(transcription.program.objective(x, transcription.parameters(problem))) == pytest.approx(
-        expected, rel=1e-14
-    )
+    functions = build(transcription.program, arm)
+    assert float(functions.objective(x, transcription.parameters(problem))) == pytest.approx(expected, rel=1e-14)
 
 
 def test_bounds_hold_at_mesh_and_collocation_points(arm: Peer, reach: Problem) -> None:
@@ -411,7 +422,7 @@ def test_ends_in_coordinates(arm: Peer, reach: Problem, rng: np.random.Generator
     problem = replace(small(reach, Family.RADAU, 2), end=end)
     transcription = transcribe(problem, arm)
     motion, _ = polynomial_motion(problem, transcription, rng)
-    g = transcription.program.constraint(transcription.pack(motion), transcription.parameters(problem)).full().ravel()
+    g = evaluate_rows(transcription, arm, problem, transcription.pack(motion))
     assert g[transcription.rows.coordinates] == pytest.approx(motion.q[-1, [0, 4]], abs=1e-14)
     assert list(transcription.constraint_bounds(problem)[0][transcription.rows.coordinates]) == [0.25, -0.5]
     assert transcription.rows.velocity.size == transcription.rows.sensors.size == 0
