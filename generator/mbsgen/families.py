@@ -168,11 +168,7 @@ def _choose_functions(tree: Tree, names: tuple[str, ...] | None) -> Mapping[str,
             of_sensors = "of sensors", "name some under `frames:`"
             of_quaternions = "of quaternions", "the rates of its coordinates are qd"
             what, remedy = of_sensors if FUNCTIONS[name].of_sensors else of_quaternions
-            faults.append(
-                f"{name} is not written where joints follow others, as they do in {tree.name}; leave it out"
-                if FUNCTIONS[name].of_uncoupled
-                else f"{name} is {what}, and {tree.name} has none; {remedy}"
-            )
+            faults.append(f"{name} is {what}, and {tree.name} has none; {remedy}")
         elif name not in FUNCTIONS:
             near = difflib.get_close_matches(name, present, 1)
             remedy = f"is {near[0]} meant?" if near else f"there are {', '.join(present)}"

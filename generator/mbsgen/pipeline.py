@@ -169,9 +169,6 @@ def _approximate(tree: Tree, options: Options, scene: Scene) -> Approximation | 
     """Leave out what is below the scene's tolerance, where there is one."""
     if scene.tolerance is None:
         return None
-    if tree.couplings:
-        finding = "what may be left out is not looked for where joints follow others"
-        raise OptionError(f"tolerance: {finding}; generate without one")
     if options.runtime:
         finding = "with every number a run-time parameter, none can be left out for what it is now"
         raise OptionError(f"tolerance: {finding}; leave one of the options out")

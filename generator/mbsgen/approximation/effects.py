@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mbsgen.approximation.cuts import Released
 from mbsgen.approximation.states import Array, States
-from mbsgen.formulations import impl, ports, semi
+from mbsgen.formulations import coupling, impl, ports, semi
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Kind
@@ -118,14 +118,16 @@ class Comparison:
         self._functions = functions
         none = self._none
         released = functions.released
-        residual = impl.build(released.tree, Reductions(trials=1))
-        still = dict(states) | {"u": np.zeros((len(states["q"]), sum(b.joint.actuated for b in released.tree.bodies)))}
+        residual = coupling.write(impl.build, released.tree, Reductions(trials=1))
+        still = dict(states) | {
+            "u": np.zeros((len(states["q"]), sum(joint.actuated for joint in released.tree.joints)))
+        }
         torques = functions.evaluate(residual, still, none)["Phi"][0, :, :, 0]
-        driven = [k for k, body in enumerate(released.tree.bodies) if body.joint.actuated]
+        driven = [k for k, joint in enumerate(released.tree.joints) if joint.actuated]
         self._still, self._driven = still, still | {"u": torques[:, driven]}
         self._whole = {name: self._evaluate(name, none) for name in functions.judged}
         self._poses = {name: values[:poses] for name, values in still.items()}
-        self._inertia = semi.build(released.tree, Reductions(trials=1))
+        self._inertia = coupling.write(semi.build, released.tree, Reductions(trials=1))
 
     @property
     def _none(self) -> Sets:

@@ -33,10 +33,10 @@ def _draw(tree: Tree, source: random.Random, *, at_ends: bool, motion: bool) -> 
     def draw_rate(size: float) -> float:
         return source.choice((-size, size)) if at_ends else source.uniform(-size, size)
 
-    speeds = [SPEED if body.joint.max_speed is None else body.joint.max_speed for body in tree.bodies]
+    speeds = [SPEED if joint.max_speed is None else joint.max_speed for joint in tree.joints]
     yield "q", list(_draw_coordinates(tree, source))
     yield "qd", [draw_rate(speed) if motion else 0.0 for speed in speeds]
-    yield "qdd", [draw_rate(ACCELERATION) for _ in tree.bodies]
+    yield "qdd", [draw_rate(ACCELERATION) for _ in tree.joints]
     open_entries = 3 * sum(vector is None for x in tree.wrenches for vector in (x.force, x.moment))
     yield "w", [source.uniform(-WRENCH, WRENCH) for _ in range(open_entries)]
 
@@ -49,7 +49,7 @@ def _draw_coordinates(tree: Tree, source: random.Random) -> Iterator[float]:
             yield from (source.uniform(-SLIDE / 2, SLIDE / 2) for _ in range(3 * beginnings[i].is_free))
             turn = [source.gauss(0.0, 1.0) for _ in range(4)]
             yield from (x / math.hypot(*turn) for x in turn)
-        elif i not in inside:
+        elif i not in inside and i not in tree.followers:
             yield source.uniform(*_find_range(body.joint))
 
 

@@ -24,7 +24,6 @@ class Entry:
     differentiated: bool  # by all inputs but parameters
     of_sensors: bool = False  # a tree without sensors has no such function
     of_quaternions: bool = False  # nor one without quaternions
-    of_uncoupled: bool = False  # nor one with joints that follow others
     of_dynamics: bool = False  # a form of the equations of motion: its derivatives may be written by mechanics
 
 
@@ -95,7 +94,6 @@ _UNCOUPLED: Mapping[str, Entry] = MappingProxyType(
             "how many digits exp1 and exp2 lose at a position",
             results=(ports.ELIMINATION, ports.ARTICULATED),
             differentiated=False,
-            of_uncoupled=True,
         ),
         "energy": Entry(
             _plainly(energy.build),
@@ -137,13 +135,11 @@ RESULTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 
 
 def select_functions(tree: Tree) -> Mapping[str, Entry]:
-    """Select the functions that a tree has: those of sensors, quaternions and uncoupled joints where there are any."""
+    """Select the functions that a tree has: those of sensors and quaternions where there are any."""
     return {
         name: entry
         for name, entry in FUNCTIONS.items()
-        if (tree.sensors or not entry.of_sensors)
-        and (tree.quaternions or not entry.of_quaternions)
-        and not (tree.couplings and entry.of_uncoupled)
+        if (tree.sensors or not entry.of_sensors) and (tree.quaternions or not entry.of_quaternions)
     }
 
 

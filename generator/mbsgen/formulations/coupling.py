@@ -14,18 +14,19 @@ from typing import TypeGuard
 
 from sympy import Symbol
 
-from mbsgen.formulations import exp1, exp2, ports, semi
+from mbsgen.formulations import condition, exp1, exp2, ports, semi
 from mbsgen.formulations.links import declare_state, joint_forces, write_chain
-from mbsgen.formulations.parsimony.elimination import factorise
+from mbsgen.formulations.parsimony.elimination import Factors, factorise
 from mbsgen.formulations.parsimony.segments import align, feels_itself, largest_inertias
 from mbsgen.formulations.planning import finish
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import NO_FORCE, Kind, Parameter, Tree
 from mbsgen.roles import Axis, Role
 from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.passes import keep_results
 from mbsgen.tape.ports import Port
 from mbsgen.tape.replay import replay
-from mbsgen.tape.types import Input, Tape
+from mbsgen.tape.types import Input, Op, Tape
 
 Block = dict[tuple[int, int], Scalar]  # by (row, column), from 0
 _MAPPED = (Axis.COORDINATES, Axis.VELOCITIES)  # the entries that G maps
@@ -36,7 +37,7 @@ def write(build: Callable[[Tree, Reductions], Tape], tree: Tree, reductions: Red
     """Write a function of a tree, by a recursion that ignores couplings."""
     if not tree.couplings:
         return build(tree, reductions)
-    coupled = {exp1.build: _write_exp1, exp2.build: _write_exp2}
+    coupled = {exp1.build: _write_exp1, exp2.build: _write_exp2, condition.build: _write_condition}
     if build in coupled:
         return coupled[build](tree, reductions)
     return finish(couple(build(tree.uncoupled, reductions), tree), reductions)
@@ -241,6 +242,60 @@ def _write_exp2(tree: Tree, reductions: Reductions) -> Tape:
     for i in (i for i in range(n) if i not in followers):
         qdd.append(sum((column[i] * multipliers[k] for k, column in enumerate(B, 1)), start=a[i]))
     return own.finish("exp2", qdd)
+
+
+def _write_condition(tree: Tree, reductions: Reductions) -> Tape:
+    """Write `condition`: the same quantities as for an uncoupled tree, with the cancellations that couplings add.
+
+    EXP1 eliminates in Mr = GT M G, so `elimination` is Mr_ii (Mr^-1)_ii. EXP2 corrects the accelerations a of the
+    uncoupled tree, whose roundings remain. The motion y'' = e_i takes the forces Mr e_i in the leaders, hence
+    a = M^-1 E Mr e_i, where E places independent coordinates among all. Row i of `articulated` is the sum over the
+    joints j of |a_j| times `articulated` of the uncoupled tree, in units of sqrt(Mr_ii / M_jj). The sum over couplings
+    of A_kk (A^-1)_kk, with A = J M^-1 JT, multiplies it: the forces of couplings are solved for by elimination.
+    """
+    builder = Builder()
+    map, plain = _Map.of(tree, builder), condition.build(tree.uncoupled, reductions)
+    given = {i.name: map.expand(i.port, map.declare(i)) for i in plain.inputs}
+    lost = _results(plain, builder, given)["articulated"]
+    inertia = keep_results(semi.build(replace(tree.uncoupled, wrenches=()), reductions), {ports.MASS_MATRIX.name})
+    unread = {i.name: [builder.zero] * i.sparsity.nnz for i in inertia.inputs}
+    M = _results(inertia, builder, unread | given)[ports.MASS_MATRIX.name]
+    Mr = map.gather(M, Axis.VELOCITIES, Axis.VELOCITIES)
+    n, size = len(tree.bodies), map.size(Axis.VELOCITIES, 0)
+    whole, reduced = _factorise(builder, M, n), _factorise(builder, Mr, size)
+    inverse = reduced.invert(range(1, size + 1))
+    leaders = {map.targets[Axis.VELOCITIES][j]: j for j in range(n) if j not in map.ratios[Axis.VELOCITIES]}
+    spread = _measure_couplings(tree, whole)
+    rows = []
+    for i in range(size):
+        a = whole.solve({leaders[k] + 1: Mr[k, i] for k in range(size) if (k, i) in Mr})
+        thrown = [_size(a[j + 1]) * builder.apply(Op.SQRT, M[j, j] / Mr[i, i]) for j in range(n)]
+        own = [lost[j, 0] for j in range(n) if map.joint(j + 1) == i + 1]
+        rows.append([sum(own, start=spread * sum(thrown[1:], start=thrown[0]))])
+    eliminated = [[_size(Mr[i, i] * inverse[i + 1][i + 1])] for i in range(size)]
+    builder.output_dense(plain.output("elimination").port, eliminated)
+    builder.output_dense(plain.output("articulated").port, rows)
+    return builder.build(plain.function)
+
+
+def _measure_couplings(tree: Tree, whole: Factors) -> Scalar:
+    """Return the sum over couplings of A_kk (A^-1)_kk, with A = J M^-1 JT; 1 for a single coupling."""
+    builder = whole.builder
+    rows = [{x.follower - 1: builder.number(1.0), x.leader - 1: builder.number(-x.ratio)} for x in tree.couplings]
+    B = [whole.solve({i + 1: value for i, value in row.items()}) for row in rows]
+    columns = [[x[i] for i in range(1, whole.size + 1)] for x in B]
+    A = {(k + 1, l + 1): _along(rows[k], columns[l]) for l in range(len(B)) for k in range(l + 1)}
+    inverse = factorise(builder, A, len(B)).invert(range(1, len(B) + 1))
+    terms = [_size(A[k, k] * inverse[k][k]) for k in range(1, len(B) + 1)]
+    return sum(terms[1:], start=terms[0])
+
+
+def _factorise(builder: Builder, M: Block, size: int) -> Factors:
+    return factorise(builder, {(i + 1, j + 1): x for (i, j), x in M.items() if i <= j and not x.is_zero}, size)
+
+
+def _size(x: Scalar) -> Scalar:
+    return x if x.is_zero else x.builder.apply(Op.ABS, x)
 
 
 def _accelerate(

@@ -17,28 +17,35 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from mbsgen.approximation.choice import approximate
+from mbsgen.approximation.states import draw as draw_states
 from mbsgen.errors import InputError
 from mbsgen.expressions import Number
-from mbsgen.families import OptionError
 from mbsgen.formulations.catalogue import FUNCTIONS
+from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.construction import Setting, body, frame, free, make_model, revolute
 from mbsgen.model.locking import lock
 from mbsgen.model.model import Model
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.releasing import with_runtime_numbers
+from mbsgen.model.scene import EVERYTHING
 from mbsgen.model.tree import Coupling, Tree
 from mbsgen.model.writer import write_model
 from mbsgen.pipeline import Options, make, write_families
 from mbsgen.tape.interpreter import DIGITS, evaluate
 from mbsgen.tape.types import Tape
+from tests.mbsgen.failures.mechanisms import spatial_chain
 from tests.mbsgen.targets.test_c import Requires, run
+from tests.random_scenes import random_model
 from tests.random_trees import Pinocchio, law_forces, random_tree, values_of, with_laws, with_rotors, with_wrenches
 
 Array = NDArray[np.float64]
 SIZE = 4
 SEEDS = range(4)
 CLOSE = {"qdd": 1e-10}
+FEW = Reductions(trials=4)
+EPSILON = float(np.finfo(float).eps)
 STEP = DIGITS.literal(10) ** -15
 
 
@@ -61,6 +68,21 @@ def coupled_tree(seed: int) -> Tree:
         )
         for i in followers
     )
+    return replace(tree, bodies=tuple(bodies), couplings=couplings)
+
+
+def couple_some(tree: Tree, seed: int, count: int) -> Tree:
+    """Let some joints of a tree follow others; quaternions' joints neither follow nor are followed."""
+    rng = np.random.default_rng(seed)
+    inside = {i for x in tree.quaternions for i in x.bodies}
+    order = [int(i) + 1 for i in rng.permutation(len(tree.bodies)) if int(i) + 1 not in inside]
+    followers, leaders = order[:count], order[count:]
+    bodies = [
+        replace(b, joint=replace(b.joint, actuated=b.joint.actuated and i not in followers))
+        for i, b in enumerate(tree.bodies, 1)
+    ]
+    ratios = [float(x) for x in rng.choice([-2.0, -1.0, 0.5, 1.7], count)]
+    couplings = tuple(Coupling(i, int(rng.choice(leaders)), x, 0.0) for i, x in zip(followers, ratios, strict=True))
     return replace(tree, bodies=tuple(bodies), couplings=couplings)
 
 
@@ -288,9 +310,45 @@ def test_limits_that_leave_no_place_are_refused() -> None:
         )
 
 
-def test_what_is_not_written_for_coupled_joints_is_said() -> None:
-    with pytest.raises(OptionError, match="condition is not written where joints follow others"):
-        write_families(build_tree(finger(("a", 1, 0))), Options(functions=("condition",)))
+@pytest.mark.parametrize("ratio", [1, 10**6])
+@pytest.mark.parametrize("seed", range(3))
+def test_no_error_is_larger_than_condition_estimates(seed: int, ratio: int) -> None:
+    """Chains of eight with a light or a heavy tip: EXP1 errs as estimated, EXP2 by no more.
+
+    An error may be some times epsilon times the estimate, and 1e-14 beside it.
+    """
+    tree = couple_some(spatial_chain(8, [1] * 7 + [ratio]), seed, 1 + seed)
+    tapes = {name: FUNCTIONS[name].build(tree, FEW) for name in ("exp1", "exp2", "condition")}
+    state = draw(tree, {"q": len(tree.joints), "qd": len(tree.joints), "u": len(tree.joints)}, seed)
+    state["u"] = state["u"][: sum(joint.actuated for joint in tree.joints)]
+    estimates = compute(tapes["condition"], state)
+    for name, estimate in (("exp1", "elimination"), ("exp2", "articulated")):
+        exact = evaluate(
+            tapes[name], {i.name: list(map(DIGITS.literal, state[i.name])) for i in tapes[name].inputs}, DIGITS
+        )
+        expected, found = np.array(list(map(float, exact["qdd"]))), compute(tapes[name], state)["qdd"][:, 0]
+        error = np.abs(found - expected).max() / np.abs(expected).max()
+        assert error <= 16 * EPSILON * estimates[estimate].max() + 1e-14
+        if name == "exp1":
+            assert error >= EPSILON * estimates[estimate].max() / 50
+
+
+def test_a_tolerance_is_kept_where_joints_follow_others() -> None:
+    """Cuts are judged by the equations of the coupled tree: the residual keeps the tolerance at other states."""
+    tree = couple_some(build_tree(random_model(1, 4)), 0, 1)
+    options = Options(functions=("impl", "semi"), reductions=replace(FEW, factor=False))
+    found = approximate(tree, 0.05, options, EVERYTHING)
+    assert found.taken
+    states = draw_states(tree, 50, 77)
+    states["u"] = np.zeros((50, sum(joint.actuated for joint in tree.joints)))
+
+    def residuals(tree: Tree) -> Array:
+        tape, values = FUNCTIONS["impl"].build(tree, FEW), {"p": np.array(values_of(tree))}
+        given = [values | {name: entries[k] for name, entries in states.items()} for k in range(50)]
+        return np.array([compute(tape, state)["Phi"][:, 0] for state in given])
+
+    expected = residuals(tree)
+    assert (np.abs(residuals(found.tree) - expected).max(axis=0) <= 0.05 * np.abs(expected).max(axis=0)).all()
 
 
 def test_run_time_parameters_are_taken_as_ever() -> None:
