@@ -1,0 +1,92 @@
+/* Termination: what the errors, the clock and the iterate say. */
+#include "solver.h"
+
+#include <math.h>
+
+#define UNBOUNDED ((real)1e20)
+#define CERTAIN ((real)1e-2) /* barrier parameters that a least violation is believed at */
+#define CLEAR ((real)1000)   /* how much larger than the barrier parameter it must be */
+
+static int is_late(const mbs_stages *s)
+{
+    const mbs_stages_problem *p = s->problem;
+    return p->clock && s->options.seconds > 0 && p->clock(p->context) - s->began >= s->options.seconds;
+}
+
+static int is_solved(const mbs_stages *s, const mbs_stages_errors *e, real tolerance)
+{
+    const real most = s->options.violation_tolerance;
+    return e->scaled <= tolerance && e->violation <= most && e->complementarity / s->cost_scale <= most;
+}
+
+static int is_acceptable(mbs_stages *s, mbs_stages_phase *p, const mbs_stages_errors *e)
+{
+    p->acceptable = is_solved(s, e, s->options.acceptable_tolerance) ? p->acceptable + 1 : 0;
+    return s->options.acceptable_iterations > 0 && p->acceptable >= s->options.acceptable_iterations;
+}
+
+/* Whether restoration is at a least violation. Elastic variables keep some mu / PENALTY by themselves; a violation far
+ * beyond that stays, however small mu becomes, and a smaller mu would only cost digits. */
+static int is_least(mbs_stages *s, mbs_stages_phase *p)
+{
+    const real worst = mbs_stages_worst_violation(s);
+    return p->elastic && p->mu <= CERTAIN && worst > CLEAR * p->mu &&
+           mbs_stages_measure_errors(s, p, p->mu).scaled <= 10 * p->mu;
+}
+
+/* A status, or MBS_STAGES_RUNNING. Restoration is solved at a least violation above 0, which is a contradiction. */
+int mbs_stages_check(mbs_stages *s, mbs_stages_phase *p, const mbs_stages_errors *e)
+{
+    if (is_least(s, p))
+        return MBS_STAGES_SOLVED;
+    if (is_solved(s, e, s->options.tolerance))
+        return MBS_STAGES_SOLVED;
+    if (is_acceptable(s, p, e))
+        return MBS_STAGES_ACCEPTABLE;
+    if (s->result.iterations >= s->options.iterations)
+        return MBS_STAGES_ITERATION_LIMIT;
+    if (is_late(s))
+        return MBS_STAGES_TIME_LIMIT;
+    if (!(mbs_stages_largest(s->variables, p->x) < UNBOUNDED))
+        return MBS_STAGES_UNBOUNDED;
+    return MBS_STAGES_RUNNING;
+}
+
+void mbs_stages_report(const mbs_stages *s, const mbs_stages_phase *p, const mbs_stages_errors *e)
+{
+    mbs_stages_progress progress;
+    progress.iteration = s->result.iterations;
+    progress.restoring = p->elastic;
+    progress.cost = p->cost;
+    progress.violation = mbs_stages_largest(s->rows, p->c);
+    progress.stationarity = e->stationarity;
+    progress.barrier = p->mu;
+    progress.step = p->alpha;
+    progress.curvature = p->added;
+    s->problem->watch(s->problem->context, &progress);
+}
+
+const char *mbs_stages_explain(mbs_stages_status status)
+{
+    switch (status) {
+    case MBS_STAGES_SOLVED:
+        return "The optimality conditions hold to the tolerance.";
+    case MBS_STAGES_ACCEPTABLE:
+        return "The optimality conditions hold to the acceptable tolerance; no further progress was made.";
+    case MBS_STAGES_INFEASIBLE:
+        return "The violation has a local minimum above zero; the rows that clash are listed.";
+    case MBS_STAGES_ITERATION_LIMIT:
+        return "The limit of iterations was reached.";
+    case MBS_STAGES_TIME_LIMIT:
+        return "The limit of time was reached.";
+    case MBS_STAGES_OUT_OF_DIGITS:
+        return "No step makes progress in this precision.";
+    case MBS_STAGES_UNBOUNDED:
+        return "The variables grow without limit.";
+    case MBS_STAGES_CALLBACK_FAILED:
+        return "A callback returned no result, or no finite one.";
+    case MBS_STAGES_BAD_PROBLEM:
+        return "Bounds cross or are not numbers, or more of them are equal than when the solver was made.";
+    }
+    return "This status is unknown.";
+}

@@ -1,0 +1,139 @@
+/* The iterations of a barrier problem: errors, barrier parameter, Newton's step, line search. */
+#include "solver.h"
+
+#include <math.h>
+#include <string.h>
+
+#define KAPPA_EPSILON ((real)10)  /* errors that a barrier parameter is lowered at, beside itself */
+#define KAPPA_MU ((real)0.2)
+#define THETA_MU ((real)1.5)
+#define TAU ((real)0.99)
+#define KAPPA_SIGMA ((real)1e10)  /* how far z may be from mu / distance */
+
+/* Start the filter, and the limits of the violation, at x. */
+void mbs_stages_begin(mbs_stages *s, mbs_stages_phase *p)
+{
+    const real theta = mbs_stages_sum(s->rows, p->c), size = theta > 1 ? theta : 1;
+    p->theta_most = (real)1e4 * size;
+    p->theta_least = (real)1e-4 * size;
+    p->tau = 1 - p->mu > TAU ? 1 - p->mu : TAU;
+    p->tiny = p->tiny_before = p->rejected = p->resets = p->acceptable = p->failing = 0;
+    p->regular = 0;
+    mbs_stages_filter_clear(&p->filter);
+}
+
+/* Lower the barrier parameter while its problem is solved well enough; superlinearly near the end. */
+static int lower_barrier(mbs_stages *s, mbs_stages_phase *p)
+{
+    const real least = s->options.tolerance / (KAPPA_EPSILON + 1);
+    int force = p->tiny && p->tiny_before;
+    while (force || mbs_stages_measure_errors(s, p, p->mu).scaled <= KAPPA_EPSILON * p->mu) {
+        const real a = KAPPA_MU * p->mu, b = (real)pow(p->mu, THETA_MU), lower = a < b ? a : b;
+        if (p->mu <= least)
+            return force ? -1 : 0;
+        p->mu = lower > least ? lower : least;
+        p->tau = 1 - p->mu > TAU ? 1 - p->mu : TAU;
+        p->rejected = 0;
+        mbs_stages_filter_clear(&p->filter);
+        mbs_stages_reweigh(s, p);
+        force = 0;
+    }
+    return 0;
+}
+
+/* Keep z near mu / distance, and the distance from 0. */
+static void mend_bound(real *x, real *bound, real *z, real mu, real sign)
+{
+    const real least = (real)pow(MBS_STAGES_EPSILON, 0.75) * (fabs(*bound) > 1 ? (real)fabs(*bound) : 1);
+    real distance = sign * (*x - *bound);
+    if (!(distance > MBS_STAGES_EPSILON * mu)) {
+        *bound -= sign * least;
+        distance = sign * (*x - *bound);
+    }
+    if (*z > KAPPA_SIGMA * mu / distance)
+        *z = KAPPA_SIGMA * mu / distance;
+    if (*z < mu / (KAPPA_SIGMA * distance))
+        *z = mu / (KAPPA_SIGMA * distance);
+}
+
+static void mend_bounds(mbs_stages *s, mbs_stages_phase *p)
+{
+    int i;
+    for (i = 0; i < p->size; ++i) {
+        if (mbs_stages_is_fixed(s, i))
+            continue;
+        if (fabs(p->lower[i]) < MBS_STAGES_INFINITE)
+            mend_bound(&p->x[i], &p->lower[i], &p->zl[i], p->mu, 1);
+        if (fabs(p->upper[i]) < MBS_STAGES_INFINITE)
+            mend_bound(&p->x[i], &p->upper[i], &p->zu[i], p->mu, -1);
+    }
+}
+
+/* Whether dependent rows keep half of the violation, whatever the step. */
+static int contradict(const mbs_stages *s, const mbs_stages_phase *p)
+{
+    const real worst = mbs_stages_largest(s->rows, p->c);
+    return worst > s->options.tolerance && s->left > worst / 2;
+}
+
+static int find_step(mbs_stages *s, mbs_stages_phase *p)
+{
+    int i;
+    if (mbs_stages_newton_factorise(s, p))
+        return -1;
+    mbs_stages_stationarity(s, p, 1, p->slope);
+    mbs_stages_newton_solve(s, p, p->c, &p->step);
+    for (i = 0; i < p->size; ++i)
+        if (!(fabs(p->step.x[i]) <= MBS_STAGES_LARGEST))
+            return -1;
+    return contradict(s, p) ? -1 : 0;
+}
+
+/* No step: restore feasibility, or end. */
+static int leave(mbs_stages *s, mbs_stages_phase *p)
+{
+    if (p->failing)
+        return MBS_STAGES_CALLBACK_FAILED;
+    if (p->elastic)
+        return MBS_STAGES_OUT_OF_DIGITS;
+    return mbs_stages_restore(s);
+}
+
+static int advance(mbs_stages *s, mbs_stages_phase *p)
+{
+    if (lower_barrier(s, p))
+        return MBS_STAGES_OUT_OF_DIGITS;
+    if (mbs_stages_phase_hessian(s, p))
+        return MBS_STAGES_CALLBACK_FAILED;
+    p->theta = mbs_stages_sum(s->rows, p->c);
+    p->phi = mbs_stages_barrier(s, p, p->x, p->cost);
+    if (find_step(s, p) || mbs_stages_search(s, p)) {
+        const int status = leave(s, p);
+        if (status != MBS_STAGES_RUNNING)
+            return status;
+    }
+    mend_bounds(s, p);
+    ++s->result.iterations;
+    s->result.restorations += p->elastic;
+    return MBS_STAGES_RUNNING;
+}
+
+int mbs_stages_run(mbs_stages *s, mbs_stages_phase *p)
+{
+    for (;;) {
+        mbs_stages_errors errors;
+        int status;
+        if (mbs_stages_phase_derivatives(s, p))
+            return MBS_STAGES_CALLBACK_FAILED;
+        errors = mbs_stages_measure_errors(s, p, 0);
+        if (s->problem->watch)
+            mbs_stages_report(s, p, &errors);
+        if (p->elastic && mbs_stages_restored(s))
+            return MBS_STAGES_RESTORED;
+        status = mbs_stages_check(s, p, &errors);
+        if (status == MBS_STAGES_RUNNING)
+            status = advance(s, p);
+        if (status != MBS_STAGES_RUNNING)
+            return status;
+    }
+}

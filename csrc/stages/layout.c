@@ -1,0 +1,251 @@
+/* The workspace: one pass counts its bytes, the same pass hands them out. */
+#include "solver.h"
+
+#include <math.h>
+#include <string.h>
+
+#define ALIGNMENT 16
+
+/* Memory from `base` on, or only a count of it where base is NULL. */
+typedef struct {
+    char *base;
+    size_t used;
+} arena;
+
+static void *take(arena *a, size_t count, size_t bytes)
+{
+    void *p = a->base ? a->base + a->used : NULL;
+    a->used += (count * bytes + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
+    return p;
+}
+
+static real *numbers(arena *a, int rows, int columns)
+{
+    return take(a, (size_t)rows * (size_t)columns, sizeof(real));
+}
+
+static int smaller(int a, int b)
+{
+    return a < b ? a : b;
+}
+
+static int larger(int a, int b)
+{
+    return a > b ? a : b;
+}
+
+static void lay_step(arena *a, mbs_stages_step *p, int nx, int nv, int capacity)
+{
+    const int n = nx + nv, pivots = smaller(nv, capacity);
+    p->nx = nx;
+    p->nv = nv;
+    p->n = n;
+    p->capacity = capacity;
+    p->row = take(a, (size_t)capacity, sizeof(int));
+    p->column = take(a, (size_t)capacity, sizeof(int));
+    p->order = take(a, (size_t)n, sizeof(int));
+    p->lu = numbers(a, capacity, n);
+    p->U = numbers(a, pivots, pivots);
+    p->T = numbers(a, pivots, n);
+    p->Y = numbers(a, pivots, n);
+    p->Q = numbers(a, pivots, pivots);
+    p->L = numbers(a, n, nv);
+    p->P = numbers(a, nx, nx);
+    p->C = numbers(a, smaller(nx, capacity), nx);
+    p->p = numbers(a, nx, 1);
+    p->c = numbers(a, nx, 1);
+    p->t = numbers(a, pivots, 1);
+    p->l = numbers(a, nv, 1);
+    p->qp = numbers(a, pivots, 1);
+}
+
+static void lay_soft(arena *a, mbs_stages_soft *p, int n)
+{
+    p->n = n;
+    p->rows = numbers(a, n, n);
+    p->sum = numbers(a, n, 1);
+    p->own = numbers(a, n, 1);
+    p->P = numbers(a, n, n);
+    p->p = numbers(a, n, 1);
+    p->fixed = take(a, (size_t)n, 1);
+}
+
+static void lay_direction(arena *a, mbs_stages_direction *d, int size, int rows)
+{
+    d->x = numbers(a, size, 1);
+    d->zl = numbers(a, size, 1);
+    d->zu = numbers(a, size, 1);
+    d->y = numbers(a, rows, 1);
+}
+
+static void lay_phase(arena *a, mbs_stages_phase *p, int size, int rows)
+{
+    real **const vectors[] = {&p->x,  &p->trial,    &p->lower, &p->upper, &p->zl,
+                              &p->zu, &p->gradient, &p->slope, &p->sigma};
+    size_t i;
+    p->size = size;
+    for (i = 0; i < sizeof vectors / sizeof *vectors; ++i)
+        *vectors[i] = numbers(a, size, 1);
+    p->y = numbers(a, rows, 1);
+    p->c = numbers(a, rows, 1);
+    p->trial_c = numbers(a, rows, 1);
+    p->soc_c = numbers(a, rows, 1);
+    lay_direction(a, &p->step, size, rows);
+    lay_direction(a, &p->other, size, rows);
+}
+
+/* Places of a stage, which come after those of the stages before. */
+static void lay_stage(arena *a, mbs_stages *s, const mbs_stages_problem *problem, int k, mbs_stages_stage *t)
+{
+    const mbs_stages_size *z = &problem->size[k];
+    t->nx = z->nx;
+    t->nv = z->nv;
+    t->n = z->nx + z->nv;
+    t->ne = z->ne;
+    t->ng = z->ng;
+    t->next = k + 1 < problem->stages ? problem->size[k + 1].nx : 0;
+    t->w = s->variables;
+    t->e = s->rows;
+    t->d = t->e + t->ne;
+    t->g = t->d + t->next;
+    t->s = s->slacks;
+    s->variables += t->n;
+    s->rows += t->ne + t->next + t->ng;
+    s->slacks += t->ng;
+    t->E = numbers(a, t->ne, t->n);
+    t->F = numbers(a, t->next, t->n);
+    t->G = numbers(a, t->ng, t->n);
+    t->H = numbers(a, t->n, t->n);
+}
+
+/* Equal bounds of a stage, each of which is a row that holds exactly. */
+static int count_equal(const mbs_stages_problem *problem, const mbs_stages_stage *t)
+{
+    int i, equal = 0;
+    for (i = 0; problem->lower && problem->upper && i < t->n; ++i)
+        equal += problem->lower[t->w + i] == problem->upper[t->w + i];
+    for (i = 0; problem->least && problem->most && i < t->ng; ++i)
+        equal += problem->least[t->s + i] == problem->most[t->s + i];
+    return equal;
+}
+
+static void lay_recursion(arena *a, mbs_stages *s, const mbs_stages_problem *problem)
+{
+    mbs_stages_recursion *r = &s->recursion;
+    int k, i, largest = 1, rows = 1;
+    mbs_stages_stage spare;
+    for (k = 0; k < problem->stages; ++k) {
+        mbs_stages_stage *t = r->stage ? &r->stage[k] : &spare;
+        mbs_stages_step step, *p = r->step ? &r->step[k] : &step;
+        mbs_stages_soft soft, *q = r->soft ? &r->soft[k] : &soft;
+        lay_stage(a, s, problem, k, t);
+        t->equal = count_equal(problem, t);
+        lay_step(a, p, t->nx, t->nv, t->ne + t->equal + t->next);
+        lay_soft(a, q, t->next);
+        if (k == 0)
+            lay_step(a, &r->root, 0, t->nx, t->nx);
+        largest = larger(largest, t->n);
+        rows = larger(rows, t->ne + t->ng + t->n + t->next);
+    }
+    s->largest = largest;
+    for (i = 0; i < 4; ++i)
+        r->work[i] = numbers(a, largest + rows, largest);
+    for (i = 0; i < 6; ++i)
+        r->vector[i] = numbers(a, 2 * largest + rows, 1);
+    r->diagonal = numbers(a, s->variables, 1);
+    r->compliance = numbers(a, s->rows, 1);
+}
+
+static void lay_solver(arena *a, mbs_stages *s)
+{
+    const int n = s->variables, m = s->rows;
+    real **const of_w[] = {&s->point.w,        &s->point.below, &s->point.above, &s->variable_scale,
+                           &s->reference,      &s->weight,      &s->raw_w,       &s->rw,
+                           &s->dw,             &s->residual_w,  &s->best_w};
+    real **const of_rows[] = {&s->point.y, &s->row_scale, &s->raw_rows, &s->rc, &s->dy, &s->residual_c, &s->best_y};
+    size_t i;
+    s->point.variables = n;
+    s->point.rows = m;
+    lay_phase(a, &s->main, n + s->slacks, m);
+    lay_phase(a, &s->least, n + s->slacks + 2 * m, m);
+    s->fixed = take(a, (size_t)(n + s->slacks), 1);
+    for (i = 0; i < sizeof of_w / sizeof *of_w; ++i)
+        *of_w[i] = numbers(a, n, 1);
+    for (i = 0; i < sizeof of_rows / sizeof *of_rows; ++i)
+        *of_rows[i] = numbers(a, m, 1);
+    s->least.elastic = 1;
+    s->recursion.zero_pivot = (real)pow(MBS_STAGES_EPSILON, 0.65); /* double: 7e-11 */
+    s->recursion.zero_curvature = 10 * MBS_STAGES_EPSILON;
+    s->recursion.fixed = s->fixed;
+    s->recursion.stages = s->problem->stages;
+    s->recursion.variables = n;
+    s->recursion.rows = m;
+}
+
+/* Lay out all of a solver `s`, which has its place already. */
+static void lay(arena *a, const mbs_stages_problem *problem, mbs_stages *s)
+{
+    const size_t stages = (size_t)problem->stages;
+    memset(s, 0, sizeof *s);
+    s->problem = problem;
+    s->recursion.stage = take(a, stages, sizeof *s->recursion.stage);
+    s->recursion.step = take(a, stages, sizeof *s->recursion.step);
+    s->recursion.soft = take(a, stages, sizeof *s->recursion.soft);
+    lay_recursion(a, s, problem);
+    lay_solver(a, s);
+}
+
+static int is_possible(const mbs_stages_problem *problem)
+{
+    int k;
+    if (problem->stages < 1 || !problem->size || !problem->values || !problem->jacobians || !problem->hessian)
+        return 0;
+    for (k = 0; k < problem->stages; ++k) {
+        const mbs_stages_size *z = &problem->size[k];
+        if (z->nx < 0 || z->nv < 0 || z->ne < 0 || z->ng < 0)
+            return 0;
+    }
+    return 1;
+}
+
+size_t mbs_stages_bytes(const mbs_stages_problem *problem)
+{
+    arena a = {NULL, 0};
+    mbs_stages s;
+    if (!is_possible(problem))
+        return 0;
+    take(&a, 1, sizeof s);
+    lay(&a, problem, &s);
+    return a.used;
+}
+
+mbs_stages *mbs_stages_create(const mbs_stages_problem *problem, void *workspace, size_t bytes)
+{
+    const size_t needed = mbs_stages_bytes(problem);
+    arena a = {NULL, 0};
+    mbs_stages *s;
+    if (needed == 0 || workspace == NULL || bytes < needed)
+        return NULL;
+    memset(workspace, 0, needed);
+    a.base = workspace;
+    s = take(&a, 1, sizeof *s);
+    lay(&a, problem, s);
+    return s;
+}
+
+mbs_stages_point mbs_stages_iterate(const mbs_stages *solver)
+{
+    return solver->point;
+}
+
+mbs_stages_place mbs_stages_places(const mbs_stages *solver, int k)
+{
+    const mbs_stages_stage *t = &solver->recursion.stage[k];
+    mbs_stages_place place;
+    place.x = t->w;
+    place.v = t->w + t->nx;
+    place.e = t->e;
+    place.d = t->d;
+    place.g = t->g;
+    return place;
+}

@@ -1,0 +1,156 @@
+/* Solve a nonlinear program in stages by a primal-dual interior-point method.
+ *
+ * Stages k = 0 .. N have states x and stage variables v (inputs, unknowns within an interval):
+ *
+ *     minimise  sum f(k, x, v)   such that   x of stage k + 1 = d(k, x, v),   e(k, x, v) = 0,
+ *     least <= g(k, x, v) <= most,   lower <= (x, v) <= upper.
+ *
+ * The initial state is an unknown; fix it by equal bounds or by e. A parameter or a free horizon is a state with
+ * d = x. C99, math.h and string.h alone; no allocation and no static state: solvers in threads of their own share
+ * nothing. Define MBS_STAGES_FLOAT in every file for single precision. */
+#ifndef MBS_STAGES_H
+#define MBS_STAGES_H
+
+#include <stddef.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#ifdef MBS_STAGES_FLOAT
+typedef float mbs_stages_real;
+#else
+typedef double mbs_stages_real;
+#endif
+
+/* Numbers of a stage: states, stage variables, rows of e, rows of g. */
+typedef struct {
+    int nx, nv, ne, ng;
+} mbs_stages_size;
+
+/* What an iteration begins with. */
+typedef struct {
+    int iteration, restoring;
+    mbs_stages_real cost, violation, stationarity, barrier; /* scaled; the cost is that of restoration there */
+    mbs_stages_real step, curvature; /* length of the last step; what was added to its Hessian */
+} mbs_stages_progress;
+
+/* A problem; it must live as long as its solver.
+ *
+ * Variables are stage by stage, x before v. Rows are stage by stage, e before d before g; the last stage has no d.
+ * A bound that is not there is infinite (at least 1e19 in magnitude). Matrices are dense, column by column, with
+ * columns for x and v, and are zero on entry; of the Hessian only the lower triangle is read.
+ *
+ * A callback returns 0, or anything else if it has no result; numbers that are not finite count as no result. */
+typedef struct {
+    int stages; /* N + 1, at least 1 */
+    const mbs_stages_size *size;
+    void *context; /* goes to every callback */
+    int (*values)(void *context, int k, const mbs_stages_real *x, const mbs_stages_real *v, mbs_stages_real *f,
+                  mbs_stages_real *e, mbs_stages_real *d, mbs_stages_real *g);
+    int (*jacobians)(void *context, int k, const mbs_stages_real *x, const mbs_stages_real *v, mbs_stages_real *df,
+                     mbs_stages_real *de, mbs_stages_real *dd, mbs_stages_real *dg);
+    /* second derivatives of factor * f + ye . e + yd . d + yg . g */
+    int (*hessian)(void *context, int k, const mbs_stages_real *x, const mbs_stages_real *v, mbs_stages_real factor,
+                   const mbs_stages_real *ye, const mbs_stages_real *yd, const mbs_stages_real *yg,
+                   mbs_stages_real *h);
+    void (*watch)(void *context, const mbs_stages_progress *progress); /* NULL: nobody watches */
+    double (*clock)(void *context); /* seconds from any origin; NULL where there is no limit of time */
+    const mbs_stages_real *lower, *upper; /* of the variables; NULL: none */
+    const mbs_stages_real *least, *most;  /* of the rows of g, stage by stage; NULL: none */
+    const mbs_stages_real *scale;         /* usual size of each variable, above 0; NULL: 1 */
+} mbs_stages_problem;
+
+typedef enum {
+    MBS_STAGES_SOLVED,
+    MBS_STAGES_ACCEPTABLE,      /* to the acceptable tolerances; no further progress */
+    MBS_STAGES_INFEASIBLE,      /* the violation is at a local minimum above 0; `clash` holds its rows */
+    MBS_STAGES_ITERATION_LIMIT,
+    MBS_STAGES_TIME_LIMIT,
+    MBS_STAGES_OUT_OF_DIGITS,   /* steps make no progress in this precision */
+    MBS_STAGES_UNBOUNDED,       /* variables grow beyond 1e20 of their scales */
+    MBS_STAGES_CALLBACK_FAILED, /* `stage` holds where; the last iterate is kept */
+    MBS_STAGES_BAD_PROBLEM      /* bounds cross or are not numbers, or more are equal than when the solver was made */
+} mbs_stages_status;
+
+typedef struct {
+    mbs_stages_real tolerance;            /* of the scaled optimality conditions: 1e-8 (float: 1e-4) */
+    mbs_stages_real violation_tolerance;  /* of rows and of complementarity, unscaled: 1e-4 (float: 1e-3) */
+    mbs_stages_real acceptable_tolerance; /* 1e-6 (float: 1e-3) ... */
+    int acceptable_iterations;            /* ... for so many iterations in a row: 15 */
+    int iterations;                       /* limit: 3000 */
+    double seconds;                       /* limit by the clock; 0: none */
+    mbs_stages_real barrier;              /* the first barrier parameter: 0.1 */
+    int adaptive;                         /* 1: choose the first barrier parameter by an affine step */
+    int warm;                             /* 1: the point holds multipliers too; start from all of it */
+    int scaled;                           /* 1: scale the cost and rows by their first gradients: 1 */
+    mbs_stages_real push;                 /* least relative distance of the first point from bounds: 0.01 */
+} mbs_stages_options;
+
+/* A row or a bound that stays violated. */
+typedef enum { MBS_STAGES_EQUALITY, MBS_STAGES_DYNAMICS, MBS_STAGES_INEQUALITY } mbs_stages_kind;
+typedef struct {
+    int stage;
+    mbs_stages_kind kind;
+    int row; /* of e, d or g of that stage */
+    mbs_stages_real violation;
+} mbs_stages_clash;
+
+#define MBS_STAGES_CLASHES 8
+
+typedef struct {
+    mbs_stages_status status;
+    int stage; /* of a failed callback or a bad bound, or -1 */
+    int iterations, restorations /* iterations within restoration */, evaluations /* of values */;
+    int factorisations, refinements;
+    int dependent; /* rows without a pivot of their own in the last factorisation */
+    mbs_stages_real cost;
+    mbs_stages_real stationarity, violation, complementarity; /* largest, unscaled */
+    mbs_stages_real barrier;                                  /* the last barrier parameter */
+    int clashes;                                              /* rows that stay violated; the worst follow */
+    mbs_stages_clash clash[MBS_STAGES_CLASHES];
+} mbs_stages_result;
+
+/* The iterate: initial guess and solution. Multipliers are those of
+ *     f + y . (e, d - next x, g) - below . (w - lower) + above . (w - upper). */
+typedef struct {
+    mbs_stages_real *w;             /* variables */
+    mbs_stages_real *y;             /* multipliers of rows */
+    mbs_stages_real *below, *above; /* multipliers of bounds of variables, at least 0 */
+    int variables, rows;
+} mbs_stages_point;
+
+typedef struct mbs_stages mbs_stages;
+
+/* Return how many bytes the workspace needs, 0 if no solver can be made of the problem. Equal bounds are counted
+ * now: a later solve may have other bounds, but no further equal ones. */
+size_t mbs_stages_bytes(const mbs_stages_problem *problem);
+
+/* Lay the solver out in the workspace, which must be aligned to 16 bytes. Returns NULL if it is too small. */
+mbs_stages *mbs_stages_create(const mbs_stages_problem *problem, void *workspace, size_t bytes);
+
+mbs_stages_options mbs_stages_default_options(void);
+
+/* The iterate in the workspace: write the guess before a solve, read the solution after it. All 0 at first. */
+mbs_stages_point mbs_stages_iterate(const mbs_stages *solver);
+
+/* Places of a stage in `w` and in `y`: of x, then v; of e, then d, then g. */
+typedef struct {
+    int x, v, e, d, g;
+} mbs_stages_place;
+mbs_stages_place mbs_stages_places(const mbs_stages *solver, int k);
+
+/* Solve from the iterate. `options` may be NULL for the default. */
+mbs_stages_result mbs_stages_solve(mbs_stages *solver, const mbs_stages_options *options);
+
+/* Move the iterate one stage ahead: each stage takes the numbers of the next one, where their sizes are equal. */
+void mbs_stages_shift(mbs_stages *solver);
+
+/* Return a sentence for a status. */
+const char *mbs_stages_explain(mbs_stages_status status);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

@@ -1,0 +1,238 @@
+/* Newton's step of the barrier problem.
+ *
+ * Slacks and elastic variables appear in one row each. They are eliminated: their curvature becomes the compliance of
+ * that row, and the recursion solves for w and y. Where the reduced Hessian is not positive definite, a multiple of the
+ * identity is added to the curvature of all variables (Waechter, Biegler, 2006, algorithm IC). */
+#include "solver.h"
+
+#include <math.h>
+#include <string.h>
+
+#define FIRST ((real)1e-4)  /* multiple of the identity that is tried first */
+#define LEAST ((real)1e-20)
+#define MOST ((real)1e20)
+#define REFINEMENTS 8
+
+static int has(real bound)
+{
+    return fabs(bound) < MBS_STAGES_INFINITE;
+}
+
+static void find_sigma(const mbs_stages *s, mbs_stages_phase *p)
+{
+    int i;
+    for (i = 0; i < p->size; ++i) {
+        p->sigma[i] = 0;
+        if (mbs_stages_is_fixed(s, i))
+            continue;
+        if (has(p->lower[i]))
+            p->sigma[i] += p->zl[i] / (p->x[i] - p->lower[i]);
+        if (has(p->upper[i]))
+            p->sigma[i] += p->zu[i] / (p->upper[i] - p->x[i]);
+    }
+}
+
+/* How far variable i yields to a force of 1. */
+static real yield(const mbs_stages *s, const mbs_stages_phase *p, int i, real regular)
+{
+    const real stiffness = p->sigma[i] + regular;
+    if (mbs_stages_is_fixed(s, i))
+        return 0;
+    return stiffness > 0 ? 1 / stiffness : 1;
+}
+
+static void find_compliance(mbs_stages *s, const mbs_stages_phase *p, real regular)
+{
+    const int at = s->variables, plus = at + s->slacks, minus = plus + s->rows;
+    real *compliance = s->recursion.compliance;
+    int k, i;
+    for (i = 0; i < s->rows; ++i)
+        compliance[i] = p->elastic ? yield(s, p, plus + i, regular) + yield(s, p, minus + i, regular) : 0;
+    for (k = 0; k < s->problem->stages; ++k) {
+        const mbs_stages_stage *t = &s->recursion.stage[k];
+        for (i = 0; i < t->ng; ++i)
+            compliance[t->g + i] += yield(s, p, at + t->s + i, regular);
+    }
+}
+
+static int factorise_with(mbs_stages *s, mbs_stages_phase *p, real regular)
+{
+    int i;
+    for (i = 0; i < s->variables; ++i)
+        s->recursion.diagonal[i] = p->sigma[i] + regular;
+    find_compliance(s, p, regular);
+    s->recursion.plain = 0;
+    s->recursion.soft_dynamics = p->elastic;
+    ++s->result.factorisations;
+    return mbs_stages_factorise(&s->recursion);
+}
+
+/* Factorise, with as little added curvature as convexity needs; returns -1 if no amount is enough. */
+int mbs_stages_newton_factorise(mbs_stages *s, mbs_stages_phase *p)
+{
+    const real before = p->regular;
+    real regular = 0;
+    find_sigma(s, p);
+    while (factorise_with(s, p, regular) >= 0) {
+        if (regular == 0)
+            regular = before == 0 ? FIRST : (before / 3 > LEAST ? before / 3 : LEAST);
+        else
+            regular *= before == 0 ? 100 : 8;
+        if (!(regular < MOST))
+            return -1;
+    }
+    s->result.dependent = s->recursion.dependent;
+    if (regular > 0)
+        p->regular = regular;
+    p->added = regular;
+    return 0;
+}
+
+/* Right-hand sides of the reduced system, for rows c. */
+static void reduce_right(mbs_stages *s, const mbs_stages_phase *p, const real *c)
+{
+    const int at = s->variables, plus = at + s->slacks, minus = plus + s->rows;
+    int k, i;
+    memcpy(s->rw, p->slope, (size_t)s->variables * sizeof *s->rw);
+    memcpy(s->rc, c, (size_t)s->rows * sizeof *s->rc);
+    for (i = 0; p->elastic && i < s->rows; ++i)
+        s->rc[i] += p->slope[plus + i] * yield(s, p, plus + i, p->added) -
+                    p->slope[minus + i] * yield(s, p, minus + i, p->added);
+    for (k = 0; k < s->problem->stages; ++k) {
+        const mbs_stages_stage *t = &s->recursion.stage[k];
+        for (i = 0; i < t->ng; ++i)
+            s->rc[t->g + i] += p->slope[at + t->s + i] * yield(s, p, at + t->s + i, p->added);
+    }
+}
+
+/* Residuals of the reduced system, of opposite sign: what a correction must solve for. */
+static void find_residual(mbs_stages *s)
+{
+    const mbs_stages_recursion *r = &s->recursion;
+    int k, i;
+    memcpy(s->residual_w, s->rw, (size_t)s->variables * sizeof *s->rw);
+    memcpy(s->residual_c, s->rc, (size_t)s->rows * sizeof *s->rc);
+    for (k = 0; !r->plain && k < s->problem->stages; ++k) {
+        const mbs_stages_stage *t = &r->stage[k];
+        mbs_stages_apply_symmetric(t->n, 1, t->H, t->n, s->dw + t->w, s->residual_w + t->w);
+    }
+    mbs_stages_add_transposed(r, s->dy, s->residual_w);
+    mbs_stages_add_rows(r, s->dw, s->residual_c);
+    for (i = 0; i < s->variables; ++i)
+        s->residual_w[i] = s->fixed[i] ? 0 : s->residual_w[i] + r->diagonal[i] * s->dw[i];
+    for (i = 0; i < s->rows; ++i)
+        s->residual_c[i] -= r->compliance[i] * s->dy[i];
+}
+
+/* Residuals of rows beside the compliance, if that is large: such a row is an equation of its multiplier. */
+static real norm(const mbs_stages *s, const real *w, const real *c)
+{
+    real most = mbs_stages_largest(s->variables, w);
+    int i;
+    for (i = 0; i < s->rows; ++i) {
+        const real give = s->recursion.compliance[i];
+        const real a = (real)fabs(c[i]) / (give > 1 ? give : 1);
+        most = a > most ? a : most;
+    }
+    return most;
+}
+
+static void add(int n, const real *a, real *b)
+{
+    int i;
+    for (i = 0; i < n; ++i)
+        b[i] += a[i];
+}
+
+/* Solve the reduced system, and refine while that helps. */
+static void solve_reduced(mbs_stages *s)
+{
+    const real enough = (real)pow(MBS_STAGES_EPSILON, 0.8), right = norm(s, s->rw, s->rc);
+    real last = MBS_STAGES_LARGEST;
+    int i;
+    memset(s->best_w, 0, (size_t)s->variables * sizeof *s->best_w);
+    memset(s->best_y, 0, (size_t)s->rows * sizeof *s->best_y);
+    mbs_stages_sweep(&s->recursion, s->rw, s->rc, s->dw, s->dy);
+    s->left = s->recursion.left;
+    for (i = 0;; ++i) {
+        real error;
+        find_residual(s);
+        error = norm(s, s->residual_w, s->residual_c);
+        if (!(error < last) && i > 0)
+            break;
+        memcpy(s->best_w, s->dw, (size_t)s->variables * sizeof *s->dw);
+        memcpy(s->best_y, s->dy, (size_t)s->rows * sizeof *s->dy);
+        s->residual = error / (right > 0 ? right : 1);
+        if (error <= enough * right || error > last / 2 || i == REFINEMENTS)
+            break;
+        last = error;
+        ++s->result.refinements;
+        mbs_stages_sweep(&s->recursion, s->residual_w, s->residual_c, s->dw, s->dy);
+        add(s->variables, s->best_w, s->dw);
+        add(s->rows, s->best_y, s->dy);
+    }
+}
+
+static void spread_slacks(const mbs_stages *s, const mbs_stages_phase *p, mbs_stages_direction *d)
+{
+    const int at = s->variables, plus = at + s->slacks, minus = plus + s->rows;
+    int k, i;
+    for (k = 0; k < s->problem->stages; ++k) {
+        const mbs_stages_stage *t = &s->recursion.stage[k];
+        for (i = 0; i < t->ng; ++i)
+            d->x[at + t->s + i] =
+                (d->y[t->g + i] - p->slope[at + t->s + i]) * yield(s, p, at + t->s + i, p->added);
+    }
+    for (i = 0; p->elastic && i < s->rows; ++i) {
+        d->x[plus + i] = (d->y[i] - p->slope[plus + i]) * yield(s, p, plus + i, p->added);
+        d->x[minus + i] = (-d->y[i] - p->slope[minus + i]) * yield(s, p, minus + i, p->added);
+    }
+}
+
+/* Newton's step of z for the step of x. */
+void mbs_stages_bound_steps(const mbs_stages *s, const mbs_stages_phase *p, mbs_stages_direction *d)
+{
+    int i;
+    for (i = 0; i < p->size; ++i) {
+        const real below = p->x[i] - p->lower[i], above = p->upper[i] - p->x[i];
+        const int fixed = mbs_stages_is_fixed(s, i);
+        d->zl[i] = !fixed && has(p->lower[i]) ? (p->mu - p->zl[i] * d->x[i]) / below - p->zl[i] : 0;
+        d->zu[i] = !fixed && has(p->upper[i]) ? (p->mu + p->zu[i] * d->x[i]) / above - p->zu[i] : 0;
+    }
+}
+
+/* The step for rows c. `slope` holds the derivatives with the barrier's. */
+void mbs_stages_newton_solve(mbs_stages *s, mbs_stages_phase *p, const real *c, mbs_stages_direction *d)
+{
+    reduce_right(s, p, c);
+    solve_reduced(s);
+    memcpy(d->x, s->best_w, (size_t)s->variables * sizeof *d->x);
+    memcpy(d->y, s->best_y, (size_t)s->rows * sizeof *d->y);
+    spread_slacks(s, p, d);
+    mbs_stages_bound_steps(s, p, d);
+}
+
+/* Multipliers of least squares: those that leave least of the derivatives of the Lagrangian. */
+void mbs_stages_estimate_multipliers(mbs_stages *s, mbs_stages_phase *p)
+{
+    mbs_stages_recursion *r = &s->recursion;
+    int i;
+    memset(p->y, 0, (size_t)s->rows * sizeof *p->y);
+    mbs_stages_stationarity(s, p, 0, p->slope);
+    for (i = 0; i < p->size; ++i)
+        p->sigma[i] = mbs_stages_is_fixed(s, i) ? 0 : 1;
+    for (i = 0; i < s->variables; ++i)
+        r->diagonal[i] = 1;
+    find_compliance(s, p, 0);
+    r->plain = 1;
+    r->soft_dynamics = p->elastic;
+    p->added = 0;
+    if (mbs_stages_factorise(r) < 0) {
+        memset(p->trial_c, 0, (size_t)s->rows * sizeof *p->trial_c);
+        reduce_right(s, p, p->trial_c);
+        solve_reduced(s);
+        if (mbs_stages_largest(s->rows, s->best_y) <= 1000)
+            memcpy(p->y, s->best_y, (size_t)s->rows * sizeof *p->y);
+    }
+    r->plain = 0;
+}

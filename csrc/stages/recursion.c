@@ -1,0 +1,335 @@
+/* The recursion over stages: assemble each step from the stage, and from the cost and rows of the next state.
+ *
+ * A row of e or g that gives (compliance D > 0) costs (J dw + rc)^2 / (2 D), and dy = (J dw + rc) / D. Where d gives,
+ * the next state is the prediction and a deviation t at a cost of t.t / (2 D): see soft.h. */
+#include "recursion.h"
+#include "step.h"
+
+#include <string.h>
+
+/* A row of (e, g) of a stage: its place in flat rows, and its derivatives, `stride` apart. */
+typedef struct {
+    int place, stride;
+    const real *derivative;
+} stage_row;
+
+static stage_row row_of(const mbs_stages_stage *s, int i)
+{
+    stage_row row;
+    const int e = i < s->ne;
+    row.place = e ? s->e + i : s->g + (i - s->ne);
+    row.stride = e ? s->ne : s->ng;
+    row.derivative = e ? s->E + i : s->G + (i - s->ne);
+    return row;
+}
+
+/* What a prediction of the state of stage k costs, and what it must meet. */
+typedef struct {
+    const real *P, *p, *C, *c;
+    int rows;
+} entrance;
+
+static entrance enter(const mbs_stages_recursion *r, int k)
+{
+    const mbs_stages_step *s = &r->step[k];
+    entrance e;
+    e.P = r->soft_dynamics ? r->soft[k - 1].P : s->P;
+    e.p = r->soft_dynamics ? r->soft[k - 1].p : s->p;
+    e.C = s->C;
+    e.c = s->c;
+    e.rows = r->soft_dynamics ? 0 : s->passed;
+    return e;
+}
+
+/* Q = H + diagonal, lower triangle. */
+static void start_cost(const mbs_stages_recursion *r, const mbs_stages_stage *s, real *Q)
+{
+    const size_t n = (size_t)s->n;
+    size_t i;
+    if (r->plain)
+        memset(Q, 0, n * n * sizeof *Q);
+    else
+        memcpy(Q, s->H, n * n * sizeof *Q);
+    for (i = 0; i < n; ++i)
+        Q[i * n + i] += r->diagonal[(size_t)s->w + i];
+}
+
+static int count_soft(const mbs_stages_recursion *r, const mbs_stages_stage *s)
+{
+    int i, soft = 0;
+    for (i = 0; i < s->ne + s->ng; ++i)
+        soft += r->compliance[row_of(s, i).place] > 0;
+    return soft;
+}
+
+/* Q += JT J / compliance, of the rows that give. */
+static void add_soft_rows(const mbs_stages_recursion *r, const mbs_stages_stage *s, real *Q, real *turned, real *scaled)
+{
+    const int n = s->n, soft = count_soft(r, s);
+    int i, j, at = 0;
+    for (i = 0; i < s->ne + s->ng && at < soft; ++i) {
+        const stage_row row = row_of(s, i);
+        const real give = r->compliance[row.place];
+        if (!(give > 0))
+            continue;
+        for (j = 0; j < n; ++j) {
+            const real a = row.derivative[(size_t)j * (size_t)row.stride];
+            turned[(size_t)at * (size_t)n + (size_t)j] = a;
+            scaled[(size_t)j * (size_t)soft + (size_t)at] = a / give;
+        }
+        ++at;
+    }
+    mbs_stages_multiply(n, n, soft, 1, turned, n, scaled, soft, Q, n, 1);
+}
+
+/* Q += FT P F, with the cost P of the next state. */
+static void add_next_cost(const mbs_stages_stage *s, const real *P, real *Q, real *turned, real *product)
+{
+    const int m = s->next, n = s->n;
+    memset(product, 0, (size_t)m * (size_t)n * sizeof *product);
+    mbs_stages_multiply(m, n, m, 1, P, m, s->F, m, product, m, 0);
+    mbs_stages_transpose(m, n, s->F, m, turned, n);
+    mbs_stages_multiply(n, n, m, 1, turned, n, product, m, Q, n, 1);
+}
+
+/* Add a row that holds exactly: derivatives, or a unit vector where there are none. */
+static void add_row(mbs_stages_step *p, const real *derivative, int stride, int unit)
+{
+    int j;
+    for (j = 0; j < p->n; ++j)
+        p->lu[(size_t)j * (size_t)p->capacity + (size_t)p->rows] =
+            derivative ? derivative[(size_t)j * (size_t)stride] : (real)(j == unit);
+    ++p->rows;
+}
+
+/* Rows that hold exactly: of (e, g), of fixed variables, of conditions on the next state. */
+static void stack_rows(const mbs_stages_recursion *r, int k)
+{
+    const mbs_stages_stage *s = &r->stage[k];
+    mbs_stages_step *p = &r->step[k];
+    int i, j;
+    p->rows = 0;
+    for (i = 0; i < s->ne + s->ng; ++i) {
+        const stage_row row = row_of(s, i);
+        if (!(r->compliance[row.place] > 0))
+            add_row(p, row.derivative, row.stride, 0);
+    }
+    for (i = 0; i < s->n; ++i)
+        if (r->fixed[s->w + i])
+            add_row(p, NULL, 0, i);
+    if (s->next > 0) {
+        const entrance q = enter(r, k + 1);
+        for (j = 0; j < s->n; ++j) {
+            real *a = p->lu + (size_t)j * (size_t)p->capacity + (size_t)p->rows;
+            memset(a, 0, (size_t)q.rows * sizeof *a);
+            mbs_stages_apply(q.rows, s->next, 1, q.C, q.rows, s->F + (size_t)j * (size_t)s->next, a);
+        }
+        p->rows += q.rows;
+    }
+}
+
+static int factorise_stage(mbs_stages_recursion *r, int k)
+{
+    const mbs_stages_stage *s = &r->stage[k];
+    real *Q = r->work[3];
+    start_cost(r, s, Q);
+    add_soft_rows(r, s, Q, r->work[0], r->work[1]);
+    if (s->next > 0)
+        add_next_cost(s, enter(r, k + 1).P, Q, r->work[0], r->work[1]);
+    stack_rows(r, k);
+    return mbs_stages_reduce(&r->step[k], Q, r->work, r->zero_pivot, r->zero_curvature);
+}
+
+static int soften(mbs_stages_recursion *r, int k)
+{
+    const mbs_stages_stage *next = &r->stage[k + 1];
+    return mbs_stages_soften(&r->soft[k], r->step[k + 1].P, r->compliance + r->stage[k].d, r->fixed + next->w,
+                             r->zero_curvature);
+}
+
+/* The first state is free but for the rows passed to it. */
+static int factorise_root(mbs_stages_recursion *r)
+{
+    const mbs_stages_step *q = &r->step[0];
+    mbs_stages_step *p = &r->root;
+    const size_t n = (size_t)q->nx;
+    size_t i, j;
+    p->rows = q->passed;
+    for (j = 0; j < n; ++j)
+        for (i = 0; i < (size_t)q->passed; ++i)
+            p->lu[j * (size_t)p->capacity + i] = q->C[j * (size_t)q->passed + i];
+    return mbs_stages_reduce(p, q->P, r->work, r->zero_pivot, r->zero_curvature);
+}
+
+static int dependent_rows(const mbs_stages_step *p)
+{
+    return p->rows - p->pivots - p->passed;
+}
+
+int mbs_stages_factorise(mbs_stages_recursion *r)
+{
+    int k;
+    r->dependent = 0;
+    for (k = r->stages - 1; k >= 0; --k) {
+        if (factorise_stage(r, k))
+            return k;
+        r->dependent += dependent_rows(&r->step[k]);
+        if (k > 0 && r->soft_dynamics && soften(r, k - 1))
+            return k;
+    }
+    if (factorise_root(r))
+        return 0;
+    r->dependent += dependent_rows(&r->root);
+    return -1;
+}
+
+/* Right-hand sides of stage k: of its cost, and of its rows. */
+static void collect_stage(const mbs_stages_recursion *r, int k, const real *rw, const real *rc, real *linear,
+                          real *constant)
+{
+    const mbs_stages_stage *s = &r->stage[k];
+    int i, j, at = 0;
+    memcpy(linear, rw + s->w, (size_t)s->n * sizeof *linear);
+    for (i = 0; i < s->ne + s->ng; ++i) {
+        const stage_row row = row_of(s, i);
+        const real give = r->compliance[row.place];
+        if (give > 0)
+            for (j = 0; j < s->n; ++j)
+                linear[j] += row.derivative[(size_t)j * (size_t)row.stride] * (rc[row.place] / give);
+        else
+            constant[at++] = rc[row.place];
+    }
+    for (i = 0; i < s->n; ++i)
+        if (r->fixed[s->w + i])
+            constant[at++] = 0;
+    if (s->next > 0) {
+        const entrance q = enter(r, k + 1);
+        real *p = r->vector[2];
+        memcpy(p, q.p, (size_t)s->next * sizeof *p);
+        mbs_stages_apply(s->next, s->next, 1, q.P, s->next, rc + s->d, p);
+        mbs_stages_apply_transposed(s->next, s->n, 1, s->F, s->next, p, linear);
+        memcpy(constant + at, q.c, (size_t)q.rows * sizeof *constant);
+        mbs_stages_apply(q.rows, s->next, 1, q.C, q.rows, rc + s->d, constant + at);
+    }
+}
+
+static void note_left(mbs_stages_recursion *r, const mbs_stages_step *p)
+{
+    r->left = p->left > r->left ? p->left : r->left;
+}
+
+static void sweep_back(mbs_stages_recursion *r, const real *rw, const real *rc)
+{
+    real *linear = r->vector[0], *constant = r->vector[1], *work = r->vector[3];
+    int k;
+    r->left = 0;
+    for (k = r->stages - 1; k >= 0; --k) {
+        const mbs_stages_step *p = &r->step[k];
+        collect_stage(r, k, rw, rc, linear, constant);
+        mbs_stages_step_back(&r->step[k], linear, constant, work);
+        note_left(r, p);
+        if (k > 0 && r->soft_dynamics)
+            mbs_stages_soften_linear(&r->soft[k - 1], p->p, r->compliance + r->stage[k - 1].d);
+    }
+    memcpy(constant, r->step[0].c, (size_t)r->step[0].passed * sizeof *constant);
+    mbs_stages_step_back(&r->root, r->step[0].p, constant, work);
+    note_left(r, &r->root);
+}
+
+/* Multipliers of rows of stage k: those that give from their residuals, the others from `exact`. Returns how many
+ * of `exact` it took. */
+static int spread_multipliers(const mbs_stages_recursion *r, int k, const real *z, const real *rc, const real *exact,
+                              real *dy)
+{
+    const mbs_stages_stage *s = &r->stage[k];
+    int i, j, at = 0;
+    for (i = 0; i < s->ne + s->ng; ++i) {
+        const stage_row row = row_of(s, i);
+        const real give = r->compliance[row.place];
+        real sum = rc[row.place];
+        if (!(give > 0)) {
+            dy[row.place] = exact[at++];
+            continue;
+        }
+        for (j = 0; j < s->n; ++j)
+            sum += row.derivative[(size_t)j * (size_t)row.stride] * z[j];
+        dy[row.place] = sum / give;
+    }
+    for (i = 0; i < s->n; ++i)
+        at += r->fixed[s->w + i] != 0;
+    return at;
+}
+
+/* The next state, and the multipliers of its dynamics. Where these give, the only rows of the next state are those of
+ * fixed states, whose multipliers nobody asks for. */
+static void advance(const mbs_stages_recursion *r, int k, const real *z, const real *rc, real *x, real *passed,
+                    real *dy)
+{
+    const mbs_stages_stage *s = &r->stage[k];
+    const mbs_stages_step *q = &r->step[k + 1];
+    memcpy(x, rc + s->d, (size_t)s->next * sizeof *x);
+    mbs_stages_apply(s->next, s->n, 1, s->F, s->next, z, x);
+    if (r->soft_dynamics) {
+        mbs_stages_deviate(&r->soft[k], r->compliance + s->d, x, dy + s->d);
+        memset(passed, 0, (size_t)q->passed * sizeof *passed);
+        return;
+    }
+    memcpy(dy + s->d, q->p, (size_t)s->next * sizeof *dy);
+    mbs_stages_apply(s->next, s->next, 1, q->P, s->next, x, dy + s->d);
+    mbs_stages_apply_transposed(q->passed, s->next, 1, q->C, q->passed, passed, dy + s->d);
+}
+
+static void sweep_ahead(mbs_stages_recursion *r, const real *rc, real *dw, real *dy)
+{
+    real *exact = r->vector[1], *x = r->vector[2], *passed = r->vector[4];
+    int k;
+    mbs_stages_step_ahead(&r->root, x, passed, x, exact, r->vector[3]);
+    memcpy(passed, exact, (size_t)r->step[0].passed * sizeof *passed);
+    for (k = 0; k < r->stages; ++k) {
+        const mbs_stages_stage *s = &r->stage[k];
+        real *z = dw + s->w;
+        int at;
+        mbs_stages_step_ahead(&r->step[k], x, passed, z, exact, r->vector[3]);
+        at = spread_multipliers(r, k, z, rc, exact, dy);
+        if (s->next == 0)
+            continue;
+        memcpy(passed, exact + at, (size_t)enter(r, k + 1).rows * sizeof *passed);
+        advance(r, k, z, rc, x, passed, dy);
+    }
+}
+
+void mbs_stages_sweep(mbs_stages_recursion *r, const real *rw, const real *rc, real *dw, real *dy)
+{
+    int i;
+    sweep_back(r, rw, rc);
+    sweep_ahead(r, rc, dw, dy);
+    for (i = 0; i < r->variables; ++i)
+        if (r->fixed[i])
+            dw[i] = 0;
+}
+
+void mbs_stages_add_transposed(const mbs_stages_recursion *r, const real *y, real *out)
+{
+    int k, i;
+    for (k = 0; k < r->stages; ++k) {
+        const mbs_stages_stage *s = &r->stage[k];
+        mbs_stages_apply_transposed(s->ne, s->n, 1, s->E, s->ne, y + s->e, out + s->w);
+        mbs_stages_apply_transposed(s->next, s->n, 1, s->F, s->next, y + s->d, out + s->w);
+        mbs_stages_apply_transposed(s->ng, s->n, 1, s->G, s->ng, y + s->g, out + s->w);
+        for (i = 0; i < s->next; ++i)
+            out[r->stage[k + 1].w + i] -= y[s->d + i];
+    }
+}
+
+void mbs_stages_add_rows(const mbs_stages_recursion *r, const real *w, real *out)
+{
+    int k, i;
+    for (k = 0; k < r->stages; ++k) {
+        const mbs_stages_stage *s = &r->stage[k];
+        mbs_stages_apply(s->ne, s->n, 1, s->E, s->ne, w + s->w, out + s->e);
+        mbs_stages_apply(s->next, s->n, 1, s->F, s->next, w + s->w, out + s->d);
+        mbs_stages_apply(s->ng, s->n, 1, s->G, s->ng, w + s->w, out + s->g);
+        for (i = 0; i < s->next; ++i)
+            out[s->d + i] -= w[r->stage[k + 1].w + i];
+    }
+}

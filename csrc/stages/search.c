@@ -1,0 +1,210 @@
+/* The line search: Waechter, Biegler, 2006, algorithm A, steps A-4 and A-5.
+ *
+ * A trial is accepted if it is acceptable to the filter and lowers the violation or the barrier function enough; where
+ * the violation is small and the step promises descent, Armijo's condition stands instead. If the first trial raises
+ * the violation, second-order corrections are tried. */
+#include "solver.h"
+
+#include <math.h>
+#include <string.h>
+
+#define GAMMA_THETA ((real)1e-5)
+#define GAMMA_PHI ((real)1e-8)
+#define DELTA ((real)1)
+#define S_THETA ((real)1.1)
+#define S_PHI ((real)2.3)
+#define ETA ((real)1e-8)
+#define GAMMA_ALPHA ((real)0.05)
+#define CORRECTIONS 4
+#define GAIN ((real)0.99) /* of the violation by a correction */
+#define RISE 5            /* orders of magnitude that the barrier function may rise by */
+
+typedef struct {
+    real descent; /* derivative of the barrier function along the step */
+    real theta, phi; /* at the trial */
+    int filtered;    /* the filter alone refused the last trial */
+} search;
+
+static real shortest(const mbs_stages_phase *p, const search *t)
+{
+    real alpha = GAMMA_THETA;
+    if (t->descent < 0) {
+        const real b = GAMMA_PHI * p->theta / -t->descent;
+        const real c = DELTA * (real)(pow(p->theta, S_THETA) / pow(-t->descent, S_PHI));
+        alpha = b < alpha ? b : alpha;
+        if (p->theta <= p->theta_least && c < alpha)
+            alpha = c;
+    }
+    return GAMMA_ALPHA * alpha;
+}
+
+/* Evaluate x + alpha dx; returns -1 if there is no result. */
+static int try_step(mbs_stages *s, mbs_stages_phase *p, const real *dx, real alpha, search *t)
+{
+    int i;
+    for (i = 0; i < p->size; ++i)
+        p->trial[i] = p->x[i] + alpha * dx[i];
+    t->theta = t->phi = MBS_STAGES_LARGEST;
+    if (mbs_stages_phase_values(s, p, p->trial, &p->trial_cost, p->trial_c))
+        return -1;
+    t->theta = mbs_stages_sum(s->rows, p->trial_c);
+    t->phi = mbs_stages_barrier(s, p, p->trial, p->trial_cost);
+    return fabs(t->phi) <= MBS_STAGES_LARGEST && t->theta <= MBS_STAGES_LARGEST ? 0 : -1;
+}
+
+static int is_descent(const mbs_stages_phase *p, const search *t, real alpha)
+{
+    return t->descent < 0 && alpha * (real)pow(-t->descent, S_PHI) > DELTA * (real)pow(p->theta, S_THETA);
+}
+
+static int holds_armijo(const mbs_stages_phase *p, const search *t, real alpha)
+{
+    return mbs_stages_below(t->phi - p->phi, ETA * alpha * t->descent, p->phi);
+}
+
+static int rises_too_much(const mbs_stages_phase *p, const search *t)
+{
+    const real size = fabs(p->phi) > 10 ? (real)log10(fabs(p->phi)) : 1;
+    return t->phi > p->phi && log10(t->phi - p->phi) > RISE + size;
+}
+
+static int is_progress(const mbs_stages_phase *p, const search *t)
+{
+    if (rises_too_much(p, t))
+        return 0;
+    return mbs_stages_below(t->theta, (1 - GAMMA_THETA) * p->theta, p->theta) ||
+           mbs_stages_below(t->phi - p->phi, -GAMMA_PHI * p->theta, p->phi);
+}
+
+static int is_accepted(const mbs_stages_phase *p, search *t, real alpha)
+{
+    t->filtered = 0;
+    if (!(t->theta <= p->theta_most))
+        return 0;
+    if (is_descent(p, t, alpha) && p->theta <= p->theta_least ? !holds_armijo(p, t, alpha) : !is_progress(p, t))
+        return 0;
+    t->filtered = !mbs_stages_filter_accepts(&p->filter, t->theta, t->phi);
+    return !t->filtered;
+}
+
+static void exchange(mbs_stages_direction *a, mbs_stages_direction *b)
+{
+    const mbs_stages_direction t = *a;
+    *a = *b;
+    *b = t;
+}
+
+/* Correct the step for the curvature of rows; on success the correction is the step, and *length its length. */
+static int correct(mbs_stages *s, mbs_stages_phase *p, search *t, real alpha, real *length)
+{
+    real before = p->theta;
+    int k, i;
+    memcpy(p->soc_c, p->c, (size_t)s->rows * sizeof *p->c);
+    *length = alpha;
+    for (k = 0; k < CORRECTIONS; ++k) {
+        for (i = 0; i < s->rows; ++i)
+            p->soc_c[i] = *length * p->soc_c[i] + p->trial_c[i];
+        mbs_stages_newton_solve(s, p, p->soc_c, &p->other);
+        *length = mbs_stages_boundary(s, p, p->x, p->other.x, p->tau);
+        if (try_step(s, p, p->other.x, *length, t))
+            return -1;
+        if (is_accepted(p, t, alpha)) {
+            exchange(&p->step, &p->other);
+            return 0;
+        }
+        if (!(t->theta <= GAIN * before))
+            return -1;
+        before = t->theta;
+    }
+    return -1;
+}
+
+/* Take the trial: x and y by alpha, z by the longest step of its own. */
+static void accept(mbs_stages *s, mbs_stages_phase *p, const search *t, real alpha)
+{
+    const real dual = mbs_stages_dual_boundary(s, p, &p->step);
+    real *x = p->x;
+    int i;
+    p->x = p->trial;
+    p->trial = x;
+    for (i = 0; i < s->rows; ++i)
+        p->y[i] += alpha * p->step.y[i];
+    for (i = 0; i < p->size; ++i) {
+        p->zl[i] += dual * p->step.zl[i];
+        p->zu[i] += dual * p->step.zu[i];
+    }
+    memcpy(p->c, p->trial_c, (size_t)s->rows * sizeof *p->c);
+    p->cost = p->trial_cost;
+    p->theta = t->theta;
+    p->alpha = alpha;
+}
+
+static void augment(mbs_stages_phase *p, const search *t, real alpha)
+{
+    if (!is_descent(p, t, alpha) || !holds_armijo(p, t, alpha))
+        mbs_stages_filter_add(&p->filter, (1 - GAMMA_THETA) * p->theta, p->phi - GAMMA_PHI * p->theta);
+}
+
+static int is_tiny(const mbs_stages *s, const mbs_stages_phase *p)
+{
+    int i;
+    for (i = 0; i < p->size; ++i)
+        if (fabs(p->step.x[i]) > 10 * MBS_STAGES_EPSILON * (1 + fabs(p->x[i])))
+            return 0;
+    return mbs_stages_largest(s->rows, p->c) <= 1e-4;
+}
+
+/* A filter that alone refuses first trials again and again was made far from here: start it anew. */
+static void mind_refusals(mbs_stages_phase *p, int refused)
+{
+    p->rejected = refused ? p->rejected + 1 : 0;
+    if (p->rejected >= 5 && p->resets < 5) {
+        mbs_stages_filter_clear(&p->filter);
+        p->rejected = 0;
+        ++p->resets;
+    }
+}
+
+static int backtrack(mbs_stages *s, mbs_stages_phase *p, search *t)
+{
+    const real most = mbs_stages_boundary(s, p, p->x, p->step.x, p->tau), least = shortest(p, t);
+    real alpha = most, length;
+    int first = 1, refused = 0;
+    for (; alpha > least || first; alpha /= 2, first = 0) {
+        const int failed = try_step(s, p, p->step.x, alpha, t);
+        p->failing = failed;
+        if (failed)
+            continue;
+        if (is_accepted(p, t, alpha)) {
+            augment(p, t, alpha);
+            accept(s, p, t, alpha);
+            mind_refusals(p, refused);
+            return 0;
+        }
+        refused |= first && t->filtered;
+        if (!first || t->theta < p->theta || correct(s, p, t, alpha, &length))
+            continue;
+        augment(p, t, alpha);
+        accept(s, p, t, length);
+        mind_refusals(p, refused);
+        return 0;
+    }
+    return -1;
+}
+
+int mbs_stages_search(mbs_stages *s, mbs_stages_phase *p)
+{
+    search t;
+    t.filtered = 0;
+    t.descent = mbs_stages_descent(s, p, p->step.x);
+    p->tiny_before = p->tiny;
+    p->tiny = is_tiny(s, p);
+    if (p->tiny) {
+        const real alpha = mbs_stages_boundary(s, p, p->x, p->step.x, p->tau);
+        if (try_step(s, p, p->step.x, alpha, &t))
+            return -1;
+        accept(s, p, &t, alpha);
+        return 0;
+    }
+    return backtrack(s, p, &t);
+}

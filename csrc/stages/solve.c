@@ -1,0 +1,363 @@
+/* A solve: from the caller's numbers to scaled ones, the barrier problem, and back. */
+#include "solver.h"
+
+#include <math.h>
+#include <string.h>
+
+#define STEEPEST ((real)100) /* gradients that are not scaled down */
+#define LEAST_SCALE ((real)1e-8)
+
+static const real NONE = 2 * MBS_STAGES_INFINITE;
+
+mbs_stages_options mbs_stages_default_options(void)
+{
+    mbs_stages_options o;
+    const int few = MBS_STAGES_EPSILON > 1e-10; /* digits */
+    memset(&o, 0, sizeof o);
+    o.tolerance = few ? (real)1e-4 : (real)1e-8;
+    o.violation_tolerance = few ? (real)1e-3 : (real)1e-4;
+    o.acceptable_tolerance = few ? (real)1e-3 : (real)1e-6;
+    o.acceptable_iterations = 15;
+    o.iterations = 3000;
+    o.scaled = 1;
+    o.push = (real)0.01;
+    return o;
+}
+
+static real bound(const real *bounds, int i, real none, real factor)
+{
+    const real b = bounds ? bounds[i] : none;
+    return fabs(b) < MBS_STAGES_INFINITE ? b * factor : b;
+}
+
+static void set_scales(mbs_stages *s)
+{
+    int k, i;
+    for (i = 0; i < s->variables; ++i)
+        s->variable_scale[i] = s->problem->scale ? s->problem->scale[i] : 1;
+    for (i = 0; i < s->rows; ++i)
+        s->row_scale[i] = 1;
+    for (k = 0; k < s->problem->stages; ++k) {
+        const mbs_stages_stage *t = &s->recursion.stage[k];
+        for (i = 0; i < t->next; ++i)
+            s->row_scale[t->d + i] = 1 / s->variable_scale[(t + 1)->w + i];
+    }
+    s->cost_scale = 1;
+}
+
+/* Bounds of variables or slacks from `at` on; returns how many are equal, or -1 if they are no bounds. */
+static int set_bounds(mbs_stages *s, int at, int n, const real *lower, const real *upper, const real *factor,
+                      int inverse)
+{
+    mbs_stages_phase *p = &s->main;
+    int i, equal = 0;
+    for (i = 0; i < n; ++i) {
+        const real scale = inverse ? 1 / factor[i] : factor[i];
+        const real a = bound(lower, i, -NONE, scale), b = bound(upper, i, NONE, scale);
+        if (!(a <= b) || a >= MBS_STAGES_INFINITE || b <= -MBS_STAGES_INFINITE)
+            return -1;
+        p->lower[at + i] = a;
+        p->upper[at + i] = b;
+        s->fixed[at + i] = a == b;
+        equal += a == b;
+    }
+    return equal;
+}
+
+static const real *from(const real *numbers, int at)
+{
+    return numbers ? numbers + at : NULL;
+}
+
+/* Bounds of all variables and slacks; -1 where they are not as they must be. */
+static int set_all_bounds(mbs_stages *s)
+{
+    const mbs_stages_problem *p = s->problem;
+    int k;
+    for (k = 0; k < p->stages; ++k) {
+        const mbs_stages_stage *t = &s->recursion.stage[k];
+        const int a = set_bounds(s, t->w, t->n, from(p->lower, t->w), from(p->upper, t->w),
+                                 s->variable_scale + t->w, 1);
+        const int b = set_bounds(s, s->variables + t->s, t->ng, from(p->least, t->s), from(p->most, t->s),
+                                 s->row_scale + t->g, 0);
+        s->failed_stage = k;
+        if (a < 0 || b < 0 || a + b > t->equal)
+            return -1;
+    }
+    return 0;
+}
+
+static void start_variables(mbs_stages *s)
+{
+    mbs_stages_phase *p = &s->main;
+    int i;
+    for (i = 0; i < s->variables; ++i) {
+        p->x[i] = s->point.w[i] / s->variable_scale[i];
+        if (s->fixed[i])
+            p->x[i] = p->lower[i];
+        else if (!s->options.warm)
+            mbs_stages_push_inside(&p->x[i], p->lower[i], p->upper[i], s->options.push);
+    }
+}
+
+static real gentle(real steepest)
+{
+    const real scale = steepest > STEEPEST ? STEEPEST / steepest : 1;
+    return scale > LEAST_SCALE ? scale : LEAST_SCALE;
+}
+
+static void scale_rows(mbs_stages *s, int at, int m, int n, const real *A)
+{
+    int i, j;
+    for (i = 0; i < m; ++i) {
+        real most = 0;
+        for (j = 0; j < n; ++j) {
+            const real a = (real)fabs(A[(size_t)j * (size_t)m + (size_t)i]);
+            most = a > most ? a : most;
+        }
+        s->row_scale[at + i] = gentle(most);
+    }
+}
+
+/* Scale the cost and the rows of e and g by their first derivatives. */
+static int scale_functions(mbs_stages *s)
+{
+    int k;
+    if (!s->options.scaled)
+        return 0;
+    if (mbs_stages_jacobians(s, s->main.x, s->main.gradient))
+        return -1;
+    for (k = 0; k < s->problem->stages; ++k) {
+        const mbs_stages_stage *t = &s->recursion.stage[k];
+        scale_rows(s, t->e, t->ne, t->n, t->E);
+        scale_rows(s, t->g, t->ng, t->n, t->G);
+    }
+    s->cost_scale = gentle(mbs_stages_largest(s->variables, s->main.gradient));
+    return 0;
+}
+
+/* Slacks take the values of g, inside their bounds. */
+static int start_slacks(mbs_stages *s)
+{
+    mbs_stages_phase *p = &s->main;
+    real cost;
+    int k, i;
+    if (mbs_stages_values(s, p->x, &cost, p->c))
+        return -1;
+    for (k = 0; k < s->problem->stages; ++k) {
+        const mbs_stages_stage *t = &s->recursion.stage[k];
+        for (i = 0; i < t->ng; ++i) {
+            const int at = s->variables + t->s + i;
+            p->x[at] = s->fixed[at] ? p->lower[at] : p->c[t->g + i];
+            if (!s->fixed[at] && !s->options.warm)
+                mbs_stages_push_inside(&p->x[at], p->lower[at], p->upper[at], s->options.push);
+        }
+    }
+    return 0;
+}
+
+static void start_bounds(const mbs_stages *s, mbs_stages_phase *p)
+{
+    int i;
+    for (i = 0; i < p->size; ++i) {
+        const int fixed = mbs_stages_is_fixed(s, i);
+        p->zl[i] = !fixed && p->lower[i] > -MBS_STAGES_INFINITE ? 1 : 0;
+        p->zu[i] = !fixed && p->upper[i] < MBS_STAGES_INFINITE ? 1 : 0;
+    }
+}
+
+/* A distance from a bound, and its multiplier, on the central path: distance z = mu. The larger one stays. */
+static void centre(real *distance, real *z, real most, real mu)
+{
+    const real root = (real)sqrt(mu), strong = *z > root ? *z : root;
+    if (!(*distance > mu / strong))
+        *distance = mu / strong;
+    if (*distance > most)
+        *distance = most;
+    *z = mu / *distance;
+}
+
+static void centre_variable(mbs_stages_phase *p, int i)
+{
+    const int below = p->lower[i] > -MBS_STAGES_INFINITE, above = p->upper[i] < MBS_STAGES_INFINITE;
+    const real most = below && above ? (p->upper[i] - p->lower[i]) / 2 : NONE;
+    real a = p->x[i] - p->lower[i], b = p->upper[i] - p->x[i];
+    if (below && (!above || a <= b)) {
+        centre(&a, &p->zl[i], most, p->mu);
+        p->x[i] = p->lower[i] + a;
+        b = p->upper[i] - p->x[i];
+    } else if (above) {
+        centre(&b, &p->zu[i], most, p->mu);
+        p->x[i] = p->upper[i] - b;
+        a = p->x[i] - p->lower[i];
+    }
+    if (below)
+        p->zl[i] = p->mu / a;
+    if (above)
+        p->zu[i] = p->mu / b;
+}
+
+/* Take all multipliers of the iterate, and put the point on the central path. */
+static void start_warm(mbs_stages *s, mbs_stages_phase *p)
+{
+    int k, i;
+    for (i = 0; i < s->rows; ++i)
+        p->y[i] = s->point.y[i] * s->cost_scale / s->row_scale[i];
+    for (i = 0; i < s->variables; ++i) {
+        const real factor = s->variable_scale[i] * s->cost_scale;
+        p->zl[i] = s->point.below[i] * factor;
+        p->zu[i] = s->point.above[i] * factor;
+    }
+    for (k = 0; k < s->problem->stages; ++k) {
+        const mbs_stages_stage *t = &s->recursion.stage[k];
+        for (i = 0; i < t->ng; ++i) {
+            const real y = p->y[t->g + i];
+            p->zl[s->variables + t->s + i] = y < 0 ? -y : 0;
+            p->zu[s->variables + t->s + i] = y > 0 ? y : 0;
+        }
+    }
+    for (i = 0; i < p->size; ++i)
+        if (mbs_stages_is_fixed(s, i))
+            p->zl[i] = p->zu[i] = 0;
+        else
+            centre_variable(p, i);
+}
+
+/* The mean of distance z after a step that aims at 0, beside the mean before it, sets the first barrier parameter
+ * (Mehrotra, 1992). */
+static int choose_barrier(mbs_stages *s, mbs_stages_phase *p)
+{
+    real before, after, ratio, mu;
+    if (mbs_stages_phase_derivatives(s, p) || mbs_stages_phase_hessian(s, p))
+        return -1;
+    before = mbs_stages_mean_product(s, p, NULL, 0, 0);
+    p->mu = 0;
+    if (before > 0 && mbs_stages_newton_factorise(s, p) == 0) {
+        mbs_stages_stationarity(s, p, 1, p->slope);
+        mbs_stages_newton_solve(s, p, p->c, &p->step);
+        after = mbs_stages_mean_product(s, p, &p->step, mbs_stages_boundary(s, p, p->x, p->step.x, 1),
+                                        mbs_stages_dual_boundary(s, p, &p->step));
+        ratio = after / before;
+        mu = ratio * ratio * ratio * before;
+        p->mu = mu > (real)1e-6 ? (mu < 100 ? mu : 100) : (real)1e-6;
+    } else {
+        p->mu = (real)0.1;
+    }
+    return 0;
+}
+
+/* The first point and its multipliers; a status where that fails. */
+static int start(mbs_stages *s)
+{
+    mbs_stages_phase *p = &s->main;
+    const mbs_stages_options *o = &s->options;
+    set_scales(s);
+    if (set_all_bounds(s))
+        return MBS_STAGES_BAD_PROBLEM;
+    start_variables(s);
+    if (scale_functions(s))
+        return MBS_STAGES_CALLBACK_FAILED;
+    set_all_bounds(s);
+    if (start_slacks(s))
+        return MBS_STAGES_CALLBACK_FAILED;
+    p->mu = o->barrier > 0 ? o->barrier : o->warm ? (real)1e-6 : (real)0.1;
+    if (o->warm)
+        start_warm(s, p);
+    else
+        start_bounds(s, p);
+    if (mbs_stages_phase_values(s, p, p->x, &p->cost, p->c) || mbs_stages_phase_derivatives(s, p))
+        return MBS_STAGES_CALLBACK_FAILED;
+    if (!o->warm)
+        mbs_stages_estimate_multipliers(s, p);
+    if (o->adaptive && choose_barrier(s, p))
+        return MBS_STAGES_CALLBACK_FAILED;
+    mbs_stages_begin(s, p);
+    return MBS_STAGES_RUNNING;
+}
+
+/* Multipliers of fixed variables: what the derivatives of the Lagrangian leave. */
+static void find_fixed_multipliers(mbs_stages *s)
+{
+    mbs_stages_phase *p = &s->main;
+    int i;
+    memcpy(s->rw, p->gradient, (size_t)s->variables * sizeof *s->rw);
+    mbs_stages_add_transposed(&s->recursion, p->y, s->rw);
+    for (i = 0; i < s->variables; ++i)
+        if (s->fixed[i]) {
+            p->zl[i] = s->rw[i] > 0 ? s->rw[i] : 0;
+            p->zu[i] = s->rw[i] < 0 ? -s->rw[i] : 0;
+        }
+}
+
+static void write_point(mbs_stages *s)
+{
+    const mbs_stages_phase *p = &s->main;
+    int i;
+    for (i = 0; i < s->variables; ++i) {
+        const real factor = s->variable_scale[i] * s->cost_scale;
+        s->point.w[i] = p->x[i] * s->variable_scale[i];
+        s->point.below[i] = p->zl[i] / factor;
+        s->point.above[i] = p->zu[i] / factor;
+    }
+    for (i = 0; i < s->rows; ++i)
+        s->point.y[i] = p->y[i] * s->row_scale[i] / s->cost_scale;
+}
+
+static void write_result(mbs_stages *s)
+{
+    mbs_stages_phase *p = &s->main;
+    const mbs_stages_errors e = mbs_stages_measure_errors(s, p, 0);
+    int i;
+    s->result.cost = p->cost / s->cost_scale;
+    s->result.violation = e.violation;
+    s->result.complementarity = e.complementarity / s->cost_scale;
+    s->result.barrier = p->mu;
+    for (i = 0; i < s->variables; ++i) {
+        const real a = (real)fabs(p->slope[i]) / (s->variable_scale[i] * s->cost_scale);
+        s->result.stationarity = a > s->result.stationarity ? a : s->result.stationarity;
+    }
+}
+
+mbs_stages_result mbs_stages_solve(mbs_stages *s, const mbs_stages_options *options)
+{
+    int status;
+    memset(&s->result, 0, sizeof s->result);
+    s->options = options ? *options : mbs_stages_default_options();
+    s->failed_stage = -1;
+    s->began = s->problem->clock ? s->problem->clock(s->problem->context) : 0;
+    status = start(s);
+    if (status == MBS_STAGES_RUNNING)
+        status = mbs_stages_run(s, &s->main);
+    if (status != MBS_STAGES_BAD_PROBLEM) {
+        find_fixed_multipliers(s);
+        write_point(s);
+        write_result(s);
+    }
+    s->result.status = (mbs_stages_status)status;
+    s->result.stage = status == MBS_STAGES_CALLBACK_FAILED || status == MBS_STAGES_BAD_PROBLEM ? s->failed_stage : -1;
+    return s->result;
+}
+
+static void shift_numbers(real *numbers, int to, int from_place, int n, int m)
+{
+    if (n == m)
+        memmove(numbers + to, numbers + from_place, (size_t)n * sizeof *numbers);
+}
+
+void mbs_stages_shift(mbs_stages *s)
+{
+    mbs_stages_point *p = &s->point;
+    int k;
+    for (k = 0; k + 1 < s->problem->stages; ++k) {
+        const mbs_stages_stage *t = &s->recursion.stage[k], *next = t + 1;
+        real *const of_w[] = {p->w, p->below, p->above};
+        size_t i;
+        for (i = 0; i < sizeof of_w / sizeof *of_w; ++i) {
+            shift_numbers(of_w[i], t->w, next->w, t->nx, next->nx);
+            shift_numbers(of_w[i], t->w + t->nx, next->w + next->nx, t->nv, next->nv);
+        }
+        shift_numbers(p->y, t->e, next->e, t->ne, next->ne);
+        shift_numbers(p->y, t->d, next->d, t->next, next->next);
+        shift_numbers(p->y, t->g, next->g, t->ng, next->ng);
+    }
+}

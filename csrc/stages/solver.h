@@ -1,0 +1,133 @@
+/* What the parts of the solver share. */
+#ifndef MBS_STAGES_SOLVER_H
+#define MBS_STAGES_SOLVER_H
+
+#include "recursion.h"
+
+#include <float.h>
+
+#ifdef MBS_STAGES_FLOAT
+#define MBS_STAGES_EPSILON FLT_EPSILON
+#define MBS_STAGES_LARGEST FLT_MAX
+#else
+#define MBS_STAGES_EPSILON DBL_EPSILON
+#define MBS_STAGES_LARGEST DBL_MAX
+#endif
+#define MBS_STAGES_INFINITE ((real)1e19)
+#define MBS_STAGES_ENTRIES 64  /* of a filter */
+#define MBS_STAGES_RUNNING (-1) /* no status yet */
+#define MBS_STAGES_RESTORED (-2)
+
+/* Pairs (violation, barrier function) that no later iterate may be worse than in both. */
+typedef struct {
+    int count;
+    real theta[MBS_STAGES_ENTRIES], phi[MBS_STAGES_ENTRIES];
+} mbs_stages_filter;
+
+typedef struct {
+    real *x, *zl, *zu, *y;
+} mbs_stages_direction;
+
+/* A barrier problem: the caller's, or that of least violation (elastic).
+ *
+ * Its variables lie in one vector x = (w, slacks s of g, and if elastic p, n of each row), with bounds
+ * lower <= x <= upper. Its rows are c = (e, d - next x, g - s), and if elastic c - p + n. */
+typedef struct {
+    int elastic, size;
+    real *x, *trial, *lower, *upper, *zl, *zu, *y;
+    real *gradient;           /* of the cost */
+    real *slope;              /* of the Lagrangian without z, with the barrier's derivatives instead */
+    real *sigma;              /* z / distance from bounds */
+    real *c, *trial_c, *soc_c; /* rows at x, at the trial, for a second-order correction */
+    real cost, trial_cost;
+    real theta, phi;          /* violation and barrier function at x */
+    real theta_most, theta_least;
+    real mu, tau;
+    real regular, added;      /* the last curvature added where there was need; that of this step */
+    int tiny, tiny_before;    /* steps below the last digit */
+    int rejected;             /* iterations whose first trial the filter alone refused, in a row */
+    int resets;
+    int failing;              /* the last trial had no result */
+    real alpha;               /* the last step length */
+    int acceptable;           /* iterations in a row */
+    mbs_stages_filter filter;
+    mbs_stages_direction step, other;
+} mbs_stages_phase;
+
+/* Largest errors of the optimality conditions. */
+typedef struct {
+    real stationarity, violation, complementarity, scaled;
+} mbs_stages_errors;
+
+struct mbs_stages {
+    const mbs_stages_problem *problem;
+    mbs_stages_options options;
+    mbs_stages_result result;
+    mbs_stages_recursion recursion;
+    int variables, rows, slacks, largest, equal; /* largest: n of a stage; equal: equal bounds that there is room for */
+    mbs_stages_point point;
+    mbs_stages_phase main, least;
+    real *variable_scale, *row_scale, cost_scale;
+    char *fixed;                  /* of (w, s) */
+    real *reference, *weight;     /* of w in restoration */
+    real weight_factor;
+    real *raw_w, *raw_rows, *raw; /* unscaled numbers for callbacks */
+    real *rw, *rc, *dw, *dy, *residual_w, *residual_c, *best_w, *best_y;
+    real residual; /* of the last reduced system, relative */
+    real left;     /* what its dependent rows lack to agree with the others */
+    double began;
+    int failed_stage;
+};
+
+/* evaluate.c: scaled callbacks; 0, or -1 where `failed_stage` failed */
+int mbs_stages_values(mbs_stages *s, const real *w, real *cost, real *rows);
+int mbs_stages_jacobians(mbs_stages *s, const real *w, real *gradient);
+int mbs_stages_hessian(mbs_stages *s, const real *w, real factor, const real *y);
+
+/* phase.c: the barrier problem */
+int mbs_stages_phase_values(mbs_stages *s, const mbs_stages_phase *p, const real *x, real *cost, real *c);
+int mbs_stages_phase_derivatives(mbs_stages *s, mbs_stages_phase *p);
+int mbs_stages_phase_hessian(mbs_stages *s, mbs_stages_phase *p);
+int mbs_stages_is_fixed(const mbs_stages *s, int i);
+real mbs_stages_sum(int n, const real *c);
+real mbs_stages_largest(int n, const real *c);
+real mbs_stages_barrier(const mbs_stages *s, const mbs_stages_phase *p, const real *x, real cost);
+void mbs_stages_stationarity(mbs_stages *s, mbs_stages_phase *p, int barrier, real *out);
+mbs_stages_errors mbs_stages_measure_errors(mbs_stages *s, mbs_stages_phase *p, real mu);
+real mbs_stages_boundary(const mbs_stages *s, const mbs_stages_phase *p, const real *x, const real *dx, real tau);
+real mbs_stages_dual_boundary(const mbs_stages *s, const mbs_stages_phase *p, const mbs_stages_direction *d);
+real mbs_stages_descent(const mbs_stages *s, const mbs_stages_phase *p, const real *dx);
+void mbs_stages_reweigh(mbs_stages *s, mbs_stages_phase *p);
+real mbs_stages_mean_product(const mbs_stages *s, const mbs_stages_phase *p, const mbs_stages_direction *d, real alpha,
+                             real dual);
+void mbs_stages_push_inside(real *x, real lower, real upper, real push);
+
+/* newton.c: steps */
+int mbs_stages_newton_factorise(mbs_stages *s, mbs_stages_phase *p);
+void mbs_stages_newton_solve(mbs_stages *s, mbs_stages_phase *p, const real *c, mbs_stages_direction *d);
+void mbs_stages_bound_steps(const mbs_stages *s, const mbs_stages_phase *p, mbs_stages_direction *d);
+void mbs_stages_estimate_multipliers(mbs_stages *s, mbs_stages_phase *p);
+
+/* filter.c */
+void mbs_stages_filter_clear(mbs_stages_filter *f);
+void mbs_stages_filter_add(mbs_stages_filter *f, real theta, real phi);
+int mbs_stages_filter_accepts(const mbs_stages_filter *f, real theta, real phi);
+int mbs_stages_below(real a, real b, real base);
+
+/* search.c: 0, or -1 where no step length will do */
+int mbs_stages_search(mbs_stages *s, mbs_stages_phase *p);
+
+/* restoration.c */
+int mbs_stages_restore(mbs_stages *s);
+int mbs_stages_restored(mbs_stages *s);
+real mbs_stages_worst_violation(const mbs_stages *s);
+
+/* finish.c */
+int mbs_stages_check(mbs_stages *s, mbs_stages_phase *p, const mbs_stages_errors *e);
+void mbs_stages_report(const mbs_stages *s, const mbs_stages_phase *p, const mbs_stages_errors *e);
+
+/* iterate.c: run a barrier problem until there is a status */
+int mbs_stages_run(mbs_stages *s, mbs_stages_phase *p);
+void mbs_stages_begin(mbs_stages *s, mbs_stages_phase *p);
+
+#endif

@@ -1,0 +1,450 @@
+"""Problems in stages: CasADi's functions for the solver in C, and the same problem as one program for IPOPT."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import cffi
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from mbsgen.resources import folder
+from mbsrun.library import find_compiler
+
+Array = NDArray[np.float64]
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
+INFINITE = 1e20
+IPOPT: dict[str, Any] = {
+    "ipopt.print_level": 0,
+    "print_time": False,
+    "ipopt.sb": "yes",
+    "ipopt.bound_relax_factor": 0.0,
+}
+STATUS = (
+    "solved",
+    "acceptable",
+    "infeasible",
+    "iteration limit",
+    "time limit",
+    "out of digits",
+    "unbounded",
+    "callback failed",
+    "bad problem",
+)
+CDEF = """
+typedef struct { int nx, nv, ne, ng; } mbs_stages_size;
+typedef struct {
+    int iteration, restoring;
+    REAL cost, violation, stationarity, barrier, step, curvature;
+} mbs_stages_progress;
+typedef struct {
+    int stages;
+    const mbs_stages_size *size;
+    void *context;
+    int (*values)(void *, int, const REAL *, const REAL *, REAL *, REAL *, REAL *, REAL *);
+    int (*jacobians)(void *, int, const REAL *, const REAL *, REAL *, REAL *, REAL *, REAL *);
+    int (*hessian)(void *, int, const REAL *, const REAL *, REAL, const REAL *, const REAL *, const REAL *, REAL *);
+    void (*watch)(void *, const mbs_stages_progress *);
+    double (*clock)(void *);
+    const REAL *lower, *upper, *least, *most, *scale;
+} mbs_stages_problem;
+typedef struct {
+    REAL tolerance, violation_tolerance, acceptable_tolerance;
+    int acceptable_iterations, iterations;
+    double seconds;
+    REAL barrier;
+    int adaptive, warm, scaled;
+    REAL push;
+} mbs_stages_options;
+typedef struct { int stage, kind, row; REAL violation; } mbs_stages_clash;
+typedef struct {
+    int status, stage, iterations, restorations, evaluations, factorisations, refinements, dependent;
+    REAL cost, stationarity, violation, complementarity, barrier;
+    int clashes;
+    mbs_stages_clash clash[8];
+} mbs_stages_result;
+typedef struct { REAL *w, *y, *below, *above; int variables, rows; } mbs_stages_point;
+typedef struct mbs_stages mbs_stages;
+size_t mbs_stages_bytes(const mbs_stages_problem *problem);
+mbs_stages *mbs_stages_create(const mbs_stages_problem *problem, void *workspace, size_t bytes);
+mbs_stages_options mbs_stages_default_options(void);
+mbs_stages_point mbs_stages_iterate(const mbs_stages *solver);
+mbs_stages_result mbs_stages_solve(mbs_stages *solver, const mbs_stages_options *options);
+void mbs_stages_shift(mbs_stages *solver);
+const char *mbs_stages_explain(int status);
+typedef struct { const mbs_stages_size *size; const long *start; const REAL *data; } quadratic;
+int quadratic_values(void *, int, const REAL *, const REAL *, REAL *, REAL *, REAL *, REAL *);
+int quadratic_jacobians(void *, int, const REAL *, const REAL *, REAL *, REAL *, REAL *, REAL *);
+int quadratic_hessian(void *, int, const REAL *, const REAL *, REAL, const REAL *, const REAL *, const REAL *, REAL *);
+"""
+Fault = Callable[[int, int], bool]
+CANARY = b"\xa5" * 64
+
+
+def sources() -> list[Path]:
+    return sorted((folder("csrc") / "stages").glob("*.c"))
+
+
+def compile_solver(place: Path, *flags: str) -> Path:
+    """Compile the solver, and quadratic.c, to a library."""
+    library = place / "libstages.so"
+    command = [*find_compiler(os.environ).command, *STRICT, "-O2", "-fPIC", "-shared", *flags]
+    files = [*sources(), Path(__file__).parent / "quadratic.c"]
+    subprocess.run([*command, f"-I{sources()[0].parent}", *map(str, files), "-lm", "-o", str(library)], check=True)
+    return library
+
+
+class Library:
+    """The solver, loaded."""
+
+    def __init__(self, path: Path, real: str = "double") -> None:
+        self.ffi = cffi.FFI()
+        self.ffi.cdef(CDEF.replace("REAL", real))
+        self.lib: Any = self.ffi.dlopen(str(path))
+        self.real, self.dtype = real, np.dtype(np.float64 if real == "double" else np.float32)
+
+    def numbers(self, a: Array | None) -> NDArray[Any] | None:
+        return None if a is None else np.ascontiguousarray(a, dtype=self.dtype)
+
+    def pointer(self, a: NDArray[Any] | None) -> Any:
+        return self.ffi.NULL if a is None else self.ffi.cast(f"{self.real} *", a.ctypes.data)
+
+    def view(self, pointer: Any, n: int) -> NDArray[Any]:
+        """The numbers in C's memory."""
+        memory: Any = self.ffi.buffer(pointer, n * self.dtype.itemsize)
+        return np.frombuffer(memory, self.dtype)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A sort of stage: expressions of x and v, and bounds of (x, v) and of g."""
+
+    x: ca.SX
+    v: ca.SX
+    cost: ca.SX
+    d: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
+    e: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
+    g: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
+
+    @property
+    def size(self) -> tuple[int, int, int, int]:
+        return self.x.numel(), self.v.numel(), self.e.numel(), self.g.numel()
+
+    @cached_property
+    def functions(self) -> tuple[ca.Function, ca.Function, ca.Function]:
+        w = ca.vertcat(self.x, self.v)
+        values = [self.cost, self.e, self.d, self.g]
+        factor, *y = ca.SX.sym("factor"), *(ca.SX.sym(n, f.numel()) for n, f in zip("edg", values[1:], strict=True))
+        lagrangian = factor * self.cost + sum(
+            (ca.dot(a, b) for a, b in zip(y, values[1:], strict=True) if a.numel()), ca.SX(0)
+        )
+        jacobians = [ca.jacobian(f, w) for f in values]
+        hessian = ca.hessian(lagrangian, w)[0]
+        return (
+            ca.Function("values", [self.x, self.v], [ca.densify(f) for f in values]),
+            ca.Function("jacobians", [self.x, self.v], [ca.densify(f) for f in jacobians]),
+            ca.Function("hessian", [self.x, self.v, factor, *y], [ca.densify(hessian)]),
+        )
+
+
+@dataclass
+class Problem:
+    """Stages by kind, bounds of all variables (stage by stage, x before v) and of g, a guess."""
+
+    name: str
+    kinds: Sequence[Kind]
+    order: Sequence[int]  # the kind of each stage
+    lower: Array
+    upper: Array
+    least: Array
+    most: Array
+    guess: Array
+    scale: Array | None = None
+
+    @property
+    def stages(self) -> list[Kind]:
+        return [self.kinds[i] for i in self.order]
+
+    def places(self) -> list[tuple[int, int]]:
+        """Where the variables and the rows of g of each stage begin."""
+        places, w, s = [], 0, 0
+        for kind in self.stages:
+            places.append((w, s))
+            nx, nv, _, ng = kind.size
+            w, s = w + nx + nv, s + ng
+        return places
+
+    @cached_property
+    def program(self) -> dict[str, Any]:
+        """The problem as one program, rows in the order of the solver in C."""
+        w = ca.MX.sym("w", len(self.guess))
+        cost, rows, lower, upper = ca.MX(0), [], [], []
+        stages, places = self.stages, self.places()
+        evaluate = {i: kind.functions[0] for i, kind in enumerate(self.kinds)}
+        for k, (kind, (at, s)) in enumerate(zip(stages, places, strict=True)):
+            nx, nv, ne, ng = kind.size
+            f, e, d, g = evaluate[self.order[k]](w[at : at + nx], w[at + nx : at + nx + nv])
+            cost += f
+            after = stages[k + 1].size[0] if k + 1 < len(stages) else 0
+            if after:
+                ahead = places[k + 1][0]
+                d = d - w[ahead : ahead + after]
+            rows += [e, d, g] if after else [e, g]
+            lower += [np.zeros(ne + after), self.least[s : s + ng]]
+            upper += [np.zeros(ne + after), self.most[s : s + ng]]
+        return {
+            "nlp": {"x": w, "f": cost, "g": ca.vertcat(*rows)},
+            "lbg": np.concatenate(lower),
+            "ubg": np.concatenate(upper),
+        }
+
+    def ipopt(self, **options: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Solve by IPOPT, without relaxed bounds; return its solution and statistics."""
+        solver = ca.nlpsol("s", "ipopt", self.program["nlp"], {**IPOPT, **options})
+        bounds = {name: self.program[name] for name in ("lbg", "ubg")}
+        solution = solver(x0=self.guess, lbx=self.lower, ubx=self.upper, **bounds)
+        return {name: np.asarray(value).ravel() for name, value in solution.items()}, solver.stats()
+
+    def residuals(self, w: Array, y: Array, below: Array, above: Array) -> tuple[float, float, float]:
+        """Stationarity, violation and complementarity by CasADi's derivatives."""
+        nlp = self.program["nlp"]
+        multipliers = ca.MX.sym("y", nlp["g"].numel())
+        gradient = ca.gradient(nlp["f"] + ca.dot(multipliers, nlp["g"]), nlp["x"])
+        evaluate = ca.Function("kkt", [nlp["x"], multipliers], [gradient, nlp["g"]])
+        derivative, rows = (np.asarray(a).ravel() for a in evaluate(w, y))
+        bounds = self.program["lbg"], self.program["ubg"]
+        return measure((w, self.lower, self.upper, below, above), (rows, *bounds), y, derivative)
+
+    @property
+    def sizes(self) -> list[tuple[int, int, int, int]]:
+        return [kind.size for kind in self.stages]
+
+    def callbacks(self, library: Library, fault: Fault | None) -> list[Any]:
+        """Context, values, Jacobians, Hessian."""
+        sizes, ffi, r = self.sizes, library.ffi, library.real
+        after = [size[0] for size in sizes[1:]] + [0]
+        functions = [kind.functions for kind in self.kinds]
+        calls = [0]
+
+        def run(k: int, which: int, inputs: list[tuple[Any, int]], outputs: list[tuple[Any, int]]) -> int:
+            arguments = [library.view(p, n).astype(np.float64) if n else ca.DM(0, 1) for p, n in inputs]
+            results = functions[self.order[k]][which].call(arguments)
+            for (pointer, n), result in zip(outputs, results, strict=True):
+                if n:
+                    library.view(pointer, n)[:] = np.asarray(result).ravel(order="F")
+            return 0
+
+        def values(_: Any, k: int, x: Any, v: Any, f: Any, e: Any, d: Any, g: Any) -> int:
+            nx, nv, ne, ng = sizes[k]
+            calls[0] += k == 0
+            run(k, 0, [(x, nx), (v, nv)], [(f, 1), (e, ne), (d, after[k]), (g, ng)])
+            if fault and fault(calls[0], k):
+                f[0] = float("nan")
+            return 0
+
+        def jacobians(_: Any, k: int, x: Any, v: Any, f: Any, e: Any, d: Any, g: Any) -> int:
+            nx, nv, ne, ng = sizes[k]
+            n = nx + nv
+            return run(k, 1, [(x, nx), (v, nv)], [(f, n), (e, ne * n), (d, after[k] * n), (g, ng * n)])
+
+        def hessian(_: Any, k: int, x: Any, v: Any, factor: float, e: Any, d: Any, g: Any, h: Any) -> int:
+            nx, nv, ne, ng = sizes[k]
+            inputs = [(x, nx), (v, nv), (ffi.new(f"{r}[1]", [factor]), 1), (e, ne), (d, after[k]), (g, ng)]
+            return run(k, 2, inputs, [(h, (nx + nv) ** 2)])
+
+        first, out = f"int(void *, int, const {r} *, const {r} *", f", {r} *, {r} *, {r} *, {r} *)"
+        multipliers = f", {r}, const {r} *, const {r} *, const {r} *, {r} *)"
+        return [
+            ffi.NULL,
+            ffi.callback(first + out, values, error=1),
+            ffi.callback(first + out, jacobians, error=1),
+            ffi.callback(first + multipliers, hessian, error=1),
+        ]
+
+
+@dataclass
+class Quadratic:
+    """Quadratic costs and linear rows with numbers for each stage; evaluated in C (quadratic.c)."""
+
+    sizes: list[tuple[int, int, int, int]]
+    H: list[Array]
+    q: list[Array]
+    F: list[Array]  # d = F (x, v) + b
+    b: list[Array]
+    E: list[Array]
+    e: list[Array]
+    G: list[Array]
+    lower: Array
+    upper: Array
+    least: Array
+    most: Array
+    guess: Array
+    scale: Array | None = None
+
+    def callbacks(self, library: Library, _: Fault | None) -> list[Any]:
+        parts = zip(self.H, self.q, self.F, self.b, self.E, self.e, self.G, strict=True)
+        stages = [np.concatenate([np.asarray(a).ravel(order="F") for a in stage]) for stage in parts]
+        starts = np.concatenate([[0], np.cumsum([len(s) for s in stages])])
+        data = library.numbers(np.concatenate(stages))
+        ffi = library.ffi
+        sizes = ffi.new("mbs_stages_size[]", [*self.sizes, (0, 0, 0, 0)])
+        start = ffi.new("long[]", [int(i) for i in starts])
+        context = ffi.new("quadratic *", [sizes, start, library.pointer(data)])
+        self.kept = data, sizes, start, context
+        lib = library.lib
+        return [context, lib.quadratic_values, lib.quadratic_jacobians, lib.quadratic_hessian]
+
+    @cached_property
+    def matrices(self) -> tuple[Any, Array, Any, Array, Array]:
+        """P, q, A and bounds of A w: the cost w.P w / 2 + q.w, rows in the order of the solver."""
+        n = sum(nx + nv for nx, nv, _, _ in self.sizes)
+        rows, lower, upper, at, s = [], [], [], 0, 0
+        for k, (nx, nv, _, ng) in enumerate(self.sizes):
+            size, after = nx + nv, len(self.b[k])
+            place = sp.eye_array(size, n, k=at, format="csr")
+            ahead = sp.eye_array(after, n, k=at + size, format="csr")
+            rows += [self.E[k] @ place, self.F[k] @ place - ahead, self.G[k] @ place]
+            lower += [-self.e[k], -self.b[k], self.least[s : s + ng]]
+            upper += [-self.e[k], -self.b[k], self.most[s : s + ng]]
+            at, s = at + size, s + ng
+        P: Any = sp.block_diag(self.H, format="csc")
+        A = sp.vstack([sp.csr_array(r) for r in rows], format="csc")
+        return P, np.concatenate(self.q), A, np.concatenate(lower), np.concatenate(upper)
+
+    def ipopt(self, **options: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Solve by IPOPT, without relaxed bounds; return its solution and statistics."""
+        P, q, A, lower, upper = self.matrices
+        w = ca.MX.sym("w", len(q))
+        nlp: dict[str, Any] = {"x": w, "f": ca.dot(w, ca.DM(P) @ w) / 2 + ca.dot(ca.DM(q), w), "g": ca.DM(A) @ w}
+        solver = ca.nlpsol("s", "ipopt", nlp, {**IPOPT, **options})
+        solution = solver(x0=self.guess, lbx=self.lower, ubx=self.upper, lbg=lower, ubg=upper)
+        return {name: np.asarray(value).ravel() for name, value in solution.items()}, solver.stats()
+
+    def residuals(self, w: Array, y: Array, below: Array, above: Array) -> tuple[float, float, float]:
+        P, q, A, lower, upper = self.matrices
+        gradient = P @ w + q + A.T @ y
+        return measure((w, self.lower, self.upper, below, above), (A @ w, lower, upper), y, gradient)
+
+
+def measure(
+    variables: tuple[Array, Array, Array, Array, Array], rows: tuple[Array, Array, Array], y: Array, gradient: Array
+) -> tuple[float, float, float]:
+    """Stationarity, violation and complementarity, from the gradient of cost and rows."""
+    w, lower, upper, below, above = variables
+    value, least, most = rows
+    pairs = [
+        (w - lower, below),
+        (upper - w, above),
+        (value - least, np.maximum(-y, 0)),
+        (most - value, np.maximum(y, 0)),
+    ]
+    violation = max(float(-d.min(initial=0.0)) for d, _ in pairs)
+    products = [np.abs(np.where(d < INFINITE / 2, d, 1.0) * z) for d, z in pairs]
+    assert min([*below, *above]) >= 0
+    return float(np.abs(gradient - below + above).max()), violation, max(float(p.max(initial=0)) for p in products)
+
+
+@dataclass
+class Answer:
+    """What the solver in C returned."""
+
+    status: str
+    w: Array
+    y: Array
+    below: Array
+    above: Array
+    result: Any
+    path: list[tuple[Any, ...]]
+
+    @property
+    def point(self) -> tuple[Array, Array, Array, Array]:
+        return self.w, self.y, self.below, self.above
+
+
+class Solver:
+    """The solver in C for one problem."""
+
+    def __init__(self, library: Library, problem: Problem | Quadratic, fault: Fault | None = None) -> None:
+        """`fault(call, stage)` says which call of values gives no numbers."""
+        self.library, self.problem = library, problem
+        self.path: list[tuple[Any, ...]] = []
+        self.seconds = 0.0
+        ffi, numbers = library.ffi, library.numbers
+        self.size = ffi.new("mbs_stages_size[]", problem.sizes)
+        self.arrays = [numbers(a) for a in (problem.lower, problem.upper, problem.least, problem.most, problem.scale)]
+        self.functions = problem.callbacks(library, fault)
+        watchers = self._watchers()
+        pointers = [library.pointer(a) for a in self.arrays]
+        self.c = ffi.new("mbs_stages_problem *", [len(problem.sizes), self.size, *self.functions, *watchers, *pointers])
+        self.kept = watchers
+        self.bytes = library.lib.mbs_stages_bytes(self.c)
+        assert self.bytes > 0
+        self._create()
+        self.set(w=problem.guess)
+
+    def _create(self) -> None:
+        """Make the solver in a workspace between canaries."""
+        ffi = self.library.ffi
+        self.workspace = ffi.new("char[]", self.bytes + 2 * len(CANARY) + 64)
+        base = int(ffi.cast("uintptr_t", self.workspace))
+        self.offset = -(base + len(CANARY)) % 64 + len(CANARY)
+        for at in (self.offset - len(CANARY), self.offset + self.bytes):
+            ffi.memmove(self.workspace + at, CANARY, len(CANARY))
+        self.solver = self.library.lib.mbs_stages_create(self.c, self.workspace + self.offset, self.bytes)
+        assert self.solver != ffi.NULL
+        self.point = self.library.lib.mbs_stages_iterate(self.solver)
+
+    def _watchers(self) -> list[Any]:
+        def watch(_: Any, p: Any) -> None:
+            self.path.append(
+                (p.iteration, p.restoring, p.cost, p.violation, p.stationarity, p.barrier, p.step, p.curvature)
+            )
+
+        def clock(_: Any) -> float:
+            self.seconds += 1.0
+            return self.seconds
+
+        ffi = self.library.ffi
+        return [
+            ffi.callback("void(void *, const mbs_stages_progress *)", watch),
+            ffi.callback("double(void *)", clock),
+        ]
+
+    def set(self, **arrays: Array) -> None:
+        """Write parts of the iterate."""
+        for name, value in arrays.items():
+            self.library.view(getattr(self.point, name), len(value))[:] = value
+
+    def get(self, name: str) -> Array:
+        n = self.point.rows if name == "y" else self.point.variables
+        return np.array(self.library.view(getattr(self.point, name), n), dtype=np.float64)
+
+    def untouched(self) -> bool:
+        """Whether nothing was written beside the workspace."""
+        buffer = self.library.ffi.buffer(self.workspace)
+        places = (self.offset - len(CANARY), self.offset + self.bytes)
+        return all(bytes(buffer[at : at + len(CANARY)]) == CANARY for at in places)
+
+    def solve(self, **options: Any) -> Answer:
+        given = self.library.ffi.new("mbs_stages_options *", self.library.lib.mbs_stages_default_options())
+        for name, value in options.items():
+            setattr(given, name, value)
+        self.path, self.seconds = [], 0.0
+        result = self.library.lib.mbs_stages_solve(self.solver, given)
+        assert self.untouched()
+        w, y, below, above = (self.get(n) for n in ("w", "y", "below", "above"))
+        return Answer(STATUS[result.status], w, y, below, above, result, self.path)
+
+
+def show(answer: Answer) -> str:
+    """Return a table of the iterations."""
+    rows = [f"{a:4d}{'r' if b else ' '} " + " ".join(f"{x:10.2e}" for x in rest) for a, b, *rest in answer.path]
+    return "\n".join(rows)
