@@ -97,7 +97,7 @@ MBSRUN = Package(
         "measuring.advice measuring.pictures",
         "measuring",
         "lab.case lab.mechanisms",
-        "lab.digits lab.integration lab.optimisation lab.record",
+        "lab.digits lab.integration lab.optimisation lab.runs",
         "lab.interpretation",
         "lab.chains lab.compilation lab.derivatives lab.expressions lab.inertias lab.locks",
         "lab.cases lab.maps",
@@ -129,9 +129,10 @@ MBSRUN = Package(
 DOCQUIER = Package(
     source=ROOT / "studies" / "docquier",
     layers=(
-        "growth spread export",
+        "growth spread export published",
         "results differentiated",
-        "statements",
+        "judges",
+        "claims",
         "judgement figures",
         "questions robustness tables",
         "summary",

@@ -47,7 +47,7 @@ from studies.docquier.questions import GridPoint, System, TaskList, name_transcr
 from studies.docquier.results import Effort, Results, find_shown_task
 from studies.docquier.robustness import find_state, report_robust
 from studies.docquier.summary import summarise_run
-from studies.docquier.tables import tabulate, tabulate_spreads, tabulate_statements
+from studies.docquier.tables import tabulate, tabulate_claims, tabulate_spreads
 
 STORE = "study.sqlite"
 QUESTIONS = ("repeats", "derivatives", "grids", "systems", "shooting", "guess")
@@ -333,7 +333,7 @@ def report(campaign: Campaign, out: Path) -> list[Section]:
             "What the paper says, and what this run finds",
             "Each statement of section 4.3 and of the conclusion, beside the numbers of the paper's protocol: one "
             "stated guess for all representations, the interpolation with inputs 0, and no restart.",
-            (tabulate_statements(judgements), *([scatter] if scatter else [])),
+            (tabulate_claims(judgements), *([scatter] if scatter else [])),
         ),
         Section("tables", "The paper's tables", "", tuple(tabulate(results))),
         Section("figures", "The paper's figures", "", tuple(draw_figures(results, campaign.subject.plant))),

@@ -45,7 +45,7 @@ from studies.docquier.campaign import (
 )
 from studies.docquier.export import Form, export
 from studies.docquier.judgement import INSIDE, TURNS
-from studies.docquier.statements import CONFIRMED, REFUTED
+from studies.docquier.judges import CONFIRMED, REFUTED
 
 NOT_THROUGH, BAD_INPUT = 1, 2  # exit codes
 STYLES = {CONFIRMED: "confirmed", REFUTED: "refuted", TURNS: "open", INSIDE: "open"}  # of verdicts on the page

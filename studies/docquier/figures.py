@@ -23,8 +23,8 @@ from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.record import Attempt
 from mbsrun.ocp.search import Weights
 from mbsrun.ocp.trajectory import Trajectory
+from studies.docquier.judges import list_grids, mean_iterations
 from studies.docquier.results import Results
-from studies.docquier.statements import list_grids, mean_iterations
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""Judge the paper's statements on a run: over what counts as one minimum, and over the scatter of iterations.
+"""Judge the paper's claims on a run: over what counts as one minimum, and over the scatter of iterations.
 
 A verdict that turns with the threshold of "the same minimum" says more about the threshold than about the paper. A
 verdict that turns when iterations are drawn again from their scatter is inside that scatter. Both are reported as such.
@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from studies.docquier.claims import CLAIMS, Claim
+from studies.docquier.judges import CONFIRMED, REFUTED
 from studies.docquier.results import Results
-from studies.docquier.statements import CONFIRMED, REFUTED, STATEMENTS, Statement
 
 UNMEASURED = "not measured"
 TURNS = "depends on the threshold"
@@ -27,9 +28,9 @@ SURE = 0.95  # share of the draws that must agree
 
 @dataclass(frozen=True)
 class Judgement:
-    """What a run finds about one statement."""
+    """What a run finds about one claim."""
 
-    statement: Statement
+    claim: Claim
     verdict: str  # one of VERDICTS
     numbers: str  # at the threshold SHOWN
     by_threshold: tuple[str, ...] = ()  # the verdict at each of THRESHOLDS
@@ -37,30 +38,30 @@ class Judgement:
 
 
 def judge_all(results: Results) -> list[Judgement]:
-    """Judge every statement, in the paper's order."""
+    """Judge every claim, in the paper's order."""
     by_threshold = [results.with_same(same) for same in THRESHOLDS]
     source, shown = np.random.default_rng(0), results.with_same(SHOWN)
     draws = [shown.resample(source) for _ in range(DRAWS)] if results.spreads else []
-    return [_judge(statement, by_threshold, draws) for statement in STATEMENTS]
+    return [_judge(claim, by_threshold, draws) for claim in CLAIMS]
 
 
-def _judge(statement: Statement, by_threshold: Sequence[Results], draws: Sequence[Results]) -> Judgement:
-    findings = [statement.judge(results) for results in by_threshold]
+def _judge(claim: Claim, by_threshold: Sequence[Results], draws: Sequence[Results]) -> Judgement:
+    findings = [claim.judge(results) for results in by_threshold]
     found = findings[THRESHOLDS.index(SHOWN)]
     if found is None:
-        return Judgement(statement, UNMEASURED, "")
+        return Judgement(claim, UNMEASURED, "")
     verdicts = tuple(UNMEASURED if f is None else f.verdict for f in findings)
-    share = _share(statement, draws) if statement.scatters and draws else None
+    share = _share(claim, draws) if claim.scatters and draws else None
     verdict = found.verdict
     if len(set(verdicts)) > 1:
         verdict = TURNS
     elif share is not None and not (share >= SURE or share <= 1 - SURE):
         verdict = INSIDE
-    return Judgement(statement, verdict, found.numbers, verdicts, share)
+    return Judgement(claim, verdict, found.numbers, verdicts, share)
 
 
-def _share(statement: Statement, draws: Sequence[Results]) -> float:
-    findings = [statement.judge(results) for results in draws]
+def _share(claim: Claim, draws: Sequence[Results]) -> float:
+    findings = [claim.judge(results) for results in draws]
     return sum(f is not None and f.verdict == CONFIRMED for f in findings) / len(findings)
 
 

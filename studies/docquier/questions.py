@@ -26,8 +26,8 @@ from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.search import ONE, Interpolation, Place, Study, Trial, is_higher, list_interpolations
 from studies.docquier.differentiated import WAYS, Way
 from studies.docquier.figures import draw_scatter, name_set
+from studies.docquier.judges import COLLOCATION
 from studies.docquier.results import Results
-from studies.docquier.statements import COLLOCATION
 
 PROTOCOL = "question"  # of attempts that belong to none of the two
 REPEATS = 4  # of each task whose iterations are repeated

@@ -10,11 +10,9 @@ import numpy as np
 from mbsrun.measuring.sections import Cell, Table
 from studies.docquier.figures import list_sets, name_set
 from studies.docquier.judgement import DRAWS, SHOWN, SURE, VERDICTS, Judgement, write_thresholds
+from studies.docquier.published import COMPLEXITY, EFFORTS, SIZES
 from studies.docquier.results import FIGURES, Results, find_outliers
 from studies.docquier.spread import Spread
-from studies.docquier.statements import PAPER_EFFORTS, PAPER_SIZES
-
-PAPER_COMPLEXITY = {"IMPL": "N", "SEMI": "N²", "EXP1": "N² + N³", "EXP2": "N"}  # Table 1
 
 
 def tabulate(results: Results) -> list[Table]:
@@ -23,17 +21,17 @@ def tabulate(results: Results) -> list[Table]:
     return [table for make in makers if (table := make(results)) is not None]
 
 
-def tabulate_statements(judgements: Sequence[Judgement]) -> Table:
-    """List every statement of the paper with its verdict and the numbers that decide."""
+def tabulate_claims(judgements: Sequence[Judgement]) -> Table:
+    """List every claim of the paper with its verdict and the numbers that decide."""
     rows = tuple(
         (
             j.verdict,
-            j.statement.words,
+            j.claim.words,
             j.numbers,
             write_thresholds(j),
             None if j.share is None else round(100 * j.share),
-            j.statement.place,
-            j.statement.meaning,
+            j.claim.place,
+            j.claim.meaning,
         )
         for j in judgements
     )
@@ -49,7 +47,7 @@ def tabulate_statements(judgements: Sequence[Judgement]) -> Table:
 
 
 def count_verdicts(judgements: Sequence[Judgement]) -> str:
-    """Count the statements by verdict, as text."""
+    """Count the claims by verdict, as text."""
     counts = Counter(j.verdict for j in judgements)
     return "; ".join(f"{verdict}: {counts[verdict]}" for verdict in VERDICTS if counts[verdict])
 
@@ -75,7 +73,7 @@ def _tabulate_complexity(results: Results) -> Table | None:
     rows = tuple(
         (
             g.formulation,
-            PAPER_COMPLEXITY[g.formulation],
+            COMPLEXITY[g.formulation],
             "none" if g.degree is None else g.degree,
             *(count for _, count in g.flops),
         )
@@ -91,7 +89,7 @@ def _tabulate_sizes(results: Results) -> Table | None:
     for name in results.representations:
         size = results.size(name)
         if size is not None:
-            rows.append((name, *(value for pair in zip(size, PAPER_SIZES[name], strict=True) for value in pair)))
+            rows.append((name, *(value for pair in zip(size, SIZES[name], strict=True) for value in pair)))
     if not rows:
         return None
     figures = ("variables", "constraints", "nonzeros of the Jacobian", "nonzeros of the Hessian")
@@ -103,8 +101,7 @@ def _tabulate_efforts(results: Results) -> Table | None:
     if not results.efforts:
         return None
     rows = tuple(
-        (name, effort.flops, PAPER_EFFORTS[name][0], effort.equations, PAPER_EFFORTS[name][1])
-        for name, effort in results.efforts
+        (name, effort.flops, EFFORTS[name][0], effort.equations, EFFORTS[name][1]) for name, effort in results.efforts
     )
     note = "Φ; M and c; γ; ν, with every number of the model at run time and masses lumped; by the paper's counting."
     return Table("Table 4: operations", ("formulation", "flops", "paper", "equations", "paper"), rows, note)

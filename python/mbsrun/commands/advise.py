@@ -16,7 +16,7 @@ from mbsrun.external import load
 from mbsrun.measuring import kernels, motions, solves
 from mbsrun.measuring.advice import Advice, Option, advise_control, advise_optimisation, advise_simulation
 from mbsrun.measuring.mechanisms import Subject
-from mbsrun.measuring.points import Cost, KernelPoint, MotionPoint, SolvePoint, write_table
+from mbsrun.measuring.points import Cost, KernelPoint, MotionPoint, SolvePoint, write_points
 from mbsrun.measuring.store import Store
 from mbsrun.ocp.statement import read_problem
 
@@ -80,10 +80,10 @@ def advise_command(
 def _measure_simulation(course: motions.Course, out: Path, accuracy: float, quick: bool, report: Report) -> Advice:
     report("reference", 0, 1)
     standard = motions.find_standard(course)
-    depth = motions.QUICK if quick else motions.Depth()
+    scope = motions.QUICK if quick else motions.MotionScope()
     store = Store(out / "simulation.jsonl", MotionPoint)
-    points = motions.measure_motions(course, standard, depth, store, report)
-    write_table(points, out, "simulation")
+    points = motions.measure_motions(course, standard, scope, store, report)
+    write_points(points, out, "simulation")
     return advise_simulation(course, standard, points, accuracy)
 
 
@@ -99,24 +99,24 @@ def _measure_optimisation(
             fault = f"its model is {plant.manifest.model}, which is not {model}"
             raise InputError([Fault(str(problem), 0, "model", fault, "give the problem's model")])
         case, told = solves.Case(found, mechanism), str(problem)
-    depth = solves.QUICK if quick else solves.Depth()
+    scope = solves.QUICK if quick else solves.SolveScope()
     store = Store(out / "problem.jsonl", SolvePoint)
-    points = solves.measure_solves(case, accuracy, depth, store, report)
-    write_table(points, out, "problem")
+    points = solves.measure_solves(case, accuracy, scope, store, report)
+    write_points(points, out, "problem")
     return advise_optimisation(mechanism.manifest.model, told, points, accuracy)
 
 
 def _measure_control(model: Path, out: Path, accuracy: float, quick: bool, report: Report) -> Advice:
     subject = Subject(model, kernels.DERIVATIVES)
-    depth = kernels.Depth((), (kernels.USUAL, kernels.SINGLE), 3 if quick else 40, 4 if quick else 16)
+    scope = kernels.KernelScope((), (kernels.USUAL, kernels.SINGLE), 3 if quick else 40, 4 if quick else 16)
     store = Store(out / "control.jsonl", KernelPoint)
     points: list[KernelPoint] = []
     tasks = (*kernels.KERNELS, *kernels.SLOPES)
     for done, task in enumerate(tasks):
         report(task, done, len(tasks))
-        points += kernels.measure_task(subject, task, depth, store)
-    write_table(points, out, "control")
-    return advise_control(subject.manifest.model, points, accuracy, depth.judged)
+        points += kernels.measure_task(subject, task, scope, store)
+    write_points(points, out, "control")
+    return advise_control(subject.manifest.model, points, accuracy, scope.judged)
 
 
 def _print_advice(advice: Advice) -> None:

@@ -12,7 +12,7 @@ from mbsrun.external import load
 from mbsrun.measuring import fidelity, kernels, motions, optima, solves
 from mbsrun.measuring.captions import write_captions
 from mbsrun.measuring.pictures import draw_fidelity, draw_kernels, draw_motions, draw_optima
-from mbsrun.measuring.points import MotionPoint, SolvePoint, write_table
+from mbsrun.measuring.points import MotionPoint, SolvePoint, write_points
 from mbsrun.measuring.store import Store
 from mbsrun.ocp.problem import Representation
 from mbsrun.ocp.statement import read_problem
@@ -91,12 +91,12 @@ def chart_kernels_command(
     model: Path, out: Path | None, sizes: tuple[int, ...], rounds: int | None, quick: bool
 ) -> None:
     """Measure, write, draw."""
-    usual = kernels.QUICK if quick else kernels.Depth()
-    depth = kernels.Depth(sizes or usual.sizes, usual.variants, rounds or usual.rounds, usual.judged)
+    usual = kernels.QUICK if quick else kernels.KernelScope()
+    scope = kernels.KernelScope(sizes or usual.sizes, usual.variants, rounds or usual.rounds, usual.judged)
     out = out or Path(f"{model.stem}.chart")
     with show_progress() as report:
-        points = kernels.measure_kernels(model, out, depth, report)
-    _print_written([*write_table(points, out, "kernels"), *draw_kernels(points, out)])
+        points = kernels.measure_kernels(model, out, scope, report)
+    _print_written([*write_points(points, out, "kernels"), *draw_kernels(points, out)])
     write_captions("kernels", points[0].mechanism, out)
 
 
@@ -118,9 +118,9 @@ def chart_simulation_command(
     with show_progress() as report:
         report("reference", 0, 1)
         standard = motions.find_standard(course)
-        depth = motions.QUICK if quick else motions.Depth()
-        points = motions.measure_motions(course, standard, depth, store, report)
-    _print_written([*write_table(points, out, "simulation"), *draw_motions(points, standard, out)])
+        scope = motions.QUICK if quick else motions.MotionScope()
+        points = motions.measure_motions(course, standard, scope, store, report)
+    _print_written([*write_points(points, out, "simulation"), *draw_motions(points, standard, out)])
     write_captions("simulation", points[0].mechanism, out)
 
 
@@ -147,8 +147,8 @@ def chart_optimisation_command(
 ) -> None:
     """Measure, write, draw."""
     stated, plant = read_problem(problem, load)
-    usual = optima.QUICK if quick else optima.Depth()
-    depth = replace(
+    usual = optima.QUICK if quick else optima.OptimumScope()
+    scope = replace(
         usual,
         intervals=tuple(sorted(set(intervals))) or usual.intervals,
         degrees=tuple(sorted(set(degrees))) or usual.degrees,
@@ -157,8 +157,8 @@ def chart_optimisation_command(
     out = out or Path(f"{problem.name.split('.')[0]}.chart")
     store = Store(out / "optimisation.jsonl", SolvePoint)
     with show_progress() as report:
-        points, grids = optima.measure_optima(solves.Case(stated, plant), depth, store, report)
-    tables = [*write_table(points, out, "optimisation"), *write_table(grids, out, "control_grid")]
+        points, grids = optima.measure_optima(solves.Case(stated, plant), scope, store, report)
+    tables = [*write_points(points, out, "optimisation"), *write_points(grids, out, "control_grid")]
     _print_written([*tables, *draw_optima(points, grids, out)])
     write_captions("optimisation", f"{plant.manifest.model}, {stated.name}", out)
 
@@ -170,14 +170,14 @@ def chart_optimisation_command(
 @click.option("--quick", is_flag=True, help="Little of everything, to see how it looks.")
 def chart_fidelity_command(model: Path, out: Path | None, scenes: tuple[Path, ...], quick: bool) -> None:
     """Measure, write, draw."""
-    depth = fidelity.QUICK if quick else fidelity.Depth()
-    whole = fidelity.take_whole(model, depth)
+    scope = fidelity.QUICK if quick else fidelity.FidelityScope()
+    whole = fidelity.take_whole(model, scope)
     out = out or Path(f"{model.stem}.chart")
     with show_progress() as report:
         report("generating the whole model", 0, 1)
         reductions = fidelity.list_reductions(model, whole.manifest, scenes)
-        points = fidelity.measure_fidelity(whole, reductions, out, depth, report)
-    _print_written([*write_table(points, out, "fidelity"), *draw_fidelity(points, out)])
+        points = fidelity.measure_fidelity(whole, reductions, out, scope, report)
+    _print_written([*write_points(points, out, "fidelity"), *draw_fidelity(points, out)])
     write_captions("fidelity", points[0].mechanism, out)
 
 

@@ -16,7 +16,7 @@ from mbsrun.commands.console import UNCUT, show_progress
 from mbsrun.lab.case import Case, Finding, Verdict, judge
 from mbsrun.lab.cases import CASES
 from mbsrun.lab.maps import draw_maps, measure_maps
-from mbsrun.lab.record import name_verdict, open_bench, run_cases, write_findings
+from mbsrun.lab.runs import name_verdict, open_workspace, run_cases, write_findings
 
 NOT_MET = 1
 
@@ -61,7 +61,7 @@ def lab_command(
         findings = run_cases(cases, out, report, quick=quick)
         written += write_findings(cases, findings, out)
         if maps or (maps is None and not names):
-            written += draw_maps(measure_maps(open_bench(out), report, quick=quick), out)
+            written += draw_maps(measure_maps(open_workspace(out), report, quick=quick), out)
     _print_verdicts(cases, findings)
     click.echo(f"wrote {', '.join(map(str, written))}", err=True)
     context.exit(0 if all(finding.is_met for finding in findings) else NOT_MET)

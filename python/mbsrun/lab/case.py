@@ -56,7 +56,7 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Bench:
+class Workspace:
     """Where a trial works."""
 
     folder: Path  # for model files
@@ -69,7 +69,7 @@ class Trial:
     """A part of a case that is measured, and kept, by itself."""
 
     name: str
-    measure: Callable[[Bench], list[Finding]]
+    measure: Callable[[Workspace], list[Finding]]
     is_long: bool = False
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from mbsrun.lab.case import Bench, Finding, Loss, check, demand
+from mbsrun.lab.case import Finding, Loss, Workspace, check, demand
 from mbsrun.lab.digits import KERNELS, RESIDUAL, Specimen, U, check_told, measure_losses, read, relate, specimen
 from mbsrun.lab.interpretation import LongChain, eliminate
 from mbsrun.lab.mechanisms import States, describe_spatial, describe_straight, draw, round_to_single, write
@@ -26,25 +26,27 @@ HARMLESS: Mapping[str, Sequence[float]] = {
 }
 
 
-def measure_chain(bench: Bench, mechanism: str, size: int, text: str, states: States) -> tuple[Specimen, list[Loss]]:
+def measure_chain(
+    workspace: Workspace, mechanism: str, size: int, text: str, states: States
+) -> tuple[Specimen, list[Loss]]:
     """Measure a chain of equal rods."""
-    chosen = specimen(bench, text, *ALL)
-    return chosen, measure_losses(bench, mechanism, size, chosen, states)
+    chosen = specimen(workspace, text, *ALL)
+    return chosen, measure_losses(workspace, mechanism, size, chosen, states)
 
 
-def measure_straight(bench: Bench, size: int) -> list[Finding]:
+def measure_straight(workspace: Workspace, size: int) -> list[Finding]:
     """F01: EXP2 keeps 1e-12 at any length; EXP1 has what the condition of M leaves; residuals are not touched."""
     states = draw(size, [size], q=0.0)
-    chosen, losses = measure_chain(bench, "straight chain", size, describe_straight(size), states)
+    chosen, losses = measure_chain(workspace, "straight chain", size, describe_straight(size), states)
     bounds = {"EXP1": 10 * ROUNDING * losses[0].condition, "EXP2": 1e-12}
     return [_check_error(x, bounds[x.way]) for x in losses] + _check_residuals(chosen, states)
 
 
-def measure_long(bench: Bench, kind: str, size: int) -> list[Finding]:
+def measure_long(workspace: Workspace, kind: str, size: int) -> list[Finding]:
     """F01, F02 beyond what is written in C: EXP2 and IMPL interpreted; EXP1 and SEMI, with n^2 entries, in loops."""
     is_straight = kind == "straight"
     text = describe_straight(size) if is_straight else describe_spatial(size)
-    chain = LongChain(write(bench.folder, text), size)
+    chain = LongChain(write(workspace.folder, text), size)
     states = draw(size, [size], q=0.0 if is_straight else None)
     (exact,) = chain.find_exact(states)
     condition = float(np.linalg.cond(exact.M))
@@ -70,25 +72,25 @@ def measure_long(bench: Bench, kind: str, size: int) -> list[Finding]:
     return findings
 
 
-def measure_spatial(bench: Bench, size: int) -> list[Finding]:
+def measure_spatial(workspace: Workspace, size: int) -> list[Finding]:
     """F02: 100 u sqrt(cond M) for EXP2, 10 u cond M for EXP1."""
     states = draw(size, [size])
-    chosen, losses = measure_chain(bench, "spatial chain", size, describe_spatial(size), states)
+    chosen, losses = measure_chain(workspace, "spatial chain", size, describe_spatial(size), states)
     condition = losses[0].condition
     bounds = {"EXP1": 10 * ROUNDING * condition, "EXP2": 100 * ROUNDING * np.sqrt(condition)}
     return [_check_error(x, bounds[x.way]) for x in losses] + _check_residuals(chosen, states)
 
 
-def weigh_tip(bench: Bench, size: int, ratio: float) -> list[Loss]:
+def weigh_tip(workspace: Workspace, size: int, ratio: float) -> list[Loss]:
     """Measure a chain whose last rod is `ratio` times as heavy."""
-    chosen = specimen(bench, describe_spatial(size, [1.0] * (size - 1) + [ratio]), *ALL)
-    return measure_losses(bench, "heavy tip", ratio, chosen, draw(size, [size]))
+    chosen = specimen(workspace, describe_spatial(size, [1.0] * (size - 1) + [ratio]), *ALL)
+    return measure_losses(workspace, "heavy tip", ratio, chosen, draw(size, [size]))
 
 
-def measure_heavy_tip(bench: Bench, size: int, ratio: float) -> list[Finding]:
+def measure_heavy_tip(workspace: Workspace, size: int, ratio: float) -> list[Finding]:
     """F03: errors as the scaled condition allows, small backward errors, and digits lost are told."""
     findings = []
-    for loss in weigh_tip(bench, size, ratio):
+    for loss in weigh_tip(workspace, size, ratio):
         if loss.error is None:
             findings.append(_check_failure(loss))
             continue
@@ -96,7 +98,7 @@ def measure_heavy_tip(bench: Bench, size: int, ratio: float) -> list[Finding]:
         findings.append(_check_error(loss, allowed))
         findings.append(check(loss.way, "backward error", read(loss.backward), 1e-14))
         findings.append(check_told(loss))
-    chosen = specimen(bench, describe_spatial(size, [1.0] * (size - 1) + [ratio]), *ALL)
+    chosen = specimen(workspace, describe_spatial(size, [1.0] * (size - 1) + [ratio]), *ALL)
     return findings + _check_residuals(chosen, draw(size, [size]))
 
 
@@ -108,17 +110,17 @@ def _check_failure(loss: Loss) -> Finding:
     return demand(loss.way, "status where digits are gone", is_due, f"status at {loss.failed}; {told} is told")
 
 
-def weigh_links(bench: Bench, factors: Sequence[float]) -> tuple[Specimen, States, list[Loss]]:
+def weigh_links(workspace: Workspace, factors: Sequence[float]) -> tuple[Specimen, States, list[Loss]]:
     """Measure a chain with light and heavy rods, where all accelerations are of order 1."""
     n = len(factors)
-    chosen = specimen(bench, describe_spatial(n, factors), *ALL)
+    chosen = specimen(workspace, describe_spatial(n, factors), *ALL)
     states = chosen.balance(draw(n, [3, 4, 5]))
-    return chosen, states, measure_losses(bench, "harmless ratio", max(factors) / min(factors), chosen, states)
+    return chosen, states, measure_losses(workspace, "harmless ratio", max(factors) / min(factors), chosen, states)
 
 
-def measure_harmless(bench: Bench, factors: Sequence[float]) -> list[Finding]:
+def measure_harmless(workspace: Workspace, factors: Sequence[float]) -> list[Finding]:
     """F04: forces are such that all accelerations are of order 1; M is ill conditioned, but not when it is scaled."""
-    chosen, states, losses = weigh_links(bench, factors)
+    chosen, states, losses = weigh_links(workspace, factors)
     findings = [_check_error(x, NO_ALARM) for x in losses]
     for x in losses:
         told = float("inf") if x.told is None else x.told
@@ -126,13 +128,13 @@ def measure_harmless(bench: Bench, factors: Sequence[float]) -> list[Finding]:
     return findings + _check_residuals(chosen, states, bound=NO_ALARM)
 
 
-def measure_single(bench: Bench, kind: str, size: int) -> list[Finding]:
+def measure_single(workspace: Workspace, kind: str, size: int) -> list[Finding]:
     """F15: EXP2 has 1e-5; EXP1 has two digits, or a status."""
     text = describe_straight(size) if kind == "straight" else describe_spatial(size)
-    chosen = specimen(bench, text, *ALL)
+    chosen = specimen(workspace, text, *ALL)
     states = round_to_single(draw(size, SEEDS, q=0.0 if kind == "straight" else None))
     findings = []
-    for loss in measure_losses(bench, f"{kind} chain", size, chosen, states, "float32"):
+    for loss in measure_losses(workspace, f"{kind} chain", size, chosen, states, "float32"):
         if loss.error is None:
             is_right = loss.way.startswith("EXP1") and loss.failed.startswith("q")
             findings.append(demand(loss.way, "status", is_right, f"status at {loss.failed}"))

@@ -7,7 +7,7 @@ import os
 import numpy as np
 
 from mbsgen.errors import MbsError
-from mbsrun.lab.case import Bench, Finding, check, demand
+from mbsrun.lab.case import Finding, Workspace, check, demand
 from mbsrun.lab.digits import KERNELS, specimen
 from mbsrun.lab.mechanisms import describe_spatial, draw
 from mbsrun.library import find_compiler
@@ -20,9 +20,9 @@ VARIANTS = tuple(
 )
 
 
-def measure_flags(bench: Bench) -> list[Finding]:
+def measure_flags(workspace: Workspace) -> list[Finding]:
     """F14: optimisation and contraction change results by roundings only."""
-    chosen, states = specimen(bench, describe_spatial(5), *KERNELS.values()), draw(5, range(8))
+    chosen, states = specimen(workspace, describe_spatial(5), *KERNELS.values()), draw(5, range(8))
     findings = []
     for way, kernel in KERNELS.items():
         found = [compile_kernel(chosen.subject, kernel, variant).evaluate(states)[1] for variant in VARIANTS]
@@ -36,7 +36,7 @@ def measure_flags(bench: Bench) -> list[Finding]:
     return findings
 
 
-def measure_refusals(bench: Bench) -> list[Finding]:
+def measure_refusals(workspace: Workspace) -> list[Finding]:
     """F14: what gives up IEEE arithmetic is refused, and numbers below 1e-308 survive in the process that loads."""
     findings = []
     for flag in REFUSED:
@@ -46,7 +46,7 @@ def measure_refusals(bench: Bench) -> list[Finding]:
             findings.append(demand("flags of compilers", "refusal", True, f"{flag} is refused"))
         else:
             findings.append(demand("flags of compilers", "refusal", False, f"{flag} is accepted"))
-    chosen = specimen(bench, describe_spatial(2), *KERNELS.values())
+    chosen = specimen(workspace, describe_spatial(2), *KERNELS.values())
     for way, kernel in KERNELS.items():
         chosen.evaluate(kernel, draw(2, [1]))
         half = float(np.array([1e-310])[0] * 0.5)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsrun.external import Mechanism
-from mbsrun.lab.case import Bench, Finding, check, demand, find_worst
+from mbsrun.lab.case import Finding, Workspace, check, demand, find_worst
 from mbsrun.lab.digits import KERNELS, U
 from mbsrun.lab.mechanisms import describe_spatial, draw, write
 from mbsrun.models import Extent, find_folder
@@ -23,10 +23,10 @@ POINTS = 20  # at which patterns are looked at
 VARIABLES = {"IMPL": ("q", "qd", "qdd"), "SEMI": ("q", "qd", "qdd"), "EXP1": ("q", "qd", "u"), "EXP2": ("q", "qd", "u")}
 
 
-def measure_derivatives(bench: Bench, size: int) -> list[Finding]:
+def measure_derivatives(workspace: Workspace, size: int) -> list[Finding]:
     """F25: Jacobians to 1e-10 of differences, remainders of order 2, symmetric Hessians, no entry more than needed."""
     extent = Extent((*KERNELS.values(),), 2)
-    plant = Mechanism(find_folder(write(bench.folder, describe_spatial(size)), extent))
+    plant = Mechanism(find_folder(write(workspace.folder, describe_spatial(size)), extent))
     findings = []
     for way, kernel in KERNELS.items():
         inputs = [a.name for a in plant.manifest.kernel(kernel).inputs]

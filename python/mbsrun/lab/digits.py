@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsrun.lab.case import Bench, Finding, Loss, check, tell
+from mbsrun.lab.case import Finding, Loss, Workspace, check, tell
 from mbsrun.lab.mechanisms import State, States, write
 from mbsrun.measuring.candidates import Found, compile_kernel
 from mbsrun.measuring.functions import Precision, Variant
@@ -118,9 +118,9 @@ class Specimen:
         return np.asarray((columns[1:] - columns[0]).T)
 
 
-def specimen(bench: Bench, text: str, *functions: str, without: tuple[str, ...] = ()) -> Specimen:
+def specimen(workspace: Workspace, text: str, *functions: str, without: tuple[str, ...] = ()) -> Specimen:
     """Write a model file, and take it."""
-    return Specimen(write(bench.folder, text), functions, without)
+    return Specimen(write(workspace.folder, text), functions, without)
 
 
 def relate(found: Array, exact: Array) -> float:
@@ -129,7 +129,7 @@ def relate(found: Array, exact: Array) -> float:
 
 
 def measure_losses(
-    bench: Bench,
+    workspace: Workspace,
     mechanism: str,
     number: float,
     chosen: Specimen,
@@ -137,9 +137,9 @@ def measure_losses(
     precision: Precision = "float64",
 ) -> list[Loss]:
     """Compute accelerations by EXP1 and EXP2 in all states; what was measured before is taken from the store."""
-    told = (bench.program, mechanism, number, chosen.subject.model.read_bytes(), chosen.subject.extent, precision)
+    told = (workspace.program, mechanism, number, chosen.subject.model.read_bytes(), chosen.subject.extent, precision)
     key = (*told, [(name, x.tobytes()) for name, x in sorted(states.items())])
-    return bench.losses.find_or_measure(
+    return workspace.losses.find_or_measure(
         key, lambda: _measure_losses(mechanism, number, chosen, dict(states), precision)
     )
 

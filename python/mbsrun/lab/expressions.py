@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsrun.lab.case import Bench, Finding, check, show_failure
+from mbsrun.lab.case import Finding, Workspace, check, show_failure
 from mbsrun.lab.digits import EXPLICIT, KERNELS, RESIDUAL, Specimen, U, relate, specimen
 from mbsrun.lab.mechanisms import describe_spatial, draw
 
@@ -42,11 +42,11 @@ WRITTEN = {"one sine of the sum": (), "addition theorems": ("share_frames",)}
 SIZES = (1e2, 1e4, 1e6, 1e8, 1e10, 1e12)  # of angles, rad
 
 
-def measure_spring(bench: Bench, distance: float) -> list[Finding]:
+def measure_spring(workspace: Workspace, distance: float) -> list[Finding]:
     """F10: the square of a length is not multiplied out, so it is as right as the differences written by hand."""
     q = REST + distance * (1 + np.arange(20) / 20)
     states = {"q": q[:, None], "qd": np.zeros((20, 1)), "qdd": np.zeros((20, 1)), "u": np.zeros((20, 0))}
-    chosen = specimen(bench, _SPRING, "impl", "semi_res", "exp1", "exp2")
+    chosen = specimen(workspace, _SPRING, "impl", "semi_res", "exp1", "exp2")
     exact = chosen.find_exact(states)
     forces = np.array([float(x.moment.residual()[0]) for x in exact])
     by_hand = STIFFNESS * ((np.cos(q) - np.cos(REST)) ** 2 + (np.sin(q) - np.sin(REST)) ** 2)
@@ -67,9 +67,9 @@ def measure_spring(bench: Bench, distance: float) -> list[Finding]:
     return findings
 
 
-def measure_inverse(bench: Bench, size: int) -> list[Finding]:
+def measure_inverse(workspace: Workspace, size: int) -> list[Finding]:
     """F11: equations are eliminated, not multiplied by an adjugate: few divisions, and the errors of elimination."""
-    chosen = specimen(bench, describe_spatial(size), *EXPLICIT.values())
+    chosen = specimen(workspace, describe_spatial(size), *EXPLICIT.values())
     states = draw(size, range(5))
     findings = []
     exact = chosen.find_exact(states)
@@ -82,12 +82,12 @@ def measure_inverse(bench: Bench, size: int) -> list[Finding]:
     return findings
 
 
-def measure_sums(bench: Bench, parallel: int) -> list[Finding]:
+def measure_sums(workspace: Workspace, parallel: int) -> list[Finding]:
     """F12: the last joint's torque at rest is the cosine, or the sine, of a sum of angles."""
     findings = []
     for label, without in WRITTEN.items():
         for com in ("[1, 0, 0]", "[0, 1, 0]"):
-            chosen = specimen(bench, _describe_arm(parallel, com), "impl", without=without)
+            chosen = specimen(workspace, _describe_arm(parallel, com), "impl", without=without)
             for size in SIZES:
                 angles = _draw_angles(parallel, size)
                 lost, bounds = _measure_torques(chosen, angles), 4 * ROUNDING * (1 + np.abs(angles).sum(axis=1))
@@ -100,11 +100,11 @@ def measure_sums(bench: Bench, parallel: int) -> list[Finding]:
     return findings
 
 
-def measure_huge(bench: Bench) -> list[Finding]:
+def measure_huge(workspace: Workspace) -> list[Finding]:
     """F13: M and c some 16 million turns away."""
     findings = []
     for label, without in WRITTEN.items():
-        chosen = specimen(bench, _describe_arm(3, "[1, 0, 0]"), "semi", without=without)
+        chosen = specimen(workspace, _describe_arm(3, "[1, 0, 0]"), "semi", without=without)
         states = draw(4, range(10))
         states["q"] = states["q"] + 2 * np.pi * np.round(1e8 / (2 * np.pi))
         bounds = 4 * ROUNDING * (1 + np.abs(states["q"]).sum(axis=1)) if not without else np.full(10, 1e-13)
@@ -117,9 +117,9 @@ def measure_huge(bench: Bench) -> list[Finding]:
     return findings
 
 
-def measure_sine(bench: Bench) -> list[Finding]:
+def measure_sine(workspace: Workspace) -> list[Finding]:
     """F13: the argument is reduced by all digits of pi (Ng, 1992); the torque of a pendulum is its sine."""
-    chosen = specimen(bench, _PENDULUM, "impl")
+    chosen = specimen(workspace, _PENDULUM, "impl")
     states = {name: np.zeros((1, 1)) for name in ("qd", "qdd", "u")} | {"q": np.array([[1e22]])}
     torque = chosen.evaluate("impl", states)[1][0]["Phi"][0, 0]
     error = abs(float(torque) - SINE) / abs(SINE)

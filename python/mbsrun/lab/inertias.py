@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from mbsgen.errors import InputError
-from mbsrun.lab.case import Bench, Finding, check, demand, show_failure
+from mbsrun.lab.case import Finding, Workspace, check, demand, show_failure
 from mbsrun.lab.digits import EXPLICIT, KERNELS, RESIDUAL, U, relate, specimen
 from mbsrun.lab.mechanisms import describe_spatial, draw, round_to_single, write
 from mbsrun.measuring.functions import Precision
@@ -65,26 +65,26 @@ bodies:
 """
 
 
-def measure_strange(bench: Bench, name: str) -> list[Finding]:
+def measure_strange(workspace: Workspace, name: str) -> list[Finding]:
     """F07: refused with line and path."""
     try:
-        find_folder(write(bench.folder, _BODY.format(**STRANGE[name])), Extent(("impl",), 0))
+        find_folder(write(workspace.folder, _BODY.format(**STRANGE[name])), Extent(("impl",), 0))
     except InputError as error:
         fault = error.faults[0]
         return [demand("check of models", "refusal", fault.line > 0 and "bodies[0]" in fault.path, fault.finding)]
     return [demand("check of models", "refusal", False, "the model is accepted")]
 
 
-def measure_allowed(bench: Bench) -> list[Finding]:
+def measure_allowed(workspace: Workspace) -> list[Finding]:
     """F07: what published robots break is taken where the file says so."""
     text = _BODY.format(**STRANGE[ALLOWED]) + "allow_unphysical: true\n"
-    found = specimen(bench, text, "exp2").evaluate("exp2", draw(1, [1]))[1][0]
+    found = specimen(workspace, text, "exp2").evaluate("exp2", draw(1, [1]))[1][0]
     return [demand("check of models", "consent", np.isfinite(found["qdd"]).all(), f"{ALLOWED}: accepted")]
 
 
-def measure_sizes(bench: Bench, name: str) -> list[Finding]:
+def measure_sizes(workspace: Workspace, name: str) -> list[Finding]:
     """F08: from 1e-150 to 1e150 kg nothing overflows, and no status mistakes light for lost."""
-    chosen = specimen(bench, describe_spatial(6, SIZES[name]), *KERNELS.values())
+    chosen = specimen(workspace, describe_spatial(6, SIZES[name]), *KERNELS.values())
     states = chosen.balance(draw(6, [1, 2, 3]))
     exact = chosen.find_exact(states)
     findings = []
@@ -100,13 +100,13 @@ def measure_sizes(bench: Bench, name: str) -> list[Finding]:
     return findings
 
 
-def measure_offset(bench: Bench, offset: float, precision: Precision = "float64") -> list[Finding]:
+def measure_offset(workspace: Workspace, offset: float, precision: Precision = "float64") -> list[Finding]:
     """F09: with a centre of mass at c, what is left of I in m c2 is lost to 4 u (1 + m c2 / I), reduced or not."""
     square = offset**2 * (1 + 1 / 9 + 1 / 49)
     bound = 4 * U[precision] * (1 + square)
     findings = []
     for label, without in (("", ()), (", unreduced", TEXTBOOK)):
-        chosen = specimen(bench, _OFFSET.format(c=offset), *KERNELS.values(), without=without)
+        chosen = specimen(workspace, _OFFSET.format(c=offset), *KERNELS.values(), without=without)
         states = draw(3, range(5))
         states = round_to_single(states) if precision == "float32" else states
         exact = chosen.find_exact(states)

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy.special import ellipj
 
 from mbsrun.external import Mechanism
-from mbsrun.lab.case import Bench, Finding, check, demand, show_failure, tell
-from mbsrun.lab.mechanisms import BENCH, write
+from mbsrun.lab.case import Finding, Workspace, check, demand, show_failure, tell
+from mbsrun.lab.mechanisms import SLIDER_AND_BOB, write
 from mbsrun.models import Extent, find_folder
 from mbsrun.simulation.drive import hold
 from mbsrun.simulation.methods import Formulation
@@ -63,7 +63,7 @@ def swing(t: Array | float) -> Array:
     return np.asarray(2 * np.arcsin(k * cn / dn))
 
 
-def measure_baumgarte(_: Bench, step: float) -> list[Finding]:
+def measure_baumgarte(_: Workspace, step: float) -> list[Finding]:
     """F16: in x and y, on a constraint that Baumgarte's method stabilises: how far off the rod, and off the place."""
     gains = sorted({*(x / (100 * step) for x in GAINS), DEFAULT_GAIN})
     swings = {gain: swing_freely(gain, step) for gain in gains}
@@ -83,9 +83,9 @@ def measure_baumgarte(_: Bench, step: float) -> list[Finding]:
     return findings
 
 
-def measure_place(bench: Bench, step: float) -> list[Finding]:
+def measure_place(workspace: Workspace, step: float) -> list[Finding]:
     """F16: in the joint's coordinate no drift is possible; the place errs no more than in x and y without gains."""
-    plant, findings = _load(bench), []
+    plant, findings = _load(workspace), []
     free = swing_freely(0.0, step)
     for formulation in Formulation:
         motion = _run(plant, LEVEL, duration=10.0, method="rk4", step=step, formulation=formulation)
@@ -133,9 +133,9 @@ def _add(state: tuple[float, ...], rate: tuple[float, ...], step: float) -> tupl
     return tuple(a + step * b for a, b in zip(state, rate, strict=True))
 
 
-def measure_orders(bench: Bench) -> list[Finding]:
+def measure_orders(workspace: Workspace) -> list[Finding]:
     """F17: halving the step divides the error by 2^order, to a tenth of an order."""
-    plant, findings = _load(bench), []
+    plant, findings = _load(workspace), []
     for way, settings, order, step in ORDERS:
         pair = [_run(plant, LEVEL, duration=0.8, step=h, **settings) for h in (step, step / 2)]
         errors = [abs(float(x.q[-1, 0] - swing(0.8))) for x in pair]
@@ -144,9 +144,9 @@ def measure_orders(bench: Bench) -> list[Finding]:
     return findings
 
 
-def measure_runge_kutta(bench: Bench, *, long: bool) -> list[Finding]:
+def measure_runge_kutta(workspace: Workspace, *, long: bool) -> list[Finding]:
     """F17: the energy that RK4 loses goes with T h^5, and a small one does not tell that the phase is right."""
-    plant, T = _load(bench), 2000.0 if long else 200.0
+    plant, T = _load(workspace), 2000.0 if long else 200.0
     runs = [_run(plant, LEVEL, duration=t, method="rk4", step=h) for t, h in ((T, 1e-2), (T / 2, 1e-2), (T, 5e-3))]
     whole, half, fine = (_drift(motion) for motion in runs)
     way = "RK4"
@@ -163,9 +163,9 @@ def measure_runge_kutta(bench: Bench, *, long: bool) -> list[Finding]:
     return findings
 
 
-def measure_midpoint(bench: Bench, duration: float = 20.0) -> list[Finding]:
+def measure_midpoint(workspace: Workspace, duration: float = 20.0) -> list[Finding]:
     """F17: Gauss collocation bounds the energy error at any time, while the place is off by more and more."""
-    motion = _run(_load(bench), LEVEL, duration=duration, method="gauss", stages=1, step=1e-2)
+    motion = _run(_load(workspace), LEVEL, duration=duration, method="gauss", stages=1, step=1e-2)
     assert motion.energy is not None, "the pendulum's energies do not overflow"
     drift = np.abs(motion.energy.total - motion.energy.total[0])
     middle = len(motion.t) // 2
@@ -179,7 +179,7 @@ def measure_midpoint(bench: Bench, duration: float = 20.0) -> list[Finding]:
     ]
 
 
-def measure_damping(bench: Bench) -> list[Finding]:
+def measure_damping(workspace: Workspace) -> list[Finding]:
     """F17: implicit Euler takes energy out; where it stands beside the midpoint rule, of ten times the step."""
     runs = {
         "implicit Euler, h = 1e-3 s": {"method": "radau-iia", "stages": 1, "step": 1e-3},
@@ -187,7 +187,7 @@ def measure_damping(bench: Bench) -> list[Finding]:
     }
     findings = []
     for way, settings in runs.items():
-        motion = _run(_load(bench), LEVEL, duration=10.0, **settings)
+        motion = _run(_load(workspace), LEVEL, duration=10.0, **settings)
         judge = show_failure if way.startswith("implicit") else check
         findings.append(
             judge(way, "error of the place in 10 s [m]", _miss(motion), 1e-2, f"energy off by {_lose(motion):.1e} J")
@@ -195,9 +195,9 @@ def measure_damping(bench: Bench) -> list[Finding]:
     return findings
 
 
-def measure_explicit(bench: Bench, durations: Sequence[float] = (0.025, 0.05, 0.1)) -> list[Finding]:
+def measure_explicit(workspace: Workspace, durations: Sequence[float] = (0.025, 0.05, 0.1)) -> list[Finding]:
     """F18: explicit methods need steps of 2.8 / lambda, and say that the motion is stiff where they pay for it."""
-    plant = _load(bench).with_parameters(**STIFF)
+    plant = _load(workspace).with_parameters(**STIFF)
     stable = _run(plant, CREEP, duration=0.05, method="rk4", step=2.0e-5)
     unstable = _run(plant, CREEP, duration=0.5, method="rk4", step=2.2e-5)
     findings = [
@@ -224,9 +224,9 @@ def measure_explicit(bench: Bench, durations: Sequence[float] = (0.025, 0.05, 0.
     return findings
 
 
-def measure_implicit(bench: Bench) -> list[Finding]:
+def measure_implicit(workspace: Workspace) -> list[Finding]:
     """F18: implicit methods take long steps through stiff motion; the slider creeps back as exp(-k/c t)."""
-    plant = _load(bench).with_parameters(**STIFF)
+    plant = _load(workspace).with_parameters(**STIFF)
     findings = []
     for method in ("radau", "bdf"):
         runs = [_run(plant, CREEP, duration=10.0, method=method, rtol=x, atol=x) for x in (1.5e-6, 1.5e-7)]
@@ -251,8 +251,8 @@ def measure_implicit(bench: Bench) -> list[Finding]:
     return findings
 
 
-def _load(bench: Bench) -> Mechanism:
-    return Mechanism(find_folder(write(bench.folder, BENCH), EXTENT))
+def _load(workspace: Workspace) -> Mechanism:
+    return Mechanism(find_folder(write(workspace.folder, SLIDER_AND_BOB), EXTENT))
 
 
 def _run(plant: Mechanism, start: Sequence[float], **settings: Any) -> Motion:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mbsgen.errors import InputError
-from mbsrun.lab.case import Bench, Finding, Loss, check, demand, show_failure
+from mbsrun.lab.case import Finding, Loss, Workspace, check, demand, show_failure
 from mbsrun.lab.digits import (
     ABOVE,
     EXPLICIT,
@@ -60,21 +60,21 @@ WEIGHTLESS = {
 }
 
 
-def approach(bench: Bench, lock: str, distance: float) -> tuple[Specimen, States, list[Loss]]:
+def approach(workspace: Workspace, lock: str, distance: float) -> tuple[Specimen, States, list[Loss]]:
     """Measure five states with the second joint `distance` from where the first one locks."""
     is_elbow = lock == "elbow"
     text = describe_elbow() if is_elbow else describe_lock(LOCKS[lock])
-    chosen = specimen(bench, text, *EXPLICIT.values(), *RESIDUAL.values(), "condition")
+    chosen = specimen(workspace, text, *EXPLICIT.values(), *RESIDUAL.values(), "condition")
     states = draw(2 if is_elbow else 3, SEEDS)
     states["q"][:, 1] = (np.pi / 2 if lock == "Cardan" else 0.0) - distance
-    return chosen, states, measure_losses(bench, lock, distance, chosen, states)
+    return chosen, states, measure_losses(workspace, lock, distance, chosen, states)
 
 
-def measure_lock(bench: Bench, lock: str, distances: Sequence[float] = DISTANCES) -> list[Finding]:
+def measure_lock(workspace: Workspace, lock: str, distances: Sequence[float] = DISTANCES) -> list[Finding]:
     """F05: six digits, or a status that names the joint; residuals are finite and right."""
     findings = []
     for distance in distances:
-        chosen, states, losses = approach(bench, lock, distance)
+        chosen, states, losses = approach(workspace, lock, distance)
         findings += [_check_loss(x) for x in losses]
         findings += [check_told(x) for x in losses if x.error is not None]
         if lock == "Cardan" and distance >= SAFE:
@@ -83,9 +83,9 @@ def measure_lock(bench: Bench, lock: str, distances: Sequence[float] = DISTANCES
     return findings
 
 
-def measure_small_bound(bench: Bench) -> list[Finding]:
+def measure_small_bound(workspace: Workspace) -> list[Finding]:
     """F05: failing below n u 1000 of an entry of M, and no earlier, EXP1 would be wrong in silence near a lock."""
-    chosen = specimen(bench, describe_lock(LOCKS["Cardan"]), *EXPLICIT.values(), *RESIDUAL.values(), "condition")
+    chosen = specimen(workspace, describe_lock(LOCKS["Cardan"]), *EXPLICIT.values(), *RESIDUAL.values(), "condition")
     silent = []
     for distance in DISTANCES:
         states = draw(3, SEEDS)
@@ -101,12 +101,12 @@ def measure_small_bound(bench: Bench) -> list[Finding]:
     return [show_failure(way, "error without a status", error, SIX_DIGITS, remark)]
 
 
-def measure_weightless(bench: Bench, name: str) -> list[Finding]:
+def measure_weightless(workspace: Workspace, name: str) -> list[Finding]:
     """F06: refused with the model, by the joint's name; where a run-time parameter makes it so, a status names it."""
-    refused = write(bench.folder, _ARM.format(value=0, kind="constant") + WEIGHTLESS[name])
+    refused = write(workspace.folder, _ARM.format(value=0, kind="constant") + WEIGHTLESS[name])
     findings = [_check_refusal(refused)]
     text = _ARM.format(value=1, kind="runtime") + WEIGHTLESS[name]
-    chosen = specimen(bench, text, *KERNELS.values())
+    chosen = specimen(workspace, text, *KERNELS.values())
     pair = {x: np.array([[0.3, 0.2]]) for x in ("q", "qd", "qdd")} | {"u": np.array([[1.0, 0.5]])}
     hidden = chosen.subject.kernels("setup", p=[0.0])
     states = {**pair, **{key: value[None] for key, value in hidden.items()}}

@@ -16,12 +16,11 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from mbsrun.lab import chains, locks
-from mbsrun.lab.case import Bench, Loss, Report
+from mbsrun.lab.case import Loss, Report, Workspace
 from mbsrun.lab.digits import EXPLICIT
 from mbsrun.lab.mechanisms import describe_spatial, describe_straight, draw
-from mbsrun.lab.record import write_table
 from mbsrun.measuring.pictures import save_picture
-from mbsrun.measuring.sections import Caption, Outline, write_outline
+from mbsrun.measuring.sections import Caption, Outline, Table, write_outline, write_table
 
 LENGTHS = (2, 5, 10, 20)
 RATIOS = tuple(10.0**k for k in range(0, 13, 2))
@@ -64,13 +63,13 @@ OUTLINE = Outline(
 )
 
 
-def measure_maps(bench: Bench, report: Report, *, quick: bool = False) -> list[Loss]:
+def measure_maps(workspace: Workspace, report: Report, *, quick: bool = False) -> list[Loss]:
     """Measure what the maps show; what cases measured is taken from the store."""
     lengths, ratios = (LENGTHS[:2], RATIOS[::3]) if quick else (LENGTHS, RATIOS)
-    jobs = [partial(chains.weigh_tip, bench, size, ratio) for size in lengths for ratio in ratios]
-    jobs += [partial(_take_lock, bench, lock, d) for lock in ("Cardan", "wrist", "elbow") for d in locks.DISTANCES]
-    jobs += [partial(_take_harmless, bench, factors) for factors in chains.HARMLESS.values()]
-    jobs += [partial(_take_chain, bench, kind, size) for kind in ("straight", "spatial") for size in lengths]
+    jobs = [partial(chains.weigh_tip, workspace, size, ratio) for size in lengths for ratio in ratios]
+    jobs += [partial(_take_lock, workspace, lock, d) for lock in ("Cardan", "wrist", "elbow") for d in locks.DISTANCES]
+    jobs += [partial(_take_harmless, workspace, factors) for factors in chains.HARMLESS.values()]
+    jobs += [partial(_take_chain, workspace, kind, size) for kind in ("straight", "spatial") for size in lengths]
     losses: list[Loss] = []
     for done, job in enumerate(jobs):
         report("maps", done, len(jobs))
@@ -95,27 +94,27 @@ def draw_maps(losses: Sequence[Loss], folder: Path) -> list[Path]:
     return [*paths, write_outline(OUTLINE, folder)]
 
 
-def _take_lock(bench: Bench, lock: str, distance: float) -> list[Loss]:
-    return locks.approach(bench, lock, distance)[2]
+def _take_lock(workspace: Workspace, lock: str, distance: float) -> list[Loss]:
+    return locks.approach(workspace, lock, distance)[2]
 
 
-def _take_harmless(bench: Bench, factors: Sequence[float]) -> list[Loss]:
-    return chains.weigh_links(bench, factors)[2]
+def _take_harmless(workspace: Workspace, factors: Sequence[float]) -> list[Loss]:
+    return chains.weigh_links(workspace, factors)[2]
 
 
-def _take_chain(bench: Bench, kind: str, size: int) -> list[Loss]:
+def _take_chain(workspace: Workspace, kind: str, size: int) -> list[Loss]:
     text, q = (describe_straight(size), 0.0) if kind == "straight" else (describe_spatial(size), None)
-    return chains.measure_chain(bench, f"{kind} chain", size, text, draw(size, [size], q=q))[1]
+    return chains.measure_chain(workspace, f"{kind} chain", size, text, draw(size, [size], q=q))[1]
 
 
 def _write(losses: Sequence[Loss], name: str, title: str, folder: Path) -> list[Path]:
-    rows = [[asdict(loss)[key] for key in _COLUMNS] for loss in losses]
+    rows = tuple(tuple(asdict(loss)[key] for key in _COLUMNS) for loss in losses)
     note = (
         "number: ratio of masses, or distance from the lock [rad]; condition, scaled: of the mass matrix, and of it "
         "scaled to a diagonal of ones; told: the error to expect by the kernel `condition`, empty where it promises "
         "no digit; error: of accelerations against 50 digits, empty where a status named a joint instead"
     )
-    return write_table(folder, name, title, _COLUMNS, rows, note)
+    return write_table(Table(title, _COLUMNS, rows, note), folder, name)
 
 
 def _list_locks(losses: Sequence[Loss]) -> list[str]:

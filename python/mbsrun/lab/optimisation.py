@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsrun.external import Mechanism
-from mbsrun.lab.case import Bench, Finding, check, demand, tell
+from mbsrun.lab.case import Finding, Workspace, check, demand, tell
 from mbsrun.lab.mechanisms import CART_POLE, LOCKS, SLIDE, UNSTABLE, describe_lock, write
 from mbsrun.models import Extent, find_folder
 from mbsrun.ocp import schemes
@@ -96,27 +96,27 @@ def state_catch(intervals: int, degree: int) -> Problem:
     )
 
 
-def measure_meshes(bench: Bench) -> list[Finding]:
+def measure_meshes(workspace: Workspace) -> list[Finding]:
     """F19: the solver succeeds on every mesh; the defect by re-simulation tells which to believe."""
     findings = []
     for representation in Representation:
         defects = {}
         for intervals in (4, 10, 20, 40):  # three constant inputs cannot meet four conditions at the end
             problem = replace(state_swing_up(intervals, 3), representation=representation)
-            found, defects[intervals] = _try_mesh(bench, problem)
+            found, defects[intervals] = _try_mesh(workspace, problem)
             findings.append(found)
         order = _find_orders([defects[n] for n in (10, 20, 40)]).min()
         findings.append(check(representation.value, "order of defects missing", 2 - order, 0, f"order {order:.1f}"))
     return findings
 
 
-def measure_lowest_degree(bench: Bench) -> list[Finding]:
+def measure_lowest_degree(workspace: Workspace) -> list[Finding]:
     """F19: at degree 1 even 1280 intervals are not accurate; the report does not call them so."""
     findings = []
     for representation in (Representation.IMPL, Representation.EXP2_O):
         meshes = (20, 80, 320, 1280)
         problems = [replace(state_swing_up(n, 1), representation=representation) for n in meshes]
-        pairs = [_try_mesh(bench, problem) for problem in problems]
+        pairs = [_try_mesh(workspace, problem) for problem in problems]
         findings += [found for found, _ in pairs]
         order = (
             float(_find_orders([defect for _, defect in pairs[1:]]).min()) / 2
@@ -126,9 +126,9 @@ def measure_lowest_degree(bench: Bench) -> list[Finding]:
     return findings
 
 
-def measure_control_grid(bench: Bench, degree: int) -> list[Finding]:
+def measure_control_grid(workspace: Workspace, degree: int) -> list[Finding]:
     """F19: with 20 constant inputs, and 1 to 32 steps of Radau in each, cost and defect have order 2d - 1."""
-    plant, findings = _load(bench, CART_POLE), []
+    plant, findings = _load(workspace, CART_POLE), []
     theory = 2 * degree - 1
     for representation in GRID_WAYS:
         stated = replace(state_swing_up(20, 5), representation=representation, form=Form.SHOOTING, steps=8)
@@ -153,9 +153,9 @@ def measure_control_grid(bench: Bench, degree: int) -> list[Finding]:
     return findings
 
 
-def _try_mesh(bench: Bench, problem: Problem) -> tuple[Finding, float]:
+def _try_mesh(workspace: Workspace, problem: Problem) -> tuple[Finding, float]:
     """Solve on a mesh that is too coarse: the defect, and whether the report says that it is not accurate."""
-    plant, way = _load(bench, CART_POLE), problem.representation.value
+    plant, way = _load(workspace, CART_POLE), problem.representation.value
     label = f"inaccuracy is told, degree {problem.degree}"
     outcome = solve(problem, plant)
     if isinstance(outcome, Failure):
@@ -181,9 +181,9 @@ def _find_orders(errors: Sequence[float]) -> Array:
         return np.asarray(-np.diff(np.log2(np.array(errors, dtype=np.float64))))
 
 
-def measure_fine_mesh(bench: Bench) -> list[Finding]:
+def measure_fine_mesh(workspace: Workspace) -> list[Finding]:
     """F19: degree 5 and 80 intervals are accurate, and have one cost in all representations."""
-    plant, findings = _load(bench, CART_POLE), []
+    plant, findings = _load(workspace, CART_POLE), []
     first = solve(state_swing_up(80, 5), plant)
     if isinstance(first, Failure):
         return [demand(Representation.IMPL.value, "solved", False, first.finding)]
@@ -199,7 +199,7 @@ def measure_fine_mesh(bench: Bench) -> list[Finding]:
     return findings
 
 
-def measure_quadrature(_: Bench) -> list[Finding]:
+def measure_quadrature(_: Workspace) -> list[Finding]:
     """F20: weights sum to one, and integrate what a scheme of that degree integrates, at degree 1 too."""
     findings = []
     for family in Family:
@@ -215,9 +215,9 @@ def measure_quadrature(_: Bench) -> list[Finding]:
     return findings
 
 
-def measure_halved_cost(bench: Bench) -> list[Finding]:
+def measure_halved_cost(workspace: Workspace) -> list[Finding]:
     """F20: the force squared as an expression, at degree 1, is h |u|^2, and not half of it."""
-    plant, findings = _load(bench, CART_POLE), []
+    plant, findings = _load(workspace, CART_POLE), []
     for representation in Representation:
         problem = replace(state_swing_up(80, 1), representation=representation)
         problem = replace(problem, cost=Cost(running=(Term("u_cart**2", 1.0),)))
@@ -230,9 +230,9 @@ def measure_halved_cost(bench: Bench) -> list[Finding]:
     return findings
 
 
-def measure_minima(bench: Bench, representation: Representation) -> list[Finding]:
+def measure_minima(workspace: Workspace, representation: Representation) -> list[Finding]:
     """F21: forty starts, the same for all representations, reach three minima; what fails says so."""
-    plant = _load(bench, CART_POLE)
+    plant = _load(workspace, CART_POLE)
     problem = replace(state_swing_up(80, 3), representation=representation)
     solver, costs, failures = Solver(problem, plant), Counter[float](), Counter[str]()
     smooth = interpolate(problem, solver.transcription.scheme, np.array([1.0, np.pi]))
@@ -267,9 +267,9 @@ def judge_minima(way: str, costs: Mapping[float, int], failures: Mapping[str, in
     return findings
 
 
-def measure_runaway(bench: Bench, rate: float) -> list[Finding]:
+def measure_runaway(workspace: Workspace, rate: float) -> list[Finding]:
     """F22: motions grow by exp(rate T); collocation and multiple shooting bound the growth by intervals."""
-    plant, findings = _load(bench, UNSTABLE.format(rate=rate)), []
+    plant, findings = _load(workspace, UNSTABLE.format(rate=rate)), []
     stated = state_catch(40, 4)
     ways = {r.value: replace(stated, representation=r) for r in Representation}
     shooting = replace(stated, representation=Representation.EXP2_O, form=Form.SHOOTING)
@@ -288,9 +288,9 @@ def measure_runaway(bench: Bench, rate: float) -> list[Finding]:
     return findings
 
 
-def measure_statuses(bench: Bench) -> list[Finding]:
+def measure_statuses(workspace: Workspace) -> list[Finding]:
     """F23: what is not solved is a failure, with the status that says why; the guess is never the answer."""
-    plant = _load(bench, SLIDE)
+    plant = _load(workspace, SLIDE)
     return [
         judge_status(representation.value, name, wanted, attempt(plant, representation))
         for representation in Representation
@@ -307,9 +307,9 @@ def judge_status(way: str, name: str, wanted: str, outcome: Solution | Failure) 
     return demand(way, name, is_right, remark)
 
 
-def measure_locked_start(bench: Bench) -> list[Finding]:
+def measure_locked_start(workspace: Workspace) -> list[Finding]:
     """F23: a kernel that fails at the guess is no number for the solver: explicit forms at a lock; residuals go on."""
-    plant, findings = _load(bench, describe_lock(LOCKS["Cardan"])), []
+    plant, findings = _load(workspace, describe_lock(LOCKS["Cardan"])), []
     problem = Problem(
         name="locked",
         horizon=1.0,
@@ -378,5 +378,5 @@ ATTEMPTS: tuple[tuple[str, str, Attempt], ...] = (
 )
 
 
-def _load(bench: Bench, text: str) -> Mechanism:
-    return Mechanism(find_folder(write(bench.folder, text), EXTENT))
+def _load(workspace: Workspace, text: str) -> Mechanism:
+    return Mechanism(find_folder(write(workspace.folder, text), EXTENT))

@@ -72,7 +72,7 @@ class Reduction:
 
 
 @dataclass(frozen=True)
-class Depth:
+class FidelityScope:
     """How much is measured."""
 
     rounds: int = 40
@@ -80,7 +80,7 @@ class Depth:
     kernels: tuple[str, ...] = KERNELS
 
 
-QUICK = Depth(3, 8, ("impl", "exp2", "sensors"))
+QUICK = FidelityScope(3, 8, ("impl", "exp2", "sensors"))
 
 
 def list_reductions(model: Path, manifest: Manifest, scenes: Sequence[Path]) -> list[Reduction]:
@@ -101,11 +101,11 @@ def list_reductions(model: Path, manifest: Manifest, scenes: Sequence[Path]) -> 
     return reductions
 
 
-def take_whole(model: Path, depth: Depth) -> Subject:
+def take_whole(model: Path, scope: FidelityScope) -> Subject:
     """Take the whole model, with those of the kernels that it can have. Raises InputError where it cannot be read."""
     data = read_document(model).data
     has_sensors = isinstance(data, dict) and bool(data.get("frames"))
-    kernels = tuple(name for name in depth.kernels if name != "sensors" or has_sensors)
+    kernels = tuple(name for name in scope.kernels if name != "sensors" or has_sensors)
     return Subject(model, Extent(kernels, 0))
 
 
@@ -113,7 +113,7 @@ def measure_fidelity(
     whole: Subject,
     reductions: Sequence[Reduction],
     folder: Path,
-    depth: Depth,
+    scope: FidelityScope,
     report: Callable[[str, int, int], None],
 ) -> list[FidelityPoint]:
     """Measure all reductions, kernel by kernel; what was measured before is taken from the folder.
@@ -130,10 +130,10 @@ def measure_fidelity(
     names = whole.extent.functions or ()
     for done, kernel in enumerate(names):
         report(f"measuring: {kernel}", done, len(names))
-        about = (whole.manifest.generator, whole.manifest.model_hash, kernel, depth.rounds, depth.judged)
+        about = (whole.manifest.generator, whole.manifest.model_hash, kernel, scope.rounds, scope.judged)
         told = ("fidelity", *about, list(reductions), compiler.flags, compiler.macros)
-        bench = _Bench(whole, kernel, list(zip(reductions, subjects, strict=True)), depth)
-        points += store.find_or_measure(told, bench.measure)
+        comparison = KernelComparison(whole, kernel, list(zip(reductions, subjects, strict=True)), scope)
+        points += store.find_or_measure(told, comparison.measure)
     return points
 
 
@@ -190,13 +190,13 @@ def _generate(reduction: Reduction, extent: Extent, folder: Path) -> Subject | s
     return subject
 
 
-class _Bench:
+class KernelComparison:
     """A kernel of the whole model, and of all reductions."""
 
     def __init__(
-        self, whole: Subject, kernel: str, reduced: Sequence[tuple[Reduction, Subject | str]], depth: Depth
+        self, whole: Subject, kernel: str, reduced: Sequence[tuple[Reduction, Subject | str]], scope: FidelityScope
     ) -> None:
-        self.whole, self.kernel, self.reduced, self.depth = whole, kernel, reduced, depth
+        self.whole, self.kernel, self.reduced, self.scope = whole, kernel, reduced, scope
         self.states = draw_states(whole.manifest, whole.kernels.parameters, STATES)
 
     def measure(self) -> list[FidelityPoint]:
@@ -213,7 +213,7 @@ class _Bench:
         drafts = [self._judge(reduction, subject, first, candidate) for reduction, subject in self.reduced]
         watches = [Watch(candidate.code, candidate.code.lay(add_hidden(self.whole, self.states)))]
         watches += [watch for _, watch in drafts if watch is not None]
-        costs = iter(measure_costs(watches, self.depth.rounds))
+        costs = iter(measure_costs(watches, self.scope.rounds))
         whole = next(costs)
         points = [replace(first, ns=whole, ns_whole=whole)]
         for point, watch in drafts:
@@ -229,7 +229,7 @@ class _Bench:
         if self.kernel not in {k.name for k in subject.manifest.kernels}:
             return replace(point, finding="nothing is left of it"), None
         candidate = compile_kernel(subject, self.kernel, Variant())
-        judged = {name: values[: self.depth.judged] for name, values in self.states.items()}
+        judged = {name: values[: self.scope.judged] for name, values in self.states.items()}
         supposed = self._suppose(judged, reduction)
         errors = [self._compare(whole, candidate, subject, states) for states in (supposed, judged)]
         states = _reduce(self.states, self.whole.manifest, subject)

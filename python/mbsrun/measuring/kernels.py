@@ -53,7 +53,7 @@ STATES = 256  # that are timed: for an arm, more than the first cache holds
 
 
 @dataclass(frozen=True)
-class Depth:
+class KernelScope:
     """How much is measured."""
 
     sizes: tuple[int, ...] = (2, 5, 10, 20)  # of chains, beside the model
@@ -63,7 +63,7 @@ class Depth:
     derivatives: bool = True  # of the model, not of the chains
 
 
-QUICK = Depth((3,), (Variant(level="-O0"), USUAL, SINGLE), 3, 3)
+QUICK = KernelScope((3,), (Variant(level="-O0"), USUAL, SINGLE), 3, 3)
 
 
 @dataclass(frozen=True)
@@ -75,28 +75,28 @@ class Errors:
 
 
 def measure_kernels(
-    model: Path, folder: Path, depth: Depth, report: Callable[[str, int, int], None]
+    model: Path, folder: Path, scope: KernelScope, report: Callable[[str, int, int], None]
 ) -> list[KernelPoint]:
     """Measure a model and chains; what was measured before is taken from the folder. `report` is told what is done.
 
     Raises InputError for a model with faults, CompileError.
     """
-    own = Subject(model, DERIVATIVES if depth.derivatives else VALUES)
+    own = Subject(model, DERIVATIVES if scope.derivatives else VALUES)
     report(f"{own.manifest.model}: generating", 0, 1)  # a model with faults is refused before anything is written
-    chains = [Subject(write_chain(size, folder / "models"), VALUES) for size in depth.sizes]
-    jobs = [(own, task) for task in (*KERNELS, *(SLOPES if depth.derivatives else ()))]
+    chains = [Subject(write_chain(size, folder / "models"), VALUES) for size in scope.sizes]
+    jobs = [(own, task) for task in (*KERNELS, *(SLOPES if scope.derivatives else ()))]
     jobs += [(chain, task) for chain in chains for task in KERNELS]
     store = Store(folder / "kernels.jsonl", KernelPoint)
     points: list[KernelPoint] = []
     for done, (subject, task) in enumerate(jobs):
         report(f"{subject.model.stem}: {task}", done, len(jobs))
-        points += measure_task(subject, task, depth, store)
+        points += measure_task(subject, task, scope, store)
     return points
 
 
-def measure_task(subject: Subject, task: str, depth: Depth, store: Store[KernelPoint]) -> list[KernelPoint]:
+def measure_task(subject: Subject, task: str, scope: KernelScope, store: Store[KernelPoint]) -> list[KernelPoint]:
     """Measure all ways of one task in turn."""
-    variants = depth.variants if task in KERNELS else tuple(v for v in (USUAL, SINGLE) if v in depth.variants)
+    variants = scope.variants if task in KERNELS else tuple(v for v in (USUAL, SINGLE) if v in scope.variants)
     compilers = [variant.compiler() for variant in variants]
     versions = [(c.command, c.flags, c.macros) for c in compilers]
     told = (
@@ -105,27 +105,27 @@ def measure_task(subject: Subject, task: str, depth: Depth, store: Store[KernelP
         subject.manifest.model_hash,
         task,
         versions,
-        depth.rounds,
-        depth.judged,
+        scope.rounds,
+        scope.judged,
         STATES,
     )
-    return store.find_or_measure(told, lambda: _Bench(subject, task, depth).measure(variants))
+    return store.find_or_measure(told, lambda: KernelTask(subject, task, scope).measure(variants))
 
 
-class _Bench:
+class KernelTask:
     """One task of one mechanism, with what its results are compared with."""
 
-    def __init__(self, subject: Subject, task: str, depth: Depth) -> None:
-        self.subject, self.task, self.depth = subject, task, depth
+    def __init__(self, subject: Subject, task: str, scope: KernelScope) -> None:
+        self.subject, self.task, self.scope = subject, task, scope
         manifest, parameters = subject.manifest, subject.kernels.parameters
-        self.states = add_hidden(subject, draw_states(manifest, parameters, max(STATES, depth.judged)))
+        self.states = add_hidden(subject, draw_states(manifest, parameters, max(STATES, scope.judged)))
 
     @cached_property
     def moments(self) -> list[Moment]:
         """Look at the states that are judged, in 50 digits."""
         reference = Reference(self.subject.model)
         return [
-            reference.at({name: values[k] for name, values in self.states.items()}) for k in range(self.depth.judged)
+            reference.at({name: values[k] for name, values in self.states.items()}) for k in range(self.scope.judged)
         ]
 
     @cached_property
@@ -138,7 +138,7 @@ class _Bench:
         candidates = [x for variant in variants for x in self._list_candidates(variant)]
         drafts = [self._judge(x) for x in candidates]
         timed = [(draft, watch) for draft, watch in drafts if watch is not None]
-        costs = measure_costs([watch for _, (watch, _) in timed], self.depth.rounds)
+        costs = measure_costs([watch for _, (watch, _) in timed], self.scope.rounds)
         cost_of = {
             id(draft): replace(cost, shortest=cost.shortest * calls, median=cost.median * calls)
             for (draft, (_, calls)), cost in zip(timed, costs, strict=True)
@@ -167,7 +167,7 @@ class _Bench:
         """Compare with 50 digits, and prepare to time the states that do not fail."""
         if isinstance(candidate, KernelPoint):
             return candidate, None
-        judged = {name: values[: self.depth.judged] for name, values in self.states.items()}
+        judged = {name: values[: self.scope.judged] for name, values in self.states.items()}
         errors = [self._compare(k, found) for k, found in enumerate(candidate.evaluate(judged)[1]) if found]
         finite = [e for e in errors if np.isfinite(e.error)]
         statuses, _ = candidate.evaluate(self.states)
@@ -194,7 +194,7 @@ class _Bench:
             joints = ", ".join(names[s - 1] for s in sorted(set(statuses[statuses > 0].tolist())))
             told.append(f"digits lost at {joints} in {np.count_nonzero(statuses)} of {len(statuses)} states")
         if overflown:
-            told.append(f"not a number, with status 0, in {overflown} of {self.depth.judged} states")
+            told.append(f"not a number, with status 0, in {overflown} of {self.scope.judged} states")
         return "; ".join(told)
 
     def _compare(self, k: int, found: Results) -> Errors:

@@ -79,7 +79,7 @@ class Standard:
 
 
 @dataclass(frozen=True)
-class Depth:
+class MotionScope:
     """How much is measured."""
 
     families: tuple[tuple[str, Formulation], ...] = FAMILIES
@@ -89,7 +89,7 @@ class Depth:
     rounds: int = 3
 
 
-QUICK = Depth((("rk4", EXP2), ("dop853", EXP2), ("gauss", IMPL)), (1, 4), (1, 16, 64), (1e-4, 1e-8), 1)
+QUICK = MotionScope((("rk4", EXP2), ("dop853", EXP2), ("gauss", IMPL)), (1, 4), (1, 16, 64), (1e-4, 1e-8), 1)
 
 
 def draw_course(mechanism: Mechanism, duration: float) -> Course:
@@ -114,18 +114,22 @@ def read_course(model: Path, file: Path | None, duration: float | None) -> Cours
 
 
 def measure_motions(
-    course: Course, standard: Standard, depth: Depth, store: Store[MotionPoint], report: Callable[[str, int, int], None]
+    course: Course,
+    standard: Standard,
+    scope: MotionScope,
+    store: Store[MotionPoint],
+    report: Callable[[str, int, int], None],
 ) -> list[MotionPoint]:
-    """Integrate by all methods of `depth`; what was measured before is taken from the store."""
+    """Integrate by all methods of `scope`; what was measured before is taken from the store."""
     points: list[MotionPoint] = []
     compiler = Variant().compiler()
-    for done, (method, formulation) in enumerate(depth.families):
-        report(f"{method}, {formulation.value}", done, len(depth.families))
-        levels = [(x, replace(s, formulation=formulation)) for x, s in _list_levels(method, standard, depth)]
+    for done, (method, formulation) in enumerate(scope.families):
+        report(f"{method}, {formulation.value}", done, len(scope.families))
+        levels = [(x, replace(s, formulation=formulation)) for x, s in _list_levels(method, standard, scope)]
         manifest, values = course.mechanism.manifest, dict(course.mechanism.parameters)
         told = ("motions", manifest.generator, manifest.model_hash, values, course.told, course.duration)
-        settings = ([s for _, s in levels], depth.rounds, compiler.flags, compiler.macros)
-        points += store.find_or_measure((*told, *settings), _Bench(course, standard, depth, levels).measure)
+        settings = ([s for _, s in levels], scope.rounds, compiler.flags, compiler.macros)
+        points += store.find_or_measure((*told, *settings), MethodSeries(course, standard, scope, levels).measure)
     return points
 
 
@@ -139,20 +143,20 @@ def find_standard(course: Course) -> Standard:
     return Standard(state, float(np.abs(state - _end(check)).max()), max(pace, 10), course.duration)
 
 
-class _Bench:
+class MethodSeries:
     """A method on a formulation, with several steps or tolerances."""
 
     def __init__(
-        self, course: Course, standard: Standard, depth: Depth, levels: Sequence[tuple[float, Settings]]
+        self, course: Course, standard: Standard, scope: MotionScope, levels: Sequence[tuple[float, Settings]]
     ) -> None:
-        self.course, self.standard, self.depth, self.levels = course, standard, depth, levels
+        self.course, self.standard, self.scope, self.levels = course, standard, scope, levels
 
     def measure(self) -> list[MotionPoint]:
         """Integrate in rounds; those that take long once."""
         replace(self.course, duration=self.course.duration / 100).integrate(self.levels[0][1])  # compiles
         motions = [self.course.integrate(settings) for _, settings in self.levels]
         times = [[motion.effort.seconds] for motion in motions]
-        for _ in range(self.depth.rounds - 1):
+        for _ in range(self.scope.rounds - 1):
             for own, (_, settings) in zip(times, self.levels, strict=True):
                 if own[0] < PATIENCE:
                     own.append(self.course.integrate(settings).effort.seconds)
@@ -182,10 +186,10 @@ class _Bench:
         )
 
 
-def _list_levels(method: str, standard: Standard, depth: Depth) -> list[tuple[float, Settings]]:
+def _list_levels(method: str, standard: Standard, scope: MotionScope) -> list[tuple[float, Settings]]:
     if METHODS[method].family is Family.ADAPTIVE:
-        return [(x, Settings(standard.duration, method, rtol=x, atol=x)) for x in depth.tolerances]
-    divisions = depth.shorter if METHODS[method].family is Family.EXPLICIT else depth.divisions
+        return [(x, Settings(standard.duration, method, rtol=x, atol=x)) for x in scope.tolerances]
+    divisions = scope.shorter if METHODS[method].family is Family.EXPLICIT else scope.divisions
     steps = [standard.duration / (standard.steps * x) for x in divisions]
     return [(x, Settings(standard.duration, method, step=x)) for x in steps]
 

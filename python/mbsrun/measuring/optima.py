@@ -26,7 +26,7 @@ TIGHT = 1e-11  # its solver's tolerance
 
 
 @dataclass(frozen=True)
-class Depth:
+class OptimumScope:
     """How much is measured."""
 
     intervals: tuple[int, ...] = (5, 10, 20, 40)
@@ -36,7 +36,7 @@ class Depth:
     repeats: int = 2
 
 
-QUICK = Depth((5, 10), (2, 4), (Family.RADAU,), (Representation.IMPL, Representation.EXP2_O), 1)
+QUICK = OptimumScope((5, 10), (2, 4), (Family.RADAU,), (Representation.IMPL, Representation.EXP2_O), 1)
 
 
 @dataclass(frozen=True)
@@ -71,29 +71,29 @@ class OptimumPoint:
 
 
 def measure_optima(
-    case: Case, depth: Depth, store: Store[SolvePoint], report: Callable[[str, int, int], None]
+    case: Case, scope: OptimumScope, store: Store[SolvePoint], report: Callable[[str, int, int], None]
 ) -> tuple[list[OptimumPoint], list[GridOptimum]]:
     """Solve all combinations, and the references; what was measured before is taken from the store."""
     jobs = [
         (intervals, family, degree, representation)
-        for intervals in depth.intervals
-        for family in depth.families
-        for degree in depth.degrees
-        for representation in depth.representations
+        for intervals in scope.intervals
+        for family in scope.families
+        for degree in scope.degrees
+        for representation in scope.representations
     ]
-    total = len(jobs) + 2 * len(depth.intervals)
+    total = len(jobs) + 2 * len(scope.intervals)
     pairs = []
-    for done, intervals in enumerate(depth.intervals):
+    for done, intervals in enumerate(scope.intervals):
         report(f"reference, {intervals} intervals", 2 * done, total)
         exact = [_refine(case.problem, family, intervals) for family in (Family.LEGENDRE, Family.RADAU)]
         pairs.append([measure_solve(case, problem, 1, store) for problem in exact])
-    grids = _judge_grids(case, depth.intervals, pairs)
+    grids = _judge_grids(case, scope.intervals, pairs)
     points = []
-    for done, (intervals, family, degree, representation) in enumerate(jobs, 2 * len(depth.intervals)):
+    for done, (intervals, family, degree, representation) in enumerate(jobs, 2 * len(scope.intervals)):
         report(f"{intervals} intervals, {family.value} {degree}, {representation.value}", done, total)
         problem = replace(case.problem, intervals=intervals, family=family, degree=degree)
         problem = _represent(problem, representation)
-        points.append(measure_solve(case, problem, depth.repeats, store))
+        points.append(measure_solve(case, problem, scope.repeats, store))
     limit = _find_limit([(g.intervals, g.cost) for g in grids if g.cost is not None])
     own = {grid.intervals: grid.cost for grid in grids}
     return [_judge(point, own[point.intervals], limit) for point in points], grids

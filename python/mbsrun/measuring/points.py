@@ -74,7 +74,7 @@ class SolvePoint:
     finding: str = ""  # why there is no solution
 
 
-def write_table(points: Sequence[DataclassInstance], folder: Path, name: str) -> tuple[Path, Path]:
+def write_points(points: Sequence[DataclassInstance], folder: Path, name: str) -> tuple[Path, Path]:
     """Write points as NAME.csv, a column for each number, and as NAME.json."""
     flat = [_flatten(point) for point in points]
     table, whole = folder / f"{name}.csv", folder / f"{name}.json"

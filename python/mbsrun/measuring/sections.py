@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -65,8 +66,7 @@ def write_section(section: Section, folder: Path) -> None:
             suffix = next(suffix for suffix, kind in KINDS.items() if kind == item.kind)
             (folder / f"{name}{suffix}").write_bytes(item.content)
         else:
-            with (folder / f"{name}.csv").open("w", encoding="utf-8", newline="") as file:
-                csv.writer(file).writerows([item.columns, *item.rows])
+            _write_csv(item, folder / f"{name}.csv")
 
 
 def distinguish(sections: Sequence[Section]) -> list[Section]:
@@ -80,9 +80,26 @@ def distinguish(sections: Sequence[Section]) -> list[Section]:
     return named
 
 
-def write_table_file(table: Table, path: Path) -> None:
-    """Write a table as `read_folders` reads it."""
-    path.write_text(json.dumps(asdict(table), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+def write_table(table: Table, folder: Path, name: str) -> list[Path]:
+    """Write a table as NAME.csv, and as NAME.json for `read_folders`; return the paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    plain, whole = folder / f"{name}.csv", folder / f"{name}.json"
+    _write_csv(table, plain)
+    facts = {"title": table.title, "columns": table.columns, "note": table.note}
+    head = "".join(f" {json.dumps(key)}: {json.dumps(value, ensure_ascii=False)},\n" for key, value in facts.items())
+    rows = ",\n".join(f"  {json.dumps([*map(_drop_infinite, row)], ensure_ascii=False)}" for row in table.rows)
+    whole.write_text(f'{{\n{head} "rows": [\n{rows}\n ]\n}}\n', encoding="utf-8")
+    return [plain, whole]
+
+
+def _write_csv(table: Table, path: Path) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows([table.columns, *table.rows])
+
+
+def _drop_infinite(cell: Cell) -> Cell:
+    """Replace the numbers that JSON does not have."""
+    return None if isinstance(cell, float) and not math.isfinite(cell) else cell
 
 
 @dataclass(frozen=True)

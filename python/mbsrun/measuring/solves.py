@@ -30,7 +30,7 @@ REACH = 0.5  # rad, and a fifth of it in m: how far the actuated joints go
 
 
 @dataclass(frozen=True)
-class Depth:
+class SolveScope:
     """How much is measured."""
 
     families: tuple[Family, ...] = (Family.RADAU, Family.LEGENDRE)
@@ -40,7 +40,7 @@ class Depth:
     repeats: int = 3  # of the representations' comparison
 
 
-QUICK = Depth((Family.RADAU,), (3,), (5, 10), (Representation.IMPL, Representation.EXP2_O), 1)
+QUICK = SolveScope((Family.RADAU,), (3,), (5, 10), (Representation.IMPL, Representation.EXP2_O), 1)
 
 
 @dataclass(frozen=True)
@@ -84,26 +84,25 @@ def state_reach(mechanism: Mechanism) -> Case:
 
 
 def measure_solves(
-    case: Case, accuracy: float, depth: Depth, store: Store[SolvePoint], report: Callable[[str, int, int], None]
+    case: Case, accuracy: float, scope: SolveScope, store: Store[SolvePoint], report: Callable[[str, int, int], None]
 ) -> list[SolvePoint]:
     """Solve on grids, then in representations; what was measured before is taken from the store."""
-    bench = _Bench(case, store)
     points: list[SolvePoint] = []
-    kinds = [(family, degree) for family in depth.families for degree in depth.degrees]
-    total = len(kinds) + len(depth.representations)
-    first = depth.representations[0]
+    kinds = [(family, degree) for family in scope.families for degree in scope.degrees]
+    total = len(kinds) + len(scope.representations)
+    first = scope.representations[0]
     for done, (family, degree) in enumerate(kinds):
-        for intervals in depth.intervals:
+        for intervals in scope.intervals:
             report(f"{family.value}, degree {degree}, {intervals} intervals", done, total)
             problem = replace(case.problem, family=family, degree=degree, intervals=intervals, representation=first)
-            points.append(bench.measure(problem, 1))
+            points.append(measure_solve(case, problem, 1, store))
             if points[-1].defect is not None and points[-1].defect <= accuracy:
                 break
     good = [p for p in points if p.seconds and p.defect is not None and p.defect <= accuracy]
     if not good:
         return points
     best = min(good, key=lambda p: p.seconds.shortest if p.seconds else math.inf)
-    for done, representation in enumerate(depth.representations, len(kinds)):
+    for done, representation in enumerate(scope.representations, len(kinds)):
         report(representation.value, done, total)
         problem = replace(
             case.problem,
@@ -113,44 +112,31 @@ def measure_solves(
             representation=representation,
             form=Form.STANDARD if representation.is_ode else case.problem.form,
         )
-        points.append(bench.measure(problem, depth.repeats))
+        points.append(measure_solve(case, problem, scope.repeats, store))
     return list({(p.representation, p.family, p.degree, p.intervals): p for p in points}.values())
 
 
 def measure_solve(case: Case, problem: Problem, repeats: int, store: Store[SolvePoint]) -> SolvePoint:
-    """Solve a problem of a case's mechanism some times, or find in the store what was measured."""
-    return _Bench(case, store).measure(problem, repeats)
+    """Return a solve from the store, or solve a problem of the case's mechanism `repeats` times and keep the result."""
+    manifest, values = case.mechanism.manifest, dict(case.mechanism.parameters)
+    facts = ("solves", manifest.generator, manifest.model_hash, values, problem, repeats)
+    (point,) = store.find_or_measure(facts, lambda: [_solve(case.mechanism, problem, repeats)])
+    return point
 
 
-class _Bench:
-    """Solves, and keeps what it took."""
-
-    def __init__(self, case: Case, store: Store[SolvePoint]) -> None:
-        self.case, self.store = case, store
-
-    def measure(self, problem: Problem, repeats: int) -> SolvePoint:
-        """Solve some times, or find what was measured."""
-        manifest, values = self.case.mechanism.manifest, dict(self.case.mechanism.parameters)
-        told = ("solves", manifest.generator, manifest.model_hash, values, problem, repeats)
-        (point,) = self.store.find_or_measure(told, lambda: [self._solve(problem, repeats)])
-        return point
-
-    def _solve(self, problem: Problem, repeats: int) -> SolvePoint:
-        outcome = solve(problem, self.case.mechanism)
-        told = (self.case.mechanism.manifest.model, problem.representation.value, problem.family.value)
-        grid = (problem.degree, problem.intervals)
-        if isinstance(outcome, Failure):
-            return SolvePoint(*told, *grid, None, None, None, outcome.run.iterations, outcome.finding)
-        check = resimulate(outcome, self.case.mechanism).resimulation
-        times = [outcome.run.cpu_seconds]
-        for _ in range(repeats - 1):
-            again = solve(problem, self.case.mechanism)
-            times.append(again.run.cpu_seconds)
-        defect = None if check is None else check.defect
-        finding = "" if defect is not None else "the integrator gave up in the re-simulation"
-        return SolvePoint(
-            *told, *grid, sum_up(np.array(times)), defect, outcome.cost.total, outcome.run.iterations, finding
-        )
+def _solve(mechanism: Mechanism, problem: Problem, repeats: int) -> SolvePoint:
+    outcome = solve(problem, mechanism)
+    names = (mechanism.manifest.model, problem.representation.value, problem.family.value)
+    grid = (problem.degree, problem.intervals)
+    if isinstance(outcome, Failure):
+        return SolvePoint(*names, *grid, None, None, None, outcome.run.iterations, outcome.finding)
+    check = resimulate(outcome, mechanism).resimulation
+    times = [outcome.run.cpu_seconds]
+    times += [solve(problem, mechanism).run.cpu_seconds for _ in range(repeats - 1)]
+    defect = None if check is None else check.defect
+    finding = "" if defect is not None else "the integrator gave up in the re-simulation"
+    cost = sum_up(np.array(times))
+    return SolvePoint(*names, *grid, cost, defect, outcome.cost.total, outcome.run.iterations, finding)
 
 
 def _find_goal(manifest: Manifest, i: int, start: float) -> float:

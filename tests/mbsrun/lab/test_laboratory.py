@@ -17,15 +17,15 @@ import pytest
 from mbsrun import cli
 from mbsrun.commands import lab as lab_commands
 from mbsrun.lab import chains, derivatives, digits, integration, interpretation, locks, maps, optimisation
-from mbsrun.lab.case import Bench, Case, Finding, Loss, Trial, check, demand, find_worst, judge, show_failure
+from mbsrun.lab.case import Case, Finding, Loss, Trial, Workspace, check, demand, find_worst, judge, show_failure
 from mbsrun.lab.cases import CASES
 from mbsrun.lab.digits import specimen
 from mbsrun.lab.mechanisms import describe_lock, describe_spatial, draw, write
-from mbsrun.lab.record import name_verdict, open_bench, run_cases, write_findings
+from mbsrun.lab.runs import name_verdict, open_workspace, run_cases, write_findings
 from mbsrun.measuring.sections import read_folders
 from mbsrun.ocp.solution import Failure, Run
 
-Measure = Callable[[Bench], list[Finding]]
+Measure = Callable[[Workspace], list[Finding]]
 
 SLICE: dict[str, str | Measure] = {  # of each case a short trial, or a smaller one
     "F01": partial(chains.measure_straight, size=2),
@@ -55,8 +55,8 @@ def quiet(*_: object) -> None:
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
-    return open_bench(tmp_path_factory.mktemp("laboratory"))
+def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
+    return open_workspace(tmp_path_factory.mktemp("laboratory"))
 
 
 def test_every_case_is_run_or_says_why_not() -> None:
@@ -68,17 +68,17 @@ def test_every_case_is_run_or_says_why_not() -> None:
 
 
 @pytest.mark.parametrize(("name", "trial"), SLICE.items(), ids=SLICE)
-def test_criteria_are_met(name: str, trial: str | Measure, bench: Bench) -> None:
+def test_criteria_are_met(name: str, trial: str | Measure, workspace: Workspace) -> None:
     if isinstance(trial, str):
         (trial,) = (x.measure for case in CASES if case.id == name for x in case.trials if x.name == trial)
-    findings = trial(bench)
+    findings = trial(workspace)
     assert findings
     assert [x for x in findings if not x.is_met] == []
 
 
-def test_exact_accelerations_are_those_of_elimination(bench: Bench) -> None:
+def test_exact_accelerations_are_those_of_elimination(workspace: Workspace) -> None:
     """Refinement and elimination in 50 digits agree to far more than a double; so do the mass matrices of both."""
-    chosen, states = specimen(bench, describe_spatial(3), "exp2"), draw(3, [3])
+    chosen, states = specimen(workspace, describe_spatial(3), "exp2"), draw(3, [3])
     (exact,) = chosen.find_exact(states)
     assert max(float(abs(a / b - 1)) for a, b in zip(exact.qdd, exact.moment.qdd, strict=True)) < 1e-22
     M = chosen._compute_mass({name: x[0] for name, x in states.items()})
@@ -105,16 +105,16 @@ def test_elimination_in_loops() -> None:
     assert interpretation.eliminate(np.full((2, 2), np.nan), b[:2]).status
 
 
-def test_interpreted_chains_are_the_compiled_ones(bench: Bench) -> None:
+def test_interpreted_chains_are_the_compiled_ones(workspace: Workspace) -> None:
     """To rounding, in every block of states; a status names a joint, and leaves no result."""
-    compiled, states = specimen(bench, describe_spatial(4), "exp2", "impl"), draw(4, range(40))
+    compiled, states = specimen(workspace, describe_spatial(4), "exp2", "impl"), draw(4, range(40))
     chain = interpretation.LongChain(compiled.subject.model, 4)
     for kernel, result in (("impl", "Phi"), ("exp2", "qdd")):
         statuses, found = chain.evaluate(kernel, states)
         assert not statuses.any()
         for x, wanted in zip(found, compiled.evaluate(kernel, states)[1], strict=True):
             np.testing.assert_allclose(x[result], wanted[result], rtol=0, atol=1e-11 * np.abs(wanted[result]).max())
-    path = write(bench.folder, describe_lock("zyx"))
+    path = write(workspace.folder, describe_lock("zyx"))
     lock = draw(3, range(2))
     lock["q"][1, 1] = np.pi / 2
     statuses, found = interpretation.LongChain(path, 3).evaluate("exp2", lock)
@@ -227,7 +227,7 @@ def test_every_known_minimum_is_to_be_found(costs: dict[float, int], failures: d
     assert [x.is_met for x in optimisation.judge_minima("IMPL", costs, failures)] == met
 
 
-def find_nothing(_: Bench) -> list[Finding]:
+def find_nothing(_: Workspace) -> list[Finding]:
     return []
 
 
@@ -236,12 +236,12 @@ def test_a_trial_without_findings_is_not_met(tmp_path: Path) -> None:
     assert not finding.is_met
 
 
-def break_down(_: Bench) -> list[Finding]:
+def break_down(_: Workspace) -> list[Finding]:
     raise ZeroDivisionError("of its own")
 
 
-def count(calls: list[str], name: str) -> Callable[[Bench], list[Finding]]:
-    def measure(_: Bench) -> list[Finding]:
+def count(calls: list[str], name: str) -> Callable[[Workspace], list[Finding]]:
+    def measure(_: Workspace) -> list[Finding]:
         calls.append(name)
         return [check("EXP1", "error", 0.5, 1.0, name)]
 

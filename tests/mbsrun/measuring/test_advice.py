@@ -83,9 +83,9 @@ def test_solves_are_refined_until_they_are_accurate(rod: Path, tmp_path: Path) -
     case = solves.state_reach(load(rod))
     assert case.problem.end.coordinates == ((0, 0.5),)
     both = (Representation.IMPL, Representation.EXP2_O)
-    depth = solves.Depth((Family.RADAU,), (3,), (2, 5, 10, 20), both, 1)
+    scope = solves.SolveScope((Family.RADAU,), (3,), (2, 5, 10, 20), both, 1)
     store = Store(tmp_path / "problem.jsonl", SolvePoint)
-    points = solves.measure_solves(case, 1e-6, depth, store, lambda *_: None)
+    points = solves.measure_solves(case, 1e-6, scope, store, lambda *_: None)
     defects = [p.defect or 0.0 for p in points if p.representation == "IMPL"]
     assert (np.diff(defects) < 0).all()
     assert defects[-1] <= 1e-6 < defects[-2]

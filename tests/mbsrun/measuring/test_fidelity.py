@@ -12,18 +12,18 @@ from mbsrun.measuring.captions import OUTLINES, write_captions
 from mbsrun.measuring.fidelity import (
     TOLERANCES,
     WHOLE,
-    Depth,
     FidelityPoint,
-    _Bench,
+    FidelityScope,
+    KernelComparison,
     list_reductions,
     measure_fidelity,
     take_whole,
 )
 from mbsrun.measuring.pictures import draw_fidelity
-from mbsrun.measuring.points import write_table
+from mbsrun.measuring.points import write_points
 from mbsrun.measuring.sections import read_folders
 
-LITTLE = Depth(2, 8, ("impl", "sensors"))
+LITTLE = FidelityScope(2, 8, ("impl", "sensors"))
 ROUNDING = 1e-14
 
 
@@ -49,7 +49,7 @@ def test_each_thing_left_out_costs_what_it_did(cart: Path, tmp_path: Path) -> No
         assert flops is not None
         assert flops < points[WHOLE].flops_whole
     whole = take_whole(cart, LITTLE)
-    states = {name: x[:8] for name, x in _Bench(whole, "impl", [], LITTLE).states.items()}
+    states = {name: x[:8] for name, x in KernelComparison(whole, "impl", [], LITTLE).states.items()}
     inputs: dict[str, Any] = {name: states[name] for name in ("q", "qd", "qdd", "u", "w", "theta")}
     Phi = whole.kernels("impl", **inputs)["Phi"]
     forces = 7 * states["q"][:, 0] + 0.4 * states["qd"][:, 0]
@@ -62,7 +62,7 @@ def test_each_thing_left_out_costs_what_it_did(cart: Path, tmp_path: Path) -> No
     assert "turn" in light.finding
     assert (light.flops, light.error, light.ns) == (None, None, None)
     assert all(p.ns is not None and p.ns_whole == points[WHOLE].ns for p in points.values() if not p.finding)
-    write_table([*points.values()], tmp_path / "out", "fidelity")
+    write_points([*points.values()], tmp_path / "out", "fidelity")
     (path,) = draw_fidelity([*points.values()], tmp_path / "out")
     assert path.stat().st_size > 10_000
     write_captions("fidelity", "cart", tmp_path / "out")

@@ -12,16 +12,16 @@ import pytest
 from mbsgen.errors import InputError
 from mbsrun.measuring import kernels
 from mbsrun.measuring.functions import Variant
-from mbsrun.measuring.kernels import ACCELERATIONS, MASS, RESIDUAL, SINGLE, SLOPES_R, USUAL, VALUES, Depth
+from mbsrun.measuring.kernels import ACCELERATIONS, MASS, RESIDUAL, SINGLE, SLOPES_R, USUAL, VALUES, KernelScope
 from mbsrun.measuring.mechanisms import Subject, draw_states, write_chain
 from mbsrun.measuring.pictures import draw_kernels
-from mbsrun.measuring.points import KernelPoint, write_table
+from mbsrun.measuring.points import KernelPoint, write_points
 from mbsrun.measuring.reference import Reference
 from mbsrun.measuring.store import Store
 from mbsrun.models import Extent
 
 U = {"float64": 2.0**-53, "float32": 2.0**-24}
-LITTLE = Depth((), (USUAL, SINGLE), 2, 2)
+LITTLE = KernelScope((), (USUAL, SINGLE), 2, 2)
 
 
 def quiet(*_: object) -> None:
@@ -96,8 +96,8 @@ def test_flags_reach_the_compiler(tmp_path: Path) -> None:
     Kernels with few sines call the C library's in any case.
     """
     subject = Subject(write_chain(4, tmp_path), Extent(("impl", "semi_res"), 0))
-    depth = Depth((), (USUAL, Variant(contract=False), Variant(libm=True), Variant(level="-O0")), 1, 24)
-    points = kernels.measure_task(subject, RESIDUAL, depth, Store(tmp_path / "points.jsonl", KernelPoint))
+    scope = KernelScope((), (USUAL, Variant(contract=False), Variant(libm=True), Variant(level="-O0")), 1, 24)
+    points = kernels.measure_task(subject, RESIDUAL, scope, Store(tmp_path / "points.jsonl", KernelPoint))
     assert len({p.flags for p in points}) == 4
     errors = {flags: [p.error_median for p in points if p.flags == flags] for flags in {p.flags for p in points}}
     assert errors["-O3"] != errors["-O3 no fma"]
@@ -118,7 +118,7 @@ def test_failures_are_points_and_are_drawn(locked: Path, tmp_path: Path) -> None
     paths = draw_kernels([*good, *points], tmp_path)
     assert [path.name for path in paths] == ["kernels.png", "kernels_backward.png"]
     assert all(path.stat().st_size > 10_000 for path in paths)
-    table, _ = write_table([*good, *points], tmp_path, "kernels")
+    table, _ = write_points([*good, *points], tmp_path, "kernels")
     with table.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == len(good) + len(points)
@@ -131,20 +131,20 @@ def test_a_study_that_was_killed_goes_on(tmp_path: Path, monkeypatch: pytest.Mon
     path = tmp_path / "points.jsonl"
     first = [kernels.measure_task(subject, task, LITTLE, Store(path, KernelPoint)) for task in (RESIDUAL, MASS)]
     measured: list[str] = []
-    measure = kernels._Bench.measure
+    measure = kernels.KernelTask.measure
 
-    def watch(bench: kernels._Bench, variants: tuple[Variant, ...]) -> list[KernelPoint]:
-        measured.append(bench.task)
-        return measure(bench, variants)
+    def watch(task: kernels.KernelTask, variants: tuple[Variant, ...]) -> list[KernelPoint]:
+        measured.append(task.task)
+        return measure(task, variants)
 
-    monkeypatch.setattr(kernels._Bench, "measure", watch)
+    monkeypatch.setattr(kernels.KernelTask, "measure", watch)
     path.write_text(path.read_text(encoding="utf-8")[:-20], encoding="utf-8")
     again = [kernels.measure_task(subject, task, LITTLE, Store(path, KernelPoint)) for task in (RESIDUAL, MASS)]
     assert measured == [MASS]
     assert again[0] == first[0]
     once_more = [kernels.measure_task(subject, task, LITTLE, Store(path, KernelPoint)) for task in (RESIDUAL, MASS)]
     assert (once_more, measured) == (again, [MASS])
-    other = Depth((), (USUAL, SINGLE), 3, 2)
+    other = KernelScope((), (USUAL, SINGLE), 3, 2)
     kernels.measure_task(subject, RESIDUAL, other, Store(path, KernelPoint))
     assert measured == [MASS, RESIDUAL]
 

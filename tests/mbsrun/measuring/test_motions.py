@@ -11,7 +11,7 @@ from scipy.special import ellipj, ellipk
 
 from mbsrun.external import Mechanism
 from mbsrun.measuring import motions
-from mbsrun.measuring.motions import EXTENT, Course, Depth, NoReferenceError, draw_course
+from mbsrun.measuring.motions import EXTENT, Course, MotionScope, NoReferenceError, draw_course
 from mbsrun.measuring.pictures import draw_motions
 from mbsrun.measuring.points import MotionPoint
 from mbsrun.measuring.store import Store
@@ -64,15 +64,15 @@ def test_errors_fall_with_the_order_of_the_method(pendulum: Mechanism, tmp_path:
     course = swing(pendulum)
     standard = motions.find_standard(course)
     orders = {"rk4": 4, "gauss": 4, "symplectic-euler": 1}
-    depth = Depth(tuple((method, Formulation.EXP2) for method in orders), (8, 16), (8, 16), (), 1)
+    scope = MotionScope(tuple((method, Formulation.EXP2) for method in orders), (8, 16), (8, 16), (), 1)
     store = Store(tmp_path / "simulation.jsonl", MotionPoint)
-    points = motions.measure_motions(course, standard, depth, store, quiet)
+    points = motions.measure_motions(course, standard, scope, store, quiet)
     for method, order in orders.items():
         coarse, fine = (p.error for p in points if p.method == method)
         assert coarse is not None
         assert fine is not None
         assert np.log2(coarse / fine) == pytest.approx(order, abs=0.35)
-    again = motions.measure_motions(course, standard, depth, Store(tmp_path / "simulation.jsonl", MotionPoint), quiet)
+    again = motions.measure_motions(course, standard, scope, Store(tmp_path / "simulation.jsonl", MotionPoint), quiet)
     assert again == points
 
 
@@ -83,9 +83,9 @@ def test_motions_that_stop_are_points_and_are_drawn(tmp_path: Path) -> None:
     mechanism = Mechanism(find_folder(path, EXTENT))
     course = replace(swing(mechanism), duration=2.0)
     standard = motions.Standard(np.zeros(2), 1e-12, 40, 2.0)
-    depth = Depth((("euler", Formulation.EXP2), ("radau-iia", Formulation.IMPL)), (10,), (10,), (), 1)
+    scope = MotionScope((("euler", Formulation.EXP2), ("radau-iia", Formulation.IMPL)), (10,), (10,), (), 1)
     store = Store(tmp_path / "simulation.jsonl", MotionPoint)
-    failed, done = motions.measure_motions(course, standard, depth, store, quiet)
+    failed, done = motions.measure_motions(course, standard, scope, store, quiet)
     assert (failed.seconds, failed.error) == (None, None)
     assert "stopped at t" in failed.finding
     assert not done.finding

@@ -12,9 +12,9 @@ from mbsrun import cli, load
 from mbsrun.lab.mechanisms import SLIDE
 from mbsrun.lab.optimisation import state_push
 from mbsrun.measuring.captions import OUTLINES, write_captions
-from mbsrun.measuring.optima import Depth, measure_optima
+from mbsrun.measuring.optima import OptimumScope, measure_optima
 from mbsrun.measuring.pictures import draw_optima
-from mbsrun.measuring.points import SolvePoint, write_table
+from mbsrun.measuring.points import SolvePoint, write_points
 from mbsrun.measuring.sections import read_folders
 from mbsrun.measuring.solves import Case
 from mbsrun.measuring.store import Store
@@ -51,9 +51,9 @@ def test_errors_are_those_of_the_closed_form(slide: Path, tmp_path: Path) -> Non
     From N = 5 and 10 the limit is extrapolated to 4e-4: what is left is of the order N^-4.
     """
     case = Case(state_push(8), load(slide))
-    depth = Depth((1, 5, 10), (1, 2), (Family.RADAU,), (Representation.IMPL,), 1)
+    scope = OptimumScope((1, 5, 10), (1, 2), (Family.RADAU,), (Representation.IMPL,), 1)
     store = Store(tmp_path / "out" / "optimisation.jsonl", SolvePoint)
-    points, grids = measure_optima(case, depth, store, quiet)
+    points, grids = measure_optima(case, scope, store, quiet)
     for grid in grids[1:]:
         exact = 12 / (1 - 1 / grid.intervals**2)
         assert grid.cost == pytest.approx(exact, rel=1e-8)
@@ -71,13 +71,13 @@ def test_errors_are_those_of_the_closed_form(slide: Path, tmp_path: Path) -> Non
         assert fine.defect is not None
         assert coarse.defect is not None
         assert fine.defect < 1e-7 < 1e-3 < coarse.defect
-    write_table(points, tmp_path / "out", "optimisation")
+    write_points(points, tmp_path / "out", "optimisation")
     paths = draw_optima(points, grids, tmp_path / "out")
     assert [path.name for path in paths] == ["optimisation.png", "control_grid.png"]
     write_captions("optimisation", "a reach", tmp_path / "out")
     (section,) = read_folders([tmp_path / "out"])
     assert [item.title for item in section.items] == [x.title for x in OUTLINES["optimisation"].items[:3]]
-    again, _ = measure_optima(case, depth, store, lambda *_: None)
+    again, _ = measure_optima(case, scope, store, lambda *_: None)
     assert again == points
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from mbsrun import Mechanism, load
-from mbsrun.lab.mechanisms import BENCH
+from mbsrun.lab.mechanisms import SLIDER_AND_BOB
 
 MODELS = Path(__file__).parents[3] / "models"
 
@@ -34,7 +34,7 @@ bodies:
 def bench_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write the model file of three motions in one."""
     file = tmp_path_factory.mktemp("bench") / "bench.yaml"
-    file.write_text(BENCH, encoding="utf-8")
+    file.write_text(SLIDER_AND_BOB, encoding="utf-8")
     return file
 
 

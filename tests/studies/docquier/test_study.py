@@ -30,7 +30,7 @@ from mbsrun.measuring.sections import (
     distinguish,
     read_folders,
     write_outline,
-    write_table_file,
+    write_table,
 )
 from mbsrun.ocp.cluster import ClusterError, open_workers
 from mbsrun.ocp.problem import Representation
@@ -230,7 +230,7 @@ def test_folders_are_taken_in(tmp_path: Path) -> None:
     table = Table(HOSTILE, ("a", "b"), ((1, "x"), (None, True)), "note")
     (tmp_path / "one").mkdir()
     (tmp_path / "two").mkdir()
-    write_table_file(table, tmp_path / "one" / "one.json")
+    write_table(table, tmp_path / "one", "one")
     (tmp_path / "one" / "points.json").write_text(
         '[{"ns": {"shortest": 1.5}, "way": "impl"}, {"error": 1e-16}]', "utf-8"
     )

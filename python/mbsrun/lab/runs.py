@@ -5,18 +5,16 @@ What goes wrong in a trial itself is a finding of it, which is not kept: the nex
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import json
-import math
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, fields, replace
 from functools import cache
 from pathlib import Path
 
-from mbsrun.lab.case import Bench, Case, Finding, Loss, Report, Trial, Verdict, demand, judge
+from mbsrun.lab.case import Case, Finding, Loss, Report, Trial, Verdict, Workspace, demand, judge
 from mbsrun.library import find_compiler
+from mbsrun.measuring.sections import Cell, Table, write_table
 from mbsrun.measuring.store import Store
 from mbsrun.models import fingerprint_generator
 
@@ -24,31 +22,31 @@ KEPT = ("findings.jsonl", "losses.jsonl")
 MODELS = "models"
 
 
-def open_bench(folder: Path) -> Bench:
+def open_workspace(folder: Path) -> Workspace:
     """Prepare a folder to work in. Raises CompileError where there is no compiler."""
-    return Bench(folder / MODELS, Store(folder / KEPT[1], Loss), _fingerprint())
+    return Workspace(folder / MODELS, Store(folder / KEPT[1], Loss), _fingerprint())
 
 
 def run_cases(cases: Sequence[Case], folder: Path, report: Report, *, quick: bool = False) -> list[Finding]:
     """Run cases; what was found before by the same program is taken from the folder. `quick` leaves long trials out."""
-    bench = open_bench(folder)
+    workspace = open_workspace(folder)
     store = Store(folder / KEPT[0], Finding)
     jobs = [(case, trial) for case in cases for trial in case.trials if not (quick and trial.is_long)]
     findings: list[Finding] = []
     for done, (case, trial) in enumerate(jobs):
         report(f"{case.id} {case.title}: {trial.name}", done, len(jobs))
-        findings += _run_trial(case, trial, bench, store)
+        findings += _run_trial(case, trial, workspace, store)
     return findings
 
 
-def _run_trial(case: Case, trial: Trial, bench: Bench, store: Store[Finding]) -> list[Finding]:
+def _run_trial(case: Case, trial: Trial, workspace: Workspace, store: Store[Finding]) -> list[Finding]:
     def measure() -> list[Finding]:
-        found = trial.measure(bench)
+        found = trial.measure(workspace)
         assert found, "it found nothing"
         return [replace(x, case=case.id, trial=trial.name) for x in found]
 
     try:
-        return store.find_or_measure((bench.program, case.id, trial.name), measure)
+        return store.find_or_measure((workspace.program, case.id, trial.name), measure)
     except Exception as error:  # whatever it is, the other trials go on
         broken = demand("the trial itself", "end", False, f"{type(error).__name__}: {error}")
         return [replace(broken, case=case.id, trial=trial.name)]
@@ -57,8 +55,8 @@ def _run_trial(case: Case, trial: Trial, bench: Bench, store: Store[Finding]) ->
 def write_findings(cases: Sequence[Case], findings: Sequence[Finding], folder: Path) -> list[Path]:
     """Write verdicts and findings as CSV, and as JSON with title, columns, rows and note; verdicts as Markdown too."""
     titles = {case.id: case.title for case in cases}
-    verdicts: list[list[object]] = [
-        [
+    verdicts: list[tuple[Cell, ...]] = [
+        (
             x.case,
             titles[x.case],
             x.way,
@@ -70,24 +68,24 @@ def write_findings(cases: Sequence[Case], findings: Sequence[Finding], folder: P
             x.total,
             name_verdict(x),
             x.remark,
-        ]
+        )
         for x in judge(findings)
     ]
-    exempt: list[list[object]] = [
-        [c.id, c.title, *[None] * 7, "does not apply", c.exemption] for c in cases if not c.trials
+    exempt: list[tuple[Cell, ...]] = [
+        (c.id, c.title, *[None] * 7, "does not apply", c.exemption) for c in cases if not c.trials
     ]
-    columns = ["case", "title", "way", "quantity", "value", "bound", "trial", "met", "of", "verdict", "remark"]
+    columns = ("case", "title", "way", "quantity", "value", "bound", "trial", "met", "of", "verdict", "remark")
     note = "; ".join(f"{case.id}: {case.criterion}" for case in cases)
     title = "Where methods fail: verdicts by formulation, method or representation"
-    rows = sorted(verdicts + exempt, key=lambda row: str(row[0]))
-    paths = write_table(folder, "verdicts", title, columns, rows, note)
+    rows = tuple(sorted(verdicts + exempt, key=lambda row: str(row[0])))
+    paths = write_table(Table(title, columns, rows, note), folder, "verdicts")
     names = [field.name for field in fields(Finding)]
-    order = ["case", "trial", *(name for name in names if name not in ("case", "trial"))]
-    listed = [[asdict(finding)[name] for name in order] for finding in findings]
+    order = ("case", "trial", *(name for name in names if name not in ("case", "trial")))
+    listed = tuple(tuple(asdict(finding)[name] for name in order) for finding in findings)
     note = "A bound is what the value must not exceed; without one nothing is demanded, or no number decides."
     paths.append(folder / "verdicts.md")
     paths[-1].write_text(_write_markdown(cases, findings), encoding="utf-8")
-    return paths + write_table(folder, "findings", "All findings of the laboratory", order, listed, note)
+    return paths + write_table(Table("All findings of the laboratory", order, listed, note), folder, "findings")
 
 
 def _write_markdown(cases: Sequence[Case], findings: Sequence[Finding]) -> str:
@@ -106,26 +104,6 @@ def _write_markdown(cases: Sequence[Case], findings: Sequence[Finding]) -> str:
             lines.append("| " + " | ".join(cells) + " |")
         lines += [""] if own else []
     return "\n".join(lines)
-
-
-def write_table(
-    folder: Path, name: str, title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], note: str
-) -> list[Path]:
-    """Write a table as NAME.csv, and as NAME.json with title, columns, rows and note."""
-    folder.mkdir(parents=True, exist_ok=True)
-    table, whole = folder / f"{name}.csv", folder / f"{name}.json"
-    with table.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file).writerows([columns, *rows])
-    told = {"title": title, "columns": list(columns), "note": note}
-    head = "".join(f" {json.dumps(key)}: {json.dumps(value, ensure_ascii=False)},\n" for key, value in told.items())
-    lines = ",\n".join(f"  {json.dumps([_finite(cell) for cell in row], ensure_ascii=False)}" for row in rows)
-    whole.write_text(f'{{\n{head} "rows": [\n{lines}\n ]\n}}\n', encoding="utf-8")
-    return [table, whole]
-
-
-def _finite(cell: object) -> object:
-    """Leave out what JSON has no number for."""
-    return None if isinstance(cell, float) and not math.isfinite(cell) else cell
 
 
 def name_verdict(verdict: Verdict) -> str:

@@ -18,10 +18,11 @@ from mbsrun.ocp.record import Attempt, Task
 from mbsrun.ocp.search import Study, Targets
 from mbsrun.ocp.trajectory import Trajectory
 from studies.docquier import spread
+from studies.docquier.claims import CLAIMS
 from studies.docquier.growth import Growth
 from studies.docquier.judgement import INSIDE, THRESHOLDS, TURNS, UNMEASURED, judge_all, write_thresholds
+from studies.docquier.judges import COLLOCATION, CONFIRMED, REFUTED
 from studies.docquier.results import Effort, Results, find_outliers
-from studies.docquier.statements import COLLOCATION, CONFIRMED, REFUTED, STATEMENTS
 
 SMOOTH, ROUGH = (1.0, 10.0), (1.0, 0.0)
 NAMES = tuple(r.value for r in Representation)
@@ -262,11 +263,11 @@ CASES: dict[str, tuple[list[Results], list[Results]]] = {
 
 
 def judge(key: str, results: Results) -> str:
-    finding = next(s for s in STATEMENTS if s.key == key).judge(results)
+    finding = next(s for s in CLAIMS if s.key == key).judge(results)
     return UNMEASURED if finding is None else finding.verdict
 
 
-@pytest.mark.parametrize("key", [s.key for s in STATEMENTS])
+@pytest.mark.parametrize("key", [s.key for s in CLAIMS])
 def test_a_statement_is_confirmed_and_refuted_by_its_own_numbers(key: str) -> None:
     confirming, refuting = CASES[key]
     assert [judge(key, results) for results in confirming] == [CONFIRMED] * len(confirming)
@@ -280,8 +281,8 @@ def test_failures_count_in_no_median() -> None:
     assert results.values(ROUGH, "IMPL", "iterations").tolist() == [20.0] * (PLACES - 3)
 
 
-def test_keys_name_statements() -> None:
-    assert len({s.key for s in STATEMENTS}) == len({s.words for s in STATEMENTS}) == len(STATEMENTS) == len(CASES)
+def test_keys_name_claims() -> None:
+    assert len({s.key for s in CLAIMS}) == len({s.words for s in CLAIMS}) == len(CLAIMS) == len(CASES)
 
 
 def test_a_run_without_a_solution_measures_nothing() -> None:

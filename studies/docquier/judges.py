@@ -1,7 +1,7 @@
-"""The statements of Docquier, Bruls, Fisette about their study, and a judge for each of them.
+"""Judge the claims of Docquier, Brüls and Fisette: each judge computes its numbers from the results of a run.
 
-A judge computes its numbers from the results of a run, and returns a verdict with these numbers. Where the paper's
-words have no number, the bounds below say how they are read. `judgement` repeats this over thresholds and scatter.
+The words of the paper are often without a number; the bounds below define them. `judgement` repeats the judges for
+several thresholds, and for draws from the scatter of iterations.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from mbsrun.ocp.search import Place, Weights
 from mbsrun.ocp.trajectory import Trajectory
+from studies.docquier.published import EFFORTS
 from studies.docquier.results import Results, find_outliers, is_dae_of_explicit
 
 Array = NDArray[np.float64]
@@ -37,19 +38,7 @@ class Finding:
     numbers: str
 
 
-@dataclass(frozen=True)
-class Statement:
-    """A sentence of the paper."""
-
-    key: str  # names it in tables and tests
-    place: str  # section, figure or table
-    words: str
-    meaning: str  # what was computed, and when it counts as confirmed
-    judge: Callable[[Results], Finding | None]  # None: not measured
-    scatters: bool = False  # it compares numbers of iterations, which scatter
-
-
-# --- numbers that statements share ---------------------------------------------------------------------------------
+# --- shared numbers ---------------------------------------------------------------------------------
 
 
 def _find(is_so: bool, numbers: str) -> Finding:
@@ -98,7 +87,7 @@ def mean_iterations(results: Results, weights: Weights, name: str, grid: tuple[P
     return float(np.mean(found)) if found else float("nan")
 
 
-def _judge_convergence(results: Results) -> Finding | None:
+def judge_convergence(results: Results) -> Finding | None:
     changes, told = [], []
     for weights in (results.rough, results.smooth):
         grids = list_grids(results, weights) if results.is_measured(weights, *ALL) and weights is not None else []
@@ -120,7 +109,7 @@ def _two_motions(results: Results) -> tuple[Trajectory, Trajectory] | None:
     return None if rough is None or smooth is None else (rough, smooth)
 
 
-def _compare_motions(
+def compare_motions(
     measure: Callable[[Trajectory], float], unit: str, wanted: Callable[[float, float], bool]
 ) -> Callable[[Results], Finding | None]:
     def judge(results: Results) -> Finding | None:
@@ -133,17 +122,17 @@ def _compare_motions(
     return judge
 
 
-def _effort(motion: Trajectory) -> float:
+def effort(motion: Trajectory) -> float:
     """Integrate |u|^2."""
     return float((np.diff(motion.t)[:, None] * motion.u**2).sum())
 
 
-def _variation(motion: Trajectory) -> float:
+def variation(motion: Trajectory) -> float:
     """Sum up how far the inputs go up and down."""
     return float(np.abs(np.diff(motion.u, axis=0)).sum())
 
 
-def _late_turns(motion: Trajectory) -> float:
+def late_turns(motion: Trajectory) -> float:
     """Count the turns of the inputs in the last quarter of the time; those below a thousandth of the range are none."""
     late = motion.u[3 * len(motion.u) // 4 :]
     turns = 0
@@ -154,11 +143,11 @@ def _late_turns(motion: Trajectory) -> float:
     return float(turns)
 
 
-def _speed(motion: Trajectory) -> float:
+def speed(motion: Trajectory) -> float:
     return float(np.abs(motion.qd).max())
 
 
-def _judge_same_end(results: Results) -> Finding | None:
+def judge_same_end(results: Results) -> Finding | None:
     pair = _two_motions(results)
     if pair is None:
         return None
@@ -173,14 +162,14 @@ def _last_inputs(a: Trajectory, b: Trajectory) -> tuple[Array, Array]:
 # --- Fig. 9: minima ------------------------------------------------------------------------------------------------
 
 
-def _judge_smooth_minima(results: Results) -> Finding | None:
+def judge_smooth_minima(results: Results) -> Finding | None:
     if not results.is_measured(results.smooth, *ALL) or results.smooth is None:
         return None
     counts = _count_higher(results, results.smooth)
     return _find(sum(count > 0 for count in counts.values()) == 1, f"tasks in a higher minimum: {_tell(counts)}")
 
 
-def _judge_more_without_smoothing(results: Results) -> Finding | None:
+def judge_more_without_smoothing(results: Results) -> Finding | None:
     if not (results.is_measured(results.rough, *ALL) and results.is_measured(results.smooth, *ALL)):
         return None
     assert results.rough is not None
@@ -189,7 +178,7 @@ def _judge_more_without_smoothing(results: Results) -> Finding | None:
     return _find(without > with_, f"tasks in a higher minimum: {without:.0f} without smoothing, {with_:.0f} with")
 
 
-def _judge_implicit_trapped(results: Results) -> Finding | None:
+def judge_implicit_trapped(results: Results) -> Finding | None:
     if not results.is_measured(results.rough, *ALL) or results.rough is None:
         return None
     counts = _count_higher(results, results.rough)
@@ -197,7 +186,7 @@ def _judge_implicit_trapped(results: Results) -> Finding | None:
     return _find(implicit > explicit, f"tasks in a higher minimum: {_tell(counts)}")
 
 
-def _judge_sides(results: Results) -> Finding | None:
+def judge_sides(results: Results) -> Finding | None:
     """Look where the higher minima of the set without smoothing are: in the outer tenth of azimuths, or at 0."""
     if not results.is_measured(results.rough, *ALL) or results.rough is None:
         return None
@@ -211,7 +200,7 @@ def _judge_sides(results: Results) -> Finding | None:
     return _find(sides + centre > 0.5 * len(found), told)
 
 
-def _judge_explicit_lower(results: Results) -> Finding | None:
+def judge_explicit_lower(results: Results) -> Finding | None:
     """Ask of every task in which IMPL or SEMI is in a higher minimum whether an explicit form reached the lowest."""
     if not results.is_measured(results.rough, *ALL) or results.rough is None:
         return None
@@ -229,7 +218,7 @@ def _judge_explicit_lower(results: Results) -> Finding | None:
     return _find(reached > 0.5 * len(trapped), told)
 
 
-def _judge_centre(results: Results) -> Finding | None:
+def judge_centre(results: Results) -> Finding | None:
     """Compare the iterations without lateral movement with those of all tasks."""
     weights, azimuths = results.rough, results.study.targets.azimuths
     if not results.is_measured(weights, *ALL) or weights is None:
@@ -250,7 +239,7 @@ def _judge_centre(results: Results) -> Finding | None:
 # --- Fig. 10 and 11: effort ----------------------------------------------------------------------------------------
 
 
-def _judge_iteration_outliers(results: Results) -> Finding | None:
+def judge_iteration_outliers(results: Results) -> Finding | None:
     """Count outliers of iterations, and how many of them are in higher minima."""
     weights = results.rough
     if not results.is_measured(weights, *ALL) or weights is None:
@@ -267,7 +256,7 @@ def _judge_iteration_outliers(results: Results) -> Finding | None:
     return _find(outliers > MANY * total and trapped > 0.5 * outliers, told)
 
 
-def _judge_dae_iterations(results: Results) -> Finding | None:
+def judge_dae_iterations(results: Results) -> Finding | None:
     weights = results.rough
     if not results.is_measured(weights, *ALL) or weights is None:
         return None
@@ -277,7 +266,7 @@ def _judge_dae_iterations(results: Results) -> Finding | None:
     return _find(min(dae) > max(rest), f"means: {_tell(means)}")
 
 
-def _compare_groups(
+def compare_groups(
     which: str, figure: str, better: tuple[str, ...], worse: tuple[str, ...], unit: str = ""
 ) -> Callable[[Results], Finding | None]:
     """Confirm that the medians of all in one group are below those of all in the other."""
@@ -293,7 +282,7 @@ def _compare_groups(
     return judge
 
 
-def _compare_ode(which: str, is_clear: bool) -> Callable[[Results], Finding | None]:
+def compare_ode(which: str, is_clear: bool) -> Callable[[Results], Finding | None]:
     """Compare ODE and DAE of both explicit forms in iterations: clear if both are fewer by a tenth."""
 
     def judge(results: Results) -> Finding | None:
@@ -307,7 +296,7 @@ def _compare_ode(which: str, is_clear: bool) -> Callable[[Results], Finding | No
     return judge
 
 
-def _judge_explicit_cpu_alike(results: Results) -> Finding | None:
+def judge_explicit_cpu_alike(results: Results) -> Finding | None:
     sets = [w for w in (results.rough, results.smooth) if results.is_measured(w, *EXPLICIT) and w is not None]
     if not sets:
         return None
@@ -316,7 +305,7 @@ def _judge_explicit_cpu_alike(results: Results) -> Finding | None:
     return _find(is_so, "median CPU s: " + "; ".join(map(_tell, medians)))
 
 
-def _judge_order_n_dae(results: Results) -> Finding | None:
+def judge_order_n_dae(results: Results) -> Finding | None:
     sets = [w for w in (results.rough, results.smooth) if results.is_measured(w, "EXP2-O", "EXP2-A") and w is not None]
     if not sets:
         return None
@@ -325,7 +314,7 @@ def _judge_order_n_dae(results: Results) -> Finding | None:
     return _find(all(m["EXP2-A"] < m["EXP2-O"] for m in medians), told)
 
 
-def _judge_order_n_iterations(results: Results) -> Finding | None:
+def judge_order_n_iterations(results: Results) -> Finding | None:
     """Confirm that EXP2-A takes more iterations than EXP2-O, and no less CPU time in spite of the cheaper ones."""
     sets = [w for w in (results.rough, results.smooth) if results.is_measured(w, "EXP2-O", "EXP2-A") and w is not None]
     if not sets:
@@ -338,18 +327,8 @@ def _judge_order_n_iterations(results: Results) -> Finding | None:
 
 # --- section 4.3.3 -------------------------------------------------------------------------------------------------
 
-PAPER_SIZES = {  # Table 3: variables, constraints, nonzeros of Jacobian and Hessian
-    "IMPL": (8812, 8427, 72435, 39021),
-    "SEMI": (8812, 8427, 72435, 39021),
-    "EXP1-O": (6412, 6027, 62519, 35286),
-    "EXP1-A": (8812, 8427, 69635, 35021),
-    "EXP2-O": (6412, 6027, 62519, 35286),
-    "EXP2-A": (8812, 8427, 69635, 35021),
-}
-PAPER_EFFORTS = {"IMPL": (460, 114), "SEMI": (830, 264), "EXP1": (991, 328), "EXP2": (1784, 395)}  # Table 4
 
-
-def _judge_sizes(results: Results) -> Finding | None:
+def judge_sizes(results: Results) -> Finding | None:
     sizes = {name: results.size(name) for name in ALL}
     if any(size is None for size in sizes.values()):
         return None
@@ -359,7 +338,7 @@ def _judge_sizes(results: Results) -> Finding | None:
     return _find(is_so, f"variables/constraints: {told}")
 
 
-def _judge_nonzeros(results: Results) -> Finding | None:
+def judge_nonzeros(results: Results) -> Finding | None:
     impl, semi = results.size("IMPL"), results.size("SEMI")
     if impl is None or semi is None:
         return None
@@ -367,7 +346,7 @@ def _judge_nonzeros(results: Results) -> Finding | None:
     return _find(impl[2:] == semi[2:], told)
 
 
-def _compare_flops(a: str, b: str, wanted: Callable[[float], bool]) -> Callable[[Results], Finding | None]:
+def compare_flops(a: str, b: str, wanted: Callable[[float], bool]) -> Callable[[Results], Finding | None]:
     """Judge the flops of a formulation by those of another."""
 
     def judge(results: Results) -> Finding | None:
@@ -375,14 +354,14 @@ def _compare_flops(a: str, b: str, wanted: Callable[[float], bool]) -> Callable[
         if a not in efforts or b not in efforts:
             return None
         ratio = efforts[a].flops / efforts[b].flops
-        printed = PAPER_EFFORTS[a][0] / PAPER_EFFORTS[b][0]
+        printed = EFFORTS[a][0] / EFFORTS[b][0]
         told = f"{efforts[a].flops} by {efforts[b].flops} flops: {ratio:.2f}; by the paper's Table 4: {printed:.2f}"
         return _find(wanted(ratio), told)
 
     return judge
 
 
-def _judge_crossing(results: Results) -> Finding | None:
+def judge_crossing(results: Results) -> Finding | None:
     """Find the length of a chain from which on the order-N form takes fewer flops than elimination."""
     growth = {g.formulation: dict(g.flops) for g in results.growth}
     sizes = sorted(set(growth.get("EXP1", {})) & set(growth.get("EXP2", {})))
@@ -395,7 +374,7 @@ def _judge_crossing(results: Results) -> Finding | None:
     return _find(10 <= cheaper[0] <= 20, told)
 
 
-def _compare_iterations(which: str, is_same: bool) -> Callable[[Results], Finding | None]:
+def compare_iterations(which: str, is_same: bool) -> Callable[[Results], Finding | None]:
     """Count the tasks in which IMPL and SEMI take the same number of iterations."""
 
     def judge(results: Results) -> Finding | None:
@@ -414,7 +393,7 @@ def _compare_iterations(which: str, is_same: bool) -> Callable[[Results], Findin
     return judge
 
 
-def _judge_order_n_prefers_dae(results: Results) -> Finding | None:
+def judge_order_n_prefers_dae(results: Results) -> Finding | None:
     sets = [w for w in (results.rough, results.smooth) if results.is_measured(w, *EXPLICIT) and w is not None]
     if not sets:
         return None
@@ -423,7 +402,7 @@ def _judge_order_n_prefers_dae(results: Results) -> Finding | None:
     return _find(is_so, "median CPU s: " + "; ".join(map(_tell, medians)))
 
 
-def _judge_shooting(results: Results) -> Finding | None:
+def judge_shooting(results: Results) -> Finding | None:
     """Compare multiple shooting with collocation on the explicit form at the extreme targets."""
     rates, cpu = dict[str, float](), dict[str, float]()
     for name, attempts in results.shooting:
@@ -438,270 +417,3 @@ def _judge_shooting(results: Results) -> Finding | None:
     is_so = all(rates[name] < rates[base] and cpu[name] > cpu[base] for name in others)
     told = "; ".join(f"{name}: {rates[name]:.0%} solved, median CPU {cpu[name]:.3g} s" for name in (base, *others))
     return _find(is_so, told)
-
-
-STATEMENTS: tuple[Statement, ...] = (
-    Statement(
-        "refinement",
-        "4.3.1, Fig. 7",
-        "The mean number of iterations does not vary significantly between two refinements after a certain size.",
-        f"from the second finest grid within the run's to the run's, every mean changes by {ALIKE:.0%} at most",
-        _judge_convergence,
-        scatters=True,
-    ),
-    Statement(
-        "smoother",
-        "4.3.2, Fig. 8",
-        "The second cost definition leads to a smoother actuation.",
-        "how far the torques go up and down in all is less",
-        _compare_motions(_variation, "N m", lambda rough, smooth: smooth < rough),
-    ),
-    Statement(
-        "effort",
-        "4.3.2, Fig. 8",
-        "The smoother actuation is more important.",
-        "the integral of the squared torques is larger",
-        _compare_motions(_effort, "N² m² s", lambda rough, smooth: smooth > rough),
-    ),
-    Statement(
-        "oscillations",
-        "4.3.2, Fig. 8",
-        "There are less oscillations at the end of the trajectory.",
-        "the torques turn less often in the last quarter of the time",
-        _compare_motions(_late_turns, "turns", lambda rough, smooth: smooth < rough),
-    ),
-    Statement(
-        "speeds",
-        "4.3.2, Fig. 8",
-        "Joint velocities have lower values than for the non-smoothed actuation.",
-        "the largest joint velocity at a mesh point is lower",
-        _compare_motions(_speed, "rad/s", lambda rough, smooth: smooth < rough),
-    ),
-    Statement(
-        "same-end",
-        "4.3.2, Fig. 8",
-        "For the 2 cost definitions, the same final angular positions and the same final actuation are obtained.",
-        "angles agree to 1e-4 rad, torques of the last interval to 1e-2 N m",
-        _judge_same_end,
-    ),
-    Statement(
-        "one-outlier",
-        "4.3.2, Fig. 9.b",
-        "With smoothed actuation, only one formulation presents an outlier, which corresponds to a higher local "
-        "minimum.",
-        "one representation has tasks in a higher minimum than the lowest known",
-        _judge_smooth_minima,
-    ),
-    Statement(
-        "fewer-minima",
-        "4.3.2, Fig. 9",
-        "The actuation smoothing seems to reduce the problem of higher local minima.",
-        "all representations together are in fewer higher minima with smoothing",
-        _judge_more_without_smoothing,
-    ),
-    Statement(
-        "implicit-trapped",
-        "4.3.2, Fig. 9.a; 4.3.3; 5",
-        "Without smoothing, the implicit and semi-explicit formulations are more frequently trapped in higher local "
-        "minima than the explicit ones.",
-        "IMPL and SEMI are in more higher minima, on average, than the explicit forms",
-        _judge_implicit_trapped,
-    ),
-    Statement(
-        "sides-and-centre",
-        "4.3.2, Fig. 9.a",
-        "Outliers correspond to points at the far left or the far right, and to the central point.",
-        "most higher minima are at azimuths in the outer tenth, or at 0",
-        _judge_sides,
-    ),
-    Statement(
-        "explicit-lower",
-        "4.3.2, Fig. 9.a",
-        "Lower minima are reached by the explicit formulations for the same tasks.",
-        "of the tasks in which IMPL or SEMI is in a higher minimum, most are in the lowest known by an explicit form",
-        _judge_explicit_lower,
-    ),
-    Statement(
-        "no-lateral-movement",
-        "4.3.2",
-        "All the formulations seem to struggle with the problem without lateral movement.",
-        "without smoothing, every form's median of iterations at azimuth 0 is above that of all tasks",
-        _judge_centre,
-        scatters=True,
-    ),
-    Statement(
-        "iteration-outliers",
-        "4.3.2, Fig. 10.a",
-        "Without smoothing, the number of iterations has a high number of outliers corresponding to the high local "
-        "minima.",
-        f"more than {MANY:.0%} of the solves are outliers, and most outliers are in a higher minimum",
-        _judge_iteration_outliers,
-        scatters=True,
-    ),
-    Statement(
-        "dae-iterations",
-        "4.3.2, Fig. 10.a",
-        "Without smoothing, the DAE explicit formulations need a larger average number of iterations than the four "
-        "others.",
-        "both means are above those of all others",
-        _judge_dae_iterations,
-        scatters=True,
-    ),
-    Statement(
-        "implicit-iterations",
-        "4.3.2, Fig. 10.b",
-        "With smoothing, the implicit and semi-explicit formulations generally perform better (iterations).",
-        "both medians are below those of the explicit forms",
-        _compare_groups("smooth", "iterations", IMPLICIT, EXPLICIT),
-        scatters=True,
-    ),
-    Statement(
-        "implicit-cpu-rough",
-        "4.3.2, Fig. 10.a; 4.3.3; 5",
-        "Without smoothing, the implicit and the semi-explicit formulations lead to better CPU times than the explicit "
-        "ones.",
-        "both medians are below those of the explicit forms",
-        _compare_groups("rough", "cpu", IMPLICIT, EXPLICIT, " of CPU s"),
-        scatters=True,
-    ),
-    Statement(
-        "implicit-cpu-smooth",
-        "4.3.2, Fig. 10.b; 4.3.3; 5",
-        "With smoothing, the implicit and the semi-explicit formulations lead to better CPU times than the explicit "
-        "ones.",
-        "both medians are below those of the explicit forms",
-        _compare_groups("smooth", "cpu", IMPLICIT, EXPLICIT, " of CPU s"),
-        scatters=True,
-    ),
-    Statement(
-        "implicit-cpu-per-iteration-rough",
-        "4.3.2, Fig. 11.a",
-        "This tendency is also observed for the CPU time per iteration: without smoothing.",
-        "both medians are below those of the explicit forms",
-        _compare_groups("rough", "cpu per iteration", IMPLICIT, EXPLICIT, " of CPU ms"),
-    ),
-    Statement(
-        "implicit-cpu-per-iteration-smooth",
-        "4.3.2, Fig. 11.b",
-        "This tendency is also observed for the CPU time per iteration: with smoothing.",
-        "both medians are below those of the explicit forms",
-        _compare_groups("smooth", "cpu per iteration", IMPLICIT, EXPLICIT, " of CPU ms"),
-    ),
-    Statement(
-        "ode-iterations",
-        "4.3.2, Fig. 10.a",
-        "The ODE representation gives better results in terms of iterations for the first set of tasks.",
-        f"without smoothing, both explicit forms take at least {ALIKE:.0%} fewer iterations as ODE",
-        _compare_ode("rough", True),
-        scatters=True,
-    ),
-    Statement(
-        "ode-iterations-unclear",
-        "4.3.2, Fig. 10.b",
-        "This difference is not so clear for the second set of tasks.",
-        f"with smoothing, not both explicit forms take at least {ALIKE:.0%} fewer iterations as ODE",
-        _compare_ode("smooth", False),
-        scatters=True,
-    ),
-    Statement(
-        "explicit-cpu-alike",
-        "4.3.2, Fig. 10",
-        "The two explicit forms exhibit similar performances in terms of CPU time as ODE and as DAE systems.",
-        f"medians within {SIMILAR:.0%}",
-        _judge_explicit_cpu_alike,
-        scatters=True,
-    ),
-    Statement(
-        "order-n-dae-per-iteration",
-        "4.3.2, Fig. 11",
-        "The Order-N implementation yields a lower CPU time per iteration when formulated as a DAE system.",
-        "EXP2-A's median is below EXP2-O's, in each set",
-        _judge_order_n_dae,
-    ),
-    Statement(
-        "order-n-iterations",
-        "4.3.2, Fig. 10",
-        "Its poor performances in terms of total CPU time are explained by its high number of iterations.",
-        "EXP2-A takes more iterations than EXP2-O, and no less time, in each set",
-        _judge_order_n_iterations,
-        scatters=True,
-    ),
-    Statement(
-        "dae-larger",
-        "4.3.3, Table 3",
-        "The DAE form leads to a larger problem as both the number of equations and variables is higher.",
-        "compared for all forms",
-        _judge_sizes,
-    ),
-    Statement(
-        "nonzeros",
-        "4.3.3, Table 3",
-        "The implicit and semi-explicit formulations lead to the exact same number of non-zero terms in the Jacobian "
-        "and the Hessian.",
-        "counted",
-        _judge_nonzeros,
-    ),
-    Statement(
-        "flops-half",
-        "4.3.3, Table 4",
-        "Φ takes about half of the operations of the M and c terms.",
-        f"flops of IMPL by those of SEMI, from {HALF[0]:g} to {HALF[1]:g}",
-        _compare_flops("IMPL", "SEMI", lambda ratio: HALF[0] <= ratio <= HALF[1]),
-    ),
-    Statement(
-        "flops-exp1",
-        "4.3.3, Table 4",
-        "The modified NER with Cholesky decomposition takes a number of flops comparable with the semi-explicit form.",
-        f"flops of EXP1 by those of SEMI, up to {1 + SIMILAR:g}",
-        _compare_flops("EXP1", "SEMI", lambda ratio: ratio <= 1 + SIMILAR),
-    ),
-    Statement(
-        "flops-exp2",
-        "4.3.3, Table 4",
-        "The Order-N method takes more than 4 times the number of operations of the implicit form.",
-        "flops of EXP2 by those of IMPL, above 4",
-        _compare_flops("EXP2", "IMPL", lambda ratio: ratio > 4),
-    ),
-    Statement(
-        "crossing",
-        "4.3.3",
-        "The linear behaviour of the Order-N method becomes only interesting for a greater number of joints (around "
-        "15).",
-        "from 10 to 20 joints of a chain on, EXP2 takes fewer flops than EXP1",
-        _judge_crossing,
-    ),
-    Statement(
-        "same-iterations",
-        "4.3.3, Fig. 10.b",
-        "With smoothing, IMPL and SEMI take an almost exact same number of iterations in the 231 tasks.",
-        f"the same in {1 - ALIKE:.0%} of the tasks",
-        _compare_iterations("smooth", True),
-        scatters=True,
-    ),
-    Statement(
-        "similar-iterations",
-        "4.3.3, Fig. 10.a",
-        "Without smoothing, a similar but non-identical number of iterations is observed for the two formulations.",
-        f"not the same in all tasks, medians within {SIMILAR:.0%}",
-        _compare_iterations("rough", False),
-        scatters=True,
-    ),
-    Statement(
-        "order-n-prefers-dae",
-        "5",
-        "The Order-N explicit form works better with a DAE representation, while a pure ODE seems more appropriate for "
-        "the NER explicit form.",
-        "medians of CPU time, in each set: EXP2-A below EXP2-O, and EXP1-O below EXP1-A",
-        _judge_order_n_prefers_dae,
-        scatters=True,
-    ),
-    Statement(
-        "shooting",
-        "4.3.3; 5",
-        "Multiple shooting led to lower performances in terms of robustness: lower success rate for the extreme points "
-        "and slower convergence.",
-        "at the extreme targets and in the middle, with smoothing, every kind of shooting solves fewer tasks, and is "
-        "slower, for an explicit form",
-        _judge_shooting,
-    ),
-)
