@@ -27,9 +27,8 @@ def write_summary(kernels: Mapping[str, Any], growth: Mapping[str, Any], ocp: Ma
     """Write the table of what the three benchmarks measured, from the content of their JSON files."""
     rows = [*_list_rows(kernels, growth), *_list_solves(ocp)]
     lines = [
-        "How many times longer the quickest peer takes than what mbsgen generates, by the shortest rounds. First, all",
-        "have the same sine and cosine, those of `csrc/mbs_sincos.h`; in brackets all are as they come: peers call the",
-        "C library.",
+        "Time of the quickest peer over the time of the generated code, by the shortest rounds. First, all use the sine",
+        "and cosine of `csrc/mbs_sincos.h`; in brackets, all are as they come, and peers call the C library.",
         "",
         f"| | {' | '.join(COLUMNS)} |",
         "|---|" + "---:|" * len(COLUMNS),
@@ -40,7 +39,7 @@ def write_summary(kernels: Mapping[str, Any], growth: Mapping[str, Any], ocp: Ma
         "quicker algorithm. All numbers of the models are folded, for everybody.",
         "",
         "Optimal control: N = 100, degree 4, the residual at each point. First, CasADi's C of the dynamics at a point",
-        "stands in the place of our kernels, in our program; in brackets, CasADi differentiates the whole, as C. Ours",
+        "replaces our kernels in our program; in brackets, CasADi differentiates the whole, as C. Ours",
         "has its own linear solver, the peers MUMPS.",
         "",
         f"Measured on {kernels['machine']}. All figures: [kernels](benchmarks.md), [size](growth.md),",

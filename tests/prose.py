@@ -65,7 +65,7 @@ def read_texts(name: str) -> list[Text]:
 def read_sentences(text: str) -> list[str]:
     """Split a paragraph of Markdown into sentences; code and links count as words."""
     plain = re.sub(r"`[^`]*`", "code", re.sub(r"\]\([^)]*\)", "]", text))
-    return [s for s in re.split(r"(?<=[.:;?!])[)\"*]*\s+(?=[A-Z`*\[(])|\|", " ".join(plain.split())) if s]
+    return [s for s in re.split(r"(?<=[.:;?!])[)\"*]*\s+|\|", " ".join(plain.split())) if s]
 
 
 def _line(source: str, position: int) -> int:
@@ -87,11 +87,12 @@ def _read_python(name: str, source: str) -> Iterator[Text]:
 
 
 def _read_markdown(name: str, source: str) -> Iterator[Text]:
-    """Read paragraphs, items of lists and rows of tables; fenced code is left out."""
+    """Read paragraphs, items of lists and rows of tables; fenced and indented code is left out."""
     prose = FENCE.sub(lambda match: "\n" * match.group().count("\n"), source)
     start = 0
     for end in [m.start() for m in re.finditer(r"\n\s*\n|\n(?=\s*[-*|#] ?)|\n(?=\s*\d+\. )|\Z", prose)]:
         paragraph = prose[start:end]
-        if paragraph.strip():
+        is_code = all(line.startswith("    ") for line in paragraph.splitlines() if line.strip())
+        if not is_code:
             yield Text(name, _line(prose, start + len(paragraph) - len(paragraph.lstrip())), paragraph)
         start = end
