@@ -27,8 +27,8 @@ def write_summary(kernels: Mapping[str, Any], growth: Mapping[str, Any], ocp: Ma
     """Write the table of what the three benchmarks measured, from the content of their JSON files."""
     rows = [*_list_rows(kernels, growth), *_list_solves(ocp)]
     lines = [
-        "Time of the quickest peer over the time of the generated code, by the shortest rounds. First, all use the sine",
-        "and cosine of `csrc/mbs_sincos.h`; in brackets, all are as they come, and peers call the C library.",
+        "Time of the quickest peer over the time of the generated code, by the shortest rounds. First, all use the",
+        "sine and cosine of `csrc/mbs_sincos.h`; in brackets, all are as they come, and peers call the C library.",
         "",
         f"| | {' | '.join(COLUMNS)} |",
         "|---|" + "---:|" * len(COLUMNS),
