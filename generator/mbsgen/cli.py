@@ -25,7 +25,7 @@ from mbsgen import __version__
 from mbsgen.errors import MbsError
 from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
 from mbsgen.families import Tell, say_nothing
-from mbsgen.formulations.catalogue import FORMULATIONS, FUNCTIONS
+from mbsgen.formulations.catalogue import FUNCTIONS, list_rows
 from mbsgen.formulations.reductions import ALL
 from mbsgen.importing import Choices, Mimic, Notice, import_model, is_foreign, list_formats, write_imported
 from mbsgen.model.model import Model
@@ -49,7 +49,7 @@ from mbsgen.report import (
     write_json,
     write_markdown,
 )
-from mbsgen.scaling import LARGEST, PERIOD, find_crossing, grow
+from mbsgen.scaling import PERIOD, find_crossing, grow
 
 _UNCUT = 10_000  # characters in a line, so that neither a pipe nor a narrow terminal cuts text off
 SWITCHES = {name.replace("_", "-"): name for name in ("regroup", "share_frames", "lump", "absolute", "factor")}
@@ -411,8 +411,8 @@ def scaling_command(largest: int) -> None:
     """
     sizes = range(PERIOD, largest + 1, PERIOD)
     found = {}
-    for name in FORMULATIONS:
-        within = [n for n in sizes if n <= LARGEST[name]]
+    for name, row in list_rows().items():
+        within = [n for n in sizes if n <= row.longest]
         with click.progressbar(within, label=name, file=sys.stderr) as steps:
             found[name] = grow(name, steps)
     click.echo("bodies" + "".join(f"{name:>9} eqs  " for name in found))

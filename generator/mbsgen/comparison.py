@@ -17,11 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.errors import Fault, InputError
-from mbsgen.formulations.catalogue import FUNCTIONS
+from mbsgen.formulations.catalogue import FUNCTIONS, REFERENCE, list_giving
 from mbsgen.formulations.reductions import ALL
 from mbsgen.importing import Choices, import_model
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import NO_FORCE, ZERO, Tree
+from mbsgen.roles import Role
 from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.types import Tape
 
@@ -149,7 +150,10 @@ def _strip(tree: Tree) -> Tree:
 
 def _compute(tree: Tree, states: Sequence[tuple[Array, Array, Array]]) -> list[dict[str, Array]]:
     """Compute Phi, M, c and qdd by the kernels of the tree, without inputs."""
-    tapes = [FUNCTIONS[name].build(tree, replace(ALL, trials=1)) for name in ("impl", "semi", "exp1")]
+    tapes = [
+        FUNCTIONS[name].build(tree, replace(ALL, trials=1))
+        for name in (REFERENCE, list_giving(Role.MASS_MATRIX)[0], list_giving(Role.ACCELERATION)[0])
+    ]
     rest = np.zeros(sum(joint.actuated for joint in tree.joints))
     results: list[dict[str, Array]] = []
     for q, qd, qdd in states:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import random
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,19 +18,22 @@ from numpy.typing import NDArray
 from mbsgen.approximation.choice import Approximation
 from mbsgen.derivatives.dynamics import Dynamics
 from mbsgen.families import Options, write_families
-from mbsgen.formulations.catalogue import FUNCTIONS
+from mbsgen.formulations import ports
+from mbsgen.formulations.catalogue import FUNCTIONS, REFERENCE
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.model import Model
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.scene import EVERYTHING, Scene, stage
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.model.valuation import Valuation
+from mbsgen.roles import Axis, Role
 from mbsgen.tape.counts import count
 from mbsgen.tape.interpreter import FLOATS, evaluate
+from mbsgen.tape.ports import Port
 from mbsgen.tape.types import Tape
 
 POINTS = 3  # random states
-_OF_ALL_MASS = ("potential", "com")  # results that include bodies at rest
+_OF_ALL_MASS = (ports.POTENTIAL, ports.CENTRE_OF_MASS)  # results that include bodies at rest
 Array = NDArray[np.float64]
 State = dict[str, Array]
 
@@ -90,7 +94,7 @@ def _compare(model: Model, scene: Scene, options: Options) -> dict[str, float]:
     reduced = _tapes(comparison.reduced, replace(options, runtime=False), fixed)
     deviations: dict[str, float] = {}
     for name, tape in reduced.items():
-        if name in FUNCTIONS and name != "condition":
+        if name in FUNCTIONS and not tape.giving(Role.CONDITION):
             deviations[name] = max(comparison.deviate(tape, seed) for seed in range(POINTS))
     return deviations
 
@@ -123,20 +127,20 @@ class _Comparison:
         """Compare one reduced function at a random state."""
         state = self._draw(seed)
         found = _evaluate(tape, self._reduce(state))
-        if tape.name in ("exp1", "exp2"):
+        accelerations = tape.giving(Role.ACCELERATION)
+        if accelerations:
             qdd = np.zeros(len(self.whole.joints))
-            qdd[self.moving] = found["qdd"][:, 0]
-            rows = _evaluate(FUNCTIONS["impl"].build(self.whole, self.reductions), state | {"qdd": qdd})["Phi"][
-                self.moving
-            ]
-            still = _evaluate(FUNCTIONS["impl"].build(self.whole, self.reductions), state | {"qdd": 0 * qdd})["Phi"][
-                self.moving
-            ]
+            qdd[self.moving] = found[accelerations.name][:, 0]
+            residual = FUNCTIONS[REFERENCE].build(self.whole, self.reductions)
+            rows, still = (
+                _evaluate(residual, state | {accelerations.name: x})[ports.RESIDUAL.name][self.moving]
+                for x in (qdd, 0 * qdd)
+            )
             return float(np.abs(rows).max() / np.abs(still).max())
         expected = _evaluate(FUNCTIONS[tape.name].build(self.whole, self.reductions), state)
-        compared = {name: values for name, values in found.items() if not (self._is_grounded and name in _OF_ALL_MASS)}
+        compared = [o for o in tape.outputs if not (self._is_grounded and o.port in _OF_ALL_MASS)]
         return max(
-            (_differ(values, self._pick(tape.name, name, expected[name])) for name, values in compared.items()),
+            (_differ(found[o.name], self._pick(o.port, expected[o.name])) for o in compared),
             default=0.0,
         )
 
@@ -172,24 +176,30 @@ class _Comparison:
             "w": state["w"][np.array(left, dtype=bool)],
         }
 
-    def _pick(self, function: str, result: str, values: Array) -> Array:
-        """Select the remaining rows and columns of a result of the whole model."""
-        sensors = [k for k, x in enumerate(self.whole.sensors) if x.name in {s.name for s in self.reduced.sensors}]
-        match function, result:
-            case ("impl" | "semi_res" | "semi", "Phi" | "c"):
-                return values[self.moving]
-            case "semi", "M":
-                return values[np.ix_(self.moving, self.moving)]
-            case "rates", _:
-                return values[self.free]
-            case "sensors" | "motion", _:
-                return values[:, sensors]
-            case "jacobian", _:
-                return values[np.ix_([6 * k + r for k in sensors for r in range(6)], self.moving)]
-            case "frames", _:
-                places = [_frames(self.whole).index(frame) for frame in _frames(self.reduced)]
-                return values[:, places if result == "p" else [3 * k + r for k in places for r in range(3)]]
-        return values
+    def _pick(self, port: Port, values: Array) -> Array:
+        """Return the rows and columns of a result of the whole model that the reduced model has."""
+        rows, cols = (self._select(axis, n) for axis, n in zip((port.rows, port.cols), values.shape, strict=True))
+        return values[np.ix_(rows, cols)]
+
+    def _select(self, axis: Axis | None, size: int) -> list[int]:
+        """Return the entries along an axis that the reduced model has, of so many."""
+        if axis is None:
+            return list(range(size))
+        left, count = self._left[axis]
+        width = size // count if count else 0
+        return [width * k + r for k in left for r in range(width)]
+
+    @cached_property
+    def _left(self) -> Mapping[Axis, tuple[list[int], int]]:
+        """The joints, coordinates, sensors and frames that are left, and their number in the whole model."""
+        kept, names = {s.name for s in self.reduced.sensors}, [x.name for x in self.whole.sensors]
+        frames = _frames(self.whole)
+        return {
+            Axis.VELOCITIES: (self.moving, len(self.whole.joints)),
+            Axis.COORDINATES: (self.free, len(self.at)),
+            Axis.SENSORS: ([k for k, name in enumerate(names) if name in kept], len(names)),
+            Axis.FRAMES: ([frames.index(frame) for frame in _frames(self.reduced)], len(frames)),
+        }
 
 
 def _frames(tree: Tree) -> list[tuple[str, str]]:

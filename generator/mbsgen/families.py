@@ -14,7 +14,7 @@ from mbsgen.derivatives.dynamics import Dynamics
 from mbsgen.derivatives.kernels import differentiable, differentiate
 from mbsgen.errors import MbsError
 from mbsgen.formulations import ports
-from mbsgen.formulations.catalogue import FUNCTIONS, Entry, select_functions
+from mbsgen.formulations.catalogue import FUNCTIONS, REFERENCE, Entry, list_giving, refuse, select_functions
 from mbsgen.formulations.reductions import ALL, Reductions
 from mbsgen.model.scene import EVERYTHING, Scene
 from mbsgen.model.tree import Kind, Tree
@@ -80,12 +80,13 @@ def write_families(
         tape = entry.build(tree, options.reductions)
         assert tape.name == name, "the catalogue calls a tape by its own name"
         tape = keep_results(tape, read[name]) if name in read else tape
-        if not (entry.differentiated and min(options.derivatives, scene.derivatives)):
+        order = min(entry.order, options.derivatives, scene.derivatives)
+        if not order:
             families.append(Family(tape, title=entry.title))
             continue
         tell(f"{name} and its derivatives")
-        found = dynamics.differentiate(tape) if entry.of_dynamics else differentiate(tape, differentiable(tape))
-        second = found.jac_adj1 if min(options.derivatives, scene.derivatives) > 1 else None
+        found = dynamics.differentiate(tape) if entry.is_form else differentiate(tape, differentiable(tape))
+        second = found.jac_adj1 if order > 1 else None
         loops = found.loops
         families.append(Family(tape, found.jac, found.adj1, second, entry.title, loops))
         families.append(Family(found.lin, title=f"{entry.title}, with its Jacobians", loops=loops))
@@ -147,14 +148,18 @@ def _let_rest(family: Family) -> Family:
 
 
 def _write_acados(families: Sequence[Family], *, timed: bool) -> tuple[Family, ...]:
-    tapes = {tape.name: tape for family in families for tape in family.tapes}
-    explicit = [name for name in acados.EXPLICIT if name in tapes]
-    if acados.RESIDUAL not in tapes and not explicit:
-        raise OptionError(
-            f"acados: its functions are made of {acados.RESIDUAL}, {' or '.join(acados.EXPLICIT)}; name one"
-        )
-    cheapest = min(explicit, key=lambda name: count(tapes.get(f"lin_{name}", tapes[name])).paper, default="")
-    return acados.write_acados(tapes, cheapest, timed=timed)
+    tapes = {tape.function: tape for family in families for tape in family.tapes}
+    known = [Function(name) for name in list_giving(Role.ACCELERATION)]
+    explicit = [function for function in known if function in tapes]
+    residual = Function(REFERENCE)
+    if residual not in tapes and not explicit:
+        forms = " or ".join(function.name for function in known)
+        raise OptionError(f"acados: its functions are made of {residual.name}, {forms}; name one")
+
+    def measure(function: Function) -> int:
+        return count(tapes.get(function.to(Order.LINEARISATION), tapes[function])).paper
+
+    return acados.write_acados(tapes, residual, min(explicit, key=measure, default=None), timed=timed)
 
 
 def _choose_functions(tree: Tree, names: tuple[str, ...] | None) -> Mapping[str, Entry]:
@@ -165,10 +170,7 @@ def _choose_functions(tree: Tree, names: tuple[str, ...] | None) -> Mapping[str,
     faults = [] if names else [f"no function is named; there are {', '.join(present)}"]
     for name in dict.fromkeys(names):
         if name in FUNCTIONS and name not in present:
-            of_sensors = "of sensors", "name some under `frames:`"
-            of_quaternions = "of quaternions", "the rates of its coordinates are qd"
-            what, remedy = of_sensors if FUNCTIONS[name].of_sensors else of_quaternions
-            faults.append(f"{name} is {what}, and {tree.name} has none; {remedy}")
+            faults.append(refuse(name, tree))
         elif name not in FUNCTIONS:
             near = difflib.get_close_matches(name, present, 1)
             remedy = f"is {near[0]} meant?" if near else f"there are {', '.join(present)}"

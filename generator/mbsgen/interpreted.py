@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sympy import Integer
 
-from mbsgen.formulations import exp2, impl
+from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
@@ -23,16 +23,15 @@ Array = NDArray[np.float64]
 
 ONE_PLAN = Reductions(trials=1, factor=False)
 _NOWHERE = (Integer(0), Integer(0), Integer(0))
-_BUILDS = {"impl": impl.build, "exp2": exp2.build}
 
 
 class Interpreted:
-    """`impl` or `exp2` of a model file, with its gravity or without."""
+    """A function of a model file, with its gravity or without."""
 
     def __init__(self, model: Path, name: str, *, gravity: bool = True) -> None:
         """Write the equations. Raises InputError with every fault in the model."""
         tree = build_tree(read_model(model))
-        self._tape = _BUILDS[name](tree if gravity else replace(tree, gravity=_NOWHERE), ONE_PLAN)
+        self._tape = FUNCTIONS[name].build(tree if gravity else replace(tree, gravity=_NOWHERE), ONE_PLAN)
 
     def compute(self, states: Mapping[str, Array]) -> dict[str, Array]:
         """Compute all results, (K, size) by name, for inputs (K, size) by name. Guards are not tested."""

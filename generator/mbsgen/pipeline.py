@@ -15,7 +15,7 @@ from mbsgen.documents import abbreviate, refuse, write_path
 from mbsgen.errors import Fault
 from mbsgen.evidence import gather
 from mbsgen.families import DEFAULT, OptionError, Options, Tell, say_nothing, write_families
-from mbsgen.formulations.catalogue import RESULTS
+from mbsgen.formulations.catalogue import list_results
 from mbsgen.importing import import_model, is_foreign
 from mbsgen.manifest import Coordinate, Frame, Manifest, Parameter, Wrench
 from mbsgen.model.checks import find_faults
@@ -79,7 +79,7 @@ def make(model: Path | Model, options: Options = DEFAULT, tell: Tell = say_nothi
     families = write_families(tree, options, dynamics, scene, tell)
     has_setup = families[0].value.giving(Role.SETUP) is not None
     tell("the check of all functions")
-    verification = verify(tree, families, parts=dict(scene.together), still=not scene.motion)
+    verification = verify(tree, families, still=not scene.motion)
     unit = Unit(
         mangle(tree.name),
         __version__,
@@ -145,7 +145,7 @@ def read(model: Path | Model) -> Model:
 def _read_scene(options: Options, model: Model) -> Scene:
     scene = options.scene
     if not isinstance(scene, Scene):
-        scene = read_scene(scene, model, RESULTS)
+        scene = read_scene(scene, model, list_results())
     tolerance = scene.tolerance if options.tolerance is None else options.tolerance
     if not 0 <= (tolerance or 0) <= LARGEST_TOLERANCE:
         raise OptionError(f"tolerance: {tolerance} is no relative error; give a number from 0 to {LARGEST_TOLERANCE}")

@@ -19,8 +19,7 @@ from sympy import Expr
 
 from mbsgen.evidence import Evidence, describe, describe_cuts
 from mbsgen.formulations import ports
-from mbsgen.formulations.catalogue import FORMULATIONS
-from mbsgen.formulations.planning import dynamics_alone
+from mbsgen.formulations.catalogue import list_rows, write_row
 from mbsgen.formulations.reductions import ALL, NONE, Reductions
 from mbsgen.manifest import Flops, Kernel
 from mbsgen.model.symbols import exact, to_double
@@ -116,13 +115,12 @@ def make_report(
     reduction takes a while, and is done only if requested.
     """
     made = {kernel.name.upper() for kernel in kernels}
-    names = [name for name in FORMULATIONS if name in made]
+    names = [name for name in list_rows() if name in made]
     formulations, setups, folded = {}, {}, {}
     for name in names:
         setup, tape = _write(name, parametric, LUMPED)
         formulations[name], setups[name] = _cost(tape), _cost(setup)
-        row = FORMULATIONS[name]
-        folded[name] = _cost(row.build(dynamics_alone(_fold(written), driven=row.driven), ALL))
+        folded[name] = _cost(write_row(name, _fold(written), ALL))
     switched = SWITCHED if compare else {}
     reductions = {
         title: {name: count(_write(name, parametric, choice)[1]).paper for name in names}
@@ -162,10 +160,7 @@ def _fold(tree: Tree) -> Tree:
 
 def _write(name: str, tree: Tree, reductions: Reductions) -> tuple[Tape, Tape]:
     """Write a formulation's dynamics alone; split off the operations on parameters alone."""
-    row = FORMULATIONS[name]
-    setup, (tape,) = hoist(
-        [row.build(dynamics_alone(tree, driven=row.driven), reductions)], ports.PARAMETERS, ports.SETUP
-    )
+    setup, (tape,) = hoist([write_row(name, tree, reductions)], ports.PARAMETERS, ports.SETUP)
     return setup, tape
 
 

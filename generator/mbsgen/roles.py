@@ -32,6 +32,7 @@ class Role(Enum):
     MASS_MATRIX = "mass_matrix"  # M of M qdd + c = Q
     BIAS = "bias"  # c of M qdd + c = Q
     RATE = "rate"  # time derivatives of q
+    CONDITION = "condition"  # the factor by which a solution loses digits
     RESULT = "result"  # any other result
     SEED = "seed"  # the weights of a result, of which the adjoint is the sum
     ADJOINT = "adjoint"  # the derivative of the weighted sum of all results, by an input

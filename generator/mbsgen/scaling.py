@@ -8,14 +8,12 @@ from itertools import pairwise
 
 from sympy import Float, Integer
 
-from mbsgen.formulations.catalogue import FORMULATIONS
-from mbsgen.formulations.planning import dynamics_alone
+from mbsgen.formulations.catalogue import write_row
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Body, Joint, Matrix, Motion, Tree
 from mbsgen.tape.counts import Counts, count
 
 PERIOD = 3  # axes repeat: each body adds as much as the body three places before it
-LARGEST: Mapping[str, int] = {"IMPL": 100, "SEMI": 50, "EXP1": 50, "EXP2": 100}
 ONE_PLAN = Reductions(trials=1)  # the best of the standard plans: the same for all sizes
 
 _ZERO, _ONE = Integer(0), Integer(1)
@@ -72,8 +70,7 @@ def differences(values: Sequence[int], order: int) -> list[int]:
 
 def count_chain(formulation: str, size: int) -> Counts:
     """Count a formulation of a chain, all numbers folded."""
-    row = FORMULATIONS[formulation]
-    return count(row.build(dynamics_alone(make_chain(size), driven=row.driven), ONE_PLAN))
+    return count(write_row(formulation, make_chain(size), ONE_PLAN))
 
 
 def grow(formulation: str, sizes: Iterable[int]) -> Growth:

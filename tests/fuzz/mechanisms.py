@@ -25,7 +25,7 @@ from mbsgen.approximation.choice import approximate
 from mbsgen.approximation.states import draw as draw_states
 from mbsgen.errors import MbsError
 from mbsgen.families import Options, write_families
-from mbsgen.formulations.catalogue import FUNCTIONS, RESULTS
+from mbsgen.formulations.catalogue import FUNCTIONS, list_results
 from mbsgen.formulations.reductions import ALL, NONE, Reductions
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
@@ -281,7 +281,7 @@ def examine(
         model.write_text(yaml.safe_dump(mechanism.model, sort_keys=False))
         scene.write_text(yaml.safe_dump(mechanism.scene or {"motion": True}, sort_keys=False))
         whole = read_model(model)
-        told = read_scene(scene, whole, RESULTS)
+        told = read_scene(scene, whole, list_results())
     reductions = CHOICES[mechanism.reductions]
     tree = build_tree(stage(whole, told))
     if mechanism.tolerance and tree.couplings:
@@ -296,7 +296,7 @@ def examine(
     options = Options(reductions=reductions, functions=functions, derivatives=2 if derivatives else 0)
     families = write_families(tree, options, scene=told)
     if derivatives:
-        verify(tree, families, parts={}, still=not told.motion)
+        verify(tree, families, still=not told.motion)
     tapes = {family.value.name: family.value for family in families}
     with fifty_digits():
         found = _Comparison(mechanism, tree, tapes, seed, reference).run()

@@ -12,7 +12,7 @@ from mbsgen.evidence import gather
 from mbsgen.expressions import Number, parse
 from mbsgen.families import Options, write_families
 from mbsgen.formulations import impl
-from mbsgen.formulations.catalogue import FUNCTIONS, RESULTS
+from mbsgen.formulations.catalogue import FUNCTIONS, list_results
 from mbsgen.formulations.reductions import ALL, Reductions
 from mbsgen.model.construction import body, frame, make_model, prismatic, revolute
 from mbsgen.model.model import Model
@@ -165,7 +165,7 @@ def test_every_fault_of_a_scene_is_told_at_once(tmp_path: Path):
         "results: {energy: [heat]}\ntogether: {impl: [impl, semi_res]}\nmotoin: false\n"
     )
     with pytest.raises(InputError) as caught:
-        read_scene(path, linkage(), RESULTS)
+        read_scene(path, linkage(), list_results())
     text = str(caught.value)
     for found in ("imple", "wrst", "top", "angel", "heat", "cannot be the name", "a result Phi", "motoin"):
         assert found in text
@@ -188,7 +188,7 @@ def test_what_cannot_be_is_refused(text: str, finding: str, tmp_path: Path):
     path = tmp_path / "scene.yaml"
     path.write_text(text)
     with pytest.raises(InputError, match=finding):
-        read_scene(path, linkage(), RESULTS)
+        read_scene(path, linkage(), list_results())
 
 
 def test_a_scene_file_is_followed(tmp_path: Path):

@@ -81,7 +81,7 @@ def with_fault(families: tuple[Family, ...], kernel: str) -> tuple[Family, ...]:
 
 def test_what_is_right_passes_and_nothing_is_left_out() -> None:
     tree, families = written()
-    found = verify(tree, families, parts={}, still=False)
+    found = verify(tree, families, still=False)
     assert set(found.deviations) == set(kernels())
     assert found.unchecked == ()
     assert found.states == 2
@@ -95,7 +95,7 @@ def test_a_single_wrong_number_is_refused(kernel: str) -> None:
     """
     tree, families = written()
     with pytest.raises(VerificationError, match=".*" if kernel == "setup" else rf"kite: (lin_)?{kernel}: ") as error:
-        verify(tree, with_fault(families, kernel), parts={}, still=False)
+        verify(tree, with_fault(families, kernel), still=False)
     assert "nothing is written" in str(error.value)
 
 

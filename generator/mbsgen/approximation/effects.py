@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from mbsgen.approximation.cuts import Released
 from mbsgen.approximation.states import Array, States
-from mbsgen.formulations import coupling, impl, ports, semi
-from mbsgen.formulations.catalogue import FUNCTIONS
+from mbsgen.formulations import ports
+from mbsgen.formulations.catalogue import FUNCTIONS, REFERENCE, list_giving
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Kind
 from mbsgen.roles import Role
@@ -28,8 +28,6 @@ from mbsgen.tape.passes import keep_results, set_zero
 from mbsgen.tape.types import Output, Tape
 from mbsgen.tape.zeros import Sets, count_without
 
-ALIKE: Mapping[str, str] = {"semi_res": "impl", "exp1": "exp2"}  # the same function, written twice
-UNJUDGED = ("condition",)  # it estimates digits, and is no result of mechanics
 LEAST_INERTIA = 0.5  # fraction of the kinetic energy of any motion that must remain
 ROUNDING = 1e-13  # relative to a result's largest entry: smaller differences are ignored
 VALUES, MARKS = 2**24, 2**27  # numbers, and truth values, that are held at a time
@@ -62,8 +60,9 @@ class ReleasedFunctions:
     @property
     def judged(self) -> tuple[str, ...]:
         """Return the functions whose errors count; of two forms of one function, one."""
-        told = [name for name, tape in self.tapes.items() if name not in UNJUDGED and tape.outputs]
-        return tuple(dict.fromkeys(ALIKE[name] if ALIKE.get(name) in told else name for name in told))
+        counted = [name for name, tape in self.tapes.items() if is_judged(tape)]
+        others = {name: FUNCTIONS[name].same_as for name in counted}
+        return tuple(dict.fromkeys(others[name] if others[name] in counted else name for name in counted))
 
     def count(self, sets: Sets) -> NDArray[np.int64]:
         """Estimate the flops of all functions without each set of numbers: (k,)."""
@@ -108,6 +107,11 @@ def _fill(output: Output, values: Sequence[Any], shape: tuple[int, int]) -> Arra
     return full
 
 
+def is_judged(tape: Tape) -> bool:
+    """Return whether the error of a function counts: an estimate of digits is no result of mechanics."""
+    return bool(tape.outputs) and not tape.giving(Role.CONDITION)
+
+
 class Comparison:
     """Functions at some states: what the whole tree has there, and how far from it others are.
 
@@ -118,7 +122,7 @@ class Comparison:
         self._functions = functions
         none = self._none
         released = functions.released
-        residual = coupling.write(impl.build, released.tree, Reductions(trials=1))
+        residual = FUNCTIONS[REFERENCE].build(released.tree, Reductions(trials=1))
         still = dict(states) | {
             "u": np.zeros((len(states["q"]), sum(joint.actuated for joint in released.tree.joints)))
         }
@@ -127,14 +131,14 @@ class Comparison:
         self._still, self._driven = still, still | {"u": torques[:, driven]}
         self._whole = {name: self._evaluate(name, none) for name in functions.judged}
         self._poses = {name: values[:poses] for name, values in still.items()}
-        self._inertia = coupling.write(semi.build, released.tree, Reductions(trials=1))
+        self._inertia = FUNCTIONS[list_giving(Role.MASS_MATRIX)[0]].build(released.tree, Reductions(trials=1))
 
     @property
     def _none(self) -> Sets:
         return np.zeros((1, len(self._functions.released.numbers)), bool)
 
     def _evaluate(self, name: str, sets: Sets, tape: Tape | None = None) -> Results:
-        states = self._driven if name in ("exp1", "exp2") else self._still
+        states = self._driven if self._functions.tapes[name].giving(Role.ACCELERATION) else self._still
         return self._functions.evaluate(tape or self._functions.tapes[name], states, sets)
 
     def judge(self, sets: Sets) -> Array:
@@ -152,14 +156,14 @@ class Comparison:
 
     def measure(self, tapes: Mapping[str, Tape]) -> dict[str, float]:
         """Return the error of each function as it is generated, from tapes without released numbers."""
-        known = {name: self._find_alike(name) for name, tape in tapes.items() if name not in UNJUDGED and tape.outputs}
+        known = {name: self._find_alike(name) for name, tape in tapes.items() if is_judged(tape)}
         return {
             name: float(self._differ(whole, self._evaluate(whole, self._none, tapes[name]))[0])
             for name, whole in known.items()
         }
 
     def _find_alike(self, name: str) -> str:
-        return name if name in self._whole else ALIKE[name]
+        return name if name in self._whole else FUNCTIONS[name].same_as
 
     def _differ(self, name: str, found: Results) -> Array:
         worst = np.zeros(len(next(iter(found.values()))))

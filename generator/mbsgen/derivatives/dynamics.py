@@ -14,7 +14,7 @@ from functools import cached_property
 from mbsgen.derivatives import implicit, kernels, recursion
 from mbsgen.derivatives.kernels import Derivatives, differentiable
 from mbsgen.derivatives.vanishing import drop_vanishing, find_patterns
-from mbsgen.formulations import coupling, impl, ports
+from mbsgen.formulations import catalogue, coupling, ports
 from mbsgen.formulations.planning import finish
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Kind, Tree
@@ -97,7 +97,7 @@ class _Choice:
 
 class _OfResidual(Derivatives):
     def __init__(self, tree: Tree, reductions: Reductions, choice: _Choice) -> None:
-        tape = coupling.write(impl.build, tree, reductions)
+        tape = catalogue.FUNCTIONS[catalogue.REFERENCE].build(tree, reductions)
         super().__init__(tape, differentiable(tape))
         self._tree, self._reductions, self._choice = tree, reductions, choice
 

@@ -1,161 +1,207 @@
-"""The formulations and other functions of a tree, by name: what can be generated, and what each is derived by."""
+"""The catalogue: the functions that a tree can be written to. A function is added by one entry.
+
+The equations of motion stand in four forms, after Docquier, Bruls and Fisette (2019):
+
+    impl        Phi(q, qd, qdd) - Q = 0       recursive Newton-Euler
+    semi        M(q) qdd + c(q, qd) = Q       composite bodies; `semi_res` is their residual
+    exp1        qdd = M^-1 (Q - c)            elimination in M
+    exp2        qdd                           articulated bodies
+
+An entry says which trees have the function, how it is differentiated, and whether the report counts it. The function is
+verified, compared with others and judged by the roles of its results.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
-from types import MappingProxyType
 
 from mbsgen.formulations import condition, coupling, energy, exp1, exp2, impl, ports, poses, rates, semi, velocities
+from mbsgen.formulations.planning import dynamics_alone
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Tree
+from mbsgen.roles import Role
 from mbsgen.tape.ports import Port
 from mbsgen.tape.types import Tape
 
+Build = Callable[[Tree, Reductions], Tape]
+
 
 @dataclass(frozen=True)
-class Entry:
-    """A function that a tree can be written to."""
+class Need:
+    """A property of the trees that have a function."""
 
-    build: Callable[[Tree, Reductions], Tape]
-    title: str  # for readers of the generated code
-    results: tuple[Port, ...]
-    differentiated: bool  # by all inputs but parameters
-    of_sensors: bool = False  # a tree without sensors has no such function
-    of_quaternions: bool = False  # nor one without quaternions
-    of_dynamics: bool = False  # a form of the equations of motion: its derivatives may be written by mechanics
+    holds: Callable[[Tree], bool]
+    refusal: str  # of another tree; {name} and {tree} stand for names
 
 
-def _plainly(build: Callable[[Tree], Tape]) -> Callable[[Tree, Reductions], Tape]:
-    """Take a function that no reduction concerns."""
-    return lambda tree, _: build(tree)
-
-
-_UNCOUPLED: Mapping[str, Entry] = MappingProxyType(
-    {
-        "impl": Entry(
-            impl.build,
-            "residual of the equations of motion, recursive Newton-Euler",
-            results=(ports.RESIDUAL,),
-            differentiated=True,
-            of_dynamics=True,
-        ),
-        "semi": Entry(
-            semi.build,
-            "mass matrix and bias: M qdd + c = Q",
-            results=(ports.MASS_MATRIX, ports.BIAS),
-            differentiated=False,
-        ),
-        "semi_res": Entry(
-            semi.build_residual,
-            "residual by mass matrix and bias: M qdd + c - Q",
-            results=(ports.RESIDUAL,),
-            differentiated=True,
-            of_dynamics=True,
-        ),
-        "exp1": Entry(
-            exp1.build,
-            "accelerations by elimination in the mass matrix",
-            results=(ports.ACCELERATIONS,),
-            differentiated=True,
-            of_dynamics=True,
-        ),
-        "exp2": Entry(
-            exp2.build,
-            "accelerations by articulated bodies, order N",
-            results=(ports.ACCELERATIONS,),
-            differentiated=True,
-            of_dynamics=True,
-        ),
-        "sensors": Entry(
-            _plainly(poses.build_sensors),
-            "places of the sensors",
-            results=(ports.POSITION,),
-            differentiated=True,
-            of_sensors=True,
-        ),
-        "motion": Entry(
-            _plainly(velocities.build_motion),
-            "velocities of the sensors",
-            results=(ports.VELOCITY, ports.ANGULAR_VELOCITY),
-            differentiated=True,
-            of_sensors=True,
-        ),
-        "jacobian": Entry(
-            _plainly(velocities.build_jacobian),
-            "Jacobians of the sensors",
-            results=(ports.SENSOR_JACOBIAN,),
-            differentiated=False,
-            of_sensors=True,
-        ),
-        "condition": Entry(
-            condition.build,
-            "how many digits exp1 and exp2 lose at a position",
-            results=(ports.ELIMINATION, ports.ARTICULATED),
-            differentiated=False,
-        ),
-        "energy": Entry(
-            _plainly(energy.build),
-            "energy and momentum",
-            results=(ports.KINETIC, ports.POTENTIAL, ports.MOMENTUM, ports.ANGULAR_MOMENTUM, ports.CENTRE_OF_MASS),
-            differentiated=False,
-        ),
-        "power": Entry(
-            _plainly(energy.build_power),
-            "power of all forces but gravity",
-            results=(ports.POWER,),
-            differentiated=False,
-        ),
-        "rates": Entry(
-            _plainly(rates.build),
-            "time derivatives of the coordinates",
-            results=(ports.RATES,),
-            differentiated=True,
-            of_quaternions=True,
-        ),
-        "frames": Entry(
-            _plainly(poses.build_frames),
-            "poses of all bodies and sensors",
-            results=(ports.ORIGINS, ports.ROTATIONS),
-            differentiated=False,
-        ),
-    }
+SENSORS = Need(lambda tree: bool(tree.sensors), "{name} is of sensors, and {tree} has none; name some under `frames:`")
+QUATERNIONS = Need(
+    lambda tree: bool(tree.quaternions),
+    "{name} is of quaternions, and {tree} has none; the rates of its coordinates are qd",
 )
-
-
-FUNCTIONS: Mapping[str, Entry] = MappingProxyType(
-    {name: replace(entry, build=partial(coupling.write, entry.build)) for name, entry in _UNCOUPLED.items()}
-)
-
-
-RESULTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {name: tuple(port.name for port in entry.results) for name, entry in FUNCTIONS.items()}
-)
-
-
-def select_functions(tree: Tree) -> Mapping[str, Entry]:
-    """Select the functions that a tree has: those of sensors and quaternions where there are any."""
-    return {
-        name: entry
-        for name, entry in FUNCTIONS.items()
-        if (tree.sensors or not entry.of_sensors) and (tree.quaternions or not entry.of_quaternions)
-    }
 
 
 @dataclass(frozen=True)
 class Row:
     """A formulation's row of the flop table: the dynamics alone, as in the paper's Table 4."""
 
-    build: Callable[[Tree, Reductions], Tape]
     driven: bool  # every joint has a force that is given; else none has
+    longest: int  # the bodies of the longest chain that the command `scaling` counts
 
 
-FORMULATIONS: Mapping[str, Row] = MappingProxyType(
-    {
-        "IMPL": Row(partial(coupling.write, impl.build), driven=False),  # Phi
-        "SEMI": Row(partial(coupling.write, semi.build), driven=False),  # M, one triangle, and c
-        "EXP1": Row(partial(coupling.write, exp1.build), driven=True),  # gamma(q, qd, Q)
-        "EXP2": Row(partial(coupling.write, exp2.build), driven=True),  # nu(q, qd, Q)
-    }
-)
+@dataclass(frozen=True)
+class Entry:
+    """A function that a tree can be written to.
+
+    A form of the equations of motion gives a residual or accelerations. Its derivatives may be written by mechanics,
+    from those of the function REFERENCE, whatever its own recursion is.
+    """
+
+    build: Build  # of any tree, see `project`
+    title: str  # for readers of the generated code
+    results: tuple[Port, ...]
+    order: int = 0  # up to which it is differentiated, by all inputs but parameters
+    needs: tuple[Need, ...] = ()
+    is_form: bool = False  # of the equations of motion
+    row: Row | None = None
+    same_as: str = ""  # another entry that computes the same, and is judged in its place
+
+    def gives(self, role: Role) -> bool:
+        """Return whether a result has a role."""
+        return any(port.role is role for port in self.results)
+
+
+def project(build: Build, coupled: Build | None = None) -> Build:
+    """Return a function of any tree, from one that ignores couplings; `coupled` writes trees that have some.
+
+    Without `coupled`, the results are projected by virtual power: none of them may be accelerations.
+    """
+    return partial(coupling.write, build, coupled)
+
+
+def _plainly(build: Callable[[Tree], Tape]) -> Build:
+    """Return a function that no reduction concerns."""
+    return project(lambda tree, _: build(tree))
+
+
+REFERENCE = "impl"  # the form of the equations of motion that all others are compared with
+
+# In the order of the generated files. A plain dictionary, so that a test may add an entry.
+FUNCTIONS: Mapping[str, Entry] = {
+    "impl": Entry(
+        project(impl.build),
+        "residual of the equations of motion, recursive Newton-Euler",
+        results=(ports.RESIDUAL,),
+        order=2,
+        is_form=True,
+        row=Row(driven=False, longest=100),
+    ),
+    "semi": Entry(
+        project(semi.build),
+        "mass matrix and bias: M qdd + c = Q",
+        results=(ports.MASS_MATRIX, ports.BIAS),
+        row=Row(driven=False, longest=50),
+    ),
+    "semi_res": Entry(
+        project(semi.build_residual),
+        "residual by mass matrix and bias: M qdd + c - Q",
+        results=(ports.RESIDUAL,),
+        order=2,
+        is_form=True,
+        same_as="impl",
+    ),
+    "exp1": Entry(
+        project(exp1.build, coupling.write_exp1),
+        "accelerations by elimination in the mass matrix",
+        results=(ports.ACCELERATIONS,),
+        order=2,
+        is_form=True,
+        row=Row(driven=True, longest=50),
+        same_as="exp2",
+    ),
+    "exp2": Entry(
+        project(exp2.build, coupling.write_exp2),
+        "accelerations by articulated bodies, order N",
+        results=(ports.ACCELERATIONS,),
+        order=2,
+        is_form=True,
+        row=Row(driven=True, longest=100),
+    ),
+    "sensors": Entry(
+        _plainly(poses.build_sensors), "places of the sensors", results=(ports.POSITION,), order=2, needs=(SENSORS,)
+    ),
+    "motion": Entry(
+        _plainly(velocities.build_motion),
+        "velocities of the sensors",
+        results=(ports.VELOCITY, ports.ANGULAR_VELOCITY),
+        order=2,
+        needs=(SENSORS,),
+    ),
+    "jacobian": Entry(
+        _plainly(velocities.build_jacobian),
+        "Jacobians of the sensors",
+        results=(ports.SENSOR_JACOBIAN,),
+        needs=(SENSORS,),
+    ),
+    "condition": Entry(
+        project(condition.build, coupling.write_condition),
+        "how many digits exp1 and exp2 lose at a position",
+        results=(ports.ELIMINATION, ports.ARTICULATED),
+    ),
+    "energy": Entry(
+        _plainly(energy.build),
+        "energy and momentum",
+        results=(
+            ports.KINETIC,
+            ports.POTENTIAL,
+            ports.MOMENTUM,
+            ports.ANGULAR_MOMENTUM,
+            ports.CENTRE_OF_MASS,
+        ),
+    ),
+    "power": Entry(_plainly(energy.build_power), "power of all forces but gravity", results=(ports.POWER,)),
+    "rates": Entry(
+        _plainly(rates.build),
+        "time derivatives of the coordinates",
+        results=(ports.RATES,),
+        order=2,
+        needs=(QUATERNIONS,),
+    ),
+    "frames": Entry(
+        _plainly(poses.build_frames), "poses of all bodies and sensors", results=(ports.ORIGINS, ports.ROTATIONS)
+    ),
+}
+
+
+def list_results() -> Mapping[str, tuple[str, ...]]:
+    """List the names of the results of every function."""
+    return {name: tuple(port.name for port in entry.results) for name, entry in FUNCTIONS.items()}
+
+
+def list_rows() -> Mapping[str, Row]:
+    """List the rows of the flop table by their names: IMPL, SEMI, EXP1, EXP2."""
+    return {name.upper(): entry.row for name, entry in FUNCTIONS.items() if entry.row}
+
+
+def write_row(name: str, tree: Tree, reductions: Reductions) -> Tape:
+    """Write the function of a row of the flop table: the dynamics of a tree alone."""
+    driven = list_rows()[name].driven
+    return FUNCTIONS[name.lower()].build(dynamics_alone(tree, driven=driven), reductions)
+
+
+def list_giving(role: Role) -> tuple[str, ...]:
+    """Name the functions that have a result of a role."""
+    return tuple(name for name, entry in FUNCTIONS.items() if entry.gives(role))
+
+
+def select_functions(tree: Tree) -> Mapping[str, Entry]:
+    """Select the functions that a tree has."""
+    return {name: entry for name, entry in FUNCTIONS.items() if all(need.holds(tree) for need in entry.needs)}
+
+
+def refuse(name: str, tree: Tree) -> str:
+    """Return why a tree does not have a function of the catalogue."""
+    need = next(need for need in FUNCTIONS[name].needs if not need.holds(tree))
+    return need.refusal.format(name=name, tree=tree.name)

@@ -30,16 +30,15 @@ from mbsgen.tape.types import Input, Op, Tape
 
 Block = dict[tuple[int, int], Scalar]  # by (row, column), from 0
 _MAPPED = (Axis.COORDINATES, Axis.VELOCITIES)  # the entries that G maps
-_SELECTED = (Role.ACCELERATION, Role.RATE)  # results that are coordinates themselves: those of followers are left out
+Build = Callable[[Tree, Reductions], Tape]
 
 
-def write(build: Callable[[Tree, Reductions], Tape], tree: Tree, reductions: Reductions) -> Tape:
-    """Write a function of a tree, by a recursion that ignores couplings."""
+def write(build: Build, coupled: Build | None, tree: Tree, reductions: Reductions) -> Tape:
+    """Write a function of a tree by a recursion that ignores couplings, or with couplings by `coupled`."""
     if not tree.couplings:
         return build(tree, reductions)
-    coupled = {exp1.build: _write_exp1, exp2.build: _write_exp2, condition.build: _write_condition}
-    if build in coupled:
-        return coupled[build](tree, reductions)
+    if coupled is not None:
+        return coupled(tree, reductions)
     return finish(couple(build(tree.uncoupled, reductions), tree), reductions)
 
 
@@ -51,7 +50,8 @@ def couple(tape: Tape, tree: Tree) -> Tape:
     for o in tape.outputs:
         found = {place: values[v] for place, v in zip(o.sparsity.entries, o.values, strict=True)}
         rows, cols = o.port.rows, o.port.cols
-        block = map.gather(found, rows, cols, selected=o.port.role in _SELECTED)
+        assert o.port.role is not Role.ACCELERATION, "accelerations of a coupled tree are no projection"
+        block = map.gather(found, rows, cols, selected=o.port.role is Role.RATE)  # followers have no rate of their own
         shape = map.size(rows, o.sparsity.rows), map.size(cols, o.sparsity.cols)
         if o.sparsity.is_dense:
             builder.output_dense(o.port, [[block[r, c] for c in range(shape[1])] for r in range(shape[0])])
@@ -195,7 +195,7 @@ class _Coupled:
         return finish(self.map.builder.build(name), self.reductions)
 
 
-def _write_exp1(tree: Tree, reductions: Reductions) -> Tape:
+def write_exp1(tree: Tree, reductions: Reductions) -> Tape:
     """Write `exp1`: GT M G ydd = GT (Q - c - M g''), where g'' is 0, by elimination in GT M G."""
     own = _Coupled.declare(tree, reductions)
     map, builder = own.map, own.map.builder
@@ -215,7 +215,7 @@ def _write_exp1(tree: Tree, reductions: Reductions) -> Tape:
     return own.finish("exp1", [x[i] for i in range(1, own.size + 1)])
 
 
-def _write_exp2(tree: Tree, reductions: Reductions) -> Tape:
+def write_exp2(tree: Tree, reductions: Reductions) -> Tape:
     """Write `exp2`: articulated bodies of the uncoupled tree, and the forces that keep the couplings.
 
     A coupling has the row J: q'' less ratio times the leader's q'' is 0. The accelerations are a + sum of B lambda,
@@ -244,7 +244,7 @@ def _write_exp2(tree: Tree, reductions: Reductions) -> Tape:
     return own.finish("exp2", qdd)
 
 
-def _write_condition(tree: Tree, reductions: Reductions) -> Tape:
+def write_condition(tree: Tree, reductions: Reductions) -> Tape:
     """Write `condition`: the same quantities as for an uncoupled tree, with the cancellations that couplings add.
 
     EXP1 eliminates in Mr = GT M G, so `elimination` is Mr_ii (Mr^-1)_ii. EXP2 corrects the accelerations a of the

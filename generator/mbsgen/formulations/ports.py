@@ -70,13 +70,13 @@ ROTATIONS = Port("R", Role.RESULT, cols=Axis.FRAMES, meaning="axes of the frames
 
 ELIMINATION = Port(
     "elimination",
-    Role.RESULT,
+    Role.CONDITION,
     Axis.VELOCITIES,
     meaning="by joint, what rounding is multiplied by in exp1: M_ii times the same entry of M^-1",
 )
 ARTICULATED = Port(
     "articulated",
-    Role.RESULT,
+    Role.CONDITION,
     Axis.VELOCITIES,
     meaning="by joint, what rounding is multiplied by in exp2: |inertia| times |what it gives way|",
 )

@@ -18,9 +18,9 @@ from functools import partial
 from itertools import islice
 
 from mbsgen.formulations import ports
-from mbsgen.roles import Order, Role, name_kernel
+from mbsgen.roles import Order, Role
 from mbsgen.tape.builder import Builder, Scalar
-from mbsgen.tape.ports import Port, adjoint_port, derivative_port
+from mbsgen.tape.ports import Function, Port, adjoint_port, derivative_port
 from mbsgen.tape.replay import replay, replay_guards
 from mbsgen.tape.types import Sparsity, Tape
 from mbsgen.targets.contract import Family
@@ -29,7 +29,6 @@ Block = dict[tuple[int, int], Scalar]  # by (row, column), from 0
 Found = Mapping[Port, Block]  # the results of a tape
 Given = Mapping[Role, Sequence[Scalar]]  # the inputs of a tape
 
-RESIDUAL, EXPLICIT = "impl", ("exp1", "exp2")  # the kernels that the functions are made of
 X = Port("x", Role.ARGUMENT, meaning="q, then qd")
 XDOT = Port("xdot", Role.ARGUMENT, meaning="its rate")
 T = Port("t", Role.ARGUMENT, meaning="time: not used")
@@ -59,21 +58,26 @@ _TITLES = {
 }
 
 
-def write_acados(tapes: Mapping[str, Tape], explicit: str, *, timed: bool = True) -> tuple[Family, ...]:
-    """Write what can be made of the kernels in `tapes`, by their names: `impl`, and `explicit`: "exp1" or "exp2".
+def write_acados(
+    tapes: Mapping[Function, Tape], residual: Function, explicit: Function | None, *, timed: bool = True
+) -> tuple[Family, ...]:
+    """Write the functions that can be made of a residual and of a function that gives accelerations.
 
-    First derivatives are made of their `lin_` and `adj1_` kernels, second of `jac_adj1_impl`. Implicit functions have
-    an argument t where they are `timed`, as acados asks for since its version 0.3.
+    First derivatives are made of their linearisations and of the adjoint, second of the adjoint's Jacobian. Implicit
+    functions have an argument t where they are `timed`, as acados asks for since its version 0.3.
     """
     return tuple(
         Family(tape, title=f"for acados: {_TITLES[tape.name]}", integer="int")
-        for tape in (*_write_implicit(tapes, timed=timed), *_write_explicit(tapes, explicit))
+        for tape in (
+            *_write_implicit(tapes, residual, timed=timed),
+            *(_write_explicit(tapes, explicit) if explicit else ()),
+        )
     )
 
 
-def _write_implicit(tapes: Mapping[str, Tape], *, timed: bool) -> Iterator[Tape]:
+def _write_implicit(tapes: Mapping[Function, Tape], residual: Function, *, timed: bool) -> Iterator[Tape]:
     value, lin, second = (
-        tapes.get(name_kernel(RESIDUAL, order)) for order in (Order.VALUE, Order.LINEARISATION, Order.ADJOINT_JACOBIAN)
+        tapes.get(residual.to(order)) for order in (Order.VALUE, Order.LINEARISATION, Order.ADJOINT_JACOBIAN)
     )
     if value:
         yield _Implicit(value, timed=timed).write("fun", ["fun"])
@@ -86,10 +90,8 @@ def _write_implicit(tapes: Mapping[str, Tape], *, timed: bool) -> Iterator[Tape]
         yield _Implicit(second, timed=timed, weighted=True).write("hess", ["hess"])
 
 
-def _write_explicit(tapes: Mapping[str, Tape], name: str) -> Iterator[Tape]:
-    value, lin, adj1 = (
-        tapes.get(name_kernel(name, order)) for order in (Order.VALUE, Order.LINEARISATION, Order.ADJOINT)
-    )
+def _write_explicit(tapes: Mapping[Function, Tape], explicit: Function) -> Iterator[Tape]:
+    value, lin, adj1 = (tapes.get(explicit.to(order)) for order in (Order.VALUE, Order.LINEARISATION, Order.ADJOINT))
     if value:
         yield _write_rates(value)
     if lin:

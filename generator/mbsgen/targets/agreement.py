@@ -5,6 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from mbsgen.formulations import ports
+from mbsgen.formulations.catalogue import REFERENCE
+from mbsgen.roles import Order
+from mbsgen.tape.ports import Port
+from mbsgen.tape.types import Tape
 from mbsgen.targets.contract import Family
 
 
@@ -16,25 +21,33 @@ class Comparison:
     kernels: tuple[str, ...]
 
 
-# Between functions of one model, where it has both. The bias c of `semi` is the residual only without forces that act
-# besides u.
-_RELATIONS = (
-    Comparison("mbs_check_equal", ("semi_res", "impl")),
-    Comparison("mbs_check_mass_matrix", ("semi", "impl")),
-    Comparison("mbs_check_accelerations", ("exp1", "impl")),
-    Comparison("mbs_check_accelerations", ("exp2", "impl")),
-    Comparison("mbs_check_same_accelerations", ("exp1", "exp2")),
-    Comparison("mbs_check_tail", ("sensors", "frames")),
-)
-_WITHOUT_OTHER_FORCES = (Comparison("mbs_check_bias", ("semi", "impl")),)
-
-
 def compare(families: Sequence[Family], *, only_driven: bool) -> tuple[Comparison, ...]:
     """List the comparisons for a model's functions; only_driven: no force but u acts in the joints."""
-    relations = _RELATIONS + (_WITHOUT_OTHER_FORCES if only_driven else ())
-    present = {family.value.name for family in families}
-    between = tuple(relation for relation in relations if present.issuperset(relation.kernels))
+    functions = [family.value for family in families if family.value.function.order is Order.VALUE]
+    between = _compare_functions(functions, only_driven=only_driven)
     return (*(c for family in families for c in _compare_derivatives(family)), *between)
+
+
+def _compare_functions(functions: Sequence[Tape], *, only_driven: bool) -> Iterator[Comparison]:
+    """Compare the forms of the equations of motion with the reference, and each other; and places of sensors.
+
+    The bias c is the residual at rest only without forces that act besides u.
+    """
+
+    def list_giving(port: Port) -> list[str]:
+        return [tape.name for tape in functions if any(o.port == port for o in tape.outputs)]
+
+    residuals, accelerations = list_giving(ports.RESIDUAL), list_giving(ports.ACCELERATIONS)
+    matrices = list_giving(ports.MASS_MATRIX) if REFERENCE in residuals else []
+    if REFERENCE in residuals:
+        yield from (Comparison("mbs_check_equal", (name, REFERENCE)) for name in residuals if name != REFERENCE)
+        yield from (Comparison("mbs_check_mass_matrix", (name, REFERENCE)) for name in matrices)
+        yield from (Comparison("mbs_check_accelerations", (name, REFERENCE)) for name in accelerations)
+    yield from (Comparison("mbs_check_same_accelerations", (accelerations[0], name)) for name in accelerations[1:])
+    for sensors in list_giving(ports.POSITION):
+        yield from (Comparison("mbs_check_tail", (sensors, frames)) for frames in list_giving(ports.ORIGINS))
+    if only_driven:
+        yield from (Comparison("mbs_check_bias", (name, REFERENCE)) for name in matrices)
 
 
 def _compare_derivatives(family: Family) -> Iterator[Comparison]:

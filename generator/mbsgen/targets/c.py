@@ -18,6 +18,7 @@ from mpmath import mpf
 
 from mbsgen import resources
 from mbsgen.manifest import Argument, Flops, Kernel
+from mbsgen.roles import Role
 from mbsgen.tape.columns import COLUMNS, Columns
 from mbsgen.tape.ordering import arrange
 from mbsgen.tape.types import Input, Output, Sparsity
@@ -29,7 +30,8 @@ from mbsgen.targets.statements import C, Check, Turns, wrap, write_body, write_l
 
 ABI_HEADER = "mbs_abi.h"
 COLUMNS_HEADER = "mbs_columns.h"
-_SOLVED = ("exp1", "exp2", "condition")  # whose results lose digits with the condition of the mass matrix
+# Results that lose digits with the condition of the mass matrix.
+_SOLVED = (Role.ACCELERATION, Role.CONDITION)
 _LARGEST_REFERENCE = 1000  # results of a function; where it has more, the check program holds none of them
 _COPIED = (ABI_HEADER, "mbs_sincos.h", "mbs_check.h", "mbs_check.c")  # from csrc; COLUMNS_HEADER where it is needed
 
@@ -94,10 +96,11 @@ def write_c(unit: Unit) -> Sources:
 
 def _write_check(unit: Unit, found: Sequence[Face], common: Mapping[str, object]) -> str:
     comparisons = compare(unit.families, only_driven=unit.only_driven)
+    solved = {tape.name for tape in (f.value for f in unit.families) if any(map(tape.giving, _SOLVED))}
     references = {k: v for k, v in unit.references.items() if 0 < len(v) <= _LARGEST_REFERENCE}
     compared = {kernel for comparison in comparisons for kernel in comparison.kernels} | references.keys()
     known = [
-        {"kernel": kernel, "is_solved": kernel in _SOLVED, "values": wrap(map(repr, values))}
+        {"kernel": kernel, "is_solved": kernel in solved, "values": wrap(map(repr, values))}
         for kernel, values in references.items()
     ]
     chosen = [f for f in found if f.kernel in compared]

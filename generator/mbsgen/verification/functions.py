@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import cached_property
 from itertools import islice
-from types import MappingProxyType
 
-from mbsgen.formulations import textbook
+from mbsgen.formulations import ports, textbook
 from mbsgen.formulations.links import declare_state, joint_forces, write_chain
 from mbsgen.model.tree import Coupling, Tree
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import DECIMALS, evaluate
+from mbsgen.tape.ports import Port
 from mbsgen.tape.types import Tape
 from mbsgen.verification.geometry import (
     STEP,
@@ -292,9 +292,9 @@ def _energy(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
         "momentum": (momentum, ZERO),
         "angular_momentum": (turning, ZERO),
     }
-    if "com" in results:
-        expected["com"] = ([x / total for x in first], size / abs(total))
-    for name in results:
+    if ports.CENTRE_OF_MASS.name in results:
+        expected[ports.CENTRE_OF_MASS.name] = ([x / total for x in first], size / abs(total))
+    for name in (name for name in expected if name in results):
         yield Comparison(name, results[name], *expected[name])
 
 
@@ -343,23 +343,33 @@ def _invert(M: list[Numbers]) -> list[Numbers]:
     return [row[n:] for row in rows]
 
 
-EXPECTATIONS: Mapping[str, Expectation] = MappingProxyType(
-    {
-        "impl": _residual,
-        "semi_res": _residual,
-        "semi": _terms,
-        "exp1": _accelerations,
-        "exp2": _accelerations,
-        "sensors": _places,
-        "motion": _velocities,
-        "jacobian": _jacobian,
-        "frames": _frames,
-        "rates": _rates,
-        "energy": _energy,
-        "power": _power,
-        "condition": _condition,
-    }
-)
+# Of each result that has one, whatever function gives it. A plain dictionary, so that a test may add an entry.
+EXPECTATIONS: Mapping[Port, Expectation] = {
+    ports.RESIDUAL: _residual,
+    ports.MASS_MATRIX: _terms,
+    ports.BIAS: _terms,
+    ports.ACCELERATIONS: _accelerations,
+    ports.POSITION: _places,
+    ports.VELOCITY: _velocities,
+    ports.ANGULAR_VELOCITY: _velocities,
+    ports.SENSOR_JACOBIAN: _jacobian,
+    ports.ORIGINS: _frames,
+    ports.ROTATIONS: _frames,
+    ports.RATES: _rates,
+    ports.KINETIC: _energy,
+    ports.POTENTIAL: _energy,
+    ports.MOMENTUM: _energy,
+    ports.ANGULAR_MOMENTUM: _energy,
+    ports.CENTRE_OF_MASS: _energy,
+    ports.POWER: _power,
+    ports.ELIMINATION: _condition,
+    ports.ARTICULATED: _condition,
+}
+
+
+def list_expectations(tape: Tape) -> tuple[Expectation, ...]:
+    """List the expectations of a function's results, each once."""
+    return tuple(dict.fromkeys(EXPECTATIONS[o.port] for o in tape.outputs if o.port in EXPECTATIONS))
 
 
 def grow_energy(truth: Truth, energy: Callable[[dict[str, Numbers]], Results]) -> Comparison:

@@ -6,7 +6,7 @@ is far below any fault. A function that is wrong anywhere is wrong at almost eve
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from itertools import islice
@@ -19,7 +19,7 @@ from mbsgen.tape.interpreter import DECIMALS, evaluate, fifty_digits
 from mbsgen.tape.types import Outline, Tape
 from mbsgen.targets.contract import Family
 from mbsgen.verification.derivatives import compare_derivatives, compare_linearised
-from mbsgen.verification.functions import EXPECTATIONS, Comparison, Results, Truth, grow_energy, write_equations
+from mbsgen.verification.functions import Comparison, Truth, grow_energy, list_expectations, write_equations
 from mbsgen.verification.states import Numbers, State, draw_states
 
 STATES = 2  # with parameters at their values, and near them
@@ -41,20 +41,18 @@ class Verification:
     references: Mapping[str, tuple[float, ...]]  # results of functions at the first state of the check program
 
 
-def verify(tree: Tree, families: Sequence[Family], *, parts: Mapping[str, Sequence[str]], still: bool) -> Verification:
+def verify(tree: Tree, families: Sequence[Family], *, still: bool) -> Verification:
     """Compare all functions of a tree. Raises VerificationError for the first that differs.
 
-    `parts` names the functions that a combined function computes; still: velocities are zero, and no input.
+    still: velocities are zero, and no input.
     """
     with fifty_digits():
-        return _Verifier(tree, families, parts, still=still).run()
+        return _Verifier(tree, families, still=still).run()
 
 
 class _Verifier:
-    def __init__(
-        self, tree: Tree, families: Sequence[Family], parts: Mapping[str, Sequence[str]], *, still: bool
-    ) -> None:
-        self.tree, self.families, self.parts, self.still = tree, families, parts, still
+    def __init__(self, tree: Tree, families: Sequence[Family], *, still: bool) -> None:
+        self.tree, self.families, self.still = tree, families, still
         self.by_name = {family.value.name: family for family in families}
         self.deviations: dict[str, float] = {}
         self.references: dict[str, tuple[float, ...]] = {}
@@ -74,21 +72,22 @@ class _Verifier:
     def _compare_values(self, truth: Truth) -> None:
         for name, family in self.by_name.items():
             tape, found = family.value, False
-            parts = [part for part in self.parts.get(name, (name,)) if part in EXPECTATIONS]
-            if isinstance(tape, Outline) or not parts:
+            expectations = list_expectations(tape) if tape.function.order is Order.VALUE else ()
+            if isinstance(tape, Outline) or not expectations:
                 continue
             results = evaluate(tape, self._arguments(tape, truth.state), DECIMALS)
-            for part in parts:
-                for comparison in self._expect(part, truth, tape, results):
+            for expect in expectations:
+                for comparison in expect(truth, tape, results):
                     self._judge(name, comparison, truth.state)
                     found = True
+            if {ports.KINETIC, ports.POTENTIAL} <= {o.port for o in tape.outputs} and not self.still:
+                self._judge(name, self._grow_energy(tape, truth), truth.state)
             if found and truth.state.number == 0:
                 self.references[name] = tuple(float(x) for o in tape.outputs for x in results[o.name])
 
-    def _expect(self, part: str, truth: Truth, tape: Tape, results: Results) -> Iterator[Comparison]:
-        yield from EXPECTATIONS[part](truth, tape, results)
-        if part == "energy" and {"kinetic", "potential"} <= results.keys() and not self.still:
-            yield grow_energy(truth, lambda moved: evaluate(tape, self._arguments(tape, truth.state) | moved, DECIMALS))
+    def _grow_energy(self, tape: Tape, truth: Truth) -> Comparison:
+        given = self._arguments(tape, truth.state)
+        return grow_energy(truth, lambda moved: evaluate(tape, given | moved, DECIMALS))
 
     def _compare_derivatives(self, state: State) -> None:
         def arguments(tape: Tape) -> dict[str, Numbers]:

@@ -59,8 +59,8 @@ def rods() -> Model:
 def test_derivatives_by_parameters_equal_differences(name: str):
     tree = build_tree(rods())
     tape = FUNCTIONS[name].build(tree, ALL)
-    of_dynamics = FUNCTIONS[name].of_dynamics
-    found = Dynamics(tree, ALL).differentiate(tape) if of_dynamics else differentiate(tape, differentiable(tape))
+    is_form = FUNCTIONS[name].is_form
+    found = Dynamics(tree, ALL).differentiate(tape) if is_form else differentiate(tape, differentiable(tape))
     (result,) = (o.name for o in tape.outputs)
     jac, adj1, second = found.jac, found.adj1, found.jac_adj1
     values, at = evaluate_at(jac), {i.name: AT[i.name] for i in tape.inputs}

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from mbsgen.formulations import ports
-from mbsgen.formulations.catalogue import FORMULATIONS
-from mbsgen.formulations.planning import dynamics_alone
+from mbsgen.formulations.catalogue import list_rows, write_row
 from mbsgen.formulations.reductions import NONE, Reductions
 from mbsgen.model.reader import read_model
 from mbsgen.model.tree import Tree
@@ -27,8 +26,7 @@ ARM = Path(__file__).parents[3] / "models" / "arm_pendulum.yaml"
 
 def cost(name: str, tree: Tree, reductions: Reductions) -> Counts:
     """Count a formulation with parameters at run time, setup apart."""
-    row = FORMULATIONS[name]
-    tape = row.build(dynamics_alone(tree, driven=row.driven), reductions)
+    tape = write_row(name, tree, reductions)
     if tape.holding(Role.PARAMETER):
         _, (tape,) = hoist([tape], ports.PARAMETERS, ports.SETUP)
     return count(tape)
@@ -55,18 +53,17 @@ def test_arm_takes_fewer_equations_than_published(name: str, published: int):
     assert cost(name, arm(), LUMPED).equations < published
 
 
-@pytest.mark.parametrize("name", FORMULATIONS)
+@pytest.mark.parametrize("name", list_rows())
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_reductions_save_on_any_tree(name: str, seed: int):
     tree = random_tree(seed, 7, tidy=seed != 1)
     assert cost(name, tree, LUMPED).paper < cost(name, tree, NONE).paper
 
 
-@pytest.mark.parametrize("name", FORMULATIONS)
+@pytest.mark.parametrize("name", list_rows())
 def test_no_division_by_parameters_unless_it_is_allowed(name: str):
     """Without leave to divide by what may be 0 at run time, setup has no division."""
-    row = FORMULATIONS[name]
-    tape = row.build(dynamics_alone(arm(), driven=row.driven), Reductions())
+    tape = write_row(name, arm(), Reductions())
     setup, _ = hoist([tape], ports.PARAMETERS, ports.SETUP)
     constant_pivot = 1 if name == "EXP1" else 0  # the pendulum's inertia about its last axis, which is never 0
     assert sum(op.name == "DIV" for op, _, _ in setup.operations) <= constant_pivot + (name == "EXP2")
