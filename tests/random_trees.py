@@ -241,3 +241,22 @@ class Pinocchio:
         upper = np.triu(self.data.Minv)
         inverse = upper + np.triu(upper, 1).T
         return np.array(self.data.ddq_dq)[pick], np.array(self.data.ddq_dv)[pick], inverse[pick]
+
+
+def driven(tree: Tree) -> Tree:
+    """Give every joint an actuator."""
+    return replace(tree, bodies=tuple(replace(b, joint=replace(b.joint, actuated=True)) for b in tree.bodies))
+
+
+def floating(tree: Tree) -> Tree:
+    """Set a tree on a floating base: its bodies on the last of three slides and three turns without mass between."""
+    zero, one = Integer(0), Integer(1)
+    still = (zero, zero, zero)
+    unit = ((one, zero, zero), (zero, one, zero), (zero, zero, one))
+    base = tuple(
+        Body(f"base{k}", k, Joint(f"f{k}", motion, k % 3, True, None, None), still, unit, zero, still, (still,) * 3)
+        for k, motion in enumerate((*(Motion.PRISMATIC,) * 3, *(Motion.REVOLUTE,) * 3))
+    )
+    trunk = replace(base[5], mass=Float(3.0), inertia=tree.bodies[0].inertia, com=tree.bodies[0].com)
+    limbs = tuple(replace(b, parent=b.parent + 6) for b in tree.bodies)
+    return replace(tree, bodies=(*base[:5], trunk, *limbs), sensors=())

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import re
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from scipy.integrate import solve_ivp
 
 from mbsrun import load
 from mbsrun.models import find_folder
+from tests.mbsgen.targets.compilation import run
 from tests.mbsrun.conftest import cache, run_folder
 
 __all__ = ["cache", "run_folder"]
@@ -24,13 +24,6 @@ ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "csrc" / "examples"
 FLAGS = "CFLAGS=-std=c99 -O2 -Wall -Wextra -Wpedantic -Werror"
 Array = NDArray[np.float64]
-
-
-def run(*command: str | Path, cwd: Path) -> str:
-    """Run a command; a failure shows what it said."""
-    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
 
 
 @pytest.fixture

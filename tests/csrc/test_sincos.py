@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mbsgen.resources import folder
 from tests.csrc.minimax import DOUBLE, FLOAT, Numbers, find_numbers
-from tests.csrc.test_examples import run
+from tests.mbsgen.targets.compilation import run
 
 HEADER = folder("csrc") / "mbs_sincos.h"
 LIMIT = {"double": 1e5, "float": 200.0}  # MBS_SINCOS_LIMIT

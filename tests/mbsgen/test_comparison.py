@@ -10,7 +10,7 @@ from mbsgen import comparison
 from mbsgen.comparison import TOLERANCE, compare_with_pinocchio
 from mbsgen.errors import InputError
 from mbsgen.importing import Choices
-from tests.mbsgen.importing.test_urdf import LIMIT, LOSSES, joint, link, write
+from tests.mbsgen.importing.urdf_files import LIMIT, LOSSES, joint, link, write
 
 ARM = (
     *(link(name) for name in "abcde"),

@@ -31,36 +31,10 @@ from mbsgen.pipeline import (
 from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.types import Tape
 from tests.random_trees import random_tree
+from tests.reference_models import BRANCHED
 
 ROOT = Path(__file__).parents[2]
 ALL = Options(runtime=True, python=True, matlab=True)
-BRANCHED = """\
-name: branched
-gravity: [0, 0.5, -9.81]
-parameters:
-  length: 0.4
-  mass: {value: 1.5, kind: runtime}
-bodies:
-  - name: trunk
-    joint: {name: turn, type: revolute, axis: [1, 2, 2]}
-    mass: mass
-    com: [0.1, 0, length/2]
-    inertia: [0.2, 0.3, 0.1]
-  - name: left
-    parent: trunk
-    joint: {name: swing, type: revolute, axis: y, position: [0, length, 0], actuated: false}
-    mass: 2*mass
-    com: [0, 0, -0.2]
-    inertia: [0.02, 0.03, 0.01]
-  - name: right
-    parent: trunk
-    joint: {name: slide, type: prismatic, axis: x, position: [0, -length, 0]}
-    mass: 0.7
-    com: [0.1, 0.2, 0.3]
-    inertia: [0.02, 0.03, 0.01]
-frames:
-  - {name: tip, body: left, position: [0, 0, -length]}
-"""
 GENERATE = """
 import pathlib, sys
 from mbsgen.pipeline import OptionError, Options, generate

@@ -13,7 +13,7 @@ from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.scene import stage
 from mbsgen.pipeline import make
-from tests.mbsgen.model.test_writer import reread
+from tests.mbsgen.model.files import reread
 from tests.random_scenes import random_model, random_scene
 
 ONE_PLAN = Reductions(trials=1)

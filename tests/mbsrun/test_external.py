@@ -21,8 +21,8 @@ from mbsgen.targets.contract import Family
 from mbsrun import Mechanism, load
 from mbsrun.external import load_on_demand
 from mbsrun.kernel import ArgumentError
-from tests.mbsgen.targets.test_guards import guarded_tape
-from tests.mbsrun.test_kernel import EPS, ROUNDING, draw, hidden
+from tests.mbsgen.targets.guarded import guarded_tape
+from tests.mbsrun.sample_inputs import EPS, ROUNDING, draw, hidden
 from tests.sample import PARAMETERS, family, sample_families, sample_tape, write_sample
 
 SIZES = {"x": 3, "y": 2, "u": 0, "z": 1}

@@ -15,13 +15,10 @@ from mbsgen.tape.types import Tape
 from mbsgen.targets.contract import Family
 from mbsrun import load
 from mbsrun.kernel import ArgumentError, KernelError, Kernels
-from tests.mbsgen.targets.test_guards import guarded_tape
-from tests.mbsgen.targets.test_names import HOSTILE
-from tests.sample import PARAMETERS, sample_families, sample_tape, setup_tape, write_sample
-
-EPS = float(np.finfo(float).eps)
-# Forty roundings at most lie between inputs and any result of the sample; the sums are of a few terms of like size.
-ROUNDING = 40 * EPS
+from tests.mbsgen.targets.guarded import guarded_tape
+from tests.mbsgen.targets.hostile import HOSTILE
+from tests.mbsrun.sample_inputs import ROUNDING, draw, hidden
+from tests.sample import PARAMETERS, sample_families, sample_tape, write_sample
 
 
 @pytest.fixture(scope="module")
@@ -37,24 +34,6 @@ def k(folder: Path) -> Kernels:
 def tapes() -> list[Tape]:
     own = sample_families()[1]
     return [tape for tape in (own.value, own.jac, own.adj1, own.jac_adj1) if tape is not None]
-
-
-def draw(tape: Tape, seed: int, states: int | None = None) -> dict[str, np.ndarray]:
-    """Draw the inputs of a tape, as the NumPy face takes them; adj_g has its nonzeros only."""
-    rng = np.random.default_rng(seed)
-    batch = () if states is None else (states,)
-    inputs = {}
-    for source in (i for i in tape.inputs if i.name != "h"):
-        pattern = source.sparsity
-        array = np.zeros((*batch, pattern.rows, pattern.cols))
-        for r, c in pattern.entries:
-            array[..., r, c] = rng.uniform(0.2, 1.5, batch)
-        inputs[source.name] = array[..., 0] if pattern.cols == 1 else array
-    return inputs
-
-
-def hidden(parameters: dict[str, float]) -> list[float]:
-    return evaluate(setup_tape(), {"p": list(parameters.values())})["h"]
 
 
 def exact(

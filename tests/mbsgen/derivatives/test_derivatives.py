@@ -13,23 +13,10 @@ from mbsgen.tape import forward, reverse
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import DIGITS, FLOATS, Numbers, evaluate
 from mbsgen.tape.types import Sparsity, Tape
+from tests.mbsgen.derivatives.evaluation import arguments, differences, matrix
 from tests.random_trees import Pinocchio, random_tree
 
 STATE = ("q", "qd", "qdd", "u")
-
-
-def matrix(tape: Tape, name: str, values: dict[str, list]) -> np.ndarray:
-    """Expand an output to a full matrix."""
-    pattern = tape.output(name).sparsity
-    full = np.zeros((pattern.rows, pattern.cols), dtype=object)
-    for place, value in zip(pattern.entries, values[name], strict=True):
-        full[place] = value
-    return full.astype(float)
-
-
-def arguments(tape: Tape, seed: int) -> dict[str, list[float]]:
-    rng = np.random.default_rng(seed)
-    return {i.name: list(rng.uniform(-1.5, 1.5, i.sparsity.nnz)) for i in tape.inputs}
 
 
 def every_operation() -> Tape:
@@ -42,23 +29,6 @@ def every_operation() -> Tape:
     b.output("f", Sparsity.dense(4), f)
     b.output("g", Sparsity.of(2, 2, [(0, 0), (1, 1)]), [b.sin(x[0] * y[0]), y[1]])
     return b.build("every")
-
-
-def differences(tape: Tape, at: dict[str, list[float]], output: str, source: str) -> np.ndarray:
-    """Differentiate in 50 digits by central differences of step 1e-15: exact to far below rounding."""
-    pattern, given, columns = tape.output(output).sparsity, tape.input(source).sparsity, []
-    for k in range(given.nnz):
-        ends = []
-        for sign in (1, -1):
-            moved = {name: list(map(DIGITS.literal, v)) for name, v in at.items()}
-            moved[source][k] += sign * DIGITS.literal(1e-15)
-            ends.append(evaluate(tape, moved, DIGITS)[output])
-        columns.append([(a - b) / DIGITS.literal(2e-15) for a, b in zip(*ends, strict=True)])
-    full = np.zeros((pattern.rows * pattern.cols, given.rows * given.cols))
-    for (i, j), column in zip(given.entries, columns, strict=True):
-        for (r, c), value in zip(pattern.entries, column, strict=True):
-            full[r + c * pattern.rows, i + j * given.rows] = float(value)
-    return full
 
 
 @pytest.mark.parametrize("direction", [forward.jacobian, reverse.jacobian])

@@ -13,8 +13,7 @@ from mbsgen.model.model import Model
 from mbsgen.model.reduction import build_tree
 from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.types import Tape
-from tests.mbsgen.derivatives.test_derivatives import differences, matrix
-from tests.mbsgen.derivatives.test_dynamics import all_of
+from tests.mbsgen.derivatives.evaluation import all_of, differences, matrix
 
 AT = {
     "q": [0.3, 0.4],

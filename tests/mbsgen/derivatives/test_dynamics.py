@@ -17,13 +17,12 @@ from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Tree
 from mbsgen.tape.counts import count
-from mbsgen.tape.interpreter import DIGITS, evaluate
+from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.types import Tape
-from tests.mbsgen.derivatives.test_derivatives import arguments, matrix
+from tests.mbsgen.derivatives.evaluation import EXACTLY, TO_ROUNDING, all_of, arguments, assert_same, matrix
 from tests.random_trees import Pinocchio, random_tree, with_laws, with_wrenches
 
 MODELS = Path(__file__).parents[3] / "models"
-EXACTLY, TO_ROUNDING = 1e-38, 1e-13  # the latter where rotations are given as doubles, and not quite orthogonal
 
 
 def trees() -> Iterator[object]:
@@ -37,28 +36,6 @@ def trees() -> Iterator[object]:
 
 def model(name: str) -> Tree:
     return build_tree(read_model(MODELS / f"{name}.yaml"))
-
-
-def all_of(found: Derivatives) -> tuple[Tape, ...]:
-    return found.jac, found.lin, found.adj1, found.jac_adj1
-
-
-def entries(tape: Tape, at: dict[str, list[float]]) -> dict[tuple[str, int, int], object]:
-    """Evaluate every nonzero of a tape in 50 digits."""
-    values = evaluate(tape, {i.name: [DIGITS.literal(x) for x in at[i.name]] for i in tape.inputs}, DIGITS)
-    return {
-        (o.name, *place): value
-        for o in tape.outputs
-        for place, value in zip(o.sparsity.entries, values[o.name], strict=True)
-    }
-
-
-def assert_same(found: Tape, expected: Tape, tolerance: float) -> None:
-    """Demand the same results, of 50 digits; what only one of two patterns holds must vanish."""
-    at = arguments(expected, 5)
-    a, b = entries(found, at), entries(expected, at)
-    size = max(map(abs, b.values()))
-    assert all(abs(a.get(place, 0) - b.get(place, 0)) <= tolerance * size for place in a.keys() | b.keys())
 
 
 @pytest.mark.parametrize("reductions", [ALL, NONE], ids=["reduced", "plain"])

@@ -11,7 +11,7 @@ import numpy as np
 from mbsgen.tape.types import Tape
 from mbsgen.targets.contract import Family
 from tests.mbsgen.failures.mechanisms import Array
-from tests.mbsgen.targets.test_c import STRICT, run
+from tests.mbsgen.targets.compilation import STRICT, run
 from tests.sample import write_sample
 
 LARGE = 3_000  # operations

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from mbsgen.formulations.reductions import NONE, Reductions
 from mbsgen.model.tree import Body, Joint, Matrix, Motion, Tree, Vector
 from mbsgen.tape.interpreter import DIGITS, FLOATS, Numbers, evaluate, find_failure
 from mbsgen.tape.types import Tape
+from tests.random_trees import exact_matrix
 
 Array = NDArray[np.float64]
 Build = Callable[[Tree, Reductions], Tape]
@@ -191,3 +193,58 @@ def scaled_condition(tree: Tree, state: Mapping[str, Array]) -> float:
             scaled[i, j] = M[i * n + j] / context.sqrt(M[i * n + i] * M[j * n + j])
     norms = [np.linalg.norm(np.array(A.tolist(), dtype=float), 2) for A in (scaled, scaled**-1)]
     return float(norms[0] * norms[1])
+
+
+APART = replace(REDUCED, share_frames=False)
+SIDES = {"cosine": numbers(1, 0, 0), "sine": numbers(0, 1, 0)}
+
+
+def arm(parallel: int, com: Vector) -> Tree:
+    """A turret with links on parallel axes; the last is 1 kg at 1 m, and gravity is 1 m/s2."""
+    inertia = diagonal(Float(0.1), Float(0.2), Float(0.3))
+    turret = make_body(1, 1, Float(0.5), numbers(0.1, 0, 0.1), inertia)
+    place = numbers(0.5, 0, 0)
+    links = [make_body(i, 2, Float(0.3), numbers(0.1, 0.2, 0), inertia, position=place) for i in range(2, parallel + 1)]
+    last = make_body(parallel + 1, 2, Float(1), com, inertia, position=place)
+    return make_tree("arm", [turret, *links, last], numbers(0, -1, 0))
+
+
+def tilted_axes() -> Tree:
+    """The axes of CARDAN in frames that stand askew, in its lock where the second angle is 0."""
+    rng, tree = np.random.default_rng(1), three_axes((2, 1, 0))
+    first, second = np.linalg.qr(rng.normal(size=(3, 2)))[0].T
+    frames = [np.eye(3)]
+    for axis, along in ((2, first), (1, second), (0, -first)):
+        across = np.cross(along, rng.normal(size=3))
+        across /= np.linalg.norm(across)
+        frame = np.empty((3, 3))
+        frame[:, [axis, (axis + 1) % 3, (axis + 2) % 3]] = np.column_stack((along, across, np.cross(along, across)))
+        frames.append(frame)
+    turns = [exact_matrix(a.T @ b) for a, b in pairwise(frames)]
+    return replace(tree, bodies=tuple(replace(b, orientation=R) for b, R in zip(tree.bodies, turns, strict=True)))
+
+
+DISTANCES = [10.0**-k for k in range(1, 13)] + [0.0]
+CARDAN = three_axes((2, 1, 0))
+LOCKS = {  # with the second angle at which the first joint locks
+    "Cardan": (CARDAN, np.pi / 2),
+    "wrist": (three_axes((2, 1, 2)), 0.0),
+    "askew": (tilted_axes(), 0.0),
+    "elbow": (elbow(), 0.0),
+}
+
+
+def near_lock(tree: Tree, lock: float, distance: float, seed: int) -> dict[str, Array]:
+    state = draw_state(len(tree.bodies), seed)
+    state["q"][1] = lock - distance
+    return state
+
+
+LIGHT, HEAVY = Rational(1, 10**12), Integer(10**12)
+HARMLESS: dict[str, list[Expr | int]] = {
+    "a light tip": [1] * 9 + [LIGHT],
+    "a heavy base": [10**8] + [1] * 9,
+    "a light base": [Rational(1, 10**8)] + [1] * 9,
+    "heavy and light in turn": [HEAVY, 1] * 5,
+    "light and heavy in turn": [1, HEAVY] * 5,
+}

@@ -4,41 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from sympy import Float
 
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Tree, Vector
 from mbsgen.tape.builder import Builder
 from tests.mbsgen.failures.mechanisms import (
+    APART,
     FLOATS64,
     REDUCED,
+    SIDES,
     Array,
     U,
+    arm,
     compute,
     compute_exactly,
-    diagonal,
     draw_state,
     evaluate,
-    make_body,
-    make_tree,
-    numbers,
-    replace,
     tape_of,
 )
 
-APART = replace(REDUCED, share_frames=False)
 WRITTEN = {"one sine of the sum": REDUCED, "addition theorems": APART}
-SIDES = {"cosine": numbers(1, 0, 0), "sine": numbers(0, 1, 0)}
-
-
-def arm(parallel: int, com: Vector) -> Tree:
-    """A turret with links on parallel axes; the last is 1 kg at 1 m, and gravity is 1 m/s2."""
-    inertia = diagonal(Float(0.1), Float(0.2), Float(0.3))
-    turret = make_body(1, 1, Float(0.5), numbers(0.1, 0, 0.1), inertia)
-    place = numbers(0.5, 0, 0)
-    links = [make_body(i, 2, Float(0.3), numbers(0.1, 0.2, 0), inertia, position=place) for i in range(2, parallel + 1)]
-    last = make_body(parallel + 1, 2, Float(1), com, inertia, position=place)
-    return make_tree("arm", [turret, *links, last], numbers(0, -1, 0))
 
 
 def lost_of_sum(tree: Tree, reductions: Reductions, q: Array) -> float:

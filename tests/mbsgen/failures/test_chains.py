@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from sympy import Expr, Integer, Rational
+from sympy import Expr
 
 from mbsgen.model.tree import Tree
 from tests.mbsgen.failures.mechanisms import (
     EXPLICIT,
+    HARMLESS,
     REDUCED,
     REDUCTIONS,
     RESIDUALS,
@@ -27,8 +28,6 @@ from tests.mbsgen.failures.mechanisms import (
     straight_chain,
     tape_of,
 )
-
-LIGHT, HEAVY = Rational(1, 10**12), Integer(10**12)
 
 
 def straight_state(size: int) -> dict[str, Array]:
@@ -113,15 +112,6 @@ def test_elimination_fails_at_a_heavy_tip_where_digits_are_gone(ratio: int):
         assert failed or error <= 5e-3 / 10
         assert not failed or error >= 1e-6
         assert not failed or ratio > 10**8
-
-
-HARMLESS: dict[str, list[Expr | int]] = {
-    "a light tip": [1] * 9 + [LIGHT],
-    "a heavy base": [10**8] + [1] * 9,
-    "a light base": [Rational(1, 10**8)] + [1] * 9,
-    "heavy and light in turn": [HEAVY, 1] * 5,
-    "light and heavy in turn": [1, HEAVY] * 5,
-}
 
 
 @pytest.mark.parametrize("reductions", REDUCTIONS.values(), ids=REDUCTIONS)

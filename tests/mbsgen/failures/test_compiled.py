@@ -9,13 +9,19 @@ import numpy as np
 
 from tests.mbsgen.failures.compiled import Compiled
 from tests.mbsgen.failures.mechanisms import (
+    APART,
+    CARDAN,
+    DISTANCES,
     EXPLICIT,
     RESIDUALS,
+    SIDES,
     U,
+    arm,
     compute,
     compute_exactly,
     draw_state,
     mass_matrix,
+    near_lock,
     relative_error,
     scale_of,
     spatial_chain,
@@ -23,8 +29,6 @@ from tests.mbsgen.failures.mechanisms import (
     straight_chain,
     tape_of,
 )
-from tests.mbsgen.failures.test_angles import APART, SIDES, arm
-from tests.mbsgen.failures.test_locks import CARDAN, DISTANCES, near_lock
 
 Requires = Callable[[str], str]
 

@@ -15,6 +15,9 @@ from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Kind, Parameter, Tree
 from tests.mbsgen.failures.mechanisms import (
     EXPLICIT,
+    HARMLESS,
+    HEAVY,
+    LOCKS,
     NONE,
     REDUCED,
     REDUCTIONS,
@@ -27,6 +30,7 @@ from tests.mbsgen.failures.mechanisms import (
     make_body,
     make_tree,
     mass_matrix,
+    near_lock,
     rods,
     scaled_condition,
     spatial_chain,
@@ -34,8 +38,6 @@ from tests.mbsgen.failures.mechanisms import (
     straight_chain,
     tape_of,
 )
-from tests.mbsgen.failures.test_chains import HARMLESS, HEAVY
-from tests.mbsgen.failures.test_locks import LOCKS, near_lock
 from tests.random_trees import random_tree
 
 MODELS = [f for f in sorted((Path(__file__).parents[3] / "models").glob("*.yaml")) if not f.stem.endswith(".ocp")]

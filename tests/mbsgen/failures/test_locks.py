@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -16,59 +15,28 @@ from mbsgen.roles import Role
 from mbsgen.tape.ports import Port
 from mbsgen.tape.types import Output, Sparsity, Tape
 from tests.mbsgen.failures.mechanisms import (
+    CARDAN,
+    DISTANCES,
     EXPLICIT,
+    LOCKS,
     REDUCTIONS,
     RESIDUALS,
     Array,
     compute,
     compute_exactly,
     diagonal,
-    draw_state,
-    elbow,
     error_of,
     make_body,
     make_tree,
+    near_lock,
     numbers,
     relative_error,
     status,
     tape_of,
-    three_axes,
 )
-from tests.random_trees import exact_matrix
 
 EPSILON = 2.0**-52
-DISTANCES = [10.0**-k for k in range(1, 13)] + [0.0]
 SEEDS = range(5)
-CARDAN = three_axes((2, 1, 0))
-
-
-def tilted_axes() -> Tree:
-    """The axes of CARDAN in frames that stand askew, in its lock where the second angle is 0."""
-    rng, tree = np.random.default_rng(1), three_axes((2, 1, 0))
-    first, second = np.linalg.qr(rng.normal(size=(3, 2)))[0].T
-    frames = [np.eye(3)]
-    for axis, along in ((2, first), (1, second), (0, -first)):
-        across = np.cross(along, rng.normal(size=3))
-        across /= np.linalg.norm(across)
-        frame = np.empty((3, 3))
-        frame[:, [axis, (axis + 1) % 3, (axis + 2) % 3]] = np.column_stack((along, across, np.cross(along, across)))
-        frames.append(frame)
-    turns = [exact_matrix(a.T @ b) for a, b in pairwise(frames)]
-    return replace(tree, bodies=tuple(replace(b, orientation=R) for b, R in zip(tree.bodies, turns, strict=True)))
-
-
-LOCKS = {  # with the second angle at which the first joint locks
-    "Cardan": (CARDAN, np.pi / 2),
-    "wrist": (three_axes((2, 1, 2)), 0.0),
-    "askew": (tilted_axes(), 0.0),
-    "elbow": (elbow(), 0.0),
-}
-
-
-def near_lock(tree: Tree, lock: float, distance: float, seed: int) -> dict[str, Array]:
-    state = draw_state(len(tree.bodies), seed)
-    state["q"][1] = lock - distance
-    return state
 
 
 def weakest_pivot(tape: Tape, state: dict[str, Array]) -> float:

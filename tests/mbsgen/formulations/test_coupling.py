@@ -36,7 +36,7 @@ from mbsgen.pipeline import Options, make, write_families
 from mbsgen.tape.interpreter import DIGITS, evaluate
 from mbsgen.tape.types import Tape
 from tests.mbsgen.failures.mechanisms import spatial_chain
-from tests.mbsgen.targets.test_c import Requires, run
+from tests.mbsgen.targets.compilation import Requires, run
 from tests.random_scenes import random_model
 from tests.random_trees import Pinocchio, law_forces, random_tree, values_of, with_laws, with_rotors, with_wrenches
 

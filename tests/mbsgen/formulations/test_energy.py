@@ -14,8 +14,8 @@ from mbsgen.formulations.planning import dynamics_alone
 from mbsgen.formulations.reductions import NONE
 from mbsgen.model.tree import Tree
 from mbsgen.tape.interpreter import DIGITS, evaluate
-from tests.mbsgen.formulations.test_impl import pendulum
 from tests.random_trees import Pinocchio, random_tree, values_of, with_laws, with_wrenches
+from tests.reference_models import pendulum
 
 Array = NDArray[np.float64]
 

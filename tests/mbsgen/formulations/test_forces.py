@@ -17,8 +17,8 @@ from mbsgen.formulations.reductions import ALL, NONE, Reductions
 from mbsgen.model.tree import COORDINATE, RATE, Kind, Parameter, Tree, Wrench
 from mbsgen.tape.interpreter import DIGITS, evaluate
 from mbsgen.tape.types import Tape
-from tests.mbsgen.formulations.test_impl import pendulum
 from tests.random_trees import Pinocchio, law_forces, random_tree, values_of, with_laws, with_wrenches
+from tests.reference_models import pendulum
 
 Array = NDArray[np.float64]
 Build = Callable[[Tree, Reductions], Tape]

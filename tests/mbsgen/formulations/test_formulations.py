@@ -9,92 +9,34 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from sympy import Float, Integer
+from sympy import Integer
 
 from mbsgen.errors import TapeError
-from mbsgen.formulations import condition, exp1, exp2, impl, semi
+from mbsgen.formulations import condition, exp1, exp2, semi
 from mbsgen.formulations.reductions import ALL, NONE, Reductions
-from mbsgen.model.tree import Body, Joint, Motion, Tree
+from mbsgen.model.tree import Tree
 from mbsgen.tape.interpreter import DIGITS, evaluate, find_failure
 from mbsgen.tape.types import Tape
-from tests.random_trees import Pinocchio, random_tree, values_of
+from tests.mbsgen.formulations.agreement import (
+    EPS,
+    FEW,
+    SWITCHED,
+    assert_equals_pinocchio,
+    run,
+    scaled_condition,
+    state,
+    tape_of,
+)
+from tests.random_trees import driven, floating, random_tree
 from tests.reference_models import ARM, RANDOM_TREE, tree_from_reference
 
-Array = NDArray[np.float64]
-EPS = 2.0**-52
 SIZES = (1, 2, 3, 5, 8, 12, 16, 20, 30)
-FEW = replace(ALL, trials=12)  # plans do not change what is computed; few are tried where cost is not the question
-SWITCHED = {
-    "all": FEW,
-    "none": NONE,
-    "no regrouping": replace(FEW, regroup=False),
-    "no shared frames": replace(FEW, share_frames=False),
-    "no lumps": replace(FEW, lump=False),
-    "relative angles": replace(FEW, absolute=False),
-    "no factoring": replace(FEW, factor=False),
-    "lumps by parameters": replace(FEW, lump_runtime=True),
-}
-
-
-def driven(tree: Tree) -> Tree:
-    """Give every joint an actuator."""
-    return replace(tree, bodies=tuple(replace(b, joint=replace(b.joint, actuated=True)) for b in tree.bodies))
 
 
 @cache
 def tree_of(seed: int, *, runtime: bool = False) -> Tree:
     n = SIZES[seed % len(SIZES)]
     return driven(random_tree(seed, n, runtime=runtime, tidy=seed % 2 == 0))
-
-
-@cache
-def tape_of(name: str, tree: Tree, reductions: Reductions = FEW) -> Tape:
-    build = {
-        "impl": impl.build,
-        "semi": semi.build,
-        "semi_res": semi.build_residual,
-        "exp1": exp1.build,
-        "exp2": exp2.build,
-    }
-    return build[name](tree, reductions)
-
-
-def run(tape: Tape, tree: Tree, **arguments: Array) -> dict[str, Array]:
-    if values := values_of(tree):
-        arguments["p"] = np.array(values)
-    given = {i.name: list(arguments[i.name]) for i in tape.inputs}
-    return {name: np.array(found, float) for name, found in evaluate(tape, given).items()}
-
-
-def state(seed: int, n: int) -> tuple[Array, Array, Array, Array]:
-    rng = np.random.default_rng(seed + 500)
-    return rng.uniform(-3, 3, n), rng.uniform(-2, 2, n), rng.uniform(-3, 3, n), rng.uniform(-3, 3, n)
-
-
-def scaled_condition(M: Array) -> float:
-    d = 1 / np.sqrt(np.diag(M))
-    return float(np.linalg.cond(M * np.outer(d, d)))
-
-
-def assert_equals_pinocchio(tree: Tree, seed: int, reductions: Reductions) -> None:
-    """Phi, M, c to 1e-12 of the largest entry; qdd likewise, times the condition of the scaled mass matrix."""
-    n = len(tree.bodies)
-    q, qd, qdd, _ = state(seed, n)
-    peer = Pinocchio(tree)
-    M, Phi, c = peer.mass_matrix(q), peer.residual(q, qd, qdd), peer.residual(q, qd, 0 * qdd)
-    zero = np.zeros(n)
-    near = {"rtol": 0.0, "atol": 1e-12 * np.abs(Phi).max()}
-    for name in ("impl", "semi_res"):
-        found = run(tape_of(name, tree, reductions), tree, q=q, qd=qd, qdd=qdd, u=zero)["Phi"]
-        np.testing.assert_allclose(found, Phi, **near)
-    terms = run(tape_of("semi", tree, reductions), tree, q=q, qd=qd)
-    np.testing.assert_allclose(terms["M"].reshape(n, n), M, rtol=0, atol=1e-12 * np.abs(M).max())
-    np.testing.assert_allclose(terms["c"], c, rtol=0, atol=1e-12 * max(np.abs(c).max(), 1.0))
-    tolerance = 1e-13 * max(10.0, scaled_condition(M)) * np.abs(qdd).max()
-    for name in ("exp1", "exp2"):
-        found = run(tape_of(name, tree, reductions), tree, q=q, qd=qd, u=Phi)["qdd"]
-        np.testing.assert_allclose(found, qdd, rtol=0, atol=tolerance)
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -209,20 +151,6 @@ def test_entries_between_branches_are_not_there():
     zero = {tape.first_literal + k for k, x in enumerate(tape.literals) if x == 0}
     assert set(M[:3, 3:].ravel()) <= zero
     assert len(zero) == 1
-
-
-def floating(tree: Tree) -> Tree:
-    """Set a tree on a floating base: its bodies on the last of three slides and three turns without mass between."""
-    zero, one = Integer(0), Integer(1)
-    still = (zero, zero, zero)
-    unit = ((one, zero, zero), (zero, one, zero), (zero, zero, one))
-    base = tuple(
-        Body(f"base{k}", k, Joint(f"f{k}", motion, k % 3, True, None, None), still, unit, zero, still, (still,) * 3)
-        for k, motion in enumerate((*(Motion.PRISMATIC,) * 3, *(Motion.REVOLUTE,) * 3))
-    )
-    trunk = replace(base[5], mass=Float(3.0), inertia=tree.bodies[0].inertia, com=tree.bodies[0].com)
-    limbs = tuple(replace(b, parent=b.parent + 6) for b in tree.bodies)
-    return replace(tree, bodies=(*base[:5], trunk, *limbs), sensors=())
 
 
 @pytest.mark.parametrize("name", ["exp1", "exp2"])

@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 import pytest
-from sympy import Float, Integer
 
 from mbsgen.formulations import impl
-from mbsgen.model.tree import Body, Joint, Motion, Tree
+from mbsgen.model.tree import Motion, Tree
 from mbsgen.tape.interpreter import DIGITS, evaluate
-from tests.random_trees import Pinocchio, exact_matrix, random_tree, values_of
+from tests.random_trees import Pinocchio, random_tree, values_of
+from tests.reference_models import pendulum
 
 EPS = 2.0**-52
 
@@ -70,16 +70,6 @@ def test_power_balance(seed: int):
     gravity = phi(tree, q, 0 * q, 0 * q) @ qd
     power = qd @ phi(tree, q, qd, qdd)
     assert power == pytest.approx(kinetic + gravity, rel=1e-7)
-
-
-def pendulum(axis: int = 1, motion: Motion = Motion.REVOLUTE) -> Tree:
-    """A body of 2 kg at 0.5 m below a joint about y, inertia 0.1 about y, gravity along -z."""
-    unit = exact_matrix(np.eye(3))
-    inertia = exact_matrix(np.diag([0.3, 0.1, 0.2]))
-    zero = Integer(0)
-    body = Body("rod", 0, Joint("q1", motion, axis, True, None, None), (zero, zero, zero), unit, Float(2.0),
-                (zero, zero, Float(-0.5)), inertia)  # fmt: skip
-    return Tree("pendulum", (zero, zero, Float(-9.81)), (), (body,), ())
 
 
 def test_pendulum_closed_form():

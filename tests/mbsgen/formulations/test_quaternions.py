@@ -21,8 +21,8 @@ from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Motion, Tree
 from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.types import Tape
-from tests.mbsgen.formulations.test_formulations import SWITCHED
-from tests.mbsgen.formulations.test_formulations import driven as drive
+from tests.mbsgen.formulations.agreement import SWITCHED
+from tests.random_trees import driven as drive
 from tests.random_trees import floats
 
 Array = NDArray[np.float64]

@@ -15,17 +15,10 @@ from mbsgen.formulations import condition, energy, exp1, exp2, impl
 from mbsgen.formulations.reductions import ALL, NONE, Reductions
 from mbsgen.model.tree import Motion, Tree
 from mbsgen.tape.interpreter import DIGITS, evaluate, find_failure
-from tests.mbsgen.derivatives.test_dynamics import EXACTLY, TO_ROUNDING, all_of, assert_same
-from tests.mbsgen.formulations.test_formulations import (
-    SWITCHED,
-    assert_equals_pinocchio,
-    driven,
-    floating,
-    run,
-    state,
-)
-from tests.mbsgen.formulations.test_impl import pendulum
-from tests.random_trees import Pinocchio, random_tree, with_rotors
+from tests.mbsgen.derivatives.evaluation import EXACTLY, TO_ROUNDING, all_of, assert_same
+from tests.mbsgen.formulations.agreement import SWITCHED, assert_equals_pinocchio, run, state
+from tests.random_trees import Pinocchio, driven, floating, random_tree, with_rotors
+from tests.reference_models import pendulum
 
 
 @cache

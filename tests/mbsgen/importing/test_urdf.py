@@ -18,31 +18,14 @@ from mbsgen.model.reduction import build_tree
 from mbsgen.pipeline import Options, write_families
 from mbsgen.tape.interpreter import evaluate
 from tests.import_peers import Kernels, PinocchioPeer, largest_miss
+from tests.mbsgen.importing.urdf_files import LIMIT, LOSSES, joint, link, write
 
 # Sums of a few dozen products of numbers near 1; M of these trees has a condition below 1e3.
 TOLERANCE = 1e-12
 DEFAULT = Choices()
 NAMES = ("trunk", "arm", "hand", "slider", "tool", "wheel", "foot")
 
-LINK = """<link name="{name}">
-  <inertial><origin xyz="{com}" rpy="{rpy}"/><mass value="{mass}"/>
-    <inertia ixx="0.02" ixy="0.001" ixz="-0.002" iyy="0.03" iyz="0.003" izz="0.025"/></inertial>
-</link>"""
 
-
-def link(name: str, mass: float = 1.0, com: str = "0.1 -0.2 0.05", rpy: str = "0.3 -0.2 0.5") -> str:
-    return LINK.format(name=name, mass=mass, com=com, rpy=rpy)
-
-
-def joint(name: str, kind: str, parent: str, child: str, inner: str = "", rpy: str = "0.1 0.7 -0.4") -> str:
-    return (
-        f'<joint name="{name}" type="{kind}"><origin xyz="0.2 0.1 -0.3" rpy="{rpy}"/>'
-        f'<parent link="{parent}"/><child link="{child}"/>{inner}</joint>'
-    )
-
-
-LIMIT = '<limit lower="-1" upper="2" effort="5" velocity="3"/>'
-LOSSES = '<dynamics damping="0.5" friction="0.2"/>'
 TREE = "\n".join(
     [
         *(link(name, mass) for mass, name in enumerate(NAMES, 1)),
@@ -54,12 +37,6 @@ TREE = "\n".join(
         joint("ankle", "revolute", "wheel", "foot", LIMIT),
     ]
 )
-
-
-def write(folder: Path, inner: str, name: str = "machine") -> Path:
-    path = folder / "machine.urdf"
-    path.write_text(f'<?xml version="1.0"?>\n<robot name="{name}">\n{inner}\n</robot>\n', encoding="utf-8")
-    return path
 
 
 def body(imported: Imported, name: str) -> Body:

@@ -18,8 +18,7 @@ from mbsgen.model.symbols import exact
 from mbsgen.model.tree import COORDINATE, NO_FORCE, RATE, Kind, Tree
 from mbsgen.pipeline import build_parametric
 from mbsgen.tape.interpreter import evaluate
-from tests.mbsgen.model.test_joints import make_fixed_description, pose_described, to_direction
-from tests.mbsgen.model.test_reduction import Array, read
+from tests.mbsgen.model.descriptions import Array, make_fixed_description, pose_described, read, to_direction
 
 WHEEL = """\
 name: wheel

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import copy
 from pathlib import Path
 from typing import Any
 
@@ -16,53 +15,16 @@ from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.symbols import exact
 from mbsgen.model.tree import Body, Motion, Tree
-from tests.mbsgen.model.test_reduction import (
-    AXES,
+from tests.mbsgen.model.descriptions import (
     CLOSE,
     Array,
-    Pose,
-    make_description,
+    make_fixed_description,
     place,
+    pose_described,
     pose_tree,
     read,
     to_floats,
 )
-
-FIXED = 0.4  # of the bodies
-
-
-def make_fixed_description(seed: int) -> dict[str, Any]:
-    """Draw a branched tree with joints of any axis, of whose bodies many are fixed."""
-    rng = np.random.default_rng(seed + 100)
-    description = make_description(seed, [copy(AXES[i]) for i in rng.integers(len(AXES), size=14)])
-    for body in description["bodies"][1:]:
-        if rng.random() < FIXED:
-            joint = body["joint"]
-            body["joint"] = {"type": "fixed", "position": joint["position"], "orientation": joint["orientation"]}
-    return description
-
-
-def pose_described(description: dict[str, Any], q: dict[str, float]) -> dict[str, Pose]:
-    """Pose every body in its author's frame, in plain matrices."""
-    poses: dict[str, Pose] = {"base": (np.eye(3), np.zeros(3))}
-    for body in description["bodies"]:
-        joint = body["joint"]
-        R, p = place(poses[body["parent"]], joint)
-        if joint["type"] != "fixed":
-            a = to_direction(joint["axis"])
-            if joint["type"] == "revolute":
-                R = R @ Rotation.from_rotvec(a * q[body["name"]]).as_matrix()
-            else:
-                p = p + R @ a * q[body["name"]]
-        poses[body["name"]] = (R, p)
-    return poses
-
-
-def to_direction(axis: Any) -> Array:
-    vector = (
-        np.array(axis, float) if isinstance(axis, list) else np.eye(3)["xyz".index(axis[-1])] * (-1) ** len(axis[:-1])
-    )
-    return vector / np.linalg.norm(vector)
 
 
 def tensor_of(entry: dict[str, float]) -> Array:

@@ -14,8 +14,7 @@ from jsonschema import Draft202012Validator
 
 from mbsgen.documents import read_document
 from mbsgen.model.schema import write_schema
-from tests.mbsgen.model.test_bad_models import GOOD, WALKER
-from tests.mbsgen.model.test_writer import MODELS, ROOT
+from tests.mbsgen.model.files import GOOD, MODELS, ROOT, WALKER
 
 FILE = ROOT / "models" / "model.schema.json"
 VALIDATOR = Draft202012Validator(json.loads(write_schema()))

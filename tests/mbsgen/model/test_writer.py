@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import pytest
 from hypothesis import given, settings
@@ -31,17 +30,7 @@ from mbsgen.model.construction import (
 from mbsgen.model.model import Body, Fixed, Joint, Model
 from mbsgen.model.reader import read_model
 from mbsgen.model.writer import MAX_WIDTH, write_model
-from tests.mbsgen.model.test_bad_models import GOOD, WALKER
-
-ROOT = Path(__file__).parents[3]
-MODELS = sorted(file for file in (ROOT / "models").glob("*.yaml") if not file.name.endswith(".ocp.yaml"))
-
-
-def reread(model: Model) -> Model:
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / "model.yaml"
-        file.write_text(write_model(model), encoding="utf-8")
-        return read_model(file)
+from tests.mbsgen.model.files import GOOD, MODELS, WALKER, reread
 
 
 @pytest.mark.parametrize("file", MODELS, ids=lambda file: file.stem)

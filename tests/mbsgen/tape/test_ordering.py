@@ -14,7 +14,7 @@ from mbsgen.tape.ordering import arrange
 from mbsgen.tape.passes import drop_dead
 from mbsgen.tape.ports import Function, Port
 from mbsgen.tape.types import Input, Op, Output, Sparsity, Tape
-from tests.mbsgen.targets.test_guards import guarded_tape
+from tests.mbsgen.targets.guarded import guarded_tape
 from tests.sample import sample_families
 
 SINES = (Op.SIN, Op.COS)

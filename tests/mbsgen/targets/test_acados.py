@@ -13,7 +13,7 @@ import pytest
 from mbsgen.pipeline import OptionError, Options, generate, make, read_tree, write_families
 from mbsgen.tape.interpreter import DIGITS, evaluate
 from mbsgen.tape.types import Tape
-from tests.mbsgen.test_pipeline import BRANCHED
+from tests.reference_models import BRANCHED
 
 MODEL = (
     BRANCHED.replace("length: 0.4", "length: {value: 0.4, kind: differentiated}")

@@ -7,7 +7,6 @@ import os
 import random
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,21 +23,10 @@ from mbsgen.tape.ports import Function, Port
 from mbsgen.tape.types import LITERALS, Input, Op, Output, Sparsity, Tape
 from mbsgen.targets.c import Unit, write_c
 from mbsgen.targets.contract import Family, faces
+from tests.mbsgen.targets.compilation import STRICT, Requires, run
 from tests.sample import family, sample_families, sample_tape, write_sample
 
-STRICT = ["-std=c99", "-Werror"] + [
-    f"-W{name}"
-    for name in ("all", "extra", "pedantic", "shadow", "conversion", "double-promotion", "missing-prototypes", "undef")
-]
 FLOATS64 = replace(FLOATS, literal=np.float64)  # unlike Python's floats, they divide by 0 as C does
-Requires = Callable[[str], str]
-
-
-def run(*command: str | Path) -> str:
-    """Run a command; a failure shows what it said."""
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
 
 
 @pytest.fixture(scope="module")

@@ -14,8 +14,8 @@ from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.replay import declare_inputs, replay
 from mbsgen.tape.types import Tape
 from mbsgen.targets.contract import Family
-from tests.mbsgen.targets.test_c import Requires, run
-from tests.mbsgen.targets.test_guards import guarded_tape
+from tests.mbsgen.targets.compilation import Requires, run
+from tests.mbsgen.targets.guarded import guarded_tape
 from tests.sample import family, sample_families, sample_tape, write_sample
 
 SANITIZED = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from mbsgen import manifest
 from mbsgen.pipeline import Options, generate
 from mbsgen.targets.entries import identify, write_string
-from tests.mbsgen.targets.test_c import STRICT, Requires, run
+from tests.mbsgen.targets.compilation import STRICT, Requires, run
 
 MODEL = """\
 name: "two words"

@@ -12,7 +12,7 @@ from mbsgen.pipeline import Options, make
 from mbsgen.scaling import ONE_PLAN, make_chain
 from mbsgen.targets.c import Unit, write_c
 from mbsgen.targets.contract import Family
-from tests.mbsgen.targets.test_guards import guarded_tape
+from tests.mbsgen.targets.guarded import guarded_tape
 from tests.sample import sample_families
 
 MODELS = Path(__file__).parents[3] / "models"

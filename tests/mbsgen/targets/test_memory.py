@@ -12,8 +12,8 @@ from mbsgen import manifest
 from mbsgen.manifest import Manifest
 from mbsgen.pipeline import generate, write_families
 from mbsgen.targets.contract import Family
-from tests.mbsgen.targets.test_c import Requires, run
-from tests.mbsgen.targets.test_guards import guarded_tape
+from tests.mbsgen.targets.compilation import Requires, run
+from tests.mbsgen.targets.guarded import guarded_tape
 from tests.random_trees import random_tree, with_wrenches
 from tests.sample import write_sample
 

@@ -10,15 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbsgen.targets.names import MAX_LENGTH, mangle
+from tests.mbsgen.targets.hostile import HOSTILE
 
-HOSTILE = [
-    "arm", "Arm", "arm_", "_arm", "a__rm", "a_rm", "arm-1", "arm 1", "arm.1", "1arm", "Z", "ZZ", "Z5fz", "aZ2dz1",
-    "int", "gamma", "sin", "restrict", "jac", "jac_arm", "adj1_arm", "fwd1_arm", "jac_adj1_arm", "arm_compute",
-    "compute_arm", "compute", "arm_jac", "arm_compute_jac", "arm_impl", "mbs", "mbs_abi", "mbs_batch", "casadi",
-    "../../etc/passwd", "a/b", "a\\b", "*/ int main(){} /*", "a\nb", "a\0b", "ärm", "a\u0308rm", "机械臂", "🤖", "%s%n",
-    "math", "Math", "m", "test", "all", "arm_check", "check", "arm_default", "default_parameters", "arm_semi",
-    "$(reboot)", "`id`", '"; rm -rf /', "a" * 200, "a" * 199 + "b", "\ud800", "_", "__", " ",
-]  # fmt: skip
 KERNELS = ("impl", "sensors", "frames", "setup", "semi", "semi_res", "exp1", "exp2")
 ORDERS = ("", "jac_", "adj1_", "jac_adj1_")
 ACCOUNTS = ("", "_n_in", "_n_out", "_name_in", "_name_out", "_sparsity_in", "_sparsity_out", "_diff_in", "_work")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.mbsgen.targets.test_c import Requires, run
+from tests.mbsgen.targets.compilation import Requires, run
 from tests.sample import write_sample
 
 PROGRAM = """\

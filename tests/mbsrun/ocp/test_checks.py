@@ -12,7 +12,7 @@ import pytest
 from mbsrun.ocp.checks import ProblemError, check_problem
 from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, GuessOptions, Representation, SolverOptions, Term
 from mbsrun.ocp.solve import Solver, solve
-from tests.mbsrun.ocp.test_solve import FREE_RANGE, push
+from tests.mbsrun.ocp.plants import FREE_RANGE, push
 from tests.mbsrun.peer import double_integrator
 
 FREE = (FREE_RANGE,)

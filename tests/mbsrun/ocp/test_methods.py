@@ -18,7 +18,7 @@ from mbsrun.ocp.solve import Progress, solve
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.transcription import transcribe
 from tests.mbsrun.ocp.conftest import MODELS
-from tests.mbsrun.ocp.test_solve import push
+from tests.mbsrun.ocp.plants import push
 from tests.mbsrun.peer import Peer, double_integrator
 
 

@@ -8,41 +8,21 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from mbsgen.manifest import Coordinate, Frame
 from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Problem, Representation, Term
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import solve
-from tests.mbsrun.peer import FREE, Peer, double_integrator, explicit_functions, pose_functions, residual_function
+from tests.mbsrun.ocp.plants import FREE_RANGE, mechanism, pendulum
+from tests.mbsrun.peer import Peer, double_integrator
 
 G = 9.81
-FREE_RANGE = (-np.inf, np.inf)
 FASTEST = Cost(terminal=(Term("T", 1.0),))
-
-
-def mechanism(names: tuple[str, ...], residual: ca.SX, symbols: tuple[ca.SX, ...]) -> Peer:
-    """Make a mechanism of its equations of motion alone; all coordinates are driven."""
-    function = residual_function(*symbols, residual)
-    p, R = ca.SX.zeros(3), ca.SX.eye(3)
-    poses = pose_functions(symbols[0], p, ca.horzcat(p, p), ca.horzcat(R, R))
-    return Peer(
-        "by hand",
-        {"impl": function, **explicit_functions(function), **poses},
-        [Coordinate(name=name, motion="prismatic", actuated=True, **FREE) for name in names],
-        [Frame(name="body", parent=-1, sensor=False), Frame(name="place", parent=0, sensor=True)],
-    )
 
 
 def bead() -> Peer:
     """A bead of 1 kg in a vertical plane, under two forces."""
     q, qd, qdd, u = symbols = tuple(ca.SX.sym(name, 2) for name in ("q", "qd", "qdd", "u"))
     return mechanism(("x", "z"), qdd - u + ca.vertcat(0, G) + 0 * (q + qd), symbols)
-
-
-def pendulum() -> Peer:
-    """A pendulum of length g."""
-    q, qd, qdd, u = symbols = tuple(ca.SX.sym(name) for name in ("q", "qd", "qdd", "u"))
-    return mechanism(("q",), qdd + ca.sin(q) - u + 0 * qd, symbols)
 
 
 def optimum(problem: Problem, plant: Peer) -> Solution:

@@ -15,7 +15,7 @@ from mbsgen.manifest import Manifest
 from mbsrun.ocp.pictures import draw_mechanism, plot_trajectories
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import solve
-from tests.mbsrun.ocp.test_solve import push
+from tests.mbsrun.ocp.plants import push
 from tests.mbsrun.peer import Peer, double_integrator
 
 

@@ -9,7 +9,6 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from mbsgen.manifest import Coordinate, Frame
 from mbsrun.lab.optimisation import state_catch, state_swing_up
 from mbsrun.ocp.guess import interpolate
 from mbsrun.ocp.problem import Cost, Term
@@ -17,27 +16,8 @@ from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.solution import Failure, Solution
 from mbsrun.ocp.solve import Solver, solve
-from tests.mbsrun.peer import FREE, Peer, pose_functions, residual_function
-
-
-def cart_pole() -> Peer:
-    """A cart of 1 kg and a pole with 0.3 kg at 0.5 m, hanging at 0 (M. Kelly, SIAM Review 59 (2017), section 6)."""
-    q, qd, qdd, u = ca.SX.sym("q", 2), ca.SX.sym("qd", 2), ca.SX.sym("qdd", 2), ca.SX.sym("u")
-    m1, m2, l, g = 1.0, 0.3, 0.5, 9.81
-    s, c = ca.sin(q[1]), ca.cos(q[1])
-    Phi = ca.vertcat(
-        (m1 + m2) * qdd[0] + m2 * l * (c * qdd[1] - s * qd[1] ** 2) - u,
-        m2 * l * (c * qdd[0] + l * qdd[1] + g * s),
-    )
-    p = ca.horzcat(ca.vertcat(q[0], 0, 0), ca.vertcat(q[0] + l * s, 0, -l * c))
-    coordinates = [
-        Coordinate(name="cart", motion="prismatic", actuated=True, **FREE),
-        Coordinate(name="pole", motion="revolute", actuated=False, **FREE),
-    ]
-    frames = [Frame(name=name, parent=i - 1, sensor=False) for i, name in enumerate(("cart", "pole"))]
-    R = ca.horzcat(ca.SX.eye(3), ca.SX.eye(3))
-    functions = {"impl": residual_function(q, qd, qdd, u, Phi), **pose_functions(q, p, p, R)}
-    return Peer("cart-pole", functions, coordinates, frames)
+from tests.mbsrun.ocp.plants import cart_pole, unstable
+from tests.mbsrun.peer import Peer
 
 
 @pytest.fixture(scope="module")
@@ -92,21 +72,6 @@ def test_random_starts_end_in_several_minima(plant: Peer) -> None:
     assert sum(found.values()) + failed == 40
     assert len(found) > 1
     assert min(found) < 1.05 * 58.8076
-
-
-def unstable(rate: float) -> Peer:
-    """x'' = rate^2 sin x + u: small motions grow by exp(rate t)."""
-    q, qd, qdd, u = (ca.SX.sym(name) for name in ("q", "qd", "qdd", "u"))
-    p = ca.vertcat(q, 0, 0)
-    return Peer(
-        "unstable",
-        {
-            "impl": residual_function(q, qd, qdd, u, qdd - rate**2 * ca.sin(q) - u),
-            **pose_functions(q, p, p, ca.SX.eye(3)),
-        },
-        [Coordinate(name="x", motion="prismatic", actuated=True, **FREE)],
-        [Frame(name="x", parent=-1, sensor=False)],
-    )
 
 
 @pytest.mark.parametrize("rate", [5.0, 10.0, 20.0])

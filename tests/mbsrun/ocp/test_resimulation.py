@@ -17,7 +17,7 @@ from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.resimulation import accelerations, integrate, resimulate
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import solve
-from tests.mbsrun.ocp.test_solve import push
+from tests.mbsrun.ocp.plants import push
 from tests.mbsrun.peer import FREE, Peer, double_integrator, residual_function
 
 REFERENCE = json.loads((Path(__file__).parents[2] / "reference" / "seed_arm_docquier.json").read_text("utf-8"))

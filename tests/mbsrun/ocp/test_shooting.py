@@ -23,10 +23,8 @@ from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.solution import Failure, Solution
 from mbsrun.ocp.solve import Solver, solve
 from mbsrun.ocp.transcription import transcribe
+from tests.mbsrun.ocp.plants import FREE_RANGE, cart_pole, pendulum, push, unstable
 from tests.mbsrun.ocp.programs import check_derivatives, evaluate_rows, functions_of, rich
-from tests.mbsrun.ocp.test_optima import FREE_RANGE, pendulum
-from tests.mbsrun.ocp.test_pitfalls import cart_pole, unstable
-from tests.mbsrun.ocp.test_solve import push
 from tests.mbsrun.peer import Peer, double_integrator, explicit_functions, residual_function
 
 EXPLICIT = {"representation": Representation.EXP1_O, "integrator": "rk4"}

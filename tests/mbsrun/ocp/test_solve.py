@@ -18,25 +18,8 @@ from mbsrun.ocp.solution import Failure, Solution
 from mbsrun.ocp.solve import Progress, Solver, solve
 from mbsrun.ocp.status import BAD_BOUNDS, BAD_GUESS, UNREACHABLE
 from mbsrun.ocp.transcription import transcribe
+from tests.mbsrun.ocp.plants import FREE_RANGE, push
 from tests.mbsrun.peer import Peer, double_integrator, pose_functions, residual_function
-
-FREE_RANGE = (-np.inf, np.inf)
-
-
-def push(N: int, family: Family = Family.RADAU, degree: int = 2) -> Problem:
-    """Push a mass of 1 kg over 1 m in 1 s, from rest to rest."""
-    return Problem(
-        name="push",
-        horizon=1.0,
-        intervals=N,
-        family=family,
-        degree=degree,
-        cost=Cost(1.0, 0.0),
-        start_q=(0.0,),
-        start_qd=(0.0,),
-        bounds=Bounds((FREE_RANGE,), (FREE_RANGE,), (FREE_RANGE,)),
-        end=End(coordinates=((0, 1.0),), velocity_zero=True),
-    )
 
 
 @pytest.mark.parametrize(

@@ -24,6 +24,7 @@ from mbsrun.ocp.record import Attempt, Task, open_record
 from mbsrun.ocp.search import (
     COUNTS,
     Order,
+    Targets,
     count_finds,
     describe_search,
     find_lowest,
@@ -36,11 +37,11 @@ from mbsrun.ocp.solution import Start, Starts
 from mbsrun.ocp.starts import Kind, Variation, add_waves, coarsen, count_turns, describe_turns, list_turning, vary
 from mbsrun.ocp.statement import read_problem
 from tests.mbsrun.ocp.conftest import MODELS
-from tests.mbsrun.ocp.test_search import TARGETS
-from tests.mbsrun.ocp.test_solve import push
+from tests.mbsrun.ocp.plants import push
 from tests.mbsrun.peer import Peer, double_integrator
 
 RADAU = schemes.build(schemes.Family.RADAU, 3)
+TARGETS = Targets(0.64, (0.0, 0.02, 0.04), (0.0,), every=(3, 1))
 KINDS: tuple[Kind, ...] = ("bumps", "noise", "waves", "branches", "turns")
 
 
@@ -184,7 +185,7 @@ def test_what_was_found_is_counted_by_independent_starts(coarse: Problem, arm: P
     lines = describe_search(FOUND)
     assert "0 to 2 of 1 to 4 independent starts, at 1 of 2 targets by none; lower ones may exist" in lines[0]
     assert "lower still at 1 targets: down to 1, with +1 turn of q1, at target (0, 0)" in lines[1]
-    study = replace(state_study(coarse, arm.manifest), costs=((1.0, 0.0),), targets=replace(TARGETS, every=(3, 1)))
+    study = replace(state_study(coarse, arm.manifest), costs=((1.0, 0.0),), targets=TARGETS)
     assert list_open_tasks(study, FOUND) == []
     assert len(list_open_tasks(study, [FOUND[4]])) == 1  # solved with whole turns alone
 

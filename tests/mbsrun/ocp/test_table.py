@@ -12,7 +12,7 @@ from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import solve
 from mbsrun.ocp.table import write_table
-from tests.mbsrun.ocp.test_solve import push
+from tests.mbsrun.ocp.plants import push
 from tests.mbsrun.peer import Peer, double_integrator
 
 
