@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mbsgen.manifest import Manifest
+from mbsgen.manifest import Kernel, Manifest
 from mbsrun.library import compile_library
 from mbsrun.measuring.candidates import load_equations, trace
 from mbsrun.measuring.functions import Variant
@@ -42,6 +42,10 @@ class Differentiated:
     def manifest(self) -> Manifest:
         """Describe the kernels."""
         return self._plant.manifest
+
+    def describe(self, name: str) -> Kernel:
+        """Describe a generated kernel."""
+        return self._plant.describe(name)
 
     def __call__(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> dict[str, NDArray[np.float64]]:
         """Evaluate a generated kernel."""

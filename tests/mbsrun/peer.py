@@ -70,9 +70,12 @@ class Peer:
         arrays = {key: np.asarray(value, dtype=float) for key, value in inputs.items()}
         wanted = [key for key in function.name_in() if not key.startswith("out_")]
         assert set(arrays) == set(wanted), f"{name} takes {wanted}"
-        is_batch = arrays[wanted[0]].ndim == 2
+        is_batch = arrays[wanted[0]].ndim == 2  # the first input is a vector
         states = len(arrays[wanted[0]]) if is_batch else 1
-        columns = {key: array.reshape(states, -1).T for key, array in arrays.items()}
+        columns = {
+            key: array.reshape(states, *function.size_in(key)).transpose(1, 0, 2).reshape(function.size1_in(key), -1)
+            for key, array in arrays.items()
+        }
         if (name, states) not in self._maps:
             self._maps[name, states] = function.map(states)
         results = self._maps[name, states](**columns)

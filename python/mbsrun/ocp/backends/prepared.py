@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-from mbsrun.ocp.backends import condensation
-from mbsrun.ocp.backends.casadi import Functions
+from mbsrun.ocp.backends import casadi, condensation, numpy
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.program import Program
 
@@ -19,6 +18,11 @@ class Prepared:
     plant: Plant
 
     @cached_property
-    def casadi(self) -> Functions:
+    def casadi(self) -> casadi.Functions:
         """The functions for CasADi's solvers."""
         return condensation.build(self.data, self.plant)
+
+    @cached_property
+    def numpy(self) -> numpy.Functions:
+        """The functions for methods in NumPy."""
+        return numpy.build(self.data, self.plant)
