@@ -281,3 +281,17 @@ def test_the_check_finds_what_is_planted(tmp_path: Path, module: str, text: str,
     file.write_text(text, encoding="utf-8")
     planted = Package(tmp_path / "mbsrun", MBSRUN.layers, MBSRUN.foreign, MBSRUN.guests, MBSRUN.lazy)
     assert find_faults(planted) == faults
+
+
+def test_no_test_file_is_imported() -> None:
+    """What two files of tests share stands in a module beside them: else one runs on the other's import."""
+    found = [
+        f"{file.relative_to(ROOT)}:{statement.lineno} imports {target}"
+        for folder in ("tests", "benchmarks", "studies")
+        for file in sorted((ROOT / folder).rglob("*.py"))
+        for statement in ast.walk(ast.parse(file.read_text(encoding="utf-8"), str(file)))
+        if isinstance(statement, ast.Import | ast.ImportFrom)
+        for target in targets(statement, ())
+        if any(part.startswith("test_") for part in target.split(".")[:-1])
+    ]
+    assert found == []

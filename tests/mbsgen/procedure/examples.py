@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from mbsgen.procedure.newton import Newton
 from mbsgen.procedure.patterns import General, Pattern, Symmetric, Tree
@@ -14,8 +15,9 @@ from mbsgen.procedure.solve import Block, Factor, Solve
 from mbsgen.procedure.stages import Wire
 from mbsgen.procedure.straight import Straight
 from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.interpreter import Numbers
 from mbsgen.tape.ports import Function
-from mbsgen.tape.types import Sparsity, Tape
+from mbsgen.tape.types import LITERALS, Sparsity, Tape
 
 TREE = Tree(((), (0,), (0,), (0, 2)))
 PATTERNS: dict[str, Pattern] = {"tree": TREE, "symmetric": Symmetric(4), "general": General(4)}
@@ -153,3 +155,20 @@ EXAMPLES = {
     "newton": Example(four_bar(), CLOSED, ("q", "lengths")),
     "saddle point": Example(saddle_point(), SADDLE, ("M", "J", "f", "g")),
 }
+
+
+def convert(point: dict[str, list[float]], numbers: Numbers) -> dict[str, list[Any]]:
+    """Take a point to another number type."""
+    return {name: [numbers.literal(LITERALS.mpf(x)) for x in values] for name, values in point.items()}
+
+
+def system(pattern: Pattern, width: int, *, transposed: bool = False, negated: bool = False) -> Procedure:
+    """Return X of A X = B, of inputs A and B^T."""
+    n = pattern.size
+    entries = [(i, j) for i in range(n) for j in range(n) if not pattern.is_symmetric or i >= j]
+    if isinstance(pattern, Tree):
+        entries = [(k, i) for k, row in enumerate(pattern.ancestors) for i in (*row, k)]
+    A, right = Wire("A", Sparsity.of(n, n, entries)), Wire("right", Sparsity.dense(width, n))
+    factor, X = Factor("F", A, pattern, SINGULAR), Wire("X", Sparsity.dense(n, width))
+    solve = Solve("S", pattern, factor.gives, right, (Block(X, 0),), negated=negated, transposed=transposed)
+    return Procedure(Function("system"), (A, right), (factor, solve), (X,))

@@ -15,8 +15,7 @@ from mbsgen.procedure.solve import Block, Factor, Solve
 from mbsgen.procedure.stages import Wire
 from mbsgen.tape.ports import Function
 from mbsgen.tape.types import Op, Sparsity
-from tests.mbsgen.procedure.examples import Q, X, four_bar, repeat, solve, straight
-from tests.mbsgen.procedure.test_interpretation import system
+from tests.mbsgen.procedure.examples import Q, X, four_bar, repeat, solve, straight, system
 
 
 @pytest.mark.parametrize(

@@ -19,8 +19,7 @@ from mbsgen.tape.counts import count as count_tape
 from mbsgen.tape.interpreter import DIGITS
 from mbsgen.tape.ports import Function
 from mbsgen.tape.types import Sparsity
-from tests.mbsgen.procedure.examples import EXAMPLES, POINT, TREE, Q, solve, straight
-from tests.mbsgen.procedure.test_interpretation import convert
+from tests.mbsgen.procedure.examples import EXAMPLES, POINT, TREE, Q, convert, solve, straight
 
 Values = dict[str, list[Any]]
 STEP = DIGITS.literal("1e-15")

@@ -11,11 +11,11 @@ from mpmath import mp
 from mbsgen.errors import TapeError
 from mbsgen.procedure.patterns import General, Pattern, Symmetric, Tree
 from mbsgen.procedure.procedure import Procedure, evaluate, interpret
-from mbsgen.procedure.solve import Block, Factor, Solve
+from mbsgen.procedure.solve import Block, Solve
 from mbsgen.procedure.stages import Wire
 from mbsgen.tape.interpreter import DECIMALS, DIGITS, FLOATS, Numbers, fifty_digits
 from mbsgen.tape.ports import Function
-from mbsgen.tape.types import LITERALS, Sparsity
+from mbsgen.tape.types import Sparsity
 from tests.mbsgen.procedure.examples import (
     CLOSED,
     EXAMPLES,
@@ -25,27 +25,12 @@ from tests.mbsgen.procedure.examples import (
     SADDLE,
     SINGULAR,
     TREE,
+    convert,
     four_bar,
     repeat,
     saddle_point,
+    system,
 )
-
-
-def convert(point: dict[str, list[float]], numbers: Numbers) -> dict[str, list[Any]]:
-    """Take a point to another number type."""
-    return {name: [numbers.literal(LITERALS.mpf(x)) for x in values] for name, values in point.items()}
-
-
-def system(pattern: Pattern, width: int, *, transposed: bool = False, negated: bool = False) -> Procedure:
-    """Return X of A X = B, of inputs A and B^T."""
-    n = pattern.size
-    entries = [(i, j) for i in range(n) for j in range(n) if not pattern.is_symmetric or i >= j]
-    if isinstance(pattern, Tree):
-        entries = [(k, i) for k, row in enumerate(pattern.ancestors) for i in (*row, k)]
-    A, right = Wire("A", Sparsity.of(n, n, entries)), Wire("right", Sparsity.dense(width, n))
-    factor, X = Factor("F", A, pattern, SINGULAR), Wire("X", Sparsity.dense(n, width))
-    solve = Solve("S", pattern, factor.gives, right, (Block(X, 0),), negated=negated, transposed=transposed)
-    return Procedure(Function("system"), (A, right), (factor, solve), (X,))
 
 
 def draw_matrix(pattern: Pattern, rng: np.random.Generator) -> np.ndarray:
