@@ -74,6 +74,7 @@ MBSRUN = Package(
         "kernel",
         "external",
         "ocp.factors ocp.linear ocp.schemes ocp.plant ocp.functions ocp.status ocp.trajectory",
+        "skeleton",
         "ocp.program ocp.formulas ocp.integrators ocp.representations quaternions quantities animation",
         "simulation ocp.problem ocp.elimination ocp.layout ocp.quantities",
         "ocp.backends ocp.structure",

@@ -117,6 +117,8 @@ class Frame(_Entry):
     name: str
     parent: int  # index of the frame that an edge is drawn from; -1: the base
     sensor: bool
+    slides: bool = False  # a joint frame that slides on its parent; it turns otherwise
+    com: tuple[float, float, float] | None = None  # centre of mass [m], where no other frame shows the body's extent
 
 
 class Wrench(_Entry):

@@ -24,7 +24,8 @@ from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.releasing import with_runtime_numbers
 from mbsgen.model.scene import EVERYTHING, LARGEST_TOLERANCE, Scene, read_scene, stage
-from mbsgen.model.tree import NO_FORCE, Kind, Tree
+from mbsgen.model.symbols import exact, to_double
+from mbsgen.model.tree import NO_FORCE, Kind, Motion, Tree
 from mbsgen.model.writer import write_model
 from mbsgen.output import write_folder
 from mbsgen.report import Report, make_report, write_json, write_markdown
@@ -229,7 +230,7 @@ def _describe(tree: Tree, unit: Unit, sources: Sources, mechanism: str) -> Manif
         quaternions=tuple(tree.coordinates.index(x.coordinates[-4]) for x in tree.quaternions),
         parameters=_list_parameters(tree, Kind.RUNTIME),
         design=_list_parameters(tree, Kind.DIFFERENTIATED),
-        frames=tuple(Frame(name=b.name, parent=b.parent - 1, sensor=False) for b in tree.bodies)
+        frames=tuple(_describe_frame(tree, i) for i in range(1, len(tree.bodies) + 1))
         + tuple(Frame(name=s.name, parent=s.body - 1, sensor=True) for s in tree.sensors),
         wrenches=tuple(
             Wrench(name=x.name, frame=x.body - 1, in_base=x.in_base, force=x.force is None, moment=x.moment is None)
@@ -239,3 +240,13 @@ def _describe(tree: Tree, unit: Unit, sources: Sources, mechanism: str) -> Manif
         kernels=sources.kernels,
         tolerance=unit.tolerance,
     )
+
+
+def _describe_frame(tree: Tree, i: int) -> Frame:
+    """Describe the frame of a body, with the centre of mass of a body that carries nothing, at the model's numbers."""
+    body = tree.bodies[i - 1]
+    values = {p.symbol: exact(p.value) for p in tree.parameters}
+    carries = bool(tree.children(i)) or any(s.body == i for s in tree.sensors)
+    x, y, z = (0.0 if carries or body.mass == 0 else to_double(number.xreplace(values)) for number in body.com)
+    slides, com = body.joint.motion is Motion.PRISMATIC, (x, y, z) if (x, y, z) != (0, 0, 0) else None
+    return Frame(name=body.name, parent=body.parent - 1, sensor=False, slides=slides, com=com)

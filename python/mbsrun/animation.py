@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from mbsgen import resources
 from mbsrun.ocp.plant import Plant
+from mbsrun.skeleton import Skeleton, place
 
 Array = NDArray[np.float64]
 
@@ -74,16 +75,16 @@ def render_animation(
     if rates is not None and rates.shape != coordinates.shape:
         raise ValueError(f"qd has shape {rates.shape}, q {coordinates.shape}")
     grid = choose_times(float(t[0]), float(t[-1]))
-    poses = kernels("frames", q=_interpolate(t, coordinates, rates, grid))
+    skeleton = place(kernels, _interpolate(t, coordinates, rates, grid))
     motion = {
         "title": kernels.manifest.model if title is None else title,
         "start": float(t[0]),
         "end": float(t[-1]),
         "times": len(grid),
-        "frames": _describe_frames(kernels),
+        "frames": _describe_frames(skeleton),
         "markers": [{"name": m.name, "at": [float(x) for x in m.position]} for m in markers],
-        "places": _encode(np.clip(poses["p"].swapaxes(1, 2), -FAR, FAR), "<f4"),
-        "turns": _encode(_quaternions(poses["R"]), "<i2"),
+        "places": _encode(np.clip(skeleton.p.swapaxes(1, 2), -FAR, FAR), "<f4"),
+        "turns": _encode(_quaternions(skeleton.R), "<i2"),
     }
     return _fill_page(json.dumps(motion, ensure_ascii=False, allow_nan=False).translate(_ESCAPES))
 
@@ -101,16 +102,10 @@ def _interpolate(t: Array, q: Array, qd: Array | None, grid: Array) -> Array:
     return np.asarray(spline(grid))
 
 
-def _describe_frames(kernels: Plant) -> list[dict[str, object]]:
-    coordinates = kernels.manifest.coordinates
+def _describe_frames(skeleton: Skeleton) -> list[dict[str, object]]:
     return [
-        {
-            "name": frame.name,
-            "parent": frame.parent,
-            "sensor": frame.sensor,
-            "slide": not frame.sensor and coordinates[i].motion == "prismatic",
-        }
-        for i, frame in enumerate(kernels.manifest.frames)
+        {"name": frame.name, "parent": frame.parent, "sensor": frame.sensor, "slide": frame.slides}
+        for frame in skeleton.frames
     ]
 
 

@@ -20,6 +20,7 @@ from mbsrun.animation import Marker, write_animation
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.solution import Solution, Starts
 from mbsrun.quaternions import find_rates
+from mbsrun.skeleton import place
 
 Array = NDArray[np.float64]
 
@@ -89,8 +90,9 @@ def plot_starts(starts: Starts, path: Path) -> None:
 
 def draw_mechanism(solution: Solution, plant: Plant, path: Path) -> None:
     """Draw the mechanism at several times, with the paths and targets of its sensors, and write the picture."""
-    trajectory, frames = solution.trajectory, plant.manifest.frames
-    p = plant("frames", q=trajectory.q)["p"]  # (N + 1, 3, frames)
+    trajectory = solution.trajectory
+    skeleton = place(plant, trajectory.q)
+    frames, p = skeleton.frames, skeleton.p
     figure = Figure(figsize=(8, 7), layout="constrained")
     axes = figure.add_subplot(projection="3d")
     assert isinstance(axes, Axes3D)

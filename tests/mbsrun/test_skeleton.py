@@ -1,0 +1,53 @@
+"""The skeleton of a mechanism: its frames, and an end at the centre of mass where nothing else shows a body."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import mbsrun
+from mbsrun.animation import render_animation
+from mbsrun.skeleton import place
+
+GRIPPER = """\
+name: gripper
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: arm, joint: {type: revolute, axis: y}, mass: 1, com: [0.2, 0, 0], inertia: [0.1, 0.1, 0.1]}
+  - {name: left, parent: arm, joint: {name: grip, type: prismatic, axis: y, position: [0.5, 0, 0]}, mass: 0.1}
+  - name: right
+    parent: arm
+    joint: {type: prismatic, axis: -y, position: [0.5, 0, 0], follows: {joint: grip, ratio: 1, offset: 0}}
+    mass: 0.1
+    com: [0.05, 0, 0]
+  - {name: tail, parent: arm, joint: {type: revolute, axis: x}, mass: 2, com: [0, 0, -l], inertia: [1, 1, 1]}
+parameters: {l: {value: 0.3, kind: runtime}}
+"""
+
+
+@pytest.fixture(scope="module")
+def gripper(tmp_path_factory):
+    path = tmp_path_factory.mktemp("gripper") / "gripper.yaml"
+    path.write_text(GRIPPER)
+    return mbsrun.load(path)
+
+
+def test_a_body_that_carries_nothing_ends_at_its_centre_of_mass(gripper):
+    """At q = (0.3, 0.02, 0.7): by rotations about y and x, written out. A centre at the origin needs no end."""
+    a, b = 0.3, 0.7
+    found = place(gripper, [[a, 0.02, b]])
+    Ry = np.array([[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]])
+    Rx = np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
+    ends = {frame.name: (frame.parent, found.p[0, :, i]) for i, frame in enumerate(found.frames)}
+    assert set(ends) == {"arm", "left", "right", "tail", "right, centre of mass", "tail, centre of mass"}
+    parent, end = ends["tail, centre of mass"]
+    assert found.frames[parent].name == "tail"
+    assert end == pytest.approx(Ry @ Rx @ [0, 0, -0.3], abs=1e-15)
+    assert ends["right, centre of mass"][1] == pytest.approx(Ry @ [0.55, -0.02, 0], abs=1e-15)
+    assert found.R.shape == (1, 3, 3 * len(found.frames))
+
+
+def test_joints_that_follow_others_are_drawn(gripper):
+    """Frames are those of bodies, of which there are more than coordinates."""
+    assert [frame.slides for frame in gripper.manifest.frames] == [False, True, True, False]
+    assert "right, centre of mass" in render_animation(gripper, [0, 1], [[0, 0, 0], [1, 0.04, 1]])
