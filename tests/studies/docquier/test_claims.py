@@ -294,7 +294,7 @@ def test_a_run_without_a_solution_measures_nothing() -> None:
 
 def test_a_verdict_that_turns_with_the_threshold_says_so() -> None:
     """IMPL is 0.5 % above the lowest cost: a higher minimum at 1e-6 to 1e-3, the same minimum at 1 % and 5 %."""
-    judged = {j.statement.key: j for j in judge_all(make(cost=at((ROUGH, ["IMPL"], (0,), 5.025), rest=5)))}
+    judged = {j.claim.key: j for j in judge_all(make(cost=at((ROUGH, ["IMPL"], (0,), 5.025), rest=5)))}
     turned = judged["implicit-trapped"]
     assert turned.verdict == TURNS
     assert turned.by_threshold == (CONFIRMED, CONFIRMED, CONFIRMED, REFUTED, REFUTED)
@@ -314,11 +314,11 @@ def test_a_difference_inside_the_scatter_is_not_judged() -> None:
     """The implicit medians are 5 % lower; repeats differ by 1 %, or by half."""
     close = make(iterations=at((SMOOTH, IMPLICIT, None, 190), rest=200))
     for factor, verdict in ((1.01, CONFIRMED), (1.5, INSIDE)):
-        found = {j.statement.key: j for j in judge_all(repeat(close, factor))}
+        found = {j.claim.key: j for j in judge_all(repeat(close, factor))}
         assert found["implicit-iterations"].verdict == verdict
         assert found["implicit-trapped"].share is None  # iterations do not decide it
     far = {
-        j.statement.key: j for j in judge_all(repeat(make(iterations=at((SMOOTH, IMPLICIT, None, 20), rest=200)), 1.5))
+        j.claim.key: j for j in judge_all(repeat(make(iterations=at((SMOOTH, IMPLICIT, None, 20), rest=200)), 1.5))
     }
     assert far["implicit-iterations"].verdict == CONFIRMED
     assert far["ode-iterations"].share is not None
