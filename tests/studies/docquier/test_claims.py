@@ -317,9 +317,7 @@ def test_a_difference_inside_the_scatter_is_not_judged() -> None:
         found = {j.claim.key: j for j in judge_all(repeat(close, factor))}
         assert found["implicit-iterations"].verdict == verdict
         assert found["implicit-trapped"].share is None  # iterations do not decide it
-    far = {
-        j.claim.key: j for j in judge_all(repeat(make(iterations=at((SMOOTH, IMPLICIT, None, 20), rest=200)), 1.5))
-    }
+    far = {j.claim.key: j for j in judge_all(repeat(make(iterations=at((SMOOTH, IMPLICIT, None, 20), rest=200)), 1.5))}
     assert far["implicit-iterations"].verdict == CONFIRMED
     assert far["ode-iterations"].share is not None
 
