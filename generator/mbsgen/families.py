@@ -18,11 +18,13 @@ from mbsgen.formulations.catalogue import FUNCTIONS, REFERENCE, Entry, list_givi
 from mbsgen.formulations.reductions import ALL, Reductions
 from mbsgen.model.scene import EVERYTHING, Scene
 from mbsgen.model.tree import Kind, Tree
+from mbsgen.procedure.procedure import Computation, Procedure, straight
+from mbsgen.procedure.splitting import hoist
 from mbsgen.roles import Order, Role
 from mbsgen.tape.counts import count
-from mbsgen.tape.passes import hoist, keep_results, merge, set_zero
+from mbsgen.tape.passes import keep_results, merge, set_zero
 from mbsgen.tape.ports import Function, is_of
-from mbsgen.tape.types import Outline, Tape
+from mbsgen.tape.types import Tape
 from mbsgen.targets import acados
 from mbsgen.targets.contract import Family
 
@@ -87,9 +89,9 @@ def write_families(
         tell(f"{name} and its derivatives")
         found = dynamics.differentiate(tape) if entry.is_form else differentiate(tape, differentiable(tape))
         second = found.jac_adj1 if order > 1 else None
-        loops = found.loops
-        families.append(Family(tape, found.jac, found.adj1, second, entry.title, loops))
-        families.append(Family(found.lin, title=f"{entry.title}, with its Jacobians", loops=loops))
+        staged = found.staged
+        families.append(Family(tape, found.jac, found.adj1, second, entry.title, staged))
+        families.append(Family(found.lin, title=f"{entry.title}, with its Jacobians", staged=staged))
     families = _finish(families, scene, chosen)
     if options.acados and tree.quaternions:
         raise OptionError("acados: its states are q and qd, of one size; a joint with a quaternion has more of the one")
@@ -123,9 +125,9 @@ def _finish(families: Sequence[Family], scene: Scene, chosen: Sequence[str] | No
     joined = []
     for name, parts in scene.together:
         members = [by_name[part] for part in parts]
-        jacs = [family.jac for family in members if family.jac is not None]
+        jacs = [straight(family.jac) for family in members if family.jac is not None]
         function = Function(name)
-        value = merge([family.value for family in members], function)
+        value = merge([straight(family.value) for family in members], function)
         jac = merge(jacs, function.to(Order.JACOBIAN)) if jacs else None
         joined.append(Family(value, jac, title=" and ".join(parts)))
     kept = [f for f in still if chosen is None or f.value.function.base in chosen]
@@ -135,16 +137,17 @@ def _finish(families: Sequence[Family], scene: Scene, chosen: Sequence[str] | No
 def _let_rest(family: Family) -> Family:
     """Make the velocities zero, and no input; derivatives by them go."""
 
-    def rest(tape: Tape | None) -> Tape | None:
-        if tape is None:
+    def rest(function: Computation | None) -> Tape | None:
+        if function is None:
             return None
+        tape = straight(function)
         kept = {o.name for o in tape.outputs if not is_of(o.port, Role.VELOCITY)}
         return set_zero(keep_results(tape, kept), Role.VELOCITY)
 
     value = rest(family.value)
     assert value is not None, "a family has a value"
     jac, adj1, jac_adj1 = rest(family.jac), rest(family.adj1), rest(family.jac_adj1)
-    return replace(family, value=value, jac=jac, adj1=adj1, jac_adj1=jac_adj1, loops={})
+    return replace(family, value=value, jac=jac, adj1=adj1, jac_adj1=jac_adj1, staged={})
 
 
 def _write_acados(families: Sequence[Family], *, timed: bool) -> tuple[Family, ...]:
@@ -181,27 +184,25 @@ def _choose_functions(tree: Tree, names: tuple[str, ...] | None) -> Mapping[str,
 
 
 def _split_setup(families: list[Family]) -> tuple[Family, ...]:
-    loops = {loop.tape.name: loop.tape for family in families for loop in family.loops.values()}
-    tapes = [*(tape for family in families for tape in family.tapes), *loops.values()]
-    setup, hoisted = hoist([tape for tape in tapes if not isinstance(tape, Outline)], ports.PARAMETERS, ports.SETUP)
-    rest = {tape.name: tape for tape in hoisted}
-    for family in families:
-        for name, loop in family.loops.items():
-            outline = next((tape for tape in family.tapes if tape.name == name), None)
-            if isinstance(outline, Outline):
-                rest[name] = replace(outline, inputs=rest[loop.tape.name].inputs)
+    functions = [f for family in families for f in family.functions]
+    staged = [p for family in families for p in (*family.functions, *family.staged.values())]
+    procedures = {p.name: p for p in staged if isinstance(p, Procedure)}
+    whole: list[Computation] = [*(f for f in functions if isinstance(f, Tape)), *procedures.values()]
+    setup, hoisted = hoist(whole, ports.PARAMETERS, ports.SETUP)
+    tapes = {f.name: f for f in hoisted if isinstance(f, Tape)}
+    rest = {f.name: f for f in hoisted if isinstance(f, Procedure)}
 
-    def found(tape: Tape | None) -> Tape | None:
-        return tape and rest[tape.name]
+    def find(function: Computation) -> Computation:
+        return tapes[function.name] if isinstance(function, Tape) else rest[function.name]
 
     split = [
         replace(
             f,
-            value=rest[f.value.name],
-            jac=found(f.jac),
-            adj1=found(f.adj1),
-            jac_adj1=found(f.jac_adj1),
-            loops={name: replace(loop, tape=rest[loop.tape.name]) for name, loop in f.loops.items()},
+            value=find(f.value),
+            jac=f.jac and find(f.jac),
+            adj1=f.adj1 and tapes[f.adj1.name],
+            jac_adj1=f.jac_adj1 and tapes[f.jac_adj1.name],
+            staged={name: rest[name] for name in f.staged},
         )
         for f in families
     ]

@@ -28,9 +28,9 @@ from mbsgen.model.symbols import exact, to_double
 from mbsgen.model.tree import NO_FORCE, Kind, Motion, Tree
 from mbsgen.model.writer import write_model
 from mbsgen.output import write_folder
+from mbsgen.procedure.procedure import Computation, Procedure
 from mbsgen.report import Report, make_report, write_json, write_markdown
 from mbsgen.roles import Role
-from mbsgen.tape.types import Outline
 from mbsgen.targets.c import Sources, Unit, write_c
 from mbsgen.targets.contract import Family
 from mbsgen.targets.entries import list_groups
@@ -76,7 +76,7 @@ def make(model: Path | Model, options: Options = DEFAULT, tell: Tell = say_nothi
     released = build_parametric(whole, scene, zeros=True) if options.zeros else parametric
     approximation = _approximate(written, options, scene)
     tree = approximation.tree if approximation else released if options.runtime else written
-    dynamics = Dynamics(tree, options.reductions, outlined=_needs_loops_alone(options, scene))
+    dynamics = Dynamics(tree, options.reductions, staged=_needs_stages_alone(options, scene))
     families = write_families(tree, options, dynamics, scene, tell)
     has_setup = families[0].value.giving(Role.SETUP) is not None
     tell("the check of all functions")
@@ -176,8 +176,8 @@ def _approximate(tree: Tree, options: Options, scene: Scene) -> Approximation | 
     return approximate(tree, scene.tolerance, options, scene)
 
 
-def _needs_loops_alone(options: Options, scene: Scene) -> bool:
-    """Tell whether nothing asks for the straight form of what has a loop: the C does not."""
+def _needs_stages_alone(options: Options, scene: Scene) -> bool:
+    """Return whether nothing asks for the straight form of a function in stages: the C does not."""
     return scene.motion and not (options.python or options.matlab or options.acados or scene.together)
 
 
@@ -188,10 +188,16 @@ def _hash(tree: Tree, families: tuple[Family, ...]) -> str:
     text += repr((tree.name, told, [(p.name, p.value, p.kind) for p in tree.parameters]))
     bounds = [(j.max_speed, j.max_force) for j in (b.joint for b in tree.bodies)]
     text += repr(bounds) if any(map(any, bounds)) else ""
-    looped = [f.loops[t.name].tape for f in families for t in f.tapes if isinstance(t, Outline)]
-    written = [*(t for f in families for t in f.tapes), *looped]
-    tapes = [(t.name, t.inputs, t.literals, t.operations, t.outputs, t.guards) for t in written]
+    written = [function for family in families for function in family.functions]
+    tapes = [_content(function) for function in written]
     return hashlib.sha256(f"{text}{tapes!r}".encode()).hexdigest()
+
+
+def _content(function: Computation) -> tuple[object, ...]:
+    """Return what makes two functions the same."""
+    if isinstance(function, Procedure):
+        return function.name, function.inputs, function.stages, function.outputs
+    return function.name, function.inputs, function.literals, function.operations, function.outputs, function.guards
 
 
 def identify_mechanism(model: Model) -> str:

@@ -13,18 +13,20 @@ from functools import cached_property
 
 from mbsgen.derivatives import implicit, kernels, recursion
 from mbsgen.derivatives.kernels import Derivatives, differentiable
-from mbsgen.derivatives.vanishing import drop_vanishing, find_patterns
-from mbsgen.formulations import catalogue, coupling, ports
+from mbsgen.derivatives.vanishing import drop_vanishing, find_patterns, narrow
+from mbsgen.formulations import catalogue, coupling
 from mbsgen.formulations.planning import finish
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Kind, Tree
+from mbsgen.procedure.fusion import drop_dead as drop_dead_stages
+from mbsgen.procedure.procedure import Computation, Procedure, straight
+from mbsgen.procedure.procedure import count as count_stages
 from mbsgen.roles import Order, Role
 from mbsgen.tape import reverse
-from mbsgen.tape.columns import Columns
 from mbsgen.tape.counts import count
 from mbsgen.tape.passes import drop_dead, keep_results
-from mbsgen.tape.ports import Function, Port, derivative_port
-from mbsgen.tape.types import Outline, Sparsity, Tape
+from mbsgen.tape.ports import Function
+from mbsgen.tape.types import Sparsity, Tape
 
 # Operations from which on columns are looped over. A Panda's Jacobian of EXP1 (4700 operations) takes 0.47 us straight
 # and 0.62 with a loop, a quadruped's (20,000) 3.4 and 3.2, a humanoid's (110,000) 24 and 20.
@@ -40,13 +42,12 @@ Ways = Mapping[str, Callable[[], Tape]]  # by name: `tape`, `recursion` or `impl
 class Dynamics:
     """The derivatives of a tree's formulations.
 
-    Where Jacobians are large enough for a loop, and `outlined`, they are not written straight: of the tapes, there are
-    outlines.
+    With `staged`, Jacobians that are large enough for a loop are written in stages alone, and not straight as well.
     """
 
-    def __init__(self, tree: Tree, reductions: Reductions, *, outlined: bool = False) -> None:
+    def __init__(self, tree: Tree, reductions: Reductions, *, staged: bool = False) -> None:
         is_compared = len(tree.bodies) <= COMPARED or _is_strange(tree)
-        self._choice = _Choice(reductions, is_compared=is_compared, outlined=outlined and not is_compared)
+        self._choice = _Choice(reductions, is_compared=is_compared, staged=staged and not is_compared)
         self._residual = _OfResidual(tree, reductions, self._choice)
         self._first: _OfAccelerations | None = None
 
@@ -72,8 +73,8 @@ def _is_strange(tree: Tree) -> bool:
 class _Choice:
     """Writes derivatives in all ways, and keeps the one with the fewest flops."""
 
-    def __init__(self, reductions: Reductions, *, is_compared: bool, outlined: bool) -> None:
-        self._reductions, self.is_compared, self.outlined = reductions, is_compared, outlined
+    def __init__(self, reductions: Reductions, *, is_compared: bool, staged: bool) -> None:
+        self._reductions, self.is_compared, self.staged = reductions, is_compared, staged
         self.flops: dict[str, dict[str, int]] = {}
 
     def finish(self, tape: Tape) -> Tape:
@@ -152,11 +153,11 @@ class _Renamed(Derivatives):
 
     @cached_property
     def jac(self) -> Tape:
-        return self._rename(self._residual.jac)
+        return self._rename(straight(self._residual.jac))
 
     @cached_property
     def lin(self) -> Tape:
-        return self._rename(self._residual.lin)
+        return self._rename(straight(self._residual.lin))
 
     @cached_property
     def adj1(self) -> Tape:
@@ -191,12 +192,12 @@ class _OfAccelerations(Derivatives):
         return found if len(guards) == len(written.guards) else drop_dead(found)
 
     @cached_property
-    def jac(self) -> Tape:
+    def jac(self) -> Computation:
         function = self.tape.function.to(Order.JACOBIAN)
         if self._is_surely_long:
-            return self._outline(function, self._patterns)
+            return self._note(self._write_staged(function, self._patterns))
         if not self._choice.is_compared:  # then all that it takes is in `lin`
-            return self._choice.note("implicit", _leave_values_out(self.lin))
+            return self._choice.note("implicit", _leave_values_out(straight(self.lin)))
         return self._choice.among(
             function,
             {"implicit": lambda: implicit.jacobian(self.tape, self._residual, self.wrt)},
@@ -204,58 +205,63 @@ class _OfAccelerations(Derivatives):
         )
 
     @cached_property
-    def lin(self) -> Tape:
+    def lin(self) -> Computation:
         function = self.tape.function.to(Order.LINEARISATION)
         if self._is_surely_long:
-            value = self.tape.output(implicit.ACCELERATIONS)
-            return self._outline(function, {value.port: value.sparsity, **self._patterns})
-        if self._first and (taken := self._take(self._first.lin)):
+            return self._note(self._write_staged(function, self._patterns))
+        if self._first and (taken := self._take(straight(self._first.lin))):
             return self._choice.note("implicit", taken)
         return self._choice.among(
             function,
             {"implicit": lambda: implicit.linearisation(self.tape, self._residual, self.wrt)},
-            {"tape": lambda: kernels.linearise(self.tape, self.jac)},
+            {"tape": lambda: kernels.linearise(self.tape, straight(self.jac))},
         )
 
     @cached_property
-    def loops(self) -> Mapping[str, Columns]:
-        """Write those that are large once more, with a loop."""
-        found = {}
-        for written in (self.jac, self.lin):
-            if isinstance(written, Outline) or len(written.operations) > STRAIGHT:
-                whole = self._loop
-                tape = whole.tape if written is self.lin else keep_results(whole.tape, _blocks_of(whole.tape))
-                found[written.name] = replace(
-                    whole, tape=replace(tape, function=implicit.name_columns(written.function))
-                )
-        return found
+    def staged(self) -> Mapping[str, Procedure]:
+        """Write those that are large once more, in stages."""
+        large = [x for x in (self.jac, self.lin) if isinstance(x, Tape) and len(x.operations) > STRAIGHT]
+        return {x.name: self._write_staged(x.function, {o.name: o.sparsity for o in x.outputs}) for x in large}
 
     @cached_property
-    def _loop(self) -> Columns:
-        """Write the accelerations and their Jacobian with a loop."""
-        if self._first and (taken := self._take(self._first._loop.tape)):
-            own = replace(taken, function=implicit.name_columns(self.tape.function.to(Order.LINEARISATION)))
-            return replace(self._first._loop, tape=own)
-        found = implicit.columns(self.tape, self._residual, self.wrt)
-        return replace(found, tape=self._choice.finish(found.tape))
+    def _columns(self) -> Procedure:
+        """Write the accelerations and their Jacobian, with columns that are solved for in a loop."""
+        if self._first and (taken := self._take(self._first._columns.stages[0].tapes[0])):
+            function = self.tape.function.to(Order.LINEARISATION)
+            own = replace(taken, function=Function(f"columns_{function.name}"))
+            return self._first._columns.rewrite(lambda _: own, function)
+        return implicit.columns(self.tape, self._residual, self.wrt).rewrite(self._choice.finish)
 
     @cached_property
     def _is_surely_long(self) -> bool:
-        """Tell, before it is written, whether the straight code would only be looked at for its patterns."""
-        return self._choice.outlined and self._loop.counts(0).paper > SURELY
+        """Return whether the straight code, before it is written, would only be looked at for its patterns."""
+        if not self._choice.staged:
+            return False
+        nothing = {name: Sparsity.of(x.rows, x.cols, ()) for name, x in self._blocks.items()}
+        return count_stages(narrow(self._columns, nothing)).paper > SURELY
+
+    @property
+    def _blocks(self) -> Mapping[str, Sparsity]:
+        return {wire.name: wire.sparsity for wire in self._columns.outputs if wire.port.role is Role.DERIVATIVE}
 
     @cached_property
-    def _patterns(self) -> Mapping[Port, Sparsity]:
-        if self._first:
-            return self._first._patterns
-        given = [self.tape.input(x) for x in self.wrt]
-        sizes = {derivative_port(ports.ACCELERATIONS, i.port): i.sparsity.nnz for i in given}
-        return find_patterns(self._loop, sizes)
+    def _patterns(self) -> Mapping[str, Sparsity]:
+        return self._first._patterns if self._first else find_patterns(self._columns)
 
-    def _outline(self, function: Function, patterns: Mapping[Port, Sparsity]) -> Outline:
-        counts = self._loop.counts(sum(pattern.nnz for pattern in self._patterns.values()))
-        self._choice.flops[function.name] = {"implicit": counts.paper}
-        return Outline.of(function, self.tape.inputs, patterns)
+    def _write_staged(self, function: Function, patterns: Mapping[str, Sparsity]) -> Procedure:
+        """Leave of the columns what a function gives."""
+        found = narrow(self._columns, patterns).rewrite(
+            lambda tape: replace(tape, function=Function(f"columns_{function.name}")), function
+        )
+        if function.order is Order.LINEARISATION:
+            return found
+        blocks = tuple(wire for wire in found.outputs if wire.port.role is Role.DERIVATIVE)
+        return drop_dead_stages(replace(found, outputs=blocks))
+
+    def _note(self, written: Procedure) -> Procedure:
+        """Keep what the Jacobian takes, with the accelerations."""
+        self._choice.flops[written.name] = {"implicit": count_stages(narrow(self._columns, self._patterns)).paper}
+        return written
 
     @cached_property
     def adj1(self) -> Tape:
@@ -281,9 +287,5 @@ class _OfAccelerations(Derivatives):
 
 def _leave_values_out(lin: Tape) -> Tape:
     """Return the Jacobian alone of a function with its Jacobian."""
-    return replace(keep_results(lin, _blocks_of(lin)), function=lin.function.to(Order.JACOBIAN))
-
-
-def _blocks_of(lin: Tape) -> set[str]:
-    """Name the results that are no values: the Jacobians, or the parts that a loop makes them of."""
-    return {o.name for o in lin.outputs if o.port.role not in (Role.ACCELERATION, Role.RESIDUAL)}
+    blocks = {o.name for o in lin.outputs if o.port.role is Role.DERIVATIVE}
+    return replace(keep_results(lin, blocks), function=lin.function.to(Order.JACOBIAN))

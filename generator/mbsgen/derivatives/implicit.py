@@ -18,10 +18,15 @@ from functools import cached_property
 from mbsgen.derivatives.kernels import Derivatives
 from mbsgen.formulations import ports
 from mbsgen.formulations.parsimony.elimination import Entries, Factors, factorise
+from mbsgen.procedure import solve as systems
+from mbsgen.procedure.patterns import LANES, Tree
+from mbsgen.procedure.procedure import Procedure, straight
+from mbsgen.procedure.solve import Solve
+from mbsgen.procedure.stages import Wire
+from mbsgen.procedure.straight import Straight
 from mbsgen.roles import Order
 from mbsgen.tape.builder import Builder, Scalar
-from mbsgen.tape.columns import COLUMNS, INVERSES, LOWER, Columns, pad
-from mbsgen.tape.ports import Function, Port, adjoint_port, derivative_port, seed_port
+from mbsgen.tape.ports import Port, adjoint_port, derivative_port, seed_port
 from mbsgen.tape.replay import declare_inputs, replay, replay_guards
 from mbsgen.tape.types import Input, Sparsity, Tape
 
@@ -45,32 +50,31 @@ def linearisation(tape: Tape, residual: Derivatives, wrt: Sequence[str]) -> Tape
     return _write_slopes(state, wrt, Order.LINEARISATION)
 
 
-def columns(tape: Tape, residual: Derivatives, wrt: Sequence[str]) -> Columns:
-    """Write the accelerations and their Jacobian, with the columns to be solved for in a loop."""
+def columns(tape: Tape, residual: Derivatives, wrt: Sequence[str]) -> Procedure:
+    """Write the accelerations and their Jacobian in two stages: dPhi/dx and the factors of M, then the solution."""
     state = _State.declare(tape, residual)
     state.builder.output_dense(ports.ACCELERATIONS, [[x] for x in state.inputs[ACCELERATIONS]])
-    blocks: dict[str, int] = {}
-    right: Block = {}
-    used = 0
+    blocks: list[systems.Block] = []
+    right: Block = {}  # of dPhi/dx, transposed
+    used, n = 0, state.size
     for x in wrt:
-        blocks[state.slope(x).name] = used
-        right |= {(r, used + c): value for (r, c), value in state.right_hand_sides(x).items()}
-        used += tape.input(x).sparsity.nnz
-    width, factors = pad(used), state.factors
-    ancestors = tuple(tuple(i - 1 for i in factors.ancestors(k)) for k in range(1, state.size + 1))
-    lower = [[factors.L[i + 1, k]] for k, row in enumerate(ancestors, 1) for i in row]
-    flat = {r * width + c: value for (r, c), value in right.items() if not value.is_zero}
-    places = Sparsity.of(state.size * width, 1, [(place, 0) for place in flat])
-    if lower:
-        state.builder.output_dense(LOWER, lower)
-    state.builder.output_dense(INVERSES, [[factors.inverses[k]] for k in range(1, state.size + 1)])
-    state.builder.output(COLUMNS, places, [flat[place] for place, _ in places.entries])
-    return Columns(state.builder.build(name_columns(tape.function.to(Order.LINEARISATION))), ancestors, width, blocks)
-
-
-def name_columns(function: Function) -> Function:
-    """Name the tape that hands columns to the loop of a kernel."""
-    return Function(f"columns_{function.name}")
+        size = tape.input(x).sparsity.nnz
+        blocks.append(systems.Block(Wire.to(state.slope(x), Sparsity.dense(n, size)), used))
+        found = state.right_hand_sides(x).items()
+        right |= {(used + c, r): value for (r, c), value in found if not value.is_zero}
+        used += size
+    width, factors = -(-used // LANES) * LANES, state.factors
+    pattern = Tree(tuple(tuple(i - 1 for i in factors.ancestors(k)) for k in range(1, n + 1)))
+    entries = [factors.L[i + 1, k] for k, row in enumerate(pattern.ancestors, 1) for i in row]
+    lower, inverses = Wire("lower", Sparsity.dense(len(entries))), Wire("inverses", Sparsity.dense(n))
+    rows = Wire("columns", Sparsity.of(width, n, right))
+    state.builder.output(lower.name, lower.sparsity, entries)
+    state.builder.output(inverses.name, inverses.sparsity, [factors.inverses[k] for k in range(1, n + 1)])
+    state.builder.output(rows.name, rows.sparsity, [right[place] for place in rows.sparsity.entries])
+    function = tape.function.to(Order.LINEARISATION)
+    before = Straight(state.builder.build(f"columns_{function.name}"))
+    solve = Solve(f"solve_{function.name}", pattern, (lower, inverses), rows, tuple(blocks), negated=True)
+    return Procedure(function, before.reads, (before, solve), (before.gives[0], *solve.gives))
 
 
 def _write_slopes(state: _State, wrt: Sequence[str], order: Order) -> Tape:
@@ -161,7 +165,8 @@ class _State:
         given: dict[str, Sequence[Scalar]] = dict(declare_inputs(tape, builder))
         size = tape.output(ACCELERATIONS).sparsity.rows
         at_rest = given | {ACCELERATIONS: [builder.zero] * size}
-        M = _replay(builder, residual.jac, at_rest)[derivative_port(ports.RESIDUAL, ports.ACCELERATIONS).name].entries
+        block = derivative_port(ports.RESIDUAL, ports.ACCELERATIONS).name
+        M = _replay(builder, straight(residual.jac), at_rest)[block].entries
         upper: Entries = {(i + 1, j + 1): value for (i, j), value in M.items() if i <= j}
         factors = factorise(builder, upper, size)
         bias = _replay(builder, residual.tape, at_rest)[RESIDUAL].entries
@@ -185,7 +190,7 @@ class _State:
 
     @cached_property
     def _slopes_of_residual(self) -> dict[str, _Found]:
-        return self.replay(self.residual.jac, self.inputs)
+        return self.replay(straight(self.residual.jac), self.inputs)
 
     def right_hand_sides(self, name: str) -> Block:
         """Give dPhi/dx, of which dy/dx = -M^-1 dPhi/dx."""

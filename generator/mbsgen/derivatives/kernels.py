@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 from mbsgen.derivatives.vanishing import drop_vanishing
+from mbsgen.procedure.procedure import Computation, Procedure, straight
 from mbsgen.roles import Order, Role
 from mbsgen.tape import forward, reverse
 from mbsgen.tape.builder import Builder, Scalar
-from mbsgen.tape.columns import Columns
 from mbsgen.tape.counts import count
 from mbsgen.tape.passes import merge
 from mbsgen.tape.ports import derivative_port
@@ -24,18 +24,18 @@ class Derivatives:
         self.tape, self.wrt = tape, tuple(wrt)
 
     @cached_property
-    def jac(self) -> Tape:
+    def jac(self) -> Computation:
         """`jac_f`: blocks jac_<out>_<in>."""
         return jacobian(self.tape, self.wrt)
 
     @cached_property
-    def lin(self) -> Tape:
+    def lin(self) -> Computation:
         """`lin_f`: the outputs of f and of jac_f."""
-        return linearise(self.tape, self.jac)
+        return linearise(self.tape, straight(self.jac))
 
     @cached_property
-    def loops(self) -> Mapping[str, Columns]:
-        """Return, by name, the derivatives that are also written with a loop, as shorter code."""
+    def staged(self) -> Mapping[str, Procedure]:
+        """Return, by name, the derivatives that are also written in stages, as shorter code."""
         return {}
 
     @cached_property

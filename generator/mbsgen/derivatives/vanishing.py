@@ -12,11 +12,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from decimal import Decimal
 
+from mbsgen.procedure import procedure as procedures
+from mbsgen.procedure.procedure import Computation, Procedure
+from mbsgen.procedure.solve import Solve
+from mbsgen.procedure.stages import Stage, Wire
 from mbsgen.roles import Role
-from mbsgen.tape.columns import Columns
 from mbsgen.tape.interpreter import DECIMALS, evaluate, fifty_digits
 from mbsgen.tape.passes import drop_dead
-from mbsgen.tape.ports import Port
 from mbsgen.tape.types import Output, Sparsity, Tape
 
 POINTS = 3
@@ -38,30 +40,45 @@ def drop_vanishing(tape: Tape) -> Tape:
     return drop_dead(replace(tape, outputs=tuple(outputs)))
 
 
-def find_patterns(loop: Columns, columns: Mapping[Port, int]) -> dict[Port, Sparsity]:
-    """Return the patterns of the blocks that a loop computes: the entries that do not vanish."""
+def find_patterns(procedure: Procedure) -> dict[str, Sparsity]:
+    """Return the patterns of all blocks of derivatives: the entries that do not vanish."""
     with fifty_digits():
-        drawn = [loop.solve(evaluate(loop.tape, _draw(loop.tape, seed), DECIMALS)) for seed in range(POINTS)]
+        drawn = [procedures.evaluate(procedure, _draw(procedure, seed), DECIMALS) for seed in range(POINTS)]
     return {
-        port: Sparsity.of(
-            loop.size,
-            width,
+        wire.name: Sparsity.of(
+            wire.sparsity.rows,
+            wire.sparsity.cols,
             [
-                (r, c)
-                for r in range(loop.size)
-                for c in range(width)
-                if not _vanishes([rows[r][loop.blocks[port.name] + c] for rows in drawn])
+                place
+                for k, place in enumerate(wire.sparsity.entries)
+                if not _vanishes([values[wire.name][k] for values in drawn])
             ],
         )
-        for port, width in columns.items()
+        for wire in procedure.outputs
+        if wire.port.role is Role.DERIVATIVE
     }
+
+
+def narrow(procedure: Procedure, patterns: Mapping[str, Sparsity]) -> Procedure:
+    """Leave out of the blocks that solutions give the nonzeros that are not in these patterns."""
+
+    def change(wire: Wire) -> Wire:
+        return replace(wire, sparsity=patterns[wire.name]) if wire.name in patterns else wire
+
+    def take(stage: Stage) -> Stage:
+        if not isinstance(stage, Solve):
+            return stage
+        return replace(stage, blocks=tuple(replace(block, result=change(block.result)) for block in stage.blocks))
+
+    outputs = tuple(map(change, procedure.outputs))
+    return replace(procedure, stages=tuple(map(take, procedure.stages)), outputs=outputs)
 
 
 def _vanishes(column: Sequence[Decimal]) -> bool:
     return all(not value.is_nan() and abs(value) <= VANISHED for value in column)  # NaN: outside a function's domain
 
 
-def _draw(tape: Tape, seed: int) -> dict[str, list[Decimal]]:
+def _draw(tape: Computation, seed: int) -> dict[str, list[Decimal]]:
     """Draw positive numbers of magnitude 1 for every input, so that no divisor among them is zero."""
     source = random.Random(seed)
     return {i.name: [Decimal(source.uniform(0.3, 1.7)) for _ in range(i.sparsity.nnz)] for i in tape.inputs}

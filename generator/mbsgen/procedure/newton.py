@@ -13,7 +13,7 @@ and no iteration is differentiated.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from mbsgen.errors import TapeError
@@ -88,6 +88,16 @@ class Newton(Stage):
     def gives(self) -> tuple[Wire, ...]:
         """List the solution."""
         return (self.solution,)
+
+    @property
+    def tapes(self) -> tuple[Tape, ...]:
+        """Return the tape."""
+        return (self.residual,)
+
+    def with_tapes(self, tapes: Sequence[Tape]) -> Newton:
+        """Replace the tape."""
+        (residual,) = tapes
+        return replace(self, residual=residual)
 
     @property
     def can_fail(self) -> bool:

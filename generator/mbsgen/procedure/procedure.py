@@ -8,15 +8,18 @@ A straight-line program is a procedure of one straight stage.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from mbsgen.errors import TapeError
 from mbsgen.procedure.stages import Arithmetic, Outcome, Stage, Values, Wire
+from mbsgen.procedure.straight import Straight
+from mbsgen.roles import Role
 from mbsgen.tape.counts import Counts
 from mbsgen.tape.interpreter import FLOATS, Numbers
 from mbsgen.tape.ports import Function
+from mbsgen.tape.types import Tape
 
 
 @dataclass(frozen=True)
@@ -67,14 +70,41 @@ class Procedure:
         """Look a result up by name."""
         return next(wire for wire in self.outputs if wire.name == name)
 
+    def giving(self, role: Role) -> Wire | None:
+        """Return the first result of a role, if there is one."""
+        return next((wire for wire in self.outputs if wire.port.role is role), None)
+
+    def rewrite(self, change: Callable[[Tape], Tape], function: Function | None = None) -> Procedure:
+        """Change every tape of its stages; it may get a name of its own."""
+        stages = tuple(stage.with_tapes([change(tape) for tape in stage.tapes]) for stage in self.stages)
+        return replace(self, function=function or self.function, stages=stages)
+
+
+Computation = Tape | Procedure  # a function of the generated code
+
+
+def as_procedure(function: Computation) -> Procedure:
+    """Return a tape as a procedure of one straight stage."""
+    if isinstance(function, Procedure):
+        return function
+    stage = Straight(function)
+    return Procedure(function.function, stage.reads, (stage,), stage.gives)
+
+
+def straight(function: Computation) -> Tape:
+    """Return a function that is a tape, for those who take nothing else."""
+    assert isinstance(function, Tape), f"{function.name} is no straight-line program"
+    return function
+
 
 def interpret(procedure: Procedure, arguments: Values, numbers: Numbers = FLOATS) -> Outcome:
     """Compute what generated code does: a status, and the results where it is 0."""
     return _run(procedure, arguments, Arithmetic(numbers, tested=True))
 
 
-def evaluate(procedure: Procedure, arguments: Values, numbers: Numbers = FLOATS) -> dict[str, list[Any]]:
+def evaluate(function: Computation, arguments: Values, numbers: Numbers = FLOATS) -> dict[str, list[Any]]:
     """Compute every result. Guards of straight stages are not tested; TapeError where a solve or an iteration fails."""
+    procedure = as_procedure(function)
     outcome = _run(procedure, arguments, Arithmetic(numbers, tested=False))
     if outcome.status:
         raise TapeError(f"{procedure.name} fails with status {outcome.status} at these arguments")
@@ -97,8 +127,8 @@ def _run(procedure: Procedure, arguments: Values, arithmetic: Arithmetic) -> Out
     return Outcome(0, {wire.name: values[wire.name] for wire in procedure.outputs})
 
 
-def count(procedure: Procedure) -> Counts:
+def count(function: Computation) -> Counts:
     """Add up the counts of the stages."""
-    counts = [stage.count() for stage in procedure.stages]
+    counts = [stage.count() for stage in as_procedure(function).stages]
     operations: Counter[Any] = sum((Counter(c.operations) for c in counts), Counter())
     return Counts(dict(operations), sum(c.equations for c in counts), sum(c.guards for c in counts))

@@ -79,6 +79,16 @@ class Repeat(Stage):
         return tuple(Wire(o.name, Sparsity.dense(o.sparsity.nnz, self.times)) for o in self.tape.outputs)
 
     @property
+    def tapes(self) -> tuple[Tape, ...]:
+        """Return the tape."""
+        return (self.tape,)
+
+    def with_tapes(self, tapes: Sequence[Tape]) -> Repeat:
+        """Replace the tape."""
+        (tape,) = tapes
+        return replace(self, tape=tape)
+
+    @property
     def can_fail(self) -> bool:
         """Return whether the tape has guards."""
         return bool(self.tape.guards)

@@ -20,7 +20,7 @@ from mbsgen.roles import Role
 from mbsgen.tape.counts import Counts
 from mbsgen.tape.interpreter import Numbers
 from mbsgen.tape.ports import Port
-from mbsgen.tape.types import Input, Output, Sparsity
+from mbsgen.tape.types import Input, Output, Sparsity, Tape
 
 if TYPE_CHECKING:
     from mbsgen.procedure.adjoints import Adjoints
@@ -107,6 +107,16 @@ class Stage(ABC):
     @abstractmethod
     def count(self) -> Counts:
         """Count operations, equations and guards."""
+
+    @property
+    def tapes(self) -> tuple[Tape, ...]:
+        """List the straight-line programs within the stage."""
+        return ()
+
+    def with_tapes(self, tapes: Sequence[Tape]) -> Stage:
+        """Return the stage with others in their place."""
+        assert not tapes, f"stage {self.name} holds no tape"
+        return self
 
     def keep(self, names: frozenset[str]) -> Stage:
         """Leave out what it gives besides these wires, as far as that is possible."""

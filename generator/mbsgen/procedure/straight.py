@@ -7,7 +7,7 @@ pull    wbar = (dz/dw)T zbar, operation by operation, from the last to the first
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from mbsgen.procedure.sheet import Sheet
@@ -47,6 +47,16 @@ class Straight(Stage):
     def gives(self) -> tuple[Wire, ...]:
         """List the outputs of the tape."""
         return tuple(Wire.of(o) for o in self.tape.outputs)
+
+    @property
+    def tapes(self) -> tuple[Tape, ...]:
+        """Return the tape."""
+        return (self.tape,)
+
+    def with_tapes(self, tapes: Sequence[Tape]) -> Straight:
+        """Replace the tape."""
+        (tape,) = tapes
+        return replace(self, tape=tape)
 
     @property
     def can_fail(self) -> bool:

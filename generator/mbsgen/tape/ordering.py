@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
-from mbsgen.tape.types import Op, Outline, Tape
+from mbsgen.tape.types import Op, Tape
 
 _TRIGONOMETRIC = (Op.SIN, Op.COS)
 Operands = Sequence[tuple[int, ...]]  # of each operation
@@ -21,7 +21,6 @@ def arrange(tape: Tape) -> Tape:
 
     The arguments of sines and cosines are computed first, so that all of these can be computed together.
     """
-    assert not isinstance(tape, Outline), "an outline has no operations"
     operands = [(a,) if b < 0 else (a, b) for _, a, b in tape.operations]
     stages = _find_stages(tape, operands)
     orders = (range(len(operands)), _follow_results(tape, operands))

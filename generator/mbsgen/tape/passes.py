@@ -63,12 +63,17 @@ def keep_results(tape: Tape, names: Collection[str]) -> Tape:
 def drop_unused_inputs(tape: Tape) -> Tape:
     """Leave out the inputs of which nothing is read."""
     uses, builder = count_uses(tape), Builder(fold=False, number=False)
-    inputs: dict[str, list[Scalar]] = {}
+    read: set[str] = set()
     first = 0
     for i in tape.inputs:
-        is_read = any(uses[first + k] for k in range(i.sparsity.nnz))
-        inputs[i.name] = builder.input(i.port, i.sparsity) if is_read else [builder.zero] * i.sparsity.nnz
+        read |= {i.name for k in range(i.sparsity.nnz) if uses[first + k]}
         first += i.sparsity.nnz
+    if len(read) == len(tape.inputs):
+        return tape
+    inputs = {
+        i.name: builder.input(i.port, i.sparsity) if i.name in read else [builder.zero] * i.sparsity.nnz
+        for i in tape.inputs
+    }
     values = replay(tape, builder, inputs)
     for o in tape.outputs:
         builder.output(o.port, o.sparsity, [values[v] for v in o.values])

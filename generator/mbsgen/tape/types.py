@@ -225,17 +225,3 @@ class Tape:
     def giving(self, role: Role) -> Output | None:
         """Return the first output of a role, if there is one."""
         return next((o for o in self.outputs if o.port.role is role), None)
-
-
-@dataclass(frozen=True)
-class Outline(Tape):
-    """The arguments of a function that is written otherwise, with a loop: names and patterns, and no operations.
-
-    Nothing can be computed with it: its outputs' values stand for nothing.
-    """
-
-    @staticmethod
-    def of(function: Function, inputs: tuple[Input, ...], patterns: Mapping[Port, Sparsity]) -> Outline:
-        """Make an outline from the patterns of its outputs."""
-        outputs = tuple(Output(port, pattern, (0,) * pattern.nnz) for port, pattern in patterns.items())
-        return Outline(function, inputs, (LITERALS.mpf(0),), (), outputs)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from mbsgen.formulations import ports
 from mbsgen.formulations.catalogue import REFERENCE
+from mbsgen.procedure.procedure import Computation
 from mbsgen.roles import Order
 from mbsgen.tape.ports import Port
-from mbsgen.tape.types import Tape
 from mbsgen.targets.contract import Family
 
 
@@ -28,14 +28,14 @@ def compare(families: Sequence[Family], *, only_driven: bool) -> tuple[Compariso
     return (*(c for family in families for c in _compare_derivatives(family)), *between)
 
 
-def _compare_functions(functions: Sequence[Tape], *, only_driven: bool) -> Iterator[Comparison]:
+def _compare_functions(functions: Sequence[Computation], *, only_driven: bool) -> Iterator[Comparison]:
     """Compare the forms of the equations of motion with the reference, and each other; and places of sensors.
 
     The bias c is the residual at rest only without forces that act besides u.
     """
 
     def list_giving(port: Port) -> list[str]:
-        return [tape.name for tape in functions if any(o.port == port for o in tape.outputs)]
+        return [f.name for f in functions if any(o.port == port for o in f.outputs)]
 
     residuals, accelerations = list_giving(ports.RESIDUAL), list_giving(ports.ACCELERATIONS)
     matrices = list_giving(ports.MASS_MATRIX) if REFERENCE in residuals else []

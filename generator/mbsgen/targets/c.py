@@ -6,34 +6,30 @@ C function with typed arguments, and a second one, in CasADi's contract, that ca
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from itertools import accumulate
-from itertools import count as count_from
 
 import jinja2
 from mpmath import mpf
 
 from mbsgen import resources
 from mbsgen.manifest import Argument, Flops, Kernel
+from mbsgen.procedure.stages import Wire
 from mbsgen.roles import Role
-from mbsgen.tape.columns import COLUMNS, Columns
-from mbsgen.tape.ordering import arrange
 from mbsgen.tape.types import Input, Output, Sparsity
 from mbsgen.targets.agreement import compare
+from mbsgen.targets.c_stages import Written, write_stages
 from mbsgen.targets.contract import Face, Family, Slot, arguments, faces
 from mbsgen.targets.entries import Group, write_string
-from mbsgen.targets.parts import Line, Part, divide
-from mbsgen.targets.statements import C, Check, Turns, wrap, write_body, write_literal
+from mbsgen.targets.statements import wrap, write_literal
 
 ABI_HEADER = "mbs_abi.h"
-COLUMNS_HEADER = "mbs_columns.h"
 # Results that lose digits with the condition of the mass matrix.
 _SOLVED = (Role.ACCELERATION, Role.CONDITION)
 _LARGEST_REFERENCE = 1000  # results of a function; where it has more, the check program holds none of them
-_COPIED = (ABI_HEADER, "mbs_sincos.h", "mbs_check.h", "mbs_check.c")  # from csrc; COLUMNS_HEADER where it is needed
+_COPIED = (ABI_HEADER, "mbs_sincos.h", "mbs_check.h", "mbs_check.c")  # from csrc; more where stages need them
 
 
 @dataclass(frozen=True)
@@ -82,7 +78,7 @@ def write_c(unit: Unit) -> Sources:
         sources[f"{unit.prefix}_default_parameters.c"] = _render("parameters.c", **common)
     if unit.groups:
         sources[f"{unit.prefix}_names.c"] = _render("names.c", **common)
-    copied = (*_COPIED, *((COLUMNS_HEADER,) if any(view.loop for view in views) else ()))
+    copied = dict.fromkeys((*_COPIED, *(name for view in views for name in view.stages.headers)))
     files = {
         header: _render("model.h", kernels=views, tolerance=unit.tolerance, **common),
         **{name: (resources.folder("csrc") / name).read_text(encoding="utf-8") for name in copied},
@@ -152,7 +148,7 @@ def _file(prefix: str, face: Face) -> str:
     return f"{prefix}_{face.kernel}.c"
 
 
-def _argument(source: Input | Output, differentiable: bool = True) -> Argument:
+def _argument(source: Input | Output | Wire, differentiable: bool = True) -> Argument:
     pattern, port = source.sparsity, source.port
     dense = pattern.is_dense
     return Argument(
@@ -195,16 +191,6 @@ class _Unwanted:
 
 
 @dataclass(frozen=True)
-class _Function:
-    """A function that computes a part of a kernel: its parameters, how it is called, its lines."""
-
-    name: str
-    parameters: tuple[str, ...]
-    arguments: tuple[str, ...]
-    lines: tuple[str, ...]
-
-
-@dataclass(frozen=True)
 class _Pattern:
     name: str
     lines: tuple[str, ...]
@@ -221,30 +207,6 @@ class _Table:
 
 
 @dataclass(frozen=True)
-class _Given:
-    """A block that the loop has solved for."""
-
-    result: str
-    first: int  # its first number in B
-    rows: int
-    cols: int
-    count: int
-    places: tuple[str, ...]  # of its nonzeros from there on, as lines; none for a full block
-
-
-@dataclass(frozen=True)
-class _Loop:
-    """The columns that are solved for after the body."""
-
-    size: int
-    width: int
-    entries: int  # of L, or 1 where it has none: C has no empty arrays
-    starts: tuple[str, ...]
-    ancestors: tuple[str, ...]
-    given: tuple[_Given, ...]
-
-
-@dataclass(frozen=True)
 class _View:
     """A kernel, ready to be laid out."""
 
@@ -257,14 +219,9 @@ class _View:
     equations: int
     parameters: tuple[_Parameter, ...]
     left_out: tuple[str, ...]
-    unused: tuple[str, ...]
-    has_angles: bool
     unwanted: tuple[_Unwanted, ...]
     unwanted_size: int
-    lines: tuple[str, ...]  # of the body, where it is not in parts
-    parts: tuple[_Function, ...]
-    kept: tuple[str, ...]  # the values that outlive their part, as lines of declarations
-    loop: _Loop | None
+    stages: Written
     zeros: int  # nonzeros of the largest input
     patterns: tuple[_Pattern, ...]
     inputs: _Table
@@ -273,10 +230,8 @@ class _View:
 
 def _view(prefix: str, face: Face) -> _View:
     counts = face.counts
-    body = write_body(arrange(face.loop.tape if face.loop else face.tape), SYNTAX)
-    divided = divide(body, [i.name for i in face.tape.inputs])
-    is_whole = len(divided.parts) == 1
-    unwanted = tuple(accumulate((o.sparsity.nnz for o in face.tape.outputs), initial=0))
+    outputs = face.procedure.outputs
+    unwanted = tuple(accumulate((o.sparsity.nnz for o in outputs), initial=0))
     patterns = _name_patterns(face)
     empty = [a for a in map(_argument, arguments(face.tape)) if not a.nnz]
     return _View(
@@ -289,16 +244,9 @@ def _view(prefix: str, face: Face) -> _View:
         equations=counts.equations,
         parameters=_parameters(prefix, face),
         left_out=tuple(f"{a.name}: {a.rows} x {a.cols}, without a nonzero: no argument" for a in empty),
-        unused=body.unused,
-        has_angles=any(isinstance(s, Turns) for s in body.statements),
-        unwanted=tuple(
-            _Unwanted(o.name, place) for o, place in zip(face.tape.outputs, unwanted, strict=False) if o.values
-        ),
+        unwanted=tuple(_Unwanted(o.name, place) for o, place in zip(outputs, unwanted, strict=False) if o.sparsity.nnz),
         unwanted_size=unwanted[-1],
-        lines=_write_lines(divided.parts[0].lines) if is_whole else (),
-        parts=() if is_whole else tuple(_write_function(part) for part in divided.parts),
-        kept=wrap(divided.kept),
-        loop=_write_loop(face.loop, face.tape.outputs) if face.loop else None,
+        stages=write_stages(face.procedure),
         zeros=max((i.sparsity.nnz for i in face.tape.inputs), default=0),
         patterns=tuple(_Pattern(name, wrap(map(str, _compress(pattern)))) for pattern, name in patterns.items()),
         inputs=_table(face.inputs, patterns),
@@ -306,78 +254,11 @@ def _view(prefix: str, face: Face) -> _View:
     )
 
 
-def _write_targets(name: str, pattern: Sparsity) -> list[str]:
-    """Write the nonzeros of an argument; those of B have their place in it."""
-    return [f"{name}[{k}]" for k in (pattern.row if name == COLUMNS else range(pattern.nnz))]
-
-
-SYNTAX = replace(C, nonzeros=_write_targets)
-
-
-def _write_loop(loop: Columns, outputs: Sequence[Output]) -> _Loop:
-    def give(result: str, pattern: Sparsity) -> _Given:
-        first, places = loop.blocks[result], loop.places(result, pattern)
-        listed = () if pattern.is_dense else wrap(str(place - first) for place in places)
-        return _Given(result, first, pattern.rows, pattern.cols, pattern.nnz, listed)
-
-    return _Loop(
-        loop.size,
-        loop.width,
-        max(1, loop.starts[-1]),
-        wrap(map(str, loop.starts)),
-        wrap(str(i) for row in loop.ancestors for i in row) or ("0",),
-        tuple(give(o.name, o.sparsity) for o in outputs if o.name in loop.blocks and o.values),
-    )
-
-
-def _write_function(part: Part) -> _Function:
-    return _Function(
-        part.name,
-        tuple(f"const mbs_real *MBS_RESTRICT {name}" for name in part.inputs)
-        + tuple(f"mbs_real *MBS_RESTRICT {name}" for name in part.results)
-        + ("mbs_values *MBS_RESTRICT mbs_kept",) * part.keeps,
-        (*part.inputs, *part.results, *("&mbs_kept",) * part.keeps),
-        _write_lines(part.lines),
-    )
-
-
-def _write_lines(lines: Sequence[Line]) -> tuple[str, ...]:
-    text: list[str] = []
-    suffixes = map(str, count_from(1))
-    for line in lines:
-        match line:
-            case Turns():
-                text += _write_turns(line, next(suffixes))
-            case Check():
-                text.append(f"if (!({line.value} > MBS_THRESHOLD({line.tolerance}) * {line.scale}))")
-                text.append(f"    return {line.joint};")
-            case _:
-                text += _break(f"{line.target} = {line.expression};")
-    return tuple(text)
-
-
-def _break(line: str) -> list[str]:
-    """Break a long line where it has spaces."""
-    return textwrap.wrap(line, 108, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
-
-
-def _write_turns(turns: Turns, suffix: str) -> list[str]:
-    angles, sines, cosines = (f"mbs_{kind}{suffix}" for kind in ("angles", "sines", "cosines"))
-    count = len(turns.turns)
-    text = [f"const mbs_real {angles}[MBS_PADDED({count})] = {{"]
-    text += [f"    {line}" for line in wrap(turn.angle for turn in turns.turns)]
-    text += ["};", f"mbs_real {sines}[MBS_PADDED({count})], {cosines}[MBS_PADDED({count})];"]
-    text.append(f"mbs_sincos({count}, {angles}, {sines}, {cosines});")
-    for k, turn in enumerate(turns.turns):
-        text += [f"{name} = {of}[{k}];" for name, of in ((turn.sine, sines), (turn.cosine, cosines)) if name]
-    return text
-
-
 def _parameters(prefix: str, face: Face) -> tuple[_Parameter, ...]:
     inputs = {slot.name: k for k, slot in enumerate(face.inputs)}
     outputs = {slot.name: k for k, slot in enumerate(face.outputs)}
 
-    def describe(argument: Input | Output, way: str, k: int, qualifier: str, passed: str) -> _Parameter:
+    def describe(argument: Input | Output | Wire, way: str, k: int, qualifier: str, passed: str) -> _Parameter:
         name, told_by = argument.name, f"{face.symbol}_sparsity_{way}({k})"
         return _Parameter(
             f"{qualifier}mbs_real *MBS_RESTRICT {name}",
@@ -400,7 +281,7 @@ def _parameters(prefix: str, face: Face) -> tuple[_Parameter, ...]:
     )
 
 
-def _note(way: str, argument: Input | Output, told_by: str) -> str:
+def _note(way: str, argument: Input | Output | Wire, told_by: str) -> str:
     pattern = argument.sparsity
     nonzeros = "" if pattern.is_dense else f", {pattern.nnz} nonzeros, placed by {told_by}"
     meaning = argument.port.note

@@ -12,13 +12,14 @@ are there with an empty pattern.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from mbsgen.procedure.procedure import Computation, Procedure, as_procedure, count
+from mbsgen.procedure.stages import Wire
 from mbsgen.roles import FAMILY, Order, name_adjoint, name_derivative, name_kernel, name_unneeded
-from mbsgen.tape.columns import Columns
-from mbsgen.tape.counts import Counts, count
+from mbsgen.tape.counts import Counts
 from mbsgen.tape.ports import Port, adjoint_port, derivative_port, seed_port
 from mbsgen.tape.types import Input, Output, Sparsity, Tape
 
@@ -27,25 +28,30 @@ from mbsgen.tape.types import Input, Output, Sparsity, Tape
 class Family:
     """A function, and those of its derivatives that are generated."""
 
-    value: Tape
-    jac: Tape | None = None
+    value: Computation
+    jac: Computation | None = None
     adj1: Tape | None = None
     jac_adj1: Tape | None = None
     title: str = ""  # what it computes; for readers
-    loops: Mapping[str, Columns] = field(default_factory=dict)  # tape -> the same with a loop, where that is quicker
+    staged: Mapping[str, Procedure] = field(default_factory=dict)  # by name, tapes in stages, where that is quicker
     integer: Literal["casadi_int", "int"] = "casadi_int"  # the type of counts and places in CasADi's contract
 
     @property
-    def tapes(self) -> tuple[Tape, ...]:
+    def functions(self) -> tuple[Computation, ...]:
         """List the function and those of its derivatives that there are."""
-        return tuple(t for t in (self.value, self.jac, self.adj1, self.jac_adj1) if t is not None)
+        return tuple(f for f in (self.value, self.jac, self.adj1, self.jac_adj1) if f is not None)
+
+    @property
+    def tapes(self) -> tuple[Tape, ...]:
+        """List those of the functions that are straight-line programs."""
+        return tuple(f for f in self.functions if isinstance(f, Tape))
 
     def __post_init__(self) -> None:
         own, derivatives = self.value.function, (self.jac, self.adj1, self.jac_adj1)
         for tape, order in zip(derivatives, FAMILY[1:], strict=True):
             assert tape is None or tape.function == own.to(order), f"{tape and tape.name} is no {order.value} of {own}"
 
-    def describe(self, tape: Tape) -> str:
+    def describe(self, tape: Computation) -> str:
         """Describe the function or a derivative of it; for readers."""
         name = tape.name
         jacobians = f"Jacobians of {{}}, {name_derivative('<result>', '<input>')}"
@@ -78,31 +84,29 @@ class Slot:
 
 @dataclass(frozen=True)
 class Face:
-    """A tape with its arguments as CasADi counts them."""
+    """A kernel with its arguments as CasADi counts them."""
 
     family: Family
     kernel: str  # "jac_impl"
     symbol: str  # "jac_arm_impl"
     function: str  # "arm_compute_jac_impl": the typed C function
-    tape: Tape
+    tape: Computation
     inputs: tuple[Slot, ...]
     outputs: tuple[Slot, ...]
 
     @property
-    def loop(self) -> Columns | None:
-        """Give the same function with a loop, if it is to be written so."""
-        return self.family.loops.get(self.tape.name)
+    def procedure(self) -> Procedure:
+        """Return the stages in which the kernel is to be written."""
+        return self.family.staged.get(self.tape.name) or as_procedure(self.tape)
 
     @property
     def counts(self) -> Counts:
         """Count what is computed."""
-        if self.loop is None:
-            return count(self.tape)
-        return self.loop.counts(sum(o.sparsity.nnz for o in self.tape.outputs if o.name in self.loop.blocks))
+        return count(self.procedure)
 
 
-def arguments(tape: Tape) -> list[Input | Output]:
-    """List a tape's inputs, then its outputs."""
+def arguments(tape: Computation) -> list[Input | Output | Wire]:
+    """List a function's inputs, then its results."""
     return [*tape.inputs, *tape.outputs]
 
 
@@ -126,7 +130,7 @@ def faces(family: Family, prefix: str) -> tuple[Face, ...]:
     return tuple(found)
 
 
-def _face(family: Family, prefix: str, tape: Tape, inputs: tuple[Slot, ...], outputs: tuple[Slot, ...]) -> Face:
+def _face(family: Family, prefix: str, tape: Computation, inputs: tuple[Slot, ...], outputs: tuple[Slot, ...]) -> Face:
     held = {slot.name for slot in (*inputs, *outputs) if slot.sparsity.nnz}
     missing = [x.name for x in arguments(tape) if x.sparsity.nnz and x.name not in held]
     assert not missing, f"{tape.name}: CasADi's contract has no place for {missing}"
@@ -134,13 +138,13 @@ def _face(family: Family, prefix: str, tape: Tape, inputs: tuple[Slot, ...], out
     return Face(family, tape.name, symbol, function, tape, inputs, outputs)
 
 
-def name_symbol(prefix: str, family: Family, tape: Tape) -> str:
+def name_symbol(prefix: str, family: Family, tape: Computation) -> str:
     """Name the function in CasADi's contract: CasADi puts the order before the name of the function, as `jac_arm_f`."""
     own = f"{prefix}_{family.value.name}"
     return own if tape is family.value else name_kernel(own, tape.function.order)
 
 
-def _is_differentiable(family: Family, source: Input) -> bool:
+def _is_differentiable(family: Family, source: Input | Wire) -> bool:
     """Tell whether the derivatives know the input; without any, CasADi is to ask for one and fail aloud."""
     if family.adj1:
         return any(o.port.by == source.port for o in family.adj1.outputs)
@@ -149,7 +153,7 @@ def _is_differentiable(family: Family, source: Input) -> bool:
     return True
 
 
-def _blocks(tape: Tape, rows: tuple[Output, ...] | tuple[Slot, ...], cols: tuple[Slot, ...]) -> tuple[Slot, ...]:
+def _blocks(tape: Computation, rows: Sequence[Output | Wire | Slot], cols: tuple[Slot, ...]) -> tuple[Slot, ...]:
     return tuple(
         _slot(tape, derivative_port(o.port, i.port), Sparsity.of(_numel(o.sparsity), _numel(i.sparsity), ()))
         for o in rows
@@ -157,7 +161,7 @@ def _blocks(tape: Tape, rows: tuple[Output, ...] | tuple[Slot, ...], cols: tuple
     )
 
 
-def _slot(tape: Tape, port: Port, shape: Sparsity) -> Slot:
+def _slot(tape: Computation, port: Port, shape: Sparsity) -> Slot:
     """Make the slot of a result: with the tape's pattern, or empty where the tape has no such result."""
     for output in tape.outputs:
         if output.port == port:
@@ -167,7 +171,7 @@ def _slot(tape: Tape, port: Port, shape: Sparsity) -> Slot:
     return _empty(port, shape)
 
 
-def _unneeded(result: Output | Slot) -> Slot:
+def _unneeded(result: Output | Wire | Slot) -> Slot:
     """Make the slot of a result among the inputs of a derivative, which has no use for it."""
     return _empty(replace(result.port, name=name_unneeded(result.port.name)), result.sparsity)
 

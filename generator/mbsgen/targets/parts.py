@@ -51,14 +51,14 @@ class Division:
     kept: tuple[str, ...]  # values that outlive their part
 
 
-def divide(body: Body, inputs: Sequence[str]) -> Division:
-    """Divide the body of a kernel with the given inputs, once it has the length of two parts."""
+def divide(body: Body, inputs: Sequence[str], name: str = "mbs_part") -> Division:
+    """Divide the body of a function with the given inputs, once it has the length of two parts, named with numbers."""
     lines = order_lines(body)
     count = max(1, len(lines) // LENGTH)
     size = max(1, -(-len(lines) // count))
     slices = [lines[k : k + size] for k in range(0, len(lines), size)] or [()]
     kept = _find_kept(slices)
-    parts = (_write_part(f"mbs_part{k}", part, kept, inputs) for k, part in enumerate(slices, 1))
+    parts = (_write_part(f"{name}{k}", part, kept, inputs) for k, part in enumerate(slices, 1))
     return Division(tuple(parts), tuple(kept))
 
 

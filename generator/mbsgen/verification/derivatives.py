@@ -9,17 +9,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from decimal import Decimal
 
+from mbsgen.procedure.procedure import Computation, Procedure, evaluate
 from mbsgen.roles import Order, Role
-from mbsgen.tape.columns import Columns
-from mbsgen.tape.interpreter import DECIMALS, evaluate
+from mbsgen.tape.interpreter import DECIMALS
 from mbsgen.tape.ports import Port
-from mbsgen.tape.types import Outline, Output, Sparsity, Tape
+from mbsgen.tape.types import Output, Sparsity, Tape
 from mbsgen.targets.contract import Family
 from mbsgen.verification.functions import Comparison, largest
 from mbsgen.verification.geometry import STEP, ZERO, dot, slope
 from mbsgen.verification.states import Numbers, draw
 
-Arguments = Callable[[Tape], dict[str, Numbers]]  # the arguments of a tape at a state
+Arguments = Callable[[Computation], dict[str, Numbers]]  # the arguments of a function at a state
 Vectors = dict[str, Numbers]  # by result or by input
 
 DIRECTION = "direction"  # the name under which its numbers are drawn, with the name of the input
@@ -52,11 +52,10 @@ def compare_linearised(lin: Family, plain: Family, arguments: Arguments) -> Iter
     """Compare a `lin_` function with the function and with its Jacobian."""
     way = _Direction(plain)
     along = slope_of(plain.value, arguments(plain.value), way)
-    if not isinstance(lin.value, Outline):
-        found, expected = (evaluate(t, arguments(t), DECIMALS) for t in (lin.value, plain.value))
-        for name in expected:
-            yield Comparison(name, found[name], expected[name])
-    for name, product in _products(plain, lin.value, arguments, way, lin.loops):
+    found, expected = (evaluate(f, arguments(f), DECIMALS) for f in (lin.value, plain.value))
+    for name in expected:
+        yield Comparison(name, found[name], expected[name])
+    for name, product in _products(plain, lin.value, arguments, way, lin.staged):
         yield Comparison(name, product, along[name], _size(plain.value, arguments, name))
 
 
@@ -85,7 +84,7 @@ def _adjoints(adj1: Tape) -> Iterator[tuple[Output, Port]]:
         yield o, o.port.by
 
 
-def slope_of(tape: Tape, given: Mapping[str, Numbers], way: _Direction) -> Vectors:
+def slope_of(tape: Computation, given: Mapping[str, Numbers], way: _Direction) -> Vectors:
     """Differentiate a tape along a direction, by a central difference."""
     ends = []
     wrt = way.wrt()
@@ -99,27 +98,23 @@ def slope_of(tape: Tape, given: Mapping[str, Numbers], way: _Direction) -> Vecto
 
 
 def _products(
-    family: Family, tape: Tape, arguments: Arguments, way: _Direction, loops: Mapping[str, Columns] | None = None
+    family: Family,
+    derived: Computation,
+    arguments: Arguments,
+    way: _Direction,
+    staged: Mapping[str, Procedure] | None = None,
 ) -> Iterator[tuple[str, Numbers]]:
-    """Multiply the blocks of a Jacobian by the direction, for each result; once more by its loop, if it has one."""
-    of_adjoint = family.adj1 if tape.function.order is Order.ADJOINT_JACOBIAN else None
-    function = of_adjoint or family.value
-    if not isinstance(tape, Outline):
-        blocks = evaluate(tape, arguments(tape), DECIMALS)
-        yield from _multiply(function, {o.port: (o.sparsity, blocks[o.name]) for o in tape.outputs}, way)
-    loop = (family.loops if loops is None else loops).get(tape.name)
-    if loop:
-        rows = loop.solve(evaluate(loop.tape, arguments(loop.tape), DECIMALS))
-        patterns = {o.port: o.sparsity for o in tape.outputs if o.name in loop.blocks}
-        found = {
-            port: (pattern, [rows[r][loop.blocks[port.name] + c] for r, c in pattern.entries])
-            for port, pattern in patterns.items()
-        }
-        yield from _multiply(function, found, way)
+    """Multiply the blocks of a Jacobian by the direction, for each result; once more in stages, if it has some."""
+    of_adjoint = family.adj1 if derived.function.order is Order.ADJOINT_JACOBIAN else None
+    in_stages = (family.staged if staged is None else staged).get(derived.name)
+    for written in (derived, in_stages) if in_stages else (derived,):
+        blocks = evaluate(written, arguments(written), DECIMALS)
+        found = {o.port: (o.sparsity, blocks[o.name]) for o in written.outputs}
+        yield from _multiply(of_adjoint or family.value, found, way)
 
 
 def _multiply(
-    function: Tape, blocks: Mapping[Port, tuple[Sparsity, Sequence[Decimal]]], way: _Direction
+    function: Computation, blocks: Mapping[Port, tuple[Sparsity, Sequence[Decimal]]], way: _Direction
 ) -> Iterator[tuple[str, Numbers]]:
     """Yield J v for every result of `function`, in its storage order. Missing blocks are zero."""
     for o in function.outputs:
@@ -134,5 +129,5 @@ def _multiply(
         yield o.name, [total[k] for k in places]
 
 
-def _size(tape: Tape, arguments: Arguments, name: str) -> Decimal:
+def _size(tape: Computation, arguments: Arguments, name: str) -> Decimal:
     return largest(evaluate(tape, arguments(tape), DECIMALS)[name])

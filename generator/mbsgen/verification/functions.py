@@ -15,6 +15,7 @@ from itertools import islice
 from mbsgen.formulations import ports, textbook
 from mbsgen.formulations.links import declare_state, joint_forces, write_chain
 from mbsgen.model.tree import Coupling, Tree
+from mbsgen.procedure.procedure import Computation
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import DECIMALS, evaluate
 from mbsgen.tape.ports import Port
@@ -194,16 +195,16 @@ class Truth:
         ]
 
 
-Expectation = Callable[[Truth, Tape, Results], Iterator[Comparison]]
+Expectation = Callable[[Truth, Computation, Results], Iterator[Comparison]]
 
 
-def _residual(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
+def _residual(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
     Phi = truth.residual(truth.qdd)
     scale = max(largest(Phi), largest(truth.Q), largest(truth.bias))
     yield Comparison("Phi", results["Phi"], [a - b for a, b in zip(Phi, truth.Q, strict=True)], scale)
 
 
-def _terms(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
+def _terms(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
     """Compare M qdd, which holds every entry of M, and c."""
     if "M" in results:
         M, n = results["M"], truth.n
@@ -214,7 +215,7 @@ def _terms(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
         yield Comparison("c", results["c"], truth.bias)
 
 
-def _accelerations(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
+def _accelerations(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
     """Compare Phi at the computed accelerations with Q."""
     Phi = truth.residual(results["qdd"])
     inertial = [a - b for a, b in zip(Phi, truth.bias, strict=True)]
@@ -222,18 +223,18 @@ def _accelerations(truth: Truth, _: Tape, results: Results) -> Iterator[Comparis
     yield Comparison("qdd", Phi, truth.Q, scale)
 
 
-def _places(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
+def _places(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
     expected = [x for k in range(len(truth.tree.sensors)) for x in truth.sensor(k).p]
     yield Comparison("position", results["position"], expected)
 
 
-def _velocities(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
+def _velocities(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
     for place, name in enumerate(("v", "omega")):
         if name in results:
             yield Comparison(name, results[name], [x for speed in truth.sensor_speeds for x in speed[place]])
 
 
-def _jacobian(truth: Truth, tape: Tape, results: Results) -> Iterator[Comparison]:
+def _jacobian(truth: Truth, tape: Computation, results: Results) -> Iterator[Comparison]:
     """Compare J qd with the velocities, also where functions have no velocities."""
     truth = truth.moving
     found = [ZERO] * (6 * len(truth.tree.sensors))
@@ -242,7 +243,7 @@ def _jacobian(truth: Truth, tape: Tape, results: Results) -> Iterator[Comparison
     yield Comparison("J", found, [x for v, OM in truth.sensor_speeds for x in (*v, *OM)])
 
 
-def _frames(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
+def _frames(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
     bodies = [
         Pose(truth.poses[i].p, times(truth.poses[i].R, truth.mechanism.matrix(f"axes_{i}")))
         for i in range(1, len(truth.tree.bodies) + 1)
@@ -254,7 +255,7 @@ def _frames(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
         yield Comparison("R", results["R"], [x for pose in drawn for column in transpose(pose.R) for x in column])
 
 
-def _rates(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
+def _rates(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
     """Move along the rates: bodies must have their velocities, and quaternions keep their lengths."""
     ahead, behind = (
         truth.mechanism.poses(
@@ -271,7 +272,7 @@ def _rates(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
         yield Comparison("rate", [dot(q, rate)], [ZERO], largest(q) * largest(rate))
 
 
-def _energy(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
+def _energy(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
     """Sum over the bodies."""
     zero = [ZERO] * 3
     kinetic, momentum, turning, first, total, size = ZERO, zero, zero, zero, ZERO, ZERO
@@ -298,7 +299,7 @@ def _energy(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
         yield Comparison(name, results[name], *expected[name])
 
 
-def _power(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
+def _power(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
     """Sum the power of each force."""
     parts = [*(Q * qd for Q, qd in zip(truth.Q, truth.qd, strict=True)), *_pull(truth)]
     yield Comparison("power", results["power"], [sum(parts, ZERO)], largest(parts))
@@ -320,7 +321,7 @@ def _pull(truth: Truth) -> Iterator[Decimal]:
         yield dot(moment, truth.speeds[wrench.body][1])
 
 
-def _condition(truth: Truth, _: Tape, results: Results) -> Iterator[Comparison]:
+def _condition(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
     """Compare M_ii (M^-1)_ii; `articulated` depends on the plan of EXP2, so it has no reference."""
     if "elimination" in results and truth.n <= LARGEST_INVERSE:
         rest = truth.residual([ZERO] * truth.n)
@@ -367,7 +368,7 @@ EXPECTATIONS: Mapping[Port, Expectation] = {
 }
 
 
-def list_expectations(tape: Tape) -> tuple[Expectation, ...]:
+def list_expectations(tape: Computation) -> tuple[Expectation, ...]:
     """List the expectations of a function's results, each once."""
     return tuple(dict.fromkeys(EXPECTATIONS[o.port] for o in tape.outputs if o.port in EXPECTATIONS))
 

@@ -14,9 +14,9 @@ from itertools import islice
 from mbsgen.errors import MbsError
 from mbsgen.formulations import ports
 from mbsgen.model.tree import Tree
+from mbsgen.procedure.procedure import Computation, evaluate
 from mbsgen.roles import Order, Role
-from mbsgen.tape.interpreter import DECIMALS, evaluate, fifty_digits
-from mbsgen.tape.types import Outline, Tape
+from mbsgen.tape.interpreter import DECIMALS, fifty_digits
 from mbsgen.targets.contract import Family
 from mbsgen.verification.derivatives import compare_derivatives, compare_linearised
 from mbsgen.verification.functions import Comparison, Truth, grow_energy, list_expectations, write_equations
@@ -65,32 +65,32 @@ class _Verifier:
             self._compare_values(truth)
         for truth in truths[:1]:
             self._compare_derivatives(truth.state)
-        kernels = [tape.name for family in self.families for tape in family.tapes if not tape.giving(Role.SETUP)]
+        kernels = [f.name for family in self.families for f in family.functions if not f.giving(Role.SETUP)]
         unchecked = tuple(name for name in kernels if name not in self.deviations)
         return Verification(len(truths), self.deviations, unchecked, self.references)
 
     def _compare_values(self, truth: Truth) -> None:
         for name, family in self.by_name.items():
-            tape, found = family.value, False
-            expectations = list_expectations(tape) if tape.function.order is Order.VALUE else ()
-            if isinstance(tape, Outline) or not expectations:
+            value, found = family.value, False
+            expectations = list_expectations(value) if value.function.order is Order.VALUE else ()
+            if not expectations:
                 continue
-            results = evaluate(tape, self._arguments(tape, truth.state), DECIMALS)
+            results = evaluate(value, self._arguments(value, truth.state), DECIMALS)
             for expect in expectations:
-                for comparison in expect(truth, tape, results):
+                for comparison in expect(truth, value, results):
                     self._judge(name, comparison, truth.state)
                     found = True
-            if {ports.KINETIC, ports.POTENTIAL} <= {o.port for o in tape.outputs} and not self.still:
-                self._judge(name, self._grow_energy(tape, truth), truth.state)
+            if {ports.KINETIC, ports.POTENTIAL} <= {o.port for o in value.outputs} and not self.still:
+                self._judge(name, self._grow_energy(value, truth), truth.state)
             if found and truth.state.number == 0:
-                self.references[name] = tuple(float(x) for o in tape.outputs for x in results[o.name])
+                self.references[name] = tuple(float(x) for o in value.outputs for x in results[o.name])
 
-    def _grow_energy(self, tape: Tape, truth: Truth) -> Comparison:
-        given = self._arguments(tape, truth.state)
-        return grow_energy(truth, lambda moved: evaluate(tape, given | moved, DECIMALS))
+    def _grow_energy(self, value: Computation, truth: Truth) -> Comparison:
+        given = self._arguments(value, truth.state)
+        return grow_energy(truth, lambda moved: evaluate(value, given | moved, DECIMALS))
 
     def _compare_derivatives(self, state: State) -> None:
-        def arguments(tape: Tape) -> dict[str, Numbers]:
+        def arguments(tape: Computation) -> dict[str, Numbers]:
             return self._arguments(tape, state)
 
         for name, family in self.by_name.items():
@@ -101,7 +101,7 @@ class _Verifier:
                 for comparison in compare_linearised(family, plain, arguments):
                     self._judge(name, comparison, state)
 
-    def _arguments(self, tape: Tape, state: State) -> dict[str, Numbers]:
+    def _arguments(self, tape: Computation, state: State) -> dict[str, Numbers]:
         return {
             i.name: self._setup(state) if i.port.role is Role.SETUP else state.take(i.name, i.sparsity.nnz)
             for i in tape.inputs

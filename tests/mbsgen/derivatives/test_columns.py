@@ -15,8 +15,7 @@ from mbsgen.derivatives import dynamics
 from mbsgen.families import write_families
 from mbsgen.model.tree import Tree
 from mbsgen.pipeline import Options, generate
-from mbsgen.tape.columns import COLUMNS, INVERSES, LOWER, Columns
-from mbsgen.tape.interpreter import evaluate
+from mbsgen.procedure.procedure import evaluate
 from tests.random_trees import random_tree
 
 MODELS = Path(__file__).parents[3] / "models"
@@ -29,22 +28,6 @@ def looped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dynamics, "STRAIGHT", 0)
 
 
-def run(loop: Columns, inputs: dict[str, list[float]]) -> dict[str, np.ndarray]:
-    """Do what a loop stands for."""
-    found = evaluate(loop.tape, inputs)
-    lower, n = np.eye(loop.size), loop.size
-    entries = iter(found.get(LOWER, []))
-    for k, row in enumerate(loop.ancestors):
-        for i in row:
-            lower[k, i] = next(entries)
-    right = np.zeros(n * loop.width)
-    right[list(loop.tape.output(COLUMNS).sparsity.row)] = found[COLUMNS]
-    inverse = np.array(found[INVERSES], float)
-    x = np.linalg.solve(lower.T, right.reshape(n, loop.width)) * inverse[:, None]
-    solved = np.linalg.solve(lower, x).reshape(-1)
-    return dict.fromkeys(loop.blocks, -solved)
-
-
 @pytest.mark.parametrize("tree", [random_tree(5, 6), random_tree(7, 5, runtime=True)], ids=["branched", "run time"])
 def test_a_loop_gives_the_jacobian(tree: Tree) -> None:
     """To rounding, relative to the largest entry; with run-time numbers, after `setup`."""
@@ -52,13 +35,12 @@ def test_a_loop_gives_the_jacobian(tree: Tree) -> None:
     families = write_families(tree, OPTIONS)
     (family,) = (f for f in families if f.value.name == "exp1")
     assert family.jac is not None
-    loop = family.loops["jac_exp1"]
+    staged = family.staged["jac_exp1"]
     drawn = {i.name: list(rng.uniform(0.3, 1.2, i.sparsity.nnz)) for i in family.jac.inputs}
-    expected, found = evaluate(family.jac, drawn), run(loop, {i.name: drawn[i.name] for i in loop.tape.inputs})
-    for output in family.jac.outputs:
-        straight = np.array(expected[output.name], float)
-        looped = found[output.name][list(loop.places(output.name, output.sparsity))]
-        np.testing.assert_allclose(looped, straight, rtol=0, atol=1e-12 * max(1.0, np.abs(straight).max()))
+    expected, found = evaluate(family.jac, drawn), evaluate(staged, drawn)
+    assert [(o.port, o.sparsity) for o in staged.outputs] == [(o.port, o.sparsity) for o in family.jac.outputs]
+    for name, straight in expected.items():
+        np.testing.assert_allclose(found[name], straight, rtol=0, atol=1e-12 * max(1.0, np.abs(straight).max()))
 
 
 @pytest.mark.parametrize("scalars", [False, True], ids=["vectors", "scalars"])

@@ -14,7 +14,7 @@ from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.pipeline import Options, make
 from mbsgen.tape.interpreter import evaluate
-from mbsgen.tape.types import Outline, Tape
+from mbsgen.tape.types import Tape
 from tests.random_trees import random_tree
 
 MODELS = Path(__file__).parents[3] / "models"
@@ -57,16 +57,16 @@ def test_what_has_a_loop_for_sure_is_not_written_straight(monkeypatch: pytest.Mo
     monkeypatch.setattr(dynamics, "STRAIGHT", 0)
     straight = make(MODELS / "double_pendulum.yaml", options)
     monkeypatch.setattr(dynamics, "SURELY", 0)
-    outlined = make(MODELS / "double_pendulum.yaml", options)
-    assert straight.manifest.model_hash != outlined.manifest.model_hash
+    staged = make(MODELS / "double_pendulum.yaml", options)
+    assert straight.manifest.model_hash != staged.manifest.model_hash
     for file, text in straight.files.items():
         if not file.startswith("report"):
-            renamed = outlined.files[file].replace(outlined.manifest.model_hash, straight.manifest.model_hash)
+            renamed = staged.files[file].replace(staged.manifest.model_hash, straight.manifest.model_hash)
             assert renamed == text, file
 
 
-def test_an_outline_takes_what_setup_gives(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With parameters at run time, loops are all that `setup` is made for."""
+def test_stages_take_what_setup_gives(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With parameters at run time, stages are all that `setup` is made for."""
     monkeypatch.setattr(dynamics, "STRAIGHT", 0)
     monkeypatch.setattr(dynamics, "SURELY", 0)
     options = Options(functions=("exp1",), derivatives=1, reductions=ONE_PLAN)
@@ -82,13 +82,5 @@ def test_whoever_needs_the_straight_form_gets_it(wish: str, monkeypatch: pytest.
     monkeypatch.setattr(dynamics, "SURELY", 0)
     options = Options(functions=("exp1",), derivatives=1, reductions=ONE_PLAN)
     found = make(MODELS / "double_pendulum.yaml", Options(**{**vars(options), wish: True}))
-    monkeypatch.setattr(pipeline, "_needs_loops_alone", lambda *_: False)
+    monkeypatch.setattr(pipeline, "_needs_stages_alone", lambda *_: False)
     assert make(MODELS / "double_pendulum.yaml", Options(**{**vars(options), wish: True})).files == found.files
-
-
-def test_an_outline_computes_nothing() -> None:
-    """An outline that gets where operations are wanted is a mistake of ours, and is found out."""
-    tape = FUNCTIONS["impl"].build(random_tree(5, 2), ONE_PLAN)
-    outline = Outline.of(tape.function, tape.inputs, {o.port: o.sparsity for o in tape.outputs})
-    with pytest.raises(AssertionError):
-        evaluate(outline, {i.name: [0.5] * i.sparsity.nnz for i in tape.inputs})
