@@ -34,11 +34,11 @@ from benchmarks.table import Basis, Quickest, find_quickest
 from mbsgen.errors import MbsError
 from mbsgen.pipeline import Options, generate
 from mbsrun import load
+from mbsrun.forms import VALUES
 from mbsrun.measuring.mechanisms import write_chain
 from mbsrun.measuring.store import Store
 from mbsrun.models import fingerprint_generator
 
-VALUES = ("impl", "semi", "exp1", "exp2")
 JACOBIANS = ("jac_impl", "jac_exp2")
 SIZES = (8, 16, 32, 64, 128)
 BASES: tuple[Basis, ...] = ("same header", "as they come")

@@ -50,12 +50,11 @@ from mbsgen.manifest import Manifest
 from mbsgen.model.tree import Tree
 from mbsgen.pipeline import read_tree
 from mbsrun.external import Mechanism
+from mbsrun.forms import DIFFERENTIATED, VALUES
 from mbsrun.library import compile_library
 from mbsrun.measuring.functions import Block, Face, Function, Variant, dense, find_function
 from mbsrun.models import Extent, find_folder, fingerprint
 
-VALUES = ("impl", "semi", "exp1", "exp2")
-DIFFERENTIATED = ("impl", "semi_res", "exp1", "exp2")
 FUNCTIONS = (*VALUES, "jac_impl", "jac_exp2")  # what Pinocchio has in C++
 SINES: tuple[Sines, ...] = ("libm", "header")
 # Operations; in longer functions of CasADi the time of sines does not matter, and vectors are quicker with hardly an

@@ -67,7 +67,7 @@ MBSGEN = Package(
 MBSRUN = Package(
     source=ROOT / "python" / "mbsrun",
     layers=(
-        "trust limits",
+        "trust limits forms",
         "cache",
         "library models",
         "binding environment",

@@ -17,14 +17,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mbsgen.manifest import Kernel, Manifest
+from mbsrun.forms import DIFFERENTIATED
 from mbsrun.library import compile_library
 from mbsrun.measuring.candidates import load_equations, trace
 from mbsrun.measuring.functions import Variant
 from mbsrun.measuring.mechanisms import Subject
 from mbsrun.models import Extent
 from mbsrun.ocp.plant import Plant
-
-DYNAMICS = ("impl", "semi_res", "exp1", "exp2")
 
 Way = Literal["generated", "CasADi's AD, compiled", "CasADi's AD, interpreted"]
 WAYS: tuple[Way, ...] = ("generated", "CasADi's AD, compiled", "CasADi's AD, interpreted")
@@ -36,7 +35,7 @@ class Differentiated:
     def __init__(self, plant: Plant, model: Path, is_compiled: bool) -> None:
         """Take the generated kernels, for all else, and the model file that they are of."""
         self._plant, self._is_compiled = plant, is_compiled
-        self._subject = Subject(model, Extent(DYNAMICS, 0, python=True))
+        self._subject = Subject(model, Extent(DIFFERENTIATED, 0, python=True))
 
     @property
     def manifest(self) -> Manifest:
@@ -53,7 +52,7 @@ class Differentiated:
 
     def casadi(self, name: str) -> ca.Function:
         """Give a kernel as a CasADi function."""
-        if name not in DYNAMICS:
+        if name not in DIFFERENTIATED:
             return self._plant.casadi(name)
         function = trace(self._equations, self._subject.manifest.kernel(name))
         return self._compile(function) if self._is_compiled else function

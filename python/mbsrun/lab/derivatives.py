@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mbsgen.roles import Order, name_adjoint, name_derivative, name_kernel
 from mbsrun.external import Mechanism
 from mbsrun.lab.case import Finding, Workspace, check, demand, find_worst
 from mbsrun.lab.digits import KERNELS, U
@@ -39,16 +40,17 @@ def measure_derivatives(workspace: Workspace, size: int) -> list[Finding]:
     return findings
 
 
-def _name_result(way: str) -> str:
-    return "qdd" if way.startswith("EXP") else "Phi"
+def _name_result(plant: Mechanism, way: str) -> str:
+    (result,) = plant.manifest.kernel(KERNELS[way]).outputs
+    return result.name
 
 
 def _difference(plant: Mechanism, way: str, state: State) -> float:
     """Compare each block of the Jacobian with central differences of fourth order, by its largest entry."""
-    kernel, result = KERNELS[way], _name_result(way)
+    kernel, result = KERNELS[way], _name_result(plant, way)
     jacobians, lost = plant.jac(kernel, **state), []
     for name in VARIABLES[way]:
-        block, off = jacobians[f"jac_{result}_{name}"], []
+        block, off = jacobians[name_derivative(result, name)], []
         for step in DIFFERENCES:
             columns = []
             for unit in step * np.eye(len(state[name])):
@@ -61,10 +63,10 @@ def _difference(plant: Mechanism, way: str, state: State) -> float:
 
 def _measure_slope(plant: Mechanism, way: str, state: State) -> float:
     """Fit the order at which |f(x + h d) - f(x) - h J d| vanishes, where rounding does not hide it."""
-    kernel, result = KERNELS[way], _name_result(way)
+    kernel, result = KERNELS[way], _name_result(plant, way)
     d = {name: np.random.default_rng(2).uniform(-1, 1, len(state[name])) for name in VARIABLES[way]}
     value, jacobians = plant(kernel, **state)[result], plant.jac(kernel, **state)
-    slope = np.sum([jacobians[f"jac_{result}_{name}"] @ d[name] for name in VARIABLES[way]], axis=0)
+    slope = np.sum([jacobians[name_derivative(result, name)] @ d[name] for name in VARIABLES[way]], axis=0)
     kept = []
     for h in STEPS:
         at: dict[str, Any] = {**state, **{name: state[name] + h * d[name] for name in VARIABLES[way]}}
@@ -77,22 +79,27 @@ def _measure_slope(plant: Mechanism, way: str, state: State) -> float:
 
 
 def _measure_asymmetry(plant: Mechanism, way: str, state: State) -> float:
-    kernel, result = KERNELS[way], _name_result(way)
-    weights: dict[str, Any] = {f"adj_{result}": np.random.default_rng(3).uniform(-1, 1, len(state["q"]))}
+    kernel, result = KERNELS[way], _name_result(plant, way)
+    weights: dict[str, Any] = {name_adjoint(result): np.random.default_rng(3).uniform(-1, 1, len(state["q"]))}
     blocks = plant.hess(kernel, **state, **weights)
-    names = [name for name in VARIABLES[way] if f"jac_adj_{name}_{name}" in blocks]
+    names = [name for name in VARIABLES[way] if _name_block(name, name) in blocks]
     size, lost = max(float(np.abs(block).max(initial=0.0)) for block in blocks.values()), []
     for a in names:
         for b in names:
-            pair = blocks.get(f"jac_adj_{a}_{b}"), blocks.get(f"jac_adj_{b}_{a}")
+            pair = blocks.get(_name_block(a, b)), blocks.get(_name_block(b, a))
             if pair[0] is not None and pair[1] is not None:
                 lost.append(float(np.abs(pair[0] - pair[1].T).max(initial=0.0)) / size)
     return find_worst(lost)
 
 
+def _name_block(row: str, col: str) -> str:
+    """Name a block of second derivatives."""
+    return name_derivative(name_adjoint(row), col)
+
+
 def _compare_pattern(plant: Mechanism, way: str) -> Finding:
     """Count entries that the generated pattern has and that vanish at all of some random states."""
-    kernel = plant.manifest.kernel(f"jac_{KERNELS[way]}")
+    kernel = plant.manifest.kernel(name_kernel(KERNELS[way], Order.JACOBIAN))
     names = [a.name for a in kernel.inputs]
     states = {name: x for name, x in draw(len(plant.manifest.coordinates), range(POINTS)).items() if name in names}
     found = plant.jac(KERNELS[way], sparse=True, **states)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mbsrun.forms import FORMS
 from mbsrun.lab.case import Finding, Loss, Workspace, check, tell
 from mbsrun.lab.mechanisms import State, States, write
 from mbsrun.measuring.candidates import Found, compile_kernel
@@ -27,8 +28,8 @@ from mbsrun.models import Extent
 Array = NDArray[np.float64]
 
 U = {"float64": 2.0**-53, "float32": 2.0**-24}  # what one rounding loses
-EXPLICIT = {"EXP1": "exp1", "EXP2": "exp2"}
-RESIDUAL = {"IMPL": "impl", "SEMI": "semi_res"}
+EXPLICIT = {form.name: form.function for form in FORMS if form.is_direct}
+RESIDUAL = {form.name: form.differentiated for form in FORMS if not form.is_direct}
 KERNELS = {**RESIDUAL, **EXPLICIT}
 TOLD_BY = {"EXP1": "elimination", "EXP2": "articulated"}
 ALWAYS = 1e-13  # what forces and accelerations lose beside what `condition` looks at

@@ -46,7 +46,7 @@ def measure_spring(workspace: Workspace, distance: float) -> list[Finding]:
     """F10: the square of a length is not multiplied out, so it is as right as the differences written by hand."""
     q = REST + distance * (1 + np.arange(20) / 20)
     states = {"q": q[:, None], "qd": np.zeros((20, 1)), "qdd": np.zeros((20, 1)), "u": np.zeros((20, 0))}
-    chosen = specimen(workspace, _SPRING, "impl", "semi_res", "exp1", "exp2")
+    chosen = specimen(workspace, _SPRING, *KERNELS.values())
     exact = chosen.find_exact(states)
     forces = np.array([float(x.moment.residual()[0]) for x in exact])
     by_hand = STIFFNESS * ((np.cos(q) - np.cos(REST)) ** 2 + (np.sin(q) - np.sin(REST)) ** 2)

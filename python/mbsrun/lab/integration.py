@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import ellipj
 
 from mbsrun.external import Mechanism
+from mbsrun.forms import FUNCTIONS
 from mbsrun.lab.case import Finding, Workspace, check, demand, show_failure, tell
 from mbsrun.lab.mechanisms import SLIDER_AND_BOB, write
 from mbsrun.models import Extent, find_folder
@@ -27,7 +28,7 @@ from mbsrun.simulation.simulate import simulate
 
 Array = NDArray[np.float64]
 
-EXTENT = Extent(("impl", "semi", "semi_res", "exp1", "exp2", "energy", "power", "sensors", "frames"), 1)
+EXTENT = Extent((*FUNCTIONS, "energy", "power", "sensors", "frames"), 1)
 LEVEL = (pi / 2, 0.0, 0.0)  # the pendulum's start
 CREEP = (1.0, 0.01, 0.0)  # where the stiff slider starts
 STILL = (0.0, 0.0, 0.0)

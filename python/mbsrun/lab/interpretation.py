@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpotrf
 
+from mbsrun.forms import ACCELERATIONS
 from mbsrun.lab.digits import Specimen, U
 from mbsrun.lab.mechanisms import State, States
 from mbsrun.measuring.candidates import Found
@@ -56,7 +57,7 @@ class LongChain(Specimen):
         assert precision == "float64", "what is interpreted has double precision"
         equations, count = _write(self._model, kernel, gravity=True), len(states["q"])
         statuses = np.zeros(count, dtype=np.int64)
-        if kernel == "exp2":
+        if kernel in ACCELERATIONS:
             statuses[:] = [equations.find_status({name: x[k] for name, x in states.items()}) for k in range(count)]
         results: list[dict[str, Array]] = []
         for first in range(0, count, BLOCK):

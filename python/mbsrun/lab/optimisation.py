@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsrun.external import Mechanism
+from mbsrun.forms import DIFFERENTIATED
 from mbsrun.lab.case import Finding, Workspace, check, demand, tell
 from mbsrun.lab.mechanisms import CART_POLE, LOCKS, SLIDE, UNSTABLE, describe_lock, write
 from mbsrun.models import Extent, find_folder
@@ -45,7 +46,7 @@ MINIMA = (57.95, 58.81, 303.5)  # J: local minima of the swing-up, by the same p
 SAME_MINIMUM = 5e-3  # what 80 intervals of constant input cost at most, by the cost; minima differ by 1.5e-2
 GRID_WAYS = (Representation.IMPL, Representation.SEMI, Representation.EXP1_O, Representation.EXP2_O)
 GRID_STEPS = {1: (8, 16, 32), 2: (2, 4, 8), 3: (1, 2, 4)}  # in an interval, by degree
-EXTENT = Extent(("impl", "semi_res", "exp1", "exp2", "frames"), 2)
+EXTENT = Extent((*DIFFERENTIATED, "frames"), 2)
 
 
 def state_swing_up(intervals: int, degree: int) -> Problem:

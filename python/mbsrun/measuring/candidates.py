@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.manifest import Kernel
+from mbsgen.roles import name_derivative
 from mbsrun.library import compile_library
 from mbsrun.measuring.functions import Code, Numbers, Variant, find_function
 from mbsrun.measuring.mechanisms import Subject
@@ -99,7 +100,7 @@ class Candidate:
         found, start = {}, 0
         for variable in self._variables():
             width = states[variable].shape[1]
-            found[f"jac_{name}_{variable}"] = columns[start : start + width].T
+            found[name_derivative(name, variable)] = columns[start : start + width].T
             start += width
         return found
 
@@ -133,7 +134,7 @@ def differentiate(subject: Subject, name: str, variant: Variant) -> Candidate | 
     chosen = [inputs[function.name_in().index(x)] for x in names]
     (result,) = function.call(inputs)
     blocks = [ca.jacobian(result, x) for x in chosen]
-    labels = [f"jac_{out}_{x}" for x in names]
+    labels = [name_derivative(out, x) for x in names]
     symbol = f"casadi_{kernel.symbol}"
     jacobian = ca.Function(symbol, inputs, blocks, function.name_in(), labels, {"cse": True})
     if jacobian.n_instructions() > LARGEST:

@@ -25,6 +25,7 @@ from mbsgen.documents import Data, read_document
 from mbsgen.errors import InputError
 from mbsgen.expressions import FLOATS, evaluate, parse
 from mbsgen.manifest import Manifest
+from mbsrun.forms import VALUES
 from mbsrun.measuring.candidates import Candidate, add_hidden, compile_kernel
 from mbsrun.measuring.functions import Variant
 from mbsrun.measuring.mechanisms import Subject, draw_states, refuse_quaternions
@@ -36,8 +37,7 @@ from mbsrun.models import Extent
 Array = NDArray[np.float64]
 States = Mapping[str, Array]
 
-RESULTS = {"impl": ("Phi",), "semi": ("M", "c"), "exp1": ("qdd",), "exp2": ("qdd",), "sensors": ("position",)}
-KERNELS = tuple(RESULTS)
+KERNELS = (*VALUES, "sensors")
 STATES = 256
 FORCES = ("stiffness", "rest", "damping", "friction", "force")  # of a joint
 PARTS = ("locked", "parameters", "gravity", "motion", "sensors", "wrenches", "tolerance")  # of scenes, for kernels
@@ -263,7 +263,7 @@ class KernelComparison:
         if not all(expected) or not all(found):
             return None
         worst = 0.0
-        for name in RESULTS[self.kernel]:
+        for name in [a.name for a in self.whole.manifest.kernel(self.kernel).outputs]:
             pairs = [
                 (values[name], _pick(name, results[name], self.whole.manifest, subject.manifest))
                 for values, results in zip(found, expected, strict=True)

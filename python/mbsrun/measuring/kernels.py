@@ -19,6 +19,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mbsgen.roles import Order, name_derivative, name_kernel
+from mbsrun import forms
 from mbsrun.measuring.candidates import VARIABLES, Candidate, add_hidden, compile_kernel, difference, differentiate
 from mbsrun.measuring.functions import Variant
 from mbsrun.measuring.mechanisms import Subject, draw_states, write_chain
@@ -33,11 +35,10 @@ Results = Mapping[str, Array]
 
 RESIDUAL, MASS, ACCELERATIONS = "residual", "mass matrix and bias", "accelerations"
 SLOPES_R, SLOPES_A = "Jacobian of the residual", "Jacobian of the accelerations"
-KERNELS = {RESIDUAL: ("impl", "semi_res"), MASS: ("semi",), ACCELERATIONS: ("exp1", "exp2")}
+KERNELS = {RESIDUAL: forms.RESIDUALS, MASS: (forms.SEMI.function,), ACCELERATIONS: forms.ACCELERATIONS}
 SLOPES = {SLOPES_R: RESIDUAL, SLOPES_A: ACCELERATIONS}
-FUNCTIONS = ("impl", "semi", "semi_res", "exp1", "exp2")
-VALUES = Extent(FUNCTIONS, 0)
-DERIVATIVES = Extent(FUNCTIONS, 1, python=True)
+VALUES = Extent(forms.FUNCTIONS, 0)
+DERIVATIVES = Extent(forms.FUNCTIONS, 1, python=True)
 
 USUAL, SINGLE = Variant(), Variant("float32")
 VARIANTS = (
@@ -150,7 +151,7 @@ class KernelTask:
             yield from (compile_kernel(self.subject, name, variant) for name in KERNELS[self.task])
             return
         names = KERNELS[SLOPES[self.task]]
-        yield from (compile_kernel(self.subject, f"jac_{name}", variant) for name in names)
+        yield from (compile_kernel(self.subject, name_kernel(name, Order.JACOBIAN), variant) for name in names)
         yield from difference(self.subject, names[0] if self.task == SLOPES_R else names[1], variant)
         if variant.precision == "float64":  # CasADi's C calls sine in double precision
             for name in names:
@@ -217,9 +218,11 @@ def _expect(task: str, moment: Moment) -> dict[str, Array]:
         return {"qdd": _round([moment.qdd]).T}
     names = [name for name in VARIABLES if moment.state.get(name)]
     if task == SLOPES_R:
-        return {f"jac_Phi_{name}": _round(moment.slopes(name, moment.state["qdd"])).T for name in names}
+        return {name_derivative("Phi", name): _round(moment.slopes(name, moment.state["qdd"])).T for name in names}
     slopes = {name: moment.slopes(name, moment.qdd) for name in names if name != "qdd"}
-    return {f"jac_qdd_{name}": -_round([moment.solve(row) for row in rows]).T for name, rows in slopes.items()}
+    return {
+        name_derivative("qdd", name): -_round([moment.solve(row) for row in rows]).T for name, rows in slopes.items()
+    }
 
 
 def _measure_backward(task: str, moment: Moment, found: Results, expected: Results) -> float | None:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from mbsgen.errors import MbsError
 from mbsgen.manifest import Manifest
 from mbsrun.external import Mechanism, load
+from mbsrun.forms import FUNCTIONS
 from mbsrun.measuring.functions import Variant
 from mbsrun.measuring.mechanisms import draw_states, refuse_quaternions
 from mbsrun.measuring.points import MotionPoint
@@ -31,7 +32,7 @@ from mbsrun.simulation.statement import read_statement
 
 Array = NDArray[np.float64]
 
-EXTENT = Extent(("impl", "semi", "semi_res", "exp1", "exp2", "energy", "power", "frames"), 1)
+EXTENT = Extent((*FUNCTIONS, "energy", "power", "frames"), 1)
 TIGHT = 1e-13  # the tolerance of the check of the reference
 PATIENCE = 5.0  # s; what takes longer is run once
 ANGLE = 0.2  # of the range that a coordinate is drawn from: how far from its middle a motion starts

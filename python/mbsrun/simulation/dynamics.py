@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.errors import MbsError
+from mbsgen.roles import Order, name_derivative, name_kernel
 from mbsrun.kernel import Kernels
 from mbsrun.simulation.methods import Formulation
 from mbsrun.simulation.motion import Effort
@@ -90,10 +91,10 @@ class Dynamics:
         """Differentiate the accelerations by q and by qd, a row for each."""
         self.effort.jacobians += _states(q)
         if self._is_direct:
-            by_q, by_qd = self._pick(f"jac_{self.formulation.value}", "qdd", ("q", "qd"), q, qd, v)
+            by_q, by_qd = self._pick(self.formulation.value, "qdd", ("q", "qd"), q, qd, v)
             return by_q, by_qd
         name = self._residual_name
-        K, C, M = self._pick(f"jac_{name}", "Phi", ("q", "qd", "qdd"), q, qd, v, self.accelerations(q, qd, v))
+        K, C, M = self._pick(name, "Phi", ("q", "qd", "qdd"), q, qd, v, self.accelerations(q, qd, v))
         return -np.asarray(np.linalg.solve(M, K)), -np.asarray(np.linalg.solve(M, C))
 
     def residual(self, q: Array, qd: Array, qdd: Array, v: Array) -> Array:
@@ -107,9 +108,9 @@ class Dynamics:
         """Differentiate the residual by q, qd and qdd, shapes (..., n, nq), (..., n, n) twice."""
         self.effort.jacobians += _states(q)
         if self._is_direct:
-            K, C = self._pick(f"jac_{self.formulation.value}", "qdd", ("q", "qd"), q, qd, v)
+            K, C = self._pick(self.formulation.value, "qdd", ("q", "qd"), q, qd, v)
             return -K, -C, np.broadcast_to(np.eye(self.size), C.shape)
-        K, C, M = self._pick(f"jac_{self._residual_name}", "Phi", ("q", "qd", "qdd"), q, qd, v, qdd)
+        K, C, M = self._pick(self._residual_name, "Phi", ("q", "qd", "qdd"), q, qd, v, qdd)
         return K, C, M
 
     def input_slopes(self, q: Array, qd: Array, qdd: Array, v: Array) -> Array:
@@ -133,18 +134,19 @@ class Dynamics:
 
     @property
     def _is_direct(self) -> bool:
-        return self.formulation in (Formulation.EXP1, Formulation.EXP2)
+        return self.formulation.form.is_direct
 
     @property
     def _residual_name(self) -> str:
-        return "impl" if self.formulation is Formulation.IMPL else "semi_res"
+        return self.formulation.form.differentiated
 
     def _pick(self, name: str, result: str, by: tuple[str, ...], q: Array, *rest: Array) -> tuple[Array, ...]:
-        """Call a Jacobian kernel; blocks without an entry are 0."""
-        blocks = self.call(name, q, *rest)
+        """Call the Jacobian of a function; blocks without an entry are 0."""
+        blocks = self.call(name_kernel(name, Order.JACOBIAN), q, *rest)
         shape = (*q.shape[:-1], self.size)
         return tuple(
-            blocks.get(f"jac_{result}_{x}", np.zeros((*shape, self.places if x == "q" else self.size))) for x in by
+            blocks.get(name_derivative(result, x), np.zeros((*shape, self.places if x == "q" else self.size)))
+            for x in by
         )
 
     def solve(self, M: Array, right: Array) -> Array:

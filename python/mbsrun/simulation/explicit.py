@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 
 from mbsgen import resources
 from mbsgen.manifest import Argument, Kernel
-from mbsgen.roles import Role
+from mbsgen.roles import Order, Role, name_kernel
 from mbsrun.binding import Entry, bind
+from mbsrun.forms import Form
 from mbsrun.kernel import KernelError, Kernels
 from mbsrun.library import compile_library, find_compiler
 from mbsrun.limits import Allowance, LimitError
 from mbsrun.simulation.drive import DriveError, Piece
 from mbsrun.simulation.dynamics import Dynamics, SingularError
-from mbsrun.simulation.methods import Formulation
 from mbsrun.simulation.motion import Chunk, Halt, HaltError, Settings
 
 Array = NDArray[np.float64]
@@ -196,7 +196,7 @@ class _Plant:
         self.ffi, self.lib = _load()
         ffi, n = self.ffi, dynamics.size
         kernels, forces = dynamics.kernels, dynamics.forces_count
-        rate, mass = _KERNELS[dynamics.formulation]
+        rate, mass = _choose_kernels(dynamics.formulation.form)
         rate_entry, mass_entry = _bind(kernels, rate), _bind(kernels, mass) if mass else None
         self.memory: dict[str, Array] = {
             "q": np.zeros(dynamics.places),
@@ -261,14 +261,12 @@ class _Plant:
         return function, arg, res
 
 
-_KERNELS: Mapping[Formulation, tuple[str, str | None]] = MappingProxyType(
-    {
-        Formulation.IMPL: ("impl", "jac_impl"),
-        Formulation.SEMI: ("semi_res", "semi"),
-        Formulation.EXP1: ("exp1", None),
-        Formulation.EXP2: ("exp2", None),
-    }
-)
+def _choose_kernels(form: Form) -> tuple[str, str | None]:
+    """Return the kernel that the rates come from, and the kernel that has M where it gives no accelerations."""
+    if form.is_direct:
+        return form.function, None
+    has_matrix = form.function != form.residual
+    return form.differentiated, form.function if has_matrix else name_kernel(form.function, Order.JACOBIAN)
 
 
 def count_wrench_entries(kernels: Kernels) -> int:

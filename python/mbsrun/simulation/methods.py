@@ -7,14 +7,22 @@ from dataclasses import dataclass
 from enum import Enum
 from types import MappingProxyType
 
+from mbsrun import forms
+from mbsrun.forms import Form
+
 
 class Formulation(Enum):
-    """How the equations of motion are evaluated."""
+    """The form in which the equations of motion are evaluated."""
 
-    IMPL = "impl"  # residual; for accelerations solved with its Jacobian by qdd
-    SEMI = "semi"  # mass matrix and bias
-    EXP1 = "exp1"  # accelerations, by elimination in the mass matrix
-    EXP2 = "exp2"  # accelerations, by articulated bodies
+    IMPL = forms.IMPL.function  # residual; for accelerations solved with its Jacobian by qdd
+    SEMI = forms.SEMI.function  # mass matrix and bias
+    EXP1 = forms.EXP1.function  # accelerations, by elimination in the mass matrix
+    EXP2 = forms.EXP2.function  # accelerations, by articulated bodies
+
+    @property
+    def form(self) -> Form:
+        """Return the functions of the form."""
+        return next(form for form in forms.FORMS if form.function == self.value)
 
 
 class Family(Enum):
@@ -58,5 +66,4 @@ METHODS: Mapping[str, Method] = MappingProxyType(
 
 def choose_formulation(method: str, formulation: Formulation) -> Formulation:
     """Return what a method evaluates: symplectic Euler needs the mass matrix, and so a residual."""
-    is_direct = formulation in (Formulation.EXP1, Formulation.EXP2)
-    return Formulation.IMPL if method == SYMPLECTIC and is_direct else formulation
+    return Formulation.IMPL if method == SYMPLECTIC and formulation.form.is_direct else formulation

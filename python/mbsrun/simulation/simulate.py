@@ -10,6 +10,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mbsgen.roles import Order, name_kernel
 from mbsrun.kernel import ArgumentError, KernelError, Kernels
 from mbsrun.limits import Allowance, Limits
 from mbsrun.quaternions import measure_lengths
@@ -113,12 +114,11 @@ def _check(kernels: Kernels, drive: Drive, q: ArrayLike, qd: ArrayLike, settings
 def _check_kernels(kernels: Kernels, settings: Settings) -> None:
     """Demand what the formulation needs, and what energies, warnings and pictures are computed from."""
     formulation = choose_formulation(settings.method, settings.formulation)
-    residual = {Formulation.IMPL: "impl", Formulation.SEMI: "semi_res"}
-    own = residual.get(formulation, formulation.value)
-    needed = {own, "energy", "power", "frames"}
-    needed |= {"semi"} if formulation is Formulation.SEMI else set()
-    needed |= {"impl", "jac_impl"} if adaptive.is_explicit(settings.method) else {f"jac_{own}"}
-    needed |= {"rates", "jac_rates"} if kernels.manifest.configuration else set()
+    form = formulation.form
+    needed = {form.function, form.differentiated, "energy", "power", "frames"}
+    differentiated = {"impl"} if adaptive.is_explicit(settings.method) else {form.differentiated}
+    differentiated |= {"rates"} if kernels.manifest.configuration else set()
+    needed |= differentiated | {name_kernel(name, Order.JACOBIAN) for name in differentiated}
     missing = sorted(needed - {kernel.name for kernel in kernels.manifest.kernels})
     if missing:
         raise ArgumentError(
