@@ -97,7 +97,7 @@ static void exchange(mbs_stages_direction *a, mbs_stages_direction *b)
 /* Correct the step for the curvature of rows; on success the correction is the step, and *length its length. */
 static int correct(mbs_stages *s, mbs_stages_phase *p, search *t, real alpha, real *length)
 {
-    real before = p->theta;
+    real before = t->theta;
     int k, i;
     memcpy(p->soc_c, p->c, (size_t)s->rows * sizeof *p->c);
     *length = alpha;

@@ -195,14 +195,13 @@ def too_weak() -> Problem:
 
 def nonlinear() -> list[Problem]:
     """All that the solver is compared with IPOPT on."""
-    up, pole = UP, POLE
     return [
-        shooting("pendulum", pendulum_ode, 2, 40, 0.1, np.zeros(2), up, 5.0),
-        shooting("pendulum, softly", pendulum_ode, 2, 25, 0.15, np.zeros(2), up, 4.0, 0.1, softly=True),
-        shooting("cart-pole", cart_pole_ode, 4, 40, 0.05, np.zeros(4), pole, 20.0, walls=2.0),
-        shooting("cart-pole, narrow", cart_pole_ode, 4, 50, 0.05, np.zeros(4), pole, 12.0, walls=0.6),
-        collocated(30, 2.0 / 30, 20.0),
-        fastest(40),
-        around(40, 0.1),
-        chain(50),
+        shooting("pendulum", pendulum_ode, 2, 30, 0.1, np.zeros(2), UP, 5.0),
+        shooting("pendulum, softly", pendulum_ode, 2, 25, 0.15, np.zeros(2), UP, 4.0, 0.1, softly=True),
+        shooting("cart-pole", cart_pole_ode, 4, 25, 0.08, np.zeros(4), POLE, 20.0, walls=2.0),
+        shooting("cart-pole, narrow", cart_pole_ode, 4, 30, 0.08, np.zeros(4), POLE, 12.0, walls=0.6),
+        collocated(20, 0.1, 20.0),
+        fastest(30),
+        around(25, 0.16),
+        chain(30),
     ]

@@ -85,7 +85,8 @@ int quadratic_values(void *, int, const REAL *, const REAL *, REAL *, REAL *, RE
 int quadratic_jacobians(void *, int, const REAL *, const REAL *, REAL *, REAL *, REAL *, REAL *);
 int quadratic_hessian(void *, int, const REAL *, const REAL *, REAL, const REAL *, const REAL *, const REAL *, REAL *);
 """
-Fault = Callable[[int, int], bool]
+Fault = Callable[[str, int, int], bool]  # function, which call of it, stage: whether it gives no numbers
+FUNCTIONS = ("values", "jacobians", "hessian")
 CANARY = b"\xa5" * 64
 
 
@@ -94,11 +95,13 @@ def sources() -> list[Path]:
 
 
 def compile_solver(place: Path, *flags: str) -> Path:
-    """Compile the solver, and quadratic.c, to a library."""
-    library = place / "libstages.so"
-    command = [*find_compiler(os.environ).command, *STRICT, "-O2", "-fPIC", "-shared", *flags]
+    """Compile the solver, and quadratic.c, to objects and a library of them."""
+    command = [*find_compiler(os.environ).command, *STRICT, "-O2", "-fPIC", *flags]
     files = [*sources(), Path(__file__).parent / "quadratic.c"]
-    subprocess.run([*command, f"-I{sources()[0].parent}", *map(str, files), "-lm", "-o", str(library)], check=True)
+    subprocess.run([*command, f"-I{sources()[0].parent}", "-c", *map(str, files)], check=True, cwd=place)
+    library = place / "libstages.so"
+    objects = map(str, sorted(place.glob("*.o")))
+    subprocess.run([*command, "-shared", *objects, "-lm", "-o", str(library)], check=True)
     return library
 
 
@@ -111,8 +114,8 @@ class Library:
         self.lib: Any = self.ffi.dlopen(str(path))
         self.real, self.dtype = real, np.dtype(np.float64 if real == "double" else np.float32)
 
-    def numbers(self, a: Array | None) -> NDArray[Any] | None:
-        return None if a is None else np.ascontiguousarray(a, dtype=self.dtype)
+    def numbers(self, a: Array) -> NDArray[Any]:
+        return np.array(a, dtype=self.dtype)
 
     def pointer(self, a: NDArray[Any] | None) -> Any:
         return self.ffi.NULL if a is None else self.ffi.cast(f"{self.real} *", a.ctypes.data)
@@ -232,23 +235,22 @@ class Problem:
         sizes, ffi, r = self.sizes, library.ffi, library.real
         after = [size[0] for size in sizes[1:]] + [0]
         functions = [kind.functions for kind in self.kinds]
-        calls = [0]
+        calls = [0, 0, 0]
 
         def run(k: int, which: int, inputs: list[tuple[Any, int]], outputs: list[tuple[Any, int]]) -> int:
+            calls[which] += k == 0
             arguments = [library.view(p, n).astype(np.float64) if n else ca.DM(0, 1) for p, n in inputs]
             results = functions[self.order[k]][which].call(arguments)
             for (pointer, n), result in zip(outputs, results, strict=True):
                 if n:
                     library.view(pointer, n)[:] = np.asarray(result).ravel(order="F")
+            if fault and fault(FUNCTIONS[which], calls[which], k):
+                library.view(*outputs[0])[-1] = np.nan
             return 0
 
         def values(_: Any, k: int, x: Any, v: Any, f: Any, e: Any, d: Any, g: Any) -> int:
             nx, nv, ne, ng = sizes[k]
-            calls[0] += k == 0
-            run(k, 0, [(x, nx), (v, nv)], [(f, 1), (e, ne), (d, after[k]), (g, ng)])
-            if fault and fault(calls[0], k):
-                f[0] = float("nan")
-            return 0
+            return run(k, 0, [(x, nx), (v, nv)], [(f, 1), (e, ne), (d, after[k]), (g, ng)])
 
         def jacobians(_: Any, k: int, x: Any, v: Any, f: Any, e: Any, d: Any, g: Any) -> int:
             nx, nv, ne, ng = sizes[k]
@@ -373,17 +375,21 @@ class Solver:
     """The solver in C for one problem."""
 
     def __init__(self, library: Library, problem: Problem | Quadratic, fault: Fault | None = None) -> None:
-        """`fault(call, stage)` says which call of values gives no numbers."""
+        """`fault` spoils results of a problem with callbacks to CasADi."""
         self.library, self.problem = library, problem
         self.path: list[tuple[Any, ...]] = []
         self.seconds = 0.0
         ffi, numbers = library.ffi, library.numbers
         self.size = ffi.new("mbs_stages_size[]", problem.sizes)
-        self.arrays = [numbers(a) for a in (problem.lower, problem.upper, problem.least, problem.most, problem.scale)]
+        self.lower, self.upper = numbers(problem.lower), numbers(problem.upper)
+        self.least, self.most = numbers(problem.least), numbers(problem.most)
+        self.scale = None if problem.scale is None else numbers(problem.scale)
         self.functions = problem.callbacks(library, fault)
         watchers = self._watchers()
-        pointers = [library.pointer(a) for a in self.arrays]
-        self.c = ffi.new("mbs_stages_problem *", [len(problem.sizes), self.size, *self.functions, *watchers, *pointers])
+        pointers = [library.pointer(a) for a in (self.lower, self.upper, self.least, self.most, self.scale)]
+        self.c: Any = ffi.new(
+            "mbs_stages_problem *", [len(problem.sizes), self.size, *self.functions, *watchers, *pointers]
+        )
         self.kept = watchers
         self.bytes = library.lib.mbs_stages_bytes(self.c)
         assert self.bytes > 0
