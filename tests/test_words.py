@@ -20,7 +20,7 @@ PATTERNS = {
     r"\b(that|those) of\b": "repeat the noun: `the sum of these differs from the sum of those` is read twice",
     r"\bthose (that|which|who|whose|in|with|by|for|on)\b": "name the things: `the joints that`, not `those that`",
     r"\bthat there (is|are)\b": "`that exists`; `a cluster that there is not` is an unreachable one",
-    r"\b(leaves?|left|has|have|had|having|known) of\b": "name the amount that remains, or the property that is meant",
+    r"\b(leaves?|(?<!the )left|has|have|had|having|known) of\b": "name the amount that remains, or the property that is meant",
     r"\bof (its|their) own\b": "`its own function` or `a separate function`",
     r"\b(of|by|with|than|from|for|beside|on) what\b": "name the thing: `the values that`, not `of what`",
     r"(^|[.:;] |\"\"\")(What|How (many|much|far|long|often))\b(?![^.]*\?)": "make the thing itself the subject",
@@ -56,8 +56,9 @@ def find_faults(text: Text) -> list[str]:
     """List the patterns that a text contains, with the plain form of each."""
     place = f"{text.path}:{text.line}"
     faults = []
+    prose = CODE.sub("`code`", text.text)
     for pattern, plain in COMPILED.items():
-        if match := pattern.search(text.text):
+        if match := pattern.search(prose):
             faults.append(f'{place}: "{match.group().strip()}": {plain}')
     opening = text.text.split(maxsplit=1)[0] if text.is_docstring and text.text.strip() else ""
     if opening in OPENINGS:
@@ -69,6 +70,7 @@ def find_faults(text: Text) -> list[str]:
     return faults
 
 
+CODE = re.compile(r"`[^`\n]*`")
 COMPILED = {re.compile(pattern): plain for pattern, plain in PATTERNS.items()}
 
 

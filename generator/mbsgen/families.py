@@ -1,6 +1,7 @@
-"""Families: the functions of a tree that are wanted, each with its derivatives, as tapes.
+"""Families: the requested functions of a tree, each with its derivatives, as tapes.
 
-What depends on run-time parameters alone is split off as `setup`. Of a scene, what concerns functions is done here.
+Operations on run-time parameters alone are split off as `setup`. The parts of a scene that concern functions are
+applied here.
 """
 
 from __future__ import annotations
@@ -31,20 +32,20 @@ from mbsgen.targets.contract import Family
 
 @dataclass(frozen=True)
 class Options:
-    """What to generate, besides the C of every function."""
+    """The outputs to generate, besides the C of every function."""
 
     runtime: bool = False  # every number of the model a run-time parameter, see `model.releasing`
-    zeros: bool = False  # with `runtime`: those that are 0 too
+    zeros: bool = False  # with `runtime`: also numbers that are 0
     python: bool = False  # also the Python target
     matlab: bool = False  # also the Matlab target
-    acados: bool = False  # also the functions that acados asks for, under its names
+    acados: bool = False  # also the functions for acados, under its names
     untimed: bool = False  # without the argument t of implicit functions, for acados before 0.3
     compare: bool = False  # also count the formulations without each reduction
-    functions: tuple[str, ...] | None = None  # which functions of the catalogue; None: those of the scene
-    derivatives: int = 2  # up to which order; at most that of the scene
-    scene: Path | Scene = EVERYTHING  # what is wanted of the model
-    tolerance: float | None = None  # relative error that may be made; None: that of the scene
-    reductions: Reductions = ALL  # what is done to lower the operation count
+    functions: tuple[str, ...] | None = None  # of the catalogue; None: the scene's
+    derivatives: int = 2  # the highest order; the scene may lower it
+    scene: Path | Scene = EVERYTHING  # the part of the model to generate
+    tolerance: float | None = None  # allowed relative error; None: the scene's
+    reductions: Reductions = ALL  # the transformations that lower the operation count
 
 
 DEFAULT = Options()
@@ -54,11 +55,11 @@ class OptionError(MbsError):
     """Options that a model cannot be generated with."""
 
 
-Tell = Callable[[str], None]  # is told which stage begins
+Tell = Callable[[str], None]  # called with the name of each stage that begins
 
 
 def say_nothing(_: str) -> None:
-    """Take a stage's name, and do nothing."""
+    """Ignore the name of a stage."""
 
 
 def write_families(
@@ -68,10 +69,10 @@ def write_families(
     scene: Scene = EVERYTHING,
     tell: Tell = say_nothing,
 ) -> tuple[Family, ...]:
-    """Write functions of a tree with their derivatives; what depends on parameters alone is split off as `setup`.
+    """Write functions of a tree with their derivatives; operations on parameters alone are split off as `setup`.
 
-    `dynamics` writes those of the formulations, and can tell afterwards what each way of writing them takes.
-    Of the scene, what concerns functions counts here; `stage` has taken the rest out of the tree.
+    `dynamics` writes the derivatives of the formulations, and holds their flops afterwards. Of the scene, only the
+    choice of functions is used here; `stage` has applied the rest to the tree.
     """
     families: list[Family] = []
     dynamics = dynamics or Dynamics(tree, options.reductions)
@@ -97,14 +98,14 @@ def write_families(
         raise OptionError("acados: its states are q and qd, of one size; a joint with a quaternion has more of the one")
     special = (
         _write_acados(families, timed=not options.untimed) if options.acados else ()
-    )  # whose parameters are acados' own
+    )  # its functions have acados' own parameters
     if any(p.kind is Kind.RUNTIME for p in tree.parameters):
         return (*_split_setup(families), *special)
     return (*families, *special)
 
 
 def list_functions(tree: Tree, options: Options, scene: Scene) -> tuple[str, ...]:
-    """List the functions of the catalogue that are written. Raises OptionError for those that there are not."""
+    """List the functions of the catalogue that are written. Raises OptionError for unknown names."""
     return tuple(_choose_functions(tree, _list_needed(_choose(options, scene), scene)))
 
 
@@ -113,13 +114,13 @@ def _choose(options: Options, scene: Scene) -> tuple[str, ...] | None:
 
 
 def _list_needed(chosen: Sequence[str] | None, scene: Scene) -> tuple[str, ...] | None:
-    """List what is chosen, and what it takes to join what is wanted together; None: all."""
+    """List the chosen functions, and the parts of joined ones; None: all."""
     parts = [part for _, group in scene.together for part in group]
     return None if chosen is None else tuple(dict.fromkeys((*chosen, *parts)))
 
 
 def _finish(families: Sequence[Family], scene: Scene, chosen: Sequence[str] | None) -> list[Family]:
-    """Let what stands still be zero, join what is wanted together, and leave out what was only needed for that."""
+    """Set velocities at rest to zero, join functions of one state, and drop functions that only joining needed."""
     still = families if scene.motion else [_let_rest(family) for family in families]
     by_name = {family.value.name: family for family in still}
     joined = []
@@ -135,7 +136,7 @@ def _finish(families: Sequence[Family], scene: Scene, chosen: Sequence[str] | No
 
 
 def _let_rest(family: Family) -> Family:
-    """Make the velocities zero, and no input; derivatives by them go."""
+    """Replace the velocities by zeros; drop derivatives by them."""
 
     def rest(function: Computation | None) -> Tape | None:
         if function is None:
@@ -166,7 +167,7 @@ def _write_acados(families: Sequence[Family], *, timed: bool) -> tuple[Family, .
 
 
 def _choose_functions(tree: Tree, names: tuple[str, ...] | None) -> Mapping[str, Entry]:
-    """Choose functions by name, in the order of the catalogue; all that is wrong with the names is told at once."""
+    """Choose functions by name, in the order of the catalogue; report all faulty names together."""
     present = select_functions(tree)
     if names is None:
         return present
@@ -206,6 +207,6 @@ def _split_setup(families: list[Family]) -> tuple[Family, ...]:
         )
         for f in families
     ]
-    if not setup.output(ports.SETUP.name).sparsity.nnz:  # parameters matter to none of the functions chosen
+    if not setup.output(ports.SETUP.name).sparsity.nnz:  # no chosen function depends on the parameters
         return tuple(split)
     return (Family(setup, title="what the kernels need of the run-time parameters"), *split)

@@ -44,7 +44,7 @@ __all__ = ["OptionError", "Options", "Product", "generate", "make", "read_tree",
 
 @dataclass(frozen=True)
 class Product:
-    """All that is made of one model; nothing is written yet."""
+    """Everything made from one model; nothing is written yet."""
 
     manifest: Manifest
     report: Report
@@ -52,17 +52,17 @@ class Product:
 
 
 def generate(model: Path | Model, out: Path, options: Options = DEFAULT, tell: Tell = say_nothing) -> Product:
-    """Make everything of a model, and write it to the folder `out`. Where `make` raises, nothing is written."""
+    """Make everything from a model, and write it to the folder `out`. Where `make` raises, nothing is written."""
     product = make(model, options, tell)
     write_folder(product.files, out)
     return product
 
 
 def make(model: Path | Model, options: Options = DEFAULT, tell: Tell = say_nothing) -> Product:
-    """Make everything of a model file, or of a model made in Python.
+    """Make everything from a model file, or from a model made in Python.
 
     `tell` is called with the name of each stage when it begins. Raises InputError with every fault of the file,
-    OptionError for functions that there are not, VerificationError for a function that does not compute what it should.
+    OptionError for unknown functions, VerificationError for a function with wrong results.
     """
     tell("reading the model")
     whole = read(model)
@@ -72,7 +72,7 @@ def make(model: Path | Model, options: Options = DEFAULT, tell: Tell = say_nothi
     staged = stage(whole, scene)
     _check_staged(whole, staged, options)
     written = build_tree(staged)
-    parametric = build_parametric(whole, scene)  # zeros stay: so the report counts, whatever is generated
+    parametric = build_parametric(whole, scene)  # zeros stay: the report counts so, independently of the options
     released = build_parametric(whole, scene, zeros=True) if options.zeros else parametric
     approximation = _approximate(written, options, scene)
     tree = approximation.tree if approximation else released if options.runtime else written
@@ -115,12 +115,12 @@ def make(model: Path | Model, options: Options = DEFAULT, tell: Tell = say_nothi
 
 
 def read_tree(model: Path | Model) -> Tree:
-    """Read a model file, or one to import, as a Tree. Raises InputError with every fault of the file."""
+    """Read a model file, or a file to import, as a Tree. Raises InputError with every fault of the file."""
     return build_tree(read(model))
 
 
 def build_parametric(model: Model, scene: Scene = EVERYTHING, *, zeros: bool = False) -> Tree:
-    """Build the tree of a model whose numbers are parameters at run time, as far as a scene needs them."""
+    """Build the tree of a model whose numbers are run-time parameters, as far as a scene needs them."""
     tree = build_tree(stage(with_runtime_numbers(model, zeros=zeros), scene))
     own, used = {p.name for p in model.parameters if p.kind is Kind.RUNTIME}, tree.symbols
     needed = (p for p in tree.parameters if p.kind is not Kind.RUNTIME or p.name in own or p.symbol in used)
@@ -128,9 +128,9 @@ def build_parametric(model: Model, scene: Scene = EVERYTHING, *, zeros: bool = F
 
 
 def read(model: Path | Model) -> Model:
-    """Read a model file, or by its suffix one to import. Raises InputError with every fault of the file.
+    """Read a model file, or, by its suffix, a file to import. Raises InputError with every fault of the file.
 
-    Where the model of another format moves otherwise than its file says, Python's warnings tell how.
+    Python's warnings list the differences between an imported model and its file.
     """
     if isinstance(model, Model):
         return model
@@ -154,7 +154,7 @@ def _read_scene(options: Options, model: Model) -> Scene:
 
 
 def _check_staged(whole: Model, staged: Model, options: Options) -> None:
-    """Refuse what a scene makes of a checked model, by the rules for models. Raises InputError."""
+    """Check a model reduced by a scene by the rules for models. Raises InputError."""
     if (staged.bodies, staged.parameters) == (whole.bodies, whole.parameters):
         return
     file = str(options.scene) if isinstance(options.scene, Path) else f"model {abbreviate(whole.name)}"
@@ -167,11 +167,11 @@ def _check_staged(whole: Model, staged: Model, options: Options) -> None:
 
 
 def _approximate(tree: Tree, options: Options, scene: Scene) -> Approximation | None:
-    """Leave out what is below the scene's tolerance, where there is one."""
+    """Remove numbers with effects below the scene's tolerance, if it has one."""
     if scene.tolerance is None:
         return None
     if options.runtime:
-        finding = "with every number a run-time parameter, none can be left out for what it is now"
+        finding = "with every number a run-time parameter, no value decides what can be left out"
         raise OptionError(f"tolerance: {finding}; leave one of the options out")
     return approximate(tree, scene.tolerance, options, scene)
 
@@ -182,7 +182,7 @@ def _needs_stages_alone(options: Options, scene: Scene) -> bool:
 
 
 def _hash(tree: Tree, families: tuple[Family, ...]) -> str:
-    """Name what is generated by its content: the tapes to their last digit, and what the manifest tells of the tree."""
+    """Return a hash of the generated content: the tapes to their last digit, and the tree's entries in the manifest."""
     told = [(b.name, b.parent, b.joint) for b in tree.bodies], [(s.name, s.body) for s in tree.sensors], tree.wrenches
     text = repr(tree.couplings) if tree.couplings else ""
     text += repr((tree.name, told, [(p.name, p.value, p.kind) for p in tree.parameters]))
@@ -201,7 +201,7 @@ def _content(function: Computation) -> tuple[object, ...]:
 
 
 def identify_mechanism(model: Model) -> str:
-    """Name a model by what it says; layout, comments, order of keys, and this program's version change nothing."""
+    """Return a hash of a model's content: layout, comments, order of keys, and this program's version do not matter."""
     return hashlib.sha256(write_model(model).encode()).hexdigest()
 
 

@@ -1,13 +1,13 @@
-"""The functions that acados asks of a model, made of tapes: under its names, with its arguments.
+"""The functions of a model for acados, made from tapes: under its names, with its arguments.
 
     x = (q, qd), xdot = (qd, qdd), u = u, no z, t unused, p = run-time parameters, then differentiated ones, then w
 
     impl_dae_*      0 = f(x, xdot, u, p) = (xdot_q - qd, Phi(q, qd, xdot_qd, u, w))
     expl_*          xdot = f(x, u, p) = (qd, qdd(q, qd, u, w))
 
-Names, arguments and results are those of acados' own generator (`casadi_function_generation.py`, 2025): with the prefix
-of a model called `arm`, the C functions are arm_impl_dae_fun and so on. Their integers are ints, whatever `casadi_int`
-is elsewhere. Matrices are dense. Each function computes run-time parameters anew, as acados may change them at every
+Names, arguments and results agree with acados' own generator (`casadi_function_generation.py`, 2025): for a model with
+the prefix `arm`, the C functions are arm_impl_dae_fun and so on. Their integers are ints, whatever `casadi_int` is
+elsewhere. Matrices are dense. Each function computes with run-time parameters anew, as acados may change them at every
 stage.
 """
 
@@ -61,10 +61,10 @@ _TITLES = {
 def write_acados(
     tapes: Mapping[Function, Tape], residual: Function, explicit: Function | None, *, timed: bool = True
 ) -> tuple[Family, ...]:
-    """Write the functions that can be made of a residual and of a function that gives accelerations.
+    """Write the functions that can be made from a residual and from a function that computes accelerations.
 
-    First derivatives are made of their linearisations and of the adjoint, second of the adjoint's Jacobian. Implicit
-    functions have an argument t where they are `timed`, as acados asks for since its version 0.3.
+    First derivatives use their linearisations and the adjoint, second derivatives the adjoint's Jacobian. Implicit
+    functions have an argument t where they are `timed`, as acados requires since its version 0.3.
     """
     return tuple(
         Family(tape, title=f"for acados: {_TITLES[tape.name]}", integer="int")
@@ -101,7 +101,7 @@ def _write_explicit(tapes: Mapping[Function, Tape], explicit: Function) -> Itera
 
 
 class _Implicit:
-    """A function of x, xdot, u, z, t, p, without t unless it is timed, and with weights before t if it is weighted."""
+    """A function of x, xdot, u, z, t, p: t only if timed, weights before t if weighted."""
 
     def __init__(self, tape: Tape, *, timed: bool, weighted: bool = False) -> None:
         self.builder = builder = Builder()
@@ -117,7 +117,7 @@ class _Implicit:
         self.found = _call(tape, builder, _split_state(x, n) | given | {Role.FORCE: self.u} | _read_p(tape, builder))
 
     def write(self, name: str, results: Sequence[str]) -> Tape:
-        """Write the function that gives the named results."""
+        """Write the function with the named results."""
         n, m, builder = self.n, len(self.u), self.builder
         one = builder.number(1.0)
         below = partial(_shift, row=n)  # Phi is the lower half of f
@@ -147,7 +147,7 @@ class _Implicit:
         return self.found.get(derivative_port(ports.RESIDUAL, by), {})
 
     def hessian(self) -> Block:
-        """Put the blocks of second derivatives in the order x, xdot, z, u."""
+        """Arrange the blocks of second derivatives in the order x, xdot, z, u."""
         n = self.n
         places = {ports.COORDINATES: 0, ports.VELOCITIES: n, ports.ACCELERATIONS: 3 * n, ports.FORCES: 4 * n}
         entries: Block = {}

@@ -1,4 +1,4 @@
-"""What the check program compares: which kernels of a model must agree, and by which comparison of `mbs_check.h`."""
+"""The comparisons of the check program: the kernels of a model that must agree, by comparisons of `mbs_check.h`."""
 
 from __future__ import annotations
 

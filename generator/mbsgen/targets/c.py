@@ -1,7 +1,7 @@
 """C sources of a model's kernels: tapes -> a header, one C file per kernel, the ABI header, and the manifest's kernels.
 
-What a template lays out is prepared here as a view: numbers counted, expressions written, lines broken. A kernel is one
-C function with typed arguments, and a second one, in CasADi's contract, that calls it.
+A view holds everything that a template lays out: numbers counted, expressions written, lines broken. A kernel is one C
+function with typed arguments, and a second one, in CasADi's contract, that calls it.
 """
 
 from __future__ import annotations
@@ -40,26 +40,26 @@ class Unit:
     version: str  # of mbsgen
     model_hash: str
     families: tuple[Family, ...]
-    parameters: tuple[float, ...] = ()  # values of the run-time parameters, for those who give none
+    parameters: tuple[float, ...] = ()  # default values of the run-time parameters
     design: tuple[float, ...] = ()  # values of the differentiated parameters
-    only_driven: bool = True  # no force but u acts in the joints
+    only_driven: bool = True  # u is the only force in the joints
     groups: tuple[Group, ...] = ()  # names of the entries of vectors
     references: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # results at the check's first state
-    tolerance: float | None = None  # what the functions may differ from the model's by; None: not at all
+    tolerance: float | None = None  # allowed relative error of the functions; None: exact
 
 
 @dataclass(frozen=True)
 class Sources:
-    """What was written, and what the manifest tells of it."""
+    """The written files, and their description in the manifest."""
 
-    files: Mapping[str, str]  # file name -> text; every file of the folder but the manifest and reports
+    files: Mapping[str, str]  # file name -> text; every file of the folder except the manifest and reports
     header: str
     sources: tuple[str, ...]  # the C files of the kernels among them
     kernels: tuple[Kernel, ...]
 
 
 def write_c(unit: Unit) -> Sources:
-    """Write every kernel of `unit` in C, and what makes a library of them; the same unit gives the same text."""
+    """Write every kernel of `unit` in C, and the files of a library; the same unit gives the same text."""
     found = [face for family in unit.families for face in faces(family, unit.prefix)]
     views = [_view(unit.prefix, face) for face in found]
     header = f"{unit.prefix}.h"
@@ -125,7 +125,7 @@ def _environment() -> jinja2.Environment:
 
 
 def _describe(prefix: str, face: Face) -> Kernel:
-    """Describe a kernel by the arguments of its tape; the empty ones that CasADi counts besides are left to the C."""
+    """Describe a kernel by the arguments of its tape, without the empty arguments that CasADi adds."""
     counts = face.counts
     slots = {slot.name: slot for slot in (*face.inputs, *face.outputs)}
     of = face.tape.function
@@ -175,16 +175,16 @@ class _Parameter:
 
     declaration: str
     note: str
-    macro: str  # names the number of its nonzeros
+    macro: str  # the macro for the number of its nonzeros
     nnz: int
-    pattern: str  # names where they stand; empty for a full vector
-    told_by: str  # the function that gives the pattern
-    passed: str  # what CasADi's face passes for it
+    pattern: str  # the macro for their positions; empty for a full vector
+    told_by: str  # the function that returns the pattern
+    passed: str  # the expression that CasADi's face passes for it
 
 
 @dataclass(frozen=True)
 class _Unwanted:
-    """Where the nonzeros of a result go that the caller does not want."""
+    """Storage for the nonzeros of a result that the caller does not request."""
 
     name: str
     place: int
@@ -213,7 +213,7 @@ class _View:
     file: str
     symbol: str
     function: str
-    integer: str  # of CasADi's contract
+    integer: str  # the integer type of CasADi's contract
     title: str
     flops: Flops
     equations: int
@@ -294,7 +294,7 @@ def _name_patterns(face: Face) -> dict[Sparsity, str]:
 
 
 def _compress(pattern: Sparsity) -> tuple[int, ...]:
-    """Write a pattern as CasADi reads it."""
+    """Write a pattern in CasADi's format."""
     if pattern.is_dense:
         return (pattern.rows, pattern.cols, 1)
     return (pattern.rows, pattern.cols, *pattern.colind, *pattern.row)

@@ -1,13 +1,12 @@
 """The faces of a function and its derivatives in CasADi's contract for external functions.
 
-CasADi looks `jac_f`, `adj1_f` and `jac_adj1_f` up by name beside `f`, and passes by position:
+CasADi finds `jac_f`, `adj1_f` and `jac_adj1_f` by name beside `f`, and passes by position:
 
     jac_f        inputs of f, out_<o>                       outputs jac_<o>_<i>, all pairs, o slowest
     adj1_f       inputs of f, out_<o>, adj_<o>              outputs adj_<i>
     jac_adj1_f   inputs of adj1_f, out_adj_<i>              outputs jac_adj_<i>_<x>, x over the inputs of adj1_f
 
-So a face has more arguments than its tape: results that are not needed (`out_*`) and blocks that are structurally zero
-are there with an empty pattern.
+So a face has more arguments than its tape: unused results (`out_*`) and structurally zero blocks have an empty pattern.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from mbsgen.tape.types import Input, Output, Sparsity, Tape
 
 @dataclass(frozen=True)
 class Family:
-    """A function, and those of its derivatives that are generated."""
+    """A function and its generated derivatives."""
 
     value: Computation
     jac: Computation | None = None
@@ -101,7 +100,7 @@ class Face:
 
     @property
     def counts(self) -> Counts:
-        """Count what is computed."""
+        """Return the counts of the operations."""
         return count(self.procedure)
 
 
@@ -139,13 +138,15 @@ def _face(family: Family, prefix: str, tape: Computation, inputs: tuple[Slot, ..
 
 
 def name_symbol(prefix: str, family: Family, tape: Computation) -> str:
-    """Name the function in CasADi's contract: CasADi puts the order before the name of the function, as `jac_arm_f`."""
+    """Name the function in CasADi's contract: CasADi puts the order before its name, as in `jac_arm_f`."""
     own = f"{prefix}_{family.value.name}"
     return own if tape is family.value else name_kernel(own, tape.function.order)
 
 
 def _is_differentiable(family: Family, source: Input | Wire) -> bool:
-    """Tell whether the derivatives know the input; without any, CasADi is to ask for one and fail aloud."""
+    """Return whether the derivatives include the input; a function without derivatives claims all, so that CasADi
+    fails.
+    """
     if family.adj1:
         return any(o.port.by == source.port for o in family.adj1.outputs)
     if family.jac:
@@ -172,7 +173,7 @@ def _slot(tape: Computation, port: Port, shape: Sparsity) -> Slot:
 
 
 def _unneeded(result: Output | Wire | Slot) -> Slot:
-    """Make the slot of a result among the inputs of a derivative, which has no use for it."""
+    """Make the slot of a result among the inputs of a derivative, which does not use it."""
     return _empty(replace(result.port, name=name_unneeded(result.port.name)), result.sparsity)
 
 

@@ -1,8 +1,8 @@
 """Names for the entries of a model's vectors: Tree -> enumerators and name tables of its C header.
 
-A group is one vector of the kernels, or one list of columns: q, qd, u, ... Entry k of it has the enumerator
-`<model>_IDX_<group>_<name>`, of value k, and its name as the model has it in the table `<model>_NAMES_<group>`. Blanks,
-dots and dashes of names become `_`; where two entries of a group would then have one name, all of it are mangled.
+A group is one vector of the kernels, or one list of columns: q, qd, u, ... Entry k has the enumerator
+`<model>_IDX_<group>_<name>`, of value k, and its name in the model in the table `<model>_NAMES_<group>`. Blanks, dots
+and dashes of names become `_`. If two entries of a group would get the same name, all its names are mangled.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ AXES = "xyz"
 class Entry:
     """One entry of a group."""
 
-    name: str  # as the model has it
-    identifier: str  # as C has it
+    name: str  # in the model
+    identifier: str  # in C
 
 
 @dataclass(frozen=True)
 class Group:
-    """One vector, or one list of columns, of which the entries have names."""
+    """One vector, or one list of columns, with named entries."""
 
     name: str  # "q"
     meaning: str  # for readers of the header
@@ -55,7 +55,7 @@ def list_groups(tree: Tree) -> tuple[Group, ...]:
 
 
 def write_string(text: str) -> str:
-    """Write a C string of any text: printable ASCII as it is, all else byte by byte."""
+    """Write a C string of any text: printable ASCII unchanged, other bytes escaped."""
     kept = (chr(b) if 32 <= b < 127 and chr(b) not in '"\\?' else f"\\{b:03o}" for b in text.encode("utf-8"))
     return f'"{"".join(kept)}"'
 
@@ -66,7 +66,7 @@ def _group(name: str, meaning: str, names: Iterable[str]) -> Group:
 
 
 def identify(names: Sequence[str]) -> list[str]:
-    """Return a different part of a C identifier for each of some different names."""
+    """Return distinct parts of C identifiers for distinct names."""
     plain = [re.sub("_+", "_", "".join(map(_soften, name))).strip("_") for name in names]
     return plain if all(plain) and len(set(plain)) == len(plain) else [mangle(name) for name in names]
 

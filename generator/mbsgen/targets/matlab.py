@@ -1,6 +1,6 @@
 """Matlab source of a model's kernels, which GNU Octave runs too: one function in one file for each kernel.
 
-Arguments are full matrices: what an input's pattern leaves out is not read, what an output's leaves out is 0.
+Arguments are full matrices: entries outside an input's pattern are not read, entries outside an output's pattern are 0.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from mbsgen.targets.c import Unit
 from mbsgen.targets.contract import Family
 from mbsgen.targets.statements import Result, Syntax, wrap, write_body, write_lines
 
-FOLDER = "matlab"  # where the files lie in the generated folder
+FOLDER = "matlab"  # the folder of the files
 _LONGEST_NAME = 63  # characters that Matlab reads of a name
 _LINE = 110
 
@@ -29,11 +29,11 @@ def _write_entries(name: str, pattern: Sparsity) -> list[str]:
     return [f"{name}({row + 1}, {column + 1})" for row, column in pattern.entries]
 
 
-# Outside of the domain, Matlab's own functions go on with complex numbers; these raise an error.
+# Outside their domain, Matlab's own functions return complex numbers; these raise an error.
 _REAL = {Op.SQRT: "realsqrt", Op.LOG: "reallog", Op.ASIN: "realasin", Op.ACOS: "realacos"}
-_LOCAL = {Op.ASIN: "asin", Op.ACOS: "acos"}  # those of them that are written into the file
+_LOCAL = {Op.ASIN: "asin", Op.ACOS: "acos"}  # the ones that are written into the file
 
-# Keywords of Matlab and Octave, and the functions that are called here, are no names of variables.
+# Keywords of Matlab and Octave, and the functions called here, cannot name variables.
 MATLAB = Syntax(
     "{}",
     {op: op.value[0] for op in FUNCTIONS} | _REAL | {Op.ABS: "abs"},
@@ -53,7 +53,7 @@ class _Argument:
     name: str
     shape: str
     note: str
-    misfit: str  # holds where the argument has another shape
+    misfit: str  # true where the argument has another shape
 
 
 @dataclass(frozen=True)
@@ -68,11 +68,11 @@ class _View:
     outputs: tuple[_Argument, ...]
     lines: tuple[str, ...]
     results: tuple[Result, ...]
-    local: tuple[str, ...]  # functions that have one of this file in their place
+    local: tuple[str, ...]  # functions that a function of this file replaces
 
 
 def write_matlab(unit: Unit) -> dict[str, str]:
-    """Write every kernel of `unit` as a Matlab function; give the files of the folder, path -> text."""
+    """Write every kernel of `unit` as a Matlab function; return the files of the folder, path -> text."""
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(resources.folder("templates") / "matlab"),
         undefined=jinja2.StrictUndefined,

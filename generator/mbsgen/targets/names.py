@@ -33,7 +33,7 @@ def mangle(name: str) -> str:
     """Return the C prefix of a model called `name`: an identifier of at most MAX_LENGTH characters.
 
     It neither starts with a digit or an underscore nor ends with an underscore, and holds no two underscores in a row
-    (such names are reserved in C and C++). A name too long for that is cut, and opens with 128 bits of its SHA-256.
+    (such names are reserved in C and C++). A longer name is cut, and begins with 128 bits of its SHA-256.
     """
     assert name, "a model without a name is refused when it is read"
     text = "_".join(map(_escape_part, _escape(name).split("_")))
@@ -46,7 +46,7 @@ def mangle(name: str) -> str:
 
 
 def _escape(name: str) -> str:
-    """Escape each character that cannot stand where it stands in an identifier."""
+    """Escape each character that an identifier cannot have at its position."""
     last = len(name) - 1
     return "".join(
         escape(c)
@@ -61,5 +61,5 @@ def _escape_part(part: str) -> str:
 
 
 def escape(character: str) -> str:
-    """Write a character that no identifier can hold there."""
+    """Write a character that an identifier cannot have there."""
     return "ZZ" if character == "Z" else f"Z{ord(character):x}z"

@@ -1,7 +1,7 @@
-"""The lines of a C function, and long ones in parts: functions of bounded length.
+"""The lines of a C function; long functions are divided into parts of bounded length.
 
-Compilers take more than linear time for one function. What a part computes and a later one reads is kept in a struct,
-by name.
+Compilers take more than linear time for one function. Values that one part computes and a later one reads are kept in a
+struct, by name.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 from mbsgen.targets.statements import Body, Check, Statement, Turn, Turns
 
-# Lines of a part, at least. gcc 12 takes 19 s for a body of 9000 statements, most of it to allocate registers, and
-# a third of that for parts of 500 to 1000. What is in parts is quicker, too, where the code is about as large as the
+# Least lines of a part. gcc 12 takes 19 s for a body of 9000 statements, most of it for register allocation, and a
+# third of that in parts of 500 to 1000. Parts are also quicker to run where the code is about as large as the
 # instruction cache: in parts of 300 the Hessian of an arm's EXP1 (4254 operations) takes 460 ns, whole 850; a Panda's
 # Jacobian 470 instead of 880.
 LENGTH = 300
@@ -34,18 +34,18 @@ Line = Statement | Turns | Check | Store
 
 @dataclass(frozen=True)
 class Part:
-    """Lines that are a function of their own, or the whole body. Targets are written with what declares them."""
+    """Lines that form one function, or the whole body. Targets are written with their declarations."""
 
     name: str
-    inputs: tuple[str, ...]  # of the kernel's, those that it reads
-    results: tuple[str, ...]  # of the kernel's, those that it writes nonzeros of
-    keeps: bool  # something of what it computes, or reads what another part kept
+    inputs: tuple[str, ...]  # the kernel's inputs that it reads
+    results: tuple[str, ...]  # the kernel's results whose nonzeros it writes
+    keeps: bool  # whether it reads or writes kept values
     lines: tuple[Line, ...]
 
 
 @dataclass(frozen=True)
 class Division:
-    """A body in parts, to be run in turn; a body of no great length is a single one."""
+    """A body in parts, to be run in turn; a short body is a single part."""
 
     parts: tuple[Part, ...]
     kept: tuple[str, ...]  # values that outlive their part
@@ -63,7 +63,7 @@ def divide(body: Body, inputs: Sequence[str], name: str = "mbs_part") -> Divisio
 
 
 def order_lines(body: Body) -> tuple[Line, ...]:
-    """Set all of a body in one order: checks as early as they can stand, nonzeros after the last check likewise."""
+    """Order all lines of a body: each check as early as possible, and nonzeros likewise after the last check."""
     last = max((c.place for c in body.checks), default=0)
     others: list[tuple[int, Line]] = [(c.place, c) for c in body.checks]
     others += [
@@ -81,7 +81,7 @@ def order_lines(body: Body) -> tuple[Line, ...]:
 
 
 def _find_kept(slices: Sequence[Sequence[Line]]) -> dict[str, None]:
-    """Find the values that are read outside the part that computes them, in the order in which they are computed."""
+    """Find the values that other parts read, in the order in which they are computed."""
     defined = [{name: None for line in part for name in _names(line)} for part in slices]
     outside: set[str] = set()
     for part, own in zip(slices, defined, strict=True):
@@ -102,7 +102,7 @@ def _write_part(name: str, lines: Sequence[Line], kept: Mapping[str, None], inpu
 
 
 def _write_line(line: Line, kept: Mapping[str, None]) -> Line:
-    """Declare what a line computes, or put it where it is kept; read the kept values from there."""
+    """Declare the values that a line computes, or store them where they are kept; read kept values from there."""
 
     def declare(name: str) -> str:
         return name and (f"mbs_kept->{name}" if name in kept else f"const mbs_real {name}")

@@ -1,7 +1,7 @@
-"""The body of a function: Tape -> named statements and results, as text of C or of a language that writes alike.
+"""The body of a function: Tape -> named statements and results, as text of C or of a similar language.
 
-What gets a name is decided in `tape.counts`. An operation inside another stands in parentheses, so that the language
-associates as the tape does; but not on the left of a sum, where all languages begin.
+`tape.counts` chooses the named values. An operation inside another is in parentheses, so that the language associates
+as the tape does; except on the left of a sum, where all languages begin.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def write_nonzeros(name: str, pattern: Sparsity) -> list[str]:
 
 @dataclass(frozen=True)
 class Syntax:
-    """How a language writes what is not the same in all: literals, calls, arguments, and which names are not free."""
+    """The parts of a language that differ: literals, calls, arguments, and reserved names."""
 
     literal: str  # {} stands for the digits
     calls: Mapping[Op, str]
@@ -41,7 +41,7 @@ class Syntax:
     turns: bool = False  # sines and cosines side by side are computed together
 
 
-# Keywords of C, and what <math.h> or the ABI header may define as macros, are no names of local variables.
+# Keywords of C, and possible macros of <math.h> or the ABI header, cannot name local variables.
 C = Syntax(
     "MBS_C({})",
     {op: f"MBS_{op.name}" for op in FUNCTIONS},
@@ -65,7 +65,7 @@ class Statement:
 
 @dataclass(frozen=True)
 class Turn:
-    """An angle, and the names of its sine and cosine; empty for one that nothing reads."""
+    """An angle, and the names of its sine and cosine; empty for an unused one."""
 
     angle: str
     sine: str
@@ -81,7 +81,7 @@ class Turns:
 
 @dataclass(frozen=True)
 class Check:
-    """A guard: unless value stands out of what rounding leaves of scale, the kernel fails at `joint`."""
+    """A guard: the kernel fails at `joint` unless value exceeds the rounding of scale."""
 
     place: int  # the number of statements after which it can be tested
     value: str
@@ -92,21 +92,21 @@ class Check:
 
 @dataclass(frozen=True)
 class Result:
-    """An output with a nonzero, and how each of its nonzeros is computed."""
+    """An output with a nonzero, and the statements of its nonzeros."""
 
     name: str
     statements: tuple[Statement, ...]
-    places: tuple[int, ...]  # the number of the body's statements after which each can stand
+    places: tuple[int, ...]  # the number of the body's statements that must precede each
 
 
 @dataclass(frozen=True)
 class Body:
-    """A function's body: what is computed for all results, the guards in the order of their tests, the results."""
+    """A function's body: statements for all results, the guards in the order of their tests, the results."""
 
     statements: tuple[Statement | Turns, ...]
     checks: tuple[Check, ...]
     results: tuple[Result, ...]
-    unused: tuple[str, ...]  # inputs that nothing reads
+    unused: tuple[str, ...]  # inputs that are not read
 
 
 def write_body(tape: Tape, syntax: Syntax = C) -> Body:
@@ -114,7 +114,7 @@ def write_body(tape: Tape, syntax: Syntax = C) -> Body:
     uses, named = count_uses(tape), named_values(tape)
     going_on = find_sums(tape, uses)
     names = _choose_names(tape, syntax)
-    texts = _write_leaves(tape, syntax)  # of every value, ready to stand as an operand
+    texts = _write_leaves(tape, syntax)  # of every value, ready as an operand
     places = [0] * len(texts)  # the number of statements after which a value is known
     statements: list[Statement | Turns] = []
     turning: dict[str, dict[Op, str]] = {}  # of the angles of the next Turns, the names of sine and cosine
@@ -129,7 +129,7 @@ def write_body(tape: Tape, syntax: Syntax = C) -> Body:
         if turning:
             statements.append(_write_turns(turning))
             turning = {}
-        if op is Op.ADD and b in going_on and b not in named:  # it stands first: sums commute
+        if op is Op.ADD and b in going_on and b not in named:  # a sum that continues is first: sums commute
             a, b = b, a
         expression = _write(syntax, op, texts[a], texts[b] if op.arity == 2 else "")
         if uses[value] and value not in named:
@@ -159,7 +159,7 @@ def write_body(tape: Tape, syntax: Syntax = C) -> Body:
 
 
 def write_lines(body: Body, assignment: str, check: str) -> tuple[str, ...]:
-    """Set statements and checks in one order, each check as early as it can stand.
+    """Merge statements and checks into one order, each check as early as possible.
 
     The forms name the fields of a Statement, {target} and {expression}, and of a Check.
     """
@@ -172,7 +172,7 @@ def write_lines(body: Body, assignment: str, check: str) -> tuple[str, ...]:
 
 
 def write_literal(value: mpf, syntax: Syntax = C) -> str:
-    """Write the nearest double, in the fewest digits that give it; TapeError beyond the range of a double."""
+    """Write the nearest double, in the fewest digits that give it. Raises TapeError beyond the range of a double."""
     number = float(value)
     if not math.isfinite(number):
         raise TapeError(f"the number {value} is beyond the range of a double")
@@ -202,7 +202,7 @@ def _write_checks(tape: Tape, syntax: Syntax, texts: Sequence[str], places: Sequ
 
 
 def _bare(text: str) -> str:
-    """Take off the parentheses that an operand was given."""
+    """Remove the parentheses of an operand."""
     return text[1:-1] if text.startswith("(") else text
 
 
@@ -221,7 +221,7 @@ def _unused_inputs(tape: Tape, uses: Mapping[int, int]) -> tuple[str, ...]:
 
 
 def _choose_names(tape: Tape, syntax: Syntax) -> dict[int, str]:
-    """Take the labels that can name a variable: fit for the language, given to one value, no name of an argument."""
+    """Choose the labels that can name a variable: valid in the language, used once, different from all arguments."""
     taken = {x.name for x in arguments(tape)}
     assert all(_is_free(x, syntax) for x in taken), (
         f"{tape.name}: arguments {sorted(taken)} must be fit to name variables"
@@ -239,7 +239,7 @@ def _is_free(name: str, syntax: Syntax) -> bool:
 
 
 def wrap(words: Iterable[str], width: int = 100) -> tuple[str, ...]:
-    """Set words, separated by commas, in lines of at most `width` characters."""
+    """Join words by commas, in lines of at most `width` characters."""
     lines: list[str] = []
     for word in words:
         if lines and len(lines[-1]) + len(word) + 2 <= width:
