@@ -21,6 +21,7 @@ from mbsgen.formulations.catalogue import FUNCTIONS, REFERENCE, list_giving
 from mbsgen.formulations.reductions import ALL
 from mbsgen.importing import Choices, import_model
 from mbsgen.model.reduction import build_tree
+from mbsgen.model.symbols import to_double
 from mbsgen.model.tree import NO_FORCE, ZERO, Tree
 from mbsgen.roles import Role
 from mbsgen.tape.interpreter import evaluate
@@ -128,7 +129,7 @@ def _map_couplings(tree: Tree) -> tuple[Array, Array]:
     G, g = np.zeros((len(tree.bodies), len(kept))), np.zeros(len(tree.bodies))
     for i in range(1, len(tree.bodies) + 1):
         if i in rules:
-            G[i - 1, kept.index(rules[i].leader)], g[i - 1] = rules[i].ratio, rules[i].offset
+            G[i - 1, kept.index(rules[i].leader)], g[i - 1] = to_double(rules[i].ratio), to_double(rules[i].offset)
         else:
             G[i - 1, kept.index(i)] = 1.0
     return G, g

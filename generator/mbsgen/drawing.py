@@ -23,6 +23,7 @@ from matplotlib.transforms import Bbox
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 from numpy.typing import NDArray
+from sympy import Expr
 
 from mbsgen.formulations import ports
 from mbsgen.formulations.coupling import couple
@@ -77,9 +78,13 @@ def pose(tree: Tree, q: Sequence[float]) -> Scene:
 
 def list_masses(tree: Tree) -> list[float]:
     """List the masses of the bodies, at the default parameters: kg."""
+    return [_evaluate(tree, total((body.mass, *(part.mass for part in body.parts)))) for body in tree.bodies]
+
+
+def _evaluate(tree: Tree, number: Expr) -> float:
+    """Return a number at the default parameters."""
     values = {parameter.symbol: exact(parameter.value) for parameter in tree.parameters}
-    masses = (total((body.mass, *(part.mass for part in body.parts))) for body in tree.bodies)
-    return [to_double(round_number(mass.xreplace(values))) for mass in masses]
+    return to_double(round_number(number.xreplace(values)))
 
 
 def _build_masses(tree: Tree) -> Tape:
@@ -102,8 +107,9 @@ def describe_joint(tree: Tree, number: int) -> str:
     kind = f"{joint.motion.value} {TURNED[joint.motion]} {'xyz'[joint.axis]}"
     for x in tree.couplings:
         if x.follower == number:
-            offset = f" + {x.offset:g}" if x.offset else ""
-            return f"{kind}, follows {_shorten(tree.bodies[x.leader - 1].joint.name)} times {x.ratio:g}{offset}"
+            offset, ratio = (_evaluate(tree, number) for number in (x.offset, x.ratio))
+            added = f" + {offset:g}" if offset else ""
+            return f"{kind}, follows {_shorten(tree.bodies[x.leader - 1].joint.name)} times {ratio:g}{added}"
     return kind if joint.actuated else f"{kind}, passive"
 
 

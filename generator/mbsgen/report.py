@@ -149,7 +149,7 @@ def identify(tree: Tree) -> str:
             numbers += read(b.joint.armature)
         told.append((b.parent, b.joint.motion.value, b.joint.axis, str(b.joint.law), numbers))
     if tree.couplings:
-        told.append(tree.couplings)
+        told.append([(x.follower, x.leader, *read(x.ratio, x.offset)) for x in tree.couplings])
     return hashlib.sha256(repr((read(*tree.gravity), told, len(tree.wrenches))).encode()).hexdigest()[:16]
 
 

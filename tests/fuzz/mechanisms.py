@@ -193,7 +193,7 @@ class _Draw:
                 return {"type": kind, **self.place(), "order": order, "axes": axes}
             case "helical":
                 self.joints.append(name)
-                pitch = {"pitch": pick.choice([0.1, -0.4, "0.3/pi"]), "axis": self.axis()}
+                pitch = {"pitch": pick.choice([0.1, -0.4, "0.3/pi", "l/2"]), "axis": self.axis()}
                 return {"type": kind, **self.place(), **self.setting(), **pitch}
             case "universal":
                 return {"type": kind, **self.place(), "axis": self.axis(), "axis2": [*pick.choice(SKEW)]}

@@ -1,8 +1,8 @@
 """Joints that follow others, eliminated exactly: tapes of the uncoupled tree -> tapes of the coupled one.
 
 With y the independent coordinates, q = G y + g, qd = G yd and qdd = G ydd, where every row of G has one entry. By
-virtual power, forces are GT Q: the residual is GT Phi, the mass matrix GT M G, the bias GT c. G is constant, so
-derivatives transform likewise: rows as the result, columns as the variable.
+virtual power, forces are GT Q: the residual is GT Phi, the mass matrix GT M G, the bias GT c. G depends on
+parameters alone, so derivatives by the state transform likewise: rows as the result, columns as the variable.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 from itertools import count
 from typing import TypeGuard
 
-from sympy import Symbol
+from sympy import Expr, Symbol
 
 from mbsgen.formulations import condition, exp1, exp2, ports, semi
-from mbsgen.formulations.links import declare_state, joint_forces, write_chain
+from mbsgen.formulations.links import assign_symbols, declare_state, joint_forces, write_chain
 from mbsgen.formulations.parsimony.elimination import Factors, factorise
 from mbsgen.formulations.parsimony.segments import align, feels_itself, largest_inertias
 from mbsgen.formulations.planning import finish
@@ -23,6 +23,7 @@ from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import NO_FORCE, Kind, Parameter, Tree
 from mbsgen.roles import Axis, Role
 from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.lowering import lower
 from mbsgen.tape.passes import keep_results
 from mbsgen.tape.ports import Port
 from mbsgen.tape.replay import replay
@@ -45,8 +46,8 @@ def write(build: Build, coupled: Build | None, tree: Tree, reductions: Reduction
 def couple(tape: Tape, tree: Tree) -> Tape:
     """Write a tape of the uncoupled tree for the coupled one: results mapped by G, guards by joint."""
     builder = Builder()
-    map = _Map.of(tree, builder)
-    values = replay(tape, builder, {i.name: map.expand(i.port, map.declare(i)) for i in tape.inputs})
+    map, given = _Map.take(tree, builder, tape.inputs)
+    values = replay(tape, builder, given)
     for o in tape.outputs:
         found = {place: values[v] for place, v in zip(o.sparsity.entries, o.values, strict=True)}
         rows, cols = o.port.rows, o.port.cols
@@ -73,7 +74,24 @@ class _Map:
     offsets: Mapping[int, Scalar]
 
     @staticmethod
-    def of(tree: Tree, builder: Builder) -> _Map:
+    def take(tree: Tree, builder: Builder, inputs: Sequence[Input]) -> tuple[_Map, dict[str, list[Scalar]]]:
+        """Declare the inputs of the coupled tree; return the map, and these inputs for the uncoupled tree."""
+        if all(number.is_number for x in tree.couplings for number in (x.ratio, x.offset)):
+            map = _Map.of(tree, builder, {})
+            return map, {i.name: map.expand(i.port, map.declare(i)) for i in inputs}
+        unknown = _Map.of(tree, builder, None)  # declares inputs, and expands none
+        declared = {i.port: unknown.declare(i) for i in inputs}
+        p, theta = (declared.get(port, []) for port in (ports.PARAMETERS, ports.DESIGN))
+        map = _Map.of(tree, builder, assign_symbols(tree, builder, p, theta))
+        return map, {port.name: map.expand(port, given) for port, given in declared.items()}
+
+    @staticmethod
+    def of(tree: Tree, builder: Builder, symbols: Mapping[Expr, Scalar] | None) -> _Map:
+        """Make the map for values of the parameters; without any, it has the shapes alone."""
+
+        def write(number: Expr) -> Scalar:
+            return builder.zero if symbols is None else lower(number, builder, symbols)
+
         by_body = {x.follower: x for x in tree.couplings}
         bodies = {Axis.VELOCITIES: list(range(1, len(tree.bodies) + 1)), Axis.COORDINATES: _seat_coordinates(tree)}
         targets, ratios = {}, {}
@@ -85,13 +103,18 @@ class _Map:
                 _known(first[by_body[i].leader]) if i in by_body else _known(k)
                 for i, k in zip(numbers, own, strict=True)
             )
-            ratios[axis] = {n: builder.number(by_body[i].ratio) for n, i in enumerate(numbers) if i in by_body}
-        offsets = {n: builder.number(by_body[i].offset) for n, i in enumerate(bodies[Axis.COORDINATES]) if i in by_body}
+            ratios[axis] = {n: write(by_body[i].ratio) for n, i in enumerate(numbers) if i in by_body}
+        offsets = {n: write(by_body[i].offset) for n, i in enumerate(bodies[Axis.COORDINATES]) if i in by_body}
         return _Map(builder, targets, ratios, offsets)
 
     def joint(self, number: int) -> int:
         """Number the joint, from 1, that a joint of the uncoupled tree is or follows."""
         return self.targets[Axis.VELOCITIES][number - 1] + 1
+
+    def list_rows(self, tree: Tree) -> list[dict[int, Scalar]]:
+        """List the rows J of the couplings: the follower's acceleration less ratio times the leader's is 0."""
+        ratios, one = self.ratios[Axis.VELOCITIES], self.builder.number(1.0)
+        return [{x.follower - 1: one, x.leader - 1: -ratios[x.follower - 1]} for x in tree.couplings]
 
     def size(self, axis: Axis | None, otherwise: int) -> int:
         """Count the entries of an axis, in the coupled tree."""
@@ -164,8 +187,8 @@ class _Coupled:
 
     @staticmethod
     def declare(tree: Tree, reductions: Reductions) -> _Coupled:
-        map, (drive, firm) = _Map.of(tree, Builder()), _write_drive(tree.uncoupled)
-        given = {i.name: map.expand(i.port, map.declare(i)) for i in drive.inputs}
+        drive, firm = _write_drive(tree.uncoupled)
+        map, given = _Map.take(tree, Builder(), drive.inputs)
         return _Coupled(tree, reductions, map, given, _results(drive, map.builder, given), firm)
 
     @property
@@ -231,7 +254,7 @@ def write_exp2(tree: Tree, reductions: Reductions) -> Tape:
     n = len(tree.bodies)
     moved = [builder.zero if i in followers else forces[map.targets[Axis.VELOCITIES][i], 0] for i in range(n)]
     a, values = _accelerate(own, tape, own.given["qd"], moved, still=False)
-    rows = [{x.follower - 1: builder.number(1.0), x.leader - 1: builder.number(-x.ratio)} for x in tree.couplings]
+    rows = map.list_rows(tree)
     rest = [builder.zero] * n
     B = [_accelerate(own, tape, rest, [row.get(i, builder.zero) for i in range(n)], still=True)[0] for row in rows]
     JB = {(k + 1, l + 1): _along(rows[k], B[l]) for l in range(len(B)) for k in range(l + 1)}
@@ -254,8 +277,8 @@ def write_condition(tree: Tree, reductions: Reductions) -> Tape:
     of A_kk (A^-1)_kk, with A = J M^-1 JT, multiplies it: the forces of couplings are solved for by elimination.
     """
     builder = Builder()
-    map, plain = _Map.of(tree, builder), condition.build(tree.uncoupled, reductions)
-    given = {i.name: map.expand(i.port, map.declare(i)) for i in plain.inputs}
+    plain = condition.build(tree.uncoupled, reductions)
+    map, given = _Map.take(tree, builder, plain.inputs)
     lost = _results(plain, builder, given)["articulated"]
     inertia = keep_results(semi.build(replace(tree.uncoupled, wrenches=()), reductions), {ports.MASS_MATRIX.name})
     unread = {i.name: [builder.zero] * i.sparsity.nnz for i in inertia.inputs}
@@ -265,7 +288,7 @@ def write_condition(tree: Tree, reductions: Reductions) -> Tape:
     whole, reduced = _factorise(builder, M, n), _factorise(builder, Mr, size)
     inverse = reduced.invert(range(1, size + 1))
     leaders = {map.targets[Axis.VELOCITIES][j]: j for j in range(n) if j not in map.ratios[Axis.VELOCITIES]}
-    spread = _measure_couplings(tree, whole)
+    spread = _measure_couplings(tree, map, whole)
     rows = []
     for i in range(size):
         a = whole.solve({leaders[k] + 1: Mr[k, i] for k in range(size) if (k, i) in Mr})
@@ -278,14 +301,13 @@ def write_condition(tree: Tree, reductions: Reductions) -> Tape:
     return builder.build(plain.function)
 
 
-def _measure_couplings(tree: Tree, whole: Factors) -> Scalar:
+def _measure_couplings(tree: Tree, map: _Map, whole: Factors) -> Scalar:
     """Return the sum over couplings of A_kk (A^-1)_kk, with A = J M^-1 JT; 1 for a single coupling."""
-    builder = whole.builder
-    rows = [{x.follower - 1: builder.number(1.0), x.leader - 1: builder.number(-x.ratio)} for x in tree.couplings]
+    rows = map.list_rows(tree)
     B = [whole.solve({i + 1: value for i, value in row.items()}) for row in rows]
     columns = [[x[i] for i in range(1, whole.size + 1)] for x in B]
     A = {(k + 1, l + 1): _along(rows[k], columns[l]) for l in range(len(B)) for k in range(l + 1)}
-    inverse = factorise(builder, A, len(B)).invert(range(1, len(B) + 1))
+    inverse = factorise(whole.builder, A, len(B)).invert(range(1, len(B) + 1))
     terms = [_size(A[k, k] * inverse[k][k]) for k in range(1, len(B) + 1)]
     return sum(terms[1:], start=terms[0])
 

@@ -176,11 +176,15 @@ class Chain:
 
 def write_chain(tree: Tree, builder: Builder, state: State) -> Chain:
     """Start a tree in the builder that declares its state."""
+    return Chain(tree, builder, state, assign_symbols(tree, builder, state.p, state.theta))
+
+
+def assign_symbols(tree: Tree, builder: Builder, p: Sequence[Scalar], theta: Sequence[Scalar]) -> dict[Expr, Scalar]:
+    """Return the parameters by their symbols, given the run-time parameters `p` and the differentiated ones."""
     symbols: dict[Expr, Scalar] = {}
-    for kind, given in ((Kind.RUNTIME, state.p), (Kind.DIFFERENTIATED, state.theta)):
+    for kind, given in ((Kind.RUNTIME, p), (Kind.DIFFERENTIATED, theta)):
         symbols |= dict(zip((x.symbol for x in tree.parameters if x.kind is kind), given, strict=True))
-    symbols |= {x.symbol: builder.number(x.value) for x in tree.parameters if x.kind is Kind.CONSTANT}
-    return Chain(tree, builder, state, symbols)
+    return symbols | {x.symbol: builder.number(x.value) for x in tree.parameters if x.kind is Kind.CONSTANT}
 
 
 def _write_link(chain: Chain, number: int, body: Body, q: Scalar) -> Link:

@@ -55,6 +55,7 @@ def check_followers(model: Model, valuation: Valuation) -> Iterator[Finding]:
     faults = [*_check_rules(steps, by_name, valuation)]
     yield from faults
     if not faults and not valuation.findings:
+        yield from _check_bounds(steps, by_name, valuation)
         yield from _check_limits(steps, by_name, valuation)
 
 
@@ -65,7 +66,7 @@ def _check_rules(steps: Sequence[Step], by_name: Mapping[str, Step], valuation: 
             continue
         place = (*step.place, "follows")
         for key, number in (("ratio", follow.ratio), ("offset", follow.offset)):
-            if valuation.constant((*place, key), number) == 0 and key == "ratio":
+            if valuation.number((*place, key), number) == 0 and key == "ratio":
                 yield Finding((*place, key), "a ratio of 0", "make the joint fixed, or give another ratio")
         if step.joint.actuated:
             finding = "an input of a joint that follows another"
@@ -117,6 +118,17 @@ def find_range(name: str, ranges: Mapping[str, Range], rules: Mapping[str, tuple
         if leader == name:
             found = found.met(ranges[follower].seen_by_leader(ratio, offset))
     return found
+
+
+def _check_bounds(steps: Sequence[Step], by_name: Mapping[str, Step], valuation: Valuation) -> Iterator[Finding]:
+    """Find followers with bounds of their own that would bind the other joint by a number of run time."""
+    for name, rule in find_rules(steps).items():
+        joint, place = by_name[name].joint, by_name[name].place
+        key = "max_speed" if (joint.lower, joint.upper) == (None, None) else "limits"
+        is_bound = key == "limits" or joint.max_speed is not None
+        if is_bound and (valuation.changes(rule.ratio) or valuation.changes(rule.offset)):
+            finding = f"a bound of a joint that follows {abbreviate(rule.joint)} at a ratio that may change at run time"
+            yield Finding((*place, key), finding, "bound the other joint")
 
 
 def _check_limits(steps: Sequence[Step], by_name: Mapping[str, Step], valuation: Valuation) -> Iterator[Finding]:

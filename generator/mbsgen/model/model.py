@@ -105,8 +105,8 @@ class Follow:
     """What a joint does that has no coordinate of its own: its q is ratio times that of another joint, plus offset."""
 
     joint: str  # the other one's name
-    ratio: Expression = ONE  # constant, not 0
-    offset: Expression = ZERO  # constant [rad or m]
+    ratio: Expression = ONE  # not 0
+    offset: Expression = ZERO  # [rad or m]
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from mbsgen.model import model, tree
 from mbsgen.model.expansion import expand
 from mbsgen.model.following import Range, find_range, find_rules, list_joints
 from mbsgen.model.model import BASE, Model
-from mbsgen.model.symbols import round_number, symbolic, to_double, total
+from mbsgen.model.symbols import exact, round_number, symbolic, to_double, total
 from mbsgen.model.topology import sort_bodies
 from mbsgen.model.tree import (
     COORDINATE,
@@ -136,6 +136,11 @@ class _Reader:
     def constant(self, expression: Expression) -> float:
         """Read a number that is constant."""
         return to_double(evaluate(expression, self.values, self.algebra))
+
+    def coefficient(self, expression: Expression) -> Expr:
+        """Read a number of a coupling: a double, or an expression over run-time parameters."""
+        value = evaluate(expression, self.values, self.algebra)
+        return exact(to_double(value)) if value.is_number else self.number(expression)
 
     def limit(self, expression: Expression | None) -> float | None:
         """Read a limit of a joint, which is constant."""
@@ -293,14 +298,18 @@ def _find_couplings(description: Model, moving: Sequence[_Mover], reader: _Reade
     """Find the joints that follow others, and what leads them in the end."""
     numbers = {mover.joint.name: i for i, mover in enumerate(moving, 1)}
     for name, rule in find_rules(list_joints(description)).items():
-        yield Coupling(numbers[name], numbers[rule.joint], reader.constant(rule.ratio), reader.constant(rule.offset))
+        yield Coupling(numbers[name], numbers[rule.joint], *map(reader.coefficient, (rule.ratio, rule.offset)))
 
 
 def _bind(bodies: tuple[tree.Body, ...], couplings: Sequence[Coupling]) -> tuple[tree.Body, ...]:
     """Bound joints by the limits of those that follow them."""
     ranges = {body.joint.name: _find_range(body.joint) for body in bodies}
     joints = [body.joint.name for body in bodies]
-    rules = {joints[x.follower - 1]: (joints[x.leader - 1], x.ratio, x.offset) for x in couplings}
+    rules = {
+        joints[x.follower - 1]: (joints[x.leader - 1], to_double(x.ratio), to_double(x.offset))
+        for x in couplings
+        if x.ratio.is_number and x.offset.is_number  # else the follower has no limits
+    }
     bound = list(bodies)
     for i in {x.leader - 1 for x in couplings}:
         found = find_range(joints[i], ranges, rules)

@@ -146,7 +146,10 @@ class _Release:
     def _follow(self, follow: Follow | None) -> Follow | None:
         if follow is None:
             return None
-        ratio, offset = (Number(self._valuation.number((), x)) for x in (follow.ratio, follow.offset))
+        ratio, offset = (
+            x if self._valuation.changes(x) else Number(self._valuation.number((), x))
+            for x in (follow.ratio, follow.offset)
+        )
         return Follow(follow.joint, ratio, offset)
 
     def _law(self, law: Law, joint: str) -> Law:

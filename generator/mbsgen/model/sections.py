@@ -89,8 +89,8 @@ class FollowSection(Section):
     """A joint without a coordinate of its own: it goes with another one, as by a gear or a linkage."""
 
     joint: str = Field(examples=["q1"], description="the joint that it follows")
-    ratio: NumberField = Field(ONE, examples=[-1.0], description="of its q to that of the other joint; constant")
-    offset: NumberField = Field(ZERO, examples=[0.1], description="its q where that of the other is 0; constant")
+    ratio: NumberField = Field(ONE, examples=[-1.0], description="of its q to that of the other joint")
+    offset: NumberField = Field(ZERO, examples=[0.1], description="its q where that of the other is 0")
 
 
 class SettingSection(Section):

@@ -120,8 +120,8 @@ class Coupling:
 
     follower: int  # number of its body
     leader: int  # number of the other joint's body; that joint has a coordinate
-    ratio: float  # not 0
-    offset: float  # [rad or m]
+    ratio: Expr  # not 0
+    offset: Expr  # [rad or m]
 
 
 @dataclass(frozen=True)
@@ -200,6 +200,7 @@ class Tree:
             numbers += [body.mass, *body.com, *chain(*body.inertia)]
             for part in body.parts:
                 numbers += [part.mass, *part.com, *chain(*part.inertia)]
+        numbers += [number for x in self.couplings for number in (x.ratio, x.offset)]
         for sensor in self.sensors:
             numbers += [*sensor.position, *chain(*sensor.orientation)]
         for wrench in self.wrenches:

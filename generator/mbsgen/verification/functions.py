@@ -12,12 +12,15 @@ from decimal import Decimal
 from functools import cached_property
 from itertools import islice
 
+from sympy import Expr
+
 from mbsgen.formulations import ports, textbook
-from mbsgen.formulations.links import declare_state, joint_forces, write_chain
-from mbsgen.model.tree import Coupling, Tree
+from mbsgen.formulations.links import assign_symbols, declare_state, joint_forces, write_chain
+from mbsgen.model.tree import Coupling, Kind, Tree
 from mbsgen.procedure.procedure import Computation
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import DECIMALS, evaluate
+from mbsgen.tape.lowering import lower
 from mbsgen.tape.ports import Port
 from mbsgen.tape.types import Tape
 from mbsgen.verification.geometry import (
@@ -115,14 +118,27 @@ class Truth:
         for body, force in zip(self.tree.bodies, forces, strict=True):
             coupling = self._leaders.get(body.joint.name)
             name = self.tree.bodies[coupling.leader - 1].joint.name if coupling else body.joint.name
-            felt[name] += force * Decimal(coupling.ratio) if coupling else force
+            felt[name] += force * self._value(coupling.ratio) if coupling else force
         return list(felt.values())
 
     def _follow(self, name: str, free: Mapping[str, Decimal], *, is_place: bool = False) -> Decimal:
         if (coupling := self._leaders.get(name)) is None:
             return free[name]
-        turned = Decimal(coupling.ratio) * free[self.tree.bodies[coupling.leader - 1].joint.name]
-        return turned + Decimal(coupling.offset) if is_place else turned
+        turned = self._value(coupling.ratio) * free[self.tree.bodies[coupling.leader - 1].joint.name]
+        return turned + self._value(coupling.offset) if is_place else turned
+
+    def _value(self, number: Expr) -> Decimal:
+        """Return a number of the tree for the parameters of the state."""
+        builder = Builder()
+        given = {
+            port: self.state.take(port.name, sum(x.kind is kind for x in self.tree.parameters))
+            for port, kind in ((ports.PARAMETERS, Kind.RUNTIME), (ports.DESIGN, Kind.DIFFERENTIATED))
+        }
+        p, theta = (builder.vector(port, len(values)) if values else [] for port, values in given.items())
+        builder.output_dense("value", [[lower(number, builder, assign_symbols(self.tree, builder, p, theta))]])
+        inputs = {port.name: values for port, values in given.items() if values}
+        (value,) = evaluate(builder.build("value"), inputs, DECIMALS)["value"]
+        return Decimal(value)
 
     @cached_property
     def is_finite(self) -> bool:

@@ -23,13 +23,14 @@ from mbsgen.errors import InputError
 from mbsgen.expressions import Number
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import Reductions
-from mbsgen.model.construction import Setting, body, frame, free, make_model, revolute
+from mbsgen.model.construction import Setting, body, frame, free, make_model, revolute, runtime
 from mbsgen.model.locking import lock
 from mbsgen.model.model import Model
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.releasing import with_runtime_numbers
 from mbsgen.model.scene import EVERYTHING
+from mbsgen.model.symbols import exact
 from mbsgen.model.tree import Coupling, Tree
 from mbsgen.model.writer import write_model
 from mbsgen.pipeline import Options, make, write_families
@@ -64,7 +65,7 @@ def coupled_tree(seed: int) -> Tree:
     ]
     couplings = tuple(
         Coupling(
-            i, int(rng.choice(leaders)), float(rng.choice([-2.0, -1.0, 0.5, 1.0, 1.7])), float(rng.choice([0, 0.4]))
+            i, int(rng.choice(leaders)), exact(rng.choice([-2.0, -1.0, 0.5, 1.0, 1.7])), exact(rng.choice([0, 0.4]))
         )
         for i in followers
     )
@@ -81,8 +82,10 @@ def couple_some(tree: Tree, seed: int, count: int) -> Tree:
         replace(b, joint=replace(b.joint, actuated=b.joint.actuated and i not in followers))
         for i, b in enumerate(tree.bodies, 1)
     ]
-    ratios = [float(x) for x in rng.choice([-2.0, -1.0, 0.5, 1.7], count)]
-    couplings = tuple(Coupling(i, int(rng.choice(leaders)), x, 0.0) for i, x in zip(followers, ratios, strict=True))
+    ratios = [exact(x) for x in rng.choice([-2.0, -1.0, 0.5, 1.7], count)]
+    couplings = tuple(
+        Coupling(i, int(rng.choice(leaders)), x, exact(0.0)) for i, x in zip(followers, ratios, strict=True)
+    )
     return replace(tree, bodies=tuple(bodies), couplings=couplings)
 
 
@@ -92,8 +95,8 @@ def map_of(tree: Tree) -> tuple[Array, Array]:
     kept = [i for i in range(1, len(tree.bodies) + 1) if i not in followers]
     G, g = np.zeros((len(tree.bodies), len(kept))), np.zeros(len(tree.bodies))
     for i in range(1, len(tree.bodies) + 1):
-        rule = followers.get(i, Coupling(i, i, 1.0, 0.0))
-        G[i - 1, kept.index(rule.leader)], g[i - 1] = rule.ratio, rule.offset
+        rule = followers.get(i, Coupling(i, i, exact(1.0), exact(0.0)))
+        G[i - 1, kept.index(rule.leader)], g[i - 1] = float(rule.ratio), float(rule.offset)
     return G, g
 
 
@@ -191,10 +194,10 @@ def test_derivatives_are_exact(name: str, seed: int) -> None:
     state = {key: digits(rng.uniform(0.2, 1, size)) if size else np.zeros(0, object) for key, size in sizes.items()}
     value, jac, adj1, second = (tapes[f"{order}{name}"] for order in ("", "jac_", "adj1_", "jac_adj1_"))
     for tape, slopes in ((value, jac), (adj1, second)):
-        exact = compute_digits(slopes, state)
+        slopes_found = compute_digits(slopes, state)
         for x in (i.name for i in tape.inputs):
             for o in (o.name for o in tape.outputs):
-                found = exact.get(f"jac_{o}_{x}")
+                found = slopes_found.get(f"jac_{o}_{x}")
                 if found is None:
                     continue
 
@@ -280,7 +283,7 @@ def test_a_follower_of_a_follower_goes_by_the_first() -> None:
         body("3", revolute("z", name="c", follows=("a", 3, 0.25)), parent="2", mass=1, com=(0.1, 0, 0)),
     ]
     tree = build_tree(make_model("chain", chain, gravity=(0, -9.81, 0)))
-    assert tree.couplings == (Coupling(2, 1, 6.0, 1.0), Coupling(3, 1, 3.0, 0.25))
+    assert tree.couplings == (Coupling(2, 1, exact(6.0), exact(1.0)), Coupling(3, 1, exact(3.0), exact(0.25)))
     assert tree.coordinates == ("a",)
 
 
@@ -323,10 +326,10 @@ def test_no_error_is_larger_than_condition_estimates(seed: int, ratio: int) -> N
     state["u"] = state["u"][: sum(joint.actuated for joint in tree.joints)]
     estimates = compute(tapes["condition"], state)
     for name, estimate in (("exp1", "elimination"), ("exp2", "articulated")):
-        exact = evaluate(
+        digits = evaluate(
             tapes[name], {i.name: list(map(DIGITS.literal, state[i.name])) for i in tapes[name].inputs}, DIGITS
         )
-        expected, found = np.array(list(map(float, exact["qdd"]))), compute(tapes[name], state)["qdd"][:, 0]
+        expected, found = np.array(list(map(float, digits["qdd"]))), compute(tapes[name], state)["qdd"][:, 0]
         error = np.abs(found - expected).max() / np.abs(expected).max()
         assert error <= 16 * EPSILON * estimates[estimate].max() + 1e-14
         if name == "exp1":
@@ -351,11 +354,27 @@ def test_a_tolerance_is_kept_where_joints_follow_others() -> None:
     assert (np.abs(residuals(found.tree) - expected).max(axis=0) <= 0.05 * np.abs(expected).max(axis=0)).all()
 
 
+def test_bounds_that_would_change_at_run_time_are_refused() -> None:
+    """They would bind the other joint by a number that the manifest does not know."""
+    with pytest.raises(
+        InputError, match=r"joint\.max_speed: .* ratio that may change at run time; bound the other joint"
+    ):
+        make_model(
+            "geared",
+            [
+                body("1", revolute("z", name="a"), mass=1, com=(0.1, 0, 0)),
+                body("2", revolute("z", name="b", max_speed=1, follows=("a", "r", 0)), mass=1, com=(0.1, 0, 0)),
+            ],
+            gravity=(0, 0, 0),
+            parameters={"r": runtime(2)},
+        )
+
+
 def test_run_time_parameters_are_taken_as_ever() -> None:
     """With every number a parameter, at the values of the file: the same accelerations. Couplings stay constant."""
     model = finger(("a", "-k/2", 0.1), parameters={"k": 1.5})
     tree, loose = build_tree(model), build_tree(with_runtime_numbers(model))
-    assert loose.couplings == tree.couplings == (Coupling(8, 7, -0.75, 0.1),)
+    assert loose.couplings == tree.couplings == (Coupling(8, 7, exact(-0.75), exact(0.1)),)
     rng = np.random.default_rng(5)
     state = {"q": rng.uniform(-1, 1, 8), "qd": rng.uniform(-1, 1, 7), "u": rng.uniform(-1, 1, 1)}
     state["p"] = np.array(values_of(loose))

@@ -5,7 +5,7 @@ Pinocchio's own joints are set up by hand. Tolerances are some hundred roundings
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from mbsgen.expressions import Number
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import ALL, NONE, Reductions
-from mbsgen.model.construction import body, frame, inertia, joint, make_model, revolute
+from mbsgen.model.construction import body, differentiated, frame, inertia, joint, make_model, revolute, runtime
 from mbsgen.model.locking import lock
-from mbsgen.model.model import Model
+from mbsgen.model.model import Model, Parameter
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Tree
 from mbsgen.pipeline import Options, make
@@ -182,6 +182,19 @@ def test_all_that_is_generated_is_verified(type: str) -> None:
     assert limited.max_force == 3
     assert limited.name == ("link" if type == "helical" else f"link.{LABELS[type]}")
     assert limited.motion == ("prismatic" if type in ("cylindrical", "planar") else "revolute")
+
+
+@pytest.mark.parametrize("kind", [runtime, differentiated])
+def test_a_pitch_may_be_a_parameter(kind: Callable[[float], Parameter]) -> None:
+    """Of run time, or one that the code is differentiated by: all of it is verified at several pitches, too."""
+    nut = body("nut", joint("helical", axis="z", pitch="p/2"), mass=2.0, com=(0.1, 0, 0.3), inertia=(0.1, 0.2, 0.3))
+    model = make_model("m", [nut], gravity=(0, 0, -9.81), parameters={"p": kind(0.2)}, frames=[frame("tip", "nut")])
+    make(model, Options(functions=("impl", "semi", "exp1", "exp2", "energy", "motion")))
+    tree = build_tree(model)
+    given = {"q": [0.3], "qd": [0.7], ("p" if kind is runtime else "theta"): [6.0]}
+    found = evaluate(FUNCTIONS["semi"].build(tree, ALL), given)
+    assert found["M"] == pytest.approx([0.3 + 0.1**2 * 2 + 3.0**2 * 2], rel=1e-14)
+    assert found["c"] == pytest.approx([3.0 * 2 * 9.81], rel=1e-14)
 
 
 def test_a_locked_screw_stands_turned_and_moved() -> None:

@@ -25,7 +25,7 @@ class HelicalSection(JointSection, SettingSection):
 
     type: Literal["helical"] = Field(examples=["helical"])
     axis: DirectionField = Field(examples=["z"])
-    pitch: NumberField = Field(examples=[0.01], description="m/rad: how far it moves for each radian; constant, not 0")
+    pitch: NumberField = Field(examples=[0.01], description="m/rad: how far it moves for each radian; not 0")
 
     def make(self, body: str) -> tuple[Joint, ...]:
         """Make the turn, which has the coordinate and the settings, and the slide that follows it."""
