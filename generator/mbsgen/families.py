@@ -201,8 +201,8 @@ def _split_setup(families: list[Family]) -> tuple[Family, ...]:
             f,
             value=find(f.value),
             jac=f.jac and find(f.jac),
-            adj1=f.adj1 and tapes[f.adj1.name],
-            jac_adj1=f.jac_adj1 and tapes[f.jac_adj1.name],
+            adj1=f.adj1 and find(f.adj1),
+            jac_adj1=f.jac_adj1 and find(f.jac_adj1),
             staged={name: rest[name] for name in f.staged},
         )
         for f in families

@@ -52,4 +52,5 @@ def _join(stages: Sequence[Straight], procedure: Procedure) -> Straight:
             known[wire.name] = [values[v] for v in output.values]
             if wire.name in needed:
                 sheet.give(wire, known[wire.name])
-    return Straight(sheet.finish(stages[0].name))
+    tape = sheet.finish(stages[0].name)
+    return Straight(replace(tape, guards=tuple(dict.fromkeys(tape.guards))))  # one may come from several stages

@@ -166,6 +166,7 @@ class Repeat(Stage):
         """Map the adjoint of the tape, and scatter what it gives."""
         builder = Builder()
         values = replay(self.tape, builder, declare_inputs(self.tape, builder))
+        replay_guards(self.tape, builder, values)
         weights: dict[int, Scalar] = {}
         gathers = [*self.gathers]
         for wire, output in zip(self.gives, self.tape.outputs, strict=True):

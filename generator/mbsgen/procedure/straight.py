@@ -95,6 +95,7 @@ class Straight(Stage):
         """Carry adjoints from the last operation to the first."""
         sheet = Sheet()
         values = replay(self.tape, sheet.builder, {wire.name: sheet.take(wire) for wire in self.reads})
+        replay_guards(self.tape, sheet.builder, values)
         seeds: dict[int, Scalar] = {}
         for wire, output in zip(self.gives, self.tape.outputs, strict=True):
             for value, seed in zip(output.values, adjoints.take(sheet, wire), strict=True):

@@ -29,8 +29,8 @@ class Family:
 
     value: Computation
     jac: Computation | None = None
-    adj1: Tape | None = None
-    jac_adj1: Tape | None = None
+    adj1: Computation | None = None
+    jac_adj1: Computation | None = None
     title: str = ""  # what it computes; for readers
     staged: Mapping[str, Procedure] = field(default_factory=dict)  # by name, tapes in stages, where that is quicker
     integer: Literal["casadi_int", "int"] = "casadi_int"  # the type of counts and places in CasADi's contract

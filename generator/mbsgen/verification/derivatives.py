@@ -10,10 +10,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from decimal import Decimal
 
 from mbsgen.procedure.procedure import Computation, Procedure, evaluate
+from mbsgen.procedure.stages import Wire
 from mbsgen.roles import Order, Role
 from mbsgen.tape.interpreter import DECIMALS
 from mbsgen.tape.ports import Port
-from mbsgen.tape.types import Output, Sparsity, Tape
+from mbsgen.tape.types import Output, Sparsity
 from mbsgen.targets.contract import Family
 from mbsgen.verification.functions import Comparison, largest
 from mbsgen.verification.geometry import STEP, ZERO, dot, slope
@@ -37,7 +38,7 @@ def compare_derivatives(family: Family, arguments: Arguments) -> Iterator[tuple[
     if family.adj1:
         given = arguments(family.adj1)
         adjoint = evaluate(family.adj1, given, DECIMALS)
-        gradient = [dot(adjoint[o.name], way.take(by.name, len(o.values))) for o, by in _adjoints(family.adj1)]
+        gradient = [dot(adjoint[o.name], way.take(by.name, o.sparsity.nnz)) for o, by in _adjoints(family.adj1)]
         weighted = [dot(given[i.name], along[i.port.of.name]) for i in family.adj1.inputs if i.port.of]
         scale = max(largest(gradient), largest(weighted))
         yield family.adj1.name, Comparison("adj", [sum(gradient, ZERO)], [sum(weighted, ZERO)], scale)
@@ -77,7 +78,7 @@ class _Direction:
         return list(draw(f"{DIRECTION} {name}", size, 0))
 
 
-def _adjoints(adj1: Tape) -> Iterator[tuple[Output, Port]]:
+def _adjoints(adj1: Computation) -> Iterator[tuple[Output | Wire, Port]]:
     """List the results of an adjoint, each with the input that it is the derivative by."""
     for o in adj1.outputs:
         assert o.port.by, "an adjoint is by an input"
