@@ -25,9 +25,9 @@ from mbsrun.skeleton import Skeleton, place
 
 Array = NDArray[np.float64]
 
-RATE = 25.0  # pictures a second; the page draws what lies between
+RATE = 25.0  # pictures a second; the page interpolates
 MAX_PICTURES = 1500
-FAR = 1e12  # m; what has run away further is shown there
+FAR = 1e12  # m; points farther away are shown there
 _ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
 
 
@@ -126,4 +126,4 @@ def _fill_page(motion: str) -> str:
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     page = (folder / "animation.html").read_text(encoding="utf-8")
     page = page.replace("@SCRIPT_HASH@", f"sha256-{digest}").replace("@SCRIPT@", script)
-    return page.replace("@MOTION@", motion)  # last: what it says is not looked at again
+    return page.replace("@MOTION@", motion)  # last: its text may contain the other marks

@@ -1,7 +1,7 @@
-"""C functions called on arrays: one state with as little in between as Python allows, or many states in one C loop.
+"""C functions called on arrays: one state with little overhead in Python, or many states in one C loop.
 
-Calls go through the functions in CasADi's contract, since they take any kernel's arguments alike; the library's own
-account of those arguments is compared with the manifest before anything is called.
+Calls use the functions in CasADi's contract, since their signature is the same for all kernels. The library's own
+description of the arguments is compared with the manifest before anything is called.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _NULL = cffi.FFI().NULL
 
 
 class ArgumentError(MbsError):
-    """A kernel that is called with what it does not take, or that there is not."""
+    """A kernel that does not exist, or arguments that do not fit."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Port:
         return np.array(a.row, dtype=np.intp), np.repeat(np.arange(a.cols), np.diff(a.colind))
 
     def spread(self) -> NDArray[np.intp]:
-        """Tell for each entry, row by row, which of the nonzeros it is; -1: none."""
+        """Return, for each entry, row by row, the index of its nonzero; -1: none."""
         a = self.argument
         if self.places is None:
             return np.arange(a.nnz, dtype=np.intp).reshape(a.cols, a.rows).T.ravel()
@@ -98,21 +98,21 @@ class Entry:
     n_out: int
     inputs: tuple[Port, ...]
     outputs: tuple[Port, ...]
-    free: list[_Desk] = field(default_factory=list)  # taken and put back whole, so that threads do not meet
+    free: list[_Desk] = field(default_factory=list)  # taken and put back whole, so that threads do not share one
 
     @cached_property
     def takes_hidden(self) -> bool:
-        """Whether run-time parameters matter to it."""
+        """Return whether it needs run-time parameters."""
         return self.kernel.taking(Role.SETUP) is not None
 
     @cached_property
     def design(self) -> str | None:
-        """The name of the input that holds differentiated parameters, where they matter to it."""
+        """The name of the input for differentiated parameters, if it needs them."""
         found = self.kernel.taking(Role.DESIGN)
         return found.name if found else None
 
     def call_once(self, inputs: Mapping[str, ArrayLike], hidden: Array | None) -> tuple[int, dict[str, Array]] | None:
-        """Call for one state; give the status and dense results, or None where the inputs are not plainly that."""
+        """Call for one state; return the status and dense results, or None if the inputs do not fit one state."""
         try:
             desk = self.free.pop()
         except IndexError:
@@ -130,7 +130,8 @@ class Entry:
     def call(self, batch: Any, inputs: Sequence[tuple[Port, Array]], states: int) -> tuple[Status, list[Array]]:
         """Call `mbs_batch` of the library `batch`; inputs by nonzeros, a row for each state or one for all.
 
-        Gives the status of each state, shape (states,), and nonzeros, shapes (states, nnz): NaN where it is not 0.
+        Returns the status of each state, shape (states,), and nonzeros, shapes (states, nnz): NaN where the status is
+        not 0.
         """
         ffi = self.ffi
         arg, arg_step = ffi.new(f"const {_POINTERS}", self.n_in), ffi.new(_STEPS, self.n_in)
@@ -151,7 +152,7 @@ class Entry:
 
 
 class _Desk:
-    """Room for the arguments of one call: laid out once, since that takes longer than most calls."""
+    """Memory for the arguments of one call, laid out once, since this takes longer than most calls."""
 
     def __init__(self, entry: Entry) -> None:
         ffi = entry.ffi
@@ -181,7 +182,7 @@ class _Desk:
         self.spread = np.concatenate(spread)
 
     def lay(self, inputs: Mapping[str, ArrayLike]) -> bool:
-        """Copy the inputs to where the function reads them; tell whether all are there, and fit one state."""
+        """Copy the inputs to the memory that the function reads; return whether they are complete and fit one state."""
         if not self.is_plain or len(inputs) != len(self.slots):
             return False
         for name, shape, slot in self.slots:
@@ -197,7 +198,7 @@ class _Desk:
         return True
 
     def read(self) -> dict[str, Array]:
-        """Copy the results from where the function wrote them."""
+        """Copy the results from the memory that the function wrote."""
         entries = self.found.take(self.spread)
         return {
             name: entries[start:end] if shape is None else entries[start:end].reshape(shape)
@@ -217,7 +218,7 @@ def bind(library: Path, kernel: Kernel) -> Entry:
         function, n_in, n_out = (getattr(lib, kernel.symbol + end) for end in ("", "_n_in", "_n_out"))
         inputs = tuple(_find_ports(ffi, lib, kernel, "in", kernel.inputs))
         outputs = tuple(_find_ports(ffi, lib, kernel, "out", kernel.outputs))
-    except (AttributeError, LookupError):  # a function of libm would be found by its name, but not its account
+    except (AttributeError, LookupError):  # a name of libm would be found, but not its description
         finding = "the manifest and the C files disagree"
         raise ArgumentError(f"{kernel.symbol}: {finding}; generate the folder again") from None
     return Entry(kernel, ffi, function, n_in(), n_out(), inputs, outputs)
@@ -249,7 +250,7 @@ def _find_ports(ffi: cffi.FFI, lib: Any, kernel: Kernel, side: str, arguments: t
 
 
 def _compress(argument: Argument) -> list[int]:
-    """Write a pattern as the library does."""
+    """Return a pattern as the library does."""
     if argument.row is None or argument.colind is None:
         return [argument.rows, argument.cols, 1]
     return [argument.rows, argument.cols, *argument.colind, *argument.row]

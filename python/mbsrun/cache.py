@@ -1,16 +1,16 @@
-"""The user's cache: what is made once and found again, by names that tell its content.
+"""The user's cache: files that are made once and found again, by names made from their content.
 
-    models/<hash>/                  folders that mbsgen generated of model files
+    models/<hash>/                  folders that mbsgen generated from model files
     compiled/<model>/<name>-<hash>  objects and libraries
-    <entry>.sha256                  the hash of an entry's content, by which it is checked whenever it is used
-    building-*/                     what is being made, or was when its process was killed
+    <entry>.sha256                  the hash of an entry's content, checked at each use
+    building-*/                     entries in the making, or left by a killed process
 
-Everything is made aside and renamed into place: it is there as a whole or not at all, whoever else makes the same, and
-whenever a process is killed. The time stamp of an entry tells when it was last used.
+Everything is made aside and renamed into place: it is complete or absent, even if another process makes the same or is
+killed. The time stamp of an entry is the time of its last use.
 
 Libraries of the cache run in this process. So a cache that somebody else may write to is not used, and an entry that
-does not match its hash is made again. Without a cache, what is made goes into a temporary folder, for as long as the
-process lives.
+does not match its hash is made again. Without a cache, entries are made in a temporary folder, for the life of the
+process.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ from mbsrun.trust import StrangerError, check_folder, close_to_others, compute_h
 
 MODELS, COMPILED, BUILDING = "models", "compiled", "building-"
 HASH = ".sha256"
-ABANDONED = 86400.0  # s; what is under way that long was left behind by a killed process
-ROOM = 16_000_000  # bytes; where they are not free, a failure to compile may be a full disk
+ABANDONED = 86400.0  # s; older unfinished entries were left by a killed process
+ROOM = 16_000_000  # bytes; with less free space, a failure to compile may be a full disk
 _LOCK = ".lock"
 _LOG = logging.getLogger("mbsrun")
 
@@ -51,21 +51,21 @@ class CacheError(MbsError):
 
 @dataclass(frozen=True)
 class Entry:
-    """Something in the cache."""
+    """One entry of the cache."""
 
     path: Path
     kind: Kind
-    model: str  # the prefix of its C names; empty where it is not known
+    model: str  # the prefix of its C names; empty if unknown
     size: int  # bytes
-    used: float  # when it was last used, s since the epoch
+    used: float  # time of the last use, s since the epoch
 
     def is_being_made(self, now: float) -> bool:
-        """Tell whether a process may be at work on it."""
+        """Return whether a process may still be making it."""
         return self.kind == "unfinished" and now - self.used <= ABANDONED
 
 
 def cache_folder(environment: Mapping[str, str]) -> Path:
-    """Return the cache's place: $XDG_CACHE_HOME/mbsgen, else ~/.cache/mbsgen; CacheError without a home folder."""
+    """Return the cache's path: $XDG_CACHE_HOME/mbsgen, else ~/.cache/mbsgen; CacheError without a home folder."""
     base = Path(environment.get("XDG_CACHE_HOME", ""))
     if base.is_absolute():
         return base / "mbsgen"
@@ -76,21 +76,21 @@ def cache_folder(environment: Mapping[str, str]) -> Path:
 
 
 def find_or_make(name: PurePath, make: Callable[[Path], Path]) -> Path:
-    """Return the entry `name` of the cache; what is not there yet, `make` makes in the empty folder that it is given.
+    """Return the entry `name` of the cache; `make` makes a missing entry in the empty folder it is given.
 
-    One of several processes that want the same makes it, and the others wait. Where the cache cannot be used, one
-    sentence is logged, and the entry is made in a temporary folder. Raises CacheError if that cannot be used either;
-    what `make` raises passes, and nothing is left.
+    If several processes need the same entry, one makes it, and the others wait. Where the cache cannot be used, one
+    message is logged, and the entry is made in a temporary folder. Raises CacheError if that cannot be used either. An
+    exception of `make` passes, and nothing is left.
     """
     try:
         return _find_or_make(cache_folder(os.environ), name, make)
     except CacheError as error:
-        _warn_once(f"{error}; a temporary folder takes its place, and what is made there is lost at the end")
+        _warn_once(f"{error}; a temporary folder replaces it until the process ends")
     return _find_or_make(_open_temporary(), name, make)
 
 
 def list_entries(cache: Path) -> tuple[Entry, ...]:
-    """List what the cache holds, by path."""
+    """List the entries of a cache, by path."""
     kinds: dict[str, Kind] = {".o": "object", ".so": "library"}
     compiled = [
         _describe(path, kinds[path.suffix], path.parent.name)
@@ -110,13 +110,13 @@ def list_entries(cache: Path) -> tuple[Entry, ...]:
 
 
 def remove(entries: Iterable[Entry]) -> None:
-    """Remove entries; what is gone already is no error. Raises CacheError for what cannot be removed."""
+    """Remove entries; missing ones are no error. Raises CacheError if one cannot be removed."""
     try:
         for entry in entries:
             if entry.path.is_dir():
                 aside = Path(tempfile.mkdtemp(prefix=BUILDING, dir=cache_folder(os.environ)))
                 with suppress(FileNotFoundError):
-                    entry.path.rename(aside / "removed")  # a folder of which a part is gone is never met
+                    entry.path.rename(aside / "removed")  # so nobody meets a folder of which a part is gone
                 shutil.rmtree(aside, ignore_errors=True)
             else:
                 entry.path.unlink(missing_ok=True)
@@ -125,11 +125,11 @@ def remove(entries: Iterable[Entry]) -> None:
         raise CacheError(f"cannot remove {entry.path}: {error.strerror}") from None
 
 
-# --- places --------------------------------------------------------------------------------------------------------
+# --- paths ---------------------------------------------------------------------------------------------------------
 
 
 def _find_home(environment: Mapping[str, str]) -> Path | None:
-    """Find the user's home: $HOME, else by the user's number; None where there is no such folder."""
+    """Return the user's home: $HOME, else by the user's number; None where it does not exist."""
     try:
         home = Path(environment.get("HOME") or pwd.getpwuid(os.geteuid()).pw_dir)
     except KeyError:
@@ -142,7 +142,7 @@ _ONE = Lock()
 
 
 def _open_temporary() -> Path:
-    """Return a folder that this process has for itself, and that is removed when it ends."""
+    """Return a folder of this process alone, removed when it ends."""
     process = os.getpid()
     with _ONE:
         if process not in _TEMPORARY:
@@ -184,7 +184,7 @@ def _find_or_make(cache: Path, name: PurePath, make: Callable[[Path], Path]) -> 
 
 
 def _open_folder(cache: Path, name: PurePath) -> Path:
-    """Make a folder of the cache that is missing, and check that it is the user's own; return it without links."""
+    """Make missing folders of the cache, and check that they belong to the user; return the path without links."""
     make_folder(cache / name)
     place, top, home = (cache / name).resolve(), cache.resolve(), _find_home(os.environ)
     check_folder(place, top, None if home is None else home.resolve())
@@ -192,7 +192,7 @@ def _open_folder(cache: Path, name: PurePath) -> Path:
 
 
 def _use(target: Path) -> bool:
-    """Tell whether an entry is there as it was made, and mark it as used."""
+    """Return whether an entry matches its hash, and mark it as used."""
     try:
         is_whole = compute_hash(target) == read_checked(_hash_of(target)).decode(errors="replace").strip()
     except (OSError, StrangerError):
@@ -203,7 +203,7 @@ def _use(target: Path) -> bool:
 
 
 def _make(cache: Path, target: Path, make: Callable[[Path], Path]) -> None:
-    """Make an entry and its hash aside, and put them into place, that of what does not match, too."""
+    """Make an entry and its hash aside, and rename them into place, also over an entry that does not match."""
     with tempfile.TemporaryDirectory(prefix=BUILDING, dir=cache) as place:
         try:
             made = make(Path(place))
@@ -216,14 +216,14 @@ def _make(cache: Path, target: Path, make: Callable[[Path], Path]) -> None:
         record.write_text(compute_hash(made) + "\n", encoding="ascii")
         if os.path.lexists(target) and not _use(target):  # else another process was faster, and made the same
             if os.path.lexists(_hash_of(target)):
-                _LOG.warning("%s is not what was put there; it is made again", target)
+                _LOG.warning("%s has changed since it was made; it is made again", target)
             target.rename(Path(place) / "replaced")
         record.replace(_hash_of(target))
         _rename(made, target)
 
 
 def _check_room(place: Path) -> None:
-    """Raise OSError if the disk is full, which the message of a compiler only says in its own words."""
+    """Raise OSError if the disk is full, since a compiler reports this only in its own words."""
     with (place / "room").open("wb") as file:
         os.posix_fallocate(file.fileno(), 0, ROOM)
 
@@ -254,7 +254,7 @@ def _rename(made: Path, target: Path) -> None:
 
 
 def _sweep(cache: Path) -> None:
-    """Remove what killed processes left behind long ago."""
+    """Remove old remains of killed processes."""
     for place in cache.glob(f"{BUILDING}*"):
         with suppress(OSError):
             if time.time() - place.stat().st_mtime > ABANDONED:
@@ -262,7 +262,7 @@ def _sweep(cache: Path) -> None:
 
 
 def _describe(path: Path, kind: Kind, model: str) -> Entry | None:
-    """Describe an entry; None where it has just gone."""
+    """Return the description of an entry; None if it has just been removed."""
     try:
         files = [path, *path.rglob("*")] if path.is_dir() else [path]
         sizes = sum(f.stat().st_size for f in (*files, _hash_of(path)) if f.is_file())

@@ -1,4 +1,4 @@
-"""What a measurement depends on beside its inputs: versions, machine, compiler; to be kept with it."""
+"""The environment of a measurement, kept with it: versions, machine, compiler."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PROCESSORS = Path("/proc/cpuinfo")
 
 @cache
 def describe_environment() -> Mapping[str, str | int]:
-    """Tell them for this process. Raises CompileError where there is no compiler."""
+    """Return the environment of this process. Raises CompileError where there is no compiler."""
     compiler = find_compiler(os.environ)
     found = re.search(r'#define __VERSION__ "([^"]*)"', compiler.macros)
     return MappingProxyType(

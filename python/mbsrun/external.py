@@ -22,13 +22,13 @@ class Mechanism(Kernels):
     """The kernels of a generated folder, for NumPy and for CasADi."""
 
     def casadi(self, name: str, *, design: bool = False) -> ca.Function:
-        """Give a kernel as a CasADi function of the manifest's inputs, parameters at their present values.
+        """Return a kernel as a CasADi function of the manifest's inputs, with the present parameters.
 
-        design: differentiated parameters, `theta`, are an input of it.
+        design: differentiated parameters, `theta`, are an input.
 
         CasADi finds the generated `jac_`, `adj1_` and `jac_adj1_` kernels beside it, and uses them wherever it needs a
-        derivative; it can be mapped, over threads as well. A serialised function holds the library's path.
-        Raises ArgumentError for a kernel that there is not, and for those of acados: their integers are not CasADi's.
+        derivative; it can be mapped, also over threads. A serialised function holds the library's path. Raises
+        ArgumentError for an unknown kernel, and for kernels of acados, whose integers are not CasADi's.
         """
         kernel = self._binder.describe(name)  # a name that only libm knows would be found there
         if kernel.integer != INTEGER:
@@ -49,16 +49,16 @@ class Mechanism(Kernels):
 
 
 class OnDemand:
-    """The kernels of a model file, each function generated when it is first asked for.
+    """The kernels of a model file, each function generated at its first use.
 
-    What every optimal control problem needs is there from the start: the residual and its Jacobian, for guesses and
-    checks, and poses; anything else comes with the derivatives that the use it is asked for takes.
+    The residual, its Jacobian and poses are generated at the start, since every optimal control problem needs them for
+    guesses and checks. Any other function is generated with the derivatives of its use.
     """
 
-    manifest: Manifest  # of what is there from the start
+    manifest: Manifest  # of the start
 
     def __init__(self, path: Path) -> None:
-        """Generate the start. Raises InputError for a model with faults."""
+        """Generate the functions of the start. Raises InputError for a model with faults."""
         self._path = path
         self._start = Mechanism(find_folder(path, START))
         self._mechanisms: dict[str, Mechanism] = {}
@@ -73,13 +73,13 @@ class OnDemand:
         return self._find(name)(name, sparse=sparse, **inputs)
 
     def _find(self, name: str) -> Mechanism:
-        """Find the kernels that hold one, by its own name or as a derivative."""
+        """Find the kernels that contain one, by its own name or as a derivative."""
         if any(kernel.name == name for kernel in self.manifest.kernels):
             return self._start
         return self._load(split_kernel(name)[0])
 
     def casadi(self, name: str) -> ca.Function:
-        """Give a function with its exact derivatives, as `Mechanism.casadi` does."""
+        """Return a function with its exact derivatives, as `Mechanism.casadi` does."""
         return self._load(name).casadi(name)
 
     def _load(self, function: str) -> Mechanism:
@@ -89,7 +89,7 @@ class OnDemand:
 
 
 def load_on_demand(path: Path) -> Mechanism | OnDemand:
-    """Load what is asked for of a model file, as it is asked for; of a generated folder, what it holds.
+    """Load functions of a model file on demand, or a generated folder as it is.
 
     Raises InputError as `load` does.
     """
@@ -97,9 +97,9 @@ def load_on_demand(path: Path) -> Mechanism | OnDemand:
 
 
 def load(path: str | Path, parameters: Mapping[str, float] | None = None) -> Mechanism:
-    """Load the kernels of a generated folder, or of a model file; what was made of it before is found again.
+    """Load the kernels of a generated folder, or of a model file; earlier results are found in the cache.
 
-    `parameters` replace values of the model's run-time parameters, by the user's names.
-    Raises InputError for a folder without a manifest or a model with faults, CompileError when the compiler fails.
+    `parameters` replace values of the model's run-time parameters, by the user's names. Raises InputError for a folder
+    without a manifest or a model with faults, CompileError when the compiler fails.
     """
     return Mechanism(find_folder(Path(path)), parameters)

@@ -31,7 +31,7 @@ class KernelError(MbsError):
 
     def __init__(self, kernel: str, joint: str, state: int) -> None:
         self.kernel, self.joint, self.state = kernel, joint, state
-        super().__init__(f"{kernel} failed at joint {joint}, in state {state} (from 0) of those given")
+        super().__init__(f"{kernel} failed at joint {joint}, in state {state} (from 0) of the given states")
 
 
 class Kernels:
@@ -58,14 +58,14 @@ class Kernels:
         return other
 
     def compile(self, *names: str) -> Path:
-        """Compile the named kernels, several at once, and give a shared library that holds them.
+        """Compile the named kernels, several at once, and return a shared library that holds them.
 
-        Nothing needs this: it gathers the compiling that first calls would do one by one.
+        This is optional: it gathers compilations that first calls would do one by one.
         """
         return self._binder.compile([self._binder.describe(name) for name in names])
 
     def describe(self, name: str) -> Kernel:
-        """Describe a kernel as the manifest does. Raises ArgumentError with the names of those there are."""
+        """Return the manifest's description of a kernel. Raises ArgumentError with the names of the kernels."""
         return self._binder.describe(name)
 
     def __call__(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> dict[str, Array]:
@@ -123,7 +123,7 @@ class Kernels:
         return self(name_kernel(name, Order.JACOBIAN), sparse=sparse, **inputs)
 
     def lin(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> dict[str, Array]:
-        """Call `lin_<name>`: what `<name>` and `jac_<name>` give, for less than both."""
+        """Call `lin_<name>`: the results of `<name>` and `jac_<name>`, for less than both."""
         return self(name_kernel(name, Order.LINEARISATION), sparse=sparse, **inputs)
 
     def adj(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> dict[str, Array]:
@@ -138,7 +138,7 @@ class Kernels:
         return self(name_kernel(name, Order.ADJOINT_JACOBIAN), sparse=sparse, **inputs)
 
     def matrix(self, name: str, result: str, nonzeros: Array) -> scipy_sparse.csc_array:
-        """Make a sparse matrix of what the kernel `name` gave for a result with `sparse=True`, for one state."""
+        """Make a sparse matrix of a result of the kernel `name` with `sparse=True`, for one state."""
         kernel = self._binder.describe(name)
         a = next((a for a in kernel.outputs if a.name == result), None)
         if a is None:
@@ -154,7 +154,7 @@ class Kernels:
         return scipy_sparse.csc_array((nonzeros, row, colind), shape=(a.rows, a.cols))
 
     def __getattr__(self, name: str) -> Callable[..., dict[str, Array]]:
-        """Give a kernel as a function."""
+        """Return a kernel as a function."""
         if name.startswith("_") or name not in self._binder.kernels:
             raise AttributeError(f"{type(self).__name__} has no attribute or kernel {name!r}")
         return partial(self, name)
@@ -176,7 +176,7 @@ class Kernels:
 
     @cached_property
     def _hidden(self) -> Array:
-        """What the kernels need of the parameters; computed when one is first called."""
+        """The results of the setup for the present parameters, computed at the first call."""
         setup = self.manifest.setup
         if setup is None:
             return np.zeros(0)
@@ -205,7 +205,7 @@ class Kernels:
 
 
 class _Binder:
-    """A generated folder, of which each kernel is compiled and bound once it is asked for."""
+    """A generated folder; each kernel is compiled and bound at its first use."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -221,14 +221,14 @@ class _Binder:
             )
 
     def describe(self, name: str) -> Kernel:
-        """Look a kernel up. Raises ArgumentError with those there are."""
+        """Return the description of a kernel. Raises ArgumentError with the names of the kernels."""
         kernel = self.kernels.get(name)
         if kernel is None:
             raise ArgumentError(f"{self.manifest.model} has no kernel {name!r}; there are {', '.join(self.kernels)}")
         return kernel
 
     def bind(self, name: str) -> Entry:
-        """Give a kernel that can be called."""
+        """Return a kernel that can be called."""
         entry = self._entries.get(name)
         if entry is None:
             kernel = self.describe(name)
@@ -251,7 +251,7 @@ class _Binder:
 
 
 def _collect(entry: Entry, inputs: Mapping[str, ArrayLike]) -> list[tuple[Port, Array]]:
-    """Pair ports with arrays; all that does not fit is told at once."""
+    """Pair ports with arrays; all faults are reported together."""
     wanted = {port.argument.name: port for port in entry.inputs if not port.is_hidden}
     faults = [f"{name}: there is no such input" for name in inputs if name not in wanted]
     arrays = []
@@ -273,7 +273,7 @@ def _collect(entry: Entry, inputs: Mapping[str, ArrayLike]) -> list[tuple[Port, 
 
 
 def _read(value: ArrayLike) -> Array | None:
-    """Make an array of real numbers; None where the value is none."""
+    """Return an array of real numbers; None if the value is none."""
     try:
         array = np.asarray(value)
     except ValueError:
@@ -282,7 +282,7 @@ def _read(value: ArrayLike) -> Array | None:
 
 
 def _gather(kernel: str, port: Port, array: Array) -> Array:
-    """Take the nonzeros of each state: shape (states, nnz)."""
+    """Return the nonzeros of each state: shape (states, nnz)."""
     a = port.argument
     if not a.nnz:
         return np.zeros((1, 0))

@@ -1,8 +1,8 @@
-"""Generated C files -> objects -> shared libraries of what is asked for, each made once: a cache addressed by content.
+"""Generated C files -> objects -> shared libraries of the requested functions, each made once, addressed by content.
 
-An object's name is made from the bytes of its source and of the headers it includes, the compiler with its flags, and
-the processor that the compiler sees; a library's from its objects. So a stale one is never met. The cache checks
-what it hands out by a hash: what is loaded is what was compiled.
+An object's name is a hash of its source, the headers that it includes, the compiler with its flags, and the processor
+as seen by the compiler; a library's name is a hash of its objects. So a stale one is never found. The cache checks
+entries by a hash: the loaded library is the compiled one.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from pathlib import Path, PurePath
 from mbsgen.errors import MbsError
 from mbsrun.cache import COMPILED, find_or_make
 
-# ISO C, but contraction to fused multiply-add, which gcc's -std=c99 would turn off. Never fast-math: it drops NaN
-# checks, reassociates, and makes the loading process flush denormals. gcc's vectors in straight-line
-# code, of numbers brought together from all over, would make it slower.
+# ISO C, except contraction to fused multiply-add, which gcc's -std=c99 would turn off. Never fast-math: it drops NaN
+# checks, reassociates, and makes the loading process flush denormals. gcc's vectors in straight-line code, of numbers
+# gathered from everywhere, would make it slower.
 FLAGS = ("-std=c99", "-march=native", "-ffp-contract=fast", "-fPIC", "-fno-tree-slp-vectorize", "-fno-math-errno")
-LARGE = 2_000_000  # bytes of a source from which on it is compiled with less optimisation
+LARGE = 2_000_000  # bytes of a source; larger ones are compiled with less optimisation
 ACCEPTED = re.compile(
     r"-O[0-3gs]?|-g[0-3]?|-pipe|-std=(c|gnu)(99|11|17|18|2x|23)|-ffp-contract=(off|on|fast)|-f(no-)?math-errno"
     r"|-m(arch|tune|cpu)=[\w.+-]+|-m(no-)?(sse[\w.]*|avx[\w.]*|fma|bmi2?)|-mprefer-vector-width=\w+|-fPIC"
@@ -47,12 +47,12 @@ class Compiler:
 
     command: tuple[str, ...]
     flags: tuple[str, ...]
-    macros: str  # all it predefines under these flags: its version, and what it knows of the processor
+    macros: str  # all macros that it predefines under these flags: its version, and the features of the processor
 
 
 @dataclass(frozen=True)
 class _Object:
-    """An object file to be: its name in the cache, and what it is made of."""
+    """An object file to be made: its name in the cache, and its parts."""
 
     name: PurePath
     files: Mapping[str, bytes]  # the source, then headers
@@ -62,8 +62,8 @@ class _Object:
 def compile_library(folder: Path, prefix: str, names: Iterable[str], compiler: Compiler) -> Path:
     """Compile C files of a folder, as many at once as there are processors, and link them to one shared library.
 
-    What was compiled before is found in the cache; `prefix` is the model's part of it. Raises CompileError with the
-    command and what the compiler said, or for a name that is none of a generated file; CacheError.
+    Compiled files are found in the cache; `prefix` is the model's part of it. Raises CompileError with the command and
+    the compiler's message, or for a name that cannot be a generated file's; CacheError.
     """
     if not re.fullmatch(r"\w+", prefix, re.ASCII):
         raise CompileError(f"{folder}: {prefix!r} cannot be the prefix of generated names")
@@ -73,9 +73,10 @@ def compile_library(folder: Path, prefix: str, names: Iterable[str], compiler: C
 
 
 def find_compiler(environment: Mapping[str, str]) -> Compiler:
-    """Take the compiler from CC and CFLAGS; CompileError if there is none, or if it would not keep IEEE arithmetic.
+    """Return the compiler of CC and CFLAGS. Raises CompileError if there is none, or if it would not keep IEEE
+    arithmetic.
 
-    CC names another compiler than `cc`; CFLAGS adds to the flags, fast-math excepted.
+    CC names another compiler than `cc`; CFLAGS adds to the flags, except fast-math.
     """
     command = _split(environment, "CC") or ["cc"]
     flags = (*FLAGS, *_split(environment, "CFLAGS"))
@@ -94,8 +95,8 @@ def find_compiler(environment: Mapping[str, str]) -> Compiler:
 def choose_level(source: bytes) -> str:
     """Choose the level of optimisation, which CFLAGS may replace.
 
-    gcc 12 compiles what is in parts a third faster with -O1 than with -O3, and it runs slower: a quadruped's Jacobian
-    (500 kB) by a quarter, a humanoid's (700 kB) by a half. What is larger yet is compiled within minutes.
+    gcc 12 compiles functions in parts a third faster with -O1 than with -O3, but they run slower: a quadruped's
+    Jacobian (500 kB) by a quarter, a humanoid's (700 kB) by a half. Larger ones are still compiled within minutes.
     """
     return "-O1" if len(source) >= LARGE else "-O3"
 
@@ -125,7 +126,7 @@ def _read_source(folder: Path, name: str) -> dict[str, bytes]:
 
 
 def _plan(files: Mapping[str, bytes], place: PurePath, compiler: Compiler) -> _Object:
-    """Name an object by all that decides its bytes; the source comes first."""
+    """Name an object by a hash of everything that decides its bytes; the source comes first."""
     source = next(iter(files))
     command = (*compiler.command, choose_level(files[source]), *compiler.flags)
     told = [word.encode() for word in (*command, compiler.macros)]
@@ -134,7 +135,7 @@ def _plan(files: Mapping[str, bytes], place: PurePath, compiler: Compiler) -> _O
 
 
 def _compile(item: _Object) -> Path:
-    """Compile a source from a copy: what was hashed is what is compiled."""
+    """Compile a source from a copy, so that the hashed text is the compiled one."""
     source = next(iter(item.files))
 
     def make(building: Path) -> Path:
@@ -148,7 +149,7 @@ def _compile(item: _Object) -> Path:
 
 
 def _link(objects: Sequence[_Object], stem: PurePath, compiler: Compiler) -> Path:
-    """Link objects, which are compiled unless the library is there."""
+    """Link objects; compile them unless the library exists."""
 
     def make(building: Path) -> Path:
         with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
@@ -164,7 +165,7 @@ def _link(objects: Sequence[_Object], stem: PurePath, compiler: Compiler) -> Pat
 def _name(parts: Iterable[bytes]) -> str:
     digest = hashlib.sha256()
     for part in parts:
-        digest.update(len(part).to_bytes(8, "big") + part)  # with its length: no two lists of parts look alike
+        digest.update(len(part).to_bytes(8, "big") + part)  # with its length: no two lists of parts give the same bytes
     return digest.hexdigest()[:40]
 
 

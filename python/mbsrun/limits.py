@@ -1,9 +1,9 @@
-"""Limits of a computation whose length nobody knows beforehand: a number of steps, and seconds of processor time.
+"""Limits of a computation of unknown length: a number of steps, and seconds of processor time.
 
 allowance = Allowance(Limits(steps=1000, seconds=10.0))
 while solver.status == "running":
-allowance.spend()  # raises LimitError before step 1001, and after 10 s
-solver.step()
+    allowance.spend()  # raises LimitError before step 1001, and after 10 s
+    solver.step()
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from mbsgen.errors import MbsError
 
 @dataclass(frozen=True)
 class Limits:
-    """What a computation may take; math.inf seconds are no limit."""
+    """Limits of a computation; math.inf seconds are no limit."""
 
     steps: int = 10_000_000
     seconds: float = 60.0  # of processor time of one thread: neither a loaded machine nor a compiler counts
@@ -31,7 +31,7 @@ class LimitError(MbsError):
 
 
 class Allowance:
-    """What is left of the limits of one computation, from the moment it is made."""
+    """The rest of the limits of one computation, from its construction on."""
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
@@ -39,11 +39,11 @@ class Allowance:
 
     @property
     def steps(self) -> int:
-        """Return the number of steps that may still be taken."""
+        """Return the number of steps that remain."""
         return self._limits.steps - self._steps
 
     def spend(self, steps: int = 1) -> None:
-        """Count steps that are about to be taken. Raises LimitError if they may not be."""
+        """Count steps that are about to be taken. Raises LimitError if a limit is exceeded."""
         if steps > self.steps:
             raise LimitError(f"the limit of {self._limits.steps} steps is used up", "raise max_steps")
         if time.thread_time() - self._start >= self._limits.seconds:

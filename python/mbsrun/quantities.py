@@ -1,4 +1,4 @@
-"""The names by which expressions speak of a motion: see `mbsrun.ocp.quantities` and `mbsrun.simulation.drive`."""
+"""The names of a motion's quantities in expressions: see `mbsrun.ocp.quantities` and `mbsrun.simulation.drive`."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ class Quantity:
     """One number of a motion."""
 
     kind: str  # t, T, q, qd, qdd, u, position or v
-    index: int  # within its kind; positions and velocities of sensors lie one after the other
+    index: int  # within its kind; positions and velocities of sensors follow each other
 
 
 def list_quantities(manifest: Manifest) -> Mapping[str, Quantity]:
-    """Give everything of a model that an expression may speak of, by name."""
+    """Return everything of a model that an expression may use, by name."""
     coordinates = [c.name for c in manifest.coordinates]
     known = {"t": Quantity("t", 0), "T": Quantity("T", 0)}
     for kind, entries in (
@@ -38,6 +38,6 @@ def list_quantities(manifest: Manifest) -> Mapping[str, Quantity]:
 
 
 def _spell(names: Sequence[str]) -> list[str | None]:
-    """Write names as expressions can; None for one that would then be another's."""
+    """Write names as identifiers; None for one that would equal another's."""
     spelled = [re.sub(r"\W", "_", name) for name in names]
     return [new if new == old or spelled.count(new) == 1 else None for old, new in zip(names, spelled, strict=True)]

@@ -1,13 +1,12 @@
-"""Coordinates whose rates are not velocities: quaternions, and what there is to know of them outside the kernels.
+"""Coordinates whose rates are not velocities: quaternions, outside the kernels.
 
-A quaternion (v, s) is four entries of q, its scalar last, and its joint's angular velocity w three entries of qd, along
+A quaternion (v, s) is four entries of q, its scalar last; its joint's angular velocity w is three entries of qd, along
 the body's own axes. With Hamilton's product *,
 
     q' = q * (w, 0) / 2;
 
-the kernel `rates` gives that for all coordinates of a model, and their places. What turns is q/|q|, so that q, -q and
-any multiple stand for one attitude. Where a model has no quaternions, rates are velocities, and nothing here does
-anything.
+the kernel `rates` computes this for all coordinates of a model. The rotation is by q/|q|, so q, -q and any
+multiple are one attitude. In a model without quaternions, rates are velocities, and these functions change nothing.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ class Quaternion:
 
     @property
     def spins(self) -> list[int]:
-        """List those of its angular velocity in qd."""
+        """List its entries of qd: the angular velocity."""
         return [self.spin + k for k in range(3)]
 
 
@@ -50,19 +49,19 @@ def list_quaternions(manifest: Manifest) -> tuple[Quaternion, ...]:
 
 
 def find_quaternion(quaternions: Iterable[Quaternion], i: int) -> Quaternion | None:
-    """Find the quaternion that entry i of q belongs to; None where it is a coordinate of another kind."""
+    """Return the quaternion that entry i of q belongs to; None for a coordinate of another kind."""
     return next((x for x in quaternions if i in x.entries), None)
 
 
 def neutral(manifest: Manifest) -> Array:
-    """Give the coordinates (nq,) at which all joints are at 0, and no quaternion turns anything."""
+    """Return the coordinates (nq,) at which all joints are at 0, and quaternions are the identity."""
     q = np.zeros(len(manifest.positions))
     q[[x.first + 3 for x in list_quaternions(manifest)]] = 1.0
     return q
 
 
 def normalise(q: Array, manifest: Manifest) -> Array:
-    """Bring the quaternions of q (..., nq) to length 1; those of length 0 stay."""
+    """Scale the quaternions of q (..., nq) to length 1; quaternions of length 0 stay."""
     q = q.copy()
     for x in list_quaternions(manifest):
         length = np.linalg.norm(q[..., x.entries], axis=-1, keepdims=True)
@@ -71,7 +70,7 @@ def normalise(q: Array, manifest: Manifest) -> Array:
 
 
 def measure_lengths(q: Array, manifest: Manifest) -> Array:
-    """Give the lengths of the quaternions of q (..., nq): (..., quaternions)."""
+    """Return the lengths of the quaternions of q (..., nq): (..., quaternions)."""
     lengths = [np.linalg.norm(q[..., x.entries], axis=-1) for x in list_quaternions(manifest)]
     return np.stack(lengths, axis=-1) if lengths else np.zeros((*q.shape[:-1], 0))
 
@@ -80,12 +79,12 @@ def measure_lengths(q: Array, manifest: Manifest) -> Array:
 
 
 def find_rates(plant: Plant, q: Array, qd: Array) -> Array:
-    """Give the time derivatives of q, one state or a batch: q (..., nq), qd (..., n)."""
+    """Return the time derivatives of q, one state or a batch: q (..., nq), qd (..., n)."""
     return plant("rates", q=q, qd=qd)["rate"] if plant.manifest.configuration else qd
 
 
 def find_velocities(plant: Plant, q: Array, first: Array, second: Array) -> tuple[Array, Array]:
-    """Give qd and qdd (..., n) of a motion q (..., nq), by its first and second derivatives in time.
+    """Return qd and qdd (..., n) of a motion q (..., nq), from its first and second derivatives in time.
 
     Rates are E(q) qd, and the columns of E are independent.
     """
@@ -126,7 +125,7 @@ def turn(start: Array, a: Array, w: Array, b: Array, r: Array) -> tuple[Array, A
 
 
 def find_turn(start: Array, end: Array) -> Array:
-    """Give the rotation vector, in the axes at `start`, of the shorter turn to `end`; both are (4,), of length 1."""
+    """Return the rotation vector, in the axes at `start`, of the shorter turn to `end`; both are (4,), of length 1."""
     between = _multiply(start * [-1.0, -1.0, -1.0, 1.0], end)
     v, s = (between[:3], between[3]) if between[3] >= 0 else (-between[:3], -between[3])
     sine = float(np.linalg.norm(v))
@@ -134,13 +133,13 @@ def find_turn(start: Array, end: Array) -> Array:
 
 
 def _raise(vector: Array) -> Array:
-    """Give the quaternions of rotation vectors (..., 3)."""
+    """Return the quaternions of rotation vectors (..., 3)."""
     half = np.linalg.norm(vector, axis=-1, keepdims=True) / 2
     return np.concatenate((np.sinc(half / np.pi) * vector / 2, np.cos(half)), axis=-1)
 
 
 def _pure(vector: Array) -> Array:
-    """Give the quaternions of scalar 0."""
+    """Return the quaternions of scalar 0."""
     return np.concatenate((vector, np.zeros_like(vector[..., :1])), axis=-1)
 
 

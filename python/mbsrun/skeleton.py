@@ -1,6 +1,6 @@
 """The skeleton of a mechanism, for pictures: frames, the edges between them, and their places at given coordinates.
 
-A body that carries neither another body nor a sensor ends at its centre of mass, as a frame of its own.
+A body that carries neither another body nor a sensor has one more frame, at its centre of mass.
 """
 
 from __future__ import annotations

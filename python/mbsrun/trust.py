@@ -1,8 +1,8 @@
-"""Files that only this user, or root, can have written: owners, permissions, and hashes of what they hold.
+"""Files that only this user, or root, can have written: owners, permissions, and hashes of contents.
 
-Where nobody else may write to a folder or to those above it, nobody else can replace what lies in it between a check
-and its use. So folders are checked up to the user's home, or to the root of the file system; files are opened first,
-and what was opened is checked and read.
+If nobody else may write to a folder and the folders above it, nobody else can replace its files between a check and
+their use. So folders are checked up to the user's home, or to the root of the file system. Files are opened first; then
+the open file is checked and read.
 """
 
 from __future__ import annotations
@@ -22,30 +22,30 @@ class StrangerError(Exception):
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder, and those above it that are missing, for this user alone."""
+    """Make a folder, and missing ones above it, for this user alone."""
     for part in (*reversed(folder.parents), folder):
         if not part.is_dir():
             part.mkdir(mode=0o700, exist_ok=True)
 
 
 def check_folder(folder: Path, top: Path, home: Path | None) -> None:
-    """Check a folder in `top` and all above it, up to `home` if it lies there; paths without links.
+    """Check a folder in `top` and all folders above it, up to `home` if it lies there; paths without links.
 
-    Above `top` a folder open to all will do if it is sticky: there only their owners can replace entries.
-    Raises StrangerError with the reason.
+    Above `top`, a folder open to all is accepted if it is sticky: there only owners can replace entries. Raises
+    StrangerError with the reason.
     """
     for part in (folder, *folder.parents):
         status = part.lstat()
         _check_owner(part, status)
         is_sticky = part in top.parents and status.st_mode & stat.S_ISVTX
         if status.st_mode & OTHERS and not is_sticky:
-            raise StrangerError(f"others may write to {part} (chmod go-w takes that from them)")
+            raise StrangerError(f"others may write to {part} (chmod go-w forbids it)")
         if part == home:
             return
 
 
 def close_to_others(path: Path) -> None:
-    """Take from others the right to write to a file, or to a folder and all in it."""
+    """Forbid others to write to a file, or to a folder and all its contents."""
     for part in [path, *path.rglob("*")] if path.is_dir() else [path]:
         part.chmod(part.stat().st_mode & 0o777 & ~OTHERS)
 
@@ -75,7 +75,7 @@ def read_checked(path: Path) -> bytes:
 
 
 def _walk(folder: Path) -> Iterator[Path]:
-    """List the files of a folder, and of those in it, in an order that depends on their names alone."""
+    """Yield the files of a folder and its subfolders, in an order that depends on their names alone."""
     _check_entry(folder, folder.lstat())
     for part in sorted(folder.iterdir()):
         if stat.S_ISDIR(part.lstat().st_mode):

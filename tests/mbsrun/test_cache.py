@@ -198,7 +198,7 @@ def test_an_entry_that_another_may_have_written_is_made_again(
         part.chmod(mode | (0o111 if part.is_dir() else 0))
     assert find_or_make(name, write("second") if name == NAME else write_folder("second")) == entry
     assert (entry if name == NAME else entry / "file.c").read_text() == "second"
-    assert f"{entry} is not what was put there; it is made again" in logged()[0]
+    assert f"{entry} has changed since it was made; it is made again" in logged()[0]
 
 
 # --- what was written ----------------------------------------------------------------------------------------------
@@ -240,7 +240,7 @@ def test_a_library_that_does_not_match_its_hash_is_compiled_again(
     damage(library if part == "library" else library.with_name(library.name + HASH))
     np.testing.assert_array_equal(load(folder).setup(p=[2, 3])["h"], [6, 2])
     assert library.read_bytes() == before
-    assert [s for s in logged() if f"{library} is not what was put there" in s]
+    assert [s for s in logged() if f"{library} has changed since it was made" in s]
     assert load(folder).compile("setup") == library
     assert logged() == []
 
@@ -251,7 +251,7 @@ def test_an_object_that_does_not_match_is_not_linked(tmp_path: Path, cache: Path
     (made,) = cache.rglob("*setup*.o")
     flip(made)
     np.testing.assert_array_equal(load(folder).setup(p=[2, 3])["h"], [6, 2])
-    assert f"{made} is not what was put there" in logged()[0]
+    assert f"{made} has changed since it was made" in logged()[0]
 
 
 def add(folder: Path) -> None:
@@ -297,7 +297,7 @@ def test_a_generated_folder_that_does_not_match_its_hash_is_made_again(
     assert find_or_make(name, write_folder("text")) == folder
     assert sorted(str(p.relative_to(folder)) for p in folder.rglob("*")) == ["file.c", "inner", "inner/file.h"]
     assert not (folder / "file.c").is_symlink()
-    assert logged() == [f"{folder} is not what was put there; it is made again"]
+    assert logged() == [f"{folder} has changed since it was made; it is made again"]
     assert find_or_make(name, never) == folder
 
 
