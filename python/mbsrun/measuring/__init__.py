@@ -1,1 +1,1 @@
-"""Speed against accuracy: what kernels and simulations cost, and what they err by, measured and drawn."""
+"""Measure time and error of kernels, simulations and solves; keep, draw and report the results."""

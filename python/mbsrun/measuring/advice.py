@@ -1,6 +1,7 @@
-"""Advice: of what was measured on a user's own model, the cheapest that is accurate enough.
+"""Advice for one model: the fastest of the measured options that are accurate enough.
 
-Nothing is concluded from other mechanisms, or from operation counts: what was not measured is named as such.
+Advice depends on measurements of the model alone, not on other mechanisms or counts of operations. It lists the things
+that were not measured.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from mbsrun.measuring.kernels import ACCELERATIONS, RESIDUAL, SLOPES_A, SLOPES_R
 from mbsrun.measuring.motions import Course, Standard
 from mbsrun.measuring.points import Cost, KernelPoint, MotionPoint, SolvePoint
 
-ALIKE = 1.1  # times that differ by less than a tenth count as equal
+ALIKE = 1.1  # times count as equal within a tenth
 NEEDS = {
     RESIDUAL: "torques for a motion",
     ACCELERATIONS: "motion under torques",
@@ -24,9 +25,9 @@ NEEDS = {
 
 @dataclass(frozen=True)
 class Option:
-    """Something that was measured."""
+    """A measured way to compute something."""
 
-    need: str  # what it is for; options of one need stand against each other
+    need: str  # the purpose; options of one need compete
     choices: tuple[tuple[str, str], ...]  # formulation, precision, method, …: name and value
     cost: Cost | None
     unit: str  # of the cost
@@ -34,23 +35,23 @@ class Option:
     finding: str = ""  # why it failed
 
     def meets(self, accuracy: float) -> bool:
-        """Tell whether it was measured to be accurate enough, in all that was tried."""
+        """Return whether its measured error is small enough and nothing failed."""
         return self.cost is not None and self.error is not None and self.error <= accuracy and not self.finding
 
     @property
     def digits(self) -> float:
-        """Give the order of the error, in thirds of a decade: what differs by less is equally accurate."""
+        """Return the order of the error, in thirds of a decade; smaller differences do not count."""
         return -math.inf if not self.error else round(3 * math.log10(self.error))
 
     @property
     def price(self) -> float:
-        """Give the shortest time of the rounds: what other programs lengthen is not the option's."""
+        """Return the shortest time of the rounds: other programs lengthen the others."""
         return math.inf if self.cost is None else self.cost.shortest
 
 
 @dataclass(frozen=True)
 class Advice:
-    """What to take, and why."""
+    """The best options for each need, and the measurements behind them."""
 
     model: str
     task: str
@@ -61,17 +62,17 @@ class Advice:
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """List what there are options for."""
+        """List the needs of all options."""
         return tuple(dict.fromkeys(option.need for option in self.options))
 
     def choose(self, need: str) -> Option | None:
-        """Give the most accurate of those that are accurate enough and as fast as the fastest; None where none is."""
+        """Return the most accurate option among the fastest that are accurate enough; None where none is."""
         good = [o for o in self.options if o.need == need and o.meets(self.accuracy)]
         limit = ALIKE * min((o.price for o in good), default=0.0)
         return min((o for o in good if o.price <= limit), key=lambda o: (o.digits, o.price), default=None)
 
     def shortlist(self, need: str) -> list[Option]:
-        """Give of each series what is chosen, or the cheapest that is accurate enough, else the most accurate."""
+        """Return one option of each series: the chosen one, or the fastest accurate one, or the most accurate one."""
         chosen = self.choose(need)
 
         def rank(option: Option) -> tuple[bool, float]:
@@ -87,7 +88,7 @@ class Advice:
 
     @property
     def is_complete(self) -> bool:
-        """Tell whether there is an option for every need."""
+        """Return whether every need has an option."""
         return all(self.choose(need) is not None for need in self.needs)
 
 
@@ -110,8 +111,8 @@ def advise_simulation(course: Course, standard: Standard, points: Sequence[Motio
         )
         for p in points
     ]
-    told = (
-        "the settings file's" if course.told != "drawn" else "one from a pose that was drawn, at rest, without inputs"
+    motion = (
+        "the settings file's" if course.facts != "drawn" else "one from a pose that was drawn, at rest, without inputs"
     )
     return Advice(
         course.mechanism.manifest.model,
@@ -121,9 +122,9 @@ def advise_simulation(course: Course, standard: Standard, points: Sequence[Motio
         f"{standard.accuracy:.0e}",
         tuple(options),
         (
-            f"other motions than this: {told}; errors grow with the time, and in chaotic motion exponentially",
+            f"other motions than this: {motion}; errors grow with the time, and in chaotic motion exponentially",
             "single precision: simulation computes in double precision",
-            "steps and tolerances between and beyond those of the table",
+            "other steps and tolerances than the ones in the table",
         ),
     )
 
@@ -150,10 +151,10 @@ def advise_control(model: str, points: Sequence[KernelPoint], accuracy: float, j
         "the largest of a result or a block of derivatives, by its largest entry, over states that were drawn",
         tuple(options),
         (
-            f"states other than those drawn, {judged} for errors and {states} for failures: near a lock digits are "
-            "lost, and the kernel `condition` tells how many",
-            "the target's processor: times are this machine's",
-            "errors of the model itself, and of what a controller makes of these numbers",
+            f"states other than the drawn ones, {judged} for errors and {states} for failures: near a lock digits are "
+            "lost, and the kernel `condition` estimates how many",
+            "the processor of the target: times are of this machine",
+            "errors of the model itself, and errors that a controller makes with these numbers",
         ),
     )
 
@@ -184,8 +185,8 @@ def advise_optimisation(model: str, problem: str, points: Sequence[SolvePoint], 
         "the largest defect of an interval, by re-simulation [rad, m; rad/s, m/s]",
         tuple(options),
         (
-            f"problems other than {problem}: iterations, and so times, are a matter of problem and guess",
+            f"problems other than {problem}: iterations, and so times, depend on problem and guess",
             "representations on other grids than the cheapest one; other solvers; the integral form",
-            "what the grid of the inputs costs: they are constant over an interval, so on a coarser grid more is paid",
+            "the price of the control grid: inputs are constant over an interval, so a coarser grid has a higher cost",
         ),
     )

@@ -1,4 +1,4 @@
-"""Ways to compute one thing: generated kernels, differences of them, and their equations differentiated by CasADi."""
+"""Ways to compute one function: generated kernels, their differences, and their equations differentiated by CasADi."""
 
 from __future__ import annotations
 
@@ -24,34 +24,34 @@ Array = NDArray[np.float64]
 States = Mapping[str, Array]  # (K, size) by name
 Found = tuple[NDArray[np.int64], list[dict[str, Array]]]  # the status of each state, and its results
 
-VARIABLES = ("q", "qd", "qdd", "u", "w", "theta")  # that Jacobians are compared by
-LARGEST = 20_000  # operations of a function of CasADi's that C is compiled of: -O3 takes minutes for more
+VARIABLES = ("q", "qd", "qdd", "u", "w", "theta")  # of Jacobians
+LARGEST = 20_000  # operations of a CasADi function that is compiled: for more, -O3 takes minutes
 
 
 @dataclass(frozen=True)
 class Differences:
-    """How a derivative is approximated."""
+    """An approximation of a derivative by differences."""
 
     step: float  # of each variable: rad or m, and these per s, per s^2; N m or N
     central: bool
 
     @property
     def label(self) -> str:
-        """Say which."""
+        """Return kind and step as text."""
         return f"{'central' if self.central else 'forward'} differences, {self.step:.0e}"
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One way to compute something, compiled."""
+    """One compiled way to compute a function."""
 
     way: str
     code: Code
     variant: Variant
-    differences: Differences | None = None  # of the code's result; None: the code gives what is wanted
+    differences: Differences | None = None  # of the result of the code; None: the code itself computes the function
 
     def evaluate(self, states: States) -> Found:
-        """Compute results: matrices by name, derivatives as `jac_<result>_<input>`."""
+        """Return the results: matrices by name, derivatives as `jac_<result>_<input>`."""
         if self.differences is None:
             return self.code.call(self.code.lay(states))
         statuses, results = self.code.call(self._lay_neighbours(states))
@@ -64,7 +64,7 @@ class Candidate:
         return failures, found
 
     def watch(self, states: States) -> tuple[Watch, int]:
-        """Prepare to time it, with the calls that one result takes."""
+        """Return a watch, and the number of calls for one result."""
         if self.differences is None:
             return Watch(self.code, self.code.lay(states)), 1
         inputs = self._lay_neighbours(states)
@@ -74,8 +74,11 @@ class Candidate:
         return [name for name in VARIABLES if name in self.code.inputs]
 
     def _lay_neighbours(self, states: States) -> list[Numbers]:
-        """Lay out the states that are subtracted: for each state itself, or none, then two or one for each variable."""
-        assert self.differences is not None, "asked for only where differences are taken"
+        """Return the inputs for the states that are subtracted.
+
+        Central: two for each variable; forward: the state itself, then one for each variable.
+        """
+        assert self.differences is not None, "called only where differences are taken"
         central, step = self.differences.central, self.differences.step
         variables = self._variables()
         total = sum(states[name].shape[1] for name in variables)
@@ -90,7 +93,7 @@ class Candidate:
         return self.code.lay(spread)
 
     def _subtract(self, results: list[dict[str, Array]], states: States) -> dict[str, Array]:
-        assert self.differences is not None, "asked for only where differences are taken"
+        assert self.differences is not None, "called only where differences are taken"
         (name,) = results[0]
         values, step = np.array([x[name].ravel() for x in results]), self.differences.step
         if self.differences.central:
@@ -113,7 +116,7 @@ def compile_kernel(subject: Subject, name: str, variant: Variant) -> Candidate:
 
 
 def difference(subject: Subject, name: str, variant: Variant) -> Iterator[Candidate]:
-    """Take differences of a generated kernel with several steps: the best lies among them, and what misses it shows."""
+    """Yield differences of a generated kernel with several steps, of which one is near the best."""
     code = compile_kernel(subject, name, variant).code
     steps = {
         "float64": ((1e-6, 1e-8, 1e-10), (1e-4, 1e-5, 1e-7)),
@@ -126,7 +129,7 @@ def difference(subject: Subject, name: str, variant: Variant) -> Iterator[Candid
 
 
 def differentiate(subject: Subject, name: str, variant: Variant) -> Candidate | str:
-    """Differentiate the equations of a generated kernel by CasADi, as C; or say why that is not compiled."""
+    """Differentiate the equations of a kernel by CasADi, and compile the C; or return the reason against it."""
     kernel = subject.manifest.kernel(name)
     function = trace(load_equations(subject), kernel)
     inputs, (out,) = function.sx_in(), function.name_out()
@@ -148,9 +151,9 @@ def differentiate(subject: Subject, name: str, variant: Variant) -> Candidate | 
 
 
 def add_hidden(subject: Subject, states: States) -> dict[str, Array]:
-    """Add what kernels need of run-time parameters."""
+    """Add the hoisted values of run-time parameters, if kernels need them."""
     setup = subject.manifest.setup
-    if setup is None:  # there are no parameters, or none matters
+    if setup is None:  # there are no parameters, or kernels do not depend on them
         return dict(states)
     found = subject.kernels(setup.name, p=states["p"][0])
     return {**states, **{name: np.tile(value, (len(states["q"]), 1)) for name, value in found.items()}}

@@ -1,4 +1,4 @@
-"""What the charts show, for a report that takes their folder in: which files make a section, and how to read them."""
+"""Captions of charts: a report includes the folder of a chart, and shows its files as a section."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ MARKS = (
     "point is both faster and more accurate than one on it; its points have labels. A cross is a failure, at the edge "
     "where it has no time or no error; the table gives the reason."
 )
-TIMES = "Times: the shortest and the median of the rounds, and what lies between their quarters, by the median."
+TIMES = (
+    "Times: the shortest and the median of the rounds; the spread is the distance of their quartiles, by the median."
+)
 
 OUTLINES: Mapping[str, Outline] = {
     outline.name: outline
@@ -25,8 +27,8 @@ OUTLINES: Mapping[str, Outline] = {
             "Speed against accuracy: kernels",
             "Each formulation, in double and single precision, compiled with several flags, for the model and for "
             "chains of equal bodies; derivatives beside finite differences, and beside CasADi's of the same "
-            "equations. Errors are against 50 digits, of the textbook's recursion, at the same inputs; times are of "
-            "a loop in C over states that lie in memory, in many rounds of all in turn.",
+            "equations. The reference is the textbook's recursion in 50 digits, at the same inputs. A loop in C over "
+            "states in memory is timed, in many rounds of all in turn.",
             (
                 Caption(
                     "kernels.png",
@@ -37,8 +39,8 @@ OUTLINES: Mapping[str, Outline] = {
                 Caption(
                     "kernels_backward.png",
                     "Kernels: time of a call against the backward error",
-                    "Up: by how much the forces would have to be others for the result to be exact, joint by joint, by "
-                    "|M| |qdd| + |c| + |Q|: what an ill-conditioned mass matrix does not enlarge.",
+                    "Up: the change of the forces that makes the result exact, joint by joint, by "
+                    "|M| |qdd| + |c| + |Q|. An ill-conditioned mass matrix does not enlarge it.",
                 ),
                 Caption(
                     "derivatives.png",
@@ -54,8 +56,8 @@ OUTLINES: Mapping[str, Outline] = {
             2,
             "Speed against accuracy: simulation",
             "A motion of the model, by each method of simulation on each formulation that it can take, with several "
-            "steps or tolerances. The reference is Gauss collocation with six stages, which is none of them, and as "
-            "accurate as it agrees with DOP853 at a tolerance of 1e-13.",
+            "steps or tolerances. The reference is another method, Gauss collocation with six stages. Its difference "
+            "from DOP853 at a tolerance of 1e-13 is its accuracy.",
             (
                 Caption(
                     "simulation.png",
@@ -72,19 +74,19 @@ OUTLINES: Mapping[str, Outline] = {
             "Speed against accuracy: optimal control",
             "The problem with several numbers of intervals, degrees, Radau and Legendre points, in all "
             "representations. Inputs are constant over an interval, so each number of intervals is a control grid "
-            "with an optimum of its own, by which collocation is judged: that of Legendre points of degree 9, as "
-            "accurate as it agrees with Radau points of degree 9.",
+            "with its own optimum. The reference is the optimum with Legendre points of degree 9; its difference from "
+            "Radau points of degree 9 is its accuracy.",
             (
                 Caption(
                     "optimisation.png",
                     "Optimal control: time of a solve against the error of the cost, and against the defect",
                     "A column for each control grid. Above: the error of the cost on the same control grid; dashed: "
-                    "what this grid itself costs; grey: where the reference is no better. Below: the largest defect "
+                    "the error of this grid itself; grey: where the reference is no better. Below: the largest defect "
                     f"of an interval by re-simulation. {MARKS}",
                 ),
                 Caption(
                     "control_grid.png",
-                    "Optimal control: what the control grid costs, and what collocation adds",
+                    "Optimal control: error of the control grid, and error of collocation",
                     "Errors of the cost against the number of intervals; the limit of fine grids is extrapolated from "
                     "the two finest.",
                 ),
@@ -95,18 +97,18 @@ OUTLINES: Mapping[str, Outline] = {
         Outline(
             "fidelity",
             4,
-            "Speed against accuracy: what is left out",
-            "Kernels of the model with something left out, beside those of the whole, at random states: what that "
-            "saves, and the error that it makes, by the entries that are left.",
+            "Speed against accuracy: reduced models",
+            "Kernels of the model with something left out, beside the kernels of the whole model, at random states: "
+            "saved time, and the error of the remaining entries.",
             (
                 Caption(
                     "fidelity.png",
                     "Fidelity: time of a call against the error of leaving something out",
-                    "A row for each kernel. Left: with locked joints where they are locked, and still what is taken to "
-                    "be still; right: anywhere. Labels: what is left out, and which part of the flops that saves; "
-                    f"dashed: the time of the whole. {MARKS}",
+                    "A row for each kernel. Left: states that agree with the reduction; right: any state. "
+                    "Labels: the reduction, and the share of the flops that it saves; "
+                    f"dashed: the time of the whole model. {MARKS}",
                 ),
-                Caption("fidelity.json", "Reductions", f"ns whole: of the model as it is. {TIMES}"),
+                Caption("fidelity.json", "Reductions", f"ns whole: time of the whole model. {TIMES}"),
             ),
         ),
     )
@@ -114,8 +116,8 @@ OUTLINES: Mapping[str, Outline] = {
 
 
 def write_captions(chart: str, mechanism: str, folder: Path) -> Path:
-    """Write what the files of a chart show, of which model, and where they were measured; give the path."""
+    """Write the captions of a chart with its model and its environment; return the path."""
     outline = OUTLINES[chart]
-    told = ", ".join(f"{name} {value}" for name, value in describe_environment().items())
-    text = f"{outline.text} Measured of {mechanism}: {told}."
+    environment = ", ".join(f"{name} {value}" for name, value in describe_environment().items())
+    text = f"{outline.text} Measured of {mechanism}: {environment}."
     return write_outline(replace(outline, text=text), folder)

@@ -1,13 +1,13 @@
-"""Fidelity: what a reduction of a model saves in a kernel, against the error it makes.
+"""Fidelity: the time that a reduction of a model saves in a kernel, against its error.
 
-A reduction leaves something out: joints that are locked (their bodies become one), the mass of a body, the forces of
-joints, gravity, velocities, parameters of which values may change, sensors. Its kernels are compared with those of the
-whole model at states drawn at random, joint by joint and sensor by sensor of those that are left:
+A reduction leaves something out: it locks joints (their bodies become one), or drops the mass of a body, forces of
+joints, gravity, velocities, run-time parameters or sensors. Its kernels are compared with the kernels of the whole model
+at random states, for the remaining joints and sensors:
 
-    as supposed   locked joints stand where they are locked, and what is taken to be still is still
-    anywhere      they do not
+    as supposed   locked joints stand at their locked place, and velocities that it drops are 0
+    anywhere      any state
 
-Either error is the largest of all states, by the largest entry of the whole model's result.
+Either error is the largest over all states, relative to the largest entry of the whole model's result.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ WHOLE = "whole model"
 
 @dataclass(frozen=True)
 class FidelityPoint:
-    """A kernel of a reduced model, beside that of the whole."""
+    """A kernel of a reduced model, beside the same kernel of the whole model."""
 
     mechanism: str
     reduction: str
@@ -56,27 +56,27 @@ class FidelityPoint:
     flops_whole: int
     ns: Cost | None
     ns_whole: Cost | None  # timed in turn with it
-    error: float | None  # the largest where what the reduction supposes holds
+    error: float | None  # the largest at states that agree with the reduction
     error_anywhere: float | None
     states: int
-    finding: str = ""  # why there is nothing to tell
+    finding: str = ""  # the reason where numbers are missing
 
 
 @dataclass(frozen=True)
 class Reduction:
-    """Something that is left out: of the model file, or by a scene."""
+    """A reduction: by a change of the model file, or by a scene."""
 
     name: str
-    model: Data  # the model file's data, with less in it
+    model: Data  # the content of the reduced model file
     scene: Mapping[str, Data]
 
 
 @dataclass(frozen=True)
 class FidelityScope:
-    """How much is measured."""
+    """The amount of measurement."""
 
     rounds: int = 40
-    judged: int = 64  # states of which errors are taken
+    judged: int = 64  # states for errors
     kernels: tuple[str, ...] = KERNELS
 
 
@@ -84,7 +84,7 @@ QUICK = FidelityScope(3, 8, ("impl", "exp2", "sensors"))
 
 
 def list_reductions(model: Path, manifest: Manifest, scenes: Sequence[Path]) -> list[Reduction]:
-    """List what scenes leave out, each of their parts and then all at once; without scenes, one thing after the other.
+    """List the reductions by scenes: each part of a scene, then the whole scene; without scenes, the usual reductions.
 
     Raises InputError for files that cannot be read, MbsError for a model with quaternions.
     """
@@ -95,14 +95,14 @@ def list_reductions(model: Path, manifest: Manifest, scenes: Sequence[Path]) -> 
     reductions = []
     for path in scenes:
         scene = read_document(path).data
-        told = {key: value for key, value in scene.items() if key in PARTS} if isinstance(scene, dict) else {}
-        parts = [Reduction(f"{path.stem}: {key}", data, {key: value}) for key, value in told.items()]
-        reductions += [*(parts if len(parts) > 1 else []), Reduction(path.stem, data, told)]
+        chosen = {key: value for key, value in scene.items() if key in PARTS} if isinstance(scene, dict) else {}
+        parts = [Reduction(f"{path.stem}: {key}", data, {key: value}) for key, value in chosen.items()]
+        reductions += [*(parts if len(parts) > 1 else []), Reduction(path.stem, data, chosen)]
     return reductions
 
 
 def take_whole(model: Path, scope: FidelityScope) -> Subject:
-    """Take the whole model, with those of the kernels that it can have. Raises InputError where it cannot be read."""
+    """Return the whole model, with the kernels that it can have. Raises InputError for an unreadable file."""
     data = read_document(model).data
     has_sensors = isinstance(data, dict) and bool(data.get("frames"))
     kernels = tuple(name for name in scope.kernels if name != "sensors" or has_sensors)
@@ -116,7 +116,7 @@ def measure_fidelity(
     scope: FidelityScope,
     report: Callable[[str, int, int], None],
 ) -> list[FidelityPoint]:
-    """Measure all reductions, kernel by kernel; what was measured before is taken from the folder.
+    """Measure all reductions, kernel by kernel; earlier measurements are read from the folder.
 
     Raises InputError for a model with faults.
     """
@@ -131,14 +131,14 @@ def measure_fidelity(
     for done, kernel in enumerate(names):
         report(f"measuring: {kernel}", done, len(names))
         about = (whole.manifest.generator, whole.manifest.model_hash, kernel, scope.rounds, scope.judged)
-        told = ("fidelity", *about, list(reductions), compiler.flags, compiler.macros)
+        facts = ("fidelity", *about, list(reductions), compiler.flags, compiler.macros)
         comparison = KernelComparison(whole, kernel, list(zip(reductions, subjects, strict=True)), scope)
-        points += store.find_or_measure(told, comparison.measure)
+        points += store.find_or_measure(facts, comparison.measure)
     return points
 
 
 def _list_usual(data: Data, manifest: Manifest) -> Iterator[Reduction]:
-    """Leave out one thing after the other, whatever the model has of it."""
+    """Yield the reductions that apply to the model, one thing after the other."""
     bodies = data.get("bodies") if isinstance(data, dict) else None
     if not isinstance(data, dict) or not isinstance(bodies, list):
         return
@@ -166,7 +166,7 @@ def _list_usual(data: Data, manifest: Manifest) -> Iterator[Reduction]:
 
 
 def _drop_forces(body: Data) -> Data:
-    """Take the forces of a body's joints away."""
+    """Drop the forces of the joints of a body."""
     if isinstance(body, list):
         return [_drop_forces(x) for x in body]
     if not isinstance(body, dict):
@@ -175,13 +175,13 @@ def _drop_forces(body: Data) -> Data:
 
 
 def _generate(reduction: Reduction, extent: Extent, folder: Path) -> Subject | str:
-    """Generate what a reduction leaves; or say why it leaves nothing that can be."""
-    text, told = json.dumps(reduction.model, indent=1), json.dumps(dict(reduction.scene), indent=1)
-    place = folder / hashlib.sha256((text + told).encode()).hexdigest()[:16]
+    """Generate the reduced model, or return the faults that prevent it."""
+    text, chosen = json.dumps(reduction.model, indent=1), json.dumps(dict(reduction.scene), indent=1)
+    place = folder / hashlib.sha256((text + chosen).encode()).hexdigest()[:16]
     place.mkdir(parents=True, exist_ok=True)
     model, scene = place / "model.yaml", place / "scene.yaml"
     model.write_text(text + "\n", encoding="utf-8")
-    scene.write_text(told + "\n", encoding="utf-8")
+    scene.write_text(chosen + "\n", encoding="utf-8")
     subject = Subject(model, replace(extent, scene=scene if reduction.scene else None))
     try:
         assert subject.manifest.coordinates, "a mechanism has joints"
@@ -191,7 +191,7 @@ def _generate(reduction: Reduction, extent: Extent, folder: Path) -> Subject | s
 
 
 class KernelComparison:
-    """A kernel of the whole model, and of all reductions."""
+    """Compares a kernel of the whole model with the same kernel of all reductions."""
 
     def __init__(
         self, whole: Subject, kernel: str, reduced: Sequence[tuple[Reduction, Subject | str]], scope: FidelityScope
@@ -200,7 +200,7 @@ class KernelComparison:
         self.states = draw_states(whole.manifest, whole.kernels.parameters, STATES)
 
     def measure(self) -> list[FidelityPoint]:
-        """Evaluate, compare, and time in turn."""
+        """Evaluate and compare all, then time all in turn."""
         candidate = compile_kernel(self.whole, self.kernel, Variant())
         good = candidate.evaluate(add_hidden(self.whole, self.states))[0] == 0
         self.states = {name: values[good] for name, values in self.states.items()}
@@ -227,7 +227,7 @@ class KernelComparison:
         if isinstance(subject, str):
             return replace(point, finding=subject), None
         if self.kernel not in {k.name for k in subject.manifest.kernels}:
-            return replace(point, finding="nothing is left of it"), None
+            return replace(point, finding="the reduced model has no such kernel"), None
         candidate = compile_kernel(subject, self.kernel, Variant())
         judged = {name: values[: self.scope.judged] for name, values in self.states.items()}
         supposed = self._suppose(judged, reduction)
@@ -245,7 +245,7 @@ class KernelComparison:
         return point, Watch(candidate.code, candidate.code.lay(good)) if (statuses == 0).any() else None
 
     def _suppose(self, states: States, reduction: Reduction) -> dict[str, Array]:
-        """Put locked joints where they are locked, and stop what is taken to be still."""
+        """Move states so that they agree with a reduction: joints at their locked place, velocities 0."""
         supposed = {name: values.copy() for name, values in states.items()}
         locked = reduction.scene.get("locked")
         for name, value in locked.items() if isinstance(locked, dict) else ():
@@ -257,7 +257,7 @@ class KernelComparison:
         return supposed
 
     def _compare(self, whole: Candidate, reduced: Candidate, subject: Subject, states: States) -> float | None:
-        """Find the largest error of all results and states; None where one of both fails."""
+        """Return the largest error over results and states; None where one of both kernels fails."""
         expected = whole.evaluate(add_hidden(self.whole, states))[1]
         found = reduced.evaluate(_reduce(states, self.whole.manifest, subject))[1]
         if not all(expected) or not all(found):
@@ -275,7 +275,7 @@ class KernelComparison:
 
 
 def _reduce(states: States, whole: Manifest, subject: Subject) -> dict[str, Array]:
-    """Take from states of the whole model what the reduced one has of them."""
+    """Return the states of the reduced model: a selection from states of the whole model."""
     manifest = subject.manifest
     kept = _find([c.name for c in whole.coordinates], [c.name for c in manifest.coordinates])
     driven = [whole.coordinates[i].name for i in whole.actuated]
@@ -291,7 +291,7 @@ def _reduce(states: States, whole: Manifest, subject: Subject) -> dict[str, Arra
 
 
 def _pick(name: str, values: Array, whole: Manifest, reduced: Manifest) -> Array:
-    """Take from a result of the whole model the rows and columns that are left."""
+    """Return the rows and columns of a result that the reduced model also has."""
     joints = _find([c.name for c in whole.coordinates], [c.name for c in reduced.coordinates])
     if name == "M":
         return values[np.ix_(joints, joints)]

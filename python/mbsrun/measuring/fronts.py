@@ -21,7 +21,7 @@ class Mark:
 
     @property
     def name(self) -> str:
-        """Name it by series and label, which may be the same."""
+        """Return series and label, which may be the same."""
         return self.series if self.label in ("", self.series) else f"{self.series} ({self.label})"
 
 
@@ -36,7 +36,7 @@ def find_front(marks: Sequence[Mark]) -> list[Mark]:
 
 
 def describe_front(marks: Sequence[Mark], unit: str) -> str:
-    """Write what the front says in one sentence: its two ends."""
+    """Describe both ends of the front in one sentence."""
     front = find_front(marks)
     if not front:
         return "Nothing was measured here."

@@ -5,8 +5,8 @@ Errors are against 50 digits at the same inputs (`reference`), the largest over 
     of a result x      max |x - x*| / max |x*|;       of several results, the largest
     of the equations   max_i |r_i| / (|M| |qdd| + |c| + |Q|)_i,    the backward error
 
-where r is what a residual is off by, or what is left of it at accelerations as they were computed: by how much the
-forces would have to be others for the result to be exact. A state whose kernel gives a status counts as failed.
+where r is the error of a residual, or the residual at the computed accelerations: a change of the forces by r makes the
+result exact. A state in which the kernel returns a status other than 0 counts as failed.
 """
 
 from __future__ import annotations
@@ -50,17 +50,17 @@ VARIANTS = (
     Variant("float32", contract=False),
     Variant("float32", libm=True),
 )
-STATES = 256  # that are timed: for an arm, more than the first cache holds
+STATES = 256  # for times: for an arm, they exceed the first cache
 
 
 @dataclass(frozen=True)
 class KernelScope:
-    """How much is measured."""
+    """The amount of measurement."""
 
     sizes: tuple[int, ...] = (2, 5, 10, 20)  # of chains, beside the model
     variants: tuple[Variant, ...] = VARIANTS
     rounds: int = 40
-    judged: int = 16  # states of which errors are taken
+    judged: int = 16  # states for errors
     derivatives: bool = True  # of the model, not of the chains
 
 
@@ -69,7 +69,7 @@ QUICK = KernelScope((3,), (Variant(level="-O0"), USUAL, SINGLE), 3, 3)
 
 @dataclass(frozen=True)
 class Errors:
-    """By how much the result of one state is off."""
+    """The errors of the results for one state."""
 
     error: float
     backward: float | None
@@ -78,7 +78,7 @@ class Errors:
 def measure_kernels(
     model: Path, folder: Path, scope: KernelScope, report: Callable[[str, int, int], None]
 ) -> list[KernelPoint]:
-    """Measure a model and chains; what was measured before is taken from the folder. `report` is told what is done.
+    """Measure a model and chains; earlier measurements are read from the folder. `report` receives each step.
 
     Raises InputError for a model with faults, CompileError.
     """
@@ -100,7 +100,7 @@ def measure_task(subject: Subject, task: str, scope: KernelScope, store: Store[K
     variants = scope.variants if task in KERNELS else tuple(v for v in (USUAL, SINGLE) if v in scope.variants)
     compilers = [variant.compiler() for variant in variants]
     versions = [(c.command, c.flags, c.macros) for c in compilers]
-    told = (
+    facts = (
         "kernels",
         subject.manifest.generator,
         subject.manifest.model_hash,
@@ -110,11 +110,11 @@ def measure_task(subject: Subject, task: str, scope: KernelScope, store: Store[K
         scope.judged,
         STATES,
     )
-    return store.find_or_measure(told, lambda: KernelTask(subject, task, scope).measure(variants))
+    return store.find_or_measure(facts, lambda: KernelTask(subject, task, scope).measure(variants))
 
 
 class KernelTask:
-    """One task of one mechanism, with what its results are compared with."""
+    """One task of one mechanism: candidates, states and expected results."""
 
     def __init__(self, subject: Subject, task: str, scope: KernelScope) -> None:
         self.subject, self.task, self.scope = subject, task, scope
@@ -123,7 +123,7 @@ class KernelTask:
 
     @cached_property
     def moments(self) -> list[Moment]:
-        """Look at the states that are judged, in 50 digits."""
+        """Return the states for errors, in 50 digits."""
         reference = Reference(self.subject.model)
         return [
             reference.at({name: values[k] for name, values in self.states.items()}) for k in range(self.scope.judged)
@@ -131,11 +131,11 @@ class KernelTask:
 
     @cached_property
     def expected(self) -> list[dict[str, Array]]:
-        """Compute in 50 digits what the judged states should give; round it."""
+        """Compute the expected results in 50 digits, and round them."""
         return [_expect(self.task, moment) for moment in self.moments]
 
     def measure(self, variants: Sequence[Variant]) -> list[KernelPoint]:
-        """Evaluate, judge, and time in turn."""
+        """Evaluate all candidates, then time them in turn."""
         candidates = [x for variant in variants for x in self._list_candidates(variant)]
         drafts = [self._judge(x) for x in candidates]
         timed = [(draft, watch) for draft, watch in drafts if watch is not None]
@@ -161,11 +161,11 @@ class KernelTask:
     def _point(self, way: str, variant: Variant, finding: str = "") -> KernelPoint:
         manifest = self.subject.manifest
         size, states = len(manifest.coordinates), len(self.states["q"])
-        told = (manifest.model, size, self.task, way, variant.precision, variant.label)
-        return KernelPoint(*told, None, None, None, None, states, 0, finding)
+        names = (manifest.model, size, self.task, way, variant.precision, variant.label)
+        return KernelPoint(*names, None, None, None, None, states, 0, finding)
 
     def _judge(self, candidate: Candidate | KernelPoint) -> tuple[KernelPoint, tuple[Watch, int] | None]:
-        """Compare with 50 digits, and prepare to time the states that do not fail."""
+        """Return the errors of a candidate, and a watch for the states in which it does not fail."""
         if isinstance(candidate, KernelPoint):
             return candidate, None
         judged = {name: values[: self.scope.judged] for name, values in self.states.items()}
@@ -173,7 +173,7 @@ class KernelTask:
         finite = [e for e in errors if np.isfinite(e.error)]
         statuses, _ = candidate.evaluate(self.states)
         point = replace(
-            self._point(candidate.way, candidate.variant, self._tell(statuses, len(errors) - len(finite))),
+            self._point(candidate.way, candidate.variant, self._describe_failures(statuses, len(errors) - len(finite))),
             failed=int(np.count_nonzero(statuses)),
         )
         if finite:
@@ -187,16 +187,16 @@ class KernelTask:
         good = {name: values[statuses == 0] for name, values in self.states.items()}
         return point, candidate.watch(good) if len(good["q"]) else None
 
-    def _tell(self, statuses: NDArray[np.int64], overflown: int) -> str:
-        """Say what failed, and where."""
-        told = []
+    def _describe_failures(self, statuses: NDArray[np.int64], overflown: int) -> str:
+        """Describe failures and their joints."""
+        parts = []
         if statuses.any():
             names = [c.name for c in self.subject.manifest.coordinates]
             joints = ", ".join(names[s - 1] for s in sorted(set(statuses[statuses > 0].tolist())))
-            told.append(f"digits lost at {joints} in {np.count_nonzero(statuses)} of {len(statuses)} states")
+            parts.append(f"digits lost at {joints} in {np.count_nonzero(statuses)} of {len(statuses)} states")
         if overflown:
-            told.append(f"not a number, with status 0, in {overflown} of {self.scope.judged} states")
-        return "; ".join(told)
+            parts.append(f"not a number, with status 0, in {overflown} of {self.scope.judged} states")
+        return "; ".join(parts)
 
     def _compare(self, k: int, found: Results) -> Errors:
         moment, expected = self.moments[k], self.expected[k]
@@ -209,7 +209,7 @@ class KernelTask:
 
 
 def _expect(task: str, moment: Moment) -> dict[str, Array]:
-    """Compute results in 50 digits, by the names that kernels give them."""
+    """Compute the results of a task in 50 digits, by their names in kernels."""
     if task == RESIDUAL:
         return {"Phi": _round([moment.residual()]).T}
     if task == MASS:
@@ -235,7 +235,7 @@ def _measure_backward(task: str, moment: Moment, found: Results, expected: Resul
 
 
 def _relate(rest: Array, scale: Array) -> float:
-    """Divide entry by entry; what nothing acts on has nothing to be off by."""
+    """Return the largest ratio of two vectors, entry by entry; where the scale is 0, the entry itself."""
     return float((np.abs(rest.ravel()) / np.where(scale > 0, scale, 1.0)).max())
 
 

@@ -1,4 +1,4 @@
-"""Mechanisms to measure on: a user's model, and chains of any length."""
+"""Mechanisms to measure: a model of the user, and chains of any length."""
 
 from __future__ import annotations
 
@@ -18,32 +18,32 @@ from mbsrun.models import Extent, find_folder
 Array = NDArray[np.float64]
 
 AXES = "zyx"  # of a chain's joints, in turn
-RANGES = {"qd": 3.0, "qdd": 10.0, "u": 20.0, "w": 10.0}  # states are drawn between minus and plus these
+RANGES = {"qd": 3.0, "qdd": 10.0, "u": 20.0, "w": 10.0}  # states are drawn from [-x, x]
 
 
 @dataclass(frozen=True)
 class Subject:
-    """A model file, and what is generated of it."""
+    """A model file and its generated folder."""
 
     model: Path
     extent: Extent
 
     @cached_property
     def folder(self) -> Path:
-        """Give the generated folder."""
+        """Return the generated folder."""
         if self.model.is_dir():
-            finding = "it is a folder; what kernels err by is measured against the model that they were made of"
+            finding = "it is a folder; errors of kernels are measured against a model file"
             raise InputError([Fault(str(self.model), 0, "", finding, "give the model file")])
         return find_folder(self.model, self.extent)
 
     @cached_property
     def kernels(self) -> Mechanism:
-        """Give the kernels."""
+        """Return the kernels."""
         return Mechanism(self.folder)
 
     @property
     def manifest(self) -> Manifest:
-        """Describe the kernels."""
+        """Return the description of the kernels."""
         return self.kernels.manifest
 
 
@@ -69,14 +69,14 @@ def write_chain(size: int, folder: Path) -> Path:
 def refuse_quaternions(manifest: Manifest) -> None:
     """Raise MbsError for a model with more coordinates than velocities."""
     if manifest.configuration:
-        raise MbsError(f"{manifest.model}: joints with quaternions are not studied, `spherical` ones are")
+        raise MbsError(f"{manifest.model}: joints with quaternions are not measured; take `spherical` joints")
 
 
 def draw_states(manifest: Manifest, parameters: Mapping[str, float], count: int, seed: int = 1) -> dict[str, Array]:
     """Draw states: an array (count, size) for each input of a residual; u and w as well, parameters at their values.
 
-    All numbers but the parameters are such as single precision has, so that every kernel can be given the same. Raises
-    MbsError for a model with quaternions.
+    All numbers except the parameters are exact in single precision, so that kernels of both precisions get the same.
+    Raises MbsError for a model with quaternions.
     """
     refuse_quaternions(manifest)
     rng = np.random.default_rng(seed)
@@ -92,7 +92,7 @@ def draw_states(manifest: Manifest, parameters: Mapping[str, float], count: int,
 
 
 def _range(motion: str, lower: float | None, upper: float | None) -> tuple[float, float]:
-    """Give where a coordinate is drawn from: its limits, or a turn, or two metres, up to the limit that there is."""
+    """Return the range of a coordinate: its limits; one turn or two metres where a limit is missing."""
     width = 2 * np.pi if motion == "revolute" else 2.0
     if lower is not None:
         return lower, lower + width if upper is None else upper

@@ -1,8 +1,8 @@
 """Simulation: processor time against the global error, by formulation, method, and step or tolerance.
 
-The error is the largest difference from a reference at the end of the motion. The reference is made by a method that is
-not among those measured, Gauss collocation with six stages, and is as accurate as it agrees with DOP853 at a tolerance
-of 1e-13; below that nothing can be told. Beside it stands the drift of energy, which needs no reference.
+The error is the largest difference from a reference at the end of the motion. The reference is Gauss collocation with
+six stages, which is not among the measured methods. Its difference from DOP853 at a tolerance of 1e-13 is its accuracy;
+smaller errors have no meaning. The drift of energy needs no reference.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 EXTENT = Extent((*FUNCTIONS, "energy", "power", "frames"), 1)
 TIGHT = 1e-13  # the tolerance of the check of the reference
 PATIENCE = 5.0  # s; what takes longer is run once
-ANGLE = 0.2  # of the range that a coordinate is drawn from: how far from its middle a motion starts
+ANGLE = 0.2  # the share of the range of a coordinate in which a motion starts
 
 IMPL, SEMI, EXP1, EXP2 = Formulation
 FAMILIES: tuple[tuple[str, Formulation], ...] = (
@@ -48,40 +48,40 @@ FAMILIES: tuple[tuple[str, Formulation], ...] = (
 
 
 class NoReferenceError(MbsError):
-    """A motion that cannot be integrated with the accuracy that a reference needs."""
+    """No method integrates a motion with the accuracy of a reference."""
 
 
 @dataclass(frozen=True)
 class Course:
-    """A motion to be integrated."""
+    """A motion: mechanism, start, inputs and duration."""
 
     mechanism: Mechanism
     q: Array  # (n,)
     qd: Array  # (n,)
     drive: Drive
     duration: float  # s
-    told: str  # all that start and inputs depend on, beside the model
+    facts: str  # everything that start and inputs depend on, except the model
 
     def integrate(self, settings: Settings) -> Motion:
-        """Integrate by some settings."""
-        settings = replace(settings, duration=self.duration, max_seconds=np.inf)  # slow ways are measured, too
+        """Integrate with some settings."""
+        settings = replace(settings, duration=self.duration, max_seconds=np.inf)  # slow methods are measured, too
         return simulate(self.mechanism, self.drive, self.q, self.qd, settings)
 
 
 @dataclass(frozen=True)
 class Standard:
-    """What motions are compared with."""
+    """The reference of a motion."""
 
     state: Array  # at the end, (2 n,)
     accuracy: float  # by how much two methods differ
-    steps: int  # that an adaptive method of order 8 takes at a tolerance of 1e-6: a measure of the motion's pace
+    steps: int  # of an adaptive method of order 8 at a tolerance of 1e-6: a measure of the motion's pace
     duration: float
     title: str = "Gauss collocation, six stages, against DOP853 at 1e-13"
 
 
 @dataclass(frozen=True)
 class MotionScope:
-    """How much is measured."""
+    """The amount of measurement."""
 
     families: tuple[tuple[str, Formulation], ...] = FAMILIES
     divisions: tuple[int, ...] = (1, 2, 4, 8, 16, 32, 64)  # of the pace, for implicit methods with fixed steps
@@ -94,7 +94,7 @@ QUICK = MotionScope((("rk4", EXP2), ("dop853", EXP2), ("gauss", IMPL)), (1, 4), 
 
 
 def draw_course(mechanism: Mechanism, duration: float) -> Course:
-    """Let a mechanism go from a pose drawn once and for all, at rest, without inputs."""
+    """Return the motion from a random but fixed pose, at rest, without inputs."""
     manifest = mechanism.manifest
     q = ANGLE * draw_states(manifest, mechanism.parameters, 1)["q"][0]
     inputs = hold(np.zeros(len(input_labels(manifest))))
@@ -109,9 +109,9 @@ def read_course(model: Path, file: Path | None, duration: float | None) -> Cours
     refuse_quaternions(mechanism.manifest)
     statement = read_statement(file, {}, mechanism.manifest)
     mechanism = mechanism.with_parameters(**statement.parameters)
-    told = (file.read_text(encoding="utf-8"), tuple(statement.parameters.items()))
+    facts = (file.read_text(encoding="utf-8"), tuple(statement.parameters.items()))
     settings = statement.settings
-    return Course(mechanism, statement.q, statement.qd, statement.drive, settings.duration, repr(told))
+    return Course(mechanism, statement.q, statement.qd, statement.drive, settings.duration, repr(facts))
 
 
 def measure_motions(
@@ -121,21 +121,21 @@ def measure_motions(
     store: Store[MotionPoint],
     report: Callable[[str, int, int], None],
 ) -> list[MotionPoint]:
-    """Integrate by all methods of `scope`; what was measured before is taken from the store."""
+    """Integrate with all methods of `scope`; earlier measurements are read from the store."""
     points: list[MotionPoint] = []
     compiler = Variant().compiler()
     for done, (method, formulation) in enumerate(scope.families):
         report(f"{method}, {formulation.value}", done, len(scope.families))
         levels = [(x, replace(s, formulation=formulation)) for x, s in _list_levels(method, standard, scope)]
         manifest, values = course.mechanism.manifest, dict(course.mechanism.parameters)
-        told = ("motions", manifest.generator, manifest.model_hash, values, course.told, course.duration)
+        facts = ("motions", manifest.generator, manifest.model_hash, values, course.facts, course.duration)
         settings = ([s for _, s in levels], scope.rounds, compiler.flags, compiler.macros)
-        points += store.find_or_measure((*told, *settings), MethodSeries(course, standard, scope, levels).measure)
+        points += store.find_or_measure((*facts, *settings), MethodSeries(course, standard, scope, levels).measure)
     return points
 
 
 def find_standard(course: Course) -> Standard:
-    """Integrate with two methods as accurately as there is. Raises NoReferenceError."""
+    """Integrate with two methods as accurately as possible. Raises NoReferenceError."""
     pace = _reach(course, Settings(course.duration, rtol=1e-6, atol=1e-6)).effort.steps
     check = _reach(course, Settings(course.duration, rtol=TIGHT, atol=TIGHT))
     step = course.duration / (4 * max(pace, 10))
@@ -153,7 +153,7 @@ class MethodSeries:
         self.course, self.standard, self.scope, self.levels = course, standard, scope, levels
 
     def measure(self) -> list[MotionPoint]:
-        """Integrate in rounds; those that take long once."""
+        """Integrate in rounds; slow integrations run once."""
         replace(self.course, duration=self.course.duration / 100).integrate(self.levels[0][1])  # compiles
         motions = [self.course.integrate(settings) for _, settings in self.levels]
         times = [[motion.effort.seconds] for motion in motions]
@@ -210,7 +210,7 @@ def _end(motion: Motion) -> Array:
 
 
 def _move_within(q: Array, manifest: Manifest) -> Array:
-    """Move a pose to where its coordinates have limits on both sides of it."""
+    """Return a pose within the limits of the coordinates."""
     bounds = [
         (-np.inf if c.lower is None else c.lower, np.inf if c.upper is None else c.upper) for c in manifest.coordinates
     ]

@@ -1,13 +1,13 @@
-"""Optimal control: processor time of a solve against what its optimum errs by, by collocation and representation.
+"""Optimal control: processor time of a solve against the error of its optimum, by collocation and representation.
 
-Inputs are constant over an interval, so a number N of intervals is a control grid, and has an optimum J*(N) of its own:
+Inputs are constant over an interval, so each number N of intervals is a control grid with an optimum J*(N):
 
-    error of the cost        |J - J*(N)| / |J*(N)|      what collocation errs by, on the same control grid
-    error of the grid        |J*(N) - J*| / |J*|        what the control grid itself costs
+    error of the cost        |J - J*(N)| / |J*(N)|      error of collocation, on the same control grid
+    error of the grid        |J*(N) - J*| / |J*|        error of the control grid itself
 
-J*(N) is the optimum with Legendre points of degree 9, and is as accurate as it agrees with that of Radau points of
-degree 9; J* is extrapolated from the finest two grids with order 2, and is as accurate as it agrees with that of the
-two before.
+J*(N) is the optimum with Legendre points of degree 9; its difference from Radau points of degree 9 is its accuracy.
+J* is extrapolated with order 2 from the two finest grids; its difference from the extrapolation without the finest grid
+is its accuracy.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ TIGHT = 1e-11  # its solver's tolerance
 
 @dataclass(frozen=True)
 class OptimumScope:
-    """How much is measured."""
+    """The amount of measurement."""
 
     intervals: tuple[int, ...] = (5, 10, 20, 40)
     degrees: tuple[int, ...] = (1, 2, 3, 4, 5)
@@ -54,7 +54,7 @@ class GridOptimum:
 
 @dataclass(frozen=True)
 class OptimumPoint:
-    """A solve, and what its optimum errs by."""
+    """A solve and the error of its optimum."""
 
     mechanism: str
     representation: str
@@ -73,7 +73,7 @@ class OptimumPoint:
 def measure_optima(
     case: Case, scope: OptimumScope, store: Store[SolvePoint], report: Callable[[str, int, int], None]
 ) -> tuple[list[OptimumPoint], list[GridOptimum]]:
-    """Solve all combinations, and the references; what was measured before is taken from the store."""
+    """Solve the references and all combinations; earlier solves are read from the store."""
     jobs = [
         (intervals, family, degree, representation)
         for intervals in scope.intervals
@@ -106,7 +106,7 @@ def _refine(problem: Problem, family: Family, intervals: int) -> Problem:
 
 
 def _represent(problem: Problem, representation: Representation) -> Problem:
-    """Write a problem by collocation, in the integral form where it asks for that and may have it."""
+    """Return a problem in collocation, in the integral form if it has that form and the representation allows it."""
     is_integral = problem.form is Form.INTEGRAL and not representation.is_ode
     form = Form.INTEGRAL if is_integral else Form.STANDARD
     return replace(problem, representation=representation, form=form, integrator="collocation", steps=1)
@@ -134,7 +134,7 @@ def _judge_grids(case: Case, intervals: Sequence[int], pairs: Sequence[Sequence[
 
 
 def _find_limit(costs: Sequence[tuple[int, float | None]]) -> float | None:
-    """Extrapolate from the last two of some grids, (N, J), with order 2."""
+    """Extrapolate (N, J) with order 2 from the two finest grids."""
     known = [(n, cost) for n, cost in costs if cost is not None]
     if len(known) < 2:
         return None

@@ -1,7 +1,7 @@
-"""A report as one page of HTML that needs no network and no other file: sections in, text out.
+"""Write sections as one page of HTML that needs no network and no other file.
 
-What names and tables say comes from files, and is only ever shown: the template escapes it, pictures are images that
-run nothing, and the page's policy admits the one script that sorts tables.
+Names and tables come from files, so the page only shows them: the template escapes text, pictures are images and run no
+script, and the policy of the page admits only the script that sorts tables.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from markupsafe import Markup
 from mbsgen import resources
 from mbsrun.measuring.sections import LONG, Cell, Picture, Section, Table
 
-SHORT = 24  # characters of a cell that is not broken into lines
+SHORT = 24  # characters of a cell on one line
 
 
 @dataclass(frozen=True)

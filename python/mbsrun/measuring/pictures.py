@@ -31,12 +31,12 @@ SHADES = 128  # colours of a picture
 LABELS_APART = 0.5  # decades of error between two labels: a front falls, so no two of them overlap
 LINE = 80  # characters of a sentence below a small chart
 MARKERS = {"float64": "o", "float32": "s"}
-EXACT, WORST = 1e-17, 100.0  # where smaller and larger errors are drawn, and those that are not known
+EXACT, WORST = 1e-17, 100.0  # smaller, larger and unknown errors are drawn there
 ROUNDINGS = {"float64": 2.0**-53, "float32": 2.0**-24}
 
 
 def save_picture(figure: Figure, path: Path, dpi: int) -> None:
-    """Write a figure as PNG, in few colours: a third of the bytes; the same figure gives the same ones."""
+    """Write a figure as PNG, in few colours and a third of the bytes; the same figure gives the same bytes."""
     whole = io.BytesIO()
     figure.savefig(whole, format="png", dpi=dpi)
     with Image.open(whole) as picture:
@@ -44,7 +44,7 @@ def save_picture(figure: Figure, path: Path, dpi: int) -> None:
 
 
 def draw_kernels(points: Sequence[KernelPoint], folder: Path) -> list[Path]:
-    """Draw kernels.png and kernels_backward.png, a row for each mechanism, and derivatives.png; give their paths."""
+    """Draw kernels.png and kernels_backward.png, a row for each mechanism, and derivatives.png; return their paths."""
     pictures = {
         "kernels": (tuple(KERNELS), "error", "largest error, by the largest entry of a result"),
         "kernels_backward": (tuple(KERNELS), "backward", "largest backward error"),
@@ -60,7 +60,7 @@ def draw_kernels(points: Sequence[KernelPoint], folder: Path) -> list[Path]:
 
 
 def draw_motions(points: Sequence[MotionPoint], standard: Standard, folder: Path) -> list[Path]:
-    """Draw simulation.png: error of place and drift of energy against processor time; give its path."""
+    """Draw simulation.png: error of place and drift of energy against processor time; return its path."""
     figure = Figure(figsize=(20, 11), layout="constrained")
     left, right = figure.subplots(1, 2, sharex=True)
     for axes, number in ((left, "error"), (right, "drift")):
@@ -90,7 +90,7 @@ def draw_motions(points: Sequence[MotionPoint], standard: Standard, folder: Path
 
 
 def draw_optima(points: Sequence[OptimumPoint], grids: Sequence[GridOptimum], folder: Path) -> list[Path]:
-    """Draw optimisation.png, a column for each control grid, and control_grid.png; give their paths."""
+    """Draw optimisation.png, a column for each control grid, and control_grid.png; return their paths."""
     figure = Figure(figsize=(6 * len(grids), 10), layout="constrained")
     rows = figure.subplots(2, len(grids), squeeze=False)
     for column, grid in enumerate(grids):
@@ -103,22 +103,22 @@ def draw_optima(points: Sequence[OptimumPoint], grids: Sequence[GridOptimum], fo
             axes.axhspan(grid.accuracy / 100, grid.accuracy, color="0.9", zorder=0)
         if grid.error:
             axes.axhline(grid.error, color="0.4", linewidth=0.8, linestyle="--")
-        told = "unknown" if grid.error is None else f"{grid.error:.0e} (dashed)"
-        axes.set_title(f"{grid.intervals} intervals; the grid's own error: {told}", fontsize=9)
+        error = "unknown" if grid.error is None else f"{grid.error:.0e} (dashed)"
+        axes.set_title(f"{grid.intervals} intervals; the grid's own error: {error}", fontsize=9)
     rows[0, 0].set_ylabel("error of the cost, on the same control grid")
     rows[1, 0].set_ylabel("largest defect of an interval [rad, m; rad/s, m/s]")
     handles, labels = rows[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=6)
     mechanism = _plain(points[0].mechanism)
-    told = "circles: Radau, squares: Legendre, labels: degree; grey: the reference is no better; x: failed"
-    figure.suptitle(f"{mechanism}: optimal control, speed against accuracy ({told})", fontsize=10)
+    text = "circles: Radau, squares: Legendre, labels: degree; grey: the reference is no better; x: failed"
+    figure.suptitle(f"{mechanism}: optimal control, speed against accuracy ({text})", fontsize=10)
     path = folder / "optimisation.png"
     save_picture(figure, path, 90)
     return [path, _draw_grids(points, grids, folder)]
 
 
 def draw_fidelity(points: Sequence[FidelityPoint], folder: Path) -> list[Path]:
-    """Draw fidelity.png: a row for each kernel, errors as supposed and anywhere against time; give its path."""
+    """Draw fidelity.png: a row for each kernel, errors as supposed and anywhere against time; return its path."""
     kernels = list(dict.fromkeys(p.kernel for p in points))
     figure = Figure(figsize=(16, 5 * len(kernels)), layout="constrained")
     rows = figure.subplots(len(kernels), 2, squeeze=False)
@@ -126,7 +126,7 @@ def draw_fidelity(points: Sequence[FidelityPoint], folder: Path) -> list[Path]:
         own = [p for p in points if p.kernel == kernel]
         (whole,) = [p for p in own if p.reduction == WHOLE]
         for axes, (number, title) in zip(
-            row, (("error", "where what is supposed holds"), ("error_anywhere", "anywhere")), strict=True
+            row, (("error", "states that agree with the reduction"), ("error_anywhere", "anywhere")), strict=True
         ):
             sentence = _draw_marks(axes, [_mark_reduction(p, number) for p in own if p.reduction != WHOLE], "ns")
             if whole.ns is not None:
@@ -135,7 +135,7 @@ def draw_fidelity(points: Sequence[FidelityPoint], folder: Path) -> list[Path]:
             axes.set_xlabel(f"time of a call [ns]\n{textwrap.fill(sentence, LINE)}", fontsize=8)
         row[0].set_ylabel("largest error, by the whole model's largest result")
     figure.suptitle(
-        f"{_plain(points[0].mechanism)}: what is left out, and which part of the flops that saves; x: failed",
+        f"{_plain(points[0].mechanism)}: the reduction, and the share of the flops that it saves; x: failed",
         fontsize=10,
     )
     handles, labels = rows[0, 0].get_legend_handles_labels()
@@ -146,7 +146,7 @@ def draw_fidelity(points: Sequence[FidelityPoint], folder: Path) -> list[Path]:
 
 
 def _draw_grids(points: Sequence[OptimumPoint], grids: Sequence[GridOptimum], folder: Path) -> Path:
-    """Draw what a control grid itself costs, and what collocation adds, against the number of intervals."""
+    """Draw the errors of control grids and of collocation on them, against the number of intervals."""
     figure = Figure(figsize=(9, 6.5), layout="constrained")
     axes = figure.subplots()
     known = [(g.intervals, g.error) for g in grids if g.error]
@@ -171,11 +171,11 @@ def _draw_grids(points: Sequence[OptimumPoint], grids: Sequence[GridOptimum], fo
     axes.set_ylabel("relative error of the cost")
     axes.grid(color="0.9", linewidth=0.5)
     axes.legend(fontsize=7)
-    told = (
-        "grey: below, the limit of fine grids is not known" if accuracies else "the limit is known of two grids alone"
+    text = (
+        "grey: below it, the limit of fine grids is uncertain" if accuracies else "the limit depends on two grids alone"
     )
     axes.set_title(
-        f"{_plain(points[0].mechanism)}: what the control grid costs, and collocation on it; {told}", fontsize=9
+        f"{_plain(points[0].mechanism)}: errors of the control grid, and of collocation on it; {text}", fontsize=9
     )
     path = folder / "control_grid.png"
     save_picture(figure, path, 90)
@@ -196,12 +196,12 @@ def _mark_reduction(point: FidelityPoint, number: str) -> Mark:
 
 
 def _plain(name: str) -> str:
-    """Keep a name of the user's from being read as a formula."""
+    """Escape a name, so that it is not read as a formula."""
     return name.replace("$", r"\$")
 
 
 def _has_backward(point: KernelPoint, points: Sequence[KernelPoint]) -> bool:
-    """Tell whether backward errors are known of a point's task."""
+    """Return whether a task of a point has backward errors."""
     return any(p.backward is not None for p in points if p.task == point.task)
 
 
@@ -222,8 +222,8 @@ def _draw_tasks(points: Sequence[KernelPoint], number: str, axis: str, path: Pat
             grid[r, c].set_xlabel(f"time of a call [ns]\n{textwrap.fill(sentence, LINE)}", fontsize=7)
             grid[r, c].legend(fontsize=7, loc="best")
         grid[r, 0].set_ylabel(axis, fontsize=8)
-    told = "grey line: the front; circles: float64, squares: float32, dotted: half a unit in the last place; x: failed"
-    figure.suptitle(told, fontsize=9)
+    text = "grey line: the front; circles: float64, squares: float32, dotted: half a unit in the last place; x: failed"
+    figure.suptitle(text, fontsize=9)
     save_picture(figure, path, 110)
 
 
@@ -279,7 +279,7 @@ def _prepare(axes: Axes) -> None:
 
 
 def _draw_front(axes: Axes, places: Sequence[tuple[float, float]], labels: Sequence[str]) -> None:
-    """Draw the front as steps, and label it: on the side where no other mark is, and where no label stands yet."""
+    """Draw the front as steps, with labels where neither marks nor other labels are."""
     x, y = zip(*places, strict=True)
     axes.step(x, y, where="post", color="0.6", linewidth=2.5, alpha=0.6, zorder=0.5)
     heights: list[float] = []

@@ -15,36 +15,36 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Cost:
-    """What something takes, of several rounds."""
+    """The time of several rounds."""
 
     shortest: float
     median: float
-    spread: float  # what lies between the quarters of the rounds, by the median: how restless the machine was
+    spread: float  # distance of the quartiles of the rounds, by the median: the unrest of the machine
     rounds: int
 
 
 @dataclass(frozen=True)
 class KernelPoint:
-    """A way to compute a function, with what it takes and what it errs by."""
+    """A way to compute a function, its time and its error."""
 
     mechanism: str
     joints: int
-    task: str  # what is computed: ways of one task are comparable
-    way: str  # how
+    task: str  # the function; ways of one task are comparable
+    way: str  # kernel or method
     precision: str
-    flags: str  # of the compiler, as far as they vary
+    flags: str  # of the compiler, where they vary
     ns: Cost | None  # of a call [ns]; None: it failed in all states
     error: float | None  # the largest of all states: of a result, by its largest entry
     error_median: float | None
-    backward: float | None  # the largest of all states: of the equations of motion, by what they are a sum of
+    backward: float | None  # the largest over all states: residual by the sum of the absolute values of its terms
     states: int  # that were tried
-    failed: int  # of them, with a status that is not 0
-    finding: str = ""  # why there is nothing to tell
+    failed: int  # states with a status other than 0
+    finding: str = ""  # the reason where numbers are missing
 
 
 @dataclass(frozen=True)
 class MotionPoint:
-    """A way to integrate a motion, with what it takes and what it errs by."""
+    """A way to integrate a motion, its time and its error."""
 
     mechanism: str
     method: str
@@ -60,7 +60,7 @@ class MotionPoint:
 
 @dataclass(frozen=True)
 class SolvePoint:
-    """A way to put a problem on a grid, with what its solve takes and what it errs by."""
+    """A way to put a problem on a grid, the time of the solve and its error."""
 
     mechanism: str
     representation: str

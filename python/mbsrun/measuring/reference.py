@@ -1,9 +1,9 @@
-"""Results in 50 digits: residual, mass matrix, accelerations and their derivatives, all of one textbook recursion.
+"""Reference results in 50 digits by the textbook recursion: residual, mass matrix, accelerations, derivatives.
 
     M e_i = Phi(q, 0, e_i) - Phi(q, 0, 0),    c = Phi(q, qd, 0),    M qdd = Q - c
 
-Derivatives of r = Phi - Q are central differences with a step of 1e-15, in 50 digits right to 1e-28 or so;
-those of accelerations follow by the implicit function theorem. None of it has a line in common with what it judges.
+Derivatives of r = Phi - Q are central differences with a step of 1e-15: in 50 digits their error is about 1e-28.
+Derivatives of accelerations follow from the implicit function theorem. The reference shares no code with kernels.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ Arguments = Mapping[str, Sequence[Any]]
 Equations = Callable[[Arguments], dict[str, list[Any]]]  # the state -> Phi and Q
 
 DIGITS = 50
-STEP = "1e-15"  # of central differences; their error is of its square
+STEP = "1e-15"  # of central differences; the error is of second order
 
 
 class Reference:
-    """The equations of motion of a model file, exactly for all purposes."""
+    """The equations of motion of a model file, in 50 digits."""
 
     def __init__(self, model: Path) -> None:
-        """Read a model file. Raises InputError with every fault of it."""
-        from mbsgen.oracle import Oracle  # here alone, and late: kernels are called without SymPy
+        """Read a model file. Raises InputError with all faults."""
+        from mbsgen.oracle import Oracle  # imported late: everything else works without SymPy
 
         self._oracle = Oracle(model)
         self.context = mpmath.MPContext()
         self.context.dps = DIGITS
 
     def at(self, state: Mapping[str, Array]) -> Moment:
-        """Look at one state: q, qd, qdd (n,), u (m,), and what else the model takes."""
+        """Return the equations at one state: q, qd, qdd (n,), u (m,), and the other inputs of the model."""
         exact = {name: [self.context.mpf(float(x)) for x in state[name]] for name in self._oracle.inputs}
         return Moment(exact, self._oracle.evaluate, self.context)
 
@@ -68,7 +68,7 @@ class Moment:
 
     @cached_property
     def bias(self) -> list[Any]:
-        """Compute c: what the residual is without accelerations and Q."""
+        """Compute c, the residual without accelerations and Q."""
         return self.equations({**self.state, "qdd": [0] * self.size})["Phi"]
 
     @cached_property
@@ -101,7 +101,7 @@ class Moment:
         return rows
 
     def scale(self, qdd: Sequence[Any]) -> Array:
-        """Add up |M| |qdd| + |c| + |Q|: what the entries of the residual are sums of."""
+        """Compute |M| |qdd| + |c| + |Q|, the scale of the residual, entry by entry."""
         terms = [sum(abs(a) * abs(b) for a, b in zip(row, qdd, strict=True)) for row in self.M]
         parts = zip(terms, self.bias, self.forces, strict=True)
         return np.array([float(t + abs(c) + abs(Q)) for t, c, Q in parts])

@@ -1,4 +1,4 @@
-"""What a report is made of: tables, pictures, sections; and how those that lie in a folder are read."""
+"""The parts of a report: tables, pictures, sections; write them to folders, and read them from folders."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from mbsgen.errors import Fault, InputError
 
 Cell = str | float | int | bool | None
 
-LARGEST = 8_000_000  # bytes of a file that is taken in
+LARGEST = 8_000_000  # bytes of an included file
 LONG = 40  # rows of a table that is shown folded
 OUTLINE = ".section.json"
-LAST = 100  # the place of what no outline names
+LAST = 100  # the place of files without an outline
 KINDS = {".png": "image/png", ".svg": "image/svg+xml"}
 
 
 @dataclass(frozen=True)
 class Table:
-    """Numbers with names; a file of it is JSON with these keys."""
+    """A table; its file is JSON with these keys."""
 
     title: str
     columns: tuple[str, ...]
@@ -39,7 +39,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure, and what is on it."""
+    """A figure with its caption."""
 
     title: str
     kind: str  # of KINDS
@@ -53,12 +53,12 @@ class Section:
 
     name: str  # of files and anchors
     title: str
-    text: str  # what it is about, and how it was made
+    text: str  # subject and method
     items: tuple[Table | Picture, ...]
 
 
 def write_section(section: Section, folder: Path) -> None:
-    """Write tables as NAME_1.csv, …, and pictures as they are."""
+    """Write tables as NAME_1.csv, …, and pictures in their format."""
     folder.mkdir(parents=True, exist_ok=True)
     for number, item in enumerate(section.items, 1):
         name = f"{section.name}_{number}"
@@ -70,7 +70,7 @@ def write_section(section: Section, folder: Path) -> None:
 
 
 def distinguish(sections: Sequence[Section]) -> list[Section]:
-    """Give sections of the same name numbers: names are those of files."""
+    """Return sections with different names: a number follows a name that occurs again."""
     seen: Counter[str] = Counter()
     named = []
     for section in sections:
@@ -104,7 +104,7 @@ def _drop_infinite(cell: Cell) -> Cell:
 
 @dataclass(frozen=True)
 class Caption:
-    """A file of a folder, and what is in it; what is empty here is as the file says itself."""
+    """The caption of a file; where it is empty, the file has its own."""
 
     file: str  # its name: a picture, or a table's JSON
     title: str = ""
@@ -113,17 +113,17 @@ class Caption:
 
 @dataclass(frozen=True)
 class Outline:
-    """What some files of a folder are, for a report that takes the folder in: one section."""
+    """The outline of a section: some files of a folder with captions, for a report that includes the folder."""
 
     name: str
     place: int  # among the sections of all folders
     title: str
-    text: str  # what it is about, and how it was made
+    text: str  # subject and method
     items: tuple[Caption, ...]
 
 
 def write_outline(outline: Outline, folder: Path) -> Path:
-    """Write an outline as NAME.section.json; give the path."""
+    """Write an outline as NAME.section.json; return the path."""
     path = folder / f"{_spell(outline.name)}{OUTLINE}"
     path.write_text(json.dumps(asdict(outline), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     return path
@@ -132,18 +132,20 @@ def write_outline(outline: Outline, folder: Path) -> Path:
 def read_folders(folders: Sequence[Path]) -> list[Section]:
     """Read the tables (*.json) and pictures (*.png, *.svg) of folders.
 
-    Outlines tell which files belong together, and in which order. What they do not name makes a section of its own for
-    each folder: there a table has the keys title, columns, rows and, as it may be, note; a list of objects is one as
-    well. What is of another form is passed over: folders hold records beside. Raises InputError for a folder that
-    cannot be read, or that has neither.
+    An outline lists the files of a section in their order. All other tables and pictures of a folder are one more
+    section. A table has the keys title, columns, rows and optionally note; a list of objects is a table, too. Files of
+    another form are ignored, since folders also hold records. Raises InputError for an unreadable folder, and for a
+    folder without tables and pictures.
     """
     placed: list[tuple[int, Section]] = []
     for folder in folders:
         if not folder.is_dir():
-            raise InputError([Fault(str(folder), 0, "", "it is no folder", "give one with tables and pictures")])
+            raise InputError([Fault(str(folder), 0, "", "it is not a folder", "give one with tables and pictures")])
         found = _read_sections(folder)
         if not found:
-            raise InputError([Fault(str(folder), 0, "", "it has no table and no picture", "give another folder")])
+            raise InputError(
+                [Fault(str(folder), 0, "", "it contains neither a table nor a picture", "give another folder")]
+            )
         placed += found
     return [section for _, section in sorted(placed, key=lambda x: x[0])]
 
@@ -168,7 +170,7 @@ def _is_taken(path: Path) -> bool:
 
 
 def _read_outlines(files: dict[str, Path]) -> list[Outline]:
-    """Take the outlines out of the files of a folder."""
+    """Remove the outlines from the files of a folder, and return them."""
     outlines = []
     for name in [name for name in files if name.endswith(OUTLINE)]:
         with suppress(ValueError, ValidationError, RecursionError):
@@ -188,7 +190,7 @@ def _explain(item: Table | Picture, caption: Caption) -> Table | Picture:
 
 
 def _spell(name: str) -> str:
-    """Make a name that files and anchors may have."""
+    """Return a name that is valid for files and anchors."""
     return re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_") or "folder"
 
 
@@ -201,7 +203,7 @@ def _read_table(path: Path) -> Table | None:
 
 
 def _list_points(name: str, points: Sequence[Any]) -> Table | None:
-    """Lay a list of objects out as a table; what is an object in them gets a column for each entry."""
+    """Return a list of objects as a table; a nested object gets a column for each entry."""
     rows = [_flatten(point) for point in points if isinstance(point, dict)]
     columns = tuple(dict.fromkeys(key for row in rows for key in row))
     if not columns:

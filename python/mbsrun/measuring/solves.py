@@ -1,8 +1,8 @@
 """Optimal control: processor time of a solve against the defect, by collocation, grid and representation.
 
-The defect is the largest error of an interval by re-simulation. First a representation is solved on grids that are made
-finer until the defect is small enough, for each kind and degree of points; then all representations on the cheapest of
-those grids. Inputs are constant over an interval, so a finer grid is another problem too, with a lower cost.
+The defect is the largest error of an interval by re-simulation. First, for each kind and degree of points, the first
+representation is solved on finer and finer grids until the defect is small enough. Then all representations are solved
+on the fastest of these grids. Inputs are constant over an interval, so a finer grid also has a lower cost.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ REACH = 0.5  # rad, and a fifth of it in m: how far the actuated joints go
 
 @dataclass(frozen=True)
 class SolveScope:
-    """How much is measured."""
+    """The amount of measurement."""
 
     families: tuple[Family, ...] = (Family.RADAU, Family.LEGENDRE)
     degrees: tuple[int, ...] = (2, 3, 4, 5)
@@ -45,7 +45,7 @@ QUICK = SolveScope((Family.RADAU,), (3,), (5, 10), (Representation.IMPL, Represe
 
 @dataclass(frozen=True)
 class Case:
-    """A problem and the mechanism that it is of."""
+    """A problem and its mechanism."""
 
     problem: Problem
     mechanism: Mechanism
@@ -86,7 +86,7 @@ def state_reach(mechanism: Mechanism) -> Case:
 def measure_solves(
     case: Case, accuracy: float, scope: SolveScope, store: Store[SolvePoint], report: Callable[[str, int, int], None]
 ) -> list[SolvePoint]:
-    """Solve on grids, then in representations; what was measured before is taken from the store."""
+    """Solve on grids, then in all representations; earlier solves are read from the store."""
     points: list[SolvePoint] = []
     kinds = [(family, degree) for family in scope.families for degree in scope.degrees]
     total = len(kinds) + len(scope.representations)

@@ -252,7 +252,7 @@ def test_folders_are_taken_in(tmp_path: Path) -> None:
     assert [item.title for item in two.items] == ["map"]
     assert [section.name for section in distinguish([one, chart, one])] == ["one", "chart", "one_2"]
     (tmp_path / "empty").mkdir()
-    for folder, told in ((tmp_path / "empty", "no table"), (tmp_path / "nowhere", "no folder")):
+    for folder, told in ((tmp_path / "empty", "neither a table"), (tmp_path / "nowhere", "not a folder")):
         with pytest.raises(InputError, match=told):
             read_folders([folder])
 
