@@ -1,13 +1,13 @@
 """Fidelity: the time that a reduction of a model saves in a kernel, against its error.
 
 A reduction leaves something out: it locks joints (their bodies become one), or drops the mass of a body, forces of
-joints, gravity, velocities, run-time parameters or sensors. Its kernels are compared with the kernels of the whole model
-at random states, for the remaining joints and sensors:
+joints, gravity, velocities, run-time parameters or sensors. Its kernels are compared with the kernels of the whole
+model at random states, for the remaining joints and sensors:
 
     as supposed   locked joints stand at their locked place, and velocities that it drops are 0
     anywhere      any state
 
-Either error is the largest over all states, relative to the largest entry of the whole model's result.
+Either error is the largest over all states, relative to the largest entry of the result of the whole model.
 """
 
 from __future__ import annotations
