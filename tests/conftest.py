@@ -1,11 +1,12 @@
-"""What the tests of both packages share: tools that are not Python's, and what happens when one is missing."""
+"""What all tests share: a cache of the run's own, random numbers of each test's own, and tools that may be missing."""
 
 from __future__ import annotations
 
 import os
 import shutil
 import zlib
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -25,6 +26,22 @@ def requires() -> Callable[[str], str]:
         return path
 
     return find
+
+
+@pytest.fixture(scope="session")
+def run_folder(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Path:
+    """Return a folder of this run; under pytest-xdist all its workers have the same."""
+    own = tmp_path_factory.getbasetemp()
+    return own.parent if hasattr(request.config, "workerinput") else own
+
+
+@pytest.fixture(scope="session", autouse=True)
+def cache(run_folder: Path) -> Iterator[Path]:
+    """Keep what is generated and compiled apart from the user's, for all processes of the run, with plain flags."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(run_folder / "cache"))
+        patch.delenv("CFLAGS", raising=False)
+        yield run_folder / "cache" / "mbsgen"
 
 
 @pytest.fixture

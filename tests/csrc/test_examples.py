@@ -16,9 +16,6 @@ from scipy.integrate import solve_ivp
 from mbsrun import load
 from mbsrun.models import find_folder
 from tests.mbsgen.targets.compilation import run
-from tests.mbsrun.conftest import cache, run_folder
-
-__all__ = ["cache", "run_folder"]
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "csrc" / "examples"
