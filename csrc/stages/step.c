@@ -1,7 +1,8 @@
 /* One step of the recursion: the cost z.Q z / 2 + q.z and rows M z + m = 0 of z = (x, v), reduced to x.
  *
- * Rows are eliminated by complete pivoting, first in the columns of v. A row without pivot there is a condition on x;
- * those are made independent in the same way, and the rest has no pivot at all. With z = (pivots, free, x),
+ * Rows are eliminated by pivoting, first in the columns of v: by columns where a pivot is large in its row, then
+ * completely. A row without pivot there is a condition on x; those are made independent in the same way, and the rest
+ * has no pivot at all. With z = (pivots, free, x),
  *
  *     pivots = -(T r + t),  r = (free, x),   Q_rr - TT Q_pr - Q_rp T + TT Q_pp T = [L; K] [LT KT] + [0 0; 0 P].
  *
@@ -11,6 +12,8 @@
 
 #include <math.h>
 #include <string.h>
+
+#define CLEAR ((real)0.25) /* share of a pivot in its row that needs no better one */
 
 static void weigh_rows(const mbs_stages_step *p, real *weight)
 {
@@ -77,17 +80,41 @@ static void eliminate_below(mbs_stages_step *p, const char *used, int done, int 
     }
 }
 
+/* Use a pivot. */
+static void take_pivot(mbs_stages_step *p, real *weight, char *used, int done, int row, int column)
+{
+    exchange_rows(p, weight, done, row);
+    used[column] = 1;
+    p->column[done] = column;
+    eliminate_below(p, used, done, column);
+}
+
+/* Eliminate column by column where the best pivot of a column is large in its row. That is the usual case of unknowns
+ * that equations of their stage determine, and saves the search through all columns. */
+static int eliminate_clear(mbs_stages_step *p, real *weight, char *used, int from, int to)
+{
+    int i, j, done = 0;
+    for (j = from; j < to && done < p->rows; ++j) {
+        const real *a = p->lu + (size_t)j * (size_t)p->capacity;
+        real most = 0;
+        int row = done;
+        for (i = done; i < p->rows; ++i) {
+            const real share = (real)fabs(a[i]) * weight[i];
+            row = share > most ? i : row;
+            most = share > most ? share : most;
+        }
+        if (most >= CLEAR)
+            take_pivot(p, weight, used, done++, row, j);
+    }
+    return done;
+}
+
 /* Eliminate with pivots in columns from .. to - 1; returns how many pivots there are then. */
 static int eliminate(mbs_stages_step *p, real *weight, char *used, int from, int to, int done, real zero)
 {
     int row, column;
-    while (done < p->rows && find_pivot(p, weight, used, from, to, done, zero, &row, &column)) {
-        exchange_rows(p, weight, done, row);
-        used[column] = 1;
-        p->column[done] = column;
-        eliminate_below(p, used, done, column);
-        ++done;
-    }
+    while (done < p->rows && find_pivot(p, weight, used, from, to, done, zero, &row, &column))
+        take_pivot(p, weight, used, done++, row, column);
     return done;
 }
 
@@ -197,7 +224,8 @@ int mbs_stages_reduce(mbs_stages_step *p, const real *quadratic, real *const *wo
     for (i = 0; i < p->rows; ++i)
         p->row[i] = i;
     weigh_rows(p, weight);
-    p->pivots = eliminate(p, weight, used, p->nx, p->n, 0, zero_pivot);
+    p->pivots = eliminate_clear(p, weight, used, p->nx, p->n);
+    p->pivots = eliminate(p, weight, used, p->nx, p->n, p->pivots, zero_pivot);
     order_variables(p, used);
     for (i = p->nx; i < p->n; ++i)
         used[i] = 1;
