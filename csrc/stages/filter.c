@@ -3,7 +3,7 @@
 
 #include <math.h>
 
-/* a <= b, but for rounding beside `base`. */
+/* a <= b, up to the rounding of `base`. */
 int mbs_stages_below(real a, real b, real base)
 {
     return a - b <= 10 * MBS_STAGES_EPSILON * (real)fabs(base);
@@ -21,7 +21,7 @@ static void drop(mbs_stages_filter *f, int i)
     f->phi[i] = f->phi[f->count];
 }
 
-/* Add a pair and drop those that it implies; a full filter loses the pair of the largest violation. */
+/* Add a pair, and drop the pairs that it implies. A full filter loses the pair with the largest violation. */
 void mbs_stages_filter_add(mbs_stages_filter *f, real theta, real phi)
 {
     int i, worst = 0;

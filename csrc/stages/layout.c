@@ -94,7 +94,7 @@ static void lay_phase(arena *a, mbs_stages_phase *p, int size, int rows)
     lay_direction(a, &p->other, size, rows);
 }
 
-/* Places of a stage, which come after those of the stages before. */
+/* Places of a stage come after the places of earlier stages. */
 static void lay_stage(arena *a, mbs_stages *s, const mbs_stages_problem *problem, int k, mbs_stages_stage *t)
 {
     const mbs_stages_size *z = &problem->size[k];

@@ -6,7 +6,7 @@
  *     least <= g(k, x, v) <= most,   lower <= (x, v) <= upper.
  *
  * The initial state is an unknown; fix it by equal bounds or by e. A parameter or a free horizon is a state with
- * d = x. C99, math.h and string.h alone; no allocation and no static state: solvers in threads of their own share
+ * d = x. C99, math.h and string.h alone; no allocation and no static state: solvers in several threads share
  * nothing. Define MBS_STAGES_FLOAT in every file for single precision. */
 #ifndef MBS_STAGES_H
 #define MBS_STAGES_H
@@ -31,7 +31,7 @@ typedef struct {
 /* What an iteration begins with. */
 typedef struct {
     int iteration, restoring;
-    mbs_stages_real cost, violation, stationarity, barrier; /* scaled; the cost is that of restoration there */
+    mbs_stages_real cost, violation, stationarity, barrier; /* scaled; in restoration the cost of restoration */
     mbs_stages_real step, curvature; /* length of the last step; what was added to its Hessian */
 } mbs_stages_progress;
 
@@ -77,7 +77,7 @@ typedef struct {
     mbs_stages_real tolerance;            /* of the scaled optimality conditions: 1e-8 (float: 1e-4) */
     mbs_stages_real violation_tolerance;  /* of rows and of complementarity, unscaled: 1e-4 (float: 1e-3) */
     mbs_stages_real acceptable_tolerance; /* 1e-6 (float: 1e-3) ... */
-    int acceptable_iterations;            /* ... for so many iterations in a row: 15 */
+    int acceptable_iterations;            /* ... in as many iterations in a row: 15 */
     int iterations;                       /* limit: 3000 */
     double seconds;                       /* limit by the clock; 0: none */
     mbs_stages_real barrier;              /* the first barrier parameter: 0.1 */
@@ -92,7 +92,7 @@ typedef enum { MBS_STAGES_EQUALITY, MBS_STAGES_DYNAMICS, MBS_STAGES_INEQUALITY }
 typedef struct {
     int stage;
     mbs_stages_kind kind;
-    int row; /* of e, d or g of that stage */
+    int row; /* of e, d or g in this stage */
     mbs_stages_real violation;
 } mbs_stages_clash;
 
@@ -103,7 +103,7 @@ typedef struct {
     int stage; /* of a failed callback or a bad bound, or -1 */
     int iterations, restorations /* iterations within restoration */, evaluations /* of values */;
     int factorisations, refinements;
-    int dependent; /* rows without a pivot of their own in the last factorisation */
+    int dependent; /* rows without a pivot in the last factorisation */
     mbs_stages_real cost;
     mbs_stages_real stationarity, violation, complementarity; /* largest, unscaled */
     mbs_stages_real barrier;                                  /* the last barrier parameter */
@@ -111,7 +111,7 @@ typedef struct {
     mbs_stages_clash clash[MBS_STAGES_CLASHES];
 } mbs_stages_result;
 
-/* The iterate: initial guess and solution. Multipliers are those of
+/* The iterate: initial guess and solution. They belong to the Lagrangian
  *     f + y . (e, d - next x, g) - below . (w - lower) + above . (w - upper). */
 typedef struct {
     mbs_stages_real *w;             /* variables */

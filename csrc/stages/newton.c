@@ -212,7 +212,7 @@ void mbs_stages_newton_solve(mbs_stages *s, mbs_stages_phase *p, const real *c, 
     mbs_stages_bound_steps(s, p, d);
 }
 
-/* Multipliers of least squares: those that leave least of the derivatives of the Lagrangian. */
+/* Multipliers of least squares: they make the derivatives of the Lagrangian smallest. */
 void mbs_stages_estimate_multipliers(mbs_stages *s, mbs_stages_phase *p)
 {
     mbs_stages_recursion *r = &s->recursion;

@@ -147,7 +147,7 @@ static int soften(mbs_stages_recursion *r, int k)
                              r->zero_curvature);
 }
 
-/* The first state is free but for the rows passed to it. */
+/* The first state is free, except for the rows passed to it. */
 static int factorise_root(mbs_stages_recursion *r)
 {
     const mbs_stages_step *q = &r->step[0];
@@ -236,7 +236,7 @@ static void sweep_back(mbs_stages_recursion *r, const real *rw, const real *rc)
     note_left(r, &r->root);
 }
 
-/* Multipliers of rows of stage k: those that give from their residuals, the others from `exact`. Returns how many
+/* Multipliers of rows of stage k: of rows that give from their residuals, of the others from `exact`. Returns how many
  * of `exact` it took. */
 static int spread_multipliers(const mbs_stages_recursion *r, int k, const real *z, const real *rc, const real *exact,
                               real *dy)
@@ -260,8 +260,8 @@ static int spread_multipliers(const mbs_stages_recursion *r, int k, const real *
     return at;
 }
 
-/* The next state, and the multipliers of its dynamics. Where these give, the only rows of the next state are those of
- * fixed states, whose multipliers nobody asks for. */
+/* The next state, and the multipliers of its dynamics. Where these give, fixed states are the only rows of the next
+ * state, and nobody asks for their multipliers. */
 static void advance(const mbs_stages_recursion *r, int k, const real *z, const real *rc, real *x, real *passed,
                     real *dy)
 {

@@ -9,7 +9,7 @@
 typedef struct {
     int nx, nv, n, ne, ng, next; /* n = nx + nv; next: states of the next stage, 0 of the last one */
     int w, e, d, g, s;           /* where they begin */
-    int equal;                   /* equal bounds that there is room for */
+    int equal;                   /* equal bounds that have room */
     real *E, *F, *G, *H; /* ne, next, ng, n rows; n columns each */
 } mbs_stages_stage;
 

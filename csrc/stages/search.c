@@ -119,7 +119,7 @@ static int correct(mbs_stages *s, mbs_stages_phase *p, search *t, real alpha, re
     return -1;
 }
 
-/* Take the trial: x and y by alpha, z by the longest step of its own. */
+/* Take the trial: x and y by alpha, z by its own longest step. */
 static void accept(mbs_stages *s, mbs_stages_phase *p, const search *t, real alpha)
 {
     const real dual = mbs_stages_dual_boundary(s, p, &p->step);

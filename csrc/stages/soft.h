@@ -4,7 +4,7 @@
 
 #include "blocks.h"
 
-/* The cost of a prediction, from that of the state. */
+/* The cost of a prediction, from the cost of the state. */
 typedef struct {
     int n;
     real *rows, *sum; /* row i of the cost before deviation i; its diagonal entry and the price of the deviation */

@@ -28,7 +28,7 @@ typedef struct {
     real *x, *zl, *zu, *y;
 } mbs_stages_direction;
 
-/* A barrier problem: the caller's, or that of least violation (elastic).
+/* A barrier problem: the caller's, or the problem of least violation (elastic).
  *
  * Its variables lie in one vector x = (w, slacks s of g, and if elastic p, n of each row), with bounds
  * lower <= x <= upper. Its rows are c = (e, d - next x, g - s), and if elastic c - p + n. */
@@ -43,7 +43,7 @@ typedef struct {
     real theta, phi;          /* violation and barrier function at x */
     real theta_most, theta_least;
     real mu, tau;
-    real regular, added;      /* the last curvature added where there was need; that of this step */
+    real regular, added;      /* curvature that was added last where it lacked; in this step */
     int tiny, tiny_before;    /* steps below the last digit */
     int rejected;             /* iterations whose first trial the filter alone refused, in a row */
     int resets;
@@ -64,7 +64,7 @@ struct mbs_stages {
     mbs_stages_options options;
     mbs_stages_result result;
     mbs_stages_recursion recursion;
-    int variables, rows, slacks, largest, equal; /* largest: n of a stage; equal: equal bounds that there is room for */
+    int variables, rows, slacks, largest; /* largest: n of a stage */
     mbs_stages_point point;
     mbs_stages_phase main, least;
     real *variable_scale, *row_scale, cost_scale;

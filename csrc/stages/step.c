@@ -280,7 +280,7 @@ void mbs_stages_step_back(mbs_stages_step *p, const real *linear, real *constant
     mbs_stages_apply(p->nx, free_ones, -1, p->L + free_ones, n, p->l, p->p);
 }
 
-/* Multipliers of all rows from the gradient of the cost by the pivots, and those of the rows passed on. */
+/* Multipliers of all rows, from the gradient of the cost by the pivots and the multipliers of rows passed on. */
 static void find_multipliers(const mbs_stages_step *p, const real *r, const real *passed, real *y, real *m)
 {
     const int done = p->pivots + p->passed;

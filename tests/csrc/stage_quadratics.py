@@ -35,7 +35,7 @@ def random_problem(
     """A convex problem that a random point is feasible for.
 
     `bounds` is the part of the variables that has them, on either side, at most `width` from the point; `first` fixes
-    the first state; `flat` is the part of the directions without curvature of their own;
+    the first state; `flat` is the part of the directions without curvature;
     the cost is bounded below all the same.
     """
     point = [rng.standard_normal(nx + nv) for nx, nv, _, _ in sizes]

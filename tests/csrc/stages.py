@@ -356,7 +356,7 @@ def measure(
 
 @dataclass
 class Answer:
-    """What the solver in C returned."""
+    """Status, iterate and figures that the solver in C returned."""
 
     status: str
     w: Array

@@ -82,7 +82,7 @@ def clashes(answer: Answer) -> list[tuple[int, str, int]]:
 
 
 def test_dependent_rows_are_counted_and_do_no_harm(library: Library) -> None:
-    """Every stage repeats a combination of its rows: variables are those of the dense solution."""
+    """Every stage repeats a combination of its rows: the variables agree with the dense solution."""
     rng = np.random.default_rng(5)
     problem = random_problem(rng, [(3, 3, 2, 0)] * 10 + [(3, 0, 2, 0)])
     for k in range(11):
@@ -94,7 +94,7 @@ def test_dependent_rows_are_counted_and_do_no_harm(library: Library) -> None:
 
 
 def test_rows_are_dependent_across_stages(library: Library) -> None:
-    """A state without influence that is wanted twice: in the first stage and in the last."""
+    """Nothing influences a state, and the first stage and the last one both prescribe it."""
     rng = np.random.default_rng(6)
     problem = random_problem(rng, [(3, 2, 0, 0)] * 6 + [(3, 0, 0, 0)])
     for F, b in zip(problem.F[:-1], problem.b[:-1], strict=True):
@@ -174,7 +174,7 @@ def test_a_trial_without_numbers_shortens_the_step(library: Library) -> None:
 def test_a_function_that_gives_no_numbers_ends_the_solve(
     library: Library, function: str, first: int, stage: int
 ) -> None:
-    """The status says so, the result where; the last iterate is that of as many iterations without the fault."""
+    """The status says so, the result where; the last iterate is the one of a run without the fault."""
     fails = Solver(library, pendulum(), lambda what, call, k: what == function and call >= first and k == stage)
     answer = fails.solve()
     assert (answer.status, answer.result.stage) == ("callback failed", stage)
@@ -263,7 +263,7 @@ def test_an_adaptive_start_finds_the_same_optimum(library: Library) -> None:
 
 @pytest.mark.parametrize("size", [1e-8, 1e-4, 1e4, 1e8])
 def test_scales_of_variables_undo_their_units(library: Library, size: float) -> None:
-    """Units from 1 to `size`, at random: with scales that undo them, the iterations are those of the plain problem."""
+    """Units from 1 to `size`, at random: with scales that undo them, it takes the iterations of the plain problem."""
     rng = np.random.default_rng(7)
     plain = random_problem(rng, [(3, 2, 1, 2)] * 10 + [(3, 0, 0, 1)], bounds=0.4)
     units = [size ** rng.random(len(q)) for q in plain.q]
@@ -335,7 +335,7 @@ def test_two_threads_give_the_bits_of_one(library: Library) -> None:
 
 
 def test_single_precision(library: Library, tmp_path: Path) -> None:
-    """Optima to some digits of the seven that there are."""
+    """Optima to three digits of seven."""
     single = Library(compile_solver(tmp_path, "-DMBS_STAGES_FLOAT", "-O0"), "float")
     for problem in (pendulum(), random_problem(np.random.default_rng(4), [(3, 2, 1, 1)] * 8, bounds=0.5)):
         exact, answer = Solver(library, problem).solve(), Solver(single, problem).solve()
@@ -366,7 +366,7 @@ def test_another_compiler_warns_of_nothing(tmp_path: Path) -> None:
 
 
 def test_sanitizers_find_nothing(tmp_path: Path) -> None:
-    """A program of its own, with a workspace of exactly the bytes asked for: solved, infeasible, failed, shifted."""
+    """A separate program, with a workspace of exactly the bytes asked for: solved, infeasible, failed, shifted."""
     place, program = sources()[0].parent, tmp_path / "program.c"
     program.write_text(PROGRAM, "utf-8")
     compiler = find_compiler(os.environ).command
