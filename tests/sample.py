@@ -16,9 +16,10 @@ from mbsgen.formulations import ports
 from mbsgen.manifest import Coordinate, Frame, Manifest, Parameter
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.types import Sparsity, Tape
-from mbsgen.targets.c import Sources, Unit, write_c
+from mbsgen.targets.c import Sources, write_c
 from mbsgen.targets.contract import Family
 from mbsgen.targets.names import mangle
+from mbsgen.targets.unit import Unit
 
 DIFFERENTIATED = ("x", "y", "u", "z")
 PARAMETERS = {"length": 0.7, "m-4": 2.5}

@@ -31,12 +31,13 @@ from mbsgen.output import write_folder
 from mbsgen.procedure.procedure import Computation, Procedure
 from mbsgen.report import Report, make_report, write_json, write_markdown
 from mbsgen.roles import Role
-from mbsgen.targets.c import Sources, Unit, write_c
+from mbsgen.targets.c import Sources, write_c
 from mbsgen.targets.contract import Family
 from mbsgen.targets.entries import list_groups
 from mbsgen.targets.matlab import write_matlab
 from mbsgen.targets.names import mangle
 from mbsgen.targets.python import write_python
+from mbsgen.targets.unit import Unit
 from mbsgen.verification.verify import verify
 
 __all__ = ["OptionError", "Options", "Product", "generate", "make", "read_tree", "write_families"]

@@ -7,11 +7,9 @@ function with typed arguments, and a second one, in CasADi's contract, that call
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cache
+from dataclasses import dataclass
 from itertools import accumulate
 
-import jinja2
 from mpmath import mpf
 
 from mbsgen import resources
@@ -21,31 +19,16 @@ from mbsgen.roles import Role
 from mbsgen.tape.types import Input, Output, Sparsity
 from mbsgen.targets.agreement import compare
 from mbsgen.targets.c_stages import Written, write_stages
-from mbsgen.targets.contract import Face, Family, Slot, arguments, faces
-from mbsgen.targets.entries import Group, write_string
+from mbsgen.targets.contract import Face, Slot, arguments, faces
+from mbsgen.targets.layout import lay_out
 from mbsgen.targets.statements import wrap, write_literal
+from mbsgen.targets.unit import Unit
 
 ABI_HEADER = "mbs_abi.h"
 # Results that lose digits with the condition of the mass matrix.
 _SOLVED = (Role.ACCELERATION, Role.CONDITION)
 _LARGEST_REFERENCE = 1000  # results of a function; where it has more, the check program holds none of them
 _COPIED = (ABI_HEADER, "mbs_sincos.h", "mbs_check.h", "mbs_check.c")  # from csrc; more where stages need them
-
-
-@dataclass(frozen=True)
-class Unit:
-    """The functions of one model, to be written as C."""
-
-    prefix: str  # the model's mangled name
-    version: str  # of mbsgen
-    model_hash: str
-    families: tuple[Family, ...]
-    parameters: tuple[float, ...] = ()  # default values of the run-time parameters
-    design: tuple[float, ...] = ()  # values of the differentiated parameters
-    only_driven: bool = True  # u is the only force in the joints
-    groups: tuple[Group, ...] = ()  # names of the entries of vectors
-    references: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # results at the check's first state
-    tolerance: float | None = None  # allowed relative error of the functions; None: exact
 
 
 @dataclass(frozen=True)
@@ -73,19 +56,19 @@ def write_c(unit: Unit) -> Sources:
         "design": design,
         "groups": unit.groups,
     }
-    sources = {view.file: _render("kernel.c", kernel=view, **common) for view in views}
+    sources = {view.file: lay_out("c/kernel.c", kernel=view, **common) for view in views}
     if parameters or design:
-        sources[f"{unit.prefix}_default_parameters.c"] = _render("parameters.c", **common)
+        sources[f"{unit.prefix}_default_parameters.c"] = lay_out("c/parameters.c", **common)
     if unit.groups:
-        sources[f"{unit.prefix}_names.c"] = _render("names.c", **common)
+        sources[f"{unit.prefix}_names.c"] = lay_out("c/names.c", **common)
     copied = dict.fromkeys((*_COPIED, *(name for view in views for name in view.stages.headers)))
     files = {
-        header: _render("model.h", kernels=views, tolerance=unit.tolerance, **common),
+        header: lay_out("c/model.h", kernels=views, tolerance=unit.tolerance, **common),
         **{name: (resources.folder("csrc") / name).read_text(encoding="utf-8") for name in copied},
         **sources,
         f"{unit.prefix}_check.c": _write_check(unit, found, common),
-        f"{unit.prefix}.pc": _render("model.pc", **common),
-        "CMakeLists.txt": _render("CMakeLists.txt", sources=tuple(sources), abi=ABI_HEADER, **common),
+        f"{unit.prefix}.pc": lay_out("c/model.pc", **common),
+        "CMakeLists.txt": lay_out("c/CMakeLists.txt", sources=tuple(sources), abi=ABI_HEADER, **common),
     }
     return Sources(files, header, tuple(sources), tuple(_describe(unit.prefix, f) for f in found))
 
@@ -100,25 +83,7 @@ def _write_check(unit: Unit, found: Sequence[Face], common: Mapping[str, object]
         for kernel, values in references.items()
     ]
     chosen = [f for f in found if f.kernel in compared]
-    return _render("check.c", faces=chosen, comparisons=comparisons, references=known, **common)
-
-
-def _render(name: str, **view: object) -> str:
-    return _environment().get_template(f"{name}.j2").render(view)
-
-
-@cache
-def _environment() -> jinja2.Environment:
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(resources.folder("templates") / "c"),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,
-    )
-    environment.filters["c_string"] = write_string
-    return environment
+    return lay_out("c/check.c", faces=chosen, comparisons=comparisons, references=known, **common)
 
 
 # -- the manifest's side --------------------------------------------------------------------------------------------

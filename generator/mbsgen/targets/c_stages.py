@@ -9,12 +9,8 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
 from itertools import count as count_from
 
-import jinja2
-
-from mbsgen import resources
 from mbsgen.procedure.newton import Newton
 from mbsgen.procedure.patterns import LANES, General, Pattern, Symmetric, Tree
 from mbsgen.procedure.procedure import Procedure
@@ -25,6 +21,7 @@ from mbsgen.procedure.straight import Straight
 from mbsgen.tape.ordering import arrange
 from mbsgen.tape.ports import Port
 from mbsgen.tape.types import Sparsity, Tape
+from mbsgen.targets.layout import lay_out
 from mbsgen.targets.parts import Line, Part, divide
 from mbsgen.targets.statements import Body, C, Check, Turns, wrap, write_body
 
@@ -177,19 +174,7 @@ class _Writer:
 
 def _render(kind: str, **view: object) -> list[str]:
     """Fill a template."""
-    return _environment().get_template(f"{kind}.j2").render(view).splitlines()
-
-
-@cache
-def _environment() -> jinja2.Environment:
-    return jinja2.Environment(
-        loader=jinja2.FileSystemLoader(resources.folder("templates") / "c" / "stages"),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,
-    )
+    return lay_out(f"c/stages/{kind}", **view).splitlines()
 
 
 def _size(wire: Wire) -> int:

@@ -8,15 +8,13 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-import jinja2
-
-from mbsgen import resources
 from mbsgen.manifest import Flops
 from mbsgen.tape.counts import count
 from mbsgen.tape.types import FUNCTIONS, Input, Op, Output, Sparsity, Tape
-from mbsgen.targets.c import Unit
 from mbsgen.targets.contract import Family
+from mbsgen.targets.layout import lay_out
 from mbsgen.targets.statements import Result, Syntax, wrap, write_body, write_lines
+from mbsgen.targets.unit import Unit
 
 FOLDER = "matlab"  # the folder of the files
 _LONGEST_NAME = 63  # characters that Matlab reads of a name
@@ -73,18 +71,9 @@ class _View:
 
 def write_matlab(unit: Unit) -> dict[str, str]:
     """Write every kernel of `unit` as a Matlab function; return the files of the folder, path -> text."""
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(resources.folder("templates") / "matlab"),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,
-    )
-    template = environment.get_template("kernel.m.j2")
     views = [_view(unit.prefix, family, tape) for family in unit.families for tape in family.tapes]
     common = {"version": unit.version, "model_hash": unit.model_hash}
-    return {f"{FOLDER}/{view.name}.m": template.render(kernel=view, **common) for view in views}
+    return {f"{FOLDER}/{view.name}.m": lay_out("matlab/kernel.m", kernel=view, **common) for view in views}
 
 
 def _view(prefix: str, family: Family, tape: Tape) -> _View:

@@ -6,15 +6,13 @@ import keyword
 import re
 from dataclasses import dataclass
 
-import jinja2
-
-from mbsgen import resources
 from mbsgen.manifest import Flops
 from mbsgen.tape.counts import count
 from mbsgen.tape.types import FUNCTIONS, Op, Tape
-from mbsgen.targets.c import Unit
 from mbsgen.targets.contract import Family
+from mbsgen.targets.layout import lay_out
 from mbsgen.targets.statements import Result, Syntax, write_body, write_lines
+from mbsgen.targets.unit import Unit
 
 PYTHON = Syntax(
     "{}",
@@ -37,17 +35,8 @@ class _View:
 
 def write_python(unit: Unit) -> str:
     """Write every kernel of `unit` as a function of one Python module."""
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(resources.folder("templates") / "python"),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,
-    )
     kernels = [_view(family, tape) for family in unit.families for tape in family.tapes]
-    template = environment.get_template("model.py.j2")
-    return template.render(kernels=kernels, version=unit.version, model_hash=unit.model_hash)
+    return lay_out("python/model.py", kernels=kernels, version=unit.version, model_hash=unit.model_hash)
 
 
 def _view(family: Family, tape: Tape) -> _View:

@@ -12,8 +12,9 @@ import pytest
 
 from mbsgen.procedure.differentiation import adjoint, jacobian
 from mbsgen.procedure.procedure import Computation, Procedure, as_procedure, interpret
-from mbsgen.targets.c import Sources, Unit, write_c
+from mbsgen.targets.c import Sources, write_c
 from mbsgen.targets.contract import Family
+from mbsgen.targets.unit import Unit
 from tests.mbsgen.procedure.examples import CLOSED, EXAMPLES, OPEN, POINT, SINGULAR
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")

@@ -10,8 +10,9 @@ import pytest
 from mbsgen.formulations import exp1, impl
 from mbsgen.pipeline import Options, make
 from mbsgen.scaling import ONE_PLAN, make_chain
-from mbsgen.targets.c import Unit, write_c
+from mbsgen.targets.c import write_c
 from mbsgen.targets.contract import Family
+from mbsgen.targets.unit import Unit
 from tests.mbsgen.targets.guarded import guarded_tape
 from tests.sample import sample_families
 

@@ -18,10 +18,10 @@ from mbsgen.pipeline import build_parametric, read_tree, write_families
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.types import Sparsity, Tape
-from mbsgen.targets.c import Unit
 from mbsgen.targets.contract import Family
 from mbsgen.targets.matlab import FOLDER, MATLAB, write_matlab
 from mbsgen.targets.names import mangle
+from mbsgen.targets.unit import Unit
 from tests.mbsgen.targets.every_function import functions_tape
 from tests.sample import PARAMETERS, sample_families
 

@@ -25,9 +25,9 @@ from mbsgen.pipeline import Options, build_parametric, read_tree, write_families
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import DIGITS, FLOATS, evaluate, find_failure
 from mbsgen.tape.types import FUNCTIONS, Op, Tape
-from mbsgen.targets.c import Unit
 from mbsgen.targets.contract import Family
 from mbsgen.targets.python import write_python
+from mbsgen.targets.unit import Unit
 from tests.mbsgen.targets.every_function import functions_tape
 from tests.sample import PARAMETERS, sample_families
 
