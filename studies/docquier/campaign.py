@@ -1,7 +1,7 @@
-"""The whole study of a problem: what is to be solved, by whom, and what has become of it.
+"""Carry out the whole study of a problem, and collect its results.
 
-Every attempt goes into `study.sqlite` in the output folder as it ends, by this process alone; so the study goes on
-where it was, however it was stopped.
+This process alone writes every attempt to `study.sqlite` in the output folder, as soon as the attempt ends. So an
+interrupted study continues.
 """
 
 from __future__ import annotations
@@ -52,14 +52,14 @@ from studies.docquier.tables import tabulate, tabulate_claims, tabulate_spreads
 STORE = "study.sqlite"
 QUESTIONS = ("repeats", "derivatives", "grids", "systems", "shooting", "guess")
 SETS: tuple[Weights, ...] = ((1.0, 0.0), (1.0, 1e5))  # the paper's costs
-Attempts = Sequence[tuple[Attempt, str]]  # with the circumstances of each
+Attempts = Sequence[tuple[Attempt, str]]  # with the environment of each
 
 WHOLE = 231  # tasks of each set and representation in the paper
 
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A problem file, read: the model's file, and the folder that was generated of it."""
+    """The content of a problem file, the file of its model, and the generated folder."""
 
     problem: Problem
     plant: Mechanism
@@ -68,24 +68,24 @@ class Subject:
 
     @property
     def system(self) -> System:
-        """Give what a list of tasks needs."""
+        """Return problem and folder, for a list of tasks."""
         return System(self.problem, self.folder)
 
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """What is to be done."""
+    """The parts of a study: protocols, questions and systems."""
 
     subject: Subject
     study: Study
     protocols: tuple[ProtocolName, ...]
     questions: tuple[str, ...]
     systems: tuple[Subject, ...]
-    is_quick: bool  # little of the questions
+    is_quick: bool  # a small part of the questions
 
 
 def read_subject(file: Path) -> Subject:
-    """Read a problem file, and generate of its model. Raises InputError."""
+    """Read a problem file, and generate the folder of its model. Raises InputError."""
     paths: list[tuple[Path, Path]] = []
 
     def load(model: Path) -> Mechanism:
@@ -100,15 +100,15 @@ def find_sensor(problem: Problem, file: Path) -> str:
     """Name the one sensor that has a target. Raises InputError."""
     names = [name for name, _ in problem.end.sensors]
     if len(names) != 1:
-        told = f"it has targets for {', '.join(names) or 'no sensor'}"
-        raise InputError([Fault(str(file), 0, "end.sensors", told, "give a problem with a target for one sensor")])
+        finding = f"it has targets for {', '.join(names) or 'no sensor'}"
+        raise InputError([Fault(str(file), 0, "end.sensors", finding, "give a problem with a target for one sensor")])
     return names[0]
 
 
 def choose_steps(targets: Targets, sample: int) -> tuple[int, int]:
-    """Choose which azimuths and heights a slice of about `sample` targets takes: evenly, ends included.
+    """Return the steps of azimuths and heights for a slice of about `sample` targets, evenly and with both ends.
 
-    Of slices that are as near, that with more azimuths.
+    Among slices of the same difference, the one with more azimuths is returned.
     """
     counts = (len(targets.azimuths), len(targets.heights))
     steps = [[s for s in range(1, max(n, 2)) if (n - 1) % s == 0] for n in counts]
@@ -119,7 +119,7 @@ def choose_steps(targets: Targets, sample: int) -> tuple[int, int]:
 
 @contextmanager
 def hold(folder: Path) -> Iterator[None]:
-    """Keep others from writing to a folder. Raises MbsError where another does."""
+    """Lock a folder against other studies. Raises MbsError where another study holds it."""
     folder.mkdir(parents=True, exist_ok=True)
     descriptor = os.open(folder, os.O_RDONLY)
     try:
@@ -136,10 +136,10 @@ def hold(folder: Path) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Step:
-    """What is being done, for who looks on."""
+    """The state of the work, for an observer."""
 
     title: str
-    trials: int  # of the list that is worked on
+    trials: int  # of the current list
     done: int
     last: Attempt | None = None
 
@@ -148,12 +148,12 @@ Watch = Callable[[Step], None]
 
 
 class Runner:
-    """Carries a campaign out."""
+    """Carries out a campaign."""
 
     def __init__(
         self, campaign: Campaign, record: Record, executor_for: Callable[[Path], Executor], watch: Watch, seconds: float
     ) -> None:
-        """Take what offers workers for a generated folder, and the time that there is."""
+        """Take a function that returns the executor for a generated folder, and the available time."""
         self.campaign, self.record, self.executor_for, self.watch = campaign, record, executor_for, watch
         self.end = time.monotonic() + seconds
         self._executors: dict[Path, Executor] = {}
@@ -181,7 +181,7 @@ class Runner:
         count.plan(sum(len(tasks.trials) for tasks in lists), done)
         for record, tasks in zip(records, lists, strict=True):
             own = self._own_subject(tasks)
-            if title == "derivatives":  # times are compared: in this process, one after the other
+            if title == "derivatives":  # times are compared, so this process solves one after the other
                 plant = own.plant
                 is_compiled = tasks.way == WAYS[1]
                 by = plant if tasks.way == WAYS[0] else Differentiated(plant, own.model, is_compiled)
@@ -207,7 +207,7 @@ class Runner:
 
 
 class _Count:
-    """Counts what is done."""
+    """Counts the finished trials."""
 
     def __init__(self, watch: Watch, title: str) -> None:
         self.watch, self.title, self.trials, self.done = watch, title, 0, 0
@@ -222,7 +222,7 @@ class _Count:
 
 
 def list_tasks(campaign: Campaign, question: str) -> list[TaskList]:
-    """Declare the tasks of a question."""
+    """List the tasks of a question."""
     subject, study = campaign.subject, campaign.study
     if question == "derivatives":
         return questions.list_derivatives(subject.problem, subject.folder, study.representations)
@@ -257,7 +257,7 @@ def _open(campaign: Campaign, out: Path) -> Iterator[Record]:
         yield record
 
 
-# --- what came of it -----------------------------------------------------------------------------------------------
+# --- results -----------------------------------------------------------------------------------------------
 
 
 def list_attempts(campaign: Campaign, out: Path) -> list[Row]:
@@ -271,7 +271,7 @@ def list_attempts(campaign: Campaign, out: Path) -> list[Row]:
 
 
 def _list_own_records(campaign: Campaign, record: Record) -> Iterator[tuple[Study, Record]]:
-    """Give the records of the questions' studies that are not the campaign's own."""
+    """Yield the records of the questions, except the record of the campaign itself."""
     subjects = (campaign.subject, *campaign.systems)
     own = identify(campaign.study, campaign.subject.plant.manifest)
     seen = {own}
@@ -311,41 +311,41 @@ def gather(
 
 
 def _is_part(attempt: Attempt, study: Study) -> bool:
-    """Tell whether an attempt is of the targets, costs and representations that are asked for."""
+    """Return whether an attempt belongs to the requested targets, costs and representations."""
     task = attempt.task
     names = [r.value for r in study.representations]
     return task.place in study.targets.places and task.weights in study.costs and task.representation in names
 
 
 def report(campaign: Campaign, out: Path) -> list[Section]:
-    """Make all sections of the report that there are numbers for."""
+    """Return all sections of the report that have numbers."""
     study = campaign.study
     with _open(campaign, out) as record:
         own = [(s, tuple(r.list_all())) for s, r in _list_own_records(campaign, record)]
         results = gather(campaign, record, _find_growth(out), own)
         states = {weights: find_state(replace(study, costs=(weights,)), record) for weights in study.costs}
-        told = Counter(text for rows in (record.list_all(), *(rows for _, rows in own)) for _, text in rows)
+        counts = Counter(text for rows in (record.list_all(), *(rows for _, rows in own)) for _, text in rows)
     judgements, scatter = judge_all(results), tabulate_spreads(results.spreads)
     sections = [
         summarise_run(results, judgements),
         Section(
             "statements",
-            "What the paper says, and what this run finds",
-            "Each statement of section 4.3 and of the conclusion, beside the numbers of the paper's protocol: one "
+            "Claims of the paper, and verdicts of this run",
+            "Each claim of section 4.3 and of the conclusion, beside the numbers of the paper's protocol: one "
             "stated guess for all representations, the interpolation with inputs 0, and no restart.",
             (tabulate_claims(judgements), *([scatter] if scatter else [])),
         ),
         Section("tables", "The paper's tables", "", tuple(tabulate(results))),
         Section("figures", "The paper's figures", "", tuple(draw_figures(results, campaign.subject.plant))),
     ]
-    run = Section("run", "The run", "", (_tabulate_run(results, own), *_tabulate_circumstances(told)))
+    run = Section("run", "The run", "", (_tabulate_run(results, own), *_tabulate_environments(counts)))
     rest = (report_robust(results, states), *_answer(campaign, results, own))
     return sections + [section for section in (*rest, run) if section is not None]
 
 
 def _answer(campaign: Campaign, results: Results, own: Sequence[tuple[Study, Attempts]]) -> list[Section | None]:
     def select(question: str) -> list[tuple[Study, list[Attempt]]]:
-        """Pick from the records: one study may serve several questions."""
+        """Select the attempts of a question: one study may serve several questions."""
         part = [(s, [a for a, _ in rows if a.part == question]) for s, rows in own]
         part.append((campaign.study, [a for a in results.attempts if a.part == question]))
         return [(s, attempts) for s, attempts in part if attempts]
@@ -364,7 +364,7 @@ def _answer(campaign: Campaign, results: Results, own: Sequence[tuple[Study, Att
 
 
 def _tabulate_run(results: Results, own: Sequence[tuple[Study, Attempts]]) -> Table:
-    """Say how large the run is."""
+    """Tabulate the size of the run."""
     groups: dict[str, list[Attempt]] = {}
     for a in results.attempts:
         groups.setdefault(f"{a.protocol} protocol" if a.protocol in ("paper", "robust") else a.part, []).append(a)
@@ -383,34 +383,34 @@ def _tabulate_run(results: Results, own: Sequence[tuple[Study, Attempts]]) -> Ta
     return Table("How large the run is", columns, tuple(table), note)
 
 
-def _tabulate_circumstances(told: Mapping[str, int]) -> Iterator[Table]:
-    """Tell by what attempts were made, and how many by each; results of several versions may stand in one record."""
-    circumstances = [(json.loads(text), count) for text, count in sorted(told.items()) if text]
-    if circumstances:
-        columns = tuple(dict.fromkeys(key for each, _ in circumstances for key in each))
-        rows = tuple((count, *(each.get(key) for key in columns)) for each, count in circumstances)
+def _tabulate_environments(counts: Mapping[str, int]) -> Iterator[Table]:
+    """Tabulate the environments and their numbers of attempts; a record may contain several versions."""
+    environments = [(json.loads(text), count) for text, count in sorted(counts.items()) if text]
+    if environments:
+        columns = tuple(dict.fromkeys(key for each, _ in environments for key in each))
+        rows = tuple((count, *(each.get(key) for key in columns)) for each, count in environments)
         note = (
-            "CPU times are of the processor, in one thread. Other programs on the machine lengthen them. Of what was "
-            "generated, the beginning of its hash is told: what other versions of mbsgen generated has another."
+            "CPU times are of the processor, in one thread. Other programs on the machine lengthen them. The "
+            "column `generated` shows the beginning of the hash of the code, which depends on the version of mbsgen."
         )
         yield Table("Versions and machines", ("attempts", *columns), rows, note, is_folded=True)
 
 
 def _find_growth(out: Path) -> tuple[Growth, ...]:
-    """Count, or read what was counted by the same generator."""
+    """Count the operations of chains, or read the counts of the same generator."""
     path, own = out / "growth.json", fingerprint_generator().hex()
     if path.exists():
         found = json.loads(path.read_text(encoding="utf-8"))
         if found.get("generator") == own:
             return tuple(Growth(g["formulation"], tuple(map(tuple, g["flops"])), g["degree"]) for g in found["growth"])
     growth = count_growth()
-    told = [{"formulation": g.formulation, "flops": g.flops, "degree": g.degree} for g in growth]
-    path.write_text(json.dumps({"generator": own, "growth": told}) + "\n", encoding="utf-8")
+    counts = [{"formulation": g.formulation, "flops": g.flops, "degree": g.degree} for g in growth]
+    path.write_text(json.dumps({"generator": own, "growth": counts}) + "\n", encoding="utf-8")
     return growth
 
 
 def _read_report(folder: Path) -> dict[str, Any]:
-    """Read what the generator counted, where it is there."""
+    """Read the report of the generator, if it exists."""
     path = folder / "report.json"
     found = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     return found if isinstance(found, dict) else {}

@@ -48,12 +48,12 @@ from studies.docquier.results import Results
 class Claim:
     """A sentence of the paper."""
 
-    key: str  # names it in tables and tests
+    key: str  # the name in tables and tests
     place: str  # section, figure or table
     words: str
-    meaning: str  # what was computed, and when it counts as confirmed
+    meaning: str  # the computed numbers, and the condition for a confirmation
     judge: Callable[[Results], Finding | None]  # None: not measured
-    scatters: bool = False  # it compares numbers of iterations, which scatter
+    scatters: bool = False  # it compares iterations, which scatter
 
 
 CLAIMS: tuple[Claim, ...] = (
@@ -61,7 +61,7 @@ CLAIMS: tuple[Claim, ...] = (
         "refinement",
         "4.3.1, Fig. 7",
         "The mean number of iterations does not vary significantly between two refinements after a certain size.",
-        f"from the second finest grid within the run's to the run's, every mean changes by {ALIKE:.0%} at most",
+        f"from the second finest grid to the grid of the run, every mean changes by {ALIKE:.0%} at most",
         judge_convergence,
         scatters=True,
     ),
@@ -69,7 +69,7 @@ CLAIMS: tuple[Claim, ...] = (
         "smoother",
         "4.3.2, Fig. 8",
         "The second cost definition leads to a smoother actuation.",
-        "how far the torques go up and down in all is less",
+        "the total variation of the torques is less",
         compare_motions(variation, "N m", lambda rough, smooth: smooth < rough),
     ),
     Claim(
@@ -141,7 +141,7 @@ CLAIMS: tuple[Claim, ...] = (
         "no-lateral-movement",
         "4.3.2",
         "All the formulations seem to struggle with the problem without lateral movement.",
-        "without smoothing, every form's median of iterations at azimuth 0 is above that of all tasks",
+        "without smoothing, every form's median of iterations at azimuth 0 is above the median over all tasks",
         judge_centre,
         scatters=True,
     ),
@@ -159,7 +159,7 @@ CLAIMS: tuple[Claim, ...] = (
         "4.3.2, Fig. 10.a",
         "Without smoothing, the DAE explicit formulations need a larger average number of iterations than the four "
         "others.",
-        "both means are above those of all others",
+        "both means are above the means of all others",
         judge_dae_iterations,
         scatters=True,
     ),
@@ -167,7 +167,7 @@ CLAIMS: tuple[Claim, ...] = (
         "implicit-iterations",
         "4.3.2, Fig. 10.b",
         "With smoothing, the implicit and semi-explicit formulations generally perform better (iterations).",
-        "both medians are below those of the explicit forms",
+        "both medians are below the medians of the explicit forms",
         compare_groups("smooth", "iterations", IMPLICIT, EXPLICIT),
         scatters=True,
     ),
@@ -176,7 +176,7 @@ CLAIMS: tuple[Claim, ...] = (
         "4.3.2, Fig. 10.a; 4.3.3; 5",
         "Without smoothing, the implicit and the semi-explicit formulations lead to better CPU times than the explicit "
         "ones.",
-        "both medians are below those of the explicit forms",
+        "both medians are below the medians of the explicit forms",
         compare_groups("rough", "cpu", IMPLICIT, EXPLICIT, " of CPU s"),
         scatters=True,
     ),
@@ -185,7 +185,7 @@ CLAIMS: tuple[Claim, ...] = (
         "4.3.2, Fig. 10.b; 4.3.3; 5",
         "With smoothing, the implicit and the semi-explicit formulations lead to better CPU times than the explicit "
         "ones.",
-        "both medians are below those of the explicit forms",
+        "both medians are below the medians of the explicit forms",
         compare_groups("smooth", "cpu", IMPLICIT, EXPLICIT, " of CPU s"),
         scatters=True,
     ),
@@ -193,14 +193,14 @@ CLAIMS: tuple[Claim, ...] = (
         "implicit-cpu-per-iteration-rough",
         "4.3.2, Fig. 11.a",
         "This tendency is also observed for the CPU time per iteration: without smoothing.",
-        "both medians are below those of the explicit forms",
+        "both medians are below the medians of the explicit forms",
         compare_groups("rough", "cpu per iteration", IMPLICIT, EXPLICIT, " of CPU ms"),
     ),
     Claim(
         "implicit-cpu-per-iteration-smooth",
         "4.3.2, Fig. 11.b",
         "This tendency is also observed for the CPU time per iteration: with smoothing.",
-        "both medians are below those of the explicit forms",
+        "both medians are below the medians of the explicit forms",
         compare_groups("smooth", "cpu per iteration", IMPLICIT, EXPLICIT, " of CPU ms"),
     ),
     Claim(
@@ -261,21 +261,21 @@ CLAIMS: tuple[Claim, ...] = (
         "flops-half",
         "4.3.3, Table 4",
         "Φ takes about half of the operations of the M and c terms.",
-        f"flops of IMPL by those of SEMI, from {HALF[0]:g} to {HALF[1]:g}",
+        f"flops of IMPL by flops of SEMI, from {HALF[0]:g} to {HALF[1]:g}",
         compare_flops("IMPL", "SEMI", lambda ratio: HALF[0] <= ratio <= HALF[1]),
     ),
     Claim(
         "flops-exp1",
         "4.3.3, Table 4",
         "The modified NER with Cholesky decomposition takes a number of flops comparable with the semi-explicit form.",
-        f"flops of EXP1 by those of SEMI, up to {1 + SIMILAR:g}",
+        f"flops of EXP1 by flops of SEMI, up to {1 + SIMILAR:g}",
         compare_flops("EXP1", "SEMI", lambda ratio: ratio <= 1 + SIMILAR),
     ),
     Claim(
         "flops-exp2",
         "4.3.3, Table 4",
         "The Order-N method takes more than 4 times the number of operations of the implicit form.",
-        "flops of EXP2 by those of IMPL, above 4",
+        "flops of EXP2 by flops of IMPL, above 4",
         compare_flops("EXP2", "IMPL", lambda ratio: ratio > 4),
     ),
     Claim(

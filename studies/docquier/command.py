@@ -50,14 +50,14 @@ from studies.docquier.judges import CONFIRMED, REFUTED
 NOT_THROUGH, BAD_INPUT = 1, 2  # exit codes
 STYLES = {CONFIRMED: "confirmed", REFUTED: "refuted", TURNS: "open", INSIDE: "open"}  # of verdicts on the page
 PAGE, DATA, ATTEMPTS = "study.html", "data", "attempts"
-SPEED = 1800.0  # s of which the pace is taken that tells the time left
+SPEED = 1800.0  # s; the pace over this time gives the remaining time
 
 STUDY_HELP = """Carry out the study of Docquier, Bruls, Fisette on PROBLEM, and write a report.
 
 The arm of the paper is models/arm_reach.ocp.yaml: 231 targets, 6 representations, 2 costs. Targets are places for the
-one sensor that has a target, on a cylinder about the base's z axis. What is solved goes into the output folder at once,
-with versions, machine and options: the command can be stopped, or killed, and given again to go on. Given again when
-all is done, or with --minutes 0, it only writes the report.
+one sensor that has a target, on a cylinder about the base's z axis. Every attempt is written to the output folder at
+once, with versions, machine and options. So the command may be stopped or killed; given again, it continues. With
+--minutes 0, or after the last attempt, it only writes the report.
 
 \b
 Parts, in this order; all, unless some are chosen
@@ -67,8 +67,8 @@ Parts, in this order; all, unless some are chosen
   --question systems      the problems of --system, in all representations
   --question shooting     multiple shooting beside collocation, here and for --system
   --question guess        inputs 0, statics, inverse dynamics
-  --question repeats      the same tasks for targets that differ by rounding: how far iterations scatter
-  --protocol robust       a search for lower minima from many starts; how often each was found
+  --question repeats      the same tasks for targets that differ by rounding: the scatter of iterations
+  --protocol robust       a search for lower minima from many starts, with the number of finds
 
 \b
 The output folder gets
@@ -78,19 +78,23 @@ The output folder gets
 
 \b
 Exit codes
-  0   all that was asked for is done
+  0   all requested parts are done
   1   the time is over
-  2   a file or an argument cannot be accepted, or there is no cluster
+  2   a file or an argument cannot be accepted, or no cluster answers
 """
 
 
 @click.command("study", help=STUDY_HELP)
 @click.argument("file", metavar="PROBLEM", type=click.Path(path_type=Path))
 @click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="By default NAME.study.")
-@click.option("--sample", type=click.IntRange(1), help="Take a slice of about so many targets, spread over all; 33.")
+@click.option(
+    "--sample", type=click.IntRange(1), help="Solve for about this number of targets, spread over all; e.g. 33."
+)
 @click.option("--protocol", "protocols", type=click.Choice(["paper", "robust"]), multiple=True)
 @click.option("--question", "asked", type=click.Choice(QUESTIONS), multiple=True)
-@click.option("--system", "systems", type=click.Path(path_type=Path), multiple=True, help="A problem file of another.")
+@click.option(
+    "--system", "systems", type=click.Path(path_type=Path), multiple=True, help="The problem file of another system."
+)
 @click.option("--cost", "costs", type=(float, float), multiple=True, metavar="K1 K2", help="1 0 and 1 1e5.")
 @click.option(
     "--representation",
@@ -117,16 +121,16 @@ Exit codes
 @click.option(
     "--workers", type=click.IntRange(0), help="Processes, by default one per core; 0: this one, without Dask."
 )
-@click.option("--scheduler", metavar="tcp://…", help="An existing Dask cluster, in the place of processes here.")
-@click.option("--minutes", type=click.FloatRange(min=0), default=math.inf, help="Begin nothing after so much time.")
-@click.option("--quick", is_flag=True, help="Little of the questions, to see how it looks.")
-@click.option("--export", "form", type=click.Choice(["csv", "parquet"]), help="Write all attempts as one table, too.")
+@click.option("--scheduler", metavar="tcp://…", help="An existing Dask cluster, instead of processes on this machine.")
+@click.option("--minutes", type=click.FloatRange(min=0), default=math.inf, help="Begin no attempt after this time.")
+@click.option("--quick", is_flag=True, help="Solve a small part of the questions.")
+@click.option("--export", "form", type=click.Choice(["csv", "parquet"]), help="Also write all attempts as one table.")
 @click.option(
     "--with",
     "folders",
     type=click.Path(path_type=Path),
     multiple=True,
-    help="A folder whose tables and pictures the report takes in, such as that of `mbsrun chart`.",
+    help="A folder whose tables and pictures the report includes, such as the output of `mbsrun chart`.",
 )
 @click.pass_context
 def study_command(
@@ -150,7 +154,7 @@ def study_command(
     form: Form | None,
     folders: tuple[Path, ...],
 ) -> None:
-    """Read, solve, write."""
+    """Read the problem, solve, and write the report."""
     if workers is not None and scheduler is not None:
         raise click.UsageError("a cluster has its own workers; give --workers, or --scheduler, but not both")
     extra = read_folders(folders)
@@ -198,15 +202,16 @@ def study_command(
 _INTRODUCTION = (
     "Q. Docquier, O. Brüls and P. Fisette compare four formulations of the equations of motion of a multibody system, "
     "in six representations, by solving optimal control problems (“Comparison and Analysis of Multibody Dynamics "
-    "Formalisms for Solving Optimal Control Problem”). This page repeats their section 4.3, and goes on where it ends.",
-    "A click on the name of a column sorts a table, one on a picture shows it in its own size. Every table is beside "
-    "this page as CSV.",
+    "Formalisms for Solving Optimal Control Problem”). This page repeats their section 4.3, and "
+    "continues with open questions.",
+    "A click on the name of a column sorts a table; a click on a picture shows it in its full size. Each table is "
+    "also a CSV file beside this page.",
 )
 
 
 @contextmanager
 def show_steps() -> Iterator[Watch]:
-    """Show on stderr what is being solved, and the time left; where nobody watches a terminal, a line for each list."""
+    """Show the current task and the remaining time on stderr; without a terminal, print a line for each list."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())
     times = (TimeElapsedColumn(), TimeRemainingColumn())
@@ -222,8 +227,8 @@ def show_steps() -> Iterator[Watch]:
                     click.echo(f"{step.title}: {step.done} of {step.trials} attempts are there", err=True)
                 return
             last = step.last
-            told = f"{step.title}: {last.task.place}, {last.task.representation}, {last.status}"
-            progress.update(bar, completed=step.done, total=step.trials, description=told)
+            text = f"{step.title}: {last.task.place}, {last.task.representation}, {last.status}"
+            progress.update(bar, completed=step.done, total=step.trials, description=text)
 
         yield show
 

@@ -1,7 +1,7 @@
-"""A model's kernels with derivatives that CasADi makes of the same equations, in the place of those that are generated.
+"""The kernels of a model with derivatives by CasADi, instead of the generated derivatives of the same equations.
 
-The equations are those that mbsgen writes as Python, traced in CasADi's SX; CasADi differentiates them twice, and runs
-the result in its virtual machine, or as C that it writes and that is compiled as our kernels are.
+CasADi traces the equations that mbsgen writes as Python in its SX, and differentiates them twice. It interprets the
+result, or writes C that is compiled as generated kernels are.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ WAYS: tuple[Way, ...] = ("generated", "CasADi's AD, compiled", "CasADi's AD, int
 
 
 class Differentiated:
-    """The kernels of a model, those of its dynamics differentiated by CasADi."""
+    """The kernels of a model; CasADi differentiates the kernels of the dynamics."""
 
     def __init__(self, plant: Plant, model: Path, is_compiled: bool) -> None:
-        """Take the generated kernels, for all else, and the model file that they are of."""
+        """Take the generated kernels, for all other functions, and their model file."""
         self._plant, self._is_compiled = plant, is_compiled
         self._subject = Subject(model, Extent(DIFFERENTIATED, 0, python=True))
 
     @property
     def manifest(self) -> Manifest:
-        """Describe the kernels."""
+        """Return the description of the kernels."""
         return self._plant.manifest
 
     def describe(self, name: str) -> Kernel:
-        """Describe a generated kernel."""
+        """Return the description of a generated kernel."""
         return self._plant.describe(name)
 
     def __call__(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> dict[str, NDArray[np.float64]]:
@@ -51,7 +51,7 @@ class Differentiated:
         return self._plant(name, sparse=sparse, **inputs)
 
     def casadi(self, name: str) -> ca.Function:
-        """Give a kernel as a CasADi function."""
+        """Return a kernel as a CasADi function."""
         if name not in DIFFERENTIATED:
             return self._plant.casadi(name)
         function = trace(self._equations, self._subject.manifest.kernel(name))
@@ -62,9 +62,9 @@ class Differentiated:
         return load_equations(self._subject)
 
     def _compile(self, function: ca.Function) -> ca.Function:
-        """Let CasADi write C of a function and of the derivatives that a program asks for, and compile it."""
+        """Write a function and its requested derivatives as C of CasADi, and compile it."""
         prefix, x = self._subject.manifest.prefix, function.sx_in()
-        name = f"casadi_{prefix}_{function.name()}"  # exp2 is a name of C's
+        name = f"casadi_{prefix}_{function.name()}"  # exp2 is a function of C
         function = ca.Function(name, x, function.call(x), function.name_in(), function.name_out())
         adjoint = function.reverse(1)
         with tempfile.TemporaryDirectory() as place:

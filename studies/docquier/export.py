@@ -1,4 +1,4 @@
-"""All attempts of a record as one table, CSV or Parquet, a row for each, with versions and machine."""
+"""Write all attempts of a record as one table, CSV or Parquet: a row for each attempt, with its environment."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ Row = dict[str, object]
 
 
 class ExportError(MbsError):
-    """A form that cannot be written here."""
+    """A package for the requested form is missing."""
 
 
 def list_rows(study: Study, attempts: Iterable[tuple[Attempt, str]]) -> list[Row]:
-    """Lay attempts out as rows with one name for each number."""
+    """Return attempts as rows with a name for each number."""
     plain = [field.name for field in fields(Attempt) if field.name != "task"]
     rows: list[Row] = []
-    for attempt, told in attempts:
+    for attempt, environment in attempts:
         task, problem = attempt.task, study.problem
         i, j = task.place
         row: Row = {"problem": problem.name, "place_i": i, "place_j": j}
@@ -35,13 +35,13 @@ def list_rows(study: Study, attempts: Iterable[tuple[Attempt, str]]) -> list[Row
         row |= {"scheme": problem.family.value, "degree": problem.degree, "intervals": problem.intervals}
         row |= {"tolerance": problem.solver.tolerance, "max_iterations": problem.solver.max_iterations}
         row |= {name: getattr(attempt, name) for name in plain}
-        row |= json.loads(told) if told else {}
+        row |= json.loads(environment) if environment else {}
         rows.append(row)
     return rows
 
 
 def export(rows: Sequence[Row], path: Path, form: Form) -> Path:
-    """Write rows to `path` with the form's suffix; give the file. Raises ExportError."""
+    """Write rows to `path` with the suffix of the form; return the path. Raises ExportError."""
     path = path.with_suffix(f".{form}")
     columns = list(dict.fromkeys(name for row in rows for name in row))
     if form == "csv":

@@ -1,6 +1,6 @@
-"""The figures of Docquier, Bruls, Fisette, section 4.3, from the results of a run.
+"""Draw the figures of Docquier, Brüls and Fisette, section 4.3, from the results of a run.
 
-Box plots are by their convention: the mark is the median, the box reaches from the 25th to the 75th percentile, the
+Box plots follow their convention: the mark is the median, the box reaches from the 25th to the 75th percentile, the
 whiskers to the most extreme points that are not outliers (1.5 boxes away), and outliers are drawn one by one with +.
 """
 
@@ -46,7 +46,7 @@ def name_set(weights: Weights) -> str:
 
 
 def list_sets(results: Results) -> list[Weights]:
-    """List the sets of which something was solved by the paper's protocol."""
+    """List the sets with at least one solution by the paper's protocol."""
     return [w for w in results.study.costs if any(results.is_measured(w, name) for name in results.representations)]
 
 
@@ -73,7 +73,7 @@ def draw_targets(results: Results, plant: Plant) -> Picture:
     axes.set_box_aspect((1, 1, 1))
     axes.view_init(elev=25, azim=-60)
     axes.legend(loc="upper left", frameon=False)
-    note = "Frames of joints and sensors, with lines to their parents, at the start; dots: where the sensor shall go."
+    note = "Frames of joints and sensors, with lines to their parents, at the start; dots: targets of the sensor."
     return save(figure, "Fig. 5 and 6: the mechanism at its start, and the targets", note)
 
 
@@ -96,7 +96,7 @@ def draw_convergence(results: Results) -> Picture:
         axes.set_ylim(bottom=0)
         axes.grid(alpha=0.3)
     axes.legend(fontsize="small")
-    note = "Each grid is every second azimuth and height of the next; of tasks that were solved."
+    note = "Each grid has every second azimuth and height of the next one. Solved tasks only."
     return save(figure, "Fig. 7: convergence over grids", note)
 
 
@@ -143,7 +143,7 @@ def draw_boxes(results: Results, figure_name: str, title: str, label: str) -> Pi
         axes.set(title=name_set(weights), ylabel=label)
         if figure_name != "cost":
             axes.set_ylim(bottom=0)
-    note = "Of tasks that were solved, by the paper's protocol. Box plots by the paper's convention; + are outliers."
+    note = "Solved tasks of the paper's protocol. Box plots follow the paper's convention; + marks outliers."
     return save(figure, title, note)
 
 
@@ -154,7 +154,7 @@ def _draw_box(axes: Axes, values: Sequence[Array], names: Sequence[str]) -> None
 
 
 def draw_figures(results: Results, plant: Plant) -> list[Picture]:
-    """Draw everything that there are numbers for."""
+    """Draw all figures that have numbers."""
     pictures = [draw_targets(results, plant)] if results.study.sensor is not None else []
     if list_sets(results):
         pictures.append(draw_convergence(results))
@@ -165,13 +165,13 @@ def draw_figures(results: Results, plant: Plant) -> list[Picture]:
             ("iterations", "Fig. 10: iterations", "iterations"),
             ("cpu", "Fig. 10: CPU time to convergence", "CPU time [s]"),
             ("cpu per iteration", "Fig. 11: CPU time per iteration", "CPU time per iteration [ms]"),
-            ("evaluation per iteration", "Of Fig. 11, functions and derivatives alone", "CPU time per iteration [ms]"),
+            ("evaluation per iteration", "Fig. 11, functions and derivatives alone", "CPU time per iteration [ms]"),
         ):
             pictures.append(draw_boxes(results, name, title, label))
     return pictures
 
 
-# --- beside the paper ----------------------------------------------------------------------------------------------
+# --- beyond the paper ----------------------------------------------------------------------------------------------
 
 
 def draw_scatter(
@@ -182,7 +182,7 @@ def draw_scatter(
     title: str,
     note: str,
 ) -> Picture:
-    """Draw attempts at a place each, on logarithmic axes; what has no place, or was not solved, as a cross on top."""
+    """Draw attempts on logarithmic axes; attempts without a solution or a number are crosses at the top."""
     figure = Figure(figsize=(9, 5), layout="constrained")
     axes = figure.subplots()
     axes.set(xscale="log", yscale="log", xlabel=labels[0], ylabel=labels[1])

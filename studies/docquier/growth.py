@@ -1,4 +1,4 @@
-"""How the cost of the formulations grows with the length of a chain: Docquier, Bruls, Fisette, Table 1."""
+"""Growth of the cost of the formulations with the length of a chain: Docquier, Brüls, Fisette, Table 1."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ class Growth:
 
     formulation: str
     flops: tuple[tuple[int, int], ...]
-    degree: int | None  # of the polynomial that they follow, by constant differences; None: they follow none
+    degree: int | None  # of the polynomial in N, by constant differences; None: there is none
 
 
 def count_growth(sizes: tuple[int, ...] = SIZES) -> tuple[Growth, ...]:
     """Count all formulations for chains of equal bodies with full inertias."""
-    from mbsgen.scaling import grow  # here alone, and late: it brings SymPy
+    from mbsgen.scaling import grow  # imported late: everything else works without SymPy
 
     found = []
     for formulation in ("IMPL", "SEMI", "EXP1", "EXP2"):

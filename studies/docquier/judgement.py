@@ -1,7 +1,7 @@
-"""Judge the paper's claims on a run: over what counts as one minimum, and over the scatter of iterations.
+"""Judge the claims of the paper on a run, for several thresholds of one minimum and for the scatter of iterations.
 
-A verdict that turns with the threshold of "the same minimum" says more about the threshold than about the paper. A
-verdict that turns when iterations are drawn again from their scatter is inside that scatter. Both are reported as such.
+A verdict that changes with the threshold of "the same minimum" is a property of the threshold, not of the paper. A
+verdict that changes when iterations are drawn again from their scatter is inside the scatter. The report names both.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ TURNS = "depends on the threshold"
 INSIDE = "inside the scatter"
 VERDICTS = (CONFIRMED, REFUTED, TURNS, INSIDE, UNMEASURED)
 
-SHOWN = 1e-2  # the relative difference of two costs that one can see in the paper's box plots
+SHOWN = 1e-2  # relative difference of two costs that is visible in the paper's box plots
 THRESHOLDS = (1e-6, 1e-4, 1e-3, SHOWN, 5e-2)
 DRAWS = 200  # of all iterations
 SURE = 0.95  # share of the draws that must agree
@@ -28,7 +28,7 @@ SURE = 0.95  # share of the draws that must agree
 
 @dataclass(frozen=True)
 class Judgement:
-    """What a run finds about one claim."""
+    """The verdict of a run about one claim."""
 
     claim: Claim
     verdict: str  # one of VERDICTS
@@ -66,7 +66,7 @@ def _share(claim: Claim, draws: Sequence[Results]) -> float:
 
 
 def write_thresholds(judgement: Judgement) -> str:
-    """Write where the verdict changes: "" where it is the same at all thresholds."""
+    """Describe the thresholds at which the verdict changes; return "" where it never does."""
     if len(set(judgement.by_threshold)) < 2:
         return ""
     return "; ".join(f"{same:g}: {verdict}" for same, verdict in zip(THRESHOLDS, judgement.by_threshold, strict=True))

@@ -19,7 +19,7 @@ from studies.docquier.results import Results, find_outliers, is_dae_of_explicit
 
 Array = NDArray[np.float64]
 
-ALIKE = 0.10  # "the same", "does not vary significantly": within so much of the larger
+ALIKE = 0.10  # "the same", "does not vary significantly": relative to the larger
 SIMILAR = 0.25  # "similar", "comparable"
 HALF = (0.4, 0.6)  # "about half"
 MANY = 0.05  # "a high number": of all tasks
@@ -49,7 +49,7 @@ def _medians(results: Results, weights: Weights, figure: str, names: tuple[str, 
     return {name: float(np.median(results.values(weights, name, figure))) for name in names}
 
 
-def _tell(values: dict[str, float]) -> str:
+def _list_values(values: dict[str, float]) -> str:
     return ", ".join(f"{name} {value:.4g}" for name, value in values.items())
 
 
@@ -69,7 +69,7 @@ def _count_higher(results: Results, weights: Weights) -> dict[str, float]:
 
 
 def list_grids(results: Results, weights: Weights) -> list[tuple[Place, ...]]:
-    """List ever finer grids of what was solved: every 8th azimuth and height of the run's, every 4th, …"""
+    """List finer and finer grids of solved tasks: every 8th azimuth and height of the run, every 4th, …"""
     targets = results.study.targets
     rows, columns = (sorted({place[k] for place in targets.places}) for k in (0, 1))
     grids: list[tuple[Place, ...]] = []
@@ -88,7 +88,7 @@ def mean_iterations(results: Results, weights: Weights, name: str, grid: tuple[P
 
 
 def judge_convergence(results: Results) -> Finding | None:
-    changes, told = [], []
+    changes, text = [], []
     for weights in (results.rough, results.smooth):
         grids = list_grids(results, weights) if results.is_measured(weights, *ALL) and weights is not None else []
         if weights is None or len(grids) < 3:
@@ -96,8 +96,8 @@ def judge_convergence(results: Results) -> Finding | None:
         means = [[mean_iterations(results, weights, name, grid) for name in ALL] for grid in grids[-2:]]
         changes.append(max(abs(a - b) / max(a, b) for a, b in zip(*means, strict=True)))
         sizes = f"from {len(grids[-2])} to {len(grids[-1])} tasks"
-        told.append(f"{_name(results, weights)}: {sizes} the means change by {changes[-1]:.1%} at most")
-    return _find(max(changes) <= ALIKE, "; ".join(told)) if changes else None
+        text.append(f"{_name(results, weights)}: {sizes} the means change by {changes[-1]:.1%} at most")
+    return _find(max(changes) <= ALIKE, "; ".join(text)) if changes else None
 
 
 # --- Fig. 8 --------------------------------------------------------------------------------------------------------
@@ -128,12 +128,12 @@ def effort(motion: Trajectory) -> float:
 
 
 def variation(motion: Trajectory) -> float:
-    """Sum up how far the inputs go up and down."""
+    """Compute the total variation of the inputs."""
     return float(np.abs(np.diff(motion.u, axis=0)).sum())
 
 
 def late_turns(motion: Trajectory) -> float:
-    """Count the turns of the inputs in the last quarter of the time; those below a thousandth of the range are none."""
+    """Count the turns of the inputs in the last quarter of the time, from a thousandth of the range on."""
     late = motion.u[3 * len(motion.u) // 4 :]
     turns = 0
     for column, whole in zip(late.T, motion.u.T, strict=True):
@@ -166,7 +166,7 @@ def judge_smooth_minima(results: Results) -> Finding | None:
     if not results.is_measured(results.smooth, *ALL) or results.smooth is None:
         return None
     counts = _count_higher(results, results.smooth)
-    return _find(sum(count > 0 for count in counts.values()) == 1, f"tasks in a higher minimum: {_tell(counts)}")
+    return _find(sum(count > 0 for count in counts.values()) == 1, f"tasks in a higher minimum: {_list_values(counts)}")
 
 
 def judge_more_without_smoothing(results: Results) -> Finding | None:
@@ -183,11 +183,11 @@ def judge_implicit_trapped(results: Results) -> Finding | None:
         return None
     counts = _count_higher(results, results.rough)
     implicit, explicit = (float(np.mean([counts[n] for n in names])) for names in (IMPLICIT, EXPLICIT))
-    return _find(implicit > explicit, f"tasks in a higher minimum: {_tell(counts)}")
+    return _find(implicit > explicit, f"tasks in a higher minimum: {_list_values(counts)}")
 
 
 def judge_sides(results: Results) -> Finding | None:
-    """Look where the higher minima of the set without smoothing are: in the outer tenth of azimuths, or at 0."""
+    """Locate the higher minima without smoothing: in the outer tenth of azimuths, at 0, or between."""
     if not results.is_measured(results.rough, *ALL) or results.rough is None:
         return None
     azimuths = results.study.targets.azimuths
@@ -196,12 +196,12 @@ def judge_sides(results: Results) -> Finding | None:
         return None
     at = [abs(azimuths[i]) / widest for i, _ in found]
     sides, centre = sum(a >= 0.9 for a in at), sum(a <= 0.05 for a in at)
-    told = f"of {len(found)}, {sides} are at the far sides, {centre} in the centre, {len(at) - sides - centre} between"
-    return _find(sides + centre > 0.5 * len(found), told)
+    text = f"of {len(found)}, {sides} are at the far sides, {centre} in the centre, {len(at) - sides - centre} between"
+    return _find(sides + centre > 0.5 * len(found), text)
 
 
 def judge_explicit_lower(results: Results) -> Finding | None:
-    """Ask of every task in which IMPL or SEMI is in a higher minimum whether an explicit form reached the lowest."""
+    """Count the tasks in which IMPL or SEMI is in a higher minimum, and an explicit form in the lowest."""
     if not results.is_measured(results.rough, *ALL) or results.rough is None:
         return None
     trapped = {p for name in IMPLICIT for p in results.higher(results.rough, name)}
@@ -214,17 +214,17 @@ def judge_explicit_lower(results: Results) -> Finding | None:
             for name in EXPLICIT
             for a in results.pick(results.rough, name)
         )
-    told = f"in {reached} of {len(trapped)} such tasks an explicit form reached the lowest minimum known"
-    return _find(reached > 0.5 * len(trapped), told)
+    text = f"in {reached} of {len(trapped)} such tasks an explicit form reached the lowest minimum known"
+    return _find(reached > 0.5 * len(trapped), text)
 
 
 def judge_centre(results: Results) -> Finding | None:
-    """Compare the iterations without lateral movement with those of all tasks."""
+    """Compare the iterations without lateral movement with the iterations of all tasks."""
     weights, azimuths = results.rough, results.study.targets.azimuths
     if not results.is_measured(weights, *ALL) or weights is None:
         return None
     centre = {p for p in results.study.targets.places if abs(azimuths[p[0]]) < 1e-9}
-    harder, told = 0, []
+    harder, text = 0, []
     for name in ALL:
         own = results.pick(weights, name)
         at = [a.iterations for a in own if a.task.place in centre]
@@ -232,15 +232,15 @@ def judge_centre(results: Results) -> Finding | None:
             return None
         usual = float(np.median([a.iterations for a in own]))
         harder += float(np.median(at)) > usual
-        told.append(f"{name} {np.median(at):.0f} against {usual:.0f}")
-    return _find(harder == len(ALL), f"median iterations in the centre, and of all: {', '.join(told)}")
+        text.append(f"{name} {np.median(at):.0f} against {usual:.0f}")
+    return _find(harder == len(ALL), f"median iterations in the centre, and of all: {', '.join(text)}")
 
 
 # --- Fig. 10 and 11: effort ----------------------------------------------------------------------------------------
 
 
 def judge_iteration_outliers(results: Results) -> Finding | None:
-    """Count outliers of iterations, and how many of them are in higher minima."""
+    """Count outliers of iterations, and the outliers in higher minima."""
     weights = results.rough
     if not results.is_measured(weights, *ALL) or weights is None:
         return None
@@ -252,8 +252,8 @@ def judge_iteration_outliers(results: Results) -> Finding | None:
         total += len(own)
         outliers += sum(a.iterations in beyond for a in own)
         trapped += sum(a.iterations in beyond and a.task.place in higher for a in own)
-    told = f"{outliers} of {total} solves are outliers, {trapped} of them in a higher minimum"
-    return _find(outliers > MANY * total and trapped > 0.5 * outliers, told)
+    text = f"{outliers} of {total} solves are outliers, {trapped} of them in a higher minimum"
+    return _find(outliers > MANY * total and trapped > 0.5 * outliers, text)
 
 
 def judge_dae_iterations(results: Results) -> Finding | None:
@@ -263,13 +263,13 @@ def judge_dae_iterations(results: Results) -> Finding | None:
     means = {name: float(results.values(weights, name, "iterations").mean()) for name in ALL}
     dae = [value for name, value in means.items() if is_dae_of_explicit(name)]
     rest = [value for name, value in means.items() if not is_dae_of_explicit(name)]
-    return _find(min(dae) > max(rest), f"means: {_tell(means)}")
+    return _find(min(dae) > max(rest), f"means: {_list_values(means)}")
 
 
 def compare_groups(
     which: str, figure: str, better: tuple[str, ...], worse: tuple[str, ...], unit: str = ""
 ) -> Callable[[Results], Finding | None]:
-    """Confirm that the medians of all in one group are below those of all in the other."""
+    """Confirm that all medians of one group are below all medians of the other."""
 
     def judge(results: Results) -> Finding | None:
         weights = results.rough if which == "rough" else results.smooth
@@ -277,7 +277,7 @@ def compare_groups(
             return None
         medians = _medians(results, weights, figure, better + worse)
         is_so = max(medians[n] for n in better) < min(medians[n] for n in worse)
-        return _find(is_so, f"medians{unit}: {_tell(medians)}")
+        return _find(is_so, f"medians{unit}: {_list_values(medians)}")
 
     return judge
 
@@ -291,7 +291,7 @@ def compare_ode(which: str, is_clear: bool) -> Callable[[Results], Finding | Non
             return None
         medians = _medians(results, weights, "iterations", EXPLICIT)
         fewer = [medians[o] < (1 - ALIKE) * medians[a] for o, a in zip(ODE, DAE, strict=True)]
-        return _find(all(fewer) is is_clear, f"median iterations: {_tell(medians)}")
+        return _find(all(fewer) is is_clear, f"median iterations: {_list_values(medians)}")
 
     return judge
 
@@ -302,7 +302,7 @@ def judge_explicit_cpu_alike(results: Results) -> Finding | None:
         return None
     medians = [_medians(results, weights, "cpu", EXPLICIT) for weights in sets]
     is_so = all(_are_within(m[o], m[a], SIMILAR) for m in medians for o, a in zip(ODE, DAE, strict=True))
-    return _find(is_so, "median CPU s: " + "; ".join(map(_tell, medians)))
+    return _find(is_so, "median CPU s: " + "; ".join(map(_list_values, medians)))
 
 
 def judge_order_n_dae(results: Results) -> Finding | None:
@@ -310,8 +310,8 @@ def judge_order_n_dae(results: Results) -> Finding | None:
     if not sets:
         return None
     medians = [_medians(results, weights, "cpu per iteration", ("EXP2-O", "EXP2-A")) for weights in sets]
-    told = "median CPU ms per iteration: " + "; ".join(map(_tell, medians))
-    return _find(all(m["EXP2-A"] < m["EXP2-O"] for m in medians), told)
+    text = "median CPU ms per iteration: " + "; ".join(map(_list_values, medians))
+    return _find(all(m["EXP2-A"] < m["EXP2-O"] for m in medians), text)
 
 
 def judge_order_n_iterations(results: Results) -> Finding | None:
@@ -322,7 +322,7 @@ def judge_order_n_iterations(results: Results) -> Finding | None:
     names = ("EXP2-O", "EXP2-A")
     found = [(_medians(results, w, "iterations", names), _medians(results, w, "cpu", names)) for w in sets]
     is_so = all(i["EXP2-A"] > i["EXP2-O"] and c["EXP2-A"] >= c["EXP2-O"] for i, c in found)
-    return _find(is_so, "; ".join(f"median iterations {_tell(i)}, CPU s {_tell(c)}" for i, c in found))
+    return _find(is_so, "; ".join(f"median iterations {_list_values(i)}, CPU s {_list_values(c)}" for i, c in found))
 
 
 # --- section 4.3.3 -------------------------------------------------------------------------------------------------
@@ -333,21 +333,21 @@ def judge_sizes(results: Results) -> Finding | None:
     if any(size is None for size in sizes.values()):
         return None
     known = {name: size for name, size in sizes.items() if size is not None}
-    told = ", ".join(f"{name} {size[0]}/{size[1]}" for name, size in known.items())
+    text = ", ".join(f"{name} {size[0]}/{size[1]}" for name, size in known.items())
     is_so = all(known[large][k] > known[small][k] for large in IMPLICIT + DAE for small in ODE for k in (0, 1))
-    return _find(is_so, f"variables/constraints: {told}")
+    return _find(is_so, f"variables/constraints: {text}")
 
 
 def judge_nonzeros(results: Results) -> Finding | None:
     impl, semi = results.size("IMPL"), results.size("SEMI")
     if impl is None or semi is None:
         return None
-    told = f"Jacobian {impl[2]} and {semi[2]}, Hessian {impl[3]} and {semi[3]}"
-    return _find(impl[2:] == semi[2:], told)
+    text = f"Jacobian {impl[2]} and {semi[2]}, Hessian {impl[3]} and {semi[3]}"
+    return _find(impl[2:] == semi[2:], text)
 
 
 def compare_flops(a: str, b: str, wanted: Callable[[float], bool]) -> Callable[[Results], Finding | None]:
-    """Judge the flops of a formulation by those of another."""
+    """Judge the ratio of the flops of two formulations."""
 
     def judge(results: Results) -> Finding | None:
         efforts = dict(results.efforts)
@@ -355,14 +355,14 @@ def compare_flops(a: str, b: str, wanted: Callable[[float], bool]) -> Callable[[
             return None
         ratio = efforts[a].flops / efforts[b].flops
         printed = EFFORTS[a][0] / EFFORTS[b][0]
-        told = f"{efforts[a].flops} by {efforts[b].flops} flops: {ratio:.2f}; by the paper's Table 4: {printed:.2f}"
-        return _find(wanted(ratio), told)
+        text = f"{efforts[a].flops} by {efforts[b].flops} flops: {ratio:.2f}; by the paper's Table 4: {printed:.2f}"
+        return _find(wanted(ratio), text)
 
     return judge
 
 
 def judge_crossing(results: Results) -> Finding | None:
-    """Find the length of a chain from which on the order-N form takes fewer flops than elimination."""
+    """Return the length of a chain from which the order-N form takes fewer flops than elimination."""
     growth = {g.formulation: dict(g.flops) for g in results.growth}
     sizes = sorted(set(growth.get("EXP1", {})) & set(growth.get("EXP2", {})))
     if not sizes:
@@ -370,8 +370,8 @@ def judge_crossing(results: Results) -> Finding | None:
     cheaper = [n for n in sizes if all(growth["EXP2"][m] < growth["EXP1"][m] for m in sizes if m >= n)]
     if not cheaper:
         return _find(False, f"up to {sizes[-1]} joints EXP1 takes fewer flops")
-    told = f"from {cheaper[0]} joints on, among chains of {', '.join(map(str, sizes))}"
-    return _find(10 <= cheaper[0] <= 20, told)
+    text = f"from {cheaper[0]} joints on, among chains of {', '.join(map(str, sizes))}"
+    return _find(10 <= cheaper[0] <= 20, text)
 
 
 def compare_iterations(which: str, is_same: bool) -> Callable[[Results], Finding | None]:
@@ -385,10 +385,10 @@ def compare_iterations(which: str, is_same: bool) -> Callable[[Results], Finding
         both = sorted(set(impl) & set(semi))
         same = sum(impl[p] == semi[p] for p in both)
         medians = _medians(results, weights, "iterations", IMPLICIT)
-        told = f"in {same} of {len(both)} tasks; medians: {_tell(medians)}"
+        text = f"in {same} of {len(both)} tasks; medians: {_list_values(medians)}"
         if is_same:
-            return _find(same >= (1 - ALIKE) * len(both), told)
-        return _find(same < len(both) and _are_within(medians["IMPL"], medians["SEMI"], SIMILAR), told)
+            return _find(same >= (1 - ALIKE) * len(both), text)
+        return _find(same < len(both) and _are_within(medians["IMPL"], medians["SEMI"], SIMILAR), text)
 
     return judge
 
@@ -399,7 +399,7 @@ def judge_order_n_prefers_dae(results: Results) -> Finding | None:
         return None
     medians = [_medians(results, weights, "cpu", EXPLICIT) for weights in sets]
     is_so = all(m["EXP2-A"] < m["EXP2-O"] and m["EXP1-O"] < m["EXP1-A"] for m in medians)
-    return _find(is_so, "median CPU s: " + "; ".join(map(_tell, medians)))
+    return _find(is_so, "median CPU s: " + "; ".join(map(_list_values, medians)))
 
 
 def judge_shooting(results: Results) -> Finding | None:
@@ -415,5 +415,5 @@ def judge_shooting(results: Results) -> Finding | None:
     if base not in rates or not others:
         return None
     is_so = all(rates[name] < rates[base] and cpu[name] > cpu[base] for name in others)
-    told = "; ".join(f"{name}: {rates[name]:.0%} solved, median CPU {cpu[name]:.3g} s" for name in (base, *others))
-    return _find(is_so, told)
+    text = "; ".join(f"{name}: {rates[name]:.0%} solved, median CPU {cpu[name]:.3g} s" for name in (base, *others))
+    return _find(is_so, text)

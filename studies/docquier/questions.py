@@ -1,10 +1,10 @@
-"""The questions that Docquier, Bruls, Fisette leave open, each a declared list of tasks, and what came of them.
+"""Questions that Docquier, Brüls and Fisette leave open: each is a declared list of tasks, and a section of answers.
 
-guess         how much of the formulations' difference is the initial guess's, and why the implicit forms fall into
-              higher minima: inputs 0, those that hold each pose, those that make the motion
+guess         the share of the initial guess in the difference of formulations, and the cause of higher minima of the
+              implicit forms: inputs 0, inputs that hold each pose, inputs of the motion
 derivatives   generated sensitivities against algorithmic differentiation of the same equations
 grids         other transcriptions: Radau and Legendre points, degrees 1 to 5, N from 25 to 200
-repeats       how far the iterations of one task scatter, for targets that differ by rounding alone
+repeats       the scatter of the iterations of one task, for targets that differ by rounding alone
 systems       other systems
 shooting      multiple shooting, on the study's problem and on the other systems
 """
@@ -29,7 +29,7 @@ from studies.docquier.figures import draw_scatter, name_set
 from studies.docquier.judges import COLLOCATION
 from studies.docquier.results import Results
 
-PROTOCOL = "question"  # of attempts that belong to none of the two
+PROTOCOL = "question"  # of attempts outside the two protocols
 REPEATS = 4  # of each task whose iterations are repeated
 NUDGE = 2.0**-50  # relative, of the radius of the targets: a few units in the last place
 ROUNDS = 3  # in which ways of differentiating are timed
@@ -48,7 +48,7 @@ class TaskList:
     folder: Path  # with the generated kernels
     study: Study
     trials: tuple[Trial, ...]
-    way: Way = "generated"  # where derivatives come from
+    way: Way = "generated"  # the source of derivatives
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ class System:
 
 
 def _alone(problem: Problem, representations: Iterable[Representation]) -> Study:
-    """Take a problem as it is, with its own cost and target, in the representations that its form admits."""
+    """Return the study of one problem with its cost and target, in the representations that its form admits."""
     costs = ((problem.cost.inputs, problem.cost.input_rates),)
     return Study(problem, None, ONE, costs, _admit(problem, representations), ())
 
@@ -81,7 +81,7 @@ def thin(study: Study) -> Study:
 
 
 def list_guesses(study: Study, folder: Path) -> list[TaskList]:
-    """Start a part of the targets from three guesses; the first is that of the paper's protocol."""
+    """Start a part of the targets from three guesses; the first is the guess of the paper's protocol."""
     few = thin(study)
     trials = (
         *list_interpolations(few, "paper", "paper", "zero"),
@@ -95,20 +95,20 @@ _GUESSES = {("paper", "zero"): "0", ("guess", "static"): "statics", ("guess", "d
 
 
 def answer_guess(results: Results) -> Section | None:
-    """Compare guesses over the places that all of them were tried at, in all representations."""
+    """Compare guesses over the places at which all of them were tried, in all representations."""
     rows: list[tuple[Cell, ...]] = []
     for weights in results.study.costs:
         groups: dict[tuple[str, str], dict[Place, Attempt]] = {
-            (name, told): {} for name in results.representations for told in _GUESSES.values()
+            (name, guess): {} for name in results.representations for guess in _GUESSES.values()
         }
         for a in results.attempts:
             if (a.part, a.guess) in _GUESSES and a.task.weights == weights:
                 groups[a.task.representation, _GUESSES[a.part, a.guess]][a.task.place] = a
         common = sorted(set.intersection(*(set(found) for found in groups.values())))
-        for (name, told), found in groups.items():
+        for (name, guess), found in groups.items():
             own = [found[place] for place in common]
             if own:
-                rows.append((name_set(weights), name, told, len(own), *_count(own, results)))
+                rows.append((name_set(weights), name, guess, len(own), *_count(own, results)))
     if not rows:
         return None
     columns: tuple[str, ...] = (
@@ -120,7 +120,7 @@ def answer_guess(results: Results) -> Section | None:
         "in a higher minimum",
     )
     columns += ("iterations, median", "CPU s, median", "CPU s, all")
-    note = "The motion is the same interpolation; a higher minimum is one above the lowest that any attempt found."
+    note = "The motion is the same interpolation; a higher minimum lies above the lowest cost of all attempts."
     items: list[Table | Picture] = [Table("By the inputs of the guess", columns, tuple(rows), note)]
     exchanged = _count_exchanges(results)
     if exchanged:
@@ -132,7 +132,7 @@ def answer_guess(results: Results) -> Section | None:
             "differs, not the formulation's set of minima."
         )
         items.append(Table("Why higher minima", columns, tuple(exchanged), note))
-    return Section("guess", "How much is the initial guess's, and why there are higher minima", "", tuple(items))
+    return Section("guess", "The share of the initial guess, and the cause of higher minima", "", tuple(items))
 
 
 def _count(attempts: Sequence[Attempt], results: Results) -> tuple[Cell, ...]:
@@ -208,8 +208,8 @@ def answer_derivatives(attempts: Sequence[Attempt], ways: Mapping[str, Mapping[s
             times = None
             if ours is not None:
                 times = _round(evaluating / (1e3 * ours.cpu_seconds_evaluating / max(ours.iterations, 1)))
-            told = (name, way, a.iterations, _round(evaluating), times)
-            rows.append((*told, _round(rest), _round(a.cpu_seconds), a.cost))
+            row = (name, way, a.iterations, _round(evaluating), times)
+            rows.append((*row, _round(rest), _round(a.cpu_seconds), a.cost))
     if not rows:
         return None
     columns: tuple[str, ...] = ("representation", "derivatives", "iterations", "evaluation ms per iteration", "by ours")
@@ -218,7 +218,7 @@ def answer_derivatives(attempts: Sequence[Attempt], ways: Mapping[str, Mapping[s
         f"The quickest of {ROUNDS} rounds, from the interpolation with the inputs of its inverse dynamics. The "
         "equations are the same; programs are assembled in the same way from Jacobians and adjoint Jacobians."
     )
-    items: list[Table | Picture] = [Table("Solves, by where derivatives come from", columns, tuple(rows), note)]
+    items: list[Table | Picture] = [Table("Solves, by the source of derivatives", columns, tuple(rows), note)]
     if ways:
         flops = tuple(
             (kernel, way, count, _round(count / min(by_way.values())))
@@ -259,7 +259,7 @@ class GridPoint:
 
     @property
     def series(self) -> str:
-        """Name what a line of a chart joins: all but N."""
+        """Return the name of a line in a chart: everything except N."""
         p = self.problem
         return f"{self.attempt.task.representation}, {p.family.value} {p.degree}"
 
@@ -268,7 +268,7 @@ def answer_grids(points: Sequence[GridPoint]) -> Section | None:
     """Chart CPU time against the defect, and against the error of the cost on the same control grid."""
     if not points:
         return None
-    finest: dict[int, Attempt] = {}  # by N: the solve with the least defect, which the others' costs are judged by
+    finest: dict[int, Attempt] = {}  # by N: the solve with the least defect, the reference of the others
     for p in points:
         if p.attempt.defect is not None and p.attempt.cost is not None:
             held = finest.get(p.problem.intervals)
@@ -284,14 +284,15 @@ def answer_grids(points: Sequence[GridPoint]) -> Section | None:
         if a.cost is not None and n in best and a is not finest[n]:
             error = errors[k] = abs(a.cost - best[n]) / abs(best[n])
         control = None if n not in best else abs(best[n] - last) / abs(last)
-        told = (a.task.representation, p.problem.family.value, p.problem.degree, n, a.status, a.iterations)
-        rows.append((*told, _round(a.cpu_seconds), a.cost, _round(error), _round(control), _round(a.defect)))
+        row = (a.task.representation, p.problem.family.value, p.problem.degree, n, a.status, a.iterations)
+        rows.append((*row, _round(a.cpu_seconds), a.cost, _round(error), _round(control), _round(a.defect)))
     columns: tuple[str, ...] = ("representation", "points", "degree", "N", "status", "iterations", "CPU s", "cost")
     columns += ("error of the cost", "error of the control grid", "defect")
     note = (
-        "Inputs are constant over an interval, so N makes the control grid, too. The error of the cost is that against "
-        "the solve with the least defect on the same control grid; that of the control grid, the best cost against the "
-        "best on the finest. The defect is the largest error of an interval by re-simulation [rad, rad/s]."
+        "Inputs are constant over an interval, so N makes the control grid, too. The error of the cost is the "
+        "difference from the solve with the least defect on the same control grid. The error of the control grid is the "
+        "difference of its best cost from the best cost on the finest grid. The defect is the largest error of an "
+        "interval by re-simulation [rad, rad/s]."
     )
     attempts = [p.attempt for p in points]
     place = {id(p.attempt): (p, k) for k, p in enumerate(points)}
@@ -311,7 +312,7 @@ def answer_grids(points: Sequence[GridPoint]) -> Section | None:
             read(lambda p, _: p.attempt.defect),
             ("CPU time [s]", "largest defect of an interval [rad, rad/s]", "N grows along a line"),
             "CPU time against the defect",
-            "Crosses: solved, but the integrator gave up. What was not solved stands in the table.",
+            "Crosses: solved, but the integrator gave up. The table lists failed solves.",
         ),
         draw_scatter(
             attempts,
@@ -319,7 +320,7 @@ def answer_grids(points: Sequence[GridPoint]) -> Section | None:
             read(lambda _, k: errors.get(k)),
             ("CPU time [s]", "relative error of the cost", "N grows along a line"),
             "CPU time against the error of the cost on the same control grid",
-            "Crosses: the solve that the others are judged by.",
+            "Crosses: the reference of the others.",
         ),
     )
     return Section("grids", "Other transcriptions", "", (*pictures, Table("Grids", columns, tuple(rows), note)))
@@ -330,7 +331,7 @@ def answer_grids(points: Sequence[GridPoint]) -> Section | None:
 
 @dataclass(frozen=True)
 class Transcription:
-    """How equations of motion become constraints between mesh points."""
+    """A way to turn equations of motion into constraints between mesh points."""
 
     name: str
     form: Form
@@ -338,7 +339,7 @@ class Transcription:
     steps: int = 1
 
     def apply(self, problem: Problem) -> Problem:
-        """Give the problem in this form."""
+        """Return the problem in this form."""
         return replace(problem, form=self.form, integrator=self.integrator, steps=self.steps)
 
 
@@ -366,7 +367,7 @@ def list_shooting(study: Study, folder: Path, systems: Sequence[System]) -> list
 
 
 def name_transcription(problem: Problem) -> str:
-    """Name the way a problem is transcribed by."""
+    """Return the name of the transcription of a problem."""
     return next(way.name for way in TRANSCRIPTIONS if way.apply(problem) == problem)
 
 
@@ -383,14 +384,14 @@ def answer_shooting(found: Sequence[tuple[Problem, Sequence[Attempt]]]) -> Secti
             own = [a for a in attempts if a.task.representation == name]
             solved = [a for a in own if a.cost is not None]
             worse = sum(a.cost > (1 + APART) * lowest[problem.name, a.task.place] for a in solved if a.cost is not None)
-            told = (problem.name, name_transcription(problem), name, len(own), len(solved), worse)
+            row = (problem.name, name_transcription(problem), name, len(own), len(solved), worse)
             numbers: tuple[Cell, ...] = (None, None, None, None)
             if solved:
                 iterations, cpu = ([getattr(a, x) for a in solved] for x in ("iterations", "cpu_seconds"))
                 each = [1e3 * s / max(i, 1) for s, i in zip(cpu, iterations, strict=True)]
                 marks = [_round(float(np.median(x))) for x in (iterations, cpu, each)]
                 numbers = (solved[0].variables, *marks)
-            rows.append((*told, *numbers))
+            rows.append((*row, *numbers))
     if not rows:
         return None
     columns: tuple[str, ...] = ("problem", "transcription", "representation", "tasks", "solved", "in a higher minimum")
@@ -420,7 +421,7 @@ def list_systems(systems: Sequence[System]) -> list[TaskList]:
 
 
 def answer_systems(found: Sequence[tuple[str, Sequence[Attempt]]]) -> Section | None:
-    """List what each system took, in each representation, from each guess."""
+    """List the effort for each system, in each representation, from each guess."""
     rows: list[tuple[Cell, ...]] = []
     for name, attempts in found:
         own = [a for a in attempts if a.part == "systems"]
@@ -428,8 +429,8 @@ def answer_systems(found: Sequence[tuple[str, Sequence[Attempt]]]) -> Section | 
         for a in own:
             verdict = "not solved" if a.cost is None else "higher minimum" if is_higher(a.cost, lowest) else "lowest"
             each = _round(1e3 * a.cpu_seconds / max(a.iterations, 1))
-            told = (name, a.task.representation, a.guess, a.status, verdict, a.iterations, _round(a.cpu_seconds), each)
-            rows.append((*told, a.cost, _round(a.defect)))
+            row = (name, a.task.representation, a.guess, a.status, verdict, a.iterations, _round(a.cpu_seconds), each)
+            rows.append((*row, a.cost, _round(a.defect)))
     if not rows:
         return None
     columns: tuple[str, ...] = (
@@ -442,10 +443,10 @@ def answer_systems(found: Sequence[tuple[str, Sequence[Attempt]]]) -> Section | 
         "CPU s",
     )
     columns += ("CPU ms per iteration", "cost", "defect")
-    note = "The lowest minimum is that of all attempts at the problem in this table."
+    note = "The lowest minimum is the lowest cost of all attempts at the problem in this table."
     return Section("systems", "Other systems", "", (Table("Other systems", columns, tuple(rows), note),))
 
 
 def _round(value: float | None) -> float | None:
-    """Keep four digits: more is noise."""
+    """Round to four digits: further digits are noise."""
     return None if value is None else float(f"{value:.4g}")

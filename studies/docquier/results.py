@@ -1,6 +1,6 @@
-"""The results of the paper's protocol, in the form that tables, figures and statements need.
+"""The results of the paper's protocol, as tables, figures and judges need them.
 
-A set of tasks has one cost. The paper's first is without smoothing, its second with a price for the inputs' rates.
+A set of tasks has one cost. The first set of the paper has no smoothing, the second a price on the rates of the inputs.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ FIGURES = ("cost", "iterations", "cpu", "cpu per iteration", "evaluation per ite
 
 @dataclass(frozen=True)
 class Effort:
-    """What the four functions take, from the generator's report; parameters at run time."""
+    """Operations of a formulation, from the report of the generator; parameters at run time."""
 
     flops: int  # by the paper's convention
     equations: int
@@ -33,7 +33,7 @@ class Effort:
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """All attempts of a study, and what stands beside them."""
+    """All attempts of a study, with motions, operations and scatter."""
 
     study: Study
     attempts: tuple[Attempt, ...]
@@ -46,7 +46,7 @@ class Results:
 
     @cached_property
     def lowest(self) -> dict[tuple[Place, Weights], float]:
-        """Give the lowest cost that any attempt of any protocol found."""
+        """Return the lowest cost of all attempts of all protocols."""
         return find_lowest(self.attempts)
 
     @property
@@ -56,12 +56,12 @@ class Results:
 
     @property
     def rough(self) -> Weights | None:
-        """Give the cost without smoothing."""
+        """Return the cost without smoothing."""
         return next((w for w in self.study.costs if w[1] == 0), None)
 
     @property
     def smooth(self) -> Weights | None:
-        """Give the cost with smoothing."""
+        """Return the cost with smoothing."""
         return next((w for w in self.study.costs if w[1] > 0), None)
 
     def pick(self, weights: Weights, representation: str, protocol: str = "paper") -> list[Attempt]:
@@ -78,7 +78,7 @@ class Results:
 
     @cached_property
     def compared(self) -> dict[Weights, set[Place]]:
-        """Give the places at which the paper's protocol is through with all representations, by cost."""
+        """Return the places that the paper's protocol has finished in all representations, by cost."""
         tried = {(a.task.weights, a.task.place, a.task.representation) for a in self.attempts if a.protocol == "paper"}
         return {
             weights: {
@@ -90,11 +90,11 @@ class Results:
         }
 
     def is_measured(self, weights: Weights | None, *names: str) -> bool:
-        """Tell whether a set has been solved in some representations, at any place."""
+        """Return whether a set has a solution in each of some representations, at any place."""
         return weights is not None and all(any(a.cost is not None for a in self.pick(weights, n)) for n in names)
 
     def values(self, weights: Weights, representation: str, figure: str) -> Array:
-        """Give a figure of all attempts of the paper's protocol that were solved."""
+        """Return a figure of all solved attempts of the paper's protocol."""
         solved = [a for a in self.pick(weights, representation) if a.cost is not None]
         return np.array([read_figure(a, figure) for a in solved])
 
@@ -107,11 +107,11 @@ class Results:
         ]
 
     def is_higher(self, cost: float, lowest: float) -> bool:
-        """Return whether a cost is above the lowest by more than the difference that counts as none."""
+        """Return whether a cost is above the lowest by more than the threshold of one minimum."""
         return cost > lowest + self.same * abs(lowest)
 
     def with_same(self, same: float) -> Results:
-        """Return the same results with another difference of costs within which two minima count as one."""
+        """Return the same results with another threshold of one minimum."""
         return replace(self, same=same)
 
     def resample(self, source: np.random.Generator) -> Results:
@@ -130,7 +130,7 @@ class Results:
         return replace(self, attempts=tuple(map(draw, self.attempts)))
 
     def size(self, representation: str) -> tuple[int, int, int, int] | None:
-        """Give variables, constraints and nonzeros of a program that was solved."""
+        """Return variables, constraints and nonzeros of a solved program."""
         for a in self.attempts:
             if a.task.representation == representation and a.variables is not None:
                 return (a.variables, a.constraints or 0, a.jacobian_nonzeros or 0, a.hessian_nonzeros or 0)
@@ -140,7 +140,7 @@ class Results:
 def read_figure(attempt: Attempt, figure: str) -> float:
     """Read one number of an attempt that was solved."""
     if figure == "cost":
-        assert attempt.cost is not None, "asked for of what was solved"
+        assert attempt.cost is not None, "called for solved attempts only"
         return attempt.cost
     if figure == "iterations":
         return float(attempt.iterations)
@@ -151,7 +151,7 @@ def read_figure(attempt: Attempt, figure: str) -> float:
 
 
 def find_outliers(values: Array) -> Array:
-    """Give what lies beyond the whiskers of a box plot: more than 1.5 boxes away from the box."""
+    """Return the values beyond the whiskers of a box plot: more than 1.5 boxes away from the box."""
     if not values.size:
         return values
     lower, upper = np.percentile(values, (25, 75))
@@ -166,6 +166,6 @@ def find_shown_task(study: Study, weights: Weights) -> Task:
 
 
 def is_dae_of_explicit(representation: str) -> bool:
-    """Tell whether accelerations are variables though the form is explicit: EXP1-A, EXP2-A."""
+    """Return whether accelerations are variables of an explicit form: EXP1-A, EXP2-A."""
     kind = Representation(representation)
     return kind.is_explicit and not kind.is_ode

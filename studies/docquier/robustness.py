@@ -1,4 +1,4 @@
-"""What the robust protocol reached, cost by cost, and what each of its parts took."""
+"""Report the results of the robust protocol by cost, and the effort of its parts."""
 
 from __future__ import annotations
 
@@ -32,26 +32,26 @@ Row = tuple[Cell, ...]
 
 TEXT = (
     "A search for lower minima: random starts, neighbours, hops, other representations. It finds minima, and "
-    "cannot show that there is no lower one; the number of independent starts that found the lowest cost known "
-    "says how far to trust it. A task is left in a higher minimum if any attempt in the record, of this protocol "
+    "cannot show that no lower one exists. The number of independent starts that found the lowest known cost is a "
+    "measure of trust. A task is left in a higher minimum if any attempt in the record, of this protocol "
     f"or another, in this representation or another, found a cost that is lower by more than {SAME:g} of it. "
     "Motions with whole turns of joints without limits compete among themselves, and are listed on their own; all "
-    "statements are about motions without. Optima are what counts here, so solves take the "
-    "project's own linear solver, mbs. The paper's protocol and the questions keep to MUMPS, since their times are "
-    "compared with the paper's; what was solved before there was mbs has MUMPS here as well, and is counted so above."
+    "statements are about motions without. The optima count here, not the times, so solves take the "
+    "linear solver of the project, mbs. The paper's protocol and the questions take MUMPS, since their times are "
+    "compared with the paper's. The table of environments counts attempts by solver."
 )
 
 
 @dataclass(frozen=True)
 class State:
-    """How far the search is for a cost, and the targets for which it is through: all, a slice of them, or none."""
+    """The progress of the search for a cost, and its finished targets: all, a slice of them, or none."""
 
     progress: Progress
     done: Targets | None
 
 
 def find_state(study: Study, record: Record) -> State:
-    """Find how far the search is for a study of one cost; slices that are ever coarser are looked at."""
+    """Return the progress of the search for a study of one cost, with the largest finished slice of targets."""
     for targets in list_slices(study.targets):
         progress = find_progress(replace(study, targets=targets), record)
         if progress.is_through:
@@ -60,7 +60,7 @@ def find_state(study: Study, record: Record) -> State:
 
 
 def list_slices(targets: Targets) -> list[Targets]:
-    """List the slices of targets that have both ends of azimuths and heights, that with most of them first."""
+    """List the slices of targets with both ends of azimuths and heights, the largest slice first."""
     ends = [count - 1 for count in (len(targets.azimuths), len(targets.heights))]
     i, j = (
         [k for k in range(step, max(end, step) + 1, step) if end % k == 0]
@@ -71,7 +71,7 @@ def list_slices(targets: Targets) -> list[Targets]:
 
 
 def report_robust(results: Results, states: Mapping[Weights, State]) -> Section | None:
-    """Tell for each cost whether a task is left, and what it took."""
+    """Report the remaining tasks and the effort for each cost."""
     own: dict[Weights, list[Attempt]] = {}
     for weights in results.study.costs:
         found = [a for a in results.attempts if a.protocol == "robust" and a.task.weights == weights]
@@ -79,11 +79,11 @@ def report_robust(results: Results, states: Mapping[Weights, State]) -> Section 
             own[weights] = found
     if not own:
         return None
-    told = [tell_outcome(results, weights, attempts, states[weights]) for weights, attempts in own.items()]
+    texts = [describe_outcome(results, weights, attempts, states[weights]) for weights, attempts in own.items()]
     balance = tuple(_balance(results, weights, attempts, states[weights]) for weights, attempts in own.items())
     columns: tuple[str, ...] = ("cost", "targets", "tasks", "tried", "solved", "in a higher minimum", "by at most %")
     columns += ("attempts", "CPU s", "CPU s by task tried", "the search", "through for targets")
-    left = Table("Whether a task is left", columns, balance, "A task is a target in one representation.")
+    left = Table("Remaining tasks", columns, balance, "A task is a target in one representation.")
     columns = ("cost", "part", "attempts", "solved", "first in the lowest minimum, targets", "iterations, median")
     columns += ("CPU s, median", "CPU s, all", "% of it")
     note = (
@@ -94,33 +94,34 @@ def report_robust(results: Results, states: Mapping[Weights, State]) -> Section 
     rows = tuple(row for weights, attempts in own.items() for row in _list_parts(results, weights, attempts))
     every = [attempt for attempts in own.values() for attempt in attempts]
     turned = (_tabulate_turns(every),) if list_turned(every) else ()
-    parts = Table("What each part takes", columns, rows, note)
+    parts = Table("Effort of the parts", columns, rows, note)
     return Section(
-        "robust", "The robust protocol, beside", " ".join((TEXT, *told)), (left, parts, _tabulate_all(results), *turned)
+        "robust", "The robust protocol", " ".join((TEXT, *texts)), (left, parts, _tabulate_all(results), *turned)
     )
 
 
-def tell_outcome(results: Results, weights: Weights, attempts: Sequence[Attempt], state: State) -> str:
-    """Say in words whether a task is left."""
+def describe_outcome(results: Results, weights: Weights, attempts: Sequence[Attempt], state: State) -> str:
+    """Describe the remaining tasks."""
     name, progress = f"With {name_set(weights)}", state.progress
     if state.done is None:
-        return f"{name} {_tell_progress(progress)}."
+        return f"{name} {_describe_progress(progress)}."
     places = set(state.done.places)
     best = {task: cost for task, cost in _find_best(attempts).items() if task.place in places}
     tasks, higher = len(places) * len(results.representations), len(_list_higher(results, best))
     solved = f"all {tasks} tasks are solved" if len(best) == tasks else f"{len(best)} of {tasks} tasks are solved"
     left = f"{higher or 'none'} {'is' if higher < 2 else 'are'} left in a higher minimum"
-    told = (
-        f"{solved}, and {left} than another start in this record found; lower ones may exist; {_tell_finds(attempts)}"
-    )
+    finds = _describe_finds(attempts)
+    text = f"{solved}, and {left} than another start in this record found; lower ones may exist; {finds}"
     if progress.is_through:
-        return f"{name} {told}."
+        return f"{name} {text}."
     whole = len(results.study.targets.places)
-    return f"{name} {_tell_progress(progress)}; for a slice of {len(places)} of {whole} targets it is through: {told}."
+    return (
+        f"{name} {_describe_progress(progress)}; for a slice of {len(places)} of {whole} targets it is through: {text}."
+    )
 
 
-def _tell_finds(attempts: Sequence[Attempt]) -> str:
-    """Say how many independent starts found the lowest cost known of a target."""
+def _describe_finds(attempts: Sequence[Attempt]) -> str:
+    """Describe the number of independent starts that found the lowest cost of a target."""
     finds = count_finds(attempts)
     if not finds:
         return "no independent start found any"
@@ -145,11 +146,11 @@ def _tabulate_turns(attempts: Sequence[Attempt]) -> Table:
     )
     columns = ("cost", "target", "whole turns", "lowest cost with them", "lowest without")
     return Table(
-        "Whole turns of joints without limits", columns, rows, "Only what a search found; lower costs may exist."
+        "Whole turns of joints without limits", columns, rows, "The search found these costs; lower ones may exist."
     )
 
 
-def _tell_progress(progress: Progress) -> str:
+def _describe_progress(progress: Progress) -> str:
     return f"the search is under way, in round {progress.round}, with {progress.done} of {progress.trials} attempts"
 
 
@@ -159,11 +160,13 @@ def _balance(results: Results, weights: Weights, attempts: Sequence[Attempt], st
     higher = _list_higher(results, best)
     above = [100 * (best[task] / results.lowest[task.place, weights] - 1) for task in higher]
     cpu = sum(a.cpu_seconds for a in attempts)
-    told = "through" if progress.is_through else f"round {progress.round}: {progress.done} of {progress.trials}"
+    progress_text = (
+        "through" if progress.is_through else f"round {progress.round}: {progress.done} of {progress.trials}"
+    )
     tried = len({a.task for a in attempts})
     through = 0 if state.done is None else len(state.done.places)
     numbers = (tried, len(best), len(higher), _round(max(above)) if above else None, len(attempts))
-    return (name_set(weights), len(places), tasks, *numbers, _round(cpu), _round(cpu / tried), told, through)
+    return (name_set(weights), len(places), tasks, *numbers, _round(cpu), _round(cpu / tried), progress_text, through)
 
 
 def _list_parts(results: Results, weights: Weights, attempts: Sequence[Attempt]) -> list[Row]:
@@ -181,8 +184,8 @@ def _list_parts(results: Results, weights: Weights, attempts: Sequence[Attempt])
             iterations = float(np.median([a.iterations for a in solved])) if solved else None
             cpu = sum(a.cpu_seconds for a in own)
             median = _round(float(np.median([a.cpu_seconds for a in own])))
-            told = (name_set(weights), part, len(own), len(solved), found, iterations, median, _round(cpu))
-            rows.append((*told, round(100 * cpu / whole, 1)))
+            row = (name_set(weights), part, len(own), len(solved), found, iterations, median, _round(cpu))
+            rows.append((*row, round(100 * cpu / whole, 1)))
     return rows
 
 
@@ -191,13 +194,11 @@ def _tabulate_all(results: Results) -> Table:
     rows: list[Row] = []
     for s in summarise([a for a in results.attempts if a.protocol == "robust"]):
         least, median, most = s.iterations
-        told = (name_set(s.weights), s.representation, s.part, s.attempts, s.solved, s.higher)
-        rows.append((*told, median, least, most, _round(s.cpu_median), _round(s.cpu_seconds)))
+        row = (name_set(s.weights), s.representation, s.part, s.attempts, s.solved, s.higher)
+        rows.append((*row, median, least, most, _round(s.cpu_median), _round(s.cpu_seconds)))
     columns: tuple[str, ...] = ("cost", "representation", "part", "attempts", "solved", "in a higher minimum")
     columns += ("iterations, median", "least", "most", "CPU s, median", "CPU s, all")
-    note = (
-        '"result" is what all parts reached for each target; a higher minimum is one above that of other attempts here.'
-    )
+    note = '"result" is the best of all parts for each target; a higher minimum lies above the cost of another attempt.'
     return Table("Robust protocol, by representation", columns, tuple(rows), note)
 
 

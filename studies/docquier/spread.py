@@ -1,7 +1,7 @@
-"""How far the iterations of one task scatter, by repeats from data that differ by rounding alone.
+"""Scatter of the iterations of one task, by repeats with data that differ by rounding alone.
 
 Interior-point iterations depend on every bit: two targets 1e-16 apart may take 87 and 104. So a difference of two
-medians means something only where it exceeds this scatter.
+medians has a meaning only beyond this scatter.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The first section of the study's page: in a few sentences, what the run found."""
+"""The first section of the page: the results of the run in a few sentences."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def summarise_run(results: Results, judgements: Sequence[Judgement]) -> Section:
     targets, names = len(results.study.targets.places), len(results.representations)
     text = (
         f"The paper's protocol on {targets} targets, {len(results.study.costs)} costs and {names} representations. "
-        f"Statements of the paper: {count_verdicts(judgements)}. A higher minimum lies more than {SHOWN:.0%} above "
-        " the lowest cost that any attempt in this record found; lower minima than that may exist."
+        f"Claims of the paper: {count_verdicts(judgements)}. A higher minimum lies more than {SHOWN:.0%} above "
+        "the lowest cost that any attempt in this record found; lower minima than that may exist."
     )
     rows = tuple(row for weights in list_sets(results) for row in _list_rows(results.with_same(SHOWN), weights))
     columns = ("cost", "representation", "tasks", "solved", "in a higher minimum", "iterations, median")

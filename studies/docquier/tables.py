@@ -1,4 +1,4 @@
-"""The tables of Docquier, Bruls, Fisette, from the results of a run, with the paper's numbers beside."""
+"""Tabulate the results of a run as in the paper, beside the numbers of the paper."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from studies.docquier.spread import Spread
 
 
 def tabulate(results: Results) -> list[Table]:
-    """Make all tables that there are numbers for."""
+    """Return all tables that have numbers."""
     makers = (_tabulate_complexity, _tabulate_sizes, _tabulate_efforts, _tabulate_success, _tabulate_boxes)
     return [table for make in makers if (table := make(results)) is not None]
 
@@ -43,7 +43,7 @@ def tabulate_claims(judgements: Sequence[Judgement]) -> Table:
         f"thresholds where they change the verdict. Statements about iterations are judged again on {DRAWS} draws from "
         f"the scatter of perturbed repeats: a verdict stands where {SURE:.0%} of the draws agree."
     )
-    return Table("Statements of the paper", columns, rows, note)
+    return Table("Claims of the paper", columns, rows, note)
 
 
 def count_verdicts(judgements: Sequence[Judgement]) -> str:
@@ -53,7 +53,7 @@ def count_verdicts(judgements: Sequence[Judgement]) -> str:
 
 
 def tabulate_spreads(spreads: Sequence[Spread]) -> Table | None:
-    """List how far iterations scatter, by cost and representation."""
+    """Tabulate the scatter of iterations, by cost and representation."""
     if not spreads:
         return None
     rows = tuple(
@@ -126,12 +126,12 @@ def _tabulate_success(results: Results) -> Table | None:
         "in a higher minimum",
         "in the lowest %",
     )
-    note = "The lowest minimum is that of all attempts in the record, of both protocols and in all representations."
+    note = "The lowest minimum is the lowest cost of all attempts in the record, by any protocol and representation."
     return Table("Success rates", columns, tuple(rows), note)
 
 
 def _tabulate_boxes(results: Results) -> Table | None:
-    """Give the numbers of the box plots."""
+    """Tabulate the numbers of the box plots."""
     rows: list[tuple[Cell, ...]] = []
     for weights in list_sets(results):
         for figure in FIGURES:
@@ -139,8 +139,8 @@ def _tabulate_boxes(results: Results) -> Table | None:
                 values = results.values(weights, name, figure)
                 if values.size:
                     marks = np.percentile(values, (25, 50, 75))
-                    told = (*marks, values.mean(), values.min(), values.max())
-                    row = tuple(_round(float(x)) for x in told)
+                    numbers = (*marks, values.mean(), values.min(), values.max())
+                    row = tuple(_round(float(x)) for x in numbers)
                     rows.append((name_set(weights), figure, name, values.size, *row, find_outliers(values).size))
     if not rows:
         return None
@@ -156,7 +156,7 @@ def _tabulate_boxes(results: Results) -> Table | None:
         "least",
         "most",
     )
-    note = "CPU in s, per iteration in ms. Evaluation is that of functions and derivatives; the rest is linear algebra."
+    note = "CPU in s, per iteration in ms. Evaluation covers functions and derivatives; the rest is linear algebra."
     return Table("Numbers of Fig. 9 to 11", (*columns, "outliers"), tuple(rows), note)
 
 

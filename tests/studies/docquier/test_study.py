@@ -52,7 +52,7 @@ from studies.docquier.campaign import (
 from studies.docquier.differentiated import Differentiated
 from studies.docquier.export import export
 from studies.docquier.figures import name_set
-from studies.docquier.robustness import State, find_state, list_slices, report_robust, tell_outcome
+from studies.docquier.robustness import State, describe_outcome, find_state, list_slices, report_robust
 
 MODELS = Path(__file__).parents[3] / "models"
 COUNTS = {"bumps": (6, 2), "noise": (0, 0), "waves": (0, 0), "branches": (0, 0), "turns": (0, 0)}
@@ -138,7 +138,7 @@ def tell_what_is_left(campaign: Campaign, out: Path, tried: list[Attempt]) -> No
     assert [(row[2:6], row[-2:]) for row in left.rows] == [((7, 7, 7, 0), ("through", 7))] * 2
     assert sum(int(row[2]) for row in parts.rows if isinstance(row[2], int)) == len(tried)
     ended = State(Progress(1, 9, 4, is_through=False), replace(campaign.study.targets, every=(3, 1)))
-    told = tell_outcome(results, SMOOTH, [a for a in tried if a.task.weights == SMOOTH], ended)
+    told = describe_outcome(results, SMOOTH, [a for a in tried if a.task.weights == SMOOTH], ended)
     assert "in round 1, with 4 of 9 attempts; for a slice of 3 of 7 targets it is through: all 3 tasks" in told
     for weights in campaign.study.costs:
         firsts = [row[4] for row in parts.rows if row[0] == name_set(weights)]
