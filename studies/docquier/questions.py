@@ -290,7 +290,7 @@ def answer_grids(points: Sequence[GridPoint]) -> Section | None:
     columns += ("error of the cost", "error of the control grid", "defect")
     note = (
         "Inputs are constant over an interval, so N makes the control grid, too. The error of the cost is the "
-        "difference from the solve with the least defect on the same control grid. The error of the control grid is the "
+        "difference from the solve with the least defect on the same control grid. The error of the grid itself is the "
         "difference of its best cost from the best cost on the finest grid. The defect is the largest error of an "
         "interval by re-simulation [rad, rad/s]."
     )
