@@ -20,17 +20,17 @@ from mbsrun.commands.solve import solve_command
 from mbsrun.commands.study import study_command
 from mbsrun.commands.sweep import sweep_command
 
-HELP = """Simulate multibody systems, and solve optimal control problems of theirs.
+HELP = """Simulate multibody systems, and solve their optimal control problems.
 
 \b
   mbsrun simulate MODEL -o DIR  integrate a motion, and write it, plots and an animation to DIR
   mbsrun solve PROBLEM -o DIR   solve, and write solution and pictures to DIR
-  mbsrun sweep PROBLEM -o FILE  solve for a grid of targets, by a protocol, and tell what it took
+  mbsrun sweep PROBLEM -o FILE  solve for a grid of targets, by a protocol, and print its effort
   mbsrun study PROBLEM          solve for all targets, formulations and costs of a paper, and report
   mbsrun chart kernels MODEL    draw speed against accuracy of kernels, or of simulation
-  mbsrun advise MODEL           tell what is fastest for a model, at an accuracy
+  mbsrun advise MODEL           recommend the fastest choices for a model, at an accuracy
   mbsrun lab                    run the cases in which methods fail, and judge
-  mbsrun cache                  tell what was generated and compiled, or clear it
+  mbsrun cache                  list generated and compiled files, or clear them
 
 MODEL and PROBLEM are YAML files; models/ holds examples. Summaries go to stdout, progress and messages to stderr.
 """

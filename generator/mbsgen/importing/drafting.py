@@ -1,7 +1,7 @@
-"""What the readers of all formats share: bodies with clean names, put together to a Model, and judged as a whole.
+"""The common part of all readers: bodies with clean names, combined to a Model, and checked as a whole.
 
-A `Draft` takes bodies as a file has them: a pose, joints about or along any axes, a solid. Joints that are to be held
-become part of poses; names that a model cannot have are changed, and told.
+A `Draft` takes bodies as in a file: a pose, joints about or along any axes, a solid. Held joints become part of poses.
+Names that a model cannot have are changed, with a notice.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from mbsgen.model.topology import find_carriers
 from mbsgen.model.tree import Motion
 
 GRAVITY = (0.0, 0.0, -9.81)
-TOLERANCE = 1e-9  # of the largest moment: what a file's digits leave of an inertia that is just possible
-SLIGHT = 1e-9  # m2: less than this times its mass, and a body is a point
-GROSS = 0.5  # of the largest moment, of bodies fixed to each other together: beyond this, nothing computed means much
+TOLERANCE = 1e-9  # of the largest moment: rounding of a file's digits in an inertia that is just possible
+SLIGHT = 1e-9  # m2: a body whose inertia is less than this times its mass is a point
+GROSS = 0.5  # of the largest moment of bodies fixed together: beyond this, results mean little
 
 
 Mimic = Literal["couple", "free", "lock"]
@@ -38,31 +38,31 @@ Mimic = Literal["couple", "free", "lock"]
 
 @dataclass(frozen=True)
 class Choices:
-    """What a file leaves open, or a model cannot have as the file says it."""
+    """Choices that a file leaves open, or that a model needs."""
 
-    name: str | None = None  # of the model; None: that of the file
-    base: Literal["fixed", "floating"] = "fixed"  # how the root link of URDF stands
-    gravity: tuple[float, float, float] | None = None  # None: that of the file, or 9.81 m/s2 down the z axis
+    name: str | None = None  # of the model; None: the file's
+    base: Literal["fixed", "floating"] = "fixed"  # whether the root link of URDF is fixed to the base
+    gravity: tuple[float, float, float] | None = None  # None: the file's, or 9.81 m/s2 down the z axis
     sensors: tuple[str, ...] = ()  # links, bodies and sites that become frames
-    locked: tuple[tuple[str, float], ...] = ()  # joints that are held, and where [rad or m]
-    mimic: Mimic = "couple"  # what becomes of joints that follow others
-    quaternions: bool = False  # balls and free bodies have them; else they turn about z, y, x
+    locked: tuple[tuple[str, float], ...] = ()  # joints that are held, with their coordinates [rad or m]
+    mimic: Mimic = "couple"  # the treatment of joints that follow others
+    quaternions: bool = False  # for balls and free bodies; else turns about z, y, x
     friction_speed: float = 0.01  # at which 3/4 of dry friction are reached [rad/s or m/s]
-    quarter_turns: float = 1e-11  # angles nearer than this to a quarter turn are taken as one [rad]
-    allow_unphysical: bool = False  # take even inertias that are far from what a body can have
+    quarter_turns: float = 1e-11  # angles nearer than this to a quarter turn are rounded to it [rad]
+    allow_unphysical: bool = False  # accept inertias that no body can have
 
 
 @dataclass(frozen=True)
 class Imported:
-    """A model of a file in another format, and what there is to know about it."""
+    """A model of a file in another format, and the notices about it."""
 
     model: Model
-    notices: tuple[Notice, ...]  # what was done with parts of the file, and left out; first what alters the motion
+    notices: tuple[Notice, ...]  # changes and omissions; effects on the motion first
 
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """One degree of freedom as a file has it."""
+    """One degree of freedom of a file."""
 
     motion: Motion
     axis: Array  # in the frame that moves
@@ -73,14 +73,14 @@ class Move:
     lower: float | None = None
     upper: float | None = None
     law: Law = FREE
-    armature: float = 0.0  # what a rotor adds to M [kg m2 or kg]
+    armature: float = 0.0  # a rotor's contribution to M [kg m2 or kg]
     velocity: float | None = None  # the largest, either way [rad/s or m/s]; 0 and None: unbounded
     effort: float | None = None  # the same of the input [N m or N]
     follows: tuple[str, float, float] | None = None  # another joint of the file, ratio, offset
-    floats: bool = False  # one of those that stand for a quaternion
+    floats: bool = False  # one of the joints of a quaternion
 
     def at(self, q: float) -> Pose:
-        """Give the pose of the frame that moves, in the frame before it."""
+        """Return the pose of the moving frame, in the frame before it."""
         if self.motion is Motion.REVOLUTE:
             return self.pose @ Pose(turn(self.axis, q), np.zeros(3))
         return self.pose @ Pose(np.eye(3), self.axis / np.linalg.norm(self.axis) * q, ())
@@ -104,21 +104,21 @@ def list_moves(type: str, source: Element, pose: Pose = ORIGIN, *, actuated: boo
 
 
 def move_freely(source: Element, *, quaternion: bool = False) -> list[Move]:
-    """List the six joints of a free body: along x, y, z of what carries it, then a ball; without a motor."""
+    """List the six joints of a free body: along x, y, z of its parent, then a ball; without a motor."""
     return list_moves("free" if quaternion else "floating", source, actuated=False)
 
 
 def make_law(
     stiffness: float = 0.0, rest: float = 0.0, damping: float = 0.0, friction: float = 0.0, speed: float = 0.01
 ) -> Law:
-    """Make the force that a joint has of its own; a spring without stiffness has no rest."""
+    """Make the force law of a joint; a spring without stiffness has no rest."""
     dry = Friction(Number(friction), Number(speed)) if friction else None
     return Law(Number(stiffness), Number(rest if stiffness else 0.0), Number(damping), dry)
 
 
 @dataclass
 class Draft:
-    """A model that comes about, and where everything in it is from."""
+    """A model under construction, and the source of each part."""
 
     findings: Findings
     choices: Choices
@@ -129,21 +129,21 @@ class Draft:
     _sources: dict[str, Element] = field(default_factory=dict)  # of bodies
     _fixed: dict[str, Pose] = field(default_factory=dict)  # of bodies without joints, on their parents
     _moves: dict[tuple[str, int], Element] = field(default_factory=dict)  # of joints: body, place in its sequence
-    _called: dict[str, str] = field(default_factory=dict)  # names of joints in the model, by those in the file
+    _called: dict[str, str] = field(default_factory=dict)  # file name of a joint -> its name in the model
     _names: dict[str, set[str]] = field(default_factory=dict)
     _locked: set[str] = field(default_factory=set)
     _sensors: set[str] = field(default_factory=set)
-    _joints: list[str] = field(default_factory=list)  # that there are in the file
-    _visible: list[str] = field(default_factory=list)  # what may become a sensor
+    _joints: list[str] = field(default_factory=list)  # of the file
+    _visible: list[str] = field(default_factory=list)  # possible sensors
 
     def __post_init__(self) -> None:
         self.writer = Writer(self.choices.quarter_turns)
 
     def add_body(self, name: str, parent: str, pose: Pose, moves: Sequence[Move], solid: Solid, source: Element) -> str:
-        """Add a body on a body of the draft, and give the name that it has in the model.
+        """Add a body on a body of the draft, and return its name in the model.
 
-        `pose` is that of the first joint's frame, or of a fixed body's, in the frame of the parent; the frame of the
-        last joint is the body's. Joints that the choices hold become part of poses.
+        `pose` is the pose of the first joint's frame, or of a fixed body's, in the frame of the parent; the frame of
+        the solid is the last one.
         """
         pending = pose
         kept: list[tuple[Move, Pose]] = []
@@ -156,7 +156,9 @@ class Draft:
                 pending = pending @ move.at(held)
         is_shifted = not pending.is_straight or pending.position.any()
         own = self._choose_name("body", name, source)
-        if kept and is_shifted:  # a held joint came last: what moves is one frame, the body another, fixed on it
+        if (
+            kept and is_shifted
+        ):  # a held joint came last: the moving frame is a separate body, and the body is fixed on it
             carrier = self._choose_name("body", f"{own}.carrier", source)
             self._append(carrier, parent, self._make_joint(carrier, kept), NOTHING, source)
             self._append_fixed(own, carrier, pending, solid, source)
@@ -167,14 +169,14 @@ class Draft:
         return own
 
     def add_frame(self, name: str, body: str, pose: Pose, source: Element) -> None:
-        """Add a sensor on a body of the draft, if the choices ask for it."""
+        """Add a sensor on a body of the draft, if the choices name it."""
         self._visible.append(name)
         if name in self.choices.sensors and name not in self._sensors:
             self._sensors.add(name)
             self.frames.append(Frame(self._choose_name("frame", name, source), body, self.writer.placement(pose)))
 
     def finish(self, name: str, gravity: Sequence[float], root: Element) -> Imported:
-        """Put the model together and judge it. Raises InputError with all faults of the file."""
+        """Complete the model and check it. Raises InputError with all faults of the file."""
         self._check_choices()
         allowed = self._check_solids()
         if self.findings.faults:
@@ -226,7 +228,7 @@ class Draft:
             follows = None
             if move.follows is not None:
                 leader, ratio, offset = move.follows
-                follows = Follow(leader, Number(ratio), Number(offset))  # by its name in the file, as yet
+                follows = Follow(leader, Number(ratio), Number(offset))  # still its name in the file
             if move.name is not None:
                 self._called.setdefault(move.name, name or body)
             joints.append(
@@ -240,7 +242,7 @@ class Draft:
         return joints[0] if len(joints) == 1 else tuple(joints)
 
     def _lead(self, body: Body) -> Body:
-        """Let joints that follow others call them by their names in the model."""
+        """Replace the names of leading joints in the file by their names in the model."""
 
         def lead(joint: Joint) -> Joint:
             if joint.follows is None:
@@ -255,7 +257,7 @@ class Draft:
         return replace(body, joint=tuple(map(lead, body.joint)))
 
     def _choose_name(self, kind: str, wanted: str, source: Element) -> str:
-        """Give a name that a model can have, and that no other of its kind looks like; a change is told."""
+        """Return a valid name that differs from all others of its kind; a change makes a notice."""
         taken = self._names.setdefault(kind, {_fold(BASE)} if kind == "body" else set())
         clean = "".join("_" if _is_unfit(c) else c for c in wanted).strip().lstrip(".~") or kind
         clean = clean[: MAX_LENGTH - 8].strip()
@@ -268,7 +270,7 @@ class Draft:
             self.findings.tell(source, f"{kind} {abbreviate(wanted)} is called {abbreviate(name)} in the model")
         return name
 
-    # --- judgement ---------------------------------------------------------------------------------------------------
+    # --- checks ------------------------------------------------------------------------------------------------------
 
     def _check_choices(self) -> None:
         chosen = (
@@ -284,7 +286,7 @@ class Draft:
                     self.findings.faults.append(Fault(self.findings.file, 0, "", finding, remedy))
 
     def _check_solids(self) -> bool:
-        """Tell whether all inertias are possible; what a file gets slightly wrong is told, what is far off a fault."""
+        """Return whether all inertias are possible; slight violations make notices, large ones faults."""
         possible = True
         for name, solid in self._solids.items():
             source = self._sources[name]
@@ -303,7 +305,7 @@ class Draft:
         return possible
 
     def _check_groups(self) -> None:
-        """Judge bodies that are fixed to each other as one: what is wrong with a light one may not matter."""
+        """Check bodies that are fixed to each other as one: a violation by a light body may not matter."""
         for name, members in self._group().items():
             whole = add(solid.seen_from(pose) for member, pose in members for solid in (self._solids[member],))
             if name != BASE and np.abs(whole.inertia).max() > SLIGHT * whole.mass > 0 and find_miss(whole) > GROSS:
@@ -314,7 +316,7 @@ class Draft:
                 self.findings.fault(self._sources[worst], text, remedy)
 
     def _group(self) -> dict[str, list[tuple[str, Pose]]]:
-        """List the bodies that each moving one, or the base, carries without a joint, with their poses on it."""
+        """List the bodies that are fixed to each moving body, or to the base, with their poses on it."""
         carriers: dict[str, tuple[str, Pose]] = {BASE: (BASE, ORIGIN)}
         groups: dict[str, list[tuple[str, Pose]]] = {}
         for body in self.bodies:  # parents come first
@@ -327,7 +329,7 @@ class Draft:
         return groups
 
     def _check_model(self, model: Model, root: Element) -> None:
-        """Tell what is wrong with the model at the elements that it is from."""
+        """Report faults of the model at the elements that cause them."""
         for found in find_faults(model):
             remedy = found.remedy
             if found.finding == "nothing moves":
@@ -364,7 +366,7 @@ class Draft:
 
 
 def _write_axis(axis: Array) -> Triple:
-    """Write a direction; those of the coordinate axes in their own form, whatever their length."""
+    """Write a direction; coordinate axes in their own form, whatever their length."""
     present = [k for k in range(3) if axis[k] != 0]
     if len(present) == 1:
         return UNITS[("-" if axis[present[0]] < 0 else "") + "xyz"[present[0]]]

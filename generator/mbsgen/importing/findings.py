@@ -1,4 +1,4 @@
-"""What is found while a file is imported: faults, all at once, and notices of what the model says otherwise."""
+"""Findings of an import: faults, all together, and notices of differences between model and file."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 
 @dataclass(frozen=True)
 class Notice:
-    """What was done with a part of the file; `alters` where the model moves otherwise than the file says."""
+    """A change or omission of a part of the file; `alters`: the model moves differently from the file."""
 
     file: str
     line: int  # 0: the whole file
@@ -31,7 +31,7 @@ class Notice:
         return f"{place}: {'warning: ' if self.alters else ''}{self.text}"
 
     def without_folder(self) -> Notice:
-        """Give the notice as it is the same on every machine."""
+        """Return the notice without the folder, so that it is the same on every machine."""
         return replace(self, file=re.split(r"[/\\]", self.file)[-1])
 
 
@@ -44,23 +44,23 @@ class Findings:
         self.notices: list[Notice] = []
 
     def fault(self, element: Element, finding: str, remedy: str) -> None:
-        """Keep what is wrong with an element."""
+        """Add a fault of an element."""
         self.faults.append(element.fault(finding, remedy))
 
     def tell(self, element: Element, text: str) -> None:
-        """Keep what was done with an element."""
+        """Add a notice on an element."""
         self.notices.append(Notice(element.file, element.line, element.path, text, alters=False))
 
     def warn(self, element: Element, text: str) -> None:
-        """Keep how the model moves otherwise than an element says."""
+        """Add a warning: the model moves differently from an element of the file."""
         self.notices.append(Notice(element.file, element.line, element.path, text, alters=True))
 
     def sum_up(self, text: str, *, alters: bool = False) -> None:
-        """Keep what was done with the file as a whole; `alters`: the model moves otherwise than the file says."""
+        """Add a notice on the file as a whole; `alters`: the model moves differently from the file."""
         self.notices.append(Notice(self.file, 0, "", text, alters=alters))
 
     def refuse(self) -> InputError:
-        """Make the error of all faults."""
+        """Return the error of all faults."""
         return refuse(self.faults)
 
     def numbers(
@@ -72,9 +72,10 @@ class Findings:
         count: int | None = None,
         attributes: Mapping[str, str] | None = None,
     ) -> tuple[float, ...]:
-        """Read an attribute of `count` numbers, by default as many as the default has; what is at fault is the default.
+        """Read an attribute of `count` numbers, by default as many as the default has; faulty numbers become the
+        default.
 
-        `attributes` are those of the element with what it inherits.
+        `attributes` include inherited ones.
         """
         text = (element.attributes if attributes is None else attributes).get(name)
         if text is None:
@@ -109,7 +110,7 @@ class Findings:
 
 
 def _read_number(word: str) -> float:
-    """Read a number of ordinary size; nan is what is none."""
+    """Read a number of ordinary size; nan for anything else."""
     if len(word) > MAX_DIGITS or not _NUMBER.fullmatch(word):
         return math.nan
     value = float(word)

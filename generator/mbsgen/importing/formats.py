@@ -1,4 +1,4 @@
-"""File formats that models are imported from: one entry each in FORMATS, and a reader in a file of its own."""
+"""File formats that models are imported from: one entry each in FORMATS, and a reader in a separate file."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ Shape = tuple[float, Array]  # volume [m3], moments of inertia of unit mass abou
 
 
 def make_solid(shape: str, size: Sequence[float], *, mass: float | None, density: float) -> Solid:
-    """Make the solid of a shape in its own frame: of a mass, or else of a density."""
+    """Make the solid of a shape in its own frame, from a mass or a density."""
     volume, moments = SHAPES[shape](size)
     weight = density * volume if mass is None else mass
     return Solid(weight, np.zeros(3), np.diag(moments * weight))
@@ -62,5 +62,5 @@ SHAPES: Mapping[str, Callable[[Sequence[float]], Shape]] = MappingProxyType(
     }
 )
 SIZES: Mapping[str, int] = MappingProxyType({"sphere": 1, "capsule": 2, "ellipsoid": 3, "cylinder": 2, "box": 3})
-SPANNED = ("capsule", "cylinder", "ellipsoid", "box")  # what may lie between two points
+SPANNED = ("capsule", "cylinder", "ellipsoid", "box")  # shapes that may be given by two points
 WEIGHTLESS = ("plane", "hfield")

@@ -20,7 +20,7 @@ _GENERAL = frozenset(  # actuators that inherit what `general` has
 
 
 def include_files(root: Element, findings: Findings) -> Element:
-    """Put the content of included files where they are included: files in the folder of the first one, or below it."""
+    """Replace inclusions by the content of the files, which are in the folder of the first one or below it."""
     return _Inclusion(Path(root.file).resolve().parent, findings).expand(root, (Path(root.file).resolve(),))
 
 
@@ -33,7 +33,7 @@ class _Inclusion:
         self._count = 0
 
     def expand(self, element: Element, files: tuple[Path, ...]) -> Element:
-        """Expand what is below an element of the last of `files`, each of which included the next."""
+        """Expand the elements below an element of the last of `files`, each of which included the next."""
         children: list[Element] = []
         for child in element.children:
             if child.tag == "include":
@@ -55,7 +55,7 @@ class _Inclusion:
         except (OSError, ValueError, RuntimeError):
             path = Path("/")
         if not name or not path.is_relative_to(self._folder):
-            remedy = "include files of the model's own folder, by a relative path"
+            remedy = "include files from the model's folder, by a relative path"
             self._findings.fault(element, f"{abbreviate(name)} is not in the folder of the model", remedy)
             return ()
         if path in files:
@@ -97,7 +97,7 @@ class Defaults:
             self._read(inner, name)
 
     def resolve(self, element: Element, active: str) -> Mapping[str, str]:
-        """Give the attributes of an element with those of its class, or of the one that is active around it."""
+        """Return the attributes of an element with the defaults of its class, or of the active class."""
         name = element.attributes.get("class", active)
         if name not in self._classes:
             self.check(element, name)
@@ -107,7 +107,7 @@ class Defaults:
         return {**general, **settings.get(element.tag, {}), **element.attributes}
 
     def check(self, element: Element, name: str) -> str:
-        """Give a class that there is; a fault where there is none of the name."""
+        """Return an existing class; a fault where there is none of the name."""
         if name in self._classes:
             return name
         meant = nearest(name, list(self._classes))

@@ -34,15 +34,15 @@ class Element:
     path: str  # such as robot/joint[elbow]/limit
 
     def all(self, *tags: str) -> Iterator[Element]:
-        """Give the children of these tags."""
+        """Yield the children with these tags."""
         return (child for child in self.children if child.tag in tags)
 
     def first(self, tag: str) -> Element | None:
-        """Give the first child of a tag, if there is any."""
+        """Return the first child with a tag, if there is any."""
         return next(self.all(tag), None)
 
     def walk(self) -> Iterator[Element]:
-        """Give the element and all below it, in the order of the file."""
+        """Yield the element and all below it, in the order of the file."""
         waiting = [self]
         while waiting:
             element = waiting.pop()
@@ -56,7 +56,7 @@ class Element:
 
 @dataclass
 class _Open:
-    """An element whose end has not come yet."""
+    """An element whose end has not been read yet."""
 
     tag: str
     attributes: dict[str, str]
@@ -67,7 +67,7 @@ class _Open:
 
 
 def read_markup(path: Path) -> Element:
-    """Read an XML file. Raises InputError for what cannot be read."""
+    """Read an XML file. Raises InputError if it cannot be read."""
     file = str(path)
     raw = read_bytes(path, MAX_BYTES)
     reading = _Reading(file)
@@ -76,7 +76,7 @@ def read_markup(path: Path) -> Element:
     except expat.ExpatError as error:
         finding = f"this is no XML: {expat.ErrorString(error.code)}"
         raise InputError([Fault(file, error.lineno, "", finding, "mend it here or just before")]) from None
-    except (LookupError, ValueError) as error:  # an encoding that there is not
+    except (LookupError, ValueError) as error:  # an unknown encoding
         raise InputError([Fault(file, 1, "", f"cannot be read: {error}", "save the file as UTF-8")]) from None
 
 
@@ -139,6 +139,6 @@ def _show(name: str) -> str:
 
 
 def _shorten(path: str) -> str:
-    """Keep the beginning and the end of a long path: bodies of bodies nest deep."""
+    """Keep the beginning and the end of a long path, since bodies of bodies nest deep."""
     steps = path.split("/")
     return path if len(steps) <= 6 else "/".join([*steps[:2], "...", *steps[-3:]])

@@ -1,6 +1,6 @@
 """MJCF, the format of MuJoCo -> Draft of a model: one body a body, its frame at its last joint's anchor.
 
-Coordinates of hinges and slides are those of the file (`qpos`). A ball is three turns about z, y, x; a free body slides
+Coordinates of hinges and slides agree with the file (`qpos`). A ball is three turns about z, y, x; a free body slides
 along the axes of the world and then turns about z, y, x, all 0 where its frame is the world's; or each has a
 quaternion. An angle is in degrees unless the compiler section says otherwise.
 """
@@ -29,21 +29,21 @@ DENSITY = 1000.0  # of water, MuJoCo's default [kg/m3]
 TURNS = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
 JOINTS = ("joint", "freejoint")
 KINDS = ("hinge", "slide", "ball", "free")
-COPIES = ("composite", "flexcomp", "replicate", "attach", "plugin")  # what makes bodies of other text
-ALTERING = ("equality", "tendon", "deformable", "extension")  # sections of what acts on bodies
-MARKS = frozenset(  # what has no mass and exerts no force, or is read elsewhere
+COPIES = ("composite", "flexcomp", "replicate", "attach", "plugin")  # elements that make bodies from other text
+ALTERING = ("equality", "tendon", "deformable", "extension")  # sections that act on bodies
+MARKS = frozenset(  # elements without mass and force, or read elsewhere
     ["inertial", "joint", "freejoint", "geom", "site", "body", "frame", "camera", "light"]
 )
 
 
 def read_mjcf(root: Element, choices: Choices, findings: Findings) -> Imported:
-    """Make a model of an MJCF file. Raises InputError with all faults of it."""
+    """Make a model of an MJCF file. Raises InputError with all its faults."""
     return _Scene(include_files(root, findings), choices, findings).read()
 
 
 @dataclass(frozen=True)
 class _Compiler:
-    """How the numbers of a file are meant."""
+    """The settings for the numbers of a file."""
 
     degrees: bool = True
     sequence: str = "xyz"
@@ -54,7 +54,7 @@ class _Compiler:
 
 @dataclass(frozen=True, eq=False)
 class _Placed:
-    """A child of a body, with the frames around it taken off."""
+    """A child of a body, with its surrounding frames resolved."""
 
     element: Element
     around: Pose  # of those frames, in the body
@@ -62,7 +62,7 @@ class _Placed:
 
 
 class _Scene:
-    """An MJCF file while it is read."""
+    """An MJCF file during reading."""
 
     def __init__(self, root: Element, choices: Choices, findings: Findings) -> None:
         self._root = root
@@ -72,14 +72,14 @@ class _Scene:
         self._defaults = Defaults(root, findings)
         self._settings = {k: v for element in root.all("compiler") for k, v in element.attributes.items()}
         self._compiler = self._read_compiler()
-        self._rotors: defaultdict[str, float] = defaultdict(float)  # what actuators add to the inertia of joints
+        self._rotors: defaultdict[str, float] = defaultdict(float)  # rotor inertia at joints, from actuators
         self._driven = self._read_actuators()
         self._scale = 1.0
         self._skipped: Counter[str] = Counter()
-        self._touching = 0  # geoms of bodies that may have contacts
+        self._touching = 0  # number of geoms of bodies that may have contacts
 
     def read(self) -> Imported:
-        """Read the file, and put the model together."""
+        """Read the file, and complete the model."""
         worlds = [*self._root.all("worldbody")]
         if not worlds:
             self._findings.fault(self._root, "there is no <worldbody>", "give it one, with the bodies in it")
@@ -127,7 +127,7 @@ class _Scene:
         return gravity
 
     def _read_actuators(self) -> dict[str, float | None]:
-        """Give the joints that are driven, with the greatest force where it is told; other actuators are told of."""
+        """Return the driven joints, with the greatest force if given; other actuators make notices."""
         driven: dict[str, float | None] = {}
         for section in self._root.all("actuator"):
             for element in section.children:
@@ -137,7 +137,7 @@ class _Scene:
                     self._findings.warn(element, f"{element.tag}: only actuators of joints become inputs")
                     continue
                 gear = self._findings.number(element, "gear", 1.0, _take_first(attributes, "gear"))
-                what = "the joint's force" if gear == 1 else f"the joint's force, not that before gear {gear:g}"
+                what = "the joint's force" if gear == 1 else f"the joint's force, after the gear {gear:g}"
                 if element.tag == "motor" and gear != 1:
                     self._findings.tell(element, f"the input u of joint {abbreviate(joint)} is {what}")
                 elif element.tag != "motor":
@@ -148,7 +148,7 @@ class _Scene:
         return driven
 
     def _check_actuators(self) -> None:
-        """Find actuators of joints that there are not."""
+        """Report actuators of unknown joints."""
         there = [j.attributes["name"] for j in self._root.walk() if j.tag in JOINTS and "name" in j.attributes]
         for section in self._root.all("actuator"):
             for element in section.children:
@@ -206,7 +206,7 @@ class _Scene:
                 self._skipped["site"] += 1
             elif element.tag in COPIES:
                 remedy = "save the compiled model (mujoco.mj_saveLastXML), and import that"
-                self._findings.fault(element, f"{element.tag} makes bodies by rules of its own", remedy)
+                self._findings.fault(element, f"{element.tag} makes bodies by its own rules", remedy)
             elif element.tag not in MARKS:
                 self._findings.fault(element, f"no part of a body is called {element.tag[:40]}", "take it out")
             elif element.tag in ("geom", "camera", "light"):
@@ -215,12 +215,12 @@ class _Scene:
         waiting += found[::-1]
 
     def _touches(self, part: _Placed) -> bool:
-        """Tell whether a geom may have contacts: it has, unless both its masks are 0."""
+        """Return whether a geom may have contacts: it may, unless both its masks are 0."""
         attributes = self._defaults.resolve(part.element, part.active)
         return any(attributes.get(mask, "1").strip() != "0" for mask in ("contype", "conaffinity"))
 
     def _unframe(self, element: Element, around: Pose, active: str) -> Iterator[_Placed]:
-        """Give what is in a body, or in a <frame>, with all frames taken off."""
+        """Yield the children of a body, or of a <frame>, with all frames resolved."""
         for child in element.children:
             if child.tag == "frame":
                 inner = self._defaults.check(child, child.attributes.get("childclass", active))
@@ -298,7 +298,7 @@ class _Scene:
         return self._findings.choice(part.element, "type", KINDS, attributes)
 
     def _read_moves(self, body: Element, parts: list[_Placed], pose: Pose) -> tuple[list[Move], Array]:
-        """Read the joints of a body; the second is where the last one's anchor is in the body."""
+        """Read the joints of a body; the second result is the position of the last one's anchor in the body."""
         moves: list[Move] = []
         anchor = np.zeros(3)
         for part in (part for part in parts if part.element.tag in JOINTS):
@@ -394,7 +394,9 @@ class _Scene:
     def _tell_start(self, element: Element, pose: Pose) -> None:
         origin = ", ".join(f"{x:.6g}" for x in pose.position)
         turned = "" if pose.is_straight else ", and turns it"
-        self._findings.tell(element, f"coordinates are those in the world; the file puts the body at {origin}{turned}")
+        self._findings.tell(
+            element, f"coordinates are relative to the world; the file puts the body at {origin}{turned}"
+        )
 
     # --- masses ------------------------------------------------------------------------------------------------------
 
@@ -402,7 +404,7 @@ class _Scene:
         total = self._findings.number(self._root, "settotalmass", -1.0, self._settings)
         if total <= 0:
             return 1.0
-        sink = Findings(self._root.file)  # what is wrong with masses is told when they are read for good
+        sink = Findings(self._root.file)  # faults of masses are reported when they are finally read
         kept, self._findings = self._findings, sink
         mass = 0.0
         for world in worlds:
@@ -462,7 +464,7 @@ class _Scene:
         yield make_solid(shape, size, mass=mass, density=density), part.around @ pose
 
     def _measure(self, element: Element, attributes: Mapping[str, str], shape: str) -> tuple[list[float], Pose]:
-        """Read the size of a shape, and its pose; between two points it takes its length and direction from those."""
+        """Read the size of a shape, and its pose; two points also give its length and direction."""
         count = SIZES[shape]
         words = attributes.get("size", "").split()
         spans = shape in SPANNED and "fromto" in attributes and "pos" not in element.attributes
@@ -470,7 +472,7 @@ class _Scene:
         if len(words) < wanted:
             self._findings.fault(element, f"a {shape} of {len(words)} sizes", f"give {wanted}")
             return [1.0] * count, ORIGIN
-        first = {"size": " ".join(words[:wanted])}  # more are allowed, and mean nothing
+        first = {"size": " ".join(words[:wanted])}  # further sizes are allowed, and ignored
         size = list(self._findings.numbers(element, "size", (1.0,) * wanted, attributes=first))
         if not spans:
             return size, self._read_pose(element, attributes)
@@ -501,13 +503,13 @@ class _Scene:
 
 
 def _take_first(attributes: Mapping[str, str], name: str) -> dict[str, str]:
-    """Take the first of several numbers: that of a joint with one degree of freedom."""
+    """Return the first of several numbers, for a joint with one degree of freedom."""
     words = attributes.get(name, "").split()
     return {name: words[0]} if words else {}
 
 
 def turn_to(axis: Array | list[float]) -> Array:
-    """Make the smallest rotation that takes z to a direction."""
+    """Return the smallest rotation that takes z to a direction."""
     unit = np.asarray(axis, float) / np.linalg.norm(axis)
     across = np.cross((0.0, 0.0, 1.0), unit)
     sine = float(np.linalg.norm(across))

@@ -1,4 +1,4 @@
-"""Poses in numbers, and how a model file writes them: rotations in turn, about the axes turned so far."""
+"""Poses in numbers, and their form in a model file: rotations in turn, about the axes turned so far."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from mbsgen.model.model import Placement, Rotation, Triple
 Array = NDArray[np.float64]
 
 QUARTER = math.pi / 2
-LOCKED = 1e-12  # the cosine of a middle angle that leaves only the sum of the two others
-DOUBTFUL = 1e-4  # angles nearer to quarter turns than this were probably meant as such
+LOCKED = 1e-12  # the cosine of a middle angle at which only the sum of the two others matters
+DOUBTFUL = 1e-4  # angles nearer than this to quarter turns were probably meant as such
 
 _PI = Constant("pi")
 _QUARTERS: dict[int, Expression] = {
@@ -34,10 +34,10 @@ class Pose:
 
     rotation: Array
     position: Array
-    turns: tuple[tuple[int, float], ...] | None = None  # the same rotation in turn: axis, angle; where they are known
+    turns: tuple[tuple[int, float], ...] | None = None  # the same rotation as turns: axis, angle; if known
 
     def __matmul__(self, inner: Pose) -> Pose:
-        """Give the pose of a frame whose pose in this one is `inner`."""
+        """Return the pose of a frame whose pose in this one is `inner`."""
         turns = None
         if self.is_straight:
             turns = inner.turns
@@ -47,7 +47,7 @@ class Pose:
 
     @property
     def is_straight(self) -> bool:
-        """Tell whether the axes are those of the other frame."""
+        """Return whether the axes are parallel to the other frame's."""
         return bool(np.array_equal(self.rotation, np.eye(3)))
 
 
@@ -55,7 +55,7 @@ ORIGIN = Pose(np.eye(3), np.zeros(3), ())
 
 
 def place(position: Sequence[float] | Array, turns: Sequence[tuple[int, float]] = ()) -> Pose:
-    """Make a pose of its origin and of rotations about coordinate axes in turn."""
+    """Make a pose from its origin and rotations about coordinate axes in turn."""
     rotation = np.eye(3)
     for axis, angle in turns:
         rotation = rotation @ turn(np.eye(3)[axis], angle)
@@ -63,7 +63,7 @@ def place(position: Sequence[float] | Array, turns: Sequence[tuple[int, float]] 
 
 
 def turn(axis: Sequence[float] | Array, angle: float) -> Array:
-    """Make the rotation about a direction of any length; quarter turns of the nearest double are exact."""
+    """Return the rotation about a direction of any length; quarter turns of the nearest double are exact."""
     x, y, z = np.asarray(axis, float) / np.linalg.norm(axis)
     quarters = round(angle / QUARTER)
     if abs(quarters) < 100 and angle == quarters * QUARTER:
@@ -76,7 +76,7 @@ def turn(axis: Sequence[float] | Array, angle: float) -> Array:
 
 
 def turn_quaternion(q: Sequence[float]) -> Array:
-    """Make the rotation of a quaternion w, x, y, z of any length but 0."""
+    """Return the rotation of a quaternion w, x, y, z of any length but 0."""
     w, x, y, z = np.asarray(q, float) / np.linalg.norm(q)
     return np.array(
         [
@@ -88,7 +88,7 @@ def turn_quaternion(q: Sequence[float]) -> Array:
 
 
 def find_turns(rotation: Array) -> tuple[tuple[int, float], ...]:
-    """Find the turns about z, y and x that make a rotation; each is taken off before the next is found."""
+    """Return the turns about z, y and x that make a rotation; each is removed before the next is found."""
     z = math.atan2(rotation[1, 0], rotation[0, 0]) if math.hypot(rotation[1, 0], rotation[0, 0]) > LOCKED else 0.0
     rest = turn((0, 0, 1), -z) @ rotation
     y = math.atan2(-rest[2, 0], rest[0, 0])
@@ -99,12 +99,12 @@ def find_turns(rotation: Array) -> tuple[tuple[int, float], ...]:
 class Writer:
     """Writes poses for a model; angles within `tolerance` of a quarter turn [rad] become that quarter turn.
 
-    What is exactly one costs generated code nothing; pi/2 to eleven digits costs as much as any other angle.
+    An exact quarter turn costs generated code nothing; pi/2 to eleven digits costs as much as any other angle.
     """
 
     def __init__(self, tolerance: float) -> None:
         self._tolerance = tolerance
-        self.doubtful: list[float] = []  # how far angles are off that were left as they are, though near
+        self.doubtful: list[float] = []  # deviations of unchanged angles near quarter turns
 
     def placement(self, pose: Pose) -> Placement:
         """Write a pose."""
@@ -113,7 +113,7 @@ class Writer:
         return Placement(write_triple(pose.position), tuple(Rotation(a, x) for a, x in written if x != Number(0.0)))
 
     def snap(self, angle: float) -> float:
-        """Give the angle that is taken for one of a file."""
+        """Return an angle, rounded to a quarter turn within the tolerance."""
         nearest = round(angle / QUARTER) * QUARTER
         return nearest if abs(angle - nearest) <= self._tolerance else angle
 

@@ -1,4 +1,4 @@
-"""Mass, centre of mass and inertia in numbers: moved, added, and held against what a body can have."""
+"""Mass, centre of mass and inertia in numbers: moved, added, and compared with the inertias that a body can have."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from mbsgen.expressions import Number
 from mbsgen.importing.poses import Array, Pose
 from mbsgen.model.model import Inertia
 
-ROUNDING = 1e-15  # of the largest entry: what a rotation leaves of a 0
+ROUNDING = 1e-15  # of the largest entry: the rounding of a 0 by a rotation
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """What a body weighs, in a frame."""
+    """Mass, centre of mass and inertia, in a frame."""
 
     mass: float  # [kg]
     com: Array  # [m]
     inertia: Array  # about com [kg m2]
 
     def seen_from(self, pose: Pose) -> Solid:
-        """Give the solid in the frame in which its own frame has a pose."""
+        """Return the solid in the frame in which its own frame has the given pose."""
         R = pose.rotation
         inertia = self.inertia
         if not pose.is_straight:
@@ -33,11 +33,11 @@ class Solid:
         return Solid(self.mass, pose.position + R @ self.com, inertia)
 
     def shifted(self, shift: Array) -> Solid:
-        """Give the solid in a frame whose origin is at `shift`, along the same axes."""
+        """Return the solid in a frame whose origin is at `shift`, along the same axes."""
         return Solid(self.mass, self.com - shift, self.inertia) if shift.any() else self
 
     def scaled(self, factor: float) -> Solid:
-        """Give the solid of another density."""
+        """Return the solid with another density."""
         return Solid(self.mass * factor, self.com, self.inertia * factor)
 
 
@@ -45,7 +45,7 @@ NOTHING = Solid(0.0, np.zeros(3), np.zeros((3, 3)))
 
 
 def add(solids: Iterable[Solid]) -> Solid:
-    """Make one solid of several in one frame."""
+    """Combine solids in one frame to one."""
     heavy = [solid for solid in solids if solid.mass != 0]
     if len(heavy) < 2:
         return heavy[0] if heavy else NOTHING
@@ -59,7 +59,7 @@ def add(solids: Iterable[Solid]) -> Solid:
 
 
 def find_miss(solid: Solid) -> float:
-    """Tell by how much of its largest moment an inertia misses what a body can have; negative where it does not."""
+    """Return the violation of an inertia, in terms of its largest moment; negative for a possible inertia."""
     a, b, c = np.linalg.eigvalsh(solid.inertia)
     scale = float(np.abs([a, b, c]).max())
     return float(max(c - a - b, -a)) / scale if scale else 0.0

@@ -1,8 +1,7 @@
 """URDF -> Draft of a model: one body a link, in the link's own frame.
 
-A link's frame is that of the joint that carries it, as in URDF, so a model's coordinates are those of the file. Roll,
-pitch and yaw are turns about z by yaw, about y by pitch, about x by roll. Bodies stand depth first, joints in the order
-of the file.
+A link's frame is its joint's frame, as in URDF, so a model has the coordinates of the file. Roll, pitch and yaw are turns
+about z by yaw, about y by pitch, about x by roll. Bodies are listed depth first, joints in the order of the file.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ MACROS = frozenset(f"xacro:{word}" for word in _XACRO)
 
 
 def read_urdf(root: Element, choices: Choices, findings: Findings) -> Imported:
-    """Make a model of a URDF file. Raises InputError with all faults of it."""
+    """Make a model of a URDF file. Raises InputError with all its faults."""
     for element in root.walk():
         if element.tag in MACROS:
             findings.fault(element, f"{element.tag} is xacro", "run `xacro FILE > robot.urdf`, and import that")
@@ -46,7 +45,7 @@ def read_urdf(root: Element, choices: Choices, findings: Findings) -> Imported:
 
 
 class _Robot:
-    """A URDF file while it is read."""
+    """A URDF file during reading."""
 
     def __init__(self, root: Element, choices: Choices, findings: Findings) -> None:
         self._root = root
@@ -54,7 +53,7 @@ class _Robot:
         self._findings = findings
         self._leaders = self._read_leaders()
         self._draft = Draft(findings, replace(choices, locked=(*choices.locked, *self._hold_followers())))
-        self._rotors: defaultdict[str, float] = defaultdict(float)  # what transmissions add to the inertia of joints
+        self._rotors: defaultdict[str, float] = defaultdict(float)  # rotor inertia at joints, from transmissions
 
     def _read_leaders(self) -> dict[str, tuple[str, float, float]]:
         """Read which joints follow others: the other's name, ratio and offset, by their own names."""
@@ -82,7 +81,7 @@ class _Robot:
         return found
 
     def _hold_followers(self) -> Iterator[tuple[str, float]]:
-        """Give the followers that do not move, and where they are: those of held joints, or all, as choices tell."""
+        """Yield the fixed followers with their coordinates: followers of held joints, or all, by the choices."""
         held = dict(self._choices.locked)
         for name in self._leaders if self._choices.mimic != "free" else ():
             chain = [name]
@@ -96,7 +95,7 @@ class _Robot:
                 yield name, at
 
     def read(self) -> Imported:
-        """Read the file, and put the model together."""
+        """Read the file, and complete the model."""
         links = self._index("link")
         joints = self._index("joint")
         self._read_transmissions(joints)
@@ -260,7 +259,7 @@ class _Robot:
         return value
 
     def _read_armature(self, dynamics: Element) -> float:
-        """Read what simulators add to URDF for rotors: inertia at the joint, gears included."""
+        """Read extensions of URDF for rotors: inertia at the joint, gears included."""
         total = 0.0
         for key in ("armature", "rotor_inertia"):
             if value := self._read_loss(dynamics, key):
@@ -285,7 +284,7 @@ class _Robot:
             self._findings.warn(mimic, f"the joint follows {abbreviate(leader)}; here it moves on its own")
             return None
         shown = f" + {offset:g}" if offset else ""
-        self._findings.tell(mimic, f"no coordinate: its q is {ratio:g} times that of {abbreviate(leader)}{shown}")
+        self._findings.tell(mimic, f"no coordinate: its q is {ratio:g} times the q of {abbreviate(leader)}{shown}")
         return leader, ratio, offset
 
     def _refuse_mimic(self, joint: Element) -> None:
@@ -295,7 +294,7 @@ class _Robot:
     # --- the rest ----------------------------------------------------------------------------------------------------
 
     def _read_transmissions(self, joints: Mapping[str, Element]) -> None:
-        """Find the rotors' inertia at the joints: of each transmission that leads from one actuator to one joint."""
+        """Compute rotor inertias at joints, for transmissions that lead from one actuator to one joint."""
         for transmission in self._root.all("transmission"):
             parts = [*transmission.walk()]
             ratios = [element for element in parts if element.tag in RATIOS]
@@ -317,12 +316,12 @@ class _Robot:
                     self._findings.warn(element, f"{text}: of no single rotor, gear and joint of the file")
 
     def _read_value(self, element: Element, default: float) -> float:
-        """Read the number that an element holds, as its text or its value."""
+        """Read the number of an element, as its text or its value."""
         value = {"value": text} if (text := element.attributes.get("value", element.text)) else {}
         return self._findings.number(element, "value", default, value)
 
     def _tell_conventions(self, root: str, carried: dict[str, list[tuple[Element, str]]]) -> None:
-        """Say where the equations are not those that Pinocchio computes of the same file."""
+        """Add a notice where the equations differ from Pinocchio's for the same file."""
         damped = sum(any(d.attributes.get(key, "0") != "0" for key in ("damping", "friction")) for d in self._losses())
         if damped:
             text = (
@@ -331,13 +330,13 @@ class _Robot:
             self._findings.sum_up(text)
         ours, theirs = (self._order(root, carried, by_name=by_name) for by_name in (False, True))
         if ours != theirs:
-            self._findings.sum_up("joints stand in the order of the file; Pinocchio sorts those of a link by name")
+            self._findings.sum_up("joints have the order of the file; Pinocchio sorts the joints of a link by name")
 
     def _losses(self) -> Iterator[Element]:
         return (found for joint in self._root.all("joint") if (found := joint.first("dynamics")) is not None)
 
     def _order(self, root: str, carried: dict[str, list[tuple[Element, str]]], *, by_name: bool) -> list[str]:
-        """List the joints depth first, those of a link as the file has them or by name."""
+        """List the joints depth first; the joints of a link in the order of the file, or by name."""
         found: list[str] = []
         waiting = [("", root)]
         while waiting:

@@ -1,4 +1,4 @@
-"""Imported -> the text of a model file, which begins with what there is to know about it."""
+"""Imported -> the text of a model file, which begins with the notices."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ WIDTH = 118
 
 
 def write_imported(imported: Imported) -> str:
-    """Write a model file; before it, as comments, what was changed or left out."""
+    """Write a model file; before it, as comments, the changes and omissions."""
     lines = [*_comment(imported)]
     return "".join(f"{line}\n" for line in lines) + ("\n" if lines else "") + write_model(imported.model)
 

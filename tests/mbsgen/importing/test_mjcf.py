@@ -157,7 +157,7 @@ def test_friction_and_actuators(tmp_path: Path) -> None:
     imported = import_model(write(tmp_path, two + driven))
     assert [only_joint(imported, name).actuated for name in "ab"] == [False, True]
     assert [only_joint(imported, name).max_force for name in "ab"] == [None, Number(40.0)]
-    assert any("not that before gear 20" in notice.text for notice in imported.notices)
+    assert any("after the gear 20" in notice.text for notice in imported.notices)
 
 
 def test_rotors_are_mujocos(tmp_path: Path) -> None:
@@ -245,7 +245,7 @@ def test_what_alters_the_motion_is_told_one_by_one(tmp_path: Path) -> None:
         (pendulum("<joint/>", INERTIAL.replace("0.9 0.1 -0.2 0.3", "0 0 0 0")), "quat is 0"),
         (pendulum("<joint/>", INERTIAL + '<body euler="1 2 3" quat="1 0 0 0"/>'), "turned by quat and euler"),
         (pendulum("<joint/>", INERTIAL + f"<body><freejoint/>{INERTIAL}</body>"), "a free joint within the tree"),
-        (pendulum("<joint/>", INERTIAL + '<replicate count="2"/>'), "replicate makes bodies by rules of its own"),
+        (pendulum("<joint/>", INERTIAL + '<replicate count="2"/>'), "replicate makes bodies by its own rules"),
         (pendulum("<joint/>", INERTIAL + "<bodi/>"), "no part of a body is called bodi"),
         (pendulum('<joint name="q"/>') + '<actuator><motor joint="Q"/></actuator>', 'no joint "Q"; did you mean "q"?'),
         ('<compiler coordinate="global"/>' + pendulum("<joint/>"), "global coordinates"),

@@ -196,7 +196,7 @@ def test_joints_that_follow_others(tmp_path: Path) -> None:
     assert only_joint(coupled, "c").follows == Follow("one", Number(2.0), Number(0.25))
     assert not only_joint(coupled, "c").actuated
     assert build_tree(coupled.model).coordinates == ("one",)
-    assert 'no coordinate: its q is 2 times that of "one" + 0.25' in [notice.text for notice in coupled.notices]
+    assert 'no coordinate: its q is 2 times the q of "one" + 0.25' in [notice.text for notice in coupled.notices]
     held = import_model(path, Choices(mimic="lock"))
     assert isinstance(body(held, "c").joint, Fixed)
     assert held.model.bodies == import_model(path, Choices(locked=(("two", 0.25),))).model.bodies
