@@ -1,7 +1,7 @@
-"""An environment of its own for acados: `python3 tests/acados.py FOLDER`.
+"""A separate environment for acados: `python3 tests/acados.py FOLDER`.
 
-The wheel brings acados' library, its template renderer and its Python interface. The interface looks for them in the
-layout of a source tree, ACADOS_SOURCE_DIR; so the folder gets links in that layout. Python alone is needed.
+The wheel contains acados' library, its template renderer and its Python interface. The interface looks for them in the
+layout of a source tree, ACADOS_SOURCE_DIR; so the folder gets links in that layout. Only Python is needed.
 """
 
 from __future__ import annotations

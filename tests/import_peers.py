@@ -1,8 +1,8 @@
-"""Imported models against what Pinocchio and MuJoCo make of the same files: Phi, M, c, qdd, and first derivatives.
+"""Imported models against Pinocchio's and MuJoCo's of the same files: Phi, M, c, qdd, and first derivatives.
 
-Joints' own forces are taken out of both sides: the recursions of Pinocchio know none. Rotors count, but for those of
-balls and free bodies, which a model has not. Where a body turns freely, MuJoCo's velocities v are T(q) qd, by which its
-equations are brought to our coordinates.
+Joints' own forces are removed from both sides, as Pinocchio's recursions have none. Rotors count, except rotors of
+balls and free bodies, which a model does not have. Where a body turns freely, MuJoCo's velocities v are T(q) qd; this
+transforms its equations to our coordinates.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class Kernels:
 
 
 def _take(wanted: Input, given: Mapping[str, Array]) -> list[float]:
-    """Give an input; a Jacobian may ask for a result of its function, which its values do not depend on."""
+    """Return an input; a Jacobian may need a result of its function, although its values do not depend on it."""
     return list(given.get(wanted.name, np.zeros(wanted.sparsity.nnz)))
 
 
@@ -151,7 +151,7 @@ class PinocchioPeer:
 
 
 def _free(model: Any) -> Any:
-    """Let a model slide along x, y, z and turn about z, y, x as a whole."""
+    """Slide a model along x, y, z and turn it about z, y, x as a whole."""
     base = pin.Model()
     base.gravity = model.gravity
     last = 0

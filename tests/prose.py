@@ -23,7 +23,7 @@ COMMENTS: Mapping[str, re.Pattern[str]] = {
     ".cpp": C_COMMENT,
     ".j2": re.compile(r"\{#.*?#\}|/\*.*?\*/|^[%#] [^\n]*", re.DOTALL | re.MULTILINE),
     ".yaml": re.compile(r"(?:^|\s)# [^\n]*"),
-    ".toml": re.compile(r"(?:^|\s)# [^\n]*|\"[^\"\n]* [^\"\n]* [^\"\n]* [^\"\n]*\""),
+    ".toml": re.compile(r"(?:^|\s)# [^\n]*"),
     "": re.compile(r"(?:^|\s)# [^\n]*"),
 }
 

@@ -100,7 +100,7 @@ def with_wrenches(tree: Tree, seed: int) -> Tree:
 
 
 def with_laws(tree: Tree) -> Tree:
-    """Give every other joint a spring, a damper and smoothed dry friction, in numbers and in a parameter."""
+    """Add to every other joint a spring, a damper and smoothed dry friction, in numbers and in a parameter."""
     k = Symbol("stiffness")
     law = -k * (COORDINATE - Rational(1, 5)) - 3 * RATE - 2 * tanh(RATE / Rational(1, 10)) + COORDINATE**2 * RATE
     joints = [replace(b.joint, law=law) if i % 2 else b.joint for i, b in enumerate(tree.bodies)]
@@ -110,7 +110,9 @@ def with_laws(tree: Tree) -> Tree:
 
 
 def with_rotors(tree: Tree, seed: int) -> Tree:
-    """Give two of three joints an armature, of less or more than what they carry; parameters where a tree has them."""
+    """Add an armature to two of three joints, less or more than the inertia they carry; parameters where a tree has
+    them.
+    """
     rng = np.random.default_rng(seed + 700)
     bodies, parameters = list(tree.bodies), list(tree.parameters)
     for i, body in enumerate(bodies):
@@ -244,7 +246,7 @@ class Pinocchio:
 
 
 def driven(tree: Tree) -> Tree:
-    """Give every joint an actuator."""
+    """Add an actuator to every joint."""
     return replace(tree, bodies=tuple(replace(b, joint=replace(b.joint, actuated=True)) for b in tree.bodies))
 
 

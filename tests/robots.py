@@ -1,8 +1,8 @@
 """Published robots, imported, against Pinocchio and MuJoCo: `python -m tests.robots [NAME ...]`, some minutes for all.
 
-The packages that carry them are large, so that no test asks for them: `pip install -e '.[robots]'`. What is not
-installed is skipped, and told; a robot whose equations differ by more than TOLERANCE makes the exit code 1. Angles are
-taken as they are in the files: as quarter turns, those of UR5, of eleven digits, make differences of 5e-12.
+Their packages are large, so no test needs them: `pip install -e '.[robots]'`. Packages that are not installed are
+skipped, with a message; a robot whose equations differ by more than TOLERANCE makes the exit code 1. Angles are used as
+in the files: rounded to quarter turns, UR5's angles of eleven digits would make differences of 5e-12.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from tests.import_peers import Kernels, MujocoPeer, PinocchioPeer, largest_miss
 
 TOLERANCE = 1e-11
 ALL = ("impl", "semi", "exp2")
-LARGE = 40  # from so many joints on, derivatives take too long for a look
+LARGE = 40  # with this many joints, derivatives take too long for a look
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ ROBOTS = {
 
 
 def compare(path: Path, choices: Choices) -> tuple[int, int, Mapping[str, float]]:
-    """Give the joints and warnings of an imported robot, and the largest difference of each result over some states."""
+    """Return the joints and warnings of an imported robot, and the largest difference of each result."""
     imported = import_model(path, choices)
     size = sum(len(body.joints) for body in imported.model.bodies)
     is_urdf = path.suffix == ".urdf"

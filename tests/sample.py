@@ -55,7 +55,7 @@ def family(tape: Tape) -> Family:
 
 
 def sample_families(*, parametric: bool = True) -> tuple[Family, ...]:
-    """Give the families of the sample model."""
+    """Return the families of the sample model."""
     own = family(sample_tape(parametric=parametric))
     return (Family(setup_tape()), own) if parametric else (own,)
 

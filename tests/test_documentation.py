@@ -1,4 +1,4 @@
-"""What the documents tell a reader to type works, and what they point to is there.
+"""The commands in the documents work, and the files that they link to exist.
 
 Every fenced `sh` and `python` block is run, in order, in a copy of the checkout that the blocks of a document share.
 What is generated and compiled is kept for all documents. A command that would search long searches less, see FEWER. A
@@ -76,7 +76,7 @@ def test_c_of_the_theory_is_generated() -> None:
 
 @pytest.mark.skipif(not ACADOS.exists(), reason=f"python3 tests/acados.py {ACADOS.relative_to(ROOT)} installs acados")
 def test_the_example_for_acados_runs(tmp_path: Path) -> None:
-    """In an environment of its own, for the version of the wheel, which passes no time."""
+    """In a separate environment, for the version of the wheel, which passes no time."""
     text = (ROOT / "docs" / "acados.md").read_text(encoding="utf-8")
     (command,), (example,) = (re.findall(rf"^```{kind}\n(.*?)^```$", text, re.M | re.S) for kind in ("sh", "py"))
     shutil.copytree(ROOT / "models", tmp_path / "models")

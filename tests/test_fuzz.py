@@ -35,7 +35,7 @@ def test_the_search_starts_from_files_that_are_accepted(name: str, tmp_path: Pat
 
 
 def test_the_search_sees_what_is_not_well(tmp_path: Path) -> None:
-    """The search finds a traceback, a file beside the output, an output of what is refused, and a process."""
+    """The search finds a traceback, a file beside the output, an output of a refused file, and a process."""
     trials = {"ValueError": _raise, "left half": _leave_half, "os.system": _begin_a_process}
     for trouble, use in trials.items():
         _, seen = inputs.attempt(inputs.Kind(tuple, use), "file", b"", tmp_path)
@@ -56,7 +56,7 @@ def _begin_a_process(_: Path) -> None:
 
 
 def test_mechanisms_agree_with_virtual_power() -> None:
-    """All functions are those of virtual power, in a program that shares no line with the generator."""
+    """All functions agree with virtual power, in a program that shares no line with the generator."""
     tally = mechanisms.search(8, seed=1)
     assert tally.findings == []
     assert tally.agreed >= 4

@@ -11,7 +11,7 @@ import pytest
 
 from tests.golden import GENERATED, GOLDEN, SAMPLE, SUMS, hash_folder, read_sums, write_in_process
 
-SLOW = "arm_pendulum"  # takes as long as all others, so it has a test of its own
+SLOW = "arm_pendulum"  # takes as long as all others, so it has a separate test
 GROUPS = [[SLOW], [name for name in GOLDEN if name != SLOW]]
 
 

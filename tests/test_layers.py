@@ -194,7 +194,7 @@ def targets(statement: ast.Import | ast.ImportFrom, folder: tuple[str, ...]) -> 
 
 
 def covers(name: str, target: str) -> bool:
-    """Tell whether `target` is `name` or lies in it."""
+    """Return whether `target` is `name` or lies in it."""
     return target == name or target.startswith(name + ".")
 
 
@@ -285,7 +285,7 @@ def test_the_check_finds_what_is_planted(tmp_path: Path, module: str, text: str,
 
 
 def test_no_test_file_is_imported() -> None:
-    """What two files of tests share stands in a module beside them: else one runs on the other's import."""
+    """Code that two test files share is in a module beside them: otherwise one depends on the other's import."""
     found = [
         f"{file.relative_to(ROOT)}:{statement.lineno} imports {target}"
         for folder in ("tests", "benchmarks", "studies")

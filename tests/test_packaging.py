@@ -70,7 +70,7 @@ def wheel(checkout: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Install the wheel in a folder of its own; on PYTHONPATH it stands before any other install."""
+    """Install the wheel in a separate folder; on PYTHONPATH it precedes any other install."""
     target = tmp_path_factory.mktemp("installed")
     run(sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target", target, wheel)
     return target
@@ -119,7 +119,7 @@ def test_an_installed_wheel_generates_the_committed_bytes(installed: Path, tmp_p
 
 
 def test_an_editable_install_reads_the_checkout_and_copies_nothing(checkout: Path, tmp_path: Path) -> None:
-    """In an environment of its own, where no other install of the project can stand in for this one."""
+    """In a separate environment, where no other install of the project can replace this one."""
     venv.create(tmp_path / "venv", symlinks=True)
     python = tmp_path / "venv" / "bin" / "python"
     dependencies = sysconfig.get_path("purelib")  # on PYTHONPATH: its packages count, its `.pth` files don't

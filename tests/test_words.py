@@ -16,7 +16,7 @@ from tests.prose import Text, find_files, read_sentences, read_texts
 SELF = "tests/test_words.py"
 LONGEST = 35  # words in a sentence of a document
 PATTERNS = {
-    r"\b(tells?|told|telling)\b": "a function returns, a report shows, a table lists, a message says",
+    r"\b(tells?(?! from)|told|telling)\b": "a function returns, a report shows, a table lists, a message says",
     r"\b(that|those) of\b": "repeat the noun: `the sum of these differs from the sum of those` is read twice",
     r"\bthose (that|which|who|whose|in|with|by|for|on)\b": "name the things: `the joints that`, not `those that`",
     r"\bthat there (is|are)\b": "`that exists`; `a cluster that there is not` is an unreachable one",

@@ -1,4 +1,6 @@
-"""What the comparison rests on: counts, derivatives, agreement, the timing loop, ratios; and a slice of a whole run."""
+"""The foundations of the comparison: counts, derivatives, agreement, the timing loop, ratios; and a slice of a whole
+run.
+"""
 
 from __future__ import annotations
 
@@ -107,7 +109,7 @@ def test_a_peer_that_computes_something_else_is_found(
 def test_the_timing_loop_passes_every_state(
     bind: Callable[[str, ca.SX, ca.SX], Entry], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """After a pass the results are those of the last state; every round times every function."""
+    """After a pass the results belong to the last state; every round times every function."""
     monkeypatch.chdir(tmp_path)
     q = ca.SX.sym("q", 2)
     entry = bind("product", q, q[0] * q[1])

@@ -46,7 +46,7 @@ def read_as_peers_do(text: str) -> Any:
 
 @pytest.mark.parametrize("path", MODELS_OF_PEERS, ids=lambda p: p.stem)
 def test_the_peers_mechanism_is_ours(path: Path) -> None:
-    """Phi, M and qdd of Pinocchio, fed with the text, are those of the textbook recursions, to 1e-12 of the largest."""
+    """Phi, M and qdd of Pinocchio, fed with the text, agree with the textbook recursions, to 1e-12 of the largest."""
     tree = read_tree(path)
     peer = read_as_peers_do(write_mechanism(tree))
     data = peer.createData()

@@ -52,7 +52,7 @@ def dynamics() -> dict[str, ca.Function]:
 
 
 def test_the_peer_has_the_same_mechanics(dynamics: dict[str, ca.Function]) -> None:
-    """Residual, its other form, accelerations and the hand's place: those of the arm made by hand."""
+    """Residual, its other form, accelerations and the hand's place agree with the arm made by hand."""
     arm, rng = peer_arm(), np.random.default_rng(2)
     q, qd, qdd, u = rng.uniform(-1, 1, 6), rng.uniform(-1, 1, 6), rng.uniform(-1, 1, 6), rng.uniform(-1, 1, 4)
     Phi = arm("impl", q=q, qd=qd, qdd=qdd, u=u)["Phi"]

@@ -23,7 +23,7 @@ Function = Callable[[mpf], mpf]
 
 @dataclass(frozen=True)
 class Numbers:
-    """What the header holds for a type of numbers, rounded to it; coefficients by rising powers."""
+    """The constants of the header for a type of numbers, rounded to it; coefficients by rising powers."""
 
     sine: tuple[float, ...]
     cosine: tuple[float, ...]

@@ -32,7 +32,7 @@ def random_problem(
     first: bool = True,
     flat: float = 0.0,
 ) -> Quadratic:
-    """A convex problem that a random point is feasible for.
+    """A convex problem for which a random point is feasible.
 
     `bounds` is the part of the variables that has them, on either side, at most `width` from the point; `first` fixes
     the first state; `flat` is the part of the directions without curvature;

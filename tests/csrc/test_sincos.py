@@ -160,7 +160,7 @@ def test_an_angle_has_one_sine_whatever_stands_beside_it(sincos: Callable[..., S
 
 
 def read_numbers(name: str) -> list[float]:
-    """Read the numbers of a macro of the header; those in brackets behind its arguments, where it has any."""
+    """Read the numbers of a macro of the header; if it has arguments, the numbers in brackets behind them."""
     text = re.sub(r"\\\n", " ", HEADER.read_text())
     line = re.search(rf"#define {name}(?:\(z\) +MBS_POLYNOMIAL_\d\(z,)? *([^/\n]*)", text)
     assert line, name

@@ -12,7 +12,7 @@ from tests.fuzz import inputs, mechanisms
 
 @click.group()
 def cli() -> None:
-    """Search for what nobody thought of; the same seed finds the same."""
+    """Search for unforeseen faults; the same seed finds the same."""
 
 
 @cli.command("inputs")
@@ -37,7 +37,7 @@ def inputs_command(count: int, seed: int, kinds: tuple[str, ...], keep: Path | N
 @click.option("--seed", default=0, show_default=True, help="The first seed; each mechanism has the next.")
 @click.option("--keep", type=click.Path(path_type=Path), help="A folder for the model files that disagree.")
 def mechanisms_command(count: int, seed: int, keep: Path | None) -> None:
-    """Draw mechanisms: all functions are those of virtual power in absolute coordinates."""
+    """Draw mechanisms: all functions agree with virtual power in absolute coordinates."""
 
     def show(number: int, tally: mechanisms.Tally) -> None:
         if tally.findings and tally.findings[-1][0] == number:

@@ -1,7 +1,8 @@
 """Equations of motion of a model file by virtual power: all bodies in absolute coordinates, in the base frame.
 
-A program of its own: it reads the YAML's data, and shares no line with the generator. Of each body, the motion is added
-up joint by joint, and what the body asks for (m (a - g); I alpha + om x I om) is hooked onto every joint before it:
+This is an independent program: it reads the YAML's data, and shares no line with the generator. Each body's motion is
+summed joint by joint, and its inertial force and moment (m (a - g); I alpha + om x I om) are applied to every joint
+before it:
 
     Phi_j = sum of m (a - g) . dv/dqd_j + (I alpha + om x I om) . dom/dqd_j, less the wrenches' power at unit speed.
 """
@@ -61,7 +62,7 @@ def _evaluate(node: ast.AST, names: Mapping[str, float]) -> float:
 
 @dataclass(frozen=True)
 class Column:
-    """What the unit of a velocity does: a slide along an axis, or a turn about it through a point, or both."""
+    """The effect of a unit velocity: a slide along an axis, or a turn about it through a point, or both."""
 
     name: str
     axis: Array
@@ -101,7 +102,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Found:
-    """What the joints ask for, by name; and energies."""
+    """The joint forces, by name; and energies."""
 
     Phi: dict[str, float]
     size: float  # of the largest sum of magnitudes that an entry of Phi is
@@ -164,7 +165,7 @@ class Absolute:
         return Found(Phi, max(sizes.values()), Q, kinetic, potential, pull, frames)
 
     def velocities(self) -> list[str]:
-        """Name all velocities, those of joints that follow others too."""
+        """Name all velocities, also of joints that follow others."""
         found = [name for name, _ in self._elementary()]
         for body in self.model["bodies"]:
             kind = body["joint"]["type"] if isinstance(body["joint"], dict) else ""
@@ -283,7 +284,7 @@ class Absolute:
 
 
 def _label(own: str, steps: list[tuple[str, Array]]) -> list[tuple[str, str, Array]]:
-    """Name joints in a row by what they do: t and r where an axis is none of the coordinate axes."""
+    """Name joints in a row by their motion: t and r where an axis is none of the coordinate axes."""
     found: list[tuple[str, str, Array]] = []
     for kind, axis in steps:
         letters = [x for x, component in zip("xyz", axis, strict=True) if component]

@@ -1,8 +1,7 @@
 """Files of every kind that is read, mutated: bytes, words, numbers, and the structure of YAML and JSON.
 
-A file is accepted, or refused by an error whose text is complete (MbsError). What is not taken well: another exception,
-more than LIMIT seconds, a process or a connection begun, a file written outside of the folder that was named, and an
-output where something was refused.
+A file is accepted, or refused by an error whose text is complete (MbsError). Faults are: another exception, more than
+LIMIT seconds, a new process or connection, a file written outside of the named folder, and an output of a refused file.
 """
 
 from __future__ import annotations
@@ -93,7 +92,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Tally:
-    """What became of the files."""
+    """The outcomes of the files."""
 
     accepted: int
     refused: int
@@ -165,7 +164,7 @@ def _split_words(text: str) -> list[str]:
 
 
 def _change_structure(content: bytes, rng: random.Random) -> bytes:
-    """Change one node of YAML or JSON; other files, and those that are broken already, in their words."""
+    """Change one node of YAML or JSON; change other files, and broken ones, in their words."""
     try:
         data = json.loads(content) if content.lstrip()[:1] == b"{" else yaml.safe_load(content)
     except (ValueError, yaml.YAMLError, RecursionError):
@@ -285,7 +284,7 @@ def attempt(kind: Kind, name: str, content: bytes, folder: Path) -> tuple[bool, 
 
 
 def search(kind: Kind, count: int, seed: int, keep: Path | None = None) -> Tally:
-    """Try so many mutations of a kind's files."""
+    """Try a number of mutations of a kind's files."""
     accepted, findings = 0, list[Finding]()
     sources = kind.sources()
     for number in range(seed, seed + count):

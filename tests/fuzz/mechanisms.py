@@ -1,9 +1,9 @@
-"""Mechanisms drawn at random over what a model file can say: the generator's equations against those of `absolute`.
+"""Random mechanisms over everything that a model file can contain: the generator's equations against `absolute`.
 
-A mechanism disagrees where a function differs from virtual power by more than rounding; one that is refused in words is
-counted apart. The tapes are evaluated in 50 digits, so that only the reference is rounded. Where every number is a
-run-time parameter, all of them are changed, in the parameters and at their paths in the file. Where a tolerance is
-given, the approximated functions are compared with the exact ones, at states that the approximation has not seen.
+A mechanism disagrees where a function differs from virtual power by more than rounding; refused mechanisms are counted
+separately. The tapes are evaluated in 50 digits, so only the reference is rounded. Where every number is a run-time
+parameter, all of them are changed, in the parameters and at their paths in the file. With a tolerance, the approximated
+functions are compared with the exact ones, at states that the approximation has not used.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ WITH_DERIVATIVES = 50
 SKEW = ([0.6, 0, 0.8], [1, -2, 0.5], [0, 1, 1])
 NUMBERS = {"given": 16, "runtime": 2, "zeros": 2, "approximate": 1}  # what is done with the file's numbers, how often
 STATES = 256  # at which an approximation is compared; it was measured at 1024
-BEYOND = 1.25  # times the tolerance: so much more may an error be at states that were not measured
+BEYOND = 1.25  # times the tolerance: the allowed error at states that were not measured
 FUNCTIONS_COMPARED = ("impl", "semi", "semi_res", "exp1", "exp2", "energy", "power", "sensors", "motion")
 
 
@@ -72,7 +72,7 @@ class Mechanism:
 
 @dataclass
 class Tally:
-    """What a search found."""
+    """The findings of a search."""
 
     agreed: int = 0
     refused: list[tuple[int, str]] = field(default_factory=list)

@@ -51,7 +51,7 @@ colour: red
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a command did."""
+    """The result of a command."""
 
     code: int
     out: str
@@ -195,7 +195,7 @@ def test_help_and_version_go_to_stdout(mbsgen: Command) -> None:
 
 @pytest.mark.parametrize("columns", ["40", "80", "200"])
 def test_tables_are_whole_whatever_takes_them_up(columns: str, tmp_path: Path) -> None:
-    """Piped, at any width that the environment tells: within 80 columns, nothing cut, numbers under their headers."""
+    """Piped, at any width in the environment: within 80 columns, nothing cut, numbers under their headers."""
     (tmp_path / "pendulum.yaml").write_text(PENDULUM)
     done = run_process("report", "pendulum.yaml", cwd=tmp_path, COLUMNS=columns)
     lines = done.stdout.decode("ascii").splitlines()
@@ -316,7 +316,7 @@ def test_a_folder_can_be_checked_against_what_would_be_written(mbsgen: Command) 
 
 
 def test_functions_and_derivatives_can_be_chosen(mbsgen: Command, tmp_path: Path) -> None:
-    """Spaces and repetitions do no harm; names that there are not are told with those meant."""
+    """Spaces and repetitions do no harm; unknown names are reported with similar ones."""
     assert mbsgen("pendulum.yaml", "-o", "out", "--functions", "impl, sensors,impl", "--derivatives", "1").code == 0
     kernels = json.loads((tmp_path / "out" / "manifest.json").read_text())["kernels"]
     assert [k["name"] for k in kernels] == [

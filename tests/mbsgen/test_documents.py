@@ -1,4 +1,4 @@
-"""Untrusted YAML: what is read is YAML 1.2's core schema; all else is told with line and path, and nothing runs."""
+"""Untrusted YAML: YAML 1.2's core schema is read; anything else is reported with line and path, and nothing runs."""
 
 from __future__ import annotations
 
@@ -353,7 +353,7 @@ def test_values_are_shown_short(value: object, text: str) -> None:
 
 @pytest.mark.skipif(not yaml.__with_libyaml__, reason="PyYAML has been built without libyaml")
 def test_both_parsers_read_the_same() -> None:
-    """What libyaml reads without a fault, PyYAML's own parser reads as the same data in the same lines."""
+    """Files that libyaml reads without a fault, PyYAML's own parser reads as the same data in the same lines."""
     models = [
         file.read_text(encoding="utf-8") for file in sorted((Path(__file__).parents[2] / "models").glob("*.yaml"))
     ]

@@ -22,7 +22,7 @@ def described() -> Manifest:
 
 
 def test_names_follow_from_functions_orders_and_roles(described: Manifest) -> None:
-    """Nobody has to take a name apart: it is made of what the manifest says."""
+    """Nobody has to take a name apart: it follows from the manifest's entries."""
     assert {kernel.order for kernel in described.kernels} == set(Order)
     for kernel in described.kernels:
         assert kernel.name == name_kernel(kernel.base, kernel.order)

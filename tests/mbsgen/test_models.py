@@ -20,7 +20,7 @@ MODELS = Path(__file__).parents[2] / "models"
 NAMES = sorted(file.stem for file in MODELS.glob("*.yaml") if not file.name.endswith(".ocp.yaml"))
 G = 9.81
 
-# Joints, those of them that slide, those that are driven, sensors.
+# Joints, sliding joints, driven joints, sensors.
 PARTS = {
     "acrobot": (2, 0, 1, 1),
     "arm_pendulum": (6, 0, 4, 2),
@@ -70,7 +70,7 @@ def draw_state(seed: int, n: int) -> tuple[Array, Array, Array]:
 
 @pytest.mark.parametrize("name", [name for name in NAMES if not read(name).quaternions])
 def test_models_move_as_pinocchio_says(name: str) -> None:
-    """Phi against `rnea`, less the forces that joints have of their own; of quaternions there is a test of its own."""
+    """Phi against `rnea`, without the joints' own forces; quaternions have a separate test."""
     tree = read(name)
     q, qd, qdd = draw_state(0, len(tree.bodies))
     expected = Pinocchio(tree).residual(q, qd, qdd) - law_forces(tree, q, qd)

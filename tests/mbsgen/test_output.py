@@ -29,7 +29,7 @@ OLD = {"arm.h": "old", "arm_old.c": "old", "manifest.json": MANIFEST}
 NEW = {"arm.h": "new", "manifest.json": MANIFEST, "matlab/arm_f.m": "new"}
 
 # For each step: a child writes the new folder over the old one, and kills itself before the first, second, third, ...
-# of the things that Python tells its audit hooks of (opening, renaming and removing files, calling C).
+# of the events that Python reports to audit hooks (opening, renaming and removing files, calling C).
 KILLED = """
 import os, pathlib, shutil, signal, sys
 from mbsgen import output
@@ -58,7 +58,7 @@ while status:
 
 
 def state(folder: Path) -> str:
-    """Tell what a folder is: old, new, damaged; or empty, if there is none."""
+    """Return the state of a folder: old, new, damaged; or empty, if it does not exist."""
     files = {path.relative_to(folder).as_posix(): path.read_text() for path in folder.rglob("*") if path.is_file()}
     return {json.dumps(OLD): "old", json.dumps(NEW): "new", "{}": ""}.get(json.dumps(files, sort_keys=True), "damaged")
 
@@ -70,7 +70,7 @@ def read_states(out: Path, how: str) -> list[str]:
 
 
 def is_exchanging(folder: Path) -> bool:
-    """Tell whether the file system can exchange folders."""
+    """Return whether the file system can exchange folders."""
     for name in ("one", "other"):
         (folder / name).mkdir()
     return _exchange(folder / "one", folder / "other")

@@ -104,7 +104,7 @@ def test_the_hash_names_what_is_generated(model: Path) -> None:
 def test_parameters_at_run_time_give_the_numbers_of_constants(case: str, model: Path) -> None:
     """Every kernel: setup's results in, the same values out, to 1e-12 of the largest.
 
-    But for `condition.articulated`, which tells what the operations of EXP2 lose: of others when parameters vary.
+    Except `condition.articulated`, which depends on the operations of EXP2: other operations when parameters vary.
     """
     if case == "random":
         constant, runtime = (evaluated(random_tree(6, 5, runtime=choice)) for choice in (False, True))
@@ -150,7 +150,7 @@ def full(tape: Tape, values: Mapping[str, Sequence[float]]) -> dict[str, Array]:
 
 
 def test_setup_is_generated_only_where_there_is_something_to_set_up(model: Path) -> None:
-    """Parameters that the file makes run-time ones are those of the manifest, in its order; --runtime adds the rest."""
+    """Run-time parameters of the file are the manifest's, in its order; --runtime adds the rest."""
     some, all_ = make(model).manifest, make(model, Options(runtime=True)).manifest
     assert [(p.name, p.value) for p in some.parameters] == [("mass", 1.5)]
     assert {"length", "mass", "right.mass", "right.com.z", "gravity.y"} <= {p.name for p in all_.parameters}

@@ -1,4 +1,4 @@
-"""What holds for any model and any scene: nothing that is left out is missed, and C does what the report counts."""
+"""Laws for any model and any scene: reductions change no result, and C does as many operations as the report counts."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ROUNDING = 1e-12  # of some hundred products of numbers near 1, in other frames;
 
 @pytest.mark.parametrize("seed", [1, 2, 3, 5])
 def test_what_a_scene_leaves_agrees_with_the_whole(seed: int) -> None:
-    """Reduced functions at random states, against those of the whole model."""
+    """Reduced functions at random states, against the whole model's."""
     model = random_model(seed, 3 + seed % 3)
     scene = random_scene(model, seed)
     evidence = gather(model, scene, Options(reductions=ONE_PLAN))

@@ -1,4 +1,4 @@
-"""The report: counts are those of the tapes, the JSON keeps its form, and no table can be broken by a name."""
+"""The report: counts agree with the tapes, the JSON keeps its form, and no name can break a table."""
 
 from __future__ import annotations
 

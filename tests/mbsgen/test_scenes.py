@@ -91,7 +91,7 @@ def test_without_motion_only_statics_is_left():
 
 @pytest.mark.parametrize("name", ["exp1", "exp2"])
 def test_accelerations_of_another_mechanism_are_no_evidence(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where a scene's tape is that of heavier bodies, gravity aside the same, the comparison shows it."""
+    """Where a scene's tape is of heavier bodies, with equal gravity, the comparison shows it."""
     model = linkage()
     scene = Scene(functions=(name,), locked=(("cart", Number(0.3)),))
     options = Options(reductions=FEW)

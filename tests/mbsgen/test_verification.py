@@ -89,7 +89,7 @@ def test_what_is_right_passes_and_nothing_is_left_out() -> None:
 
 @pytest.mark.parametrize("kernel", ["setup", *(x for x in kernels() if x != "condition")])
 def test_a_single_wrong_number_is_refused(kernel: str) -> None:
-    """The last entry of the last result, doubled: of c, of a derivative, of what is hoisted.
+    """The last entry of the last result, doubled: of c, of a derivative, of a hoisted value.
 
     The last result of `condition` is a bound that depends on the plan: nothing else computes it.
     """
@@ -127,7 +127,7 @@ def test_the_report_says_what_was_compared() -> None:
 
 @pytest.mark.parametrize("name", ["exp1", "exp2"])
 def test_guards_have_the_scales_of_constants_where_masses_are_parameters(name: str) -> None:
-    """What a pivot is compared with comes of `setup` then: the same numbers, and none of them 0."""
+    """The scale of a pivot is then a result of `setup`: the same numbers, and none of them 0."""
     tree = written()[0]
     fixed = replace(tree, parameters=tuple(replace(p, kind=Kind.CONSTANT) for p in tree.parameters))
     found = [scales_of(x, name) for x in (tree, fixed)]

@@ -55,7 +55,7 @@ def _turn(axis: int, angle: ca.SX) -> ca.SX:
 
 
 def _poses(q: ca.SX) -> tuple[list[ca.SX], list[ca.SX]]:
-    """Give rotation and joint point of every link in the base frame."""
+    """Return rotation and joint point of every link in the base frame."""
     R, p = ca.SX.eye(3), ca.SX.zeros(3)
     Rs, ps = [], []
     for i, link in enumerate(LINKS):

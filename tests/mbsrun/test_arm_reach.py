@@ -60,7 +60,7 @@ def test_sizes_with_generated_kernels(
 
 
 def test_the_papers_task_with_generated_kernels(generated: tuple[Problem, Mechanism], peer: Peer) -> None:
-    """2.8881463e7; the peer follows the same inputs, so the check does not rest on what is checked."""
+    """2.8881463e7; the peer follows the same inputs, so the check is independent of the checked program."""
     problem, mechanism = generated
     outcome = solve(problem, mechanism)
     assert isinstance(outcome, Solution)

@@ -1,6 +1,6 @@
-"""What the cache trusts: folders and files that nobody else can have written, and that match their hashes.
+"""The cache trusts folders and files that nobody else can have written, and that match their hashes.
 
-A test that lets another user own a file changes what the system says of the file, so that any user can run it.
+A test that makes another user own a file changes the system's answer about the file, so that any user can run it.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def logged(caplog: pytest.LogCaptureFixture) -> Callable[[], list[str]]:
-    """Give the sentences that were logged since the last time."""
+    """Return the messages logged since the last call."""
     caplog.set_level(logging.WARNING, logger="mbsrun")
 
     def take() -> list[str]:
@@ -100,7 +100,7 @@ def test_what_is_made_is_closed_to_others(cache: Path, mask: int) -> None:
 
 @pytest.fixture
 def give_away(monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], None]:
-    """Let a path seem to belong to another user."""
+    """Make a path seem to belong to another user."""
     others: set[tuple[int, int]] = set()
 
     def change(call: Callable[..., os.stat_result]) -> Callable[..., os.stat_result]:
@@ -167,7 +167,7 @@ def test_folders_above_the_home_folder_are_not_the_users_business(
 
 
 def test_a_link_is_followed_before_anything_is_checked(cache: Path, tmp_path: Path, logged: Logged) -> None:
-    """What is used is where the link led to when it was checked."""
+    """The used folder is the link's target at the time of the check."""
     (tmp_path / "open").mkdir()
     (tmp_path / "open").chmod(0o777)
     (tmp_path / "open" / "real").mkdir(mode=0o700)
@@ -345,7 +345,7 @@ OVERRIDE = 1 << 1  # CAP_DAC_OVERRIDE, by which root may write where nobody may
 
 @pytest.fixture
 def _plain() -> Iterator[None]:
-    """Let permissions hold for root, too: give up for a while what lets it pass them over."""
+    """Make permissions hold for root, too: drop for a while the capabilities that override them."""
     if os.geteuid():
         yield
         return
@@ -361,7 +361,7 @@ def _plain() -> Iterator[None]:
 
 @pytest.mark.usefixtures("_plain")
 def test_a_cache_that_can_only_be_read_is_read(tmp_path: Path, cache: Path, logged: Logged) -> None:
-    """What it lacks is compiled in a temporary folder."""
+    """Missing files are compiled in a temporary folder."""
     folder = write_sample(tmp_path / "sample")
     library = load(folder).compile("setup")
     places = [cache, *(path for path in cache.rglob("*") if path.is_dir())]

@@ -116,7 +116,7 @@ def test_another_solution_is_a_guess(quick: Run) -> None:
 
 
 def test_representation_solver_and_guess_are_chosen(quick: Run) -> None:
-    """The command line wins over the file, and what the file tells another solver is dropped."""
+    """The command line has priority over the file, and the file's options for another solver are dropped."""
     text = COARSE + "solver: {options: {mu_strategy: adaptive}}\n"
     chosen = ("--guess-inputs", "static", "--solver", "sqpmethod", "--representation", "impl")
     result = quick("solve", "task.ocp.yaml", "-o", "out", *chosen, text=text)
@@ -126,7 +126,7 @@ def test_representation_solver_and_guess_are_chosen(quick: Run) -> None:
 
 
 def test_many_starts_go_on_and_tell_what_they_found(quick: Run) -> None:
-    """The best of four, by the words of the summary; with six, two more are made. What was found stays with it."""
+    """The best of four, by the words of the summary; with six, two more are made. The earlier results stay."""
     counts = []
     for starts in (4, 6):
         result = quick("solve", "task.ocp.yaml", "-o", "out", "--starts", str(starts), "--seed", "3")
@@ -191,7 +191,7 @@ def test_a_check_that_does_not_finish_is_told(quick: Run, monkeypatch: pytest.Mo
 
 
 def test_shooting_is_chosen(quick: Run) -> None:
-    """By options, which win over the file; what does not go together is told before anything is solved."""
+    """By options, which have priority over the file; contradictions are reported before anything is solved."""
     chosen = ("--form", "shooting", "--integrator", "rk4", "--steps", "2", "--representation", "exp1-o")
     result = quick("solve", "task.ocp.yaml", "-o", "out", *chosen)
     assert result.exit_code == 0, result.stderr
@@ -267,7 +267,7 @@ SWEEP = ("sweep", "task.ocp.yaml", "--radius", "0.64", "--azimuths", "0", "0.02"
 
 
 def test_a_sweep_solves_all_targets_and_goes_on(run: Run) -> None:
-    """A line for each part, and for what all of them reached; the paper's protocol goes into the same file.
+    """A line for each part, and for the results of all; the paper's protocol uses the same file.
 
     So does another problem, which sees nothing of the first.
     """
@@ -341,7 +341,7 @@ def test_subcommands_win_over_files_of_the_same_name(quick: Run) -> None:
 
 @pytest.mark.parametrize("arguments", [["--help"], ["solve", "--help"], ["sweep", "--help"], ["--version"]])
 def test_help_and_version(arguments: list[str]) -> None:
-    """From a process of its own, as a user calls it."""
+    """From a separate process, as a user calls it."""
     done = subprocess.run([sys.executable, "-m", "mbsrun", *arguments], capture_output=True, text=True, check=True)
     assert done.stdout.strip()
     assert done.stderr == ""

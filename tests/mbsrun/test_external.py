@@ -156,7 +156,7 @@ def test_a_failed_guard_is_told_to_casadi(tmp_path: Path) -> None:
 def test_maps_give_each_state_its_results(
     parametric: bool, parallelization: str, k: Mechanism, plain: Mechanism
 ) -> None:
-    """Values and Jacobian blocks of 8 states at once equal those of the states alone; so kernels are reentrant."""
+    """Values and Jacobian blocks of 8 states at once equal separate calls; so kernels are reentrant."""
     mechanism = k if parametric else plain
     states = {name: array.T for name, array in draw(sample_tape(), 2, states=8).items()}
     mapped = mechanism.casadi("impl").map(8, parallelization, 2)
@@ -184,7 +184,7 @@ def pendulum() -> tuple[Mechanism, dict[str, Tape]]:
 
 
 def numbers(function: ca.Function, seed: int, states: int | None = None) -> list[np.ndarray]:
-    """Draw the inputs of a function, or those of several states side by side."""
+    """Draw the inputs of a function, or of several states side by side."""
     rng = np.random.default_rng(seed)
     return [rng.uniform(0.2, 1.5, (function.size1_in(i), states or 1)) for i in range(function.n_in())]
 
@@ -246,7 +246,7 @@ def test_functions_of_a_model_can_be_mapped_over_threads(
 
 
 def test_accelerations_can_stand_in_a_nonlinear_program(pendulum: tuple[Mechanism, dict[str, Tape]]) -> None:
-    """Find the torques that give wanted accelerations: those that gave them, to IPOPT's tolerance."""
+    """Find the torques of given accelerations: the original ones, to IPOPT's tolerance."""
     mechanism = pendulum[0]
     q, qd = np.array([0.3, -0.4]), np.array([0.5, 0.2])
     size = mechanism.casadi("exp2").size1_in("u")
@@ -311,7 +311,7 @@ def test_ipopt_evaluates_the_generated_derivatives(tmp_path: Path) -> None:
 
 
 def check_by_ipopt(mechanism: Mechanism, capfd: pytest.CaptureFixture[str]) -> int:
-    """Let IPOPT compare the derivatives with differences, to second order; count the errors it tells."""
+    """Make IPOPT compare the derivatives with differences, to second order; count its errors."""
     options = {"derivative_test": "second-order", "point_perturbation_radius": 0.0, "max_iter": 0, "sb": "yes"}
     solver = make_solver(mechanism, ipopt=options)
     solver(x0=[*STATE["x"], *STATE["y"]], lbg=0, ubg=0)
@@ -394,7 +394,7 @@ def test_another_text_or_another_generator_makes_another_folder(model: Path, mon
 def test_a_model_that_changes_while_it_is_generated_is_generated_again(
     model: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What is kept under the name of a text was made of that text."""
+    """A file kept under the name of a text was made from that text."""
     generate, texts = mbsgen.pipeline.generate, [MODEL.replace("mass: 2", "mass: 3")]
 
     def disturbed(path: Path, out: Path, options: mbsgen.pipeline.Options) -> None:

@@ -1,4 +1,4 @@
-"""The forms that the runtime asks for are those of the generator's catalogue."""
+"""The forms that the runtime uses are in the generator's catalogue."""
 
 from __future__ import annotations
 

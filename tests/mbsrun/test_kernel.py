@@ -1,4 +1,4 @@
-"""The NumPy face: what the tape computes, for one state or many; misuse and failures told; nothing else disturbed."""
+"""The NumPy face: the tape's values, for one state or many; misuse and failures reported; nothing else disturbed."""
 
 from __future__ import annotations
 
@@ -221,7 +221,7 @@ def test_a_sparse_matrix_is_the_dense_one(k: Kernels) -> None:
 
 
 def test_results_are_the_callers_own(k: Kernels) -> None:
-    """What a call returned, or was given, no later call changes."""
+    """No later call changes the results or the inputs of a call."""
     inputs = {name: array.copy() for name, array in draw(sample_tape(), 12).items()}
     first = k.impl(**inputs)
     kept = {name: value.copy() for name, value in first.items()}
@@ -243,7 +243,7 @@ def test_numbers_of_other_types_are_converted(k: Kernels) -> None:
 
 
 def test_kernels_may_be_called_by_many_threads(folder: Path) -> None:
-    """With parameters of their own, and each with its own inputs."""
+    """With different parameters, and each with different inputs."""
     lengths = [0.5 + i for i in range(4)]
     variants = [load(folder, {"length": length}) for length in lengths]
     shared = load(folder)

@@ -41,7 +41,7 @@ def kept(cache: Path, suffix: str) -> list[str]:
 
 
 def all_files(cache: Path) -> list[Path]:
-    """List what the cache holds, but for the hashes."""
+    """List the cache's entries, without the hashes."""
     return [path for path in cache.rglob("*") if path.is_file() and path.suffix != HASH]
 
 
@@ -93,7 +93,7 @@ def test_other_flags_make_another_library(tmp_path: Path, own_cache: Path, monke
 def test_another_compiler_of_the_same_name_makes_another_library(
     tmp_path: Path, own_cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What a compiler is, and what it may assume of the processor, shows in the macros it predefines."""
+    """The version of a compiler, and the processor's features that it uses, show in the macros it predefines."""
     folder, wrapper = write_sample(tmp_path / "sample"), tmp_path / "cc"
     monkeypatch.setenv("CC", str(wrapper))
     for version in (1, 2):
@@ -172,7 +172,7 @@ exec cc "$@"
     assert subprocess.run(command, capture_output=True, check=False).returncode == -signal.SIGKILL
     assert not once.exists()
     left = [path.read_bytes() for path in own_cache.glob("building-*/*") if path.suffix in (".o", ".so")]
-    assert b"half" in left  # beside what was compiled at the same time, and may have been finished
+    assert b"half" in left  # beside files that were compiled at the same time, and may be finished
     again = subprocess.run(command, capture_output=True, text=True, check=False)
     assert again.stdout.endswith("[6. 2.]\n"), again.stderr
 

@@ -1,4 +1,4 @@
-"""The problem files that ship: each is solved with generated kernels, and its optimum is what is known of it."""
+"""The shipped problem files: each is solved with generated kernels, and its optimum agrees with known values."""
 
 from __future__ import annotations
 

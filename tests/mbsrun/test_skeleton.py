@@ -48,6 +48,6 @@ def test_a_body_that_carries_nothing_ends_at_its_centre_of_mass(gripper):
 
 
 def test_joints_that_follow_others_are_drawn(gripper):
-    """Frames are those of bodies, of which there are more than coordinates."""
+    """Frames belong to bodies, of which there are more than coordinates."""
     assert [frame.slides for frame in gripper.manifest.frames] == [False, True, True, False]
     assert "right, centre of mass" in render_animation(gripper, [0, 1], [[0, 0, 0], [1, 0.04, 1]])

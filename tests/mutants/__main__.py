@@ -38,7 +38,7 @@ ENOUGH = 0.95
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the tests of a fault show."""
+    """The result of the tests of a fault."""
 
     verdict: str
     test: str = ""  # the test that fails, or why there is none

@@ -1,7 +1,7 @@
 """URDF -> Draft of a model: one body a link, in the link's own frame.
 
-A link's frame is its joint's frame, as in URDF, so a model has the coordinates of the file. Roll, pitch and yaw are turns
-about z by yaw, about y by pitch, about x by roll. Bodies are listed depth first, joints in the order of the file.
+A link's frame is its joint's frame, as in URDF, so a model has the coordinates of the file. Roll, pitch and yaw are
+turns about z by yaw, about y by pitch, about x by roll. Bodies are listed depth first, joints in the file's order.
 """
 
 from __future__ import annotations

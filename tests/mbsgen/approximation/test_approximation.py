@@ -32,7 +32,7 @@ from tests.random_scenes import random_model
 
 MODELS = Path(__file__).parents[3] / "models"
 ONE_PLAN = Reductions(trials=1)
-STATES, SEED = 200, 4711  # others than those that the choice and its check look at
+STATES, SEED = 200, 4711  # other states than the choice and its check use
 
 
 def results(tape: Tape, tree: Tree, states: dict[str, Array]) -> dict[str, Array]:
@@ -134,7 +134,7 @@ def test_what_a_joint_alone_stands_on_stays() -> None:
 
 
 def test_a_choice_that_other_states_do_not_bear_out_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is chosen where nothing moves would leave dampers out; where all moves, that is found out."""
+    """A choice at rest would leave dampers out; where everything moves, their effect is found."""
     tree, options = build_tree(cranes(damping=3.0)), Options(functions=("impl",), reductions=ONE_PLAN)
 
     def draw_still(tree: Tree, count: int, seed: int, *, motion: bool) -> dict[str, Array]:

@@ -52,7 +52,7 @@ def test_the_second_form_has_the_derivatives_it_would_have_alone() -> None:
 
 
 def test_what_has_a_loop_for_sure_is_not_written_straight(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The C is the same, but for its hash, and so is what the manifest tells."""
+    """The C is the same, except for its hash, and so are the manifest's entries."""
     options = Options(functions=("exp1", "exp2"), derivatives=1, reductions=ONE_PLAN)
     monkeypatch.setattr(dynamics, "STRAIGHT", 0)
     straight = make(MODELS / "double_pendulum.yaml", options)

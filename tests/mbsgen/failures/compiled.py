@@ -31,7 +31,7 @@ class Compiled:
         self._number = {"double": np.dtype(np.float64), "float": np.dtype(np.float32)}[real]
 
     def __call__(self, tape: Tape, state: Mapping[str, Array]) -> tuple[int, dict[str, Array]]:
-        """Give a kernel's status and results; those are what they were before, not a number, where it fails."""
+        """Return a kernel's status and results; where it fails, these keep their old values, which are not numbers."""
         given = [np.array(state[i.name], dtype=self._number) for i in tape.inputs]
         results = {o.name: np.full(o.sparsity.nnz, np.nan, dtype=self._number) for o in tape.outputs}
         pointers = [x.ctypes.data_as(ctypes.c_void_p) for x in (*given, *results.values())]

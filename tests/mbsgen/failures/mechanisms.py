@@ -163,7 +163,7 @@ def relative_error(found: Array, exact: Array) -> float:
 
 
 def error_of(name: str, tree: Tree, state: Mapping[str, Array], reductions: Reductions = REDUCED) -> float:
-    """Compare accelerations in float64 with those in 50 digits, which are EXP2's: another way finds the same."""
+    """Compare accelerations in float64 with EXP2's in 50 digits, with which another formulation agrees."""
     exact = compute_exactly(tape_of("exp2", tree), state)["qdd"]
     return relative_error(compute(tape_of(name, tree, reductions), state)["qdd"], exact)
 

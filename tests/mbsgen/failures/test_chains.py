@@ -43,7 +43,7 @@ def assert_residuals_vanish(tree: Tree, state: dict[str, Array]) -> None:
 
 
 def backward_error(tree: Tree, state: dict[str, Array], qdd: Array) -> float:
-    """Compare what the equations of motion leave of accelerations with what they are sums of."""
+    """Compare the residual of the equations of motion with the absolute values of their terms."""
     rest = compute_exactly(tape_of("impl", tree), {**state, "qdd": qdd})["Phi"]
     return float(np.abs(rest).max() / scale_of(tree, state, qdd).max())
 

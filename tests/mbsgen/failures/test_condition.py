@@ -1,4 +1,4 @@
-"""What `condition` tells of the digits that EXP1 and EXP2 lose, beside what they lose against 50 digits."""
+"""The digits that `condition` estimates, beside the digits that EXP1 and EXP2 lose against 50 digits."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from tests.random_trees import random_tree
 MODELS = [f for f in sorted((Path(__file__).parents[3] / "models").glob("*.yaml")) if not f.stem.endswith(".ocp")]
 TOLD_BY = {"exp1": "elimination", "exp2": "articulated"}
 ALWAYS = 1e-13  # what forces and accelerations lose beside: `condition` does not look at them
-ABOVE, BELOW = 16, 50  # an error may be so many times what is told; the largest of some, so many times less
+ABOVE, BELOW = 16, 50  # factors within which errors, and the largest of several errors, agree with the estimate
 
 
 def told(tree: Tree, state: dict[str, Array], reductions: Reductions = REDUCED) -> dict[str, float]:
@@ -116,7 +116,7 @@ def test_no_lock_is_silent(name: str, distance: float):
 
 @pytest.mark.parametrize("size", [5, 20, 50])
 def test_straight_chains(size: int):
-    """EXP2 is not alarmed at any length; EXP1 loses less than is told, as it counts angles from the base."""
+    """EXP2 is not alarmed at any length; EXP1 loses less than the estimate, as it counts angles from the base."""
     tree, state = straight_chain(size), draw_state(size, size, q=np.zeros(size))
     expected = told(tree, state)
     assert expected["exp2"] <= ALWAYS

@@ -61,7 +61,7 @@ def offset_body(offset: float, kind: Kind) -> Tree:
 @pytest.mark.parametrize("kind", Kind, ids=lambda kind: kind.value)
 @pytest.mark.parametrize("power", [0, 1, 2, 3, 4])
 def test_regrouping_loses_no_more_than_a_distant_origin_does(power: int, kind: Kind):
-    """J about the origin holds m c2: what is left of I in it is lost to 4 u (1 + m c2 / I), regrouped or not."""
+    """J about the origin holds m c2: the remaining digits of I are lost to 4 u (1 + m c2 / I), regrouped or not."""
     tree = offset_body(10.0**power, kind)
     allowed = 4 * U * (1 + 10.0 ** (2 * power) * (1 + 1 / 9 + 1 / 49))
     for seed in range(5):

@@ -1,4 +1,4 @@
-"""What the formulations cost: the arm's figures, what reductions save, and how cost grows with size (Table 1)."""
+"""The cost of the formulations: the arm's figures, the savings of reductions, and growth with size (Table 1)."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_reductions_save_on_any_tree(name: str, seed: int):
 
 @pytest.mark.parametrize("name", list_rows())
 def test_no_division_by_parameters_unless_it_is_allowed(name: str):
-    """Without leave to divide by what may be 0 at run time, setup has no division."""
+    """Without permission to divide by parameters that may be 0, setup has no division."""
     tape = write_row(name, arm(), Reductions())
     setup, _ = hoist([tape], ports.PARAMETERS, ports.SETUP)
     constant_pivot = 1 if name == "EXP1" else 0  # the pendulum's inertia about its last axis, which is never 0

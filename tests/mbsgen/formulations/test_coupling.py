@@ -1,9 +1,9 @@
 """Joints that follow others: the equations are GT M G, GT c, GT Phi of the uncoupled tree, as Pinocchio computes them.
 
 G is written here once more, by hand, from the couplings. The error of a comparison is some rounding of the largest
-entry, times what a mass matrix loses: 1e-10 where it is solved for, 1e-12 elsewhere. Derivatives are compared with
-central differences in 50 digits, whose error is that of the step squared, 1e-30; but random rotations are orthonormal
-to a rounding only, and recursions that make use of it differ by as much: 1e-13.
+entry, times the digits lost in solving with the mass matrix: 1e-10 where it is solved for, 1e-12 elsewhere. Derivatives
+are compared with central differences in 50 digits, whose error is the step squared, 1e-30. But random rotations are
+orthonormal only to rounding, and recursions that use this differ by as much: 1e-13.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ STEP = DIGITS.literal(10) ** -15
 
 @cache
 def coupled_tree(seed: int) -> Tree:
-    """Let one or two of four joints follow others: on their way to the base, beyond them, or beside them."""
+    """Make one or two of four joints follow others: on their way to the base, beyond them, or beside them."""
     rng = np.random.default_rng(seed)
     tree = with_rotors(with_laws(random_tree(seed, SIZE, runtime=seed % 3 == 2)), seed)
     tree = with_wrenches(tree, seed) if seed % 2 else tree
@@ -73,7 +73,7 @@ def coupled_tree(seed: int) -> Tree:
 
 
 def couple_some(tree: Tree, seed: int, count: int) -> Tree:
-    """Let some joints of a tree follow others; quaternions' joints neither follow nor are followed."""
+    """Make some joints of a tree follow others; joints of quaternions neither follow nor are followed."""
     rng = np.random.default_rng(seed)
     inside = {i for x in tree.quaternions for i in x.bodies}
     order = [int(i) + 1 for i in rng.permutation(len(tree.bodies)) if int(i) + 1 not in inside]

@@ -57,9 +57,9 @@ def test_energy_and_momentum_equal_pinocchio(seed: int, size: int):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_power_of_all_forces_is_the_change_of_energy(seed: int):
-    """d (T + V) / dt = qd . Q, with laws in Q; wrenches are taken in by what they do to c. In 50 digits.
+    """d (T + V) / dt = qd . Q, with laws in Q; wrenches enter by their effect on c. In 50 digits.
 
-    The kernel `power` gives the same.
+    The kernel `power` computes the same.
     """
     tree = with_laws(random_tree(seed, 5))
     pulled = with_wrenches(tree, seed)

@@ -1,4 +1,4 @@
-"""Joints of several degrees of freedom, and screws: the equations are those of closed forms, and of Pinocchio.
+"""Joints of several degrees of freedom, and screws: the equations agree with closed forms and with Pinocchio.
 
 Pinocchio's own joints are set up by hand. Tolerances are some hundred roundings of the largest entry.
 """
@@ -80,7 +80,7 @@ def test_a_screw_feels_its_mass_by_the_square_of_its_pitch(pitch: float) -> None
 
 
 def test_a_screw_is_that_of_pinocchio() -> None:
-    """About an axis of any direction, at a pitch of its own, beyond another joint."""
+    """About an axis of any direction, at any pitch, beyond another joint."""
     pin = pytest.importorskip("pinocchio")
     arm = body("arm", revolute("y"), mass=0.7, com=(0.2, 0, 0.1), inertia=(0.02, 0.03, 0.01))
     screw = joint("helical", axis=list(SKEW), pitch=0.3, position=(0.4, 0.1, 0), orientation=[("x", 0.5)])

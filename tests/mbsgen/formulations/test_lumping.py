@@ -24,7 +24,7 @@ MODELS = Path(__file__).parents[3] / "models"
 LUMPED = Reductions(lump_runtime=True)
 FORMS = ("impl", "semi", "exp1", "exp2")
 HARDWARE = Numbers(np.float64, FLOATS.functions, FLOATS.epsilon)  # divides by 0 as C does
-TOLERANCE = 1e-9  # of the largest result; a mass that moves may be ten times that of the mechanism
+TOLERANCE = 1e-9  # of the largest result; a moved mass may be ten times the mechanism's
 
 
 def read(name: str) -> Tree:
@@ -32,7 +32,7 @@ def read(name: str) -> Tree:
 
 
 def write(tree: Tree, reductions: Reductions, derivatives: int) -> dict[str, Tape]:
-    """Write the formulations, with what sets them up."""
+    """Write the formulations, with their setup."""
     options = Options(functions=FORMS, derivatives=derivatives, reductions=reductions)
     return {tape.name: tape for family in write_families(tree, options) for tape in family.tapes}
 
@@ -54,7 +54,7 @@ def attempt(
     ("model", "derivatives"), [("double_pendulum", 2), ("arm_pendulum", 0)], ids=["double pendulum", "arm"]
 )
 def test_a_parameter_of_zero_is_a_status_or_makes_no_difference(model: str, derivatives: int) -> None:
-    """Each parameter in turn, and none: where the lumped kernels give numbers, they are those of the others."""
+    """Each parameter in turn, and none: where the lumped kernels give numbers, they equal the other kernels'."""
     tree = read(model)
     lumped, plain = (write(tree, reductions, derivatives) for reductions in (LUMPED, ALL))
     rng = np.random.default_rng(3)
@@ -76,7 +76,7 @@ def test_a_parameter_of_zero_is_a_status_or_makes_no_difference(model: str, deri
 
 
 def test_every_division_by_parameters_is_guarded_in_the_setup() -> None:
-    """Of the setup's divisors, all but pivots, which kernels test themselves, have a guard of their own."""
+    """All divisors of the setup have a guard, except pivots, which kernels test themselves."""
     setup = write(read("arm_pendulum"), LUMPED, 0)["setup"]
     assert sum(op is Op.DIV for op, _, _ in setup.operations) > 1
     guarded = {guard.joint for guard in setup.guards}

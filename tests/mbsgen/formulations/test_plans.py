@@ -44,7 +44,8 @@ def ball_at_tip() -> Model:
 def test_what_a_ball_joint_carries_weighs_on_the_rod_that_holds_it() -> None:
     """At rest, the rod's joint bears g (m_rod l / 2 + m_bob l) sin q.
 
-    It feels m_rod (l / 2)^2 + m_bob l^2 of inertia while the bob turns freely, and that of the bob where it does not.
+    It feels the inertia m_rod (l / 2)^2 + m_bob l^2 while the bob turns freely, plus the bob's inertia where it does
+    not.
     """
     tree, g, angle = build_tree(ball_at_tip()), 9.81, 0.3
     at = {"q": [angle, 0.0, 0.0, 0.0, 1.0], "qd": [0.0] * 4, "qdd": [0.0] * 4}

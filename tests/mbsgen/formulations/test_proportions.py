@@ -1,4 +1,4 @@
-"""What regrouping may move in EXP2: no more than digits allow."""
+"""The inertia that regrouping may move in EXP2: at most as much as digits allow."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_mass_at_the_end_of_a_rod():
 
 
 def test_mass_on_a_body_without_inertia():
-    """What a point mass leaves, its joint free, is along its link; moved to the elbow, it would count across too."""
+    """The articulated inertia of a point mass is along its link; moved to the elbow, it would count across too."""
     assert growths(elbow())[2] == float("inf")
     assert masses(elbow()) == [Mass.PASSED, Mass.KEPT]
 

@@ -50,7 +50,7 @@ def swimmer() -> Model:
 
 
 class Peer:
-    """The same tree in Pinocchio; it holds the joints depth first, as the swimmer's stand, but for `order`."""
+    """The same tree in Pinocchio; it orders the joints depth first, as the swimmer, except with `order`."""
 
     def __init__(self, tree: Tree) -> None:
         self.tree, self.model = tree, pin.Model()
@@ -143,7 +143,7 @@ def test_formulations_equal_pinocchio(name: str) -> None:
 
 
 def tangent(q: Array) -> Array:
-    """What the coordinates change by for a unit of each velocity."""
+    """The change of the coordinates for a unit of each velocity."""
     tape = rates.build(tree_of())
     n = len(tree_of().bodies)
     return np.array([run(tape, q=q, qd=e)["rate"] for e in np.eye(n)]).T

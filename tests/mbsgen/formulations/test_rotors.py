@@ -28,7 +28,7 @@ def tree_of(seed: int, size: int, *, runtime: bool = False) -> Tree:
 
 @cache
 def planar(size: int = 5) -> Tree:
-    """A chain whose axes are all parallel: one group, in absolute angles but for the joints with rotors."""
+    """A chain with parallel axes: one group, in absolute angles except for the joints with rotors."""
     tree = random_tree(8, size, tidy=True)
     joints = [replace(b.joint, motion=Motion.REVOLUTE, axis=1, actuated=True) for b in tree.bodies]
     bodies = [replace(b, joint=j, parent=i) for i, (b, j) in enumerate(zip(tree.bodies, joints, strict=True))]

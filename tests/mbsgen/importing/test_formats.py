@@ -54,7 +54,7 @@ CHAIN = Format(
 
 
 def test_a_new_format_is_a_reader_and_an_entry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Imported, checked, generated from the command line, and by the solving side; faults are told where they are."""
+    """Imported, checked, generated from the command line, and by the solving side; faults name their places."""
     file, wrong, other = (tmp_path / name for name in ("chain.rods", "wrong.rods", "other.rods"))
     file.write_text("rods\n0.5 2\n0.3 1\n", encoding="utf-8")
     wrong.write_text("rods\n0.5\n", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""MJCF is imported as MuJoCo reads it, and what a model cannot say is told."""
+"""MJCF is imported as MuJoCo reads it; notices list the rest."""
 
 from __future__ import annotations
 
@@ -161,7 +161,9 @@ def test_friction_and_actuators(tmp_path: Path) -> None:
 
 
 def test_rotors_are_mujocos(tmp_path: Path) -> None:
-    """Armature of joints and their default classes, and of actuators by their gears; a ball's is told, and left out."""
+    """Armature of joints and their default classes, and of actuators by their gears; a ball's is left out, with a
+    warning.
+    """
     inner = world(
         f'<body name="a"><joint name="one" axis="0 1 0"/>{INERTIAL}'
         f'<body name="b" pos="1 0 0"><joint class="geared" name="two"/>{INERTIAL}</body>'

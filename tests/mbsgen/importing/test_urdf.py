@@ -1,4 +1,4 @@
-"""URDF is imported as Pinocchio reads it, and what a model cannot say is told."""
+"""URDF is imported as Pinocchio reads it; notices list the rest."""
 
 from __future__ import annotations
 
@@ -272,7 +272,7 @@ def test_names_that_a_model_cannot_have_are_changed_and_told(tmp_path: Path) -> 
     ("value", "warned", "refused"), [(0.05, False, False), (0.06, True, False), (0.5, False, True)]
 )
 def test_inertias_that_no_body_has(tmp_path: Path, value: float, warned: bool, refused: bool) -> None:
-    """0.02 + 0.03 bounds the third moment: slightly more is imported and told, far more is a fault."""
+    """0.02 + 0.03 bounds the third moment: slightly more is imported with a notice, far more is a fault."""
     tensor = f'<mass value="1"/><inertia ixx="0.02" iyy="0.03" izz="{value}"/>'
     inner = link("a") + f'<link name="b"><inertial>{tensor}</inertial></link>' + joint("j", "revolute", "a", "b", LIMIT)
     path = write(tmp_path, inner)
@@ -342,7 +342,7 @@ def test_choices_that_name_nothing_are_faults(tmp_path: Path) -> None:
 
 
 def test_angles_near_quarter_turns(tmp_path: Path) -> None:
-    """Eleven digits of pi/2 are pi/2; six are kept, and told, unless the user takes them too."""
+    """Eleven digits of pi/2 are pi/2; six are kept, with a notice, unless the user rounds them too."""
 
     def turned(digits: str, choices: Choices = DEFAULT) -> tuple[str, list[str]]:
         inner = link("a") + link("b") + joint("j", "revolute", "a", "b", LIMIT, rpy=f"{digits} 0 0")

@@ -1,4 +1,4 @@
-"""Model files: those that ship, and two written here."""
+"""Model files: the shipped ones, and two written here."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ def test_frames_are_the_hand_and_the_pendulum(arm: Tree) -> None:
 
 
 def test_numbers_become_parameters_of_their_own(arm: Tree) -> None:
-    """Named ones stay one each, zeros stay zeros, and the values are those of before."""
+    """Named ones stay one each, zeros stay zeros, and the values do not change."""
     released = with_runtime_numbers(read_model(FILE))
     freed = build_tree(released)
     assert numbers(freed) == numbers(arm)

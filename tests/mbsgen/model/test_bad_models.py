@@ -29,7 +29,7 @@ def test_the_good_model_is_good(tmp_path: Path) -> None:
     assert [body.name for body in read_model(file).bodies] == ["cart", "boom", "hook"]
 
 
-# What is put in place of what in GOOD; line, path and a piece of the finding of the one fault that follows.
+# Replacements in GOOD; line, path and a piece of the finding of the one fault that follows.
 BAD: dict[str, tuple[str, str, int, str, str]] = {
     # shape
     "unknown key": ("gravity:", "gravety:", 2, "gravety", "unknown key"),
@@ -310,7 +310,7 @@ ARM = WALKER[WALKER.index("  - name: arm") : WALKER.index("frames:")]
 
 # As above, of WALKER.
 BAD_PARTS: dict[str, tuple[str, str, int, str, str]] = {
-    # joints that have a name of their own
+    # joints that have names
     "unknown order": ("order: xyz", "order: xyx", 10, "bodies[0].joint.order", '"xyx"'),
     "an order of another joint": ("order: xyz", "order: xy", 10, "bodies[0].joint.order", '"xy"'),
     "a plane of a floating joint": ("order: xyz", "plane: xy", 10, "bodies[0].joint.plane", "unknown key"),
@@ -408,7 +408,7 @@ BAD_PARTS: dict[str, tuple[str, str, int, str, str]] = {
         "1001 bodies, those between",
     ),
     # bodies that are fixed
-    "limits of what is fixed": (
+    "limits of a fixed body": (
         "{type: fixed, ",
         "{type: fixed, limits: [0, 1], ",
         16,
@@ -481,7 +481,7 @@ BAD_PARTS: dict[str, tuple[str, str, int, str, str]] = {
     # wrenches
     "a wrench on a missing body": ("body: leg, pos", "body: lag, pos", 35, "wrenches[0].body", 'no body "lag"'),
     "a wrench on the base": ("body: leg, pos", "body: base, pos", 35, "wrenches[0].body", "does not move"),
-    "a wrench on what is fixed to the base": (
+    "a wrench on a body fixed to the base": (
         "    parent: trunk\n    joint: {type: fixed",
         "    joint: {type: fixed",
         36,

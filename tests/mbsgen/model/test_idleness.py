@@ -64,7 +64,7 @@ def draw_model(seed: int) -> Model:
 
 
 def is_regular(tree: Tree, seed: int) -> bool:
-    """Tell whether M is regular at a random state."""
+    """Return whether M is regular at a random state."""
     tape, rng = semi.build(tree, NONE), np.random.default_rng(seed)
     values = evaluate(tape, {i.name: list(rng.uniform(-2, 2, i.sparsity.nnz)) for i in tape.inputs})["M"]
     n = len(tree.bodies)
@@ -95,7 +95,7 @@ def test_what_a_check_lets_pass_has_a_regular_matrix_and_is_written() -> None:
 
 @pytest.mark.parametrize("lightness", [1e-3, 1e-9, 1e-12])
 def test_a_light_body_between_joints_is_enough(lightness: float) -> None:
-    """The pivot is what the light body has, beside what the heavy one has: doubles alone would not tell it from 0."""
+    """The pivot is the light body's inertia, beside the heavy one's: doubles alone would not distinguish it from 0."""
     light = body("light", revolute("z"), mass=lightness, inertia=(lightness, lightness, lightness))
     heavy = body("heavy", revolute("z"), parent="light", mass=1e6, com=(1, 0, 0), inertia=(1, 1, 1))
     make_model("pair", [light, heavy], gravity=(0, 0, -9))

@@ -72,7 +72,7 @@ def test_the_rest_of_a_joint_with_a_locked_coordinate_is_written(key: str, tmp_p
 
 
 def test_numbers_at_run_time_have_the_paths_of_the_file(tmp_path: Path) -> None:
-    """The place of a joint is that of its body; settings are those of the joint that has them."""
+    """The place of a joint is its body's; settings belong to their own joint."""
     screw, tilted = (with_runtime_numbers(read(WRITTEN[key], tmp_path)) for key in ("helical with a name", "planar"))
     assert "screw.armature" in {p.name for p in screw.parameters}
     assert {"link.orientation.1", "link.t.stiffness"} <= {p.name for p in tilted.parameters}

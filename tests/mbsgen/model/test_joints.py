@@ -1,4 +1,4 @@
-"""Fixed bodies become one with what carries them, and sequences of joints are the joints that they are made of."""
+"""Fixed bodies are merged with their parents, and sequences of joints are resolved to elementary joints."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ bodies:
 
 
 def test_run_time_masses_stay_symbols_when_bodies_are_merged(tmp_path: Path) -> None:
-    """Whatever values they take later, the merged body is that of numbers."""
+    """For all later values, the merged body equals the body of numbers."""
     text = """
 parameters: {{m: {m}, c: {c}}}
 bodies:

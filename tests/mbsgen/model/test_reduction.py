@@ -212,7 +212,7 @@ def test_a_tree_does_not_depend_on_the_hash_seed(tmp_path: Path) -> None:
 
 
 def test_numbers_at_run_time_keep_their_values(tmp_path: Path) -> None:
-    """Rotations of symbols are rounded once more than those of numbers: CLOSE."""
+    """Rotations of symbols are rounded once more than rotations of numbers: CLOSE."""
     tree = read(make_description(3, AXES), tmp_path)
     freed = build_parametric(read_model(tmp_path / "model.yaml"))
     values = {p.symbol: exact(p.value) for p in freed.parameters}

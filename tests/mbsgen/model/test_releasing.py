@@ -119,7 +119,7 @@ frames:
 
 
 def test_names_are_those_of_the_file(tmp_path: Path) -> None:
-    """Of a turned axis, of bodies that are fixed together, of what follows a parameter, of limits."""
+    """Of a turned axis, of bodies fixed together, of numbers that depend on a parameter, of limits."""
     file = tmp_path / "model.yaml"
     file.write_text(TURNED, encoding="utf-8")
     freed = build_parametric(read_model(file))
@@ -229,7 +229,7 @@ def read_functional(a: object, b: object, folder: Path) -> Tree:
 
 @pytest.mark.parametrize("kind", ["runtime", "differentiated"])
 def test_functions_of_parameters_stand_anywhere(kind: str, tmp_path: Path) -> None:
-    """All functions of the language in all places, at values that are not those in the file."""
+    """All functions of the language in all places, at values other than in the file."""
     freed = read_functional(f"{{value: 0.9, kind: {kind}}}", f"{{value: 1.5, kind: {kind}}}", tmp_path)
     known = read_functional(0.4, 1.7, tmp_path)
     at = draw_state(known, 1) | {"p" if kind == "runtime" else "theta": [0.4, 1.7]}

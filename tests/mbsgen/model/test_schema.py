@@ -42,7 +42,7 @@ def test_models_of_many_parts_are_valid(text: str) -> None:
 
 
 def list_mappings(data: Any, place: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    """List the places of the mappings in a document, but for those with names of the user's as keys."""
+    """List the places of the mappings in a document, except mappings whose keys are the user's names."""
     if not isinstance(data, dict | list):
         return []
     inner = data.items() if isinstance(data, dict) else enumerate(data)

@@ -1,4 +1,4 @@
-"""What is written reads as the same model."""
+"""Written files are read as the same model."""
 
 from __future__ import annotations
 

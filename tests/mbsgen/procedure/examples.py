@@ -84,7 +84,7 @@ LENGTHS = (1.0, 4.0, 2.5, 3.0)  # of crank, coupler, rocker and base: Grashof's 
 def four_bar_residual() -> Tape:
     """Write the closure of a four-bar, and its Jacobian by the angles of coupler and rocker.
 
-    a cos q + b cos y0 - c cos y1 - d = 0, and the same with sines but for d.
+    a cos q + b cos y0 - c cos y1 - d = 0, and the same with sines without d.
     """
     builder = Builder()
     (q,), y, lengths = builder.vector("q", 1), builder.vector("y", 2), builder.vector("lengths", 4)

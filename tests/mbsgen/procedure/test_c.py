@@ -97,7 +97,7 @@ def test_c_gives_what_the_interpreter_gives(name: str, library: Library) -> None
 def test_a_failure_gives_the_status_and_writes_nothing(
     name: str, change: dict[str, list[float]], status: int, library: Library
 ) -> None:
-    """As the interpreter tells; of derivatives, too."""
+    """As the interpreter computes, also of derivatives."""
     for function in map(as_procedure, FAMILIES[name].functions):
         point = complete(function, name) | change
         found, results = library.call(function, point)

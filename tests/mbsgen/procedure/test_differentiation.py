@@ -51,7 +51,7 @@ def compare(procedure: Procedure, derived: Procedure, point: Values, wrt: Sequen
 
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_jacobians_are_differences(name: str) -> None:
-    """Of every result by every input; so do those of a Jacobian."""
+    """Of every result by every input; also of a Jacobian."""
     example = EXAMPLES[name]
     point = convert(example.point, DIGITS)
     first = jacobian(example.procedure, example.wrt)

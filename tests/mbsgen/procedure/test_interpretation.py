@@ -1,4 +1,4 @@
-"""What stages compute: against NumPy in float64, against closed forms and residuals in 50 digits; and how they fail."""
+"""Values of stages: against NumPy in float64, against closed forms and residuals in 50 digits; and their failures."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ SINGULAR_MATRICES = {
 @pytest.mark.parametrize("kind", SINGULAR_MATRICES)
 @pytest.mark.parametrize("fault", ["singular", "nearly", "nan"])
 def test_a_pivot_that_fails_gives_the_status(kind: str, fault: str) -> None:
-    """A matrix of rank n - 1, the same but for rounding, and one that is not of numbers."""
+    """A matrix of rank n - 1, the same up to rounding, and a matrix with an entry that is not a number."""
     entries, pattern = SINGULAR_MATRICES[kind]
     if kind == "tree":
         A = draw_matrix(TREE, np.random.default_rng(2))

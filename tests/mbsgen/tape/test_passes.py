@@ -62,7 +62,7 @@ def parametric(name: str) -> Tape:
 
 def test_what_depends_on_parameters_alone_moves_to_setup_once_for_all_tapes():
     setup, tapes = hoist([parametric("a"), parametric("b")], ports.PARAMETERS, ports.SETUP)
-    assert count(setup).operations == {Op.MUL: 1, Op.DIV: 1, Op.NEG: 1}  # the sign is part of what is handed over
+    assert count(setup).operations == {Op.MUL: 1, Op.DIV: 1, Op.NEG: 1}  # the sign belongs to the stored value
     p, x = [2.0, 7.0], [3.0]
     h = evaluate(setup, {"p": p})["h"]
     for tape in tapes:

@@ -1,4 +1,4 @@
-"""Counting without writing: as many flops as the tape has that is written with the zeros, but for signs."""
+"""Counting without writing: as many flops as in the tape written with the zeros, except for signs."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def write() -> Tape:
 
 
 def written_without(tape: Tape, zeros: tuple[bool, ...]) -> int:
-    """Write a tape with entries of `p` 0, and count it but for what depends on `p` alone."""
+    """Write a tape with entries of `p` 0, and count it without operations on `p` alone."""
     b = Builder()
     p, x = b.vector(ports.PARAMETERS, 3), b.vector("x", 2)
     left = [b.zero if zero else entry for zero, entry in zip(zeros, p, strict=True)]

@@ -1,8 +1,8 @@
-/* Call every kernel that PROBED lists at pseudo-random states, with each of its results unwanted in turn.
+/* Call every kernel that PROBED lists at pseudo-random states, leaving out each of its results in turn.
  *
- * Memory is of exactly the size that the patterns tell, so that sanitizers see what is read or written beyond. Results
- * hold a poison before each call: with status 0 all of it must be gone, else nothing. What is not wanted, and the
- * inputs, must stay as they are. Prints "<kernel> <calls> <calls that failed>" for each kernel, or a fault.
+ * Memory has exactly the size of the patterns, so that sanitizers find reads and writes beyond. Results hold a poison
+ * before each call: with status 0 all of it must be gone, else nothing. Results left out, and the inputs, must not
+ * change. Prints "<kernel> <calls> <calls that failed>" for each kernel, or a fault.
  */
 #include <stdio.h>
 #include <stdlib.h>

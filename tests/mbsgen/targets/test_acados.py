@@ -1,4 +1,4 @@
-"""What acados is given: its names and arguments, right values; exact derivatives, by differences in 50 digits."""
+"""The functions for acados: names and arguments, right values; exact derivatives, by differences in 50 digits."""
 
 from __future__ import annotations
 

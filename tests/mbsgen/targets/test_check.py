@@ -28,7 +28,7 @@ def build(folder: Path, target: Path, compiler: str, *flags: str) -> Path:
 
 
 def check(program: Path) -> tuple[int, dict[str, str]]:
-    """Run a check program; give its exit status, and its verdicts by what was compared."""
+    """Run a check program; return its exit status, and its verdicts by comparison."""
     done = subprocess.run([program], capture_output=True, text=True, check=False)
     assert done.stderr == ""
     *lines, last = done.stdout.splitlines()

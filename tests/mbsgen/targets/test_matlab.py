@@ -1,4 +1,4 @@
-"""Generated Matlab runs in GNU Octave, and computes what the tape tells."""
+"""Generated Matlab runs in GNU Octave, and computes the tape's values."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def test_no_result_is_complex(x: list[float], tmp_path: Path, octave: Octave) ->
 
 
 def guarded_tape() -> Tape:
-    """Write 1 / (x0 - x1), its pivot guarded as that of joint 3."""
+    """Write 1 / (x0 - x1), with a guard of the pivot as joint 3's."""
     b = Builder()
     x = b.vector("x", 2)
     b.guard(x[0] - x[1], x[0], 100.0, 3)

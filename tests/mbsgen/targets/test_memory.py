@@ -19,7 +19,7 @@ from tests.sample import write_sample
 
 ROOT = Path(__file__).parents[3]
 PROBE = Path(__file__).parent / "probe.c"
-SANITIZERS = {"gcc": "address,undefined", "clang": "memory"}  # the latter tells what is read before it is written
+SANITIZERS = {"gcc": "address,undefined", "clang": "memory"}  # the latter finds reads before writes
 
 
 def build(folder: Path, told: Manifest, target: Path, compiler: str, *flags: str) -> Path:

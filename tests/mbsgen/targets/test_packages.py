@@ -98,7 +98,7 @@ def test_cmake_runs_the_check_program(tmp_path: Path, requires: Requires) -> Non
 
 
 def test_a_project_asks_for_a_version(tmp_path: Path, requires: Requires) -> None:
-    """find_package(NAME VERSION): the version that there is, and older ones of the same minor version, are found."""
+    """find_package(NAME VERSION): this version, and older ones of the same minor version, are found."""
     cmake, place = requires("cmake"), install(requires("cmake"), tmp_path)
     found = {}
     for version in ("1.2", "1.2.0", "1.2.4", "1.3", "2"):

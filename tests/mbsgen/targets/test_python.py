@@ -1,4 +1,4 @@
-"""Generated Python computes what the tape tells, to the last bit, over whatever numbers it is given."""
+"""Generated Python computes the tape's values, to the last bit, over any numbers."""
 
 from __future__ import annotations
 
@@ -157,12 +157,12 @@ def test_casadi_differentiates_it_to_the_generated_jacobian(case: Case) -> None:
 
 
 def size_of(values: Iterable[float]) -> float:
-    """Give the scale that rounding is measured by."""
+    """Return the scale of rounding."""
     return max(1.0, *map(abs, values))
 
 
 def write_symbols(kernels: ModuleType, tape: Tape) -> tuple[dict[str, casadi.SX], dict[str, casadi.SX]]:
-    """Call a kernel with symbols: those of its inputs, and its results, as columns of nonzeros."""
+    """Call a kernel with symbols; return the symbols of its inputs, and its results, as columns of nonzeros."""
     symbols = {i.name: casadi.SX.sym(i.name, i.sparsity.nnz) for i in tape.inputs}
     results = getattr(kernels, tape.name)(**symbols, functions=casadi)
     return symbols, {name: casadi.vertcat(*values) for name, values in results.items()}
@@ -183,7 +183,7 @@ def test_every_function_is_called_by_its_name(x: float, tmp_path: Path) -> None:
 
 
 def guarded_tape() -> Tape:
-    """Write 1 / (x0 - x1), its pivot guarded as that of joint 1, and 1 / x0, as that of joint 2."""
+    """Write 1 / (x0 - x1), with a guard of the pivot as joint 1's, and 1 / x0, as joint 2's."""
     b = Builder()
     x = b.vector("x", 2)
     pivot = x[0] - x[1]

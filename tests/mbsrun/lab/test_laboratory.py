@@ -51,7 +51,7 @@ ELSEWHERE = ("F09", "F12", "F19", "F21", "F22", "F23")  # in tests/mbsgen/failur
 
 
 def quiet(*_: object) -> None:
-    """Tell nobody."""
+    """Ignore progress."""
 
 
 @pytest.fixture(scope="module")
@@ -136,7 +136,7 @@ LOSS = Loss("Cardan", 3, 1e-9, 0, "EXP1", 1e18, 1e18, 1e-3, 0.99, 1e-16)
 
 
 def test_a_wrong_number_in_silence_is_not_met() -> None:
-    """And neither is a status that names another joint, one that is not due, nor one for what only scales M."""
+    """Neither is a status with another joint, an unnecessary one, nor one for masses that only scale M."""
     assert not locks._check_loss(LOSS).is_met
     assert locks._check_loss(replace(LOSS, error=None, failed="q1")).is_met
     assert not locks._check_loss(replace(LOSS, error=None, failed="q2")).is_met
@@ -249,7 +249,7 @@ def count(calls: list[str], name: str) -> Callable[[Workspace], list[Finding]]:
 
 
 def test_a_trial_that_breaks_hides_no_other_and_is_tried_again(tmp_path: Path) -> None:
-    """What was found is kept, also when the run is cut off in the middle of a line."""
+    """Findings are kept, even if the run is cut off in the middle of a line."""
     calls: list[str] = []
     trials = (Trial("a", count(calls, "a")), Trial("broken", break_down), Trial("b", count(calls, "b")))
     cases = [Case("F01", "case", "", "", trials), Case("F02", "other", "", "", exemption="there is nothing")]

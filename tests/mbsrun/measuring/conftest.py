@@ -51,7 +51,7 @@ def cart(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def locked(tmp_path: Path) -> Path:
-    """Write that of a Cardan joint without mass, which stays within 1e-7 rad of its lock."""
+    """Write the model of a Cardan joint without mass, which stays within 1e-7 rad of its lock."""
     return _write(tmp_path, "locked", LOCKED)
 
 

@@ -1,4 +1,4 @@
-"""Advice is the fastest of what was measured to be accurate enough; what failed is never advised."""
+"""Advice is the fastest of the accurate choices; a choice that failed is never advised."""
 
 from __future__ import annotations
 

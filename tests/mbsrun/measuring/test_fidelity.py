@@ -28,7 +28,7 @@ ROUNDING = 1e-14
 
 
 def quiet(*_: object) -> None:
-    """Tell nobody."""
+    """Ignore progress."""
 
 
 def measure(model: Path, folder: Path, *scenes: Path) -> dict[str, FidelityPoint]:

@@ -25,7 +25,7 @@ LITTLE = KernelScope((), (USUAL, SINGLE), 2, 2)
 
 
 def quiet(*_: object) -> None:
-    """Tell nobody."""
+    """Ignore progress."""
 
 
 def test_the_reference_is_the_closed_form_of_a_cart_with_a_rod(cart: Path) -> None:
@@ -105,7 +105,7 @@ def test_flags_reach_the_compiler(tmp_path: Path) -> None:
 
 
 def test_failures_are_points_and_are_drawn(locked: Path, tmp_path: Path) -> None:
-    """Elimination fails 1e-7 rad from a Cardan joint's lock; the point tells where, has no error, and is drawn."""
+    """Elimination fails 1e-7 rad from a Cardan joint's lock; the point names the joint, has no error, and is drawn."""
     subject = Subject(locked, VALUES)
     store = Store(tmp_path / "points.jsonl", KernelPoint)
     points = kernels.measure_task(subject, ACCELERATIONS, LITTLE, store)

@@ -32,7 +32,7 @@ DURATION = 2.0
 
 
 def quiet(*_: object) -> None:
-    """Tell nobody."""
+    """Ignore progress."""
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def pendulum(tmp_path_factory: pytest.TempPathFactory) -> Mechanism:
 
 
 def swing(pendulum: Mechanism) -> Course:
-    """Let it go from 1 rad."""
+    """Release it from 1 rad."""
     return replace(draw_course(pendulum, DURATION), q=np.array([1.0]), qd=np.array([0.0]))
 
 

@@ -34,7 +34,7 @@ end: {pose: {slide: 1}, velocity: zero}
 
 
 def quiet(*_: object) -> None:
-    """Tell nobody."""
+    """Ignore progress."""
 
 
 @pytest.fixture
@@ -47,8 +47,8 @@ def slide(tmp_path: Path) -> Path:
 def test_errors_are_those_of_the_closed_form(slide: Path, tmp_path: Path) -> None:
     """J*(N) = 12 / (1 - 1/N^2) J, and 12 J in the limit: degree 2 has the first exactly, and one interval has none.
 
-    Degree 1, implicit Euler, has that cost as well, with another motion: which the defect tells.
-    From N = 5 and 10 the limit is extrapolated to 4e-4: what is left is of the order N^-4.
+    Degree 1, implicit Euler, has the same cost with another motion, as the defect shows. From N = 5 and 10 the limit is
+    extrapolated to 4e-4: the error is of the order N^-4.
     """
     case = Case(state_push(8), load(slide))
     scope = OptimumScope((1, 5, 10), (1, 2), (Family.RADAU,), (Representation.IMPL,), 1)

@@ -1,4 +1,4 @@
-"""What the tests of optimal control share: the arm made by hand, the paper's task, and its one solve."""
+"""Fixtures of the tests of optimal control: the arm made by hand, the paper's task, and its one solve."""
 
 from __future__ import annotations
 

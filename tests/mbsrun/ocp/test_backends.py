@@ -1,4 +1,4 @@
-"""A program is data: two backends make the same functions of it, and its stages are those of its KKT matrix."""
+"""A program is data: two backends make the same functions of it, and its stages agree with its KKT matrix."""
 
 from __future__ import annotations
 
@@ -125,10 +125,10 @@ def read_pattern(program: Program, arm: Peer) -> tuple[sparse.csr_array, np.ndar
 
 @pytest.mark.parametrize("way", WAYS)
 def test_stages_order_the_kkt_matrix(arm: Peer, reach: Problem, way: str) -> None:
-    """It is block tridiagonal but for variables that all stages share, and inner equations read their interval alone.
+    """It is block tridiagonal, except for variables that all stages share; inner equations read only their interval.
 
     A row reads its own stage and the next one, none before. There are as many inner equations as inner variables. The
-    rows that carry the state on are the next state minus a function of the interval.
+    rows that propagate the state are the next state minus a function of the interval.
     """
     program = transcribe(choose(reach, way), arm).program
     stages, (J, upper) = program.stages, read_pattern(program, arm)

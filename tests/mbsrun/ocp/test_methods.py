@@ -24,7 +24,7 @@ from tests.mbsrun.peer import Peer, double_integrator
 
 @pytest.mark.parametrize("method", METHODS)
 def test_every_solver_finds_the_optimum(method: str) -> None:
-    """12 / (1 - 1/N^2), as above; the watch is told the true cost, whatever scale the solver sees."""
+    """12 / (1 - 1/N^2), as above; the watch receives the true cost, with any scale of the solver."""
     seen: list[Progress] = []
     options = SolverOptions(method=method, objective_scaling=0.01)
     outcome = solve(replace(push(8), solver=options), double_integrator(), seen.append)

@@ -26,7 +26,7 @@ def plant() -> Peer:
 
 
 def test_success_on_a_coarse_mesh_is_not_accuracy(plant: Peer) -> None:
-    """Degree 3: IPOPT succeeds on each mesh; the defect tells which to believe, and falls by orders as N doubles."""
+    """Degree 3: IPOPT succeeds on each mesh; the defect shows which to believe, and falls by orders as N doubles."""
     defects = []
     for N in (4, 10, 20, 40):
         outcome = solve(state_swing_up(N, 3), plant)
@@ -54,7 +54,7 @@ def test_a_fine_mesh_is_accurate(plant: Peer) -> None:
 
 
 def test_random_starts_end_in_several_minima(plant: Peer) -> None:
-    """Forty starts: the published optimum is one of several local minima, and what fails is told as a failure."""
+    """Forty starts: the published optimum is one of several local minima, and failures have a failing status."""
     problem = state_swing_up(25, 3)
     solver, found, failed = Solver(problem, plant), Counter[float](), 0
     smooth = interpolate(problem, solver.transcription.scheme, np.array([1.0, np.pi]))

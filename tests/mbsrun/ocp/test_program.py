@@ -1,4 +1,4 @@
-"""The derivatives that a program assembles are those that CasADi finds by differentiating the whole."""
+"""The assembled derivatives of a program equal CasADi's, which differentiates the whole."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Problems of bodies that turn by quaternions: the optima known of a sphere, and what keeps them well posed."""
+"""Problems of bodies with quaternions: the known optima of a sphere, and conditions that keep them well posed."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def test_either_sign_of_a_quaternion_is_the_same_end(sphere: Mechanism) -> None:
 
 
 def test_a_flight_costs_what_it_would_without_the_turn(sphere: Mechanism) -> None:
-    """Forces are along the axes of what turns, so that those that are best are constant nowhere: up to N^-2."""
+    """Forces are along the axes of the turning body, so the optimal ones are constant nowhere: up to N^-2."""
     problem = fly((1.0, -2.0, 0.5), attitude(AXIS, ANGLE))
     costs = [optimum(replace(problem, representation=Representation[r]), sphere).cost.total for r in ("IMPL", "EXP2_O")]
     assert costs[1] == pytest.approx(costs[0], rel=1e-8)
@@ -135,7 +135,7 @@ def test_a_free_attitude_at_the_start_has_length_1(sphere: Mechanism) -> None:
 
 
 def test_ipopt_finds_no_fault_in_the_derivatives(sphere: Mechanism, capfd: pytest.CaptureFixture[str]) -> None:
-    """IPOPT compares first and second derivatives with differences of its own."""
+    """IPOPT compares first and second derivatives with its own differences."""
     problem = replace(
         fly((1.0, -2.0, 0.5), attitude(AXIS, ANGLE)),
         intervals=2,
@@ -187,7 +187,7 @@ def test_a_guess_turns_about_one_axis(sphere: Mechanism) -> None:
 
 
 def test_a_pose_that_a_sensor_wants_has_quaternions_of_length_1(sphere: Mechanism) -> None:
-    """Half a turn away, too, where nothing tells which way to go."""
+    """Also half a turn away, where no direction is shorter."""
     bounds = replace(TURN.bounds, q=(*((0.0, 0.0),) * 3, *(FREE,) * 4))
     pose = find_pose(replace(TURN, bounds=bounds, end=End(sensors=(("nose", (-1.0, 0.0, 0.0)),))), sphere)
     assert pose.is_reached
@@ -214,7 +214,7 @@ end:
 
 
 def test_problem_files_speak_of_quaternions_by_name(sphere: Mechanism, file: Path) -> None:
-    """They are brought to length 1; what is named of the start in part is filled up by what turns nothing."""
+    """They are scaled to length 1; missing entries of the start are taken from the identity."""
     path = file.with_name("sphere.ocp.yaml")
     path.write_text(STATEMENT, encoding="utf-8")
     problem, _ = read_problem(path, lambda _: sphere)

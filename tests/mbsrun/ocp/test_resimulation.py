@@ -150,7 +150,7 @@ def test_one_bad_interval_of_many_is_not_accurate() -> None:
     ],
 )
 def test_a_check_that_does_not_finish_is_no_accuracy(limits: Limits, has_defect: bool, finding: str) -> None:
-    """What was measured before the limit stays; the solution is not called accurate."""
+    """Measurements before the limit stay; the solution is not called accurate."""
     outcome = solve(push(64), double_integrator())
     assert isinstance(outcome, Solution)
     check = resimulate(outcome, double_integrator(), limits).resimulation

@@ -70,7 +70,7 @@ def test_no_entry_of_the_differentiation_matrix_vanishes(scheme: Scheme) -> None
 
 @pytest.mark.parametrize("degree", schemes.DEGREES)
 def test_points_to_fifty_digits(degree: int) -> None:
-    """Radau points are the roots of P_d - P_(d-1), Gauss points those of P_d, in 2 t - 1 (mpmath, 50 digits)."""
+    """Radau points are the roots of P_d - P_(d-1), Gauss points the roots of P_d, in 2 t - 1 (mpmath, 50 digits)."""
     with mpmath.workdps(50):
         for family in Family:
             for t in schemes.build(family, degree).points:

@@ -80,7 +80,7 @@ def test_robust_search_leaves_no_task_open_and_goes_on(study: Study, arm: Peer, 
 
 
 def test_a_search_that_was_stopped_goes_on(study: Study, arm: Peer, tmp_path: Path) -> None:
-    """After two attempts: nothing is tried twice, and the end is that of a search in one go."""
+    """After two attempts: nothing is tried twice, and the end equals an uninterrupted search's."""
     smooth = replace(study, costs=((1.0, 10.0),))
     before: list[Attempt] = []
 
@@ -100,7 +100,7 @@ def test_a_search_that_was_stopped_goes_on(study: Study, arm: Peer, tmp_path: Pa
 def test_a_search_hops_until_nothing_is_lower(
     study: Study, arm: Peer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """From the best without whole turns and from the best with; each round from that of the rounds before."""
+    """From the best without whole turns and from the best with; each round uses the round before."""
     monkeypatch.setattr("mbsrun.ocp.search.HOPS", (1, 1))
     counts = dict.fromkeys(("bumps", "noise", "waves", "branches"), (0, 0)) | {"turns": (1, 1)}
     monkeypatch.setattr("mbsrun.ocp.search.COUNTS", counts)
@@ -136,7 +136,7 @@ def test_a_study_is_named_by_what_is_asked(study: Study, arm: Peer) -> None:
 
 
 def test_attempts_tell_what_they_were_made_with(study: Study, arm: Peer, tmp_path: Path) -> None:
-    """The code that was generated, and the solver with its options, beside what the caller tells."""
+    """The generated code, and the solver with its options, beside the caller's environment."""
     one = replace(study, targets=replace(TARGETS, every=(3, 1)), costs=((1.0, 10.0),))
     with open_record(tmp_path / "record", identify(one, arm.manifest)) as record:
         Search(one, LocalExecutor(arm, {"cores": 3}), record).run("paper")
@@ -147,7 +147,7 @@ def test_attempts_tell_what_they_were_made_with(study: Study, arm: Peer, tmp_pat
 
 
 def test_an_optimum_of_another_representation_is_held(study: Study) -> None:
-    """What starts from one is solved with a low barrier; what a problem says itself is kept."""
+    """A solve from another solution has a low barrier; the problem's own options are kept."""
     task = Task((0, 0), (1.0, 10.0), "IMPL")
 
     def tell(problem: Problem, *, is_held: bool) -> dict[str, object]:
@@ -263,7 +263,7 @@ def test_the_order_in_which_attempts_come_in_decides_nothing(study: Study, arm: 
 
 
 def test_a_record_keeps_every_bit_of_the_best(reach: Problem, tmp_path: Path) -> None:
-    """Of two motions, the cheaper; costs that differ by rounding are the same. What a round started from stays."""
+    """Of two motions, the cheaper; costs that differ by rounding are the same. The start of a round stays."""
     first = interpolate(reach, schemes.build(Family.RADAU, 4), np.arange(6.0) / 7)
     second = replace(first, u=first.u + 1)
     task = Task((0, 0), (1.0, 0.0), "IMPL")
@@ -302,7 +302,7 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
 
 
 def test_bumps_leave_both_ends_as_they_are(reach: Problem) -> None:
-    """State and acceleration at the ends; elsewhere rates are the derivatives of what they belong to."""
+    """State and acceleration at the ends; elsewhere rates are the derivatives of their coordinates."""
     scheme = schemes.build(Family.RADAU, 4)
     motion = interpolate(reach, scheme, np.zeros(6))
     bumped = bump(motion, (0, 3), np.random.default_rng(1))

@@ -89,7 +89,7 @@ def rk4(plant: Peer, x: np.ndarray, u: np.ndarray, length: float, steps: int) ->
 
 
 def test_rows_of_rk4_are_the_textbooks(plant: Peer) -> None:
-    """x_(k+1) - F(x_k, u_k) at random variables; in between, states are those of the continuous extension."""
+    """x_(k+1) - F(x_k, u_k) at random variables; in between, states follow the continuous extension."""
     problem = shot(swing_up(5, 4), horizon=0.2, **EXPLICIT, steps=3)
     transcription = transcribe(problem, plant)
     rng = np.random.default_rng(0)
@@ -118,7 +118,7 @@ def equations_of(condensed: Condensed) -> CasadiProgram:
 
 
 def unroll(condensed: Condensed, x: ca.MX) -> tuple[CasadiProgram, ca.MX]:
-    """Give the rows that stay, and all variables by as many iterations as they take, that CasADi differentiates."""
+    """Return the remaining rows, and all variables, by as many iterations as necessary, for CasADi to differentiate."""
     unknowns, equations = condensed.elimination.groups.unknowns.ravel(), equations_of(condensed)
     z = ca.MX.zeros(unknowns.size)
     order = np.argsort(np.concatenate((condensed.program.kept, unknowns))).tolist()
@@ -207,7 +207,7 @@ def test_no_order_of_calls_meets_what_was_found_elsewhere(plant: Peer, changes: 
 
 
 def test_threads_take_turns(plant: Peer) -> None:
-    """One program, asked by four threads at places of their own, gives each what it gives when asked alone."""
+    """One program, called by four threads at different places, gives each the same as alone."""
     program = functions_of(shot(swing_up(4, 2)), plant)
     places = np.random.default_rng(1).uniform(0.5, 1, (4, program.variables))
     expected = [evaluate(program, at, FUNCTIONS) for at in places]
@@ -275,7 +275,7 @@ def test_orders_of_the_optimum_at_a_fixed_control_grid(changes: dict[str, Any], 
 
 
 def test_rk4_reaches_the_optimum_within_its_order(plant: Peer) -> None:
-    """At a fixed control grid: as near to collocation's cost as the errors of its own motion let it."""
+    """At a fixed control grid: as near to collocation's cost as the errors of its motion allow."""
     fine = optimum(swing_up(20, 6), plant)
     found = solve(shot(swing_up(20, 3), **EXPLICIT, steps=8, accuracy=1e-5), plant, guess=fine.trajectory)
     assert isinstance(found, Solution)

@@ -121,7 +121,7 @@ def test_the_mirrored_target_has_the_mirrored_motion(arm: Peer, reach: Problem, 
 
 
 def test_a_solver_serves_other_targets_starts_and_weights(arm: Peer, reach: Problem) -> None:
-    """One program, three problems; each ends as a solver of its own ends."""
+    """One program, three problems; each ends as with a separate solver."""
     near = reach.with_target("hand", cylindrical(0.65, 0.01, 0.0))
     coarse = replace(near, intervals=6, degree=3)
     solver = Solver(coarse, arm)

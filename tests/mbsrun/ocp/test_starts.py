@@ -80,7 +80,7 @@ def test_noise_is_at_every_point(arm: Peer, coarse: Problem) -> None:
 
 
 def test_waves_keep_both_ends_and_are_motions(coarse: Problem) -> None:
-    """Coordinates without bounds: rates are the derivatives of what they belong to, to the error of the polynomials."""
+    """Coordinates without bounds: rates are the derivatives of their coordinates, to the error of the polynomials."""
     free = replace(coarse, intervals=100, bounds=replace(coarse.bounds, q=((-np.inf, np.inf),) * 6))
     scheme = schemes.build(schemes.Family.RADAU, 5)
     guess = interpolate(free, scheme, np.zeros(6))

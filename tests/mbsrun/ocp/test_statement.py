@@ -128,7 +128,7 @@ def test_what_the_model_bounds_holds_unless_the_file_says_otherwise(tmp_path: Pa
 
 
 def test_free_horizons_expressions_and_constraints(tmp_path: Path, arm: Peer) -> None:
-    """What is paid for is what is given: inputs are free of charge where something else has a price."""
+    """The costs are the given ones: inputs are free where there is another cost."""
     problem = read(tmp_path, RICH, arm)
     assert problem.horizon == 1.6
     assert problem.horizon_range == (0.3, math.inf)
@@ -195,7 +195,7 @@ def test_a_bad_rich_file_is_refused_at_the_place(
 
 
 def test_shooting_is_asked_for(tmp_path: Path, arm: Peer) -> None:
-    """What does not go together is told at the key that asks for it; here three faults."""
+    """A contradiction is reported at the key that causes it; here three faults."""
     text = (Path(__file__).parents[3] / "models" / "arm_reach.ocp.yaml").read_text("utf-8")
     asked = text.replace("degree: 4", "degree: 4\nform: shooting\nintegrator: rk4\nsteps: 3\nrepresentation: EXP1-O")
     problem = read(tmp_path, asked, arm)
@@ -290,7 +290,7 @@ BAD = {  # what is changed in the good file: path, finding, remedy
 def test_a_bad_file_is_refused_at_the_place(
     tmp_path: Path, arm: Peer, old: str, new: str, path: str, finding: str, remedy: str
 ) -> None:
-    """One fault is put into the good file; it is told with its line, and no other that merely follows from it."""
+    """One fault is put into the good file; it is reported with its line, and nothing that merely follows from it."""
     assert GOOD.count(old) == 1
     with pytest.raises(InputError) as refusal:
         read(tmp_path, GOOD.replace(old, new), arm)
@@ -315,7 +315,7 @@ def test_all_faults_come_together(tmp_path: Path, arm: Peer) -> None:
 
 
 def test_faults_of_the_model_come_along(tmp_path: Path) -> None:
-    """A model that cannot be loaded is told beside the faults of the problem."""
+    """A model that cannot be loaded is reported beside the faults of the problem."""
 
     def load(path: Path) -> Peer:
         raise InputError([Fault(str(path), 7, "bodies[0].mass", "found -1", "give a positive mass")])

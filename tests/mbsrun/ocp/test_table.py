@@ -1,4 +1,4 @@
-"""A solution as CSV: what its columns are named, and that its numbers are those of the motion."""
+"""A solution as CSV: the names of its columns, and the numbers of the motion."""
 
 from __future__ import annotations
 

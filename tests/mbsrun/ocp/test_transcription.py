@@ -76,7 +76,7 @@ def integral(problem: Problem, representation: Representation) -> Problem:
 def test_ipopt_finds_no_fault_in_the_derivatives(
     arm: Peer, reach: Problem, form: Form, capfd: pytest.CaptureFixture[str], rng: np.random.Generator
 ) -> None:
-    """IPOPT compares first and second derivatives with differences of its own."""
+    """IPOPT compares first and second derivatives with its own differences."""
     problem = rich(reach, Representation.IMPL, Family.RADAU, form is Form.STANDARD)
     problem = replace(problem, intervals=2, degree=1, form=form)
     test: dict[str, str | float] = {"derivative_test": "second-order", "derivative_test_perturbation": 1e-7}
@@ -344,7 +344,7 @@ def test_polynomials_of_its_degree_meet_the_collocation(
     assert np.abs(g[rows.continuity]).max() < small_enough
     assert g[rows.start] == pytest.approx(np.concatenate((motion.q[0], motion.qd[0])), abs=small_enough)
     assert g[rows.velocity] == pytest.approx(motion.qd[-1], abs=small_enough)
-    if family is Family.LEGENDRE or degree == 3:  # Radau's z(T) is z at T; degree 1 has no acceleration to tell
+    if family is Family.LEGENDRE or degree == 3:  # Radau's z(T) is z at T; degree 1 has no acceleration
         assert g[rows.acceleration] == pytest.approx(acceleration, abs=1e-10)
     hand = arm("sensors", q=motion.q[-1])["position"][:, 0]
     assert g[rows.sensors[0]] == pytest.approx(hand, abs=small_enough)
@@ -391,7 +391,7 @@ def test_cost_is_the_stated_one(arm: Peer, reach: Problem, rng: np.random.Genera
 
 
 def test_bounds_hold_at_mesh_and_collocation_points(arm: Peer, reach: Problem) -> None:
-    """Bounds of coordinates and velocities at all N (d + 1) + 1 points, those of inputs in all intervals."""
+    """Bounds of coordinates and velocities at all N (d + 1) + 1 points, bounds of inputs in all intervals."""
     free = (-np.inf, np.inf)
     bounds = Bounds(reach.bounds.q, ((-7.0, 8.0), *(free,) * 5), ((-1.0, 2.0), *(free,) * 3))
     problem = replace(small(reach, Family.RADAU, 4), bounds=bounds)

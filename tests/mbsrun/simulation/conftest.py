@@ -11,7 +11,7 @@ from mbsrun.lab.mechanisms import SLIDER_AND_BOB
 
 MODELS = Path(__file__).parents[3] / "models"
 
-# The second of three turns makes the others parallel at pi/2: no acceleration can be told there.
+# At pi/2 the second of three turns makes the others parallel: accelerations are not determined there.
 LOCK = """
 name: lock
 gravity: [0, 0, 0]

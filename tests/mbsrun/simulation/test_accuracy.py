@@ -29,12 +29,12 @@ LEVEL = [pi / 2, 0, 0]
 
 
 def swing(bench: Mechanism, **settings: Any) -> Motion:
-    """Let the pendulum go, and nothing else move."""
+    """Release the pendulum alone."""
     return simulate(bench, REST, LEVEL, [0, 0, 0], Settings(**settings))
 
 
 def exact(t: float) -> float:
-    """Give the angle of the pendulum that is let go at pi/2."""
+    """Return the angle of the pendulum released at pi/2."""
     k = sqrt(0.5)
     _, cn, dn, _ = ellipj(sqrt(9.81) * t, k**2)
     return float(2 * np.arcsin(k * cn / dn))
@@ -264,7 +264,7 @@ def test_damping_takes_energy_from_symplectic_euler_as_it_should(bench: Mechanis
 
 
 def test_implicit_euler_damps(bench: Mechanism) -> None:
-    """What it loses is told as drift, and warned of."""
+    """Its losses are reported as drift, with a warning."""
     motion = swing(bench, duration=3.0, method="radau-iia", stages=1, step=1e-2)
     assert motion.energy is not None
     assert motion.energy.total[-1] - motion.energy.total[0] < -1.0
@@ -274,7 +274,7 @@ def test_implicit_euler_damps(bench: Mechanism) -> None:
 def test_joint_coordinates_do_not_drift_off_the_rod(bench: Mechanism) -> None:
     """RK4 with h = 1e-2 for 10 s: in Cartesian coordinates the rod's length drifts by 3.6e-5 (measured); here by none.
 
-    The place errs by less than what was measured there with the best stabilisation's bound, twice 3.6e-5.
+    The position errs by less than the measured bound of the best stabilisation there, twice 3.6e-5.
     """
     motion = swing(bench, duration=10.0, method="rk4", step=1e-2)
     tips = bench("sensors", q=motion.q)["position"][:, :, 0]
@@ -326,7 +326,7 @@ def test_implicit_methods_take_long_steps_through_stiff_motion(stiff: Mechanism)
 def test_implicit_steps_on_the_residual_hold_on_stiff_motion(stiff: Mechanism, method: str) -> None:
     """Steps 500 times as long as explicit ones: the slider creeps back, exp(-k/c t), the pendulum swings on.
 
-    Errors are those of order 3 and 2 with h = 1e-2, where the slider moves 1e-2 m at a rate of 20 1/s.
+    Errors are of order 3 and 2 with h = 1e-2, where the slider moves 1e-2 m at a rate of 20 1/s.
     """
     settings = Settings(0.5, method, Formulation.IMPL, step=1e-2, rho=0.0)
     motion = simulate(stiff, REST, [pi / 2, 0.01, 0], [0, 0, 0], settings)
@@ -336,7 +336,7 @@ def test_implicit_steps_on_the_residual_hold_on_stiff_motion(stiff: Mechanism, m
 
 
 def test_a_motion_that_exchanges_no_energy_may_round() -> None:
-    """What turns freely keeps its kinetic energy; what is left of digits is no drift, a millionth is."""
+    """A freely turning body keeps its kinetic energy; rounding is no drift, a millionth is."""
     nothing, ripple = np.zeros(3), np.array([0.0, 1.0, -1.0])
     assert Energy(6.0 + 1e-11 * ripple, nothing, nothing).is_kept
     assert not Energy(6.0 + 1e-6 * ripple, nothing, nothing).is_kept

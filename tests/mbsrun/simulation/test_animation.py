@@ -69,7 +69,7 @@ def swing(count: int) -> tuple[Any, Any, Any]:
 
 
 def decode(motion: dict[str, Any]) -> tuple[Any, Any]:
-    """Give places (K, F, 3) and quaternions (K, F, 4), as the page's script reads them."""
+    """Return positions (K, F, 3) and quaternions (K, F, 4), as the page's script reads them."""
     shape = (motion["times"], len(motion["frames"]))
     places = np.frombuffer(base64.b64decode(motion["places"]), "<f4").reshape(*shape, 3)
     turns = np.frombuffer(base64.b64decode(motion["turns"]), "<i2").reshape(*shape, 4)

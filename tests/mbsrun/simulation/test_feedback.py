@@ -40,10 +40,10 @@ def say(bench: Mechanism, *texts: str, period: float | None = None) -> Drive:
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_feedback_moves_as_a_spring_and_a_damper_in_the_model_do(bench: Mechanism, method: str) -> None:
-    """The same equations by two ways: motions differ by rounding, and where a tolerance rules by what it lets pass.
+    """The same equations by two ways: motions differ by rounding, and by the tolerance of adaptive methods.
 
-    But symplectic Euler takes inputs at a step's start and dampers with the step's velocity: its errors are some step
-    times the acceleration's change.
+    Except symplectic Euler, which takes inputs at a step's start and dampers with the step's velocity: its errors are
+    some step times the acceleration's change.
     """
     settings = Settings(0.5, method, step=STEPS.get(method, 1e-3))
     inside = simulate(bench.with_parameters(k=SPRING, c=DAMPER), hold(np.zeros(4)), *START, settings)

@@ -1,4 +1,4 @@
-"""What simulations refuse, where they stop, and what the command writes and says."""
+"""Refusals and stops of simulations, and the output of the command."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_a_singular_configuration_stops_with_time_and_joint(
 def test_a_motion_that_runs_away_keeps_what_it_reached(bench: Mechanism, method: str) -> None:
     """x'' = x^3 from x = 2, x' = 2 sqrt 2 is x = sqrt 2 / (t* - t): infinite at t* = 1/sqrt 2.
 
-    Adaptive methods stop there; those with a fixed step soon after, when the numbers overflow.
+    Adaptive methods stop there; methods with a fixed step soon after, when the numbers overflow.
     """
     settings = Settings(2.0, method, output_step=0.01)
     motion = simulate(bench.with_parameters(b=1.0), REST, [0, 0, 2], [0, 0, 2 * np.sqrt(2)], settings)
@@ -88,7 +88,9 @@ def test_settings_that_cannot_be_are_refused(bench: Mechanism) -> None:
 
 
 def test_expressions_over_time_are_those_of_the_language() -> None:
-    """Functions and operators give on arrays what they give on floats; what has no value is told with its time."""
+    """Functions and operators have the same values on arrays as on floats; an undefined value is reported with its
+    time.
+    """
     for name, count in FUNCTIONS.items():
         expression = parse(f"{name}({', '.join(['t'] * count)}) + 2*t**-2 - pi/t")
         t = np.array([0.3, 0.7])
