@@ -63,7 +63,7 @@ def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest
 
 
 def _judge(report: Report) -> Report:
-    """Let a skip be a skip for a developer, who sees it listed, and a failure where the variable CI is set."""
+    """Skip for a developer, who sees the skip listed; fail where the variable CI is set."""
     if os.environ.get("CI") and report.skipped and not hasattr(report, "wasxfail"):
         report.outcome = "failed"
         report.longrepr = f"{report.longrepr}\nCI skips nothing: install in .ci/run what is missing"

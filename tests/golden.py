@@ -43,7 +43,7 @@ def write_golden(name: str, out: Path) -> None:
 
 
 def write_in_process(names: list[str], place: Path, seed: int) -> None:
-    """Generate the folders of some models below `place`, in a process with a hash seed of its own."""
+    """Generate the folders of some models below `place`, in a process with another hash seed."""
     script = "import sys; from pathlib import Path; from tests.golden import write_golden\n"
     script += "for name in sys.argv[2:]: write_golden(name, Path(sys.argv[1], name))"
     environment = {**os.environ, "PYTHONHASHSEED": str(seed)}

@@ -27,7 +27,7 @@ PATTERNS = {
     r"\bbut for\b": "`except for`",
     r"\b(goes|go|went|going) by\b": "`uses`, `depends on`, `is found with`",
     r"\b(is|are|was|were|as|where|if) wanted\b": "`requested`",
-    r"\bso (many|much|few)\b(?! (that|as))": "give the number, or `as many as`",
+    r"\bso (many|much|few)\b(?! (\w+ )?(that|as)\b)": "give the number, or `as many as`",
     r"\basks? of\b": "`requires`",
 }
 OPENINGS = {

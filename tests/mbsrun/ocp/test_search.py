@@ -121,13 +121,13 @@ def test_a_search_ends_when_its_time_is_over(study: Study, arm: Peer, tmp_path: 
 
 def test_a_study_is_named_by_what_is_asked(study: Study, arm: Peer) -> None:
     """Another generator's code for the same mechanism goes on with it; another mechanism, problem or grid does not."""
-    manifest = arm.manifest.model_copy(update={"mechanism": "that of a file"})
+    manifest = arm.manifest.model_copy(update={"mechanism": "the mechanism of a file"})
     name = identify(study, manifest)
     assert identify(study, manifest.model_copy(update={"model_hash": "of other code", "generator": "newer"})) == name
     part = replace(study, costs=study.costs[:1], targets=replace(TARGETS, every=(1, 1)), bumped=(1,))
     assert identify(part, manifest) == name
     others = [
-        identify(study, manifest.model_copy(update={"mechanism": "that of another"})),
+        identify(study, manifest.model_copy(update={"mechanism": "another mechanism"})),
         identify(replace(study, problem=replace(study.problem, intervals=6)), manifest),
         identify(replace(study, targets=replace(TARGETS, radius=0.65)), manifest),
         identify(replace(study, sensor=None), manifest),

@@ -158,7 +158,7 @@ CONFLICTS = {
     "integral of an ODE": ({"form": Form.INTEGRAL, "representation": Representation.EXP1_O}, "form: EXP1-O"),
     "integral over a free horizon": ({"form": Form.INTEGRAL, "horizon_range": (1.0, 3.0)}, "form: the integral form"),
     "shooting over a free horizon": ({"form": Form.SHOOTING, "horizon_range": (1.0, 3.0)}, "form: the shooting form"),
-    "shooting of what is algebraic": (
+    "shooting of an algebraic equation": (
         {"form": Form.SHOOTING, "representation": Representation.EXP2_A},
         "representation: EXP2-A",
     ),
