@@ -20,7 +20,7 @@ State = Mapping[str, Array]  # (size,) by name
 # Three motions that do not meet: a point mass of 1 kg on a massless rod of 1 m (IFToMM's A01), which a force can push;
 # a spring and a damper with 0.3 kg; and a mass whose own force drives it away, x'' = b x^3.
 SLIDER_AND_BOB = """
-name: workspace
+name: bench
 gravity: [0, -9.81, 0]
 parameters:
   k: {value: 40, kind: runtime}
