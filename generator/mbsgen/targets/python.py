@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import keyword
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from mbsgen.manifest import Flops
-from mbsgen.tape.counts import count
+from mbsgen.procedure.procedure import Computation, Procedure, count
 from mbsgen.tape.types import FUNCTIONS, Op, Tape
 from mbsgen.targets.contract import Family
 from mbsgen.targets.layout import lay_out
+from mbsgen.targets.python_stages import Written, list_functions, write_stages
 from mbsgen.targets.statements import Result, Syntax, write_body, write_lines
 from mbsgen.targets.unit import Unit
 
@@ -22,6 +24,16 @@ PYTHON = Syntax(
 
 
 @dataclass(frozen=True)
+class _Part:
+    """A tape as a function, ready to be laid out."""
+
+    name: str
+    inputs: tuple[str, ...]
+    lines: tuple[str, ...]
+    results: tuple[Result, ...]
+
+
+@dataclass(frozen=True)
 class _View:
     """A kernel, ready to be laid out."""
 
@@ -30,22 +42,36 @@ class _View:
     title: str
     flops: Flops
     lines: tuple[str, ...]
-    results: tuple[Result, ...]
+    results: tuple[Result, ...] | None  # None: the last of the lines return them
 
 
 def write_python(unit: Unit) -> str:
     """Write every kernel of `unit` as a function of one Python module."""
-    kernels = [_view(family, tape) for family in unit.families for tape in family.tapes]
-    return lay_out("python/model.py", kernels=kernels, version=unit.version, model_hash=unit.model_hash)
-
-
-def _view(family: Family, tape: Tape) -> _View:
-    body = write_body(tape, PYTHON)
-    return _View(
-        name=tape.name,
-        inputs=tuple(i.name for i in tape.inputs),
-        title=family.describe(tape),
-        flops=count(tape).flops,
-        lines=write_lines(body, "{target} = {expression}", "_check({joint}, {value}, {tolerance}, {scale}, functions)"),
-        results=body.results,
+    written = [(family, function) for family in unit.families for function in family.functions]
+    in_stages = {f.name: write_stages(f) for _, f in written if isinstance(f, Procedure)}
+    return lay_out(
+        "python/model.py",
+        kernels=[_view(family, function, in_stages) for family, function in written],
+        parts=[_write_part(part.name, part.tape) for stages in in_stages.values() for part in stages.parts],
+        staged=lay_out("python/stages.py", functions=list_functions()) if in_stages else "",
+        version=unit.version,
+        model_hash=unit.model_hash,
     )
+
+
+def _view(family: Family, function: Computation, in_stages: Mapping[str, Written]) -> _View:
+    whole = _write_part(function.name, function) if isinstance(function, Tape) else None
+    return _View(
+        name=function.name,
+        inputs=tuple(i.name for i in function.inputs),
+        title=family.describe(function),
+        flops=count(function).flops,
+        lines=whole.lines if whole else in_stages[function.name].lines,
+        results=whole.results if whole else None,
+    )
+
+
+def _write_part(name: str, tape: Tape) -> _Part:
+    body = write_body(tape, PYTHON)
+    lines = write_lines(body, "{target} = {expression}", "_check({joint}, {value}, {tolerance}, {scale}, functions)")
+    return _Part(name, tuple(i.name for i in tape.inputs), lines, body.results)

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from mbsgen.procedure.differentiation import adjoint, jacobian
 from mbsgen.procedure.newton import Newton
 from mbsgen.procedure.patterns import General, Pattern, Symmetric, Tree
-from mbsgen.procedure.procedure import Procedure
+from mbsgen.procedure.procedure import Computation, Procedure
 from mbsgen.procedure.repeat import Gather, Repeat
 from mbsgen.procedure.sheet import Sheet
 from mbsgen.procedure.solve import Block, Factor, Solve
@@ -18,6 +19,7 @@ from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.interpreter import Numbers
 from mbsgen.tape.ports import Function
 from mbsgen.tape.types import LITERALS, Sparsity, Tape
+from mbsgen.targets.contract import Family
 
 TREE = Tree(((), (0,), (0,), (0, 2)))
 PATTERNS: dict[str, Pattern] = {"tree": TREE, "symmetric": Symmetric(4), "general": General(4)}
@@ -124,7 +126,7 @@ def saddle_point() -> Procedure:
     solved = Solve("solved", Symmetric(5), factor.gives, right, (Block(solution, 0),))
     last = Sheet()
     values = last.take(solution)
-    qdd, multipliers = Wire("qdd", Sparsity.dense(3)), Wire("lambda", Sparsity.dense(2))
+    qdd, multipliers = Wire("qdd", Sparsity.dense(3)), Wire("multipliers", Sparsity.dense(2))
     last.give(qdd, values[:3])
     last.give(multipliers, [-value for value in values[3:]])
     stages = (Straight(sheet.finish("before")), factor, solved, Straight(last.finish("after")))
@@ -172,3 +174,20 @@ def system(pattern: Pattern, width: int, *, transposed: bool = False, negated: b
     factor, X = Factor("F", A, pattern, SINGULAR), Wire("X", Sparsity.dense(n, width))
     solve = Solve("S", pattern, factor.gives, right, (Block(X, 0),), negated=negated, transposed=transposed)
     return Procedure(Function("system"), (A, right), (factor, solve), (X,))
+
+
+def derive(name: str) -> Family:
+    """Write an example with its derivatives."""
+    procedure, wrt = EXAMPLES[name].procedure, EXAMPLES[name].wrt
+    back = adjoint(procedure, wrt)
+    seeds = [wire.name for wire in back.inputs[len(procedure.inputs) :]]
+    return Family(procedure, jacobian(procedure, wrt), back, jacobian(back, [*wrt, *seeds]))
+
+
+FAMILIES = {name: derive(name) for name in EXAMPLES}
+
+
+def complete(function: Computation, name: str) -> dict[str, list[float]]:
+    """Return the point of an example, with weights of its results."""
+    seeds = {i.name: [0.3 + 0.4 * k for k in range(i.sparsity.nnz)] for i in function.inputs}
+    return {**seeds, **EXAMPLES[name].point}

@@ -74,7 +74,7 @@ def test_a_saddle_point_is_solved_to_50_digits(numbers: Numbers) -> None:
     with fifty_digits():
         given = convert(SADDLE, numbers)
         found = evaluate(saddle_point(), given, numbers)
-        qdd, multipliers, J = found["qdd"], found["lambda"], given["J"]
+        qdd, multipliers, J = found["qdd"], found["multipliers"], given["J"]
         a, b, c, d, e, f = given["M"]
         M = [[a, b, c], [b, d, e], [c, e, f]]
         for r in range(3):
