@@ -26,6 +26,7 @@ from mbsgen.model.reduction import build_tree
 from mbsgen.model.scene import EVERYTHING, Scene, stage
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.model.valuation import Valuation
+from mbsgen.procedure.procedure import straight
 from mbsgen.roles import Axis, Role
 from mbsgen.tape.counts import count
 from mbsgen.tape.interpreter import FLOATS, evaluate
@@ -80,7 +81,7 @@ def _steps(scene: Scene) -> Iterator[tuple[str, Scene]]:
 
 def _tapes(tree: Tree, options: Options, scene: Scene) -> dict[str, Tape]:
     families = write_families(tree, options, Dynamics(tree, options.reductions), scene)
-    return {family.value.name: family.value for family in families}
+    return {family.value.name: straight(family.value) for family in families}
 
 
 def _count(tree: Tree, options: Options, scene: Scene) -> dict[str, int]:

@@ -19,6 +19,7 @@ from mbsgen.approximation.states import draw
 from mbsgen.families import Options, list_functions, write_families
 from mbsgen.model.scene import Scene
 from mbsgen.model.tree import Kind, Tree
+from mbsgen.procedure.procedure import straight
 from mbsgen.tape.counts import count
 from mbsgen.tape.types import Tape
 
@@ -89,7 +90,7 @@ def _write(tree: Tree, options: Options, scene: Scene, names: tuple[str, ...]) -
     fixed = replace(tree, parameters=tuple(replace(p, kind=Kind.CONSTANT) for p in tree.parameters))
     plain = replace(options, derivatives=0, acados=False, functions=names)
     families = write_families(fixed, plain, None, replace(scene, together=()))
-    return {family.value.name: family.value for family in families}
+    return {family.value.name: straight(family.value) for family in families}
 
 
 def _total(tapes: Mapping[str, Tape]) -> int:
