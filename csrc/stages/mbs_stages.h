@@ -83,6 +83,7 @@ typedef struct {
     mbs_stages_real barrier;              /* the first barrier parameter: 0.1 */
     int adaptive;                         /* 1: choose the first barrier parameter by an affine step */
     int warm;                             /* 1: the point holds multipliers too; start from all of it */
+    int by_stage;                         /* 1: add curvature only from the stage on that lacks it: 0 */
     int scaled;                           /* 1: scale the cost and rows by their first gradients: 1 */
     mbs_stages_real push;                 /* least relative distance of the first point from bounds: 0.01 */
 } mbs_stages_options;

@@ -32,52 +32,88 @@ static void find_sigma(const mbs_stages *s, mbs_stages_phase *p)
     }
 }
 
-/* How far variable i yields to a force of 1. */
-static real yield(const mbs_stages *s, const mbs_stages_phase *p, int i, real regular)
+static void add_to(real *a, int from, int n, real b)
 {
-    const real stiffness = p->sigma[i] + regular;
-    if (mbs_stages_is_fixed(s, i))
-        return 0;
-    return stiffness > 0 ? 1 / stiffness : 1;
+    int i;
+    for (i = from; i < from + n; ++i)
+        a[i] += b;
 }
 
-static void find_compliance(mbs_stages *s, const mbs_stages_phase *p, real regular)
+/* Add curvature to all variables of stages from `first` on. */
+static void add_curvature(const mbs_stages *s, mbs_stages_phase *p, int first, real regular)
+{
+    const int at = s->variables, plus = at + s->slacks, minus = plus + s->rows;
+    int k;
+    for (k = first; k < s->problem->stages; ++k) {
+        const mbs_stages_stage *t = &s->recursion.stage[k];
+        const int rows = t->g + t->ng - t->e;
+        add_to(p->sigma, t->w, t->n, regular);
+        add_to(p->sigma, at + t->s, t->ng, regular);
+        if (p->elastic) {
+            add_to(p->sigma, plus + t->e, rows, regular);
+            add_to(p->sigma, minus + t->e, rows, regular);
+        }
+    }
+}
+
+/* How far variable i yields to a force of 1. */
+static real yield(const mbs_stages *s, const mbs_stages_phase *p, int i)
+{
+    if (mbs_stages_is_fixed(s, i))
+        return 0;
+    return p->sigma[i] > 0 ? 1 / p->sigma[i] : 1;
+}
+
+static void find_compliance(mbs_stages *s, const mbs_stages_phase *p)
 {
     const int at = s->variables, plus = at + s->slacks, minus = plus + s->rows;
     real *compliance = s->recursion.compliance;
     int k, i;
     for (i = 0; i < s->rows; ++i)
-        compliance[i] = p->elastic ? yield(s, p, plus + i, regular) + yield(s, p, minus + i, regular) : 0;
+        compliance[i] = p->elastic ? yield(s, p, plus + i) + yield(s, p, minus + i) : 0;
     for (k = 0; k < s->problem->stages; ++k) {
         const mbs_stages_stage *t = &s->recursion.stage[k];
         for (i = 0; i < t->ng; ++i)
-            compliance[t->g + i] += yield(s, p, at + t->s + i, regular);
+            compliance[t->g + i] += yield(s, p, at + t->s + i);
     }
 }
 
-static int factorise_with(mbs_stages *s, mbs_stages_phase *p, real regular)
+/* Factorise with added curvature in stages from `first` on; returns -1, or the stage that lacks curvature. */
+static int factorise_with(mbs_stages *s, mbs_stages_phase *p, int first, real regular)
 {
-    int i;
-    for (i = 0; i < s->variables; ++i)
-        s->recursion.diagonal[i] = p->sigma[i] + regular;
-    find_compliance(s, p, regular);
+    find_sigma(s, p);
+    if (regular > 0)
+        add_curvature(s, p, first, regular);
+    memcpy(s->recursion.diagonal, p->sigma, (size_t)s->variables * sizeof *p->sigma);
+    find_compliance(s, p);
     s->recursion.plain = 0;
     s->recursion.soft_dynamics = p->elastic;
     ++s->result.factorisations;
     return mbs_stages_factorise(&s->recursion);
 }
 
-/* Factorise, with as little added curvature as convexity needs; returns -1 if no amount is enough. */
+static real first_curvature(real before)
+{
+    if (before == 0)
+        return FIRST;
+    return before / 3 > LEAST ? before / 3 : LEAST;
+}
+
+/* Factorise, with as little added curvature as convexity needs; returns -1 if no amount is enough.
+ *
+ * A stage lacks curvature because of itself and of later stages. The option `by_stage` adds curvature to these alone. */
 int mbs_stages_newton_factorise(mbs_stages *s, mbs_stages_phase *p)
 {
     const real before = p->regular;
+    int first = s->problem->stages, k;
     real regular = 0;
-    find_sigma(s, p);
-    while (factorise_with(s, p, regular) >= 0) {
+    while ((k = factorise_with(s, p, first, regular)) >= 0) {
         if (regular == 0)
-            regular = before == 0 ? FIRST : (before / 3 > LEAST ? before / 3 : LEAST);
-        else
+            regular = first_curvature(before);
+        else if (k >= first)
             regular *= before == 0 ? 100 : 8;
+        k = s->options.by_stage ? k : 0;
+        first = k < first ? k : first;
         if (!(regular < MOST))
             return -1;
     }
@@ -96,12 +132,12 @@ static void reduce_right(mbs_stages *s, const mbs_stages_phase *p, const real *c
     memcpy(s->rw, p->slope, (size_t)s->variables * sizeof *s->rw);
     memcpy(s->rc, c, (size_t)s->rows * sizeof *s->rc);
     for (i = 0; p->elastic && i < s->rows; ++i)
-        s->rc[i] += p->slope[plus + i] * yield(s, p, plus + i, p->added) -
-                    p->slope[minus + i] * yield(s, p, minus + i, p->added);
+        s->rc[i] += p->slope[plus + i] * yield(s, p, plus + i) -
+                    p->slope[minus + i] * yield(s, p, minus + i);
     for (k = 0; k < s->problem->stages; ++k) {
         const mbs_stages_stage *t = &s->recursion.stage[k];
         for (i = 0; i < t->ng; ++i)
-            s->rc[t->g + i] += p->slope[at + t->s + i] * yield(s, p, at + t->s + i, p->added);
+            s->rc[t->g + i] += p->slope[at + t->s + i] * yield(s, p, at + t->s + i);
     }
 }
 
@@ -181,11 +217,11 @@ static void spread_slacks(const mbs_stages *s, const mbs_stages_phase *p, mbs_st
         const mbs_stages_stage *t = &s->recursion.stage[k];
         for (i = 0; i < t->ng; ++i)
             d->x[at + t->s + i] =
-                (d->y[t->g + i] - p->slope[at + t->s + i]) * yield(s, p, at + t->s + i, p->added);
+                (d->y[t->g + i] - p->slope[at + t->s + i]) * yield(s, p, at + t->s + i);
     }
     for (i = 0; p->elastic && i < s->rows; ++i) {
-        d->x[plus + i] = (d->y[i] - p->slope[plus + i]) * yield(s, p, plus + i, p->added);
-        d->x[minus + i] = (-d->y[i] - p->slope[minus + i]) * yield(s, p, minus + i, p->added);
+        d->x[plus + i] = (d->y[i] - p->slope[plus + i]) * yield(s, p, plus + i);
+        d->x[minus + i] = (-d->y[i] - p->slope[minus + i]) * yield(s, p, minus + i);
     }
 }
 
@@ -223,7 +259,7 @@ void mbs_stages_estimate_multipliers(mbs_stages *s, mbs_stages_phase *p)
         p->sigma[i] = mbs_stages_is_fixed(s, i) ? 0 : 1;
     for (i = 0; i < s->variables; ++i)
         r->diagonal[i] = 1;
-    find_compliance(s, p, 0);
+    find_compliance(s, p);
     r->plain = 1;
     r->soft_dynamics = p->elastic;
     p->added = 0;

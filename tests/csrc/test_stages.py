@@ -252,6 +252,17 @@ def test_a_warm_start_takes_few_iterations(library: Library) -> None:
         assert np.array_equal(loop.w[:4], start)
 
 
+def test_curvature_is_added_from_the_stage_on_that_lacks_it(library: Library) -> None:
+    """The path is another one, the optimum the same."""
+    problem = next(p for p in nonlinear() if p.name == "cart-pole, collocated")
+    alike, staged = (Solver(library, problem).solve(by_stage=flag) for flag in (0, 1))
+    for answer in (alike, staged):
+        assert answer.status == "solved"
+        assert max(row[7] for row in answer.path) > 0
+    assert staged.result.cost == pytest.approx(alike.result.cost, rel=1e-8)
+    assert [row[7] for row in staged.path] != [row[7] for row in alike.path]
+
+
 def test_an_adaptive_start_finds_the_same_optimum(library: Library) -> None:
     rng = np.random.default_rng(2)
     problem = random_problem(rng, [(3, 2, 1, 2)] * 12 + [(3, 0, 0, 1)], bounds=0.5)
