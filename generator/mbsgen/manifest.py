@@ -103,6 +103,16 @@ class Coordinate(_Entry):
     max_speed: float | None = None  # of qd, either way [rad/s or m/s]; None: unbounded
     max_force: float | None = None  # of u, either way [N m or N]
 
+    @property
+    def unit(self) -> str:
+        """Return the unit of q."""
+        return {"revolute": "rad", "prismatic": "m"}[self.motion]
+
+    @property
+    def force_unit(self) -> str:
+        """Return the unit of u."""
+        return {"revolute": "N m", "prismatic": "N"}[self.motion]
+
 
 class Parameter(_Entry):
     """A named number of the model that is an input of `setup`."""

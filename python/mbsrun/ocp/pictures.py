@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 from numpy.typing import NDArray
 
-from mbsgen.manifest import Coordinate, Frame, Manifest
+from mbsgen.manifest import Frame, Manifest
 from mbsrun.animation import Marker, write_animation
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.solution import Solution, Starts
@@ -54,9 +54,9 @@ def plot_trajectories(solution: Solution, manifest: Manifest, path: Path) -> Non
     for k, i in enumerate(manifest.actuated):
         inputs.stairs(trajectory.u[:, k], trajectory.t, baseline=None, color=colors[names[i]], linewidth=1.5)
     actuated = [manifest.coordinates[i] for i in manifest.actuated]
-    _name(coordinates, "Joint coordinates", "q", _unit(manifest.coordinates, "rad", "m"))
-    _name(velocities, "Joint velocities", r"\dot{q}", _unit(manifest.coordinates, "rad/s", "m/s"))
-    _name(inputs, "Inputs", "u", _unit(actuated, "N m", "N"))
+    _name(coordinates, "Joint coordinates", "q", _join(c.unit for c in manifest.coordinates))
+    _name(velocities, "Joint velocities", r"\dot{q}", _join(f"{c.unit}/s" for c in manifest.coordinates))
+    _name(inputs, "Inputs", "u", _join(c.force_unit for c in actuated))
     inputs.set_xlabel("time [s]")
     inputs.set_xlim(0, solution.trajectory.t[-1])
     figure.legend(loc="outside lower center", ncols=3, frameon=False)
@@ -154,9 +154,8 @@ def _plain(name: str) -> str:
     return name.replace("$", r"\$")
 
 
-def _unit(coordinates: Sequence[Coordinate], revolute: str, prismatic: str) -> str:
-    units = {"revolute": revolute, "prismatic": prismatic}
-    return ", ".join(dict.fromkeys(units[c.motion] for c in coordinates))
+def _join(units: Iterable[str]) -> str:
+    return ", ".join(dict.fromkeys(units))
 
 
 def _title(solution: Solution) -> str:

@@ -33,17 +33,14 @@ def write_table(solution: Solution, plant: Plant, path: Path) -> None:
 
 
 def _name_columns(manifest: Manifest) -> list[str]:
-    units = {c.name: {"revolute": "rad", "prismatic": "m"}[c.motion] for c in manifest.coordinates}
-    forces = {"rad": "N m", "m": "N"}
+    units = {c.name: c.unit for c in manifest.coordinates}
+    actuated = [manifest.coordinates[i] for i in manifest.actuated]
     return [
         "t [s]",
         *(f"q[{name}] [{units.get(name, '-')}]" for name in manifest.positions),  # entries of quaternions have no unit
         *(f"qd[{name}] [{unit}/s]" for name, unit in units.items()),
         *(f"qdd[{name}] [{unit}/s^2]" for name, unit in units.items()),
-        *(
-            f"u[{manifest.coordinates[i].name}] [{forces[units[manifest.coordinates[i].name]]}]"
-            for i in manifest.actuated
-        ),
+        *(f"u[{c.name}] [{c.force_unit}]" for c in actuated),
         *(f"{axis}[{frame.name}] [m]" for frame in manifest.frames if frame.sensor for axis in "xyz"),
     ]
 

@@ -114,7 +114,7 @@ def draw_motion(motion: Motion, manifest: Manifest) -> Figure:
     rows = 4 + bool(motion.inputs.shape[1])
     figure = Figure(figsize=(8, 2.6 * rows), layout="constrained")
     axes = list(figure.subplots(rows, 1, sharex=True))
-    units = dict.fromkeys({"revolute": "rad", "prismatic": "m"}[c.motion] for c in manifest.coordinates)
+    units = dict.fromkeys(c.unit for c in manifest.coordinates)
     _plot(axes[0], motion.t, motion.q, manifest.positions, f"$q$ [{', '.join(units)}]")
     _plot(axes[1], motion.t, motion.qd, (), rf"$\dot{{q}}$ [{', '.join(f'{unit}/s' for unit in units)}]")
     if motion.inputs.shape[1]:
