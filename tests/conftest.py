@@ -1,4 +1,4 @@
-"""What all tests share: a cache of the run's own, random numbers of each test's own, and tools that may be missing."""
+"""Fixtures of all tests: a separate cache for each run, separate random numbers for each test, and missing tools."""
 
 from __future__ import annotations
 

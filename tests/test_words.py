@@ -43,12 +43,21 @@ OPENINGS = {
 UNSWEPT: tuple[str, ...] = (
     "benchmarks/",
     "csrc/",
-    "generator/mbsgen/",
+    "generator/mbsgen/approximation/",
+    "generator/mbsgen/derivatives/",
+    "generator/mbsgen/evidence.py",
+    "generator/mbsgen/formulations/",
+    "generator/mbsgen/model/",
+    "generator/mbsgen/procedure/",
+    "generator/mbsgen/roles.py",
+    "generator/mbsgen/tape/",
+    "generator/mbsgen/targets/",
     "pyproject.toml",
-    "python/mbsrun/",
-    "studies/",
+    "python/mbsrun/commands/",
+    "python/mbsrun/lab/",
+    "python/mbsrun/ocp/",
+    "python/mbsrun/simulation/",
     "templates/",
-    "tests/",
 )
 
 

@@ -146,7 +146,7 @@ def test_derivatives_through_newtons_method_equal_casadis(plant: Peer) -> None:
 
 
 def test_kept_slopes_lead_to_where_newtons_method_leads(plant: Peer) -> None:
-    """Over intervals so long that there are several solutions; groups together, as all wait for the last."""
+    """Over long intervals, with several solutions; groups together, as all wait for the last."""
     program = functions_of(shot(swing_up(4, 3), horizon=1.6), plant)
     assert isinstance(program, Condensed)
     equations, groups = equations_of(program), program.elimination.groups
