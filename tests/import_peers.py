@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from mbsgen.importing import Imported
 from mbsgen.model.model import FREE, Body, Fixed, Joint, Model
 from mbsgen.model.reduction import build_tree
-from mbsgen.pipeline import Options, write_families
+from mbsgen.pipeline import write_families
+from mbsgen.request import Request
 from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.types import Input, Sparsity
 
@@ -58,7 +59,7 @@ class Kernels:
     def __init__(self, imported: Imported, functions: tuple[str, ...], *, derivatives: int = 0) -> None:
         self.tree = build_tree(strip_forces(imported.model))
         self.joints = [body.joint.name for body in self.tree.bodies]
-        families = write_families(self.tree, Options(functions=functions, derivatives=derivatives))
+        families = write_families(self.tree, Request(functions=functions, derivatives=derivatives))
         self._wanted = [*functions, *(f"jac_{name}" for name in functions if derivatives and name != "semi")]
         self._tapes = {tape.name: tape for family in families for tape in family.tapes}
 

@@ -43,6 +43,7 @@ MBSGEN = Package(
         "tape",
         "procedure",
         "formulations",
+        "request",
         "derivatives",
         "targets",
         "families",

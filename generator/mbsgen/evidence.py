@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.approximation.choice import Approximation
-from mbsgen.derivatives.dynamics import Dynamics
-from mbsgen.families import Options, write_families
+from mbsgen.families import write_families
 from mbsgen.formulations import ports
 from mbsgen.formulations.catalogue import FUNCTIONS, REFERENCE
 from mbsgen.formulations.reductions import Reductions
@@ -27,6 +26,7 @@ from mbsgen.model.scene import EVERYTHING, Scene, stage
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.model.valuation import Valuation
 from mbsgen.procedure.procedure import straight
+from mbsgen.request import Request
 from mbsgen.roles import Axis, Role
 from mbsgen.tape.counts import count
 from mbsgen.tape.interpreter import FLOATS, evaluate
@@ -48,17 +48,17 @@ class Evidence:
     approximation: Approximation | None = None  # the numbers left out besides, and their effect
 
 
-def gather(model: Model, scene: Scene, options: Options, approximation: Approximation | None = None) -> Evidence:
+def gather(model: Model, request: Request, approximation: Approximation | None = None) -> Evidence:
     """Count the flops that each part of a scene saves, and compare the rest with the whole model.
 
     An approximation is counted last; it brings its own comparison.
     """
-    plain = replace(options, derivatives=0, acados=False)
-    flops = {title: _count(build_tree(stage(model, part)), plain, part) for title, part in _steps(scene)}
+    plain, scene = request.values_alone, request.scene
+    flops = {title: _count(build_tree(stage(model, part)), replace(plain, scene=part)) for title, part in _steps(scene)}
     if approximation is not None:
-        flops[f"below a tolerance of {approximation.tolerance:g}"] = _count(approximation.tree, plain, scene)
+        flops[f"below a tolerance of {approximation.tolerance:g}"] = _count(approximation.tree, plain)
     is_exact = replace(scene, tolerance=None) == EVERYTHING
-    return Evidence(flops, {} if is_exact else _compare(model, scene, plain), approximation)
+    return Evidence(flops, {} if is_exact else _compare(model, plain), approximation)
 
 
 def _steps(scene: Scene) -> Iterator[tuple[str, Scene]]:
@@ -79,20 +79,20 @@ def _steps(scene: Scene) -> Iterator[tuple[str, Scene]]:
             yield title, present
 
 
-def _tapes(tree: Tree, options: Options, scene: Scene) -> dict[str, Tape]:
-    families = write_families(tree, options, Dynamics(tree, options.reductions), scene)
-    return {family.value.name: straight(family.value) for family in families}
+def _tapes(tree: Tree, request: Request) -> dict[str, Tape]:
+    return {family.value.name: straight(family.value) for family in write_families(tree, request)}
 
 
-def _count(tree: Tree, options: Options, scene: Scene) -> dict[str, int]:
-    return {name: count(tape).paper for name, tape in _tapes(tree, options, scene).items() if name != "setup"}
+def _count(tree: Tree, request: Request) -> dict[str, int]:
+    return {name: count(tape).paper for name, tape in _tapes(tree, request).items() if not tape.giving(Role.SETUP)}
 
 
-def _compare(model: Model, scene: Scene, options: Options) -> dict[str, float]:
+def _compare(model: Model, request: Request) -> dict[str, float]:
+    scene = request.scene
     fixed = replace(scene, parameters=tuple((p.name, Kind.CONSTANT) for p in model.parameters))
     whole = replace(EVERYTHING, parameters=fixed.parameters, gravity=scene.gravity, wrenches=scene.wrenches)
-    comparison = _Comparison.begin(model, whole, fixed, options.reductions)
-    reduced = _tapes(comparison.reduced, replace(options, runtime=False), fixed)
+    comparison = _Comparison.begin(model, whole, fixed, request.reductions)
+    reduced = _tapes(comparison.reduced, replace(request, runtime=False, scene=fixed))
     deviations: dict[str, float] = {}
     for name, tape in reduced.items():
         if name in FUNCTIONS and not tape.giving(Role.CONDITION):

@@ -7,20 +7,17 @@ applied here.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from mbsgen.derivatives.dynamics import Dynamics
-from mbsgen.derivatives.kernels import differentiable, differentiate
-from mbsgen.errors import MbsError
+from mbsgen.derivatives.kernels import Derivatives, differentiable, differentiate
 from mbsgen.formulations import ports
 from mbsgen.formulations.catalogue import FUNCTIONS, REFERENCE, Entry, list_giving, refuse, select_functions
-from mbsgen.formulations.reductions import ALL, Reductions
-from mbsgen.model.scene import EVERYTHING, Scene
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.procedure.procedure import Computation, Procedure, straight
 from mbsgen.procedure.splitting import hoist
+from mbsgen.request import ACADOS, EVERY_FUNCTION, OptionError, Request
 from mbsgen.roles import Order, Role
 from mbsgen.tape.counts import count
 from mbsgen.tape.passes import keep_results, merge, set_zero
@@ -29,32 +26,7 @@ from mbsgen.tape.types import Tape
 from mbsgen.targets import acados
 from mbsgen.targets.contract import Family
 
-
-@dataclass(frozen=True)
-class Options:
-    """The outputs to generate, besides the C of every function."""
-
-    runtime: bool = False  # every number of the model a run-time parameter, see `model.releasing`
-    zeros: bool = False  # with `runtime`: also numbers that are 0
-    python: bool = False  # also the Python target
-    matlab: bool = False  # also the Matlab target
-    acados: bool = False  # also the functions for acados, under its names
-    untimed: bool = False  # without the argument t of implicit functions, for acados before 0.3
-    compare: bool = False  # also count the formulations without each reduction
-    functions: tuple[str, ...] | None = None  # of the catalogue; None: the scene's
-    derivatives: int = 2  # the highest order; the scene may lower it
-    scene: Path | Scene = EVERYTHING  # the part of the model to generate
-    tolerance: float | None = None  # allowed relative error; None: the scene's
-    reductions: Reductions = ALL  # the transformations that lower the operation count
-
-
-DEFAULT = Options()
-
-
-class OptionError(MbsError):
-    """Options that a model cannot be generated with."""
-
-
+ORDERS = ((), (Order.JACOBIAN, Order.ADJOINT, Order.LINEARISATION), tuple(Order))  # by the order of derivatives
 Tell = Callable[[str], None]  # called with the name of each stage that begins
 
 
@@ -62,65 +34,88 @@ def say_nothing(_: str) -> None:
     """Ignore the name of a stage."""
 
 
-def write_families(
-    tree: Tree,
-    options: Options = DEFAULT,
-    dynamics: Dynamics | None = None,
-    scene: Scene = EVERYTHING,
-    tell: Tell = say_nothing,
-) -> tuple[Family, ...]:
-    """Write functions of a tree with their derivatives; operations on parameters alone are split off as `setup`.
+@dataclass(frozen=True)
+class Functions:
+    """The functions of a tree, with their derivatives."""
 
-    `dynamics` writes the derivatives of the formulations, and holds their flops afterwards. Of the scene, only the
-    choice of functions is used here; `stage` has applied the rest to the tree.
+    families: tuple[Family, ...]
+    ways: Mapping[str, Mapping[str, int]]  # flops of derivatives by each way of writing them, by the paper's convention
+
+    @property
+    def has_setup(self) -> bool:
+        """Return whether run-time parameters matter: one function then computes what the others need of them."""
+        return any(family.value.giving(Role.SETUP) for family in self.families)
+
+
+def write_families(tree: Tree, request: Request = EVERY_FUNCTION, tell: Tell = say_nothing) -> tuple[Family, ...]:
+    """Write functions of a tree as `write_functions` does."""
+    return write_functions(tree, request, tell).families
+
+
+def write_functions(
+    tree: Tree, request: Request = EVERY_FUNCTION, tell: Tell = say_nothing, *, staged: bool = False
+) -> Functions:
+    """Write functions of a tree with their derivatives; what depends on parameters alone is split off as `setup`.
+
+    The scene of the request has been applied to the tree; what it says of functions is done here. staged: large
+    derivatives are needed in stages only, not in straight code. Raises OptionError for functions that the tree does
+    not have.
     """
+    families, ways = _write_chosen(tree, request, tell, staged=staged)
+    families = _finish(families, request)
+    if ACADOS in request.languages and tree.quaternions:
+        raise OptionError("acados: its states are q and qd, of one size; a joint with a quaternion has more of the one")
+    # The functions of acados compute run-time parameters themselves.
+    special = _write_acados(families, timed=request.timed) if ACADOS in request.languages else ()
+    if any(p.kind is Kind.RUNTIME for p in tree.parameters):
+        return Functions((*_split_setup(families), *special), ways)
+    return Functions((*families, *special), ways)
+
+
+def list_functions(tree: Tree, request: Request) -> tuple[str, ...]:
+    """List the functions of the catalogue that are written. Raises OptionError for those that there are not."""
+    return tuple(_choose_functions(tree, request.needed))
+
+
+def _write_chosen(
+    tree: Tree, request: Request, tell: Tell, *, staged: bool
+) -> tuple[list[Family], Mapping[str, Mapping[str, int]]]:
+    """Write the chosen functions with their derivatives, and count the ways of writing these."""
     families: list[Family] = []
-    dynamics = dynamics or Dynamics(tree, options.reductions)
-    chosen = _choose(options, scene)
-    read = dict(scene.results)
-    for name, entry in _choose_functions(tree, _list_needed(chosen, scene)).items():
+    ways: dict[str, Mapping[str, int]] = {}
+    dynamics = Dynamics(tree, request.reductions, staged=staged)
+    read = dict(request.scene.results)
+    forms: list[Derivatives] = []
+    for name, entry in _choose_functions(tree, request.needed).items():
         tell(name)
-        tape = entry.build(tree, options.reductions)
+        tape = entry.build(tree, request.reductions)
         assert tape.name == name, "the catalogue calls a tape by its own name"
         tape = keep_results(tape, read[name]) if name in read else tape
-        order = min(entry.order, options.derivatives, scene.derivatives)
+        order = min(entry.order, request.derivatives)
         if not order:
             families.append(Family(tape, title=entry.title))
             continue
         tell(f"{name} and its derivatives")
-        found = dynamics.differentiate(tape) if entry.is_form else differentiate(tape, differentiable(tape))
-        second = found.jac_adj1 if order > 1 else None
-        staged = found.staged
-        families.append(Family(tape, found.jac, found.adj1, second, entry.title, staged))
-        families.append(Family(found.lin, title=f"{entry.title}, with its Jacobians", staged=staged))
-    families = _finish(families, scene, chosen)
-    if options.acados and tree.quaternions:
-        raise OptionError("acados: its states are q and qd, of one size; a joint with a quaternion has more of the one")
-    special = (
-        _write_acados(families, timed=not options.untimed) if options.acados else ()
-    )  # its functions have acados' own parameters
-    if any(p.kind is Kind.RUNTIME for p in tree.parameters):
-        return (*_split_setup(families), *special)
-    return (*families, *special)
+        if entry.is_form:
+            found = dynamics.differentiate(tape, forms)
+            forms.append(found)
+        else:
+            found = differentiate(tape, differentiable(tape))
+        families += _write_family(found, entry.title, order)
+        ways |= found.count_ways(ORDERS[order])
+    return families, ways
 
 
-def list_functions(tree: Tree, options: Options, scene: Scene) -> tuple[str, ...]:
-    """List the functions of the catalogue that are written. Raises OptionError for unknown names."""
-    return tuple(_choose_functions(tree, _list_needed(_choose(options, scene), scene)))
+def _write_family(found: Derivatives, title: str, order: int) -> Iterator[Family]:
+    """Write a function with its derivatives up to an order, and the function that comes with its Jacobians."""
+    second = found.jac_adj1 if order > 1 else None
+    yield Family(found.tape, found.jac, found.adj1, second, title, found.staged)
+    yield Family(found.lin, title=f"{title}, with its Jacobians", staged=found.staged)
 
 
-def _choose(options: Options, scene: Scene) -> tuple[str, ...] | None:
-    return options.functions if options.functions is not None else scene.functions
-
-
-def _list_needed(chosen: Sequence[str] | None, scene: Scene) -> tuple[str, ...] | None:
-    """List the chosen functions, and the parts of joined ones; None: all."""
-    parts = [part for _, group in scene.together for part in group]
-    return None if chosen is None else tuple(dict.fromkeys((*chosen, *parts)))
-
-
-def _finish(families: Sequence[Family], scene: Scene, chosen: Sequence[str] | None) -> list[Family]:
+def _finish(families: Sequence[Family], request: Request) -> list[Family]:
     """Set velocities at rest to zero, join functions of one state, and drop functions that only joining needed."""
+    scene, chosen = request.scene, request.functions
     still = families if scene.motion else [_let_rest(family) for family in families]
     by_name = {family.value.name: family for family in still}
     joined = []

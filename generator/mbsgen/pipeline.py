@@ -10,11 +10,10 @@ from pathlib import Path
 
 from mbsgen import __version__, manifest
 from mbsgen.approximation.choice import Approximation, approximate
-from mbsgen.derivatives.dynamics import Dynamics
 from mbsgen.documents import abbreviate, refuse, write_path
 from mbsgen.errors import Fault
 from mbsgen.evidence import gather
-from mbsgen.families import DEFAULT, OptionError, Options, Tell, say_nothing, write_families
+from mbsgen.families import Functions, Tell, say_nothing, write_families, write_functions
 from mbsgen.formulations.catalogue import list_results
 from mbsgen.importing import import_model, is_foreign
 from mbsgen.manifest import Coordinate, Frame, Manifest, Parameter, Wrench
@@ -23,14 +22,14 @@ from mbsgen.model.model import Model
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.releasing import with_runtime_numbers
-from mbsgen.model.scene import EVERYTHING, LARGEST_TOLERANCE, Scene, read_scene, stage
+from mbsgen.model.scene import EVERYTHING, Scene, read_scene, stage
 from mbsgen.model.symbols import exact, to_double
 from mbsgen.model.tree import NO_FORCE, Kind, Motion, Tree
 from mbsgen.model.writer import write_model
 from mbsgen.output import write_folder
 from mbsgen.procedure.procedure import Computation, Procedure
 from mbsgen.report import Report, make_report, write_json, write_markdown
-from mbsgen.roles import Role
+from mbsgen.request import DEFAULT, MATLAB, PYTHON, OptionError, Options, Request, merge
 from mbsgen.targets.c import Sources, write_c
 from mbsgen.targets.contract import Family
 from mbsgen.targets.entries import list_groups
@@ -38,7 +37,7 @@ from mbsgen.targets.matlab import write_matlab
 from mbsgen.targets.names import mangle
 from mbsgen.targets.python import write_python
 from mbsgen.targets.unit import Unit
-from mbsgen.verification.verify import verify
+from mbsgen.verification.verify import Verification, verify
 
 __all__ = ["OptionError", "Options", "Product", "generate", "make", "read_tree", "write_families"]
 
@@ -60,59 +59,89 @@ def generate(model: Path | Model, out: Path, options: Options = DEFAULT, tell: T
 
 
 def make(model: Path | Model, options: Options = DEFAULT, tell: Tell = say_nothing) -> Product:
-    """Make everything from a model file, or from a model made in Python.
+    """Make everything of a model file, or of a model made in Python.
 
     `tell` is called with the name of each stage when it begins. Raises InputError with every fault of the file,
-    OptionError for unknown functions, VerificationError for a function with wrong results.
+    OptionError for functions that there are not, VerificationError for a function that does not compute what it should.
     """
     tell("reading the model")
     whole = read(model)
-    if options.zeros and not options.runtime:
-        raise OptionError("zeros: they are parameters only with the other numbers; give runtime too")
-    scene = _read_scene(options, whole)
-    staged = stage(whole, scene)
-    _check_staged(whole, staged, options)
-    written = build_tree(staged)
-    parametric = build_parametric(whole, scene)  # zeros stay: the report counts so, independently of the options
-    released = build_parametric(whole, scene, zeros=True) if options.zeros else parametric
-    approximation = _approximate(written, options, scene)
-    tree = approximation.tree if approximation else released if options.runtime else written
-    dynamics = Dynamics(tree, options.reductions, staged=_needs_stages_alone(options, scene))
-    families = write_families(tree, options, dynamics, scene, tell)
-    has_setup = families[0].value.giving(Role.SETUP) is not None
+    request = merge(options, _read_scene(options.scene, whole))
+    staged = _stage(whole, request.scene, options.scene)
+    trees = _build_trees(whole, staged, request)
+    functions = write_functions(trees.generated, request, tell, staged=_needs_stages_alone(request))
     tell("the check of all functions")
-    verification = verify(tree, families, still=not scene.motion)
-    unit = Unit(
-        mangle(tree.name),
-        __version__,
-        _hash(tree, families),
-        families,
-        tuple(p.value for p in tree.parameters if p.kind is Kind.RUNTIME and has_setup),
-        design=tuple(p.value for p in tree.parameters if p.kind is Kind.DIFFERENTIATED),
-        only_driven=not tree.wrenches and all(body.joint.law == NO_FORCE for body in tree.bodies),
-        groups=tuple(group for group in list_groups(tree) if group.name != "p" or has_setup),
-        tolerance=scene.tolerance if approximation and approximation.taken else None,
-        references=verification.references,
-    )
+    verification = verify(trees.generated, functions.families, still=not request.scene.motion)
     tell("C")
+    unit = _make_unit(trees, functions, verification)
     sources = write_c(unit)
-    described = _describe(tree, unit, sources, identify_mechanism(staged))
-    evidence = None if scene == EVERYTHING else gather(whole, scene, options, approximation)
+    described = _describe(trees.generated, unit, sources, identify_mechanism(staged))
+    evidence = None if request.scene == EVERYTHING else gather(whole, request, trees.approximation)
     tell("the report")
     report = make_report(
-        written, parametric, described.kernels, dynamics.flops, verification, evidence, compare=options.compare
+        trees.written,
+        trees.parametric,
+        described.kernels,
+        functions.ways,
+        verification,
+        evidence,
+        compare=request.compare,
     )
+    return Product(described, report, _write_files(unit, sources, described, report, request))
+
+
+@dataclass(frozen=True)
+class _Trees:
+    """The trees of a staged model."""
+
+    written: Tree  # as the model says
+    parametric: Tree  # with every number a run-time parameter; zeros stay, so that the report always counts the same
+    generated: Tree
+    approximation: Approximation | None
+
+
+def _build_trees(whole: Model, staged: Model, request: Request) -> _Trees:
+    """Build the tree that functions are generated of, and the trees that the report counts."""
+    written, parametric = build_tree(staged), build_parametric(whole, request.scene)
+    if request.runtime:
+        generated = build_parametric(whole, request.scene, zeros=True) if request.zeros else parametric
+        return _Trees(written, parametric, generated, None)
+    if request.tolerance is None:
+        return _Trees(written, parametric, written, None)
+    approximation = approximate(written, request.tolerance, request)
+    return _Trees(written, parametric, approximation.tree, approximation)
+
+
+def _make_unit(trees: _Trees, functions: Functions, verification: Verification) -> Unit:
+    tree, approximation = trees.generated, trees.approximation
+    return Unit(
+        mangle(tree.name),
+        __version__,
+        _hash(tree, functions.families),
+        functions.families,
+        tuple(p.value for p in tree.parameters if p.kind is Kind.RUNTIME and functions.has_setup),
+        design=tuple(p.value for p in tree.parameters if p.kind is Kind.DIFFERENTIATED),
+        only_driven=not tree.wrenches and all(body.joint.law == NO_FORCE for body in tree.bodies),
+        groups=tuple(group for group in list_groups(tree) if group.name != "p" or functions.has_setup),
+        tolerance=approximation.tolerance if approximation and approximation.taken else None,
+        references=verification.references,
+    )
+
+
+def _write_files(
+    unit: Unit, sources: Sources, described: Manifest, report: Report, request: Request
+) -> Mapping[str, str]:
     files = {
         **sources.files,
         manifest.FILE_NAME: manifest.write(described),
         "report.md": write_markdown(report),
         "report.json": write_json(report),
     }
-    if options.python:
+    if PYTHON in request.languages:
         files[f"{unit.prefix}.py"] = write_python(unit)
-    if options.matlab:
+    if MATLAB in request.languages:
         files |= write_matlab(unit)
-    return Product(described, report, files)
+    return files
 
 
 def read_tree(model: Path | Model) -> Tree:
@@ -144,42 +173,28 @@ def read(model: Path | Model) -> Model:
     return imported.model
 
 
-def _read_scene(options: Options, model: Model) -> Scene:
-    scene = options.scene
-    if not isinstance(scene, Scene):
-        scene = read_scene(scene, model, list_results())
-    tolerance = scene.tolerance if options.tolerance is None else options.tolerance
-    if not 0 <= (tolerance or 0) <= LARGEST_TOLERANCE:
-        raise OptionError(f"tolerance: {tolerance} is no relative error; give a number from 0 to {LARGEST_TOLERANCE}")
-    return replace(scene, tolerance=tolerance or None)
+def _read_scene(scene: Path | Scene, model: Model) -> Scene:
+    return scene if isinstance(scene, Scene) else read_scene(scene, model, list_results())
 
 
-def _check_staged(whole: Model, staged: Model, options: Options) -> None:
-    """Check a model reduced by a scene by the rules for models. Raises InputError."""
+def _stage(whole: Model, scene: Scene, origin: Path | Scene) -> Model:
+    """Apply a scene to a model, and check the reduced model by the rules for models. Raises InputError."""
+    staged = stage(whole, scene)
     if (staged.bodies, staged.parameters) == (whole.bodies, whole.parameters):
-        return
-    file = str(options.scene) if isinstance(options.scene, Path) else f"model {abbreviate(whole.name)}"
+        return staged
+    file = str(origin) if isinstance(origin, Path) else f"model {abbreviate(whole.name)}"
     faults = [
         Fault(file, 0, "", f"with this scene, {found.finding} (at {write_path(found.place)})", found.remedy)
         for found in find_faults(staged)
     ]
     if faults:
         raise refuse(faults)
+    return staged
 
 
-def _approximate(tree: Tree, options: Options, scene: Scene) -> Approximation | None:
-    """Remove numbers with effects below the scene's tolerance, if it has one."""
-    if scene.tolerance is None:
-        return None
-    if options.runtime:
-        finding = "with every number a run-time parameter, no value decides what can be left out"
-        raise OptionError(f"tolerance: {finding}; leave one of the options out")
-    return approximate(tree, scene.tolerance, options, scene)
-
-
-def _needs_stages_alone(options: Options, scene: Scene) -> bool:
+def _needs_stages_alone(request: Request) -> bool:
     """Return whether nothing asks for the straight form of a function in stages: the C does not."""
-    return scene.motion and not (options.python or options.matlab or options.acados or scene.together)
+    return request.scene.motion and not (request.languages or request.scene.together)
 
 
 def _hash(tree: Tree, families: tuple[Family, ...]) -> str:

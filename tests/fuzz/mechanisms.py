@@ -24,7 +24,7 @@ import yaml
 from mbsgen.approximation.choice import approximate
 from mbsgen.approximation.states import draw as draw_states
 from mbsgen.errors import MbsError
-from mbsgen.families import Options, write_families
+from mbsgen.families import write_families
 from mbsgen.formulations.catalogue import FUNCTIONS, list_results
 from mbsgen.formulations.reductions import ALL, NONE, Reductions
 from mbsgen.model.reader import read_model
@@ -32,6 +32,7 @@ from mbsgen.model.reduction import build_tree
 from mbsgen.model.scene import Scene, read_scene, stage
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.pipeline import build_parametric, make
+from mbsgen.request import Options, merge
 from mbsgen.tape.interpreter import DECIMALS, evaluate, fifty_digits
 from mbsgen.tape.types import Tape
 from mbsgen.verification.verify import verify
@@ -294,7 +295,7 @@ def examine(
         None if derivatives else tuple(x for x in FUNCTIONS_COMPARED if tree.sensors or x not in ("sensors", "motion"))
     )
     options = Options(reductions=reductions, functions=functions, derivatives=2 if derivatives else 0)
-    families = write_families(tree, options, scene=told)
+    families = write_families(tree, merge(options, told))
     if derivatives:
         verify(tree, families, still=not told.motion)
     tapes = {family.value.name: family.value for family in families}
@@ -323,7 +324,7 @@ def compare_approximation(tree: Tree, mechanism: Mechanism, scene: Scene, seed: 
     of sqrt(M_ii M_jj).
     """
     options = Options(reductions=CHOICES[mechanism.reductions], functions=("impl", "semi"), derivatives=0)
-    found = approximate(tree, mechanism.tolerance, options, scene)
+    found = approximate(tree, mechanism.tolerance, merge(options, scene))
     states = draw_states(tree, STATES, 4711 + seed, motion=scene.motion)
     n = len(tree.bodies)
     exact, near = (_evaluate_floats(x, options.reductions, states) for x in (tree, found.tree))

@@ -8,11 +8,11 @@ import re
 import pytest
 
 from mbsgen.evidence import gather
-from mbsgen.families import Options
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.scene import stage
 from mbsgen.pipeline import make
+from mbsgen.request import Options, merge
 from tests.mbsgen.model.files import reread
 from tests.random_scenes import random_model, random_scene
 
@@ -25,7 +25,7 @@ def test_what_a_scene_leaves_agrees_with_the_whole(seed: int) -> None:
     """Reduced functions at random states, against the whole model's."""
     model = random_model(seed, 3 + seed % 3)
     scene = random_scene(model, seed)
-    evidence = gather(model, scene, Options(reductions=ONE_PLAN))
+    evidence = gather(model, merge(Options(reductions=ONE_PLAN), scene))
     assert scene.functions is not None
     assert set(evidence.deviations) == set(scene.functions)
     assert max(evidence.deviations.values()) < ROUNDING, evidence.deviations

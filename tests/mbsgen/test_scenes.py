@@ -10,7 +10,7 @@ import pytest
 from mbsgen.errors import InputError
 from mbsgen.evidence import gather
 from mbsgen.expressions import Number, parse
-from mbsgen.families import Options, write_families
+from mbsgen.families import write_families
 from mbsgen.formulations import impl
 from mbsgen.formulations.catalogue import FUNCTIONS, list_results
 from mbsgen.formulations.reductions import ALL, Reductions
@@ -21,6 +21,7 @@ from mbsgen.model.reduction import build_tree
 from mbsgen.model.scene import EVERYTHING, Scene, read_scene, stage
 from mbsgen.model.tree import Kind
 from mbsgen.pipeline import make
+from mbsgen.request import Options, Request, merge
 from mbsgen.tape.counts import count
 
 MODELS = Path(__file__).parents[2] / "models"
@@ -70,7 +71,7 @@ LOCKS = [
 def test_what_is_left_agrees_with_the_whole(locked: dict[str, object]):
     """Residuals, mass matrix, accelerations, sensors, energies and poses, to rounding, with joints locked."""
     scene = Scene(locked=tuple(locked.items()))
-    evidence = gather(linkage(), scene, Options(reductions=FEW))
+    evidence = gather(linkage(), merge(Options(reductions=FEW), scene))
     assert set(evidence.deviations) == set(FUNCTIONS) - {"condition", "rates"}
     assert max(evidence.deviations.values()) < 1e-13
     before, after = evidence.flops["the whole model"], evidence.flops["joints locked"]
@@ -80,13 +81,13 @@ def test_what_is_left_agrees_with_the_whole(locked: dict[str, object]):
 def test_without_motion_only_statics_is_left():
     model = read_model(MODELS / "double_pendulum.yaml")
     scene = Scene(functions=("impl", "semi"), motion=False)
-    families = {f.value.name: f for f in write_families(build_tree(stage(model, scene)), Options(), None, scene)}
+    families = {f.value.name: f for f in write_families(build_tree(stage(model, scene)), merge(Options(), scene))}
     value, jac = families["impl"].value, families["impl"].jac
     assert jac is not None
     assert "qd" not in [i.name for i in (*value.inputs, *jac.inputs)]
     assert [o.name for o in jac.outputs] == ["jac_Phi_q", "jac_Phi_qdd", "jac_Phi_u"]
     assert count(value).paper < count(impl.build(build_tree(model))).paper
-    assert max(gather(model, scene, Options()).deviations.values()) < 1e-15
+    assert max(gather(model, merge(Options(), scene)).deviations.values()) < 1e-15
 
 
 @pytest.mark.parametrize("name", ["exp1", "exp2"])
@@ -95,23 +96,23 @@ def test_accelerations_of_another_mechanism_are_no_evidence(name: str, monkeypat
     model = linkage()
     scene = Scene(functions=(name,), locked=(("cart", Number(0.3)),))
     options = Options(reductions=FEW)
-    assert gather(model, scene, options).deviations[name] < 1e-9
+    assert gather(model, merge(options, scene)).deviations[name] < 1e-9
     heavier = replace(model, bodies=(model.bodies[0], replace(model.bodies[1], mass=Number(2.0)), *model.bodies[2:]))
-    wrong = {f.value.name: f.value for f in write_families(build_tree(stage(heavier, scene)), options, None, scene)}
+    wrong = {f.value.name: f.value for f in write_families(build_tree(stage(heavier, scene)), merge(options, scene))}
     monkeypatch.setattr("mbsgen.evidence._tapes", lambda *_: wrong)
-    assert gather(model, scene, options).deviations[name] > 1e-3
+    assert gather(model, merge(options, scene)).deviations[name] > 1e-3
 
 
 def test_without_gravity_nothing_falls():
     model = read_model(MODELS / "double_pendulum.yaml")
     tree = build_tree(stage(model, Scene(gravity=False)))
     assert all(component == 0 for component in tree.gravity)
-    assert max(gather(model, Scene(gravity=False), Options()).deviations.values()) < 1e-14
+    assert max(gather(model, merge(Options(), Scene(gravity=False))).deviations.values()) < 1e-14
 
 
 def test_sensors_and_results_that_nobody_reads_cost_nothing():
     scene = Scene(functions=("sensors", "energy"), sensors=("edge",), results=(("energy", ("kinetic",)),))
-    flops = gather(linkage(), scene, Options(reductions=FEW)).flops
+    flops = gather(linkage(), merge(Options(reductions=FEW), scene)).flops
     assert flops["sensors and wrenches left out"]["sensors"] < flops["the whole model"]["sensors"]
     assert flops["results left out"]["energy"] < flops["the whole model"]["energy"]
 
@@ -119,8 +120,8 @@ def test_sensors_and_results_that_nobody_reads_cost_nothing():
 def test_functions_wanted_together_share_what_they_can():
     model = read_model(MODELS / "double_pendulum.yaml")
     scene = Scene(functions=(), together=(("step", ("impl", "sensors")),))
-    (step,) = write_families(build_tree(model), Options(), None, scene)
-    apart = {f.value.name: f.value for f in write_families(build_tree(model), Options(functions=("impl", "sensors")))}
+    (step,) = write_families(build_tree(model), merge(Options(), scene))
+    apart = {f.value.name: f.value for f in write_families(build_tree(model), Request(functions=("impl", "sensors")))}
     assert [o.name for o in step.value.outputs] == ["Phi", "position"]
     assert count(step.value).paper < count(apart["impl"]).paper + count(apart["sensors"]).paper
     assert step.jac is not None

@@ -9,12 +9,13 @@ from pathlib import Path
 import pytest
 
 from mbsgen import pipeline
-from mbsgen.families import Options, write_families
+from mbsgen.families import Functions, write_families, write_functions
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.construction import ball, body, frame, free, inertia, make_model, revolute, runtime, wrench
 from mbsgen.model.model import Model
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Kind, Tree
+from mbsgen.request import Options, Request
 from mbsgen.roles import Role
 from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.ports import Port
@@ -22,7 +23,7 @@ from mbsgen.tape.types import Op, Output, Sparsity, Tape
 from mbsgen.targets.contract import Family
 from mbsgen.verification.verify import TOLERANCE, VerificationError, verify
 
-ONE_PLAN = Options(reductions=Reductions(trials=1))
+ONE_PLAN, OPTIONS = (kind(reductions=Reductions(trials=1)) for kind in (Request, Options))
 
 
 def kite() -> Model:
@@ -100,24 +101,25 @@ def test_a_single_wrong_number_is_refused(kernel: str) -> None:
 
 
 def test_nothing_is_written_where_a_function_is_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def write_wrong(*arguments: object, **options: object) -> tuple[Family, ...]:
-        return with_fault(write_families(*arguments, **options), "semi")  # type: ignore[arg-type]
+    def write_wrong(*arguments: object, **options: object) -> Functions:
+        found = write_functions(*arguments, **options)  # type: ignore[arg-type]
+        return replace(found, families=with_fault(found.families, "semi"))
 
-    monkeypatch.setattr(pipeline, "write_families", write_wrong)
+    monkeypatch.setattr(pipeline, "write_functions", write_wrong)
     with pytest.raises(VerificationError, match="kite: semi: c differs by"):
-        pipeline.generate(kite(), tmp_path / "out", replace(ONE_PLAN, functions=("semi",), derivatives=0))
+        pipeline.generate(kite(), tmp_path / "out", replace(OPTIONS, functions=("semi",), derivatives=0))
     assert not (tmp_path / "out").exists()
 
 
 def test_parameters_that_no_function_depends_on_are_no_obstacle() -> None:
     """Of a mass at run time, the poses know nothing: there is no setup."""
-    product = pipeline.make(kite(), replace(ONE_PLAN, functions=("frames",), derivatives=0))
+    product = pipeline.make(kite(), replace(OPTIONS, functions=("frames",), derivatives=0))
     assert [kernel.name for kernel in product.manifest.kernels] == ["frames"]
     assert set(product.report.verification.deviations) == {"frames"}
 
 
 def test_the_report_says_what_was_compared() -> None:
-    product = pipeline.make(kite(), replace(ONE_PLAN, functions=("energy", "sensors"), derivatives=1))
+    product = pipeline.make(kite(), replace(OPTIONS, functions=("energy", "sensors"), derivatives=1))
     checked = product.report.verification
     assert set(checked.deviations) == {"energy", "sensors", "jac_sensors", "adj1_sensors", "lin_sensors"}
     assert max(checked.deviations.values()) < float(TOLERANCE)

@@ -9,7 +9,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from mbsgen.pipeline import Options, write_families
+from mbsgen.pipeline import write_families
+from mbsgen.request import Request
 from mbsrun import Mechanism, load
 from tests.random_trees import Pinocchio, law_forces, random_tree, values_of, with_laws, with_wrenches
 from tests.sample import write_sample
@@ -78,7 +79,7 @@ def test_laws_and_open_wrenches_go_the_whole_way(runtime: bool, tmp_path: Path) 
     """Residual, derivative by w, and accelerations that the residual vanishes at; the tree has no sensors."""
     tree = with_wrenches(with_laws(random_tree(6, 6, runtime=runtime)), 6)
     parameters = {p.name: p.value for p in tree.parameters}
-    families = write_families(replace(tree, sensors=()), Options(derivatives=1))
+    families = write_families(replace(tree, sensors=()), Request(derivatives=1))
     k, peer = load(write_sample(tmp_path, "driven", families, parameters)), Pinocchio(tree)
     assert not [kernel.name for kernel in k.manifest.kernels if kernel.name in ("sensors", "motion", "jacobian")]
     actuated = [i for i, body in enumerate(tree.bodies) if body.joint.actuated]

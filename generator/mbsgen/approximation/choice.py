@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from mbsgen.approximation.cuts import Cut, Released, release
 from mbsgen.approximation.effects import Comparison, ReleasedFunctions, Wanted
 from mbsgen.approximation.states import draw
-from mbsgen.families import Options, list_functions, write_families
-from mbsgen.model.scene import Scene
+from mbsgen.families import list_functions, write_families
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.procedure.procedure import straight
+from mbsgen.request import Request
 from mbsgen.tape.counts import count
 from mbsgen.tape.types import Tape
 
@@ -53,12 +53,12 @@ class Approximation:
     states: int = CHECKING  # number of these states
 
 
-def approximate(tree: Tree, tolerance: float, options: Options, scene: Scene) -> Approximation:
+def approximate(tree: Tree, tolerance: float, request: Request) -> Approximation:
     """Remove numbers from a tree that change the requested functions by at most a tolerance: a relative error, above 0.
 
     The tree stays as it is where nothing can be removed, or removing saves nothing.
     """
-    names = list_functions(tree, options, scene)
+    names, scene = list_functions(tree, request), request.scene
     released = release(tree)
     wanted = Wanted(names, dict(scene.results), motion=scene.motion)
     functions = ReleasedFunctions(released, wanted)
@@ -66,7 +66,7 @@ def approximate(tree: Tree, tolerance: float, options: Options, scene: Scene) ->
         Comparison(functions, draw(tree, count, seed, motion=wanted.motion), poses)
         for count, seed, poses in zip((CHOOSING, CHECKING), SEEDS, (POSES, CHECKING), strict=True)
     )
-    whole = _write(tree, options, scene, names)
+    whole = _write(tree, request, names)
     choice = _Choice(released, functions, choosing)
     share = MARGIN
     for _ in range(NARROWER):
@@ -75,7 +75,7 @@ def approximate(tree: Tree, tolerance: float, options: Options, scene: Scene) ->
             break
         reduced = released.reduce({cut.name for cut, is_taken in zip(released.cuts, chosen, strict=True) if is_taken})
         error = float(checking.judge(chosen[None])[0])
-        tapes = _write(reduced, options, scene, names) if error <= tolerance else {}
+        tapes = _write(reduced, request, names) if error <= tolerance else {}
         errors = checking.measure(tapes)
         if tapes and max(errors.values(), default=0.0) <= tolerance:
             if _total(tapes) < _total(whole):
@@ -85,12 +85,11 @@ def approximate(tree: Tree, tolerance: float, options: Options, scene: Scene) ->
     return Approximation(tolerance, tree, (), checking.measure(whole))
 
 
-def _write(tree: Tree, options: Options, scene: Scene, names: tuple[str, ...]) -> dict[str, Tape]:
+def _write(tree: Tree, request: Request, names: tuple[str, ...]) -> dict[str, Tape]:
     """Write functions as they are generated, except that parameters have their values."""
     fixed = replace(tree, parameters=tuple(replace(p, kind=Kind.CONSTANT) for p in tree.parameters))
-    plain = replace(options, derivatives=0, acados=False, functions=names)
-    families = write_families(fixed, plain, None, replace(scene, together=()))
-    return {family.value.name: straight(family.value) for family in families}
+    plain = replace(request.values_alone, functions=names, scene=replace(request.scene, together=()))
+    return {family.value.name: straight(family.value) for family in write_families(fixed, plain)}
 
 
 def _total(tapes: Mapping[str, Tape]) -> int:

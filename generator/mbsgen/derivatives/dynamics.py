@@ -1,15 +1,17 @@
 """Derivatives of the formulations, each in the way that takes the fewest flops: by tape, by recursion, by implication.
 
 `impl` and `semi_res` are one function, written twice: what is cheapest for one is taken for the other. So are `exp1`
-and `exp2`, but for their guards; in larger trees, where one way is left to write them, that is gone only once. How many
-flops each way takes is kept for the report.
+and `exp2`, but for their guards; in larger trees, where one way is left to write them, that is gone only once. The
+flops of each way are counted for the report.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Generic, TypeVar
 
 from mbsgen.derivatives import implicit, kernels, recursion
 from mbsgen.derivatives.kernels import Derivatives, differentiable
@@ -36,6 +38,7 @@ STRAIGHT = 16_000
 SURELY = 3 * STRAIGHT
 COMPARED = 12  # bodies: in larger trees, only the way that always won is written
 
+C = TypeVar("C", bound=Computation, covariant=True)
 Ways = Mapping[str, Callable[[], Tape]]  # by name: `tape`, `recursion` or `implicit`
 
 
@@ -49,20 +52,16 @@ class Dynamics:
         is_compared = len(tree.bodies) <= COMPARED or _is_strange(tree)
         self._choice = _Choice(reductions, is_compared=is_compared, staged=staged and not is_compared)
         self._residual = _OfResidual(tree, reductions, self._choice)
-        self._first: _OfAccelerations | None = None
 
-    def differentiate(self, tape: Tape) -> Derivatives:
-        """Differentiate a formulation by all its inputs but parameters."""
+    def differentiate(self, tape: Tape, before: Sequence[Derivatives] = ()) -> Derivatives:
+        """Differentiate a form of the equations of motion by all its inputs but parameters.
+
+        `before` holds the derivatives of other forms: what they share is not written again.
+        """
         if tape.giving(Role.ACCELERATION):
-            found = _OfAccelerations(tape, self._residual, self._choice, self._first)
-            self._first = self._first or found
-            return found
+            first = next((found for found in before if isinstance(found, _OfAccelerations)), None)
+            return _OfAccelerations(tape, self._residual, self._choice, first)
         return self._residual if tape.function == self._residual.tape.function else _Renamed(tape, self._residual)
-
-    @property
-    def flops(self) -> Mapping[str, Mapping[str, int]]:
-        """Tell what each derivative that was asked for takes by each way, by the paper's convention."""
-        return self._choice.flops
 
 
 def _is_strange(tree: Tree) -> bool:
@@ -70,33 +69,97 @@ def _is_strange(tree: Tree) -> bool:
     return bool(tree.quaternions) or any(parameter.kind is Kind.DIFFERENTIATED for parameter in tree.parameters)
 
 
+@dataclass(frozen=True)
+class Written(Generic[C]):
+    """A derivative, and the flops of each way in which it was written."""
+
+    function: C
+    ways: Mapping[str, int]
+
+
+@dataclass(frozen=True)
 class _Choice:
     """Writes derivatives in all ways, and keeps the one with the fewest flops."""
 
-    def __init__(self, reductions: Reductions, *, is_compared: bool, staged: bool) -> None:
-        self._reductions, self.is_compared, self.staged = reductions, is_compared, staged
-        self.flops: dict[str, dict[str, int]] = {}
+    reductions: Reductions
+    is_compared: bool
+    staged: bool
 
     def finish(self, tape: Tape) -> Tape:
-        """Lower a finished tape's cost by what is wanted for that."""
-        return finish(tape, self._reductions)
+        """Lower a finished tape's cost, by the reductions that are on."""
+        return finish(tape, self.reductions)
 
-    def among(self, function: Function, ways: Ways, others: Ways) -> Tape:
+    def among(self, function: Function, ways: Ways, others: Ways) -> Written[Tape]:
         """Choose among `ways` and, in trees that are not too large for that, `others`."""
         tried = {**ways, **others} if self.is_compared else ways
         written = {way: self.finish(write()) for way, write in tried.items()}
         if function.order is not Order.ADJOINT:  # the results of an adjoint stay dense
             written = {way: drop_vanishing(tape) for way, tape in written.items()}
-        self.flops[function.name] = {way: count(tape).paper for way, tape in written.items()}
-        return min(written.values(), key=lambda tape: count(tape).paper)
-
-    def note(self, way: str, tape: Tape) -> Tape:
-        """Keep what a derivative takes that comes of another one, without a choice."""
-        self.flops[tape.name] = {way: count(tape).paper}
-        return tape
+        flops = {way: count(tape).paper for way, tape in written.items()}
+        return Written(written[min(flops, key=flops.__getitem__)], flops)
 
 
-class _OfResidual(Derivatives):
+def _without_choice(way: str, tape: Tape) -> Written[Tape]:
+    """Count a derivative that is a part of another one, or renamed."""
+    return Written(tape, {way: count(tape).paper})
+
+
+class _Chosen(Derivatives, ABC):
+    """Derivatives that are written in several ways, of which one is kept."""
+
+    @cached_property
+    @abstractmethod
+    def written_jac(self) -> Written[Tape] | Written[Computation]:
+        """Write the Jacobian."""
+
+    @cached_property
+    @abstractmethod
+    def written_lin(self) -> Written[Tape] | Written[Computation]:
+        """Write the linearisation."""
+
+    @cached_property
+    @abstractmethod
+    def written_adj1(self) -> Written[Tape]:
+        """Write the adjoint."""
+
+    @cached_property
+    @abstractmethod
+    def written_jac_adj1(self) -> Written[Tape]:
+        """Write the Jacobian of the adjoint."""
+
+    @cached_property
+    def jac(self) -> Computation:
+        return self.written_jac.function
+
+    @cached_property
+    def lin(self) -> Computation:
+        return self.written_lin.function
+
+    @cached_property
+    def adj1(self) -> Tape:
+        return self.written_adj1.function
+
+    @cached_property
+    def jac_adj1(self) -> Tape:
+        return self.written_jac_adj1.function
+
+    def count_ways(self, orders: Iterable[Order]) -> Mapping[str, Mapping[str, int]]:
+        found = [self._find(order) for order in orders]
+        return {written.function.name: written.ways for written in found}
+
+    def _find(self, order: Order) -> Written[Tape] | Written[Computation]:
+        match order:
+            case Order.JACOBIAN:
+                return self.written_jac
+            case Order.LINEARISATION:
+                return self.written_lin
+            case Order.ADJOINT:
+                return self.written_adj1
+            case _:
+                return self.written_jac_adj1
+
+
+class _OfResidual(_Chosen):
     def __init__(self, tree: Tree, reductions: Reductions, choice: _Choice) -> None:
         tape = catalogue.FUNCTIONS[catalogue.REFERENCE].build(tree, reductions)
         super().__init__(tape, differentiable(tape))
@@ -110,9 +173,9 @@ class _OfResidual(Derivatives):
         return {"recursion": lambda: write(self._tree, self._reductions)}
 
     @cached_property
-    def jac(self) -> Tape:
+    def written_jac(self) -> Written[Tape]:
         if not self._choice.is_compared:  # then all that it takes is in `lin`
-            return self._choice.note("recursion", _leave_values_out(self.lin))
+            return _without_choice("recursion", _leave_values_out(straight(self.lin)))
         return self._choice.among(
             self.tape.function.to(Order.JACOBIAN),
             self._by_recursion(recursion.jacobian),
@@ -120,20 +183,20 @@ class _OfResidual(Derivatives):
         )
 
     @cached_property
-    def lin(self) -> Tape:
+    def written_lin(self) -> Written[Tape]:
         return self._choice.among(
             self.tape.function.to(Order.LINEARISATION),
             self._by_recursion(recursion.linearisation),
-            {"tape": lambda: kernels.linearise(self.tape, self.jac)},
+            {"tape": lambda: kernels.linearise(self.tape, straight(self.jac))},
         )
 
     @cached_property
-    def adj1(self) -> Tape:
+    def written_adj1(self) -> Written[Tape]:
         function = self.tape.function.to(Order.ADJOINT)
         return self._choice.among(function, {"tape": lambda: reverse.adjoint(self.tape, self.wrt)}, {})
 
     @cached_property
-    def jac_adj1(self) -> Tape:
+    def written_jac_adj1(self) -> Written[Tape]:
         return self._choice.among(
             self.tape.function.to(Order.ADJOINT_JACOBIAN),
             self._by_recursion(recursion.adjoint_jacobian),
@@ -167,8 +230,11 @@ class _Renamed(Derivatives):
     def jac_adj1(self) -> Tape:
         return self._rename(self._residual.jac_adj1)
 
+    def count_ways(self, orders: Iterable[Order]) -> Mapping[str, Mapping[str, int]]:
+        return self._residual.count_ways(orders)
 
-class _OfAccelerations(Derivatives):
+
+class _OfAccelerations(_Chosen):
     """The derivatives of one form of the accelerations; `first` is the form that they were written for before."""
 
     def __init__(self, tape: Tape, residual: Derivatives, choice: _Choice, first: _OfAccelerations | None) -> None:
@@ -192,12 +258,12 @@ class _OfAccelerations(Derivatives):
         return found if len(guards) == len(written.guards) else drop_dead(found)
 
     @cached_property
-    def jac(self) -> Computation:
+    def written_jac(self) -> Written[Tape] | Written[Computation]:
         function = self.tape.function.to(Order.JACOBIAN)
         if self._is_surely_long:
-            return self._note(self._write_staged(function, self._patterns))
+            return self._count_columns(self._write_staged(function, self._patterns))
         if not self._choice.is_compared:  # then all that it takes is in `lin`
-            return self._choice.note("implicit", _leave_values_out(straight(self.lin)))
+            return _without_choice("implicit", _leave_values_out(straight(self.lin)))
         return self._choice.among(
             function,
             {"implicit": lambda: implicit.jacobian(self.tape, self._residual, self.wrt)},
@@ -205,12 +271,12 @@ class _OfAccelerations(Derivatives):
         )
 
     @cached_property
-    def lin(self) -> Computation:
+    def written_lin(self) -> Written[Tape] | Written[Computation]:
         function = self.tape.function.to(Order.LINEARISATION)
         if self._is_surely_long:
-            return self._note(self._write_staged(function, self._patterns))
+            return self._count_columns(self._write_staged(function, self._patterns))
         if self._first and (taken := self._take(straight(self._first.lin))):
-            return self._choice.note("implicit", taken)
+            return _without_choice("implicit", taken)
         return self._choice.among(
             function,
             {"implicit": lambda: implicit.linearisation(self.tape, self._residual, self.wrt)},
@@ -258,15 +324,14 @@ class _OfAccelerations(Derivatives):
         blocks = tuple(wire for wire in found.outputs if wire.port.role is Role.DERIVATIVE)
         return drop_dead_stages(replace(found, outputs=blocks))
 
-    def _note(self, written: Procedure) -> Procedure:
-        """Keep what the Jacobian takes, with the accelerations."""
-        self._choice.flops[written.name] = {"implicit": count_stages(narrow(self._columns, self._patterns)).paper}
-        return written
+    def _count_columns(self, written: Procedure) -> Written[Computation]:
+        """Count the Jacobian with the accelerations."""
+        return Written(written, {"implicit": count_stages(narrow(self._columns, self._patterns)).paper})
 
     @cached_property
-    def adj1(self) -> Tape:
+    def written_adj1(self) -> Written[Tape]:
         if self._first and (taken := self._take(self._first.adj1)):
-            return self._choice.note("implicit", taken)
+            return _without_choice("implicit", taken)
         return self._choice.among(
             self.tape.function.to(Order.ADJOINT),
             {"implicit": lambda: implicit.adjoint(self.tape, self._residual, self.wrt)},
@@ -274,15 +339,21 @@ class _OfAccelerations(Derivatives):
         )
 
     @cached_property
-    def jac_adj1(self) -> Tape:
+    def written_jac_adj1(self) -> Written[Tape]:
         if self._first and (taken := self._take(self._first.jac_adj1)):
-            return self._choice.note("implicit", taken)
+            return _without_choice("implicit", taken)
         by_tape = Derivatives(self.tape, self.wrt)
         return self._choice.among(
             self.tape.function.to(Order.ADJOINT_JACOBIAN),
             {"implicit": lambda: implicit.adjoint_jacobian(self.tape, self._residual, self.wrt)},
             {"tape": lambda: by_tape.jac_adj1},
         )
+
+    def count_ways(self, orders: Iterable[Order]) -> Mapping[str, Mapping[str, int]]:
+        """Count these derivatives, and those of the residual that they are made of."""
+        orders = tuple(orders)
+        used = dict.fromkeys((Order.JACOBIAN, *(order for order in orders if order is not Order.LINEARISATION)))
+        return {**self._residual.count_ways(used), **super().count_ways(orders)}
 
 
 def _leave_values_out(lin: Tape) -> Tape:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 
 from mbsgen.derivatives.vanishing import drop_vanishing
@@ -47,6 +47,10 @@ class Derivatives:
     def jac_adj1(self) -> Tape:
         """`jac_adj1_f`: blocks jac_adj_<in>_<in> and jac_adj_<in>_adj_<out>."""
         return adjoint_jacobian(self.tape, self.adj1, self.wrt)
+
+    def count_ways(self, orders: Iterable[Order]) -> Mapping[str, Mapping[str, int]]:  # noqa: ARG002  # of a subclass
+        """Return, by kernel, the flops of derivatives by each way of writing them; empty where there is one way."""
+        return {}
 
 
 def differentiable(tape: Tape) -> list[str]:

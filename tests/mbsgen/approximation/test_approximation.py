@@ -15,7 +15,6 @@ from mbsgen.approximation.cuts import release
 from mbsgen.approximation.effects import LEAST_INERTIA
 from mbsgen.approximation.states import Array, draw
 from mbsgen.errors import InputError
-from mbsgen.families import OptionError, Options
 from mbsgen.formulations import energy, impl, ports, semi
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.construction import body, make_model, revolute
@@ -25,6 +24,7 @@ from mbsgen.model.reduction import build_tree
 from mbsgen.model.scene import EVERYTHING, Scene
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.pipeline import make
+from mbsgen.request import OptionError, Options, merge
 from mbsgen.tape.counts import count
 from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.types import Tape
@@ -67,7 +67,7 @@ def worst_torque(whole: Tree, reduced: Tree) -> float:
 def test_any_tree_keeps_its_tolerance_where_nobody_looked(seed: int) -> None:
     """Joints of all kinds, quaternions, laws, rotors, wrenches, a mass at run time; forces and M at fresh states."""
     tree, tolerance = build_tree(random_model(seed, 4)), 0.05
-    found = approximate(tree, tolerance, Options(functions=("impl", "semi"), reductions=ONE_PLAN), EVERYTHING)
+    found = approximate(tree, tolerance, merge(Options(functions=("impl", "semi"), reductions=ONE_PLAN), EVERYTHING))
     assert found.taken, "these trees have something to leave out"
     assert max(found.errors.values()) <= tolerance
     assert worst_torque(tree, found.tree) <= tolerance
@@ -117,15 +117,15 @@ def cranes(damping: float = 1e-4) -> Model:
 def test_what_is_generated_must_keep_the_tolerance_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     """Cuts that keep it by the estimate alone are not made: here the tapes err by twice of it."""
     tree, options = build_tree(cranes()), Options(functions=("impl",), reductions=ONE_PLAN)
-    assert approximate(tree, 0.01, options, EVERYTHING).taken
+    assert approximate(tree, 0.01, merge(options, EVERYTHING)).taken
     monkeypatch.setattr(choice.Comparison, "measure", lambda _, tapes: dict.fromkeys(tapes, 0.02))
-    assert not approximate(tree, 0.01, options, EVERYTHING).taken
+    assert not approximate(tree, 0.01, merge(options, EVERYTHING)).taken
 
 
 def test_what_a_joint_alone_stands_on_stays() -> None:
     """All that M has for the hook is below the tolerance of its force, which is friction; M is kept all the same."""
     tree = build_tree(cranes())
-    found = approximate(tree, 0.1, Options(functions=("impl",)), EVERYTHING)
+    found = approximate(tree, 0.1, merge(Options(functions=("impl",)), EVERYTHING))
     taken = {x.cut.name for x in found.taken}
     assert "hook.damping" in taken
     assert "hook.inertia.xx" not in taken
@@ -141,7 +141,7 @@ def test_a_choice_that_other_states_do_not_bear_out_is_refused(monkeypatch: pyte
         return draw(tree, count, seed, motion=motion and seed != choice.SEEDS[0])
 
     monkeypatch.setattr(choice, "draw", draw_still)
-    misled = approximate(tree, 0.01, options, EVERYTHING)
+    misled = approximate(tree, 0.01, merge(options, EVERYTHING))
     assert not misled.taken
     assert misled.tree is tree
 
@@ -149,7 +149,7 @@ def test_a_choice_that_other_states_do_not_bear_out_is_refused(monkeypatch: pyte
 def test_nothing_is_left_out_that_saves_nothing() -> None:
     """Sensors feel no mass, so that no mass goes, however light; a lever that they do not feel does."""
     tree = build_tree(read_model(MODELS / "leg.yaml"))
-    found = approximate(tree, 0.5, Options(functions=("sensors",)), EVERYTHING)
+    found = approximate(tree, 0.5, merge(Options(functions=("sensors",)), EVERYTHING))
     assert all(".position." in x.cut.name for x in found.taken)
 
 
@@ -158,7 +158,7 @@ def test_the_scene_decides_what_is_felt(motion: bool) -> None:
     """Without motion, what only velocities feel is not there to be left out."""
     tree = build_tree(cranes())
     scene = Scene(functions=("impl",), motion=motion)
-    found = approximate(tree, 0.05, Options(), scene)
+    found = approximate(tree, 0.05, merge(Options(), scene))
     assert ("hook.damping" in {x.cut.name for x in found.taken}) is motion
 
 
@@ -224,6 +224,6 @@ def test_a_scene_file_may_ask_for_it(tmp_path: Path) -> None:
 
 def test_the_same_tree_gives_the_same_approximation() -> None:
     tree, options = build_tree(cranes()), Options(functions=("impl",), reductions=ONE_PLAN)
-    first, second = (approximate(tree, 0.05, options, EVERYTHING) for _ in range(2))
+    first, second = (approximate(tree, 0.05, merge(options, EVERYTHING)) for _ in range(2))
     assert isinstance(first, Approximation)
     assert first == second

@@ -13,9 +13,11 @@ import pytest
 import mbsrun
 from mbsgen.derivatives import dynamics
 from mbsgen.families import write_families
+from mbsgen.model.scene import EVERYTHING
 from mbsgen.model.tree import Tree
 from mbsgen.pipeline import Options, generate
 from mbsgen.procedure.procedure import evaluate
+from mbsgen.request import merge
 from tests.random_trees import random_tree
 
 MODELS = Path(__file__).parents[3] / "models"
@@ -32,7 +34,7 @@ def looped(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_loop_gives_the_jacobian(tree: Tree) -> None:
     """To rounding, relative to the largest entry; with run-time numbers, after `setup`."""
     rng = np.random.default_rng(1)
-    families = write_families(tree, OPTIONS)
+    families = write_families(tree, merge(OPTIONS, EVERYTHING))
     (family,) = (f for f in families if f.value.name == "exp1")
     assert family.jac is not None
     staged = family.staged["jac_exp1"]

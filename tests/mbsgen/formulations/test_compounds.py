@@ -16,7 +16,8 @@ from mbsgen.formulations.reductions import ALL, NONE
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Tree
-from mbsgen.pipeline import Options, build_parametric, write_families
+from mbsgen.pipeline import build_parametric, write_families
+from mbsgen.request import Request
 from mbsgen.tape.counts import count
 from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.types import Tape
@@ -101,7 +102,7 @@ def test_a_compound_at_run_time_costs_what_one_body_costs(tmp_path: Path) -> Non
     """Its moments are sums, which `setup` forms."""
 
     def count_impl(tree: Tree) -> int:
-        families = write_families(tree, Options(functions=("impl",), derivatives=0))
+        families = write_families(tree, Request(functions=("impl",), derivatives=0))
         return next(count(family.value).paper for family in families if family.value.name == "impl")
 
     text = TEXT.format(a=1.5, b=0.7)

@@ -34,6 +34,7 @@ from mbsgen.model.symbols import exact
 from mbsgen.model.tree import Coupling, Tree
 from mbsgen.model.writer import write_model
 from mbsgen.pipeline import Options, make, write_families
+from mbsgen.request import Request, merge
 from mbsgen.tape.interpreter import DIGITS, evaluate
 from mbsgen.tape.types import Tape
 from tests.mbsgen.failures.mechanisms import spatial_chain
@@ -186,7 +187,7 @@ def compute_digits(tape: Tape, given: Mapping[str, Array]) -> dict[str, Array]:
 @pytest.mark.parametrize(("name", "seed"), [("impl", 3), ("exp1", 0), ("exp2", 3), ("motion", 1)])
 def test_derivatives_are_exact(name: str, seed: int) -> None:
     """Jacobians are slopes of values, and second derivatives slopes of adjoints."""
-    families = write_families(coupled_tree(seed), Options(functions=(name,)))
+    families = write_families(coupled_tree(seed), Request(functions=(name,)))
     tapes = {tape.name: tape for family in families for tape in family.tapes}
     rng = np.random.default_rng(seed)
     digits = np.vectorize(DIGITS.literal, otypes=[object])
@@ -340,7 +341,7 @@ def test_a_tolerance_is_kept_where_joints_follow_others() -> None:
     """Cuts are judged by the equations of the coupled tree: the residual keeps the tolerance at other states."""
     tree = couple_some(build_tree(random_model(1, 4)), 0, 1)
     options = Options(functions=("impl", "semi"), reductions=replace(FEW, factor=False))
-    found = approximate(tree, 0.05, options, EVERYTHING)
+    found = approximate(tree, 0.05, merge(options, EVERYTHING))
     assert found.taken
     states = draw_states(tree, 50, 77)
     states["u"] = np.zeros((50, sum(joint.actuated for joint in tree.joints)))

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mbsgen.families import Options, write_families
+from mbsgen.families import write_families
 from mbsgen.formulations import ports
 from mbsgen.formulations.reductions import ALL, Reductions
 from mbsgen.model.reader import read_model
 from mbsgen.model.tree import Tree
 from mbsgen.pipeline import build_parametric
+from mbsgen.request import Request
 from mbsgen.tape.counts import count
 from mbsgen.tape.interpreter import FLOATS, Numbers, evaluate, find_failure
 from mbsgen.tape.types import Op, Tape
@@ -33,7 +34,7 @@ def read(name: str) -> Tree:
 
 def write(tree: Tree, reductions: Reductions, derivatives: int) -> dict[str, Tape]:
     """Write the formulations, with their setup."""
-    options = Options(functions=FORMS, derivatives=derivatives, reductions=reductions)
+    options = Request(functions=FORMS, derivatives=derivatives, reductions=reductions)
     return {tape.name: tape for family in write_families(tree, options) for tape in family.tapes}
 
 

@@ -15,7 +15,8 @@ from mbsgen.importing import Choices, Imported, Notice, import_model, write_impo
 from mbsgen.model.model import Body, Fixed, Follow, Friction, Joint
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
-from mbsgen.pipeline import Options, write_families
+from mbsgen.pipeline import write_families
+from mbsgen.request import Request
 from mbsgen.tape.interpreter import evaluate
 from tests.import_peers import Kernels, PinocchioPeer, largest_miss
 from tests.mbsgen.importing.urdf_files import LIMIT, LOSSES, joint, link, write
@@ -237,7 +238,7 @@ def test_coupled_joints_move_as_in_pinocchio(tmp_path: Path) -> None:
     peer = pin.buildModelFromUrdf(str(path), mimic=True)
     assert peer.nv == 1
     tree = build_tree(import_model(path).model)
-    tapes = {tape.name: tape for f in write_families(tree, Options(functions=("impl", "semi"))) for tape in f.tapes}
+    tapes = {tape.name: tape for f in write_families(tree, Request(functions=("impl", "semi"))) for tape in f.tapes}
     data = peer.createData()
     for q, qd, qdd in np.random.default_rng(4).uniform(-1, 1, (5, 3, 1)):
         at = {"q": list(q), "qd": list(qd), "qdd": list(qdd), "u": [0.0]}

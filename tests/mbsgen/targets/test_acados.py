@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from mbsgen.pipeline import OptionError, Options, generate, make, read_tree, write_families
+from mbsgen.request import ACADOS, Request
 from mbsgen.tape.interpreter import DIGITS, evaluate
 from mbsgen.tape.types import Tape
 from tests.reference_models import BRANCHED
@@ -60,7 +61,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def tapes(model: Path) -> dict[str, Tape]:
-    families = write_families(read_tree(model), Options(acados=True, functions=("impl", "exp1")))
+    families = write_families(read_tree(model), Request(languages=(ACADOS,), functions=("impl", "exp1")))
     return {tape.name: tape for family in families for tape in family.tapes}
 
 
@@ -180,7 +181,7 @@ def test_the_c_files_speak_with_acados(
     Some hundred roundings lie between inputs and results.
     """
     out = tmp_path / "out"
-    generate(model, out, Options(acados=True, functions=("impl", "exp1")))
+    generate(model, out, Request(languages=(ACADOS,), functions=("impl", "exp1")))
     sources = [str(out / f"branched_{name}.c") for name in CONTRACT]
     command = [requires("cc"), "-std=c99", "-Wall", "-Wextra", "-Werror", "-O1", *macros, "-fPIC", "-shared"]
     subprocess.run([*command, f"-I{out}", *sources, "-lm", "-o", str(tmp_path / "x.so")], check=True)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from mbsgen.formulations import ports
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.replay import declare_inputs, replay
 from mbsgen.tape.types import Tape
@@ -67,6 +68,9 @@ def changed(tape: Tape | None, output: str, change: Callable[[Builder, list[Scal
         results = [values[v] for v in o.values]
         builder.output(o.port, o.sparsity, change(builder, results) if o.name == output else results)
     return builder.build(tape.function)
+
+
+INPUTS = {port.name: port for port in (ports.COORDINATES, ports.VELOCITIES, ports.ACCELERATIONS, ports.FORCES)}
 
 
 def turn_last(_: Builder, values: list[Scalar]) -> list[Scalar]:
@@ -128,7 +132,7 @@ def write_oscillator(folder: Path, **faults: float) -> Path:
     families = []
     for name, names in inputs.items():
         b = Builder()
-        x = {i: b.vector(i, 1)[0] for i in names}
+        x = {i: b.vector(INPUTS[i], 1)[0] for i in names}
         number = b.number
 
         def off(output: str, value: Scalar, kernel: str = name, builder: Builder = b) -> Scalar:
@@ -137,15 +141,15 @@ def write_oscillator(folder: Path, **faults: float) -> Path:
 
         c = x["qd"] + number(3.0) * x["q"] if "qd" in x else b.zero
         if "qdd" in x:
-            b.output_dense("Phi", [[off("Phi", number(2.0) * x["qdd"] + c - x["u"])]])
+            b.output_dense(ports.RESIDUAL, [[off("Phi", number(2.0) * x["qdd"] + c - x["u"])]])
         elif name == "semi":
-            b.output_dense("M", [[off("M", number(2.0))]])
-            b.output_dense("c", [[off("c", c)]])
+            b.output_dense(ports.MASS_MATRIX, [[off("M", number(2.0))]])
+            b.output_dense(ports.BIAS, [[off("c", c)]])
         elif "u" in x:
-            b.output_dense("qdd", [[off("qdd", (x["u"] - c) / number(2.0))]])
+            b.output_dense(ports.ACCELERATIONS, [[off("qdd", (x["u"] - c) / number(2.0))]])
         else:
-            columns = 1 if name == "sensors" else 2
-            b.output_dense("p", [[off("p", x["q"]) for _ in range(columns)]] * 3)
+            columns, places = (1, ports.POSITION) if name == "sensors" else (2, ports.ORIGINS)
+            b.output_dense(places, [[off("p", x["q"]) for _ in range(columns)]] * 3)
         families.append(Family(b.build(name)))
     return write_sample(folder, families=tuple(families))
 

@@ -21,7 +21,8 @@ import sympy
 
 from mbsgen.model.reader import read_model
 from mbsgen.model.tree import Kind
-from mbsgen.pipeline import Options, build_parametric, read_tree, write_families
+from mbsgen.pipeline import build_parametric, read_tree, write_families
+from mbsgen.request import Request
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import DIGITS, FLOATS, evaluate, find_failure
 from mbsgen.tape.types import FUNCTIONS, Op, Tape
@@ -250,7 +251,7 @@ def test_sympy_has_every_function(tmp_path: Path) -> None:
 
 def test_exp1_of_symbols_has_the_same_numbers(tmp_path: Path) -> None:
     """The accelerations of a model, written over SymPy's symbols: each evaluates to what the tape does."""
-    (family,) = write_families(read_tree(MODELS / "double_pendulum.yaml"), Options(functions=("exp1",), derivatives=0))
+    (family,) = write_families(read_tree(MODELS / "double_pendulum.yaml"), Request(functions=("exp1",), derivatives=0))
     names = {i.name: [f"{i.name}{k}" for k in range(i.sparsity.nnz)] for i in family.value.inputs}
     at = {name: [0.3 + 0.4 * k for k in range(len(entries))] for name, entries in names.items()}
     symbols = {name: [sympy.Symbol(text) for text in entries] for name, entries in names.items()}

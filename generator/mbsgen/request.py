@@ -1,0 +1,95 @@
+"""The request: what is to be generated of a model, merged once from options and a scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from mbsgen.errors import MbsError
+from mbsgen.formulations.reductions import ALL, Reductions
+from mbsgen.model.scene import EVERYTHING, LARGEST_TOLERANCE, Scene
+
+PYTHON, MATLAB, ACADOS = "python", "matlab", "acados"  # beside C
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to generate, besides the C of every function."""
+
+    runtime: bool = False  # every number of the model a run-time parameter, see `model.releasing`
+    zeros: bool = False  # with `runtime`: those that are 0 too
+    python: bool = False  # also the Python target
+    matlab: bool = False  # also the Matlab target
+    acados: bool = False  # also the functions that acados asks for, under its names
+    untimed: bool = False  # without the argument t of implicit functions, for acados before 0.3
+    compare: bool = False  # also count the formulations without each reduction
+    functions: tuple[str, ...] | None = None  # which functions of the catalogue; None: those of the scene
+    derivatives: int = 2  # up to which order; at most that of the scene
+    scene: Path | Scene = EVERYTHING  # what is wanted of the model
+    tolerance: float | None = None  # relative error that may be made; None: that of the scene
+    reductions: Reductions = ALL  # what is done to lower the operation count
+
+
+DEFAULT = Options()
+
+
+class OptionError(MbsError):
+    """Options that a model cannot be generated with."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is to be generated of a model. Of the scene, its functions and its order of derivatives are merged here."""
+
+    functions: tuple[str, ...] | None = None  # of the catalogue; None: all that the model has
+    derivatives: int = 2  # up to which order
+    languages: tuple[str, ...] = ()  # beside C: PYTHON, MATLAB, ACADOS
+    timed: bool = True  # with the argument t of acados' implicit functions
+    runtime: bool = False  # every number of the model a run-time parameter
+    zeros: bool = False  # with `runtime`: numbers that are 0 too
+    compare: bool = False  # also count the formulations without each reduction
+    scene: Scene = EVERYTHING  # the part of the model that is kept, and the tolerance
+    reductions: Reductions = ALL
+
+    @property
+    def tolerance(self) -> float | None:
+        """Return the relative error that may be made; None: no error."""
+        return self.scene.tolerance
+
+    @property
+    def needed(self) -> tuple[str, ...] | None:
+        """List the chosen functions, and those that a combined function is made of; None: all."""
+        parts = [part for _, group in self.scene.together for part in group]
+        return None if self.functions is None else tuple(dict.fromkeys((*self.functions, *parts)))
+
+    @property
+    def values_alone(self) -> Request:
+        """Return the same request without derivatives, in C alone."""
+        return replace(self, derivatives=0, languages=())
+
+
+EVERY_FUNCTION = Request()
+
+
+def merge(options: Options, scene: Scene) -> Request:
+    """Merge options with the scene. Raises OptionError for options that contradict each other."""
+    if options.zeros and not options.runtime:
+        raise OptionError("zeros: they are parameters only with the other numbers; give runtime too")
+    tolerance = scene.tolerance if options.tolerance is None else options.tolerance
+    if not 0 <= (tolerance or 0) <= LARGEST_TOLERANCE:
+        raise OptionError(f"tolerance: {tolerance} is no relative error; give a number from 0 to {LARGEST_TOLERANCE}")
+    if tolerance and options.runtime:
+        finding = "with every number a run-time parameter, no value decides what can be left out"
+        raise OptionError(f"tolerance: {finding}; leave one of the options out")
+    wanted = {PYTHON: options.python, MATLAB: options.matlab, ACADOS: options.acados}
+    return Request(
+        functions=scene.functions if options.functions is None else options.functions,
+        derivatives=min(options.derivatives, scene.derivatives),
+        languages=tuple(language for language, is_wanted in wanted.items() if is_wanted),
+        timed=not options.untimed,
+        runtime=options.runtime,
+        zeros=options.zeros,
+        compare=options.compare,
+        scene=replace(scene, tolerance=tolerance or None),
+        reductions=options.reductions,
+    )
