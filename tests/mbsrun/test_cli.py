@@ -199,7 +199,7 @@ def test_shooting_is_chosen(quick: Run) -> None:
     assert (problem.form, problem.integrator, problem.steps) == (Form.SHOOTING, "rk4", 2)
     for wrong, finding in (
         (("--integrator", "rk4"), "the form is standard"),
-        (chosen[:4], "IMPL gives a residual"),
+        (chosen[:4], "IMPL returns a residual"),
     ):
         result = quick("solve", "task.ocp.yaml", "-o", "none", *wrong)
         assert result.exit_code == 2

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
 import click
@@ -35,6 +35,25 @@ class NumberType(click.ParamType[float]):
             return value if isinstance(value, float) else evaluate(parse(str(value)), {}, FLOATS)
         except ExpressionError as error:
             self.fail(str(error), param, ctx)
+
+
+class NameType(click.ParamType[str]):
+    """A key of a registry, looked up when the option is read."""
+
+    name = "name"
+
+    def __init__(self, known: Mapping[str, object]) -> None:
+        self.known = known
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str | None:  # noqa: ARG002  # click's
+        """List the names."""
+        return f"[{'|'.join(self.known)}]"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Admit the names."""
+        if value not in self.known:
+            self.fail(f"{value!r} is not one of {', '.join(self.known)}.", param, ctx)
+        return str(value)
 
 
 def find_sensor(problem: Problem, argument: str) -> str:

@@ -15,12 +15,13 @@ from mbsgen.manifest import Manifest
 from mbsrun.commands.console import (
     MESSAGES,
     NOT_SOLVED,
+    NameType,
     say,
 )
 from mbsrun.external import load
 from mbsrun.ocp.solution import read_solution
 from mbsrun.simulation.drive import hold_steps, input_labels
-from mbsrun.simulation.methods import METHODS, Formulation
+from mbsrun.simulation.methods import METHODS, Family, Formulation
 from mbsrun.simulation.motion import Motion
 from mbsrun.simulation.record import FILES as MOTION_FILES
 from mbsrun.simulation.record import describe_settings, write_motion
@@ -33,8 +34,8 @@ PLAIN = ("input_period", "max_steps", "max_seconds")  # of a simulation
 SIMULATE_HELP = """Integrate the motion of MODEL, and write it with its energy, plots and an animation.
 
 MODEL is a model file, or a folder that mbsgen wrote. The motion starts at time 0 where --pose and --velocity put it (0
-where they do not), under the inputs of --input. What is written again and again goes into a file, which may also give
-the wrenches that a model leaves open; an option wins over the file:
+where they do not), under the inputs of --input. A file can hold all of these, and the wrenches that a model leaves
+open; an option wins over the file:
 
 \b
   duration: 5
@@ -46,11 +47,7 @@ the wrenches that a model leaves open; an option wins over the file:
 
 \b
 Methods
-  euler, symplectic-euler, rk4             explicit, of the fixed length --step; they run in C
-  dop853, rk45                             explicit, adaptive; dop853 is what you get
-  lsoda, radau, bdf                        adaptive, for stiff motions too, with exact Jacobians
-  generalized-alpha, radau-iia, gauss      implicit, of the fixed length --step, on the
-                                           residual: no mass matrix is formed with impl
+METHODS
 
 \b
 Formulations
@@ -64,20 +61,29 @@ The output folder gets
   plots.png         the same over time
   animation.html    plays the motion in any browser
 
-Energies are a check: what kinetic and potential energy have become beyond the work of inputs, springs, dampers and
-wrenches is the drift that the integration errs by.
+Energies are a check. The drift is kinetic and potential energy, minus their start and the work of inputs, springs,
+dampers and wrenches: it is the error of the integration.
 
 \b
 Exit codes
   0   the end was reached
   1   it was not: a kernel, a step or the motion failed, or a limit of steps or seconds is
-      used up; the message gives time, joint and reason; what was reached is written, and
-      marked as incomplete
+      used up; the message gives time, joint and reason; the motion until there is written,
+      and marked as incomplete
   2   the model, a file or an argument cannot be accepted; nothing written
 """
 
 
-@click.command("simulate", help=SIMULATE_HELP)
+def list_methods() -> str:
+    """List the methods by family, as help shows them."""
+    lines = []
+    for family in Family:
+        names = ", ".join(name for name, method in METHODS.items() if method.family is family)
+        lines += [f"  {family.value}", f"      {names}"]
+    return "\n".join(lines)
+
+
+@click.command("simulate", help=SIMULATE_HELP.replace("METHODS", list_methods()))
 @click.argument("model", type=click.Path(path_type=Path))
 @click.option(
     "-o",
@@ -88,8 +94,12 @@ Exit codes
 )
 @click.option("--settings", "file", type=click.Path(path_type=Path), help="A file with settings; see above.")
 @click.option("--duration", metavar="T", help="How long the motion is [s].")
-@click.option("--method", type=click.Choice(list(METHODS)), help="How to integrate; by default dop853.")
-@click.option("--formulation", type=click.Choice([f.value for f in Formulation]), help="On what; by default exp2.")
+@click.option("--method", type=NameType(METHODS), help="How to integrate; by default dop853.")
+@click.option(
+    "--formulation",
+    type=click.Choice([f.value for f in Formulation]),
+    help="Of the equations of motion; by default exp2.",
+)
 @click.option("--step", metavar="H", help="The longest step of a method with fixed ones [s]; by default 1e-3.")
 @click.option("--rtol", metavar="R", help="The relative tolerance of an adaptive method; by default 1e-9.")
 @click.option("--atol", metavar="A", help="The absolute one, in rad, m, rad/s and m/s; by default 1e-9.")
@@ -97,7 +107,7 @@ Exit codes
 @click.option(
     "--rho",
     metavar="R",
-    help="What a step of generalized-alpha leaves of the highest frequencies: 0 nothing, 1 all; by default 0.8.",
+    help="The part of the highest frequencies that a step of generalized-alpha keeps, 0 to 1; by default 0.8.",
 )
 @click.option("--output-step", metavar="H", help="The time between states that are kept [s]; by default T/1000.")
 @click.option("--max-steps", type=int, metavar="N", help="Take at most so many steps; by default 10 million.")
@@ -122,7 +132,7 @@ Exit codes
 def simulate_command(
     context: click.Context, /, model: Path, out: Path | None, file: Path | None, solution: Path | None, **given: Any
 ) -> None:
-    """Read, integrate, write, tell."""
+    """Read, integrate, write, print."""
     mechanism = load(model)
     recording = None if solution is None else _read_recording(solution, mechanism.manifest)
     statement = read_statement(file, _collect_options(given), mechanism.manifest, recording)
@@ -189,7 +199,7 @@ def _print_motion(motion: Motion, manifest: Manifest) -> None:
         "settings": numbers,
         "reached": f"{motion.t[-1]:.6g} s" + ("" if motion.halt is None else f" of {motion.settings.duration:.6g} s"),
         "steps": f"{effort.steps}, "
-        + ("rejected: not told" if effort.rejected is None else f"{effort.rejected} rejected"),
+        + ("rejected: not counted" if effort.rejected is None else f"{effort.rejected} rejected"),
         "evaluations": f"{effort.evaluations}, {effort.jacobians} of Jacobians, {effort.iterations} Newton iterations",
         "time": f"{effort.seconds:.3g} s of processor",
     }

@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import click
 from rich import box
@@ -17,6 +17,7 @@ from rich.table import Table
 from mbsrun.commands.console import (
     MESSAGES,
     NOT_SOLVED,
+    NameType,
     NumberType,
     check_conflicts,
     find_sensor,
@@ -25,12 +26,12 @@ from mbsrun.commands.console import (
 )
 from mbsrun.external import Mechanism, OnDemand, load_on_demand
 from mbsrun.ocp.checks import MAX_STEPS
-from mbsrun.ocp.integrators import IntegratorName
+from mbsrun.ocp.integrators import INTEGRATORS
 from mbsrun.ocp.methods import METHODS as SOLVERS
 from mbsrun.ocp.multistart import Wish, describe_starts, solve_from_many
 from mbsrun.ocp.pictures import animate, draw_mechanism, plot_starts, plot_trajectories
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Form, Inputs, Problem, Representation, SolverName, cylindrical
+from mbsrun.ocp.problem import Form, Inputs, Problem, Representation, cylindrical
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.solution import Failure, Resimulation, Solution, Starts, read_guess, write_solution
 from mbsrun.ocp.solve import Progress, solve
@@ -119,11 +120,9 @@ Exit codes
     type=click.Choice([form.value for form in Form]),
     help="What of the motion within an interval is a variable; shooting: nothing. By default as the problem says.",
 )
-@click.option(
-    "--integrator", type=click.Choice(get_args(IntegratorName)), help="Of shooting: the scheme's own method, or rk4."
-)
+@click.option("--integrator", type=NameType(INTEGRATORS), help="Of shooting: the method of the scheme, or another.")
 @click.option("--steps", type=click.IntRange(1, MAX_STEPS), help="Of the integrator in an interval; by default 1.")
-@click.option("--solver", type=click.Choice(list(SOLVERS)), help="What solves the program; by default ipopt.")
+@click.option("--solver", type=NameType(SOLVERS), help="The NLP method; by default ipopt.")
 @click.option(
     "--starts", type=click.IntRange(1, MAX_STARTS), help="Solve from so many starts, and write the best solution."
 )
@@ -200,9 +199,9 @@ def _choose(
     problem: Problem,
     representation: str | None,
     form: str | None,
-    integrator: IntegratorName | None,
+    integrator: str | None,
     steps: int | None,
-    solver: SolverName | None,
+    solver: str | None,
     guess_inputs: Inputs | None,
 ) -> Problem:
     """Let the options win over the problem; what another solver was to be told goes with it.

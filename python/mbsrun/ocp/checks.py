@@ -17,6 +17,7 @@ from mbsgen.errors import MbsError
 from mbsgen.expressions import ExpressionError, names, parse
 from mbsgen.manifest import Manifest
 from mbsgen.roles import Role
+from mbsrun.ocp.integrators import INTEGRATORS
 from mbsrun.ocp.methods import METHODS
 from mbsrun.ocp.problem import Problem, find_conflicts
 from mbsrun.ocp.quantities import list_quantities
@@ -41,7 +42,8 @@ class ProblemError(MbsError, ValueError):
 
 def check_problem(problem: Problem, manifest: Manifest) -> None:
     """Raise ProblemError with every fault of a problem for a model."""
-    findings = list(_find_wrong_types(problem)) or [*_find_wrong_values(problem), *_find_strangers(problem, manifest)]
+    findings = list(_find_wrong_types(problem)) or list(_find_unknown_names(problem))
+    findings = findings or [*_find_wrong_values(problem), *_find_strangers(problem, manifest)]
     if not findings:
         findings = [(c.key, c.finding, c.remedy) for c in find_conflicts(problem)]
         findings += _find_divided_quaternions(problem, manifest)
@@ -73,6 +75,16 @@ def _find_wrong_types(problem: Problem) -> Iterator[Finding]:
             place = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in fault["loc"]).lstrip(".")
             kind = type(fault["input"]).__name__
             yield (place, f"found {abbreviate(str(fault['input']))} ({kind})", f"{fault['msg']}")
+
+
+def _find_unknown_names(problem: Problem) -> Iterator[Finding]:
+    """Find names of methods that no registry has."""
+    for place, name, known in (
+        ("integrator", problem.integrator, INTEGRATORS),
+        ("solver.method", problem.solver.method, METHODS),
+    ):
+        if name not in known:
+            yield (place, f"found {abbreviate(name)}", f"give one of {', '.join(known)}")
 
 
 def _find_wrong_values(problem: Problem) -> Iterator[Finding]:
@@ -115,7 +127,7 @@ def _find_wrong_values(problem: Problem) -> Iterator[Finding]:
 
 
 def _find_strangers(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
-    """Find what has no place in the model: lengths, indices, names."""
+    """Find lengths, indices and names that do not fit the model."""
     nq, n, m = len(manifest.positions), len(manifest.coordinates), len(manifest.actuated)
     if not m:
         yield ("model", "the model has no actuated coordinate", "give it one: there is nothing to control")

@@ -1,4 +1,4 @@
-"""Runge-Kutta methods over an interval, for equations of second order: what accelerations at stages say of a motion.
+"""Runge-Kutta methods over an interval, for equations of second order: a motion as matrices on accelerations.
 
 With z the accelerations at the stages, states are linear in z wherever they are read, c being the time over the
 length h of the interval:
@@ -12,9 +12,9 @@ equations I", section II.6. Several steps in an interval are one method with mor
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from mbsrun.ocp.schemes import Scheme, read_basis
 
 Array = NDArray[np.float64]
-IntegratorName = Literal["collocation", "rk4"]
+IntegratorName = str  # a key of INTEGRATORS
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Reading:
 
     @property
     def are_stages(self) -> bool:
-        """Tell whether the places are the stages themselves."""
+        """Return whether the places are the stages themselves."""
         return np.array_equal(self.W, np.eye(len(self.W)))
 
 
@@ -50,18 +50,18 @@ class Integrator:
 
     @property
     def is_explicit(self) -> bool:
-        """Tell whether each stage follows from those before it."""
+        """Return whether each stage follows from those before it."""
         return not np.triu(self.stages.V).any()
 
 
 def collocate(scheme: Scheme) -> Integrator:
-    """Give the method of a scheme: Gauss, or Radau IIA."""
+    """Return the method of a scheme: Gauss, or Radau IIA."""
     return build("collocation", scheme, 1)
 
 
 def build(name: IntegratorName, scheme: Scheme, steps: int) -> Integrator:
-    """Give a method that takes `steps` of equal length over an interval, to be read at the points of a scheme."""
-    step: _Step = _Classical() if name == "rk4" else _Collocation(scheme)
+    """Return a method that takes `steps` of equal length over an interval, and is read at the points of a scheme."""
+    step = INTEGRATORS[name].make(scheme)
     whole = _Composition(step, steps)
     stages = [whole.stage(i, j) for i in range(steps) for j in range(len(step.c))]
     return Integrator(
@@ -71,17 +71,19 @@ def build(name: IntegratorName, scheme: Scheme, steps: int) -> Integrator:
     )
 
 
-class _Step(Protocol):
-    """One step of length 1."""
+class Step(Protocol):
+    """One step of length 1: its stages, and its motion in between."""
 
     @property
-    def c(self) -> Array: ...
+    def c(self) -> Array:
+        """Times of the stages, (s,)."""
 
     @property
-    def A(self) -> Array: ...
+    def A(self) -> Array:
+        """The method's matrix, (s, s)."""
 
     def read(self, c: float) -> tuple[Array, Array]:
-        """Give the rows of V and W at any c in [0, 1]."""
+        """Return the rows of V and W at any c in [0, 1]; V at 1 holds the weights."""
 
 
 class _Collocation:
@@ -109,7 +111,7 @@ class _Classical:
 class _Composition:
     """Equal steps one after the other, over an interval of length 1."""
 
-    def __init__(self, step: _Step, steps: int) -> None:
+    def __init__(self, step: Step, steps: int) -> None:
         self.step, self.steps, self.size = step, steps, len(step.c)
 
     def stage(self, i: int, j: int) -> tuple[float, Array, Array, Array]:
@@ -123,11 +125,11 @@ class _Composition:
         return self._place(i, local, *self.step.read(local))
 
     def _place(self, i: int, local: float, v: Array, w: Array) -> tuple[float, Array, Array, Array]:
-        """Give c and rows of V, P and W at a place of step i, where the step's own rows are v and w."""
+        """Return c and rows of V, P and W at a place of step i, where the step's own rows are v and w."""
         A, length = self.step.A, 1 / self.steps
         b, _ = self.step.read(1.0)
         V, P, W = np.zeros((3, self.steps, self.size))
-        for k in range(i):  # what the start of step i has of those before
+        for k in range(i):  # the contributions of earlier steps to the start of step i
             P += length * V
             P[k] += length**2 * b @ A
             V[k] += length * b
@@ -141,3 +143,19 @@ class _Composition:
 def _stack(places: Sequence[tuple[float, Array, Array, Array]]) -> Reading:
     c, V, P, W = zip(*places, strict=True)
     return Reading(np.array(c), np.stack(V), np.stack(P), np.stack(W))
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of integrator: how a step is made, for a problem's scheme."""
+
+    title: str
+    make: Callable[[Scheme], Step]
+    is_explicit: bool  # its stages need accelerations, which a residual does not return
+
+
+# To add one, write a class of one step, and an entry here.
+INTEGRATORS: Mapping[str, Kind] = {
+    "collocation": Kind("the method of the problem's scheme", _Collocation, is_explicit=False),
+    "rk4": Kind("the classical Runge-Kutta method of order 4", lambda _: _Classical(), is_explicit=True),
+}

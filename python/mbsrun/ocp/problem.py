@@ -16,20 +16,20 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, PlainSerializer
 
-from mbsrun.ocp.integrators import IntegratorName
+from mbsrun.ocp.integrators import INTEGRATORS, IntegratorName
 from mbsrun.ocp.representations import Representation as Representation
 from mbsrun.ocp.schemes import Family
 
 
 class Form(Enum):
-    """What of the motion within an interval are variables."""
+    """The variables that a motion has within an interval."""
 
     STANDARD = "standard"  # states and accelerations at the points: direct collocation
     INTEGRAL = "integral"  # accelerations at the points; states there are their integrals
     SHOOTING = "shooting"  # nothing: an integrator takes the state from mesh point to mesh point
 
 
-# A bound that there is not: infinite in a program, null in a file.
+# A missing bound: infinite in a program, null in a file.
 Lower = Annotated[
     float, BeforeValidator(lambda x: -math.inf if x is None else x), PlainSerializer(lambda x: _finite(x))
 ]
@@ -37,7 +37,7 @@ Upper = Annotated[float, BeforeValidator(lambda x: math.inf if x is None else x)
 Range = tuple[Lower, Upper]
 Point = tuple[float, float, float]
 Inputs = Literal["zero", "static", "dynamic"]  # of a guess
-SolverName = Literal["ipopt", "sqpmethod"]
+SolverName = str  # a key of methods.METHODS
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Term:
 
 @dataclass(frozen=True)
 class Cost:
-    """The weights of the cost, and what else is paid for."""
+    """The weights of the cost, and its other terms."""
 
     inputs: float = 0.0  # k1
     input_rates: float = 0.0  # k2
@@ -59,7 +59,7 @@ class Cost:
 
     @property
     def weights(self) -> tuple[float, ...]:
-        """Give the weight of every term, in order."""
+        """Return the weight of every term, in order."""
         return (self.inputs, self.input_rates, *(term.weight for term in self.running + self.terminal))
 
     @property
@@ -79,7 +79,7 @@ class Bounds:
 
 @dataclass(frozen=True)
 class End:
-    """What must hold at the end of the horizon."""
+    """The conditions at the end of the horizon."""
 
     sensors: tuple[tuple[str, Point], ...] = ()  # name, position in the base frame [m]
     coordinates: tuple[tuple[int, float], ...] = ()  # index into q, value
@@ -111,7 +111,7 @@ class GuessOptions:
 
 @dataclass(frozen=True)
 class SolverOptions:
-    """What solves the program, and what it is told."""
+    """The NLP method, and its options."""
 
     tolerance: float = 1e-8
     max_iterations: int = 500
@@ -122,7 +122,7 @@ class SolverOptions:
 
 @dataclass(frozen=True)
 class Problem:
-    """All that a solve needs to know beside the model."""
+    """Everything that a solve needs, beside the model."""
 
     name: str
     horizon: float  # T [s]; where it is free, the guess
@@ -148,7 +148,7 @@ class Problem:
 
     @property
     def has_quaternions(self) -> bool:
-        """Tell whether there are more coordinates than velocities."""
+        """Return whether there are more coordinates than velocities."""
         return len(self.start_q) > len(self.start_qd)
 
     def with_target(self, sensor: str, position: Point) -> Problem:
@@ -161,7 +161,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Conflict:
-    """What of a problem does not go together with the rest."""
+    """A part of a problem that does not go together with the rest."""
 
     key: str  # the part of a file that says it
     finding: str
@@ -169,7 +169,7 @@ class Conflict:
 
 
 def find_conflicts(problem: Problem) -> list[Conflict]:
-    """Find what does not go together among form, integrator, representation, horizon and kinds of coordinates."""
+    """Find conflicts among form, integrator, representation, horizon and kinds of coordinates."""
     form, representation, found = problem.form, problem.representation, []
     if form is not Form.STANDARD and problem.has_quaternions:
         finding = f"the {form.value} form takes no joints with quaternions, whose rates are not their velocities"
@@ -187,8 +187,8 @@ def find_conflicts(problem: Problem) -> list[Conflict]:
     if form is not Form.SHOOTING and (problem.integrator != "collocation" or problem.steps != 1):
         finding = f"an integrator, and steps of it, are for shooting, and the form is {form.value}"
         found.append(Conflict("form", finding, "take form: shooting, or leave integrator and steps out"))
-    elif problem.integrator == "rk4" and not representation.is_explicit:
-        finding = f"rk4 needs accelerations, and {representation.value} gives a residual"
+    elif INTEGRATORS[problem.integrator].is_explicit and not representation.is_explicit:
+        finding = f"{problem.integrator} needs accelerations, and {representation.value} returns a residual"
         found.append(Conflict("integrator", finding, "take representation: EXP2-O, or integrator: collocation"))
     return found
 

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from enum import Enum
 from types import MappingProxyType
 
+from mbsrun import forms
+from mbsrun.forms import Form
 from mbsrun.ocp.functions import KernelResult
 
 
@@ -21,9 +23,18 @@ from mbsrun.ocp.functions import KernelResult
 class Equations:
     """How the equations of motion are written."""
 
-    kernel: str
-    is_explicit: bool  # the kernel returns accelerations; else a residual that reads them
+    form: Form
     has_accelerations: bool  # accelerations at the collocation points are variables
+
+    @property
+    def kernel(self) -> str:
+        """Name the kernel."""
+        return self.form.differentiated
+
+    @property
+    def is_explicit(self) -> bool:
+        """Return whether the kernel returns accelerations; else it returns a residual that reads them."""
+        return self.form.is_direct
 
     @property
     def function(self) -> KernelResult:
@@ -71,11 +82,11 @@ class Representation(Enum):
 
 REPRESENTATIONS: Mapping[Representation, Equations] = MappingProxyType(
     {
-        Representation.IMPL: Equations("impl", is_explicit=False, has_accelerations=True),
-        Representation.SEMI: Equations("semi_res", is_explicit=False, has_accelerations=True),
-        Representation.EXP1_O: Equations("exp1", is_explicit=True, has_accelerations=False),
-        Representation.EXP1_A: Equations("exp1", is_explicit=True, has_accelerations=True),
-        Representation.EXP2_O: Equations("exp2", is_explicit=True, has_accelerations=False),
-        Representation.EXP2_A: Equations("exp2", is_explicit=True, has_accelerations=True),
+        Representation.IMPL: Equations(forms.IMPL, has_accelerations=True),
+        Representation.SEMI: Equations(forms.SEMI, has_accelerations=True),
+        Representation.EXP1_O: Equations(forms.EXP1, has_accelerations=False),
+        Representation.EXP1_A: Equations(forms.EXP1, has_accelerations=True),
+        Representation.EXP2_O: Equations(forms.EXP2, has_accelerations=False),
+        Representation.EXP2_A: Equations(forms.EXP2, has_accelerations=True),
     }
 )

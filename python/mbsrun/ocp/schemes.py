@@ -2,12 +2,13 @@
 
 A state is the polynomial of degree d through its values at 0 and at the d collocation points; an algebraic variable the
 one of degree d - 1 through its values at the points. Points are Gauss-Radau (the last is 1) or Gauss-Legendre points.
-Everything is made from barycentric weights and Legendre polynomials, which keep their digits at every degree admitted
-here: Berrut, Trefethen, "Barycentric Lagrange interpolation", SIAM Review 46 (2004), section 9.3.
+Everything is computed from barycentric weights and Legendre polynomials, which keep their digits at every degree in
+DEGREES: Berrut, Trefethen, "Barycentric Lagrange interpolation", SIAM Review 46 (2004), section 9.3.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 
@@ -22,7 +23,7 @@ DEGREES = range(1, 10)
 
 
 class Family(Enum):
-    """Which roots the collocation points are."""
+    """The polynomials of which collocation points are roots; POINTS computes them."""
 
     RADAU = "radau"
     LEGENDRE = "legendre"
@@ -42,21 +43,26 @@ class Scheme:
     weights: Array  # (d,): the integral over [0, 1] is sum(weights * values at the points)
 
     @property
+    def ends_interval(self) -> bool:
+        """Return whether the last point is the end."""
+        return bool(self.points[-1] == 1.0)
+
+    @property
     def integration(self) -> Array:
-        """Give A, (d, d): values at the points are the value at 0 plus A times the derivatives at the points."""
+        """Return A, (d, d): values at the points are the value at 0 plus A times the derivatives at the points."""
         return np.asarray(np.linalg.inv(self.D[:, 1:]))
 
     @property
     def exactness(self) -> int:
-        """Give the highest degree of a polynomial that the quadrature integrates exactly."""
-        return 2 * self.degree - (2 if self.family is Family.RADAU else 1)
+        """Return the highest degree of a polynomial that the quadrature integrates exactly."""
+        return 2 * self.degree - (2 if self.ends_interval else 1)
 
 
 def build(family: Family, degree: int) -> Scheme:
     """Compute the scheme of a family and a degree from 1 to 9."""
     if degree not in DEGREES:
         raise ValueError(f"degree {degree} is not in 1..9")
-    points = _points(family, degree)
+    points = POINTS[family](degree)
     nodes = np.concatenate(([0.0], points))
     return Scheme(
         family=family,
@@ -70,11 +76,19 @@ def build(family: Family, degree: int) -> Scheme:
     )
 
 
-def _points(family: Family, degree: int) -> Array:
-    if family is Family.LEGENDRE:
-        return np.asarray((legendre.leggauss(degree)[0] + 1) / 2)
+def _find_legendre_points(degree: int) -> Array:
+    return np.asarray((legendre.leggauss(degree)[0] + 1) / 2)
+
+
+def _find_radau_points(degree: int) -> Array:
     inner = roots_jacobi(degree - 1, 1, 0)[0] if degree > 1 else np.empty(0)
     return np.concatenate(((inner + 1) / 2, [1.0]))
+
+
+POINTS: Mapping[Family, Callable[[int], Array]] = {
+    Family.RADAU: _find_radau_points,
+    Family.LEGENDRE: _find_legendre_points,
+}
 
 
 def _barycentric(nodes: Array) -> Array:
@@ -103,6 +117,6 @@ def read_basis(nodes: Array, s: float) -> Array:
 
 
 def _weights(points: Array) -> Array:
-    """Demand that Legendre polynomials of degree < d are integrated exactly: a well-conditioned system."""
+    """Solve for weights that integrate Legendre polynomials of degree < d exactly: a well-conditioned system."""
     moments = np.eye(len(points))[0]
     return np.asarray(np.linalg.solve(legendre.legvander(2 * points - 1, len(points) - 1).T, moments))

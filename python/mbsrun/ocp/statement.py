@@ -9,7 +9,7 @@ Terms of the cost and constraints are expressions of the motion as well, which s
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -35,7 +35,7 @@ from mbsgen.errors import Fault, InputError
 from mbsgen.expressions import FLOATS, Expression, ExpressionError, Number, evaluate, is_free_name, names, parse
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.checks import LEAST_TOLERANCE, MAX_INTERVALS, MAX_STEPS, list_open_inputs
-from mbsrun.ocp.integrators import IntegratorName
+from mbsrun.ocp.integrators import INTEGRATORS
 from mbsrun.ocp.methods import METHODS, Amount
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import (
@@ -114,6 +114,21 @@ def _check_model(path: str) -> str:
     if not path.endswith((".yaml", ".yml")):
         raise WrongValueError(f"found {abbreviate(path)}", "give a model file (.yaml), from this file's folder")
     return path
+
+
+def _check_integrator(name: str) -> str:
+    return _check_name(name, INTEGRATORS)
+
+
+def _check_solver(name: str) -> str:
+    return _check_name(name, METHODS)
+
+
+def _check_name(name: str, known: Collection[str]) -> str:
+    """Admit the keys of a registry."""
+    if name not in known:
+        raise WrongValueError(f"found {abbreviate(name)}", f"give one of {', '.join(known)}")
+    return name
 
 
 def _check_solution(path: str) -> str:
@@ -221,7 +236,7 @@ class _SolverSection(Section):
     tolerance: NumberField = Field(default=Number(SolverOptions.tolerance), examples=[1e-8])
     max_iterations: int = Field(default=SolverOptions.max_iterations, ge=1, examples=[500])
     objective_scaling: NumberField | None = Field(default=None, examples=[1.0])
-    method: Literal["ipopt", "sqpmethod"] = Field(default="ipopt", examples=["ipopt"])
+    method: Annotated[str, AfterValidator(_check_solver)] = Field(default=SolverOptions.method, examples=["ipopt"])
     options: dict[str, bool | int | float | str] = Field(default={}, examples=[{}])
 
 
@@ -234,7 +249,7 @@ class _ProblemSection(Section):
     degree: int = Field(ge=DEGREES[0], le=DEGREES[-1], examples=[4])
     representation: Representation = Field(default=Problem.representation, examples=["IMPL"])
     form: Form = Field(default=Problem.form, examples=["standard"])
-    integrator: IntegratorName = Field(default=Problem.integrator, examples=["rk4"])
+    integrator: Annotated[str, AfterValidator(_check_integrator)] = Field(default=Problem.integrator, examples=["rk4"])
     steps: int = Field(default=Problem.steps, ge=1, le=MAX_STEPS, examples=[1])
     cost: _CostSection = Field(examples=[{"inputs": 1.0}])
     start: _StartSection = Field(examples=[{"pose": {}}])

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbsrun.ocp.integrators import IntegratorName
 from mbsrun.ocp.problem import Form, Problem, Representation
 from mbsrun.ocp.schemes import Family
 
@@ -21,7 +20,7 @@ class Structure:
     degree: int
     representation: Representation
     form: Form
-    integrator: IntegratorName
+    integrator: str
     steps: int
     bounded: tuple[int, ...]  # indices into (q, qd) of states whose bounds are constraints: where points have no states
     start_is_free: bool

@@ -141,7 +141,7 @@ class Writer:
         """Write the states at the points that have bounds, where they are no variables and no mesh points."""
         N, d, n = self.shape.intervals, self.scheme.degree, self.layout.n
         # the last Radau point is the next mesh point
-        inner = d - bool(self.scheme.points[-1] == 1.0)
+        inner = d - self.scheme.ends_interval
         rows = self.take(np.arange(N), N, inner, len(self.shape.bounded))
         chosen = np.arange(N * d).reshape(N, d)[:, :inner].ravel()
         for k, i in enumerate(self.shape.bounded):
@@ -287,8 +287,7 @@ class Writer:
         """Write the constraints by expressions; those at the same places are one function."""
         N, shape = self.shape.intervals, self.shape
         kinds = list_quantities(self.manifest)
-        has_ends = bool(self.scheme.points[-1] == 1.0)
-        path_mesh = [*([0] * shape.start_is_free), *(() if has_ends else range(1, N + 1))]
+        path_mesh = [*([0] * shape.start_is_free), *(() if self.scheme.ends_interval else range(1, N + 1))]
         on_path = [i for i, (_, at) in enumerate(shape.constraints) if at == "path"]
         of_states = [i for i in on_path if not _reads_jumps(shape.constraints[i][0], kinds)]
         rows: list[list[Indices]] = [[] for _ in shape.constraints]

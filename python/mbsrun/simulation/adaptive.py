@@ -1,47 +1,67 @@
-"""Steps whose length follows a tolerance: the integrators of scipy, on y = (q, qd).
+"""Steps whose length follows a tolerance: the integrators of SciPy, on y = (q, qd).
 
-Implicit ones are given the Jacobian of the generated kernels. That of stiff motions decides how long an explicit step
-may be; where it does, that is told: an explicit method spends its steps on staying stable then.
+The embedded error estimate err of a step keeps |err_i| <= atol + rtol |y_i| in the root mean square: Hairer, Norsett,
+Wanner, "Solving ordinary differential equations I", section II.4. Implicit methods take the Jacobian of the generated
+kernels. An explicit method is stable while h |lambda| stays within its limit, for the eigenvalues lambda of that
+Jacobian; a motion is stiff where this, and not accuracy, sets the length of its steps.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from types import MappingProxyType
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import BDF, DOP853, LSODA, RK45, Radau
+from scipy import integrate as scipy_integrate
 
 from mbsrun.kernel import KernelError
 from mbsrun.limits import Allowance, LimitError
 from mbsrun.simulation.drive import DriveError, Piece
 from mbsrun.simulation.dynamics import Dynamics, SingularError
 from mbsrun.simulation.explicit import SINGULAR
-from mbsrun.simulation.methods import METHODS
 from mbsrun.simulation.motion import Chunk, Halt, HaltError, Settings
 
 Array = NDArray[np.float64]
 
-STEPS = 128  # handed on at a time
-SOLVERS: Mapping[str, Any] = MappingProxyType(
-    {"dop853": DOP853, "rk45": RK45, "lsoda": LSODA, "radau": Radau, "bdf": BDF}
-)
+STEPS = 128  # yielded at a time
+
+
+@dataclass(frozen=True)
+class Stepper:
+    """An integrator of SciPy's."""
+
+    solver: Any  # a class of scipy.integrate
+    takes_jacobian: bool
+    attempts: bool = False  # each attempt at a step takes `n_stages` evaluations: so rejected ones can be counted
+
+
+DOP853 = Stepper(scipy_integrate.DOP853, takes_jacobian=False, attempts=True)
+RK45 = Stepper(scipy_integrate.RK45, takes_jacobian=False, attempts=True)
+LSODA = Stepper(scipy_integrate.LSODA, takes_jacobian=True)
+RADAU = Stepper(scipy_integrate.Radau, takes_jacobian=True)
+BDF = Stepper(scipy_integrate.BDF, takes_jacobian=True)
 
 
 def integrate(
-    dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: Settings, allowance: Allowance
+    stepper: Stepper,
+    dynamics: Dynamics,
+    piece: Piece,
+    q: Array,
+    qd: Array,
+    settings: Settings,
+    allowance: Allowance,
 ) -> Iterator[Chunk]:
-    """Go through a piece; hand on what was reached.
+    """Go through a piece; yield the steps.
 
     Raises HaltError where a kernel or the integrator gives up, or the allowance is used up.
     """
     n, effort = dynamics.places, dynamics.effort
     times, states, pictures = [piece.start], [np.concatenate((q, qd))], []
     try:
-        solver = _make_solver(dynamics, piece, states[0], settings)
-        attempts = getattr(solver, "n_stages", None) if settings.method in ("dop853", "rk45") else None
+        solver = _make_solver(stepper, dynamics, piece, states[0], settings)
+        attempts = solver.n_stages if stepper.attempts else None
         if attempts is None:
             effort.rejected = None
         while solver.status == "running":
@@ -73,7 +93,7 @@ def integrate(
 
 
 def find_stability(dynamics: Dynamics, q: Array, qd: Array, v: Array) -> tuple[float, str]:
-    """Give how fast the fastest motion near a state decays [1/s], 0 where none does, and the joint that it moves most.
+    """Return the rate [1/s] at which the fastest motion near a state decays, or 0, and the joint that it moves most.
 
     That is the most negative real part of an eigenvalue of the Jacobian of (qd, qdd).
     """
@@ -86,12 +106,7 @@ def find_stability(dynamics: Dynamics, q: Array, qd: Array, v: Array) -> tuple[f
     return max(0.0, float(-values[fastest].real)), dynamics.kernels.manifest.coordinates[joint].name
 
 
-def is_explicit(method: str) -> bool:
-    """Tell whether stiffness limits a method's steps."""
-    return METHODS[method].stability is not None
-
-
-def _make_solver(dynamics: Dynamics, piece: Piece, state: Array, settings: Settings) -> Any:
+def _make_solver(stepper: Stepper, dynamics: Dynamics, piece: Piece, state: Array, settings: Settings) -> Any:
     n = dynamics.places
     held = piece.at(piece.start) if piece.is_constant else None
 
@@ -104,15 +119,15 @@ def _make_solver(dynamics: Dynamics, piece: Piece, state: Array, settings: Setti
         return np.block([[*dynamics.rate_slopes(q, qd)], [*dynamics.slopes(q, qd, piece.at(t))]])
 
     options: dict[str, Any] = {"rtol": settings.rtol, "atol": settings.atol}
-    if settings.method in ("radau", "bdf", "lsoda") and piece.law is None:  # else by differences, feedback and all
+    if stepper.takes_jacobian and piece.law is None:  # else by differences, feedback and all
         options["jac"] = jacobian
-    return SOLVERS[settings.method](rate, piece.start, state, piece.end, **options)
+    return stepper.solver(rate, piece.start, state, piece.end, **options)
 
 
 def _step(solver: Any, dynamics: Dynamics) -> None:
     """Take one step; what runs away, or cannot be resolved, ends in a HaltError."""
     with np.errstate(all="ignore"):
-        message = solver.step() if np.isfinite(solver.y).all() else "the motion runs away: its numbers overflow"
+        message = solver.step() if np.isfinite(solver.y).all() else "the motion diverges: its numbers overflow"
     if solver.status == "failed" or message:
         raise _give_up(dynamics, solver, str(message).lower().rstrip("."))
 

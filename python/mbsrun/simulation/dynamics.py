@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.errors import MbsError
-from mbsgen.roles import Order, name_derivative, name_kernel
+from mbsgen.manifest import Argument, Kernel
+from mbsgen.roles import Order, Role, name_derivative, name_kernel
 from mbsrun.kernel import Kernels
-from mbsrun.simulation.methods import Formulation
+from mbsrun.simulation.method import Evaluated, Formulation
 from mbsrun.simulation.motion import Effort
 
 Array = NDArray[np.float64]
@@ -39,12 +40,12 @@ class SingularError(MbsError):
 
 @dataclass(frozen=True)
 class Dynamics:
-    """A model's equations of motion in one formulation; counts what it is asked."""
+    """A model's equations of motion in one formulation; it counts its calls."""
 
     kernels: Kernels
     formulation: Formulation
     effort: Effort = field(default_factory=Effort)
-    kept: dict[str, Any] = field(default_factory=dict)  # what an integrator makes once, and wants again
+    kept: dict[str, Any] = field(default_factory=dict)  # objects that an integrator makes once, and uses again
     _taken: dict[str, frozenset[str]] = field(default_factory=dict)  # by kernel: the inputs that it takes
 
     @cached_property
@@ -79,38 +80,38 @@ class Dynamics:
     def accelerations(self, q: Array, qd: Array, v: Array) -> Array:
         """Solve for qdd, shape (..., n). Raises KernelError and SingularError."""
         self.effort.evaluations += _states(q)
-        if self._is_direct:
-            return self.call(self.formulation.value, q, qd, v)["qdd"]
+        if self._evaluated.mass is None:
+            return self.call(self._evaluated.function, q, qd, v)["qdd"]
         rest = np.zeros_like(qd)
-        if self.formulation is Formulation.IMPL:
-            M = self.call("jac_impl", q, qd, v, rest)["jac_Phi_qdd"]
-            return -self.solve(M, self.call("impl", q, qd, v, rest)["Phi"])
-        return -self.solve(self.call("semi", q, qd, v)["M"], self.call("semi_res", q, qd, v, rest)["Phi"])
+        M = self.call(self._evaluated.mass, q, qd, v, rest)[self._mass_result]
+        return -self.solve(M, self.call(self._evaluated.function, q, qd, v, rest)["Phi"])
 
     def slopes(self, q: Array, qd: Array, v: Array) -> tuple[Array, Array]:
         """Differentiate the accelerations by q and by qd, a row for each."""
         self.effort.jacobians += _states(q)
-        if self._is_direct:
-            by_q, by_qd = self._pick(self.formulation.value, "qdd", ("q", "qd"), q, qd, v)
+        name = name_kernel(self._evaluated.function, Order.JACOBIAN)
+        if self._evaluated.is_direct:
+            by_q, by_qd = self._pick(name, "qdd", ("q", "qd"), q, qd, v)
             return by_q, by_qd
-        name = self._residual_name
         K, C, M = self._pick(name, "Phi", ("q", "qd", "qdd"), q, qd, v, self.accelerations(q, qd, v))
         return -np.asarray(np.linalg.solve(M, K)), -np.asarray(np.linalg.solve(M, C))
 
     def residual(self, q: Array, qd: Array, qdd: Array, v: Array) -> Array:
         """Evaluate the residual, shape (..., n)."""
         self.effort.evaluations += _states(q)
-        if self._is_direct:
-            return qdd - self.call(self.formulation.value, q, qd, v)["qdd"]
-        return self.call(self._residual_name, q, qd, v, qdd)["Phi"]
+        name = self._evaluated.function
+        if self._evaluated.is_direct:
+            return qdd - self.call(name, q, qd, v)["qdd"]
+        return self.call(name, q, qd, v, qdd)["Phi"]
 
     def stiffnesses(self, q: Array, qd: Array, qdd: Array, v: Array) -> tuple[Array, Array, Array]:
         """Differentiate the residual by q, qd and qdd, shapes (..., n, nq), (..., n, n) twice."""
         self.effort.jacobians += _states(q)
-        if self._is_direct:
-            K, C = self._pick(self.formulation.value, "qdd", ("q", "qd"), q, qd, v)
+        name = name_kernel(self._evaluated.function, Order.JACOBIAN)
+        if self._evaluated.is_direct:
+            K, C = self._pick(name, "qdd", ("q", "qd"), q, qd, v)
             return -K, -C, np.broadcast_to(np.eye(self.size), C.shape)
-        K, C, M = self._pick(self._residual_name, "Phi", ("q", "qd", "qdd"), q, qd, v, qdd)
+        K, C, M = self._pick(name, "Phi", ("q", "qd", "qdd"), q, qd, v, qdd)
         return K, C, M
 
     def input_slopes(self, q: Array, qd: Array, qdd: Array, v: Array) -> Array:
@@ -122,7 +123,7 @@ class Dynamics:
         return np.asarray((residuals[:, 1:] - residuals[:, :1]).transpose(0, 2, 1))
 
     def call(self, name: str, q: Array, qd: Array, v: Array, qdd: Array | None = None) -> Mapping[str, Array]:
-        """Call a kernel with what it takes of these."""
+        """Call a kernel with those of these inputs that it takes."""
         forces = self.forces_count
         given = {"q": q, "qd": qd, "u": v[..., :forces], "w": v[..., forces:], "qdd": qdd}
         taken = self._taken.get(name)
@@ -133,21 +134,22 @@ class Dynamics:
         return self.kernels(name, **wanted)
 
     @property
-    def _is_direct(self) -> bool:
-        return self.formulation.form.is_direct
+    def _evaluated(self) -> Evaluated:
+        return self.formulation.evaluated
 
-    @property
-    def _residual_name(self) -> str:
-        return self.formulation.form.differentiated
+    @cached_property
+    def _mass_result(self) -> str:
+        """Name the mass matrix among the results of its kernel."""
+        assert self._evaluated.mass is not None, "a formulation of accelerations has no mass matrix"
+        kernel = self.kernels.manifest.kernel(self._evaluated.mass)
+        return find_mass_matrix(kernel).name
 
     def _pick(self, name: str, result: str, by: tuple[str, ...], q: Array, *rest: Array) -> tuple[Array, ...]:
-        """Call the Jacobian of a function; blocks without an entry are 0."""
-        blocks = self.call(name_kernel(name, Order.JACOBIAN), q, *rest)
-        shape = (*q.shape[:-1], self.size)
-        return tuple(
-            blocks.get(name_derivative(result, x), np.zeros((*shape, self.places if x == "q" else self.size)))
-            for x in by
-        )
+        """Call a Jacobian kernel; blocks without an entry are 0."""
+        blocks = self.call(name, q, *rest)
+        shapes = ((*q.shape[:-1], self.size, self.places if x == "q" else self.size) for x in by)
+        names = (name_derivative(result, x) for x in by)
+        return tuple(blocks.get(name, np.zeros(shape)) for name, shape in zip(names, shapes, strict=True))
 
     def solve(self, M: Array, right: Array) -> Array:
         """Solve M x = right, M (..., n, n). Raises SingularError."""
@@ -170,6 +172,16 @@ class Dynamics:
                 if not pivot > n * LOST * np.finfo(float).eps * block[j, j]:
                     return self.kernels.manifest.coordinates[j].name
         return self.kernels.manifest.coordinates[-1].name
+
+
+def find_mass_matrix(kernel: Kernel) -> Argument:
+    """Find M among the results of a kernel: as such, or as the derivative of the residual by the accelerations."""
+    accelerations = kernel.taking(Role.ACCELERATION)
+    return next(
+        result
+        for result in kernel.outputs
+        if result.role is Role.MASS_MATRIX or (accelerations is not None and result.by == accelerations.name)
+    )
 
 
 def _states(q: Array) -> int:

@@ -1,6 +1,9 @@
-"""Explicit steps of a fixed length. Hairer, Norsett, Wanner, chapter II.
+"""Explicit Runge-Kutta methods with steps of a fixed length h, for y = (q, qd) and y' = f(t, y):
 
-They are taken in C, see csrc/mbs_simulate.h; under inputs that follow the state, in Python.
+    k_i = f(t + c_i h, y + h sum_j A_ij k_j),    y(t + h) = y + h sum_i b_i k_i
+
+Hairer, Norsett, Wanner, "Solving ordinary differential equations I", chapter II. The steps are taken in C, see
+csrc/mbs_simulate.h; under inputs that follow the state, in Python.
 """
 
 from __future__ import annotations
@@ -10,7 +13,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import cffi
@@ -18,15 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen import resources
-from mbsgen.manifest import Argument, Kernel
-from mbsgen.roles import Order, Role, name_kernel
 from mbsrun.binding import Entry, bind
-from mbsrun.forms import Form
 from mbsrun.kernel import KernelError, Kernels
 from mbsrun.library import compile_library, find_compiler
 from mbsrun.limits import Allowance, LimitError
 from mbsrun.simulation.drive import DriveError, Piece
-from mbsrun.simulation.dynamics import Dynamics, SingularError
+from mbsrun.simulation.dynamics import Dynamics, SingularError, find_mass_matrix
 from mbsrun.simulation.motion import Chunk, Halt, HaltError, Settings
 
 Array = NDArray[np.float64]
@@ -60,29 +59,30 @@ class Tableau:
 
     @property
     def c(self) -> Array:
-        """Tell where in a step the stages lie."""
+        """Return the times of the stages within a step."""
         return np.asarray(np.array(self.A).sum(axis=1))
 
 
-TABLEAUS: Mapping[str, Tableau] = MappingProxyType(
-    {
-        "euler": Tableau(((0.0,),), (1.0,)),
-        "rk4": Tableau(
-            ((0.0, 0.0, 0.0, 0.0), (0.5, 0.0, 0.0, 0.0), (0.0, 0.5, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)),
-            (1 / 6, 1 / 3, 1 / 3, 1 / 6),
-        ),
-    }
+EULER = Tableau(((0.0,),), (1.0,))
+RK4 = Tableau(
+    ((0.0, 0.0, 0.0, 0.0), (0.5, 0.0, 0.0, 0.0), (0.0, 0.5, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)),
+    (1 / 6, 1 / 3, 1 / 3, 1 / 6),
 )
 
 
 def integrate(
-    dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: Settings, allowance: Allowance
+    tableau: Tableau,
+    dynamics: Dynamics,
+    piece: Piece,
+    q: Array,
+    qd: Array,
+    settings: Settings,
+    allowance: Allowance,
 ) -> Iterator[Chunk]:
-    """Go through a piece by steps of equal length, at most `settings.step`; hand on what was reached.
+    """Go through a piece by steps of equal length, at most `settings.step`; yield the steps.
 
     Raises HaltError where a kernel fails, a state is not finite, or the allowance is used up.
     """
-    tableau = TABLEAUS[settings.method]
     if piece.law is not None:
         yield from _integrate_in_python(dynamics, piece, np.concatenate((q, qd)), tableau, settings.step, allowance)
         return
@@ -105,14 +105,14 @@ def integrate(
             q, qd = np.split(states[: done + 1], [dynamics.places], axis=1)
             yield Chunk(times[: done + 1], q, qd)
         if status:
-            raise HaltError(tell(dynamics.kernels, status, times[done], states[done]))
+            raise HaltError(describe_status(dynamics.kernels, status, times[done], states[done]))
         first += steps
 
 
 def _integrate_in_python(
     dynamics: Dynamics, piece: Piece, state: Array, tableau: Tableau, step: float, allowance: Allowance
 ) -> Iterator[Chunk]:
-    """Do the same where inputs follow the state."""
+    """Take the steps where inputs follow the state."""
     count, n = count_steps(piece, step), dynamics.places
     h, states, halt = (piece.end - piece.start) / count, [state], None
     times = place_steps(piece, np.arange(count + 1), count)
@@ -127,7 +127,7 @@ def _integrate_in_python(
             halt = Halt(times[k], error.joint, SINGULAR, "start elsewhere, or keep away from this configuration")
         if not np.isfinite(states[-1]).all():
             states.pop()
-            halt = tell(dynamics.kernels, RUNAWAY, times[k], states[-1])
+            halt = describe_status(dynamics.kernels, RUNAWAY, times[k], states[-1])
         if len(states) > 1 and (halt or k + 1 == count or len(states) > PYTHON_STEPS):
             done = np.array(states)
             dynamics.effort.steps += len(done) - 1
@@ -139,7 +139,7 @@ def _integrate_in_python(
 
 
 def _step(dynamics: Dynamics, piece: Piece, state: Array, tableau: Tableau, time: float, h: float) -> Array:
-    """Take one step, of which every stage asks for the inputs. Raises KernelError and SingularError."""
+    """Take one step; every stage evaluates the inputs. Raises KernelError and SingularError."""
     rates = np.zeros((len(tableau.b), len(state)))
     for i, (row, c) in enumerate(zip(tableau.A, tableau.c, strict=True)):
         q, qd = np.split(state + h * np.array(row) @ rates, [dynamics.places])
@@ -156,30 +156,30 @@ def _spend(allowance: Allowance, steps: int, time: float) -> None:
 
 
 def count_steps(piece: Piece, step: float) -> int:
-    """Tell how many equal steps, none longer than asked for but by rounding, a piece takes."""
+    """Count the equal steps of a piece; none is longer than asked for, but for rounding."""
     return max(1, int(np.ceil((piece.end - piece.start) / step * (1 - 1e-12))))
 
 
 def place_steps(piece: Piece, numbers: NDArray[np.intp], count: int) -> Array:
-    """Give the times at which so many steps of `count` are done; the last is the piece's end to the last digit."""
+    """Return the times at which so many steps of `count` are done; the last is exactly the piece's end."""
     times = piece.start + (piece.end - piece.start) / count * numbers
     return np.where(numbers == count, piece.end, times)
 
 
 def sample(piece: Piece, times: Array) -> Array:
-    """Give the inputs at times of a piece, (K, m); one row where they are the same at all."""
+    """Return the inputs at times of a piece, (K, m); one row where they are constant."""
     return np.ascontiguousarray(piece.values(times[:1] if piece.is_constant else times))
 
 
-def tell(kernels: Kernels, status: int, time: float, state: Array) -> Halt:
-    """Put a status of the C functions, met in the step after `time`, into words."""
+def describe_status(kernels: Kernels, status: int, time: float, state: Array) -> Halt:
+    """Describe a status of the C functions, returned in the step after `time`."""
     names = [c.name for c in kernels.manifest.coordinates]
     if status == RUNAWAY:
         fastest = names[int(np.abs(state[-len(names) :]).argmax())]
         return Halt(
             float(time),
             fastest,
-            "the motion runs away: its numbers overflow",
+            "the motion diverges: its numbers overflow",
             "take a smaller step or an implicit method",
         )
     joint = names[status - 1] if status <= len(names) else None
@@ -190,13 +190,14 @@ SINGULAR = "the accelerations cannot be computed here: the mass matrix is singul
 
 
 class _Plant:
-    """A formulation as the C functions take it, with the memory that they work on."""
+    """A formulation as the C functions take it, with the memory that they use."""
 
     def __init__(self, dynamics: Dynamics) -> None:
         self.ffi, self.lib = _load()
         ffi, n = self.ffi, dynamics.size
         kernels, forces = dynamics.kernels, dynamics.forces_count
-        rate, mass = _choose_kernels(dynamics.formulation.form)
+        evaluated = dynamics.formulation.evaluated
+        rate, mass = evaluated.function, evaluated.mass
         rate_entry, mass_entry = _bind(kernels, rate), _bind(kernels, mass) if mass else None
         self.memory: dict[str, Array] = {
             "q": np.zeros(dynamics.places),
@@ -211,7 +212,7 @@ class _Plant:
         inputs = {name: self._pointer(name) for name in ("q", "qd", "v", "matrix")}
         inputs |= {"u": inputs["v"], "w": inputs["v"] + forces, "qdd": self._pointer("rest")}
         inputs |= {name: self._pointer(name) for name in filled}
-        self.kept: list[Any] = [rate_entry, mass_entry]  # that C is given pointers to
+        self.kept: list[Any] = [rate_entry, mass_entry]  # objects that C has pointers to
         p: Any = ffi.new("mbs_plant *")
         self.plant = p
         p.n, p.nq, p.m = n, dynamics.places, len(self.memory["v"]) - 1
@@ -224,7 +225,8 @@ class _Plant:
             p.qt = self._pointer("qt")
             p.change, p.change_arg, p.change_res = self._lay(change, inputs, "rate", p.qt)
         if mass_entry is not None:
-            port = next(x for x in mass_entry.outputs if _is_mass_matrix(mass_entry.kernel, x.argument))
+            M = find_mass_matrix(mass_entry.kernel)
+            port = next(x for x in mass_entry.outputs if x.argument == M)
             self.memory["M"] = np.zeros(port.argument.nnz)
             numbers = port.spread()
             place = self.places = np.flatnonzero(numbers >= 0)[np.argsort(numbers[numbers >= 0])].astype(np.int64)
@@ -233,7 +235,7 @@ class _Plant:
             p.mass, p.mass_arg, p.mass_res = self._lay(mass_entry, inputs, port.argument.name, self._pointer("M"))
 
     def run(self, state: Array, tableau: Tableau, h: float, steps: int, inputs: Array) -> tuple[int, int, Array]:
-        """Take steps; inputs (steps * stages, m), or one row for all. Gives how many, the status, states by rows."""
+        """Take steps; inputs (steps * stages, m), or one row for all. Return how many, status, and states by rows."""
         ffi = self.ffi
         states = np.empty((steps + 1, len(state)))
         states[0] = state
@@ -249,7 +251,7 @@ class _Plant:
         return self.ffi.cast("double *", self.memory[name].ctypes.data)
 
     def _lay(self, entry: Entry, inputs: Mapping[str, Any], wanted: str, place: Any) -> tuple[Any, Any, Any]:
-        """Make the argument lists of a kernel, of whose results one is wanted."""
+        """Make the argument lists of a kernel for one of its results."""
         arg, res = self.ffi.new("const double *[]", entry.n_in), self.ffi.new("double *[]", entry.n_out)
         for port in entry.inputs:
             arg[port.position] = inputs[port.argument.name]
@@ -261,23 +263,9 @@ class _Plant:
         return function, arg, res
 
 
-def _choose_kernels(form: Form) -> tuple[str, str | None]:
-    """Return the kernel that the rates come from, and the kernel that has M where it gives no accelerations."""
-    if form.is_direct:
-        return form.function, None
-    has_matrix = form.function != form.residual
-    return form.differentiated, form.function if has_matrix else name_kernel(form.function, Order.JACOBIAN)
-
-
 def count_wrench_entries(kernels: Kernels) -> int:
     """Count the entries of w."""
     return sum(3 * wrench.force + 3 * wrench.moment for wrench in kernels.manifest.wrenches)
-
-
-def _is_mass_matrix(kernel: Kernel, argument: Argument) -> bool:
-    """Return whether a result is M: as such, or as the derivative of the residual by the accelerations."""
-    accelerations = kernel.taking(Role.ACCELERATION)
-    return argument.role is Role.MASS_MATRIX or (accelerations is not None and argument.by == accelerations.name)
 
 
 def _bind(kernels: Kernels, name: str) -> Entry:

@@ -1,4 +1,4 @@
-"""Implicit steps of a fixed length on the residual: no mass matrix is formed, and any formulation will do.
+"""Implicit steps of a fixed length on the residual: no mass matrix is formed, and any formulation is admitted.
 
     R(t, q, qd, qdd) = 0
 
@@ -12,7 +12,7 @@ Integration", section VI.3),
     p' = p - h dH/dq(q, p') + h Q,    q' = q + h dH/dp(q, p')
 
 is solved for the velocity w = dH/dp(q, p'), with p' = M(q) w. Since dH/dq(q, p') = -dL/dq(q, w), and the residual is
-Phi(q, w, 0) = dM/dt w - dL/dq - Q, what is left is, with B = d(M w)/dq = dPhi/dq(q, 0, w) - dPhi/dq(q, 0, 0),
+Phi(q, w, 0) = dM/dt w - dL/dq - Q, the equation is, with B = d(M w)/dq = dPhi/dq(q, 0, w) - dPhi/dq(q, 0, 0),
 
     M (w - qd) + h (Phi(q, w, 0) - B w) = 0,    d/dw of it:  M - h (B^T + dQ/dw)
 
@@ -37,12 +37,11 @@ from mbsrun.ocp import schemes
 from mbsrun.simulation.drive import DriveError, Piece, differentiate
 from mbsrun.simulation.dynamics import Dynamics, SingularError
 from mbsrun.simulation.explicit import SINGULAR, count_steps, place_steps
-from mbsrun.simulation.methods import SYMPLECTIC
 from mbsrun.simulation.motion import Chunk, Halt, HaltError, Settings, Stages
 
 Array = NDArray[np.float64]
 
-STEPS = 512  # handed on at a time
+STEPS = 512  # yielded at a time
 ITERATIONS = 25
 CONVERGED = 1e-10  # a change of the state, relative or absolute; Newton's error is then about its square
 
@@ -71,7 +70,7 @@ Step = Callable[[_State, float, float], _State]  # state, its time, length of th
 
 @dataclass(frozen=True, eq=False)
 class _Scheme:
-    """A method: how it steps, and where in a step (s,), with what weights (s,), it sums up what happens, if it does."""
+    """A method: how it steps, and where in a step (s,), with which weights (s,) it evaluates integrals, if it does."""
 
     step: Step
     points: Array | None = None
@@ -90,7 +89,7 @@ class _Loop:
         return self.dynamics.residual(q, qd, qdd, self.piece.follow(t, q, qd))
 
     def stiffnesses(self, t: Array, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array, Array]:
-        """Differentiate it by q, qd and qdd, as `Dynamics.stiffnesses` does; inputs that follow the state, too."""
+        """Differentiate the residual by q, qd and qdd, with the inputs that follow the state."""
         v = self.piece.follow(t, q, qd)
         K, C, M = self.dynamics.stiffnesses(q, qd, qdd, v)
         if self.piece.law is None:
@@ -100,16 +99,25 @@ class _Loop:
         return K + S @ by_q, C + S @ by_qd, M
 
 
+Make = Callable[[Dynamics, Piece, Settings], _Scheme]  # the scheme of a method for a piece
+
+
 def integrate(
-    dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: Settings, allowance: Allowance
+    make: Make,
+    dynamics: Dynamics,
+    piece: Piece,
+    q: Array,
+    qd: Array,
+    settings: Settings,
+    allowance: Allowance,
 ) -> Iterator[Chunk]:
-    """Go through a piece by steps of equal length, at most `settings.step`; hand on what was reached.
+    """Go through a piece by steps of equal length, at most `settings.step`; yield the steps.
 
     Raises HaltError where a kernel fails, or Newton's method does, or the allowance is used up.
     """
     count = count_steps(piece, settings.step)
     h, time, k = (piece.end - piece.start) / count, piece.start, 0
-    scheme = _choose_scheme(dynamics, piece, settings)
+    scheme = make(dynamics, piece, settings)
     done: list[_State] = []
     try:
         done.append(_State(q, qd, _consistent(dynamics, piece, q, qd), q[None], qd[None]))
@@ -126,7 +134,7 @@ def integrate(
             yield _gather(done, piece, k, count, scheme)
         if isinstance(error, DriveError) and piece.law is None:
             raise
-        raise HaltError(_tell(error, time)) from None
+        raise HaltError(_describe(error, time)) from None
     if len(done) > 1:
         yield _gather(done, piece, count, count, scheme)
 
@@ -142,7 +150,7 @@ def _gather(done: list[_State], piece: Piece, last: int, count: int, scheme: _Sc
     return Chunk(t, q, qd, stages=stages)
 
 
-def _tell(error: Exception, time: float) -> Halt:
+def _describe(error: Exception, time: float) -> Halt:
     joint = getattr(error, "joint", None)
     if isinstance(error, LimitError | DriveError):
         return Halt(time, None, error.finding, error.remedy)
@@ -162,15 +170,6 @@ def _consistent(dynamics: Dynamics, piece: Piece, q: Array, qd: Array) -> Array:
         raise SingularError(dynamics.find_pivot(M)) from None
 
 
-def _choose_scheme(dynamics: Dynamics, piece: Piece, settings: Settings) -> _Scheme:
-    if settings.method == SYMPLECTIC:
-        return _make_symplectic(dynamics, piece)
-    if settings.method == "generalized-alpha":
-        return _make_alpha(dynamics, piece, settings.rho)
-    family = schemes.Family.RADAU if settings.method == "radau-iia" else schemes.Family.LEGENDRE
-    return _make_collocation(dynamics, piece, schemes.build(family, settings.stages))
-
-
 @dataclass(frozen=True, eq=False)
 class _Places:
     """Coordinates at the stages of a step, which follow from the velocities V (s, n) there: Q = q + h A rates(Q, V)."""
@@ -181,11 +180,11 @@ class _Places:
 
     @cached_property
     def are_integrals(self) -> bool:
-        """Tell whether rates are the velocities."""
+        """Return whether rates are the velocities."""
         return not self.dynamics.kernels.manifest.quaternions
 
     def stages(self, q: Array, V: Array, h: float) -> Array:
-        """Give Q, (s, nq): rates of quaternions are linear in them, and those of places feel no place."""
+        """Return Q, (s, nq). Rates of quaternions are linear in them, and other rates do not depend on places."""
         if self.are_integrals:
             return np.asarray(q + h * self.A @ V)
         Q = np.tile(q, (len(V), 1))
@@ -195,11 +194,11 @@ class _Places:
         return Q
 
     def end(self, q: Array, Q: Array, V: Array, h: float) -> Array:
-        """Give q + h b rates(Q, V), (nq,)."""
+        """Return q + h b rates(Q, V), (nq,)."""
         return np.asarray(q + h * self.b @ self.dynamics.rates(Q, V))
 
     def stiffen(self, K: Array, Q: Array, V: Array, h: float) -> Array:
-        """Differentiate by V what has the derivatives K (s, n, nq) by Q: (s, s, n, n), stage by stage."""
+        """Differentiate by V a function with the derivatives K (s, n, nq) by Q: (s, s, n, n), stage by stage."""
         if self.are_integrals:
             return np.asarray(h * self.A[:, :, None, None] * K[:, None])
         slopes = np.linalg.solve(*self._differentiate(Q, V, h)).reshape(*Q.shape, *V.shape)
@@ -214,8 +213,9 @@ class _Places:
         return np.eye(Q.size) - by_q, by_qd
 
 
-def _make_alpha(dynamics: Dynamics, piece: Piece, rho: float) -> _Scheme:
+def make_alpha(dynamics: Dynamics, piece: Piece, settings: Settings) -> _Scheme:
     """Unknown: qdd at the step's end. `a` is the method's own acceleration, which follows qdd."""
+    rho = settings.rho
     alpha_m, alpha_f = (2 * rho - 1) / (rho + 1), rho / (rho + 1)
     gamma = 0.5 + alpha_f - alpha_m
     beta = 0.25 * (gamma + 0.5) ** 2
@@ -227,7 +227,7 @@ def _make_alpha(dynamics: Dynamics, piece: Piece, rho: float) -> _Scheme:
         a, end = memory.get("a", state.qdd), np.array([time + h])
 
         def advance(qdd: Array) -> tuple[Array, Array, Array, Array, Array]:
-            """Give q, qd and a at the end, and the middle of the way with its velocity."""
+            """Return q, qd and a at the end, and the middle of the way with its velocity."""
             new = ((1 - alpha_f) * qdd + alpha_f * state.qdd - alpha_m * a) / (1 - alpha_m)
             mean = (state.qd + h * ((0.5 - beta) * a + beta * new))[None]
             middle = places.stages(state.q, mean, h)
@@ -249,8 +249,9 @@ def _make_alpha(dynamics: Dynamics, piece: Piece, rho: float) -> _Scheme:
     return _Scheme(step, np.array([0.0, 1.0]), np.array([0.5, 0.5]))
 
 
-def _make_collocation(dynamics: Dynamics, piece: Piece, scheme: schemes.Scheme) -> _Scheme:
+def make_collocation(family: schemes.Family, dynamics: Dynamics, piece: Piece, settings: Settings) -> _Scheme:
     """Unknowns: qdd at the stages, (s, n)."""
+    scheme = schemes.build(family, settings.stages)
     A, b, c, s, n = scheme.integration, scheme.weights, scheme.points, scheme.degree, dynamics.size
     places, values, loop = _Places(dynamics, A, b), _values_at(c), _Loop(dynamics, piece)
 
@@ -279,7 +280,7 @@ def _make_collocation(dynamics: Dynamics, piece: Piece, scheme: schemes.Scheme) 
     return _Scheme(step, c, b)
 
 
-def _make_symplectic(dynamics: Dynamics, piece: Piece) -> _Scheme:
+def make_symplectic(dynamics: Dynamics, piece: Piece, _: Settings) -> _Scheme:
     """Unknown: the velocity w of the step. Inputs are those at its start."""
     n = dynamics.size
 
@@ -313,13 +314,13 @@ def _values_at(points: Array) -> Array:
 
 
 def _scale(state: _State, h: float) -> Array:
-    """Tell what accelerations change of the state in a step, relative to it, (n,); to 1, where it has quaternions."""
+    """Return the change of the state in a step by a unit acceleration, relative to the state, or 1 with quaternions."""
     sizes = np.abs(state.q) if state.q.shape == state.qd.shape else 0.0
     return np.asarray(h / (1 + np.abs(state.qd)) + h * h / (1 + sizes))
 
 
 def _iterate(dynamics: Dynamics, correct: Callable[[Array], Array], guess: Array, scale: Array) -> Array:
-    """Newton's method for accelerations, until what they change of the state, by `scale` (n,), is within CONVERGED."""
+    """Solve for accelerations by Newton's method, until their change times `scale` (n,) is within CONVERGED."""
     z = guess
     before = change = np.zeros_like(z)
     for _ in range(ITERATIONS):

@@ -1,4 +1,4 @@
-"""What a simulation is asked for, and what it gives."""
+"""The settings and the result of a simulation, and the steps that integrators yield."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsrun.limits import Limits
-from mbsrun.simulation.methods import METHODS, Family, Formulation
+from mbsrun.simulation.method import Formulation
 
 Array = NDArray[np.float64]
 
-DRIFT = 0.01  # of the energy that is exchanged; more is told
-STILL = 1e-9  # of kinetic energy: a drift that is told of no motion
+DRIFT = 0.01  # of the energy that is exchanged; a larger drift brings a warning
+STILL = 1e-9  # of kinetic energy: a smaller drift brings no warning
 STORED = 1000  # states that are kept of a motion, about, unless another distance of outputs is asked for
 
 
@@ -29,16 +29,10 @@ class Settings:
     rtol: float = 1e-9  # of adaptive methods: tolerance of a step, relative,
     atol: float = 1e-9  # and absolute (rad, m; rad/s, m/s)
     stages: int = 2  # of radau-iia and gauss
-    rho: float = 0.8  # of generalized-alpha: what part of the highest frequencies' amplitude a step keeps
+    rho: float = 0.8  # of generalized-alpha: the part of the highest frequencies' amplitude that a step keeps
     output_step: float | None = None  # between the states that are kept; None: duration / STORED
-    max_steps: int = Limits.steps  # what would take more is refused, or halts
+    max_steps: int = Limits.steps  # a motion that would take more is refused, or halts
     max_seconds: float = Limits.seconds  # of processor time; the motion halts when they are used up
-
-
-def takes_too_many_steps(settings: Settings) -> bool:
-    """Tell whether a method with a fixed step cannot reach the end within `max_steps`."""
-    is_fixed = METHODS[settings.method].family is not Family.ADAPTIVE
-    return is_fixed and settings.duration / settings.step > settings.max_steps * (1 + 1e-12)  # to rounding
 
 
 @dataclass(frozen=True)
@@ -57,10 +51,10 @@ class Halt:
 
 @dataclass
 class Effort:
-    """What the integration took; counted while it goes on."""
+    """The effort of an integration; counted while it goes on."""
 
     steps: int = 0  # accepted
-    rejected: int | None = 0  # None: the method does not tell
+    rejected: int | None = 0  # None: the method does not count them
     evaluations: int = 0  # of accelerations or residuals, in one state each
     jacobians: int = 0
     iterations: int = 0  # of Newton's method
@@ -82,27 +76,27 @@ class Energy:
 
     @property
     def drift(self) -> Array:
-        """Tell how far the total is from its start and the work done since: what the integration errs by."""
+        """Return the total minus its start and the work done since: the error of the integration."""
         return np.asarray(self.total - self.total[0] - self.work)
 
     @property
     def exchanged(self) -> float:
-        """Tell how far kinetic and potential energy come from what they were [J]."""
+        """Return the sum of the ranges of kinetic and potential energy [J]."""
         return float(np.ptp(self.kinetic) + np.ptp(self.potential))
 
     @property
     def is_kept(self) -> bool:
-        """Tell whether the drift is small enough."""
+        """Return whether the drift is small enough."""
         return bool(np.abs(self.drift).max() <= self.tolerated)
 
     @property
     def tolerated(self) -> float:
-        """Return the drift that is warned of: of what is exchanged, or of the motion, where that is nearly nothing."""
+        """Return the largest drift without a warning: relative to the energy exchanged, or to that of the motion."""
         return float(max(DRIFT * self.exchanged, STILL * self.kinetic.max()))
 
     @property
     def rounding(self) -> float:
-        """Return what rounding makes of the energies: a drift below says nothing of the integration."""
+        """Return the rounding error of the energies: a smaller drift shows nothing of the integration."""
         sizes = [np.abs(x).max() for x in (self.kinetic, self.potential, self.work)]
         return float(np.finfo(float).eps * max(sizes))
 
@@ -123,12 +117,12 @@ class Motion:
 
     @property
     def is_complete(self) -> bool:
-        """Tell whether the end was reached."""
+        """Return whether the end was reached."""
         return self.halt is None
 
 
 class HaltError(Exception):
-    """Raised by an integrator, after what it reached has been handed on."""
+    """Raised by an integrator, after it has yielded the steps that it took."""
 
     def __init__(self, halt: Halt) -> None:
         super().__init__(str(halt))
@@ -137,7 +131,7 @@ class HaltError(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Stages:
-    """States within k steps at which a method itself sums up what happens there: s in each step."""
+    """States within k steps at which a method evaluates integrals: s in each step."""
 
     t: Array  # (k, s)
     q: Array  # (k, s, nq)
@@ -147,7 +141,7 @@ class Stages:
 
 @dataclass(frozen=True, eq=False)
 class Chunk:
-    """Some steps in a row, as an integrator hands them on; the first state is the last of the chunk before."""
+    """Some steps in a row, as an integrator yields them; the first state is the last of the chunk before."""
 
     t: Array  # (k + 1,)
     q: Array  # (k + 1, nq)

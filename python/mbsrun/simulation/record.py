@@ -25,7 +25,7 @@ from mbsrun.external import Mechanism
 from mbsrun.kernel import Kernels
 from mbsrun.quaternions import find_rates
 from mbsrun.simulation.drive import input_labels
-from mbsrun.simulation.methods import METHODS, Family
+from mbsrun.simulation.methods import METHODS
 from mbsrun.simulation.motion import Motion, Settings
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ NAMED = 12  # coordinates that a legend still names
 
 
 def write_motion(motion: Motion, kernels: Mechanism, folder: Path) -> None:
-    """Write the folder of a motion; what is in the way of its files is replaced."""
+    """Write the folder of a motion; files of these names are replaced."""
     folder.mkdir(parents=True, exist_ok=True)
     manifest = kernels.manifest
     (folder / SUMMARY).write_text(_summarise(motion, kernels), encoding="utf-8")
@@ -50,12 +50,8 @@ def write_motion(motion: Motion, kernels: Mechanism, folder: Path) -> None:
 
 
 def describe_settings(settings: Settings) -> dict[str, object]:
-    """List those settings that mattered to the method."""
-    family = METHODS[settings.method].family
-    wanted = ["duration", "method"]
-    wanted += ["rtol", "atol"] if family is Family.ADAPTIVE else ["step"]
-    wanted += ["stages"] if settings.method in ("radau-iia", "gauss") else []
-    wanted += ["rho"] if settings.method == "generalized-alpha" else []
+    """List the settings that matter to the method."""
+    wanted = ["duration", "method", *METHODS[settings.method].settings]
     return {name: getattr(settings, name) for name in wanted} | {"formulation": settings.formulation.value}
 
 

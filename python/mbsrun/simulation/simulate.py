@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,11 +13,12 @@ from mbsgen.roles import Order, name_kernel
 from mbsrun.kernel import ArgumentError, KernelError, Kernels
 from mbsrun.limits import Allowance, Limits
 from mbsrun.quaternions import measure_lengths
-from mbsrun.simulation import adaptive, explicit, implicit
+from mbsrun.simulation import adaptive
 from mbsrun.simulation.drive import Drive, DriveError, Piece, input_labels
 from mbsrun.simulation.dynamics import Dynamics, SingularError
 from mbsrun.simulation.energy import add_up_work
-from mbsrun.simulation.methods import METHODS, SYMPLECTIC, Family, Formulation, choose_formulation
+from mbsrun.simulation.method import Family, Formulation
+from mbsrun.simulation.methods import METHODS, choose_formulation, takes_too_many_steps
 from mbsrun.simulation.motion import (
     STORED,
     Chunk,
@@ -28,21 +28,12 @@ from mbsrun.simulation.motion import (
     HaltError,
     Motion,
     Settings,
-    takes_too_many_steps,
 )
 
 Array = NDArray[np.float64]
-Integrator = Callable[[Dynamics, Piece, Array, Array, Settings, Allowance], Iterator[Chunk]]
 
-INTEGRATORS: Mapping[Family, Integrator] = MappingProxyType(
-    {
-        Family.EXPLICIT: explicit.integrate,
-        Family.IMPLICIT: implicit.integrate,
-        Family.ADAPTIVE: adaptive.integrate,
-    }
-)
-BEYOND = 1e-6  # of a limit or of 1 rad or m, from where on it is told
-STIFF = 500.0  # what decays so many times within a motion is fast; only then is stiffness spoken of
+BEYOND = 1e-6  # of a limit or of 1 rad or m: beyond it there is a warning
+STIFF = 500.0  # a rate that decays so many times within a motion is fast; only then is there a warning of stiffness
 
 
 def simulate(
@@ -53,15 +44,15 @@ def simulate(
     settings: Settings,
     show: Callable[[float], None] = lambda _: None,
 ) -> Motion:
-    """Integrate the motion from q, qd (n,) at time 0 under the inputs of `drive`; `show` is told the time reached.
+    """Integrate the motion from q, qd (n,) at time 0 under the inputs of `drive`; call `show` with the time reached.
 
-    What cannot be integrated on is no exception: the motion then tells in `halt` why it ends early. Raises ValueError
+    A failure on the way is no exception: `halt` of the motion then describes why it ends early. Raises ValueError
     for arguments that do not fit, ArgumentError for kernels that were not generated, DriveError for inputs without a
     value.
     """
     start = _check(kernels, drive, q, qd, settings)
     settings = replace(settings, formulation=choose_formulation(settings.method, settings.formulation))
-    dynamics, integrate = Dynamics(kernels, settings.formulation), INTEGRATORS[METHODS[settings.method].family]
+    dynamics, integrate = Dynamics(kernels, settings.formulation), METHODS[settings.method].integrate
     record = _Record(kernels, settings, *start)
     allowance = Allowance(Limits(settings.max_steps, settings.max_seconds))
     halt: Halt | None = None
@@ -103,8 +94,8 @@ def _check(kernels: Kernels, drive: Drive, q: ArrayLike, qd: ArrayLike, settings
         raise ValueError("max_steps and max_seconds must be positive")
     if takes_too_many_steps(settings):
         raise ValueError(f"step = {settings.step} takes more than max_steps = {settings.max_steps} steps")
-    if settings.method == SYMPLECTIC and manifest.quaternions:
-        raise ValueError(f"{SYMPLECTIC} takes no quaternions; gauss with one stage does")
+    if manifest.quaternions and not METHODS[settings.method].takes_quaternions:
+        raise ValueError(f"{settings.method} takes no quaternions; gauss with one stage does")
     _check_kernels(kernels, settings)
     if settings.duration > drive.end:
         raise ValueError(f"the inputs end at {drive.end} s, before the duration of {settings.duration} s")
@@ -112,13 +103,14 @@ def _check(kernels: Kernels, drive: Drive, q: ArrayLike, qd: ArrayLike, settings
 
 
 def _check_kernels(kernels: Kernels, settings: Settings) -> None:
-    """Demand what the formulation needs, and what energies, warnings and pictures are computed from."""
+    """Demand the kernels that the formulation, energies, warnings and pictures need."""
     formulation = choose_formulation(settings.method, settings.formulation)
-    form = formulation.form
-    needed = {form.function, form.differentiated, "energy", "power", "frames"}
-    differentiated = {"impl"} if adaptive.is_explicit(settings.method) else {form.differentiated}
-    differentiated |= {"rates"} if kernels.manifest.configuration else set()
-    needed |= differentiated | {name_kernel(name, Order.JACOBIAN) for name in differentiated}
+    evaluated, is_explicit = formulation.evaluated, METHODS[settings.method].stability is not None
+    jacobian = name_kernel(evaluated.function, Order.JACOBIAN)
+    needed = {evaluated.function, "energy", "power", "frames"}
+    needed |= set() if evaluated.mass in (None, jacobian) else {evaluated.mass}
+    needed |= {"impl", "jac_impl"} if is_explicit else {jacobian}
+    needed |= {"rates", "jac_rates"} if kernels.manifest.configuration else set()
     missing = sorted(needed - {kernel.name for kernel in kernels.manifest.kernels})
     if missing:
         raise ArgumentError(
@@ -128,7 +120,7 @@ def _check_kernels(kernels: Kernels, settings: Settings) -> None:
 
 
 def _timed(chunks: Iterator[Chunk], effort: Effort) -> Iterator[Chunk]:
-    """Hand chunks on, and add up the processor time that making them took."""
+    """Pass chunks on, and add up the processor time of making them."""
     while True:
         before = time.process_time()
         try:
@@ -141,7 +133,7 @@ def _timed(chunks: Iterator[Chunk], effort: Effort) -> Iterator[Chunk]:
 
 
 class _Record:
-    """Keeps some of the states that are handed on, and the work done until then."""
+    """Keeps some of the states, and the work done until then."""
 
     def __init__(self, kernels: Kernels, settings: Settings, q: Array, qd: Array) -> None:
         self.kernels, self.settings = kernels, settings
@@ -155,7 +147,7 @@ class _Record:
         self.steps = 0
 
     def open(self, piece: Piece) -> None:
-        """Begin a piece, which has the last word on the inputs where it begins."""
+        """Begin a piece; the inputs at its start are its own."""
         self.piece, self.steps = piece, 0
         inputs, count = piece.at(piece.start, *self.last), len(input_labels(self.kernels.manifest))
         if inputs.shape != (count,):
@@ -177,7 +169,7 @@ class _Record:
         self.last, self.last_time, self.done = (chunk.q[-1], chunk.qd[-1]), float(chunk.t[-1]), float(work[-1])
 
     def close(self) -> None:
-        """End a piece: what was reached last is kept in any case."""
+        """End a piece: the last state is kept in any case."""
         if self.t[-1] != self.last_time and self.piece is not None:
             self.inputs += self._ask(np.array([self.last_time]), *(x[None] for x in self.last))
             self.t.append(self.last_time)
@@ -186,7 +178,7 @@ class _Record:
             self.work.append(self.done)
 
     def finish(self, effort: Effort, halt: Halt | None) -> Motion:
-        """Make the motion of all that was kept."""
+        """Make the motion of all states that were kept."""
         t, q, qd, inputs = (np.array(kept) for kept in (self.t, self.q, self.qd, self.inputs))
         energies = self.kernels("energy", q=q, qd=qd)
         energy = Energy(energies["kinetic"][:, 0], energies["potential"][:, 0], np.array(self.work))
@@ -226,7 +218,7 @@ class _Record:
         return rows
 
     def _refine(self, chunk: Chunk) -> tuple[Chunk, NDArray[np.intp]]:
-        """Cut steps where outputs are wanted; give the finer chunk, and which of its times those are."""
+        """Cut steps where outputs are wanted; return the finer chunk, and the indices of these outputs."""
         assert chunk.dense is not None, "only steps with an interpolation are cut"
         dense, (first, last) = chunk.dense, chunk.t[[0, -1]]
         wanted = self.distance * np.arange(np.ceil(first / self.distance), np.floor(last / self.distance) + 1)
@@ -234,7 +226,7 @@ class _Record:
         t = np.union1d(chunk.t, wanted)
         step = np.clip(np.searchsorted(chunk.t, t, side="left") - 1, 0, len(chunk.t) - 2)
         q, qd = dense(t, step)
-        whole = np.isin(t, chunk.t)  # there, what the integrator has, not what it interpolates
+        whole = np.isin(t, chunk.t)  # there the integrator's own states, not interpolated ones
         q[whole], qd[whole] = chunk.q, chunk.qd
 
         def dense_in_parts(times: Array, part: NDArray[np.intp]) -> tuple[Array, Array]:
@@ -246,14 +238,14 @@ class _Record:
         assert self.piece is not None, "a chunk lies in a piece"
         if self.work_is_known:
             try:
-                with np.errstate(all="ignore"):  # a motion that runs away has no number for its energy
+                with np.errstate(all="ignore"):  # a motion that diverges has no number for its energy
                     return add_up_work(self.observer, self.piece, chunk)
             except (KernelError, SingularError, DriveError):
                 self.work_is_known = False
         return np.zeros(len(chunk.t) - 1)
 
     def _find_stiffness(self, effort: Effort, t: Array, q: Array, qd: Array, inputs: Array) -> list[str]:
-        """Say where stability, not accuracy, sets the length of explicit steps."""
+        """Warn where stability, not accuracy, sets the length of explicit steps."""
         method = METHODS[self.settings.method]
         if method.stability is None or not t[-1]:
             return []
@@ -287,7 +279,7 @@ def _find_exceeded_limits(kernels: Kernels, t: Array, q: Array) -> list[str]:
     columns = dict(zip(manifest.positions, q.T, strict=True))
     for coordinate in manifest.coordinates:
         column = columns.get(coordinate.name)
-        if column is None:  # what has a quaternion has no limits
+        if column is None:  # a joint with a quaternion has no limits
             continue
         for limit, sign in ((coordinate.lower, -1), (coordinate.upper, 1)):
             if limit is None:

@@ -39,8 +39,8 @@ from mbsrun.ocp.schemes import DEGREES
 from mbsrun.quantities import list_quantities
 from mbsrun.quaternions import list_quaternions, neutral, normalise
 from mbsrun.simulation.drive import STATE, TIME, Drive, express
-from mbsrun.simulation.methods import METHODS, SYMPLECTIC, Formulation
-from mbsrun.simulation.motion import Settings, takes_too_many_steps
+from mbsrun.simulation.methods import METHODS, Formulation, takes_too_many_steps
+from mbsrun.simulation.motion import Settings
 
 Array = NDArray[np.float64]
 
@@ -207,10 +207,9 @@ class _Reading:
         )
         if settings.rho > 1:
             self.fault(("rho",), f"found {settings.rho:g}", "give a number from 0 to 1")
-        if settings.method == SYMPLECTIC and self.manifest.quaternions:
-            self.fault(
-                ("method",), f"{SYMPLECTIC} takes no quaternions", "give gauss; with stages: 1 it is the midpoint rule"
-            )
+        if self.manifest.quaternions and not METHODS[settings.method].takes_quaternions:
+            finding = f"{settings.method} takes no quaternions"
+            self.fault(("method",), finding, "give gauss; with stages: 1 it is the midpoint rule")
         if takes_too_many_steps(settings):
             finding = f"{settings.duration / settings.step:.3g} steps would be taken"
             self.fault(("step",), finding, f"take a longer step, or raise max_steps = {settings.max_steps}")
