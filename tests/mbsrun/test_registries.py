@@ -29,8 +29,8 @@ from mbsrun.simulation import Settings, explicit, simulate
 from mbsrun.simulation.drive import hold
 from mbsrun.simulation.methods import Family
 from mbsrun.simulation.methods import Method as SimulationMethod
+from tests.mbsrun.ocp.plants import push
 from tests.mbsrun.ocp.programs import functions_of
-from tests.mbsrun.ocp.test_solve import push
 from tests.mbsrun.peer import double_integrator
 
 ROOT = Path(__file__).parents[2]
