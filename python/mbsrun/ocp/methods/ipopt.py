@@ -29,6 +29,7 @@ IPOPT_OPTIONS: Mapping[str, Option] = {
     "bound_relax_factor": Amount(0.0, 1.0),
     "compl_inf_tol": POSITIVE,
     "constr_viol_tol": POSITIVE,
+    "diverging_iterates_tol": POSITIVE,
     "dual_inf_tol": POSITIVE,
     "expect_infeasible_problem": SWITCH,
     "fast_step_computation": SWITCH,
