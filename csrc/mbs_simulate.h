@@ -8,9 +8,10 @@
 extern "C" {
 #endif
 
-/* What gives accelerations. Either `rate` does, in qdd; or, where `mass` is not NULL, `rate` gives the residual for
- * accelerations of 0, and `mass` the nonzeros of the mass matrix: then M qdd = -residual is solved. Coordinates change by
- * the velocities; or, where `change` is not NULL, as that tells: with quaternions there are more of them. */
+/* The functions for accelerations. Either `rate` computes them, in qdd; or, where `mass` is not NULL, `rate` computes
+ * the residual for accelerations of 0, and `mass` the nonzeros of the mass matrix: then M qdd = -residual is solved.
+ * The rates of the coordinates are the velocities; or, where `change` is not NULL, its results: with quaternions there
+ * are more coordinates than velocities. */
 typedef struct {
     casadi_int n;  /* velocities */
     casadi_int nq; /* coordinates */
@@ -34,10 +35,10 @@ typedef struct {
 } mbs_plant;
 
 /* Take `steps` steps of length h by the Runge-Kutta method with the coefficients A (stages x stages, row by row; only
- * what is left of the diagonal counts) and b. The inputs of stage i in step k begin at v + (k stages + i) v_step.
- * states: (steps + 1) x (nq + n) numbers, of each step q, then qd; the first is given, the others are written.
- * work: room for (nq + n) stages numbers. Returns how many steps have been taken. Where that is not all, `status` tells what
- * the next one failed of: k > 0 for a failure at joint k, -1 for numbers that are not finite. */
+ * entries left of the diagonal count) and b. The inputs of stage i in step k begin at v + (k stages + i) v_step.
+ * states: (steps + 1) x (nq + n) numbers, of each step q, then qd; the first is given, the others are written. work:
+ * room for (nq + n) stages numbers. Returns the number of steps taken. If it is smaller than `steps`, `status` holds
+ * the failure of the next step: k > 0 for a failure at joint k, -1 for numbers that are not finite. */
 casadi_int mbs_simulate_rk(const mbs_plant *plant, casadi_int stages, const casadi_real *A, const casadi_real *b,
                            casadi_real h, casadi_int steps, const casadi_real *v, casadi_int v_step,
                            casadi_real *states, casadi_real *work, int *status);

@@ -5,10 +5,10 @@
 #include <stddef.h>
 #include <string.h>
 
-#define COLUMNS 4       /* of a tile of what is left; its rows are MBS_LANES */
+#define COLUMNS 4       /* columns of a tile of the remainder; its rows are MBS_LANES */
 #define GOOD 0.01       /* ratio of a pivot to its column from which on none better is looked for */
 #define LOOKS 6         /* columns that are looked at for a better one */
-#define CANCELLED 1e-14 /* a determinant beside what it is the difference of */
+#define CANCELLED 1e-14 /* a determinant, relative to the terms of its difference */
 
 int mbs_stride(int rows)
 {
@@ -100,7 +100,7 @@ static double largest(const state *s, int c, int but)
     return most;
 }
 
-/* The row of the largest entry of column c, of those that may be pivots, or -1. */
+/* The row of the largest entry of column c, among the candidates for pivots, or -1. */
 static int find_largest(const state *s, int c)
 {
     double most = 0.0;
@@ -170,7 +170,7 @@ static const double *keep(const state *s, int k)
     return old;
 }
 
-/* Eliminate the next unknown, and bring the columns of those that may be pivots up to date. */
+/* Eliminate the next unknown, and update the columns of the candidates for pivots. */
 static void eliminate_one(state *s)
 {
     const int k = s->done;
@@ -213,7 +213,7 @@ static void eliminate_two(state *s)
     s->done = k + 2;
 }
 
-/* Subtract L D LT from a tile of what is left: MBS_LANES rows from i on, COLUMNS columns from j on, or to the last. */
+/* Subtract L D LT from a tile of the remainder: MBS_LANES rows from i on, COLUMNS columns from j on, or to the last. */
 static void subtract_tile(const state *s, int i, int j)
 {
     const size_t stride = (size_t)s->stride;
@@ -241,7 +241,7 @@ static void subtract_tile(const state *s, int i, int j)
     }
 }
 
-/* Subtract L D LT from what is left beside the columns of those that may be pivots. */
+/* Subtract L D LT from the remainder, except the columns of the candidates for pivots. */
 static void subtract_products(const state *s)
 {
     int i, j;

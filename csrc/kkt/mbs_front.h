@@ -17,13 +17,13 @@ typedef struct {
 /* Round up to a multiple of MBS_LANES. */
 int mbs_stride(int rows);
 
-/* A = L D LT for as many of the first `pivots` unknowns as there are pivots for; the others come after them.
+/* A = L D LT for all of the first `pivots` unknowns that have acceptable pivots; the others follow them.
  *
  * `front` holds the lower triangle of A, `rows` by `rows`, column by column, `stride` apart. On return its first
  * `eliminated` columns hold L below its diagonal of ones; D goes into `d`, two numbers a pivot: the diagonal entry, and
- * what joins it to the next, 0 but for the first of a pair. From there on it holds what is left of A. `name[i]` is what
- * row i is called, and moves with it. If `last`, all are eliminated as well as can be, and those without any pivot
- * count as zeros. `front` has room for MBS_LANES more, `work` for pivots * (stride + MBS_LANES).
+ * its coupling to the next one, 0 except for the first of a pair. From there on it holds the remainder of A. `name[i]`
+ * is the name of row i, and moves with it. If `last`, all unknowns are eliminated as well as possible, and rows without
+ * any pivot count as zeros. `front` has room for MBS_LANES more, `work` for pivots * (stride + MBS_LANES).
  *
  * Pivots of one and two unknowns: Bunch and Kaufman, 1977; with a threshold: Duff and Reid, 1983. */
 mbs_eliminated mbs_eliminate(double *front, int rows, int stride, int pivots, int last, const mbs_pivoting *pivoting,

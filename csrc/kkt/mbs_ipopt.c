@@ -107,7 +107,7 @@ static int plan_for(pattern *p, const double *value)
     return p->plan ? 0 : -1;
 }
 
-/* Give the factors kept, made anew if they go by another plan; NULL if memory runs out. */
+/* Return the kept factors, made anew if they belong to another plan; NULL if memory runs out. */
 static factorisation *hold_factorisation(mbs_plan *plan, void **kept)
 {
     factorisation *f = *kept;

@@ -1,8 +1,8 @@
-/* What IPOPT calls to solve its linear systems.
+/* The functions that IPOPT calls to solve its linear systems.
  *
- * IPOPT takes linear solvers from a library of its user's choice (option `hsllib`), by the names of those that it
- * knows. Here are the functions of `ma97`, whose interface hands over what an analysis and a factorisation keep; what they do
- * is done by mbs_plan.h and mbs_ldl.h, and nothing of HSL is in them. They share nothing, so threads may call them at
+ * IPOPT loads linear solvers from a library of the user's choice (option `hsllib`), by the names of solvers that it
+ * knows. These functions have the names of `ma97`, whose interface passes the state of an analysis and a factorisation.
+ * mbs_plan.h and mbs_ldl.h do the work, and contain nothing of HSL. They share no state, so threads may call them at
  * once. Layout of the structures: version 2.8 of that interface. */
 #ifndef MBS_IPOPT_H
 #define MBS_IPOPT_H

@@ -1,7 +1,7 @@
 /* Multifrontal elimination along a plan: see mbs_ldl.h.
  *
- * A front takes its own unknowns, then those that its children found no pivots for, then its others. What it leaves
- * goes on a stack, from where its parent takes it. */
+ * A front takes its own unknowns, then the unknowns for which its children found no pivots, then its others. Its
+ * remainder goes on a stack, and its parent takes it from there. */
 #include "mbs_ldl.h"
 
 #include <stdint.h>

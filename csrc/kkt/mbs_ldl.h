@@ -1,4 +1,4 @@
-/* Factorise sparse symmetric indefinite systems, such as those of an interior-point method: P A PT = L D LT. */
+/* Factorise sparse symmetric indefinite systems, for example of an interior-point method: P A PT = L D LT. */
 #ifndef MBS_LDL_H
 #define MBS_LDL_H
 
@@ -17,7 +17,7 @@ typedef struct {
     long entries; /* of the factors */
 } mbs_met;
 
-/* Factors of systems that go by a plan, which they hold. Returns NULL if memory runs out. */
+/* Factors of systems with a common plan, which they hold. Returns NULL if memory runs out. */
 mbs_factors *mbs_make_factors(mbs_plan *plan);
 const mbs_plan *mbs_plan_of(const mbs_factors *factors);
 void mbs_free_factors(mbs_factors *factors);

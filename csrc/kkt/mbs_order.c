@@ -1,8 +1,8 @@
 /* Approximate minimum degree on the quotient graph: see mbs_order.h.
  *
- * An eliminated unknown becomes an element, the set of the unknowns that it joined. What an unknown touches is a list
- * of elements, then a list of unknowns; both lie where its neighbours lay at first, since they never grow. Unknowns
- * that touch the same are one supervariable, which counts as many as it has members. */
+ * An eliminated unknown becomes an element, the set of the unknowns that it joined. The neighbours of an unknown are
+ * a list of elements, then a list of unknowns; both stay in the memory of its first neighbours, since they never grow.
+ * Unknowns with the same neighbours form one supervariable, which counts all its members. */
 #include "mbs_order.h"
 
 #include <stdlib.h>
@@ -18,12 +18,12 @@ typedef struct {
     int *size;   /* members; 0: eliminated or merged; negative while it belongs to the newest element */
     int *degree; /* an upper bound of the members of other supervariables that it is joined with */
     int *member, *last; /* of a supervariable: its members as a chain, and the end of the chain */
-    int *credit;  /* members with pivots of their own, less those without; of an element: of all that it absorbed */
+    int *credit;  /* members with a pivot, less members without one; of an element: over all unknowns that it absorbed */
     char *listed; /* whether it may be eliminated */
     /* by degree: chains of supervariables that may be eliminated */
     int *head, *next, *previous;
     int least;
-    /* of elements, which go by the name of the unknown they come from: the members, from pool[begin] on */
+    /* of elements, which keep the name of their unknown: the members, from pool[begin] on */
     int *begin, *extent;
     int *weight; /* members, counted as unknowns; 0: absorbed */
     long long *outside; /* stamp + members outside of the newest element */
@@ -141,8 +141,8 @@ static void count_outside(graph *g, int p)
     }
 }
 
-/* Bring up to date what a member i of the newest element p touches. Returns how many others than p's it is joined with,
- * at most, and a hash of what it touches. */
+/* Update the neighbours of a member i of the newest element p. Returns an upper bound for the number of its neighbours
+ * outside p, and a hash of its neighbours. */
 static int refresh(graph *g, int p, int i, unsigned *hash)
 {
     int *list = g->list + g->start[i];
@@ -178,7 +178,7 @@ static int refresh(graph *g, int p, int i, unsigned *hash)
     return degree;
 }
 
-/* Tell whether a supervariable has pivots, of its own or by what has been eliminated about it. */
+/* Return whether a supervariable has pivots, by itself or through eliminated neighbours. */
 static int has_pivots(const graph *g, int i)
 {
     const int *list = g->list + g->start[i];
@@ -274,7 +274,7 @@ static void update(graph *g, int p, int *mark)
     g->stamp += g->total + 1;
 }
 
-/* Take unknowns for one each, those that need each other for one both, and list whom they touch. */
+/* Make a supervariable of each unknown, or of each pair that needs each other for a pivot, and list their neighbours. */
 static void start_graph(graph *g, int n, const int *start, const int *adjacent, const char *weak, const int *partner,
                         int *node)
 {

@@ -4,11 +4,11 @@
 
 /* Approximate minimum degree (Amestoy, Davis, Duff, 1996) for indefinite systems.
  *
- * `adjacent[start[i]] .. adjacent[start[i + 1] - 1]` are the neighbours of i, each edge told from both ends, i itself
- * not among them. An unknown is `weak` if it has no pivot of its own, as multipliers have none; then `partner[i]` is
- * another one, each other's, that it makes a pair with for a pivot, or -1. Weak ones without a partner wait until as
- * many that are not weak have been eliminated about them, which gives them pivots. order[k] becomes the unknown to be
- * eliminated k-th. Returns 0, or -1 if memory runs out. */
+ * `adjacent[start[i]] .. adjacent[start[i + 1] - 1]` are the neighbours of i, each edge listed at both ends, without
+ * i itself. An unknown is `weak` if it has no pivot by itself, as a multiplier; then `partner[i]` is its partner in a
+ * pair with a pivot, mutually, or -1. A weak unknown without a partner waits until as many strong neighbours have been
+ * eliminated, which gives it a pivot. order[k] becomes the unknown to be eliminated k-th. Returns 0, or -1 if memory
+ * runs out. */
 int mbs_order(int n, const int *start, const int *adjacent, const char *weak, const int *partner, int *order);
 
 #endif

@@ -79,7 +79,7 @@ static void list_edges(sides *s, const int *start, const int *row, const double 
 #undef CROSSES
 }
 
-/* Match i with the one that the largest entry joins it with, of those that are free. */
+/* Match i with the free unknown that has the largest entry with it. */
 static void match_largest(sides *s, int i)
 {
     int k, best = NONE;
@@ -95,7 +95,7 @@ static void match_largest(sides *s, int i)
     }
 }
 
-/* Match i, letting others take new mates: along the shortest path to one that is free. What was met is forgotten. */
+/* Match i, changing the mates of others, along the shortest path to a free unknown. Marks are cleared. */
 static void match_along_path(sides *s, int i)
 {
     int head = 0, tail = 0, met = 0, k, end = NONE;

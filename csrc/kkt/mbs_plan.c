@@ -18,7 +18,7 @@ static int *integers(size_t count)
     return malloc((count ? count : 1) * sizeof(int));
 }
 
-/* The neighbours of each unknown, each edge told from both ends: neighbour[(*begin)[i]] .. . */
+/* The neighbours of each unknown, each edge listed at both ends: neighbour[(*begin)[i]] .. . */
 static int *make_neighbours(int n, const int *start, const int *row, int **begin)
 {
     int *neighbour = integers(2 * (size_t)start[n]), *place = calloc((size_t)n + 2, sizeof *place);
@@ -98,7 +98,8 @@ static int traverse(int n, const int *parent, const char *kept, int *sequence, i
     return count;
 }
 
-/* While a plan is made. Unknowns go by their place in the order. A front goes by its last unknown. */
+/* A plan under construction. Unknowns have their positions in the order as numbers, and a front has the number of its
+ * last unknown. */
 typedef struct {
     int n;
     int *begin, *neighbour;
@@ -166,7 +167,7 @@ static int collect(draft *s, int k)
     return count;
 }
 
-/* Find the fronts: runs of unknowns of which each is joined with the next, and with what that is joined with. */
+/* Find the fronts: runs of unknowns, each coupled with the next and with the neighbours of the next. */
 static int find_fronts(draft *s)
 {
     int k, last;
@@ -235,7 +236,7 @@ static void merge_fronts(draft *s)
             s->parent[f] = s->into[s->front[s->parent[f]]];
 }
 
-/* Give fronts and unknowns their final numbers: label[k] is that of the draft's k. */
+/* Assign fronts and unknowns their final numbers: label[k] is the number of the draft's k. */
 static void number(const draft *s, mbs_plan *plan, const int *sequence, int *label)
 {
     int f, k;

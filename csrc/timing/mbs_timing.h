@@ -23,7 +23,7 @@ typedef struct {
     casadi_int states;
     casadi_int n_in;            /* at most MBS_MAX_ARGUMENTS */
     const casadi_real **inputs; /* the k-th input of the first state */
-    const casadi_int *steps;    /* from there to that of the next state */
+    const casadi_int *steps;    /* from there to the arguments of the next state */
     casadi_real **results;
     casadi_int *iw; /* what a kernel asks for by f_work */
     casadi_real *w;
