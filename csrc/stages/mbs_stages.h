@@ -85,6 +85,7 @@ typedef struct {
     int warm;                             /* 1: the point holds multipliers too; start from all of it */
     int by_stage;                         /* 1: add curvature only from the stage on that lacks it: 0 */
     int scaled;                           /* 1: scale the cost and rows by their first gradients: 1 */
+    int scale_by_bounds;                  /* 1: variables without given scales take the larger of two bounds: 0 */
     mbs_stages_real push;                 /* least relative distance of the first point from bounds: 0.01 */
 } mbs_stages_options;
 

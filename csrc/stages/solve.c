@@ -30,11 +30,26 @@ static real bound(const real *bounds, int i, real none, real factor)
     return fabs(b) < MBS_STAGES_INFINITE ? b * factor : b;
 }
 
+/* The usual size of a variable: the caller's, or by the option the larger of two bounds. */
+static real variable_scale(const mbs_stages *s, int i)
+{
+    const mbs_stages_problem *p = s->problem;
+    real a, b;
+    if (p->scale)
+        return p->scale[i];
+    if (!s->options.scale_by_bounds || !p->lower || !p->upper || p->lower[i] == p->upper[i])
+        return 1;
+    a = (real)fabs(p->lower[i]);
+    b = (real)fabs(p->upper[i]);
+    a = a > b ? a : b;
+    return a < MBS_STAGES_INFINITE && a > 0 ? a : 1;
+}
+
 static void set_scales(mbs_stages *s)
 {
     int k, i;
     for (i = 0; i < s->variables; ++i)
-        s->variable_scale[i] = s->problem->scale ? s->problem->scale[i] : 1;
+        s->variable_scale[i] = variable_scale(s, i);
     for (i = 0; i < s->rows; ++i)
         s->row_scale[i] = 1;
     for (k = 0; k < s->problem->stages; ++k) {

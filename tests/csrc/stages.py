@@ -61,7 +61,7 @@ typedef struct {
     int acceptable_iterations, iterations;
     double seconds;
     REAL barrier;
-    int adaptive, warm, by_stage, scaled;
+    int adaptive, warm, by_stage, scaled, scale_by_bounds;
     REAL push;
 } mbs_stages_options;
 typedef struct { int stage, kind, row; REAL violation; } mbs_stages_clash;

@@ -289,6 +289,19 @@ def test_scales_of_variables_undo_their_units(library: Library, size: float) -> 
         assert raw.result.cost == pytest.approx(first.result.cost, rel=1e-6)
 
 
+@pytest.mark.parametrize("size", [1e-8, 1e8])
+def test_scales_from_bounds_undo_units_by_themselves(library: Library, size: float) -> None:
+    """Where every variable has two bounds."""
+    rng = np.random.default_rng(8)
+    plain = random_problem(rng, [(3, 2, 1, 2)] * 10 + [(3, 0, 0, 1)], bounds=0.4, first=False)
+    plain.lower, plain.upper = np.maximum(plain.lower, -20.0), np.minimum(plain.upper, 20.0)
+    units = [size ** rng.random(len(q)) for q in plain.q]
+    first, other = (Solver(library, p).solve(scale_by_bounds=1) for p in (plain, in_units(plain, units)))
+    assert (first.status, other.status) == ("solved", "solved")
+    assert other.result.iterations == first.result.iterations
+    assert other.result.cost == pytest.approx(first.result.cost, rel=1e-8)
+
+
 def in_units(problem: Quadratic, units: list[Array]) -> Quadratic:
     """The same problem in variables w / units."""
     ahead = [u[: len(b)] for u, b in zip([*units[1:], np.zeros(0)], problem.b, strict=True)]
