@@ -24,6 +24,7 @@ from mbsgen.formulations.reductions import ALL, NONE, Reductions
 from mbsgen.manifest import Flops, Kernel
 from mbsgen.model.symbols import exact, to_double
 from mbsgen.model.tree import Kind, Tree
+from mbsgen.roles import Order
 from mbsgen.tape.counts import count
 from mbsgen.tape.passes import hoist
 from mbsgen.tape.types import Tape
@@ -66,7 +67,6 @@ LEFT_OUT = "Left out below the tolerance"
 VERIFICATION = "Compared before it was written"
 DIFFERENTIATION = "Flops of the derivatives, by the way of writing them"
 WAYS = ("tape", "recursion", "implicit")  # differentiating the tape, the recursion, or by the implicit function theorem
-_DERIVATIVES = ("jac_", "adj1_", "lin_")  # the prefixes of kernels that belong to another kernel
 
 
 @dataclass(frozen=True)
@@ -92,6 +92,7 @@ class Report:
     setups: Mapping[str, Cost]  # of the formulations, once per change of parameters
     folded: Mapping[str, Cost]  # the formulations with every number of the model folded
     kernels: Mapping[str, Cost]
+    values: frozenset[str]  # of the kernels, the functions themselves: others are derivatives
     reductions: Mapping[str, Mapping[str, int]]  # flops of each formulation without each reduction; may be empty
     ways: Mapping[str, Mapping[str, int]]  # flops of the derivatives of the formulations, by the way they are written
     verification: Verification
@@ -127,9 +128,10 @@ def make_report(
         for title, choice in switched.items()
     }
     costs = {k.name: Cost(k.flops, k.equations) for k in kernels}
+    values = frozenset(k.name for k in kernels if k.order is Order.VALUE)
     published = PUBLISHED.get(identify(written), {})
     return Report(
-        written.name, formulations, setups, folded, costs, reductions, ways, verification, evidence, published
+        written.name, formulations, setups, folded, costs, values, reductions, ways, verification, evidence, published
     )
 
 
@@ -181,7 +183,7 @@ def sections(report: Report) -> tuple[Section, ...]:
     """List the tables of a report; a kernel and its derivatives are a group."""
     groups: list[dict[str, Cost]] = []
     for name, cost in report.kernels.items():
-        if not groups or not name.startswith(_DERIVATIVES):
+        if not groups or name in report.values:
             groups.append({})
         groups[-1][name] = cost
     counted = (
@@ -233,9 +235,9 @@ def note_of_scene(report: Report) -> str:
 def note_of_verification(report: Report) -> str:
     """Return a sentence on the comparisons before anything was written, and their largest deviations."""
     checked = report.verification
-    values = {k: x for k, x in checked.deviations.items() if not k.startswith(_DERIVATIVES)}
-    others = [x for k, x in checked.deviations.items() if k.startswith(_DERIVATIVES)]
-    found = f"values by at most {_bound(max(values.values(), default=0.0)):.0e}"
+    values = [x for name, x in checked.deviations.items() if name in report.values]
+    others = [x for name, x in checked.deviations.items() if name not in report.values]
+    found = f"values by at most {_bound(max(values, default=0.0)):.0e}"
     found += f", derivatives by {_bound(max(others)):.0e}" if others else ""
     left = f" Not compared: {', '.join(f'`{name}`' for name in checked.unchecked)}." if checked.unchecked else ""
     return (

@@ -32,7 +32,8 @@ class Mechanism(Kernels):
         """
         kernel = self._binder.describe(name)  # a name that only libm knows would be found there
         if kernel.integer != INTEGER:
-            raise ArgumentError(f"{name} is written for acados, not for CasADi; take impl, exp1 or exp2")
+            forms = [x for role in (Role.RESIDUAL, Role.ACCELERATION) for x in self.manifest.list_giving(role)]
+            raise ArgumentError(f"{name} is written for acados, not for CasADi; take {' or '.join(forms)}")
         orders = kernel.order.derivatives
         family = [found.name for order in orders if (found := self.manifest.find(kernel.base, order))]
         external = ca.external(kernel.symbol, str(self.compile(*family)))

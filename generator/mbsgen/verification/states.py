@@ -27,7 +27,11 @@ class State:
         """Return the numbers of an input."""
         if name in self.parameters:
             return self.parameters[name]
-        return [Decimal(0)] * size if name == "qd" and self.is_still else list(draw(name, size, self.number))
+        return (
+            [Decimal(0)] * size
+            if name == ports.VELOCITIES.name and self.is_still
+            else list(draw(name, size, self.number))
+        )
 
 
 def draw_states(tree: Tree, *, still: bool) -> Iterator[State]:

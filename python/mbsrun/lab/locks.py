@@ -108,7 +108,9 @@ def measure_weightless(workspace: Workspace, name: str) -> list[Finding]:
     text = _ARM.format(value=1, kind="runtime") + WEIGHTLESS[name]
     chosen = specimen(workspace, text, *KERNELS.values())
     pair = {x: np.array([[0.3, 0.2]]) for x in ("q", "qd", "qdd")} | {"u": np.array([[1.0, 0.5]])}
-    hidden = chosen.subject.kernels("setup", p=[0.0])
+    setup = chosen.subject.manifest.setup
+    assert setup is not None, "the value is a run-time parameter"
+    hidden = chosen.subject.kernels(setup.name, p=[0.0])
     states = {**pair, **{key: value[None] for key, value in hidden.items()}}
     for way, kernel in EXPLICIT.items():
         status = int(chosen.evaluate(kernel, states)[0][0])
