@@ -20,7 +20,7 @@ PATTERNS = {
     r"\b(that|those) of\b": "repeat the noun: `the sum of these differs from the sum of those` is read twice",
     r"\bthose (that|which|who|whose|in|with|by|for|on)\b": "name the things: `the joints that`, not `those that`",
     r"\bthat there (is|are)\b": "`that exists`; `a cluster that there is not` is an unreachable one",
-    r"\b(leaves?|(?<!the )left(?! of the diagonal)|has|have|had|having|known) of\b": "name the remaining amount, or the property",
+    r"\b(leaves?|(?<!the )left(?! of the d)|has|have|had|having|known) of\b": "name the amount or the property",
     r"\bof (its|their) own\b": "`its own function` or `a separate function`",
     r"\b(of|by|with|than|from|for|beside|on) what\b": "name the thing: `the values that`, not `of what`",
     r"(^|[.:;] |\"\"\")(What|How (many|much|far|long|often))\b(?![^.]*\?)": "make the thing itself the subject",
