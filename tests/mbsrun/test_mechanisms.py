@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from mbsgen.pipeline import write_families
+from mbsgen.families import list_functions, write_families
 from mbsgen.request import Request
 from mbsrun import Mechanism, load
 from tests.random_trees import Pinocchio, law_forces, random_tree, values_of, with_laws, with_wrenches
@@ -20,14 +22,25 @@ SEEDS = [(1, False), (2, True), (3, False), (4, True)]
 TOLERANCE = 1e-12
 
 
-def build(folder: Path, seed: int, *, runtime: bool) -> tuple[Mechanism, Pinocchio, np.ndarray]:
-    """Generate a random tree's kernels; give its Pinocchio model too, and the matrix that u enters by."""
-    tree = random_tree(seed, 6, runtime=runtime)
-    parameters = {p.name: p.value for p in tree.parameters}
-    assert bool(values_of(tree)) == runtime
-    actuated = [i for i, body in enumerate(tree.bodies) if body.joint.actuated]
-    folder = write_sample(folder, f"tree {seed}", write_families(tree), parameters)
-    return load(folder), Pinocchio(tree), np.eye(6)[:, actuated]
+Build = Callable[..., tuple[Mechanism, Pinocchio, np.ndarray]]
+
+
+@pytest.fixture(scope="module")
+def build(tmp_path_factory: pytest.TempPathFactory) -> Build:
+    """Return a function that generates some functions of a random tree, once for all tests."""
+
+    @cache
+    def generate(seed: int, runtime: bool, *functions: str) -> tuple[Mechanism, Pinocchio, np.ndarray]:
+        """Return the tree's kernels, its Pinocchio model, and the matrix that u enters by."""
+        tree = random_tree(seed, 6, runtime=runtime)
+        parameters = {p.name: p.value for p in tree.parameters}
+        assert bool(values_of(tree)) == runtime
+        actuated = [i for i, body in enumerate(tree.bodies) if body.joint.actuated]
+        families = write_families(tree, Request(functions=functions))
+        folder = write_sample(tmp_path_factory.mktemp("tree"), f"tree {seed}", families, parameters)
+        return load(folder), Pinocchio(tree), np.eye(6)[:, actuated]
+
+    return generate
 
 
 def draw_state(inputs: int, seed: int) -> dict[str, np.ndarray]:
@@ -45,9 +58,9 @@ def assert_close(found: np.ndarray, expected: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize(("seed", "runtime"), SEEDS)
-def test_the_residual_and_its_jacobians_are_pinocchios(seed: int, runtime: bool, tmp_path: Path) -> None:
+def test_the_residual_and_its_jacobians_are_pinocchios(seed: int, runtime: bool, build: Build) -> None:
     """Phi - B u; its derivatives by q and qd; M by qdd; -B by u."""
-    k, pinocchio, B = build(tmp_path, seed, runtime=runtime)
+    k, pinocchio, B = build(seed, runtime, "impl")
     state = draw_state(B.shape[1], seed)
     q, qd, qdd, u = state.values()
     assert_close(k.impl(**state)["Phi"], pinocchio.residual(q, qd, qdd) - B @ u)
@@ -57,9 +70,9 @@ def test_the_residual_and_its_jacobians_are_pinocchios(seed: int, runtime: bool,
 
 
 @pytest.mark.parametrize(("seed", "runtime"), SEEDS)
-def test_casadi_sees_the_same_function_to_second_order(seed: int, runtime: bool, tmp_path: Path) -> None:
+def test_casadi_sees_the_same_function_to_second_order(seed: int, runtime: bool, build: Build) -> None:
     """Central differences of the exact gradient, in float64: (eps / step + step^2) with a step of 1e-5."""
-    k, _, B = build(tmp_path, seed, runtime=runtime)
+    k, _, B = build(seed, runtime, "impl")
     state = draw_state(B.shape[1], seed)
     symbols = [ca.MX.sym(name, len(value)) for name, value in state.items()]
     unknown, weights = ca.veccat(*symbols), np.linspace(-1, 1, 6)
@@ -79,9 +92,16 @@ def test_laws_and_open_wrenches_go_the_whole_way(runtime: bool, tmp_path: Path) 
     """Residual, derivative by w, and accelerations that the residual vanishes at; the tree has no sensors."""
     tree = with_wrenches(with_laws(random_tree(6, 6, runtime=runtime)), 6)
     parameters = {p.name: p.value for p in tree.parameters}
-    families = write_families(replace(tree, sensors=()), Request(derivatives=1))
-    k, peer = load(write_sample(tmp_path, "driven", families, parameters)), Pinocchio(tree)
-    assert not [kernel.name for kernel in k.manifest.kernels if kernel.name in ("sensors", "motion", "jacobian")]
+    bare = replace(tree, sensors=())
+    assert not {"sensors", "motion", "jacobian"} & set(list_functions(bare, Request()))
+    k, explicit = (
+        load(write_sample(tmp_path / name, name, write_families(bare, request), parameters))
+        for name, request in (
+            ("residual", Request(functions=("impl",), derivatives=1)),
+            ("explicit", Request(functions=("exp1", "exp2"), derivatives=0)),
+        )
+    )
+    peer = Pinocchio(tree)
     actuated = [i for i, body in enumerate(tree.bodies) if body.joint.actuated]
     state = draw_state(len(actuated), 6) | {"w": np.linspace(-4, 5, 9)}
     q, qd, qdd, u, w = state.values()
@@ -94,13 +114,13 @@ def test_laws_and_open_wrenches_go_the_whole_way(runtime: bool, tmp_path: Path) 
     assert_close(k.casadi("impl").jacobian()(*state.values(), 0)[4].full(), by_w)
     driven = {name: state[name] for name in ("q", "qd", "u", "w")}
     for kernel in ("exp1", "exp2"):
-        found = k.impl(**(state | {"qdd": k(kernel, **driven)["qdd"]}))["Phi"]
+        found = k.impl(**(state | {"qdd": explicit(kernel, **driven)["qdd"]}))["Phi"]
         assert np.abs(found).max() <= 1e-10 * np.abs(forces).max()
 
 
-def test_velocities_are_the_jacobian_times_the_rates(tmp_path: Path) -> None:
+def test_velocities_are_the_jacobian_times_the_rates(build: Build) -> None:
     """And the derivatives of positions along the motion."""
-    k, pinocchio, _ = build(tmp_path, 5, runtime=False)
+    k, pinocchio, _ = build(5, False, "sensors", "motion", "jacobian", "energy")
     state = draw_state(0, 5)
     q, qd = state["q"], state["qd"]
     motion, J = k.motion(q=q, qd=qd), k.jacobian(q=q)["J"]

@@ -22,7 +22,7 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Generate a tree of five bodies, branched, with both kinds of joints."""
-    found = random_tree(5, 5, runtime=True)
+    """Generate a tree of four bodies, branched, with both kinds of joints."""
+    found = random_tree(5, 4, runtime=True)
     parameters = {p.name: p.value for p in found.parameters}
     return write_sample(tmp_path_factory.mktemp("tree"), "tree", write_families(found), parameters)

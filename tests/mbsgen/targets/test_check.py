@@ -40,7 +40,7 @@ def check(program: Path) -> tuple[int, dict[str, str]]:
     return done.returncode, found
 
 
-@pytest.mark.parametrize("flags", [("-O0",), ("-O0", "-DMBS_REAL=float"), ("-O0", *SANITIZED)], ids=" ".join)
+@pytest.mark.parametrize("flags", [("-O0", "-DMBS_REAL=float"), ("-O0", *SANITIZED)], ids=" ".join)
 @pytest.mark.parametrize("model", ["arm", "tree"])
 def test_whole_models_pass(
     model: str, flags: tuple[str, ...], request: pytest.FixtureRequest, tmp_path: Path, requires: Requires
