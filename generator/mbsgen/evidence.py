@@ -183,7 +183,7 @@ class _Comparison:
         return values[np.ix_(rows, cols)]
 
     def _select(self, axis: Axis | None, size: int) -> list[int]:
-        """Return the entries along an axis that the reduced model has, of so many."""
+        """Return the entries along an axis of the given size that the reduced model keeps."""
         if axis is None:
             return list(range(size))
         left, count = self._left[axis]

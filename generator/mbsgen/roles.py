@@ -26,7 +26,7 @@ class Role(Enum):
     WRENCH = "wrench"  # w, components of external wrenches
     PARAMETER = "parameter"  # p, run-time parameters
     DESIGN = "design"  # theta, differentiated parameters
-    SETUP = "setup"  # h, computed from the run-time parameters by a function of its own
+    SETUP = "setup"  # h, computed from the run-time parameters by a separate function
     ARGUMENT = "argument"  # any other input
     RESIDUAL = "residual"  # Phi - Q, which vanishes along a motion
     MASS_MATRIX = "mass_matrix"  # M of M qdd + c = Q

@@ -94,7 +94,7 @@ class ReleasedFunctions:
         given = {name: list(columns.T[:, None, :]) for name, columns in states.items()}
         numbers = [np.where(zero, 0.0, value)[:, None] for zero, value in zip(sets.T, values, strict=True)]
         given |= {ports.DESIGN.name: design, ports.PARAMETERS.name: [*self._given, *numbers]}
-        with np.errstate(all="ignore"):  # what is no number is told as such
+        with np.errstate(all="ignore"):  # an undefined result is NaN; `judge` counts it as an infinite error
             found = evaluate(tape, {i.name: given[i.name] for i in tape.inputs}, FLOATS)
         shape = len(sets), len(states["q"])
         return {o.name: _fill(o, found[o.name], shape) for o in tape.outputs}

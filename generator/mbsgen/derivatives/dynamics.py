@@ -1,8 +1,8 @@
-"""Derivatives of the formulations, each in the way that takes the fewest flops: by tape, by recursion, by implication.
+"""Derivatives of the formulations, each in the way with the fewest flops: by tape, by recursion, by implication.
 
-`impl` and `semi_res` are one function, written twice: what is cheapest for one is taken for the other. So are `exp1`
-and `exp2`, but for their guards; in larger trees, where one way is left to write them, that is gone only once. The
-flops of each way are counted for the report.
+`impl` and `semi_res` are two forms of one function, so the cheapest derivatives of one serve both. So are `exp1` and
+`exp2`, except for their guards; in larger trees, only one way is written, and only once. The flops of each way are
+counted for the report.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Dynamics:
 
 
 def _is_strange(tree: Tree) -> bool:
-    """Tell whether a tree has differentiated parameters or quaternions, of which the recursions know nothing."""
+    """Return whether a tree has differentiated parameters or quaternions, which the recursions do not handle."""
     return bool(tree.quaternions) or any(parameter.kind is Kind.DIFFERENTIATED for parameter in tree.parameters)
 
 
@@ -243,9 +243,9 @@ class _OfAccelerations(_Chosen):
         self._first = None if choice.is_compared else first
 
     def _take(self, written: Tape) -> Tape | None:
-        """Take what was written for the first form, with the guards of this one; None where those tell too little.
+        """Return the first form's derivative, with the guards of this form; None where these guards are too weak.
 
-        The pivots are those of M in either, and so are the scales: guards differ by their tolerances alone.
+        The pivots and scales of both forms come from M: guards differ by their tolerances alone.
         """
         assert self._first is not None, "there is something to be taken"
         known = {guard.joint: guard for guard in written.guards if not guard.early}
@@ -285,7 +285,7 @@ class _OfAccelerations(_Chosen):
 
     @cached_property
     def staged(self) -> Mapping[str, Procedure]:
-        """Write those that are large once more, in stages."""
+        """Write large derivatives once more, in stages."""
         large = [x for x in (self.jac, self.lin) if isinstance(x, Tape) and len(x.operations) > STRAIGHT]
         return {x.name: self._write_staged(x.function, {o.name: o.sparsity for o in x.outputs}) for x in large}
 
@@ -350,7 +350,7 @@ class _OfAccelerations(_Chosen):
         )
 
     def count_ways(self, orders: Iterable[Order]) -> Mapping[str, Mapping[str, int]]:
-        """Count these derivatives, and those of the residual that they are made of."""
+        """Count these derivatives, and the residual's derivatives in them."""
         orders = tuple(orders)
         used = dict.fromkeys((Order.JACOBIAN, *(order for order in orders if order is not Order.LINEARISATION)))
         return {**self._residual.count_ways(used), **super().count_ways(orders)}

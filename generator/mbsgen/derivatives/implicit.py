@@ -1,12 +1,14 @@
-"""Derivatives of the accelerations by the implicit function theorem, from those of the residual.
+"""Derivatives of the accelerations by the implicit function theorem, from the derivatives of the residual.
 
 Phi(q, qd, u, qdd) = 0 defines y(x) = qdd of x = (q, qd, u, w). With M = dPhi/dqdd, which depends on q alone:
 
     y = -M^-1 Phi(x, 0),    dy/dx = -M^-1 dPhi/dx,    (dy/dx)T lambda = (dPhi/dx)T mu,    mu = -M^-1 lambda,
 
-and with H the second derivatives of muT Phi, of which those by qdd twice vanish,
+and with H the second derivatives of muT Phi, whose block by qdd and qdd vanishes,
 
     d2(lambdaT y)/dx2 = Hxx + Hxy dy/dx + (Hxy dy/dx)T.
+
+(Carpentier, Mansard, 2018, for the first derivatives; Singh, Russell, Wensing, 2022.)
 """
 
 from __future__ import annotations
@@ -38,7 +40,7 @@ Inputs = Mapping[str, Sequence[Scalar]]
 def jacobian(tape: Tape, residual: Derivatives, wrt: Sequence[str]) -> Tape:
     """Write the Jacobian of `tape`: x -> qdd, by the columns `wrt`, from the derivatives of the residual.
 
-    The pivots of M are guarded as those of `tape` are.
+    The pivots of M have the guards of `tape`.
     """
     return _write_slopes(_State.declare(tape, residual), wrt, Order.JACOBIAN)
 
@@ -150,7 +152,7 @@ class _Found:
 
 @dataclass(frozen=True)
 class _State:
-    """What all derivatives begin with: the accelerations, by the factors of M."""
+    """The common start of all derivatives: the accelerations, by the factors of M."""
 
     builder: Builder
     tape: Tape
@@ -193,11 +195,11 @@ class _State:
         return self.replay(straight(self.residual.jac), self.inputs)
 
     def right_hand_sides(self, name: str) -> Block:
-        """Give dPhi/dx, of which dy/dx = -M^-1 dPhi/dx."""
+        """Return dPhi/dx, with dy/dx = -M^-1 dPhi/dx."""
         return self._slopes_of_residual[derivative_port(ports.RESIDUAL, self.tape.input(name).port).name].entries
 
     def slopes(self, wrt: Sequence[str]) -> dict[str, Block]:
-        """Solve for dy/dx, by columns. Columns that a unit vector makes are those of the inverse of M."""
+        """Solve for dy/dx, by columns. Unit columns give columns of the inverse of M."""
         found: dict[str, Block] = {}
         for name in wrt:
             columns: dict[int, dict[int, Scalar]] = {}

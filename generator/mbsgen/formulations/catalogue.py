@@ -56,7 +56,7 @@ class Entry:
     """A function that a tree can be written to.
 
     A form of the equations of motion gives a residual or accelerations. Its derivatives may be written by mechanics,
-    from those of the function REFERENCE, whatever its own recursion is.
+    from the derivatives of the function REFERENCE, whatever its own recursion is.
     """
 
     build: Build  # of any tree, see `project`

@@ -52,7 +52,7 @@ def couple(tape: Tape, tree: Tree) -> Tape:
         found = {place: values[v] for place, v in zip(o.sparsity.entries, o.values, strict=True)}
         rows, cols = o.port.rows, o.port.cols
         assert o.port.role is not Role.ACCELERATION, "accelerations of a coupled tree are no projection"
-        block = map.gather(found, rows, cols, selected=o.port.role is Role.RATE)  # followers have no rate of their own
+        block = map.gather(found, rows, cols, selected=o.port.role is Role.RATE)  # followers have no separate rate
         shape = map.size(rows, o.sparsity.rows), map.size(cols, o.sparsity.cols)
         if o.sparsity.is_dense:
             builder.output_dense(o.port, [[block[r, c] for c in range(shape[1])] for r in range(shape[0])])

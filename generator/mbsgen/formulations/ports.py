@@ -2,7 +2,7 @@
 
     M(q) qdd + c(q, qd, w) = Q(q, qd, u),    Phi = M qdd + c - Q
 
-Names are those of Docquier, Bruls and Fisette (2019), where they have one.
+Names follow Docquier, Bruls and Fisette (2019), where they have one.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ class Adjoints:
         return self._sums.get(wire.name)
 
     def seed(self, wire: Wire, seed: Wire) -> None:
-        """Let the adjoint of a wire begin with another wire."""
+        """Start the adjoint of a wire with another wire."""
         self._sums[wire.name] = seed
 
     def take(self, sheet: Sheet, wire: Wire) -> list[Scalar]:

@@ -26,7 +26,7 @@ def fuse(procedure: Procedure) -> Procedure:
 
 
 def drop_dead(procedure: Procedure) -> Procedure:
-    """Leave out the stages, and the wires that they give, that no result needs. Guards of what is left stay."""
+    """Remove the stages, and their wires, that no result needs. Guards of the other stages stay."""
     needed = {wire.name for wire in procedure.outputs}
     kept: list[Stage] = []
     for stage in reversed(procedure.stages):

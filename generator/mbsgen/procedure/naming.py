@@ -17,7 +17,7 @@ class Names:
         self._taken.update(names)
 
     def make(self, wanted: str) -> str:
-        """Take a name: the one that is wanted, or the first free one with a number."""
+        """Take a name: the requested one, or the first free one with a number."""
         name = next(n for k in count(1) if (n := wanted if k == 1 else f"{wanted}_{k}") not in self._taken)
         self._taken.add(name)
         return name

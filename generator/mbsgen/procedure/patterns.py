@@ -52,10 +52,10 @@ class Pattern(ABC):
 
     @abstractmethod
     def count_solution(self, width: int) -> Operations:
-        """Count the operations of a solution for so many columns."""
+        """Count the operations of a solution for a number of columns."""
 
     def widen(self, width: int) -> int:
-        """Return how many columns are best computed for so many."""
+        """Return how many of the given columns are best computed together."""
         return width
 
     def check_matrix(self, matrix: Wire) -> None:
@@ -156,7 +156,7 @@ class Symmetric(Pattern):
         elimination.solve_symmetric(_rows(factors[0], self.size), factors[1], B)
 
     def count_factors(self) -> Operations:
-        """Count as if all pivots were of one row; those of two take about as much."""
+        """Count as if all pivots were of one row; pivots of two rows take about as much."""
         n = self.size
         updates = (n - 1) * n * (n + 1) // 6
         return {Op.DIV: n, Op.MUL: updates + n * (n - 1) // 2, Op.SUB: updates}
@@ -200,7 +200,7 @@ class General(Pattern):
         return {Op.DIV: n, Op.MUL: updates + n * (n - 1) // 2, Op.SUB: updates}
 
     def count_solution(self, width: int) -> Operations:
-        """Count n^2 products, and differences but for the diagonal."""
+        """Count n^2 products, and differences except on the diagonal."""
         n = self.size
         return {Op.MUL: n * n * width, Op.SUB: n * (n - 1) * width}
 

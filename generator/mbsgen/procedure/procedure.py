@@ -75,7 +75,7 @@ class Procedure:
         return next((wire for wire in self.outputs if wire.port.role is role), None)
 
     def rewrite(self, change: Callable[[Tape], Tape], function: Function | None = None) -> Procedure:
-        """Change every tape of its stages; it may get a name of its own."""
+        """Change every tape of its stages; the procedure may get another name."""
         stages = tuple(stage.with_tapes([change(tape) for tape in stage.tapes]) for stage in self.stages)
         return replace(self, function=function or self.function, stages=stages)
 
@@ -92,7 +92,7 @@ def as_procedure(function: Computation) -> Procedure:
 
 
 def straight(function: Computation) -> Tape:
-    """Return a function that is a tape, for those who take nothing else."""
+    """Return a function that is a tape, for callers that need one."""
     assert isinstance(function, Tape), f"{function.name} is no straight-line program"
     return function
 

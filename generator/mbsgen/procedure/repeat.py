@@ -70,7 +70,7 @@ class Repeat(Stage):
 
     @property
     def reads(self) -> tuple[Wire, ...]:
-        """List the wires that are gathered from, and those that are the same for all i."""
+        """List the gathered wires, and the wires that are the same for all i."""
         return tuple(dict.fromkeys((*(gather.source for gather in self.gathers), *self.shared)))
 
     @property
@@ -129,7 +129,7 @@ class Repeat(Stage):
         return found[0] if found else range(self.tape.input(name).sparsity.nnz)
 
     def push(self, slopes: Slopes) -> Sequence[Stage]:
-        """Map the derivatives of the tape, and multiply them by the slopes of what is gathered."""
+        """Map the derivatives of the tape, and multiply them by the slopes of the gathered wires."""
         wrt = [i for i in self.tape.inputs if slopes.has(self._source(i.name))]
         if not wrt:
             return (self,)

@@ -43,7 +43,7 @@ class Slopes:
         return self._blocks.get(wire.name, {})
 
     def column(self, x: str, k: int) -> int:
-        """Number the column of an entry of an input among those of all."""
+        """Return the column of an entry of an input among the columns of all."""
         return self._first[x] + k
 
     def take(self, sheet: Sheet, wire: Wire) -> list[Gradient]:

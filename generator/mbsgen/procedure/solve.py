@@ -225,7 +225,7 @@ class Solve(Stage):
         return ((j, i),) if self.transposed else ((i, j),)
 
     def pull(self, adjoints: Adjoints) -> Pulled:
-        """Solve with the transposed matrix for the adjoint of B; that of A is its product with X."""
+        """Solve with the transposed matrix for the adjoint of B; the adjoint of A is its product with X."""
         matrix = self._find_matrix(adjoints.matrix(self.factors))
         n = self.pattern.size
         seeds = Sheet()

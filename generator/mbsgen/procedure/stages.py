@@ -1,12 +1,12 @@
-"""What all kinds of stages have in common: the wires between them, and the rules that a kind states.
+"""The common part of all kinds of stages: the wires between them, and the rules that a kind states.
 
-A stage reads wires and gives wires. A wire holds the nonzeros of a matrix, column by column, and is written once. For a
-stage z = s(w) with w(x), the rules of its kind return further stages:
+A stage reads wires and writes wires. A wire holds the nonzeros of a matrix, column by column, and is written once. For
+a stage z = s(w) with w(x), the rules of its kind return further stages:
 
     push    dz/dx of dw/dx               forward differentiation
     pull    (dz/dw)T zbar of zbar        reverse differentiation
 
-So a kind of stages is one file: a subclass of `Stage`. How a language prints it stands with the language.
+So a kind of stages is one file: a subclass of `Stage`. The rule that prints it is in the module of the language.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Wire:
 
     @property
     def port(self) -> Port:
-        """Return the port of an argument; what passes between stages alone has none of its own."""
+        """Return the port of an argument; wires between stages alone have none."""
         return self.declared or Port(self.name, Role.RESULT)
 
     @property
@@ -66,7 +66,7 @@ class Wire:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a stage or a procedure gives: a status, which is 0 unless it failed, and the wires by name."""
+    """The results of a stage or a procedure: a status, which is 0 unless it failed, and the wires by name."""
 
     status: int
     results: dict[str, Sequence[Any]]
@@ -74,7 +74,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Arithmetic:
-    """What a run computes with: a number type, and whether guards that fail decide the status."""
+    """The setting of a run: a number type, and whether guards that fail decide the status."""
 
     numbers: Numbers
     tested: bool
@@ -129,7 +129,7 @@ class Stage(ABC):
 
     @abstractmethod
     def pull(self, adjoints: Adjoints) -> Pulled:
-        """Return stages that give the same, and those that carry the adjoints of what it gives to what it reads."""
+        """Return stages with the same results, and stages that propagate the adjoints of the results to the inputs."""
 
 
 @dataclass(frozen=True)

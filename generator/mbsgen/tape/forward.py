@@ -44,7 +44,7 @@ def propagate(tape: Tape, builder: Builder, values: Sequence[Scalar], wrt: Seque
 
 
 def carry(tape: Tape, builder: Builder, values: Sequence[Scalar], given: Sequence[Gradient]) -> list[Gradient]:
-    """Compute the nonzero derivatives of every value of a replayed tape from those of its input nonzeros."""
+    """Compute the nonzero derivatives of every value of a replayed tape from the derivatives of its input nonzeros."""
     gradients = [*given, *({} for _ in tape.literals)]
     for value, (op, a, b) in enumerate(tape.operations, tape.first_operation):
         operands = (a, b)[: op.arity]

@@ -77,5 +77,5 @@ def is_of(port: Port, role: Role) -> bool:
 
 
 def _entries(port: Port) -> Axis | None:
-    """Return the meaning of all entries of a port; those of a matrix, laid out in one column, have none."""
+    """Return the meaning of all entries of a port; a matrix, laid out in one column, has none."""
     return port.rows if port.cols is None else None

@@ -106,7 +106,7 @@ class _Writer:
         return [f"{name}[{k}]" for k in range(pattern.nnz)]
 
     def declare(self, stage: Stage) -> None:
-        """Declare the arrays of what a stage gives."""
+        """Declare the arrays of the results of a stage."""
         own = [w for w in stage.gives if w.name not in self._outputs or w.name in self._held]
         plain = [f"{self.name(w)}[{_size(w)}]" for w in own if not (w.is_whole or self.is_laid_out(w))]
         if plain:
@@ -239,7 +239,7 @@ def _write_body(writer: _Writer, stage: Straight) -> None:
 
 
 def _rename(tape: Tape, writer: _Writer) -> Tape:
-    """Give outputs the names of the arrays that they are written to."""
+    """Name the arrays that outputs are written to."""
     return replace(
         tape,
         outputs=tuple(replace(o, port=Port(writer.name(Wire.of(o)), o.port.role)) for o in tape.outputs),
@@ -481,7 +481,7 @@ def _write_repeat(writer: _Writer, stage: Repeat) -> None:
 
 
 def _advance(part: CFunction, stage: Repeat) -> CFunction:
-    """Let a part write the column of its place."""
+    """Make a part write its own column."""
     sizes = {o.name: o.sparsity.nnz for o in stage.tape.outputs}
     return replace(part, arguments=tuple(f"{x} + mbs_i * {sizes[x]}" if x in sizes else x for x in part.arguments))
 

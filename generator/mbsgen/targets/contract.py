@@ -37,12 +37,12 @@ class Family:
 
     @property
     def functions(self) -> tuple[Computation, ...]:
-        """List the function and those of its derivatives that there are."""
+        """List the function and its derivatives."""
         return tuple(f for f in (self.value, self.jac, self.adj1, self.jac_adj1) if f is not None)
 
     @property
     def tapes(self) -> tuple[Tape, ...]:
-        """List those of the functions that are straight-line programs."""
+        """List the functions that are straight-line programs."""
         return tuple(f for f in self.functions if isinstance(f, Tape))
 
     def __post_init__(self) -> None:

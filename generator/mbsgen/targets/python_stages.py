@@ -1,7 +1,7 @@
-"""The stages of a kernel in Python: for each kind one rule, which writes the lines that stand for it.
+"""The stages of a kernel in Python: for each kind one rule, which writes its lines.
 
-Straight stages are functions of their own. Systems are solved, and iterations done, by the functions of
-`procedure.elimination`, which the module holds as they are.
+Straight stages are separate functions. Systems are solved, and iterations done, by the functions of
+`procedure.elimination`, which the module contains unchanged.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _LINE = 116
 
 @dataclass(frozen=True)
 class Part:
-    """A tape as a function of its own."""
+    """A tape as a separate function."""
 
     name: str
     tape: Tape
@@ -55,7 +55,7 @@ def write_stages(procedure: Procedure) -> Written:
 
 
 def list_functions() -> str:
-    """Return the source of the functions that stages call, under names of their own."""
+    """Return the source of the functions that stages call, under separate names."""
     functions = [f for _, f in inspect.getmembers(elimination, inspect.isfunction)]
     own = [f for f in functions if f.__module__ == elimination.__name__]
     own.sort(key=lambda f: f.__code__.co_firstlineno)
