@@ -20,21 +20,21 @@ from mbsrun.measuring.points import Cost, KernelPoint, MotionPoint, SolvePoint, 
 from mbsrun.measuring.store import Store
 from mbsrun.ocp.statement import read_problem
 
-ADVISE_HELP = """Tell how to compute with MODEL, with errors of --accuracy at most, and as fast as can be.
+ADVISE_HELP = """Find the fastest way to compute with MODEL, with errors of at most --accuracy.
 
-Everything is measured here and now on MODEL itself, the measurements are printed with the advice, and what was not
-measured is named. They are kept in the output folder, so that the next question about MODEL takes less time.
+The command measures MODEL itself on this machine. It prints the measurements with the advice, and lists the things that
+it did not measure. The output folder keeps the measurements, so the next question about MODEL takes less time.
 
 \b
 Tasks
-  simulate   formulation, method, step or tolerance; on the motion of --settings, else one from a pose that is drawn
+  simulate   formulation, method, step or tolerance; on the motion of --settings, else one from a random pose
   optimise   representation, collocation, degree, intervals; on --problem, else a small reach from rest to rest
   control    kernels and their precision, for torques, accelerations and derivatives of both
 
 \b
 Exit codes
-  0   there is something for everything that is asked for
-  1   there is not: nothing that was measured is so accurate
+  0   an option exists for every need
+  1   for some need, no measured option is so accurate
   2   the model, a file or an argument cannot be accepted
 """
 
@@ -61,7 +61,7 @@ def advise_command(
     problem: Path | None,
     quick: bool,
 ) -> None:
-    """Measure, choose, tell."""
+    """Measure, choose, and print the advice."""
     for name, value, own in (("--settings", settings, "simulate"), ("--problem", problem, "optimise")):
         if value is not None and task != own:
             raise click.UsageError(f"{name} is for --task {own}")
@@ -126,7 +126,7 @@ def _print_advice(advice: Advice) -> None:
     for need in advice.needs:
         best = advice.choose(need)
         console.print(
-            f"\n{need}: " + ("nothing that was measured is so accurate" if best is None else _tell(best)), markup=False
+            f"\n{need}: " + ("no measured option is so accurate" if best is None else _describe(best)), markup=False
         )
         table = Table(box=box.SIMPLE)
         options = advice.shortlist(need)
@@ -153,7 +153,7 @@ def _list_columns(options: Sequence[Option]) -> list[str]:
     return list(dict.fromkeys(name for option in options for name, _ in option.choices))
 
 
-def _tell(option: Option) -> str:
+def _describe(option: Option) -> str:
     chosen = ", ".join(f"{name} {value}" for name, value in option.choices)
     return f"{chosen}; {_format_time(option)}, error {option.error:.1e}"
 

@@ -19,9 +19,9 @@ from mbsrun.ocp.statement import read_problem
 
 CHART_HELP = """Measure speed against accuracy, and draw it.
 
-What is measured is kept in the output folder as it comes: a command that was stopped goes on where it was when it is
-given again, and one that is through only draws. Remove the folder to measure anew. `mbsrun study --with FOLDER` takes
-pictures and tables into its report, by the captions that NAME.section.json holds.
+The output folder keeps every measurement at once: given again, an interrupted command continues, and a finished one
+only draws. Remove the folder to measure anew. `mbsrun study --with FOLDER` includes pictures and tables in its report,
+with the captions of NAME.section.json.
 """
 
 KERNELS_HELP = """Chart kernels of MODEL, a model file, and of chains: time of a call against error to 50 digits.
@@ -33,46 +33,46 @@ beside CasADi's differentiation of the same equations.
 The output folder gets
   kernels.png, kernels_backward.png, derivatives.png
   kernels.csv, kernels.json   every number drawn
-  kernels.jsonl               what was measured so far
+  kernels.jsonl               all measurements
 """
 
 SIMULATION_HELP = """Chart the simulation of MODEL: processor time against error and against drift of energy.
 
-All methods of `mbsrun simulate`, on all formulations where that matters, with several steps and tolerances. The motion
-is that of a settings file of `mbsrun simulate`; without one, MODEL is let go from a pose that is drawn.
+All methods of `mbsrun simulate`, on all formulations where that matters, with several steps and tolerances. A settings
+file of `mbsrun simulate` gives the motion; without one, MODEL starts at rest from a random pose.
 
 \b
 The output folder gets
   simulation.png
   simulation.csv, simulation.json   every number drawn
-  simulation.jsonl                  what was measured so far
+  simulation.jsonl                  all measurements
 """
 
 OPTIMISATION_HELP = """Chart the optimal control of PROBLEM: time of a solve against error of the cost, and defect.
 
 Numbers of intervals, degrees, Radau and Legendre points, and representations, in all combinations. Inputs are constant
-over an interval, so each number of intervals is a control grid with an optimum of its own, which a degree of 9 tells;
-what the grid itself costs stands in a picture of its own.
+over an interval, so each number of intervals is a control grid with its own optimum; a solve of degree 9 finds it. A
+second picture shows the error of the control grid itself.
 
 \b
 The output folder gets
   optimisation.png, control_grid.png
   optimisation.csv, optimisation.json   every solve
   control_grid.csv, control_grid.json   every reference, with its accuracy
-  optimisation.jsonl                    what was measured so far
+  optimisation.jsonl                    all measurements
 """
 
-FIDELITY_HELP = """Chart what is saved by leaving something out of MODEL, against the error that it makes.
+FIDELITY_HELP = """Chart the time that reductions of MODEL save, against their error.
 
-Without a scene, one thing after the other: each joint locked, each body without mass, no forces of joints, no gravity,
-no velocities, constant parameters, one sensor alone, what a tolerance admits. With scenes, their parts, and each as a
-whole.
+Without a scene, one reduction after the other: each joint locked, each body without mass, no forces of joints, no
+gravity, no velocities, constant parameters, one sensor alone, a tolerance. With scenes, the parts of each scene, then
+the whole scene.
 
 \b
 The output folder gets
   fidelity.png
-  fidelity.csv, fidelity.json   flops, times, and errors: where what is supposed holds, and anywhere
-  fidelity.jsonl                what was measured so far
+  fidelity.csv, fidelity.json   flops, times, and errors: at states that agree with the reduction, and anywhere
+  fidelity.jsonl                all measurements
 """
 
 
@@ -85,8 +85,8 @@ def chart() -> None:
 @click.argument("model", type=click.Path(path_type=Path))
 @click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="By default NAME.chart.")
 @click.option("--size", "sizes", type=click.IntRange(1, 50), multiple=True, help="Joints of a chain; 2 5 10 20.")
-@click.option("--rounds", type=click.IntRange(1), help="In which all are timed; 40.")
-@click.option("--quick", is_flag=True, help="Little of everything, to see how it looks.")
+@click.option("--rounds", type=click.IntRange(1), help="Rounds of timing; 40.")
+@click.option("--quick", is_flag=True, help="Measure little, as a preview.")
 def chart_kernels_command(
     model: Path, out: Path | None, sizes: tuple[int, ...], rounds: int | None, quick: bool
 ) -> None:
@@ -105,13 +105,13 @@ def chart_kernels_command(
 @click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="By default NAME.chart.")
 @click.option("--settings", "file", type=click.Path(path_type=Path), help="Start, inputs and duration of the motion.")
 @click.option("--duration", type=click.FloatRange(0, min_open=True), help="Without a settings file [s]; 2.")
-@click.option("--quick", is_flag=True, help="Little of everything, to see how it looks.")
+@click.option("--quick", is_flag=True, help="Measure little, as a preview.")
 def chart_simulation_command(
     model: Path, out: Path | None, file: Path | None, duration: float | None, quick: bool
 ) -> None:
     """Measure, write, draw."""
     if file is not None and duration is not None:
-        raise click.UsageError("the settings file tells the duration; give it, or --duration, but not both")
+        raise click.UsageError("the settings file contains the duration; give the file, or --duration, but not both")
     course = motions.read_course(model, file, duration)
     out = out or Path(f"{model.stem}.chart")
     store = Store(out / "simulation.jsonl", MotionPoint)
@@ -136,7 +136,7 @@ def chart_simulation_command(
     multiple=True,
     help="By default all.",
 )
-@click.option("--quick", is_flag=True, help="Little of everything, to see how it looks.")
+@click.option("--quick", is_flag=True, help="Measure little, as a preview.")
 def chart_optimisation_command(
     problem: Path,
     out: Path | None,
@@ -166,8 +166,8 @@ def chart_optimisation_command(
 @chart.command("fidelity", help=FIDELITY_HELP)
 @click.argument("model", type=click.Path(path_type=Path))
 @click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="By default NAME.chart.")
-@click.option("--scene", "scenes", type=click.Path(path_type=Path), multiple=True, help="What is to be left out.")
-@click.option("--quick", is_flag=True, help="Little of everything, to see how it looks.")
+@click.option("--scene", "scenes", type=click.Path(path_type=Path), multiple=True, help="A scene to measure.")
+@click.option("--quick", is_flag=True, help="Measure little, as a preview.")
 def chart_fidelity_command(model: Path, out: Path | None, scenes: tuple[Path, ...], quick: bool) -> None:
     """Measure, write, draw."""
     scope = fidelity.QUICK if quick else fidelity.FidelityScope()

@@ -22,36 +22,36 @@ NOT_MET = 1
 
 LAB_HELP = """Run the laboratory: CASES in which methods lose digits, diverge or mislead, each with its criterion.
 
-Without CASES all of them; `--list` tells which there are. What is found is kept in the output folder as it comes, so a
-run that was stopped goes on; another version of the program, or another compiler, measures anew.
+Without CASES it runs all of them; `--list` prints them. The output folder keeps every finding at once, so an
+interrupted run continues; another version of the program, or another compiler, measures anew.
 
 \b
 The output folder gets
   verdicts.csv, .json, .md      for each case and way the number closest to its bound, or furthest beyond
   findings.csv, findings.json   every number
-  map_*.png, .csv, .json        where digits go: against the condition, over mass ratio and length, towards a lock
-  laboratory.section.json       captions, by which `mbsrun study --with FOLDER` takes all of it into its report
-  findings.jsonl, losses.jsonl  what was found so far
+  map_*.png, .csv, .json        lost digits: against the condition, over mass ratio and length, towards a lock
+  laboratory.section.json       captions, with which `mbsrun study --with FOLDER` includes all of it
+  findings.jsonl, losses.jsonl  all findings
 
 \b
 Exit codes
   0   all criteria are met
-  1   some are not, or a case could not be run to its end
-  2   there is no such case
+  1   some criteria are not met, or a case did not end
+  2   a case does not exist
 """
 
 
 @click.command("lab", help=LAB_HELP)
 @click.argument("names", metavar="[CASES]...", nargs=-1)
 @click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), default="laboratory")
-@click.option("--list", "listed", is_flag=True, help="Tell the cases and their criteria, and run nothing.")
+@click.option("--list", "listed", is_flag=True, help="Print the cases and their criteria, and run nothing.")
 @click.option("--quick", is_flag=True, help="Leave long trials out: chains of 20 and more, swing-ups.")
 @click.option("--maps/--no-maps", default=None, help="Draw the maps; by default where all cases are run.")
 @click.pass_context
 def lab_command(
     context: click.Context, /, names: tuple[str, ...], out: Path, listed: bool, quick: bool, maps: bool | None
 ) -> None:
-    """Run, write, tell."""
+    """Run the cases, write the findings, and print the verdicts."""
     cases = _choose(names)
     if listed:
         _print_cases(cases)
@@ -129,5 +129,5 @@ def _write(value: float | None) -> str:
 
 
 def _console() -> Console:
-    """Take the width of COLUMNS, else that of the terminal; where neither is known, lines are long."""
+    """Return stdout with the width of COLUMNS, else of the terminal; lines are long without both."""
     return Console(highlight=False, width=shutil.get_terminal_size((UNCUT, 24)).columns)

@@ -1,7 +1,7 @@
-"""What a case of the laboratory is made of: trials, and the findings that they give.
+"""The parts of a case of the laboratory: trials, and the findings that they return.
 
-A finding is one number of one way to compute, and what it must not exceed. A way is a formulation with its precision, a
-method of integration, a representation of optimal control, or the part of the program that has to answer.
+A finding is a number with its bound, for one way to compute. A way is a formulation with its precision, a method of
+integration, a representation of optimal control, or the responsible part of the program.
 """
 
 from __future__ import annotations
@@ -18,38 +18,38 @@ Report = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Loss:
-    """How many digits an explicit formulation loses in one state."""
+    """The digits that an explicit formulation loses in one state."""
 
-    mechanism: str  # the kind of it
+    mechanism: str  # its kind
     joints: int
-    number: float  # what is varied: a ratio of masses, a distance from a lock [rad]
-    state: int  # which of those drawn
+    number: float  # the varied number: a ratio of masses, a distance from a lock [rad]
+    state: int  # index of the random state
     way: str  # EXP1, EXP2
     condition: float  # of the mass matrix
-    scaled: float  # the same, of the matrix scaled to a diagonal of ones
-    told: float | None  # the error to expect, by the kernel `condition`; None: it says that no digit is left
-    error: float | None  # of the accelerations, by the largest; None: a status came instead
-    backward: float | None  # by how much the forces would have to be others, by what they are sums of
-    failed: str = ""  # the joint that the status names
+    scaled: float  # the condition of the matrix scaled to a diagonal of ones
+    estimate: float | None  # the error by the kernel `condition`; None: it promises no digit
+    error: float | None  # of the accelerations, relative to the largest; None: the kernel returned a status
+    backward: float | None  # residual relative to the sum of the absolute values of its terms
+    failed: str = ""  # the joint of the status
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What was found of one way, and whether that meets the criterion."""
+    """A result for one way, and whether it meets the criterion."""
 
     way: str
-    quantity: str  # what the number is
-    value: float | None  # None: there is no number, and the remark tells what happened
-    bound: float | None  # what it must not exceed; None: no number decides
+    quantity: str  # the meaning of the number
+    value: float | None  # None: there is no number; the remark describes the event
+    bound: float | None  # None: no number decides
     is_met: bool
     remark: str = ""
     case: str = ""
     trial: str = ""
-    is_contrast: bool = False  # the way is known to fail: it must exceed the bound, beside the one that does not
+    is_contrast: bool = False  # the way is known to fail: it must exceed the bound
 
     @property
     def excess(self) -> float:
-        """Return the number over its bound: beyond 1 it misses the bound. What has no such ratio is 0, or infinite."""
+        """Return the number over its bound: above 1 it misses the bound. Without a ratio, return 0 or infinity."""
         if self.value is None or not self.bound or not math.isfinite(self.value):
             return 0.0 if self.is_met and not self.is_contrast else math.inf
         return self.value / self.bound
@@ -57,16 +57,16 @@ class Finding:
 
 @dataclass(frozen=True)
 class Workspace:
-    """Where a trial works."""
+    """The folder and the store of a trial."""
 
     folder: Path  # for model files
     losses: Store[Loss]
-    program: str  # names the version of everything that findings depend on
+    program: str  # a hash of everything that findings depend on
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A part of a case that is measured, and kept, by itself."""
+    """A part of a case that is measured and kept separately."""
 
     name: str
     measure: Callable[[Workspace], list[Finding]]
@@ -75,19 +75,19 @@ class Trial:
 
 @dataclass(frozen=True)
 class Case:
-    """Something that goes wrong with some method, and what is demanded here."""
+    """A way in which some method fails, and the criterion for this program."""
 
     id: str
     title: str
-    setup: str  # what is done
+    setup: str  # the setup of the trials
     criterion: str
     trials: tuple[Trial, ...] = ()
-    exemption: str = ""  # what of it does not apply to this program, and why
+    exemption: str = ""  # the reason why it does not apply to this program
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the findings of a case say of one way: the one closest to its bound, or furthest beyond."""
+    """The verdict of a case about one way: the finding closest to its bound, or furthest beyond."""
 
     case: str
     way: str
@@ -102,28 +102,28 @@ class Verdict:
 
     @property
     def is_met(self) -> bool:
-        """Tell whether all findings meet the criterion."""
+        """Return whether all findings meet the criterion."""
         return self.met == self.total
 
 
 def check(way: str, quantity: str, value: float, bound: float, remark: str = "") -> Finding:
-    """Demand that a number is at most `bound`; what is not a number is not."""
+    """Demand that a number is at most `bound`; NaN fails."""
     return Finding(way, quantity, float(value), float(bound), bool(value <= bound), remark)
 
 
 def show_failure(way: str, quantity: str, value: float, bound: float, remark: str = "") -> Finding:
-    """Demand that a way which is known to fail exceeds `bound`; infinity does, and what is not a number does not."""
+    """Demand that a way which is known to fail exceeds `bound`; infinity does, NaN does not."""
     return Finding(way, quantity, float(value), float(bound), bool(value > bound), remark, is_contrast=True)
 
 
 def find_worst(values: Iterable[float]) -> float:
-    """Return the largest of some numbers; not a number where there is none, or where one of them is not."""
+    """Return the largest of some numbers; NaN where there is none, or where one of them is NaN."""
     found = [float(x) for x in values]
     return max(found) if found and not any(map(math.isnan, found)) else math.nan
 
 
 def tell(way: str, quantity: str, value: float, remark: str = "") -> Finding:
-    """Give a number of which nothing is demanded."""
+    """Return a number without a bound."""
     return Finding(way, quantity, float(value), None, is_met=True, remark=remark)
 
 
@@ -133,7 +133,7 @@ def demand(way: str, quantity: str, is_met: object, remark: str) -> Finding:
 
 
 def judge(findings: Iterable[Finding]) -> list[Verdict]:
-    """Sum up by case and way, in the order in which they come."""
+    """Sum up findings by case and way, in their order."""
     groups: dict[tuple[str, str], list[Finding]] = {}
     for finding in findings:
         groups.setdefault((finding.case, finding.way), []).append(finding)

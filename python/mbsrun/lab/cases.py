@@ -1,6 +1,7 @@
-"""The cases: what goes wrong with some method somewhere, what is demanded here, and the trials that measure it.
+"""The cases: known failures of methods, the criteria for this program, and the trials that measure them.
 
-u is 2^-53, half the distance from 1 to the next double; errors are of accelerations, by the largest, against 50 digits.
+u is 2^-53, half the distance from 1 to the next double. Errors of accelerations are relative to the largest, against 50
+digits.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ CASES: tuple[Case, ...] = (
         "F01",
         "a long straight chain",
         "A planar chain of N equal thin rods, stretched, random velocities and torques; cond M grows as N^4." + LOOPS,
-        "EXP2 errs by 1e-12 at most at every N, EXP1 by 10 u cond(M); exact accelerations leave 10 u of a residual.",
+        "EXP2 errs by 1e-12 at most at every N, EXP1 by 10 u cond(M); at exact accelerations a residual is 10 u.",
         (
             *(Trial(f"{n} links", partial(chains.measure_straight, size=n), n > 10) for n in (2, 5, 10, 20, 50)),
             *(Trial(f"{n} links", partial(chains.measure_long, kind="straight", size=n), True) for n in LONG),
@@ -43,8 +44,8 @@ CASES: tuple[Case, ...] = (
         "a heavy tip",
         "The chain of F02; the last rod's mass and inertia times 1e4, 1e8, 1e12.",
         "Backward errors of 1e-14 at most; errors of 10 u times the condition of M scaled to a diagonal of ones; "
-        "`condition` tells the digits lost, to a factor of 16. EXP1 may fail only where a pivot is below n u 1000 of "
-        "its entry of M, and so fewer than three digits are left.",
+        "`condition` estimates the lost digits to a factor of 16. EXP1 may fail only where a pivot is below n u 1000 "
+        "of its entry of M, and so fewer than three digits are left.",
         tuple(
             Trial(f"{n} links, times {r:.0e}", partial(chains.measure_heavy_tip, size=n, ratio=r), n > 10)
             for n in (10, 50)
@@ -55,7 +56,7 @@ CASES: tuple[Case, ...] = (
         "F04",
         "light tips and bases",
         "The chain of F02 with 10 links: ratios of 1e8 and 1e12 that only scale M, whose condition reaches 1e16.",
-        "Errors of 1e-11 at most, no status, and no false alarm: `condition` tells of 1e-11 at most.",
+        "Errors of 1e-11 at most, no status, and no false alarm: `condition` estimates 1e-11 at most.",
         tuple(Trial(name, partial(chains.measure_harmless, factors=x)) for name, x in chains.HARMLESS.items()),
     ),
     Case(
@@ -64,7 +65,7 @@ CASES: tuple[Case, ...] = (
         "One body on three axes through a point, or at an elbow, 0.1 to 1e-12 rad from a lock, and at it.",
         "An error of 1e-6 at most, or a status that names the joint, but only where 1e-6 is not sure; never a wrong "
         "number in silence. EXP2 has 1e-11 down to 1e-7 rad from a Cardan joint's lock; residuals are right to 1e-14 "
-        "everywhere. `condition` tells what is lost, to a factor of 16.",
+        "everywhere. `condition` estimates the loss, to a factor of 16.",
         (
             *(Trial(name, partial(locks.measure_lock, lock=name)) for name in ("Cardan", "wrist", "elbow")),
             Trial("a smaller bound", locks.measure_small_bound),
@@ -80,7 +81,7 @@ CASES: tuple[Case, ...] = (
     ),
     Case(
         "F07",
-        "inertias that no body has",
+        "inertias without a body",
         "Negative masses and moments, moments against the triangle, products too large, not a number, infinite.",
         "Refused with the model; where the file says `allow_unphysical`, taken.",
         (
@@ -102,7 +103,7 @@ CASES: tuple[Case, ...] = (
         "F09",
         "a distant centre of mass",
         "A body of 1 kg and 1 kg m2 whose centre of mass is 1 to 1e8 m from its origin, in single precision to 1e4 m.",
-        "What is lost is 4 u (1 + m c2 / I) at most, with all reductions and with none; a status only where that is "
+        "The loss is 4 u (1 + m c2 / I) at most, with all reductions and with none; a status only where that is "
         "more than 1e-6.",
         tuple(
             Trial(f"{c:g} m away, {kind}", partial(inertias.measure_offset, offset=c, precision=kind))
@@ -112,14 +113,14 @@ CASES: tuple[Case, ...] = (
     ),
     Case(
         "F10",
-        "a law that should not be multiplied out",
+        "a force law that must not be multiplied out",
         "A force by the square of a length, (cos q - cos r)^2 + (sin q - sin r)^2, near where it vanishes.",
-        "Errors of ten times those of the law as written by hand, at most.",
+        "Errors of at most ten times the errors of the law as written by hand.",
         tuple(Trial(f"{d:g} rad away", partial(expressions.measure_spring, distance=d)) for d in (1e-4, 1e-6, 1e-8)),
     ),
     Case(
         "F11",
-        "an inverse that should not be written",
+        "an explicit inverse",
         "Chains of 3 to 8 links: an adjugate would divide by a determinant, and lose digits.",
         "No more than two divisions for each joint, and errors of 10 u cond(M) at most.",
         tuple(Trial(f"{n} links", partial(expressions.measure_inverse, size=n)) for n in (3, 5, 8)),
@@ -140,7 +141,7 @@ CASES: tuple[Case, ...] = (
     ),
     Case(
         "F14",
-        "compilers that know better",
+        "compilers that change arithmetic",
         "Levels of optimisation, contraction, and flags that give up IEEE arithmetic.",
         "Results agree to 1e-13; fast-math and its parts are refused; 1e-310 / 2 is not 0 after loading kernels.",
         (Trial("flags", compilation.measure_flags), Trial("refusals", compilation.measure_refusals)),
@@ -174,7 +175,7 @@ CASES: tuple[Case, ...] = (
         "energy and phase",
         "The same pendulum: orders of methods, RK4 and the midpoint rule over 2000 s, implicit Euler.",
         "Orders to a tenth; RK4's loss of energy goes with T h^5; Gauss collocation's error of energy does not grow. "
-        "The error of the place is told beside it: a small one does not follow from the other.",
+        "The error of the place is reported beside it: a small one does not follow from the other.",
         (
             Trial("orders", integration.measure_orders),
             Trial("RK4, 200 s", partial(integration.measure_runge_kutta, long=False)),
@@ -197,10 +198,10 @@ CASES: tuple[Case, ...] = (
         "collocation too coarse",
         "The swing-up of a cart-pole on meshes of 4 to 80 intervals of degree 3 and 5, of 20 to 1280 of degree 1; and "
         "on a fixed grid of 20 constant inputs, with 1 to 32 steps of Radau in each.",
-        "The defect by re-simulation is told, and decides what counts as accurate; it falls with order 2 at least. On "
+        "The report shows the defect by re-simulation, which decides the accuracy; it falls with order 2 at least. On "
         "the fixed grid, cost and defect have the order 2 d - 1 of Radau's method, to a tenth. 80 intervals of degree "
-        "5 have 1e-6, and from one optimum all representations have its cost to 1e-8. What they find from the "
-        "problem's own guess is told.",
+        "5 have 1e-6, and from one optimum all representations have its cost to 1e-8. The report shows "
+        "the results from the guess of the problem.",
         (
             *(
                 Trial(f"fixed inputs, degree {d}", partial(optimisation.measure_control_grid, degree=d), is_long=True)
@@ -224,7 +225,7 @@ CASES: tuple[Case, ...] = (
         "The swing-up with 80 intervals from forty random starts, the same for all representations: noise of 3 rad and "
         "3 m at every point, random inputs.",
         "Three minima are reached: 57.95, the published 58.81, and 303.5, each to 0.5 %; how many starts end in each, "
-        "and how many fail with which status, is told.",
+        "and how many fail with which status, is reported.",
         tuple(
             Trial(r.value, partial(optimisation.measure_minima, representation=r), is_long=True) for r in Representation
         ),
@@ -252,14 +253,14 @@ CASES: tuple[Case, ...] = (
         "F24",
         "redundant loop constraints",
         "Closed loops of which constraints depend on each other.",
-        "Ranks found and told.",
+        "Ranks found and reported.",
         exemption="Mechanisms are trees: there are no loops to be closed.",
     ),
     Case(
         "F25",
         "derivatives",
         "A spatial chain of four links: Jacobians, Hessians and their patterns.",
-        "Jacobians are those of differences of fourth order to 1e-10; Taylor's remainder is of order 2; Hessians are "
+        "Jacobians agree with differences of fourth order to 1e-10; Taylor's remainder is of order 2; Hessians are "
         "symmetric to 1e-13; no entry of a pattern vanishes everywhere.",
         (Trial("4 links", partial(derivatives.measure_derivatives, size=4)),),
     ),

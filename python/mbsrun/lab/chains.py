@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from mbsrun.lab.case import Finding, Loss, Workspace, check, demand
-from mbsrun.lab.digits import KERNELS, RESIDUAL, Specimen, U, check_told, measure_losses, read, relate, specimen
+from mbsrun.lab.digits import KERNELS, RESIDUAL, Specimen, U, check_estimate, measure_losses, read, relate, specimen
 from mbsrun.lab.interpretation import LongChain, eliminate
 from mbsrun.lab.mechanisms import States, describe_spatial, describe_straight, draw, round_to_single, write
 
@@ -35,7 +35,7 @@ def measure_chain(
 
 
 def measure_straight(workspace: Workspace, size: int) -> list[Finding]:
-    """F01: EXP2 keeps 1e-12 at any length; EXP1 has what the condition of M leaves; residuals are not touched."""
+    """F01: EXP2 keeps 1e-12 at any length; EXP1 loses digits by the condition of M; residuals keep theirs."""
     states = draw(size, [size], q=0.0)
     chosen, losses = measure_chain(workspace, "straight chain", size, describe_straight(size), states)
     bounds = {"EXP1": 10 * ROUNDING * losses[0].condition, "EXP2": 1e-12}
@@ -43,7 +43,7 @@ def measure_straight(workspace: Workspace, size: int) -> list[Finding]:
 
 
 def measure_long(workspace: Workspace, kind: str, size: int) -> list[Finding]:
-    """F01, F02 beyond what is written in C: EXP2 and IMPL interpreted; EXP1 and SEMI, with n^2 entries, in loops."""
+    """F01, F02 beyond the size of generated C: EXP2 and IMPL interpreted; EXP1 and SEMI, with n^2 entries, in loops."""
     is_straight = kind == "straight"
     text = describe_straight(size) if is_straight else describe_spatial(size)
     chain = LongChain(write(workspace.folder, text), size)
@@ -88,7 +88,7 @@ def weigh_tip(workspace: Workspace, size: int, ratio: float) -> list[Loss]:
 
 
 def measure_heavy_tip(workspace: Workspace, size: int, ratio: float) -> list[Finding]:
-    """F03: errors as the scaled condition allows, small backward errors, and digits lost are told."""
+    """F03: errors as the scaled condition allows, small backward errors, and estimates of the lost digits."""
     findings = []
     for loss in weigh_tip(workspace, size, ratio):
         if loss.error is None:
@@ -97,17 +97,17 @@ def measure_heavy_tip(workspace: Workspace, size: int, ratio: float) -> list[Fin
         allowed = 10 * ROUNDING * loss.scaled
         findings.append(_check_error(loss, allowed))
         findings.append(check(loss.way, "backward error", read(loss.backward), 1e-14))
-        findings.append(check_told(loss))
+        findings.append(check_estimate(loss))
     chosen = specimen(workspace, describe_spatial(size, [1.0] * (size - 1) + [ratio]), *ALL)
     return findings + _check_residuals(chosen, draw(size, [size]))
 
 
 def _check_failure(loss: Loss) -> Finding:
-    """Accept a status of EXP1 where a pivot is below n u 1000 of its entry of M: then 1e-3 / n is told at least."""
+    """Accept a status of EXP1 where a pivot is below n u 1000 of its entry of M: the estimate is then 1e-3 / n."""
     least = 1e-3 / loss.joints
-    is_due = loss.way == "EXP1" and loss.failed.startswith("q") and (loss.told is None or loss.told >= least)
-    told = "no digit" if loss.told is None else f"an error of {loss.told:.0e}"
-    return demand(loss.way, "status where digits are gone", is_due, f"status at {loss.failed}; {told} is told")
+    is_due = loss.way == "EXP1" and loss.failed.startswith("q") and (loss.estimate is None or loss.estimate >= least)
+    estimate = "no digit" if loss.estimate is None else f"an error of {loss.estimate:.0e}"
+    return demand(loss.way, "status where digits are gone", is_due, f"status at {loss.failed}; {estimate} is told")
 
 
 def weigh_links(workspace: Workspace, factors: Sequence[float]) -> tuple[Specimen, States, list[Loss]]:
@@ -123,8 +123,8 @@ def measure_harmless(workspace: Workspace, factors: Sequence[float]) -> list[Fin
     chosen, states, losses = weigh_links(workspace, factors)
     findings = [_check_error(x, NO_ALARM) for x in losses]
     for x in losses:
-        told = float("inf") if x.told is None else x.told
-        findings.append(check(x.way, "false alarm", told, NO_ALARM, f"condition {x.condition:.0e}"))
+        estimate = float("inf") if x.estimate is None else x.estimate
+        findings.append(check(x.way, "false alarm", estimate, NO_ALARM, f"condition {x.condition:.0e}"))
     return findings + _check_residuals(chosen, states, bound=NO_ALARM)
 
 
@@ -152,7 +152,7 @@ def _check_error(loss: Loss, bound: float) -> Finding:
 def _check_residuals(
     chosen: Specimen, states: States, ways: Sequence[str] = tuple(RESIDUAL), bound: float = 10 * ROUNDING
 ) -> list[Finding]:
-    """Put exact accelerations into the residuals: what is left, by what they are sums of."""
+    """Return the residuals at exact accelerations, relative to the sum of the absolute values of their terms."""
     findings = []
     exact = chosen.find_exact(states)
     at = {**states, "qdd": np.array([x.rounded for x in exact])}

@@ -1,4 +1,4 @@
-"""What compilers may do to kernels: flags, and the state of the processor (F14)."""
+"""Effects of compilers on kernels: flags, and the state of the processor (F14)."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def measure_flags(workspace: Workspace) -> list[Finding]:
 
 
 def measure_refusals(workspace: Workspace) -> list[Finding]:
-    """F14: what gives up IEEE arithmetic is refused, and numbers below 1e-308 survive in the process that loads."""
+    """F14: flags that give up IEEE arithmetic are refused; numbers below 1e-308 survive in the loading process."""
     findings = []
     for flag in REFUSED:
         try:

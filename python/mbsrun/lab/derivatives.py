@@ -25,7 +25,7 @@ VARIABLES = {"IMPL": ("q", "qd", "qdd"), "SEMI": ("q", "qd", "qdd"), "EXP1": ("q
 
 
 def measure_derivatives(workspace: Workspace, size: int) -> list[Finding]:
-    """F25: Jacobians to 1e-10 of differences, remainders of order 2, symmetric Hessians, no entry more than needed."""
+    """F25: Jacobians to 1e-10 of differences, remainders of order 2, symmetric Hessians, no superfluous entry."""
     extent = Extent((*KERNELS.values(),), 2)
     plant = Mechanism(find_folder(write(workspace.folder, describe_spatial(size)), extent))
     findings = []
@@ -106,5 +106,8 @@ def _compare_pattern(plant: Mechanism, way: str) -> Finding:
     idle = sum(int((~np.any(values != 0, axis=0)).sum()) for values in found.values())
     entries = sum(values.shape[1] for values in found.values())
     return demand(
-        way, "pattern is what does not vanish", idle == 0 < entries, f"{entries} entries, {idle} of them vanish"
+        way,
+        "pattern holds nonvanishing entries alone",
+        idle == 0 < entries,
+        f"{entries} entries, {idle} of them vanish",
     )

@@ -1,8 +1,8 @@
-"""Digits that kernels lose: a mechanism, compiled, beside what is exact about it.
+"""Measure the digits that kernels lose, against exact accelerations.
 
 Exact accelerations are found by refinement: x += M^-1 r in double precision, scaled to a diagonal of ones, with the
-residual r in 50 digits by `study.reference`, until x stands still to 25 digits; where that is too ill conditioned to
-converge, by elimination in 50 digits. Only the residual decides what x is.
+residual r in 50 digits by `measuring.reference`, until x stands still to 25 digits. Where that is too ill conditioned
+to converge, elimination in 50 digits finds them. So x depends on the residual alone.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from mbsrun.models import Extent
 
 Array = NDArray[np.float64]
 
-U = {"float64": 2.0**-53, "float32": 2.0**-24}  # what one rounding loses
+U = {"float64": 2.0**-53, "float32": 2.0**-24}  # the loss of one rounding
 EXPLICIT = {form.name: form.function for form in FORMS if form.is_direct}
 RESIDUAL = {form.name: form.differentiated for form in FORMS if not form.is_direct}
 KERNELS = {**RESIDUAL, **EXPLICIT}
 TOLD_BY = {"EXP1": "elimination", "EXP2": "articulated"}
-ALWAYS = 1e-13  # what forces and accelerations lose beside what `condition` looks at
-ABOVE = 16.0  # an error may be so many times what is told: docs/accuracy.md
+ALWAYS = 1e-13  # the loss of forces and accelerations, which `condition` does not include
+ABOVE = 16.0  # the allowed ratio of an error and its estimate: docs/accuracy.md
 SMALL, LARGE = 10, 50  # joints: from which on less is optimised in compiling
 ELIMINATED = 60  # joints: up to which 50 digits are eliminated where refinement fails
 _ENOUGH = 1e-25  # the relative size of a correction after which none is needed
@@ -42,7 +42,7 @@ _CORRECTIONS = 60
 
 @dataclass(frozen=True)
 class Exact:
-    """What is exact in one state, for all purposes."""
+    """The exact results in one state."""
 
     moment: Moment
     M: Array  # rounded
@@ -50,17 +50,17 @@ class Exact:
 
     @cached_property
     def rounded(self) -> Array:
-        """Give the accelerations as the doubles nearest to them."""
+        """Return the accelerations, rounded to doubles."""
         return np.array([float(x) for x in self.qdd])
 
     def scale(self, qdd: Sequence[Any]) -> Array:
-        """Add up |M| |qdd| + |c| + |Q|: what the equations of motion are sums of."""
+        """Compute |M| |qdd| + |c| + |Q|, the sum of the absolute values of all terms."""
         parts = zip(self.moment.bias, self.moment.forces, strict=True)
         rest = np.array([float(abs(c) + abs(Q)) for c, Q in parts])
         return np.asarray(np.abs(self.M) @ np.abs(np.array([float(x) for x in qdd])) + rest)
 
     def leave(self, qdd: Array) -> float:
-        """Tell what accelerations leave of the equations of motion, by what these are sums of."""
+        """Return the residual of the equations of motion, relative to the sum of the absolute values of their terms."""
         found = [self.moment.context.mpf(float(x)) for x in qdd]
         left = np.array([float(x) for x in self.moment.residual(qdd=found)])
         return float(np.abs(left).max() / self.scale(found).max())
@@ -70,7 +70,7 @@ class Specimen:
     """A mechanism with some of its kernels."""
 
     def __init__(self, model: Path, functions: Sequence[str], without: tuple[str, ...] = ()) -> None:
-        """Take a model file; nothing is generated yet. `without` names reductions that are switched off."""
+        """Take a model file, and generate nothing yet. `without` lists reductions to switch off."""
         self.subject = Subject(model, Extent(tuple(dict.fromkeys((*functions, "impl"))), 0, without=without))
 
     @property
@@ -83,23 +83,23 @@ class Specimen:
         return self.subject.manifest.coordinates[status - 1].name if status > 0 else ""
 
     def evaluate(self, kernel: str, states: States, precision: Precision = "float64") -> Found:
-        """Call a kernel on states; give their statuses, and results as matrices: none where it fails."""
+        """Call a kernel on states; return statuses, and results as matrices: none where it fails."""
         variant = Variant(precision) if self.size <= SMALL else Variant(precision, "-O1")
         variant = variant if self.size <= LARGE else Variant(precision, "-O0")
         return compile_kernel(self.subject, kernel, variant).evaluate(states)
 
     def find_exact(self, states: States) -> list[Exact]:
-        """Compute what is exact in each state."""
+        """Compute the exact results in each state."""
         return [self._find_exact({name: x[k] for name, x in states.items()}) for k in range(len(states["q"]))]
 
     def balance(self, states: States) -> dict[str, Array]:
-        """Choose forces such that accelerations are about those given."""
+        """Choose forces that give about the requested accelerations."""
         still = {**states, "u": 0 * states["u"]}
         return {**states, "u": np.array([found["Phi"][:, 0] for found in self.evaluate("impl", still)[1]])}
 
     @cached_property
     def reference(self) -> Reference:
-        """Give the equations of motion in 50 digits."""
+        """Return the equations of motion in 50 digits."""
         return Reference(self.subject.model)
 
     def _find_exact(self, state: State) -> Exact:
@@ -120,7 +120,7 @@ class Specimen:
 
 
 def specimen(workspace: Workspace, text: str, *functions: str, without: tuple[str, ...] = ()) -> Specimen:
-    """Write a model file, and take it."""
+    """Write a model file, and return its specimen."""
     return Specimen(write(workspace.folder, text), functions, without)
 
 
@@ -137,24 +137,31 @@ def measure_losses(
     states: States,
     precision: Precision = "float64",
 ) -> list[Loss]:
-    """Compute accelerations by EXP1 and EXP2 in all states; what was measured before is taken from the store."""
-    told = (workspace.program, mechanism, number, chosen.subject.model.read_bytes(), chosen.subject.extent, precision)
-    key = (*told, [(name, x.tobytes()) for name, x in sorted(states.items())])
+    """Compute accelerations by EXP1 and EXP2 in all states; earlier results are read from the store."""
+    facts = (
+        workspace.program,
+        mechanism,
+        number,
+        chosen.subject.model.read_bytes(),
+        chosen.subject.extent,
+        precision,
+    )
+    key = (*facts, [(name, x.tobytes()) for name, x in sorted(states.items())])
     return workspace.losses.find_or_measure(
         key, lambda: _measure_losses(mechanism, number, chosen, dict(states), precision)
     )
 
 
-def check_told(loss: Loss) -> Finding:
-    """Compare an error with what `condition` tells."""
-    if loss.told is None:
+def check_estimate(loss: Loss) -> Finding:
+    """Compare an error with the estimate of `condition`."""
+    if loss.estimate is None:
         return tell(loss.way, "error where no digit is promised", read(loss.error))
-    remark = f"{loss.told:.0e} is told, at {loss.number:.0e}"
-    return check(loss.way, "error beyond what is told", read(loss.error), ABOVE * loss.told + ALWAYS, remark)
+    remark = f"{loss.estimate:.0e} is the estimate, at {loss.number:.0e}"
+    return check(loss.way, "error beyond the estimate", read(loss.error), ABOVE * loss.estimate + ALWAYS, remark)
 
 
 def read(number: float | None) -> float:
-    """Return a number, or not a number for none, which meets no bound."""
+    """Return a number, or NaN for None: it meets no bound."""
     return float("nan") if number is None else number
 
 
@@ -179,7 +186,7 @@ def _measure_losses(
                     way=way if precision == "float64" else f"{way}, {precision}",
                     condition=float(np.linalg.cond(truth.M)),
                     scaled=scale_condition(truth),
-                    told=warning if np.isfinite(warning) else None,
+                    estimate=warning if np.isfinite(warning) else None,
                     error=relate(qdd, truth.rounded) if qdd is not None and is_finite else None,
                     backward=truth.leave(qdd) if qdd is not None and is_finite else None,
                     failed=chosen.joint(int(status)) or ("" if is_finite else "nothing: not a number"),

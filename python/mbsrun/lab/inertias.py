@@ -1,4 +1,4 @@
-"""Inertias that no body has, and sizes beyond what products of two hold (F07, F08); distant origins (F09)."""
+"""Impossible inertias, and sizes whose products overflow (F07, F08); distant origins (F09)."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def measure_strange(workspace: Workspace, name: str) -> list[Finding]:
 
 
 def measure_allowed(workspace: Workspace) -> list[Finding]:
-    """F07: what published robots break is taken where the file says so."""
+    """F07: inertias of published robots that break a rule are accepted where the file says so."""
     text = _BODY.format(**STRANGE[ALLOWED]) + "allow_unphysical: true\n"
     found = specimen(workspace, text, "exp2").evaluate("exp2", draw(1, [1]))[1][0]
     return [demand("check of models", "consent", np.isfinite(found["qdd"]).all(), f"{ALLOWED}: accepted")]
@@ -101,7 +101,7 @@ def measure_sizes(workspace: Workspace, name: str) -> list[Finding]:
 
 
 def measure_offset(workspace: Workspace, offset: float, precision: Precision = "float64") -> list[Finding]:
-    """F09: with a centre of mass at c, what is left of I in m c2 is lost to 4 u (1 + m c2 / I), reduced or not."""
+    """F09: with a centre of mass at c, I loses 4 u (1 + m c2 / I) within m c2, with reductions and without."""
     square = offset**2 * (1 + 1 / 9 + 1 / 49)
     bound = 4 * U[precision] * (1 + square)
     findings = []

@@ -38,7 +38,7 @@ GAINS = (0.0, 1.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 270.0)  # alpha of Baumg
 DEFAULT_GAIN = 5.0  # 1/s
 UNSTABLE_GAIN = 2.7  # h alpha: with a double eigenvalue -alpha, RK4 is stable below 2.785
 STAYS = 1e-2  # m: a drift that is no divergence
-DRIFTS = {  # m, in 10 s: what an independent program measured, by step and alpha
+DRIFTS = {  # m, in 10 s: by an independent program, for each step and alpha
     1e-2: {0.0: 3.6e-5, 5.0: 1.0e-7, 100.0: 4.8e-5, 200.0: 7.4e-4},
     1e-3: {0.0: 3.6e-9, 5.0: 1.0e-11, 1000.0: 4.8e-7},
 }
@@ -58,7 +58,7 @@ ORDERS: tuple[tuple[str, dict[str, Any], int, float], ...] = (
 
 
 def swing(t: Array | float) -> Array:
-    """Give the angle of the pendulum that is let go at pi/2."""
+    """Return the angle of the pendulum after a start at rest from pi/2."""
     k = sqrt(0.5)
     _, cn, dn, _ = ellipj(sqrt(9.81) * np.asarray(t), k**2)
     return np.asarray(2 * np.arcsin(k * cn / dn))
@@ -77,9 +77,9 @@ def measure_baumgarte(_: Workspace, step: float) -> list[Finding]:
         findings.append(judge(way, "drift off the rod [m]", swung.drift, STAYS, remark))
         if gain in known:
             off = abs(swung.drift / known[gain] - 1)
-            findings.append(check(way, "drift, off that of an independent program", off, 0.05, remark))
+            findings.append(check(way, "drift, off the drift of an independent program", off, 0.05, remark))
     way, remark = f"Baumgarte, h alpha = {DEFAULT_GAIN * step:g}", f"h = {step:g} s, {free.miss:.1e} m without"
-    findings.append(check(way, "drift off the rod, by that without", default.drift / free.drift, 0.1, remark))
+    findings.append(check(way, "drift off the rod, by the drift without", default.drift / free.drift, 0.1, remark))
     findings.append(check(way, "error of the place [m]", default.miss, 2 * free.miss, remark))
     return findings
 
@@ -97,7 +97,7 @@ def measure_place(workspace: Workspace, step: float) -> list[Finding]:
 
 @dataclass(frozen=True)
 class Swing:
-    """What came of the pendulum in x and y: infinite where it diverged."""
+    """The result of the pendulum in x and y; infinite where it diverged."""
 
     drift: float  # the largest distance off the rod [m]
     miss: float  # of the place at the end [m]
@@ -146,7 +146,7 @@ def measure_orders(workspace: Workspace) -> list[Finding]:
 
 
 def measure_runge_kutta(workspace: Workspace, *, long: bool) -> list[Finding]:
-    """F17: the energy that RK4 loses goes with T h^5, and a small one does not tell that the phase is right."""
+    """F17: the energy that RK4 loses goes with T h^5, and a small loss does not imply a right phase."""
     plant, T = _load(workspace), 2000.0 if long else 200.0
     runs = [_run(plant, LEVEL, duration=t, method="rk4", step=h) for t, h in ((T, 1e-2), (T / 2, 1e-2), (T, 5e-3))]
     whole, half, fine = (_drift(motion) for motion in runs)
@@ -212,15 +212,15 @@ def measure_explicit(workspace: Workspace, durations: Sequence[float] = (0.025, 
         expected = 6 * duration * EIGENVALUE / 3.3  # six evaluations in a step
         counts.append(motion.effort.evaluations)
         off, remark = abs(counts[-1] / expected - 1), f"{counts[-1]} in {duration:g} s"
-        findings.append(check("RK45", "evaluations, off those of t lambda / 3.3 steps", off, 0.25, remark))
-        told = any("stiff" in x for x in motion.warnings)
-        findings.append(demand("RK45", "warning", told, "; ".join(motion.warnings)))
+        findings.append(check("RK45", "evaluations, off evaluations of t lambda / 3.3 steps", off, 0.25, remark))
+        is_warned = any("stiff" in x for x in motion.warnings)
+        findings.append(demand("RK45", "warning", is_warned, "; ".join(motion.warnings)))
     for first, second in pairwise(counts):
         remark = f"{first}, then {second} in twice the time"
         findings.append(
             check("RK45", "growth of evaluations with time, off 2", abs(second / first / 2 - 1), 0.05, remark)
         )
-    most, remark = 10.0 / durations[-1] * counts[-1], f"by those in {durations[-1]:g} s; Radau takes fewer"
+    most, remark = 10.0 / durations[-1] * counts[-1], f"by evaluations in {durations[-1]:g} s; Radau takes fewer"
     findings.append(show_failure("RK45 for 10 s", "evaluations", most, 2000, remark))
     return findings
 
@@ -257,7 +257,7 @@ def _load(workspace: Workspace) -> Mechanism:
 
 
 def _run(plant: Mechanism, start: Sequence[float], **settings: Any) -> Motion:
-    """Let things go, with no inputs."""
+    """Simulate without inputs."""
     return simulate(plant, hold(np.zeros(4)), list(start), list(STILL), Settings(max_seconds=inf, **settings))
 
 
@@ -272,6 +272,6 @@ def _lose(motion: Motion) -> float:
 
 
 def _miss(motion: Motion) -> float:
-    """Tell how far the pendulum's tip is from where it should be at the end [m]."""
+    """Return the error of the place of the pendulum's tip at the end [m]."""
     q, exact = motion.q[-1, 0], float(swing(motion.t[-1]))
     return float(np.hypot(np.sin(q) - np.sin(exact), np.cos(q) - np.cos(exact)))

@@ -1,4 +1,4 @@
-"""Chains that are too long for straight C: equations are interpreted, and what has n^2 entries is computed in loops.
+"""Chains that are too long for straight C: interpret the equations, and compute matrices of n^2 entries in loops.
 
 In loops, M and c come from the interpreted residual: M e_i = Phi(q, 0, e_i) without gravity, c = Phi(q, qd, 0). EXP1 is
 M = LT D L, from the leaves to the base, as the generated kernels have it.
@@ -28,7 +28,7 @@ BLOCK = 32  # states that are computed at once: values of all equations are kept
 
 
 class Equations(Protocol):
-    """What is asked of interpreted equations: results (K, size) for inputs (K, size) by name, and a status."""
+    """The interface of interpreted equations: results (K, size) for inputs (K, size) by name, and a status."""
 
     def compute(self, states: States) -> dict[str, Array]: ...
 
@@ -39,7 +39,7 @@ class LongChain(Specimen):
     """A chain with joints q1 to qN; `impl` and `exp2` are interpreted, and nothing is generated."""
 
     def __init__(self, model: Path, size: int) -> None:
-        """Take a model file of so many joints."""
+        """Take a model file with its number of joints."""
         super().__init__(model, ())
         self._model, self._size = model, size
 
@@ -53,8 +53,8 @@ class LongChain(Specimen):
         return f"q{status}" if status > 0 else ""
 
     def evaluate(self, kernel: str, states: States, precision: Precision = "float64") -> Found:
-        """Interpret a kernel on states; give their statuses, and results as matrices: none where it fails."""
-        assert precision == "float64", "what is interpreted has double precision"
+        """Interpret a kernel on states; return statuses, and results as matrices: none where it fails."""
+        assert precision == "float64", "interpreted kernels have double precision"
         equations, count = _write(self._model, kernel, gravity=True), len(states["q"])
         statuses = np.zeros(count, dtype=np.int64)
         if kernel in ACCELERATIONS:
@@ -80,7 +80,7 @@ class LongChain(Specimen):
 
 @dataclass(frozen=True)
 class Eliminated:
-    """What elimination from the leaves gives."""
+    """The result of elimination from the leaves."""
 
     status: int  # the joint whose pivot is lost, by EXP1's bound n u 1000; 0: none
     x: Array | None  # also where a pivot is lost, unless it is no positive number
@@ -102,6 +102,6 @@ def eliminate(M: Array, right: Array) -> Eliminated:
 
 @cache
 def _write(model: Path, kernel: str, *, gravity: bool) -> Equations:
-    from mbsgen.interpreted import Interpreted  # here alone, and late: kernels are called without SymPy
+    from mbsgen.interpreted import Interpreted  # imported late: everything else works without SymPy
 
     return Interpreted(model, kernel, gravity=gravity)

@@ -15,7 +15,7 @@ from mbsrun.lab.digits import (
     KERNELS,
     RESIDUAL,
     Specimen,
-    check_told,
+    check_estimate,
     measure_losses,
     relate,
     specimen,
@@ -76,7 +76,7 @@ def measure_lock(workspace: Workspace, lock: str, distances: Sequence[float] = D
     for distance in distances:
         chosen, states, losses = approach(workspace, lock, distance)
         findings += [_check_loss(x) for x in losses]
-        findings += [check_told(x) for x in losses if x.error is not None]
+        findings += [check_estimate(x) for x in losses if x.error is not None]
         if lock == "Cardan" and distance >= SAFE:
             findings += [_check_safe(x) for x in losses if x.way == "EXP2"]
         findings += _check_residuals(chosen, states)
@@ -114,8 +114,8 @@ def measure_weightless(workspace: Workspace, name: str) -> list[Finding]:
     states = {**pair, **{key: value[None] for key, value in hidden.items()}}
     for way, kernel in EXPLICIT.items():
         status = int(chosen.evaluate(kernel, states)[0][0])
-        told = f"status {status}: joint {chosen.joint(status)}" if status else "status 0"
-        findings.append(demand(way, "status at run time", chosen.joint(status) == "q2", told))
+        remark = f"status {status}: joint {chosen.joint(status)}" if status else "status 0"
+        findings.append(demand(way, "status at run time", chosen.joint(status) == "q2", remark))
     for way, kernel in RESIDUAL.items():
         values = chosen.evaluate(kernel, states)[1][0]["Phi"]
         findings.append(demand(way, "finite residual", np.isfinite(values).all(), "finite"))
@@ -133,9 +133,9 @@ def _check_refusal(model: Path) -> Finding:
 def _check_loss(loss: Loss) -> Finding:
     where = f"{loss.number:.0e} from the lock"
     if loss.error is None:
-        is_due = loss.told is None or ABOVE * loss.told > SIX_DIGITS
-        told = "no digit" if loss.told is None else f"an error of {loss.told:.0e}"
-        remark = f"{where}: status at {loss.failed}, {told} is told"
+        is_due = loss.estimate is None or ABOVE * loss.estimate > SIX_DIGITS
+        estimate = "no digit" if loss.estimate is None else f"an error of {loss.estimate:.0e}"
+        remark = f"{where}: status at {loss.failed}, {estimate} is told"
         return demand(loss.way, "status where six digits are not sure", loss.failed == FIRST and is_due, remark)
     return check(loss.way, "error without a status", loss.error, SIX_DIGITS, where)
 
@@ -143,12 +143,12 @@ def _check_loss(loss: Loss) -> Finding:
 def _check_safe(loss: Loss) -> Finding:
     where = f"{loss.number:.0e} from the lock"
     if loss.error is None:
-        return demand(loss.way, "status that is none too early", False, where)
+        return demand(loss.way, "status not too early", False, where)
     return check(loss.way, "error down to 1e-7", loss.error, 1e-11, where)
 
 
 def _check_residuals(chosen: Specimen, states: States) -> list[Finding]:
-    """Compare residuals with those in 50 digits."""
+    """Compare residuals with residuals in 50 digits."""
     findings = []
     moments = [chosen.reference.at({name: x[k] for name, x in states.items()}) for k in range(len(states["q"]))]
     for way, kernel in RESIDUAL.items():

@@ -1,6 +1,6 @@
-"""Maps of where digits go, drawn from losses: against the condition, over mass ratio and length, towards a lock.
+"""Draw maps of lost digits: against the condition, over mass ratio and length, towards a lock.
 
-A status is drawn as a cross at the upper edge, or as an empty field that says so: what failed is on the map too.
+A status is a cross at the upper edge, or an empty field with a note, so the maps also show failures.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from mbsrun.measuring.sections import Caption, Outline, Table, write_outline, wr
 
 LENGTHS = (2, 5, 10, 20)
 RATIOS = tuple(10.0**k for k in range(0, 13, 2))
-FLOOR, TOP = 1e-17, 10.0  # between which errors are drawn
-WORST = 1e22  # the largest condition that is told from others
+FLOOR, TOP = 1e-17, 10.0  # the range of drawn errors
+WORST = 1e22  # the largest distinguished condition
 COLORS = {"EXP1": "tab:red", "EXP2": "tab:blue"}
-NOWHERE = 1e-14  # rad: where the lock itself is drawn
+NOWHERE = 1e-14  # rad: the place of the lock itself
 _COLUMNS = tuple(field.name for field in fields(Loss))
 
 
@@ -42,21 +42,21 @@ OUTLINE = Outline(
         Caption("verdicts.json"),
         Caption(
             "map_condition.png",
-            "Digits lost, and what tells of them",
-            "Errors of EXP1 and EXP2 against the condition of the mass matrix, which raises false alarms; against that "
-            "of the matrix scaled to a diagonal of ones; and against the error that the kernel `condition` tells. "
-            "Dotted: u times what stands on the axis, or what is told itself; crosses: a status instead of a result.",
+            "Lost digits and their estimates",
+            "Errors of EXP1 and EXP2 against the condition of the mass matrix, which raises false alarms; against the "
+            "condition of the matrix scaled to a diagonal of ones; and against the estimate by the kernel `condition`. "
+            "Dotted: u times the condition, or the estimate itself; crosses: a status instead of a result.",
         ),
         Caption(
             "map_mass_ratio.png",
             "Digits lost by mass ratio of the tip, and length of the chain",
-            "The last rod's mass by that of the others, against the number of rods. In each field the error, and in "
-            "brackets what `condition` tells.",
+            "The mass of the last rod by the mass of another, against the number of rods. In each field the error, and "
+            "in brackets the estimate of `condition`.",
         ),
         Caption(
             "map_lock.png",
             "Digits lost by the distance from a lock",
-            "Dots: errors; bars: what `condition` tells; crosses: a status instead. The distance is in rad.",
+            "Dots: errors; bars: estimates of `condition`; crosses: a status instead. The distance is in rad.",
         ),
         *(Caption(f"{name}.json") for name in ("map_condition", "map_mass_ratio", "map_lock", "findings")),
     ),
@@ -64,7 +64,7 @@ OUTLINE = Outline(
 
 
 def measure_maps(workspace: Workspace, report: Report, *, quick: bool = False) -> list[Loss]:
-    """Measure what the maps show; what cases measured is taken from the store."""
+    """Measure the losses for the maps; losses that cases measured are read from the store."""
     lengths, ratios = (LENGTHS[:2], RATIOS[::3]) if quick else (LENGTHS, RATIOS)
     jobs = [partial(chains.weigh_tip, workspace, size, ratio) for size in lengths for ratio in ratios]
     jobs += [partial(_take_lock, workspace, lock, d) for lock in ("Cardan", "wrist", "elbow") for d in locks.DISTANCES]
@@ -78,8 +78,8 @@ def measure_maps(workspace: Workspace, report: Report, *, quick: bool = False) -
 
 
 def draw_maps(losses: Sequence[Loss], folder: Path) -> list[Path]:
-    """Draw the maps, each with its table, and say what the laboratory's files show; give the paths."""
-    paths = _write(losses, "map_condition", "Digits lost, and the condition and `condition` that tell of them", folder)
+    """Draw the maps, each with its table, and write captions of all files; return the paths."""
+    paths = _write(losses, "map_condition", "Lost digits, the condition, and the estimate of `condition`", folder)
     tips = [x for x in losses if x.mechanism == "heavy tip"]
     paths += _write(tips, "map_mass_ratio", "Digits lost by mass ratio of the tip, and length of the chain", folder)
     near = [x for x in losses if x.mechanism in _list_locks(losses)]
@@ -111,7 +111,7 @@ def _write(losses: Sequence[Loss], name: str, title: str, folder: Path) -> list[
     rows = tuple(tuple(asdict(loss)[key] for key in _COLUMNS) for loss in losses)
     note = (
         "number: ratio of masses, or distance from the lock [rad]; condition, scaled: of the mass matrix, and of it "
-        "scaled to a diagonal of ones; told: the error to expect by the kernel `condition`, empty where it promises "
+        "scaled to a diagonal of ones; estimate: the error by the kernel `condition`, empty where it promises "
         "no digit; error: of accelerations against 50 digits, empty where a status named a joint instead"
     )
     return write_table(Table(title, _COLUMNS, rows, note), folder, name)
@@ -128,18 +128,18 @@ def _draw_condition(losses: Sequence[Loss]) -> Figure:
     titles = (
         ("condition", "condition of M: raises false alarms"),
         ("scaled", "condition of M, scaled to a diagonal of ones"),
-        ("told", "error that `condition` tells"),
+        ("estimate", "estimate of `condition`"),
     )
     markers = dict(zip(dict.fromkeys(x.mechanism for x in losses), "ovs^D*Ph", strict=False))
     for axes, (name, title) in zip(panels, titles, strict=True):
         for loss in losses:
             x = getattr(loss, name)
-            x = TOP if x is None and name == "told" else x
-            _place(axes, loss, float(np.clip(x, FLOOR, TOP if name == "told" else WORST)), markers[loss.mechanism])
+            x = TOP if x is None and name == "estimate" else x
+            _place(axes, loss, float(np.clip(x, FLOOR, TOP if name == "estimate" else WORST)), markers[loss.mechanism])
         axes.set_xscale("log")
         axes.set_xlabel(title)
         ends = np.array(axes.get_xlim())
-        line = ends if name == "told" else ends * 2.0**-53
+        line = ends if name == "estimate" else ends * 2.0**-53
         axes.plot(ends, line, color="0.6", linewidth=0.8, linestyle=":", zorder=0)
         axes.set_xlim(*ends)
         _finish(axes)
@@ -149,7 +149,7 @@ def _draw_condition(losses: Sequence[Loss]) -> Figure:
     for way, color in COLORS.items():
         panels[2].plot([], [], marker="o", color=color, linestyle="", label=way)
     panels[0].legend(*panels[2].get_legend_handles_labels(), fontsize=7, loc="center left")
-    figure.suptitle("dotted: u times what stands on the axis, or what is told itself; x: a status instead", fontsize=9)
+    figure.suptitle("dotted: u times the condition, or the estimate itself; x: a status instead", fontsize=9)
     return figure
 
 
@@ -163,17 +163,17 @@ def _draw_ratios(losses: Sequence[Loss]) -> Figure:
         field = np.full((len(lengths), len(ratios)), np.nan)
         for loss in (x for x in losses if x.way == way):
             r, c = lengths.index(loss.joints), ratios.index(loss.number)
-            told = "no digit" if loss.told is None else f"{loss.told:.0e}"
+            estimate = "no digit" if loss.estimate is None else f"{loss.estimate:.0e}"
             if loss.error is not None:
                 field[r, c] = max(loss.error, FLOOR)
-            told = f"status\n({told})" if loss.error is None else f"{loss.error:.0e}\n({told})"
-            axes.text(c, r, told, ha="center", va="center", fontsize=7)
+            estimate = f"status\n({estimate})" if loss.error is None else f"{loss.error:.0e}\n({estimate})"
+            axes.text(c, r, estimate, ha="center", va="center", fontsize=7)
         image = axes.imshow(field, norm=LogNorm(1e-16, 1e-2), cmap="YlOrRd", origin="lower", aspect="auto")
         axes.set_xticks(range(len(ratios)), [f"{x:.0e}" for x in ratios])
         axes.set_yticks(range(len(lengths)), [str(x) for x in lengths])
-        axes.set_xlabel("mass of the last rod, by that of the others")
+        axes.set_xlabel("mass of the last rod, by the mass of another")
         axes.set_ylabel("rods")
-        axes.set_title(f"{way}: error (in brackets: as told by `condition`)", fontsize=9)
+        axes.set_title(f"{way}: error (in brackets: the estimate of `condition`)", fontsize=9)
         figure.colorbar(image, ax=axes)
     return figure
 
@@ -187,8 +187,8 @@ def _draw_locks(losses: Sequence[Loss]) -> Figure:
             own = [x for x in losses if x.mechanism == name and x.way == way]
             for loss in own:
                 _place(axes, loss, max(loss.number, NOWHERE), "o")
-            told = [(max(x.number, NOWHERE), min(TOP, x.told)) for x in own if x.told is not None]
-            axes.plot(*zip(*told, strict=True), color=color, marker="_", linestyle="", label=f"{way}, told")
+            estimate = [(max(x.number, NOWHERE), min(TOP, x.estimate)) for x in own if x.estimate is not None]
+            axes.plot(*zip(*estimate, strict=True), color=color, marker="_", linestyle="", label=f"{way}, estimate")
             axes.plot([], [], color=color, marker="o", linestyle="", label=way)
         axes.set_xscale("log")
         axes.axhline(locks.SIX_DIGITS, color="0.5", linewidth=0.8, linestyle=":")

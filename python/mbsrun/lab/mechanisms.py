@@ -1,4 +1,4 @@
-"""Mechanisms on which methods fail, as model files, and states of theirs.
+"""Mechanisms on which methods fail, as model files, and random states.
 
 Two kinds of chains of thin rods of 1 kg and 1 m along x: `straight` ones in a plane, with axes all along z, and
 `spatial` ones, with axes along z, y, x in turn.

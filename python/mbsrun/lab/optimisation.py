@@ -1,4 +1,4 @@
-"""Optimal control: coarse meshes, quadrature, many minima, motions that run away, what solvers say (F19 to F23)."""
+"""Optimal control: coarse meshes, quadrature, many minima, unstable motions, statuses of solvers (F19 to F23)."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def state_push(intervals: int) -> Problem:
 
 
 def state_catch(intervals: int, degree: int) -> Problem:
-    """Bring what runs away from x = 1 to 0 in 2 s."""
+    """Bring an unstable motion from x = 1 to 0 in 2 s."""
     return Problem(
         name="catch",
         horizon=2.0,
@@ -98,7 +98,7 @@ def state_catch(intervals: int, degree: int) -> Problem:
 
 
 def measure_meshes(workspace: Workspace) -> list[Finding]:
-    """F19: the solver succeeds on every mesh; the defect by re-simulation tells which to believe."""
+    """F19: the solver succeeds on every mesh; the defect by re-simulation shows which to believe."""
     findings = []
     for representation in Representation:
         defects = {}
@@ -157,7 +157,7 @@ def measure_control_grid(workspace: Workspace, degree: int) -> list[Finding]:
 def _try_mesh(workspace: Workspace, problem: Problem) -> tuple[Finding, float]:
     """Solve on a mesh that is too coarse: the defect, and whether the report says that it is not accurate."""
     plant, way = _load(workspace, CART_POLE), problem.representation.value
-    label = f"inaccuracy is told, degree {problem.degree}"
+    label = f"the report names the inaccuracy, degree {problem.degree}"
     outcome = solve(problem, plant)
     if isinstance(outcome, Failure):
         return demand(way, f"solved, N = {problem.intervals}", False, outcome.finding), float("nan")
@@ -232,7 +232,7 @@ def measure_halved_cost(workspace: Workspace) -> list[Finding]:
 
 
 def measure_minima(workspace: Workspace, representation: Representation) -> list[Finding]:
-    """F21: forty starts, the same for all representations, reach three minima; what fails says so."""
+    """F21: forty starts, the same for all representations, reach three minima; failures have a status."""
     plant = _load(workspace, CART_POLE)
     problem = replace(state_swing_up(80, 3), representation=representation)
     solver, costs, failures = Solver(problem, plant), Counter[float](), Counter[str]()
@@ -257,13 +257,13 @@ def scatter(smooth: Trajectory, seed: int) -> Trajectory:
 def judge_minima(way: str, costs: Mapping[float, int], failures: Mapping[str, int]) -> list[Finding]:
     """Compare costs, with how often each was found, with the known minima; failures are by their status."""
     spread = ", ".join(f"{count} at {cost:g}" for cost, count in sorted(costs.items())) or "none"
-    told = ", ".join(f"{count} {status}" for status, count in failures.items()) or "none"
+    estimate = ", ".join(f"{count} {status}" for status, count in failures.items()) or "none"
     total = sum(costs.values()) + sum(failures.values())
-    findings = [demand(way, "all starts are told", total == STARTS, f"{spread}; failed: {told}")]
+    findings = [demand(way, "all starts are reported", total == STARTS, f"{spread}; failed: {estimate}")]
     for known in MINIMA:
         off = min((abs(cost / known - 1) for cost in costs), default=float("inf"))
         times = sum(count for cost, count in costs.items() if abs(cost / known - 1) <= SAME_MINIMUM)
-        remark = f"{times} of {total} starts; all: {spread}; failed: {told}"
+        remark = f"{times} of {total} starts; all: {spread}; failed: {estimate}"
         findings.append(check(way, f"minimum of {known:g}, off", off, SAME_MINIMUM, remark))
     return findings
 
@@ -290,7 +290,7 @@ def measure_runaway(workspace: Workspace, rate: float) -> list[Finding]:
 
 
 def measure_statuses(workspace: Workspace) -> list[Finding]:
-    """F23: what is not solved is a failure, with the status that says why; the guess is never the answer."""
+    """F23: an unsolved problem is a failure with its own status; the guess is never the answer."""
     plant = _load(workspace, SLIDE)
     return [
         judge_status(representation.value, name, wanted, attempt(plant, representation))

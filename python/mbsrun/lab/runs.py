@@ -1,6 +1,6 @@
-"""A run of the laboratory: trials one after the other, kept as they come, and tables of what they found.
+"""Run the trials of the laboratory, keep their findings, and write tables.
 
-What goes wrong in a trial itself is a finding of it, which is not kept: the next run tries again.
+An exception in a trial is a finding of this run, and is not kept: the next run tries again.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ MODELS = "models"
 
 
 def open_workspace(folder: Path) -> Workspace:
-    """Prepare a folder to work in. Raises CompileError where there is no compiler."""
+    """Prepare the folder of a run. Raises CompileError without a compiler."""
     return Workspace(folder / MODELS, Store(folder / KEPT[1], Loss), _fingerprint())
 
 
 def run_cases(cases: Sequence[Case], folder: Path, report: Report, *, quick: bool = False) -> list[Finding]:
-    """Run cases; what was found before by the same program is taken from the folder. `quick` leaves long trials out."""
+    """Run cases; earlier findings of the same program are read from the folder. `quick` leaves long trials out."""
     workspace = open_workspace(folder)
     store = Store(folder / KEPT[0], Finding)
     jobs = [(case, trial) for case in cases for trial in case.trials if not (quick and trial.is_long)]
@@ -47,7 +47,7 @@ def _run_trial(case: Case, trial: Trial, workspace: Workspace, store: Store[Find
 
     try:
         return store.find_or_measure((workspace.program, case.id, trial.name), measure)
-    except Exception as error:  # whatever it is, the other trials go on
+    except Exception as error:  # any error: the other trials go on
         broken = demand("the trial itself", "end", False, f"{type(error).__name__}: {error}")
         return [replace(broken, case=case.id, trial=trial.name)]
 
@@ -82,7 +82,7 @@ def write_findings(cases: Sequence[Case], findings: Sequence[Finding], folder: P
     names = [field.name for field in fields(Finding)]
     order = ("case", "trial", *(name for name in names if name not in ("case", "trial")))
     listed = tuple(tuple(asdict(finding)[name] for name in order) for finding in findings)
-    note = "A bound is what the value must not exceed; without one nothing is demanded, or no number decides."
+    note = "The value must not exceed its bound. Without a bound, the value is information, or no number decides."
     paths.append(folder / "verdicts.md")
     paths[-1].write_text(_write_markdown(cases, findings), encoding="utf-8")
     return paths + write_table(Table("All findings of the laboratory", order, listed, note), folder, "findings")
@@ -107,7 +107,7 @@ def _write_markdown(cases: Sequence[Case], findings: Sequence[Finding]) -> str:
 
 
 def name_verdict(verdict: Verdict) -> str:
-    """Say in a word whether a criterion is met; a way that is known to fail is there to do so."""
+    """Return the verdict in words; a way that is known to fail has to fail."""
     if verdict.is_contrast:
         return "fails, as known" if verdict.is_met else "does not fail"
     return "met" if verdict.is_met else "not met"
@@ -115,7 +115,7 @@ def name_verdict(verdict: Verdict) -> str:
 
 @cache
 def _fingerprint() -> str:
-    """Name the version of all that findings depend on: both packages, and the compiler."""
+    """Return a hash of everything that findings depend on: both packages, and the compiler."""
     digest = hashlib.sha256(fingerprint_generator())
     for file in sorted(Path(__file__).parents[1].rglob("*.py")):
         digest.update(hashlib.sha256(file.read_bytes()).digest())

@@ -140,19 +140,19 @@ def test_a_wrong_number_in_silence_is_not_met() -> None:
     assert not locks._check_loss(LOSS).is_met
     assert locks._check_loss(replace(LOSS, error=None, failed="q1")).is_met
     assert not locks._check_loss(replace(LOSS, error=None, failed="q2")).is_met
-    assert not locks._check_loss(replace(LOSS, error=None, failed="q1", told=1e-9)).is_met
+    assert not locks._check_loss(replace(LOSS, error=None, failed="q1", estimate=1e-9)).is_met
     assert not locks._check_loss(replace(LOSS, error=float("nan"))).is_met
     assert not chains._check_error(replace(LOSS, error=None, failed="q1"), 1e-11).is_met
-    assert not digits.check_told(replace(LOSS, told=1e-15)).is_met
-    assert not digits.check_told(replace(LOSS, error=None)).is_met
+    assert not digits.check_estimate(replace(LOSS, estimate=1e-15)).is_met
+    assert not digits.check_estimate(replace(LOSS, error=None)).is_met
 
 
 def test_a_heavy_tip_may_fail_only_where_digits_are_gone() -> None:
     failed = replace(LOSS, error=None, failed="q1")
     assert chains._check_failure(failed).is_met
-    assert chains._check_failure(replace(failed, told=None)).is_met
+    assert chains._check_failure(replace(failed, estimate=None)).is_met
     for other in (
-        replace(failed, told=1e-4),
+        replace(failed, estimate=1e-4),
         replace(failed, way="EXP2"),
         replace(failed, failed="nothing: not a number"),
     ):
@@ -267,16 +267,16 @@ def test_a_trial_that_breaks_hides_no_other_and_is_tried_again(tmp_path: Path) -
         rows = list(csv.DictReader(file))
     assert [row["verdict"] for row in rows] == ["met", "not met", "does not apply"]
     assert "| EXP1 | error | 0.5 | 1 | a | 2 of 2 | met |" in (tmp_path / "verdicts.md").read_text(encoding="utf-8")
-    told = json.loads((tmp_path / "verdicts.json").read_text(encoding="utf-8"))
-    assert set(told) == {"title", "columns", "rows", "note"}
+    estimate = json.loads((tmp_path / "verdicts.json").read_text(encoding="utf-8"))
+    assert set(estimate) == {"title", "columns", "rows", "note"}
 
 
 def test_maps_show_errors_and_statuses(tmp_path: Path) -> None:
     """With their tables, as reports take them in; what is not known is drawn as well."""
     losses = [
-        replace(LOSS, number=d, way=way, error=error, told=told, failed="" if error else "q1")
+        replace(LOSS, number=d, way=way, error=error, estimate=estimate, failed="" if error else "q1")
         for way in ("EXP1", "EXP2")
-        for d, error, told in ((1e-3, 1e-12, 1e-12), (1e-8, None, None), (0.0, None, 2.0))
+        for d, error, estimate in ((1e-3, 1e-12, 1e-12), (1e-8, None, None), (0.0, None, 2.0))
     ]
     losses += [replace(x, mechanism="heavy tip", number=10 ** (1 + k % 3)) for k, x in enumerate(losses)]
     paths = maps.draw_maps(losses, tmp_path)

@@ -110,7 +110,7 @@ def test_the_command_tells_choice_measurements_and_what_it_left_out(
     assert "taken" in told
     assert "not measured:" in told
     assert run(monkeypatch, "advise", str(rod), "--accuracy", "1e-15", "--quick") == 1
-    assert "nothing that was measured is so accurate" in capsys.readouterr().out
+    assert "no measured option is so accurate" in capsys.readouterr().out
     assert run(monkeypatch, "advise", str(rod), "--problem", "p.yaml") == 2
     assert "--task optimise" in capsys.readouterr().err
 
