@@ -1,0 +1,70 @@
+"""Target languages beside C: one entry each in TARGETS, a printer in a file of its own, and its templates.
+
+C is always written, since the runtime and the check program are made of it. A target adds files of its own, or C
+functions that are made of the others.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+from mbsgen.request import OptionError
+from mbsgen.targets.acados import add_acados
+from mbsgen.targets.contract import Family
+from mbsgen.targets.matlab import write_matlab
+from mbsgen.targets.python import write_python
+from mbsgen.targets.unit import Unit
+
+
+def _write_nothing(_: Unit) -> Mapping[str, str]:
+    return {}
+
+
+def _add_nothing(_: Sequence[Family]) -> tuple[Family, ...]:
+    return ()
+
+
+@dataclass(frozen=True)
+class Target:
+    """A language, or a program, that functions are written for."""
+
+    name: str  # of the option --NAME
+    help: str  # of that option
+    write: Callable[[Unit], Mapping[str, str]] = _write_nothing  # files of the folder, path -> text
+    add: Callable[[Sequence[Family]], tuple[Family, ...]] = _add_nothing  # functions in C; may raise OptionError
+    takes_stages: bool = False  # else it needs the straight form of every function, however large
+
+
+TARGETS: tuple[Target, ...] = (
+    Target("python", "Also write the kernels as a Python module, for any number type.", write_python),
+    Target("matlab", "Also write the kernels as functions for Matlab and GNU Octave.", write_matlab),
+    Target("acados", "Also write the functions that acados requires, under its names.", add=add_acados),
+    Target(
+        "acados-untimed",
+        "The same for acados before 0.3, which passes no time.",
+        add=partial(add_acados, timed=False),
+    ),
+)
+
+
+def find_targets(names: Iterable[str]) -> tuple[Target, ...]:
+    """Find targets by their names, in the order of the registry. Raises OptionError for unknown names."""
+    known, wanted = {target.name: target for target in TARGETS}, tuple(names)
+    faults = []
+    for name in wanted:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 1)
+            remedy = f"is {near[0]} meant?" if near else f"there are {', '.join(known)}"
+            faults.append(f"targets: there is no target {name!r}; {remedy}")
+    if faults:
+        raise OptionError("\n".join(faults))
+    return tuple(target for target in TARGETS if target.name in wanted)
+
+
+def add_functions(families: Sequence[Family], targets: Sequence[Target]) -> tuple[Family, ...]:
+    """Write the C functions that targets add; where two add one of the same name, the last counts."""
+    added = {family.value.name: family for target in targets for family in target.add(families)}
+    return tuple(added.values())
