@@ -61,7 +61,7 @@ SINES: tuple[Sines, ...] = ("libm", "header")
 # exception, so they are compiled once.
 MIDDLE = 5_000
 _FILES = ("angles.py", "compilation.py", "mechanism.py", "newton_euler.py", "preparation.py", "symbolic.py")
-_EXTENT = Extent(python=True)
+_EXTENT = Extent(targets=("python",))
 
 Report = Callable[[str], None]  # takes what is being done
 Named = list[tuple[str, ca.Function]]  # the kernel that a function stands in for, and the function

@@ -28,12 +28,12 @@ GOLDEN: Mapping[str, Options] = {  # six_axis and quadruped take half a minute: 
     "acrobot": Options(),
     "arm_pendulum": Options(),
     "branched": Options(),
-    "cart_pole": Options(runtime=True, python=True, matlab=True),
-    "double_pendulum": Options(python=True, matlab=True),
+    "cart_pole": Options(runtime=True, targets=("python", "matlab")),
+    "double_pendulum": Options(targets=("python", "matlab")),
     "leg": Options(),
     "pendulum": Options(),
     "planar_arm": Options(),
-    "satellite": Options(python=True),
+    "satellite": Options(targets=("python",)),
 }
 
 

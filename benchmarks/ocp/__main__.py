@@ -129,7 +129,7 @@ def list_points(problem: Problem, plant: Plant, shelf: Shelf) -> Iterator[tuple[
     outputs = [argument.name for argument in read_kernel(plant, kernel).outputs]
     named = ca.Function(kernel, function.sx_in(), function.call(function.sx_in()), names, outputs)
     yield f"{POINTS}, mumps", Points(plant, {kernel: named}, shelf)
-    folder = find_folder(MODEL, Extent((kernel,), 0, python=True))
+    folder = find_folder(MODEL, Extent((kernel,), 0, targets=("python",)))
     ours = read_tape(folder, read_manifest(folder / FILE_NAME), (kernel,))
     yield "our equations in CasADi, by points, compiled, mumps", Points(plant, ours, shelf)
 

@@ -50,6 +50,7 @@ from mbsgen.report import (
     write_markdown,
 )
 from mbsgen.scaling import PERIOD, find_crossing, grow
+from mbsgen.targets.languages import TARGETS
 
 _UNCUT = 10_000  # characters in a line, so that neither a pipe nor a narrow terminal cuts text off
 SWITCHES = {name.replace("_", "-"): name for name in ("regroup", "share_frames", "lump", "absolute", "factor")}
@@ -182,6 +183,19 @@ def cli() -> None:
     """Turn the description of a multibody system into C kernels: `mbsgen`."""
 
 
+def _targets(command: Callable[..., None]) -> Callable[..., None]:
+    """Add an option for each target beside C; the command gets the names of the requested ones as `targets`."""
+
+    @functools.wraps(command)
+    def call(**given: object) -> None:
+        wanted = tuple(target.name for target in TARGETS if given.pop(target.name.replace("-", "_")))
+        command(targets=wanted, **given)
+
+    for target in reversed(TARGETS):
+        call = click.option(f"--{target.name}", is_flag=True, help=target.help)(call)
+    return call
+
+
 @cli.command("generate")
 @MODEL
 @click.option("-o", "--output", "out", type=click.Path(path_type=Path), required=True, help="The folder to write.")
@@ -202,10 +216,7 @@ def cli() -> None:
     type=click.Choice(list(SWITCHES)),
     help="Switch a reduction off; repeatable. Without share-frames, each angle also has its own sine.",
 )
-@click.option("--python", is_flag=True, help="Also write the kernels as a Python module, for any number type.")
-@click.option("--matlab", is_flag=True, help="Also write the kernels as functions for Matlab and GNU Octave.")
-@click.option("--acados", is_flag=True, help="Also write the functions for acados, under its names.")
-@click.option("--acados-untimed", "untimed", is_flag=True, help="The same for acados before 0.3, which passes no time.")
+@_targets
 @click.option(
     "--functions",
     metavar="NAME,...",
@@ -233,10 +244,7 @@ def generate_command(
     zeros: bool,
     lump: bool,
     without: tuple[str, ...],
-    python: bool,
-    matlab: bool,
-    acados: bool,
-    untimed: bool,
+    targets: tuple[str, ...],
     functions: str | None,
     derivatives: int,
     scene: Path | None,
@@ -256,10 +264,7 @@ def generate_command(
     options = Options(
         runtime=runtime,
         zeros=zeros,
-        python=python,
-        matlab=matlab,
-        acados=acados or untimed,
-        untimed=untimed,
+        targets=targets,
         reductions=reductions,
         functions=None if functions is None else tuple(filter(None, map(str.strip, functions.split(",")))),
         derivatives=derivatives,

@@ -13,18 +13,17 @@ from dataclasses import dataclass, replace
 from mbsgen.derivatives.dynamics import Dynamics
 from mbsgen.derivatives.kernels import Derivatives, differentiable, differentiate
 from mbsgen.formulations import ports
-from mbsgen.formulations.catalogue import FUNCTIONS, REFERENCE, Entry, list_giving, refuse, select_functions
+from mbsgen.formulations.catalogue import FUNCTIONS, Entry, refuse, select_functions
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.procedure.procedure import Computation, Procedure, straight
 from mbsgen.procedure.splitting import hoist
-from mbsgen.request import ACADOS, EVERY_FUNCTION, OptionError, Request
+from mbsgen.request import EVERY_FUNCTION, OptionError, Request
 from mbsgen.roles import Order, Role
-from mbsgen.tape.counts import count
 from mbsgen.tape.passes import keep_results, merge, set_zero
 from mbsgen.tape.ports import Function, is_of
 from mbsgen.tape.types import Tape
-from mbsgen.targets import acados
 from mbsgen.targets.contract import Family
+from mbsgen.targets.languages import add_functions, find_targets
 
 ORDERS = ((), (Order.JACOBIAN, Order.ADJOINT, Order.LINEARISATION), tuple(Order))  # by the order of derivatives
 Tell = Callable[[str], None]  # called with the name of each stage that begins
@@ -63,13 +62,10 @@ def write_functions(
     """
     families, ways = _write_chosen(tree, request, tell, staged=staged)
     families = _finish(families, request)
-    if ACADOS in request.languages and tree.quaternions:
-        raise OptionError("acados: its states are q and qd, of one size; a joint with a quaternion has more of the one")
-    # The functions of acados compute run-time parameters themselves.
-    special = _write_acados(families, timed=request.timed) if ACADOS in request.languages else ()
+    added = add_functions(families, find_targets(request.targets))  # they compute run-time parameters themselves
     if any(p.kind is Kind.RUNTIME for p in tree.parameters):
-        return Functions((*_split_setup(families), *special), ways)
-    return Functions((*families, *special), ways)
+        return Functions((*_split_setup(families), *added), ways)
+    return Functions((*families, *added), ways)
 
 
 def list_functions(tree: Tree, request: Request) -> tuple[str, ...]:
@@ -144,21 +140,6 @@ def _let_rest(family: Family) -> Family:
     assert value is not None, "a family has a value"
     jac, adj1, jac_adj1 = rest(family.jac), rest(family.adj1), rest(family.jac_adj1)
     return replace(family, value=value, jac=jac, adj1=adj1, jac_adj1=jac_adj1, staged={})
-
-
-def _write_acados(families: Sequence[Family], *, timed: bool) -> tuple[Family, ...]:
-    tapes = {tape.function: tape for family in families for tape in family.tapes}
-    known = [Function(name) for name in list_giving(Role.ACCELERATION)]
-    explicit = [function for function in known if function in tapes]
-    residual = Function(REFERENCE)
-    if residual not in tapes and not explicit:
-        forms = " or ".join(function.name for function in known)
-        raise OptionError(f"acados: its functions are made of {residual.name}, {forms}; name one")
-
-    def measure(function: Function) -> int:
-        return count(tapes.get(function.to(Order.LINEARISATION), tapes[function])).paper
-
-    return acados.write_acados(tapes, residual, min(explicit, key=measure, default=None), timed=timed)
 
 
 def _choose_functions(tree: Tree, names: tuple[str, ...] | None) -> Mapping[str, Entry]:

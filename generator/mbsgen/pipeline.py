@@ -29,13 +29,12 @@ from mbsgen.model.writer import write_model
 from mbsgen.output import write_folder
 from mbsgen.procedure.procedure import Computation, Procedure
 from mbsgen.report import Report, make_report, write_json, write_markdown
-from mbsgen.request import DEFAULT, MATLAB, PYTHON, OptionError, Options, Request, merge
+from mbsgen.request import DEFAULT, OptionError, Options, Request, merge
 from mbsgen.targets.c import Sources, write_c
 from mbsgen.targets.contract import Family
 from mbsgen.targets.entries import list_groups
-from mbsgen.targets.matlab import write_matlab
+from mbsgen.targets.languages import find_targets
 from mbsgen.targets.names import mangle
-from mbsgen.targets.python import write_python
 from mbsgen.targets.unit import Unit
 from mbsgen.verification.verify import Verification, verify
 
@@ -131,17 +130,14 @@ def _make_unit(trees: _Trees, functions: Functions, verification: Verification) 
 def _write_files(
     unit: Unit, sources: Sources, described: Manifest, report: Report, request: Request
 ) -> Mapping[str, str]:
-    files = {
+    written = [target.write(unit) for target in find_targets(request.targets)]
+    return {
         **sources.files,
         manifest.FILE_NAME: manifest.write(described),
         "report.md": write_markdown(report),
         "report.json": write_json(report),
+        **{path: text for files in written for path, text in files.items()},
     }
-    if PYTHON in request.languages:
-        files[f"{unit.prefix}.py"] = write_python(unit)
-    if MATLAB in request.languages:
-        files |= write_matlab(unit)
-    return files
 
 
 def read_tree(model: Path | Model) -> Tree:
@@ -194,7 +190,7 @@ def _stage(whole: Model, scene: Scene, origin: Path | Scene) -> Model:
 
 def _needs_stages_alone(request: Request) -> bool:
     """Return whether nothing asks for the straight form of a function in stages: the C does not."""
-    return request.scene.motion and not (request.languages or request.scene.together)
+    return request.scene.motion and not (request.targets or request.scene.together)
 
 
 def _hash(tree: Tree, families: tuple[Family, ...]) -> str:

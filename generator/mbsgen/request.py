@@ -9,8 +9,6 @@ from mbsgen.errors import MbsError
 from mbsgen.formulations.reductions import ALL, Reductions
 from mbsgen.model.scene import EVERYTHING, LARGEST_TOLERANCE, Scene
 
-PYTHON, MATLAB, ACADOS = "python", "matlab", "acados"  # beside C
-
 
 @dataclass(frozen=True)
 class Options:
@@ -18,10 +16,7 @@ class Options:
 
     runtime: bool = False  # every number of the model a run-time parameter, see `model.releasing`
     zeros: bool = False  # with `runtime`: those that are 0 too
-    python: bool = False  # also the Python target
-    matlab: bool = False  # also the Matlab target
-    acados: bool = False  # also the functions that acados asks for, under its names
-    untimed: bool = False  # without the argument t of implicit functions, for acados before 0.3
+    targets: tuple[str, ...] = ()  # beside C, see `targets.languages`
     compare: bool = False  # also count the formulations without each reduction
     functions: tuple[str, ...] | None = None  # which functions of the catalogue; None: those of the scene
     derivatives: int = 2  # up to which order; at most that of the scene
@@ -43,8 +38,7 @@ class Request:
 
     functions: tuple[str, ...] | None = None  # of the catalogue; None: all that the model has
     derivatives: int = 2  # up to which order
-    languages: tuple[str, ...] = ()  # beside C: PYTHON, MATLAB, ACADOS
-    timed: bool = True  # with the argument t of acados' implicit functions
+    targets: tuple[str, ...] = ()  # beside C
     runtime: bool = False  # every number of the model a run-time parameter
     zeros: bool = False  # with `runtime`: numbers that are 0 too
     compare: bool = False  # also count the formulations without each reduction
@@ -65,7 +59,7 @@ class Request:
     @property
     def values_alone(self) -> Request:
         """Return the same request without derivatives, in C alone."""
-        return replace(self, derivatives=0, languages=())
+        return replace(self, derivatives=0, targets=())
 
 
 EVERY_FUNCTION = Request()
@@ -81,12 +75,10 @@ def merge(options: Options, scene: Scene) -> Request:
     if tolerance and options.runtime:
         finding = "with every number a run-time parameter, no value decides what can be left out"
         raise OptionError(f"tolerance: {finding}; leave one of the options out")
-    wanted = {PYTHON: options.python, MATLAB: options.matlab, ACADOS: options.acados}
     return Request(
         functions=scene.functions if options.functions is None else options.functions,
         derivatives=min(options.derivatives, scene.derivatives),
-        languages=tuple(language for language, is_wanted in wanted.items() if is_wanted),
-        timed=not options.untimed,
+        targets=options.targets,
         runtime=options.runtime,
         zeros=options.zeros,
         compare=options.compare,

@@ -20,7 +20,7 @@ class Extent:
 
     functions: tuple[str, ...] | None = None  # None: all
     derivatives: int = 2
-    python: bool = False  # also the equations as a Python module
+    targets: tuple[str, ...] = ()  # languages beside C, such as python
     scene: Path | None = None  # a scene file
     without: tuple[str, ...] = ()  # reductions of the operation count that are switched off, by their fields' names
 
@@ -45,7 +45,7 @@ def find_folder(path: Path, extent: Extent = WHOLE) -> Path:
     def make(building: Path) -> Path:
         from mbsgen.pipeline import Options, generate  # only here, and late: kernels are called without SymPy
 
-        options = Options(functions=extent.functions, derivatives=extent.derivatives, python=extent.python)
+        options = Options(functions=extent.functions, derivatives=extent.derivatives, targets=extent.targets)
         reductions = replace(options.reductions, **dict.fromkeys(extent.without, False))
         options = replace(options, reductions=reductions, scene=extent.scene or options.scene)
         generate(path, building / "generated", options)

@@ -35,7 +35,7 @@ class Differentiated:
     def __init__(self, plant: Plant, model: Path, is_compiled: bool) -> None:
         """Take the generated kernels, for all other functions, and their model file."""
         self._plant, self._is_compiled = plant, is_compiled
-        self._subject = Subject(model, Extent(DIFFERENTIATED, 0, python=True))
+        self._subject = Subject(model, Extent(DIFFERENTIATED, 0, targets=("python",)))
 
     @property
     def manifest(self) -> Manifest:

@@ -164,7 +164,7 @@ def test_whatever_a_model_is_generated_with_can_be_generated_again(tmp_path: Pat
     """All that is written counts as mbsgen's own; a refused model leaves what is there."""
     model = tmp_path / "swing.yaml"
     model.write_text(MODEL)
-    for options in (Options(runtime=True, python=True, matlab=True), Options()):
+    for options in (Options(runtime=True, targets=("python", "matlab")), Options()):
         generate(model, tmp_path / "out", options)
     before = sorted(path.name for path in (tmp_path / "out").iterdir())
     model.write_text(MODEL.replace("mass: 2", "mass: -2"))

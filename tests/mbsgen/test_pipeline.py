@@ -34,11 +34,11 @@ from tests.random_trees import random_tree
 from tests.reference_models import BRANCHED
 
 ROOT = Path(__file__).parents[2]
-ALL = Options(runtime=True, python=True, matlab=True)
+ALL = Options(runtime=True, targets=("python", "matlab"))
 GENERATE = """
 import pathlib, sys
 from mbsgen.pipeline import OptionError, Options, generate
-generate(pathlib.Path("model.yaml"), pathlib.Path(sys.argv[1]), Options(python=True, matlab=True))
+generate(pathlib.Path("model.yaml"), pathlib.Path(sys.argv[1]), Options(targets=("python", "matlab")))
 """
 Array = NDArray[np.float64]
 

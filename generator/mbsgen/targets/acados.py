@@ -18,8 +18,11 @@ from functools import partial
 from itertools import islice
 
 from mbsgen.formulations import ports
+from mbsgen.formulations.catalogue import REFERENCE, list_giving
+from mbsgen.request import OptionError
 from mbsgen.roles import Order, Role
 from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.counts import count
 from mbsgen.tape.ports import Function, Port, adjoint_port, derivative_port
 from mbsgen.tape.replay import replay, replay_guards
 from mbsgen.tape.types import Sparsity, Tape
@@ -56,6 +59,27 @@ _TITLES = {
     "expl_vde_forw": "rates with forward sensitivities",
     "expl_vde_adj": "adjoint sensitivities of the rates",
 }
+
+
+def add_acados(families: Sequence[Family], *, timed: bool = True) -> tuple[Family, ...]:
+    """Write the functions that can be made from the residual and the cheapest function that computes accelerations.
+
+    Raises OptionError where there is neither, or where a joint has a quaternion.
+    """
+    tapes = {tape.function: tape for family in families for tape in family.tapes}
+    known = [Function(name) for name in list_giving(Role.ACCELERATION)]
+    explicit = [function for function in known if function in tapes]
+    residual = Function(REFERENCE)
+    if residual not in tapes and not explicit:
+        forms = " or ".join(function.name for function in known)
+        raise OptionError(f"acados: its functions are made of {residual.name}, {forms}; name one")
+    if any(_size(tape, Role.COORDINATE) > _size(tape, Role.VELOCITY) > 0 for tape in tapes.values()):
+        raise OptionError("acados: its states are q and qd, of one size; a joint with a quaternion has more of the one")
+
+    def measure(function: Function) -> int:
+        return count(tapes.get(function.to(Order.LINEARISATION), tapes[function])).paper
+
+    return write_acados(tapes, residual, min(explicit, key=measure, default=None), timed=timed)
 
 
 def write_acados(

@@ -35,7 +35,6 @@ class Target:
     help: str  # of that option
     write: Callable[[Unit], Mapping[str, str]] = _write_nothing  # files of the folder, path -> text
     add: Callable[[Sequence[Family]], tuple[Family, ...]] = _add_nothing  # functions in C; may raise OptionError
-    takes_stages: bool = False  # else it needs the straight form of every function, however large
 
 
 TARGETS: tuple[Target, ...] = (

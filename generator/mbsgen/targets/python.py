@@ -45,11 +45,11 @@ class _View:
     results: tuple[Result, ...] | None  # None: the last of the lines return them
 
 
-def write_python(unit: Unit) -> str:
-    """Write every kernel of `unit` as a function of one Python module."""
+def write_python(unit: Unit) -> dict[str, str]:
+    """Write every kernel of `unit` as a function of one Python module; return the file, path -> text."""
     written = [(family, function) for family in unit.families for function in family.functions]
     in_stages = {f.name: write_stages(f) for _, f in written if isinstance(f, Procedure)}
-    return lay_out(
+    text = lay_out(
         "python/model.py",
         kernels=[_view(family, function, in_stages) for family, function in written],
         parts=[_write_part(part.name, part.tape) for stages in in_stages.values() for part in stages.parts],
@@ -57,6 +57,7 @@ def write_python(unit: Unit) -> str:
         version=unit.version,
         model_hash=unit.model_hash,
     )
+    return {f"{unit.prefix}.py": text}
 
 
 def _view(family: Family, function: Computation, in_stages: Mapping[str, Written]) -> _View:

@@ -38,7 +38,7 @@ SLOPES_R, SLOPES_A = "Jacobian of the residual", "Jacobian of the accelerations"
 KERNELS = {RESIDUAL: forms.RESIDUALS, MASS: (forms.SEMI.function,), ACCELERATIONS: forms.ACCELERATIONS}
 SLOPES = {SLOPES_R: RESIDUAL, SLOPES_A: ACCELERATIONS}
 VALUES = Extent(forms.FUNCTIONS, 0)
-DERIVATIVES = Extent(forms.FUNCTIONS, 1, python=True)
+DERIVATIVES = Extent(forms.FUNCTIONS, 1, targets=("python",))
 
 USUAL, SINGLE = Variant(), Variant("float32")
 VARIANTS = (

@@ -282,7 +282,7 @@ def test_names_of_parameters_may_differ_by_capitals_alone(tmp_path: Path) -> Non
         "  - {name: b, parent: a, joint: {type: prismatic, axis: x}, mass: m}\n",
         encoding="utf-8",
     )
-    made = make(file, Options(functions=("semi",), derivatives=0, python=True, matlab=True))
+    made = make(file, Options(functions=("semi",), derivatives=0, targets=("python", "matlab")))
     assert [p.name for p in made.manifest.parameters] == ["m", "M"]
     tree = build_tree(read_model(file))
     assert run(tree, "semi", draw_state(tree, 0) | {"p": [2.0, 7.0]})["M"].tolist() == [9.0, 0.0, 0.0, 2.0]

@@ -23,7 +23,7 @@ from tests.mbsgen.procedure.examples import CLOSED, EXAMPLES, FAMILIES, POINT, c
 def kernels(tmp_path_factory: pytest.TempPathFactory) -> ModuleType:
     """Import the kernels of all examples."""
     file: Path = tmp_path_factory.mktemp("stages") / "toy.py"
-    file.write_text(write_python(Unit("toy", "0", "0", tuple(FAMILIES.values()))))
+    file.write_text(write_python(Unit("toy", "0", "0", tuple(FAMILIES.values())))["toy.py"])
     spec = importlib.util.spec_from_file_location("toy", file)
     assert spec is not None
     assert spec.loader is not None

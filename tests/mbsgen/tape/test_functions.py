@@ -244,7 +244,7 @@ def test_c_gives_the_sign_of_zero_and_of_not_a_number(tmp_path: Path, requires: 
 @pytest.mark.parametrize("kind", ["math", "numpy", "mpmath", "casadi"])
 def test_python_calls_the_functions_of_any_number_type(kind: str, family: Family, tmp_path: Path):
     file = tmp_path / "sample.py"
-    file.write_text(write_python(Unit("sample", "1", "2", (family,))), encoding="utf-8")
+    file.write_text(write_python(Unit("sample", "1", "2", (family,)))["sample.py"], encoding="utf-8")
     kernels = runpy.run_path(str(file))
     functions = {"math": math, "numpy": np, "mpmath": mpmath, "casadi": casadi}[kind]
     given = {"math": list(X), "numpy": [np.array([x]) for x in X], "mpmath": [mpmath.mpf(x) for x in X]}

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mbsgen.pipeline import OptionError, Options, generate, make, read_tree, write_families
-from mbsgen.request import ACADOS, Request
+from mbsgen.request import Request
 from mbsgen.tape.interpreter import DIGITS, evaluate
 from mbsgen.tape.types import Tape
 from tests.reference_models import BRANCHED
@@ -61,7 +61,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def tapes(model: Path) -> dict[str, Tape]:
-    families = write_families(read_tree(model), Request(languages=(ACADOS,), functions=("impl", "exp1")))
+    families = write_families(read_tree(model), Request(targets=("acados",), functions=("impl", "exp1")))
     return {tape.name: tape for family in families for tape in family.tapes}
 
 
@@ -181,7 +181,7 @@ def test_the_c_files_speak_with_acados(
     Some hundred roundings lie between inputs and results.
     """
     out = tmp_path / "out"
-    generate(model, out, Request(languages=(ACADOS,), functions=("impl", "exp1")))
+    generate(model, out, Options(targets=("acados",), functions=("impl", "exp1")))
     sources = [str(out / f"branched_{name}.c") for name in CONTRACT]
     command = [requires("cc"), "-std=c99", "-Wall", "-Wextra", "-Werror", "-O1", *macros, "-fPIC", "-shared"]
     subprocess.run([*command, f"-I{out}", *sources, "-lm", "-o", str(tmp_path / "x.so")], check=True)
@@ -206,7 +206,7 @@ def test_the_c_files_speak_with_acados(
 
 def test_only_what_can_be_made_of_the_chosen_kernels_is_written(model: Path) -> None:
     def names(**options: object) -> set[str]:
-        kernels = make(model, Options(acados=True, **options)).manifest.kernels
+        kernels = make(model, Options(targets=("acados",), **options)).manifest.kernels
         return {k.name for k in kernels} & set(CONTRACT)
 
     assert names(functions=("exp2",), derivatives=0) == {"expl_ode_fun"}
@@ -219,7 +219,9 @@ def test_only_what_can_be_made_of_the_chosen_kernels_is_written(model: Path) -> 
 
 def test_an_acados_before_time_gets_functions_without_it(model: Path) -> None:
     """Its integrators count the arguments: x, xdot, u, z, and the parameters last."""
-    kernels = {k.name: k for k in make(model, Options(acados=True, untimed=True, functions=("impl",))).manifest.kernels}
+    kernels = {
+        k.name: k for k in make(model, Options(targets=("acados-untimed",), functions=("impl",))).manifest.kernels
+    }
     for name, (inputs, _) in CONTRACT.items():
         if name in kernels:
             assert tuple(a.name for a in kernels[name].inputs) == tuple(x for x in inputs if x != "t")

@@ -40,7 +40,7 @@ MATH = replace(FLOATS, functions={op: getattr(math, op.value[0]) for op in FUNCT
 def load(families: Sequence[Family], folder: Path) -> ModuleType:
     """Write a module and import it."""
     file = folder / "kernels.py"
-    file.write_text(write_python(Unit("kernels", "1.2.3", "0123abcd", tuple(families))), encoding="utf-8")
+    file.write_text(write_python(Unit("kernels", "1.2.3", "0123abcd", tuple(families)))["kernels.py"], encoding="utf-8")
     spec = importlib.util.spec_from_file_location("kernels", file)
     assert spec is not None
     assert spec.loader is not None
