@@ -29,8 +29,8 @@ Array = NDArray[np.float64]
 Point = Mapping[str, Array]
 Gradient = Callable[[Point], dict[str, Array]]
 STEP = 4e-3
-# Differences: some 1e-10 of the largest entry, times what M's condition, some tens here, adds to accelerations.
-CLOSE = 1e-8
+# Differences are off by some 1e-12 of the largest entry here; M has a condition of some tens.
+CLOSE = 1e-10
 
 
 @cache
