@@ -125,6 +125,7 @@ int mbs_stages_run(mbs_stages *s, mbs_stages_phase *p)
         int status;
         if (mbs_stages_phase_derivatives(s, p))
             return MBS_STAGES_CALLBACK_FAILED;
+        mbs_stages_find_lagrangian(s, p);
         errors = mbs_stages_measure_errors(s, p, 0);
         if (s->problem->watch)
             mbs_stages_report(s, p, &errors);

@@ -81,7 +81,7 @@ static void lay_direction(arena *a, mbs_stages_direction *d, int size, int rows)
 static void lay_phase(arena *a, mbs_stages_phase *p, int size, int rows)
 {
     real **const vectors[] = {&p->x,  &p->trial,    &p->lower, &p->upper, &p->zl,
-                              &p->zu, &p->gradient, &p->slope, &p->sigma};
+                              &p->zu, &p->gradient, &p->slope, &p->sigma, &p->lagrangian};
     size_t i;
     p->size = size;
     for (i = 0; i < sizeof vectors / sizeof *vectors; ++i)

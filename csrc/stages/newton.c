@@ -254,6 +254,7 @@ void mbs_stages_estimate_multipliers(mbs_stages *s, mbs_stages_phase *p)
     mbs_stages_recursion *r = &s->recursion;
     int i;
     memset(p->y, 0, (size_t)s->rows * sizeof *p->y);
+    mbs_stages_find_lagrangian(s, p);
     mbs_stages_stationarity(s, p, 0, p->slope);
     for (i = 0; i < p->size; ++i)
         p->sigma[i] = mbs_stages_is_fixed(s, i) ? 0 : 1;

@@ -98,6 +98,7 @@ void mbs_stages_reweigh(mbs_stages *s, mbs_stages_phase *p)
     s->weight_factor = (real)sqrt(p->mu);
     p->cost = elastic_cost(s, p->x);
     elastic_gradient(s, p);
+    mbs_stages_find_lagrangian(s, p);
 }
 
 int mbs_stages_phase_hessian(mbs_stages *s, mbs_stages_phase *p)
@@ -157,10 +158,11 @@ real mbs_stages_descent(const mbs_stages *s, const mbs_stages_phase *p, const re
     return sum;
 }
 
-/* Derivatives of the Lagrangian, with multipliers of bounds, or with the derivatives of the barrier for them. */
-void mbs_stages_stationarity(mbs_stages *s, mbs_stages_phase *p, int barrier, real *out)
+/* Derivatives of cost and rows, for the multipliers that are there; to be found anew where these change. */
+void mbs_stages_find_lagrangian(mbs_stages *s, mbs_stages_phase *p)
 {
     const int at = s->variables, plus = at + s->slacks, minus = plus + s->rows;
+    real *out = p->lagrangian;
     int k, i;
     memcpy(out, p->gradient, (size_t)p->size * sizeof *out);
     mbs_stages_add_transposed(&s->recursion, p->y, out);
@@ -173,11 +175,17 @@ void mbs_stages_stationarity(mbs_stages *s, mbs_stages_phase *p, int barrier, re
         out[plus + i] -= p->y[i];
         out[minus + i] += p->y[i];
     }
+}
+
+/* Derivatives of the Lagrangian, with multipliers of bounds, or with the derivatives of the barrier for them. */
+void mbs_stages_stationarity(mbs_stages *s, mbs_stages_phase *p, int barrier, real *out)
+{
+    int i;
     for (i = 0; i < p->size; ++i)
         if (mbs_stages_is_fixed(s, i))
             out[i] = 0;
         else
-            out[i] += barrier ? barrier_slope(p, i) : p->zu[i] - p->zl[i];
+            out[i] = p->lagrangian[i] + (barrier ? barrier_slope(p, i) : p->zu[i] - p->zl[i]);
 }
 
 /* Largest |distance z - mu|; the sum of z, and how many there are. */

@@ -248,6 +248,7 @@ static int choose_barrier(mbs_stages *s, mbs_stages_phase *p)
     before = mbs_stages_mean_product(s, p, NULL, 0, 0);
     p->mu = 0;
     if (before > 0 && mbs_stages_newton_factorise(s, p) == 0) {
+        mbs_stages_find_lagrangian(s, p);
         mbs_stages_stationarity(s, p, 1, p->slope);
         mbs_stages_newton_solve(s, p, p->c, &p->step);
         after = mbs_stages_mean_product(s, p, &p->step, mbs_stages_boundary(s, p, p->x, p->step.x, 1),
@@ -321,8 +322,10 @@ static void write_point(mbs_stages *s)
 static void write_result(mbs_stages *s)
 {
     mbs_stages_phase *p = &s->main;
-    const mbs_stages_errors e = mbs_stages_measure_errors(s, p, 0);
+    mbs_stages_errors e;
     int i;
+    mbs_stages_find_lagrangian(s, p);
+    e = mbs_stages_measure_errors(s, p, 0);
     s->result.cost = p->cost / s->cost_scale;
     s->result.violation = e.violation;
     s->result.complementarity = e.complementarity / s->cost_scale;

@@ -36,6 +36,7 @@ typedef struct {
     int elastic, size;
     real *x, *trial, *lower, *upper, *zl, *zu, *y;
     real *gradient;           /* of the cost */
+    real *lagrangian;         /* derivatives of cost and rows */
     real *slope;              /* of the Lagrangian without z, with the barrier's derivatives instead */
     real *sigma;              /* z / distance from bounds */
     real *c, *trial_c, *soc_c; /* rows at x, at the trial, for a second-order correction */
@@ -92,6 +93,7 @@ int mbs_stages_is_fixed(const mbs_stages *s, int i);
 real mbs_stages_sum(int n, const real *c);
 real mbs_stages_largest(int n, const real *c);
 real mbs_stages_barrier(const mbs_stages *s, const mbs_stages_phase *p, const real *x, real cost);
+void mbs_stages_find_lagrangian(mbs_stages *s, mbs_stages_phase *p);
 void mbs_stages_stationarity(mbs_stages *s, mbs_stages_phase *p, int barrier, real *out);
 mbs_stages_errors mbs_stages_measure_errors(mbs_stages *s, mbs_stages_phase *p, real mu);
 real mbs_stages_boundary(const mbs_stages *s, const mbs_stages_phase *p, const real *x, const real *dx, real tau);

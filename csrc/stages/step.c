@@ -15,17 +15,18 @@
 
 #define CLEAR ((real)0.25) /* share of a pivot in its row that needs no better one */
 
+/* The inverse of the largest entry of each row. */
 static void weigh_rows(const mbs_stages_step *p, real *weight)
 {
     int i, j;
-    for (i = 0; i < p->rows; ++i) {
-        real most = 0;
-        for (j = 0; j < p->n; ++j) {
-            const real a = (real)fabs(p->lu[(size_t)j * (size_t)p->capacity + (size_t)i]);
-            most = a > most ? a : most;
-        }
-        weight[i] = most > 0 ? 1 / most : 0;
+    memset(weight, 0, (size_t)p->rows * sizeof *weight);
+    for (j = 0; j < p->n; ++j) {
+        const real *a = p->lu + (size_t)j * (size_t)p->capacity;
+        for (i = 0; i < p->rows; ++i)
+            weight[i] = fabs(a[i]) > weight[i] ? (real)fabs(a[i]) : weight[i];
     }
+    for (i = 0; i < p->rows; ++i)
+        weight[i] = weight[i] > 0 ? 1 / weight[i] : 0;
 }
 
 static void exchange_rows(mbs_stages_step *p, real *weight, int a, int b)
@@ -132,19 +133,26 @@ static void order_variables(mbs_stages_step *p, const char *used)
     p->reduced = p->n - p->pivots;
 }
 
-/* Rows of pivots: U, and T = U^-1 [free x]. */
-static void solve_pivots(mbs_stages_step *p)
+/* Rows of pivots: U, and T = U^-1 [free x]; TT, row after row of T, stays in `turned`. */
+static void solve_pivots(mbs_stages_step *p, real *turned, real *row)
 {
-    const int m = p->pivots;
+    const int m = p->pivots, n = p->reduced;
     int i, j;
     for (j = 0; j < p->n; ++j) {
         const real *from = p->lu + (size_t)p->order[j] * (size_t)p->capacity;
         real *to = j < m ? p->U + (size_t)j * (size_t)m : p->T + (size_t)(j - m) * (size_t)m;
-        for (i = 0; i < m; ++i)
-            to[i] = from[i];
-        if (j >= m)
-            mbs_stages_upper(m, p->U, m, to);
+        memcpy(to, from, (size_t)m * sizeof *to);
     }
+    mbs_stages_transpose(m, n, p->T, m, turned, n);
+    for (i = m - 1; i >= 0; --i) {
+        real *t = turned + (size_t)i * (size_t)n;
+        for (j = i + 1; j < m; ++j)
+            row[j] = p->U[(size_t)j * (size_t)m + (size_t)i];
+        mbs_stages_apply(n, m - i - 1, -1, t + n, n, row + i + 1, t);
+        for (j = 0; j < n; ++j)
+            t[j] /= p->U[(size_t)i * (size_t)m + (size_t)i];
+    }
+    mbs_stages_transpose(n, m, turned, n, p->T, m);
 }
 
 /* Rows that x must meet; where an earlier one of them has its pivot, `lu` holds a factor instead of 0. */
@@ -165,23 +173,33 @@ static real entry(const real *lower, int n, int i, int j)
     return i >= j ? lower[(size_t)j * (size_t)n + (size_t)i] : lower[(size_t)i * (size_t)n + (size_t)j];
 }
 
+/* Entries `at` of a column. */
+static void gather(int n, const int *at, const real *restrict column, real *restrict to)
+{
+    int i;
+    for (i = 0; i < n; ++i)
+        to[i] = column[at[i]];
+}
+
 /* Blocks of the cost in the order of variables: pp into p->Q, pr into p->Y, the lower triangle of rr into `rr`. */
-static void gather_cost(mbs_stages_step *p, const real *quadratic, real *rr)
+static void gather_cost(mbs_stages_step *p, real *quadratic, real *rr)
 {
     const int m = p->pivots, n = p->reduced, *at = p->order;
+    const size_t all = (size_t)p->n;
     int i, j;
+    for (j = 0; j < p->n; ++j)
+        for (i = 0; i < j; ++i)
+            quadratic[(size_t)j * all + (size_t)i] = quadratic[(size_t)i * all + (size_t)j];
     for (j = 0; j < m; ++j)
-        for (i = 0; i < m; ++i)
-            p->Q[(size_t)j * (size_t)m + (size_t)i] = entry(quadratic, p->n, at[i], at[j]);
+        gather(m, at, quadratic + (size_t)at[j] * all, p->Q + (size_t)j * (size_t)m);
     for (j = 0; j < n; ++j) {
-        for (i = 0; i < m; ++i)
-            p->Y[(size_t)j * (size_t)m + (size_t)i] = entry(quadratic, p->n, at[i], at[m + j]);
-        for (i = j; i < n; ++i)
-            rr[(size_t)j * (size_t)n + (size_t)i] = entry(quadratic, p->n, at[m + i], at[m + j]);
+        const real *column = quadratic + (size_t)at[m + j] * all;
+        gather(m, at, column, p->Y + (size_t)j * (size_t)m);
+        gather(n - j, at + m + j, column, rr + (size_t)j * (size_t)n + (size_t)j);
     }
 }
 
-/* rr -= TT Y' + Y'T T with Y' = Q_pr - Q_pp T / 2; then Y = Q_pr - Q_pp T. */
+/* rr -= TT Y' + Y'T T with Y' = Q_pr - Q_pp T / 2; then Y = Q_pr - Q_pp T. `turned` holds TT. */
 static void substitute_pivots(mbs_stages_step *p, real *rr, real *half, real *turned)
 {
     const int m = p->pivots, n = p->reduced;
@@ -189,7 +207,6 @@ static void substitute_pivots(mbs_stages_step *p, real *rr, real *half, real *tu
     size_t i;
     memcpy(half, p->Y, count * sizeof *half);
     mbs_stages_multiply(m, n, m, (real)-0.5, p->Q, m, p->T, m, half, m, 0);
-    mbs_stages_transpose(m, n, p->T, m, turned, n);
     mbs_stages_multiply(n, n, m, -1, turned, n, half, m, rr, n, 1);
     mbs_stages_transpose(m, n, half, m, turned, n);
     mbs_stages_multiply(n, n, m, -1, turned, n, p->T, m, rr, n, 1);
@@ -214,8 +231,7 @@ static int reduce_free(mbs_stages_step *p, real *rr, real *turned, real zero_cur
     return 0;
 }
 
-int mbs_stages_reduce(mbs_stages_step *p, const real *quadratic, real *const *work, real zero_pivot,
-                      real zero_curvature)
+int mbs_stages_reduce(mbs_stages_step *p, real *quadratic, real *const *work, real zero_pivot, real zero_curvature)
 {
     real *weight = work[0];
     char *used = (char *)work[1];
@@ -230,7 +246,7 @@ int mbs_stages_reduce(mbs_stages_step *p, const real *quadratic, real *const *wo
     for (i = p->nx; i < p->n; ++i)
         used[i] = 1;
     p->passed = eliminate(p, weight, used, 0, p->nx, p->pivots, zero_pivot) - p->pivots;
-    solve_pivots(p);
+    solve_pivots(p, work[2], work[0]);
     copy_passed(p);
     gather_cost(p, quadratic, work[0]);
     substitute_pivots(p, work[0], work[1], work[2]);
