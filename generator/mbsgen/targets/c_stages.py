@@ -10,6 +10,7 @@ import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count as count_from
+from typing import Any
 
 from mbsgen.procedure.newton import Newton
 from mbsgen.procedure.patterns import LANES, General, Pattern, Symmetric, Tree
@@ -66,14 +67,15 @@ class Written:
 
 def write_stages(procedure: Procedure) -> Written:
     """Write the stages of a procedure."""
-    writer = _Writer(procedure)
+    writer = Writer(procedure)
     for stage in procedure.stages:
+        assert type(stage) in RULES, f"no rule writes {type(stage).__name__} in C"
         writer.declare(stage)
-        _RULES[type(stage)](writer, stage)
+        RULES[type(stage)](writer, stage)
     return writer.finish()
 
 
-class _Writer:
+class Writer:
     """A kernel while its stages are written, one after the other."""
 
     def __init__(self, procedure: Procedure) -> None:
@@ -205,7 +207,7 @@ def _find_held(procedure: Procedure) -> set[str]:
 # -- straight stages ------------------------------------------------------------------------------------------------
 
 
-def _write_straight(writer: _Writer, stage: Straight) -> None:
+def _write_straight(writer: Writer, stage: Straight) -> None:
     """Write the only straight stage in the kernel's own function, others as functions of theirs."""
     stages = writer.procedure.stages
     is_alone = stages[0] is stage and not any(isinstance(s, Straight) for s in stages[1:])
@@ -223,7 +225,7 @@ def _write_straight(writer: _Writer, stage: Straight) -> None:
         writer.call(part.name, [named[x] for x in part.arguments])
 
 
-def _write_body(writer: _Writer, stage: Straight) -> None:
+def _write_body(writer: Writer, stage: Straight) -> None:
     tape = _rename(stage.tape, writer)
     body = write_body(arrange(tape), replace(C, nonzeros=writer.write_targets))
     written = writer.divide(tape, body, "mbs_part", "mbs_values", "mbs_kept")
@@ -238,7 +240,7 @@ def _write_body(writer: _Writer, stage: Straight) -> None:
         writer.call(part.name, part.arguments)
 
 
-def _rename(tape: Tape, writer: _Writer) -> Tape:
+def _rename(tape: Tape, writer: Writer) -> Tape:
     """Name the arrays that outputs are written to."""
     return replace(
         tape,
@@ -303,7 +305,7 @@ class _System:
     locals: tuple[str, ...] = field(default=())
 
 
-def _describe(writer: _Writer, pattern: Pattern, factors: Sequence[str], name: str) -> _System:
+def _describe(writer: Writer, pattern: Pattern, factors: Sequence[str], name: str) -> _System:
     kind, n = type(pattern).__name__.lower(), pattern.size
     scales = f"mbs_real {name}_scales[{n}];"
     if isinstance(pattern, Tree):
@@ -312,9 +314,7 @@ def _describe(writer: _Writer, pattern: Pattern, factors: Sequence[str], name: s
     return _System(kind, (), tuple(factors), factors[0], (scales,))
 
 
-def _write_factorise(
-    writer: _Writer, stage: Factor, factors: Sequence[str], matrix: str
-) -> tuple[list[str], list[str]]:
+def _write_factorise(writer: Writer, stage: Factor, factors: Sequence[str], matrix: str) -> tuple[list[str], list[str]]:
     """Return the declarations and the lines that lay a matrix out and factorise it."""
     pattern, n = stage.pattern, stage.pattern.size
     writer.headers |= {WIRES: None, _HEADERS[type(pattern)]: None}
@@ -337,7 +337,7 @@ def _write_factorise(
     return [*system.locals], lines
 
 
-def _write_factor(writer: _Writer, stage: Factor) -> None:
+def _write_factor(writer: Writer, stage: Factor) -> None:
     declared, lines = _write_factorise(writer, stage, [writer.name(w) for w in stage.gives], writer.name(stage.matrix))
     writer.read.add(stage.matrix.name)
     writer.locals += declared
@@ -349,7 +349,7 @@ def is_wide(stage: Solve) -> bool:
     return isinstance(stage.pattern, Tree) and stage.width % LANES == 0 and stage.negated
 
 
-def _call_solve(writer: _Writer, stage: Solve, factors: Sequence[str], rows: str) -> tuple[str, tuple[object, ...]]:
+def _call_solve(writer: Writer, stage: Solve, factors: Sequence[str], rows: str) -> tuple[str, tuple[object, ...]]:
     """Return the function that solves, and its arguments."""
     system = _describe(writer, stage.pattern, factors, stage.name)
     wide, turned = is_wide(stage), stage.transposed and not stage.pattern.is_symmetric
@@ -358,7 +358,7 @@ def _call_solve(writer: _Writer, stage: Solve, factors: Sequence[str], rows: str
     return f"mbs_solve_{function}", (stage.pattern.size, *system.tables, *system.factors, stage.width, rows)
 
 
-def _write_solve(writer: _Writer, stage: Solve) -> None:
+def _write_solve(writer: Writer, stage: Solve) -> None:
     n, width, right = stage.pattern.size, stage.width, stage.right
     writer.read.update(wire.name for wire in stage.reads)
     rows, places = writer.name(right), ""
@@ -384,7 +384,7 @@ def _write_solve(writer: _Writer, stage: Solve) -> None:
     )
 
 
-def _take(writer: _Writer, stage: Solve, block: Block) -> dict[str, object]:
+def _take(writer: Writer, stage: Solve, block: Block) -> dict[str, object]:
     """Describe how a result is taken from the rows of X."""
     pattern, n = block.result.sparsity, stage.pattern.size
     is_block = is_wide(stage) and pattern.is_dense and pattern.rows == n
@@ -402,7 +402,7 @@ def _take(writer: _Writer, stage: Solve, block: Block) -> dict[str, object]:
 # -- iterations and maps --------------------------------------------------------------------------------------------
 
 
-def _write_newton(writer: _Writer, stage: Newton) -> None:
+def _write_newton(writer: Writer, stage: Newton) -> None:
     tape, n = stage.residual, stage.pattern.size
     residual, jacobian = (o.name for o in tape.outputs)
     written = writer.write_tape(tape, f"mbs_{stage.name}_residual")
@@ -439,7 +439,7 @@ def _write_newton(writer: _Writer, stage: Newton) -> None:
     writer.call(f"mbs_{stage.name}", map(writer.name, (*wires, stage.start, stage.solution)))
 
 
-def _write_repeat(writer: _Writer, stage: Repeat) -> None:
+def _write_repeat(writer: Writer, stage: Repeat) -> None:
     written = writer.write_tape(stage.tape, f"mbs_{stage.name}_once")
     sources = list(dict.fromkeys(gather.source for gather in stage.gathers))
     shared = [w for w in stage.shared if w.sparsity.nnz]
@@ -490,7 +490,7 @@ def _keep(written: Functions) -> tuple[str, ...]:
     return (f"{written.values} mbs_kept;",) if written.kept else ()
 
 
-_RULES: Mapping[type[Stage], Callable[..., None]] = {
+RULES: Mapping[type[Stage], Callable[[Writer, Any], None]] = {
     Straight: _write_straight,
     Factor: _write_factor,
     Solve: _write_solve,

@@ -10,6 +10,7 @@ import inspect
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from mbsgen.procedure import elimination
 from mbsgen.procedure.newton import Newton
@@ -48,7 +49,8 @@ def write_stages(procedure: Procedure) -> Written:
     for stage in procedure.stages:
         name = f"_{procedure.name}__{stage.name}"
         parts += [Part(name, tape) for tape in stage.tapes]
-        lines += _RULES[type(stage)](stage, name)
+        assert type(stage) in RULES, f"no rule writes {type(stage).__name__} in Python"
+        lines += RULES[type(stage)](stage, name)
     results = [wire.name for wire in procedure.outputs if wire.sparsity.nnz]
     lines += ["return {", *(f'    "{name}": list({name}),' for name in results), "}"]
     return Written(tuple(parts), tuple(line for long in lines for line in _break(long)))
@@ -170,7 +172,7 @@ def _write_repeat(stage: Repeat, name: str) -> list[str]:
     return lines + [f'{result} = [x for run in _runs for x in run["{result}"]]' for result in given]
 
 
-_RULES: Mapping[type[Stage], Callable[..., list[str]]] = {
+RULES: Mapping[type[Stage], Callable[[Any, str], list[str]]] = {
     Straight: _write_straight,
     Factor: _write_factor,
     Solve: _write_solve,
