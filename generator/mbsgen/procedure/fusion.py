@@ -1,4 +1,8 @@
-"""Fusion: the same procedure without what no result needs, neighbouring straight stages made one."""
+"""Fusion: the same procedure in fewer stages, without what no result needs.
+
+Straight stages move as far forward as their wires allow, and neighbours are joined, so that what they share is computed
+once.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +19,8 @@ from mbsgen.tape.replay import replay, replay_guards
 
 
 def fuse(procedure: Procedure) -> Procedure:
-    """Drop dead stages and results, then join straight stages: what they share is computed once."""
-    live = drop_dead(procedure)
-    stages: list[Stage] = []
-    for is_straight, run in groupby(live.stages, lambda stage: isinstance(stage, Straight)):
-        group = list(run)
-        straight = [stage for stage in group if isinstance(stage, Straight)]
-        stages += [_join(straight, live)] if is_straight and len(group) > 1 else group
-    return drop_dead(replace(live, stages=tuple(stages)))
+    """Drop dead stages and results, and join straight stages."""
+    return drop_dead(_join_neighbours(_advance(drop_dead(procedure))))
 
 
 def drop_dead(procedure: Procedure) -> Procedure:
@@ -36,6 +34,29 @@ def drop_dead(procedure: Procedure) -> Procedure:
             kept.append(left)
             needed |= {wire.name for wire in left.reads}
     return replace(procedure, stages=tuple(reversed(kept)))
+
+
+def _advance(procedure: Procedure) -> Procedure:
+    """Order the stages: all straight ones whose wires are known, then all others, and so on."""
+    known = {wire.name for wire in procedure.inputs}
+    rest, order = list(procedure.stages), list[Stage]()
+    while rest:
+        ready = [stage for stage in rest if known.issuperset(wire.name for wire in stage.reads)]
+        straight = [stage for stage in ready if isinstance(stage, Straight)]
+        taken = straight or ready
+        order += taken
+        known |= {wire.name for stage in taken for wire in stage.gives}
+        rest = [stage for stage in rest if stage not in taken]
+    return replace(procedure, stages=tuple(order))
+
+
+def _join_neighbours(procedure: Procedure) -> Procedure:
+    stages: list[Stage] = []
+    for _, run in groupby(procedure.stages, lambda stage: isinstance(stage, Straight)):
+        group = list(run)
+        straight = [stage for stage in group if isinstance(stage, Straight)]
+        stages += [_join(straight, procedure)] if len(straight) > 1 else group
+    return replace(procedure, stages=tuple(stages))
 
 
 def _join(stages: Sequence[Straight], procedure: Procedure) -> Straight:

@@ -7,15 +7,16 @@ from dataclasses import replace
 import pytest
 
 from mbsgen.errors import TapeError
-from mbsgen.procedure.differentiation import jacobian
+from mbsgen.procedure.differentiation import adjoint, jacobian
 from mbsgen.procedure.patterns import General, Symmetric, Tree
 from mbsgen.procedure.procedure import Procedure, count
 from mbsgen.procedure.repeat import Gather, Repeat
 from mbsgen.procedure.solve import Block, Factor, Solve
 from mbsgen.procedure.stages import Wire
+from mbsgen.procedure.straight import Straight
 from mbsgen.tape.ports import Function
 from mbsgen.tape.types import Op, Sparsity
-from tests.mbsgen.procedure.examples import Q, X, four_bar, repeat, solve, straight, system
+from tests.mbsgen.procedure.examples import EXAMPLES, Q, X, four_bar, repeat, solve, straight, system
 
 
 @pytest.mark.parametrize(
@@ -103,3 +104,10 @@ def test_stages_are_checked_when_they_are_built() -> None:
     ):
         with pytest.raises(TapeError, match=fault):
             make()
+
+
+def test_straight_stages_join_before_systems_are_solved() -> None:
+    """The adjoint of a saddle point lays out its right-hand sides in the stage that lays out the matrix."""
+    procedure = EXAMPLES["saddle point"].procedure
+    kinds = [type(stage) for stage in adjoint(procedure, ("f", "g", "J")).stages]
+    assert kinds == [Straight, Factor, Solve, Solve, Straight]
