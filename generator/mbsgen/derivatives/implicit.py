@@ -8,9 +8,9 @@ and with H the second derivatives of muT Phi, whose block by qdd and qdd vanishe
 
     d2(lambdaT y)/dx2 = Hxx + Hxy dy/dx + (Hxy dy/dx)T.
 
-(Carpentier, Mansard, 2018, for the first derivatives; Singh, Russell, Wensing, 2022.) The stages `Factor` and `Solve` of
-`procedure.solve` have the same rules, with A = M and B = -Phi(x, 0). Here they are written as straight-line programs,
-which leave out the zeros of M and dPhi/dx; `columns` writes them in stages, for large trees.
+(Carpentier, Mansard, 2018, for the first derivatives; Singh, Russell, Wensing, 2022.) The stages `Factor` and `Solve`
+of `procedure.solve` have the same rules, with A = M and B = -Phi(x, 0). Here they are written as straight-line
+programs, which leave out the zeros of M and dPhi/dx; `columns` writes them in stages, for large trees.
 """
 
 from __future__ import annotations
