@@ -286,7 +286,7 @@ class Builder:
         return ref
 
     def cost(self, values: Iterable[Scalar], constant: Set[Role] = frozenset()) -> int:
-        """Count the operations that `values` need, except those on literals and inputs of the roles `constant`.
+        """Count the operations that `values` need, except on literals and inputs of the roles `constant`.
 
         This is a quick estimate for comparing two ways to write the same: it ignores signs that must be computed.
         `constant` must be the same in every call to one builder.
