@@ -1,6 +1,6 @@
-"""What is wrong with a Model that has the right shape.
+"""Checks of a Model with valid shape: its meaning.
 
-What lies under a doubtful place has been found wrong already; its value is nan here, and nothing is concluded from it.
+A place listed as doubtful has a finding already; its value is nan here, and nothing is concluded from it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from mbsgen.expressions import Expression, Negation, Number, write
 from mbsgen.model.expansion import list_steps
 from mbsgen.model.findings import Finding
 from mbsgen.model.following import check_followers
-from mbsgen.model.idleness import check_idle_joints
+from mbsgen.model.undetermined import check_undetermined_joints
 from mbsgen.model.joints.quaternions import is_pure
 from mbsgen.model.model import BASE, COORDINATE, RATE, ZERO, Body, Fixed, Inertia, Joint, Law, Model, Placement, Wrench
 from mbsgen.model.naming import check_names
@@ -49,7 +49,7 @@ def find_faults(model: Model, doubtful: Container[Place] = frozenset()) -> list[
         findings += _check_wrench(("wrenches", i), wrench, valuation)
     findings += check_followers(model, valuation)
     findings += valuation.findings
-    return findings or [*check_idle_joints(model), *_check_fixed(model)]
+    return findings or [*check_undetermined_joints(model), *_check_fixed(model)]
 
 
 def _check_carrier(i: int, body: Body, valuation: Valuation) -> Iterator[Finding]:
@@ -61,7 +61,7 @@ def _check_carrier(i: int, body: Body, valuation: Valuation) -> Iterator[Finding
     for step in list_steps(i, body):
         yield from _check_joint(step.place, step.joint, valuation)
     if any(joint.floats for joint in body.joints) and not is_pure(body.joints):  # only a model made in Python has them
-        finding = "joints of a quaternion with other joints, or with names, limits, forces or rotors of their own"
+        finding = "joints of a quaternion with other joints, or with names, limits, forces or rotors"
         yield Finding(("bodies", i, "joint"), finding, "make them by ball() or free(), and leave them as they are")
 
 
@@ -185,7 +185,9 @@ def find_doubts(model: Model) -> list[Finding]:
         inertia = np.array([valuation.triple((), row) for row in body.inertia.rows])
         excess = _measure_excess(body.inertia, inertia)
         if excess.amount > INERTIA_TOLERANCE * np.abs(inertia).max():
-            finding = f"rounding, by the digits given, has made {excess.describe()} of what a body can have"
+            finding = (
+                f"rounding, by the digits given, has made {excess.describe()} of the inertias that a body can have"
+            )
             findings.append(Finding(("bodies", i, "inertia"), finding, "give more digits"))
     return findings
 

@@ -1,12 +1,12 @@
-"""A Model made in Python: the parts with the defaults of a file, from numbers and text; checked as a file is.
+"""A Model made in Python: parts with the defaults of a file, from numbers and text; checked as a file is.
 
-Wherever a number is wanted, an expression over the parameters may stand as text, such as `"l1/2"`:
+Every number may be an expression over the parameters, as text, such as `"l1/2"`:
 
     rod = body("rod", revolute("y", damping=0.1), mass="m", com=(0, 0, "-l/2"), inertia=("m*l**2/12", "m*l**2/12", 0))
     pendulum = make_model("pendulum", [rod], gravity=(0, 0, -9.81), parameters={"l": 1.2, "m": runtime(0.5)})
 
-Every function raises ValueError for what is no number, axis or order; `make_model` raises InputError with all that is
-wrong with the whole. Lengths are in m, angles in rad, masses in kg, inertias in kg m2.
+Every function raises ValueError for a faulty number, axis or order; `make_model` raises InputError with all faults of
+the whole. Lengths are in m, angles in rad, masses in kg, inertias in kg m2.
 """
 
 from __future__ import annotations
@@ -51,10 +51,10 @@ Limits = tuple[Quantity | None, Quantity | None]  # None: unbounded
 
 
 class Setting(TypedDict, total=False):
-    """What a joint may be given beside its axis; what is left out is as in a file."""
+    """The settings of a joint beside its axis; missing ones have the defaults of a file."""
 
     name: str
-    position: Vector  # where the frame that moves stands while q = 0, on what carries it
+    position: Vector  # the pose of the moving frame on the parent, at q = 0
     orientation: Turns
     actuated: bool
     limits: Limits
@@ -97,7 +97,7 @@ def runtime(value: Quantity) -> Parameter:
 
 
 def differentiated(value: Quantity) -> Parameter:
-    """Make a parameter that is an input of the code, and one of those that it is differentiated by."""
+    """Make a parameter that is an input of the code, and by which the kernels are differentiated."""
     return Parameter("", number(value), Kind.DIFFERENTIATED)
 
 
@@ -140,7 +140,7 @@ def planar(
 def floating(
     order: str = "zyx", *, position: Vector = _ORIGIN, orientation: Turns = (), actuated: bool = False
 ) -> tuple[Joint, ...]:
-    """Make the joints of a free body: along x, y, z, and as a spherical joint; passive unless told otherwise."""
+    """Make the joints of a free body: along x, y, z, and as a spherical joint; passive by default."""
     return _make_row("floating", position, orientation, order=order, actuated=actuated)
 
 

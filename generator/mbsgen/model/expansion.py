@@ -1,8 +1,8 @@
-"""Sequences of joints -> one joint a body: massless bodies come between, and all joints have names.
+"""Sequences of joints -> one joint per body: massless bodies are inserted, and all joints get names.
 
-The joints of a sequence that have no name of their own get one from their body and their axis: `trunk.x` slides along
-x, `trunk.rz` turns about z, and a second one of the same kind is `trunk.rz2`. The body between `trunk.x` and the next
-joint is called `trunk.x` too.
+Unnamed joints of a sequence are named after their body and their axis: `trunk.x` slides along x, `trunk.rz` turns about
+z, and a second one of the same kind is `trunk.rz2`. The body between `trunk.x` and the next joint is called `trunk.x`
+too.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def list_steps(i: int, body: Body) -> Iterator[Step]:
 
 
 def label_joints(joints: Sequence[Joint]) -> list[str]:
-    """Name the joints of a sequence by what they do: x, ry, ...; t or r for any other axis."""
+    """Name the joints of a sequence by their motion: x, ry, ...; t or r for any other axis."""
     seen: Counter[str] = Counter()
     labels = []
     for joint in joints:

@@ -1,4 +1,4 @@
-"""What is found wrong with a Model, and where."""
+"""Findings on a Model, with their places."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from mbsgen.documents import Place
 
 @dataclass(frozen=True)
 class Finding:
-    """What is wrong at one place of a model, and what to do about it."""
+    """A finding at one place of a model, and the remedy."""
 
     place: Place
     finding: str

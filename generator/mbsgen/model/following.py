@@ -24,7 +24,7 @@ def list_joints(model: Model) -> list[Step]:
 
 
 def find_rules(steps: Sequence[Step]) -> dict[str, Follow]:
-    """Find what each follower goes by: a rule that names a joint with a coordinate. The model has no faults."""
+    """Return the rule of each follower, which names a joint with a coordinate. The model has no faults."""
     own = {step.name: step.joint.follows for step in steps if step.joint.follows is not None}
     found = {}
     for name in own:
@@ -38,7 +38,7 @@ def find_rules(steps: Sequence[Step]) -> dict[str, Follow]:
 
 
 def place_followers(steps: Sequence[Step], coordinates: Mapping[str, Expression]) -> dict[str, Expression]:
-    """Give the coordinates of some joints, and of all that follow them."""
+    """Return the coordinates of some joints, and of all their followers."""
     rules = find_rules(steps)
     found = {
         name: _sum(_product(rule.ratio, coordinates[rule.joint]), rule.offset)
@@ -102,7 +102,7 @@ class Range:
     speed: float = math.inf
 
     def seen_by_leader(self, ratio: float, offset: float) -> Range:
-        """Give the range that this range of a follower leaves its leader."""
+        """Return the range of a leader that belongs to a follower's range."""
         low, high = sorted(((self.lower - offset) / ratio, (self.upper - offset) / ratio))
         return Range(low, high, self.speed / abs(ratio))
 
@@ -112,7 +112,7 @@ class Range:
 
 
 def find_range(name: str, ranges: Mapping[str, Range], rules: Mapping[str, tuple[str, float, float]]) -> Range:
-    """Find the range of a joint that has a coordinate, with those of all that follow it."""
+    """Return the range of a joint with a coordinate, including the ranges of all its followers."""
     found = ranges[name]
     for follower, (leader, ratio, offset) in rules.items():
         if leader == name:
@@ -121,7 +121,7 @@ def find_range(name: str, ranges: Mapping[str, Range], rules: Mapping[str, tuple
 
 
 def _check_bounds(steps: Sequence[Step], by_name: Mapping[str, Step], valuation: Valuation) -> Iterator[Finding]:
-    """Find followers with bounds of their own that would bind the other joint by a number of run time."""
+    """Find followers whose bounds would bind the leader by a run-time number."""
     for name, rule in find_rules(steps).items():
         joint, place = by_name[name].joint, by_name[name].place
         key = "max_speed" if (joint.lower, joint.upper) == (None, None) else "limits"
@@ -145,7 +145,7 @@ def _check_limits(steps: Sequence[Step], by_name: Mapping[str, Step], valuation:
     for leader in dict.fromkeys(leader for leader, _, _ in rules.values()):
         found = find_range(leader, ranges, rules)
         if found.lower > found.upper:
-            finding = "the limits of those that follow the joint leave it no place"
+            finding = "the limits of its followers leave the joint no range"
             yield Finding((*by_name[leader].place, "limits"), finding, "widen them")
 
 

@@ -16,7 +16,7 @@ from mbsgen.model.model import ZERO, Friction, Law
 
 
 def replace_numbers(law: Law, joint: str, exchange: Callable[[str, Expression], Expression]) -> Law:
-    """Replace each number in the law of a joint by what `exchange` returns for its name and itself."""
+    """Replace each number in the law of a joint by the result of `exchange` for its name and its value."""
 
     def take(name: str, expression: Expression) -> Expression:
         return exchange(name, expression) if _is_number(expression) else expression
@@ -51,5 +51,5 @@ def replace_numbers(law: Law, joint: str, exchange: Callable[[str, Expression], 
 
 
 def _is_number(expression: Expression) -> bool:
-    """Tell whether this can have another value: pi and a plain 0 cannot, and names have theirs."""
+    """Return whether this can have another value: pi and a plain 0 cannot, and names have theirs."""
     return not (names(expression) or isinstance(expression, Constant) or expression == ZERO)

@@ -14,7 +14,7 @@ from types import MappingProxyType
 from mbsgen.expressions import Call, Expression, Name, Negation, Number, Operation
 from mbsgen.model.tree import Kind, Motion
 
-BASE = "base"  # the name of what does not move
+BASE = "base"  # the name of the fixed base
 COORDINATE, RATE = "q", "qd"  # a joint's own, in the expression of its force
 
 Triple = tuple[Expression, Expression, Expression]
@@ -68,7 +68,7 @@ class Friction:
 
 @dataclass(frozen=True)
 class Law:
-    """The force that a joint has of its own, in the direction of q: the sum of what is given [N m or N]."""
+    """The force law of a joint, in the direction of q: the sum of its terms [N m or N]."""
 
     stiffness: Expression = ZERO
     rest: Expression = ZERO  # q of the slack spring
@@ -102,7 +102,7 @@ FREE = Law()
 
 @dataclass(frozen=True)
 class Follow:
-    """What a joint does that has no coordinate of its own: its q is ratio times that of another joint, plus offset."""
+    """The rule of a joint without a coordinate: its q is ratio times the q of another joint, plus offset."""
 
     joint: str  # the other one's name
     ratio: Expression = ONE  # not 0
@@ -115,7 +115,7 @@ class Joint:
 
     motion: Motion
     axis: Triple  # a direction of any length, in the frame that moves
-    name: str | None = None  # None: that of its body, or derived from it (see `expansion`)
+    name: str | None = None  # None: its body's, or derived from it (see `expansion`)
     placement: Placement = HERE  # of the frame that moves, at q = 0, in the frame that carries it
     actuated: bool = True
     lower: Expression | None = None  # None: unbounded
@@ -125,13 +125,13 @@ class Joint:
     max_force: Expression | None = None  # of its input u either way [N m or N]
     armature: Expression = ZERO  # of the rotor that drives it, times its gear ratio squared [kg m2 or kg]
     follows: Follow | None = None  # another joint; it has neither a coordinate nor an input then
-    floats: bool = False  # one of those that stand for a quaternion, see `joints`: at 0, of a frame that moves
+    floats: bool = False  # one of the joints of a quaternion, see `joints`: at 0, in a moving frame
     part_of: str = ""  # the joint type that the author named, where its elementary joints alone do not show it
 
 
 @dataclass(frozen=True)
 class Fixed:
-    """What holds a body fast on its parent."""
+    """A fixed connection of a body to its parent."""
 
     placement: Placement = HERE  # of the body's frame, in the parent's
 
@@ -180,7 +180,7 @@ class Body:
 
 @dataclass(frozen=True)
 class Frame:
-    """A named frame on a body, of which the pose is wanted: a sensor."""
+    """A named frame on a body, whose pose is an output: a sensor."""
 
     name: str
     body: str

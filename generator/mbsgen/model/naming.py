@@ -46,7 +46,7 @@ def _check_names(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
             yield Finding(place, f"in the force laws of joints {name} is the joint's own", "give another name")
     for place, name in bodies:
         if _normalise(name) == BASE:
-            yield Finding(place, f"name {abbreviate(name)} is that of what does not move", "give the body another name")
+            yield Finding(place, f"name {abbreviate(name)} is the name of the fixed base", "give the body another name")
     for names in (between + bodies, joints, frames, wrenches):
         yield from _check_alike(names, _normalise)
     yield from _check_alike(parameters, str)  # m and M are different letters of a formula

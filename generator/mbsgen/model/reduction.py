@@ -1,9 +1,9 @@
 """Model -> Tree: bodies in order, and every joint about or along a positive coordinate axis of its body.
 
-A sequence of joints has massless bodies between. A body that is fixed becomes one with what it is fixed to. A body
-whose joint has another axis gets a frame of its own: the author's, turned by a constant rotation C with a = C e_k.
-Masses, sensors, wrenches and the joints that a body carries are written anew in the frame where they end up; sensors
-keep the pose, bodies and wrenches the axes, that their author gave them.
+Massless bodies are inserted in a sequence of joints. A fixed body is merged with its parent. A body whose joint has
+another axis gets a new frame: the author's, turned by a constant rotation C with a = C e_k. Masses, sensors, wrenches
+and child joints are transformed to their new frames; sensors keep their poses, and bodies and wrenches the axes in the
+model file.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ class _Reader:
 
     algebra: Algebra[Expr]
     symbols: Mapping[str, Expr]  # parameters; a constant 0 is structural
-    values: Mapping[str, Expr]  # where a number is wanted: constants by their values
+    values: Mapping[str, Expr]  # constants by their values
 
     def number(self, expression: Expression) -> Expr:
         """Read a length, mass or inertia over symbols."""
@@ -217,7 +217,7 @@ class _Seat:
 
 @dataclass(frozen=True)
 class _Mover:
-    """A body of the Tree, but for its mass."""
+    """A body of the Tree, without its mass."""
 
     name: str
     joint: model.Joint
@@ -229,7 +229,7 @@ class _Mover:
 
 
 def _is_null(part: RigidPart) -> bool:
-    """Tell whether there is nothing, whatever the parameters."""
+    """Return whether a part is empty, for all parameters."""
     return part.mass is ZERO and all(entry is ZERO for row in part.inertia for entry in row)
 
 
@@ -239,10 +239,10 @@ def _read_part(body: model.Body, seat: _Seat, reader: _Reader) -> RigidPart:
 
 
 def _merge(parts: Sequence[RigidPart]) -> list[RigidPart]:
-    """Make few parts of those that are fixed together; the first one stands in where none has mass.
+    """Merge parts that are fixed together into few; if none has mass, the first one is kept.
 
-    One is made of all whose masses are numbers, and of all at one place. The others stay apart: their centre of mass
-    would be 0/0 where their masses are 0 at run time.
+    Parts whose masses are numbers become one, and parts at one place become one. The others stay separate: their centre
+    of mass would be 0/0 if their masses are 0 at run time.
     """
     present = [part for part in parts if not _is_null(part)] or parts[:1]
     if all(part.com == present[0].com for part in present):
@@ -302,7 +302,7 @@ def _find_couplings(description: Model, moving: Sequence[_Mover], reader: _Reade
 
 
 def _bind(bodies: tuple[tree.Body, ...], couplings: Sequence[Coupling]) -> tuple[tree.Body, ...]:
-    """Bound joints by the limits of those that follow them."""
+    """Bound joints by the limits of their followers."""
     ranges = {body.joint.name: _find_range(body.joint) for body in bodies}
     joints = [body.joint.name for body in bodies]
     rules = {

@@ -41,10 +41,10 @@ _TENSOR = ("xx", "yy", "zz", "xy", "xz", "yz")
 def with_runtime_numbers(model: Model, *, zeros: bool = False) -> Model:
     """Make the numbers of a checked model parameters at run time, and its constants too.
 
-    A number that is 0 stays, and so does an angle that is a multiple of a quarter turn: they are what makes equations
-    short. With `zeros` they become parameters too, and so do those that are 0 because the file does not give them.
-    Axes of joints stay, with the constants that they depend on; so do limits, which the equations do not
-    hold, and the ratios and offsets of joints that follow others.
+    A number that is 0 stays, and so does an angle that is a multiple of a quarter turn: they make equations short. With
+    `zeros` they become parameters too, also zeros that the file does not mention. Axes of joints stay, with the
+    constants that they depend on; so do limits, which are not in the equations, and the ratios and offsets of joints
+    that follow others.
     """
     return _Release(model, zeros).apply()
 
@@ -117,7 +117,7 @@ class _Release:
         steps = [*list_steps(i, body)]
         if describe_joint(body) is None:
             return tuple(self._joint(step, self._placement(step.name, step.joint.placement)) for step in steps)
-        first, *rest = steps  # a joint with a name for all of it has one place, that of the first
+        first, *rest = steps  # a joint with one name has one place, the first joint's
         placement = self._placement(body.name, first.joint.placement)
         return self._joint(first, placement), *(self._part(step, first.name) for step in rest)
 
@@ -193,6 +193,6 @@ def _list_axes(model: Model) -> Iterator[Triple]:
 
 
 def _is_quarter_turn(angle: Expression) -> bool:
-    """Tell whether a sine or a cosine of this is 0."""
+    """Return whether a sine or a cosine of this is 0."""
     turned = evaluate(angle, {}, _NUMBERS)
     return any(to_double(_NUMBERS.functions[name](turned)) == 0 for name in ("sin", "cos"))

@@ -1,8 +1,8 @@
-"""The scene: what one use wants of a model. Whatever it does not need is left out of what is generated.
+"""The scene: the part of a model that one use needs. Other parts are not generated.
 
-A scene stands in a YAML file of its own, beside the model. It names functions, joints that are locked, sensors and
-wrenches that matter, kinds of parameters, whether there is gravity and motion, which results are read, which
-functions are wanted at one state, and what may be left out because they hardly feel it.
+A scene is a separate YAML file beside the model. It names functions, locked joints, sensors and wrenches, kinds of
+parameters, whether there is gravity and motion, results, functions to be joined at one state, and the tolerance for
+leaving out small effects.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from mbsgen.roles import RESERVED
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,30}", re.ASCII)
 TAKEN = ("setup", "check", "names", "default_parameters")  # of other files of a generated folder
-LARGEST_TOLERANCE = 0.5  # half of what is wanted: beyond, nothing that has a meaning is left
+LARGEST_TOLERANCE = 0.5  # half of the result: beyond, nothing meaningful remains
 
 
 class SceneSection(Section):
@@ -37,7 +37,7 @@ class SceneSection(Section):
     functions: tuple[str, ...] | None = Field(None, examples=[["impl"]], description="only these; else all")
     derivatives: int = Field(2, ge=0, le=2, examples=[2], description="up to which order")
     locked: dict[str, NumberField] = Field({}, examples=[{"q1": 0.0}], description="joints that do not move, rad or m")
-    parameters: dict[str, Kind] = Field({}, examples=[{}], description="kinds, in place of those of the model")
+    parameters: dict[str, Kind] = Field({}, examples=[{}], description="kinds, in place of the model's")
     sensors: tuple[str, ...] | None = Field(None, examples=[["tip"]], description="only these frames; else all")
     wrenches: tuple[str, ...] | None = Field(None, examples=[["push"]], description="only these; else all")
     gravity: bool = Field(True, examples=[True], description="false: there is none")
@@ -53,7 +53,7 @@ class SceneSection(Section):
 
 @dataclass(frozen=True)
 class Scene:
-    """What is wanted; by default all that a model has."""
+    """The part of a model to generate; by default all."""
 
     functions: tuple[str, ...] | None = None
     derivatives: int = 2
@@ -72,7 +72,7 @@ EVERYTHING = Scene()
 
 
 def read_scene(path: Path, model: Model, functions: Mapping[str, Sequence[str]]) -> Scene:
-    """Read a scene file for a model; `functions` are those that can be generated, with their results.
+    """Read a scene file for a model; `functions` are the available functions, with their results.
 
     Raises InputError with every fault of the file.
     """
@@ -100,7 +100,7 @@ def read_scene(path: Path, model: Model, functions: Mapping[str, Sequence[str]])
 
 
 def stage(model: Model, scene: Scene) -> Model:
-    """Leave out of a model what a scene does not need; with locked joints, wrenches on what does not move any more."""
+    """Remove parts of a model that a scene does not need; with locked joints, also wrenches on bodies at rest."""
     kinds = dict(scene.parameters)
     kept = lock(model, dict(scene.locked))
     carriers = find_carriers(kept)

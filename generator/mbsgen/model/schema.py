@@ -1,8 +1,8 @@
-"""The shape of a model file: what may stand where. What it says is judged in `checks`.
+"""The shape of a model file; `checks` checks its meaning.
 
-Lengths are in m, angles in rad, masses in kg, inertias in kg m2. Wherever a number is wanted, an expression over the
-parameters may stand, such as `l1/2` or `-pi/2`. The examples tell users what is right, and stand in for what is wrong
-while the rest of a file is examined.
+Lengths are in m, angles in rad, masses in kg, inertias in kg m2. Every number may be an expression over the parameters,
+such as `l1/2` or `-pi/2`. The examples show users what is right, and replace wrong values while the rest of a file is
+examined.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class BodySection(Section):
 
 
 class FrameSection(PlacementSection):
-    """A named frame on a body, of which the pose is wanted: a sensor."""
+    """A named frame on a body, whose pose is an output: a sensor."""
 
     name: str = Field(examples=["hand"])
     body: str = Field(examples=[BASE])

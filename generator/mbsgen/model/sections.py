@@ -1,7 +1,7 @@
 """The parts of a model file that joints of every type share: numbers, directions, placements, settings.
 
-A section is the shape of one mapping in the file; its examples tell users what is right, and stand in for what is wrong
-while the rest of the file is examined. Lengths are in m, angles in rad, forces in N, moments in N m.
+A section is the shape of one mapping in the file; its examples show users what is right, and replace wrong values while
+the rest of the file is examined. Lengths are in m, angles in rad, forces in N, moments in N m.
 """
 
 from __future__ import annotations
@@ -86,15 +86,15 @@ class FrictionSection(Section):
 
 
 class FollowSection(Section):
-    """A joint without a coordinate of its own: it goes with another one, as by a gear or a linkage."""
+    """A joint without a coordinate: it follows another one, as by a gear or a linkage."""
 
     joint: str = Field(examples=["q1"], description="the joint that it follows")
-    ratio: NumberField = Field(ONE, examples=[-1.0], description="of its q to that of the other joint")
-    offset: NumberField = Field(ZERO, examples=[0.1], description="its q where that of the other is 0")
+    ratio: NumberField = Field(ONE, examples=[-1.0], description="of its q to the q of the other joint")
+    offset: NumberField = Field(ZERO, examples=[0.1], description="its q where the other's is 0")
 
 
 class SettingSection(Section):
-    """What an elementary joint may be given beside its axis."""
+    """The settings of an elementary joint beside its axis."""
 
     name: str | None = Field(None, examples=["q1"], description="else the body's, or made of it and the axis")
     actuated: bool | None = Field(None, examples=[True], description="whether it takes an input u; else it is passive")

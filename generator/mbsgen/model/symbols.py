@@ -1,8 +1,8 @@
 """Numbers of a Tree: expressions -> SymPy expressions over parameter symbols.
 
-A literal is the rational number that its nearest double is; 0 is Integer 0, which is structural. What is irrational
-(pi, sqrt(2), cos(0.3)) is a Float of 60 digits, so that rounding happens once, in the target; what 50 of them cannot
-tell from 0 is a structural 0: cos(pi/2), or what cancels in a sum. No other kinds of numbers occur.
+A literal is the rational number that its nearest double is; 0 is Integer 0, which is structural. An irrational number
+(pi, sqrt(2), cos(0.3)) is a Float of 60 digits, so that rounding happens once, in the target. A number that 50 digits
+do not distinguish from 0 is a structural 0: cos(pi/2), or a sum whose terms cancel. No other kinds of numbers occur.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def exact(value: float) -> Expr:
 
 
 def symbolic(constants: Mapping[Symbol, Expr]) -> Algebra[Expr]:
-    """Make the algebra of expressions over symbols, given the values of those that are constants.
+    """Make the algebra of expressions over symbols, given the values of constants.
 
     A function of constants alone is a number.
     """
@@ -163,7 +163,7 @@ def _is_ordinary(number: mpf) -> bool:
 
 
 def _settle(number: mpf, size: mpf) -> Expr:
-    """Make a number that came of numbers of some size: 60 digits of it, or the whole number that 50 of them tell."""
+    """Round a number computed from numbers of some size to 60 digits, or to the whole number that 50 of them show."""
     if abs(number) < 1e15:
         whole = DIGITS.nint(number)
         if abs(number - whole) <= _NOISE * size:

@@ -33,7 +33,7 @@ def walk_bodies(model: Model) -> list[int]:
 
 
 def index_parents(model: Model) -> list[int | None]:
-    """Find the parents' places in the list of bodies; None for the base, and for what does not exist."""
+    """Return the parents' indices in the list of bodies; None for the base, and for unknown parents."""
     places = {body.name: i for i, body in reversed(list(enumerate(model.bodies)))}
     return [places.get(body.parent) for body in model.bodies]
 

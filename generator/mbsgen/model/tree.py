@@ -1,8 +1,8 @@
-"""The Tree: bodies in order, one elementary joint each; what every formulation reads.
+"""The Tree: bodies in order, one elementary joint each; the input of every formulation.
 
-Body i (from 1) has parent `parent < i`; 0 is the base. Its frame has its origin at its joint and turns with it; at
-q = 0 its axes stand to the parent's as `orientation` tells. The joint axis is a coordinate axis of that frame.
-Numbers are SymPy expressions in parameter symbols; a number 0 is structural.
+Body i (from 1) has parent `parent < i`; 0 is the base. Its frame has its origin at its joint and turns with it;
+`orientation` holds its axes at q = 0 in the parent's frame. The joint axis is a coordinate axis of that frame. Numbers
+are SymPy expressions in parameter symbols; a number 0 is structural.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ IDENTITY: Matrix = ((ONE, ZERO, ZERO), (ZERO, ONE, ZERO), (ZERO, ZERO, ONE))
 
 
 class Motion(Enum):
-    """What an elementary joint does along its axis."""
+    """The motion of an elementary joint along its axis."""
 
     REVOLUTE = "revolute"
     PRISMATIC = "prismatic"
@@ -116,7 +116,7 @@ class Quaternion:
 
 @dataclass(frozen=True)
 class Coupling:
-    """A joint without a coordinate of its own: its q is ratio * q of another joint + offset."""
+    """A joint without a coordinate: its q is ratio * q of another joint + offset."""
 
     follower: int  # number of its body
     leader: int  # number of the other joint's body; that joint has a coordinate
@@ -141,7 +141,7 @@ class Wrench:
     name: str
     body: int  # from 1
     position: Vector  # of the point, in the body's frame [m]
-    in_base: bool  # components in the base frame; else along the axes that `orientation` tells
+    in_base: bool  # components in the base frame; else along the axes in `orientation`
     force: Vector | None  # [N]; None: three entries of the input w
     moment: Vector | None  # [N m]; None: three more entries of w
     orientation: Matrix = IDENTITY  # columns: the axes of the components, in the body's frame
@@ -167,7 +167,7 @@ class Tree:
 
     @property
     def joints(self) -> tuple[Joint, ...]:
-        """The joints that are entries of qd: all but those that follow others."""
+        """The joints that are entries of qd: all except followers."""
         followers = self.followers
         return tuple(body.joint for i, body in enumerate(self.bodies, 1) if i not in followers)
 
@@ -178,7 +178,7 @@ class Tree:
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """Name the entries of q, in order: one for each of `joints`, but for the quaternions'."""
+        """Return the names of the entries of q, in order: one for each of `joints`, except quaternions."""
         beginnings = {x.first: x.coordinates for x in self.quaternions}
         inside = {i for x in self.quaternions for i in x.bodies}
         own = {i: (body.joint.name,) for i, body in enumerate(self.bodies, 1) if i not in inside}
@@ -187,7 +187,7 @@ class Tree:
 
     @property
     def neutral(self) -> tuple[float, ...]:
-        """Give the coordinates at which all joints are at 0, and no quaternion turns anything."""
+        """Return the coordinates at which all joints are at 0, and quaternions are the identity."""
         scalars = {x.coordinates[-1] for x in self.quaternions}
         return tuple(float(name in scalars) for name in self.coordinates)
 

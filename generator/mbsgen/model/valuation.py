@@ -26,10 +26,11 @@ Array = NDArray[np.float64]
 
 
 class Valuation:
-    """Values of expressions; what has none is nan, and a finding, but for what is doubtful or rests on it.
+    """Values of expressions; an undefined one is nan, with a finding, unless it is doubtful or depends on a doubtful
+    one.
 
-    With `generic`, a run-time parameter of value 0 counts as some other number, since its 0 is not structural.
-    A constant whose value depends on run-time parameters stands for that expression.
+    With `generic`, a run-time parameter of value 0 counts as some other number, since its 0 is not structural. A
+    constant whose value depends on run-time parameters stands for that expression.
     """
 
     def __init__(self, parameters: Sequence[Parameter], doubtful: Container[Place], *, generic: bool = False) -> None:
@@ -38,25 +39,25 @@ class Valuation:
         self._algebra = symbolic({})
         self._values: dict[str, Expr] = {}
         self._broken: set[str] = set()  # parameters without a value
-        self._forms: dict[str, Expr] = {}  # of what may change at run time: a symbol, or an expression over symbols
+        self._forms: dict[str, Expr] = {}  # of run-time quantities: a symbol, or an expression over symbols
         self._sizes: dict[str, Measure] = {}
         self._later = {parameter.name for parameter in parameters}
         for parameter in parameters:
             self._define(parameter, generic)
 
     def number(self, place: Place, expression: Expression) -> float:
-        """Give an expression its value."""
+        """Return the value of an expression."""
         value = self._evaluate(place, expression)
         return math.nan if value is None else to_double(value)
 
     def digits(self, place: Place, expression: Expression) -> mpf:
-        """Give an expression its value in 60 digits; it must have one."""
+        """Return the value of an expression in 60 digits; it must have one."""
         value = self._evaluate(place, expression)
         assert value is not None, "a checked model has values"
         return to_digits(value)
 
     def constant(self, place: Place, expression: Expression) -> float:
-        """Give an expression its value, which is not to change at run time."""
+        """Return the value of an expression that must not depend on run-time parameters."""
         for name in sorted(names(expression) & self._forms.keys()):
             self._find(place, f"this depends on {abbreviate(name)}, which may change at run time", "use constants here")
             return math.nan
@@ -73,11 +74,11 @@ class Valuation:
             self._find(place, error.finding, error.remedy)
 
     def changes(self, expression: Expression) -> bool:
-        """Tell whether an expression depends on run-time parameters."""
+        """Return whether an expression depends on run-time parameters."""
         return not self._forms.keys().isdisjoint(names(expression))
 
     def triple(self, place: Place, triple: Triple) -> Array:
-        """Give three expressions their values."""
+        """Return the values of three expressions."""
         return np.array([self.number((*place, k), expression) for k, expression in enumerate(triple)])
 
     def _define(self, parameter: Parameter, generic: bool) -> None:
@@ -126,7 +127,7 @@ class Valuation:
         check_powers(evaluate(expression, {**self._values, **self._forms, **own}, self._algebra))
 
     def _is_known(self, place: Place, needed: frozenset[str]) -> bool:
-        """Tell whether something can be concluded of a place that needs these parameters."""
+        """Return whether anything can be concluded about a place that needs these parameters."""
         if lies_under(place, self._doubtful) or needed & self._broken:
             return False
         for name in sorted(needed & self._later):

@@ -303,7 +303,7 @@ def test_what_cannot_follow_is_refused(follows: tuple[str, float, float], findin
 
 
 def test_limits_that_leave_no_place_are_refused() -> None:
-    with pytest.raises(InputError, match="leave it no place"):
+    with pytest.raises(InputError, match="leave the joint no range"):
         make_model(
             "shut",
             [

@@ -146,7 +146,7 @@ BAD: dict[str, tuple[str, str, int, str, str]] = {
         "frames[1].name",
         'name "tip" is taken',
     ),
-    "a body called base": ("name: hook", "name: Base", 22, "bodies[2].name", "what does not move"),
+    "a body called base": ("name: hook", "name: Base", 22, "bodies[2].name", "the fixed base"),
     # the tree
     "a missing parent": ("parent: boom", "parent: bom", 23, "bodies[2].parent", 'there is no body "bom"'),
     "a missing carrier": ("body: boom", "body: boon", 29, "frames[0].body", 'there is no body "boon"'),
@@ -272,7 +272,7 @@ def test_all_faults_of_a_file_come_at_once(tmp_path: Path) -> None:
     ]
 
 
-def test_idle_joints_are_looked_for_once_all_else_is_right(tmp_path: Path) -> None:
+def test_undetermined_joints_are_looked_for_once_all_else_is_right(tmp_path: Path) -> None:
     """Every joint of a limb without mass is named."""
     limb = "".join(
         f"  - {{name: x{i}, parent: {p}, joint: {{type: revolute, axis: y}}}}\n" for i, p in enumerate(["boom", "x0"])

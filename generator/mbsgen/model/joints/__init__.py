@@ -1,4 +1,4 @@
-"""Joint types. A type is a class of sections (see `section`) in a file of its own, and an entry in JOINT_TYPES."""
+"""Joint types. A type is a class of sections (see `section`) in its own file, and an entry in JOINT_TYPES."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ def slide(axis: str | Triple, *, part_of: str = "") -> Joint:
 
 
 def stand(joints: Sequence[Joint], placement: Placement, *, actuated: bool) -> tuple[Joint, ...]:
-    """Place joints in a row on what carries them."""
+    """Place joints in a row on their parent."""
     first, *rest = (replace(joint, actuated=actuated) for joint in joints)
     return (replace(first, placement=placement), *rest)
 

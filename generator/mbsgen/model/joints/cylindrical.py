@@ -1,4 +1,4 @@
-"""A cylindrical joint: a turn about an axis, and a slide along it, each with a coordinate of its own."""
+"""A cylindrical joint: a turn about an axis, and a slide along it, with a coordinate each."""
 
 from __future__ import annotations
 

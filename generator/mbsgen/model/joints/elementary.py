@@ -13,7 +13,7 @@ from mbsgen.model.tree import Motion
 
 
 class ElementarySection(JointSection, SettingSection):
-    """One degree of freedom, and where the frame that it moves stands on what carries it while q = 0."""
+    """One degree of freedom, and the pose of its moving frame on the parent at q = 0."""
 
     type: Literal["revolute", "prismatic"] = Field(examples=["revolute"])
     axis: DirectionField = Field(examples=["z"])
@@ -31,7 +31,7 @@ class ElementarySection(JointSection, SettingSection):
 
 
 class FixedSection(JointSection):
-    """What holds a body fast on its parent."""
+    """A fixed connection of a body to its parent."""
 
     type: Literal["fixed"] = Field(examples=["fixed"])
 

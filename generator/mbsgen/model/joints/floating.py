@@ -13,7 +13,7 @@ from mbsgen.model.model import Carrier, Joint
 
 
 class FloatingSection(CompoundSection):
-    """Three prismatic joints along x, y, z, then a spherical joint: a free body, passive unless told otherwise."""
+    """Three prismatic joints along x, y, z, then a spherical joint: a free body, passive by default."""
 
     DRIVEN: ClassVar[bool] = False
 

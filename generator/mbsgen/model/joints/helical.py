@@ -1,6 +1,6 @@
 """A helical joint, or screw, with the twist S = (e, p e): it turns by q about e, and slides by p q along e.
 
-A slide along e follows a turn about e with the ratio p, the pitch in m/rad. The coordinate is that of the turn; the
+A slide along e follows a turn about e with the ratio p, the pitch in m/rad. The coordinate belongs to the turn; the
 equations are exact: M = I_ee + p^2 m for a body with its centre of mass on the axis.
 """
 

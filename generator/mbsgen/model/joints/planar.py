@@ -26,7 +26,7 @@ _NAME = "planar"
 
 
 class PlanarSection(CompoundSection):
-    """Two slides along the axes of a plane, then a turn about its normal; passive unless told otherwise."""
+    """Two slides along the axes of a plane, then a turn about its normal; passive by default."""
 
     DRIVEN: ClassVar[bool] = False
 

@@ -25,13 +25,13 @@ _ALL = (*(replace(slide(axis), floats=True) for axis in "xyz"), *_TURNS)
 
 
 def is_pure(joints: Sequence[Joint]) -> bool:
-    """Test whether joints stand for one quaternion, without names, limits, forces and rotors of their own."""
+    """Return whether joints stand for one quaternion, without names, limits, forces and rotors."""
     driven, placement = tuple(replace(joint, actuated=True) for joint in joints), joints[0].placement
     return any(driven == stand(known, placement, actuated=True) for known in (_TURNS, _ALL))
 
 
 class QuaternionSection(JointSection):
-    """What turns in any direction, by a quaternion."""
+    """A joint that turns in any direction, by a quaternion."""
 
     DRIVEN: ClassVar[bool] = True  # whether it takes inputs unless the file says otherwise
 

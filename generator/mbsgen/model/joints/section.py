@@ -1,13 +1,13 @@
-"""A joint type: its fields in a model file, the elementary joints that it is made of, and how a writer describes it.
+"""A joint type: its fields in a model file, its elementary joints, and its description for a writer.
 
 An elementary joint has one coordinate and a constant unit twist as its motion subspace: (e, 0) turns about e, (0, e)
-slides along e (Featherstone, Rigid Body Dynamics Algorithms, 2008, table 4.1). Other joints are made of these:
+slides along e (Featherstone, Rigid Body Dynamics Algorithms, 2008, table 4.1). Other joints consist of these:
 
-- in a row, through massless frames: the motion subspace is that of the product of the elementary motions;
+- in a row, through massless frames: the motion subspace belongs to the product of the elementary motions;
 - coupled: one follows another at a constant ratio, so that both have one twist, as (e, p e) of a screw;
-- floating: three or six that stand at 0 in the frame that a quaternion turns (see `quaternions`).
+- floating: three or six joints at 0 in the frame that a quaternion turns (see `quaternions`).
 
-Coordinates are those of the elementary joints: rad where one turns, m where it slides.
+Coordinates are the elementary joints': rad for turns, m for slides.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Description:
     fields: Mapping[str, str | Expression | Triple]  # of the type alone; a triple is a direction
     placement: Placement
     setting: Joint | None = None  # the elementary joint whose settings stand beside the fields
-    axes: Mapping[str, Joint] = field(default_factory=dict)  # those whose settings stand under labels
+    axes: Mapping[str, Joint] = field(default_factory=dict)  # sections with settings under labels
     actuated: bool = True  # whether these take inputs where the file does not say
 
 

@@ -23,7 +23,7 @@ _FIELDS = ("axis", "axis2")
 
 
 class UniversalSection(CompoundSection):
-    """Two revolute joints with axes that meet: those of a Cardan joint, or any two."""
+    """Two revolute joints with axes that meet: a Cardan joint's, or any two."""
 
     type: Literal["universal"] = Field(examples=["universal"])
     order: Pair = Field("xy", examples=["xy"])

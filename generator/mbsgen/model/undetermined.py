@@ -1,9 +1,9 @@
-"""Joints whose accelerations are not determined: those that move nothing, and those that undo each other's motion.
+"""Joints whose accelerations are not determined: massless joints, and joints that undo each other's motion.
 
-M would be singular at every configuration, or else at almost none. So one configuration tells, chosen without
-symmetry. A joint moves nothing where no mass feels it, nor a rotor. Several undo each other where a pivot of the
-articulated-body recursion vanishes: its D_i = S_i . IA_i S_i (Featherstone), which the joints that body i carries have
-lowered to 0. A pivot that is small in doubles is computed once more, in 60 digits.
+For these, M is singular at every configuration; else at almost none. So one configuration, chosen without symmetry, is
+enough. A joint is massless if neither mass nor a rotor moves with it. Several joints undo each other if a pivot of the
+articulated-body recursion vanishes: D_i = S_i . IA_i S_i (Featherstone, 2008, 7.3), which the joints beyond body i have
+lowered to 0. A pivot that is small in doubles is computed again, in 60 digits.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from mbsgen.model.topology import index_parents, walk_bodies
 from mbsgen.model.tree import Motion
 from mbsgen.model.valuation import Valuation
 
-TOLERANCE = 1e-26  # of what would be felt off the axis, or without the joints beyond: rounding squared, with room
-DOUBTFUL = 1e-9  # of a pivot: below, doubles do not tell it from 0
+TOLERANCE = 1e-26  # of the inertia off the axis, or without the joints beyond: rounding squared, with a margin
+DOUBTFUL = 1e-9  # of a pivot: below, doubles do not distinguish it from 0
 INVOLVED = 1e-6  # of the largest acceleration: those below are rounding
 GOLDEN = 0.6180339887498949
 
@@ -51,24 +51,24 @@ class _Solid:
         return self.com - self.origin
 
 
-def check_idle_joints(model: Model) -> Iterator[Finding]:
+def check_undetermined_joints(model: Model) -> Iterator[Finding]:
     """Find the joints of a checked model whose accelerations nothing determines."""
     expansion = expand(model)
     bodies = expansion.model.bodies
     mechanism = _place(expansion.model, _Doubles(expansion.model))
     with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is computed in digits
-        idle = [i for i in mechanism.order if isinstance(bodies[i].joint, Joint) and not mechanism.feels(i)]
-        is_clear = not idle and not mechanism.find_undone(DOUBTFUL)
-    for i in idle:
-        yield _tell_idle(i, expansion)
-    if idle or is_clear:
+        massless = [i for i in mechanism.order if isinstance(bodies[i].joint, Joint) and not mechanism.feels(i)]
+        is_clear = not massless and not mechanism.find_undone(DOUBTFUL)
+    for i in massless:
+        yield _report_massless(i, expansion)
+    if massless or is_clear:
         return
     exact = _place(expansion.model, _Digits(expansion.model))
     for i, others in exact.find_undone(TOLERANCE).items():
-        yield _tell_undone(i, others, expansion) if others else _tell_idle(i, expansion)
+        yield _report_redundant(i, others, expansion) if others else _report_massless(i, expansion)
 
 
-def _tell_idle(i: int, expansion: Expansion) -> Finding:
+def _report_massless(i: int, expansion: Expansion) -> Finding:
     joint = expansion.model.bodies[i].joint
     assert isinstance(joint, Joint), "only joints move"
     what = "inertia about" if joint.motion is Motion.REVOLUTE else "mass along"
@@ -76,7 +76,7 @@ def _tell_idle(i: int, expansion: Expansion) -> Finding:
     return Finding(expansion.places[i], finding, "give a body it carries mass, or take the joint away")
 
 
-def _tell_undone(i: int, others: Sequence[int], expansion: Expansion) -> Finding:
+def _report_redundant(i: int, others: Sequence[int], expansion: Expansion) -> Finding:
     bodies = expansion.model.bodies
     first, *rest = (abbreviate(bodies[k].joint.name) for k in (i, *others))  # type: ignore[union-attr]
     finding = f"joint {first} moves nothing that {' and '.join(rest)} cannot undo: nothing between them has inertia"
@@ -96,7 +96,7 @@ class _Mechanism:
     solids: Mapping[int, _Solid]
 
     def feels(self, i: int) -> bool:
-        """Compare what each body brings with what it would bring if nothing lay on the axis; sums hide light ones."""
+        """Compare each body's inertia with its inertia if nothing were on the axis; sums would hide light bodies."""
         carrier, joint = self.solids[i], self.model.bodies[i].joint
         rank = self._ranks[i]
         mass, com, inertia, rotation = (part[rank : rank + self._sizes[i]] for part in self._rows)
@@ -113,7 +113,7 @@ class _Mechanism:
     def find_undone(self, tolerance: float) -> dict[int, list[int]]:
         """Find the joints whose pivots vanish, relative to M_ii, each with the joints that undo what it does."""
         articulated, composite = ({i: _inertia(self.solids[i]) for i in self.order} for _ in "ab")
-        answers: dict[int, Array] = {}  # the acceleration of a joint for that of its carrier, to be subtracted
+        answers: dict[int, Array] = {}  # the acceleration of a joint for its parent's, to be subtracted
         undone: dict[int, list[int]] = {}
         for i in reversed(self.order):
             solid, S = self.solids[i], self._direction(i)

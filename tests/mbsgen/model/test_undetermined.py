@@ -13,7 +13,7 @@ from mbsgen.formulations import exp1, exp2, semi
 from mbsgen.formulations.reductions import NONE
 from mbsgen.model.checks import find_faults
 from mbsgen.model.construction import ball, body, cardan, fixed, make_model, planar, prismatic, revolute
-from mbsgen.model.idleness import check_idle_joints
+from mbsgen.model.undetermined import check_undetermined_joints
 from mbsgen.model.model import BASE, Body, Fixed, Joint, Model
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Tree
@@ -84,7 +84,7 @@ def test_what_a_check_lets_pass_has_a_regular_matrix_and_is_written() -> None:
         if others or not any(b.joints for b in model.bodies):
             continue
         tree = build_tree(model)
-        is_accepted = not [*check_idle_joints(model)]
+        is_accepted = not [*check_undetermined_joints(model)]
         assert is_accepted == is_regular(tree, seed), seed
         if is_accepted:  # no TapeError
             exp1.build(tree, NONE)
