@@ -17,12 +17,12 @@ from mbsgen.expressions import Expression, Negation, Number, write
 from mbsgen.model.expansion import list_steps
 from mbsgen.model.findings import Finding
 from mbsgen.model.following import check_followers
-from mbsgen.model.undetermined import check_undetermined_joints
 from mbsgen.model.joints.quaternions import is_pure
 from mbsgen.model.model import BASE, COORDINATE, RATE, ZERO, Body, Fixed, Inertia, Joint, Law, Model, Placement, Wrench
 from mbsgen.model.naming import check_names
 from mbsgen.model.topology import check_tree, find_carriers
 from mbsgen.model.tree import Motion
+from mbsgen.model.undetermined import check_undetermined_joints
 from mbsgen.model.valuation import LARGEST, Array, Valuation
 
 MAX_BODIES = 1000
@@ -185,9 +185,7 @@ def find_doubts(model: Model) -> list[Finding]:
         inertia = np.array([valuation.triple((), row) for row in body.inertia.rows])
         excess = _measure_excess(body.inertia, inertia)
         if excess.amount > INERTIA_TOLERANCE * np.abs(inertia).max():
-            finding = (
-                f"rounding, by the digits given, has made {excess.describe()} of the inertias that a body can have"
-            )
+            finding = f"rounding to the digits given has made a possible inertia {excess.describe()}"
             findings.append(Finding(("bodies", i, "inertia"), finding, "give more digits"))
     return findings
 

@@ -13,10 +13,10 @@ from mbsgen.formulations import exp1, exp2, semi
 from mbsgen.formulations.reductions import NONE
 from mbsgen.model.checks import find_faults
 from mbsgen.model.construction import ball, body, cardan, fixed, make_model, planar, prismatic, revolute
-from mbsgen.model.undetermined import check_undetermined_joints
 from mbsgen.model.model import BASE, Body, Fixed, Joint, Model
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Tree
+from mbsgen.model.undetermined import check_undetermined_joints
 from mbsgen.pipeline import Options, make
 from mbsgen.tape.interpreter import evaluate
 
