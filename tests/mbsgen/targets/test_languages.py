@@ -1,4 +1,4 @@
-"""Target languages: unknown ones are refused with what there is, and a new one is a printer and an entry."""
+"""Target languages: a refusal lists the known ones, and a new one is a printer and an entry."""
 
 from __future__ import annotations
 
