@@ -81,6 +81,7 @@ MBSRUN = Package(
         "ocp.backends ocp.structure",
         "ocp.methods ocp.writing",
         "ocp.checks ocp.transcription",
+        "ocp.sections",
         "ocp.statement ocp.guess ocp.record",
         "ocp.solution ocp.starts",
         "ocp.solve ocp.table",

@@ -9,33 +9,28 @@ Terms of the cost and constraints are expressions of the motion as well, which s
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import TypeVar
 
 import numpy as np
-from pydantic import AfterValidator, Discriminator, Field, PlainValidator, Tag
 
 from mbsgen.documents import (
     Document,
     Place,
-    Section,
-    WrongValueError,
     abbreviate,
     examine,
     expect,
     lies_under,
     nearest,
     read_document,
-    read_number,
     refuse,
 )
 from mbsgen.errors import Fault, InputError
-from mbsgen.expressions import FLOATS, Expression, ExpressionError, Number, evaluate, is_free_name, names, parse
+from mbsgen.expressions import FLOATS, Expression, ExpressionError, evaluate, is_free_name, names, parse
 from mbsgen.manifest import Manifest
-from mbsrun.ocp.checks import LEAST_TOLERANCE, MAX_INTERVALS, MAX_STEPS, list_open_inputs
-from mbsrun.ocp.integrators import INTEGRATORS
+from mbsrun.ocp.checks import LEAST_TOLERANCE, list_open_inputs
 from mbsrun.ocp.methods import METHODS, Amount
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import (
@@ -43,19 +38,29 @@ from mbsrun.ocp.problem import (
     Constraint,
     Cost,
     End,
-    Form,
     GuessOptions,
     Point,
     Problem,
     Range,
-    Representation,
     SolverOptions,
     Term,
     cylindrical,
     find_conflicts,
 )
 from mbsrun.ocp.quantities import list_quantities
-from mbsrun.ocp.schemes import DEGREES, Family
+from mbsrun.ocp.sections import (
+    BoundsSection,
+    ConstraintSection,
+    CostSection,
+    EndSection,
+    GuessSection,
+    HorizonSection,
+    Limits,
+    PositionSection,
+    ProblemSection,
+    SolverSection,
+    TermSection,
+)
 from mbsrun.quaternions import (
     Quaternion,
     find_quaternion,
@@ -65,9 +70,6 @@ from mbsrun.quaternions import (
     normalise,
 )
 
-MAX_EXPRESSIONS = 100  # of one kind
-
-T = TypeVar("T")
 SomePlant = TypeVar("SomePlant", bound=Plant)
 
 
@@ -75,7 +77,7 @@ def read_problem(path: Path, load: Callable[[Path], SomePlant]) -> tuple[Problem
     """Read a problem file, and load its model with `load`. Raises InputError with every fault of both files."""
     document = read_document(path)
     expect(document, "problem")
-    examination = examine(document, _ProblemSection)
+    examination = examine(document, ProblemSection)
     section, faults = examination.value, list(examination.faults)
     if section is None or lies_under(("model",), examination.stand_ins):
         raise refuse(faults)
@@ -88,182 +90,6 @@ def read_problem(path: Path, load: Callable[[Path], SomePlant]) -> tuple[Problem
     if faults or reading.faults:
         raise refuse([*faults, *reading.faults])
     return problem, plant
-
-
-# --- schema --------------------------------------------------------------------------------------------------------
-
-
-def _both_ways(bound: float | None) -> Range:
-    return (-math.inf, math.inf) if bound is None else (-bound, bound)
-
-
-def _read_formula(value: Any) -> str:
-    """Admit an expression; it is kept as text."""
-    read_number(value)
-    return str(value)
-
-
-def _check_count(sections: tuple[T, ...]) -> tuple[T, ...]:
-    if len(sections) > MAX_EXPRESSIONS:
-        raise WrongValueError(f"found {len(sections)} expressions", f"give at most {MAX_EXPRESSIONS}")
-    return sections
-
-
-def _check_model(path: str) -> str:
-    """Admit model files only: a folder of C would be code to run, and a problem file comes from anywhere."""
-    if not path.endswith((".yaml", ".yml")):
-        raise WrongValueError(f"found {abbreviate(path)}", "give a model file (.yaml), from this file's folder")
-    return path
-
-
-def _check_integrator(name: str) -> str:
-    return _check_name(name, INTEGRATORS)
-
-
-def _check_solver(name: str) -> str:
-    return _check_name(name, METHODS)
-
-
-def _check_name(name: str, known: Collection[str]) -> str:
-    """Admit the keys of a registry."""
-    if name not in known:
-        raise WrongValueError(f"found {abbreviate(name)}", f"give one of {', '.join(known)}")
-    return name
-
-
-def _check_solution(path: str) -> str:
-    if not path.endswith(".json"):
-        raise WrongValueError(f"found {abbreviate(path)}", "give a solution's file (.json), from this file's folder")
-    return path
-
-
-def _form(value: Any) -> str:
-    """Tell the forms of a value apart."""
-    return "mapping" if isinstance(value, dict) else "list"
-
-
-NumberField = Annotated[Expression, PlainValidator(read_number), Field(examples=[1.0])]
-LimitField = Annotated[Expression | None, PlainValidator(lambda v: None if v is None else read_number(v))]
-RangeField = tuple[LimitField, LimitField]  # null: no bound
-NumbersField = Annotated[  # one for each coordinate, or by name and else 0
-    Annotated[tuple[NumberField, ...], Tag("list")] | Annotated[dict[str, NumberField], Tag("mapping")],
-    Discriminator(_form),
-]
-StartField = Annotated[  # the same; null: not given
-    Annotated[tuple[LimitField, ...], Tag("list")] | Annotated[dict[str, LimitField], Tag("mapping")],
-    Discriminator(_form),
-]
-RestField = Annotated[  # of all coordinates, or of some, by name
-    Annotated[Literal["zero"], Tag("list")] | Annotated[dict[str, NumberField], Tag("mapping")], Discriminator(_form)
-]
-FormulaField = Annotated[str, PlainValidator(_read_formula), Field(examples=["q_NAME**2"])]
-RangesField = Annotated[  # the same for all, or by name
-    Annotated[RangeField, Tag("list")] | Annotated[dict[str, RangeField], Tag("mapping")], Discriminator(_form)
-]
-Limits = tuple[Expression | None, Expression | None]
-
-
-class _HorizonSection(Section):
-    guess: NumberField = Field(examples=[1.0])
-    range: RangeField = Field(examples=[[0.1, 10.0]])
-
-
-HorizonField = Annotated[
-    Annotated[NumberField, Tag("list")] | Annotated[_HorizonSection, Tag("mapping")], Discriminator(_form)
-]
-
-
-class _TermSection(Section):
-    expression: FormulaField
-    weight: NumberField = Field(default=Number(1.0), examples=[1.0])
-
-
-class _CostSection(Section):
-    inputs: NumberField | None = Field(default=None, examples=[1.0])  # 1 where nothing else is paid for
-    input_rates: NumberField = Field(default=Number(0.0), examples=[0.0])
-    running: Annotated[tuple[_TermSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
-    terminal: Annotated[tuple[_TermSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
-
-
-class _ConstraintSection(Section):
-    expression: FormulaField
-    range: RangeField = Field(examples=[[None, 1.0]])
-    at: Literal["start", "path", "end"] = Field(default="path", examples=["path"])
-
-
-class _StartSection(Section):
-    pose: StartField = Field(examples=[{}])
-    velocity: StartField = Field(default={}, examples=[{}])
-
-
-class _BoundsSection(Section):
-    coordinates: dict[str, RangeField] = Field(default={}, examples=[{}])  # others keep the limits of the model
-    velocities: RangesField = Field(default={}, examples=[[None, None]])  # the same, by name or of all
-    inputs: RangesField = Field(default={}, examples=[[None, None]])
-
-
-class _PositionSection(Section):
-    x: NumberField | None = Field(default=None, examples=[1.0])  # either these
-    y: NumberField | None = Field(default=None, examples=[1.0])
-    z: NumberField | None = Field(default=None, examples=[1.0])
-    radius: NumberField | None = Field(default=None, examples=[1.0])  # or these
-    azimuth: NumberField | None = Field(default=None, examples=[1.0])
-    height: NumberField | None = Field(default=None, examples=[1.0])
-
-
-class _VelocitySection(Section):
-    x: NumberField = Field(default=Number(0.0), examples=[0.0])
-    y: NumberField = Field(default=Number(0.0), examples=[0.0])
-    z: NumberField = Field(default=Number(0.0), examples=[0.0])
-
-
-class _EndSection(Section):
-    sensors: dict[str, _PositionSection] = Field(default={}, examples=[{}])
-    pose: dict[str, NumberField] = Field(default={}, examples=[{}])
-    velocity: RestField | None = Field(default=None, examples=["zero"])
-    acceleration: RestField | None = Field(default=None, examples=["zero"])
-    sensor_velocities: dict[str, _VelocitySection] = Field(default={}, examples=[{}])
-
-
-class _GuessSection(Section):
-    upright: tuple[str, ...] = Field(default=(), examples=[[]])
-    motion: Literal["interpolation", "rest"] = Field(default="interpolation", examples=["interpolation"])
-    inputs: Literal["zero", "static", "dynamic"] = Field(default="dynamic", examples=["dynamic"])
-    solution: Annotated[str, AfterValidator(_check_solution)] | None = Field(default=None, examples=["solution.json"])
-
-
-class _SolverSection(Section):
-    tolerance: NumberField = Field(default=Number(SolverOptions.tolerance), examples=[1e-8])
-    max_iterations: int = Field(default=SolverOptions.max_iterations, ge=1, examples=[500])
-    objective_scaling: NumberField | None = Field(default=None, examples=[1.0])
-    method: Annotated[str, AfterValidator(_check_solver)] = Field(default=SolverOptions.method, examples=["ipopt"])
-    options: dict[str, bool | int | float | str] = Field(default={}, examples=[{}])
-
-
-class _ProblemSection(Section):
-    model: Annotated[str, AfterValidator(_check_model)] = Field(examples=["model.yaml"])
-    constants: dict[str, NumberField] = Field(default={}, examples=[{}])
-    horizon: HorizonField = Field(examples=[1.0])
-    intervals: int = Field(ge=1, le=MAX_INTERVALS, examples=[100])
-    scheme: Family = Field(examples=["radau"])
-    degree: int = Field(ge=DEGREES[0], le=DEGREES[-1], examples=[4])
-    representation: Representation = Field(default=Problem.representation, examples=["IMPL"])
-    form: Form = Field(default=Problem.form, examples=["standard"])
-    integrator: Annotated[str, AfterValidator(_check_integrator)] = Field(default=Problem.integrator, examples=["rk4"])
-    steps: int = Field(default=Problem.steps, ge=1, le=MAX_STEPS, examples=[1])
-    cost: _CostSection = Field(examples=[{"inputs": 1.0}])
-    start: _StartSection = Field(examples=[{"pose": {}}])
-    bounds: _BoundsSection = Field(default=_BoundsSection(), examples=[{}])
-    end: _EndSection = Field(default=_EndSection(), examples=[{}])
-    constraints: Annotated[tuple[_ConstraintSection, ...], AfterValidator(_check_count)] = Field(
-        default=(), examples=[[]]
-    )
-    guess: _GuessSection = Field(default=_GuessSection(), examples=[{}])
-    accuracy: NumberField = Field(default=Number(Problem.accuracy), examples=[1e-6])
-    solver: _SolverSection = Field(default=_SolverSection(), examples=[{}])
-
-
-# --- meaning -------------------------------------------------------------------------------------------------------
 
 
 class _Reading:
@@ -292,7 +118,7 @@ class _Reading:
         self.speeds = [_both_ways(c.max_speed) for c in manifest.coordinates]
         self.forces = [_both_ways(manifest.coordinates[i].max_force) for i in manifest.actuated]
 
-    def problem(self, name: str, section: _ProblemSection) -> Problem:
+    def problem(self, name: str, section: ProblemSection) -> Problem:
         """Make the problem; it is one only if there are no faults."""
         for key, expression in section.constants.items():
             if not is_free_name(key) or key in self.quantities:
@@ -336,9 +162,9 @@ class _Reading:
             self.fault((conflict.key,), conflict.finding, conflict.remedy)
         return problem
 
-    def horizon(self, section: Expression | _HorizonSection) -> tuple[float, Range | None]:
+    def horizon(self, section: Expression | HorizonSection) -> tuple[float, Range | None]:
         """Give the horizon, or the guess of it and its range."""
-        if not isinstance(section, _HorizonSection):
+        if not isinstance(section, HorizonSection):
             return self.number(("horizon",), section, least=math.ulp(0)), None
         guess = self.number(("horizon", "guess"), section.guess, least=math.ulp(0))
         lower, upper = self.range(("horizon", "range"), section.range)
@@ -348,7 +174,7 @@ class _Reading:
             self.fault(("horizon", "guess"), f"{guess:g} is out of [{lower:g}, {upper:g}]", "guess within the range")
         return guess, (lower, upper)
 
-    def cost(self, section: _CostSection) -> Cost:
+    def cost(self, section: CostSection) -> Cost:
         running = tuple(self.term("running", i, term) for i, term in enumerate(section.running))
         terminal = tuple(self.term("terminal", i, term) for i, term in enumerate(section.terminal))
         rates = self.number(("cost", "input_rates"), section.input_rates, least=0)
@@ -361,12 +187,12 @@ class _Reading:
             self.fault(("cost",), "every weight is 0", "give inputs or input_rates a positive weight")
         return cost
 
-    def term(self, key: str, i: int, section: _TermSection) -> Term:
+    def term(self, key: str, i: int, section: TermSection) -> Term:
         place: Place = ("cost", key, i)
         self.formula((*place, "expression"), section.expression)
         return Term(section.expression, self.number((*place, "weight"), section.weight))
 
-    def constraint(self, i: int, section: _ConstraintSection) -> Constraint:
+    def constraint(self, i: int, section: ConstraintSection) -> Constraint:
         place: Place = ("constraints", i)
         self.formula((*place, "expression"), section.expression)
         return Constraint(section.expression, self.range((*place, "range"), section.range), section.at)
@@ -431,7 +257,7 @@ class _Reading:
                 remedy = "give null for all four of its entries, or constrain them by expressions at: start"
                 self.fault(place, f"the quaternion of {x.joint} is free in part", remedy)
 
-    def bounds(self, section: _BoundsSection) -> Bounds:
+    def bounds(self, section: BoundsSection) -> Bounds:
         bounds = Bounds(
             self.ranges("coordinates", section.coordinates, self.coordinates, self.limits),
             self.ranges("velocities", section.velocities, self.velocities, self.speeds),
@@ -467,7 +293,7 @@ class _Reading:
             return (math.nan, math.nan)  # which no further check minds
         return (lower, upper)
 
-    def end(self, section: _EndSection, bounds: Bounds) -> End:
+    def end(self, section: EndSection, bounds: Bounds) -> End:
         sensors, velocities = [], []
         for name, position in section.sensors.items():
             place = ("end", "sensors", name)
@@ -527,20 +353,20 @@ class _Reading:
                     self.fault(place, f"{value:g} is out of [{lower:g}, {upper:g}]", "end within the bounds")
         return tuple(targets)
 
-    def position(self, place: Place, section: _PositionSection) -> Point:
-        given = {key: value for key in _PositionSection.model_fields if (value := getattr(section, key)) is not None}
+    def position(self, place: Place, section: PositionSection) -> Point:
+        given = {key: value for key in PositionSection.model_fields if (value := getattr(section, key)) is not None}
         if set(given) not in ({"x", "y", "z"}, {"radius", "azimuth", "height"}):
             self.fault(place, f"found {', '.join(given) or 'nothing'}", "give x, y, z, or radius, azimuth, height")
             return (0.0, 0.0, 0.0)
         a, b, c = (self.number((*place, key), expression) for key, expression in given.items())
         return cylindrical(a, b, c) if "radius" in given else (a, b, c)
 
-    def guess(self, section: _GuessSection) -> GuessOptions:
+    def guess(self, section: GuessSection) -> GuessOptions:
         for i, name in enumerate(section.upright):
             self.find(("guess", "upright", i), name, self.frames)
         return GuessOptions(section.upright, section.motion, section.inputs, section.solution)
 
-    def solver(self, section: _SolverSection) -> SolverOptions:
+    def solver(self, section: SolverSection) -> SolverOptions:
         place, scaling = ("solver",), section.objective_scaling
         return SolverOptions(
             tolerance=self.number((*place, "tolerance"), section.tolerance, least=LEAST_TOLERANCE),
@@ -552,7 +378,7 @@ class _Reading:
             options=tuple(self.options(section)),
         )
 
-    def options(self, section: _SolverSection) -> Iterator[tuple[str, float | int | str]]:
+    def options(self, section: SolverSection) -> Iterator[tuple[str, float | int | str]]:
         """Check what the solver shall be told against what it may be told."""
         known = METHODS[section.method].options
         for name, given in section.options.items():
@@ -612,3 +438,7 @@ class _Names:
 
     kind: str
     known: list[str]
+
+
+def _both_ways(bound: float | None) -> Range:
+    return (-math.inf, math.inf) if bound is None else (-bound, bound)

@@ -1,0 +1,220 @@
+"""The schema of problem files: every key with its type, default and an example."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import AfterValidator, Discriminator, Field, PlainValidator, Tag
+
+from mbsgen.documents import (
+    Section,
+    WrongValueError,
+    abbreviate,
+    read_number,
+)
+from mbsgen.expressions import Expression, Number
+from mbsrun.ocp.checks import MAX_INTERVALS, MAX_STEPS
+from mbsrun.ocp.integrators import INTEGRATORS
+from mbsrun.ocp.methods import METHODS
+from mbsrun.ocp.problem import (
+    Form,
+    Problem,
+    Representation,
+    SolverOptions,
+)
+from mbsrun.ocp.schemes import DEGREES, Family
+
+MAX_EXPRESSIONS = 100  # of one kind
+
+T = TypeVar("T")
+
+
+def _read_formula(value: Any) -> str:
+    """Admit an expression; it is kept as text."""
+    read_number(value)
+    return str(value)
+
+
+def _check_count(sections: tuple[T, ...]) -> tuple[T, ...]:
+    if len(sections) > MAX_EXPRESSIONS:
+        raise WrongValueError(f"found {len(sections)} expressions", f"give at most {MAX_EXPRESSIONS}")
+    return sections
+
+
+def _check_model(path: str) -> str:
+    """Admit model files only: a folder of C would be code to run, and a problem file comes from anywhere."""
+    if not path.endswith((".yaml", ".yml")):
+        raise WrongValueError(f"found {abbreviate(path)}", "give a model file (.yaml), from this file's folder")
+    return path
+
+
+def _check_integrator(name: str) -> str:
+    return _check_name(name, INTEGRATORS)
+
+
+def _check_solver(name: str) -> str:
+    return _check_name(name, METHODS)
+
+
+def _check_name(name: str, known: Collection[str]) -> str:
+    """Admit the keys of a registry."""
+    if name not in known:
+        raise WrongValueError(f"found {abbreviate(name)}", f"give one of {', '.join(known)}")
+    return name
+
+
+def _check_solution(path: str) -> str:
+    if not path.endswith(".json"):
+        raise WrongValueError(f"found {abbreviate(path)}", "give a solution's file (.json), from this file's folder")
+    return path
+
+
+def _form(value: Any) -> str:
+    """Tell the forms of a value apart."""
+    return "mapping" if isinstance(value, dict) else "list"
+
+
+NumberField = Annotated[Expression, PlainValidator(read_number), Field(examples=[1.0])]
+LimitField = Annotated[Expression | None, PlainValidator(lambda v: None if v is None else read_number(v))]
+RangeField = tuple[LimitField, LimitField]  # null: no bound
+NumbersField = Annotated[  # one for each coordinate, or by name and else 0
+    Annotated[tuple[NumberField, ...], Tag("list")] | Annotated[dict[str, NumberField], Tag("mapping")],
+    Discriminator(_form),
+]
+StartField = Annotated[  # the same; null: not given
+    Annotated[tuple[LimitField, ...], Tag("list")] | Annotated[dict[str, LimitField], Tag("mapping")],
+    Discriminator(_form),
+]
+RestField = Annotated[  # of all coordinates, or of some, by name
+    Annotated[Literal["zero"], Tag("list")] | Annotated[dict[str, NumberField], Tag("mapping")], Discriminator(_form)
+]
+FormulaField = Annotated[str, PlainValidator(_read_formula), Field(examples=["q_NAME**2"])]
+RangesField = Annotated[  # the same for all, or by name
+    Annotated[RangeField, Tag("list")] | Annotated[dict[str, RangeField], Tag("mapping")], Discriminator(_form)
+]
+Limits = tuple[Expression | None, Expression | None]
+
+
+class HorizonSection(Section):
+    """A free horizon: its guess and its range."""
+
+    guess: NumberField = Field(examples=[1.0])
+    range: RangeField = Field(examples=[[0.1, 10.0]])
+
+
+HorizonField = Annotated[
+    Annotated[NumberField, Tag("list")] | Annotated[HorizonSection, Tag("mapping")], Discriminator(_form)
+]
+
+
+class TermSection(Section):
+    """A term of the cost."""
+
+    expression: FormulaField
+    weight: NumberField = Field(default=Number(1.0), examples=[1.0])
+
+
+class CostSection(Section):
+    """The cost."""
+
+    inputs: NumberField | None = Field(default=None, examples=[1.0])  # 1 where nothing else is paid for
+    input_rates: NumberField = Field(default=Number(0.0), examples=[0.0])
+    running: Annotated[tuple[TermSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
+    terminal: Annotated[tuple[TermSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
+
+
+class ConstraintSection(Section):
+    """A constraint by an expression."""
+
+    expression: FormulaField
+    range: RangeField = Field(examples=[[None, 1.0]])
+    at: Literal["start", "path", "end"] = Field(default="path", examples=["path"])
+
+
+class StartSection(Section):
+    """The start; null where it is free."""
+
+    pose: StartField = Field(examples=[{}])
+    velocity: StartField = Field(default={}, examples=[{}])
+
+
+class BoundsSection(Section):
+    """Bounds at all times."""
+
+    coordinates: dict[str, RangeField] = Field(default={}, examples=[{}])  # others keep the limits of the model
+    velocities: RangesField = Field(default={}, examples=[[None, None]])  # the same, by name or of all
+    inputs: RangesField = Field(default={}, examples=[[None, None]])
+
+
+class PositionSection(Section):
+    """A position, Cartesian or cylindrical."""
+
+    x: NumberField | None = Field(default=None, examples=[1.0])  # either these
+    y: NumberField | None = Field(default=None, examples=[1.0])
+    z: NumberField | None = Field(default=None, examples=[1.0])
+    radius: NumberField | None = Field(default=None, examples=[1.0])  # or these
+    azimuth: NumberField | None = Field(default=None, examples=[1.0])
+    height: NumberField | None = Field(default=None, examples=[1.0])
+
+
+class VelocitySection(Section):
+    """A velocity in the base frame."""
+
+    x: NumberField = Field(default=Number(0.0), examples=[0.0])
+    y: NumberField = Field(default=Number(0.0), examples=[0.0])
+    z: NumberField = Field(default=Number(0.0), examples=[0.0])
+
+
+class EndSection(Section):
+    """The conditions at the end."""
+
+    sensors: dict[str, PositionSection] = Field(default={}, examples=[{}])
+    pose: dict[str, NumberField] = Field(default={}, examples=[{}])
+    velocity: RestField | None = Field(default=None, examples=["zero"])
+    acceleration: RestField | None = Field(default=None, examples=["zero"])
+    sensor_velocities: dict[str, VelocitySection] = Field(default={}, examples=[{}])
+
+
+class GuessSection(Section):
+    """How to guess."""
+
+    upright: tuple[str, ...] = Field(default=(), examples=[[]])
+    motion: Literal["interpolation", "rest"] = Field(default="interpolation", examples=["interpolation"])
+    inputs: Literal["zero", "static", "dynamic"] = Field(default="dynamic", examples=["dynamic"])
+    solution: Annotated[str, AfterValidator(_check_solution)] | None = Field(default=None, examples=["solution.json"])
+
+
+class SolverSection(Section):
+    """The NLP method and its options."""
+
+    tolerance: NumberField = Field(default=Number(SolverOptions.tolerance), examples=[1e-8])
+    max_iterations: int = Field(default=SolverOptions.max_iterations, ge=1, examples=[500])
+    objective_scaling: NumberField | None = Field(default=None, examples=[1.0])
+    method: Annotated[str, AfterValidator(_check_solver)] = Field(default=SolverOptions.method, examples=["ipopt"])
+    options: dict[str, bool | int | float | str] = Field(default={}, examples=[{}])
+
+
+class ProblemSection(Section):
+    """A problem file."""
+
+    model: Annotated[str, AfterValidator(_check_model)] = Field(examples=["model.yaml"])
+    constants: dict[str, NumberField] = Field(default={}, examples=[{}])
+    horizon: HorizonField = Field(examples=[1.0])
+    intervals: int = Field(ge=1, le=MAX_INTERVALS, examples=[100])
+    scheme: Family = Field(examples=["radau"])
+    degree: int = Field(ge=DEGREES[0], le=DEGREES[-1], examples=[4])
+    representation: Representation = Field(default=Problem.representation, examples=["IMPL"])
+    form: Form = Field(default=Problem.form, examples=["standard"])
+    integrator: Annotated[str, AfterValidator(_check_integrator)] = Field(default=Problem.integrator, examples=["rk4"])
+    steps: int = Field(default=Problem.steps, ge=1, le=MAX_STEPS, examples=[1])
+    cost: CostSection = Field(examples=[{"inputs": 1.0}])
+    start: StartSection = Field(examples=[{"pose": {}}])
+    bounds: BoundsSection = Field(default=BoundsSection(), examples=[{}])
+    end: EndSection = Field(default=EndSection(), examples=[{}])
+    constraints: Annotated[tuple[ConstraintSection, ...], AfterValidator(_check_count)] = Field(
+        default=(), examples=[[]]
+    )
+    guess: GuessSection = Field(default=GuessSection(), examples=[{}])
+    accuracy: NumberField = Field(default=Number(Problem.accuracy), examples=[1e-6])
+    solver: SolverSection = Field(default=SolverSection(), examples=[{}])
