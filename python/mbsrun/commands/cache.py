@@ -23,9 +23,9 @@ DAY = 86400.0  # s
 KINDS = {"generated": "generated", "object": "objects", "library": "libraries", "unfinished": "unfinished"}
 
 
-CACHE_HELP = """Tell what was generated and compiled for `mbsrun`, or remove it.
+CACHE_HELP = """List what was generated and compiled for `mbsrun`, or remove it.
 
-What is removed is made again when it is needed; what another process is making now stays.
+Removed entries are made again when they are needed; entries that another process is making now stay.
 """
 
 
@@ -36,7 +36,7 @@ What is removed is made again when it is needed; what another process is making 
     "days",
     metavar="DAYS",
     type=click.FloatRange(min=0),
-    help="Remove what was not used for so many days.",
+    help="Remove entries that were not used for so many days.",
 )
 def cache_command(clear: bool, days: float | None) -> None:
     """List the cache by model; remove entries."""
@@ -54,7 +54,7 @@ def cache_command(clear: bool, days: float | None) -> None:
 
 
 def _print_cache(place: Path, entries: Sequence[Entry]) -> None:
-    """Print a line for each model, and one for what is no model's."""
+    """Print a line for each model, and one for entries of no model."""
     table = Table(box=box.SIMPLE)
     table.add_column("model")
     for column in (*KINDS.values(), "size", "last used"):

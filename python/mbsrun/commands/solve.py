@@ -54,19 +54,19 @@ SHOWN = 10  # minima that are printed
 SOLVE_HELP = """Solve the optimal control problem of the file PROBLEM.
 
 It is put on a grid by direct collocation or multiple shooting, and solved by IPOPT with the exact derivatives of the
-generated kernels, from the guess that the problem describes, or from another solution. The motion under the inputs
-found is then integrated by another method, and the two are compared.
+generated kernels, from the guess that the problem describes, or from another solution. Another
+method then integrates the motion under the inputs found, and the two are compared.
 
 \b
 The output folder gets
-  solution.json       the problem, what the solver did, every number of the trajectory
+  solution.json       the problem, the solver's run, every number of the trajectory
   solution.csv        time, coordinates, velocities, accelerations, inputs, sensors;
                       a row for each mesh and collocation point, names and units on top
   trajectories.png    coordinates, velocities and inputs over time
   mechanism.png       the mechanism on its way
   animation.html      plays the motion in any browser
   starts.png          with --starts: the cost that each start found
-  starts.sqlite       with --starts: every start, so that the command goes on where it was
+  starts.sqlite       with --starts: every start, so that the command can go on later
 
 A solver finds a local minimum near its guess. --starts 20 solves from 20 starts: the guess, and random ones (bumps and
 noise on the guess, other end poses, whole turns of joints without limits). The best solution is written, and how often
@@ -108,7 +108,7 @@ Exit codes
 @click.option(
     "--guess-inputs",
     type=click.Choice(["zero", "static", "dynamic"]),
-    help="The inputs of a guess that is made here: 0, what holds its poses, or what makes its motion.",
+    help="The inputs of the guess: 0, the forces that hold its poses, or the inverse dynamics of its motion.",
 )
 @click.option(
     "--representation",
@@ -118,7 +118,7 @@ Exit codes
 @click.option(
     "--form",
     type=click.Choice([form.value for form in Form]),
-    help="What of the motion within an interval is a variable; shooting: nothing. By default as the problem says.",
+    help="The variables of the motion within an interval; shooting has none. By default as the problem says.",
 )
 @click.option("--integrator", type=NameType(INTEGRATORS), help="Of shooting: the method of the scheme, or another.")
 @click.option("--steps", type=click.IntRange(1, MAX_STEPS), help="Of the integrator in an interval; by default 1.")
@@ -204,9 +204,10 @@ def _choose(
     solver: str | None,
     guess_inputs: Inputs | None,
 ) -> Problem:
-    """Let the options win over the problem; what another solver was to be told goes with it.
+    """Replace parts of the problem by options.
 
-    So do integrator and steps with shooting, which has them. Raises UsageError for what does not go together.
+    Another method drops the options of the former one; another form, its integrator and steps. Raises UsageError for
+    conflicts.
     """
     if representation is not None:
         problem = replace(problem, representation=Representation(representation))
@@ -257,7 +258,7 @@ def _search(
 
 
 def _print_starts(starts: Starts) -> None:
-    """Print the minima that were found, how often, and the starts that found none."""
+    """Print the minima, how often each was found, and the starts that found none."""
     table = Table(box=box.SIMPLE)
     table.add_column("cost", justify="right")
     table.add_column("found", justify="right")
@@ -318,7 +319,7 @@ def _print_summary(solution: Solution) -> None:
 
 
 def _list_shortcomings(solution: Solution) -> list[str]:
-    """Say what keeps a solution from being all that was asked for."""
+    """List the shortcomings of a solution: tolerance, accuracy, an unfinished check."""
     check, found = solution.resimulation, []
     if solution.is_only_acceptable:
         found.append("IPOPT stopped at an acceptable level, short of the tolerance; try another guess or scaling")

@@ -53,13 +53,13 @@ given again to go on, with more targets, costs, representations, or the other pr
 \b
 Protocols
   paper    for each representation the interpolation with inputs 0, and no restart;
-           what fails or ends in a higher minimum than any that is known is counted
+           failures, and minima higher than the lowest known, are counted
   robust   interpolations with the inputs of their motion; random starts: bumps and noise
            on them, other end poses, whole turns of joints without limits; then the
            solutions of neighbours, and of other representations, until nothing is new
 
-A search finds minima, and cannot show that there is no lower one: the summary says how many independent starts found
-the lowest cost known. Motions with whole turns are compared among themselves, and listed on their own.
+A search cannot show that there is no lower minimum: the summary shows how many independent starts found the lowest
+cost known. Motions with whole turns are compared among themselves, and listed on their own.
 
 \b
 Exit codes

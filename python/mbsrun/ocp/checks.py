@@ -1,6 +1,6 @@
-"""Check a problem that a program made: types first, then its meaning in a model; all faults at once.
+"""Check a problem that a program made: types first, then its meaning in a model; report all faults at once.
 
-`statement` makes the same checks of a file, at its lines; bounds that cross are a failure of the solve (`solve`).
+`statement` makes the same checks of a file, with its lines. Bounds that cross are a failure of the solve (`solve`).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Finding = tuple[str, str, str]  # part of the problem, what was found, what to d
 
 
 class ProblemError(MbsError, ValueError):
-    """A problem that cannot be solved as it is stated: every fault, one a line."""
+    """A problem with faults: one a line."""
 
     def __init__(self, name: object, findings: Sequence[Finding]) -> None:
         self.findings = tuple(findings)
@@ -52,7 +52,7 @@ def check_problem(problem: Problem, manifest: Manifest) -> None:
 
 
 def list_open_inputs(manifest: Manifest) -> list[str]:
-    """List the inputs of a model's residual that a problem gives no value: external wrenches."""
+    """List the inputs of a model's residual to which a problem gives no value: external wrenches."""
     own = (Role.COORDINATE, Role.VELOCITY, Role.ACCELERATION, Role.FORCE, Role.SETUP, Role.DESIGN)
     return [i.name for i in manifest.kernel("impl").inputs if i.role not in own and i.nnz]
 

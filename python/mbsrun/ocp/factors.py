@@ -1,6 +1,6 @@
 """Many small systems of linear equations at once, factorised in C: see csrc/mbs_dense.h.
 
-A batch of NumPy's own calls LAPACK for each system, which takes three times as long for some twenty unknowns.
+NumPy's batches call LAPACK for each system, which takes three times as long for some twenty unknowns.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ void mbs_solve_transposed(long long systems, long long n, const double *factors,
 
 
 class Factors:
-    """Matrices, factorised; what a singular one solves is not numbers."""
+    """Factorised matrices; solutions with a singular one are not numbers."""
 
     def __init__(self, matrices: Array) -> None:
         """Factorise (G, n, n). Raises CompileError where the C cannot be compiled."""
@@ -41,14 +41,14 @@ class Factors:
         library.mbs_factorise(*self._shape, *self._held)
 
     def solve(self, b: Array) -> Array:
-        """Give A^-1 b of each, (G, n, k)."""
+        """Return A^-1 b of each, (G, n, k)."""
         ffi, library = _load()
         x = np.array(b, dtype=np.float64, order="C")
         library.mbs_solve(*self._shape, *self._held, x.shape[2], ffi.from_buffer("double[]", x.data))
         return x
 
     def solve_transposed(self, b: Array) -> Array:
-        """Give A^-T b of each, (G, n)."""
+        """Return A^-T b of each, (G, n)."""
         ffi, library = _load()
         x = np.array(b, dtype=np.float64, order="C")
         library.mbs_solve_transposed(*self._shape, *self._held, ffi.from_buffer("double[]", x.data))

@@ -1,8 +1,8 @@
 """A first guess: a motion on a problem's grid, and the inputs that go with it.
 
 The motion is rest at the start, or the joints move smoothly to a pose that meets the targets, found by inverse
-kinematics; or it is one that was found before, read on another grid. Inputs are what balances it: the torques that hold
-each pose, or the inverse dynamics of the motion.
+kinematics; or it is an earlier solution, read on another grid. Its inputs are 0, the forces that hold each pose, or the
+inverse dynamics of the motion, u = B^+ Phi(q, qd, qdd, 0) with Phi = M qdd + c - B u.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ Array = NDArray[np.float64]
 REACHED = 1e-5  # the largest distance from the targets that counts as none [m, rad]
 STARTS = 20  # poses to search from, before a target counts as out of reach
 STEP = 1e-6  # of central differences [rad, m]
-NEARNESS = 1e-6  # weight of staying near the start among poses that meet the targets alike
+NEARNESS = 1e-6  # weight of the distance from the start, which chooses among poses that meet the targets
 _WAY = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])  # in t / T; from 0 to 1, at rest at both ends
 _RUN_OUT = np.polynomial.Polynomial([0, 1, 0, -6, 8, -3])  # leaves 0 at speed 1, and is back at 0, at rest
 
 
 @dataclass(frozen=True)
 class Pose:
-    """What inverse kinematics found."""
+    """A pose that inverse kinematics found."""
 
     q: Array
     distance: float  # the largest from a target [m, rad]
@@ -49,7 +49,7 @@ class Pose:
 
     @property
     def is_reached(self) -> bool:
-        """Tell whether the targets are met."""
+        """Return whether the targets are met."""
         return self.distance <= REACHED
 
 
@@ -79,7 +79,7 @@ def scatter_poses(problem: Problem, plant: Plant, rng: np.random.Generator, trie
 
 
 def make_guess(problem: Problem, plant: Plant, scheme: Scheme) -> Trajectory | Pose:
-    """Make the guess that a problem describes; where no pose meets its targets, give the nearest one found."""
+    """Make the guess that a problem describes; return the nearest pose found where none meets its targets."""
     motion = rest(problem, scheme, plant)
     if problem.guess.motion == "interpolation":
         pose = find_pose(problem, plant)
@@ -113,7 +113,7 @@ def interpolate(problem: Problem, scheme: Scheme, q: Array, plant: Plant | None 
         return np.asarray((start if order == 0 else 0.0) + (w(s) * (q - start) + r(s) * changes * T) / T**order)
 
     def move(t: Array) -> tuple[Array, Array, Array]:
-        """Give q, qd and qdd; without quaternions, these are q and its derivatives."""
+        """Return q, qd and qdd; without quaternions, these are q and its derivatives."""
         motion = read(t, 0), read(t, 1), read(t, 2)
         if plant is None or not turning:
             return motion
@@ -165,10 +165,10 @@ def bump(trajectory: Trajectory, coordinates: Sequence[int], rng: np.random.Gene
 
 
 def balance(trajectory: Trajectory, problem: Problem, plant: Plant, inputs: Inputs) -> Trajectory:
-    """Give a motion its inputs: 0, what holds each pose at rest, or the inverse dynamics of the motion.
+    """Return a motion with inputs: 0, the forces that hold each pose at rest, or the inverse dynamics of the motion.
 
-    Passive joints are left out of balance as little as may be, in the sense of least squares. Over an interval the mean
-    of its collocation points counts; inputs stay within their bounds.
+    The residual of passive joints is least in the sense of least squares. The inputs of an interval are the mean over
+    its collocation points; they stay within their bounds.
     """
     u = np.zeros_like(trajectory.u)
     if inputs != "zero":
@@ -187,9 +187,9 @@ def balance(trajectory: Trajectory, problem: Problem, plant: Plant, inputs: Inpu
 
 
 class _Kinematics:
-    """What keeps a pose from being the one wanted: a least-squares problem in the coordinates that can move.
+    """Inverse kinematics as a least-squares problem in the coordinates that can move.
 
-    A quaternion's length is part of it; where the end gives an attitude, the nearer of its two signs is meant.
+    A quaternion's length is part of it; of the two signs of an attitude at the end, the nearer one is the target.
     """
 
     def __init__(self, problem: Problem, plant: Plant) -> None:
@@ -205,7 +205,7 @@ class _Kinematics:
         self.free = self.lower < self.upper
 
     def search(self, upright: tuple[str, ...]) -> Pose:
-        """Descend from the start, then from poses spread over the bounds; give one that is reached, or the nearest."""
+        """Descend from the start, then from poses spread over the bounds; return one that is reached, or the best."""
         best = self.descend(self.start, upright)
         for start in self.starts():
             if best.is_reached and best.is_upright:
@@ -230,7 +230,7 @@ class _Kinematics:
         return lower, np.where(np.isfinite(self.upper), self.upper, most)
 
     def descend(self, start: Array, upright: tuple[str, ...]) -> Pose:
-        """Go down from one pose to the nearest."""
+        """Solve the least-squares problem from one pose."""
         frames = [self.indices[name] for name in upright]
         q = np.clip(start, self.lower, self.upper)
 
@@ -261,9 +261,9 @@ class _Kinematics:
         return Pose(q, float(max(distances, default=0.0)), bool((np.abs(axes) < REACHED).all()))
 
     def residual(self, q: Array, upright: list[int]) -> Array:
-        """Give for each pose what is left to the targets, what z axes lack in pointing up, and what is left over.
+        """Compute the residual of each pose: distances to the targets, of z axes from up, and two more.
 
-        That is what quaternions lack of length 1, and a pull to the start.
+        These are the lengths of quaternions minus 1, and a small multiple of the distance from the start.
         """
         frames = self.plant("frames", q=q) if self.sensors or upright else {}
         places = [frames["p"][:, :, i] - target for i, target in self.sensors]
@@ -273,7 +273,7 @@ class _Kinematics:
         return np.concatenate([*places, coordinates, *axes, lengths, NEARNESS * (q - self.start)], axis=1)
 
     def sign(self, q: Array) -> Array:
-        """Tell by what sign of a target's attitude each of its entries is nearer."""
+        """Return the sign of each target's attitude that is nearer to the pose, for each of its entries."""
         signs = np.ones((len(q), len(self.coordinates)))
         for x in self.turning:
             at = [self.coordinates.index(i) for i in x.entries if i in self.coordinates]

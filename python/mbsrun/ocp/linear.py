@@ -1,8 +1,8 @@
 """The linear solvers that IPOPT may use: MUMPS, which comes with it, and the project's own, csrc/kkt.
 
-The systems are those of interior-point steps: sparse, symmetric, indefinite, many with one pattern, and small for what
-MUMPS is made for, which takes most of its time for other things than arithmetic. The project's own is compiled once, as
-kernels are, and loaded by IPOPT.
+The systems of interior-point steps are sparse, symmetric and indefinite, and many have one pattern. They are small for
+MUMPS, which spends most of its time on other things than arithmetic. The project's own solver is compiled once, as
+kernels are; IPOPT loads it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _MUMPS: Mapping[str, str | int] = {
 
 
 def set_up(name: str) -> Mapping[str, str | int]:
-    """Give the options of IPOPT that make it use a solver of LINEAR_SOLVERS; CompileError."""
+    """Return the options of IPOPT for a solver of LINEAR_SOLVERS. Raises CompileError."""
     if name == MUMPS:
         return _MUMPS
     return {"linear_solver": "ma97", "hsllib": str(compile_own()), "ma97_order": "amd", "ma97_scaling": "none"}
@@ -37,5 +37,5 @@ def set_up(name: str) -> Mapping[str, str | int]:
 
 @cache
 def compile_own() -> Path:
-    """Compile csrc/kkt to a library with the interface that IPOPT knows, see mbs_ipopt.h; CompileError."""
+    """Compile csrc/kkt to a library with the interface of mbs_ipopt.h. Raises CompileError."""
     return compile_library(resources.folder("csrc") / "kkt", "mbs_kkt", _SOURCES, find_compiler(os.environ))

@@ -2,7 +2,7 @@
 
     minimise    k1 * integral of |u|^2  +  k2 * sum over the N - 1 steps of  h |(u_(k+1) - u_k) / h|^2
                 + integrals of expressions of the motion + expressions of its end
-    subject to  the equations of motion, (q, qd)(0) given, bounds and constraints at all times, and what must hold at T
+    subject to  the equations of motion, (q, qd)(0) given, bounds and constraints at all times, and conditions at T
 
 with inputs u that are constant over each of the N intervals of length h = T / N (Docquier, Bruls, Fisette, eqs. 22-27).
 """
@@ -101,11 +101,11 @@ class Constraint:
 
 @dataclass(frozen=True)
 class GuessOptions:
-    """How the first guess is made: a motion of the joints, and the inputs that go with it."""
+    """The first guess: a motion of the joints, and its inputs."""
 
     upright: tuple[str, ...] = ()  # frames whose z axis points up in the pose that meets the end's targets
     motion: Literal["interpolation", "rest"] = "interpolation"  # from the start to that pose; or staying at the start
-    inputs: Inputs = "dynamic"  # 0, what holds each pose, or what makes the motion
+    inputs: Inputs = "dynamic"  # 0, the forces that hold each pose, or the inverse dynamics of the motion
     solution: str | None = None  # a solution's file to start from instead, beside the problem's
 
 

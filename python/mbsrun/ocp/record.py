@@ -1,9 +1,9 @@
-"""What searches have tried: every attempt, and the best motions found for each task, in one SQLite file.
+"""The record of searches: every attempt, and the best motions of each task, in one SQLite file.
 
-An attempt is one transaction, on the disk before the next begins: a process that is killed loses what it was at, and
-nothing else. One file holds any number of studies. Of the motions, one is kept for a task, a protocol, a round and a
-number of whole turns, where it is better than all of the rounds before; so what a round starts from does not depend on
-the order in which attempts come in, nor on whether the search was interrupted.
+An attempt is one transaction, on the disk before the next begins: a process that is killed loses its present attempt
+alone. One file holds any number of studies. The file keeps one motion for a task, a protocol, a round and a number of
+whole turns, if it is better than those of all earlier rounds. So the starts of a round depend neither on the order of
+attempts nor on interruptions.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from mbsgen.errors import Fault, InputError
 from mbsrun.ocp.trajectory import Trajectory
 
 FORMAT = "mbsrun record 4"
-BEFORE = "mbsrun record 3"  # without turns: it is brought to the present format when it is opened
+BEFORE = "mbsrun record 3"  # without turns: it is converted to the present format when it is opened
 SAME = 1e-6  # relative difference of costs within which two optima are one
 
-Key = tuple[object, ...]  # tells which attempt: task, protocol, part, guess
+Key = tuple[object, ...]  # of an attempt: task, protocol, part, guess
 
 _TABLES = """
 create table about (format text);
@@ -57,7 +57,7 @@ class Task:
 
     @property
     def row(self) -> tuple[int, int, float, float, str]:
-        """Give what identifies it in a table."""
+        """Return the columns that identify it in a table."""
         return (*self.place, *self.weights, self.representation)
 
 
@@ -68,7 +68,7 @@ class Attempt:
     task: Task
     protocol: str
     part: str  # of the protocol
-    guess: str  # what it started from
+    guess: str  # the name of its start
     round: int  # of the protocol, from 0
     status: str
     iterations: int
@@ -84,7 +84,7 @@ class Attempt:
 
     @property
     def key(self) -> Key:
-        """Tell which attempt it is, whatever came of it."""
+        """Return the key of the attempt, which does not depend on its outcome."""
         return (*self.task.row, self.protocol, self.part, self.guess)
 
 
@@ -98,28 +98,28 @@ class Best:
 
 
 class Record:
-    """The file, open, as far as it is of one study."""
+    """One study of an open file."""
 
     def __init__(self, connection: sqlite3.Connection, study: str, told: str = "") -> None:
-        """Take part in a file: `study` identifies what the attempts have in common, `told` says it for a reader."""
+        """Open a study of a file: `study` identifies it, `told` describes it for a reader."""
         self._connection, self._identity, self._told = connection, study, told
         found = connection.execute("select id from studies where identity = ?", (study,)).fetchone()
         self._study = _NONE if found is None else int(found[0])
 
     def of(self, study: str, told: str = "") -> Record:
-        """Give another study of the same file."""
+        """Return another study of the same file."""
         return Record(self._connection, study, told)
 
     def find(self, key: Key) -> bool:
-        """Tell whether an attempt was made, by its key."""
+        """Return whether an attempt was made, by its key."""
         query = f"select 1 from attempts where {_IS_TASK} and protocol = ? and part = ? and guess = ?"
         return self._connection.execute(query, (self._study, *key)).fetchone() is not None
 
     def add(self, attempt: Attempt, motion: Trajectory | None, circumstances: str = "") -> bool:
-        """Keep an attempt, and its motion if it is the best of its task so far; tell whether it is.
+        """Keep an attempt, and its motion if that is the best of its task so far; return whether it is.
 
-        It is if no earlier round has one that costs as little to rounding, and no other of its own round one that costs
-        as little at all. What was kept before is not kept twice.
+        It is the best if no earlier round has a cost as low, to rounding, and no other attempt of its round has one as
+        low at all. An attempt that was kept before is not kept twice.
         """
         if self._study == _NONE:
             self._study = self._number("studies", "identity", self._identity)
@@ -138,28 +138,28 @@ class Record:
         return is_better
 
     def best(self, protocol: str, before: int | None = None) -> Mapping[Task, Best]:
-        """Give the best without whole turns of every task that a protocol solved, in rounds before one or in all."""
+        """Return the best without whole turns of every task that a protocol solved, in rounds before one or in all."""
         query = "select place_i, place_j, inputs, input_rates, representation, cost, round from best"
         query += " where study = ? and protocol = ? and round < ? and turns = '' order by round"
         found = self._connection.execute(query, (self._study, protocol, _LAST if before is None else before))
         return {Task((row[0], row[1]), (row[2], row[3]), row[4]): Best(row[5], row[6]) for row in found}
 
     def best_turned(self, protocol: str, before: int | None = None) -> Mapping[Task, Best]:
-        """Give the best with whole turns, likewise."""
+        """Return the best with whole turns of every task, in rounds before one or in all."""
         query = "select place_i, place_j, inputs, input_rates, representation, cost, round, turns from best"
         query += " where study = ? and protocol = ? and round < ? and turns != '' order by cost desc, turns"
         found = self._connection.execute(query, (self._study, protocol, _LAST if before is None else before))
         return {Task((row[0], row[1]), (row[2], row[3]), row[4]): Best(*row[5:]) for row in found}
 
     def best_motion(self, task: Task, protocol: str, before: int | None = None, turns: str = "") -> Trajectory | None:
-        """Give the motion of the best with some whole turns, by default none."""
+        """Return the motion of the best with some whole turns, by default none."""
         query = f"select motion from best where {_IS_TASK} and protocol = ? and turns = ? and round < ?"
         values = (self._study, *task.row, protocol, turns, _LAST if before is None else before)
         found = self._connection.execute(f"{query} order by round desc limit 1", values).fetchone()
         return None if found is None else _unpack(found[0])
 
     def attempts(self) -> Iterator[Attempt]:
-        """List what was tried, in order."""
+        """List the attempts, in order."""
         for attempt, _ in self.list_all():
             yield attempt
 
@@ -181,7 +181,7 @@ class Record:
         return beside is None or cost < float(beside[0])
 
     def _number(self, table: str, column: str, text: str) -> int:
-        """Give the number of a text in a table of texts."""
+        """Return the number of a text in a table of texts."""
         with self._connection:
             self._connection.execute(f"insert or ignore into {table} ({column}) values (?)", (text,))
         found = self._connection.execute(f"select id from {table} where {column} = ?", (text,)).fetchone()
@@ -196,7 +196,7 @@ _NONE = 0  # the number of a study of which nothing is kept yet
 
 @contextmanager
 def open_record(path: Path, study: str, told: str = "") -> Iterator[Record]:
-    """Open the record of a study, or begin one. Raises InputError for a file that is something else."""
+    """Open the record of a study, or begin one. Raises InputError for a file that is no record."""
     try:
         connection = sqlite3.connect(path)
     except sqlite3.Error as error:
@@ -211,7 +211,7 @@ def open_record(path: Path, study: str, told: str = "") -> Iterator[Record]:
 
 
 def _check(connection: sqlite3.Connection, path: Path) -> None:
-    """Begin an empty file; demand of others that they are of this version."""
+    """Begin an empty file; refuse files of other versions."""
     if not connection.execute("select count(*) from sqlite_master").fetchone()[0]:
         connection.executescript(f"begin; {_TABLES} insert into about values ('{FORMAT}'); commit;")
     about = connection.execute("select format from about").fetchone()
@@ -223,7 +223,7 @@ def _check(connection: sqlite3.Connection, path: Path) -> None:
 
 
 def _renew(connection: sqlite3.Connection) -> None:
-    """Bring a file of the format before to the present one; its searches made no start with whole turns."""
+    """Convert a file of the earlier format, whose searches made no start with whole turns."""
     attempts, best = f"{_ATTEMPTS_BEFORE}, '', circumstances", f"{_BEST_BEFORE}, '', cost, motion"
     renamed = " ".join(f"alter table {name} rename to old_{name};" for name in ("attempts", "best"))
     own = _TABLES[_TABLES.index("create table attempts") :]

@@ -1,12 +1,11 @@
-"""Integrate the true motion under the inputs of a solution, and measure how far the collocation is from it.
+"""Integrate the true motion under the inputs of a solution, and measure the distance of the collocation from it.
 
-    M(q) qdd = -Phi(q, qd, 0, u),    M = dPhi/dqdd
+    M(q) qdd = -Phi(q, qd, 0, u),    M = dPhi/dqdd,    d/dt q = rates(q, qd), which is qd except for quaternions,
 
-and the rates of q, which are qd but for quaternions,
-
-by DOP853 at tolerances near rounding: from the start of every interval to its end (the defect, which judges the
-discretisation), and from the start of the horizon to its end (where an unstable plant has multiplied the defects).
-Steps and processor time are limited; a check that does not finish within the limits calls no solution accurate.
+by DOP853 (Hairer, Norsett, Wanner, "Solving ordinary differential equations I", section II.5) at tolerances near
+rounding: from the start of every interval to its end, whose error is the defect of the discretisation; and from the
+start of the horizon to its end, where an unstable plant has multiplied the defects. Steps and processor time are
+limited; a check that does not finish within the limits calls no solution accurate.
 """
 
 from __future__ import annotations
@@ -66,7 +65,7 @@ def integrate(
 ) -> Array | None:
     """Integrate several motions at once: states (B, nq + n) under constant inputs (B, m) for `duration` s.
 
-    Returns the states at the end, or None where the integrator or a kernel gives up. Raises LimitError when the
+    Returns the states at the end, or None where the integrator or a kernel fails. Raises LimitError when the
     allowance is used up.
     """
 
@@ -80,7 +79,7 @@ def integrate(
         solver = DOP853(rate, 0.0, states.ravel(), duration, rtol=TOLERANCE, atol=TOLERANCE)
         if not np.isfinite(solver.h_abs):  # it would look for a first step without end
             return None
-        with np.errstate(all="ignore"):  # a motion that runs away ends in a status
+        with np.errstate(all="ignore"):  # a motion that diverges ends in a status
             while solver.status == "running":
                 if allowance is not None:
                     allowance.spend()

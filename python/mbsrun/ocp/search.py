@@ -1,10 +1,10 @@
 """Solve a problem for a grid of targets, by one of two protocols that are never mixed.
 
 The *paper* protocol is that of a comparison: for each representation one guess, the interpolation without inputs, no
-restart; what fails or ends in a higher minimum is counted (Docquier, Bruls, Fisette, section 4.3).
+restart; failures and higher minima are counted (Docquier, Bruls, Fisette, section 4.3).
 
-The *robust* protocol looks for the lowest minimum of every task. It finds minima, and cannot show that there is no
-lower one; so how often independent starts found the lowest is counted (`count_finds`):
+The *robust* protocol looks for the lowest minimum of every task. It cannot show that there is no lower one; so
+`count_finds` counts how many independent starts found the lowest:
 
     interpolation   each representation, from the interpolation with the inputs of its inverse dynamics
     bumps, noise, waves, branches, turns
@@ -15,12 +15,12 @@ lower one; so how often independent starts found the lowest is counted (`count_f
                     until none of them leads to a lower minimum
     exchange        each representation that is in a higher minimum, from the best motion of another, staying near it
 
-Motions in which joints without limits make whole turns compete among themselves: rounds start from motions without
-turns, and what is higher or lowest is so among these. `list_turned` sums up the others.
+Motions in which joints without limits make whole turns are compared among themselves: rounds start from motions without
+turns, and a minimum is higher or lowest among these. `list_turned` sums up the others.
 
-A protocol goes on in rounds. What a round tries depends on what the rounds before have found, and on nothing else: its
-trials can be carried out anywhere, at once and in any order, and a search that was interrupted comes to the same end.
-Every attempt is recorded with its effort; what is in the record is not tried again.
+A protocol goes on in rounds. The trials of a round depend on the results of earlier rounds alone: any process can make
+them, at once and in any order, and a search that was interrupted ends with the same result. Every attempt is recorded
+with its effort; an attempt in the record is not repeated.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ COUNTS: Mapping[str, tuple[int, int]] = MappingProxyType(
     {"bumps": (6, 2), "noise": (6, 2), "waves": (8, 3), "branches": (2, 1), "turns": (2, 1)}
 )
 HOPS = (6, 2)  # likewise, of hops from a motion
-INDEPENDENT = ("interpolation", "bumps", "noise", "waves", "branches")  # parts whose starts know nothing of each other
+INDEPENDENT = ("interpolation", "bumps", "noise", "waves", "branches")  # parts whose starts do not depend on each other
 ROUNDS = 100  # at most
 
 
@@ -66,7 +66,7 @@ class Targets:
     radius: float  # m
     azimuths: tuple[float, ...]  # rad
     heights: tuple[float, ...]  # m
-    every: tuple[int, int] = (1, 1)  # how many indices on the next place is
+    every: tuple[int, int] = (1, 1)  # steps between the indices of places
 
     @property
     def places(self) -> tuple[Place, ...]:
@@ -81,7 +81,7 @@ class Targets:
 
     @property
     def spread(self) -> tuple[Place, ...]:
-        """List the places, ever finer grids one after the other: a part of the list, too, lies all over."""
+        """List the places by ever finer grids: the beginning of the list covers the whole cylinder."""
 
         def fineness(place: Place) -> int:
             ranks = (k // step for k, step in zip(place, self.every, strict=True))
@@ -90,7 +90,7 @@ class Targets:
         return tuple(sorted(self.places, key=lambda place: (fineness(place), place)))
 
     def position(self, place: Place) -> Point:
-        """Give the position of a place."""
+        """Return the position of a place."""
         return cylindrical(self.radius, self.azimuths[place[0]], self.heights[place[1]])
 
 
@@ -99,15 +99,15 @@ ONE = Targets(0.0, (0.0,), (0.0,))  # one place, which stands for the problem's 
 
 @dataclass(frozen=True)
 class Study:
-    """What is to be solved: one problem for every target, cost and representation."""
+    """The tasks of a search: one problem for every target, cost and representation."""
 
     problem: Problem
-    sensor: str | None  # that has the targets; None: the problem is taken as it is, at the one place of `ONE`
+    sensor: str | None  # that has the targets; None: the problem itself, at the one place of `ONE`
     targets: Targets
     costs: tuple[Weights, ...]
     representations: tuple[Representation, ...]
     bumped: tuple[int, ...]  # coordinates that bumps move
-    turning: tuple[int, ...] = ()  # entries of q that the robust protocol turns whole turns on
+    turning: tuple[int, ...] = ()  # entries of q to which the robust protocol adds whole turns
 
     def state(self, task: Task) -> Problem:
         """State the problem of a task."""
@@ -119,17 +119,16 @@ class Study:
 
 
 def identify(study: Study, manifest: Manifest) -> str:
-    """Name what the attempts in a record have in common: mechanism, grid and problem, but for what tasks differ in.
+    """Return the name of a study in a record: a hash of mechanism, grid and problem, without the parts that tasks set.
 
-    What is as it would be without saying is left out, and code does not count: other versions of this program give the
-    same study the same name.
+    Defaults and generated code are left out: other versions of this program give the same study the same name.
     """
     question = {"mechanism": manifest.mechanism or manifest.model_hash, **_tell_question(study, exclude_defaults=True)}
     return hashlib.sha256(json.dumps(question, sort_keys=True).encode()).hexdigest()
 
 
 def describe(study: Study, manifest: Manifest) -> str:
-    """Say the same for a reader, as JSON: model, grid, and the problem with its options."""
+    """Describe a study for a reader, as JSON: model, grid, and the problem with its options."""
     told = {"model": manifest.model, "mechanism": manifest.mechanism, "sensor": study.sensor, **_tell_question(study)}
     return json.dumps(told, ensure_ascii=False)
 
@@ -141,14 +140,14 @@ def _tell_question(study: Study, *, exclude_defaults: bool = False) -> dict[str,
 
 
 def _strip(study: Study) -> Problem:
-    """Take from the problem what differs between tasks."""
+    """Return the problem without the parts that differ between tasks."""
     problem = study.problem
     if study.sensor is not None:
         problem = problem.with_target(study.sensor, (0.0, 0.0, 0.0))
     return replace(problem, cost=replace(problem.cost, inputs=0.0, input_rates=0.0), representation=Representation.IMPL)
 
 
-# --- what is to be tried -------------------------------------------------------------------------------------------
+# --- trials --------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -176,7 +175,7 @@ class Hop:
 
 @dataclass(frozen=True)
 class Found:
-    """Start from the best motion of a task that the protocol has found in the rounds before."""
+    """Start from the best motion of a task that the protocol found in earlier rounds."""
 
     origin: Task
     is_held: bool = False  # stay near: the motion is an optimum of this task too
@@ -187,7 +186,7 @@ Start = Interpolation | Varied | Found | Hop
 
 @dataclass(frozen=True)
 class Trial:
-    """An attempt that is to be made."""
+    """An attempt to make."""
 
     task: Task
     protocol: str
@@ -199,7 +198,7 @@ class Trial:
 
     @property
     def key(self) -> Key:
-        """Tell which attempt it is, as the record does."""
+        """Return the key of the attempt in the record."""
         return (*self.task.row, self.protocol, self.part, self.guess)
 
 
@@ -213,8 +212,8 @@ def plan_round(
 ) -> list[Trial]:
     """List the trials of a round of a protocol; there is none after the last round.
 
-    `best` and `turned` are what the rounds before have found, without whole turns and with; `tried` are the keys of
-    what they have tried.
+    `best` and `turned` are the results of earlier rounds, without whole turns and with; `tried` are the keys of their
+    attempts.
     """
     if protocol == "paper":
         return list_interpolations(study, "paper", "paper", "zero") if number == 0 else []
@@ -228,7 +227,7 @@ def plan_round(
 
 
 def list_interpolations(study: Study, protocol: str, part: str, inputs: Inputs) -> list[Trial]:
-    """Start every task of a study from the interpolation with some inputs; what is compared comes together."""
+    """Start every task of a study from the interpolation with some inputs; representations of a task are adjacent."""
     return [
         Trial(Task(place, weights, representation.value), protocol, part, inputs, Interpolation(inputs))
         for weights in study.costs
@@ -327,7 +326,7 @@ class Order:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What came of a trial."""
+    """The outcome of a trial."""
 
     attempt: Attempt
     motion: Trajectory | None
@@ -401,7 +400,7 @@ class Search:
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a protocol is."""
+    """The progress of a protocol."""
 
     round: int
     trials: int  # of that round
@@ -431,7 +430,7 @@ def find_progress(study: Study, record: Record, protocol: ProtocolName = "robust
 
 @dataclass(frozen=True)
 class Summary:
-    """What a part of a protocol did for one cost and one representation."""
+    """The summary of a part of a protocol, for one cost and one representation."""
 
     weights: Weights
     representation: str
@@ -445,7 +444,7 @@ class Summary:
 
 
 def is_higher(cost: float | None, lowest: float) -> bool:
-    """Tell whether a cost is missing, or above the lowest by more than rounding."""
+    """Return whether a cost is missing, or above the lowest by more than rounding."""
     return cost is None or cost > lowest + SAME * abs(lowest)
 
 
@@ -465,7 +464,7 @@ def list_open_tasks(study: Study, attempts: Sequence[Attempt]) -> list[Task]:
 
 
 def find_lowest(attempts: Sequence[Attempt]) -> dict[tuple[Place, Weights], float]:
-    """Give the lowest cost without whole turns of each target and cost, of all attempts and representations.
+    """Return the lowest cost without whole turns of each target and cost, of all attempts and representations.
 
     Where all that was found makes whole turns, it is the lowest of that.
     """
@@ -480,7 +479,7 @@ def find_lowest(attempts: Sequence[Attempt]) -> dict[tuple[Place, Weights], floa
 
 @dataclass(frozen=True)
 class Finds:
-    """How often independent starts found the lowest cost that is known of a target."""
+    """The number of independent starts that found the lowest cost known of a target."""
 
     place: Place
     weights: Weights
@@ -525,7 +524,7 @@ def list_turned(attempts: Sequence[Attempt]) -> list[Turned]:
 
 
 def describe_search(attempts: Sequence[Attempt]) -> list[str]:
-    """Say in words, for each cost, how often the lowest costs known were found, and what whole turns gave."""
+    """Describe, for each cost, how often the lowest costs known were found, and the results with whole turns."""
     lines, finds, turned = [], count_finds(attempts), list_turned(attempts)
     for weights in dict.fromkeys(find.weights for find in finds):
         own = [find for find in finds if find.weights == weights]

@@ -31,7 +31,7 @@ T = TypeVar("T")
 
 
 def _read_formula(value: Any) -> str:
-    """Admit an expression; it is kept as text."""
+    """Admit an expression, and keep its text."""
     read_number(value)
     return str(value)
 
@@ -71,7 +71,7 @@ def _check_solution(path: str) -> str:
 
 
 def _form(value: Any) -> str:
-    """Tell the forms of a value apart."""
+    """Return the form of a value."""
     return "mapping" if isinstance(value, dict) else "list"
 
 

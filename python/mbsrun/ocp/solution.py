@@ -1,7 +1,7 @@
-"""What a solve gives: a solution, or a failure; and the file that a solution is kept in.
+"""The result of a solve: a solution or a failure; and the file of a solution.
 
-A file is JSON, with every digit of every number: it holds the problem, what the solver did, and the trajectory, and is
-the same for the same solve but for the times.
+A file is JSON, with every digit of every number. It holds the problem, the solver's run and the trajectory. The same
+solve writes the same file, except for the times.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ FORMAT: Literal["mbsrun solution 1"] = "mbsrun solution 1"
 
 @dataclass(frozen=True)
 class Run:
-    """What the solver did."""
+    """The run of a solver."""
 
     status: str  # the solver's word; UNREACHABLE, BAD_BOUNDS or BAD_GUESS where it was not asked
     iterations: int
@@ -36,7 +36,7 @@ class Run:
 
     @property
     def cpu_seconds_solving(self) -> float:
-        """Give the processor time of linear algebra, and of the solver's own."""
+        """Return the processor time of linear algebra and of the solver itself."""
         return self.cpu_seconds - self.cpu_seconds_evaluating
 
 
@@ -58,12 +58,12 @@ class CostTerms:
 
     @property
     def inputs(self) -> float:
-        """Give the integral of |u|^2."""
+        """Return the weighted integral of |u|^2."""
         return self.terms[0][1]
 
     @property
     def input_rates(self) -> float:
-        """Give the sum of the squared rates."""
+        """Return the weighted sum of the squared rates."""
         return self.terms[1][1]
 
     @property
@@ -74,16 +74,16 @@ class CostTerms:
 
 @dataclass(frozen=True)
 class Violation:
-    """By how much the solution breaks what it should keep: the largest, computed anew from the trajectory."""
+    """The largest violations of constraints and bounds, computed anew from the trajectory."""
 
     constraints: float
     bounds: float
-    lengths: float | None = None  # of quaternions, from 1; they have no part in the motion. None: there are none
+    lengths: float | None = None  # of quaternions, from 1; they do not change the motion. None: there are none
 
 
 @dataclass(frozen=True)
 class Resimulation:
-    """How far the trajectory is from the true motion under its inputs, by a tight integrator."""
+    """The distance of the trajectory from the true motion under its inputs, by a tight integrator."""
 
     defect: float | None  # the largest difference at an interval's end, from its start; None: the integrator gave up
     defect_interval: int | None  # where it is, from 0
@@ -94,7 +94,7 @@ class Resimulation:
 
 @dataclass(frozen=True)
 class Start:
-    """What came of one start."""
+    """The outcome of one start."""
 
     number: int
     kind: str
@@ -116,12 +116,12 @@ class Minimum:
 
 @dataclass(frozen=True)
 class Starts:
-    """What came of all starts."""
+    """The outcomes of all starts."""
 
     seed: int
     asked: int
     results: tuple[Start, ...]  # of the starts that were made, independent of each other
-    hops: tuple[Start, ...] = ()  # of what started from the best of them, and from what that led to
+    hops: tuple[Start, ...] = ()  # of solves that started from the best of them, and from their own results
 
     @property
     def best(self) -> Start | None:
@@ -173,7 +173,7 @@ class Solution:
 
     @property
     def is_only_acceptable(self) -> bool:
-        """Tell whether the solver stopped short of its tolerance."""
+        """Return whether the solver stopped short of its tolerance."""
         return self.run.status == ACCEPTABLE
 
 

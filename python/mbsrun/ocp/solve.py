@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Progress:
-    """Where the solver is."""
+    """The state of a search."""
 
     iteration: int
     cost: float
@@ -99,7 +99,7 @@ class Solver:
         return None
 
     def _call(self, problem: Problem, x: Array, watch: Watch | None) -> tuple[Run, Array]:
-        """Let the solver run from x."""
+        """Run the solver from x."""
         lower, upper = self.transcription.variable_bounds(problem)
         g_lower, g_upper = self.transcription.constraint_bounds(problem)
         parameters = self.transcription.parameters(problem)

@@ -1,4 +1,4 @@
-"""Starts of a search among local minima: every kind of motion that a solve may begin from, beside the problem's guess.
+"""Starts of a search among local minima: the kinds of random motions that a solve can begin from.
 
     bumps      the guess with smooth random bumps, which break symmetries too
     noise      the guess with random numbers added to coordinates at every point, and random inputs
@@ -6,8 +6,8 @@
     branches   noise or waves about a motion to another pose that meets the end's targets, if there is one
     turns      noise or waves about a motion with whole turns of a joint that has no limits, on the way to the pose
 
-A start is a function of the problem and of the seed of its variation: it can be made again anywhere. From such starts a
-solve takes many iterations; so all but bumps are made, and solved, on a coarse mesh first (`coarsen`).
+A start is a function of the problem and of the seed of its variation, so that any process can make it again. A solve
+takes many iterations from such starts; all but bumps are therefore solved on a coarse mesh first (`coarsen`).
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ Kind = Literal["bumps", "noise", "waves", "branches", "turns"]
 WIDTHS = (0.5, 4.0)  # least and most standard deviation of noise [rad]; each start draws its own
 HEIGHTS = (1.0, 4.0)  # least and most standard deviation of the first harmonic of waves [rad, m]
 HARMONICS = 8  # of waves
-TURNS = (1, -1, 2, -2)  # numbers of whole turns that are tried of each joint without limits
-TRIES = 20  # poses that a branch is looked for from
-FINE, LEAST = 40, 16  # intervals from which on a coarse mesh comes first, and the fewest that it has
+TURNS = (1, -1, 2, -2)  # numbers of whole turns to try, of each joint without limits
+TRIES = 20  # random poses from which to look for a branch
+FINE, LEAST = 40, 16  # the fewest intervals of a problem that is solved on a coarse mesh first, and of that mesh
 COARSE, DEGREE, ITERATIONS = (2, 5), 3, 200  # divisors of the intervals, degree, limit of a coarse solve
-HOPS = (0.5, 2.5)  # as `HEIGHTS`, for waves on a motion that was found
+HOPS = (0.5, 2.5)  # as `HEIGHTS`, for waves on an earlier solution
 MOST_STEPS = 100  # of shooting, in an interval of a coarse mesh
 
 
 @dataclass(frozen=True)
 class Variation:
-    """One random start: what it varies, and the numbers that its random numbers follow from."""
+    """One random start: its kind, and the seed of its random numbers."""
 
     kind: Kind
     seed: tuple[int, ...]
@@ -52,7 +52,7 @@ class Variation:
 
 
 def list_turning(problem: Problem, manifest: Manifest) -> tuple[int, ...]:
-    """List the entries of q that may end whole turns on: angles without bounds or a value at the end."""
+    """List the entries of q that whole turns can be added to: angles without bounds or a value at the end."""
     angles = {c.name for c in manifest.coordinates if c.motion == "revolute"}
     fixed = {i for i, _ in problem.end.coordinates}
     return tuple(
@@ -70,7 +70,7 @@ def count_turns(trajectory: Trajectory, problem: Problem, manifest: Manifest) ->
 
 
 def describe_turns(turns: str) -> str:
-    """Say turns in words: "with +2 turns of q1"."""
+    """Describe turns: "with +2 turns of q1"."""
     told = (part.rpartition(" ") for part in turns.split(", ") if part)
     return ", ".join(f"with {count} turn{'s' * (abs(int(count)) > 1)} of {name}" for name, _, count in told)
 
@@ -121,7 +121,7 @@ def add_noise(motion: Trajectory, problem: Problem, manifest: Manifest, rng: np.
 
 
 def hop(motion: Trajectory, problem: Problem, plant: Plant, seed: tuple[int, ...]) -> Trajectory:
-    """Add waves to a motion that was found, and give it the inputs that make it."""
+    """Add waves to a motion, and return it with the inputs of its inverse dynamics."""
     return balance(add_waves(motion, problem, np.random.default_rng(seed), HOPS), problem, plant, "dynamic")
 
 
@@ -160,7 +160,7 @@ def add_waves(
 
 
 def coarsen(problem: Problem, variation: Variation) -> Problem | None:
-    """Put a problem on a coarse mesh, for a first solve from a variation; None where its own is coarse enough.
+    """Return a problem on a coarse mesh, for a first solve from a variation; None where its own is coarse enough.
 
     A coarser mesh has fewer minima, a finer one is nearer to the problem: variations take one or the other.
     """
@@ -179,7 +179,7 @@ def coarsen(problem: Problem, variation: Variation) -> Problem | None:
 def _move(
     variation: Variation, problem: Problem, plant: Plant, scheme: Scheme, rng: np.random.Generator
 ) -> Trajectory | None:
-    """Make the motion that noise or bumps are added to."""
+    """Make the motion to which noise or bumps are added."""
     if variation.kind == "branches":
         q = scatter_poses(problem, plant, rng, TRIES)
         return None if q is None else interpolate(problem, scheme, q, plant)

@@ -1,9 +1,9 @@
 """Problem files: YAML -> Problem.
 
-A file names a model beside it, a horizon, a collocation, the cost, a start, bounds, constraints, what must hold at the
-end, and how to guess. Lengths are in m, angles in rad, times in s. A number may be an expression over the file's
+A file names a model beside it, a horizon, a collocation, the cost, a start, bounds, constraints, conditions at the
+end, and a guess. Lengths are in m, angles in rad, times in s. A number may be an expression over the file's
 `constants`, such as `acos(0.55/0.6)` or `-2*alpha`; coordinates, frames and sensors go by their names in the model.
-Terms of the cost and constraints are expressions of the motion as well, which stay what was written.
+Terms of the cost and constraints are expressions of the motion, and are kept as text.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def read_problem(path: Path, load: Callable[[Path], SomePlant]) -> tuple[Problem
 
 
 class _Reading:
-    """Gives numbers and names their meaning in a model, and collects the faults of those that have none."""
+    """Evaluates numbers and looks names up in a model; collects the faults."""
 
     def __init__(self, document: Document, manifest: Manifest, stand_ins: frozenset[Place]) -> None:
         self.document = document
@@ -119,7 +119,7 @@ class _Reading:
         self.forces = [_both_ways(manifest.coordinates[i].max_force) for i in manifest.actuated]
 
     def problem(self, name: str, section: ProblemSection) -> Problem:
-        """Make the problem; it is one only if there are no faults."""
+        """Make the problem, which is valid only if there are no faults."""
         for key, expression in section.constants.items():
             if not is_free_name(key) or key in self.quantities:
                 self.fault(("constants", key), "no name for a constant", "give a word that means nothing else")
@@ -163,7 +163,7 @@ class _Reading:
         return problem
 
     def horizon(self, section: Expression | HorizonSection) -> tuple[float, Range | None]:
-        """Give the horizon, or the guess of it and its range."""
+        """Return the horizon, or the guess of it and its range."""
         if not isinstance(section, HorizonSection):
             return self.number(("horizon",), section, least=math.ulp(0)), None
         guess = self.number(("horizon", "guess"), section.guess, least=math.ulp(0))
@@ -198,7 +198,7 @@ class _Reading:
         return Constraint(section.expression, self.range((*place, "range"), section.range), section.at)
 
     def formula(self, place: Place, text: str) -> None:
-        """Look up what an expression of the motion speaks of."""
+        """Look up the names that an expression of the motion reads."""
         for name in sorted(names(parse(text))):
             if name in self.constants:
                 self.used.add(name)
@@ -214,7 +214,7 @@ class _Reading:
         among: _Names,
         bounds: Sequence[Range],
     ) -> tuple[tuple[float, ...], tuple[int, ...]]:
-        """Give each entry its value, and the indices of those that have none; a guess for these is in bounds."""
+        """Return the value of each entry, and the indices of free ones, whose values are guesses within bounds."""
         place: Place = ("start", key)
         known = among.known
         if isinstance(given, tuple) and len(given) != len(known):
@@ -242,7 +242,7 @@ class _Reading:
         return tuple(values), tuple(sorted(free))
 
     def attitudes(self, place: Place, values: Sequence[float]) -> list[float]:
-        """Bring the quaternions among coordinates to length 1."""
+        """Normalise the quaternions among coordinates."""
         q = np.array(values)
         for x, length in zip(list_quaternions(self.manifest), measure_lengths(q, self.manifest), strict=True):
             if length == 0:
@@ -251,7 +251,7 @@ class _Reading:
         return [float(x) for x in normalise(q, self.manifest)]
 
     def check_free(self, place: Place, free: Sequence[int]) -> None:
-        """A quaternion is free as a whole, or not at all."""
+        """Refuse a quaternion that is free in part."""
         for x in list_quaternions(self.manifest):
             if 0 < len(set(free) & set(x.entries)) < 4:
                 remedy = "give null for all four of its entries, or constrain them by expressions at: start"
@@ -290,7 +290,7 @@ class _Reading:
         )
         if lower > upper:
             self.fault(place, f"{lower:g} is above {upper:g}", "give [lower, upper]; null is no bound")
-            return (math.nan, math.nan)  # which no further check minds
+            return (math.nan, math.nan)  # which passes all later checks
         return (lower, upper)
 
     def end(self, section: EndSection, bounds: Bounds) -> End:
@@ -315,7 +315,7 @@ class _Reading:
         )
 
     def pose(self, given: dict[str, Expression], bounds: Bounds) -> tuple[tuple[int, float], ...]:
-        """Read what some coordinates must be at the end; a quaternion is given whole, and brought to length 1."""
+        """Read the values of coordinates at the end; a quaternion is given whole, and normalised."""
         turning, free = list_quaternions(self.manifest), (-math.inf, math.inf)
         ranges = [free if find_quaternion(turning, i) else limits for i, limits in enumerate(bounds.q)]
         targets = dict(self.targets("pose", given, self.coordinates, ranges))
@@ -325,7 +325,7 @@ class _Reading:
         return tuple((i, q[i]) for i in targets)
 
     def check_attitude(self, quaternion: Quaternion, given: Sequence[int], q: Sequence[float], bounds: Bounds) -> None:
-        """Refuse part of a quaternion, and an attitude that is out of bounds by either sign."""
+        """Refuse part of a quaternion, and an attitude that is out of bounds with either sign."""
         if not given:
             return
         place: Place = ("end", "pose", self.coordinates.known[given[0]])
@@ -341,7 +341,7 @@ class _Reading:
     def targets(
         self, key: str, given: dict[str, Expression] | str | None, among: _Names, bounds: Sequence[Range]
     ) -> tuple[tuple[int, float], ...]:
-        """Read what some entries of the state, or accelerations, must be at the end."""
+        """Read the values of some entries of the state, or accelerations, at the end."""
         targets = []
         for name, expression in (given if isinstance(given, dict) else {}).items():
             place = ("end", key, name)
@@ -379,7 +379,7 @@ class _Reading:
         )
 
     def options(self, section: SolverSection) -> Iterator[tuple[str, float | int | str]]:
-        """Check what the solver shall be told against what it may be told."""
+        """Check options of the solver against its table."""
         known = METHODS[section.method].options
         for name, given in section.options.items():
             place: Place = ("solver", "options", name)
@@ -389,7 +389,7 @@ class _Reading:
                 self.fault(place, f"{section.method} takes no option {abbreviate(name)} here", remedy)
                 continue
             option, value = known[name], given
-            if isinstance(value, bool):  # what YAML makes of yes and no
+            if isinstance(value, bool):  # YAML reads yes and no so
                 value = "yes" if value else "no"
             elif isinstance(option, Amount) and isinstance(value, str):  # 1e-3 is text in YAML
                 try:
@@ -403,7 +403,7 @@ class _Reading:
                 self.fault(place, f"found {abbreviate(given)}", f"give {option.wanted}")
 
     def number(self, place: Place, expression: Expression, least: float = -math.inf) -> float:
-        """Compute an expression; NaN, which no further check minds, where that fails or gives less than `least`."""
+        """Compute an expression; return NaN, which passes all later checks, where it fails or is less than `least`."""
         if lies_under(place, self.stand_ins) or any(math.isnan(self.constants.get(n, 0)) for n in names(expression)):
             return math.nan
         try:
@@ -418,7 +418,7 @@ class _Reading:
         return value
 
     def find(self, place: Place, name: str, among: _Names) -> int | None:
-        """Look a name up; where it is unknown, tell it."""
+        """Look a name up; report it where it is unknown."""
         if name in among.known:
             return among.known.index(name)
         meant = nearest(name, among.known)
@@ -427,7 +427,7 @@ class _Reading:
         return None
 
     def fault(self, place: Place, finding: str, remedy: str) -> None:
-        """Keep a fault, unless it follows from one that has been told."""
+        """Keep a fault, unless it follows from one that is kept."""
         if not lies_under(place, self.stand_ins):
             self.faults.append(self.document.fault(place, finding, remedy))
 

@@ -12,7 +12,7 @@ from mbsrun.ocp.schemes import Family
 
 @dataclass(frozen=True)
 class Structure:
-    """What of a problem shapes its program; start, targets, bounds, weights and constants do not."""
+    """The parts of a problem that shape its program: not start, targets, bounds, weights and constants."""
 
     horizon: float | None  # None where it is free
     intervals: int

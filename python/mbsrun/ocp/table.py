@@ -1,7 +1,7 @@
 """A solution as a table: Solution and plant -> CSV, a row for each mesh and collocation point, in SI units.
 
 Columns are time, coordinates, velocities, accelerations, inputs and positions of sensors in the base frame; the header
-names each with its unit. Names of the model are bracketed, so that no cell begins like a formula of a spreadsheet.
+names each with its unit. Names of the model are bracketed, so that a spreadsheet reads no cell as a formula.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ Array = Annotated[NDArray[np.float64], PlainValidator(_read_array), PlainSeriali
 class Trajectory:
     """A motion; nq coordinates, n velocities, m inputs, N intervals with d points each. Times in s, the rest in SI.
 
-    nq is n, but where there are quaternions.
+    nq equals n, except with quaternions.
     """
 
     t: Array  # (N + 1,)
@@ -52,7 +52,7 @@ class Trajectory:
 def grid(
     horizon: float, intervals: int, points: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Give the times of the mesh points (N + 1,), and of the collocation points (N, d), `points` being in (0, 1]."""
+    """Return the times of the mesh points (N + 1,), and of the collocation points (N, d); `points` are in (0, 1]."""
     t = np.linspace(0.0, horizon, intervals + 1)
     return t, t[:-1, None] + points * (horizon / intervals)
 
@@ -60,8 +60,8 @@ def grid(
 def resample(trajectory: Trajectory, t: NDArray[np.float64], point_t: NDArray[np.float64]) -> Trajectory:
     """Read a motion on another grid: mesh points t (N + 1,), collocation points point_t (N, d), both from time 0 on.
 
-    States are those of the collocation's polynomials, accelerations those of the polynomials through the points alone,
-    inputs the means over the new intervals. Where the horizons differ, the motion is made slower or faster as a whole.
+    States are read off the collocation's polynomials, accelerations off the polynomials through the points alone.
+    Inputs are means over the new intervals. Where the horizons differ, the time of the whole motion is scaled.
     """
     pace = float(trajectory.t[-1] / t[-1])
     mesh, points = (_Reading(trajectory, np.asarray(times) * pace) for times in (t, point_t))
@@ -92,12 +92,12 @@ class _Reading:
         self.without = _lagrange(nodes, place)
 
     def states(self, mesh: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Read what is a polynomial through its values at the interval's start and at the points."""
+        """Read the polynomial through the values at the interval's start and at the points."""
         nodes = np.concatenate((mesh[:-1, None], points), axis=1)[self.interval]
         return np.asarray(np.einsum("...r,...rn->...n", self.with_start, nodes))
 
     def accelerations(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Read what is a polynomial through its values at the points."""
+        """Read the polynomial through the values at the points."""
         return np.asarray(np.einsum("...r,...rn->...n", self.without, points[self.interval]))
 
 

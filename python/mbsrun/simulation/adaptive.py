@@ -125,7 +125,7 @@ def _make_solver(stepper: Stepper, dynamics: Dynamics, piece: Piece, state: Arra
 
 
 def _step(solver: Any, dynamics: Dynamics) -> None:
-    """Take one step; what runs away, or cannot be resolved, ends in a HaltError."""
+    """Take one step; a motion that diverges, or cannot be resolved, ends in a HaltError."""
     with np.errstate(all="ignore"):
         message = solver.step() if np.isfinite(solver.y).all() else "the motion diverges: its numbers overflow"
     if solver.status == "failed" or message:

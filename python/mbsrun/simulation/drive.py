@@ -25,10 +25,10 @@ from mbsrun.quantities import Quantity
 Array = NDArray[np.float64]
 
 Law = Callable[[Array, Array, Array], Array]  # times (K,), q (K, nq), qd (K, n) -> inputs (K, m)
-Control = Callable[[Kernels, Array, Array, Array], Array]  # a law that asks kernels, for sensors
+Control = Callable[[Kernels, Array, Array, Array], Array]  # a law that calls kernels, for sensors
 
 TIME = "t"  # the name of time in an expression
-STATE = ("q", "qd", "position", "v")  # the kinds of quantities that a feedback may speak of
+STATE = ("q", "qd", "position", "v")  # the kinds of quantities that a feedback can read
 
 
 class DriveError(MbsError):
@@ -67,11 +67,11 @@ class Drive:
 
     pieces: tuple[Piece, ...] = ()
     control: Control | None = None  # in place of pieces
-    period: float | None = None  # s: how long what the control gives is held; None: it acts at once
+    period: float | None = None  # s: how long the inputs of a control are held; None: it acts at once
 
     @property
     def end(self) -> float:
-        """Tell until when there are inputs."""
+        """Return the time until which there are inputs."""
         return self.pieces[-1].end if self.pieces else np.inf
 
     def until(self, end: float) -> tuple[Piece, ...]:
@@ -83,7 +83,7 @@ class Drive:
         )
 
     def play(self, kernels: Kernels, end: float, state: Callable[[], tuple[Array, Array]]) -> Iterator[Piece]:
-        """Go through the pieces until `end`; `state` returns q and qd at the time that was reached."""
+        """Yield the pieces until `end`; `state` returns q and qd at the time that was reached."""
         if self.control is None:
             yield from self.until(end)
         elif self.period is None:
@@ -101,11 +101,11 @@ def _follow_nothing(_: Array) -> Array:
 
 
 def control(law: Callable[[float, Array, Array], ArrayLike], period: float | None = None) -> Drive:
-    """Let inputs follow the state: `law` is given t, q (nq,), qd (n,), and returns u and then w, m numbers.
+    """Return inputs that follow the state: `law` takes t, q (nq,), qd (n,), and returns u and then w, m numbers.
 
     With a period [s] it is called once in each, and its inputs are held in between; a law with a memory needs that.
-    Without, it must be a smooth function, and is called whenever an integrator wants it, also for states that turn out
-    to lie beside the motion.
+    Without a period it must be a smooth function: integrators call it at any time, and for states beside the motion
+    too.
     """
     if period is not None and not (np.isfinite(period) and period > 0):
         raise ValueError(f"period = {period} must be a positive number")
@@ -125,7 +125,7 @@ def differentiate(law: Law, times: Array, q: Array, qd: Array) -> tuple[Array, A
     """Differentiate a law by q and qd, by central differences: shapes (K, m, nq) and (K, m, n)."""
     x = np.hstack((q, qd))
     count, size = x.shape
-    steps = 1e-6 * (1 + np.abs(x))  # errors of some 1e-10, relative: Newton's method needs no more
+    steps = 1e-6 * (1 + np.abs(x))  # relative errors of some 1e-10, which suffice for Newton's method
     shifts = steps[:, :, None] * np.eye(size)  # (K, size, size): one entry of the state at a time
     ends = [
         law(np.repeat(times, size), *np.split((x[:, None] + sign * shifts).reshape(-1, size), [q.shape[1]], axis=1))
@@ -163,7 +163,7 @@ def express(
 ) -> Drive:
     """Compute each input from an expression in `constants`, the time t, and `quantities` of the state.
 
-    Labels name inputs in a DriveError. With a period, what is computed is held so long. Raises ExpressionError for a
+    Labels name inputs in a DriveError. With a period, inputs are held so long. Raises ExpressionError for a
     name that is unknown.
     """
     known: dict[str, Array] = {name: np.float64(value) * np.ones(1) for name, value in constants.items()}
@@ -187,7 +187,7 @@ def express(
     def follow(kernels: Kernels, t: Array, q: Array, qd: Array) -> Array:
         return compute(t, _measure(used, kernels, q, qd))
 
-    for expression in expressions:  # an unknown name is told before anything runs
+    for expression in expressions:  # an unknown name is an error before anything runs
         with np.errstate(all="ignore"):
             evaluate(expression, {**known, **dict.fromkeys(used, np.ones(1))}, ARRAYS)
     if used or period is not None:

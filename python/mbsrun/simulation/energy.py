@@ -1,11 +1,13 @@
 """The energies of a motion, and the work of all forces but gravity.
 
-The work is the integral of the kernel `power`, by Gauss quadrature in each step. That kernel shares no equation with
-those of the accelerations: a fault in these shows as a drift of energy.
+    T + V = T_0 + V_0 + W,    W = integral of the power of inputs, springs, dampers, friction and wrenches
 
-It is summed over the stages of an implicit method; else over three Gauss nodes in each step, at which the motion is the
-integrator's own interpolation, or the quintic that has its coordinates, their rates and the rates of those at both
-ends; velocities that are no rates of coordinates are cubic between theirs.
+The kernel `power` gives the integrand; Gauss quadrature sums it in each step. That kernel shares no equation with those
+of the accelerations: a fault in these shows as a drift of energy.
+
+The quadrature takes the stages of an implicit method; else three Gauss nodes in each step. There the motion is the
+integrator's own interpolation, or the quintic through coordinates and their first two derivatives at both ends;
+velocities that are no rates of coordinates are cubic.
 """
 
 from __future__ import annotations
@@ -72,7 +74,7 @@ def _interpolate(length: Array, q: Array, qd: Array, qdd: Array) -> tuple[Array,
 
 
 def _connect(length: Array, qd: Array, qdd: Array) -> Array:
-    """Evaluate the cubics that have velocities and accelerations at both ends at the nodes: (k, NODES, n)."""
+    """Evaluate at the nodes the cubics through velocities and accelerations at both ends: (k, NODES, n)."""
     s, h = NODES[:, None], length[:, None, None]
     ends = (1 - s) ** 2 * ((1 + 2 * s) * qd[:-1, None] + s * h * qdd[:-1, None])
     return np.asarray(ends + s**2 * ((3 - 2 * s) * qd[1:, None] + (s - 1) * h * qdd[1:, None]))

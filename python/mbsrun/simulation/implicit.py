@@ -56,7 +56,7 @@ class _StuckError(Exception):
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """Where a step ends; with the stages on the way there, (s, nq) and (s, n)."""
+    """The end of a step, with its stages, (s, nq) and (s, n)."""
 
     q: Array
     qd: Array

@@ -1,7 +1,7 @@
 """The folder of a simulated motion: every number, the plots, and the page that plays it.
 
-Files are the same for the same motion, but for the time that the run took. Names of the model are shown, and stand in
-no file name.
+The same motion writes the same files, except for the time of the run. Names of the model are in the files, not in their
+names.
 """
 
 from __future__ import annotations

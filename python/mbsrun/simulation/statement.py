@@ -1,6 +1,6 @@
-"""What to simulate, in words: a settings file and the options of a command line -> start, inputs and settings.
+"""Statements of a simulation: a settings file and the options of a command line -> start, inputs and settings.
 
-Options are laid over the file's data before anything is checked, so both are read by the same rules. Numbers may be
+Options replace the file's data before anything is checked, so both follow the same rules. Numbers may be
 expressions over the file's `constants`; inputs and wrenches over those, the time t and the state.
 """
 
@@ -50,7 +50,7 @@ MAX_OUTPUTS = 1_000_000  # states kept
 
 @dataclass(frozen=True, eq=False)
 class Statement:
-    """What to simulate: n coordinates, m inputs."""
+    """A simulation to run: n coordinates, m inputs."""
 
     settings: Settings
     q: Array  # (n,)
@@ -61,7 +61,7 @@ class Statement:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Start and inputs out of another file: where that gives them, this one need not."""
+    """Start and inputs of another file, which a settings file then need not give."""
 
     drive: Drive
     q: Array  # (n,)
@@ -71,7 +71,7 @@ class Recording:
 def read_statement(
     file: Path | None, options: dict[str, Data], manifest: Manifest, recording: Recording | None = None
 ) -> Statement:
-    """Read a settings file, if there is one, with options laid over it: nested as in a file.
+    """Read a settings file, if there is one; options replace its values, and are nested as in a file.
 
     A recording takes the place of `inputs`, and of a start that is not given. Raises InputError with every fault.
     """
@@ -161,7 +161,7 @@ class _SettingsSection(Section):
 
 
 class _Reading:
-    """Gives numbers and names their meaning in a model, and collects the faults of those that have none."""
+    """Evaluates numbers and looks names up in a model; collects the faults."""
 
     def __init__(
         self, document: Document, manifest: Manifest, stand_ins: frozenset[Place], recording: Recording | None
@@ -173,7 +173,7 @@ class _Reading:
         self.coordinates = [c.name for c in manifest.coordinates]
 
     def statement(self, section: _SettingsSection) -> Statement:
-        """Make the statement; it is one only if there are no faults."""
+        """Make the statement, which is valid only if there are no faults."""
         for key, expression in section.constants.items():
             if not is_free_name(key) or key in (TIME, *self.quantities):
                 self.fault(("constants", key), "no name for a constant", "give a word that means nothing else")
@@ -253,7 +253,7 @@ class _Reading:
         return normalise(starts[0], self.manifest), starts[1]
 
     def drive(self, section: _SettingsSection) -> Drive:
-        """Read the inputs over time; what is not named is 0."""
+        """Read the inputs over time; inputs that are not named are 0."""
         actuated = [self.coordinates[i] for i in self.manifest.actuated]
         expressions: list[Expression] = [Number(0.0)] * len(actuated)
         labels = [f"joint {name}" for name in actuated]
@@ -296,7 +296,7 @@ class _Reading:
                 yield part, vector
 
     def number(self, place: Place, expression: Expression, least: float = -math.inf) -> float:
-        """Compute an expression; NaN, which no further check minds, where that fails or gives less than `least`."""
+        """Compute an expression; return NaN, which passes all later checks, where it fails or is less than `least`."""
         if lies_under(place, self.stand_ins) or any(math.isnan(self.constants.get(n, 0)) for n in names(expression)):
             return math.nan
         try:
@@ -311,7 +311,7 @@ class _Reading:
         return value
 
     def formula(self, place: Place, expression: Expression) -> bool:
-        """Tell whether the names of an expression are known: constants, the time, and quantities of the state."""
+        """Return whether the names of an expression are known: constants, the time, and quantities of the state."""
         known = [TIME, *self.constants, *self.quantities]
         unknown = sorted(names(expression) - set(known))
         for name in unknown:
@@ -322,7 +322,7 @@ class _Reading:
         return is_known and not lies_under(place, self.stand_ins)
 
     def find(self, place: Place, name: str, known: list[str], kind: str) -> int | None:
-        """Look a name up; where it is unknown, tell it."""
+        """Look a name up; report it where it is unknown."""
         if name in known:
             return known.index(name)
         meant = nearest(name, known)
@@ -331,6 +331,6 @@ class _Reading:
         return None
 
     def fault(self, place: Place, finding: str, remedy: str) -> None:
-        """Keep a fault, unless it follows from one that has been told."""
+        """Keep a fault, unless it follows from one that is kept."""
         if not lies_under(place, self.stand_ins):
             self.faults.append(self.document.fault(place, finding, remedy))

@@ -1,1 +1,1 @@
-"""What makes functions with exact derivatives of a program: `casadi` for solvers in it, `numpy` for any other."""
+"""Functions with exact derivatives of a program: `casadi` for solvers in CasADi, `numpy` for any other."""

@@ -25,7 +25,7 @@ from mbsrun.ocp.program import Block, Matrix, Program
 
 
 class Functions(Protocol):
-    """What a solver of CasADi's needs: sizes of what it sees, and functions with exact derivatives."""
+    """The functions that a solver of CasADi's takes, with exact derivatives, and their sizes."""
 
     @property
     def variables(self) -> int:

@@ -171,7 +171,7 @@ class Condensed:
         return _Function("curvature", [self.variables, len(self._z)], pattern, curve)
 
     def _spread(self, x: ca.MX, z: ca.MX) -> ca.MX:
-        """Put what stays and the unknowns in the order of the whole program."""
+        """Put x and the unknowns in the order of the whole program."""
         order = np.argsort(np.concatenate((self.program.kept, self.elimination.groups.unknowns.ravel())))
         return ca.vertcat(x, z)[order.tolist()]
 

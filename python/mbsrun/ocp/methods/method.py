@@ -1,4 +1,4 @@
-"""What an NLP method is: a table of options, and a function that makes a solver of a program."""
+"""An NLP method: a table of options, and a function that makes a solver of a program."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mbsrun.ocp.methods.options import Option, Settings
 
 @dataclass(frozen=True)
 class Order:
-    """What a solver is made for."""
+    """The program and the settings of a solver."""
 
     program: Prepared
     tolerance: float
@@ -23,7 +23,7 @@ class Order:
 
 @dataclass(frozen=True)
 class Iterate:
-    """Where a solver is."""
+    """An iterate of a solver."""
 
     number: int
     cost: float
@@ -48,7 +48,7 @@ class Start:
 
 @dataclass(frozen=True)
 class Answer:
-    """How a solver ended."""
+    """The result of a solver."""
 
     x: Array
     status: str  # SOLVED or ACCEPTABLE of `status`, or the solver's word for a failure

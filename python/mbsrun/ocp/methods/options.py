@@ -23,7 +23,7 @@ class Amount:
 
     @property
     def wanted(self) -> str:
-        """Say which values are admitted."""
+        """Describe the values that are admitted."""
         return f"a {'whole ' if self.whole else ''}number from {self.least:g} to {self.most:g}"
 
     def admits(self, value: object) -> bool:
@@ -41,7 +41,7 @@ class Choice:
 
     @property
     def wanted(self) -> str:
-        """Say which values are admitted."""
+        """Describe the values that are admitted."""
         return f"one of {', '.join(self.words)}"
 
     def admits(self, value: object) -> bool:
