@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, Valid
 from pydantic_core import from_json
 
 from mbsgen.errors import Fault, InputError
-from mbsgen.roles import Order, Role
+from mbsgen.roles import Axis, Order, Role
 
 FORMAT = 2
 FILE_NAME = "manifest.json"
@@ -24,7 +24,7 @@ class _Entry(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
 
-_RARE = ("matrix", "unit", "of", "by")
+_RARE = ("matrix", "unit", "row_axis", "col_axis", "of", "by")
 
 
 class Argument(_Entry):
@@ -39,6 +39,8 @@ class Argument(_Entry):
     differentiable: bool = True
     matrix: bool = False  # a matrix even with one column
     unit: str = ""
+    row_axis: Axis | None = None  # the meaning of the rows; None: they have no names
+    col_axis: Axis | None = None
     of: str | None = None  # of a derivative: the argument that is differentiated; of a seed: the result that it weights
     by: str | None = None  # of a derivative or an adjoint: the argument that is differentiated by
 

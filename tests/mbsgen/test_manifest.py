@@ -11,7 +11,7 @@ from mbsgen import manifest
 from mbsgen.errors import InputError
 from mbsgen.manifest import Manifest
 from mbsgen.pipeline import Options, make
-from mbsgen.roles import Order, Role, name_adjoint, name_derivative, name_kernel, split_kernel
+from mbsgen.roles import Axis, Order, Role, name_adjoint, name_derivative, name_kernel, split_kernel
 
 PENDULUM = Path(__file__).parents[2] / "models" / "pendulum.yaml"
 
@@ -48,6 +48,8 @@ def test_functions_are_found_by_what_they_take_and_give(described: Manifest) -> 
     assert impl.taking(Role.ACCELERATION)
     assert not impl.giving(Role.ACCELERATION)
     assert [(a.of, a.by) for a in jac.outputs] == [("Phi", x) for x in ("q", "qd", "qdd", "u")]
+    assert {a.row_axis for a in jac.outputs} == {Axis.VELOCITIES}
+    assert [a.col_axis for a in jac.outputs] == [Axis.COORDINATES, Axis.VELOCITIES, Axis.VELOCITIES, Axis.FORCES]
     assert described.find("semi") is None
 
 

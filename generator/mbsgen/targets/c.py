@@ -126,6 +126,8 @@ def _argument(source: Input | Output | Wire, differentiable: bool = True) -> Arg
         differentiable=differentiable,
         matrix=port.is_matrix,
         unit=port.unit,
+        row_axis=port.rows,
+        col_axis=port.cols,
         of=port.of.name if port.of else None,
         by=port.by.name if port.by else None,
     )

@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from mbsgen.documents import Data, read_document
 from mbsgen.errors import InputError
 from mbsgen.expressions import FLOATS, evaluate, parse
-from mbsgen.manifest import Manifest
+from mbsgen.manifest import Argument, Manifest
+from mbsgen.roles import Axis
 from mbsrun.forms import VALUES
 from mbsrun.measuring.candidates import Candidate, add_hidden, compile_kernel
 from mbsrun.measuring.functions import Variant
@@ -263,9 +264,9 @@ class KernelComparison:
         if not all(expected) or not all(found):
             return None
         worst = 0.0
-        for name in [a.name for a in self.whole.manifest.kernel(self.kernel).outputs]:
+        for result in self.whole.manifest.kernel(self.kernel).outputs:
             pairs = [
-                (values[name], _pick(name, results[name], self.whole.manifest, subject.manifest))
+                (values[result.name], _pick(result, results[result.name], self.whole.manifest, subject.manifest))
                 for values, results in zip(found, expected, strict=True)
             ]
             off = max(float(np.abs(a - b).max(initial=0.0)) for a, b in pairs)
@@ -290,15 +291,20 @@ def _reduce(states: States, whole: Manifest, subject: Subject) -> dict[str, Arra
     return add_hidden(subject, reduced)
 
 
-def _pick(name: str, values: Array, whole: Manifest, reduced: Manifest) -> Array:
+def _pick(result: Argument, values: Array, whole: Manifest, reduced: Manifest) -> Array:
     """Return the rows and columns of a result that the reduced model also has."""
-    joints = _find([c.name for c in whole.coordinates], [c.name for c in reduced.coordinates])
-    if name == "M":
-        return values[np.ix_(joints, joints)]
-    if name == "position":
-        sensors = [[frame.name for frame in x.frames if frame.sensor] for x in (whole, reduced)]
-        return values[:, _find(*sensors)]
-    return values[joints]
+    for k, axis in enumerate((result.row_axis, result.col_axis)[: values.ndim]):
+        if axis is not None:
+            values = np.take(values, _find(*(_name_entries(x, axis) for x in (whole, reduced))), axis=k)
+    return values
+
+
+def _name_entries(manifest: Manifest, axis: Axis) -> list[str]:
+    names = {
+        Axis.VELOCITIES: [joint.name for joint in manifest.coordinates],
+        Axis.SENSORS: [frame.name for frame in manifest.frames if frame.sensor],
+    }
+    return names[axis]
 
 
 def _find(names: Sequence[str], wanted: Sequence[str]) -> list[int]:
