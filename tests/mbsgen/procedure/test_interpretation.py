@@ -9,10 +9,12 @@ import pytest
 from mpmath import mp
 
 from mbsgen.errors import TapeError
+from mbsgen.procedure.newton import Newton
 from mbsgen.procedure.patterns import General, Pattern, Symmetric, Tree
 from mbsgen.procedure.procedure import Procedure, evaluate, interpret
 from mbsgen.procedure.solve import Block, Solve
 from mbsgen.procedure.stages import Wire
+from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import DECIMALS, DIGITS, FLOATS, Numbers, fifty_digits
 from mbsgen.tape.ports import Function
 from mbsgen.tape.types import Sparsity
@@ -186,3 +188,16 @@ def test_all_number_types_agree(name: str) -> None:
     for result, values in found[0].items():
         for other in found[1:]:
             np.testing.assert_allclose([float(x) for x in other[result]], values, rtol=1e3 * 2**-52, atol=1e-14)
+
+
+def test_an_iteration_that_loses_digits_gives_the_status() -> None:
+    """y^2 = x has a double root at x = 0, where steps only halve: the short ones do not show where the root is."""
+    builder = Builder()
+    (x,), (y,) = builder.vector("x", 1), builder.vector("y", 1)
+    builder.output_dense("g", [[y * y - x]])
+    builder.output_dense("J", [[y + y]])
+    given, start, root = (Wire(name, Sparsity.dense(1)) for name in ("x", "start", "root"))
+    stage = Newton("root", builder.build("square"), "y", start, root, General(1), 1, iterations=100)
+    procedure = Procedure(Function("root"), (given, start), (stage,), (root,))
+    assert interpret(procedure, {"x": [2.0], "start": [1.0]}).results["root"] == [pytest.approx(2**0.5, abs=2**-52)]
+    assert interpret(procedure, {"x": [0.0], "start": [1.0]}).status == 1
