@@ -58,10 +58,10 @@ def generate(model: Path | Model, out: Path, options: Options = DEFAULT, tell: T
 
 
 def make(model: Path | Model, options: Options = DEFAULT, tell: Tell = say_nothing) -> Product:
-    """Make everything of a model file, or of a model made in Python.
+    """Make everything from a model file, or from a model made in Python.
 
     `tell` is called with the name of each stage when it begins. Raises InputError with every fault of the file,
-    OptionError for functions that there are not, VerificationError for a function that does not compute what it should.
+    OptionError for unknown functions, VerificationError for a function with wrong results.
     """
     tell("reading the model")
     whole = read(model)
