@@ -10,8 +10,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 
-from mpmath import mpf
-
 from mbsgen import resources
 from mbsgen.manifest import Argument, Flops, Kernel
 from mbsgen.procedure.stages import Wire
@@ -46,7 +44,7 @@ def write_c(unit: Unit) -> Sources:
     found = [face for family in unit.families for face in faces(family, unit.prefix)]
     views = [_view(unit.prefix, face) for face in found]
     header = f"{unit.prefix}.h"
-    parameters, design = (tuple(write_literal(mpf(x)) for x in values) for values in (unit.parameters, unit.design))
+    parameters, design = (tuple(write_literal(x) for x in values) for values in (unit.parameters, unit.design))
     common = {
         "prefix": unit.prefix,
         "version": unit.version,

@@ -24,7 +24,7 @@ from mbsgen.tape.ports import Port
 from mbsgen.tape.types import Sparsity, Tape
 from mbsgen.targets.layout import lay_out
 from mbsgen.targets.parts import Line, Part, divide
-from mbsgen.targets.statements import Body, C, Check, Turns, wrap, write_body
+from mbsgen.targets.statements import Body, C, Check, Turns, wrap, write_body, write_literal
 
 WIRES, COLUMNS, ANGLES = "mbs_wires.h", "mbs_columns.h", "mbs_sincos.h"
 _HEADERS: Mapping[type[Pattern], str] = {Tree: "mbs_tree.h", Symmetric: "mbs_symmetric.h", General: "mbs_general.h"}
@@ -319,7 +319,7 @@ def _write_factorise(writer: Writer, stage: Factor, factors: Sequence[str], matr
     pattern, n = stage.pattern, stage.pattern.size
     writer.headers |= {WIRES: None, _HEADERS[type(pattern)]: None}
     system = _describe(writer, pattern, factors, stage.name)
-    threshold = f"MBS_THRESHOLD(MBS_C({stage.tolerance!r}))"
+    threshold = f"MBS_THRESHOLD({write_literal(stage.tolerance)})"
     results = system.factors if isinstance(pattern, Tree) else system.factors[1:]
     places = writer.tabulate(f"mbs_places_{stage.matrix.name}", (r * n + c for r, c in stage.matrix.sparsity.entries))
     lines = _render(

@@ -171,7 +171,7 @@ def write_lines(body: Body, assignment: str, check: str) -> tuple[str, ...]:
     return (*lines, *(assignment.format_map(vars(s)) for s in body.statements[done:]))
 
 
-def write_literal(value: mpf, syntax: Syntax = C) -> str:
+def write_literal(value: mpf | float, syntax: Syntax = C) -> str:
     """Write the nearest double, in the fewest digits that give it. Raises TapeError beyond the range of a double."""
     number = float(value)
     if not math.isfinite(number):
@@ -195,7 +195,7 @@ def _write_checks(tape: Tape, syntax: Syntax, texts: Sequence[str], places: Sequ
     checks, place = [], 0
     for g in tape.guards:
         place = max(place, places[g.value], places[g.scale])  # no guard is tested before an earlier one
-        tolerance = syntax.literal.format(repr(float(g.tolerance)))
+        tolerance = write_literal(g.tolerance, syntax)
         value = f"-{texts[g.value]}" if g.negated else _bare(texts[g.value])
         checks.append(Check(place, value, texts[g.scale], tolerance, g.joint))
     return tuple(checks)
