@@ -86,7 +86,7 @@ const char *mbs_stages_explain(mbs_stages_status status)
     case MBS_STAGES_CALLBACK_FAILED:
         return "A callback returned no result, or no finite one.";
     case MBS_STAGES_BAD_PROBLEM:
-        return "Bounds cross or are not numbers, or more of them are equal than when the solver was made.";
+        return "Bounds cross, more of them are equal than when the solver was made, or a scale is not positive.";
     }
     return "This status is unknown.";
 }

@@ -11,6 +11,7 @@
 #define FIRST ((real)1e-4)  /* multiple of the identity that is tried first */
 #define LEAST ((real)1e-20)
 #define MOST ((real)1e20)
+#define FREE ((real)1e20)
 #define REFINEMENTS 8
 
 static int has(real bound)
@@ -56,12 +57,12 @@ static void add_curvature(const mbs_stages *s, mbs_stages_phase *p, int first, r
     }
 }
 
-/* How far variable i yields to a force of 1. */
+/* How far variable i yields to a force of 1. The slack of a row without bounds yields freely. */
 static real yield(const mbs_stages *s, const mbs_stages_phase *p, int i)
 {
     if (mbs_stages_is_fixed(s, i))
         return 0;
-    return p->sigma[i] > 0 ? 1 / p->sigma[i] : 1;
+    return p->sigma[i] > 0 ? 1 / p->sigma[i] : FREE;
 }
 
 static void find_compliance(mbs_stages *s, const mbs_stages_phase *p)
@@ -101,7 +102,7 @@ static real first_curvature(real before)
 
 /* Factorise, with as little added curvature as convexity needs; returns -1 if no amount is enough.
  *
- * A stage lacks curvature because of itself and of later stages. The option `by_stage` adds curvature to these alone. */
+ * A stage lacks curvature because of itself and of later stages. The option `by_stage` adds it to these alone. */
 int mbs_stages_newton_factorise(mbs_stages *s, mbs_stages_phase *p)
 {
     const real before = p->regular;

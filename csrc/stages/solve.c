@@ -45,11 +45,14 @@ static real variable_scale(const mbs_stages *s, int i)
     return a < MBS_STAGES_INFINITE && a > 0 ? a : 1;
 }
 
-static void set_scales(mbs_stages *s)
+/* Scales of variables and of d; -1 where one is not a positive number. */
+static int set_scales(mbs_stages *s)
 {
-    int k, i;
-    for (i = 0; i < s->variables; ++i)
+    int k, i, wrong = 0;
+    for (i = 0; i < s->variables; ++i) {
         s->variable_scale[i] = variable_scale(s, i);
+        wrong |= !(s->variable_scale[i] > 0 && s->variable_scale[i] < MBS_STAGES_INFINITE);
+    }
     for (i = 0; i < s->rows; ++i)
         s->row_scale[i] = 1;
     for (k = 0; k < s->problem->stages; ++k) {
@@ -58,6 +61,7 @@ static void set_scales(mbs_stages *s)
             s->row_scale[t->d + i] = 1 / s->variable_scale[(t + 1)->w + i];
     }
     s->cost_scale = 1;
+    return wrong ? -1 : 0;
 }
 
 /* Bounds of variables or slacks from `at` on; returns how many are equal, or -1 if they are no bounds. */
@@ -267,13 +271,13 @@ static int start(mbs_stages *s)
 {
     mbs_stages_phase *p = &s->main;
     const mbs_stages_options *o = &s->options;
-    set_scales(s);
-    if (set_all_bounds(s))
+    if (set_scales(s) || set_all_bounds(s))
         return MBS_STAGES_BAD_PROBLEM;
     start_variables(s);
     if (scale_functions(s))
         return MBS_STAGES_CALLBACK_FAILED;
-    set_all_bounds(s);
+    if (set_all_bounds(s)) /* bounds that are nearly equal may become equal by scaling */
+        return MBS_STAGES_BAD_PROBLEM;
     if (start_slacks(s))
         return MBS_STAGES_CALLBACK_FAILED;
     p->mu = o->barrier > 0 ? o->barrier : o->warm ? (real)1e-6 : (real)0.1;

@@ -6,6 +6,7 @@ python -m tests.csrc.stage_figures
 from __future__ import annotations
 
 import tempfile
+import time
 from pathlib import Path
 
 import numpy as np
@@ -41,9 +42,23 @@ def compare(library: Library, name: str, problem: Problem | Quadratic) -> tuple[
     return result.iterations, statistics["iter_count"]
 
 
+def time_sizes(library: Library) -> None:
+    """Print the time of an iteration, callbacks included, of random quadratic programs with 100 intervals."""
+    print("\n| states, v, equalities | iterations | ms an iteration | bytes a stage |\n|---|---|---|---|")
+    for size, last in [((4, 1, 0, 0), (4, 0, 4, 0)), ((14, 7, 0, 0), (14, 0, 0, 0)), ((12, 28, 24, 0), (12, 0, 12, 0))]:
+        problem = random_problem(np.random.default_rng(3), [size] * 100 + [last], bounds=0.3)
+        solver, best = Solver(library, problem), np.inf
+        for _ in range(5):
+            solver.set(w=problem.guess)
+            start = time.process_time()
+            result = solver.solve().result
+            best = min(best, (time.process_time() - start) / result.iterations)
+        print(f"| {size[0]}, {size[1]}, {size[2]} | {result.iterations} | {1e3 * best:.2f} | {solver.bytes // 101} |")
+
+
 def main() -> None:
     with tempfile.TemporaryDirectory() as place:
-        library = Library(compile_solver(Path(place)))
+        library = Library(compile_solver(Path(place), "-O3", "-march=native"))
         print(
             "| problem | variables | rows | status | iterations | IPOPT | factorisations | evaluations | cost |", end=""
         )
@@ -53,6 +68,7 @@ def main() -> None:
             counts = [compare(library, name, problem) for name, problem in problems]
             ours, theirs = (sum(c) for c in zip(*counts, strict=True))
             print(f"| **all** | | | | {ours} | {theirs} | | | | | |")
+        time_sizes(library)
 
 
 if __name__ == "__main__":

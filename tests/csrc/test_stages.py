@@ -28,6 +28,9 @@ def library(compiled: Path) -> Library:
     return Library(compiled)
 
 
+Size = tuple[int, int, int, int]
+
+
 def close(a: np.ndarray, b: np.ndarray, tolerance: float) -> bool:
     return bool(np.abs(a - b).max(initial=0.0) <= tolerance * (1 + np.abs(b).max(initial=0.0)))
 
@@ -210,6 +213,38 @@ def test_bounds_that_cross_or_are_equal_without_room(library: Library) -> None:
         assert (answer.status, answer.result.stage) == ("bad problem", 1)
         solver.lower[:], solver.upper[:] = kept
     assert solver.solve().status == "solved"
+
+
+SHAPES = [
+    [(0, 3, 1, 1)],
+    [(3, 0, 1, 1)],
+    [(0, 2, 1, 1)] * 4,
+    [(3, 0, 0, 1)] * 4,
+    [(0, 2, 0, 0), (3, 1, 0, 0), (0, 2, 1, 0), (2, 0, 0, 0)],
+    [(0, 0, 0, 0), (2, 1, 0, 1)],
+    [(2, 1, 0, 0), (0, 0, 0, 0)],
+]
+
+
+@pytest.mark.parametrize("sizes", SHAPES, ids=str)
+def test_stages_without_states_or_variables_and_rows_without_bounds(library: Library, sizes: list[Size]) -> None:
+    """A row of g without bounds changes nothing: the solution has multiplier 0 for it, after as few iterations."""
+    problem = random_problem(np.random.default_rng(0), sizes, first=False)
+    if len(problem.least):
+        problem.least[0], problem.most[0] = -1e20, 1e20
+    answer = Solver(library, problem).solve()
+    assert answer.status == "solved"
+    assert answer.result.iterations <= 10
+    assert max(problem.residuals(*answer.point)) < 1e-8
+    assert answer.result.cost == pytest.approx(problem.ipopt()[0]["f"][0], rel=1e-7, abs=1e-7)
+
+
+def test_a_scale_must_be_positive(library: Library) -> None:
+    problem = random_problem(np.random.default_rng(0), [(2, 1, 0, 1)] * 3)
+    for wrong in (0.0, -1.0, float("nan"), float("inf")):
+        scale = np.ones(9)
+        scale[4] = wrong
+        assert Solver(library, replace(problem, scale=scale)).solve().status == "bad problem"
 
 
 def test_a_workspace_that_is_too_small_is_refused(library: Library) -> None:
