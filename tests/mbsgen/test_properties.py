@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import ast
 import re
+from pathlib import Path
 
 import pytest
 
+from mbsgen.errors import InputError
 from mbsgen.evidence import gather
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.scene import stage
 from mbsgen.pipeline import make
 from mbsgen.request import Options, merge
+from tests.fuzz import mechanisms
 from tests.mbsgen.model.files import reread
 from tests.random_scenes import random_model, random_scene
 
@@ -38,6 +41,20 @@ def test_models_are_read_as_they_were_and_what_scenes_leave_too(seed: int) -> No
     assert reread(model) == model
     left = stage(model, random_scene(model, seed))
     assert build_tree(reread(left)) == build_tree(left)
+
+
+@pytest.mark.parametrize("first", range(0, 30, 10))
+def test_any_file_is_read_as_it_is_written_again(first: int, tmp_path: Path) -> None:
+    """A model file of any joints, couplings, laws and functions of parameters, written and read, is the same model."""
+    accepted = 0
+    for seed in range(first, first + 10):
+        try:
+            model = mechanisms.read(mechanisms.draw(seed), tmp_path)
+        except InputError:
+            continue  # a mechanism that cannot move
+        assert reread(model) == model, seed
+        accepted += 1
+    assert accepted >= 5
 
 
 @pytest.mark.parametrize("seed", [2])
