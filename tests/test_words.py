@@ -52,10 +52,8 @@ UNSWEPT: tuple[str, ...] = (
     "generator/mbsgen/roles.py",
     "generator/mbsgen/tape/",
     "generator/mbsgen/targets/",
-    "python/mbsrun/commands/",
     "python/mbsrun/lab/",
-    "python/mbsrun/ocp/",
-    "python/mbsrun/simulation/",
+    "python/mbsrun/ocp/record.py",  # the name of a column of its files
     "templates/",
 )
 

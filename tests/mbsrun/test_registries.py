@@ -53,7 +53,7 @@ def midpoint(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def make_slsqp(order: Order) -> Solver:
-    """Let SciPy's SLSQP solve the program, with first derivatives by NumPy."""
+    """Solve the program by SciPy's SLSQP, with first derivatives by NumPy."""
     functions = order.program.numpy
 
     def run(start: Start) -> Answer:
@@ -136,7 +136,7 @@ def test_files_and_checks_know_what_is_added(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("midpoint")
 def test_an_integrator_that_is_added_shoots() -> None:
-    """Rows of continuity are those of the rule's own step, and with a residual it is refused."""
+    """Rows of continuity hold the rule's own step; with a residual it is refused."""
     plant = double_integrator()
     shot = replace(push(4), form=Form.SHOOTING, representation=Representation.EXP1_O, integrator="midpoint", steps=2)
     transcription, functions = transcribe(shot, plant), functions_of(shot, plant)

@@ -36,7 +36,7 @@ Removed entries are made again when they are needed; entries that another proces
     "days",
     metavar="DAYS",
     type=click.FloatRange(min=0),
-    help="Remove entries that were not used for so many days.",
+    help="Remove entries that were not used for DAYS.",
 )
 def cache_command(clear: bool, days: float | None) -> None:
     """List the cache by model; remove entries."""

@@ -93,7 +93,7 @@ def list_methods() -> str:
     help="The folder to write to; by default NAME.simulation here, for a model NAME.",
 )
 @click.option("--settings", "file", type=click.Path(path_type=Path), help="A file with settings; see above.")
-@click.option("--duration", metavar="T", help="How long the motion is [s].")
+@click.option("--duration", metavar="T", help="The length of the motion [s].")
 @click.option("--method", type=NameType(METHODS), help="How to integrate; by default dop853.")
 @click.option(
     "--formulation",
@@ -110,8 +110,8 @@ def list_methods() -> str:
     help="The part of the highest frequencies that a step of generalized-alpha keeps, 0 to 1; by default 0.8.",
 )
 @click.option("--output-step", metavar="H", help="The time between states that are kept [s]; by default T/1000.")
-@click.option("--max-steps", type=int, metavar="N", help="Take at most so many steps; by default 10 million.")
-@click.option("--max-seconds", metavar="S", help="Take at most so much processor time; by default 60 s.")
+@click.option("--max-steps", type=int, metavar="N", help="The largest number of steps; by default 10 million.")
+@click.option("--max-seconds", metavar="S", help="The largest processor time; by default 60 s.")
 @click.option("--pose", multiple=True, metavar="NAME=NUMBER", help="Where a coordinate starts [rad, m]: --pose q1=pi/2")
 @click.option("--velocity", multiple=True, metavar="NAME=NUMBER", help="How fast it starts [rad/s, m/s].")
 @click.option(

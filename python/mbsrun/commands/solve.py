@@ -124,16 +124,18 @@ Exit codes
 @click.option("--steps", type=click.IntRange(1, MAX_STEPS), help="Of the integrator in an interval; by default 1.")
 @click.option("--solver", type=NameType(SOLVERS), help="The NLP method; by default ipopt.")
 @click.option(
-    "--starts", type=click.IntRange(1, MAX_STARTS), help="Solve from so many starts, and write the best solution."
+    "--starts", type=click.IntRange(1, MAX_STARTS), help="The number of starts; the best solution is written."
 )
 @click.option(
     "--hops",
     type=click.IntRange(0, 1000),
-    help="With --starts: so many more from the best, with waves on it; again while they lead to a lower cost.",
+    help="With --starts: the number of hops from the best, with waves on it; again while they lead to a lower cost.",
 )
 @click.option("--seed", type=click.IntRange(0), help="Of the random starts; by default 0.")
-@click.option("--minutes", type=click.FloatRange(min=0), help="With --starts: begin no start after so much time.")
-@click.option("--workers", type=click.IntRange(0), help="With --starts: so many processes; by default this one alone.")
+@click.option("--minutes", type=click.FloatRange(min=0), help="With --starts: the time after which no start begins.")
+@click.option(
+    "--workers", type=click.IntRange(0), help="With --starts: the number of processes; by default this one alone."
+)
 @click.pass_context
 def solve_command(
     context: click.Context,

@@ -58,7 +58,7 @@ Protocols
            on them, other end poses, whole turns of joints without limits; then the
            solutions of neighbours, and of other representations, until nothing is new
 
-A search cannot show that there is no lower minimum: the summary shows how many independent starts found the lowest
+A search cannot show that no minimum is lower: the summary shows how many independent starts found the lowest
 cost known. Motions with whole turns are compared among themselves, and listed on their own.
 
 \b
@@ -125,7 +125,7 @@ Exit codes
     multiple=True,
     help="A coordinate that random bumps move; by default all that are actuated.",
 )
-@click.option("--minutes", type=click.FloatRange(min=0), default=math.inf, help="Stop after so much time.")
+@click.option("--minutes", type=click.FloatRange(min=0), default=math.inf, help="Stop after this time.")
 @click.pass_context
 def sweep_command(
     context: click.Context,

@@ -115,7 +115,11 @@ def _find_wrong_values(problem: Problem) -> Iterator[Finding]:
         elif not lower <= problem.horizon <= upper:
             yield ("horizon", f"{problem.horizon:g} is out of [{lower:g}, {upper:g}]", "guess within the range")
     if not all(map(math.isfinite, cost.weights)) or cost.inputs < 0 or cost.input_rates < 0:
-        yield ("cost", f"the weights are {cost.weights}", "give finite ones, those of inputs and rates not negative")
+        yield (
+            "cost",
+            f"the weights are {cost.weights}",
+            "give finite ones; the weights of inputs and rates must not be negative",
+        )
     elif not any(cost.weights):
         yield ("cost", "every weight is 0", "give inputs or input_rates a positive weight")
     known = METHODS[solver.method].options

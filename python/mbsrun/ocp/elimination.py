@@ -4,7 +4,7 @@ Intervals are alike: each holds the same functions, applied to the same linear c
 z and its knowns w. So one interval's matrices serve all, and all intervals are computed at once:
 
     r(z, w) = A (z; w) + sum over applications of scale * F(C (z; w)) = 0
-    dz/dw = -r_z^-1 r_w,    mu = -r_z^-T gradient,    the Hessian of mu' r by w = sum of Y' (that of mu' F) Y,
+    dz/dw = -r_z^-1 r_w,    mu = -r_z^-T gradient,    d2/dw2 (mu' r) = sum of Y' (mu' F)'' Y,
     with Y = C (dz/dw; 1).
 
 Newton's method solves r = 0, or substitution where r is triangular. The last solution is kept with the knowns that it
@@ -32,8 +32,8 @@ Mask = NDArray[np.bool_]
 Bind = Callable[[Function, int], Evaluation]  # a backend's: a function and a number of places -> its evaluation
 
 ITERATIONS = 30  # of Newton's method, before the equations count as having no solution
-STEP = 1e-8  # relative to unknowns above 1: a step so small leaves an error of its square, with slopes of its own place
-ROUNDING = 1e-13  # likewise, of what is left where steps shrink by a known rate
+STEP = 1e-8  # relative to unknowns above 1: with slopes at the same place, the error is the square of the step
+ROUNDING = 1e-13  # relative error that remains where steps shrink by a known rate
 SLOW = 0.05  # the rate above which slopes are computed anew
 
 
@@ -197,7 +197,7 @@ class Elimination:
 
     @contextmanager
     def _turn(self) -> Iterator[None]:
-        """Let other threads wait; a number that is none is passed on as such."""
+        """Hold other threads off; pass on numbers that are not finite."""
         with self._lock, np.errstate(all="ignore"):
             yield
 
@@ -277,9 +277,9 @@ class Elimination:
 
 
 def eliminate(program: Program, bind: Bind) -> Elimination:
-    """Read the inner equations of a program, which read no parameters, as those of intervals that are alike."""
+    """Read the inner equations of a program, which read no parameters, for all intervals, which are alike."""
     stages = program.stages
-    assert stages is not None, "inner variables are those of stages"
+    assert stages is not None, "inner variables belong to stages"
     G, S, size = stages.inner.shape
     equations = program.restrict(stages.equations.ravel())
     groups = Groups(stages.inner.reshape(G, -1), np.concatenate((stages.states[:-1], stages.inputs), axis=1))
@@ -293,7 +293,7 @@ def eliminate(program: Program, bind: Bind) -> Elimination:
 
 
 def _read_block(block: Block, column: Indices, shape: tuple[int, ...], equations: int, bind: Bind) -> Application:
-    """Read what each group applies of a block; `shape` is that of groups and their variables."""
+    """Read what each group applies of a block; `shape` counts groups and their variables."""
     assert (block.data, block.factor, block.parameters.size) == (None, None, 0), "equations read variables alone"
     groups, width = shape
     places = np.argsort(block.stages, kind="stable").reshape(groups, -1)  # (G, P)
@@ -343,7 +343,7 @@ def _localise(matrix: sparse.csr_array, shape: tuple[int, int, int], column: Ind
 
 
 def _find(rows: Indices, wanted: Indices) -> Indices:
-    """Find the places, (P, results), whose rows are wanted."""
+    """Find the places, (P, results), whose rows are given."""
     return np.flatnonzero(np.isin(rows[:, 0], wanted))
 
 

@@ -1,4 +1,4 @@
-"""Formulas that transcription writes itself, beside those of a problem: rates, lengths, attitudes, costs of inputs."""
+"""Formulas that transcription writes itself, beside the problem's: rates, lengths, attitudes, costs of inputs."""
 
 from __future__ import annotations
 

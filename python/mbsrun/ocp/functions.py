@@ -26,7 +26,7 @@ class Fixed:
     """An input of which some entries vary, and the others keep a value."""
 
     varying: tuple[int, ...]
-    values: tuple[float, ...]  # of all entries; those that vary are replaced
+    values: tuple[float, ...]  # of all entries; entries that vary are replaced
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Formula:
     inputs: tuple[Input, ...]
     parameters: Input | None = None
     data: Input | None = None
-    computed: tuple[tuple[str, KernelResult], ...] = ()  # kinds that kernels compute of inputs of their own names
+    computed: tuple[tuple[str, KernelResult], ...] = ()  # kinds that kernels compute of inputs
 
     @property
     def arguments(self) -> tuple[Input, ...]:

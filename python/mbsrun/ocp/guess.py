@@ -67,7 +67,7 @@ def find_pose(problem: Problem, plant: Plant) -> Pose:
 def scatter_poses(problem: Problem, plant: Plant, rng: np.random.Generator, tries: int) -> Array | None:
     """Find a pose that meets the targets from random poses within the bounds; None where `tries` of them do not.
 
-    Other poses than that of `find_pose` meet the same targets where inverse kinematics has several branches.
+    Other poses than the result of `find_pose` meet the same targets where inverse kinematics has several branches.
     """
     kinematics = _Kinematics(problem, plant)
     lower, upper = kinematics.extent()
@@ -141,7 +141,7 @@ def bump(trajectory: Trajectory, coordinates: Sequence[int], rng: np.random.Gene
     Raises ValueError for a motion with quaternions.
     """
     if trajectory.q.shape != trajectory.qd.shape:
-        raise ValueError("a bump on a quaternion has no velocity of its own")
+        raise ValueError("a bump on a quaternion has no velocity")
     T = float(trajectory.t[-1])
     once = 64 * np.polynomial.Polynomial([0, 1]) ** 3 * np.polynomial.Polynomial([1, -1]) ** 3  # in t / T; 1 at 1/2
     there_and_back = once * np.polynomial.Polynomial([-2, 4])

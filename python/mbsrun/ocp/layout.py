@@ -166,7 +166,7 @@ def read_motion(layout: Layout, reading: Reading, h: float) -> Motion:
 
 
 def at_mesh(layout: Layout, integrator: Integrator, k: Sequence[int]) -> Places:
-    """Return some mesh points, with the inputs of the interval before; the first has those of the interval after.
+    """Return some mesh points, with the inputs of the interval before; the first has the inputs of the interval after.
 
     Accelerations there are read off the stages of that interval.
     """

@@ -43,7 +43,7 @@ def plot_trajectories(solution: Solution, manifest: Manifest, path: Path) -> Non
     names = [c.name for c in manifest.coordinates]
     labels = {c.name: _plain(c.name) + ("" if c.actuated else " (passive)") for c in manifest.coordinates}
     lines = {c.name: "-" if c.actuated else "--" for c in manifest.coordinates}
-    every = dict.fromkeys((*manifest.positions, *names))  # quaternions have names of their own for q
+    every = dict.fromkeys((*manifest.positions, *names))  # q has other names where there are quaternions
     colors = {name: COLORS[i % len(COLORS)] for i, name in enumerate(every)}
     for i, name in enumerate(manifest.positions):
         style = {"color": colors[name], "linestyle": lines.get(name, "-")}

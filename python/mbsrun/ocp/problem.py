@@ -139,7 +139,9 @@ class Problem:
     integrator: IntegratorName = "collocation"  # of shooting: the method of the scheme, or the classical one of order 4
     steps: int = 1  # of the integrator in an interval
     horizon_range: Range | None = None  # where the horizon is free: its bounds [s]
-    free_start: tuple[int, ...] = ()  # indices into (q, qd) of what is not given at the start: there it is a guess
+    free_start: tuple[
+        int, ...
+    ] = ()  # indices into (q, qd) of states that are free at the start: their values are a guess
     constraints: tuple[Constraint, ...] = ()
     constants: tuple[tuple[str, float], ...] = ()  # that expressions read
     guess: GuessOptions = field(default_factory=GuessOptions)

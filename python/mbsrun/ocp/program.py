@@ -7,7 +7,7 @@ A block applies a function F at many places, to entries of x or to linear combin
 of g, or of c. Parameters p are the weights w, then constants that functions may read. Everything here is arrays, and
 names of kernels: `backends` makes functions with derivatives of it.
 
-The stages are those of direct transcription (Betts, "Practical methods for optimal control", SIAM 2010, section 4.6):
+The stages of direct transcription are (Betts, "Practical methods for optimal control", SIAM 2010, section 4.6):
 
     e_k(x_k, u_k, y_k) = 0                 the equations of interval k, which give its inner variables y_k
     x_(k+1) = F_k(x_k, u_k, y_k)           the rows that carry the state on
@@ -177,7 +177,7 @@ class Program:
 
     @property
     def _known_stages(self) -> Stages:
-        assert self.stages is not None, "inner variables are those of stages"
+        assert self.stages is not None, "inner variables belong to stages"
         return self.stages
 
     def restrict(self, rows: Indices, *, with_cost: bool = False) -> Program:

@@ -5,7 +5,7 @@
     u_NAME                                        of an actuated coordinate: input
     x_NAME, y_NAME, z_NAME, vx_NAME, ...          of a sensor: position and velocity in the base frame
 
-where dots and spaces of a name are written _, and q has names of its own where there are quaternions (q_trunk_qx); and
+where dots and spaces of a name are written _, and q has other names where there are quaternions (q_trunk_qx); and
 the constants of the problem, which are parameters of the program. Units are SI. `mbsgen.expressions` reads an
 expression by a white list. Sensors, and accelerations of an ODE, are no variables: kernels compute them.
 """
@@ -37,7 +37,7 @@ from mbsrun.quantities import Quantity, list_quantities
 
 __all__ = ["Quantity", "formulate", "list_quantities"]
 
-CONSTANTS = "constants"  # the kind of what a problem's constants are
+CONSTANTS = "constants"  # the kind of a problem's constants
 TIME = "s"  # the kind of the time over the horizon, which is given at each place
 _TIME_NAME = "@s"  # which no text can hold
 _ORDER = ("q", "qd", "qdd", "u", "T")  # of the inputs of a formula

@@ -2,7 +2,7 @@
 
 An attempt is one transaction, on the disk before the next begins: a process that is killed loses its present attempt
 alone. One file holds any number of studies. The file keeps one motion for a task, a protocol, a round and a number of
-whole turns, if it is better than those of all earlier rounds. So the starts of a round depend neither on the order of
+whole turns, if it is better than all motions of earlier rounds. So the starts of a round depend neither on the order of
 attempts nor on interruptions.
 """
 

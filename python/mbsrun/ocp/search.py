@@ -1,9 +1,9 @@
 """Solve a problem for a grid of targets, by one of two protocols that are never mixed.
 
-The *paper* protocol is that of a comparison: for each representation one guess, the interpolation without inputs, no
+The *paper* protocol compares: for each representation one guess, the interpolation without inputs, no
 restart; failures and higher minima are counted (Docquier, Bruls, Fisette, section 4.3).
 
-The *robust* protocol looks for the lowest minimum of every task. It cannot show that there is no lower one; so
+The *robust* protocol looks for the lowest minimum of every task. It cannot show that no minimum is lower; so
 `count_finds` counts how many independent starts found the lowest:
 
     interpolation   each representation, from the interpolation with the inputs of its inverse dynamics
@@ -295,7 +295,7 @@ def list_hops(task: Task, best: Best, number: int, seed: tuple[int, ...], protoc
 
 
 def _list_exchanges(study: Study, best: Mapping[Task, Best], number: int) -> Iterator[Trial]:
-    """Start what is in a higher minimum from what is in the lowest."""
+    """Start tasks in a higher minimum from the lowest minimum of their target."""
     for weights in study.costs:
         for place in study.targets.spread:
             tasks = [Task(place, weights, r.value) for r in study.representations]
@@ -363,7 +363,7 @@ class Search:
         self.end = time.monotonic() + seconds
 
     def run(self, protocol: ProtocolName, plan: Callable[[int, int], None] | None = None) -> None:
-        """Follow a protocol; `plan` is told of every round how many trials it has, and how many of them are done."""
+        """Follow a protocol; call `plan` for every round, with its number of trials and the number of those done."""
         for number in itertools.count():
             before = {attempt.key for attempt in self.record.attempts() if attempt.round < number}
             best, turned = self.record.best(protocol, number), self.record.best_turned(protocol, number)
@@ -438,9 +438,9 @@ class Summary:
     attempts: int
     solved: int
     higher: int  # solved, but in a higher minimum than the best that any attempt found
-    iterations: tuple[float, float, float]  # of what was solved: the least, the median, the most
+    iterations: tuple[float, float, float]  # of solved attempts: the least, the median, the most
     cpu_seconds: float  # of all attempts
-    cpu_median: float  # of what was solved
+    cpu_median: float  # of solved attempts
 
 
 def is_higher(cost: float | None, lowest: float) -> bool:
@@ -479,7 +479,7 @@ def find_lowest(attempts: Sequence[Attempt]) -> dict[tuple[Place, Weights], floa
 
 @dataclass(frozen=True)
 class Finds:
-    """The number of independent starts that found the lowest cost known of a target."""
+    """The number of independent starts that found the lowest cost of a target."""
 
     place: Place
     weights: Weights
@@ -489,7 +489,7 @@ class Finds:
 
 
 def count_finds(attempts: Sequence[Attempt]) -> list[Finds]:
-    """Count the independent starts of the robust protocol, and those that found the lowest, by target and cost."""
+    """Count the independent starts of the robust protocol, and the starts that found the lowest, by target and cost."""
     starts: dict[tuple[Place, Weights], list[Attempt]] = {}
     for attempt in attempts:
         if attempt.protocol == "robust" and attempt.part in INDEPENDENT:
@@ -531,7 +531,7 @@ def describe_search(attempts: Sequence[Attempt]) -> list[str]:
         shares, never = sorted(find.found for find in own), sum(not find.found for find in own)
         starts = sorted(find.starts for find in own)
         lines.append(
-            f"cost ({weights[0]:g}, {weights[1]:g}): the lowest cost known of a target was found by "
+            f"cost ({weights[0]:g}, {weights[1]:g}): the lowest cost of a target was found by "
             f"{shares[0]} to {shares[-1]} of {starts[0]} to {starts[-1]} independent starts, "
             f"at {never} of {len(own)} targets by none; lower ones may exist"
         )
@@ -546,7 +546,7 @@ def describe_search(attempts: Sequence[Attempt]) -> list[str]:
 
 
 def summarise(attempts: Sequence[Attempt]) -> list[Summary]:
-    """Sum up every part; the part "result" tells what all of the robust protocol's together reached."""
+    """Sum up every part; the part "result" sums up all parts of the robust protocol."""
     lowest = find_lowest(attempts)
     groups: dict[tuple[Weights, str, str], list[Attempt]] = {}
     results: dict[tuple[Weights, str, str], dict[Place, Attempt]] = {}

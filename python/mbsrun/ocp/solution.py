@@ -132,7 +132,7 @@ class Starts:
 
     @property
     def minima(self) -> tuple[Minimum, ...]:
-        """List the costs that starts found, the lowest first; of equal turns, those that differ by rounding are one."""
+        """List the costs that starts found, the lowest first; costs of equal turns that differ by rounding are one."""
         found: list[Minimum] = []
         for start in sorted(self.results, key=lambda s: (s.turns, s.cost or 0.0)):
             if start.cost is None:
@@ -228,6 +228,6 @@ def read_guess(path: Path, manifest: Manifest) -> Trajectory:
         ("inputs", solution.inputs, inputs),
     ):
         if found != wanted:
-            finding = f"its {kind} are {', '.join(found)}; those of {manifest.model} are {', '.join(wanted)}"
+            finding = f"its {kind} are {', '.join(found)}; {manifest.model} has {', '.join(wanted)}"
             raise InputError([Fault(str(path), 0, "", finding, "give a solution for this mechanism")])
     return solution.trajectory

@@ -64,7 +64,7 @@ class Solver:
         """
         check_problem(problem, self.plant.manifest)
         if structure(problem) != self.transcription.structure:
-            raise ValueError(f"{problem.name} differs in structure from what was transcribed; make a Solver for it")
+            raise ValueError(f"{problem.name} differs in structure from the transcribed problem; make a Solver for it")
         crossed = self._find_crossed_bounds(problem)
         if crossed:
             return Failure(problem, Run(BAD_BOUNDS, 0, 0.0, 0.0), crossed, "give bounds that leave room")

@@ -2,7 +2,7 @@
 
 A file names a model beside it, a horizon, a collocation, the cost, a start, bounds, constraints, conditions at the
 end, and a guess. Lengths are in m, angles in rad, times in s. A number may be an expression over the file's
-`constants`, such as `acos(0.55/0.6)` or `-2*alpha`; coordinates, frames and sensors go by their names in the model.
+`constants`, such as `acos(0.55/0.6)` or `-2*alpha`; coordinates, frames and sensors have their names in the model.
 Terms of the cost and constraints are expressions of the motion, and are kept as text.
 """
 

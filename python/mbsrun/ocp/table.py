@@ -48,7 +48,7 @@ def _name_columns(manifest: Manifest) -> list[str]:
 def _read_motion(trajectory: Trajectory) -> list[Array]:
     """List time, q, qd, qdd and u at all points in order.
 
-    Where an interval begins, accelerations and inputs are those of that interval; at the end, of the last. There they
+    Where an interval begins, accelerations and inputs are the interval's; at the end, the last interval's. There they
     are read off the polynomial through the accelerations at the interval's points.
     """
     t, step = trajectory.t, float(trajectory.t[1] - trajectory.t[0])

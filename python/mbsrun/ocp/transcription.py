@@ -10,7 +10,7 @@
 
 for a residual; where the equations of motion are explicit, the third is z_kj - gamma(q_kj, qd_kj, u_k) = 0, or gamma
 takes the place of z_kj in the second, and of z(T): see `representations`. (Docquier, Bruls, Fisette, eqs. 5, 15,
-22-27.) In the integral form the second is solved, and states at the points are bounded by rows of their own where they
+22-27.) In the integral form the second is solved, and states at the points are bounded by separate rows where they
 have bounds. Shooting is the integral form of any Runge-Kutta method, with its third solved as well: see `condensation`.
 
 Where a model has quaternions, its kernel `rates` takes the place of qd_kj, and nq exceeds n. Collocation at Legendre
@@ -48,7 +48,7 @@ from mbsrun.quaternions import Quaternion, find_quaternion, list_quaternions
 class Transcription:
     """A program, and how problems become its numbers and its variables trajectories.
 
-    Vectors are of all variables and rows of the program, unless they are said to be those that a solver sees.
+    Vectors are of all variables and rows of the program, except where a docstring says that a solver sees them.
     """
 
     structure: Structure
@@ -120,7 +120,7 @@ class Transcription:
         return np.asarray(x[self.program.kept])
 
     def unpack(self, x: Array) -> Trajectory:
-        """Read a trajectory off all variables: a backend's `complete` returns them for those that a solver sees."""
+        """Read a trajectory off all variables: a backend's `complete` returns them for a solver's variables."""
         layout, fixed = self.layout, self.structure.horizon
         t, point_t = grid(
             float(x[layout.horizon]) if fixed is None else fixed, self.structure.intervals, self.scheme.points

@@ -266,7 +266,7 @@ class Writer:
         return KernelResult("motion", ("q", "qd"), "v", self.find_entries(name)), (q[:, None], qd[:, None])
 
     def find_entries(self, name: str) -> tuple[int, ...]:
-        """Find the three entries of a sensor among those of all sensors."""
+        """Find the three entries of a sensor among the entries of all sensors."""
         first = 3 * [frame.name for frame in self.manifest.frames if frame.sensor].index(name)
         return (first, first + 1, first + 2)
 

@@ -135,7 +135,7 @@ def _step(solver: Any, dynamics: Dynamics) -> None:
 def _give_up(dynamics: Dynamics, solver: Any, finding: str) -> HaltError:
     speeds = np.abs(np.nan_to_num(solver.y[dynamics.places :], nan=np.inf))
     joint = dynamics.kernels.manifest.coordinates[int(speeds.argmax())].name
-    return HaltError(Halt(float(solver.t), joint, finding, "loosen the tolerance, or look for what is singular there"))
+    return HaltError(Halt(float(solver.t), joint, finding, "loosen the tolerance, or look for a singularity there"))
 
 
 def _gather(times: list[float], states: list[Array], pictures: list[Callable[[Array], Array]], n: int) -> Chunk:

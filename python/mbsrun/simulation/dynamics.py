@@ -60,7 +60,7 @@ class Dynamics:
 
     @cached_property
     def forces_count(self) -> int:
-        """Count the entries of u; those of w follow them."""
+        """Count the entries of u; the entries of w follow them."""
         return len(self.kernels.manifest.actuated)
 
     def rates(self, q: Array, qd: Array) -> Array:
@@ -123,7 +123,7 @@ class Dynamics:
         return np.asarray((residuals[:, 1:] - residuals[:, :1]).transpose(0, 2, 1))
 
     def call(self, name: str, q: Array, qd: Array, v: Array, qdd: Array | None = None) -> Mapping[str, Array]:
-        """Call a kernel with those of these inputs that it takes."""
+        """Call a kernel with the inputs that it takes."""
         forces = self.forces_count
         given = {"q": q, "qd": qd, "u": v[..., :forces], "w": v[..., forces:], "qdd": qdd}
         taken = self._taken.get(name)

@@ -156,12 +156,12 @@ def _spend(allowance: Allowance, steps: int, time: float) -> None:
 
 
 def count_steps(piece: Piece, step: float) -> int:
-    """Count the equal steps of a piece; none is longer than asked for, but for rounding."""
+    """Count the equal steps of a piece; none is longer than requested, except by rounding."""
     return max(1, int(np.ceil((piece.end - piece.start) / step * (1 - 1e-12))))
 
 
 def place_steps(piece: Piece, numbers: NDArray[np.intp], count: int) -> Array:
-    """Return the times at which so many steps of `count` are done; the last is exactly the piece's end."""
+    """Return the times after `numbers` of `count` steps; the last is exactly the piece's end."""
     times = piece.start + (piece.end - piece.start) / count * numbers
     return np.where(numbers == count, piece.end, times)
 

@@ -75,7 +75,7 @@ class Method:
     order: int | None  # None: varies
     title: str
     integrate: Integrator
-    settings: tuple[str, ...]  # the names of those that matter to it
+    settings: tuple[str, ...]  # the names of the settings that matter to it
     stability: float | None = None  # explicit: how far along the negative real axis h lambda may lie
     takes_quaternions: bool = True
     needs_residual: bool = False  # of a formulation that has one: accelerations are not enough

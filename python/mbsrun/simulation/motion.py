@@ -91,7 +91,7 @@ class Energy:
 
     @property
     def tolerated(self) -> float:
-        """Return the largest drift without a warning: relative to the energy exchanged, or to that of the motion."""
+        """Return the largest drift without a warning: relative to the energy exchanged, or to the kinetic energy."""
         return float(max(DRIFT * self.exchanged, STILL * self.kinetic.max()))
 
     @property
@@ -109,7 +109,7 @@ class Motion:
     t: Array  # (K,)
     q: Array  # (K, nq)
     qd: Array  # (K, n)
-    inputs: Array  # (K, m): u, then w; where they jump, those that follow
+    inputs: Array  # (K, m): u, then w; where they jump, the values after the jump
     energy: Energy | None  # None where it overflows, or a kernel fails on the way
     effort: Effort
     halt: Halt | None = None

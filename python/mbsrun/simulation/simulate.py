@@ -33,7 +33,7 @@ from mbsrun.simulation.motion import (
 Array = NDArray[np.float64]
 
 BEYOND = 1e-6  # of a limit or of 1 rad or m: beyond it there is a warning
-STIFF = 500.0  # a rate that decays so many times within a motion is fast; only then is there a warning of stiffness
+STIFF = 500.0  # times that a fast motion decays within a simulation; slower ones bring no warning of stiffness
 
 
 def simulate(
@@ -155,7 +155,7 @@ class _Record:
         self.inputs[len(self.t) - 1 :] = [inputs]
 
     def add(self, chunk: Chunk) -> None:
-        """Take steps: keep the states that are wanted."""
+        """Take steps: keep the states at the times of outputs."""
         assert self.piece is not None, "a chunk lies in a piece"
         if chunk.dense is not None:
             chunk, chosen = self._refine(chunk)
@@ -218,7 +218,7 @@ class _Record:
         return rows
 
     def _refine(self, chunk: Chunk) -> tuple[Chunk, NDArray[np.intp]]:
-        """Cut steps where outputs are wanted; return the finer chunk, and the indices of these outputs."""
+        """Cut steps at the times of outputs; return the finer chunk, and the indices of these outputs."""
         assert chunk.dense is not None, "only steps with an interpolation are cut"
         dense, (first, last) = chunk.dense, chunk.t[[0, -1]]
         wanted = self.distance * np.arange(np.ceil(first / self.distance), np.floor(last / self.distance) + 1)

@@ -219,7 +219,7 @@ class _Reading:
         return settings
 
     def duration(self, expression: Expression | None) -> float:
-        """Read the duration; a recording has one of its own."""
+        """Read the duration; a recording has its own."""
         end = math.inf if self.recording is None else self.recording.drive.end
         if expression is None:
             if math.isinf(end):
@@ -271,7 +271,7 @@ class _Reading:
         if self.recording is not None:
             given = ("inputs", "wrenches", "input_period")
             if place := next(((key,) for key in given if getattr(section, key)), ()):
-                self.fault(place, "the inputs are those of a solution", "give one or the other")
+                self.fault(place, "a solution gives the inputs", "give one or the other")
             return self.recording.drive
         constants = {k: v for k, v in self.constants.items() if math.isfinite(v)}
         period = None

@@ -134,7 +134,7 @@ class Assembled:
 
 
 def assemble(shape: tuple[int, int], parts: Sequence[Scatter], sizes: Sequence[int]) -> Assembled:
-    """Sum scatters; `sizes` are those of their values. Nonzeros are ordered column by column."""
+    """Sum scatters; `sizes` count their values. Nonzeros are ordered column by column."""
     offsets = np.cumsum([0, *sizes])[:-1]
     row, col = (np.concatenate([getattr(p, k) for p in parts] or [np.zeros(0, np.int64)]) for k in ("row", "col"))
     coefficient = np.concatenate([p.coefficient for p in parts] or [np.zeros(0)])

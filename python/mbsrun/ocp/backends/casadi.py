@@ -1,7 +1,7 @@
 """The functions that CasADi's solvers take, of a program: objective, constraint, gradient, Jacobian, Hessian.
 
 The Jacobian of g is A plus the nonzeros of each block's mapped Jacobian put where they belong, the Hessian of the
-Lagrangian is that of f plus those of mapped second derivatives (see `assembly`). So CasADi does not differentiate the
+Lagrangian is the sum of the H_i and mapped second derivatives (see `assembly`). So CasADi does not differentiate the
 whole, and does not colour. A kernel's derivatives are the generated ones; an expression's are CasADi's.
 """
 
@@ -119,7 +119,7 @@ def _make_formula(formula: Formula, plant: Plant) -> ca.Function:
 
 
 def _make_plain(formula: Formula, plant: Plant) -> ca.Function:
-    """Make the function of what expressions read, of which kernels compute some."""
+    """Make the function of the numbers that expressions read; kernels compute some of them."""
     sizes = {kind: plant.casadi(result.kernel).numel_out(result.result) for kind, result in formula.computed}
     sizes = {part.kind: part.size for part in formula.arguments} | sizes
     read = {kind for kind, _ in formula.names.values()}
@@ -297,7 +297,7 @@ class _Mapped:
         return values if self.block.factor is None else x[self.block.factor] * values
 
     def jacobian(self, x: ca.MX, p: ca.MX, results: ca.MX) -> list[_Values]:
-        """Return the Jacobian at every place, a part for each input; `results` are those of the function."""
+        """Return the Jacobian at every place, a part for each input; `results` are the function's."""
         block, function = self.block, self.function.jacobian()
         unread = ca.MX(function.size1_in(function.n_in() - 1), block.places)  # results as inputs are not read
         parts = function.map(block.places).call([*self._arguments(x, p), unread])

@@ -1,12 +1,12 @@
 """CasADi functions of a program whose inner variables are solved for at every evaluation.
 
-With w the variables that stay and z those that the inner equations r(w, z) = 0 give, by the implicit function theorem
+With w the variables that stay and z the unknowns of the inner equations r(w, z) = 0, by the implicit function theorem
 
     dz/dw = -r_z^-1 r_w,    V = (1; dz/dw),    d/dw g(w, z(w)) = g_w + g_z dz/dw,
-    the Hessian of f + lam' g by w = V' (that of f + lam' g + mu' r by w and z) V,    r_z' mu = -(f_z + g_z' lam),
+    d2/dw2 (f + lam' g) = V' (f + lam' g + mu' r)'' V,    r_z' mu = -(f_z + g_z' lam),
 
-so derivatives are as exact as those of the program; nothing is differenced, and no iteration is differentiated.
-`elimination` computes the terms of the equations, once at each place; CasADi those of the rest.
+with '' by w and z. Derivatives are as exact as the program's: nothing is differenced, and no iteration is
+differentiated. `elimination` computes the terms of the equations, once at each place; CasADi computes the rest.
 """
 
 from __future__ import annotations

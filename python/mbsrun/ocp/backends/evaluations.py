@@ -38,7 +38,7 @@ def bind(plant: Plant) -> Callable[[Function, int], Evaluation]:
 
 @dataclass(frozen=True)
 class _Taken:
-    """Some nonzeros of a kernel's matrix, as those of a matrix of fewer rows or columns."""
+    """Some nonzeros of a kernel's matrix, as nonzeros of a matrix of fewer rows or columns."""
 
     pattern: Pattern
     chosen: Indices
@@ -109,7 +109,7 @@ class KernelEvaluation:
         return [_flatten(found[name]) for name in names]
 
     def _complete(self, arguments: Sequence[Array]) -> dict[str, Array]:
-        """Name the inputs, and put entries that vary among those that do not."""
+        """Name the inputs, and put entries that vary among the fixed ones."""
         given = dict(zip(self._result.inputs, arguments, strict=True))
         if self._result.fixed is not None:
             whole = np.tile(np.array(self._result.fixed.values), (self._places, 1))
@@ -118,7 +118,7 @@ class KernelEvaluation:
         return given
 
     def _shape_weights(self, result: Argument, weights: Array) -> Array:
-        """Give a result of the kernel its weights: 0 for all but the entries that are taken."""
+        """Return the weights of a result of the kernel: 0 except for the entries that are taken."""
         whole = np.zeros((self._places, result.rows * result.cols))
         if result.name == self._result.result:
             whole[:, self._entries] = weights
@@ -153,7 +153,7 @@ class KernelEvaluation:
 
 
 class FormulaEvaluation:
-    """Expressions of inputs, of parameters and data, and of what kernels compute of inputs."""
+    """Expressions of inputs, parameters, data, and results of kernels."""
 
     def __init__(self, formula: Formula, plant: Plant, places: int) -> None:
         """Number the variables: inputs, then results of kernels."""

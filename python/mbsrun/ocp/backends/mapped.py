@@ -1,4 +1,4 @@
-"""A CasADi function at many places, called on buffers of its own: an `Evaluation` for algorithms in NumPy."""
+"""A CasADi function at many places, called on its own buffers: an `Evaluation` for algorithms in NumPy."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mbsrun.ocp.functions import Array, Pattern
 
 
 class Call:
-    """A function mapped over places, on buffers of its own: (places, nonzeros) for each input and result."""
+    """A function mapped over places, on its own buffers: (places, nonzeros) for each input and result."""
 
     def __init__(self, function: ca.Function, places: int, inputs: Sequence[int], results: Sequence[int]) -> None:
         """Bind some inputs and results, by number; other inputs are zeros, other results are not computed."""

@@ -1,7 +1,7 @@
 """The functions of a program in NumPy and SciPy: no expression graph, for any method, and as an oracle of tests.
 
 The same assembly as `casadi`'s (see `assembly`), of kernels called directly and expressions evaluated as jets. Where
-inner equations are solved for, derivatives follow from those of the whole program as `condensation` says.
+inner equations are solved for, derivatives follow from the whole program's, as in `condensation`.
 """
 
 from __future__ import annotations

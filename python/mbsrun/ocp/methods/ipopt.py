@@ -14,7 +14,7 @@ from mbsrun.ocp.methods.method import Method, Order, Solver
 from mbsrun.ocp.methods.nlpsol import UNDIFFERENTIATED, make
 from mbsrun.ocp.methods.options import COUNT, FRACTION, POSITIVE, SWITCH, Amount, Choice, Option, Settings
 
-LINEAR_SOLVER = "linear_solver"  # MUMPS, if one of its own options is given; else the project's
+LINEAR_SOLVER = "linear_solver"  # by default MUMPS, if one of MUMPS's options is given; else the project's
 
 IPOPT_OPTIONS: Mapping[str, Option] = {
     "accept_every_trial_step": SWITCH,
