@@ -1,1 +1,1 @@
-"""Measures generated kernels beside what others reach on the same work, in one run: flops, time, and their ratios."""
+"""Compare generated kernels with other programs for the same work, in one run: flops, times, and their ratios."""

@@ -34,13 +34,13 @@ QUICK = (ROOT / "models" / "double_pendulum.yaml",)
 @click.option("--hessians/--no-hessians", default=True, help="Compare second derivatives too.")
 @click.option("--quick", is_flag=True, help="A small mechanism, few rounds, and nothing that needs a C++ compiler.")
 @click.option("--prepare", "only", is_flag=True, help="Generate and compile everything, and measure nothing.")
-@click.option("--again", is_flag=True, help="Measure again what an earlier run measured.")
+@click.option("--again", is_flag=True, help="Measure mechanisms of earlier runs again.")
 def main(
     models: tuple[Path, ...], out: Path, rounds: int, hessians: bool, quick: bool, only: bool, again: bool
 ) -> None:
-    """Compare generated kernels of MODELS, or of the paper's arm, a UR5 and a Panda, with what others reach.
+    """Compare generated kernels of MODELS, or of the paper's arm, a UR5 and a Panda, with other programs.
 
-    What --prepare makes is found again by a later run, which then takes a minute.
+    A later run finds the candidates of --prepare, and then takes a minute.
     """
     console = Console(width=None if sys.stdout.isatty() else 160)
     if quick:

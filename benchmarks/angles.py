@@ -1,4 +1,4 @@
-"""CasADi's C with the sine and cosine of the generated kernels: all of a function's angles together, in vectors.
+"""Write CasADi's C with the sine and cosine of the generated kernels: all angles of a function together, in vectors.
 
 CasADi writes a call of the C library for each sine and cosine. Here they become inputs of the function, and a wrapper
 in the same file computes them by `csrc/mbs_sincos.h` before it calls the function, as generated kernels do.
@@ -35,7 +35,7 @@ int {outer}(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_r
 
 @dataclass(frozen=True)
 class Separated:
-    """A function of its inputs, sines and cosines, and the angles that these are of."""
+    """A function of inputs, sines and cosines, and the function of the angles."""
 
     function: ca.Function
     angles: ca.Function
@@ -43,12 +43,12 @@ class Separated:
 
 
 def separate(function: ca.Function) -> Separated | None:
-    """Make sines and cosines inputs of an SX function; None where there are none, or one is of another's result."""
+    """Turn sines and cosines into inputs of an SX function; return None without any, or if angles depend on sines."""
     inputs = function.sx_in()
     entries = [ca.vertsplit(x) for x in inputs]
     results: list[list[ca.SX]] = [[ca.SX(0)] * function.nnz_out(i) for i in range(function.n_out())]
     work: dict[int, ca.SX] = {}
-    known: dict[int, int] = {}  # number of an angle, by what it is in the graph
+    known: dict[int, int] = {}  # number of an angle, by its node in the graph
     angles: list[ca.SX] = []
     sines: list[ca.SX] = []
     cosines: list[ca.SX] = []
@@ -88,7 +88,7 @@ def separate(function: ca.Function) -> Separated | None:
 def write_source(separated: Separated, outer: str, folder: Path) -> Path:
     """Write the C of a function whose sines and cosines are the header's, under the name `outer`.
 
-    -DCASADI_SYMBOL_EXPORT=static leaves the wrapper alone to be seen, so that the compiler inlines what it calls.
+    -DCASADI_SYMBOL_EXPORT=static makes only the wrapper visible, so that the compiler inlines the functions.
     """
     generator = ca.CodeGenerator(f"{outer}.c")
     generator.add(separated.function)  # is static, as casadi_f0

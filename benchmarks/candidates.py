@@ -1,4 +1,4 @@
-"""What is compared: functions of one mechanism, each by several authors, all in CasADi's contract."""
+"""The compared candidates: functions of one mechanism, each by several authors, all in CasADi's contract."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ AUTHORS: Mapping[str, str] = {
     CASADI: "Pinocchio's algorithms traced in CasADi's SX, with cse, as C",
     PINOCCHIO: "Pinocchio's algorithms in C++",
 }
-LARGE, LARGEST = 20_000, 50_000  # operations of CasADi's C from which on it is compiled by -O1, and not compiled
+LARGE, LARGEST = 20_000, 50_000  # operations above which CasADi's C is compiled by -O1, and not compiled
 
 
 @dataclass(frozen=True)
@@ -28,12 +28,12 @@ class Candidate:
     """One way to compute one function."""
 
     author: str
-    function: str  # the name of the kernel that it is compared with
-    way: str  # tells apart what one author has for the same function
+    function: str  # the name of the compared kernel
+    way: str  # distinguishes candidates of one author for the same function
     flops: int | None  # + - * / and roots; None where they are not known
     code: Function | None  # None: counted only
     sines: Sines = "libm"
-    guards: int = 0  # operations of tests that pivots stand out of rounding, which flops leave out
+    guards: int = 0  # operations of the tests of pivots, not included in flops
 
 
 _READER = TypeAdapter(Candidate)

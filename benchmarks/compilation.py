@@ -1,7 +1,7 @@
-"""Source -> shared library, once: what was compiled before, of the same text with the same flags, is found again.
+"""Compile sources to shared libraries, once: a library is found again by its text and flags.
 
-C is compiled by the compiler and with the flags of `mbsrun.library` (CC, CFLAGS), so that what is compared differs in
-its equations alone; C++ by CXX with the flags that bear on speed.
+C is compiled by the compiler and with the flags of `mbsrun.library` (CC, CFLAGS), so that candidates differ in
+their equations alone; C++ by CXX with the flags for speed.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from mbsrun.library import find_compiler
 HERE = Path(__file__).parent
 CSRC = resources.folder("csrc")
 HEADERS = tuple(CSRC / name for name in ("mbs_sincos.h", "mbs_abi.h"))  # what C may include
-# CasADi's small functions are global: a compiler that lets anyone replace them would not inline them.
+# CasADi's small functions are global: without these flags the compiler does not inline them.
 EXPORTED = ("-fvisibility=hidden", "-DGCC_HASCLASSVISIBILITY")
-# The flags of the kernels are chosen for them; what passes CasADi is compiled with gcc's vectors in straight-line code
-# too, and whichever is quicker counts.
+# The flags are chosen for the kernels. C of CasADi is also compiled with gcc's vectors in straight-line code; the
+# quicker one counts.
 VECTORS = ", vectors"
 VARIANTS: Mapping[str, tuple[str, ...]] = {"": (), VECTORS: ("-ftree-slp-vectorize",)}
 FAST = ("-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fPIC", "-DNDEBUG")
-# What Boost must be told to hold Pinocchio's lists of types, as Pinocchio's own CMake files do; and that `get` may be
-# asked for a joint that a collection does not have.
+# Settings of Boost for Pinocchio's lists of types, as in Pinocchio's CMake files; and `get` for a joint that a
+# collection does not contain.
 BOOST = (
     "-DBOOST_MPL_LIMIT_LIST_SIZE=30",
     "-DBOOST_MPL_LIMIT_VECTOR_SIZE=30",
@@ -52,17 +52,17 @@ def describe_machine() -> str:
 
 
 def describe_flags() -> str:
-    """Name the flags that generated C is compiled with."""
+    """Return the compiler flags of generated C."""
     return " ".join(["-O3", *find_compiler(os.environ).flags])
 
 
 class BuildError(Exception):
-    """A peer or kernel that does not compile; says what the compiler said."""
+    """A peer or kernel does not compile; the message contains the output of the compiler."""
 
 
 @dataclass(frozen=True)
 class Workshop:
-    """Where things are compiled, and by what."""
+    """The folder and the compilers of candidates."""
 
     folder: Path
     includes: Path | None  # the headers of Pinocchio, Boost and Eigen; None where they are not installed
@@ -84,7 +84,7 @@ class Workshop:
         return self._build(name, (*self.c, *flags, "-shared"), (source, *included), ("-lm",), (CSRC,))
 
     def compile_pinocchio(self, sines: Sines = "libm") -> Path:
-        """Compile Pinocchio's algorithms over doubles, in CasADi's contract, with the sines that are named."""
+        """Compile Pinocchio's algorithms over doubles, in CasADi's contract, with the chosen sines."""
         chosen, included = (("-DMBS_SINES",), HEADERS) if sines == "header" else ((), ())
         sources = (HERE / "cpp" / "pinocchio.cpp", HERE / "cpp" / "mechanism.hpp", *included)
         return self._build("pinocchio", (*self.cxx, *FAST, *chosen, "-shared"), sources, (), (CSRC, *self._headers))
@@ -98,15 +98,15 @@ class Workshop:
 
     @property
     def _headers(self) -> tuple[Path, Path]:
-        assert self.includes is not None, "asked for only where there are headers"
+        assert self.includes is not None, "called only where headers exist"
         return self.includes, self.includes / "eigen3"
 
     def _build(
         self, name: str, command: Sequence[str], sources: Sequence[Path], link: Sequence[str], search: Sequence[Path]
     ) -> Path:
-        """Compile the first of `sources`; the others are what it includes, and `search` is where it finds the rest.
+        """Compile the first of `sources`; it includes the others, and `search` lists further folders of headers.
 
-        What is made is named by what it is made of, wherever that lies, so that checkouts share it.
+        The name of the library is a hash of all contents, so that checkouts share it.
         """
         packages = find_versions() if self.includes in search else ()
         digest = hashlib.sha256(repr((command, link, packages)).encode())
@@ -128,7 +128,7 @@ def find_versions() -> tuple[str, ...]:
 
 
 def find_cache() -> Path:
-    """Return the folder that keeps what was generated and compiled for benchmarks, beside the user's cache."""
+    """Return the folder of generated and compiled candidates, beside the user's cache."""
     return cache_folder(os.environ).with_name("mbsgen-benchmarks")
 
 
@@ -156,5 +156,5 @@ def run(command: Sequence[str]) -> str:
 
 
 def of_model(workshop: Workshop, name: str) -> Workshop:
-    """Give the same workshop in a folder of its own."""
+    """Return the workshop with a separate folder."""
     return replace(workshop, folder=workshop.folder / name)

@@ -1,9 +1,9 @@
-"""URDF -> mbsgen model file, by way of Pinocchio: `python -m benchmarks.conversion ROBOT.urdf NAME [--hold JOINT ...]`.
+"""Convert URDF to a model file: `python -m benchmarks.conversion ROBOT.urdf NAME [--hold JOINT ...]`.
 
-Takes Pinocchio's joint placements and inertias as they are, with two exceptions: an angle of a placement within 1e-6 of
-a multiple of a quarter turn becomes that multiple (URDF files round pi/2, which would make 1e-10 of what is zero), and
-numbers are rounded to 15 digits, those below 1e-12 to 0. Joints named by `--hold` (the fingers of a
-gripper) are held at q = 0; their bodies become part of the one that carries them.
+Pinocchio reads the file. Its joint placements and inertias are kept, with two exceptions: an angle of a placement
+within 1e-6 of a multiple of a quarter turn becomes that multiple (URDF files round pi/2, so that zeros would become
+1e-10), and numbers are rounded to 15 digits, numbers below 1e-12 to 0. `--hold` keeps joints (the fingers of a
+gripper) at q = 0; their bodies become part of the carrying body.
 """
 
 from __future__ import annotations

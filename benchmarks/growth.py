@@ -1,7 +1,7 @@
-"""What size costs: robots with floating bases, and chains of many joints; `python -m benchmarks.growth`.
+"""Measure the price of size: robots with floating bases, and chains of many joints; `python -m benchmarks.growth`.
 
-For each mechanism: how long generating and compiling take, how large the C is, and the time of a call beside that of
-the quickest peer: short recursions in CasADi, Pinocchio in C++, or Pinocchio's algorithms written as C by CasADi.
+For each mechanism: the times of generation and compilation, the size of the C, and the time of a call beside the
+quickest peer: short recursions in CasADi, Pinocchio in C++, or Pinocchio's algorithms written as C by CasADi.
 Residuals and accelerations, and the first derivatives of IMPL and EXP2.
 """
 
@@ -46,14 +46,14 @@ MARKS = {PINOCCHIO: "P", CASADI: "C", SHORT: "S"}
 SAME = dict.fromkeys(("exp1", "exp2"), ("exp1", "exp2")) | {"jac_exp2": ("jac_exp1", "jac_exp2")}
 CALLS = ("flops", "ns", "ns/flop", "quickest peer, same header", "ratio", "quickest peer, as it comes", "ratio")
 MAKING = ("generated s", "C kB", "compiled s", "MB")
-LINEAR = ("impl", "exp2")  # what grows by the length of a chain, and is measured on the longest
-LARGEST_CUBIC, LARGEST_JACOBIAN = 50, 32  # chains of which all values, and Jacobians, are measured
+LINEAR = ("impl", "exp2")  # linear in the length of a chain, and measured on the longest
+LARGEST_CUBIC, LARGEST_JACOBIAN = 50, 32  # joints up to which all values, and Jacobians, are measured
 LARGEST_EXPANDED = 20  # joints up to which CasADi writes out M^-1 d Phi: beyond, it takes minutes and megabytes
 
 
 @dataclass(frozen=True)
 class Mechanism:
-    """What is measured of a model file."""
+    """The functions to measure for a model file."""
 
     path: Path
     joints: int | None  # of a chain
@@ -67,7 +67,7 @@ class Mechanism:
 
     @property
     def wanted(self) -> Wanted:
-        """Return what peers compute."""
+        """Return the functions of the peers."""
         return Wanted(
             self.values, self.jacobians, self.joints is None or self.joints <= LARGEST_CUBIC, LARGEST_EXPANDED
         )
@@ -99,18 +99,18 @@ class Made:
 
 
 def describe_robot(path: Path) -> Mechanism:
-    """Describe a robot, of which everything is measured."""
+    """Describe a robot: everything is measured."""
     return Mechanism(path, None, VALUES, JACOBIANS)
 
 
 def describe_chain(size: int, folder: Path) -> Mechanism:
-    """Describe a chain, of which less is measured the longer it is."""
+    """Describe a chain: less is measured of a longer one."""
     values = VALUES if size <= LARGEST_CUBIC else LINEAR
     return Mechanism(write_chain(size, folder), size, values, JACOBIANS if size <= LARGEST_JACOBIAN else ())
 
 
 def make_kernels(mechanism: Mechanism, cache: Path) -> Made:
-    """Generate and compile the kernels of a model file anew, in a process of its own.
+    """Generate and compile the kernels of a model file anew, in a separate process.
 
     So the compiler's memory is known for each mechanism. Raises InputError, CompileError.
     """
@@ -119,7 +119,7 @@ def make_kernels(mechanism: Mechanism, cache: Path) -> Made:
 
 
 def _make(mechanism: Mechanism, cache: Path) -> Made:
-    os.environ["XDG_CACHE_HOME"] = str(cache)  # where nothing is found made
+    os.environ["XDG_CACHE_HOME"] = str(cache)  # an empty cache
     names = (*mechanism.values, *mechanism.jacobians)
     start = time.process_time()
     options = Options(functions=mechanism.values, derivatives=int(bool(mechanism.jacobians)))
@@ -157,7 +157,7 @@ def _make_row(study: Study, joints: int, kernel: str, costs: tuple[float, int, f
 
 
 def make_tables(rows: Sequence[Row]) -> tuple[Table, Table]:
-    """Lay the rows out for a terminal: what calls take, and what it takes to make the kernels."""
+    """Return the rows as tables for a terminal: costs of calls, and costs of making the kernels."""
     return (
         _lay_out("nanoseconds per call", CALLS, rows, _write_calls),
         _lay_out("to make them", MAKING, rows, _write_making),
@@ -195,17 +195,17 @@ def _write_making(row: Row) -> tuple[str, ...]:
 def write_markdown(rows: Sequence[Row], machine: str, rounds: int) -> str:
     """Write the rows as a page."""
     lines = [
-        "# What size costs",
+        "# The price of size",
         "",
         f"{machine}; C with `{describe_flags()}`.",
         "",
         f"The shortest of {rounds} rounds, then the median. Generating is for all kernels of a mechanism",
         "together, in processor time, and compiling for each; MB are the most that the compiler held for any kernel of",
-        "the mechanism so far. Flops are those of kernels with all numbers folded and masses lumped.",
+        "the mechanism so far. Flops are of kernels with all numbers folded and masses lumped.",
         "",
         "The ratio is how many times ours the quickest peer takes. S: short recursions as C of CasADi; P: Pinocchio in",
-        "C++; C: Pinocchio's algorithms as C that CasADi writes. First, all have the sine and cosine of our header, or",
-        "a peer those of the C library, if it is quicker with them; then peers have the C library's, as they come.",
+        "C++; C: Pinocchio's algorithms as C that CasADi writes. First, all use the sine and cosine of our header,",
+        "or a peer uses the C library, if it is quicker; then peers use the C library, as they come.",
         "",
         f"CasADi's C with more than {LARGE:,} operations is compiled by -O1, with more than {LARGEST:,} not at all; it",
         f"writes -M^-1 d Phi for up to {LARGEST_EXPANDED} joints. AD of our own equations is not among these peers.",
@@ -233,9 +233,9 @@ def _write(rows: Sequence[Row], machine: str, rounds: int, out: Path) -> None:
 @click.option("--robot", "robots", multiple=True, type=click.Choice(list(ROBOTS)), help="By default all.")
 @click.option("--size", "sizes", multiple=True, type=click.IntRange(1, 256), help="Of chains; by default 8 to 128.")
 @click.option("--prepare", "only", is_flag=True, help="Write and compile the peers, and measure nothing.")
-@click.option("--again", is_flag=True, help="Measure again what an earlier run measured.")
+@click.option("--again", is_flag=True, help="Measure mechanisms of earlier runs again.")
 def main(out: Path, rounds: int, robots: tuple[str, ...], sizes: tuple[int, ...], only: bool, again: bool) -> None:
-    """Measure what robots with floating bases and long chains cost to generate, to compile and to call."""
+    """Measure the generation, compilation and calls of robots with floating bases and of long chains."""
     console = Console(width=None if sys.stdout.isatty() else 160)
     out.mkdir(parents=True, exist_ok=True)
     workshop = Workshop(find_cache(), find_includes())
@@ -256,7 +256,7 @@ def main(out: Path, rounds: int, robots: tuple[str, ...], sizes: tuple[int, ...]
 
 
 def _list_mechanisms(out: Path, robots: Sequence[str], sizes: Sequence[int], console: Console) -> Iterator[Mechanism]:
-    """List what is asked for, or everything."""
+    """List the requested mechanisms, or all."""
     everything = not robots and not sizes
     for name in ROBOTS if everything else robots:
         path = find_robot(name, out)

@@ -1,4 +1,4 @@
-"""Tree -> the text that feeds the programs in `cpp/`: the same mechanism for all that are compared."""
+"""Write a tree as text for the programs in `cpp/`: the same mechanism for all candidates."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mbsgen.model.tree import NO_FORCE, Body, Motion, Tree
 
 
 def write_mechanism(tree: Tree) -> str:
-    """Write a mechanism as `cpp/mechanism.hpp` reads it. Raises ValueError for what the peers have no part for."""
+    """Write a mechanism as `cpp/mechanism.hpp` reads it. Raises ValueError for parts that peers lack."""
     forced = [body.joint.name for body in tree.bodies if body.joint.law != NO_FORCE or body.joint.armature != 0]
     if forced or tree.wrenches or tree.quaternions:
         raise ValueError(
@@ -36,7 +36,7 @@ def write_mechanism(tree: Tree) -> str:
 
 
 def _is_depth_first(parents: Iterable[int]) -> bool:
-    """Tell whether each body, of 1, 2, …, stands on the one before it, or on one that carries that."""
+    """Return whether each body 1, 2, … has the body before it, or one of its ancestors, for parent."""
     path = [0]
     for number, parent in enumerate(parents, 1):
         while path and path[-1] != parent:

@@ -1,10 +1,10 @@
-"""Tree -> the equations of motion as a user of CasADi writes them: short recursions with base inertial parameters.
+"""Write the equations of motion as a user of CasADi does: short recursions with base inertial parameters.
 
 A body is described by mass, first moment and inertia about its joint's point. Inertia that a joint cannot feel moves to
 the parent (Gautier, Khalil, 1990): for a revolute joint the mass, the first moment along the axis, and an inertia that
 is symmetric about the axis; for a prismatic joint the inertia. The residual is Newton-Euler's recursion; accelerations
 are by LDL^T of M = d Phi / d qdd, or by articulated bodies (Featherstone); their Jacobian is -M^-1 d Phi.
-Accelerations are those of points, not spatial ones, so no recursion needs velocities of points.
+Accelerations are of points, not spatial, so no recursion needs velocities of points.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class _Link:
 
 @dataclass(frozen=True)
 class _Frame:
-    """A link at a state: where it stands, and the parts of its acceleration that neither parent's nor qdd gives."""
+    """A link at a state: its place, and the part of its acceleration that depends on velocities."""
 
     turn: ca.SX  # from the parent's frame to the link's
     place: ca.SX  # the joint's point, in the parent's frame
@@ -228,16 +228,16 @@ def _place(links: Sequence[_Link], q: ca.SX, qd: ca.SX) -> list[_Frame]:
 
 
 def _shift(place: ca.SX) -> ca.SX:
-    """Return the matrix of what a point's acceleration is where the origin's is known, both angular first."""
+    """Return the matrix from the acceleration of the origin to the acceleration of a point, both angular first."""
     one = ca.SX.eye(3)
     return ca.vertcat(ca.horzcat(one, ca.SX(3, 3)), ca.horzcat(-ca.sparsify(ca.skew(place)), one))
 
 
 def _regroup(tree: Tree) -> list[_Link]:
-    """Move from every body to its parent what its joint cannot feel; to the base it is lost."""
+    """Move from every body to its parent the inertia that its joint cannot feel; the base drops it."""
     links: list[_Link] = []
     count = len(tree.bodies) + 1
-    masses, moments, inertias = np.zeros(count), np.zeros((count, 3)), np.zeros((count, 3, 3))  # what children left
+    masses, moments, inertias = np.zeros(count), np.zeros((count, 3)), np.zeros((count, 3, 3))  # the share of children
     for number, body in reversed(list(enumerate(tree.bodies, 1))):
         com, k, turns = _numbers(tree, body.com), body.joint.axis, body.joint.motion is Motion.REVOLUTE
         own = float(_numbers(tree, (body.mass,))[0])
@@ -261,7 +261,7 @@ def _regroup(tree: Tree) -> list[_Link]:
 
 
 def _squared(a: Array, b: Array | None = None) -> Array:
-    """Return the matrix of v -> a x (b x v); b is a where it is not given."""
+    """Return the matrix of v -> a x (b x v); b is a by default."""
     b = a if b is None else b
     return np.outer(b, a) - np.eye(3) * float(a @ b)
 

@@ -77,7 +77,7 @@ class Sizes:
 
 @dataclass(frozen=True)
 class Prepared:
-    """What is compared on one mechanism, and what timing it takes."""
+    """The candidates for one mechanism, and the data for timing them."""
 
     model: str
     digest: str  # of all that it was made of
@@ -279,7 +279,7 @@ def _differentiate_short(functions: dict[str, ca.Function], jacobians: bool = Tr
 def make_functions(
     author: str, named: Iterable[tuple[str, ca.Function]], workshop: Workshop, report: Report = lambda _: None
 ) -> list[Candidate]:
-    """Write CasADi's functions as C, with both kinds of sines, and compile those that are not too large."""
+    """Write CasADi's functions as C, with both kinds of sines, and compile all but the largest."""
     own = of_model(workshop, author.lower().replace(" ", "_"))
     own.folder.mkdir(parents=True, exist_ok=True)
     listed = list(named)
@@ -357,13 +357,13 @@ def compile_pinocchio(workshop: Workshop) -> dict[Sines, Path]:
 
 
 def load_mechanism(library: Path, mechanism: Path) -> None:
-    """Let Pinocchio's library read a mechanism. Raises BuildError."""
+    """Load a mechanism into Pinocchio's library. Raises BuildError."""
     if ctypes.CDLL(str(library)).pin_load(os.fsencode(mechanism)):
         raise BuildError(f"Pinocchio cannot read {mechanism}")
 
 
 def describe_pinocchio(n: int, names: Iterable[str], libraries: dict[Sines, Path]) -> list[Candidate]:
-    """List Pinocchio's algorithms in C++, for n joints; it has those of FUNCTIONS alone."""
+    """List Pinocchio's algorithms in C++, for n joints; it has FUNCTIONS alone."""
     inverse, forward = ("q", "qd", "qdd", "u"), ("q", "qd", "u")
     faces = {
         "impl": Face(inverse, (dense("Phi", n, 1),)),

@@ -20,7 +20,7 @@ CHECKED = 5  # states at which all must agree
 
 @dataclass(frozen=True)
 class Measurement:
-    """What was found of one candidate."""
+    """The times of one candidate."""
 
     candidate: Candidate
     times: NDArray[np.float64] | None  # ns per call, by round; None: it was counted only
@@ -28,14 +28,14 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Study:
-    """What was found on one mechanism."""
+    """The measurements on one mechanism."""
 
     model: str
     measurements: tuple[Measurement, ...]
 
 
 class DisagreementError(Exception):
-    """Candidates that do not compute the same: their times mean nothing."""
+    """Candidates compute different results: their times have no meaning."""
 
 
 @dataclass(frozen=True)

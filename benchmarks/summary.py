@@ -24,7 +24,7 @@ REPRESENTATION = "IMPL"
 
 
 def write_summary(kernels: Mapping[str, Any], growth: Mapping[str, Any], ocp: Mapping[str, Any]) -> str:
-    """Write the table of what the three benchmarks measured, from the content of their JSON files."""
+    """Return the table of all three benchmarks, from the content of their JSON files."""
     rows = [*_list_rows(kernels, growth), *_list_solves(ocp)]
     lines = [
         "Time of the quickest peer over the time of the generated code, by the shortest rounds. First, all use the",
@@ -88,7 +88,7 @@ def _list_solves(ocp: Mapping[str, Any]) -> Iterator[tuple[str, list[str]]]:
 @click.option("--ocp", default=Path("build/bench-ocp"), type=click.Path(file_okay=False, path_type=Path))
 @click.option("-o", "--out", default=RESULTS, type=click.Path(file_okay=False, path_type=Path))
 def main(kernels: Path, ocp: Path, out: Path) -> None:
-    """Keep what the benchmarks have measured, from their folders, and write the summary of it."""
+    """Copy the results of the benchmarks from their folders, and write their summary."""
     places = {file: (ocp if file.startswith("ocp") else kernels) / file for file in FILES}
     missing = [str(path) for path in places.values() if not path.exists()]
     if missing:

@@ -1,4 +1,4 @@
-"""CasADi functions of the equations of motion, their derivatives by CasADi, and what each costs.
+"""CasADi functions of the equations of motion, their derivatives by CasADi, and their costs.
 
 A function f has named inputs; its Jacobian has the results `jac_<out>_<in>`, the Jacobian of its adjoint
 `jac_adj_<in>_<in>` and `jac_adj_<in>_adj_<out>`, as the generated kernels have them. All are made by CasADi's
@@ -26,7 +26,7 @@ def count_arithmetic(function: ca.Function) -> int:
 
 
 def eliminate(function: ca.Function, name: str) -> ca.Function:
-    """Give a function without common subexpressions, under another name."""
+    """Return a function without common subexpressions, under another name."""
     inputs = function.sx_in()
     return ca.Function(name, inputs, function.call(inputs), function.name_in(), function.name_out(), CSE)
 

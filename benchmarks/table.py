@@ -1,8 +1,8 @@
 """Studies -> rows of figures and ratios, as tables for the terminal, as JSON, and as a chart.
 
 A row compares a kernel with the best that each author has for the same function of the mechanism: the fewest
-operations, and, apart from that, the shortest time. Times are those of the shortest round, and so are the ratios, which
-other work on the machine disturbs least; medians over the rounds stand beside them.
+operations, and, independently, the shortest time. Times and ratios are of the shortest round, which other work on the
+machine disturbs least; medians over the rounds stand beside them.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from rich.table import Table
 from benchmarks.candidates import AUTHORS, OURS, Sines
 from benchmarks.study import Measurement, Study
 
-# What a row is called, our kernel, and the functions that others may compute it by: SEMI is differentiated as the
-# residual M qdd + c - Q, which is that of IMPL.
+# The title of a row, our kernel, and the functions that others may compute it by: SEMI is differentiated as the
+# residual M qdd + c - Q, the residual of IMPL.
 ROWS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "IMPL": ("impl", ("impl",)),
     "SEMI": ("semi", ("semi",)),
@@ -46,8 +46,8 @@ BASES: Mapping[Basis, tuple[Sines, tuple[Sines, ...]]] = {
 }
 EXPLAINED: Mapping[Basis, str] = {
     "same header": "all have the sine and cosine of the generated kernels (csrc/mbs_sincos.h)",
-    "C library": "all have those of the C library, ours too (-DMBS_LIBM)",
-    "as they come": "ours have their own, the others those of the C library",
+    "C library": "all use the C library, ours too (-DMBS_LIBM)",
+    "as they come": "ours have their own, the others use the C library",
 }
 
 
@@ -239,7 +239,7 @@ def make_tables(model: str, rows: Sequence[Row]) -> Iterator[Table]:
 
 @dataclass(frozen=True)
 class Run:
-    """What was measured, and on what."""
+    """The results of a run, and its machine."""
 
     machine: str
     flags: str
@@ -254,14 +254,14 @@ def write_markdown(run: Run) -> str:
         "",
         f"{run.machine}; C with `{run.flags}`; {run.rounds} rounds.",
         "",
-        "Times are those of the shortest round, then the median over the rounds: 39 · 41. Operations in brackets are",
+        "Times are of the shortest round, then the median over the rounds: 39 · 41. Operations in brackets are",
         "relative to ours; 436 + 6 are 436 operations, and 6 of guards: tests that pivots stand out of rounding, which",
         "others do not have. The [page of the benchmarks](../README.md) describes who is compared, and how.",
         "",
-        "All numbers of the models are folded into the code, for everybody. So operations are those of folded kernels,",
+        "All numbers of the models are folded into the code, for everybody. So operations are of folded kernels,",
         "with masses lumped; kernels with parameters at run time take more of them.",
         "",
-        "What is not equal: the other authors' C calls the C library for each sine and cosine, ours computes all of a",
+        "One thing differs: the other authors' C calls the C library for each sine and cosine, ours computes all of a",
         "kernel together in vectors. So the ratios to the quickest peer stand there three times:",
         "",
         *(f"- {basis}: {text}" for basis, text in EXPLAINED.items()),

@@ -1,7 +1,7 @@
 // Pinocchio's algorithms over doubles, in CasADi's contract, so that one loop times them and the kernels alike.
 //
 // pin_load(MECHANISM) comes first. Inputs and results are dense columns in the order of the generated kernels; the
-// arm's passive joints have torque 0. What Pinocchio computes in its own data stays there: it is not copied out.
+// arm's passive joints have torque 0. Results in the data of Pinocchio stay there: they are not copied.
 // -DMBS_SINES gives it the sine and cosine of csrc/mbs_sincos.h, one angle at a time, which is how it asks for them.
 #include <cmath>
 #include <memory>

@@ -42,7 +42,7 @@ from mbsrun.ocp.trajectory import Trajectory
 MODELS = Path(__file__).parents[2] / "models"
 MODEL = MODELS / "arm_pendulum.yaml"
 INTERVALS, DEGREE = 100, 4  # the paper's
-PEERS = "ocp"  # the folder, in the cache of benchmarks, of what was compiled for CasADi
+PEERS = "ocp"  # the folder of CasADi's compiled C, in the cache of benchmarks
 MUMPS = "mumps"
 BARRIERS: tuple[Mapping[str, str], ...] = ({}, {"mu_strategy": "adaptive"})  # options of IPOPT
 
@@ -74,7 +74,7 @@ def make_ours(name: str, problem: Problem, plant: Plant, guess: Trajectory) -> W
 
 
 def list_variants(problem: Problem) -> Iterator[tuple[str, Problem]]:
-    """List what is ours, by name: all forms that go with a representation, linear solvers and barriers."""
+    """List our ways, by name: all forms that go with a representation, linear solvers and barriers."""
     for form in Form:
         chosen = replace(problem, form=form)
         if find_conflicts(chosen):
@@ -85,7 +85,7 @@ def list_variants(problem: Problem) -> Iterator[tuple[str, Problem]]:
 
 
 def list_algebras() -> list[Mapping[str, str]]:
-    """List options that choose a linear solver: none, then the others that there are."""
+    """List options that choose a linear solver: none, then all others."""
     return [{}, *({LINEAR_SOLVER: name} for name in LINEAR_SOLVERS if name != OWN)]
 
 
@@ -109,7 +109,7 @@ def make_ways(problem: Problem, plant: Mechanism, shelf: Shelf | None) -> Iterat
 
 
 def make_peers(problem: Problem, shelf: Shelf | None) -> Iterator[tuple[str, Peer]]:
-    """Make plain CasADi's own, by name: interpreted, or compiled with a shelf."""
+    """Make the ways of plain CasADi, by name: interpreted, or compiled with a shelf."""
     q = ca.SX.sym("q", len(problem.start_q))
     place = ca.Function("place", [q], [write_place(q)])
     settings = list_settings(problem)
@@ -135,7 +135,7 @@ def list_points(problem: Problem, plant: Plant, shelf: Shelf) -> Iterator[tuple[
 
 
 def read_kernel(plant: Plant, name: str) -> Kernel:
-    """Return what the manifest says of a kernel."""
+    """Return the description of a kernel."""
     return plant.manifest.kernel(name)
 
 
@@ -151,7 +151,7 @@ def check_dynamics(way: str, points: Points, plant: Plant, kernel: str) -> None:
 
 
 def write_place(q: ca.SX) -> ca.SX:
-    """Give the hand's position: 0.3 m of upper arm, 0.3 m of forearm and 0.1 m of hand in a vertical plane."""
+    """Return the position of the hand: 0.3 m of upper arm, 0.3 m of forearm and 0.1 m of hand in a vertical plane."""
     angles = [q[1], q[1] + q[2], q[1] + q[2] + q[3]]
     reach = sum(length * ca.cos(angle) for length, angle in zip((0.3, 0.3, 0.1), angles, strict=True))
     depth = sum(length * ca.sin(angle) for length, angle in zip((0.3, 0.3, 0.1), angles, strict=True))
@@ -193,7 +193,7 @@ def make_row(representation: str, way: Way, efforts: Sequence[Effort]) -> Row:
 
 
 def compile_peers(problems: Sequence[Problem], plant: Mechanism, shelf: Shelf) -> None:
-    """Compile what CasADi writes of some problems, where a run finds it."""
+    """Compile the C of CasADi for some problems, where a run finds it."""
     for problem in problems:
         for name, peer in make_peers(problem, shelf):
             print(f"{problem.representation.value}, {name}: {peer.seconds_building:.1f} s", flush=True)
@@ -215,7 +215,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--rounds", type=int, default=3)
     names = [r.value for r in Representation]
     parser.add_argument("--representation", action="append", choices=names, help="by default all")
-    parser.add_argument("--again", action="store_true", help="measure again what an earlier run kept")
+    parser.add_argument("--again", action="store_true", help="measure representations of earlier runs again")
     parser.add_argument("-o", "--output", type=Path, default=Path("build/bench-ocp"))
     given = parser.parse_args(arguments)
     about = f"{describe_machine()}; {given.rounds} rounds; N = {INTERVALS}, degree {DEGREE}"
@@ -224,7 +224,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen_names = given.representation or (["IMPL", "EXP1-O"] if given.quick else names)
     with tempfile.TemporaryDirectory() as scratch:
         if not (given.quick or given.prepare):
-            os.environ["XDG_CACHE_HOME"] = scratch  # nothing is found made
+            os.environ["XDG_CACHE_HOME"] = scratch  # an empty cache
         begin = processor_seconds()
         problem, plant = read_problem(MODELS / "arm_reach.ocp.yaml", load)
         seconds = None if given.quick else processor_seconds() - begin

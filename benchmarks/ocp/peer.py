@@ -1,8 +1,8 @@
 """The peer: the same optimal control problem in plain CasADi, as its users write it.
 
 The equations of motion are short recursions in SX, mapped over the collocation points; CasADi differentiates the whole,
-and runs it in its virtual machine, or as C that it writes. It takes nothing from `mbsrun` but the values of a problem
-and a guess, and has points and weights of its own.
+and runs it in its virtual machine, or as C that it writes. It takes only the values of a problem and a guess from
+`mbsrun`, and computes its points and weights itself.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ FLAGS = ["-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", *EXPOR
 
 @dataclass(frozen=True)
 class Effort:
-    """What a solve took, in processor time."""
+    """The effort of a solve, in processor time."""
 
     status: str
     iterations: int
@@ -48,7 +48,7 @@ class Effort:
 
 
 def processor_seconds() -> float:
-    """Return the processor time spent so far, that of compilers included."""
+    """Return the processor time spent so far, with compilers."""
     return sum(os.times()[:4])
 
 
@@ -182,10 +182,9 @@ def _compile(solver: ca.Function, options: Mapping[str, Any], shelf: Shelf) -> t
 
 
 class Points:
-    """A model's kernels, those of its dynamics as C that CasADi writes of other equations and their derivatives.
+    """The kernels of a model; the dynamics are C that CasADi writes of other equations and their derivatives.
 
-    A program that is assembled from derivatives at points, as that of `mbsrun.ocp` is, takes them in the place of the
-    generated ones.
+    A program that is assembled from derivatives at points, as in `mbsrun.ocp`, uses them instead of the generated ones.
     """
 
     def __init__(self, plant: Plant, functions: Mapping[str, ca.Function], shelf: Shelf) -> None:
@@ -245,14 +244,14 @@ def write_dynamics(tree: Tree) -> dict[str, ca.Function]:
 
 @dataclass(frozen=True)
 class Settings:
-    """How CasADi and IPOPT are told to solve."""
+    """Options of CasADi and IPOPT."""
 
     ipopt: Mapping[str, Any]
     expand: bool  # whether the whole program becomes one expression of scalars, where it is not compiled
 
 
 def list_settings(problem: Problem) -> dict[str, Settings]:
-    """Return settings by name: the defaults, and those that were found to be fastest."""
+    """Return settings by name: the defaults, and the fastest that were found."""
     scale = 1 / max(problem.cost.inputs, problem.cost.input_rates)
     mumps = {"mumps_pivot_order": 0, "mumps_scaling": 0, "mumps_permuting_scaling": 0}
     tuned = {"nlp_scaling_method": "none", "obj_scaling_factor": scale, **mumps}

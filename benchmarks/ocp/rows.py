@@ -21,7 +21,7 @@ COLUMNS = ("build [s]", "iterations", "evaluation [ms]", "algebra [ms]", "solve,
 
 @dataclass(frozen=True)
 class Row:
-    """What one way of solving took in one representation: its quickest round, and medians over all."""
+    """The effort of one way of solving in one representation: its quickest round, and medians over all."""
 
     representation: str
     way: str
@@ -132,12 +132,12 @@ def write_page(figures: Figures) -> str:
         "",
         f"{figures.about}; our C with `{describe_flags()}`, CasADi's with `{' '.join(FLAGS)}`.",
         "",
-        "Times are of the processor, compilers included, and per iteration where they are in ms: those of the quickest",
-        f"round, then the median. What takes more than {LONG:g} s is solved once. A figure in brackets is relative to",
+        "Times are of the processor, compilers included, and per iteration where they are in ms: the quickest",
+        f"round, then the median. A solve of more than {LONG:g} s runs once. A figure in brackets is relative to",
         f"{OURS}. The [page of the benchmark](../ocp/README.md) describes who is compared, and how.",
         "",
-        "All numbers of the model are folded into the code, for everybody, and masses are lumped in ours. What is not",
-        "equal: our kernels have their own sine and cosine, all others those of the C library (some 2 % of their",
+        "All numbers of the model are folded into the code, for everybody, and masses are lumped in ours. Two things",
+        "differ: our kernels have their own sine and cosine, all others use the C library (some 2 % of their",
         "evaluation); our rows have our own linear solver unless they say mumps, all others have MUMPS. `By points` is",
         "C that CasADi writes of the dynamics and their derivatives, in the program that our kernels stand in.",
     ]
