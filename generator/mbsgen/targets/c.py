@@ -73,7 +73,8 @@ def write_c(unit: Unit) -> Sources:
 
 def _write_check(unit: Unit, found: Sequence[Face], common: Mapping[str, object]) -> str:
     comparisons = compare(unit.families, only_driven=unit.only_driven)
-    solved = {tape.name for tape in (f.value for f in unit.families) if any(map(tape.giving, _SOLVED))}
+    values = [family.value for family in unit.families]
+    solved = {f.name for f in values if all(o.port.role in _SOLVED for o in f.outputs)}
     references = {k: v for k, v in unit.references.items() if 0 < len(v) <= _LARGEST_REFERENCE}
     compared = {kernel for comparison in comparisons for kernel in comparison.kernels} | references.keys()
     known = [

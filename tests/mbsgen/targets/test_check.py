@@ -10,10 +10,15 @@ from pathlib import Path
 
 import pytest
 
+from mbsgen.families import write_families
 from mbsgen.formulations import ports
+from mbsgen.model.scene import Scene
+from mbsgen.pipeline import read_tree
+from mbsgen.request import Options, merge
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.replay import declare_inputs, replay
 from mbsgen.tape.types import Tape
+from mbsgen.targets.agreement import compare
 from mbsgen.targets.contract import Family
 from tests.mbsgen.targets.compilation import Requires, run
 from tests.mbsgen.targets.guarded import guarded_tape
@@ -70,6 +75,7 @@ def changed(tape: Tape | None, output: str, change: Callable[[Builder, list[Scal
     return builder.build(tape.function)
 
 
+MODELS = Path(__file__).parents[3] / "models"
 INPUTS = {port.name: port for port in (ports.COORDINATES, ports.VELOCITIES, ports.ACCELERATIONS, ports.FORCES)}
 
 
@@ -171,3 +177,10 @@ def test_functions_that_disagree_are_found(fault: str, tmp_path: Path, requires:
     assert set().union(*RELATIONS.values()) == set(found)
     assert {name for name, verdict in found.items() if verdict == "FAULT"} == RELATIONS[fault]
     assert status == 1
+
+
+def test_a_function_of_several_is_compared_by_its_reference_alone() -> None:
+    """The check program takes the first result for the accelerations, so `step` must not be put into `impl`."""
+    scene = Scene(together=(("step", ("sensors", "exp1")),), functions=("impl", "frames", "sensors"), derivatives=0)
+    families = write_families(read_tree(MODELS / "double_pendulum.yaml"), merge(Options(), scene))
+    assert [c.kernels for c in compare(families, only_driven=True)] == [("sensors", "frames")]
