@@ -5,6 +5,7 @@ python -m tests.csrc.stage_figures
 
 from __future__ import annotations
 
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -56,6 +57,22 @@ def time_sizes(library: Library) -> None:
         print(f"| {size[0]}, {size[1]}, {size[2]} | {result.iterations} | {1e3 * best:.2f} | {solver.bytes // 101} |")
 
 
+def compare_far(library: Library) -> None:
+    """Print how the nonlinear problems end from guesses that are far away, three of each."""
+    rng, ours, theirs = np.random.default_rng(0), [0, 0], [0, 0]
+    for problem in nonlinear():
+        guess = problem.guess
+        for _ in range(3):
+            problem.guess = guess + rng.standard_normal(len(guess))
+            answer = Solver(library, problem).solve(iterations=500)
+            _, statistics = problem.ipopt(**{"ipopt.max_iter": 500})
+            solved = answer.status == "solved", statistics["success"]
+            ours[0], theirs[0] = ours[0] + solved[0], theirs[0] + solved[1]
+            if all(solved):
+                ours[1], theirs[1] = ours[1] + answer.result.iterations, theirs[1] + statistics["iter_count"]
+    print(f"\n24 far guesses: {ours[0]} solved, by IPOPT {theirs[0]}; iterations where both: {ours[1]}, {theirs[1]}")
+
+
 def main() -> None:
     with tempfile.TemporaryDirectory() as place:
         library = Library(compile_solver(Path(place), "-O3", "-march=native"))
@@ -69,6 +86,8 @@ def main() -> None:
             ours, theirs = (sum(c) for c in zip(*counts, strict=True))
             print(f"| **all** | | | | {ours} | {theirs} | | | | | |")
         time_sizes(library)
+        if "--far" in sys.argv:
+            compare_far(library)
 
 
 if __name__ == "__main__":
