@@ -1,4 +1,4 @@
-"""The accelerations of a tree in stages: their derivatives are those of the straight-line programs."""
+"""The accelerations of a tree in stages have the derivatives that the engine writes as straight-line programs."""
 
 from __future__ import annotations
 
