@@ -118,7 +118,7 @@ def _find_wrong_values(problem: Problem) -> Iterator[Finding]:
         yield (
             "cost",
             f"the weights are {cost.weights}",
-            "give finite ones; the weights of inputs and rates must not be negative",
+            "give finite ones, and inputs and rates not negative ones",
         )
     elif not any(cost.weights):
         yield ("cost", "every weight is 0", "give inputs or input_rates a positive weight")
