@@ -147,10 +147,9 @@ static void lay_recursion(arena *a, mbs_stages *s, const mbs_stages_problem *pro
         largest = larger(largest, t->n);
         rows = larger(rows, t->ne + t->ng + t->n + t->next);
     }
-    s->largest = largest;
     for (i = 0; i < 4; ++i)
         r->work[i] = numbers(a, largest + rows, largest);
-    for (i = 0; i < 6; ++i)
+    for (i = 0; i < 5; ++i)
         r->vector[i] = numbers(a, 2 * largest + rows, 1);
     r->diagonal = numbers(a, s->variables, 1);
     r->compliance = numbers(a, s->rows, 1);

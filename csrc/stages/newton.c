@@ -199,7 +199,6 @@ static void solve_reduced(mbs_stages *s)
             break;
         memcpy(s->best_w, s->dw, (size_t)s->variables * sizeof *s->dw);
         memcpy(s->best_y, s->dy, (size_t)s->rows * sizeof *s->dy);
-        s->residual = error / (right > 0 ? right : 1);
         if (error <= enough * right || error > last / 2 || i == REFINEMENTS)
             break;
         last = error;

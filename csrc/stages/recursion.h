@@ -45,8 +45,8 @@ typedef struct {
     int dependent, soft_dynamics;
     real zero_pivot, zero_curvature;
     real left; /* largest residual of dependent rows in the last sweep: 0 unless they contradict others */
-    real *work[4]; /* each as large as the largest step squared */
-    real *vector[6];
+    real *work[4];   /* blocks of the largest step */
+    real *vector[5]; /* its rows and variables */
 } mbs_stages_recursion;
 
 /* Factorise; returns -1, or the stage where the reduced Hessian is not positive definite. */

@@ -65,7 +65,7 @@ struct mbs_stages {
     mbs_stages_options options;
     mbs_stages_result result;
     mbs_stages_recursion recursion;
-    int variables, rows, slacks, largest; /* largest: n of a stage */
+    int variables, rows, slacks;
     mbs_stages_point point;
     mbs_stages_phase main, least;
     real *variable_scale, *row_scale, cost_scale;
@@ -74,7 +74,6 @@ struct mbs_stages {
     real weight_factor;
     real *raw_w, *raw_rows, *raw; /* unscaled numbers for callbacks */
     real *rw, *rc, *dw, *dy, *residual_w, *residual_c, *best_w, *best_y;
-    real residual; /* of the last reduced system, relative */
     real left;     /* what its dependent rows lack to agree with the others */
     double began;
     int failed_stage;
