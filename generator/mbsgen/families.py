@@ -69,7 +69,7 @@ def write_functions(
 
 
 def list_functions(tree: Tree, request: Request) -> tuple[str, ...]:
-    """List the functions of the catalogue that are written. Raises OptionError for those that there are not."""
+    """List the functions of the catalogue that are written. Raises OptionError for unknown names."""
     return tuple(_choose_functions(tree, request.needed))
 
 

@@ -12,16 +12,16 @@ from mbsgen.model.scene import EVERYTHING, LARGEST_TOLERANCE, Scene
 
 @dataclass(frozen=True)
 class Options:
-    """What to generate, besides the C of every function."""
+    """The outputs to generate, besides the C of every function."""
 
     runtime: bool = False  # every number of the model a run-time parameter, see `model.releasing`
-    zeros: bool = False  # with `runtime`: those that are 0 too
+    zeros: bool = False  # with `runtime`: also numbers that are 0
     targets: tuple[str, ...] = ()  # beside C, see `targets.languages`
     compare: bool = False  # also count the formulations without each reduction
-    functions: tuple[str, ...] | None = None  # which functions of the catalogue; None: those of the scene
-    derivatives: int = 2  # up to which order; at most that of the scene
-    scene: Path | Scene = EVERYTHING  # what is wanted of the model
-    tolerance: float | None = None  # relative error that may be made; None: that of the scene
+    functions: tuple[str, ...] | None = None  # of the catalogue; None: the scene's
+    derivatives: int = 2  # the highest order; the scene may lower it
+    scene: Path | Scene = EVERYTHING  # the part of the model to generate
+    tolerance: float | None = None  # allowed relative error; None: the scene's
     reductions: Reductions = ALL  # what is done to lower the operation count
 
 
@@ -34,7 +34,7 @@ class OptionError(MbsError):
 
 @dataclass(frozen=True)
 class Request:
-    """What is to be generated of a model. Of the scene, its functions and its order of derivatives are merged here."""
+    """The merged options and scene. Of the scene, its functions and its order of derivatives are merged here."""
 
     functions: tuple[str, ...] | None = None  # of the catalogue; None: all that the model has
     derivatives: int = 2  # up to which order
@@ -52,7 +52,7 @@ class Request:
 
     @property
     def needed(self) -> tuple[str, ...] | None:
-        """List the chosen functions, and those that a combined function is made of; None: all."""
+        """List the chosen functions, and the parts of combined functions; None: all."""
         parts = [part for _, group in self.scene.together for part in group]
         return None if self.functions is None else tuple(dict.fromkeys((*self.functions, *parts)))
 

@@ -1,7 +1,7 @@
-"""Target languages beside C: one entry each in TARGETS, a printer in a file of its own, and its templates.
+"""Target languages beside C: one entry each in TARGETS, a printer in its own file, and its templates.
 
-C is always written, since the runtime and the check program are made of it. A target adds files of its own, or C
-functions that are made of the others.
+C is always written, since the runtime and the check program use it. A target adds more files, or C functions made from
+the others.
 """
 
 from __future__ import annotations

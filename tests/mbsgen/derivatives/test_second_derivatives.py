@@ -1,4 +1,4 @@
-"""Second derivatives are those of another program: differences of Pinocchio's analytic first derivatives.
+"""Second derivatives agree with another program: differences of Pinocchio's analytic first derivatives.
 
 With weights lam, the first derivatives of lam^T f are differentiated once more, centrally, with two steps (Richardson):
 
