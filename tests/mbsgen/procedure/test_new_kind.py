@@ -105,7 +105,7 @@ def test_a_toy_kind_is_generated_and_differentiated(tmp_path: Path, monkeypatch:
 
     unit = Unit("toy", "0", "0", (family,))
     sources = write_c(unit)
-    for file, text in {**sources.files, "toy.py": write_python(unit)}.items():
+    for file, text in {**sources.files, **write_python(unit)}.items():
         (tmp_path / file).write_text(text)
     files = [tmp_path / file for file in sources.sources]
     command: list[str | Path] = ["gcc", "-std=c99", "-shared", "-fPIC", *files, "-lm", "-o", tmp_path / "toy.so"]
