@@ -80,7 +80,7 @@ def test_stages_take_what_setup_gives(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_whoever_needs_the_straight_form_gets_it(wish: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dynamics, "STRAIGHT", 0)
     monkeypatch.setattr(dynamics, "SURELY", 0)
-    options = Options(functions=("exp1",), derivatives=1, reductions=ONE_PLAN)
-    found = make(MODELS / "double_pendulum.yaml", Options(**{**vars(options), wish: True}))
+    options = Options(functions=("exp1",), derivatives=1, reductions=ONE_PLAN, targets=(wish,))
+    found = make(MODELS / "double_pendulum.yaml", options)
     monkeypatch.setattr(pipeline, "_needs_stages_alone", lambda *_: False)
-    assert make(MODELS / "double_pendulum.yaml", Options(**{**vars(options), wish: True})).files == found.files
+    assert make(MODELS / "double_pendulum.yaml", options).files == found.files
