@@ -255,7 +255,7 @@ def run(tmp_path: Path, bench_file: Path, monkeypatch: pytest.MonkeyPatch, capsy
 def test_the_command_writes_and_tells(run: Run) -> None:
     result = run("--duration", "1", "--method", "rk4", "--pose", "bob=pi/2", "--input", "slider=sin(t)", "-o", "out")
     assert result.exit_code == 0, result.stderr
-    for word in ("workspace, 3 coordinates", "rk4", "step 0.001", "1000, 0 rejected", "energy drift"):
+    for word in ("bench, 3 coordinates", "rk4", "step 0.001", "1000, 0 rejected", "energy drift"):
         assert word in result.stdout
     assert sorted(os.listdir("out")) == ["animation.html", "plots.png", "simulation.json", "trajectory.csv"]
     with Path("out/trajectory.csv").open(encoding="utf-8") as file:
