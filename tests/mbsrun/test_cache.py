@@ -28,7 +28,7 @@ from mbsrun.trust import close_to_others, compute_hash
 from tests.sample import write_sample
 
 NAME = PurePath("compiled", "sample", "entry.so")
-TEMPORARY = "a temporary folder takes its place"
+TEMPORARY = "a temporary folder replaces it"
 
 
 @pytest.fixture
