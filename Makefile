@@ -14,7 +14,7 @@ demo: $(VENV)/installed
 	@ls build/arm_pendulum build/arm_reach
 
 test: lint
-	$(BIN)/pytest -n 2
+	$(BIN)/pytest -n 2 --dist worksteal
 
 # Changes the files that ship, and draws mechanisms, to find faults: some hours. FUZZ="--count 100" is quick, and goes to
 # both searches; FUZZ_INPUTS="--kind models" and FUZZ_MECHANISMS="--seed 1000" go to one.
