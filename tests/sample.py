@@ -19,6 +19,7 @@ from mbsgen.tape.types import Sparsity, Tape
 from mbsgen.targets.c import Sources, write_c
 from mbsgen.targets.contract import Family
 from mbsgen.targets.names import mangle
+from mbsgen.targets.parts import LENGTH
 from mbsgen.targets.unit import Unit
 
 DIFFERENTIATED = ("x", "y", "u", "z")
@@ -65,11 +66,12 @@ def write_sample(
     name: str = "sample",
     families: tuple[Family, ...] | None = None,
     parameters: Mapping[str, float] = MappingProxyType(PARAMETERS),
+    part: int = LENGTH,
 ) -> Path:
     """Write a model's C and its manifest into a folder, as the pipeline does; return the folder."""
     families = sample_families() if families is None else families
     values = tuple(parameters.values()) if any(f.value.name == "setup" for f in families) else ()
-    unit = Unit(mangle(name), "1.2.3", "0123abcd", families, values)
+    unit = Unit(mangle(name), "1.2.3", "0123abcd", families, values, part=part)
     sources = write_c(unit)
     folder.mkdir(parents=True, exist_ok=True)
     for file, text in sources.files.items():

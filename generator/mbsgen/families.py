@@ -79,7 +79,7 @@ def _write_chosen(
     """Write the chosen functions with their derivatives, and count the ways of writing these."""
     families: list[Family] = []
     ways: dict[str, Mapping[str, int]] = {}
-    dynamics = Dynamics(tree, request.reductions, staged=staged)
+    dynamics = Dynamics(tree, request.reductions, staged=staged, size=request.size)
     read = dict(request.scene.results)
     forms: list[Derivatives] = []
     for name, entry in _choose_functions(tree, request.needed).items():

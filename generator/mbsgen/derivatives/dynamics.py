@@ -23,20 +23,13 @@ from mbsgen.model.tree import Kind, Tree
 from mbsgen.procedure.fusion import drop_dead as drop_dead_stages
 from mbsgen.procedure.procedure import Computation, Procedure, straight
 from mbsgen.procedure.procedure import count as count_stages
+from mbsgen.request import MEASURED, CodeSize
 from mbsgen.roles import Order, Role
 from mbsgen.tape import reverse
 from mbsgen.tape.counts import count
 from mbsgen.tape.passes import drop_dead, keep_results
 from mbsgen.tape.ports import Function
 from mbsgen.tape.types import Sparsity, Tape
-
-# Operations from which on columns are looped over. A Panda's Jacobian of EXP1 (4700 operations) takes 0.47 us straight
-# and 0.62 with a loop, a quadruped's (20,000) 3.4 and 3.2, a humanoid's (110,000) 24 and 20.
-STRAIGHT = 16_000
-# From how many operations of the loop on the straight code, which leaves zeros out, is sure to be longer than that: a
-# quadruped's loop has 30,000 for 20,000, a humanoid's 190,000 for 110,000.
-SURELY = 3 * STRAIGHT
-COMPARED = 12  # bodies: in larger trees, only the way that always won is written
 
 C = TypeVar("C", bound=Computation, covariant=True)
 Ways = Mapping[str, Callable[[], Tape]]  # by name: `tape`, `recursion` or `implicit`
@@ -48,9 +41,9 @@ class Dynamics:
     With `staged`, Jacobians that are large enough for a loop are written in stages alone, and not straight as well.
     """
 
-    def __init__(self, tree: Tree, reductions: Reductions, *, staged: bool = False) -> None:
-        is_compared = len(tree.bodies) <= COMPARED or _is_strange(tree)
-        self._choice = _Choice(reductions, is_compared=is_compared, staged=staged and not is_compared)
+    def __init__(self, tree: Tree, reductions: Reductions, *, staged: bool = False, size: CodeSize = MEASURED) -> None:
+        is_compared = len(tree.bodies) <= size.compared or _is_strange(tree)
+        self._choice = _Choice(reductions, is_compared=is_compared, staged=staged and not is_compared, size=size)
         self._residual = _OfResidual(tree, reductions, self._choice)
 
     def differentiate(self, tape: Tape, before: Sequence[Derivatives] = ()) -> Derivatives:
@@ -84,6 +77,7 @@ class _Choice:
     reductions: Reductions
     is_compared: bool
     staged: bool
+    size: CodeSize
 
     def finish(self, tape: Tape) -> Tape:
         """Lower a finished tape's cost, by the reductions that are on."""
@@ -286,7 +280,8 @@ class _OfAccelerations(_Chosen):
     @cached_property
     def staged(self) -> Mapping[str, Procedure]:
         """Write large derivatives once more, in stages."""
-        large = [x for x in (self.jac, self.lin) if isinstance(x, Tape) and len(x.operations) > STRAIGHT]
+        limit = self._choice.size.straight
+        large = [x for x in (self.jac, self.lin) if isinstance(x, Tape) and len(x.operations) > limit]
         return {x.name: self._write_staged(x.function, {o.name: o.sparsity for o in x.outputs}) for x in large}
 
     @cached_property
@@ -304,7 +299,7 @@ class _OfAccelerations(_Chosen):
         if not self._choice.staged:
             return False
         nothing = {name: Sparsity.of(x.rows, x.cols, ()) for name, x in self._blocks.items()}
-        return count_stages(narrow(self._columns, nothing)).paper > SURELY
+        return count_stages(narrow(self._columns, nothing)).paper > self._choice.size.certain
 
     @property
     def _blocks(self) -> Mapping[str, Sparsity]:

@@ -42,7 +42,7 @@ class Sources:
 def write_c(unit: Unit) -> Sources:
     """Write every kernel of `unit` in C, and the files of a library; the same unit gives the same text."""
     found = [face for family in unit.families for face in faces(family, unit.prefix)]
-    views = [_view(unit.prefix, face) for face in found]
+    views = [_view(unit.prefix, face, unit.part) for face in found]
     header = f"{unit.prefix}.h"
     parameters, design = (tuple(write_literal(x) for x in values) for values in (unit.parameters, unit.design))
     common = {
@@ -194,7 +194,7 @@ class _View:
     outputs: _Table
 
 
-def _view(prefix: str, face: Face) -> _View:
+def _view(prefix: str, face: Face, part: int) -> _View:
     counts = face.counts
     outputs = face.procedure.outputs
     unwanted = tuple(accumulate((o.sparsity.nnz for o in outputs), initial=0))
@@ -212,7 +212,7 @@ def _view(prefix: str, face: Face) -> _View:
         left_out=tuple(f"{a.name}: {a.rows} x {a.cols}, without a nonzero: no argument" for a in empty),
         unwanted=tuple(_Unwanted(o.name, place) for o, place in zip(outputs, unwanted, strict=False) if o.sparsity.nnz),
         unwanted_size=unwanted[-1],
-        stages=write_stages(face.procedure),
+        stages=write_stages(face.procedure, part),
         zeros=max((i.sparsity.nnz for i in face.tape.inputs), default=0),
         patterns=tuple(_Pattern(name, wrap(map(str, _compress(pattern)))) for pattern, name in patterns.items()),
         inputs=_table(face.inputs, patterns),

@@ -23,7 +23,7 @@ from mbsgen.tape.ordering import arrange
 from mbsgen.tape.ports import Port
 from mbsgen.tape.types import Sparsity, Tape
 from mbsgen.targets.layout import lay_out
-from mbsgen.targets.parts import Line, Part, divide
+from mbsgen.targets.parts import LENGTH, Line, Part, divide
 from mbsgen.targets.statements import Body, C, Check, Turns, wrap, write_body, write_literal
 
 WIRES, COLUMNS, ANGLES = "mbs_wires.h", "mbs_columns.h", "mbs_sincos.h"
@@ -65,9 +65,9 @@ class Written:
     lines: tuple[str, ...]
 
 
-def write_stages(procedure: Procedure) -> Written:
-    """Write the stages of a procedure."""
-    writer = Writer(procedure)
+def write_stages(procedure: Procedure, part: int = LENGTH) -> Written:
+    """Write the stages of a procedure; long functions in parts of `part` lines at least."""
+    writer = Writer(procedure, part)
     for stage in procedure.stages:
         assert type(stage) in RULES, f"no rule writes {type(stage).__name__} in C"
         writer.declare(stage)
@@ -78,8 +78,8 @@ def write_stages(procedure: Procedure) -> Written:
 class Writer:
     """A kernel while its stages are written, one after the other."""
 
-    def __init__(self, procedure: Procedure) -> None:
-        self.procedure = procedure
+    def __init__(self, procedure: Procedure, part: int) -> None:
+        self.procedure, self.part = procedure, part
         self.headers: dict[str, None] = {}
         self.tables: dict[str, tuple[str, ...]] = {}
         self.functions: list[str] = []
@@ -147,7 +147,7 @@ class Writer:
         """Divide a body in functions of bounded length."""
         if any(isinstance(s, Turns) for s in body.statements):
             self.headers[ANGLES] = None
-        divided = divide(body, [i.name for i in tape.inputs], name)
+        divided = divide(body, [i.name for i in tape.inputs], name, self.part)
         parts = tuple(_write_function(part, values) for part in divided.parts)
         return Functions(values, keeper, wrap(divided.kept), parts)
 

@@ -51,10 +51,10 @@ class Division:
     kept: tuple[str, ...]  # values that outlive their part
 
 
-def divide(body: Body, inputs: Sequence[str], name: str = "mbs_part") -> Division:
+def divide(body: Body, inputs: Sequence[str], name: str = "mbs_part", length: int = LENGTH) -> Division:
     """Divide the body of a function with the given inputs, once it has the length of two parts, named with numbers."""
     lines = order_lines(body)
-    count = max(1, len(lines) // LENGTH)
+    count = max(1, len(lines) // length)
     size = max(1, -(-len(lines) // count))
     slices = [lines[k : k + size] for k in range(0, len(lines), size)] or [()]
     kept = _find_kept(slices)

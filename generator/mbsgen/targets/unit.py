@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from mbsgen.targets.contract import Family
 from mbsgen.targets.entries import Group
+from mbsgen.targets.parts import LENGTH
 
 
 @dataclass(frozen=True)
@@ -23,3 +24,4 @@ class Unit:
     groups: tuple[Group, ...] = ()  # names of the entries of vectors
     references: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # results at the check's first state
     tolerance: float | None = None  # allowed relative error of the functions; None: exact
+    part: int = LENGTH  # least lines of a part of a long function

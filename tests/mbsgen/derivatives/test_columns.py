@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,23 +12,16 @@ import numpy as np
 import pytest
 
 import mbsrun
-from mbsgen.derivatives import dynamics
 from mbsgen.families import write_families
 from mbsgen.model.scene import EVERYTHING
 from mbsgen.model.tree import Tree
 from mbsgen.pipeline import Options, generate
 from mbsgen.procedure.procedure import evaluate
-from mbsgen.request import merge
+from mbsgen.request import CodeSize, merge
 from tests.random_trees import random_tree
 
 MODELS = Path(__file__).parents[3] / "models"
-OPTIONS = Options(functions=("exp1",), derivatives=1)
-
-
-@pytest.fixture(autouse=True)
-def looped(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have every Jacobian of accelerations written with a loop, however small."""
-    monkeypatch.setattr(dynamics, "STRAIGHT", 0)
+OPTIONS = Options(functions=("exp1",), derivatives=1, size=CodeSize(straight=0))  # every Jacobian has a loop
 
 
 @pytest.mark.parametrize("tree", [random_tree(5, 6), random_tree(7, 5, runtime=True)], ids=["branched", "run time"])
@@ -47,14 +41,12 @@ def test_a_loop_gives_the_jacobian(tree: Tree) -> None:
 
 @pytest.mark.parametrize("scalars", [False, True], ids=["vectors", "scalars"])
 @pytest.mark.parametrize("name", ["branched", "double_pendulum"])
-def test_the_c_of_a_loop_gives_the_jacobian(
-    name: str, scalars: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_c_of_a_loop_gives_the_jacobian(name: str, scalars: bool, tmp_path: Path) -> None:
     """As the straight C does, alone and with the values; a tree with branches has places that stay zero."""
     found = []
     for limit in (0, 10**9):
-        monkeypatch.setattr(dynamics, "STRAIGHT", limit)
-        product = generate(MODELS / f"{name}.yaml", tmp_path / str(limit), OPTIONS)
+        options = replace(OPTIONS, size=CodeSize(straight=limit))
+        product = generate(MODELS / f"{name}.yaml", tmp_path / str(limit), options)
         assert ("mbs_columns.h" in product.files) == (limit == 0)
         if scalars and limit == 0:
             header = tmp_path / "0" / "mbs_columns.h"

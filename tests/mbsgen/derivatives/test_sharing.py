@@ -2,42 +2,40 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from mbsgen import pipeline
-from mbsgen.derivatives import dynamics
 from mbsgen.derivatives.dynamics import Dynamics
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.pipeline import Options, make
+from mbsgen.request import CodeSize
 from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.types import Tape
 from tests.random_trees import random_tree
 
 MODELS = Path(__file__).parents[3] / "models"
 ONE_PLAN = Reductions(trials=1)
+LARGE = CodeSize(compared=0)  # every tree is a large one
+LOOPED = CodeSize(compared=0, straight=0)
+STAGED = CodeSize(compared=0, straight=0, certain=0)
 
 
 def list_guards(tape: Tape) -> list[tuple[int, float]]:
     return [(guard.joint, guard.tolerance) for guard in tape.guards]
 
 
-@pytest.fixture(autouse=True)
-def large(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have every tree taken for a large one."""
-    monkeypatch.setattr(dynamics, "COMPARED", 0)
-
-
 def test_the_second_form_has_the_derivatives_it_would_have_alone() -> None:
     """The same values, and its own guards: EXP2 is content with pivots that EXP1 refuses."""
     tree = random_tree(5, 4)
     first, second = (FUNCTIONS[name].build(tree, ONE_PLAN) for name in ("exp1", "exp2"))
-    both = Dynamics(tree, ONE_PLAN)
+    both = Dynamics(tree, ONE_PLAN, size=LARGE)
     shared = both.differentiate(second, [both.differentiate(first)])
-    alone = Dynamics(tree, ONE_PLAN).differentiate(second)
+    alone = Dynamics(tree, ONE_PLAN, size=LARGE).differentiate(second)
     rng = np.random.default_rng(1)
     for found, expected in ((getattr(x, kind) for x in (shared, alone)) for kind in ("jac", "lin", "adj1")):
         assert found.name == expected.name
@@ -51,13 +49,11 @@ def test_the_second_form_has_the_derivatives_it_would_have_alone() -> None:
     assert {tolerance for _, tolerance in list_guards(shared.jac)} != {tolerance for _, tolerance in list_guards(first)}
 
 
-def test_what_has_a_loop_for_sure_is_not_written_straight(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_has_a_loop_for_sure_is_not_written_straight() -> None:
     """The C is the same, except for its hash, and so are the manifest's entries."""
-    options = Options(functions=("exp1", "exp2"), derivatives=1, reductions=ONE_PLAN)
-    monkeypatch.setattr(dynamics, "STRAIGHT", 0)
+    options = Options(functions=("exp1", "exp2"), derivatives=1, reductions=ONE_PLAN, size=LOOPED)
     straight = make(MODELS / "double_pendulum.yaml", options)
-    monkeypatch.setattr(dynamics, "SURELY", 0)
-    staged = make(MODELS / "double_pendulum.yaml", options)
+    staged = make(MODELS / "double_pendulum.yaml", replace(options, size=STAGED))
     assert straight.manifest.model_hash != staged.manifest.model_hash
     for file, text in straight.files.items():
         if not file.startswith("report"):
@@ -65,11 +61,9 @@ def test_what_has_a_loop_for_sure_is_not_written_straight(monkeypatch: pytest.Mo
             assert renamed == text, file
 
 
-def test_stages_take_what_setup_gives(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stages_take_what_setup_gives() -> None:
     """With parameters at run time, stages are all that `setup` is made for."""
-    monkeypatch.setattr(dynamics, "STRAIGHT", 0)
-    monkeypatch.setattr(dynamics, "SURELY", 0)
-    options = Options(functions=("exp1",), derivatives=1, reductions=ONE_PLAN)
+    options = Options(functions=("exp1",), derivatives=1, reductions=ONE_PLAN, size=STAGED)
     kernels = make(MODELS / "branched.yaml", options).manifest
     (given,) = kernels.kernel("setup").outputs
     for name in ("exp1", "jac_exp1", "lin_exp1"):
@@ -78,9 +72,7 @@ def test_stages_take_what_setup_gives(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("wish", ["python", "matlab", "acados"])
 def test_whoever_needs_the_straight_form_gets_it(wish: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dynamics, "STRAIGHT", 0)
-    monkeypatch.setattr(dynamics, "SURELY", 0)
-    options = Options(functions=("exp1",), derivatives=1, reductions=ONE_PLAN, targets=(wish,))
+    options = Options(functions=("exp1",), derivatives=1, reductions=ONE_PLAN, targets=(wish,), size=STAGED)
     found = make(MODELS / "double_pendulum.yaml", options)
     monkeypatch.setattr(pipeline, "_needs_stages_alone", lambda *_: False)
     assert make(MODELS / "double_pendulum.yaml", options).files == found.files

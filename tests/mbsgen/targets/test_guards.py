@@ -12,6 +12,7 @@ import pytest
 
 from mbsgen.tape.interpreter import find_failure
 from mbsgen.targets.contract import Family
+from mbsgen.targets.parts import LENGTH
 from tests.mbsgen.targets.compilation import STRICT, Requires, run
 from tests.mbsgen.targets.guarded import TOLERANCE, guarded_tape
 from tests.sample import write_sample
@@ -28,8 +29,8 @@ STATES = {
 }
 
 
-def compile_kernel(tmp_path: Path, compiler: str, *flags: str) -> Callable[..., int]:
-    folder = write_sample(tmp_path, families=(Family(guarded_tape()),))
+def compile_kernel(tmp_path: Path, compiler: str, *flags: str, part: int = LENGTH) -> Callable[..., int]:
+    folder = write_sample(tmp_path, families=(Family(guarded_tape()),), part=part)
     library = tmp_path / "lib.so"
     run(compiler, *STRICT, *flags, "-fPIC", "-shared", folder / "sample_impl.c", "-lm", "-o", library)
     return ctypes.CDLL(str(library)).sample_compute_impl  # type: ignore[no-any-return]
@@ -39,12 +40,11 @@ def compile_kernel(tmp_path: Path, compiler: str, *flags: str) -> Callable[..., 
 @pytest.mark.parametrize("real", ["double", "float"])
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_a_failed_guard_is_the_status_and_nothing_is_written(
-    compiler: str, real: str, length: int, tmp_path: Path, requires: Requires, monkeypatch: pytest.MonkeyPatch
+    compiler: str, real: str, length: int, tmp_path: Path, requires: Requires
 ) -> None:
     """At full optimisation, with contraction; pivots of a few epsilon fail on one side of the tolerance alone."""
-    monkeypatch.setattr("mbsgen.targets.parts.LENGTH", length)  # as one function, or in parts
     flags = ("-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", f"-DMBS_REAL={real}")
-    kernel = compile_kernel(tmp_path, requires(compiler), *flags)
+    kernel = compile_kernel(tmp_path, requires(compiler), *flags, part=length)  # as one function, or in parts
     number = np.float64 if real == "double" else np.float32
     rounding = TOLERANCE * float(np.finfo(number).eps)
     near = {"below": ([rounding, 1.0, 1.0], 2), "above": ([2 * rounding, 1.0, rounding], 0)}
