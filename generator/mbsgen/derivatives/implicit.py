@@ -26,8 +26,8 @@ from mbsgen.procedure import solve as systems
 from mbsgen.procedure.patterns import LANES, Tree
 from mbsgen.procedure.procedure import Procedure, straight
 from mbsgen.procedure.solve import Solve
-from mbsgen.procedure.stages import Wire
 from mbsgen.procedure.straight import Straight
+from mbsgen.procedure.wires import Wire
 from mbsgen.roles import Order
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.ports import Port, adjoint_port, derivative_port, seed_port

@@ -15,7 +15,8 @@ from decimal import Decimal
 from mbsgen.procedure import procedure as procedures
 from mbsgen.procedure.procedure import Computation, Procedure
 from mbsgen.procedure.solve import Solve
-from mbsgen.procedure.stages import Stage, Wire
+from mbsgen.procedure.stages import Stage
+from mbsgen.procedure.wires import Wire
 from mbsgen.roles import Role
 from mbsgen.tape.interpreter import DECIMALS, evaluate, fifty_digits
 from mbsgen.tape.passes import drop_dead

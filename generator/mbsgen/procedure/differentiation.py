@@ -18,8 +18,9 @@ from mbsgen.procedure.procedure import Procedure
 from mbsgen.procedure.sheet import Sheet
 from mbsgen.procedure.slopes import Slopes
 from mbsgen.procedure.solve import Factor
-from mbsgen.procedure.stages import Stage, Wire
+from mbsgen.procedure.stages import Stage
 from mbsgen.procedure.straight import written
+from mbsgen.procedure.wires import Wire
 from mbsgen.roles import Order
 from mbsgen.tape.ports import adjoint_port, derivative_port, seed_port
 from mbsgen.tape.types import Sparsity

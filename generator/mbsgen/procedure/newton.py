@@ -21,8 +21,9 @@ from mbsgen.procedure import elimination
 from mbsgen.procedure.patterns import Pattern
 from mbsgen.procedure.sheet import Sheet
 from mbsgen.procedure.solve import TOLERANCE, Block, Factor, Solve, check_status
-from mbsgen.procedure.stages import Arithmetic, Outcome, Pulled, Stage, Values, Wire
+from mbsgen.procedure.stages import Arithmetic, Outcome, Pulled, Stage, Values
 from mbsgen.procedure.straight import written
+from mbsgen.procedure.wires import Wire
 from mbsgen.tape import counts
 from mbsgen.tape.builder import Scalar
 from mbsgen.tape.counts import Counts

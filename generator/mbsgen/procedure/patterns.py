@@ -16,7 +16,7 @@ from typing import Any
 
 from mbsgen.errors import TapeError
 from mbsgen.procedure import elimination
-from mbsgen.procedure.stages import Wire
+from mbsgen.procedure.wires import Wire
 from mbsgen.tape.types import Op, Sparsity
 
 Rows = list[list[Any]]

@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from mbsgen.errors import TapeError
-from mbsgen.procedure.stages import Arithmetic, Outcome, Stage, Values, Wire
+from mbsgen.procedure.stages import Arithmetic, Outcome, Stage, Values
 from mbsgen.procedure.straight import Straight
+from mbsgen.procedure.wires import Wire
 from mbsgen.roles import Role
 from mbsgen.tape.counts import Counts
 from mbsgen.tape.interpreter import FLOATS, Numbers

@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING
 
 from mbsgen.errors import TapeError
 from mbsgen.procedure.sheet import Sheet
-from mbsgen.procedure.stages import Arithmetic, Outcome, Pulled, Stage, Values, Wire
+from mbsgen.procedure.stages import Arithmetic, Outcome, Pulled, Stage, Values
 from mbsgen.procedure.straight import written
+from mbsgen.procedure.wires import Wire
 from mbsgen.tape import counts
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.counts import Counts

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mbsgen.procedure.stages import Wire
+from mbsgen.procedure.wires import Wire
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.types import Tape
 

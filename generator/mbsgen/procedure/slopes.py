@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 
 from mbsgen.procedure.naming import Names
 from mbsgen.procedure.sheet import Sheet
-from mbsgen.procedure.stages import Wire
+from mbsgen.procedure.wires import Wire
 from mbsgen.tape.builder import Scalar
 from mbsgen.tape.forward import Gradient
 from mbsgen.tape.types import Sparsity

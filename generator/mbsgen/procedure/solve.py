@@ -18,8 +18,9 @@ from typing import TYPE_CHECKING, Any
 from mbsgen.errors import TapeError
 from mbsgen.procedure.patterns import Pattern
 from mbsgen.procedure.sheet import Sheet
-from mbsgen.procedure.stages import Arithmetic, Outcome, Pulled, Stage, Values, Wire
+from mbsgen.procedure.stages import Arithmetic, Outcome, Pulled, Stage, Values
 from mbsgen.procedure.straight import written
+from mbsgen.procedure.wires import Wire
 from mbsgen.tape.builder import Scalar
 from mbsgen.tape.counts import Counts
 from mbsgen.tape.forward import Gradient

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from mbsgen.procedure.procedure import Computation
-from mbsgen.procedure.stages import Wire
+from mbsgen.procedure.wires import Wire
 from mbsgen.tape import passes
 from mbsgen.tape.ports import Port
 from mbsgen.tape.types import Input, Tape

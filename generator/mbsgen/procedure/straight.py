@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from mbsgen.procedure.sheet import Sheet
-from mbsgen.procedure.stages import Arithmetic, Outcome, Pulled, Stage, Values, Wire
+from mbsgen.procedure.stages import Arithmetic, Outcome, Pulled, Stage, Values
+from mbsgen.procedure.wires import Wire
 from mbsgen.tape import counts
 from mbsgen.tape.builder import Scalar
 from mbsgen.tape.counts import Counts

@@ -12,7 +12,7 @@ from itertools import accumulate
 
 from mbsgen import resources
 from mbsgen.manifest import Argument, Flops, Kernel
-from mbsgen.procedure.stages import Wire
+from mbsgen.procedure.wires import Wire
 from mbsgen.roles import Role
 from mbsgen.tape.types import Input, Output, Sparsity
 from mbsgen.targets.agreement import compare

@@ -17,8 +17,9 @@ from mbsgen.procedure.patterns import LANES, General, Pattern, Symmetric, Tree
 from mbsgen.procedure.procedure import Procedure
 from mbsgen.procedure.repeat import Repeat
 from mbsgen.procedure.solve import Block, Factor, Solve
-from mbsgen.procedure.stages import Stage, Wire
+from mbsgen.procedure.stages import Stage
 from mbsgen.procedure.straight import Straight
+from mbsgen.procedure.wires import Wire
 from mbsgen.tape.ordering import arrange
 from mbsgen.tape.ports import Port
 from mbsgen.tape.types import Sparsity, Tape

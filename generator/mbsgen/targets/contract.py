@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from mbsgen.procedure.procedure import Computation, Procedure, as_procedure, count
-from mbsgen.procedure.stages import Wire
+from mbsgen.procedure.wires import Wire
 from mbsgen.roles import FAMILY, Order, name_adjoint, name_derivative, name_kernel, name_unneeded
 from mbsgen.tape.counts import Counts
 from mbsgen.tape.ports import Port, adjoint_port, derivative_port, seed_port

@@ -18,8 +18,9 @@ from mbsgen.procedure.patterns import General, Pattern, Symmetric, Tree
 from mbsgen.procedure.procedure import Procedure
 from mbsgen.procedure.repeat import Repeat
 from mbsgen.procedure.solve import Factor, Solve
-from mbsgen.procedure.stages import Stage, Wire
+from mbsgen.procedure.stages import Stage
 from mbsgen.procedure.straight import Straight
+from mbsgen.procedure.wires import Wire
 from mbsgen.tape.types import Tape
 
 _KINDS: Mapping[type[Pattern], str] = {Tree: "tree", Symmetric: "symmetric", General: "general"}

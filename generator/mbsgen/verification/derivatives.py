@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from decimal import Decimal
 
 from mbsgen.procedure.procedure import Computation, Procedure, evaluate
-from mbsgen.procedure.stages import Wire
+from mbsgen.procedure.wires import Wire
 from mbsgen.roles import Order, Role
 from mbsgen.tape.interpreter import DECIMALS
 from mbsgen.tape.ports import Port

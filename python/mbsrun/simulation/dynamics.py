@@ -22,7 +22,7 @@ from mbsgen.errors import MbsError
 from mbsgen.manifest import Argument, Kernel
 from mbsgen.roles import Order, Role, name_derivative, name_kernel
 from mbsrun.kernel import Kernels
-from mbsrun.simulation.method import Evaluated, Formulation
+from mbsrun.simulation.formulation import Evaluated, Formulation
 from mbsrun.simulation.motion import Effort
 
 Array = NDArray[np.float64]

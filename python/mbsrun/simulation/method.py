@@ -1,57 +1,20 @@
-"""Kinds of methods, and the formulations of the equations of motion that they evaluate."""
+"""Methods of integration: their kinds and their properties."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsgen.roles import Order, name_kernel
-from mbsrun import forms
-
-if TYPE_CHECKING:  # these modules read formulations
-    from mbsrun.limits import Allowance
-    from mbsrun.simulation.drive import Piece
-    from mbsrun.simulation.dynamics import Dynamics
-    from mbsrun.simulation.motion import Chunk, Settings
+from mbsrun.limits import Allowance
+from mbsrun.simulation.drive import Piece
+from mbsrun.simulation.dynamics import Dynamics
+from mbsrun.simulation.motion import Chunk, Settings
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Evaluated:
-    """The kernels that a formulation evaluates."""
-
-    function: str  # accelerations, or a residual that is linear in them
-    mass: str | None  # the kernel with the mass matrix among its results; None where `function` returns accelerations
-
-    @property
-    def is_direct(self) -> bool:
-        """Return whether the kernel returns accelerations."""
-        return self.mass is None
-
-
-class Formulation(Enum):
-    """The form in which the equations of motion are evaluated."""
-
-    IMPL = forms.IMPL.function  # residual; for accelerations solved with its Jacobian by qdd
-    SEMI = forms.SEMI.function  # mass matrix and bias
-    EXP1 = forms.EXP1.function  # accelerations, by elimination in the mass matrix
-    EXP2 = forms.EXP2.function  # accelerations, by articulated bodies
-
-    @property
-    def evaluated(self) -> Evaluated:
-        """Return the kernels of the form."""
-        form = next(form for form in forms.FORMS if form.function == self.value)
-        if form.is_direct:
-            return Evaluated(form.function, None)
-        has_matrix = form.function != form.residual
-        mass = form.function if has_matrix else name_kernel(form.function, Order.JACOBIAN)
-        return Evaluated(form.differentiated, mass)
 
 
 class Family(Enum):
@@ -64,7 +27,7 @@ class Family(Enum):
 
 # dynamics, a piece of the inputs, q and qd at its start, settings, what may be spent -> the steps through the piece.
 # Raises HaltError, after yielding them, where a kernel, a state or a step fails, or the allowance is used up.
-Integrator = Callable[["Dynamics", "Piece", Array, Array, "Settings", "Allowance"], Iterator["Chunk"]]
+Integrator = Callable[[Dynamics, Piece, Array, Array, Settings, Allowance], Iterator[Chunk]]
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ from functools import partial
 
 from mbsrun.ocp import schemes
 from mbsrun.simulation import adaptive, explicit, implicit
-from mbsrun.simulation.method import Family, Formulation, Integrator, Method
+from mbsrun.simulation.formulation import Formulation
+from mbsrun.simulation.method import Family, Integrator, Method
 from mbsrun.simulation.motion import Settings
 
 __all__ = ["METHODS", "Family", "Formulation", "Method", "choose_formulation", "takes_too_many_steps"]

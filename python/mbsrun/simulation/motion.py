@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsrun.limits import Limits
-from mbsrun.simulation.method import Formulation
+from mbsrun.simulation.formulation import Formulation
 
 Array = NDArray[np.float64]
 

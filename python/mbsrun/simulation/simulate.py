@@ -17,7 +17,8 @@ from mbsrun.simulation import adaptive
 from mbsrun.simulation.drive import Drive, DriveError, Piece, input_labels
 from mbsrun.simulation.dynamics import Dynamics, SingularError
 from mbsrun.simulation.energy import add_up_work
-from mbsrun.simulation.method import Family, Formulation
+from mbsrun.simulation.formulation import Formulation
+from mbsrun.simulation.method import Family
 from mbsrun.simulation.methods import METHODS, choose_formulation, takes_too_many_steps
 from mbsrun.simulation.motion import (
     STORED,

@@ -13,8 +13,8 @@ from mbsgen.procedure.procedure import Computation, Procedure
 from mbsgen.procedure.repeat import Gather, Repeat
 from mbsgen.procedure.sheet import Sheet
 from mbsgen.procedure.solve import Block, Factor, Solve
-from mbsgen.procedure.stages import Wire
 from mbsgen.procedure.straight import Straight
+from mbsgen.procedure.wires import Wire
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.interpreter import Numbers
 from mbsgen.tape.ports import Function

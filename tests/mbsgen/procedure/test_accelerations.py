@@ -13,8 +13,8 @@ from mbsgen.procedure.patterns import Tree
 from mbsgen.procedure.procedure import Procedure, evaluate
 from mbsgen.procedure.sheet import Sheet
 from mbsgen.procedure.solve import Block, Factor, Solve
-from mbsgen.procedure.stages import Wire
 from mbsgen.procedure.straight import Straight
+from mbsgen.procedure.wires import Wire
 from mbsgen.tape import forward
 from mbsgen.tape.replay import replay
 from mbsgen.tape.types import Sparsity

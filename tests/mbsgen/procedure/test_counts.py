@@ -12,8 +12,8 @@ from mbsgen.procedure.patterns import General, Symmetric, Tree
 from mbsgen.procedure.procedure import Procedure, count
 from mbsgen.procedure.repeat import Gather, Repeat
 from mbsgen.procedure.solve import Block, Factor, Solve
-from mbsgen.procedure.stages import Wire
 from mbsgen.procedure.straight import Straight
+from mbsgen.procedure.wires import Wire
 from mbsgen.tape.ports import Function
 from mbsgen.tape.types import Op, Sparsity
 from tests.mbsgen.procedure.examples import EXAMPLES, Q, X, four_bar, repeat, solve, straight, system

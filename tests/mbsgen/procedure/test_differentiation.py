@@ -12,8 +12,8 @@ from mbsgen.procedure.differentiation import adjoint, jacobian
 from mbsgen.procedure.newton import Newton
 from mbsgen.procedure.procedure import Procedure, count, evaluate
 from mbsgen.procedure.solve import Block, Factor, Solve
-from mbsgen.procedure.stages import Wire
 from mbsgen.procedure.straight import Straight
+from mbsgen.procedure.wires import Wire
 from mbsgen.tape import forward, reverse
 from mbsgen.tape.counts import count as count_tape
 from mbsgen.tape.interpreter import DIGITS

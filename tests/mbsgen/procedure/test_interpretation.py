@@ -13,7 +13,7 @@ from mbsgen.procedure.newton import Newton
 from mbsgen.procedure.patterns import General, Pattern, Symmetric, Tree
 from mbsgen.procedure.procedure import Procedure, evaluate, interpret
 from mbsgen.procedure.solve import Block, Solve
-from mbsgen.procedure.stages import Wire
+from mbsgen.procedure.wires import Wire
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import DECIMALS, DIGITS, FLOATS, Numbers, fifty_digits
 from mbsgen.tape.ports import Function

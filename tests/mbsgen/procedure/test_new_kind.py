@@ -17,8 +17,9 @@ from mbsgen.procedure.differentiation import adjoint, jacobian
 from mbsgen.procedure.procedure import Procedure, as_procedure, count, evaluate
 from mbsgen.procedure.sheet import Sheet
 from mbsgen.procedure.slopes import Slopes
-from mbsgen.procedure.stages import Arithmetic, Outcome, Pulled, Stage, Values, Wire
+from mbsgen.procedure.stages import Arithmetic, Outcome, Pulled, Stage, Values
 from mbsgen.procedure.straight import Straight, written
+from mbsgen.procedure.wires import Wire
 from mbsgen.tape.counts import Counts
 from mbsgen.tape.ports import Function
 from mbsgen.tape.types import Op, Sparsity
