@@ -65,7 +65,7 @@ study: $(VENV)/installed-study
 mutants: $(VENV)/installed-dev
 	$(BIN)/python -m tests.mutants
 
-# The laboratory, whole: an hour on two cores. Verdicts, maps and their tables go into docs/laboratory.
+# The laboratory, whole: half an hour on one core. Verdicts, maps and their tables go into docs/laboratory.
 laboratory: $(VENV)/installed-study
 	$(BIN)/mbsrun lab -o build/laboratory || test $$? -eq 1
 	cp build/laboratory/verdicts.md build/laboratory/verdicts.csv build/laboratory/map_*.csv \
