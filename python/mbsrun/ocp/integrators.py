@@ -54,11 +54,6 @@ class Integrator:
         return not np.triu(self.stages.V).any()
 
 
-def collocate(scheme: Scheme) -> Integrator:
-    """Return the method of a scheme: Gauss, or Radau IIA."""
-    return build("collocation", scheme, 1)
-
-
 def build(name: IntegratorName, scheme: Scheme, steps: int) -> Integrator:
     """Return a method that takes `steps` of equal length over an interval, and is read at the points of a scheme."""
     step = INTEGRATORS[name].make(scheme)

@@ -78,11 +78,7 @@ def _form(value: Any) -> str:
 NumberField = Annotated[Expression, PlainValidator(read_number), Field(examples=[1.0])]
 LimitField = Annotated[Expression | None, PlainValidator(lambda v: None if v is None else read_number(v))]
 RangeField = tuple[LimitField, LimitField]  # null: no bound
-NumbersField = Annotated[  # one for each coordinate, or by name and else 0
-    Annotated[tuple[NumberField, ...], Tag("list")] | Annotated[dict[str, NumberField], Tag("mapping")],
-    Discriminator(_form),
-]
-StartField = Annotated[  # the same; null: not given
+StartField = Annotated[  # one for each coordinate, or by name; null: not given
     Annotated[tuple[LimitField, ...], Tag("list")] | Annotated[dict[str, LimitField], Tag("mapping")],
     Discriminator(_form),
 ]
