@@ -143,6 +143,17 @@ class Wrench(_Entry):
     moment: bool  # three more are its moment
 
 
+class Loop(_Entry):
+    """A loop or a constraint: the equations of h that it has, in the order of the manifest."""
+
+    name: str
+    cut: str  # see `tree.Cut`; "constraint" of an equation
+    first: int = -1  # index of the frame of the body of its first end; -1: the base
+    second: int = -1
+    equations: tuple[str, ...] = ()  # what its entries of h are: "x", "y", "z", "distance", ...
+    redundant: tuple[str, ...] = ()  # its equations that follow from others, and are no entries of h
+
+
 class Manifest(_Entry):
     """A generated folder, described."""
 
@@ -161,6 +172,11 @@ class Manifest(_Entry):
     design: tuple[Parameter, ...] = ()  # differentiated parameters, in the order of theta
     frames: tuple[Frame, ...]
     wrenches: tuple[Wrench, ...] = ()
+    loops: tuple[Loop, ...] = ()
+    independent: tuple[int, ...] = ()  # entries of qd that determine all others; empty without loops
+    dependent: tuple[int, ...] = ()  # the other ones, as many as entries of h
+    pose: tuple[float, ...] = ()  # q at which all loops are closed; empty without loops
+    driven: tuple[int, ...] = ()  # entries of qd whose accelerations are given
     kernels: tuple[Kernel, ...]
     tolerance: float | None = None  # bound on the relative error of the kernels; None: exact
 
@@ -202,6 +218,9 @@ def write(manifest: Manifest) -> str:
         unsaid["coordinates"] = {"__all__": {"max_speed", "max_force"}}
     if manifest.tolerance is None:
         unsaid["tolerance"] = True
+    unsaid |= {
+        name: True for name in ("loops", "independent", "dependent", "pose", "driven") if not getattr(manifest, name)
+    }
     return manifest.model_dump_json(indent=2, exclude=unsaid) + "\n"
 
 

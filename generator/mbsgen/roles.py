@@ -31,6 +31,11 @@ class Role(Enum):
     RESIDUAL = "residual"  # Phi - Q, which vanishes along a motion
     MASS_MATRIX = "mass_matrix"  # M of M qdd + c = Q
     BIAS = "bias"  # c of M qdd + c = Q
+    MULTIPLIER = "multiplier"  # lambda, the forces of loops and constraints
+    CLOSURE = "closure"  # h, which vanishes where loops are closed
+    CLOSURE_RATE = "closure_rate"  # J qd, its time derivative
+    CLOSURE_ACCELERATION = "closure_acceleration"  # J qdd + Jd qd, the second one
+    CLOSURE_JACOBIAN = "closure_jacobian"  # J
     RATE = "rate"  # time derivatives of q
     CONDITION = "condition"  # the factor by which a solution loses digits
     RESULT = "result"  # any other result
@@ -54,6 +59,9 @@ class Axis(Enum):
     PARAMETERS = "parameters"  # run-time parameters
     DESIGN = "design"  # differentiated parameters
     SENSORS = "sensors"  # one entry or more for each sensor
+    CONSTRAINTS = "constraints"  # the equations of loops and constraints, independent ones
+    INDEPENDENT = "independent"  # the velocities that determine all others
+    DRIVEN = "driven"  # the joints whose accelerations are given
     FRAMES = "frames"  # one entry or more for each body, then for each sensor
 
 

@@ -35,6 +35,50 @@ MASS_MATRIX = Port(
 BIAS = Port("c", Role.BIAS, Axis.VELOCITIES, unit="N m or N", meaning="bias: the joints' forces at qdd = 0")
 RATES = Port("rate", Role.RATE, Axis.COORDINATES, meaning="time derivatives of q")
 
+MULTIPLIERS = Port(
+    "lam",
+    Role.MULTIPLIER,
+    Axis.CONSTRAINTS,
+    unit="N, N m or the constraint's own",
+    meaning="multipliers: the force on each equation of h, in the direction in which h grows",
+)
+CLOSURE = Port(
+    "h", Role.CLOSURE, Axis.CONSTRAINTS, unit="m, or 1 of angles", meaning="what is left open of loops and constraints"
+)
+CLOSURE_RATE = Port("hd", Role.CLOSURE_RATE, Axis.CONSTRAINTS, meaning="time derivative of h: J qd")
+CLOSURE_ACCELERATION = Port(
+    "hdd", Role.CLOSURE_ACCELERATION, Axis.CONSTRAINTS, meaning="second time derivative of h: J qdd + Jd qd"
+)
+CLOSURE_JACOBIAN = Port(
+    "J", Role.CLOSURE_JACOBIAN, Axis.CONSTRAINTS, Axis.VELOCITIES, meaning="Jacobian of h: hd = J qd"
+)
+CLOSURE_BIAS = Port(
+    "gamma", Role.CLOSURE_ACCELERATION, Axis.CONSTRAINTS, meaning="second time derivative of h at qdd = 0: Jd qd"
+)
+DRIVE = Port(
+    "a", Role.ACCELERATION, Axis.DRIVEN, unit="rad/s2 or m/s2", meaning="given accelerations of the driven joints"
+)
+DRIVING_FORCES = Port(
+    "tau",
+    Role.RESULT,
+    Axis.DRIVEN,
+    unit="N m or N",
+    meaning="forces that keep the driven joints to their accelerations",
+)
+INDEPENDENT_VELOCITIES = Port("yd", Role.VELOCITY, Axis.INDEPENDENT, meaning="independent joint velocities")
+INDEPENDENT_ACCELERATIONS = Port("ydd", Role.ACCELERATION, Axis.INDEPENDENT, meaning="independent joint accelerations")
+REDUCED_RESIDUAL = Port(
+    "Phi",
+    Role.RESIDUAL,
+    Axis.INDEPENDENT,
+    unit="N m or N",
+    meaning="residual, projected to the independent coordinates",
+)
+REDUCED_MASS_MATRIX = Port(
+    "M", Role.MASS_MATRIX, Axis.INDEPENDENT, Axis.INDEPENDENT, meaning="mass matrix of the independent coordinates"
+)
+REDUCED_BIAS = Port("c", Role.BIAS, Axis.INDEPENDENT, meaning="bias of the independent coordinates")
+
 POSITION = Port(
     "position",
     Role.RESULT,

@@ -226,7 +226,15 @@ def make_model(
         replace(value, name=key) if isinstance(value, Parameter) else Parameter(key, number(value))
         for key, value in (parameters or {}).items()
     )
-    made = Model(name, vector(gravity), tuple(bodies), named, tuple(frames), tuple(wrenches), allow_unphysical)
+    made = Model(
+        name,
+        vector(gravity),
+        tuple(bodies),
+        named,
+        tuple(frames),
+        tuple(wrenches),
+        allow_unphysical=allow_unphysical,
+    )
     if findings := find_faults(made):
         where = f"model {abbreviate(name)}"
         raise refuse([Fault(where, 0, write_path(f.place), f.finding, f.remedy) for f in findings])

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from mbsgen.expressions import Call, Expression, Name, Negation, Number, Operation
-from mbsgen.model.tree import Kind, Motion
+from mbsgen.model.tree import Cut, Kind, Motion
 
 BASE = "base"  # the name of the fixed base
 COORDINATE, RATE = "q", "qd"  # a joint's own, in the expression of its force
@@ -200,6 +200,35 @@ class Wrench:
 
 
 @dataclass(frozen=True)
+class LoopEnd:
+    """One end of a loop: a frame on a body."""
+
+    body: str  # or BASE
+    placement: Placement = HERE  # in the body's frame
+
+
+@dataclass(frozen=True)
+class Loop:
+    """What closes a loop of bodies, between frames on two of them, see `tree.Cut`."""
+
+    name: str
+    cut: Cut
+    first: LoopEnd
+    second: LoopEnd
+    axis: Triple = UNITS["z"]  # in both frames; of a universal joint, the first axis, in the first frame
+    axis2: Triple = UNITS["x"]  # of a universal joint: the second axis, in the second frame
+    length: Expression = ZERO  # of a rod [m]
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """An equation of coordinates: what vanishes."""
+
+    name: str
+    equation: Expression  # over the names of joints, and parameters
+
+
+@dataclass(frozen=True)
 class Model:
     """A mechanism as its author describes it."""
 
@@ -209,4 +238,9 @@ class Model:
     parameters: tuple[Parameter, ...] = ()
     frames: tuple[Frame, ...] = ()
     wrenches: tuple[Wrench, ...] = ()
+    loops: tuple[Loop, ...] = ()
+    constraints: tuple[Constraint, ...] = ()
+    driven: tuple[str, ...] = ()  # joints whose accelerations are given
+    independent: tuple[str, ...] = ()  # joints whose coordinates determine all others; empty: they are chosen
+    assembly: tuple[tuple[str, Expression], ...] = ()  # joints, and coordinates near which loops close; else 0
     allow_unphysical: bool = False  # take inertias that no body can have

@@ -124,6 +124,62 @@ class Coupling:
     offset: Expr  # [rad or m]
 
 
+class Cut(Enum):
+    """A kind of loop, by what it keeps together. Axes are the z axes of its two frames."""
+
+    ROD = "rod"  # the distance of the origins
+    BALL = "ball"  # the origins
+    HINGE = "hinge"  # the origins and the axes
+    UNIVERSAL = "universal"  # the origins, and the angle between the axes
+    CYLINDRICAL = "cylindrical"  # the axes, as lines
+    PRISMATIC = "prismatic"  # the axes, as lines, and the turn about them
+    PLANAR = "planar"  # the second origin in the plane across the first axis, and the directions of the axes
+    SOLID = "solid"  # the frames
+
+
+@dataclass(frozen=True)
+class LoopFrame:
+    """One end of a loop: a frame on a body."""
+
+    body: int  # 0: the base
+    position: Vector  # in the body's frame [m]
+    axes: Matrix  # columns: the frame's axes in the body's frame
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A cut: what closes a loop of bodies, between frames on two of them."""
+
+    name: str
+    cut: Cut
+    first: LoopFrame
+    second: LoopFrame
+    value: Expr = ZERO  # rod: the distance [m]; universal: the cosine of the angle between the axes
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """An equation of coordinates: what vanishes."""
+
+    name: str
+    equation: Expr  # over `coordinate_symbol` of joints, and parameters
+
+
+def coordinate_symbol(joint: str) -> Symbol:
+    """Return the symbol of a joint's coordinate in the equation of a constraint; no parameter has it."""
+    return Symbol(f"q[{joint}]", real=True)
+
+
+@dataclass(frozen=True)
+class Closure:
+    """What was found out about the loops and constraints of a tree, in the coordinates of the coupled tree."""
+
+    pose: tuple[float, ...]  # q at which all loops are closed
+    kept: tuple[int, ...]  # of all equations, from 0: those that do not follow from others
+    independent: tuple[int, ...]  # entries of qd, from 0, that determine all others
+    dependent: tuple[int, ...]  # the other ones; as many as kept equations
+
+
 @dataclass(frozen=True)
 class Sensor:
     """A named frame on a body."""
@@ -159,6 +215,17 @@ class Tree:
     wrenches: tuple[Wrench, ...] = ()
     quaternions: tuple[Quaternion, ...] = ()
     couplings: tuple[Coupling, ...] = ()
+    loops: tuple[Loop, ...] = ()
+    constraints: tuple[Constraint, ...] = ()
+    driven: tuple[int, ...] = ()  # bodies, from 1, of the joints whose accelerations are given
+    chosen: tuple[int, ...] = ()  # bodies of the joints that the author calls independent
+    rough: tuple[tuple[int, float], ...] = ()  # bodies, and the author's rough coordinates of their joints
+    closure: Closure | None = None  # of a tree with loops or constraints, once it is closed
+
+    @property
+    def is_constrained(self) -> bool:
+        """Return whether equations restrict the joints' motion."""
+        return bool(self.loops or self.constraints or self.driven)
 
     @property
     def followers(self) -> frozenset[int]:
@@ -201,11 +268,19 @@ class Tree:
             for part in body.parts:
                 numbers += [part.mass, *part.com, *chain(*part.inertia)]
         numbers += [number for x in self.couplings for number in (x.ratio, x.offset)]
+        for loop in self.loops:
+            ends = (loop.first, loop.second)
+            numbers += [loop.value, *(number for end in ends for number in (*end.position, *chain(*end.axes)))]
+        numbers += [constraint.equation for constraint in self.constraints]
         for sensor in self.sensors:
             numbers += [*sensor.position, *chain(*sensor.orientation)]
         for wrench in self.wrenches:
             numbers += [*wrench.position, *chain(*wrench.orientation), *(wrench.force or ()), *(wrench.moment or ())]
-        return frozenset().union(*(number.free_symbols for number in numbers)) - {COORDINATE, RATE}
+        return frozenset().union(*(number.free_symbols for number in numbers)) - {
+            COORDINATE,
+            RATE,
+            *(coordinate_symbol(body.joint.name) for body in self.bodies),
+        }
 
     def children(self, i: int) -> tuple[int, ...]:
         """Number the bodies whose parent is body i."""
