@@ -49,6 +49,11 @@ def _make_model(section: schema.ModelSection) -> Model:
         bodies=tuple(map(_make_body, section.bodies)),
         frames=tuple(Frame(frame.name, frame.body, frame.placement) for frame in section.frames),
         wrenches=tuple(map(_make_wrench, section.wrenches)),
+        loops=tuple(loop.make() for loop in section.loops),
+        constraints=tuple(constraint.make() for constraint in section.constraints),
+        driven=section.driven,
+        independent=section.independent,
+        assembly=tuple(section.assembly.items()),
         allow_unphysical=section.allow_unphysical,
     )
 

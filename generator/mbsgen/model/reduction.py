@@ -28,6 +28,7 @@ from mbsgen.model.tree import (
     RATE,
     ZERO,
     Coupling,
+    Cut,
     Kind,
     Matrix,
     Parameter,
@@ -35,6 +36,7 @@ from mbsgen.model.tree import (
     RigidPart,
     Tree,
     Vector,
+    coordinate_symbol,
 )
 
 
@@ -58,6 +60,8 @@ def build_tree(description: Model) -> Tree:
         carried[seat.number].append(_read_part(body, seat, reader))
     bodies = tuple(_make_body(mover, *_merge(carried[i]), reader=reader) for i, mover in enumerate(moving, 1))
     couplings = tuple(_find_couplings(description, moving, reader))
+    numbers = {mover.joint.name: i for i, mover in enumerate(moving, 1) if mover.joint.name is not None}
+    coordinates = _express_coordinates(bodies, couplings)
     return Tree(
         name=description.name,
         gravity=reader.vector(description.gravity),
@@ -67,6 +71,14 @@ def build_tree(description: Model) -> Tree:
         wrenches=tuple(_make_wrench(wrench, seats[wrench.body], reader) for wrench in description.wrenches),
         quaternions=tuple(_find_quaternions(description, moving)),
         couplings=couplings,
+        loops=tuple(_make_loop(loop, seats, reader) for loop in description.loops),
+        constraints=tuple(
+            tree.Constraint(constraint.name, reader.equation(constraint.equation, coordinates))
+            for constraint in description.constraints
+        ),
+        driven=tuple(sorted(numbers[name] for name in description.driven)),
+        chosen=tuple(sorted(numbers[name] for name in description.independent)),
+        rough=tuple(sorted((numbers[name], reader.estimate(x)) for name, x in description.assembly)),
     )
 
 
@@ -114,6 +126,7 @@ class _Reader:
     algebra: Algebra[Expr]
     symbols: Mapping[str, Expr]  # parameters; a constant 0 is structural
     values: Mapping[str, Expr]  # constants by their values
+    present: Mapping[str, Expr]  # all parameters by their present values
 
     def number(self, expression: Expression) -> Expr:
         """Read a length, mass or inertia over symbols."""
@@ -149,6 +162,14 @@ class _Reader:
     def law(self, law: model.Law) -> Expr:
         """Read a joint's own force, over its q and qd."""
         return evaluate(law.total, {**self.symbols, **_OWN}, self.algebra)
+
+    def estimate(self, expression: Expression) -> float:
+        """Read a number by the present values of parameters."""
+        return to_double(evaluate(expression, self.present, self.algebra))
+
+    def equation(self, equation: Expression, coordinates: Mapping[str, Expr]) -> Expr:
+        """Read the equation of a constraint, over coordinates."""
+        return evaluate(equation, {**self.symbols, **coordinates}, self.algebra)
 
     def rotation(self, placement: model.Placement) -> Matrix:
         """Read an orientation; constants enter by value, so that a quarter turn has its zeros."""
@@ -186,7 +207,7 @@ def _read_parameters(description: Model) -> tuple[tuple[Parameter, ...], _Reader
             constants[symbol] = known[name]
         else:
             changing.add(name)
-    return tuple(parameters), _Reader(algebra, symbols, values)
+    return tuple(parameters), _Reader(algebra, symbols, values, known)
 
 
 @dataclass(frozen=True)
@@ -353,6 +374,42 @@ def _make_body(mover: _Mover, part: RigidPart, *parts: RigidPart, reader: _Reade
 def _make_sensor(frame: model.Frame, seat: _Seat, reader: _Reader) -> tree.Sensor:
     placed = seat.carry(frame.placement, reader)
     return tree.Sensor(frame.name, placed.number, placed.position, placed.axes)
+
+
+def _express_coordinates(bodies: Sequence[tree.Body], couplings: Sequence[Coupling]) -> dict[str, Expr]:
+    """Express the coordinate of every joint by those of joints that do not follow others."""
+    own = {body.joint.name: coordinate_symbol(body.joint.name) for body in bodies}
+    names = [*own]
+    followers = {names[x.follower - 1]: total((x.ratio * own[names[x.leader - 1]], x.offset)) for x in couplings}
+    return {**own, **followers}
+
+
+def _make_loop(loop: model.Loop, seats: Mapping[str, _Seat], reader: _Reader) -> tree.Loop:
+    first, second = reader.direction(loop.axis), reader.direction(loop.axis)
+    value = ZERO
+    match loop.cut:
+        case Cut.ROD:
+            value = reader.number(loop.length)
+        case Cut.UNIVERSAL:
+            second = reader.direction(loop.axis2)
+            value = _tidy(cosine(first, second))
+    ends = ((loop.first, first), (loop.second, second))
+    one, other = (_make_loop_frame(seats[end.body].carry(end.placement, reader), axis) for end, axis in ends)
+    return tree.Loop(loop.name, loop.cut, one, other, value)
+
+
+def _make_loop_frame(seat: _Seat, axis: Vector) -> tree.LoopFrame:
+    """Turn a frame so that its z axis lies along an axis that is given in it."""
+    k, turn = align(axis)
+    cyclic = _matrix([[ONE if (r - k) % 3 == (s - 2) % 3 else ZERO for s in range(3)] for r in range(3)])
+    return tree.LoopFrame(seat.number, seat.position, _product(seat.axes, _product(turn, cyclic)))
+
+
+def cosine(a: Vector, b: Vector) -> Expr:
+    """Compute the cosine of the angle between two directions of numbers."""
+    product, *squares = (total(x * y for x, y in zip(*pair, strict=True)) for pair in ((a, b), (a, a), (b, b)))
+    lengths = [_NUMBERS.functions["sqrt"](square) for square in squares]
+    return product / (lengths[0] * lengths[1])
 
 
 def _make_wrench(wrench: model.Wrench, seat: _Seat, reader: _Reader) -> tree.Wrench:

@@ -19,6 +19,7 @@ from mbsgen.expressions import Number
 from mbsgen.model import joints
 from mbsgen.model.joints.elementary import ElementarySection
 from mbsgen.model.joints.section import JointSection
+from mbsgen.model.loops import ConstraintSection, LoopSection
 from mbsgen.model.model import BASE, ORIGIN, ZERO
 from mbsgen.model.sections import NumberField, PlacementSection, TripleField
 from mbsgen.model.tree import Kind
@@ -114,6 +115,15 @@ class ModelSection(Section):
     bodies: tuple[BodySection, ...]  # narrowed by `model_section`
     frames: tuple[FrameSection, ...] = Field((), examples=[[]], description="sensors")
     wrenches: tuple[WrenchSection, ...] = Field((), examples=[[]])
+    loops: tuple[LoopSection, ...] = Field((), examples=[[]], description="joints that close loops of bodies")
+    constraints: tuple[ConstraintSection, ...] = Field((), examples=[[]], description="equations of coordinates")
+    driven: tuple[str, ...] = Field((), examples=[[]], description="joints whose motion is given; their force results")
+    independent: tuple[str, ...] = Field(
+        (), examples=[[]], description="joints whose coordinates determine all others; else they are chosen"
+    )
+    assembly: dict[str, NumberField] = Field(
+        {}, examples=[{}], description="rough coordinates of joints near which the loops close, rad or m; else 0"
+    )
     allow_unphysical: bool = Field(False, examples=[False], description="take inertias that no body has")
 
 
