@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mbsgen import __version__, manifest
 from mbsgen.approximation.choice import Approximation, approximate
-from mbsgen.documents import abbreviate, refuse, write_path
+from mbsgen.assembly import AssemblyError, assemble
+from mbsgen.documents import abbreviate, read_document, refuse, write_path
 from mbsgen.errors import Fault
 from mbsgen.evidence import gather
 from mbsgen.families import Functions, Tell, say_nothing, write_families, write_functions
 from mbsgen.formulations.catalogue import list_results
+from mbsgen.formulations.closure import list_equations
 from mbsgen.importing import import_model, is_foreign
-from mbsgen.manifest import Coordinate, Frame, Manifest, Parameter, Wrench
+from mbsgen.manifest import Coordinate, Frame, Loop, Manifest, Parameter, Wrench
 from mbsgen.model.checks import find_faults
 from mbsgen.model.model import Model
 from mbsgen.model.reader import read_model
@@ -67,7 +70,8 @@ def make(model: Path | Model, options: Options = DEFAULT, tell: Tell = say_nothi
     whole = read(model)
     request = merge(options, _read_scene(options.scene, whole))
     staged = _stage(whole, request.scene, options.scene)
-    trees = _build_trees(whole, staged, request)
+    with _locating(model):
+        trees = _build_trees(whole, staged, request)
     functions = write_functions(trees.generated, request, tell, staged=_needs_stages_alone(request))
     tell("the check of all functions")
     verification = verify(trees.generated, functions.families, still=not request.scene.motion)
@@ -101,12 +105,15 @@ class _Trees:
 
 def _build_trees(whole: Model, staged: Model, request: Request) -> _Trees:
     """Build the tree that functions are generated of, and the trees that the report counts."""
-    written, parametric = build_tree(staged), build_parametric(whole, request.scene)
+    written, parametric = assemble(build_tree(staged)), build_parametric(whole, request.scene)
     if request.runtime:
         generated = build_parametric(whole, request.scene, zeros=True) if request.zeros else parametric
-        return _Trees(written, parametric, generated, None)
+        return _Trees(written, replace(parametric, closure=written.closure), assemble(generated), None)
+    parametric = replace(parametric, closure=written.closure)
     if request.tolerance is None:
         return _Trees(written, parametric, written, None)
+    if written.is_constrained:
+        raise OptionError("tolerance: errors of mechanisms with loops are not estimated; leave the option out")
     approximation = approximate(written, request.tolerance, request)
     return _Trees(written, parametric, approximation.tree, approximation)
 
@@ -141,8 +148,23 @@ def _write_files(
 
 
 def read_tree(model: Path | Model) -> Tree:
-    """Read a model file, or a file to import, as a Tree. Raises InputError with every fault of the file."""
-    return build_tree(read(model))
+    """Read a model file, or a file to import, as a Tree with closed loops. Raises InputError with every fault."""
+    with _locating(model):
+        return assemble(build_tree(read(model)))
+
+
+@contextmanager
+def _locating(model: Path | Model) -> Iterator[None]:
+    """Give the faults of loops their lines in the model file."""
+    try:
+        yield
+    except AssemblyError as error:
+        if isinstance(model, Path) and not is_foreign(model):
+            document = read_document(model)
+            raise refuse([document.fault(x.place, x.finding, x.remedy) for x in error.findings]) from None
+        file = str(model) if isinstance(model, Path) else f"model {abbreviate(model.name)}"
+        faults = [Fault(file, 0, write_path(x.place), x.finding, x.remedy) for x in error.findings]
+        raise refuse(faults) from None
 
 
 def build_parametric(model: Model, scene: Scene = EVERYTHING, *, zeros: bool = False) -> Tree:
@@ -197,6 +219,7 @@ def _hash(tree: Tree, families: tuple[Family, ...]) -> str:
     """Return a hash of the generated content: the tapes to their last digit, and the tree's entries in the manifest."""
     told = [(b.name, b.parent, b.joint) for b in tree.bodies], [(s.name, s.body) for s in tree.sensors], tree.wrenches
     text = repr(tree.couplings) if tree.couplings else ""
+    text += repr((tree.loops, tree.constraints, tree.driven, tree.closure)) if tree.is_constrained else ""
     text += repr((tree.name, told, [(p.name, p.value, p.kind) for p in tree.parameters]))
     bounds = [(j.max_speed, j.max_force) for j in (b.joint for b in tree.bodies)]
     text += repr(bounds) if any(map(any, bounds)) else ""
@@ -255,9 +278,33 @@ def _describe(tree: Tree, unit: Unit, sources: Sources, mechanism: str) -> Manif
             for x in tree.wrenches
             if x.force is None or x.moment is None
         ),
+        loops=_describe_loops(tree),
+        independent=tree.closure.independent if tree.closure else (),
+        dependent=tree.closure.dependent if tree.closure else (),
+        pose=tree.closure.pose if tree.closure else (),
+        driven=tuple(joints.index(tree.bodies[number - 1].joint) for number in tree.driven),
         kernels=sources.kernels,
         tolerance=unit.tolerance,
     )
+
+
+def _describe_loops(tree: Tree) -> tuple[Loop, ...]:
+    """Describe loops, then constraints."""
+    if tree.closure is None:
+        return ()
+    every = list(enumerate(list_equations(tree)))
+
+    def name(number: int, *, is_kept: bool) -> tuple[str, ...]:
+        kept = tree.closure.kept if tree.closure else ()
+        return tuple(x for i, (own, x) in every if own == number and (i in kept) is is_kept)
+
+    def describe(number: int, title: str, cut: str, first: int, second: int) -> Loop:
+        equations, redundant = name(number, is_kept=True), name(number, is_kept=False)
+        return Loop(name=title, cut=cut, first=first, second=second, equations=equations, redundant=redundant)
+
+    loops = [describe(k, x.name, x.cut.value, x.first.body - 1, x.second.body - 1) for k, x in enumerate(tree.loops)]
+    first = len(loops)
+    return (*loops, *(describe(k, x.name, "constraint", -1, -1) for k, x in enumerate(tree.constraints, first)))
 
 
 def _describe_frame(tree: Tree, i: int) -> Frame:

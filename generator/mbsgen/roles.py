@@ -32,6 +32,8 @@ class Role(Enum):
     MASS_MATRIX = "mass_matrix"  # M of M qdd + c = Q
     BIAS = "bias"  # c of M qdd + c = Q
     MULTIPLIER = "multiplier"  # lambda, the forces of loops and constraints
+    DRIVE = "drive"  # the accelerations of driven joints, which are given
+    DRIVING_FORCE = "driving_force"  # tau, the forces that this takes
     CLOSURE = "closure"  # h, which vanishes where loops are closed
     CLOSURE_RATE = "closure_rate"  # J qd, its time derivative
     CLOSURE_ACCELERATION = "closure_acceleration"  # J qdd + Jd qd, the second one

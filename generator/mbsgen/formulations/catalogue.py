@@ -17,7 +17,20 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
-from mbsgen.formulations import condition, coupling, energy, exp1, exp2, impl, ports, poses, rates, semi, velocities
+from mbsgen.formulations import (
+    closure,
+    condition,
+    coupling,
+    energy,
+    exp1,
+    exp2,
+    impl,
+    ports,
+    poses,
+    rates,
+    semi,
+    velocities,
+)
 from mbsgen.formulations.planning import dynamics_alone
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Tree
@@ -40,6 +53,14 @@ SENSORS = Need(lambda tree: bool(tree.sensors), "{name} is of sensors, and {tree
 QUATERNIONS = Need(
     lambda tree: bool(tree.quaternions),
     "{name} is of quaternions, and {tree} has none; the rates of its coordinates are qd",
+)
+OPEN = Need(
+    lambda tree: not tree.is_constrained,
+    "{name} does not estimate what loops and driven joints lose, and {tree} has some; leave it out",
+)
+LOOPS = Need(
+    lambda tree: bool(tree.loops or tree.constraints),
+    "{name} is of loops, and {tree} has none; close some under `loops:`",
 )
 
 
@@ -149,6 +170,7 @@ FUNCTIONS: Mapping[str, Entry] = {
         project(condition.build, coupling.write_condition),
         "how many digits exp1 and exp2 lose at a position",
         results=(ports.ELIMINATION, ports.ARTICULATED),
+        needs=(OPEN,),
     ),
     "energy": Entry(
         _plainly(energy.build),
@@ -168,6 +190,29 @@ FUNCTIONS: Mapping[str, Entry] = {
         results=(ports.RATES,),
         order=2,
         needs=(QUATERNIONS,),
+    ),
+    "loops": Entry(
+        _plainly(closure.build), "what is left open of loops", results=(ports.CLOSURE,), order=2, needs=(LOOPS,)
+    ),
+    "loop_rates": Entry(
+        _plainly(closure.build_rates),
+        "rates at which loops open",
+        results=(ports.CLOSURE_RATE,),
+        order=2,
+        needs=(LOOPS,),
+    ),
+    "loop_accelerations": Entry(
+        _plainly(closure.build_accelerations),
+        "accelerations at which loops open",
+        results=(ports.CLOSURE_ACCELERATION,),
+        order=2,
+        needs=(LOOPS,),
+    ),
+    "loop_jacobian": Entry(
+        _plainly(closure.build_jacobian),
+        "Jacobian of loops, and the bias of their accelerations",
+        results=(ports.CLOSURE_JACOBIAN, ports.CLOSURE_BIAS),
+        needs=(LOOPS,),
     ),
     "frames": Entry(
         _plainly(poses.build_frames), "poses of all bodies and sensors", results=(ports.ORIGINS, ports.ROTATIONS)

@@ -9,14 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import count
 from typing import TypeGuard
 
 from sympy import Expr, Symbol
 
-from mbsgen.formulations import condition, exp1, exp2, ports, semi
+from mbsgen.formulations import condition, exp1, exp2, multipliers, ports, semi
 from mbsgen.formulations.links import assign_symbols, declare_state, joint_forces, write_chain
-from mbsgen.formulations.parsimony.elimination import Factors, factorise
+from mbsgen.formulations.multipliers import Equations
+from mbsgen.formulations.parsimony.elimination import Column, Factors, factorise
 from mbsgen.formulations.parsimony.segments import align, feels_itself, largest_inertias
 from mbsgen.formulations.planning import finish
 from mbsgen.formulations.reductions import Reductions
@@ -36,7 +38,7 @@ Build = Callable[[Tree, Reductions], Tape]
 
 def write(build: Build, coupled: Build | None, tree: Tree, reductions: Reductions) -> Tape:
     """Write a function of a tree by a recursion that ignores couplings, or with couplings by `coupled`."""
-    if not tree.couplings:
+    if not tree.couplings and (coupled is None or not tree.is_constrained):
         return build(tree, reductions)
     if coupled is not None:
         return coupled(tree, reductions)
@@ -213,8 +215,23 @@ class _Coupled:
             total[joint] = total[joint] + felt if joint in total else felt
         return total
 
-    def finish(self, name: str, qdd: Sequence[Scalar]) -> Tape:
+    @cached_property
+    def equations(self) -> Equations:
+        """Return the equations of loops, constraints and driven joints, of the uncoupled tree."""
+        if not self.tree.is_constrained:
+            return Equations((), (), ())
+        return multipliers.write_equations(self.tree.uncoupled, self.map.builder, self.given)
+
+    def renumber(self, equations: Equations) -> Equations:
+        """Number the statuses of equations in the coupled tree: its joints, then the loops."""
+        n = len(self.tree.bodies)
+        statuses = (self.map.joint(x) if x <= n else self.size + x - n for x in equations.statuses)
+        return replace(equations, statuses=tuple(statuses))
+
+    def finish(self, name: str, qdd: Sequence[Scalar], found: Sequence[Scalar] = ()) -> Tape:
+        """Build the tape of accelerations, and of the multipliers of a tree with constraints."""
         self.map.builder.output_dense(ports.ACCELERATIONS, [[x] for x in qdd])
+        multipliers.output(self.map.builder, self.tree, found)
         return finish(self.map.builder.build(name), self.reductions)
 
 
@@ -234,8 +251,23 @@ def write_exp1(tree: Tree, reductions: Reductions) -> Tape:
             builder.guard(factors.D[i], upper[i, i], own.size * exp1.PIVOT_TOLERANCE, i)
         else:
             builder.guard(factors.D[i], scales[i], exp1.LOCKING_TOLERANCE, i)
-    x = factors.solve(b)
-    return own.finish("exp1", [x[i] for i in range(1, own.size + 1)])
+    if not tree.is_constrained:
+        x = factors.solve(b)
+        return own.finish("exp1", [x[i] for i in range(1, own.size + 1)])
+    free, equations = factors.descend(b), own.equations
+    rows = [map.gather({(0, i): value for i, value in row.items()}, None, Axis.VELOCITIES) for row in equations.rows]
+    forces = [factors.descend({i + 1: value for (_, i), value in row.items()}) for row in rows]
+
+    def weigh(one: Column, other: Column) -> Scalar:
+        terms = [one[i] * factors.inverses[i] * other[i] for i in factors.inverses]
+        return sum(terms[1:], start=terms[0])
+
+    A = {(k, l): weigh(forces[k], forces[l]) for l in range(equations.size) for k in range(l + 1)}
+    right = [b - weigh(column, free) for b, column in zip(equations.right, forces, strict=True)]
+    found, pivots = multipliers.solve(builder, A, right)
+    multipliers.guard(builder, own.renumber(equations), A, pivots)
+    x = factors.rise({i: _add(value, [forces[k][i] * found[k] for k in found]) for i, value in free.items()})
+    return own.finish("exp1", [x[i] for i in range(1, own.size + 1)], [found[k] for k in sorted(found)])
 
 
 def write_exp2(tree: Tree, reductions: Reductions) -> Tape:
@@ -254,17 +286,29 @@ def write_exp2(tree: Tree, reductions: Reductions) -> Tape:
     n = len(tree.bodies)
     moved = [builder.zero if i in followers else forces[map.targets[Axis.VELOCITIES][i], 0] for i in range(n)]
     a, values = _accelerate(own, tape, own.given["qd"], moved, still=False)
-    rows = map.list_rows(tree)
+    couplings, equations = map.list_rows(tree), own.equations
+    rows = [*couplings, *equations.rows]
     rest = [builder.zero] * n
     B = [_accelerate(own, tape, rest, [row.get(i, builder.zero) for i in range(n)], still=True)[0] for row in rows]
-    JB = {(k + 1, l + 1): _along(rows[k], B[l]) for l in range(len(B)) for k in range(l + 1)}
-    factors = factorise(builder, JB, len(B))
-    multipliers = factors.solve({k: -_along(row, a) for k, row in enumerate(rows, 1)})
-    _guard_couplings(own, tape, values, {k: factors.D[k] / JB[k, k] for k in factors.D})
+    JB = {(k, l): multipliers.along(rows[k], B[l], builder.zero) for l in range(len(B)) for k in range(l + 1)}
+    right = [-multipliers.along(row, a, builder.zero) for row in couplings]
+    right += [
+        b - multipliers.along(row, a, builder.zero) for b, row in zip(equations.right, equations.rows, strict=True)
+    ]
+    first = len(couplings)
+    if equations.size:
+        found, pivots = multipliers.solve(builder, JB, right)
+    else:
+        factors = factorise(builder, {(k + 1, l + 1): value for (k, l), value in JB.items()}, len(B))
+        solved = factors.solve(dict(enumerate(right, 1)))
+        found, pivots = ({k: column[k + 1] for k in range(len(B))} for column in (solved, factors.D))
+    _guard_couplings(own, tape, values, {k + 1: pivots[k] / JB[k, k] for k in range(first)})
+    own_A = {(k - first, k - first): JB[k, k] for k in range(first, len(B))}
+    multipliers.guard(builder, own.renumber(equations), own_A, {k - first: pivots[k] for k in pivots if k >= first})
     qdd = []
     for i in (i for i in range(n) if i not in followers):
-        qdd.append(sum((column[i] * multipliers[k] for k, column in enumerate(B, 1)), start=a[i]))
-    return own.finish("exp2", qdd)
+        qdd.append(sum((column[i] * found[k] for k, column in enumerate(B)), start=a[i]))
+    return own.finish("exp2", qdd, [found[k] for k in range(first, len(B))])
 
 
 def write_condition(tree: Tree, reductions: Reductions) -> Tape:
@@ -314,6 +358,10 @@ def _measure_couplings(tree: Tree, map: _Map, whole: Factors) -> Scalar:
 
 def _factorise(builder: Builder, M: Block, size: int) -> Factors:
     return factorise(builder, {(i + 1, j + 1): x for (i, j), x in M.items() if i <= j and not x.is_zero}, size)
+
+
+def _add(value: Scalar, terms: Sequence[Scalar]) -> Scalar:
+    return sum(terms, start=value)
 
 
 def _size(x: Scalar) -> Scalar:
@@ -367,7 +415,7 @@ def _write_drive(tree: Tree) -> tuple[Tape, frozenset[int]]:
     Added are the largest inertias that joints can feel, from parameters alone. Also return the joints that cannot lock.
     """
     builder = Builder()
-    state = declare_state(tree, builder, accelerations=False)
+    state = declare_state(tree, builder, accelerations=False, drive=True)
     chain = write_chain(tree, builder, state)
     own = iter(state.w)
     wrenches = [

@@ -7,6 +7,7 @@ reductions off, the textbook's.
 from __future__ import annotations
 
 from mbsgen.formulations import ports, textbook
+from mbsgen.formulations.closure import add_multipliers
 from mbsgen.formulations.links import declare_state, joint_forces, write_chain
 from mbsgen.formulations.parsimony.residual import residual
 from mbsgen.formulations.parsimony.segments import align
@@ -22,7 +23,10 @@ FUNCTION = Function("impl")
 
 
 def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
-    """Write `impl`: inputs q, qd, qdd, u [, w] [, p]; output Phi, shape (n,), N m or N: Phi(q, qd, qdd) - Q."""
+    """Write `impl`: inputs q, qd, qdd, u [, w] [, p]; output Phi, shape (n,), N m or N: Phi(q, qd, qdd) - Q.
+
+    With loops, also the input lam, and the output less JT lam.
+    """
     builder = Builder()
     state = declare_state(tree, builder)
     chain = write_chain(tree, builder, state)
@@ -34,4 +38,4 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
         Phi = residual(begin(chain, segments, plan, reductions), state.qd, chain.accelerate(state.qdd))
     Q = joint_forces(chain)
     builder.output_dense(ports.RESIDUAL, [[phi - force] for phi, force in zip(Phi, Q, strict=True)])
-    return finish(builder.build(FUNCTION), reductions)
+    return finish(add_multipliers(builder.build(FUNCTION), tree), reductions)

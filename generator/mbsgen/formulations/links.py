@@ -49,6 +49,7 @@ class State:
     w: list[Scalar]
     theta: list[Scalar]
     p: list[Scalar]
+    a: list[Scalar] = field(default_factory=list)  # accelerations of driven joints
     frames: Mapping[int, Frame] = field(default_factory=dict)  # by the first body that stands for a quaternion
 
 
@@ -220,14 +221,16 @@ def declare_state(
     accelerations: bool = True,
     forces: bool = True,
     wrenches: bool = True,
+    drive: bool = False,
 ) -> State:
-    """Declare q; qd, qdd, u where requested; w for open wrenches; theta and p for parameters, if there are any."""
+    """Declare q; qd, qdd, u, a where requested; w for open wrenches; theta and p for parameters, if there are any."""
     assert not tree.couplings, "recursions see the uncoupled tree; see coupling.write"
     n = len(tree.bodies)
     given = builder.vector(ports.COORDINATES, len(tree.coordinates))
     qd = builder.vector(ports.VELOCITIES, n) if rates else []
     qdd = builder.vector(ports.ACCELERATIONS, n) if accelerations else []
     u = builder.vector(ports.FORCES, sum(body.joint.actuated for body in tree.bodies)) if forces else []
+    a = builder.vector(ports.DRIVE, len(tree.driven)) if drive and tree.driven else []
     left_open = 3 * sum(vector is None for x in tree.wrenches for vector in (x.force, x.moment))
     w = builder.vector(ports.WRENCHES, left_open) if wrenches and left_open else []
 
@@ -237,9 +240,9 @@ def declare_state(
 
     theta, p = declare(ports.DESIGN, Kind.DIFFERENTIATED), declare(ports.PARAMETERS, Kind.RUNTIME)
     if not tree.quaternions:
-        return State(given, qd, qdd, u, w, theta, p)
+        return State(given, qd, qdd, u, w, theta, p, a)
     q, frames = _share_out(tree, builder, given)
-    return State(q, qd, qdd, u, w, theta, p, frames)
+    return State(q, qd, qdd, u, w, theta, p, a, frames)
 
 
 def _share_out(tree: Tree, builder: Builder, given: Sequence[Scalar]) -> tuple[list[Scalar], dict[int, Frame]]:

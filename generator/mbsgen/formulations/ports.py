@@ -55,12 +55,10 @@ CLOSURE_JACOBIAN = Port(
 CLOSURE_BIAS = Port(
     "gamma", Role.CLOSURE_ACCELERATION, Axis.CONSTRAINTS, meaning="second time derivative of h at qdd = 0: Jd qd"
 )
-DRIVE = Port(
-    "a", Role.ACCELERATION, Axis.DRIVEN, unit="rad/s2 or m/s2", meaning="given accelerations of the driven joints"
-)
+DRIVE = Port("a", Role.DRIVE, Axis.DRIVEN, unit="rad/s2 or m/s2", meaning="accelerations of the driven joints")
 DRIVING_FORCES = Port(
     "tau",
-    Role.RESULT,
+    Role.DRIVING_FORCE,
     Axis.DRIVEN,
     unit="N m or N",
     meaning="forces that keep the driven joints to their accelerations",

@@ -10,6 +10,7 @@ from functools import reduce
 from operator import add
 
 from mbsgen.formulations import ports
+from mbsgen.formulations.closure import add_multipliers
 from mbsgen.formulations.links import Chain, State, declare_state, joint_forces, write_chain
 from mbsgen.formulations.parsimony.mass_matrix import Entries, mass_matrix
 from mbsgen.formulations.parsimony.plan import Plan
@@ -49,7 +50,7 @@ def build_residual(tree: Tree, reductions: Reductions = ALL) -> Tape:
         return reduce(add, products, c[i - 1]) - Q[i - 1]
 
     builder.output_dense(ports.RESIDUAL, [[row(i)] for i in range(1, len(tree.bodies) + 1)])
-    return finish(builder.build("semi_res"), reductions)
+    return finish(add_multipliers(builder.build("semi_res"), tree), reductions)
 
 
 def terms(

@@ -1,0 +1,149 @@
+"""Close the loops of a tree, once: Tree -> Tree with its `Closure`, or what keeps the loops from it.
+
+1. a pose at which all equations hold, near the author's rough one
+2. the rank of J along the mechanism, hence the redundant equations, and the degrees of freedom
+3. the independent coordinates: the author's, or those whose partners are best determined by them
+
+Everything is computed with the model's numbers. Where run-time parameters appear, redundancy is examined for other
+numbers too: an equation that follows from others for one geometry alone may not be left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from mbsgen.assembly.choice import REGULAR, choose_columns, choose_rows, measure
+from mbsgen.assembly.mechanism import Array, Mechanism
+from mbsgen.assembly.poses import OPEN, Attempt, close, find_pose, rank, walk
+from mbsgen.documents import Place
+from mbsgen.errors import MbsError
+from mbsgen.model.findings import Finding
+from mbsgen.model.tree import Closure, Cut, Kind, Tree
+
+PASSIVE, ACTIVE = 1.0, 0.2  # weights of the columns of joints without and with an actuator: the latter are independent
+CHANGE = 0.01  # by which part run-time parameters are changed
+
+
+class AssemblyError(MbsError):
+    """Loops that cannot be computed with; the findings have places in the model."""
+
+    def __init__(self, name: str, findings: Sequence[Finding]) -> None:
+        self.findings = tuple(findings)
+        super().__init__("\n".join(f"model {name}: {found.finding}; {found.remedy}" for found in findings))
+
+
+def assemble(tree: Tree) -> Tree:
+    """Return a tree with its closure; a tree without loops as it is. Raises AssemblyError."""
+    if not tree.is_constrained:
+        return tree
+    mechanism = Mechanism(tree)
+    attempt = find_pose(mechanism, _start(tree))
+    if not attempt.is_closed:
+        raise AssemblyError(tree.name, _name_gaps(mechanism, attempt))
+    poses = [mechanism.J(q) for q in walk(mechanism, attempt.q)]
+    ranks = [rank(J) for J in poses]
+    if ranks[0] < max(ranks):
+        raise AssemblyError(tree.name, [_name_singularity(ranks[0], max(ranks))])
+    kept = choose_rows([J for J, r in zip(poses, ranks, strict=True) if r == max(ranks)], max(ranks))
+    if len(kept) < len(mechanism.equations):
+        _check_redundancy(tree, mechanism, attempt.q, kept)
+    dependent = _choose_dependent(tree, poses[0][list(kept)])
+    independent = tuple(i for i in range(mechanism.n) if i not in dependent)
+    pose = tuple(float(x) for x in attempt.q)
+    return replace(tree, closure=Closure(pose, kept, independent, dependent))
+
+
+def _start(tree: Tree) -> Array:
+    """Return the author's rough pose."""
+    names = {number: tree.bodies[number - 1].joint.name for number, _ in tree.rough}
+    given = {names[number]: value for number, value in tree.rough}
+    return np.array([given.get(name, rest) for name, rest in zip(tree.coordinates, tree.neutral, strict=True)])
+
+
+def _place(tree: Tree, number: int) -> tuple[Place, str]:
+    """Return the place and the name of a loop or constraint, by its number among all."""
+    if number < len(tree.loops):
+        return ("loops", number), f"loop {tree.loops[number].name!r}"
+    k = number - len(tree.loops)
+    return ("constraints", k), f"constraint {tree.constraints[k].name!r}"
+
+
+def _name_gaps(mechanism: Mechanism, attempt: Attempt) -> list[Finding]:
+    """Name the loops that stay open, and by how much."""
+    tree, gaps = mechanism.tree, dict[int, float]()
+    for (number, _), value in zip(mechanism.equations, attempt.h, strict=True):
+        gaps[number] = max(gaps.get(number, 0.0), abs(float(value)))
+    found = []
+    for number in (number for number, gap in gaps.items() if not gap <= OPEN):
+        place, name = _place(tree, number)
+        is_length = number < len(tree.loops) and tree.loops[number].cut in (Cut.ROD, Cut.BALL)
+        size = f"{gaps[number]:.3g}{' m' if is_length else ''}"
+        finding = f"{name} does not close: at the nearest pose found it stays open by {size}"
+        found.append(Finding(place, finding, "give a rough pose under `assembly:`, or check lengths and frames"))
+    if found:
+        return found
+    turned = next(k for k, x in zip(mechanism.senses_of, attempt.senses, strict=True) if not x > 0)
+    finding = f"loop {tree.loops[turned].name!r} closes with its axes turned round only"
+    return [Finding(("loops", turned), finding, "turn the orientation of one end, or give a rough pose in `assembly:`")]
+
+
+def _name_singularity(found: int, expected: int) -> Finding:
+    finding = f"the loops close at a singular pose: {found} of their equations are independent there, {expected} nearby"
+    return Finding(("loops",), finding, "give a rough pose of another assembly under `assembly:`")
+
+
+def _check_redundancy(tree: Tree, mechanism: Mechanism, pose: Array, kept: Sequence[int]) -> None:
+    """Refuse equations that are redundant for the present numbers of run-time parameters alone."""
+    own = [p for p in tree.parameters if p.kind is not Kind.CONSTANT]
+    if not own:
+        return
+    draw = np.random.default_rng(2)
+    changed = [p.value * (1 + CHANGE * x) for p, x in zip(own, draw.uniform(-1, 1, len(own)), strict=True)]
+    other = Mechanism(tree, changed)
+    found = close(other, pose, kept)
+    left = np.abs(found.h)
+    if left[list(kept)].max(initial=0.0) <= OPEN and left.max(initial=0.0) > np.sqrt(OPEN):
+        number, name = mechanism.equations[int(left.argmax())]
+        place, owner = _place(tree, number)
+        finding = f"{owner}: its equation {name} follows from the others for the present lengths alone"
+        remedy = "make the lengths constants, or take a kind of loop with fewer equations"
+        raise AssemblyError(tree.name, [Finding(place, finding, remedy)])
+
+
+def _choose_dependent(tree: Tree, J: Array) -> tuple[int, ...]:
+    """Choose the velocities that the others determine. Raises AssemblyError where there is no such choice."""
+    names = [joint.name for joint in tree.joints]
+    places = {body.joint.name: i for i, body in enumerate(tree.bodies, 1)}
+    numbers = [places[name] for name in names]
+    free = len(names) - J.shape[0]
+    if not free:
+        finding = "the loops leave no joint free to move"
+        raise AssemblyError(tree.name, [Finding(("loops",), finding, "take a loop away, or one with fewer equations")])
+    if len(tree.driven) > free:
+        finding = f"{len(tree.driven)} driven joints, where {free} determine all others"
+        raise AssemblyError(tree.name, [Finding(("driven",), finding, "drive fewer joints")])
+    if tree.chosen:
+        return _take_choice(tree, J, numbers, free)
+    weights = np.array([ACTIVE if joint.actuated else PASSIVE for joint in tree.joints])
+    weights[[number in tree.driven for number in numbers]] = 0.0
+    found = choose_columns([J], weights)
+    if measure(J, found) < REGULAR:
+        finding = "the driven joints do not leave the loops closed: they depend on each other"
+        raise AssemblyError(tree.name, [Finding(("driven",), finding, "drive other joints")])
+    return found
+
+
+def _take_choice(tree: Tree, J: Array, numbers: Sequence[int], free: int) -> tuple[int, ...]:
+    """Take the author's independent joints, with the driven ones."""
+    chosen = {*tree.chosen, *tree.driven}
+    dependent = tuple(i for i, number in enumerate(numbers) if number not in chosen)
+    if len(chosen) != free:
+        finding = f"{len(chosen)} independent joints, driven ones included, where {free} determine all others"
+        raise AssemblyError(tree.name, [Finding(("independent",), finding, f"name {free}, or none")])
+    if measure(J, dependent) < REGULAR:
+        finding = "the independent joints do not determine the others where the loops close"
+        raise AssemblyError(tree.name, [Finding(("independent",), finding, "name other joints, or none")])
+    return dependent

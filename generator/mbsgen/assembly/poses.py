@@ -1,0 +1,116 @@
+"""Closed poses: from a rough pose by Gauss and Newton's steps of least length, and along the mechanism from a pose.
+
+    q <- q - H+ h(q),    H = dh/dq
+
+H+ is the pseudo-inverse, so redundant equations do no harm (Nikravesh, 1988, ch. 3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbsgen.assembly.mechanism import Array, Mechanism
+
+STEPS = 100
+LONGEST = 0.5  # of a step, rad or m, so that distant poses are approached slowly
+SHORTEST = 1e-9  # of a step: the next one is at the rounding
+OPEN = 1e-9  # of what may be left of an equation, m or rad, of sizes of 1
+RANK = 1e-9  # of the largest singular value: smaller ones are 0
+SPREADS = (0.0, *(0.1,) * 4, *(0.3,) * 8, *(1.0,) * 16, *(3.0,) * 32)  # of the starts, about the rough pose
+WALKS = 8  # poses that are looked at besides the first one
+STRIDE = 0.4  # between them, rad or m
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """Where the steps ended, and what is open there."""
+
+    q: Array
+    h: Array
+    senses: Array
+
+    @property
+    def is_closed(self) -> bool:
+        """Return whether all equations hold, with axes that point the same way."""
+        return self.gap <= OPEN and bool((self.senses > 0).all())
+
+    @property
+    def gap(self) -> float:
+        """Return the largest residual; infinite where one has no value."""
+        worst = float(np.abs(self.h).max(initial=0.0))
+        return worst if np.isfinite(worst) else float("inf")
+
+
+def find_pose(mechanism: Mechanism, rough: Array) -> Attempt:
+    """Close all loops near a rough pose: from it, then from starts about it. Return the best attempt."""
+    draw = np.random.default_rng(0)
+    best: Attempt | None = None
+    for spread in SPREADS:
+        found = close(mechanism, rough + spread * draw.standard_normal(rough.size))
+        if found.is_closed:
+            return found
+        if best is None or found.gap < best.gap:
+            best = found
+    assert best is not None, "some start was tried"
+    return best
+
+
+def close(mechanism: Mechanism, start: Array, kept: Sequence[int] | None = None) -> Attempt:
+    """Close all loops, or solve the kept equations alone, by steps of least length."""
+    q = _normalise(mechanism, start)
+    own = list(range(len(mechanism.equations))) if kept is None else list(kept)
+    for _ in range(STEPS):
+        h, H = mechanism.h(q)[own], mechanism.slopes(q)[own]
+        if not (np.isfinite(h).all() and np.isfinite(H).all()):
+            break
+        step = -np.linalg.lstsq(H, h, rcond=RANK)[0] if h.size else np.zeros(q.size)
+        length = float(np.abs(step).max(initial=0.0))
+        q = _normalise(mechanism, q + step * min(1.0, LONGEST / max(length, LONGEST)))
+        if length < SHORTEST:
+            break
+    return Attempt(q, mechanism.h(q), mechanism.senses(q))
+
+
+def walk(mechanism: Mechanism, first: Array) -> Iterator[Array]:
+    """Yield the pose, and closed poses that the mechanism reaches from it."""
+    draw = np.random.default_rng(1)
+    yield first
+    pose = first
+    for k in range(WALKS):
+        free = _null_space(mechanism.slopes(pose))
+        if not free.shape[1]:
+            return
+        direction = free @ draw.standard_normal(free.shape[1])
+        direction /= max(float(np.abs(direction).max()), 1e-300)
+        found = close(mechanism, pose + STRIDE * direction)
+        if found.is_closed:
+            yield found.q
+        pose = found.q if found.is_closed and k % 4 != 3 else first
+
+
+def rank(J: Array) -> int:
+    """Count the singular values that are not rounding."""
+    values = np.linalg.svd(J, compute_uv=False) if J.size else np.zeros(0)
+    return int((values > RANK * max(float(values.max(initial=0.0)), 1e-300)).sum())
+
+
+def _null_space(H: Array) -> Array:
+    if not H.size:
+        return np.eye(H.shape[1])
+    _, values, rows = np.linalg.svd(H)
+    count = int((values > RANK * max(float(values.max(initial=0.0)), 1e-300)).sum())
+    return rows[count:].T
+
+
+def _normalise(mechanism: Mechanism, q: Array) -> Array:
+    """Give quaternions the length 1."""
+    names = mechanism.tree.coordinates
+    for x in mechanism.tree.quaternions:
+        first = names.index(x.coordinates[-4])
+        length = float(np.linalg.norm(q[first : first + 4]))
+        q = q.copy()
+        q[first : first + 4] = q[first : first + 4] / length if length > 0 else (0.0, 0.0, 0.0, 1.0)
+    return q

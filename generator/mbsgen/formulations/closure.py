@@ -1,0 +1,328 @@
+"""Closure of loops: Tree -> Tapes of h(q), its time derivatives, and its Jacobian J.
+
+    h(q) = 0,    hd = J qd,    hdd = J qdd + gamma,    gamma = Jd qd
+
+With d from the origin of a loop's first frame to the origin of its second, the axes x1, y1, z1 and x2, y2, z2 of the
+two frames, and the axes x, y, z of the last body that carries both, its equations are
+
+    rod            (d.d - L2) / (2 L)
+    ball           d.x, d.y, d.z
+    hinge          a ball's, x1.z2, y1.z2
+    universal      a ball's, z1.z2 - cosine
+    cylindrical    d.x1, d.y1, x1.z2, y1.z2
+    prismatic      a cylindrical joint's, y1.x2
+    planar         d.z1, x1.z2, y1.z2
+    solid          a hinge's, y1.x2
+
+(Wittenburg, 2008, 5.2; Shabana, 2013, 3.) All vectors are in the frame of that last body, so joints before it do not
+appear. An equation of coordinates is an entry of h itself. Time derivatives are directional
+derivatives of the tape of h, so they hold for quaternions too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+from mbsgen.algebra.vectors import Vector
+from mbsgen.formulations import ports, rates
+from mbsgen.formulations.links import Chain, declare_state, write_chain
+from mbsgen.model.tree import Constraint, Cut, Loop, LoopFrame, Tree, coordinate_symbol
+from mbsgen.roles import Role
+from mbsgen.tape import forward, reverse
+from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.lowering import lower
+from mbsgen.tape.passes import drop_unused_inputs
+from mbsgen.tape.ports import Port, adjoint_port, derivative_port, seed_port
+from mbsgen.tape.replay import replay
+from mbsgen.tape.types import Tape
+
+Write = Callable[[Tree], Tape]
+
+_PLACE = ("x", "y", "z")
+_TURN = ("turn_x", "turn_y")
+EQUATIONS: Mapping[Cut, tuple[str, ...]] = {
+    Cut.ROD: ("distance",),
+    Cut.BALL: _PLACE,
+    Cut.HINGE: (*_PLACE, *_TURN),
+    Cut.UNIVERSAL: (*_PLACE, "angle"),
+    Cut.CYLINDRICAL: ("x", "y", *_TURN),
+    Cut.PRISMATIC: ("x", "y", *_TURN, "turn_z"),
+    Cut.PLANAR: ("z", *_TURN),
+    Cut.SOLID: (*_PLACE, *_TURN, "turn_z"),
+}
+
+
+def list_equations(tree: Tree) -> tuple[tuple[int, str], ...]:
+    """List all equations: the number, from 0, of the loop or constraint (loops come first), and a name."""
+    named = [(k, name) for k, loop in enumerate(tree.loops) for name in EQUATIONS[loop.cut]]
+    return (*named, *((k, "equation") for k, _ in enumerate(tree.constraints, len(tree.loops))))
+
+
+def kept_equations(tree: Tree) -> tuple[tuple[int, str], ...]:
+    """List the entries of h likewise: all equations but the redundant ones, once these are known."""
+    every = list_equations(tree)
+    return every if tree.closure is None else tuple(every[i] for i in tree.closure.kept)
+
+
+def build(tree: Tree) -> Tape:
+    """Write `loops`: inputs q [, p]; output h, shape (m,): what is left open of loops and constraints."""
+    builder = Builder()
+    state = declare_state(tree, builder, rates=False, accelerations=False, forces=False, wrenches=False)
+    chain = write_chain(tree, builder, state)
+    entries = [x for loop in tree.loops for x in _close_loop(chain, loop)]
+    entries += [_lower(chain, constraint) for constraint in tree.constraints]
+    if tree.closure is not None:
+        entries = [entries[i] for i in tree.closure.kept]
+    builder.output_dense(ports.CLOSURE, [[x] for x in entries])
+    return builder.build("loops")
+
+
+_SENSES: Mapping[Cut, tuple[int, ...]] = {  # the axes that must not be turned round
+    Cut.HINGE: (2,),
+    Cut.CYLINDRICAL: (2,),
+    Cut.PLANAR: (2,),
+    Cut.PRISMATIC: (2, 0),
+    Cut.SOLID: (2, 0),
+}
+
+
+def list_senses(tree: Tree) -> tuple[int, ...]:
+    """List the number of the loop of each result of `build_senses`."""
+    return tuple(k for k, loop in enumerate(tree.loops) for _ in _SENSES.get(loop.cut, ()))
+
+
+def build_senses(tree: Tree) -> Tape:
+    """Write the cosines between axes that loops keep in one direction: h vanishes for the opposite one too."""
+    builder = Builder()
+    state = declare_state(tree, builder, rates=False, accelerations=False, forces=False, wrenches=False)
+    chain = write_chain(tree, builder, state)
+    found = []
+    for loop in tree.loops:
+        first, second = _End.make(chain, loop)
+        found += [first.axis(k).dot(second.axis(k)) for k in _SENSES.get(loop.cut, ())]
+    builder.output_dense("senses", [[x] for x in found])
+    return builder.build("senses")
+
+
+def build_rates(tree: Tree) -> Tape:
+    """Write `loop_rates`: inputs q, qd [, p]; output hd = J qd, shape (m,)."""
+    closure = build(tree)
+    builder = Builder()
+    given = _declare(builder, closure, tree, [ports.VELOCITIES])
+    slopes = _carry(closure, builder, given, {Role.COORDINATE: _move(tree, builder, given)})
+    builder.output_dense(ports.CLOSURE_RATE, [[x] for x in slopes])
+    return builder.build("loop_rates")
+
+
+def build_accelerations(tree: Tree) -> Tape:
+    """Write `loop_accelerations`: inputs q, qd, qdd [, p]; output hdd = J qdd + gamma, shape (m,)."""
+    speeds = build_rates(tree)
+    builder = Builder()
+    given = _declare(builder, speeds, tree, [ports.ACCELERATIONS])
+    moves = {Role.COORDINATE: _move(tree, builder, given), Role.VELOCITY: given[ports.ACCELERATIONS.name]}
+    slopes = _carry(speeds, builder, given, moves)
+    builder.output_dense(ports.CLOSURE_ACCELERATION, [[x] for x in slopes])
+    return builder.build("loop_accelerations")
+
+
+def build_jacobian(tree: Tree) -> Tape:
+    """Write `loop_jacobian`: inputs q, qd [, p]; outputs J, shape (m, n), nonzeros only, and gamma, shape (m,)."""
+    jacobian, bias = _write_jacobian(tree), build_accelerations(tree)
+    builder = Builder()
+    kept = (i for i in bias.inputs if not _is_acceleration(i.port))
+    given = {i.name: builder.input(i.port, i.sparsity) for i in kept}
+    found = jacobian.outputs[0]
+    values = replay(jacobian, builder, given)
+    entries = dict(zip(found.sparsity.entries, (values[v] for v in found.values), strict=True))
+    builder.output_nonzeros(ports.CLOSURE_JACOBIAN, found.sparsity.rows, found.sparsity.cols, entries)
+    rest = {i.name: [builder.zero] * i.sparsity.nnz for i in bias.inputs if _is_acceleration(i.port)}
+    values = replay(bias, builder, {**given, **rest})
+    builder.output_dense(ports.CLOSURE_BIAS, [[values[v]] for v in bias.outputs[0].values])
+    return builder.build("loop_jacobian")
+
+
+def _write_jacobian(tree: Tree) -> Tape:
+    """Write J from hd, which is linear in qd: its derivative by qd depends on q alone."""
+    return drop_unused_inputs(forward.jacobian(build_rates(tree), [ports.VELOCITIES.name]))
+
+
+def write_forces(tree: Tree) -> Tape:
+    """Write the joint forces JT lam of multipliers: inputs q, lam [, p]; output Q, shape (n,)."""
+    tape = reverse.adjoint(build_rates(tree), [ports.VELOCITIES.name])
+    builder = Builder()
+    seed = seed_port(ports.CLOSURE_RATE)
+    given = {
+        i.name: builder.input(ports.MULTIPLIERS if i.port == seed else i.port, i.sparsity)
+        for i in drop_unused_inputs(tape).inputs
+    }
+    given |= {i.name: [builder.zero] * i.sparsity.nnz for i in tape.inputs if i.name not in given}
+    values = replay(tape, builder, given)
+    found = tape.output(adjoint_port(ports.VELOCITIES).name)
+    builder.output_dense(ports.JOINT_FORCES, [[values[v]] for v in found.values])
+    return builder.build("loop_forces")
+
+
+def add_multipliers(tape: Tape, tree: Tree) -> Tape:
+    """Write a residual of the tree with its constraints: Phi - Q - JT lam, less tau in the driven joints.
+
+    The inputs lam, shape (m,), and tau, the forces of the driven joints, follow the accelerations.
+    """
+    if not tree.is_constrained:
+        return tape
+    builder = Builder()
+    given: dict[str, list[Scalar]] = {}
+    for i in tape.inputs:
+        given[i.name] = builder.input(i.port, i.sparsity)
+        if i.port == ports.ACCELERATIONS:
+            if tree.loops or tree.constraints:
+                given[ports.MULTIPLIERS.name] = builder.vector(ports.MULTIPLIERS, len(kept_equations(tree)))
+            if tree.driven:
+                given[ports.DRIVING_FORCES.name] = builder.vector(ports.DRIVING_FORCES, len(tree.driven))
+    values = replay(tape, builder, given)
+    found = tape.output(ports.RESIDUAL.name)
+    Phi = [values[v] for v in found.values]
+    if ports.MULTIPLIERS.name in given:
+        forces = write_forces(tree)
+        own = replay(forces, builder, given)
+        Phi = [a - own[v] for a, v in zip(Phi, forces.outputs[0].values, strict=True)]
+    for k, number in enumerate(tree.driven):
+        Phi[number - 1] = Phi[number - 1] - given[ports.DRIVING_FORCES.name][k]
+    builder.output_dense(ports.RESIDUAL, [[x] for x in Phi])
+    for guard in tape.guards:
+        pivot = -values[guard.value] if guard.negated else values[guard.value]
+        builder.guard(pivot, values[guard.scale], guard.tolerance, guard.joint, early=guard.early)
+    return builder.build(tape.function)
+
+
+# -- time derivatives ---------------------------------------------------------------------------------------------
+
+
+def _is_acceleration(port: Port) -> bool:
+    return port.role is Role.ACCELERATION
+
+
+def _declare(builder: Builder, tape: Tape, tree: Tree, more: Sequence[Port]) -> dict[str, list[Scalar]]:
+    """Declare the inputs of a tape with further columns of joints behind the ones of the state."""
+    given: dict[str, list[Scalar]] = {}
+    state = (Role.COORDINATE, Role.VELOCITY)
+    for i in (i for i in tape.inputs if i.port.role in state):
+        given[i.name] = builder.input(i.port, i.sparsity)
+    for port in more:
+        given[port.name] = builder.vector(port, len(tree.bodies))
+    for i in (i for i in tape.inputs if i.port.role not in state):
+        given[i.name] = builder.input(i.port, i.sparsity)
+    return given
+
+
+def _move(tree: Tree, builder: Builder, given: Mapping[str, Sequence[Scalar]]) -> Sequence[Scalar]:
+    """Return the time derivatives of q."""
+    if not tree.quaternions:
+        return given[ports.VELOCITIES.name]
+    tape = rates.build(tree)
+    values = replay(tape, builder, {i.name: given.get(i.name, []) for i in tape.inputs})
+    return [values[v] for v in tape.outputs[0].values]
+
+
+def _carry(
+    tape: Tape, builder: Builder, given: Mapping[str, Sequence[Scalar]], moves: Mapping[Role, Sequence[Scalar]]
+) -> list[Scalar]:
+    """Differentiate the first output of a tape along a direction: the entries of `moves` by the roles of inputs."""
+    values = replay(tape, builder, {i.name: given[i.name] for i in tape.inputs})
+    seeds: list[forward.Gradient] = []
+    for i in tape.inputs:
+        direction = moves.get(i.port.role)
+        seeds += [{} if direction is None else {0: direction[k]} for k in range(i.sparsity.nnz)]
+    gradients = forward.carry(tape, builder, values, seeds)
+    return [gradients[v].get(0, builder.zero) for v in tape.outputs[0].values]
+
+
+# -- equations ----------------------------------------------------------------------------------------------------
+
+
+def _lower(chain: Chain, constraint: Constraint) -> Scalar:
+    names = [body.joint.name for body in chain.tree.bodies]
+    own = {coordinate_symbol(name): q for name, q in zip(names, chain.state.q, strict=True)}
+    return lower(constraint.equation, chain.builder, {**chain.symbols, **own})
+
+
+def _close_loop(chain: Chain, loop: Loop) -> list[Scalar]:
+    """Write the equations of a loop, in the order of EQUATIONS."""
+    first, second = _End.make(chain, loop)
+    match loop.cut:
+        case Cut.ROD:
+            d, length = second.place - first.place, chain.scalar(loop.value)
+            return [(d.dot(d) - length * length) / (length + length)]
+        case Cut.UNIVERSAL:
+            return [*_join(first, second), first.axis(2).dot(second.axis(2)) - chain.scalar(loop.value)]
+        case Cut.SOLID:
+            z2 = second.axis(2)
+            turns = first.axis(0).dot(z2), first.axis(1).dot(z2), first.axis(1).dot(second.axis(0))
+            return [*_join(first, second), *turns]
+        case Cut.BALL:
+            return [*_join(first, second)]
+    return [*_line_up(first, second, loop.cut)]
+
+
+def _line_up(first: _End, second: _End, cut: Cut) -> Iterator[Scalar]:
+    """Yield the equations of the cuts that keep two axes in one direction."""
+    x1, y1 = first.axis(0), first.axis(1)
+    if cut is Cut.HINGE:
+        yield from _join(first, second)
+    else:
+        d = second.place - first.place
+        yield from (d.dot(first.axis(2)),) if cut is Cut.PLANAR else (d.dot(x1), d.dot(y1))
+    z2 = second.axis(2)
+    yield from (x1.dot(z2), y1.dot(z2))
+    if cut is Cut.PRISMATIC:
+        yield y1.dot(second.axis(0))
+
+
+def _join(first: _End, second: _End) -> Iterator[Scalar]:
+    yield from second.place - first.place
+
+
+class _End:
+    """One end of a loop in the frame of the last body that carries both; axes are carried there when asked for."""
+
+    def __init__(self, chain: Chain, end: LoopFrame, path: Sequence[int]) -> None:
+        self._chain, self._path, self._own = chain, path, chain.matrix(end.axes)
+        place = chain.vector(end.position)
+        for number in path:
+            link = chain.links[number - 1]
+            place = link.dpt + link.R.apply(place)
+        self.place = place
+
+    @staticmethod
+    def make(chain: Chain, loop: Loop) -> tuple[_End, _End]:
+        """Carry both ends of a loop to the last body that carries both."""
+        one, other = (_climb(chain, end.body) for end in (loop.first, loop.second))
+        while one and other and one[-1] == other[-1]:
+            one.pop(), other.pop()
+        return _End(chain, loop.first, one), _End(chain, loop.second, other)
+
+    def axis(self, k: int) -> Vector[Scalar]:
+        """Return an axis of the frame."""
+        axis = self._own.column(k)
+        for number in self._path:
+            axis = self._chain.links[number - 1].R.apply(axis)
+        return axis
+
+
+def _climb(chain: Chain, body: int) -> list[int]:
+    """List a body and all that carry it, up to the base."""
+    path = []
+    while body:
+        path.append(body)
+        body = chain.links[body - 1].parent
+    return path
+
+
+def jacobian_entries(tape: Tape, values: Sequence[Scalar]) -> dict[tuple[int, int], Scalar]:
+    """Return the entries of J by row and column, from the values of a replayed `loop_jacobian`."""
+    found = tape.output(ports.CLOSURE_JACOBIAN.name)
+    return {place: values[v] for place, v in zip(found.sparsity.entries, found.values, strict=True)}
+
+
+def jacobian_port() -> Port:
+    """Return the port of the derivative of hd by qd, which is J."""
+    return derivative_port(ports.CLOSURE_RATE, ports.VELOCITIES)
