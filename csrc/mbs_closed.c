@@ -1,0 +1,676 @@
+/* Integrate a motion with closed loops, explicitly. */
+#include "mbs_closed.h"
+#include "mbs_least.h"
+
+#include <math.h>
+
+#define RANK 1e-8     /* a pivot of J below this part of the first is 0: rounding over it is 1e-8 of the accelerations */
+#define NEAR 0.02     /* a smallest pivot below this part of the first: stages are closed too */
+#define SINGULAR 1e-4 /* below this part: accelerations by orthogonal decomposition, which squares no pivot */
+#define WORN 0.1      /* a smallest pivot that has shrunk to this part: dependent coordinates are chosen anew */
+#define ITERATIONS 25 /* of Newton's method */
+#define SLOW 0.1      /* a change above this part of the one before: J is computed anew */
+#define SETTLED 1e-15 /* a change below this, absolute or relative, ends an iteration, */
+#define NOISE 1e-11   /* and one below this where changes shrink no more: rounding over a small pivot */
+#define JUMP 0.1      /* of the speeds: closing a loop may not change them by more in a step */
+#define CONTRADICTION 1e-6 /* of the equations: those left out at a singular pose must hold to this part */
+#define SHORTEST 1e-14     /* of the time */
+
+typedef struct {
+    const mbs_closed *p;
+    const mbs_manner *how;
+    mbs_outcome *out;
+    casadi_int free;     /* joints that are not driven, */
+    casadi_int *moves;   /* by their entries of qd */
+    casadi_int *depends; /* n: the dependent joints, then others */
+    casadi_int *row;     /* e: exchanged rows of LU */
+    casadi_real *J;      /* e x n */
+    casadi_real *B;      /* n x e: equations in the free joints, or e x e: in the dependent ones */
+    casadi_real *M;      /* n x n: its Cholesky factor for free joints */
+    casadi_real *x, *g, *saved, *sum, *k;
+    mbs_least least;
+    casadi_real pivot; /* smallest pivot of the dependent joints, when they were chosen; 0: they are not */
+    casadi_real last;  /* the smallest pivot of J, relative to the largest: small near a singular pose */
+} mbs_run;
+
+static int call(mbs_call kernel)
+{
+    return kernel.f(kernel.arg, kernel.res, 0, 0, 0);
+}
+
+static void fill(mbs_entries entries, casadi_int size, casadi_real *full)
+{
+    casadi_int k;
+    for (k = 0; k < size; ++k)
+        full[k] = 0;
+    for (k = 0; k < entries.entries; ++k)
+        full[entries.place[k]] = entries.nonzeros[k];
+}
+
+static casadi_int find_largest(casadi_int size, const casadi_real *x)
+{
+    casadi_int i, best = 0;
+    for (i = 1; i < size; ++i)
+        if (!(fabs(x[i]) <= fabs(x[best])))
+            best = i;
+    return best;
+}
+
+static casadi_real measure(casadi_int size, const casadi_real *x)
+{
+    return size ? fabs(x[find_largest(size, x)]) : 0;
+}
+
+static int is_finite(casadi_int size, const casadi_real *x)
+{
+    casadi_int i;
+    for (i = 0; i < size; ++i)
+        if (!(x[i] - x[i] == 0))
+            return 0;
+    return 1;
+}
+
+static int fail(mbs_run *r, int status, const casadi_real *equations)
+{
+    r->out->loop = r->p->e ? (int)r->p->loop[find_largest(r->p->e, equations)] : 0;
+    return status;
+}
+
+casadi_int mbs_closed_reals(const mbs_closed *p, casadi_int stages)
+{
+    const casadi_int size = p->nq + p->n;
+    return 2 * p->e * p->n + p->n * p->n + 5 * p->e + 4 * p->n + size * (stages + 1);
+}
+
+casadi_int mbs_closed_integers(const mbs_closed *p)
+{
+    return 2 * p->n + 2 * p->e;
+}
+
+static mbs_run open_run(const mbs_closed *p, const mbs_manner *how, casadi_real *reals, casadi_int *integers,
+                        mbs_outcome *out)
+{
+    mbs_run r;
+    casadi_int i, k;
+    r.p = p, r.how = how, r.out = out, r.pivot = 0, r.last = 1, r.free = 0;
+    r.moves = integers, r.depends = r.moves + p->n, r.row = r.depends + p->n, r.least.column = r.row + p->e;
+    r.J = reals, r.B = r.J + p->e * p->n, r.M = r.B + p->e * p->n, r.least.factor = r.M + p->n * p->n;
+    r.least.size = r.least.factor + p->e, r.least.y = r.least.size + 2 * p->e, r.x = r.least.y + p->n;
+    r.g = r.x + 2 * p->n, r.saved = r.g + 2 * p->e, r.sum = r.saved + p->n, r.k = r.sum + p->nq + p->n;
+    r.least.A = r.B, r.least.e = p->e, r.least.n = 0, r.least.rank = 0;
+    for (i = 0, k = 0; i < p->n; ++i)
+        if (k < p->d && p->driven[k] == i)
+            ++k;
+        else
+            r.moves[r.free++] = i;
+    out->evaluations = out->rejected = out->switches = out->steps = 0;
+    out->status = out->loop = 0;
+    return r;
+}
+
+/* --- the equations of loops ---------------------------------------------------------------------------------------- */
+
+static int differentiate(mbs_run *r)
+{
+    const int status = call(r->p->jacobian);
+    fill(r->p->J, r->p->e * r->p->n, r->J);
+    return status;
+}
+
+/* Choose as dependent the joints with the largest pivots of J, by elimination with exchanges of rows and columns in B. */
+static void choose_dependent(mbs_run *r)
+{
+    const casadi_int e = r->p->e, f = r->free;
+    casadi_int i, j, k;
+    for (j = 0; j < f; ++j)
+        r->depends[j] = r->moves[j];
+    for (i = 0; i < e; ++i)
+        for (j = 0; j < f; ++j)
+            r->B[i * f + j] = r->J[i * r->p->n + r->moves[j]];
+    for (k = 0; k < e; ++k) {
+        casadi_int at = k * f + k, row, column;
+        for (i = k; i < e; ++i)
+            for (j = k; j < f; ++j)
+                if (fabs(r->B[i * f + j]) > fabs(r->B[at]))
+                    at = i * f + j;
+        row = at / f, column = at % f;
+        for (j = 0; j < f; ++j) {
+            const casadi_real x = r->B[k * f + j];
+            r->B[k * f + j] = r->B[row * f + j];
+            r->B[row * f + j] = x;
+        }
+        for (i = 0; i < e; ++i) {
+            const casadi_real x = r->B[i * f + k];
+            r->B[i * f + k] = r->B[i * f + column];
+            r->B[i * f + column] = x;
+        }
+        i = r->depends[k], r->depends[k] = r->depends[column], r->depends[column] = i;
+        for (i = k + 1; i < e && r->B[k * f + k] != 0; ++i) {
+            const casadi_real factor = r->B[i * f + k] / r->B[k * f + k];
+            for (j = k; j < f; ++j)
+                r->B[i * f + j] -= factor * r->B[k * f + j];
+        }
+    }
+}
+
+static casadi_real factorise_dependent(mbs_run *r)
+{
+    const casadi_int e = r->p->e;
+    casadi_int i, j;
+    for (i = 0; i < e; ++i)
+        for (j = 0; j < e; ++j)
+            r->B[i * e + j] = r->J[i * r->p->n + r->depends[j]];
+    return mbs_lu_factorise(e, r->B, r->row);
+}
+
+/* Write to least.A the equations in free joints, with the mass matrix's factor L as B = J L^-T, and decompose them. */
+static void factorise_free(mbs_run *r, int weighs)
+{
+    const casadi_int e = r->p->e, f = r->free;
+    casadi_int i, j;
+    for (i = 0; i < e; ++i) {
+        for (j = 0; j < f; ++j)
+            r->B[i * f + j] = r->J[i * r->p->n + r->moves[j]];
+        if (weighs)
+            mbs_cholesky_forward(f, r->M, r->B + i * f);
+    }
+    r->least.n = f;
+    r->last = mbs_least_factorise(&r->least, RANK);
+}
+
+/* Compute the Cholesky factor of the mass matrix of free joints. */
+static int factorise_mass(mbs_run *r)
+{
+    const casadi_int n = r->p->n, f = r->free;
+    const int status = call(r->p->mass);
+    casadi_int i, j;
+    int lost;
+    if (status)
+        return status;
+    fill(r->p->M, n * n, r->M);
+    for (i = 0; i < f && f < n; ++i) /* in place: free joints stand in order */
+        for (j = 0; j <= i; ++j)
+            r->M[i * f + j] = r->M[r->moves[i] * n + r->moves[j]];
+    lost = mbs_cholesky(f, r->M);
+    return lost ? (int)r->moves[lost - 1] + 1 : 0;
+}
+
+/* Compute and decompose J at q. */
+static int prepare(mbs_run *r)
+{
+    int status = differentiate(r);
+    if (status)
+        return status;
+    if (r->how->keeping == MBS_PARTITIONING) {
+        casadi_real pivot = factorise_dependent(r);
+        if (!(pivot > WORN * r->pivot)) {
+            choose_dependent(r);
+            pivot = factorise_dependent(r);
+            r->out->switches += r->pivot > 0;
+            r->pivot = pivot;
+        }
+        r->last = pivot;
+        return pivot > RANK ? 0 : fail(r, MBS_DEPENDENT, r->J);
+    }
+    if (r->how->keeping == MBS_MASS_PROJECTION && (status = factorise_mass(r)) != 0)
+        return status;
+    factorise_free(r, r->how->keeping == MBS_MASS_PROJECTION);
+    return 0;
+}
+
+/* Write the change of velocities (n, in x) that changes the equations by -g, with the J that is decomposed. */
+static void correct(mbs_run *r, const casadi_real *g)
+{
+    const casadi_int n = r->p->n, e = r->p->e;
+    casadi_int k;
+    for (k = 0; k < e; ++k)
+        r->g[k] = -g[k];
+    for (k = 0; k < n; ++k)
+        r->x[k] = 0;
+    if (r->how->keeping == MBS_PARTITIONING) {
+        mbs_lu_solve(e, r->B, r->row, r->g, r->g + e);
+        for (k = 0; k < e; ++k)
+            r->x[r->depends[k]] = r->g[k];
+        return;
+    }
+    mbs_least_solve(&r->least, r->g, r->x + n);
+    if (r->how->keeping == MBS_MASS_PROJECTION)
+        mbs_cholesky_backward(r->free, r->M, r->x + n);
+    for (k = 0; k < r->free; ++k)
+        r->x[r->moves[k]] = r->x[n + k];
+}
+
+/* Move q along velocities x for a unit of time. */
+static int move(mbs_run *r)
+{
+    const mbs_closed *p = r->p;
+    casadi_int k;
+    int status = 0;
+    if (!p->change.f) {
+        for (k = 0; k < p->n; ++k)
+            p->q[k] += r->x[k];
+        return 0;
+    }
+    for (k = 0; k < p->n; ++k) {
+        r->saved[k] = p->qd[k];
+        p->qd[k] = r->x[k];
+    }
+    status = call(p->change);
+    for (k = 0; k < p->nq && !status; ++k)
+        p->q[k] += p->qt[k];
+    for (k = 0; k < p->n; ++k)
+        p->qd[k] = r->saved[k];
+    return status;
+}
+
+/* Put q on h = 0. `way` adds up the changes since J was computed. */
+static int close_coordinates(mbs_run *r, casadi_real *way)
+{
+    const mbs_closed *p = r->p;
+    casadi_real before = 0;
+    casadi_int i;
+    int status = prepare(r);
+    *way = 0;
+    for (i = 0; i < ITERATIONS && !status; ++i) {
+        casadi_real change, size;
+        status = call(p->closure);
+        if (status)
+            return status;
+        correct(r, p->h);
+        change = measure(p->n, r->x);
+        size = change / (1 + measure(p->nq, p->q));
+        if (!(change - change == 0))
+            return fail(r, MBS_OPEN, p->h);
+        status = move(r);
+        *way += change;
+        if (status || size <= SETTLED || 10 * size * *way <= SETTLED)
+            return status;
+        if (i && size > SLOW * before) {
+            if (size <= NOISE)
+                return 0;
+            status = prepare(r);
+            *way = 0;
+        }
+        before = size;
+    }
+    return status ? status : fail(r, MBS_OPEN, p->h);
+}
+
+/* Put qd on J qd = 0, with J at most `way` away. */
+static int close_velocities(mbs_run *r, casadi_real way)
+{
+    const mbs_closed *p = r->p;
+    casadi_real before = 0;
+    casadi_int i, k;
+    int status = way > 1e-3 ? prepare(r) : 0;
+    for (i = 0; i < ITERATIONS && !status; ++i) {
+        casadi_real change, size;
+        status = call(p->rates);
+        if (status)
+            return status;
+        correct(r, p->hd);
+        change = measure(p->n, r->x);
+        size = change / (1 + measure(p->n, p->qd));
+        if (!(change - change == 0))
+            return fail(r, MBS_OPEN, p->hd);
+        for (k = 0; k < p->n; ++k)
+            p->qd[k] += r->x[k];
+        if (size <= SETTLED || 10 * size * way <= SETTLED)
+            return 0;
+        if (i && size > SLOW * before) {
+            if (size <= NOISE)
+                return 0;
+            status = prepare(r);
+        }
+        before = size;
+    }
+    return status ? status : fail(r, MBS_OPEN, p->hd);
+}
+
+static int restore(mbs_run *r)
+{
+    casadi_real way;
+    const int status = close_coordinates(r, &way);
+    return status ? status : close_velocities(r, way);
+}
+
+/* Put driven joints where they are at time t. */
+static int guide(mbs_run *r, casadi_real t)
+{
+    const mbs_closed *p = r->p;
+    casadi_int k;
+    if (r->how->guide && r->how->guide(t))
+        return MBS_STOPPED;
+    for (k = 0; k < p->d; ++k) {
+        p->q[p->place[k]] = p->course[k];
+        p->qd[p->driven[k]] = p->course[p->d + k];
+    }
+    return 0;
+}
+
+/* --- accelerations ------------------------------------------------------------------------------------------------- */
+
+/* Compute accelerations (n, in x) from M, c, J and gamma, with Baumgarte's terms, by the joints' own ones that loops change
+ * least in the norm of M. */
+static int solve(mbs_run *r)
+{
+    const mbs_closed *p = r->p;
+    const casadi_int n = p->n, e = p->e, f = r->free;
+    const casadi_real alpha = r->how->alpha, beta = r->how->beta;
+    casadi_real scale;
+    casadi_int i, k;
+    int status;
+    for (k = 0; k < n; ++k)
+        p->rest[k] = 0;
+    for (k = 0; k < p->d; ++k)
+        p->rest[p->driven[k]] = p->course[2 * p->d + k];
+    if ((status = call(p->residual)) != 0 || (status = factorise_mass(r)) != 0 || (status = differentiate(r)) != 0)
+        return status;
+    if (r->how->keeping == MBS_BAUMGARTE && ((status = call(p->closure)) != 0 || (status = call(p->rates)) != 0))
+        return status;
+    for (k = 0; k < n; ++k)
+        r->x[k] = p->rest[k];
+    for (k = 0; k < f; ++k)
+        r->x[n + k] = -p->r[r->moves[k]];
+    mbs_cholesky_forward(f, r->M, r->x + n);
+    mbs_cholesky_backward(f, r->M, r->x + n);
+    for (k = 0; k < f; ++k)
+        r->x[r->moves[k]] = r->x[n + k];
+    for (i = 0; i < e; ++i) {
+        casadi_real sum = -p->gamma[i];
+        for (k = 0; k < n; ++k)
+            sum -= r->J[i * n + k] * r->x[k];
+        if (r->how->keeping == MBS_BAUMGARTE)
+            sum -= 2 * alpha * p->hd[i] + beta * beta * p->h[i];
+        r->g[i] = sum;
+    }
+    scale = measure(e, r->g);
+    factorise_free(r, 1);
+    if (mbs_least_solve(&r->least, r->g, r->x + n) > CONTRADICTION * (1 + scale))
+        return fail(r, MBS_DEPENDENT, r->g);
+    mbs_cholesky_backward(f, r->M, r->x + n);
+    for (k = 0; k < f; ++k)
+        r->x[r->moves[k]] += r->x[n + k];
+    return 0;
+}
+
+/* Write the derivative of (q, qd) at plant's q and qd. */
+static int accelerate(mbs_run *r, casadi_real *rate)
+{
+    const mbs_closed *p = r->p;
+    casadi_int k;
+    int status = 0, is_solved = 0;
+    ++r->out->evaluations;
+    if (p->direct.f && r->how->keeping != MBS_BAUMGARTE && r->last > SINGULAR) {
+        status = call(p->direct);
+        is_solved = !status;
+        if (status && status <= p->n)
+            return status;
+    }
+    if (!is_solved && (status = solve(r)) != 0)
+        return status;
+    for (k = 0; k < p->n; ++k)
+        rate[p->nq + k] = is_solved ? p->qdd[k] : r->x[k];
+    status = p->change.f ? call(p->change) : 0;
+    for (k = 0; k < p->nq; ++k)
+        rate[k] = p->change.f ? p->qt[k] : p->qd[k];
+    return status;
+}
+
+/* --- steps --------------------------------------------------------------------------------------------------------- */
+
+static void lay(mbs_run *r, const casadi_real *y)
+{
+    casadi_int k;
+    for (k = 0; k < r->p->nq; ++k)
+        r->p->q[k] = y[k];
+    for (k = 0; k < r->p->n; ++k)
+        r->p->qd[k] = y[r->p->nq + k];
+}
+
+static void take(const mbs_run *r, casadi_real *y)
+{
+    casadi_int k;
+    for (k = 0; k < r->p->nq; ++k)
+        y[k] = r->p->q[k];
+    for (k = 0; k < r->p->n; ++k)
+        y[r->p->nq + k] = r->p->qd[k];
+}
+
+/* Write y = x + h sum of weights[j] k_j, over the first `count` stages. */
+static void combine(const mbs_run *r, casadi_int count, const casadi_real *weights, casadi_real h, const casadi_real *x,
+                    casadi_real *y)
+{
+    const casadi_int size = r->p->nq + r->p->n;
+    casadi_int c, j;
+    for (c = 0; c < size; ++c)
+        y[c] = 0;
+    for (j = 0; j < count; ++j)
+        if (weights[j] != 0)
+            for (c = 0; c < size; ++c)
+                y[c] += weights[j] * r->k[size * j + c];
+    for (c = 0; c < size; ++c)
+        y[c] = x ? x[c] + h * y[c] : h * y[c];
+}
+
+/* Compute the rates of stage i at time t and state y. */
+static int evaluate(mbs_run *r, casadi_real t, casadi_int i, const casadi_real *y)
+{
+    int status;
+    lay(r, y);
+    status = guide(r, t);
+    if (!status && i && r->p->e
+        && (r->how->keeping == MBS_PARTITIONING || (r->how->keeping != MBS_BAUMGARTE && r->last < NEAR)))
+        status = restore(r);
+    if (!status && r->how->inputs && r->how->inputs(t))
+        status = MBS_STOPPED;
+    return status ? status : accelerate(r, r->k + (r->p->nq + r->p->n) * i);
+}
+
+/* Take a step from x, whose rates are there if `is_ready`, to y; the stages are in k. */
+static int step(mbs_run *r, casadi_real t, casadi_real h, const casadi_real *x, int is_ready, casadi_real *y)
+{
+    const casadi_int stages = r->how->stages, size = r->p->nq + r->p->n;
+    casadi_int i;
+    int status = 0;
+    for (i = is_ready ? 1 : 0; i < stages && !status; ++i) {
+        combine(r, i, r->how->A + i * stages, h, x, r->sum);
+        status = evaluate(r, t + r->how->c[i] * h, i, r->sum);
+    }
+    if (status)
+        return status;
+    combine(r, stages, r->how->b, h, x, y);
+    return is_finite(size, y) ? 0 : MBS_RUNAWAY;
+}
+
+/* Close the loops at the end of a step, whose first stage is in k. */
+static int finish(mbs_run *r, casadi_real t, casadi_real h, casadi_real *y)
+{
+    const mbs_closed *p = r->p;
+    casadi_real speed = 0, jump = 0;
+    casadi_int k;
+    int status;
+    lay(r, y);
+    status = guide(r, t);
+    if (!status && p->e && r->how->keeping != MBS_BAUMGARTE)
+        status = restore(r);
+    if (status)
+        return status;
+    for (k = 0; k < p->n; ++k) {
+        const casadi_real gain = fabs(y[p->nq + k]) + h * fabs(r->k[p->nq + k]), change = fabs(p->qd[k] - y[p->nq + k]);
+        speed = gain > speed ? gain : speed;
+        jump = change > jump ? change : jump;
+    }
+    if (p->e && r->how->keeping != MBS_BAUMGARTE && jump > JUMP * speed && speed > 0) {
+        lay(r, y);
+        if ((status = guide(r, t)) != 0 || (status = call(p->rates)) != 0)
+            return status;
+        return fail(r, MBS_BRANCHED, p->hd);
+    }
+    take(r, y);
+    return 0;
+}
+
+/* Return the error of the step from x to y relative to the tolerances, in the root mean square. */
+static casadi_real estimate(mbs_run *r, casadi_real h, const casadi_real *x, const casadi_real *y)
+{
+    const casadi_int size = r->p->nq + r->p->n;
+    casadi_real squares[2] = {0, 0};
+    casadi_int i, c;
+    for (i = 0; i < r->how->estimates; ++i) {
+        combine(r, r->how->stages, r->how->E + i * r->how->stages, 1, 0, r->sum);
+        for (c = 0; c < size; ++c) {
+            const casadi_real a = fabs(x[c]), b = fabs(y[c]);
+            const casadi_real part = r->sum[c] / (r->how->atol + r->how->rtol * (a > b ? a : b));
+            squares[i] += part * part;
+        }
+    }
+    if (r->how->estimates == 1)
+        return h * sqrt(squares[0] / (casadi_real)size);
+    if (squares[0] == 0)
+        return 0;
+    return h * squares[0] / sqrt((squares[0] + 0.01 * squares[1]) * (casadi_real)size);
+}
+
+/* Choose a first step by the sizes of the first two derivatives (Hairer, Norsett, Wanner, section II.4). */
+static int begin(mbs_run *r, casadi_real t, const casadi_real *x, casadi_real *h)
+{
+    const casadi_int size = r->p->nq + r->p->n;
+    casadi_real d[3] = {0, 0, 0}, guess, most;
+    casadi_int c;
+    int status;
+    for (c = 0; c < size; ++c) {
+        const casadi_real scale = r->how->atol + r->how->rtol * fabs(x[c]);
+        d[0] += x[c] / scale * (x[c] / scale);
+        d[1] += r->k[c] / scale * (r->k[c] / scale);
+    }
+    guess = d[0] < 1e-10 * (casadi_real)size || d[1] < 1e-10 * (casadi_real)size ? 1e-6 : 0.01 * sqrt(d[0] / d[1]);
+    for (c = 0; c < size; ++c)
+        r->sum[c] = x[c] + guess * r->k[c];
+    status = evaluate(r, t + guess, 1, r->sum);
+    for (c = 0; c < size && !status; ++c) {
+        const casadi_real part = (r->k[size + c] - r->k[c]) / (r->how->atol + r->how->rtol * fabs(x[c]));
+        d[2] += part * part;
+    }
+    d[2] = sqrt(d[2] / (casadi_real)size) / guess;
+    d[1] = sqrt(d[1] / (casadi_real)size);
+    most = d[1] > d[2] ? d[1] : d[2];
+    *h = most <= 1e-15 ? (1e-3 * guess > 1e-6 ? 1e-3 * guess : 1e-6) : pow(0.01 / most, 1 / (casadi_real)r->how->order);
+    if (*h > 100 * guess)
+        *h = 100 * guess;
+    return status;
+}
+
+static int run_fixed(mbs_run *r, casadi_real h, casadi_int steps, const casadi_real *times, casadi_real *states)
+{
+    const casadi_int size = r->p->nq + r->p->n;
+    int status = 0;
+    for (; r->out->steps < steps; ++r->out->steps) {
+        const casadi_real t = times[r->out->steps];
+        const casadi_real *x = states + size * r->out->steps;
+        casadi_real *y = states + size * (r->out->steps + 1);
+        status = step(r, t, h, x, 0, y);
+        if (!status)
+            status = finish(r, times[r->out->steps + 1], h, y);
+        if (status)
+            break;
+    }
+    return status;
+}
+
+/* Return whether a step that failed may succeed when it is shorter. */
+static int may_retry(int status)
+{
+    return status == MBS_RUNAWAY || status == MBS_OPEN || status == MBS_BRANCHED || status == MBS_DEPENDENT
+           || status > 0;
+}
+
+static int run_adaptive(mbs_run *r, casadi_real end, casadi_real *h, casadi_int steps, casadi_real *times,
+                        casadi_real *states)
+{
+    const casadi_int size = r->p->nq + r->p->n;
+    int status = evaluate(r, times[0], 0, states), was_rejected = 0;
+    if (!status && *h == 0)
+        status = begin(r, times[0], states, h);
+    while (!status && r->out->steps < steps && times[r->out->steps] < end) {
+        const casadi_real t = times[r->out->steps], left = end - t;
+        const casadi_real *x = states + size * r->out->steps;
+        casadi_real *y = states + size * (r->out->steps + 1), length = *h, error = 0, factor;
+        if (length >= 0.99 * left)
+            length = left;
+        else if (2 * length > left)
+            length = left / 2;
+        status = step(r, t, length, x, 1, y);
+        if (!status)
+            error = estimate(r, length, x, y);
+        if (!status && error <= 1)
+            status = finish(r, length == left ? end : t + length, length, y);
+        if ((status && may_retry(status)) || error > 1 || error != error) {
+            factor = status || error != error ? 0.25 : 0.9 * pow(error, -1 / (casadi_real)r->how->order);
+            *h = length * (factor < 0.2 ? 0.2 : factor);
+            ++r->out->rejected;
+            was_rejected = 1;
+            if (*h > SHORTEST * (fabs(t) + length)) {
+                status = 0;
+                continue;
+            }
+            status = status ? status : MBS_SHORT;
+        }
+        if (status)
+            break;
+        times[++r->out->steps] = length == left ? end : t + length;
+        factor = error == 0 ? 10 : 0.9 * pow(error, -1 / (casadi_real)r->how->order);
+        factor = factor > 10 ? 10 : factor < 0.2 ? 0.2 : factor;
+        factor = was_rejected && factor > 1 ? 1 : factor;
+        if (length * factor > *h || length == *h)
+            *h = length * factor;
+        was_rejected = 0;
+        if (r->out->steps < steps && times[r->out->steps] < end)
+            status = evaluate(r, times[r->out->steps], 0, y);
+    }
+    return status;
+}
+
+void mbs_closed_run(const mbs_closed *plant, const mbs_manner *manner, casadi_real end, casadi_real *h, casadi_int steps,
+                    casadi_real *times, casadi_real *states, casadi_real *reals, casadi_int *integers, mbs_outcome *outcome)
+{
+    mbs_run r = open_run(plant, manner, reals, integers, outcome);
+    lay(&r, states);
+    if (plant->e && manner->keeping != MBS_BAUMGARTE)
+        outcome->status = prepare(&r);
+    if (!outcome->status)
+        outcome->status = manner->estimates ? run_adaptive(&r, end, h, steps, times, states)
+                                            : run_fixed(&r, *h, steps, times, states);
+}
+
+void mbs_closed_read(const mbs_closed *plant, const mbs_manner *manner, casadi_int count, const casadi_real *times,
+                     const casadi_real *lengths, const casadi_real *starts, casadi_real *ends, casadi_real *reals,
+                     casadi_int *integers, mbs_outcome *outcome)
+{
+    const casadi_int size = plant->nq + plant->n;
+    mbs_run r = open_run(plant, manner, reals, integers, outcome);
+    for (; outcome->steps < count && !outcome->status; ++outcome->steps) {
+        const casadi_real *x = starts + size * outcome->steps;
+        casadi_real *y = ends + size * outcome->steps;
+        const casadi_real t = times[outcome->steps], h = lengths[outcome->steps];
+        lay(&r, x);
+        if (plant->e && manner->keeping != MBS_BAUMGARTE)
+            outcome->status = prepare(&r);
+        if (!outcome->status)
+            outcome->status = step(&r, t, h, x, 0, y);
+        if (!outcome->status)
+            outcome->status = finish(&r, t + h, h, y);
+    }
+}
+
+void mbs_closed_restore(const mbs_closed *plant, const mbs_manner *manner, casadi_real t, casadi_real *state,
+                        casadi_real *reals, casadi_int *integers, mbs_outcome *outcome)
+{
+    mbs_run r = open_run(plant, manner, reals, integers, outcome);
+    lay(&r, state);
+    outcome->status = guide(&r, t);
+    if (!outcome->status && plant->e)
+        outcome->status = restore(&r);
+    if (!outcome->status)
+        take(&r, state);
+}

@@ -1,0 +1,111 @@
+/* Integrate a motion with closed loops, h(q) = 0 with J = dh/dv, explicitly.
+ *
+ * The accelerations solve M qdd + c = J^T lam, J qdd + gamma = 0. All coordinates are integrated by a Runge-Kutta method;
+ * coordinates and velocities are put back on h = 0, J qd = 0 by a correction
+ *
+ *     MBS_PARTITIONING      of the dependent ones alone, at every stage: the independent ones move as if they were alone
+ *     MBS_PROJECTION        of least norm, after every step; near a singular pose at every stage too
+ *     MBS_MASS_PROJECTION   likewise, of least norm in the mass matrix
+ *     MBS_BAUMGARTE         by no correction: J qdd + gamma + 2 alpha hd + beta^2 h = 0 instead
+ *
+ * Hairer, Lubich, Wanner, "Geometric Numerical Integration", section IV.4; Wehage, Haug, Journal of Mechanical Design 104
+ * (1982); Baumgarte, Computer Methods in Applied Mechanics and Engineering 1 (1972).
+ */
+#ifndef MBS_CLOSED_H
+#define MBS_CLOSED_H
+
+#include "mbs_batch.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define MBS_PARTITIONING 0
+#define MBS_PROJECTION 1
+#define MBS_MASS_PROJECTION 2
+#define MBS_BAUMGARTE 3
+
+/* Statuses beside those of kernels, which are positive. */
+#define MBS_RUNAWAY (-1)   /* numbers that are not finite */
+#define MBS_STOPPED (-2)   /* a function for inputs returned a number other than 0 */
+#define MBS_SHORT (-3)     /* the step has become too short */
+#define MBS_OPEN (-4)      /* a loop cannot be closed */
+#define MBS_BRANCHED (-5)  /* closing a loop changes the velocities by more than a step may */
+#define MBS_DEPENDENT (-6) /* equations of a loop contradict each other here: its Jacobian has lost its rank */
+
+/* A kernel with its lists of arguments; f is NULL where there is none. */
+typedef struct {
+    mbs_kernel f;
+    const casadi_real **arg;
+    casadi_real **res;
+} mbs_call;
+
+/* A matrix as a kernel writes it: its nonzeros, and which entry, row by row, each of them is. */
+typedef struct {
+    const casadi_real *nonzeros;
+    casadi_int entries;
+    const casadi_int *place;
+} mbs_entries;
+
+typedef struct {
+    casadi_int n, nq, m, e, d; /* velocities, coordinates, inputs, equations of loops, driven joints */
+    casadi_real *q, *qd;       /* where kernels read coordinates and velocities, */
+    casadi_real *course;       /* d coordinates, d velocities and d accelerations of driven joints, */
+    casadi_real *rest;         /* the accelerations of `residual` */
+    const casadi_real *qdd, *r, *h, *hd, *gamma, *qt; /* where `direct`, `residual`, `closure`, ... write */
+    mbs_entries M, J;
+    mbs_call direct;   /* qdd; may be NULL */
+    mbs_call residual; /* r = M rest + c - Q, without lam */
+    mbs_call mass;     /* M */
+    mbs_call closure;  /* h */
+    mbs_call rates;    /* hd = J qd */
+    mbs_call jacobian; /* J and gamma */
+    mbs_call change;   /* qt, the rates of the coordinates; NULL where they are the velocities */
+    const casadi_int *driven; /* their entries of qd */
+    const casadi_int *place;  /* and of q */
+    const casadi_int *loop;   /* of each equation: the number of its loop, from 1 */
+} mbs_closed;
+
+/* How to step: A, b, c and E of a Runge-Kutta method; E has a row for each of `estimates` estimates of a step's error: none
+ * for steps of a fixed length, one, or two of DOP853. */
+typedef struct {
+    casadi_int stages, estimates, order; /* order: of the estimate, plus 1 */
+    const casadi_real *A, *b, *c, *E;
+    casadi_real rtol, atol, alpha, beta;
+    int keeping;                  /* MBS_PARTITIONING, ... */
+    int (*guide)(casadi_real t);  /* writes `course`; NULL: it is constant */
+    int (*inputs)(casadi_real t); /* writes the inputs, and may read q and qd; NULL: they are constant */
+} mbs_manner;
+
+/* What a run counts, and how it ended. */
+typedef struct {
+    casadi_int evaluations, rejected, switches, steps;
+    int status, loop; /* of status MBS_OPEN to MBS_DEPENDENT: the number of the loop, from 1 */
+} mbs_outcome;
+
+/* Room for a run. */
+casadi_int mbs_closed_reals(const mbs_closed *plant, casadi_int stages);
+casadi_int mbs_closed_integers(const mbs_closed *plant);
+
+/* Take at most `steps` steps from times[0] and states[0], which is closed, until `end`. Steps of a fixed length have length
+ * *h; else *h is the first to try, or 0, and on return the next one. Of each step times[k] and states[k] are written: nq
+ * coordinates, then n velocities. Steps of a fixed length end where the caller's times say, times[1], ... are given. */
+void mbs_closed_run(const mbs_closed *plant, const mbs_manner *manner, casadi_real end, casadi_real *h, casadi_int steps,
+                    casadi_real *times, casadi_real *states, casadi_real *reals, casadi_int *integers,
+                    mbs_outcome *outcome);
+
+/* Take `count` steps, each from its own time and state (starts), of its own length, and write where they end: the motion
+ * within the steps of a run, to its order. */
+void mbs_closed_read(const mbs_closed *plant, const mbs_manner *manner, casadi_int count, const casadi_real *times,
+                     const casadi_real *lengths, const casadi_real *starts, casadi_real *ends, casadi_real *reals,
+                     casadi_int *integers, mbs_outcome *outcome);
+
+/* Put a state (q, qd) on h = 0, J qd = 0, from anywhere near, as `manner` says; `driven` ones at time t. */
+void mbs_closed_restore(const mbs_closed *plant, const mbs_manner *manner, casadi_real t, casadi_real *state,
+                        casadi_real *reals, casadi_int *integers, mbs_outcome *outcome);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif
