@@ -80,7 +80,7 @@ MBSRUN = Package(
         "external",
         "ocp.factors ocp.linear ocp.schemes ocp.plant ocp.functions ocp.status ocp.trajectory",
         "skeleton",
-        "ocp.program ocp.formulas ocp.integrators ocp.representations quaternions quantities animation",
+        "ocp.program ocp.formulas ocp.integrators ocp.representations quaternions quantities animation jets",
         "simulation ocp.problem ocp.elimination ocp.layout ocp.quantities",
         "ocp.backends ocp.structure",
         "ocp.methods ocp.writing",

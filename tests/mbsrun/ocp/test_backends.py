@@ -164,7 +164,7 @@ def test_equations_of_explicit_methods_are_triangular(arm: Peer, reach: Problem)
 # --- no graph ------------------------------------------------------------------------------------------------------
 
 DATA = ("functions", "program", "structure", "layout", "writing", "transcription", "quantities", "formulas")
-NUMPY = ("elimination", "backends.assembly", "backends.jets", "backends.evaluations", "backends.numpy")
+NUMPY = ("elimination", "backends.assembly", "backends.evaluations", "backends.numpy")
 
 
 @pytest.mark.parametrize("module", [*DATA, *NUMPY])

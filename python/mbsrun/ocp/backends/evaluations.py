@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from mbsgen.expressions import Algebra, evaluate
 from mbsgen.manifest import Argument
 from mbsgen.roles import Order, name_adjoint, name_derivative, name_kernel
+from mbsrun.jets import Dependence, Jet, depend, make_dependences, make_jets, vary
 from mbsrun.kernel import KernelError
-from mbsrun.ocp.backends.jets import Dependence, Jet, depend, make_dependences, make_jets, vary
 from mbsrun.ocp.functions import Array, Evaluation, Formula, Function, Indices, Input, KernelResult, Pattern
 from mbsrun.ocp.plant import Plant
 

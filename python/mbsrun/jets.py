@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.expressions import Algebra
-from mbsrun.ocp.functions import Array
 
+Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
