@@ -37,7 +37,8 @@ from mbsgen.request import Options, merge
 from mbsgen.tape.interpreter import DECIMALS, evaluate, fifty_digits
 from mbsgen.tape.types import Tape
 from mbsgen.verification.verify import verify
-from tests.fuzz.absolute import Absolute, Array, Found, value_of
+from tests.fuzz.absolute import Absolute, Array, Found
+from tests.fuzz.kinematics import value_of
 from tests.number_paths import set_number
 
 ROUNDING = 1e-10  # of the largest sum of magnitudes: some hundred products in float64, and matrices of three rotations
@@ -425,8 +426,8 @@ class _Comparison:
         other = {name: x * 0.7 + 0.1 for name, x in self.q.items()}
         fall = energy["potential"][0] - self._evaluate("energy", q=other)["potential"][0]
         expected = found.potential - self._reference(self.qdd, q=other).potential
-        power = Q @ np.array([self.qd[name] for name in self.names]) + found.pull
-        size = float(np.abs(Q).sum()) + abs(found.pull) + sum(np.abs(x).sum() for x in self.w.values()) + 10
+        power = Q @ np.array([self.qd[name] for name in self.names]) + found.power
+        size = float(np.abs(Q).sum()) + abs(found.power) + sum(np.abs(x).sum() for x in self.w.values()) + 10
         return [
             ("kinetic", abs(energy["kinetic"][0] - found.kinetic) / max(found.kinetic, 1e-3)),
             ("potential", abs(fall - expected) / max(abs(found.potential), 10)),
