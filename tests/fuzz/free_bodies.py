@@ -87,6 +87,14 @@ class FreeBodies(Kinematics):
         }
         self.names_of_velocities = [x for x in self.velocities() if x not in self.follows and x not in self.locked]
 
+    @property
+    def names_of_coordinates(self) -> list[str]:
+        """Name the coordinates of joints that have any, quaternions among them."""
+        quaternions = [x for x in self.names_of_velocities if self._is_of_quaternion(x)]
+        found = [x for x in self.names_of_velocities if x not in quaternions or x[-2] == "."]
+        own = dict.fromkeys(x.rpartition(".")[0] for x in quaternions)
+        return found + [f"{name}.q{k}" for name in own for k in "xyzw"]
+
     # -- joints that follow others, or are locked ----------------------------------------------------------------------
 
     def lead(self, name: str) -> tuple[str, Any, Any]:
@@ -115,14 +123,14 @@ class FreeBodies(Kinematics):
             found[name] = ratio * self.numbers.make(0.0 if leader in self.locked else qd[leader])
         return found
 
-    def _fold(self, columns: Mapping[str, Array], size: int) -> Array:
-        """Sum what velocities of all joints bring, for the joints that have coordinates: a column for each."""
+    def fold(self, shares: Mapping[str, Any], size: tuple[int, ...] = ()) -> Array:
+        """Sum the shares of all joints' velocities, for the joints that have coordinates: an entry (last) for each."""
         order = {name: k for k, name in enumerate(self.names_of_velocities)}
-        found = self.numbers.array(np.zeros((size, len(order))))
-        for name, column in columns.items():
+        found = self.numbers.array(np.zeros((*size, len(order))))
+        for name, share in shares.items():
             leader, ratio, _ = self.lead(name)
             if leader in order:
-                found[:, order[leader]] += ratio * column
+                found[..., order[leader]] += ratio * share
         return found
 
     # -- loops --------------------------------------------------------------------------------------------------------
@@ -443,7 +451,7 @@ class FreeBodies(Kinematics):
             for column in link.moved.columns:
                 whole = columns.setdefault(column.name, self.numbers.array(np.zeros(6 * len(moved.links))))
                 whole[6 * k : 6 * k + 6] = np.concatenate(column.at(link.moved.p))
-        return self._fold(columns, 6 * len(moved.links))
+        return self.fold(columns, (6 * len(moved.links),))
 
     def _stack(self, moved: Moved, *keys: str) -> Array:
         parts = [getattr(link.moved, key) for link in moved.links for key in keys]
