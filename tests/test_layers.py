@@ -58,6 +58,7 @@ MBSGEN = Package(
         "approximation",
         "evidence verification.states",
         "verification.geometry",
+        "verification.loops",
         "verification.functions",
         "verification.derivatives",
         "verification.verify",

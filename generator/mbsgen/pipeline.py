@@ -127,7 +127,8 @@ def _make_unit(trees: _Trees, functions: Functions, verification: Verification) 
         functions.families,
         tuple(p.value for p in tree.parameters if p.kind is Kind.RUNTIME and functions.has_setup),
         design=tuple(p.value for p in tree.parameters if p.kind is Kind.DIFFERENTIATED),
-        only_driven=not tree.wrenches and all(body.joint.law == NO_FORCE for body in tree.bodies),
+        only_driven=not (tree.wrenches or tree.is_constrained)
+        and all(body.joint.law == NO_FORCE for body in tree.bodies),
         groups=tuple(group for group in list_groups(tree) if group.name != "p" or functions.has_setup),
         tolerance=approximation.tolerance if approximation and approximation.taken else None,
         references=verification.references,

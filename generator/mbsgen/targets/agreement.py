@@ -45,7 +45,8 @@ def _compare_functions(functions: Sequence[Computation], *, only_driven: bool) -
         yield from (Comparison("mbs_check_equal", (name, REFERENCE)) for name in residuals if name != REFERENCE)
         yield from (Comparison("mbs_check_mass_matrix", (name, REFERENCE)) for name in terms)
         yield from (Comparison("mbs_check_accelerations", (name, REFERENCE)) for name in accelerations)
-    yield from (Comparison("mbs_check_same_accelerations", (accelerations[0], name)) for name in accelerations[1:])
+    forms = [f.name for f in functions if f.outputs[0].port == ports.ACCELERATIONS]  # with multipliers, too
+    yield from (Comparison("mbs_check_same_accelerations", (forms[0], name)) for name in forms[1:])
     for sensors in list_giving(ports.POSITION):
         yield from (Comparison("mbs_check_tail", (sensors, frames)) for frames in poses)
     if only_driven:

@@ -24,7 +24,7 @@ from mbsgen.targets.unit import Unit
 
 ABI_HEADER = "mbs_abi.h"
 # Results that lose digits with the condition of the mass matrix.
-_SOLVED = (Role.ACCELERATION, Role.CONDITION)
+_SOLVED = (Role.ACCELERATION, Role.CONDITION, Role.MULTIPLIER, Role.DRIVING_FORCE)
 _LARGEST_REFERENCE = 1000  # results of a function; where it has more, the check program holds none of them
 _COPIED = (ABI_HEADER, "mbs_sincos.h", "mbs_check.h", "mbs_check.c")  # from csrc; more where stages need them
 
@@ -45,6 +45,7 @@ def write_c(unit: Unit) -> Sources:
     views = [_view(unit.prefix, face, unit.part) for face in found]
     header = f"{unit.prefix}.h"
     parameters, design = (tuple(write_literal(x) for x in values) for values in (unit.parameters, unit.design))
+    has_loops = any(group.name == "loop" for group in unit.groups)
     common = {
         "prefix": unit.prefix,
         "version": unit.version,
@@ -61,7 +62,7 @@ def write_c(unit: Unit) -> Sources:
         sources[f"{unit.prefix}_names.c"] = lay_out("c/names.c", **common)
     copied = dict.fromkeys((*_COPIED, *(name for view in views for name in view.stages.headers)))
     files = {
-        header: lay_out("c/model.h", kernels=views, tolerance=unit.tolerance, **common),
+        header: lay_out("c/model.h", kernels=views, tolerance=unit.tolerance, loops=has_loops, **common),
         **{name: (resources.folder("csrc") / name).read_text(encoding="utf-8") for name in copied},
         **sources,
         f"{unit.prefix}_check.c": _write_check(unit, found, common),

@@ -11,6 +11,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
+from mbsgen.formulations.closure import kept_equations
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.targets.names import escape, mangle
 
@@ -41,6 +42,12 @@ def list_groups(tree: Tree) -> tuple[Group, ...]:
         _group("q", "Entries of q", tree.coordinates),
         _group("qd", "Entries of qd and qdd, rows of Phi, rows and columns of M", (j.name for j in joints)),
         _group("u", "Entries of u: the actuated joints", (j.name for j in joints if j.actuated)),
+        _group("a", "Entries of a and tau: the driven joints", (tree.bodies[i - 1].joint.name for i in tree.driven)),
+        _group("lam", "Entries of h, hd, hdd and lam, rows of their Jacobian", name_equations(tree)),
+        _group("yd", "Entries of yd and ydd: the independent joints", _list_independent(tree)),
+        _group(
+            "loop", "Loops: a function that fails at entry k returns the number of joints + 1 + k", name_loops(tree)
+        ),
         _group("w", "Entries of w: components of the wrenches that are inputs", _list_components(tree)),
         _group("p", "Entries of p: run-time parameters", _list_parameters(tree, Kind.RUNTIME)),
         _group("theta", "Entries of theta: differentiated parameters", _list_parameters(tree, Kind.DIFFERENTIATED)),
@@ -75,6 +82,22 @@ def _soften(character: str) -> str:
     if character in " .-":
         return "_"
     return character if character == "_" or (character.isascii() and character.isalnum()) else escape(character)
+
+
+def name_loops(tree: Tree) -> tuple[str, ...]:
+    """Name loops, then constraints."""
+    return tuple(x.name for x in (*tree.loops, *tree.constraints))
+
+
+def name_equations(tree: Tree) -> tuple[str, ...]:
+    """Name the entries of h, as in `knee.x`."""
+    names = name_loops(tree)
+    return tuple(f"{names[k]}.{equation}" for k, equation in kept_equations(tree))
+
+
+def _list_independent(tree: Tree) -> Iterator[str]:
+    if tree.closure is not None:
+        yield from (tree.joints[i].name for i in tree.closure.independent)
 
 
 def _list_components(tree: Tree) -> Iterator[str]:

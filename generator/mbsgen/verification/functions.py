@@ -6,17 +6,18 @@ vectors, relative to the largest number that enters them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import cached_property
 from itertools import islice
+from types import MappingProxyType
 
-from sympy import Expr
+from sympy import Expr, Symbol
 
 from mbsgen.formulations import ports, textbook
 from mbsgen.formulations.links import assign_symbols, declare_state, joint_forces, write_chain
-from mbsgen.model.tree import Coupling, Kind, Tree
+from mbsgen.model.tree import Coupling, Kind, Tree, coordinate_symbol
 from mbsgen.procedure.procedure import Computation
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import DECIMALS, evaluate
@@ -40,6 +41,7 @@ from mbsgen.verification.geometry import (
     velocity,
     write_numbers,
 )
+from mbsgen.verification.loops import Closures
 from mbsgen.verification.states import Numbers, State
 
 Results = Mapping[str, Numbers]  # nonzeros of each output
@@ -127,16 +129,18 @@ class Truth:
         turned = self._value(coupling.ratio) * free[self.tree.bodies[coupling.leader - 1].joint.name]
         return turned + self._value(coupling.offset) if is_place else turned
 
-    def _value(self, number: Expr) -> Decimal:
-        """Return a number of the tree for the parameters of the state."""
+    def _value(self, number: Expr, more: Mapping[Symbol, Decimal] = MappingProxyType({})) -> Decimal:
+        """Return a number of the tree for the parameters of the state, and the values of further symbols."""
         builder = Builder()
+        own = dict(zip(more, builder.vector("own", len(more)), strict=True)) if more else {}
         given = {
             port: self.state.take(port.name, sum(x.kind is kind for x in self.tree.parameters))
             for port, kind in ((ports.PARAMETERS, Kind.RUNTIME), (ports.DESIGN, Kind.DIFFERENTIATED))
         }
         p, theta = (builder.vector(port, len(values)) if values else [] for port, values in given.items())
-        builder.output_dense("value", [[lower(number, builder, assign_symbols(self.tree, builder, p, theta))]])
-        inputs = {port.name: values for port, values in given.items() if values}
+        symbols = {**assign_symbols(self.tree, builder, p, theta), **own}
+        builder.output_dense("value", [[lower(number, builder, symbols)]])
+        inputs = {port.name: values for port, values in given.items() if values} | {"own": list(more.values())}
         (value,) = evaluate(builder.build("value"), inputs, DECIMALS)["value"]
         return Decimal(value)
 
@@ -183,6 +187,38 @@ class Truth:
     def _motion(self) -> tuple[list[Pose], list[tuple[Vector, Vector]]]:
         return self.mechanism.speed(self.q, self.all_qd)
 
+    @cached_property
+    def closures(self) -> Closures:
+        """Return the loops and constraints."""
+        return Closures(self.tree, self.mechanism, self.q, self._constrain)
+
+    def _constrain(self, q: Sequence[Decimal]) -> Numbers:
+        """Return the values of the constraints at coordinates of all joints."""
+        joints = [coordinate_symbol(body.joint.name) for body in self.tree.bodies]
+        return [self._value(x.equation, dict(zip(joints, q, strict=True))) for x in self.tree.constraints]
+
+    @cached_property
+    def J(self) -> list[Numbers]:
+        """Return the columns of the Jacobian of h, by velocities of joints that follow no other."""
+        units = [[Decimal(int(i == j)) for j in range(self.n)] for i in range(self.n)]
+        return [self.closures.rate(self.move(unit)) for unit in units]
+
+    @property
+    def driven(self) -> tuple[int, ...]:
+        """List the driven joints, from 0, among those that follow no other."""
+        joints = [joint.name for joint in self.coupled.joints]
+        return tuple(joints.index(self.tree.bodies[number - 1].joint.name) for number in self.coupled.driven)
+
+    def hold(self, given: Callable[[Port, int], Numbers]) -> Numbers:
+        """Return the joint forces JT lam and tau, of multipliers that are given by their ports and sizes."""
+        forces = [ZERO] * self.n
+        if self.coupled.loops or self.coupled.constraints:
+            lam = given(ports.MULTIPLIERS, len(self.closures.h))
+            forces = [dot(column, lam) for column in self.J]
+        for i, force in zip(self.driven, given(ports.DRIVING_FORCES, len(self.driven)), strict=True):
+            forces[i] += force
+        return forces
+
     def moving_point(self, body: int, r: Vector) -> Vector:
         """Return the velocity of a point fixed in a body."""
         v, OM = self.speeds[body]
@@ -215,9 +251,10 @@ Expectation = Callable[[Truth, Computation, Results], Iterator[Comparison]]
 
 
 def _residual(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
-    Phi = truth.residual(truth.qdd)
-    scale = max(largest(Phi), largest(truth.Q), largest(truth.bias))
-    yield Comparison("Phi", results["Phi"], [a - b for a, b in zip(Phi, truth.Q, strict=True)], scale)
+    Phi, held = truth.residual(truth.qdd), truth.hold(lambda port, size: truth.state.take(port.name, size))
+    scale = max(map(largest, (Phi, truth.Q, truth.bias, held)))
+    expected = [a - b - c for a, b, c in zip(Phi, truth.Q, held, strict=True)]
+    yield Comparison("Phi", results["Phi"], expected, scale)
 
 
 def _terms(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
@@ -232,11 +269,44 @@ def _terms(truth: Truth, _: Computation, results: Results) -> Iterator[Compariso
 
 
 def _accelerations(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
-    """Compare Phi at the computed accelerations with Q."""
-    Phi = truth.residual(results["qdd"])
+    """Compare Phi at the computed accelerations with Q and the forces of constraints, which must hold."""
+    Phi, held = truth.residual(results["qdd"]), truth.hold(lambda port, size: results.get(port.name, [ZERO] * size))
     inertial = [a - b for a, b in zip(Phi, truth.bias, strict=True)]
-    scale = max(largest(inertial), largest(truth.Q), largest(truth.bias))
-    yield Comparison("qdd", Phi, truth.Q, scale)
+    scale = max(map(largest, (inertial, truth.Q, truth.bias, held)))
+    yield Comparison("qdd", Phi, [a + b for a, b in zip(truth.Q, held, strict=True)], scale)
+    if truth.coupled.loops or truth.coupled.constraints:
+        qdd = truth.move(results["qdd"])
+        sizes = [largest([x * a for x, a in zip(row, qdd, strict=False)]) for row in truth.J]
+        left = truth.closures.accelerate(truth.all_qd, qdd)
+        yield Comparison("qdd", left, [ZERO] * len(left), max([*sizes, largest(qdd)]))
+    given = truth.state.take(ports.DRIVE.name, len(truth.driven))
+    yield Comparison("qdd", [results["qdd"][i] for i in truth.driven], given)
+
+
+def _closure(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
+    """Compare what is left open, relative to lengths of 1."""
+    yield Comparison("h", results["h"], truth.closures.h, Decimal(1))
+
+
+def _closure_rate(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
+    yield Comparison("hd", results["hd"], truth.closures.rate(truth.all_qd), largest(truth.all_qd))
+
+
+def _closure_acceleration(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
+    """Compare the second derivative of h, with accelerations or, as gamma, without."""
+    for name, qdd in (("hdd", truth.qdd), ("gamma", [ZERO] * truth.n)):
+        if name in results:
+            expected = truth.closures.accelerate(truth.all_qd, truth.move(qdd))
+            yield Comparison(name, results[name], expected, largest(truth.all_qd) ** 2 + largest(qdd))
+
+
+def _closure_jacobian(truth: Truth, tape: Computation, results: Results) -> Iterator[Comparison]:
+    """Compare every entry of J, those left out included."""
+    output = tape.output("J")
+    found = dict(zip(output.sparsity.entries, results["J"], strict=True))
+    rows, cols = range(output.sparsity.rows), range(output.sparsity.cols)
+    expected = [truth.J[c][r] for c in cols for r in rows]
+    yield Comparison("J", [found.get((r, c), ZERO) for c in cols for r in rows], expected, Decimal(1))
 
 
 def _places(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
@@ -366,6 +436,11 @@ EXPECTATIONS: Mapping[Port, Expectation] = {
     ports.MASS_MATRIX: _terms,
     ports.BIAS: _terms,
     ports.ACCELERATIONS: _accelerations,
+    ports.CLOSURE: _closure,
+    ports.CLOSURE_RATE: _closure_rate,
+    ports.CLOSURE_ACCELERATION: _closure_acceleration,
+    ports.CLOSURE_BIAS: _closure_acceleration,
+    ports.CLOSURE_JACOBIAN: _closure_jacobian,
     ports.POSITION: _places,
     ports.VELOCITY: _velocities,
     ports.ANGULAR_VELOCITY: _velocities,

@@ -119,6 +119,11 @@ def write_numbers(tree: Tree, parameters: Mapping[str, Numbers]) -> dict[str, Nu
     for k, sensor in enumerate(tree.sensors):
         put(f"place_{k}", [[x] for x in sensor.position])
         put(f"turn_{k}", sensor.orientation)
+    for k, loop in enumerate(tree.loops):
+        put(f"loop_{k}", [[loop.value]])
+        for n, end in enumerate((loop.first, loop.second)):
+            put(f"end_{k}_{n}", [[x] for x in end.position])
+            put(f"frame_{k}_{n}", end.axes)
     for k, wrench in enumerate(tree.wrenches):
         put(f"point_{k}", [[x] for x in wrench.position])
         put(f"axes_of_{k}", wrench.orientation)
