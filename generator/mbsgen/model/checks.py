@@ -14,11 +14,13 @@ import numpy as np
 
 from mbsgen.documents import Place, abbreviate
 from mbsgen.expressions import Expression, Negation, Number, write
+from mbsgen.model import tree
 from mbsgen.model.expansion import list_steps
 from mbsgen.model.findings import Finding
 from mbsgen.model.following import check_followers
 from mbsgen.model.joints.quaternions import is_pure
-from mbsgen.model.model import BASE, COORDINATE, RATE, ZERO, Body, Fixed, Inertia, Joint, Law, Model, Placement, Wrench
+from mbsgen.model.loop_checks import check_loops
+from mbsgen.model.model import BASE, COORDINATE, RATE, ZERO, Body, Fixed, Inertia, Joint, Law, Model, Wrench
 from mbsgen.model.naming import check_names
 from mbsgen.model.topology import check_tree, find_carriers
 from mbsgen.model.tree import Motion
@@ -29,6 +31,7 @@ MAX_BODIES = 1000
 LIGHTEST = 1e-150  # the product of two masses does not vanish
 INERTIA_TOLERANCE = 1e-9  # of the largest moment
 FEW = 0.005  # of a number that is written with one or two digits, which may be meant exactly
+_OWN = {COORDINATE: tree.COORDINATE, RATE: tree.RATE}
 
 
 def find_faults(model: Model, doubtful: Container[Place] = frozenset()) -> list[Finding]:
@@ -44,17 +47,18 @@ def find_faults(model: Model, doubtful: Container[Place] = frozenset()) -> list[
         findings += _check_carrier(i, body, valuation)
         findings += _check_body(("bodies", i), body, valuation, allow_unphysical=model.allow_unphysical)
     for i, frame in enumerate(model.frames):
-        _check_placement(("frames", i), frame.placement, valuation)
+        valuation.placement(("frames", i), frame.placement)
     for i, wrench in enumerate(model.wrenches):
         findings += _check_wrench(("wrenches", i), wrench, valuation)
     findings += check_followers(model, valuation)
+    findings += check_loops(model, valuation, doubtful)
     findings += valuation.findings
     return findings or [*check_undetermined_joints(model), *_check_fixed(model)]
 
 
 def _check_carrier(i: int, body: Body, valuation: Valuation) -> Iterator[Finding]:
     if isinstance(body.joint, Fixed):
-        _check_placement(("bodies", i, "joint"), body.joint.placement, valuation)
+        valuation.placement(("bodies", i, "joint"), body.joint.placement)
     elif isinstance(body.joint, tuple) and len(body.joint) < 2:
         finding = f"a sequence of {len(body.joint)} joints"
         yield Finding(("bodies", i, "joint"), finding, "give two or more, or one joint by itself")
@@ -66,7 +70,7 @@ def _check_carrier(i: int, body: Body, valuation: Valuation) -> Iterator[Finding
 
 
 def _check_joint(place: Place, joint: Joint, valuation: Valuation) -> Iterator[Finding]:
-    _check_placement(place, joint.placement, valuation)
+    valuation.placement(place, joint.placement)
     axis = [valuation.constant((*place, "axis"), component) for component in joint.axis]
     if axis == [0, 0, 0]:
         finding = f"[{', '.join(map(write, joint.axis))}] has no direction"
@@ -92,7 +96,7 @@ def _check_law(place: Place, law: Law, valuation: Valuation) -> Iterator[Finding
     findings = [*_check_law_numbers(place, law, valuation)]
     yield from findings
     if not findings and len(valuation.findings) == before:
-        valuation.check_law((*place, "force"), law.total)
+        valuation.form((*place, "force"), law.total, _OWN)
 
 
 def _check_law_numbers(place: Place, law: Law, valuation: Valuation) -> Iterator[Finding]:
@@ -111,12 +115,6 @@ def _check_law_numbers(place: Place, law: Law, valuation: Valuation) -> Iterator
     valuation.number((*place, "rest"), law.rest)
     if law.rest != ZERO and law.stiffness == ZERO:
         yield Finding((*place, "rest"), "a rest position without a spring", "give a stiffness too")
-
-
-def _check_placement(place: Place, placement: Placement, valuation: Valuation) -> None:
-    valuation.triple((*place, "position"), placement.position)
-    for k, rotation in enumerate(placement.orientation):
-        valuation.number((*place, "orientation", k, "angle"), rotation.angle)
 
 
 def _check_body(place: Place, body: Body, valuation: Valuation, *, allow_unphysical: bool) -> Iterator[Finding]:

@@ -22,10 +22,12 @@ from mbsgen.expressions import Expression, write
 from mbsgen.model.checks import find_faults
 from mbsgen.model.joints import find_joint_type
 from mbsgen.model.joints.section import JointSection
+from mbsgen.model.loops import read_cut
 from mbsgen.model.model import (
     BASE,
     Body,
     Carrier,
+    Constraint,
     Fixed,
     Follow,
     Frame,
@@ -33,6 +35,8 @@ from mbsgen.model.model import (
     Inertia,
     Joint,
     Law,
+    Loop,
+    LoopEnd,
     Model,
     Parameter,
     Placement,
@@ -41,7 +45,7 @@ from mbsgen.model.model import (
     Wrench,
 )
 from mbsgen.model.sections import read_direction, read_number
-from mbsgen.model.tree import Kind, Motion
+from mbsgen.model.tree import Cut, Kind, Motion
 
 Quantity = Expression | float | str  # a number, or an expression as text
 Vector = Sequence[Quantity]  # three of them
@@ -211,6 +215,28 @@ def wrench(
     return Wrench(name, body, vector(position), frame == "base", *given)
 
 
+def end(body: str, *, position: Vector = _ORIGIN, orientation: Turns = ()) -> LoopEnd:
+    """Make one end of a loop: a frame on a body, or on the base."""
+    return LoopEnd(body, _place(position, orientation))
+
+
+def loop(
+    name: str, type: str, first: LoopEnd, second: LoopEnd, *, axis: Direction = "z", axis2: Direction = "x"
+) -> Loop:
+    """Make a joint that closes a loop between two frames, of a type that a file may name; `rod` makes rods."""
+    return Loop(name, read_cut(type), first, second, _direct(axis), _direct(axis2))
+
+
+def rod(name: str, first: LoopEnd, second: LoopEnd, length: Quantity) -> Loop:
+    """Make a rod without mass, which keeps two points at a distance [m]."""
+    return Loop(name, Cut.ROD, first, second, length=number(length))
+
+
+def constraint(name: str, equation: Quantity) -> Constraint:
+    """Make an equation over names of joints and parameters: an expression that vanishes, such as "q1 + 2*q2"."""
+    return Constraint(name, number(equation))
+
+
 def make_model(
     name: str,
     bodies: Sequence[Body],
@@ -219,6 +245,11 @@ def make_model(
     parameters: Mapping[str, Quantity | Parameter] | None = None,
     frames: Sequence[Frame] = (),
     wrenches: Sequence[Wrench] = (),
+    loops: Sequence[Loop] = (),
+    constraints: Sequence[Constraint] = (),
+    driven: Sequence[str] = (),
+    independent: Sequence[str] = (),
+    assembly: Mapping[str, Quantity] | None = None,
     allow_unphysical: bool = False,
 ) -> Model:
     """Make a model of its parts. Raises InputError with all that is wrong with it, by the rules for files."""
@@ -233,6 +264,11 @@ def make_model(
         named,
         tuple(frames),
         tuple(wrenches),
+        tuple(loops),
+        tuple(constraints),
+        tuple(driven),
+        tuple(independent),
+        tuple((joint, number(value)) for joint, value in (assembly or {}).items()),
         allow_unphysical=allow_unphysical,
     )
     if findings := find_faults(made):
@@ -272,11 +308,15 @@ def _make_joint(
     lower, upper, speed, effort = (None if x is None else number(x) for x in (*limits, max_speed, max_force))
     dry = None if friction is None else Friction(number(friction[0]), number(friction[1]))
     law = Law(number(stiffness), number(rest), number(damping), dry, number(force))
-    direction = read_direction(axis) if isinstance(axis, str) else vector(axis)
+    direction = _direct(axis)
     place = _place(position, orientation)
     follow = None if follows is None else Follow(follows[0], number(follows[1]), number(follows[2]))
     driven = actuated and follow is None
     return Joint(motion, direction, name, place, driven, lower, upper, law, speed, effort, number(armature), follow)
+
+
+def _direct(axis: Direction) -> Triple:
+    return read_direction(axis) if isinstance(axis, str) else vector(axis)
 
 
 def _make_row(type: str, position: Vector, orientation: Turns, **fields: object) -> tuple[Joint, ...]:

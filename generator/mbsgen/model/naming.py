@@ -38,7 +38,10 @@ def _check_names(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
     frames = trusted([(("frames", i, "name"), frame.name) for i, frame in enumerate(model.frames)])
     wrenches = trusted([(("wrenches", i, "name"), wrench.name) for i, wrench in enumerate(model.wrenches)])
     parameters = trusted([(("parameters", p.name), p.name) for p in model.parameters])
-    for place, name in [*trusted([(("name",), model.name)]), *bodies, *between, *joints, *frames, *wrenches]:
+    loops = trusted([(("loops", i, "name"), loop.name) for i, loop in enumerate(model.loops)])
+    loops += trusted([(("constraints", i, "name"), constraint.name) for i, constraint in enumerate(model.constraints)])
+    whole = trusted([(("name",), model.name)])
+    for place, name in [*whole, *bodies, *between, *joints, *frames, *wrenches, *loops]:
         yield from _check_form(place, name)
     for place, name in parameters:
         yield from _check_parameter(place, name)
@@ -47,7 +50,7 @@ def _check_names(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
     for place, name in bodies:
         if _normalise(name) == BASE:
             yield Finding(place, f"name {abbreviate(name)} is the name of the fixed base", "give the body another name")
-    for names in (between + bodies, joints, frames, wrenches):
+    for names in (between + bodies, joints, frames, wrenches, loops):
         yield from _check_alike(names, _normalise)
     yield from _check_alike(parameters, str)  # m and M are different letters of a formula
 

@@ -48,13 +48,15 @@ def find_carriers(model: Model) -> dict[str, str]:
 
 
 def check_tree(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
-    """Find parents and bodies of frames and wrenches that do not exist, and loops of parents."""
+    """Find parents and bodies of frames, wrenches and loops that do not exist, and loops of parents."""
     names = [body.name for body in model.bodies]
     if any(lies_under(("bodies", i, "name"), doubtful) for i in range(len(names))):
         return  # any name may be the one that is missed
     parents: list[tuple[Place, str]] = [(("bodies", i, "parent"), b.parent) for i, b in enumerate(model.bodies)]
     carriers: list[tuple[Place, str]] = [(("frames", i, "body"), f.body) for i, f in enumerate(model.frames)]
     carriers += [(("wrenches", i, "body"), wrench.body) for i, wrench in enumerate(model.wrenches)]
+    ends = [(i, key, end) for i, x in enumerate(model.loops) for key, end in (("from", x.first), ("to", x.second))]
+    carriers += [(("loops", i, key, "body"), end.body) for i, key, end in ends]
     for place, name in [*parents, *carriers]:
         if name not in (BASE, *names) and not lies_under(place, doubtful):
             meant = nearest(name, [BASE, *names])

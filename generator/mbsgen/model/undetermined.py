@@ -4,6 +4,9 @@ For these, M is singular at every configuration; else at almost none. So one con
 enough. A joint is massless if neither mass nor a rotor moves with it. Several joints undo each other if a pivot of the
 articulated-body recursion vanishes: D_i = S_i . IA_i S_i (Featherstone, 2008, 7.3), which the joints beyond body i have
 lowered to 0. A pivot that is small in doubles is computed again, in 60 digits.
+
+Loops, constraints and drives do not help such a joint, although they may determine its motion: accelerations and
+multipliers come from the factors of M, so M of the tree must be positive definite.
 """
 
 from __future__ import annotations
@@ -73,14 +76,21 @@ def _report_massless(i: int, expansion: Expansion) -> Finding:
     assert isinstance(joint, Joint), "only joints move"
     what = "inertia about" if joint.motion is Motion.REVOLUTE else "mass along"
     finding = f"joint {abbreviate(joint.name)} moves nothing: what it carries has no {what} its axis"
-    return Finding(expansion.places[i], finding, "give a body it carries mass, or take the joint away")
+    remedy = "give a body it carries mass, or take the joint away"
+    return Finding(expansion.places[i], finding, remedy + _warn_of_loops(expansion.model))
 
 
 def _report_redundant(i: int, others: Sequence[int], expansion: Expansion) -> Finding:
     bodies = expansion.model.bodies
     first, *rest = (abbreviate(bodies[k].joint.name) for k in (i, *others))  # type: ignore[union-attr]
     finding = f"joint {first} moves nothing that {' and '.join(rest)} cannot undo: nothing between them has inertia"
-    return Finding(expansion.places[i], finding, "give a body between them mass and inertia, or take a joint away")
+    remedy = "give a body between them mass and inertia, or take a joint away"
+    return Finding(expansion.places[i], finding, remedy + _warn_of_loops(expansion.model))
+
+
+def _warn_of_loops(model: Model) -> str:
+    held = model.loops or model.constraints or model.driven
+    return "; loops do not replace it, since the mass matrix of the joints must be invertible" if held else ""
 
 
 # --- the mechanism at one configuration ------------------------------------------------------------------------------

@@ -12,11 +12,10 @@ from sympy import Expr, Symbol
 
 from mbsgen.documents import Place, abbreviate, lies_under
 from mbsgen.expressions import MAX_DEGREE, Expression, ExpressionError, Measure, evaluate, measure, names
-from mbsgen.model import model
 from mbsgen.model.findings import Finding
-from mbsgen.model.model import Parameter, Triple
+from mbsgen.model.model import Parameter, Placement, Triple
 from mbsgen.model.symbols import check_powers, exact, round_number, symbolic, to_digits, to_double
-from mbsgen.model.tree import COORDINATE, RATE, Kind
+from mbsgen.model.tree import Kind
 
 MAX_TERMS = 1000  # of an expression, with all that the parameters in it stand for
 LARGEST = 1e150  # products of two numbers do not overflow
@@ -63,15 +62,28 @@ class Valuation:
             return math.nan
         return self.number(place, expression)
 
-    def check_law(self, place: Place, law: Expression) -> None:
-        """Find what keeps an expression over parameters, q and qd from being computed."""
-        own = {model.COORDINATE: COORDINATE, model.RATE: RATE}
-        if not self._is_known(place, names(law) - own.keys()):
-            return
+    def placement(self, place: Place, placement: Placement) -> None:
+        """Find numbers of a placement that have no value."""
+        self.triple((*place, "position"), placement.position)
+        for k, rotation in enumerate(placement.orientation):
+            self.number((*place, "orientation", k, "angle"), rotation.angle)
+
+    def is_doubtful(self, place: Place) -> bool:
+        """Return whether a place has a finding already."""
+        return lies_under(place, self._doubtful)
+
+    def form(self, place: Place, expression: Expression, own: Mapping[str, Expr]) -> Expr | None:
+        """Return an expression over parameters and other names, given their symbols, as code computes it.
+
+        Return None, with a finding where it is not doubtful, if code cannot compute it.
+        """
+        if not self._is_known(place, names(expression) - own.keys()):
+            return None
         try:
-            self._check_form(law, own)
+            return self._check_form(expression, own)
         except ExpressionError as error:
             self._find(place, error.finding, error.remedy)
+            return None
 
     def changes(self, expression: Expression) -> bool:
         """Return whether an expression depends on run-time parameters."""
@@ -118,13 +130,15 @@ class Valuation:
             return None
         return value
 
-    def _check_form(self, expression: Expression, own: Mapping[str, Expr]) -> None:
-        """Check that code can compute an expression from its inputs. Raises ExpressionError."""
+    def _check_form(self, expression: Expression, own: Mapping[str, Expr]) -> Expr:
+        """Return an expression in its inputs, if code can compute it from these. Raises ExpressionError."""
         size = measure(expression, self._sizes)
         if size.terms > MAX_TERMS or size.degree > MAX_DEGREE:
             finding = f"an expression of {size.terms} terms and degree {size.degree}, its parameters written out"
             raise ExpressionError(finding, f"stay below {MAX_TERMS} terms and degree {MAX_DEGREE}")
-        check_powers(evaluate(expression, {**self._values, **self._forms, **own}, self._algebra))
+        form = evaluate(expression, {**self._values, **self._forms, **own}, self._algebra)
+        check_powers(form)
+        return form
 
     def _is_known(self, place: Place, needed: frozenset[str]) -> bool:
         """Return whether anything can be concluded about a place that needs these parameters."""

@@ -1,6 +1,6 @@
 """Model -> the text of a model file that `read_model` reads as the same Model.
 
-What is as it would be without saying is left out; joints that have a name for all of them get it.
+Values that are the defaults are left out. Joints in a row that have a common name are written by it.
 """
 
 from __future__ import annotations
@@ -21,11 +21,14 @@ from mbsgen.model.model import (
     UNITS,
     ZERO,
     Body,
+    Constraint,
     Follow,
     Frame,
     Inertia,
     Joint,
     Law,
+    Loop,
+    LoopEnd,
     Model,
     Parameter,
     Placement,
@@ -50,6 +53,15 @@ def write_model(model: Model) -> str:
         content["frames"] = [_write_frame(frame) for frame in model.frames]
     if model.wrenches:
         content["wrenches"] = [_write_wrench(wrench) for wrench in model.wrenches]
+    if model.loops:
+        content["loops"] = [_write_loop(loop) for loop in model.loops]
+    if model.constraints:
+        content["constraints"] = [_write_constraint(constraint) for constraint in model.constraints]
+    for key, joints in (("driven", model.driven), ("independent", model.independent)):
+        if joints:
+            content[key] = [_quote(joint) for joint in joints]
+    if model.assembly:
+        content["assembly"] = {_quote(joint): _write_number(value) for joint, value in model.assembly}
     if model.allow_unphysical:
         content["allow_unphysical"] = _write_truth(True)
     return "\n".join(_lay_out(content)) + "\n"
@@ -177,6 +189,27 @@ def _write_wrench(wrench: Wrench) -> Mapped:
         if vector != ORIGIN:
             content[key] = "input" if vector is None else _write_triple(vector)
     return content
+
+
+def _write_loop(loop: Loop) -> Mapped:
+    content: Mapped = {
+        "name": _quote(loop.name),
+        "type": loop.cut.value,
+        "from": _write_end(loop.first),
+        "to": _write_end(loop.second),
+    }
+    for key, axis, default in (("axis", loop.axis, UNITS["z"]), ("axis2", loop.axis2, UNITS["x"])):
+        if axis != default:
+            content[key] = _write_axis(axis)
+    return content | ({} if loop.length == ZERO else {"length": _write_number(loop.length)})
+
+
+def _write_end(end: LoopEnd) -> Mapped:
+    return {"body": _quote(end.body), **_write_placement(end.placement)}
+
+
+def _write_constraint(constraint: Constraint) -> Mapped:
+    return {"name": _quote(constraint.name), "equation": _write_number(constraint.equation)}
 
 
 def _write_axis(axis: Triple) -> Value:

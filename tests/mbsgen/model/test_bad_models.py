@@ -8,19 +8,10 @@ import pytest
 
 from mbsgen.documents.places import MAX_FAULTS
 from mbsgen.documents.reading import MAX_BYTES
-from mbsgen.errors import Fault, InputError
 from mbsgen.model.reader import read_model
-from tests.mbsgen.model.files import GOOD, WALKER
+from tests.mbsgen.model.files import GOOD, WALKER, find_faults
 
 HOOK = GOOD[GOOD.index("  - name: hook") : GOOD.index("frames:")]
-
-
-def find_faults(text: str, folder: Path) -> tuple[Fault, ...]:
-    file = folder / "model.yaml"
-    file.write_text(text, encoding="utf-8")
-    with pytest.raises(InputError) as caught:
-        read_model(file)
-    return caught.value.faults
 
 
 def test_the_good_model_is_good(tmp_path: Path) -> None:

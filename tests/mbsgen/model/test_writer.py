@@ -14,23 +14,27 @@ from mbsgen.model.construction import (
     ball,
     body,
     cardan,
+    end,
     fixed,
     floating,
     frame,
     free,
     inertia,
+    loop,
     make_model,
     planar,
     prismatic,
     revolute,
+    rod,
     runtime,
     spherical,
     wrench,
 )
-from mbsgen.model.model import Body, Fixed, Joint, Model
+from mbsgen.model.expansion import list_steps
+from mbsgen.model.model import Body, Fixed, Joint, Loop, Model
 from mbsgen.model.reader import read_model
 from mbsgen.model.writer import MAX_WIDTH, write_model
-from tests.mbsgen.model.files import GOOD, MODELS, WALKER, reread
+from tests.mbsgen.model.files import GOOD, LINKAGE, MODELS, WALKER, reread
 
 
 @pytest.mark.parametrize("file", MODELS, ids=lambda file: file.stem)
@@ -40,7 +44,7 @@ def test_models_that_ship_are_read_as_they_were(file: Path) -> None:
     assert max(map(len, write_model(model).splitlines())) <= MAX_WIDTH
 
 
-@pytest.mark.parametrize("text", [GOOD, WALKER], ids=["crane", "walker"])
+@pytest.mark.parametrize("text", [GOOD, WALKER, LINKAGE], ids=["crane", "walker", "linkage"])
 def test_models_of_many_parts_are_read_as_they_were(text: str, tmp_path: Path) -> None:
     file = tmp_path / "model.yaml"
     file.write_text(text, encoding="utf-8")
@@ -123,11 +127,37 @@ def models(draw: st.DrawFn) -> Model:
         )
         for name in names[1:]
     ]
+    loops = [draw_loop(draw, name, k, bodies) for k, name in enumerate(names[:3])]
+    named = [step.name for i, made in enumerate(bodies) for step in list_steps(i, made) if not step.joint.floats]
+    passive = [name for name in named if name not in list_inputs(bodies)]
+    chosen = draw(st.lists(st.sampled_from(named), max_size=2, unique=True))
+    rough = draw(st.dictionaries(st.sampled_from(named), numbers, max_size=2))
+    driven = draw(st.lists(st.sampled_from(passive), max_size=2, unique=True)) if passive else []
     gravity, unphysical = draw(st.one_of(vectors, st.just((3e20, -1e15, 1e-300)))), draw(st.booleans())
     return make_model(
         names[0], bodies, gravity=gravity, parameters=PARAMETERS, frames=frames, wrenches=wrenches,
-        allow_unphysical=unphysical,
+        loops=loops, driven=driven, independent=chosen, assembly=rough, allow_unphysical=unphysical,
     )  # fmt: skip
+
+
+def draw_loop(draw: st.DrawFn, name: str, k: int, bodies: list[Body]) -> Loop:
+    """Draw a loop between the base and a body that moves."""
+    moving = [b.name for b in bodies if not isinstance(b.joint, Fixed)]
+    first = end("base", position=(k, *draw(vectors)[1:]), orientation=draw(turns))
+    second = end(draw(st.sampled_from(moving)), position=draw(vectors))
+    kind = draw(st.sampled_from(["rod", "ball", "hinge", "universal", "solid"]))
+    match kind:
+        case "rod":
+            return rod(name, second, first, draw(positive))
+        case "hinge":
+            return loop(name, kind, first, second, axis=draw(axes))
+        case "universal":
+            return loop(name, kind, first, second, axis=draw(axes), axis2=(1, 2, 3))
+    return loop(name, kind, first, second)
+
+
+def list_inputs(bodies: list[Body]) -> set[str]:
+    return {step.name for i, made in enumerate(bodies) for step in list_steps(i, made) if step.joint.actuated}
 
 
 @given(models())
