@@ -8,11 +8,14 @@ In the integral form the states at the points are no variables. They are linear 
 stages of an integrator, with the matrices of `integrators`, h being the length of an interval:
 
     q = q_k + h c qd_k + h^2 P z_k,    qd = qd_k + h V z_k,    qdd = W z_k
+
+With closed loops a point also has multipliers lam_kj and corrections mu_kj, or only the independent velocities and
+accelerations: see `closing`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -28,21 +31,51 @@ Scalar = TypeVar("Scalar", np.float64, np.int64)
 
 
 @dataclass(frozen=True)
+class Motions:
+    """The parts of a motion that are variables; all of it without closed loops."""
+
+    nq: int  # entries of q
+    velocities: tuple[int, ...]  # entries of qd that are variables
+    independent: tuple[int, ...]  # entries of qd that collocation carries on, and that have accelerations
+    multipliers: int = 0  # of loops, at a point
+    corrections: int = 0  # of states, at a point
+    is_reduced: bool = False  # the loops give the dependent coordinates
+
+    @property
+    def carried(self) -> list[int]:
+        """List the entries of a state, (q, velocities), that collocation carries on."""
+        q = self.independent if self.is_reduced else range(self.nq)
+        return [*q, *(self.nq + i for i in self.carried_velocities)]
+
+    @property
+    def carried_velocities(self) -> list[int]:
+        """List the places of `independent` among `velocities`."""
+        return [self.velocities.index(i) for i in self.independent]
+
+
+@dataclass(frozen=True)
 class Layout:
     """Where a motion lies among the variables; nq coordinates, n velocities, m inputs, N intervals, S stages each."""
 
-    nq: int
+    motions: Motions
     mesh: Indices  # (N + 1, nq + n): states at the mesh points
     points: Indices  # (N, S, nq + n): states at the stages; (N, S, 0) in the integral form
     accelerations: Indices  # (N, S, n): accelerations at the stages; (N, S, 0) for an ODE
+    multipliers: Indices  # (N, S, ...): of loops, where they are variables
+    corrections: Indices  # (N, S, ...): of coordinates, then of velocities
     inputs: Indices  # (N, m)
     horizon: int | None  # T, where it is free
     size: int
 
     @property
+    def nq(self) -> int:
+        """Count the coordinates."""
+        return self.motions.nq
+
+    @property
     def n(self) -> int:
-        """Count the velocities."""
-        return int(self.mesh.shape[1]) - self.nq
+        """Count the velocities that are variables."""
+        return len(self.motions.velocities)
 
     def split(self, states: NDArray[Scalar]) -> tuple[NDArray[Scalar], NDArray[Scalar]]:
         """Split states (..., nq + n), or any array with their last axis, into coordinates and velocities."""
@@ -57,6 +90,8 @@ class Rows:
     lengths: Indices  # (quaternions,) where the start is free, or empty
     states: Indices  # (N, S, nq + n); (N, S, 0) in the integral form
     dynamics: Indices  # (N, S, n): for an ODE, the rows of the states that hold the equations of motion
+    closure: Indices  # (N, S, ...): of loops, and of their rates where velocities are variables
+    start_closure: Indices  # the same where the start is free, or empty: loops, then rates
     continuity: Indices  # (N, nq + n)
     inner: Indices  # (N, points, bounded states): where points have no states
     sensors: Indices  # (targets, 3)
@@ -72,8 +107,7 @@ class Rows:
 
 
 def lay_out(
-    nq: int,
-    n: int,
+    motions: Motions,
     m: int,
     intervals: int,
     stages: int,
@@ -83,17 +117,25 @@ def lay_out(
     horizon_is_free: bool,
 ) -> Layout:
     """Number the variables; `has_states` and `has_accelerations` say which variables the stages have."""
-    N, S, width = intervals, stages, nq + n
-    states = width * has_states
-    at_stage = states + n * has_accelerations
+    N, S, width = intervals, stages, motions.nq + len(motions.velocities)
+    sizes = (
+        width * has_states,
+        len(motions.independent) * has_accelerations,
+        motions.multipliers,
+        motions.corrections,
+    )
+    at_stage = sum(sizes)
     stride = width + S * at_stage + m
     first = np.arange(N + 1) * stride
     points = first[:N, None, None] + width + np.arange(S)[:, None] * at_stage + np.arange(at_stage)
+    states, accelerations, multipliers, corrections = np.split(points, np.cumsum(sizes)[:-1], axis=2)
     return Layout(
-        nq=nq,
+        motions=motions,
         mesh=first[:, None] + np.arange(width),
-        points=points[:, :, :states],
-        accelerations=points[:, :, states:],
+        points=states,
+        accelerations=accelerations,
+        multipliers=multipliers,
+        corrections=corrections,
         inputs=first[1:, None] - m + np.arange(m),
         horizon=N * stride + width if horizon_is_free else None,
         size=N * stride + width + horizon_is_free,
@@ -105,12 +147,27 @@ class Places:
     """Where functions of the motion are applied: parts of the variables as a block takes them."""
 
     q: Column  # size nq
-    qd: Column
+    qd: Column  # velocities that are variables
     qdd: Column  # size 0 where accelerations are no variables
     u: Indices  # (m, places)
     s: Array  # (places,): time over the horizon
     stage: Indices  # (places,): of the states
     interval: Indices  # (places,): of inputs and accelerations
+    yd: Column  # velocities that collocation carries on
+    lam: Indices  # (..., places): multipliers; size 0 where they are no variables
+
+    @property
+    def parts(self) -> Mapping[str, Column]:
+        """Return the parts by the names of the kernels' inputs."""
+        return {
+            "q": self.q,
+            "qd": self.qd,
+            "qdd": self.qdd,
+            "u": self.u,
+            "yd": self.yd,
+            "ydd": self.qdd,
+            "lam": self.lam,
+        }
 
 
 def at_points(layout: Layout, integrator: Integrator, h: float) -> Places:
@@ -128,13 +185,16 @@ def _at(layout: Layout, reading: Reading, h: float) -> Places:
     u = np.repeat(layout.inputs, k, axis=0).T
     s = (np.arange(N)[:, None] + reading.c).ravel() / N
     interval = np.repeat(np.arange(N), k)
-    accelerations = layout.accelerations.reshape(N * layout.accelerations.shape[1], -1).T
+    accelerations, multipliers = (
+        part.reshape(N * part.shape[1], -1).T for part in (layout.accelerations, layout.multipliers)
+    )
     if layout.points.size:
         q, qd = (part.reshape(N * k, -1).T for part in layout.split(layout.points))
-        return Places(q, qd, accelerations, u, s, interval, interval)
+        yd = qd[layout.motions.carried_velocities]
+        return Places(q, qd, accelerations, u, s, interval, interval, yd, multipliers)
     motion = read_motion(layout, reading, h)
     qdd = accelerations if reading.are_stages else motion.qdd
-    return Places(motion.q, motion.qd, qdd, u, s, interval, interval)
+    return Places(motion.q, motion.qd, qdd, u, s, interval, interval, motion.qd, multipliers)
 
 
 @dataclass(frozen=True)
@@ -171,14 +231,15 @@ def at_mesh(layout: Layout, integrator: Integrator, k: Sequence[int]) -> Places:
     Accelerations there are read off the stages of that interval.
     """
     at, stages = np.array(k, dtype=np.int64), layout.accelerations
-    interval, n = np.maximum(at - 1, 0), layout.n
+    interval, n = np.maximum(at - 1, 0), len(layout.motions.independent)
     q, qd = (part.T for part in layout.split(layout.mesh[at]))
     s = at / len(layout.inputs)
     qdd: Column = np.zeros((0, at.size), dtype=np.int64)
     if stages.size:
         matrices = _spread(integrator.ends.W, n)
         qdd = Combination(matrices, (at > 0).astype(np.int64), stages[interval].reshape(at.size, matrices.shape[2]))
-    return Places(q, qd, qdd, layout.inputs[interval].T, s, at, interval)
+    yd, none = qd[layout.motions.carried_velocities], np.zeros((0, at.size), dtype=np.int64)
+    return Places(q, qd, qdd, layout.inputs[interval].T, s, at, interval, yd, none)
 
 
 def _spread(coefficients: Array, n: int) -> Array:

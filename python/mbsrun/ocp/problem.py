@@ -17,6 +17,7 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, PlainSerializer
 
 from mbsrun.ocp.integrators import INTEGRATORS, IntegratorName
+from mbsrun.ocp.representations import Loops as Loops
 from mbsrun.ocp.representations import Representation as Representation
 from mbsrun.ocp.schemes import Family
 
@@ -146,6 +147,7 @@ class Problem:
     constants: tuple[tuple[str, float], ...] = ()  # that expressions read
     guess: GuessOptions = field(default_factory=GuessOptions)
     solver: SolverOptions = field(default_factory=SolverOptions)
+    loops: Loops | None = None  # None: there are none, or the guess decides
     accuracy: float = 1e-6  # the largest defect of an interval that counts as accurate, in rad and m, and these per s
 
     @property

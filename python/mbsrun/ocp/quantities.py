@@ -32,7 +32,7 @@ from mbsgen.expressions import (
 )
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.functions import Formula, Input, KernelResult
-from mbsrun.ocp.representations import Representation
+from mbsrun.ocp.layout import Motions
 from mbsrun.quantities import Quantity, list_quantities
 
 __all__ = ["Quantity", "formulate", "list_quantities"]
@@ -40,7 +40,7 @@ __all__ = ["Quantity", "formulate", "list_quantities"]
 CONSTANTS = "constants"  # the kind of a problem's constants
 TIME = "s"  # the kind of the time over the horizon, which is given at each place
 _TIME_NAME = "@s"  # which no text can hold
-_ORDER = ("q", "qd", "qdd", "u", "T")  # of the inputs of a formula
+_ORDER = ("q", "qd", "yd", "qdd", "u", "T")  # of the inputs of a formula
 
 
 def _call(function: str, *arguments: Expression) -> Expression:
@@ -65,22 +65,28 @@ def formulate(
     texts: Sequence[str],
     constants: Sequence[str],
     manifest: Manifest,
-    representation: Representation,
+    motions: Motions,
+    accelerations: Mapping[str, KernelResult],
     horizon: float | None,
 ) -> Formula:
-    """Turn expressions into a formula in the variables of a representation.
+    """Turn expressions into a formula in the variables of a program.
 
-    `horizon` is None where it is a variable. Raises ExpressionError for an expression that cannot be read.
+    `accelerations` names the kernel that computes them where they are no variables. `horizon` is None where it is a
+    variable. Raises ExpressionError for an expression that cannot be read.
     """
-    known = {name: (quantity.kind, quantity.index) for name, quantity in list_quantities(manifest).items()}
+    known = _list_known(manifest, motions)
     known |= {_TIME_NAME: (TIME, 0), **{name: (CONSTANTS, i) for i, name in enumerate(constants)}}
-    computed = _list_computed(representation)
+    computed = {
+        "position": KernelResult("sensors", ("q",), "position"),
+        "v": KernelResult("motion", ("q", "qd"), "v"),
+        **accelerations,
+    }
     expressions = [_read(text, known, horizon) for text in texts]
     read = {name: known[name] for expression in expressions for name in sorted(names(expression))}
     kinds = {kind for kind, _ in read.values()}
     made = {kind: call for kind, call in computed.items() if kind in kinds}
     needed = (kinds - set(made)).union(*(call.inputs for call in made.values()))
-    sizes = _count(manifest)
+    sizes = _count(manifest, motions)
     inputs = tuple(Input(kind, sizes[kind]) for kind in _ORDER if kind in needed)
     return Formula(
         expressions=tuple(expressions),
@@ -100,16 +106,26 @@ def _read(text: str, known: Mapping[str, tuple[str, int]], horizon: float | None
     return evaluate(parse(text), values, _TREES)
 
 
-def _list_computed(representation: Representation) -> dict[str, KernelResult]:
-    """List what kernels compute, by kind, where a representation has no variables for it."""
-    computed = {
-        "position": KernelResult("sensors", ("q",), "position"),
-        "v": KernelResult("motion", ("q", "qd"), "v"),
-    }
-    return computed | ({"qdd": representation.equations.function} if representation.is_ode else {})
+def _list_known(manifest: Manifest, motions: Motions) -> dict[str, tuple[str, int]]:
+    """List kind and index of each name; velocities and accelerations that are no variables have no name."""
+    places = {"qd": motions.velocities, "qdd": motions.independent}
+    known = {}
+    for name, quantity in list_quantities(manifest).items():
+        among = places.get(quantity.kind)
+        if among is None:
+            known[name] = (quantity.kind, quantity.index)
+        elif quantity.index in among:
+            known[name] = (quantity.kind, among.index(quantity.index))
+    return known
 
 
-def _count(manifest: Manifest) -> dict[str, int]:
+def _count(manifest: Manifest, motions: Motions) -> dict[str, int]:
     """Count the entries of each kind of variable."""
-    n = len(manifest.coordinates)
-    return {"q": len(manifest.positions), "qd": n, "qdd": n, "u": len(manifest.actuated), "T": 1}
+    return {
+        "q": motions.nq,
+        "qd": len(motions.velocities),
+        "yd": len(motions.independent),
+        "qdd": len(motions.independent),
+        "u": len(manifest.actuated),
+        "T": 1,
+    }

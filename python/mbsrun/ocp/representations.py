@@ -5,6 +5,9 @@ Docquier, Bruls, Fisette, section 3.3. With accelerations z at the collocation p
     residual         Phi(q, qd, z) - Q(q, qd, u) = 0          IMPL; SEMI: M(q) z + c(q, qd) - Q(q, qd, u) = 0
     ODE              d/dt qd = gamma(q, qd, u)                EXP1-O, EXP2-O: accelerations are no variables
     algebraic        d/dt qd = z,  z - gamma(q, qd, u) = 0    EXP1-A, EXP2-A
+
+Closed loops take one of two ways: see `Loops`. With multipliers, a residual reads them too. In the reduced form, the
+kernels take and give the velocities yd and accelerations ydd of the independent coordinates.
 """
 
 from __future__ import annotations
@@ -17,6 +20,16 @@ from types import MappingProxyType
 from mbsrun import forms
 from mbsrun.forms import Form
 from mbsrun.ocp.functions import KernelResult
+
+
+class Loops(Enum):
+    """How a motion with closed loops becomes variables."""
+
+    MULTIPLIERS = "multipliers"  # all coordinates and velocities are states; loop forces are found with them
+    REDUCED = "reduced"  # the independent ones are states; the loops give the other coordinates
+
+
+REDUCED = "_red"  # ends the names of the kernels of the reduced form
 
 
 @dataclass(frozen=True)
@@ -36,11 +49,15 @@ class Equations:
         """Return whether the kernel returns accelerations; else it returns a residual that reads them."""
         return self.form.is_direct
 
-    @property
-    def function(self) -> KernelResult:
-        """Return the kernel's result as a program applies it."""
-        inputs = ("q", "qd", "u") if self.is_explicit else ("q", "qd", "qdd", "u")
-        return KernelResult(self.kernel, inputs, "qdd" if self.is_explicit else "Phi")
+    def write(self, loops: Loops | None = None) -> KernelResult:
+        """Return the kernel's result as a program applies it; `loops` is None where there are none."""
+        if loops is Loops.REDUCED:
+            inputs = ("q", "yd", "u") if self.is_explicit else ("q", "yd", "ydd", "u")
+            return KernelResult(self.kernel + REDUCED, inputs, "ydd" if self.is_explicit else "Phi")
+        if self.is_explicit:
+            return KernelResult(self.kernel, ("q", "qd", "u"), "qdd")
+        multipliers = () if loops is None else ("lam",)
+        return KernelResult(self.kernel, ("q", "qd", "qdd", *multipliers, "u"), "Phi")
 
 
 class Representation(Enum):

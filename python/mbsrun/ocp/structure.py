@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbsrun.ocp.problem import Form, Problem, Representation
+from mbsrun.ocp.problem import Form, Loops, Problem, Representation
 from mbsrun.ocp.schemes import Family
 
 
@@ -35,6 +35,13 @@ class Structure:
     velocities: tuple[int, ...]
     accelerations: tuple[int, ...]
     sensor_velocities: tuple[str, ...]
+    loops: Loops | None = None
+    known_velocities: tuple[int, ...] = ()  # indices into qd of velocities with bounds or a given start, when reduced
+
+    @property
+    def expressions(self) -> tuple[str, ...]:
+        """List all expressions of the motion."""
+        return (*self.running, *self.terminal, *(text for text, _ in self.constraints))
 
 
 def structure(problem: Problem) -> Structure:
@@ -64,4 +71,16 @@ def structure(problem: Problem) -> Structure:
         velocities=tuple(i for i, _ in end.velocities),
         accelerations=tuple(i for i, _ in end.accelerations),
         sensor_velocities=tuple(name for name, _ in end.sensor_velocities),
+        loops=problem.loops,
+        known_velocities=_list_known_velocities(problem) if problem.loops is Loops.REDUCED else (),
+    )
+
+
+def _list_known_velocities(problem: Problem) -> tuple[int, ...]:
+    """List the velocities that have bounds, or a value at a start that is free otherwise."""
+    free = {i - len(problem.start_q) for i in problem.free_start}
+    return tuple(
+        i
+        for i, bounds in enumerate(problem.bounds.qd)
+        if np.isfinite(bounds).any() or (problem.free_start and i not in free)
     )

@@ -21,17 +21,20 @@ A constraint along the path holds at all collocation points. If it reads states 
 at all mesh points too: Radau points include them, and a start that is given cannot change.
 
 Start, targets and bounds are bounds of the program; weights of the cost and constants of expressions are its
-parameters: one program serves all problems that differ in those only.
+parameters: one program serves all problems that differ in those only. Closed loops: see `closing`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from mbsrun.ocp import integrators, schemes
-from mbsrun.ocp.functions import Array
+from mbsrun.ocp.closure import Closure, find_closure
+from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.integrators import Integrator
 from mbsrun.ocp.layout import Layout, Rows, at_points
 from mbsrun.ocp.plant import Plant
@@ -42,6 +45,8 @@ from mbsrun.ocp.structure import Structure, structure
 from mbsrun.ocp.trajectory import Trajectory, grid
 from mbsrun.ocp.writing import Writer, find_targets
 from mbsrun.quaternions import Quaternion, find_quaternion, list_quaternions
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -58,6 +63,7 @@ class Transcription:
     layout: Layout
     rows: Rows
     program: Program
+    closure: Closure | None = None  # of a mechanism with closed loops
 
     def parameters(self, problem: Problem) -> Array:
         """Return the parameters of the program: weights, constants, attitudes of the end."""
@@ -69,7 +75,7 @@ class Transcription:
     def variable_bounds(self, problem: Problem) -> tuple[Array, Array]:
         """Bound the variables that a solver sees: states at mesh and collocation points, inputs, and the horizon."""
         lower, upper = np.full(self.layout.size, -np.inf), np.full(self.layout.size, np.inf)
-        states = np.array(problem.bounds.q + problem.bounds.qd)
+        states = np.array(problem.bounds.q + self._pick(problem.bounds.qd))
         for index, bounds in (
             (self.layout.mesh, states),
             *([(self.layout.points, states)] if self.layout.points.size else []),
@@ -84,7 +90,7 @@ class Transcription:
         """Bound the rows that a solver sees: by start, end, ranges of constraints and bounds; all else is 0."""
         rows, end = self.rows, problem.end
         lower = np.zeros(rows.size)
-        lower[rows.start] = problem.start_q + problem.start_qd
+        lower[rows.start] = problem.start_q + self._pick(problem.start_qd)
         for row, targets in (
             (rows.sensors, end.sensors),
             (rows.coordinates, [x for x in end.coordinates if find_quaternion(self.quaternions, x[0]) is None]),
@@ -94,8 +100,14 @@ class Transcription:
         ):
             lower[row] = np.array([value for _, value in targets]).reshape(row.shape)
         upper = lower.copy()
-        free = rows.start[list(problem.free_start)]
+        nq, velocities = self.layout.nq, self.layout.motions.velocities
+        given = [i not in problem.free_start for i in (*range(nq), *(nq + i for i in velocities))]
+        free = rows.start[~np.array(given)]
         lower[free], upper[free] = -np.inf, np.inf
+        # a start that is given whole is closed: its loops would be conditions too many
+        for row, part in zip(self._split_start_closure(), (given[:nq], given[nq:]), strict=False):
+            if all(part):
+                lower[row], upper[row] = -np.inf, np.inf
         if rows.lengths.size:
             is_free = np.array([quaternion.first in problem.free_start for quaternion in self.quaternions])
             lower[rows.lengths] = np.where(is_free, 1.0, -np.inf)
@@ -106,17 +118,29 @@ class Transcription:
             lower[row], upper[row] = constraint.range
         return lower[self.program.kept_rows], upper[self.program.kept_rows]
 
+    def _pick(self, values: Sequence[T]) -> tuple[T, ...]:
+        """Pick the velocities that are variables."""
+        return tuple(values[i] for i in self.layout.motions.velocities)
+
+    def _split_start_closure(self) -> list[Indices]:
+        """Split the rows that close the loops at the start: coordinates, and velocities where all are variables."""
+        m = 0 if self.closure is None else len(self.closure.dependent)
+        return [self.rows.start_closure[i : i + m] for i in range(0, self.rows.start_closure.size, max(m, 1))]
+
     def pack(self, trajectory: Trajectory) -> Array:
         """Put a trajectory on this grid into the variables that a solver sees."""
         x, layout = np.zeros(self.layout.size), self.layout
-        x[layout.mesh] = np.concatenate((trajectory.q, trajectory.qd), axis=1)
+        velocities, independent = list(layout.motions.velocities), list(layout.motions.independent)
+        x[layout.mesh] = np.concatenate((trajectory.q, trajectory.qd[:, velocities]), axis=1)
         if layout.points.size:
-            x[layout.points] = np.concatenate((trajectory.point_q, trajectory.point_qd), axis=2)
+            x[layout.points] = np.concatenate((trajectory.point_q, trajectory.point_qd[:, :, velocities]), axis=2)
         x[layout.inputs] = trajectory.u
         if layout.horizon is not None:
             x[layout.horizon] = trajectory.t[-1]
         if layout.accelerations.size and not self.program.solves_inner:
-            x[layout.accelerations] = trajectory.point_qdd
+            x[layout.accelerations] = trajectory.point_qdd[:, :, independent]
+        if layout.multipliers.size and self.closure is not None:
+            x[layout.multipliers] = find_multipliers(self.closure, trajectory)
         return np.asarray(x[self.program.kept])
 
     def unpack(self, x: Array) -> Trajectory:
@@ -131,14 +155,39 @@ class Transcription:
             nodes = np.concatenate((mesh[:-1, None], points), axis=1)
             has_accelerations = layout.accelerations.size > 0
             q, qd = layout.split(points)
-            qdd = x[layout.accelerations] if has_accelerations else self.scheme.D @ layout.split(nodes)[1] / h
+            rates = layout.split(nodes)[1][:, :, layout.motions.carried_velocities]
+            qdd = x[layout.accelerations] if has_accelerations else self.scheme.D @ rates / h
         else:
             places = at_points(layout, self.integrator, h)
             q, qd, qdd = (
                 (x[part].T if isinstance(part, np.ndarray) else part.evaluate(x)).reshape(*point_t.shape, layout.n)
                 for part in (places.q, places.qd, places.qdd)
             )
-        return Trajectory(t, *layout.split(mesh), x[layout.inputs], point_t, q, qd, qdd)
+        mesh_q, mesh_qd = layout.split(mesh)
+        if self.closure is not None and layout.motions.is_reduced:
+            mesh_qd = self._complete(mesh_q, mesh_qd)
+            qd = self._complete(q, qd)
+            n = qd.shape[-1]
+            flat = (part.reshape(-1, part.shape[-1]) for part in (q, qd, qdd))
+            qdd = self.closure.complete_accelerations(*flat).reshape(*point_t.shape, n)
+        return Trajectory(t, mesh_q, mesh_qd, x[layout.inputs], point_t, q, qd, qdd)
+
+    def _complete(self, q: Array, velocities: Array) -> Array:
+        """Return all velocities from the ones that are variables: (..., n) both."""
+        assert self.closure is not None, "without loops all velocities are variables"
+        yd = velocities[..., self.layout.motions.carried_velocities]
+        found = self.closure.complete_velocities(q.reshape(-1, q.shape[-1]), yd.reshape(-1, yd.shape[-1]))
+        return found.reshape(q.shape)
+
+
+def find_multipliers(closure: Closure, trajectory: Trajectory) -> Array:
+    """Find the multipliers of loops at the points of a motion, (N, d, m), by least squares."""
+    N, d, n = trajectory.point_q.shape
+    q, qd, qdd = (x.reshape(N * d, n) for x in (trajectory.point_q, trajectory.point_qd, trajectory.point_qdd))
+    u, none = np.repeat(trajectory.u, d, axis=0), np.zeros((N * d, len(closure.dependent)))
+    Phi = closure.plant("impl", q=q, qd=qd, qdd=qdd, lam=none, u=u)["Phi"]
+    found = np.linalg.pinv(closure.jacobian(q).swapaxes(1, 2)) @ Phi[:, :, None]
+    return np.nan_to_num(found).reshape(N, d, -1)
 
 
 def transcribe(problem: Problem, plant: Plant) -> Transcription:
@@ -157,4 +206,5 @@ def transcribe(problem: Problem, plant: Plant) -> Transcription:
     integrator = integrators.build(shape.integrator, scheme, shape.steps)
     writer = Writer(shape, plant, scheme, integrator)
     rows, program = writer.write()
-    return Transcription(shape, writer.quaternions, scheme, integrator, writer.layout, rows, program)
+    closure = find_closure(plant)
+    return Transcription(shape, writer.quaternions, scheme, integrator, writer.layout, rows, program, closure)

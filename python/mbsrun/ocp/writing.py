@@ -12,7 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from mbsgen.expressions import names, parse
-from mbsrun.ocp import formulas
+from mbsrun.ocp import closing, formulas
 from mbsrun.ocp.functions import Array, Fixed, Function, Indices, KernelResult
 from mbsrun.ocp.integrators import Integrator
 from mbsrun.ocp.layout import Entries, Layout, Places, Rows, at_mesh, at_points, at_stages, lay_out
@@ -38,9 +38,10 @@ class Writer:
         self.shape, self.plant, self.manifest = shape, plant, plant.manifest
         self.quaternions = list_quaternions(plant.manifest)
         self.scheme, self.integrator, self.equations = scheme, integrator, shape.representation.equations
+        self.motions = closing.list_motions(shape, plant.manifest)
+        self.kernel = self.equations.write(shape.loops)
         self.layout = lay_out(
-            len(plant.manifest.positions),
-            len(plant.manifest.coordinates),
+            self.motions,
             len(plant.manifest.actuated),
             shape.intervals,
             len(integrator.stages.c),
@@ -62,16 +63,19 @@ class Writer:
         """Write all rows and costs."""
         shape, N = self.shape, self.shape.intervals
         q, qd = self.layout.split(self.layout.mesh[-1])
-        every = tuple(range(qd.size))
+        independent = self.list_independent()
         start = self.write_states(self.layout.mesh[0], 0)
         lengths = self.write_lengths()
+        start_closure = self.write_start_closure()
         inner, equations, continuity = self.write_collocation()
-        width = self.layout.points.shape[2]
+        states, dynamics, closure = self.split_equations(equations)
         rows = Rows(
             start=start,
             lengths=lengths,
-            states=equations[:, :, :width],
-            dynamics=equations[:, :, -self.layout.n :],
+            states=states,
+            dynamics=dynamics,
+            closure=closure,
+            start_closure=start_closure,
             continuity=continuity,
             inner=self.write_inner_bounds(),
             sensors=self.write_sensors([self.position(name) for name in shape.sensors]),
@@ -79,9 +83,9 @@ class Writer:
                 q[[i for i in shape.coordinates if find_quaternion(self.quaternions, i) is None]], N
             ),
             attitudes=self.write_attitudes(q),
-            velocity=self.write_states(qd[: qd.size * shape.velocity_zero], N),
-            acceleration=self.write_accelerations(every if shape.acceleration_zero else ()),
-            velocities=self.write_states(qd[list(shape.velocities)], N),
+            velocity=self.write_states(qd[self.find_velocities(independent if shape.velocity_zero else ())], N),
+            acceleration=self.write_accelerations(independent if shape.acceleration_zero else ()),
+            velocities=self.write_states(qd[self.find_velocities(shape.velocities)], N),
             accelerations=self.write_accelerations(shape.accelerations),
             sensor_velocities=self.write_sensors([self.velocity(name) for name in shape.sensor_velocities]),
             constraints=self.write_constraints(),
@@ -119,23 +123,73 @@ class Writer:
 
     # --- the motion ---
 
+    def list_independent(self) -> tuple[int, ...]:
+        """List the entries of qd that determine all others."""
+        return self.motions.independent if self.shape.loops is None else self.manifest.independent
+
+    def find_velocities(self, which: Sequence[int]) -> list[int]:
+        """Find entries of qd among the velocities that are variables."""
+        return [self.motions.velocities.index(i) for i in which]
+
+    def split_equations(self, equations: Indices) -> tuple[Indices, Indices, Indices]:
+        """Split the equations of stages (N, S, ...) into those of states, of motion, and of loops.
+
+        For an ODE, the equations of motion are the last ones of states.
+        """
+        n = len(self.motions.independent)
+        states = len(self.motions.carried) if self.layout.points.size else 0
+        end = states + (n if self.layout.accelerations.size else 0)
+        return equations[:, :, :states], equations[:, :, end - n : end], equations[:, :, end:]
+
+    @property
+    def loop_rows(self) -> int:
+        """Count the rows of loops at a point: of coordinates, and of velocities where all are variables."""
+        if self.shape.loops is None:
+            return 0
+        m = len(self.manifest.dependent)
+        return 2 * m if len(self.motions.velocities) == len(self.manifest.coordinates) else m
+
     def write_collocation(self) -> tuple[Indices, Indices, Indices]:
         """Write the equations of motion, and the rows that tie states to each other.
 
         Return the inner variables of the intervals, their equations, and the rows that carry the state on.
         """
-        layout, n = self.layout, self.layout.n
+        layout, n = self.layout, len(self.motions.independent)
         N, S, width = layout.points.shape
-        at_stage = width + (n if layout.accelerations.size else 0)
+        at_stage = (len(self.motions.carried) if width else 0) + (n if layout.accelerations.size else 0)
+        at_stage += self.loop_rows
         interval = self.take(np.arange(N), N, S * at_stage + layout.mesh.shape[1])
         equations, continuity = interval[:, : S * at_stage].reshape(N, S, at_stage), interval[:, S * at_stage :]
-        self.A.put(continuity, layout.mesh[1:], 1.0)
+        states, dynamics, closure = self.split_equations(equations)
         if self.shape.form is Form.STANDARD:
-            self.write_states_at_points(equations[:, :, :width], continuity)
+            self.write_states_at_points(states, continuity)
         else:
             self.write_integrals(continuity)
-        self.write_dynamics(equations[:, :, -n:].reshape(N * S, n).T)
-        return np.concatenate((layout.points, layout.accelerations), axis=2), equations, continuity
+        self.write_dynamics(dynamics.reshape(N * S, n).T)
+        self.write_closure(self.points, closure.reshape(N * S, -1).T, self.points.interval)
+        self.write_corrections(states)
+        inner = (layout.points, layout.accelerations, layout.multipliers, layout.corrections)
+        return np.concatenate(inner, axis=2), equations, continuity
+
+    def write_closure(self, places: Places, rows: Indices, stages: Indices) -> None:
+        """Close the loops at some places: rows are (equations, places)."""
+        if rows.size:
+            m = len(self.manifest.dependent)
+            self.blocks += closing.close(places, [rows[i : i + m] for i in range(0, len(rows), m)], stages)
+
+    def write_start_closure(self) -> Indices:
+        """Close the loops at a start that is free."""
+        rows = self.take(0, self.loop_rows * self.shape.start_is_free)
+        self.write_closure(self.first, rows[:, None], np.zeros(1, dtype=np.int64))
+        return rows
+
+    def write_corrections(self, states: Indices) -> None:
+        """Correct the derivatives of coordinates, and of velocities where the equations of motion are explicit."""
+        corrections, n, m = self.layout.corrections, len(self.motions.independent), len(self.manifest.dependent)
+        for k in range(corrections.shape[2] // m if m else 0):
+            rows, part = states[:, :, k * n : (k + 1) * n], corrections[:, :, k * m : (k + 1) * m]
+            placed, read = (x.reshape(-1, x.shape[2]).T for x in (rows, part))
+            self.blocks.append(closing.correct(self.points.q, read, placed, self.points.interval))
 
     def write_inner_bounds(self) -> Indices:
         """Write the states at the points that have bounds, where they are no variables and no mesh points."""
@@ -152,23 +206,31 @@ class Writer:
 
     def write_states_at_points(self, states: Indices, continuity: Indices) -> None:
         """Differentiate the states at the points, and read the states at the interval's end off them."""
-        layout, scheme = self.layout, self.scheme
+        layout, scheme, carried = self.layout, self.scheme, self.motions.carried
         nodes = [layout.mesh[:-1], *layout.points.transpose(1, 0, 2)]  # 0 and the points, each (N, nq + n)
+        # what is not carried on is read off the last point, or found from the loops where that is not the end
+        read = list(range(layout.mesh.shape[1])) if scheme.ends_interval else carried
+        self.A.put(continuity[:, read], layout.mesh[1:, read], 1.0)
         for r, node in enumerate(nodes):
             for j in range(scheme.degree):
-                self.A.put(states[:, j], node, scheme.D[j, r])
-            self.A.put(continuity, node, -scheme.end[r])
+                self.A.put(states[:, j], node[:, carried], scheme.D[j, r])
+            self.A.put(continuity[:, read], node[:, read], -scheme.end[r])
+        found = np.delete(continuity, read, axis=1)
+        mesh = range(1, self.shape.intervals + 1)
+        self.write_closure(at_mesh(layout, self.integrator, mesh), found.T, np.arange(len(found)))
         rates = layout.accelerations
         if self.quaternions:
             rows, states = layout.split(states)
             self.write_turning(rows.reshape(-1, layout.nq).T)
         else:
-            rates = np.concatenate((layout.split(layout.points)[1], rates), axis=2)
+            velocities = layout.split(layout.points)[1][:, :, self.motions.carried_velocities]
+            rates = np.concatenate((velocities, rates), axis=2)
         self.write_rates(states[:, :, : rates.shape[2]], rates)
 
     def write_integrals(self, continuity: Indices) -> None:
         """Read the states at the interval's end off those at its start and the accelerations."""
         layout, n, h, end = self.layout, self.layout.n, self.h, self.integrator.ends
+        self.A.put(continuity, layout.mesh[1:], 1.0)
         self.A.put(continuity, layout.mesh[:-1], -1.0)
         self.A.put(continuity[:, :n], layout.mesh[:-1, n:], -h)
         for j in range(len(self.integrator.stages.c)):
@@ -194,7 +256,7 @@ class Writer:
 
     def write_dynamics(self, rows: Indices) -> None:
         """Apply the equations of motion at every stage, as the representation writes them."""
-        layout, kernel = self.layout, self.equations.function
+        layout, kernel = self.layout, self.kernel
         places = at_stages(layout, self.integrator, self.h)
         scale, factor = 1.0, None
         if self.equations.is_explicit and layout.accelerations.size:
@@ -272,10 +334,11 @@ class Writer:
 
     def write_accelerations(self, which: Sequence[int]) -> Indices:
         """Write some accelerations at the end, which is read off the last interval."""
+        which = [self.motions.independent.index(i) for i in which]
         rows, end = self.take(self.shape.intervals - 1, len(which)), self.last
         if which and not self.equations.has_accelerations:
-            kernel = self.equations.function
-            if len(which) < self.layout.n:
+            kernel = self.kernel
+            if len(which) < len(self.motions.independent):
                 kernel = replace(kernel, entries=tuple(which))
             self.blocks.append(Block(kernel, _pick(end, kernel), rows[:, None], end.interval))
         elif which:
@@ -315,8 +378,9 @@ class Writer:
     ) -> Block:
         """Apply expressions at some places."""
         shape, layout = self.shape, self.layout
-        formula = formulate(texts, shape.constants, self.manifest, shape.representation, shape.horizon)
-        parts = {"q": places.q, "qd": places.qd, "qdd": places.qdd, "u": places.u}
+        computed = {"qdd": self.kernel} if shape.representation.is_ode else {}
+        formula = formulate(texts, shape.constants, self.manifest, self.motions, computed, shape.horizon)
+        parts = dict(places.parts)
         if layout.horizon is not None:
             parts["T"] = np.full((1, places.s.size), layout.horizon)
         return Block(
@@ -354,8 +418,7 @@ class Writer:
 
 def _pick(places: Places, kernel: KernelResult) -> tuple[Column, ...]:
     """Pick the inputs of a kernel."""
-    parts = {"q": places.q, "qd": places.qd, "qdd": places.qdd, "u": places.u}
-    return tuple(parts[name] for name in kernel.inputs)
+    return tuple(places.parts[name] for name in kernel.inputs)
 
 
 def _reads_jumps(text: str, known: Mapping[str, Quantity]) -> bool:

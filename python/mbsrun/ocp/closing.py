@@ -1,0 +1,79 @@
+"""Closed loops in a program: the parts of a motion that are variables, and the blocks that loops add.
+
+With h(q) = 0 the m equations of the loops and J its Jacobian, the form `multipliers` has at each point j
+
+    sum_r D_jr q_kr - h qd_kj - J(q_kj)' mu_kj = 0            n rows
+    sum_r D_jr qd_kr - h z_kj = 0                             n rows
+    Phi(q_kj, qd_kj, z_kj, u_k) - J(q_kj)' lam_kj = 0         n rows
+    h(q_kj) = 0,  J(q_kj) qd_kj = 0                           2 m rows
+
+(Gear, Leimkuhler, Gupta, "Automatic integration of Euler-Lagrange equations with constraints", 1985; Hairer, Wanner,
+"Solving ordinary differential equations II", VII.2.) The corrections mu vanish with the error of the discretisation.
+Without them, the loops could not be closed at all points and mesh points at once: a state at a mesh point would have
+more conditions than unknowns, or the loops would drift open (Posa, Kuindersma, Tedrake, ICRA 2016; Bordalba,
+Schoels, Ros, Porta, Diehl, IEEE Transactions on Robotics 39, 2023). Collocation points include the mesh points, so
+loops are closed there too. Explicit forms give z and lam as functions of the state, and take a second correction:
+
+    sum_r D_jr qd_kr - h qdd(q_kj, qd_kj, u_k) - J(q_kj)' nu_kj = 0
+
+The form `reduced` carries on the independent coordinates y and their velocities alone; the dependent coordinates are
+inner variables, found from h(q_kj) = 0 at every point and mesh point:
+
+    sum_r D_jr y_kr - h yd_kj = 0,    sum_r D_jr yd_kr - h ydd_kj = 0,    Phi_red(q_kj, yd_kj, ydd_kj, u_k) = 0
+
+Velocities of dependent coordinates are variables only where a problem reads them; J(q_kj) qd_kj = 0 gives them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mbsgen.expressions import names, parse
+from mbsgen.manifest import Manifest
+from mbsrun.ocp.functions import Array, Indices, KernelResult
+from mbsrun.ocp.layout import Motions, Places
+from mbsrun.ocp.program import Block, Column
+from mbsrun.ocp.representations import Loops
+from mbsrun.ocp.structure import Structure
+from mbsrun.quantities import list_quantities
+
+POSITIONS = KernelResult("loops", ("q",), "h")
+RATES = KernelResult("loop_rates", ("q", "qd"), "hd")
+FORCES = KernelResult("loop_forces", ("q", "lam"), "Q")
+
+
+def list_motions(shape: Structure, manifest: Manifest) -> Motions:
+    """List the parts of a motion that are variables of a program."""
+    nq, every, m = len(manifest.positions), tuple(range(len(manifest.coordinates))), len(manifest.dependent)
+    if shape.loops is None:
+        return Motions(nq, every, every)
+    if shape.loops is Loops.REDUCED:
+        velocities = every if _reads_dependent_velocities(shape, manifest) else manifest.independent
+        return Motions(nq, velocities, manifest.independent, is_reduced=True)
+    equations = shape.representation.equations
+    has_multipliers = equations.has_accelerations and not equations.is_explicit
+    return Motions(nq, every, every, m * has_multipliers, m * (2 if equations.is_explicit else 1))
+
+
+def _reads_dependent_velocities(shape: Structure, manifest: Manifest) -> bool:
+    """Return whether a problem reads the velocities of dependent coordinates, by bounds, targets or expressions."""
+    if shape.sensor_velocities or set(manifest.dependent) & {*shape.known_velocities, *shape.velocities}:
+        return True
+    known = list_quantities(manifest)
+    read = [known[name] for text in shape.expressions for name in names(parse(text)) if name in known]
+    return any(x.kind == "v" or (x.kind == "qd" and x.index in manifest.dependent) for x in read)
+
+
+def correct(q: Column, corrections: Indices, rows: Indices, interval: Indices) -> Block:
+    """Subtract J(q)' mu from some rows at every point."""
+    return Block(FORCES, (q, corrections), rows, interval, scale=-1.0)
+
+
+def close(places: Places, rows: Sequence[Indices], stages: Indices, scale: Array | float = 1.0) -> list[Block]:
+    """Write h, and its rate where rows of it follow, at some places."""
+    columns: list[tuple[Column, ...]] = [(places.q,), (places.q, places.qd)]
+    functions = (POSITIONS, RATES)
+    return [
+        Block(function, parts, row, stages, scale=scale)
+        for function, parts, row in zip(functions, columns, rows, strict=False)
+    ]
