@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -27,7 +28,12 @@ class Peer:
     """A manifest, calls by name, CasADi functions by name; `impl`, `sensors` and `frames` are given as SX functions."""
 
     def __init__(
-        self, name: str, functions: Mapping[str, ca.Function], joints: Sequence[Coordinate], frames: Sequence[Frame]
+        self,
+        name: str,
+        functions: Mapping[str, ca.Function],
+        joints: Sequence[Coordinate],
+        frames: Sequence[Frame],
+        **loops: Any,
     ) -> None:
         self._functions = {**functions, "jac_impl": functions["impl"].jacobian()}
         self._maps: dict[tuple[str, int], ca.Function] = {}
@@ -43,6 +49,7 @@ class Peer:
             parameters=(),
             frames=tuple(frames),
             kernels=tuple(_describe(name, function) for name, function in self._functions.items()),
+            **loops,
         )
 
     def with_functions(self, functions: Mapping[str, ca.Function]) -> Peer:

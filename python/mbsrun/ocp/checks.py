@@ -17,11 +17,12 @@ from mbsgen.errors import MbsError
 from mbsgen.expressions import ExpressionError, names, parse
 from mbsgen.manifest import Manifest
 from mbsgen.roles import Role
+from mbsrun.ocp.closure import has_loops
 from mbsrun.ocp.integrators import INTEGRATORS
 from mbsrun.ocp.methods import METHODS
-from mbsrun.ocp.problem import Problem, find_conflicts
+from mbsrun.ocp.problem import Conflict, Form, Loops, Problem, Representation, find_conflicts
 from mbsrun.ocp.quantities import list_quantities
-from mbsrun.ocp.schemes import DEGREES
+from mbsrun.ocp.schemes import DEGREES, Family
 from mbsrun.quaternions import list_quaternions
 
 MAX_INTERVALS = 10_000
@@ -45,7 +46,8 @@ def check_problem(problem: Problem, manifest: Manifest) -> None:
     findings = list(_find_wrong_types(problem)) or list(_find_unknown_names(problem))
     findings = findings or [*_find_wrong_values(problem), *_find_strangers(problem, manifest)]
     if not findings:
-        findings = [(c.key, c.finding, c.remedy) for c in find_conflicts(problem)]
+        conflicts = [*find_conflicts(problem), *find_loop_conflicts(problem, manifest)]
+        findings = [(c.key, c.finding, c.remedy) for c in conflicts]
         findings += _find_divided_quaternions(problem, manifest)
     if findings:
         raise ProblemError(getattr(problem, "name", "?"), findings)
@@ -53,8 +55,55 @@ def check_problem(problem: Problem, manifest: Manifest) -> None:
 
 def list_open_inputs(manifest: Manifest) -> list[str]:
     """List the inputs of a model's residual to which a problem gives no value: external wrenches."""
-    own = (Role.COORDINATE, Role.VELOCITY, Role.ACCELERATION, Role.FORCE, Role.SETUP, Role.DESIGN)
+    own = (
+        Role.COORDINATE,
+        Role.VELOCITY,
+        Role.ACCELERATION,
+        Role.MULTIPLIER,
+        Role.FORCE,
+        Role.SETUP,
+        Role.DESIGN,
+    )
     return [i.name for i in manifest.kernel("impl").inputs if i.role not in own and i.nnz]
+
+
+def find_loop_conflicts(problem: Problem, manifest: Manifest) -> Iterator[Conflict]:
+    """Find what a problem asks for that closed loops, or the form that they have, do not give."""
+    loops, form, representation = problem.loops, problem.form, problem.representation
+    if manifest.driven:
+        names = ", ".join(manifest.coordinates[i].name for i in manifest.driven)
+        yield Conflict("model", f"the motion of {names} is given (driven)", "give these joints actuators instead")
+    if not has_loops(manifest):
+        if loops is not None:
+            yield Conflict("loops", "the model has no closed loops", "leave this out")
+        return
+    if manifest.quaternions:
+        yield Conflict("model", "a loop with quaternions", "write balls and free joints as hinges and slides")
+    if form is not Form.STANDARD:
+        yield Conflict("form", f"the {form.value} form takes no closed loops", "take standard")
+    if loops is Loops.MULTIPLIERS and problem.family is not Family.RADAU:
+        finding = f"the points of {problem.family.value} are no mesh points, where loops would be open"
+        yield Conflict("loops", finding, "take scheme: radau, or loops: reduced")
+    if loops is Loops.REDUCED:
+        if representation in _WITHOUT_REDUCTION:
+            finding = f"{representation.value} has no reduced form"
+            yield Conflict("loops", finding, "take representation: IMPL or EXP1-O, or loops: multipliers")
+        yield from _find_dependent_accelerations(problem, manifest)
+
+
+_WITHOUT_REDUCTION = (Representation.SEMI, Representation.EXP2_O, Representation.EXP2_A)
+
+
+def _find_dependent_accelerations(problem: Problem, manifest: Manifest) -> Iterator[Conflict]:
+    """Find accelerations of dependent coordinates, which are no variables in the reduced form."""
+    known, cost = list_quantities(manifest), problem.cost
+    texts = [part.expression for part in (*cost.running, *cost.terminal, *problem.constraints)]
+    read = [known[name] for text in texts for name in names(parse(text)) if name in known]
+    found = {x.index for x in read if x.kind == "qdd"} | {i for i, _ in problem.end.accelerations}
+    if dependent := sorted(found & set(manifest.dependent)):
+        named = ", ".join(manifest.coordinates[i].name for i in dependent)
+        finding = f"the problem reads the acceleration of {named}, which the reduced form does not compute"
+        yield Conflict("loops", finding, "take loops: multipliers")
 
 
 @cache

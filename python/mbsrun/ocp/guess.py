@@ -3,6 +3,10 @@
 The motion is rest at the start, or the joints move smoothly to a pose that meets the targets, found by inverse
 kinematics; or it is an earlier solution, read on another grid. Its inputs are 0, the forces that hold each pose, or the
 inverse dynamics of the motion, u = B^+ Phi(q, qd, qdd, 0) with Phi = M qdd + c - B u.
+
+Closed loops stay closed along the motion: the independent coordinates move smoothly, and Newton's method finds the
+others from point to point. Where that fails, all coordinates move smoothly, and each pose is closed. Inputs are then
+u = (Z'B)^+ Z'Phi, with the columns of Z a basis of the velocities that keep the loops closed.
 """
 
 from __future__ import annotations
@@ -15,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import qmc
 
+from mbsrun.ocp.closure import Closure, find_closure, has_loops
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Inputs, Problem
 from mbsrun.ocp.schemes import Scheme
@@ -46,6 +51,7 @@ class Pose:
     q: Array
     distance: float  # the largest from a target [m, rad]
     is_upright: bool  # whether the frames that shall point up do
+    has_way: bool = True  # whether a motion from the start to it was found that keeps loops closed
 
     @property
     def is_reached(self) -> bool:
@@ -86,6 +92,8 @@ def make_guess(problem: Problem, plant: Plant, scheme: Scheme) -> Trajectory | P
         if not pose.is_reached:
             return pose
         motion = interpolate(problem, scheme, pose.q, plant)
+        if not np.isfinite(motion.point_q).all():
+            return replace(pose, has_way=False)
     return balance(motion, problem, plant, problem.guess.inputs)
 
 
@@ -99,7 +107,7 @@ def interpolate(problem: Problem, scheme: Scheme, q: Array, plant: Plant | None 
     """Move from the start, with its velocity, to rest at the pose q: a polynomial of degree 5 in time. Inputs are 0.
 
     Quaternions turn by the shorter way, about one axis, by that polynomial of the angle; for their velocities the plant
-    is needed. Raises ValueError without.
+    is needed. Raises ValueError without. Where closed loops have no such motion, the numbers are not finite.
     """
     if problem.has_quaternions and plant is None:
         raise ValueError("the rates of quaternions are not their velocities: give the plant, which knows both")
@@ -127,7 +135,49 @@ def interpolate(problem: Problem, scheme: Scheme, q: Array, plant: Plant | None 
 
     t, point_t = grid(T, problem.intervals, scheme.points)
     u = np.zeros((problem.intervals, len(problem.bounds.u)))
-    return Trajectory(t, *move(t)[:2], u, point_t, *move(point_t))
+    motion = Trajectory(t, *move(t)[:2], u, point_t, *move(point_t))
+    closure = None if plant is None else find_closure(plant)
+    return motion if closure is None else close_motion(motion, closure)
+
+
+def close_motion(motion: Trajectory, closure: Closure) -> Trajectory:
+    """Close the loops along a motion that begins closed; numbers that are not finite show that none was found."""
+    (N, d), n = motion.point_t.shape, motion.q.shape[1]
+    order = np.argsort(np.concatenate((motion.t, motion.point_t.ravel())), kind="stable")
+    q, qd = (
+        np.concatenate((mesh, points.reshape(N * d, n)))
+        for mesh, points in ((motion.q, motion.point_q), (motion.qd, motion.point_qd))
+    )
+    found, closed = None, np.empty_like(q)
+    for held in (closure.independent, []):
+        path = closure.follow(q[order], q[0], held)
+        if path is not None and (held == [] or _ends_at(path[-1], motion.q[-1])):
+            found = held
+            closed[order] = path
+            break
+    if found is None:
+        return replace(motion, point_q=np.full_like(motion.point_q, np.nan))
+    qdd = motion.point_qdd.reshape(N * d, n)
+    if found:
+        qd = closure.complete_velocities(closed, qd[:, found])
+        qdd = closure.complete_accelerations(closed[N + 1 :], qd[N + 1 :], qdd[:, found])
+    else:
+        qd = closure.project_velocities(closed, qd)
+        qdd = closure.project_accelerations(closed[N + 1 :], qd[N + 1 :], qdd)
+    (mesh_q, point_q), (mesh_qd, point_qd) = (np.split(x, [N + 1]) for x in (closed, qd))
+    shape = (N, d, n)
+    return replace(
+        motion,
+        q=mesh_q,
+        qd=mesh_qd,
+        point_q=point_q.reshape(shape),
+        point_qd=point_qd.reshape(shape),
+        point_qdd=qdd.reshape(shape),
+    )
+
+
+def _ends_at(q: Array, end: Array) -> bool:
+    return bool(np.abs(q - end).max(initial=0.0) <= REACHED)
 
 
 def adapt(trajectory: Trajectory, problem: Problem, scheme: Scheme) -> Trajectory:
@@ -178,18 +228,34 @@ def balance(trajectory: Trajectory, problem: Problem, plant: Plant, inputs: Inpu
             np.ascontiguousarray(a.reshape(N * d, -1))
             for a in (trajectory.point_q, *(rate * (inputs == "dynamic") for rate in rates))
         )
-        none = np.zeros((N * d, u.shape[1]))
-        Phi = plant("impl", q=q, qd=qd, qdd=qdd, u=none)["Phi"]
-        B = -plant("jac_impl", q=q, qd=qd, qdd=qdd, u=none)["jac_Phi_u"]
-        if np.isfinite(B).all():
-            u = np.nan_to_num((np.linalg.pinv(B) @ Phi[..., None])[..., 0].reshape(N, d, -1).mean(axis=1))
+        u = np.nan_to_num(find_inputs(plant, q, qd, qdd).reshape(N, d, -1).mean(axis=1))
     return replace(trajectory, u=np.clip(u, *np.array(problem.bounds.u).reshape(-1, 2).T))
+
+
+def find_inputs(plant: Plant, q: Array, qd: Array, qdd: Array) -> Array:
+    """Return the inputs (B, m) of least squares that leave the least of the equations of motion; 0 where B fails."""
+    manifest = plant.manifest
+    state = {"q": q, "qd": qd, "qdd": qdd, "u": np.zeros((len(q), len(manifest.actuated)))}
+    if has_loops(manifest):
+        state["lam"] = np.zeros((len(q), len(manifest.dependent)))
+    Phi = plant("impl", **state)["Phi"]
+    B = -plant("jac_impl", **state)["jac_Phi_u"]
+    if not np.isfinite(B).all():
+        return np.zeros_like(state["u"])
+    right = Phi[..., None]
+    closure = find_closure(plant)
+    if closure is not None:
+        whole = np.linalg.svd(closure.jacobian(q))[2]  # its last rows are velocities that keep the loops closed
+        free = whole[:, len(manifest.dependent) :]
+        B, right = free @ B, free @ right
+    return np.asarray((np.linalg.pinv(B) @ right)[..., 0])
 
 
 class _Kinematics:
     """Inverse kinematics as a least-squares problem in the coordinates that can move.
 
-    A quaternion's length is part of it; of the two signs of an attitude at the end, the nearer one is the target.
+    A quaternion's length is part of it; of the two signs of an attitude at the end, the nearer one is the target. So
+    are the gaps of closed loops.
     """
 
     def __init__(self, problem: Problem, plant: Plant) -> None:
@@ -203,6 +269,7 @@ class _Kinematics:
         self.start = np.array(problem.start_q)
         self.lower, self.upper = np.array(problem.bounds.q).reshape(-1, 2).T
         self.free = self.lower < self.upper
+        self.closure = find_closure(plant)
 
     def search(self, upright: tuple[str, ...]) -> Pose:
         """Descend from the start, then from poses spread over the bounds; return one that is reached, or the best."""
@@ -253,15 +320,18 @@ class _Kinematics:
                 residual, q[self.free], jacobian, bounds, xtol=1e-12, ftol=1e-12, gtol=1e-12, max_nfev=100
             )
             q = normalise(complete(found.x), self.plant.manifest)
-        places, coordinates, axes, _ = np.split(
+            if self.closure is not None:
+                q = self.closure.close(q, self.coordinates)
+        m = 0 if self.closure is None else len(self.closure.dependent)
+        places, coordinates, gaps, axes, _ = np.split(
             self.residual(q[None], frames)[0],
-            np.cumsum([3 * len(self.sensors), len(self.coordinates), 3 * len(frames)]),
+            np.cumsum([3 * len(self.sensors), len(self.coordinates), m, 3 * len(frames)]),
         )
-        distances = [*np.linalg.norm(places.reshape(-1, 3), axis=1), *np.abs(coordinates)]
+        distances = [*np.linalg.norm(places.reshape(-1, 3), axis=1), *np.abs(coordinates), *np.abs(gaps)]
         return Pose(q, float(max(distances, default=0.0)), bool((np.abs(axes) < REACHED).all()))
 
     def residual(self, q: Array, upright: list[int]) -> Array:
-        """Compute the residual of each pose: distances to the targets, of z axes from up, and two more.
+        """Compute the residual of each pose: distances to the targets, gaps, of z axes from up, and two more.
 
         These are the lengths of quaternions minus 1, and a small multiple of the distance from the start.
         """
@@ -270,7 +340,8 @@ class _Kinematics:
         coordinates = q[:, self.coordinates] - self.sign(q) * self.values
         axes = [frames["R"][:, :, 3 * i + 2] - [0.0, 0.0, 1.0] for i in upright]
         lengths = measure_lengths(q, self.plant.manifest) - 1.0
-        return np.concatenate([*places, coordinates, *axes, lengths, NEARNESS * (q - self.start)], axis=1)
+        gaps = np.zeros((len(q), 0)) if self.closure is None else self.closure.gaps(q)
+        return np.concatenate([*places, coordinates, gaps, *axes, lengths, NEARNESS * (q - self.start)], axis=1)
 
     def sign(self, q: Array) -> Array:
         """Return the sign of each target's attitude that is nearer to the pose, for each of its entries."""

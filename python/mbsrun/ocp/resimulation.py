@@ -6,6 +6,13 @@ by DOP853 (Hairer, Norsett, Wanner, "Solving ordinary differential equations I",
 rounding: from the start of every interval to its end, whose error is the defect of the discretisation; and from the
 start of the horizon to its end, where an unstable plant has multiplied the defects. Steps and processor time are
 limited; a check that does not finish within the limits calls no solution accurate.
+
+With closed loops, accelerations and the forces of loops follow together,
+
+    M qdd - J' lam = -Phi(q, qd, 0, 0, u),    J qdd = -gamma,
+
+and each step ends with the nearest state that keeps the loops closed. So they do not drift open; how far a step opens
+them is measured before.
 """
 
 from __future__ import annotations
@@ -18,6 +25,7 @@ from scipy.integrate import DOP853
 
 from mbsgen.errors import MbsError
 from mbsrun.limits import Allowance, LimitError, Limits
+from mbsrun.ocp.closure import CLOSED, find_closure, has_loops
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.solution import Resimulation, Solution
 from mbsrun.quaternions import find_rates
@@ -34,10 +42,11 @@ def resimulate(solution: Solution, plant: Plant, limits: Limits = LIMITS) -> Sol
     step = float(trajectory.t[1] - trajectory.t[0])
     states = np.concatenate((trajectory.q, trajectory.qd), axis=1)
     allowance, defects, last, unfinished = Allowance(limits), None, None, ""
+    gaps: list[float] | None = [] if has_loops(plant.manifest) else None
     try:
         ends = integrate(plant, states[:-1], trajectory.u, step, allowance)
         defects = None if ends is None else np.abs(ends - states[1:]).max(axis=1)
-        last = _integrate_all(plant, states[:1], trajectory.u, step, allowance)
+        last = _integrate_all(plant, states[:1], trajectory.u, step, allowance, gaps)
     except LimitError as error:
         unfinished = error.finding
     return replace(
@@ -46,37 +55,54 @@ def resimulate(solution: Solution, plant: Plant, limits: Limits = LIMITS) -> Sol
             defect=None if defects is None else float(defects.max()),
             defect_interval=None if defects is None else int(defects.argmax()),
             open_loop_error=None if last is None else float(np.abs(last[0] - states[-1]).max()),
-            is_accurate=not unfinished and defects is not None and bool(defects.max() <= solution.problem.accuracy),
+            is_accurate=not unfinished
+            and defects is not None
+            and bool(defects.max() <= solution.problem.accuracy)
+            and max(gaps or [0.0]) <= CLOSED,
             unfinished=unfinished,
+            closure=max(gaps) if gaps else None,
         ),
     )
 
 
-def _integrate_all(plant: Plant, state: Array, u: Array, step: float, allowance: Allowance) -> Array | None:
+def _integrate_all(
+    plant: Plant, state: Array, u: Array, step: float, allowance: Allowance, gaps: list[float] | None
+) -> Array | None:
     """Integrate one motion, (1, nq + n), through all intervals."""
     last: Array | None = state
     for own in u:
-        last = None if last is None else integrate(plant, last, own[None], step, allowance)
+        last = None if last is None else integrate(plant, last, own[None], step, allowance, gaps)
     return last
 
 
 def integrate(
-    plant: Plant, states: Array, u: Array, duration: float, allowance: Allowance | None = None
+    plant: Plant,
+    states: Array,
+    u: Array,
+    duration: float,
+    allowance: Allowance | None = None,
+    gaps: list[float] | None = None,
 ) -> Array | None:
     """Integrate several motions at once: states (B, nq + n) under constant inputs (B, m) for `duration` s.
 
     Returns the states at the end, or None where the integrator or a kernel fails. Raises LimitError when the
-    allowance is used up.
+    allowance is used up. Loops are closed after every step; the largest gap that each step leaves is added to `gaps`.
     """
 
     def rate(_: float, flat: Array) -> Array:
         q, qd = np.split(flat.reshape(states.shape), [places], axis=1)
         return np.concatenate((find_rates(plant, q, qd), accelerations(plant, q, qd, u)), axis=1).ravel()
 
-    places = len(plant.manifest.positions)
+    places, closure = len(plant.manifest.positions), find_closure(plant)
+
+    def close(flat: Array) -> Array:
+        """Return the nearest states that keep the loops closed."""
+        assert closure is not None, "only loops are closed"
+        return np.concatenate(closure.project(*np.split(flat.reshape(states.shape), [places], axis=1)), axis=1).ravel()
 
     try:
-        solver = DOP853(rate, 0.0, states.ravel(), duration, rtol=TOLERANCE, atol=TOLERANCE)
+        begin = states.ravel() if closure is None else close(states.ravel())
+        solver = DOP853(rate, 0.0, begin, duration, rtol=TOLERANCE, atol=TOLERANCE)
         if not np.isfinite(solver.h_abs):  # it would look for a first step without end
             return None
         with np.errstate(all="ignore"):  # a motion that diverges ends in a status
@@ -84,6 +110,11 @@ def integrate(
                 if allowance is not None:
                     allowance.spend()
                 solver.step()
+                if closure is not None and solver.status != "failed":
+                    if gaps is not None:
+                        gaps.append(closure.measure(solver.y.reshape(states.shape)[:, :places]))
+                    solver.y = close(solver.y)
+                    solver.f = solver.fun(solver.t, solver.y)  # with which the next step begins
     except LimitError:
         raise
     except (MbsError, np.linalg.LinAlgError):  # a kernel that fails, a mass matrix that is singular
@@ -93,7 +124,15 @@ def integrate(
 
 def accelerations(plant: Plant, q: Array, qd: Array, u: Array) -> Array:
     """Solve the equations of motion for qdd in several states: q (B, nq), qd (B, n), u (B, m)."""
-    zero = np.zeros_like(qd)
-    M = plant("jac_impl", q=q, qd=qd, qdd=zero, u=u)["jac_Phi_qdd"]
-    c = plant("impl", q=q, qd=qd, qdd=zero, u=u)["Phi"]
-    return np.asarray(np.linalg.solve(M, -c[..., None])[..., 0])
+    state = {"q": q, "qd": qd, "qdd": np.zeros_like(qd), "u": u}
+    closure, n = find_closure(plant), qd.shape[1]
+    if closure is not None:
+        state["lam"] = np.zeros((len(q), len(closure.dependent)))
+    M, c = plant("jac_impl", **state)["jac_Phi_qdd"], plant("impl", **state)["Phi"]
+    if closure is None:
+        return np.asarray(np.linalg.solve(M, -c[..., None])[..., 0])
+    J = closure.jacobian(q)
+    none = np.zeros((len(q), J.shape[1], J.shape[1]))
+    whole = np.block([[M, -J.swapaxes(1, 2)], [J, none]])
+    right = -np.concatenate((c, closure.bias(q, qd)), axis=1)
+    return np.asarray(np.linalg.solve(whole, right[..., None])[:, :n, 0])

@@ -79,6 +79,8 @@ class Violation:
     constraints: float
     bounds: float
     lengths: float | None = None  # of quaternions, from 1; they do not change the motion. None: there are none
+    closure: float | None = None  # the largest gap of closed loops at mesh and collocation points [m, 1]
+    closure_rate: float | None = None  # the largest rate at which they open there [m/s, 1/s]
 
 
 @dataclass(frozen=True)
@@ -89,6 +91,7 @@ class Resimulation:
     defect_interval: int | None  # where it is, from 0
     open_loop_error: float | None  # the largest difference at the end of the horizon, integrated from its start
     is_accurate: bool  # whether the check finished, and the defect is within the accuracy that the problem asks for
+    closure: float | None = None  # the largest gap of closed loops along the motion from its start [m, 1]
     unfinished: str = ""  # the limit of time or steps that ended the check, if one did
 
 

@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from mbsgen.manifest import Manifest
 from mbsrun.ocp import methods, schemes
 from mbsrun.ocp.backends.prepared import Prepared
-from mbsrun.ocp.checks import check_problem
+from mbsrun.ocp.checks import check_problem, find_loop_conflicts
+from mbsrun.ocp.closure import Closure, find_closure
 from mbsrun.ocp.guess import Pose, adapt, make_guess
 from mbsrun.ocp.methods import METHODS, Iterate, Order, Start
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem, SolverOptions
+from mbsrun.ocp.problem import Loops, Problem, SolverOptions
 from mbsrun.ocp.solution import CostTerms, Failure, Run, Size, Solution, Violation
-from mbsrun.ocp.status import ACCEPTABLE, BAD_BOUNDS, BAD_GUESS, SOLVED, UNREACHABLE, explain
+from mbsrun.ocp.status import ACCEPTABLE, BAD_BOUNDS, BAD_GUESS, OPEN, SOLVED, UNREACHABLE, explain
 from mbsrun.ocp.structure import structure
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.ocp.transcription import transcribe
@@ -42,6 +43,7 @@ class Progress:
 
 Watch = Callable[[Progress], None]
 
+OPENED = 1e-8  # the largest gap of loops in a solution [m, 1], unless the tolerance is larger
 NUDGE = 1e-2  # relative, and absolute below 1: how far a guess is moved in which nothing could be improved
 
 
@@ -52,7 +54,8 @@ class Solver:
         """Transcribe a problem. Raises ProblemError with every fault of it."""
         check_problem(problem, plant.manifest)
         self.plant = plant
-        self.transcription = transcribe(problem, plant)
+        self._loops = settle(problem, plant).loops
+        self.transcription = transcribe(replace(problem, loops=self._loops), plant)
         self.program = Prepared(self.transcription.program, plant)
         self._solvers: dict[SolverOptions, methods.Solver] = {}
 
@@ -62,6 +65,7 @@ class Solver:
         A guess in which the solver finds nothing to improve may be a saddle or a maximum as well, so it is moved a
         little and solved again. Raises ProblemError for a problem with faults, ValueError for one of another structure.
         """
+        problem = replace(problem, loops=problem.loops or self._loops)
         check_problem(problem, self.plant.manifest)
         if structure(problem) != self.transcription.structure:
             raise ValueError(f"{problem.name} differs in structure from the transcribed problem; make a Solver for it")
@@ -80,7 +84,12 @@ class Solver:
                 run, found = self._call(problem, x - nudge, watch)
         if run.status not in (SOLVED, ACCEPTABLE) or not np.isfinite(found).all():
             return Failure(problem, run, *explain(run.status, run.iterations))
-        return self._solution(problem, run, found)
+        solution = self._solution(problem, run, found)
+        gap, most = solution.violation.closure or 0.0, max(OPENED, problem.solver.tolerance)
+        if gap > most:
+            finding, remedy = explain(OPEN, run.iterations)
+            return Failure(problem, replace(run, status=OPEN), f"{finding}, by {gap:.1e} of {most:.1e}", remedy)
+        return solution
 
     def _find_crossed_bounds(self, problem: Problem) -> str | None:
         """Describe the first bound that no number can keep: solvers would raise an exception for it."""
@@ -140,6 +149,7 @@ class Solver:
                 _excess(g, *transcription.constraint_bounds(problem)),
                 _excess(x, *transcription.variable_bounds(problem)),
                 _measure_lengths(trajectory, manifest),
+                *_measure_closure(trajectory, transcription.closure),
             ),
             trajectory=trajectory,
         )
@@ -166,13 +176,35 @@ def solve(
     scheme = schemes.build(problem.family, problem.degree)
     start = make_guess(problem, plant, scheme) if guess is None else adapt(guess, problem, scheme)
     if isinstance(start, Pose):
-        return Failure(
-            problem,
-            Run(UNREACHABLE, 0, 0.0, 0.0),
-            f"no pose within the bounds meets the targets; the nearest one found is {start.distance:.3g} m or rad away",
-            "move the target or widen the bounds",
-        )
+        return _tell_unreachable(problem, start)
+    problem = settle(problem, plant, start)
     return Solver(problem, plant).solve(problem, start, watch)
+
+
+def _tell_unreachable(problem: Problem, pose: Pose) -> Failure:
+    finding = f"no pose within the bounds meets the targets; the nearest one found is {pose.distance:.3g} m or rad away"
+    remedy = "move the target or widen the bounds"
+    if not pose.has_way:
+        finding = "from the start to the pose found for the end, no motion was found that keeps the loops closed"
+        remedy = "take guess.motion: rest, or another start, or targets that the mechanism reaches as it is assembled"
+    return Failure(problem, Run(UNREACHABLE, 0, 0.0, 0.0), finding, remedy)
+
+
+def settle(problem: Problem, plant: Plant, guess: Trajectory | None = None) -> Problem:
+    """Choose how loops become variables, where a problem leaves that open: reduced where that is sure to work.
+
+    It is where the independent coordinates determine the others along the guess, or at the start without one, and where
+    the representation has a reduced form.
+    """
+    closure = find_closure(plant)
+    if closure is None or problem.loops is not None:
+        return problem
+    reduced = replace(problem, loops=Loops.REDUCED)
+    path = np.array([problem.start_q])
+    if guess is not None:
+        path = np.concatenate((guess.q, guess.point_q.reshape(-1, guess.q.shape[1])))
+    is_possible = not list(find_loop_conflicts(reduced, plant.manifest)) and closure.is_regular(path)
+    return reduced if is_possible else replace(problem, loops=Loops.MULTIPLIERS)
 
 
 def _measure_lengths(trajectory: Trajectory, manifest: Manifest) -> float | None:
@@ -181,6 +213,14 @@ def _measure_lengths(trajectory: Trajectory, manifest: Manifest) -> float | None
         return None
     lengths = (measure_lengths(q, manifest) for q in (trajectory.q, trajectory.point_q))
     return max(float(np.abs(length - 1).max()) for length in lengths)
+
+
+def _measure_closure(trajectory: Trajectory, closure: Closure | None) -> tuple[float | None, float | None]:
+    """Return the largest gap of loops, and the largest rate, at mesh and collocation points."""
+    if closure is None:
+        return None, None
+    states = ((trajectory.q, trajectory.qd), (trajectory.point_q, trajectory.point_qd))
+    return max(closure.measure(q) for q, _ in states), max(closure.measure_rates(*state) for state in states)
 
 
 def _excess(values: Array, lower: Array, upper: Array) -> float:

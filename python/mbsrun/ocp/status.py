@@ -10,6 +10,7 @@ ACCEPTABLE = "Solved_To_Acceptable_Level"
 UNREACHABLE = "Target_Out_Of_Reach"  # these three without a call of the solver
 BAD_BOUNDS = "Bad_Bounds"
 BAD_GUESS = "Bad_Guess"
+OPEN = "Loops_Open"  # the solver's word is good, but loops are not closed
 
 _UNKNOWN = ("the solver ended with {status} after {iterations} iterations", "check bounds, horizon and guess")
 _REASONS: Mapping[str, tuple[str, str]] = MappingProxyType(
@@ -38,6 +39,10 @@ _REASONS: Mapping[str, tuple[str, str]] = MappingProxyType(
         "Restoration_Failed": (
             "the search could not come closer to meeting the constraints after {iterations} iterations",
             "try another guess, or check target, bounds and horizon",
+        ),
+        OPEN: (
+            "the solver stopped where loops stay open",
+            "take a smaller solver.tolerance, another guess, or loops: multipliers",
         ),
         "Maximum_CpuTime_Exceeded": ("the search was not over in its time", "raise max_cpu_time, or drop it"),
         "Maximum_WallTime_Exceeded": ("the search was not over in its time", "raise max_wall_time, or drop it"),
