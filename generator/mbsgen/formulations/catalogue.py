@@ -208,6 +208,13 @@ FUNCTIONS: Mapping[str, Entry] = {
         order=2,
         needs=(LOOPS,),
     ),
+    "loop_forces": Entry(
+        _plainly(closure.write_forces),
+        "joint forces of multipliers",
+        results=(ports.JOINT_FORCES,),
+        order=2,
+        needs=(LOOPS,),
+    ),
     "loop_jacobian": Entry(
         _plainly(closure.build_jacobian),
         "Jacobian of loops, and the bias of their accelerations",

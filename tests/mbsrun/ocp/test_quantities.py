@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import casadi as ca
 import numpy as np
 import pytest
 
 from mbsgen.expressions import ExpressionError
 from mbsrun.ocp.backends.casadi import make_function
+from mbsrun.ocp.functions import Formula
+from mbsrun.ocp.layout import Motions
 from mbsrun.ocp.problem import Representation
 from mbsrun.ocp.quantities import formulate, list_quantities
 from tests.mbsrun.peer import Peer
@@ -17,8 +21,17 @@ U = np.random.default_rng(3).uniform(-1, 1, 4)
 VALUES = {"q": Q, "qd": QD, "qdd": QDD, "u": U, "T": 2.0, "constants": [0.25, 3.0], "s": 0.75}
 
 
+def formulate_of(
+    texts: Sequence[str], constants: Sequence[str], arm: Peer, representation: Representation, horizon: float | None
+) -> Formula:
+    """Formulate expressions of a motion without loops."""
+    every = tuple(range(6))
+    computed = {"qdd": representation.equations.write()} if representation.is_ode else {}
+    return formulate(texts, constants, arm.manifest, Motions(6, every, every), computed, horizon)
+
+
 def evaluate(text: str, arm: Peer, representation: Representation, horizon: float | None) -> tuple[float, set[str]]:
-    formula = formulate([text], ["a", "b"], arm.manifest, representation, horizon)
+    formula = formulate_of([text], ["a", "b"], arm, representation, horizon)
     inputs = [part.kind for part in formula.arguments]
     return float(make_function(formula, arm)(*(VALUES[name] for name in inputs))), set(inputs)
 
@@ -77,7 +90,7 @@ def test_a_function_asks_for_what_it_needs(arm: Peer, text: str, inputs: set[str
 
 
 def test_nothing_is_differentiated_by_constants_and_time(arm: Peer) -> None:
-    formula = formulate(["a*q_q1**2*t"], ["a"], arm.manifest, Representation.IMPL, None)
+    formula = formulate_of(["a*q_q1**2*t"], ["a"], arm, Representation.IMPL, None)
     jacobian = make_function(formula, arm).jacobian()
     nonzeros = {part.kind: jacobian.sparsity_out(i).nnz() for i, part in enumerate(formula.arguments)}
     assert nonzeros == {"q": 1, "T": 1, "constants": 0, "s": 0}
@@ -86,11 +99,11 @@ def test_nothing_is_differentiated_by_constants_and_time(arm: Peer) -> None:
 @pytest.mark.parametrize("text", ["q_q7", "c", "u_q5", "__import__", "q_q1.real", "q_q1[0]", "exec(1)"])
 def test_what_means_nothing_is_refused(arm: Peer, text: str) -> None:
     with pytest.raises(ExpressionError):
-        formulate([text], ["a"], arm.manifest, Representation.IMPL, 1.0)
+        formulate_of([text], ["a"], arm, Representation.IMPL, 1.0)
 
 
 def test_a_formula_becomes_a_casadi_function(arm: Peer) -> None:
-    formula = formulate(["x_hand", "q_q1*a"], ["a"], arm.manifest, Representation.IMPL, 1.0)
+    formula = formulate_of(["x_hand", "q_q1*a"], ["a"], arm, Representation.IMPL, 1.0)
     function = make_function(formula, arm)
     assert isinstance(function, ca.Function)
     assert function.size_out(0) == (2, 1)
