@@ -97,7 +97,8 @@ _WITHOUT_REDUCTION = (Representation.SEMI, Representation.EXP2_O, Representation
 def _find_dependent_accelerations(problem: Problem, manifest: Manifest) -> Iterator[Conflict]:
     """Find accelerations of dependent coordinates, which are no variables in the reduced form."""
     known, cost = list_quantities(manifest), problem.cost
-    texts = [part.expression for part in (*cost.running, *cost.terminal, *problem.constraints)]
+    texts = [term.expression for term in cost.running + cost.terminal]
+    texts += [constraint.expression for constraint in problem.constraints]
     read = [known[name] for text in texts for name in names(parse(text)) if name in known]
     found = {x.index for x in read if x.kind == "qdd"} | {i for i, _ in problem.end.accelerations}
     if dependent := sorted(found & set(manifest.dependent)):

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -235,13 +236,14 @@ def balance(trajectory: Trajectory, problem: Problem, plant: Plant, inputs: Inpu
 def find_inputs(plant: Plant, q: Array, qd: Array, qdd: Array) -> Array:
     """Return the inputs (B, m) of least squares that leave the least of the equations of motion; 0 where B fails."""
     manifest = plant.manifest
-    state = {"q": q, "qd": qd, "qdd": qdd, "u": np.zeros((len(q), len(manifest.actuated)))}
+    none = np.zeros((len(q), len(manifest.actuated)))
+    state: dict[str, Any] = {"q": q, "qd": qd, "qdd": qdd, "u": none}
     if has_loops(manifest):
         state["lam"] = np.zeros((len(q), len(manifest.dependent)))
     Phi = plant("impl", **state)["Phi"]
     B = -plant("jac_impl", **state)["jac_Phi_u"]
     if not np.isfinite(B).all():
-        return np.zeros_like(state["u"])
+        return none
     right = Phi[..., None]
     closure = find_closure(plant)
     if closure is not None:

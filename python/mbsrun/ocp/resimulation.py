@@ -18,6 +18,7 @@ them is measured before.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,7 +111,7 @@ def integrate(
                 if allowance is not None:
                     allowance.spend()
                 solver.step()
-                if closure is not None and solver.status != "failed":
+                if closure is not None:
                     if gaps is not None:
                         gaps.append(closure.measure(solver.y.reshape(states.shape)[:, :places]))
                     solver.y = close(solver.y)
@@ -124,7 +125,7 @@ def integrate(
 
 def accelerations(plant: Plant, q: Array, qd: Array, u: Array) -> Array:
     """Solve the equations of motion for qdd in several states: q (B, nq), qd (B, n), u (B, m)."""
-    state = {"q": q, "qd": qd, "qdd": np.zeros_like(qd), "u": u}
+    state: dict[str, Any] = {"q": q, "qd": qd, "qdd": np.zeros_like(qd), "u": u}
     closure, n = find_closure(plant), qd.shape[1]
     if closure is not None:
         state["lam"] = np.zeros((len(q), len(closure.dependent)))

@@ -1,6 +1,6 @@
 """Mechanisms with closed loops, made by hand: Lagrange's equations in CasADi, with the kernels of generated models.
 
-    d/dt dT/dqd - dT/dq + dV/dq - B u - J' lam = 0,    h(q) = 0
+d/dt dT/dqd - dT/dq + dV/dq - B u - J' lam = 0,    h(q) = 0
 """
 
 from __future__ import annotations
