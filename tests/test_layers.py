@@ -45,7 +45,7 @@ MBSGEN = Package(
         "formulations",
         "assembly.mechanism",
         "assembly.poses assembly.choice",
-        "assembly.assemble",
+        "assembly.assemble assembly.findings",
         "assembly",
         "request",
         "derivatives",

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.approximation.choice import Approximation
+from mbsgen.assembly import assemble
 from mbsgen.families import write_families
 from mbsgen.formulations import ports
 from mbsgen.formulations.catalogue import FUNCTIONS, REFERENCE
@@ -54,11 +55,16 @@ def gather(model: Model, request: Request, approximation: Approximation | None =
     An approximation is counted last; it brings its own comparison.
     """
     plain, scene = request.values_alone, request.scene
-    flops = {title: _count(build_tree(stage(model, part)), replace(plain, scene=part)) for title, part in _steps(scene)}
+    flops = {title: _count(_build(model, part), replace(plain, scene=part)) for title, part in _steps(scene)}
     if approximation is not None:
         flops[f"below a tolerance of {approximation.tolerance:g}"] = _count(approximation.tree, plain)
-    is_exact = replace(scene, tolerance=None) == EVERYTHING
+    # the whole mechanism is at random states, where loops are open
+    is_exact = replace(scene, tolerance=None) == EVERYTHING or bool(model.loops or model.constraints)
     return Evidence(flops, {} if is_exact else _compare(model, plain), approximation)
+
+
+def _build(model: Model, scene: Scene) -> Tree:
+    return assemble(build_tree(stage(model, scene)))
 
 
 def _steps(scene: Scene) -> Iterator[tuple[str, Scene]]:
@@ -114,7 +120,7 @@ class _Comparison:
 
     @staticmethod
     def begin(model: Model, whole_scene: Scene, scene: Scene, reductions: Reductions) -> _Comparison:
-        whole, reduced = build_tree(stage(model, whole_scene)), build_tree(stage(model, scene))
+        whole, reduced = _build(model, whole_scene), _build(model, scene)
         valuation = Valuation(model.parameters, ())
         locked = {name: valuation.number(("locked", name), value) for name, value in scene.locked}
         at = np.array([locked.get(name, 0.0) for name in whole.coordinates])

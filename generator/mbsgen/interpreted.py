@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sympy import Integer
 
+from mbsgen.assembly import assemble
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.reader import read_model
@@ -30,7 +31,7 @@ class Interpreted:
 
     def __init__(self, model: Path, name: str, *, gravity: bool = True) -> None:
         """Write the equations. Raises InputError with every fault in the model."""
-        tree = build_tree(read_model(model))
+        tree = assemble(build_tree(read_model(model)))
         self._tape = FUNCTIONS[name].build(tree if gravity else replace(tree, gravity=_NOWHERE), ONE_PLAN)
 
     def compute(self, states: Mapping[str, Array]) -> dict[str, Array]:

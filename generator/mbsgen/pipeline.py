@@ -108,8 +108,7 @@ def _build_trees(whole: Model, staged: Model, request: Request) -> _Trees:
     written, parametric = assemble(build_tree(staged)), build_parametric(whole, request.scene)
     if request.runtime:
         generated = build_parametric(whole, request.scene, zeros=True) if request.zeros else parametric
-        return _Trees(written, replace(parametric, closure=written.closure), assemble(generated), None)
-    parametric = replace(parametric, closure=written.closure)
+        return _Trees(written, parametric, assemble(generated), None)
     if request.tolerance is None:
         return _Trees(written, parametric, written, None)
     if written.is_constrained:

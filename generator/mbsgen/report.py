@@ -17,6 +17,8 @@ from types import MappingProxyType
 
 from sympy import Expr
 
+from mbsgen import assembly
+from mbsgen.assembly import Findings
 from mbsgen.evidence import Evidence, describe, describe_cuts
 from mbsgen.formulations import ports
 from mbsgen.formulations.catalogue import list_rows, write_row
@@ -65,6 +67,7 @@ COMPARISON = "Flops of the formulations, compared"
 SCENE = "Flops of the functions, with ever more left out"
 LEFT_OUT = "Left out below the tolerance"
 VERIFICATION = "Compared before it was written"
+LOOPS = "Loops"
 DIFFERENTIATION = "Flops of the derivatives, by the way of writing them"
 WAYS = ("tape", "recursion", "implicit")  # differentiating the tape, the recursion, or by the implicit function theorem
 
@@ -98,6 +101,7 @@ class Report:
     verification: Verification
     evidence: Evidence | None  # of the scene; None without one
     published: Mapping[str, tuple[int, int]]  # published flops and equations; may be empty
+    loops: Findings | None = None  # None without loops
 
 
 def make_report(
@@ -117,6 +121,7 @@ def make_report(
     """
     made = {kernel.name.upper() for kernel in kernels}
     names = [name for name in list_rows() if name in made]
+    parametric = replace(parametric, closure=written.closure)
     formulations, setups, folded = {}, {}, {}
     for name in names:
         setup, tape = _write(name, parametric, LUMPED)
@@ -131,7 +136,18 @@ def make_report(
     values = frozenset(k.name for k in kernels if k.order is Order.VALUE)
     published = PUBLISHED.get(identify(written), {})
     return Report(
-        written.name, formulations, setups, folded, costs, values, reductions, ways, verification, evidence, published
+        written.name,
+        formulations,
+        setups,
+        folded,
+        costs,
+        values,
+        reductions,
+        ways,
+        verification,
+        evidence,
+        published,
+        assembly.describe(written),
     )
 
 
@@ -150,6 +166,8 @@ def identify(tree: Tree) -> str:
         if b.joint.armature != 0:
             numbers += read(b.joint.armature)
         told.append((b.parent, b.joint.motion.value, b.joint.axis, str(b.joint.law), numbers))
+    if tree.is_constrained:
+        told.append((tree.loops, tree.constraints, tree.driven))
     if tree.couplings:
         told.append([(x.follower, x.leader, *read(x.ratio, x.offset)) for x in tree.couplings])
     return hashlib.sha256(repr((read(*tree.gravity), told, len(tree.wrenches))).encode()).hexdigest()[:16]
@@ -247,6 +265,28 @@ def note_of_verification(report: Report) -> str:
     )
 
 
+def notes_of_loops(report: Report) -> list[str]:
+    """Return sentences on the degrees of freedom, the redundant equations and the assemblies; none without loops."""
+    found = report.loops
+    if found is None:
+        return []
+    equations = f"{found.kept} independent equation{'' if found.kept == 1 else 's'}"
+    count = f"{found.freedoms} degree{'' if found.freedoms == 1 else 's'}"
+    notes = [f"{found.coordinates} coordinates and {equations} leave {count} of freedom."]
+    if found.redundant:
+        notes.append(f"These equations follow from the others: {', '.join(f'`{x}`' for x in found.redundant)}.")
+    by = "as the model says" if found.is_chosen else "since they determine the others best; joints with inputs first"
+    names = ", ".join(f"`{x}`" for x in found.independent)
+    notes.append(
+        f"Independent are {names}, {by}. The least singular value of the dependent columns of J is "
+        f"{found.regularity:.2g} of the largest one of J."
+    )
+    for k, pose in enumerate(found.assemblies):
+        told = ", ".join(f"{x:.6g}" for x in pose)
+        notes.append(f"{'Closed at' if k == 0 else 'With the same independent coordinates, also at'} q = ({told}).")
+    return notes
+
+
 def _bound(deviation: float) -> float:
     """Round up to a power of ten."""
     return float(f"1e{ceil(log10(deviation))}") if deviation else 0.0
@@ -269,6 +309,14 @@ def write_json(report: Report) -> str:
         "deviations": {name: _bound(x) for name, x in checked.deviations.items()},
         "unchecked": list(checked.unchecked),
     }
+    if report.loops is not None:
+        data["loops"] = {
+            "freedoms": report.loops.freedoms,
+            "redundant": list(report.loops.redundant),
+            "independent": list(report.loops.independent),
+            "regularity": report.loops.regularity,
+            "assemblies": [list(pose) for pose in report.loops.assemblies],
+        }
     if report.evidence is not None:
         data["scene"] = {"flops": dict(report.evidence.flops), "deviations": dict(report.evidence.deviations)}
         if (approximation := report.evidence.approximation) is not None:
@@ -296,6 +344,8 @@ def write_markdown(report: Report) -> str:
     for section in sections(report):
         lines += ["", f"## {section.title}", "", _line(("", *COLUMNS)), _line(["---", *["---:"] * len(COLUMNS)])]
         lines += [_line((f"`{name}`", *map(str, cost.row))) for costs in section.groups for name, cost in costs.items()]
+    if notes := notes_of_loops(report):
+        lines += ["", f"## {LOOPS}", "", *(f"- {note}" for note in notes)]
     names = tuple(report.formulations)
     if rows := comparisons(report):
         lines += ["", f"## {COMPARISON}", "", _line(("", *names)), _line(["---", *["---:"] * len(names)])]

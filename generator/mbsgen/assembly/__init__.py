@@ -3,5 +3,6 @@
 from __future__ import annotations
 
 from mbsgen.assembly.assemble import AssemblyError, assemble
+from mbsgen.assembly.findings import Findings, describe
 
-__all__ = ["AssemblyError", "assemble"]
+__all__ = ["AssemblyError", "Findings", "assemble", "describe"]

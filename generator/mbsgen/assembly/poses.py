@@ -58,12 +58,15 @@ def find_pose(mechanism: Mechanism, rough: Array) -> Attempt:
     return best
 
 
-def close(mechanism: Mechanism, start: Array, kept: Sequence[int] | None = None) -> Attempt:
-    """Close all loops, or solve the kept equations alone, by steps of least length."""
+def close(
+    mechanism: Mechanism, start: Array, kept: Sequence[int] | None = None, *, held: Sequence[int] = ()
+) -> Attempt:
+    """Close all loops, or solve the kept equations alone, by steps of least length; held coordinates stay."""
     q = _normalise(mechanism, start)
     own = list(range(len(mechanism.equations))) if kept is None else list(kept)
     for _ in range(STEPS):
         h, H = mechanism.h(q)[own], mechanism.slopes(q)[own]
+        H[:, list(held)] = 0.0
         if not (np.isfinite(h).all() and np.isfinite(H).all()):
             break
         step = -np.linalg.lstsq(H, h, rcond=RANK)[0] if h.size else np.zeros(q.size)

@@ -15,21 +15,25 @@ two frames, and the axes x, y, z of the last body that carries both, its equatio
     solid          a hinge's, y1.x2
 
 (Wittenburg, 2008, 5.2; Shabana, 2013, 3.) All vectors are in the frame of that last body, so joints before it do not
-appear. An equation of coordinates is an entry of h itself. Time derivatives are directional
-derivatives of the tape of h, so they hold for quaternions too.
+appear. Joints with parallel axes turn by the sum of their angles: a planar loop is a sum of vectors, each turned once.
+An equation of coordinates is an entry of h itself. Time derivatives are directional derivatives of the tape of h, so
+they hold for quaternions too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
-from mbsgen.algebra.vectors import Vector
+from mbsgen.algebra.rotations import axis_rotation
+from mbsgen.algebra.vectors import Matrix, Vector
 from mbsgen.formulations import ports, rates
 from mbsgen.formulations.links import Chain, declare_state, write_chain
+from mbsgen.formulations.parsimony.segments import Segment, align
 from mbsgen.model.tree import Constraint, Cut, Loop, LoopFrame, Tree, coordinate_symbol
 from mbsgen.roles import Role
 from mbsgen.tape import forward, reverse
 from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.counts import count
 from mbsgen.tape.lowering import lower
 from mbsgen.tape.passes import drop_unused_inputs
 from mbsgen.tape.ports import Port, adjoint_port, derivative_port, seed_port
@@ -143,7 +147,8 @@ def build_jacobian(tree: Tree) -> Tape:
 
 def _write_jacobian(tree: Tree) -> Tape:
     """Write J from hd, which is linear in qd: its derivative by qd depends on q alone."""
-    return drop_unused_inputs(forward.jacobian(build_rates(tree), [ports.VELOCITIES.name]))
+    tape, by = build_rates(tree), [ports.VELOCITIES.name]
+    return drop_unused_inputs(min(forward.jacobian(tape, by), reverse.jacobian(tape, by), key=lambda t: count(t).paper))
 
 
 def write_forces(tree: Tree) -> Tape:
@@ -284,36 +289,71 @@ def _join(first: _End, second: _End) -> Iterator[Scalar]:
 class _End:
     """One end of a loop in the frame of the last body that carries both; axes are carried there when asked for."""
 
-    def __init__(self, chain: Chain, end: LoopFrame, path: Sequence[int]) -> None:
-        self._chain, self._path, self._own = chain, path, chain.matrix(end.axes)
-        place = chain.vector(end.position)
-        for number in path:
-            link = chain.links[number - 1]
-            place = link.dpt + link.R.apply(place)
-        self.place = place
+    def __init__(self, chain: Chain, end: LoopFrame, path: Sequence[Segment], carrier: Matrix[Scalar] | None) -> None:
+        self._chain, self._path, self._carrier = chain, path, carrier
+        own = path[0].frame if path else carrier
+        axes, place = chain.matrix(end.axes), chain.vector(end.position)
+        self._axes = own.times(axes) if own else axes
+        self.place = self._carry(own.apply(place) if own else place, is_point=True)
 
     @staticmethod
     def make(chain: Chain, loop: Loop) -> tuple[_End, _End]:
         """Carry both ends of a loop to the last body that carries both."""
-        one, other = (_climb(chain, end.body) for end in (loop.first, loop.second))
-        while one and other and one[-1] == other[-1]:
-            one.pop(), other.pop()
-        return _End(chain, loop.first, one), _End(chain, loop.second, other)
+        segments = align(chain)
+        one, other = (_climb(segments, end.body) for end in (loop.first, loop.second))
+        carrier = None
+        while one and other and one[-1] is other[-1]:
+            carrier = one.pop().frame
+            other.pop()
+        return _End(chain, loop.first, one, carrier), _End(chain, loop.second, other, carrier)
 
     def axis(self, k: int) -> Vector[Scalar]:
         """Return an axis of the frame."""
-        axis = self._own.column(k)
-        for number in self._path:
-            axis = self._chain.links[number - 1].R.apply(axis)
-        return axis
+        return self._carry(self._axes.column(k), is_point=False)
+
+    def _carry(self, v: Vector[Scalar], *, is_point: bool) -> Vector[Scalar]:
+        """Carry a point or a direction from the body of the end to the carrier, a group of parallel axes at a time."""
+        still, path = self._chain.still, list(self._path)
+        while path:
+            group = [path.pop(0)]
+            while path and not group[-1].opens_group:
+                group.append(path.pop(0))
+            angles = self._add_angles(group)
+            total = still
+            for segment, angle in zip(group, angles, strict=True):
+                slide = still if angle else still.along(segment.axis, self._coordinate(segment))
+                own = v + slide if is_point else v
+                total = total + (_turn(segment.axis, angle, own) if angle else own)
+                v = segment.d if is_point else still
+            first = group[-1]
+            v = first.turn.apply(total) + v if first.turn else total + v
+        return self._carrier.transposed.apply(v) if self._carrier else v
+
+    def _add_angles(self, group: Sequence[Segment]) -> list[Scalar | None]:
+        """Return the angle of each segment of a group from where its first joint is carried; None of a slide."""
+        angles: list[Scalar | None] = []
+        total: Scalar | None = None
+        for segment in reversed(group):
+            own = self._coordinate(segment)
+            total = None if not segment.is_revolute else own if total is None else total + own
+            angles.insert(0, total)
+        return angles
+
+    def _coordinate(self, segment: Segment) -> Scalar:
+        return segment.signed(self._chain.state.q[segment.number - 1])
 
 
-def _climb(chain: Chain, body: int) -> list[int]:
+def _turn(axis: int, angle: Scalar, v: Vector[Scalar]) -> Vector[Scalar]:
+    b = angle.builder
+    return axis_rotation(axis, b.sin(angle), b.cos(angle), b.zero, b.number(1.0)).apply(v)
+
+
+def _climb(segments: Sequence[Segment], body: int) -> list[Segment]:
     """List a body and all that carry it, up to the base."""
     path = []
     while body:
-        path.append(body)
-        body = chain.links[body - 1].parent
+        path.append(segments[body - 1])
+        body = path[-1].parent
     return path
 
 

@@ -86,7 +86,7 @@ def _soften(character: str) -> str:
 
 def name_loops(tree: Tree) -> tuple[str, ...]:
     """Name loops, then constraints."""
-    return tuple(x.name for x in (*tree.loops, *tree.constraints))
+    return (*(loop.name for loop in tree.loops), *(constraint.name for constraint in tree.constraints))
 
 
 def name_equations(tree: Tree) -> tuple[str, ...]:

@@ -51,6 +51,7 @@ class Segment:
     d: Vector[Scalar]  # its origin, at q = 0, from the parent's
     moments: Moments
     wrenches: tuple[AppliedWrench, ...]
+    frame: Matrix[Scalar]  # columns: the axes of the body of the Tree
     floats: bool = False  # a quaternion sets turn and d: no inertia that they move belongs to the parent
 
     @property
@@ -87,7 +88,7 @@ def align(chain: Chain, *, group: bool = True) -> tuple[Segment, ...]:
         wrenches = _wrenches(chain, number, turned[number])
         counts = not continues or not chain.armatures[number - 1].is_zero
         place = (number, body.parent, is_revolute, axis, sense, turn, not continues, counts)
-        segments.append(Segment(*place, d, moments, wrenches, floats))
+        segments.append(Segment(*place, d, moments, wrenches, turned[number], floats))
     return tuple(segments)
 
 
