@@ -84,7 +84,7 @@ MBSRUN = Package(
         "ocp.program ocp.formulas ocp.integrators ocp.representations ocp.closure quaternions quantities animation "
         "jets",
         "simulation ocp.problem ocp.elimination ocp.layout",
-        "ocp.quantities",
+        "ocp.conditions ocp.quantities",
         "ocp.backends ocp.structure",
         "ocp.closing",
         "ocp.methods ocp.writing",

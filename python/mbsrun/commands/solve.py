@@ -26,12 +26,13 @@ from mbsrun.commands.console import (
 )
 from mbsrun.external import Mechanism, OnDemand, load_on_demand
 from mbsrun.ocp.checks import MAX_STEPS
+from mbsrun.ocp.closure import CLOSED
 from mbsrun.ocp.integrators import INTEGRATORS
 from mbsrun.ocp.methods import METHODS as SOLVERS
 from mbsrun.ocp.multistart import Wish, describe_starts, solve_from_many
 from mbsrun.ocp.pictures import animate, draw_mechanism, plot_starts, plot_trajectories
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Form, Inputs, Problem, Representation, cylindrical
+from mbsrun.ocp.problem import Form, Inputs, Loops, Problem, Representation, cylindrical
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.solution import Failure, Resimulation, Solution, Starts, read_guess, write_solution
 from mbsrun.ocp.solve import Progress, solve
@@ -120,6 +121,11 @@ Exit codes
     type=click.Choice([form.value for form in Form]),
     help="The variables of the motion within an interval; shooting has none. By default as the problem says.",
 )
+@click.option(
+    "--loops",
+    type=click.Choice([loops.value for loops in Loops]),
+    help="How closed loops become variables; by default as the problem says, or reduced where the guess permits it.",
+)
 @click.option("--integrator", type=NameType(INTEGRATORS), help="Of shooting: the method of the scheme, or another.")
 @click.option("--steps", type=click.IntRange(1, MAX_STEPS), help="Of the integrator in an interval; by default 1.")
 @click.option("--solver", type=NameType(SOLVERS), help="The NLP method; by default ipopt.")
@@ -201,6 +207,7 @@ def _choose(
     problem: Problem,
     representation: str | None,
     form: str | None,
+    loops: str | None,
     integrator: str | None,
     steps: int | None,
     solver: str | None,
@@ -215,6 +222,8 @@ def _choose(
         problem = replace(problem, representation=Representation(representation))
     if form is not None and Form(form) is not problem.form:
         problem = replace(problem, form=Form(form), integrator=Problem.integrator, steps=Problem.steps)
+    if loops is not None:
+        problem = replace(problem, loops=Loops(loops))
     problem = replace(problem, integrator=integrator or problem.integrator, steps=steps or problem.steps)
     if guess_inputs is not None:
         problem = replace(problem, guess=replace(problem.guess, inputs=guess_inputs))
@@ -313,11 +322,30 @@ def _print_summary(solution: Solution) -> None:
         **{f"  {name} ": f"{value:.10g}" for name, value in cost.terms if value != 0},
         "violation": f"{violation.constraints:.1e} of constraints, {violation.bounds:.1e} of bounds"
         + ("" if violation.lengths is None else f", {violation.lengths:.1e} of quaternions' lengths"),
+        **_describe_loops(solution),
         "defect": f"{_number(check.defect, check)} in an interval, at most; {solution.problem.accuracy:.1e} asked for",
         "open loop": f"{_number(check.open_loop_error, check)} off at the end, under the inputs alone",
     }
     for name, value in rows.items():
         click.echo(f"{name:<14}{value}")
+
+
+LOOPS = {
+    Loops.REDUCED: "reduced: the independent coordinates are states",
+    Loops.MULTIPLIERS: "with multipliers: all coordinates are states",
+}
+
+
+def _describe_loops(solution: Solution) -> dict[str, str]:
+    """Describe how closed loops became variables, and how well they are closed."""
+    loops, check, violation = solution.problem.loops, solution.resimulation, solution.violation
+    if loops is None or check is None:
+        return {}
+    return {
+        "loops": LOOPS[loops],
+        "closure": f"{violation.closure:.1e} at all points, {violation.closure_rate:.1e} per s; "
+        f"{_number(check.closure, check)} along the re-simulated motion",
+    }
 
 
 def _list_shortcomings(solution: Solution) -> list[str]:
@@ -328,6 +356,11 @@ def _list_shortcomings(solution: Solution) -> list[str]:
     if check is not None and check.unfinished:
         found.append(
             f"the re-simulation did not finish, {check.unfinished}, so the accuracy is unknown; "
+            "take a shorter horizon, or check a part of it"
+        )
+    elif check is not None and (check.closure or 0.0) > CLOSED:
+        found.append(
+            f"along the re-simulated motion the loops open by {check.closure:.1e}, more than {CLOSED:.0e}; "
             "take a shorter horizon, or check a part of it"
         )
     elif check is not None and not check.is_accurate:

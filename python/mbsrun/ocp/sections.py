@@ -19,6 +19,7 @@ from mbsrun.ocp.integrators import INTEGRATORS
 from mbsrun.ocp.methods import METHODS
 from mbsrun.ocp.problem import (
     Form,
+    Loops,
     Problem,
     Representation,
     SolverOptions,
@@ -201,6 +202,7 @@ class ProblemSection(Section):
     scheme: Family = Field(examples=["radau"])
     degree: int = Field(ge=DEGREES[0], le=DEGREES[-1], examples=[4])
     representation: Representation = Field(default=Problem.representation, examples=["IMPL"])
+    loops: Loops | None = Field(default=Problem.loops, examples=["reduced"])
     form: Form = Field(default=Problem.form, examples=["standard"])
     integrator: Annotated[str, AfterValidator(_check_integrator)] = Field(default=Problem.integrator, examples=["rk4"])
     steps: int = Field(default=Problem.steps, ge=1, le=MAX_STEPS, examples=[1])

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from mbsgen.manifest import Manifest
 from mbsrun.ocp import methods, schemes
 from mbsrun.ocp.backends.prepared import Prepared
-from mbsrun.ocp.checks import check_problem, find_loop_conflicts
+from mbsrun.ocp.checks import ProblemError, check_problem, find_loop_conflicts
 from mbsrun.ocp.closure import Closure, find_closure
+from mbsrun.ocp.conditions import find_open_states
 from mbsrun.ocp.guess import Pose, adapt, make_guess
 from mbsrun.ocp.methods import METHODS, Iterate, Order, Start
 from mbsrun.ocp.plant import Plant
@@ -53,6 +54,7 @@ class Solver:
     def __init__(self, problem: Problem, plant: Plant) -> None:
         """Transcribe a problem. Raises ProblemError with every fault of it."""
         check_problem(problem, plant.manifest)
+        _check_states(problem, plant)
         self.plant = plant
         self._loops = settle(problem, plant).loops
         self.transcription = transcribe(replace(problem, loops=self._loops), plant)
@@ -67,6 +69,7 @@ class Solver:
         """
         problem = replace(problem, loops=problem.loops or self._loops)
         check_problem(problem, self.plant.manifest)
+        _check_states(problem, self.plant)
         if structure(problem) != self.transcription.structure:
             raise ValueError(f"{problem.name} differs in structure from the transcribed problem; make a Solver for it")
         crossed = self._find_crossed_bounds(problem)
@@ -173,12 +176,20 @@ def solve(
     Where no pose meets the targets, it fails at once. Raises ProblemError with every fault of the problem.
     """
     check_problem(problem, plant.manifest)
+    _check_states(problem, plant)
     scheme = schemes.build(problem.family, problem.degree)
     start = make_guess(problem, plant, scheme) if guess is None else adapt(guess, problem, scheme)
     if isinstance(start, Pose):
         return _tell_unreachable(problem, start)
     problem = settle(problem, plant, start)
     return Solver(problem, plant).solve(problem, start, watch)
+
+
+def _check_states(problem: Problem, plant: Plant) -> None:
+    """Raise ProblemError for a start or an end that closed loops contradict."""
+    closure = find_closure(plant)
+    if closure is not None and (findings := list(find_open_states(problem, closure))):
+        raise ProblemError(problem.name, findings)
 
 
 def _tell_unreachable(problem: Problem, pose: Pose) -> Failure:

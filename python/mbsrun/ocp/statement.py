@@ -9,8 +9,8 @@ Terms of the cost and constraints are expressions of the motion, and are kept as
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -29,8 +29,9 @@ from mbsgen.documents import (
 )
 from mbsgen.errors import Fault, InputError
 from mbsgen.expressions import FLOATS, Expression, ExpressionError, evaluate, is_free_name, names, parse
-from mbsgen.manifest import Manifest
-from mbsrun.ocp.checks import LEAST_TOLERANCE, list_open_inputs
+from mbsrun.ocp.checks import LEAST_TOLERANCE, find_loop_conflicts, list_open_inputs
+from mbsrun.ocp.closure import Closure, find_closure
+from mbsrun.ocp.conditions import Completion, complete_pose, complete_velocities
 from mbsrun.ocp.methods import METHODS, Amount
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import (
@@ -59,6 +60,7 @@ from mbsrun.ocp.sections import (
     PositionSection,
     ProblemSection,
     SolverSection,
+    StartSection,
     TermSection,
 )
 from mbsrun.quaternions import (
@@ -69,6 +71,8 @@ from mbsrun.quaternions import (
     neutral,
     normalise,
 )
+
+ROUNDED = 1e-9  # of a start that loops complete, beyond its bounds
 
 SomePlant = TypeVar("SomePlant", bound=Plant)
 
@@ -85,7 +89,7 @@ def read_problem(path: Path, load: Callable[[Path], SomePlant]) -> tuple[Problem
         plant = load(path.parent / section.model)
     except InputError as error:
         raise refuse([*faults, *error.faults]) from None
-    reading = _Reading(document, plant.manifest, examination.stand_ins)
+    reading = _Reading(document, plant, examination.stand_ins)
     problem = reading.problem(path.name.removesuffix(".yaml").removesuffix(".ocp"), section)
     if faults or reading.faults:
         raise refuse([*faults, *reading.faults])
@@ -95,8 +99,10 @@ def read_problem(path: Path, load: Callable[[Path], SomePlant]) -> tuple[Problem
 class _Reading:
     """Evaluates numbers and looks names up in a model; collects the faults."""
 
-    def __init__(self, document: Document, manifest: Manifest, stand_ins: frozenset[Place]) -> None:
+    def __init__(self, document: Document, plant: Plant, stand_ins: frozenset[Place]) -> None:
         self.document = document
+        manifest = plant.manifest
+        self.closure = None if manifest.quaternions else find_closure(plant)
         self.stand_ins = stand_ins
         self.faults: list[Fault] = []
         self.constants: dict[str, float] = {}
@@ -131,9 +137,14 @@ class _Reading:
             self.fault(("model",), left, "give the external wrenches in the model: here they have no value")
         bounds = self.bounds(section.bounds)
         horizon, horizon_range = self.horizon(section.horizon)
-        start_q, free_q = self.start("pose", section.start.pose, self.coordinates, bounds.q)
-        start_qd, free_qd = self.start("velocity", section.start.velocity, self.velocities, bounds.qd)
+        if self.closure is None:
+            start_q, free_q = self.start("pose", section.start.pose, self.coordinates, bounds.q)
+            start_qd, free_qd = self.start("velocity", section.start.velocity, self.velocities, bounds.qd)
+        else:
+            start_q, free_q, start_qd, free_qd = self.closed_start(self.closure, section.start, bounds)
         cost, end = self.cost(section.cost), self.end(section.end, bounds)
+        if self.closure is not None:
+            end = self.closed_end(self.closure, end, start_q)
         constraints = tuple(self.constraint(i, part) for i, part in enumerate(section.constraints))
         problem = Problem(
             name=name,
@@ -143,6 +154,7 @@ class _Reading:
             degree=section.degree,
             representation=section.representation,
             form=section.form,
+            loops=section.loops,
             integrator=section.integrator,
             steps=section.steps,
             cost=cost,
@@ -158,7 +170,7 @@ class _Reading:
             accuracy=self.number(("accuracy",), section.accuracy, least=math.ulp(0)),
             solver=self.solver(section.solver),
         )
-        for conflict in find_conflicts(problem):
+        for conflict in (*find_conflicts(problem), *find_loop_conflicts(problem, self.manifest)):
             self.fault((conflict.key,), conflict.finding, conflict.remedy)
         return problem
 
@@ -240,6 +252,74 @@ class _Reading:
             if value < lower or value > upper:
                 self.fault(inner, f"{name} = {value:g} is out of [{lower:g}, {upper:g}]", "start within the bounds")
         return tuple(values), tuple(sorted(free))
+
+    # --- closed loops ---
+
+    def closed_start(
+        self, closure: Closure, section: StartSection, bounds: Bounds
+    ) -> tuple[tuple[float, ...], tuple[int, ...], tuple[float, ...], tuple[int, ...]]:
+        """Return coordinates and velocities of the start, each with the indices of free ones; close the loops."""
+        named_q = self.named(("start", "pose"), section.pose, self.coordinates)
+        named_qd = self.named(("start", "velocity"), section.velocity, self.velocities)
+        usual = [i for i in closure.independent if i not in named_q]
+        pose = complete_pose(closure, np.array(self.manifest.pose), _list_given(named_q), usual)
+        self.check_completion(("start", "pose"), pose, self.coordinates)
+        usual = [i for i in closure.independent if i not in named_qd]
+        speeds = complete_velocities(closure, pose.values, _list_given(named_qd), usual)
+        self.check_completion(("start", "velocity"), speeds, self.velocities)
+        is_free = None in named_q.values()
+        free_q = _list_others(pose, is_free=is_free)
+        free_qd = _list_others(speeds, is_free=is_free or None in named_qd.values())
+        for key, known, values, free, limits in (
+            ("pose", self.coordinates.known, pose.values, free_q, bounds.q),
+            ("velocity", self.velocities.known, speeds.values, free_qd, bounds.qd),
+        ):
+            for i, (name, value, (lower, upper)) in enumerate(zip(known, values, limits, strict=True)):
+                if i not in free and (value < lower - ROUNDED or value > upper + ROUNDED):
+                    finding = f"{name} = {value:g} is out of [{lower:g}, {upper:g}]"
+                    self.fault(("start", key), finding, "start within the bounds")
+        return tuple(pose.values.tolist()), free_q, tuple(speeds.values.tolist()), free_qd
+
+    def named(
+        self, place: Place, given: tuple[Expression | None, ...] | dict[str, Expression | None], among: _Names
+    ) -> dict[int, float | None]:
+        """Return the values that are given, by index; None for free ones."""
+        known = among.known
+        if isinstance(given, tuple) and len(given) != len(known):
+            self.fault(place, f"found {len(given)} numbers", f"give {len(known)}: {', '.join(known)}")
+            return {}
+        found: dict[int, float | None] = {}
+        for k, (name, expression) in enumerate(
+            zip(known, given, strict=True) if isinstance(given, tuple) else given.items()
+        ):
+            inner = (*place, k if isinstance(given, tuple) else name)
+            i = self.find(inner, name, among)
+            if i is not None:
+                found[i] = None if expression is None else self.number(inner, expression)
+        return {i: value for i, value in found.items() if value is None or math.isfinite(value)}
+
+    def check_completion(self, place: Place, completion: Completion, among: _Names) -> None:
+        """Report loops that do not close, and values that they contradict."""
+        if completion.gap is not None:
+            self.fault(place, str(completion.gap), "give values that the mechanism can have, or fewer of them")
+        for stray in completion.strays:
+            finding = (
+                f"{among.known[stray.index]} = {stray.given:g}, but the loops put it at {stray.found:.9g}, "
+                f"{stray.distance:.3g} away"
+            )
+            self.fault(place, finding, "leave it out: the loops give it")
+
+    def closed_end(self, closure: Closure, end: End, start_q: Sequence[float]) -> End:
+        """Drop coordinates of the end that follow from others; refuse those that contradict them."""
+        completion = complete_pose(closure, np.array(start_q), dict(end.coordinates), ())
+        if end.coordinates:
+            self.check_completion(("end", "pose"), completion, self.coordinates)
+        for key, targets in (("velocity", end.velocities), ("acceleration", end.accelerations)):
+            given = [i for i, _ in targets]
+            for i in sorted(set(given) - set(closure.choose(np.array(self.manifest.pose), given))):
+                finding = f"{self.velocities.known[i]} follows from the others by the loops"
+                self.fault(("end", key, self.velocities.known[i]), finding, "leave it out")
+        return replace(end, coordinates=tuple((i, x) for i, x in end.coordinates if i in completion.kept))
 
     def attitudes(self, place: Place, values: Sequence[float]) -> list[float]:
         """Normalise the quaternions among coordinates."""
@@ -430,6 +510,15 @@ class _Reading:
         """Keep a fault, unless it follows from one that is kept."""
         if not lies_under(place, self.stand_ins):
             self.faults.append(self.document.fault(place, finding, remedy))
+
+
+def _list_given(named: Mapping[int, float | None]) -> dict[int, float]:
+    return {i: value for i, value in named.items() if value is not None}
+
+
+def _list_others(completion: Completion, *, is_free: bool) -> tuple[int, ...]:
+    """List the entries that are no conditions, where some are free."""
+    return tuple(i for i in range(completion.values.size) if i not in completion.kept) if is_free else ()
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,94 @@
+"""Conditions on the start and the end of a motion with closed loops: which of them are independent, and the rest.
+
+Loops relate coordinates, so a start or a target may give too much. Of the values given, in order, the first ones that
+can have any value are kept. Newton's method finds all other coordinates, and a value that differs from what it finds is
+reported with the difference. So no state has more conditions than it can meet, and conditions are independent of each
+other and of the loops.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbsrun.ocp.closure import Array, Closure, Gap
+from mbsrun.ocp.problem import Problem
+
+SAME = 1e-6  # the difference from a given value that counts as rounding [rad, m, 1/s]
+
+
+@dataclass(frozen=True)
+class Stray:
+    """A given value that the loops contradict."""
+
+    index: int
+    given: float
+    found: float
+
+    @property
+    def distance(self) -> float:
+        """Return the difference."""
+        return abs(self.given - self.found)
+
+
+@dataclass(frozen=True)
+class Completion:
+    """All coordinates, or all velocities, that belong to some given ones."""
+
+    values: Array  # (n,)
+    kept: tuple[int, ...]  # entries that are conditions; the loops give the others
+    strays: tuple[Stray, ...]
+    gap: Gap | None = None  # of loops that do not close
+
+
+def complete_pose(closure: Closure, near: Array, given: Mapping[int, float], usual: Sequence[int]) -> Completion:
+    """Complete a pose; entries of `usual` keep their values of the pose `near` where given ones leave them free."""
+    q = np.array(near, dtype=np.float64)
+    q[list(given)] = list(given.values())
+    kept = closure.choose(np.array(closure.manifest.pose), [*given, *(i for i in usual if i not in given)])
+    found = closure.close(q, kept)
+    if not closure.is_closed(found):
+        return Completion(found, tuple(kept), (), closure.find_gap(found))
+    return Completion(found, tuple(kept), _find_strays(given, found))
+
+
+def complete_velocities(closure: Closure, q: Array, given: Mapping[int, float], usual: Sequence[int]) -> Completion:
+    """Complete velocities in a closed pose; entries of `usual` are 0 where given ones leave them free."""
+    kept = closure.choose(q, [*given, *(i for i in usual if i not in given)])
+    J, values = closure.jacobian(q[None])[0], [given.get(i, 0.0) for i in kept]
+    whole = np.concatenate((J, np.eye(q.size)[kept]))
+    found = np.linalg.lstsq(whole, np.concatenate((np.zeros(len(J)), values)), rcond=None)[0]
+    return Completion(found, tuple(kept), _find_strays(given, found))
+
+
+def _find_strays(given: Mapping[int, float], found: Array) -> tuple[Stray, ...]:
+    return tuple(Stray(i, x, float(found[i])) for i, x in given.items() if abs(x - found[i]) > SAME)
+
+
+def find_open_states(problem: Problem, closure: Closure) -> Iterator[tuple[str, str, str]]:
+    """Find the part of a problem whose state the loops contradict: part, finding, remedy."""
+    q, qd, nq = np.array(problem.start_q), np.array(problem.start_qd), len(problem.start_q)
+    free = set(problem.free_start)
+    given = [i for i in range(nq) if i not in free]
+    speeds = [i for i in range(len(qd)) if nq + i not in free]
+    if len(given) == nq:
+        if not closure.is_closed(q):
+            yield "start_q", str(closure.find_gap(q)), "close it: ocp.conditions.complete_pose"
+            return
+        if len(speeds) == len(qd) and closure.measure_rates(q[None], qd[None]) > SAME:
+            gap = f"the loops open at {closure.measure_rates(q[None], qd[None]):.3g} m/s or 1/s"
+            yield "start_qd", gap, "give velocities that keep them closed: ocp.conditions.complete_velocities"
+    names = closure.manifest.positions
+    pose = np.array(closure.manifest.pose)
+    for key, chosen in (
+        ("free_start", given if len(given) < nq else []),
+        ("free_start", speeds if len(speeds) < len(qd) else []),
+        ("end.coordinates", [i for i, _ in problem.end.coordinates]),
+        ("end.velocities", [i for i, _ in problem.end.velocities]),
+        ("end.accelerations", [i for i, _ in problem.end.accelerations]),
+    ):
+        if surplus := sorted(set(chosen) - set(closure.choose(pose, chosen))):
+            named = ", ".join(names[i] for i in surplus)
+            yield key, f"{named} follows from the others by the loops", "leave it out"
