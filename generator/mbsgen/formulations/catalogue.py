@@ -28,6 +28,7 @@ from mbsgen.formulations import (
     ports,
     poses,
     rates,
+    reduced,
     semi,
     velocities,
 )
@@ -219,6 +220,26 @@ FUNCTIONS: Mapping[str, Entry] = {
         _plainly(closure.build_jacobian),
         "Jacobian of loops, and the bias of their accelerations",
         results=(ports.CLOSURE_JACOBIAN, ports.CLOSURE_BIAS),
+        needs=(LOOPS,),
+    ),
+    "impl_red": Entry(
+        reduced.build_residual,
+        "residual of the independent coordinates, recursive Newton-Euler",
+        results=(ports.REDUCED_RESIDUAL,),
+        order=2,
+        needs=(LOOPS,),
+    ),
+    "semi_red": Entry(
+        reduced.build_terms,
+        "mass matrix and bias of the independent coordinates: M ydd + c = ZT Q",
+        results=(ports.REDUCED_MASS_MATRIX, ports.REDUCED_BIAS),
+        needs=(LOOPS,),
+    ),
+    "exp1_red": Entry(
+        reduced.build_accelerations,
+        "accelerations of the independent coordinates",
+        results=(ports.INDEPENDENT_ACCELERATIONS,),
+        order=2,
         needs=(LOOPS,),
     ),
     "frames": Entry(

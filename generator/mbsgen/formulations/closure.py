@@ -131,7 +131,7 @@ def build_accelerations(tree: Tree) -> Tape:
 
 def build_jacobian(tree: Tree) -> Tape:
     """Write `loop_jacobian`: inputs q, qd [, p]; outputs J, shape (m, n), nonzeros only, and gamma, shape (m,)."""
-    jacobian, bias = _write_jacobian(tree), build_accelerations(tree)
+    jacobian, bias = write_jacobian(tree), build_accelerations(tree)
     builder = Builder()
     kept = (i for i in bias.inputs if not _is_acceleration(i.port))
     given = {i.name: builder.input(i.port, i.sparsity) for i in kept}
@@ -145,7 +145,7 @@ def build_jacobian(tree: Tree) -> Tape:
     return builder.build("loop_jacobian")
 
 
-def _write_jacobian(tree: Tree) -> Tape:
+def write_jacobian(tree: Tree) -> Tape:
     """Write J from hd, which is linear in qd: its derivative by qd depends on q alone."""
     tape, by = build_rates(tree), [ports.VELOCITIES.name]
     return drop_unused_inputs(min(forward.jacobian(tape, by), reverse.jacobian(tape, by), key=lambda t: count(t).paper))
@@ -358,8 +358,8 @@ def _climb(segments: Sequence[Segment], body: int) -> list[Segment]:
 
 
 def jacobian_entries(tape: Tape, values: Sequence[Scalar]) -> dict[tuple[int, int], Scalar]:
-    """Return the entries of J by row and column, from the values of a replayed `loop_jacobian`."""
-    found = tape.output(ports.CLOSURE_JACOBIAN.name)
+    """Return the entries of J by row and column, from the values of a replayed tape that gives J first."""
+    found = tape.outputs[0]
     return {place: values[v] for place, v in zip(found.sparsity.entries, found.values, strict=True)}
 
 

@@ -48,7 +48,7 @@ def write(build: Build, coupled: Build | None, tree: Tree, reductions: Reduction
 def couple(tape: Tape, tree: Tree) -> Tape:
     """Write a tape of the uncoupled tree for the coupled one: results mapped by G, guards by joint."""
     builder = Builder()
-    map, given = _Map.take(tree, builder, tape.inputs)
+    map, given = Map.take(tree, builder, tape.inputs)
     values = replay(tape, builder, given)
     for o in tape.outputs:
         found = {place: values[v] for place, v in zip(o.sparsity.entries, o.values, strict=True)}
@@ -67,7 +67,7 @@ def couple(tape: Tape, tree: Tree) -> Tape:
 
 
 @dataclass(frozen=True)
-class _Map:
+class Map:
     """G and g, by the entries of q and of qd: the entry that each follows, its ratio and its offset."""
 
     builder: Builder
@@ -76,19 +76,19 @@ class _Map:
     offsets: Mapping[int, Scalar]
 
     @staticmethod
-    def take(tree: Tree, builder: Builder, inputs: Sequence[Input]) -> tuple[_Map, dict[str, list[Scalar]]]:
+    def take(tree: Tree, builder: Builder, inputs: Sequence[Input]) -> tuple[Map, dict[str, list[Scalar]]]:
         """Declare the inputs of the coupled tree; return the map, and these inputs for the uncoupled tree."""
         if all(number.is_number for x in tree.couplings for number in (x.ratio, x.offset)):
-            map = _Map.of(tree, builder, {})
+            map = Map.of(tree, builder, {})
             return map, {i.name: map.expand(i.port, map.declare(i)) for i in inputs}
-        unknown = _Map.of(tree, builder, None)  # declares inputs, and expands none
+        unknown = Map.of(tree, builder, None)  # declares inputs, and expands none
         declared = {i.port: unknown.declare(i) for i in inputs}
         p, theta = (declared.get(port, []) for port in (ports.PARAMETERS, ports.DESIGN))
-        map = _Map.of(tree, builder, assign_symbols(tree, builder, p, theta))
+        map = Map.of(tree, builder, assign_symbols(tree, builder, p, theta))
         return map, {port.name: map.expand(port, given) for port, given in declared.items()}
 
     @staticmethod
-    def of(tree: Tree, builder: Builder, symbols: Mapping[Expr, Scalar] | None) -> _Map:
+    def of(tree: Tree, builder: Builder, symbols: Mapping[Expr, Scalar] | None) -> Map:
         """Make the map for values of the parameters; without any, it has the shapes alone."""
 
         def write(number: Expr) -> Scalar:
@@ -107,7 +107,7 @@ class _Map:
             )
             ratios[axis] = {n: write(by_body[i].ratio) for n, i in enumerate(numbers) if i in by_body}
         offsets = {n: write(by_body[i].offset) for n, i in enumerate(bodies[Axis.COORDINATES]) if i in by_body}
-        return _Map(builder, targets, ratios, offsets)
+        return Map(builder, targets, ratios, offsets)
 
     def joint(self, number: int) -> int:
         """Number the joint, from 1, that a joint of the uncoupled tree is or follows."""
@@ -182,7 +182,7 @@ class _Coupled:
 
     tree: Tree
     reductions: Reductions
-    map: _Map
+    map: Map
     given: Mapping[str, Sequence[Scalar]]  # of the uncoupled tree
     drive: Mapping[str, Block]  # joint forces Q, the numbers of wrenches and gravity, the largest inertias
     firm: frozenset[int]  # the joints of the uncoupled tree whose own bodies have inertia about their axes
@@ -190,7 +190,7 @@ class _Coupled:
     @staticmethod
     def declare(tree: Tree, reductions: Reductions) -> _Coupled:
         drive, firm = _write_drive(tree.uncoupled)
-        map, given = _Map.take(tree, Builder(), drive.inputs)
+        map, given = Map.take(tree, Builder(), drive.inputs)
         return _Coupled(tree, reductions, map, given, _results(drive, map.builder, given), firm)
 
     @property
@@ -322,7 +322,7 @@ def write_condition(tree: Tree, reductions: Reductions) -> Tape:
     """
     builder = Builder()
     plain = condition.build(tree.uncoupled, reductions)
-    map, given = _Map.take(tree, builder, plain.inputs)
+    map, given = Map.take(tree, builder, plain.inputs)
     lost = _results(plain, builder, given)["articulated"]
     inertia = keep_results(semi.build(replace(tree.uncoupled, wrenches=()), reductions), {ports.MASS_MATRIX.name})
     unread = {i.name: [builder.zero] * i.sparsity.nnz for i in inertia.inputs}
@@ -345,7 +345,7 @@ def write_condition(tree: Tree, reductions: Reductions) -> Tape:
     return builder.build(plain.function)
 
 
-def _measure_couplings(tree: Tree, map: _Map, whole: Factors) -> Scalar:
+def _measure_couplings(tree: Tree, map: Map, whole: Factors) -> Scalar:
     """Return the sum over couplings of A_kk (A^-1)_kk, with A = J M^-1 JT; 1 for a single coupling."""
     rows = map.list_rows(tree)
     B = [whole.solve({i + 1: value for i, value in row.items()}) for row in rows]

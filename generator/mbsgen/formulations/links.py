@@ -241,11 +241,11 @@ def declare_state(
     theta, p = declare(ports.DESIGN, Kind.DIFFERENTIATED), declare(ports.PARAMETERS, Kind.RUNTIME)
     if not tree.quaternions:
         return State(given, qd, qdd, u, w, theta, p, a)
-    q, frames = _share_out(tree, builder, given)
+    q, frames = share_out(tree, builder, given)
     return State(q, qd, qdd, u, w, theta, p, a, frames)
 
 
-def _share_out(tree: Tree, builder: Builder, given: Sequence[Scalar]) -> tuple[list[Scalar], dict[int, Frame]]:
+def share_out(tree: Tree, builder: Builder, given: Sequence[Scalar]) -> tuple[list[Scalar], dict[int, Frame]]:
     """Assign each joint its coordinate, and each quaternion its frame."""
     entries, zero = iter(given), builder.zero
     inside = {i: x for x in tree.quaternions for i in x.bodies}
