@@ -14,9 +14,11 @@ from functools import cached_property
 from typing import Generic, TypeVar
 
 from mbsgen.derivatives import implicit, kernels, recursion
+from mbsgen.derivatives.implicit import Constraints
 from mbsgen.derivatives.kernels import Derivatives, differentiable
 from mbsgen.derivatives.vanishing import drop_vanishing, find_patterns, narrow
 from mbsgen.formulations import catalogue, coupling
+from mbsgen.formulations.multipliers import list_statuses
 from mbsgen.formulations.planning import finish
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Kind, Tree
@@ -45,16 +47,33 @@ class Dynamics:
         is_compared = len(tree.bodies) <= size.compared or _is_strange(tree)
         self._choice = _Choice(reductions, is_compared=is_compared, staged=staged and not is_compared, size=size)
         self._residual = _OfResidual(tree, reductions, self._choice)
+        self._tree, self._reductions = tree, reductions
 
     def differentiate(self, tape: Tape, before: Sequence[Derivatives] = ()) -> Derivatives:
         """Differentiate a form of the equations of motion by all its inputs but parameters.
 
         `before` holds the derivatives of other forms: what they share is not written again.
         """
-        if tape.giving(Role.ACCELERATION):
+        if any(o.port in implicit.UNKNOWNS for o in tape.outputs):
             first = next((found for found in before if isinstance(found, _OfAccelerations)), None)
-            return _OfAccelerations(tape, self._residual, self._choice, first)
+            return _OfAccelerations(tape, self._residual, self._choice, first, self._restrain(tape))
         return self._residual if tape.function == self._residual.tape.function else _Renamed(tape, self._residual)
+
+    def _restrain(self, tape: Tape) -> Constraints | None:
+        """Return the equations that a form of the accelerations keeps besides the residual's."""
+        tree = self._tree
+        if not tree.is_constrained:
+            return None
+        unrestrained = coupling.write_unrestrained(tape.function.base, tree, self._reductions)
+        return Constraints(self._closure, len(tree.driven), list_statuses(tree), unrestrained)
+
+    @cached_property
+    def _closure(self) -> Derivatives | None:
+        """Return the derivatives of the accelerations at which loops open."""
+        if not (self._tree.loops or self._tree.constraints):
+            return None
+        tape = catalogue.FUNCTIONS["loop_accelerations"].build(self._tree, self._reductions)
+        return kernels.differentiate(tape, differentiable(tape))
 
 
 def _is_strange(tree: Tree) -> bool:
@@ -229,12 +248,22 @@ class _Renamed(Derivatives):
 
 
 class _OfAccelerations(_Chosen):
-    """The derivatives of one form of the accelerations; `first` is the form that they were written for before."""
+    """The derivatives of one form of the accelerations; `first` is the form that they were written for before.
 
-    def __init__(self, tape: Tape, residual: Derivatives, choice: _Choice, first: _OfAccelerations | None) -> None:
+    With loops or driven joints, they are written for each form, and not in stages.
+    """
+
+    def __init__(
+        self,
+        tape: Tape,
+        residual: Derivatives,
+        choice: _Choice,
+        first: _OfAccelerations | None,
+        constraints: Constraints | None,
+    ) -> None:
         super().__init__(tape, differentiable(tape))
-        self._residual, self._choice = residual, choice
-        self._first = None if choice.is_compared else first
+        self._residual, self._choice, self._constraints = residual, choice, constraints
+        self._first = None if choice.is_compared or constraints else first
 
     def _take(self, written: Tape) -> Tape | None:
         """Return the first form's derivative, with the guards of this form; None where these guards are too weak.
@@ -260,7 +289,7 @@ class _OfAccelerations(_Chosen):
             return _without_choice("implicit", _leave_values_out(straight(self.lin)))
         return self._choice.among(
             function,
-            {"implicit": lambda: implicit.jacobian(self.tape, self._residual, self.wrt)},
+            {"implicit": lambda: implicit.jacobian(self.tape, self._residual, self.wrt, self._constraints)},
             {"tape": lambda: kernels.jacobian(self.tape, self.wrt)},
         )
 
@@ -273,13 +302,15 @@ class _OfAccelerations(_Chosen):
             return _without_choice("implicit", taken)
         return self._choice.among(
             function,
-            {"implicit": lambda: implicit.linearisation(self.tape, self._residual, self.wrt)},
+            {"implicit": lambda: implicit.linearisation(self.tape, self._residual, self.wrt, self._constraints)},
             {"tape": lambda: kernels.linearise(self.tape, straight(self.jac))},
         )
 
     @cached_property
     def staged(self) -> Mapping[str, Procedure]:
         """Write large derivatives once more, in stages."""
+        if self._constraints:
+            return {}
         limit = self._choice.size.straight
         large = [x for x in (self.jac, self.lin) if isinstance(x, Tape) and len(x.operations) > limit]
         return {x.name: self._write_staged(x.function, {o.name: o.sparsity for o in x.outputs}) for x in large}
@@ -296,7 +327,7 @@ class _OfAccelerations(_Chosen):
     @cached_property
     def _is_surely_long(self) -> bool:
         """Return whether the straight code, before it is written, would only be looked at for its patterns."""
-        if not self._choice.staged:
+        if not self._choice.staged or self._constraints:
             return False
         nothing = {name: Sparsity.of(x.rows, x.cols, ()) for name, x in self._blocks.items()}
         return count_stages(narrow(self._columns, nothing)).paper > self._choice.size.certain
@@ -329,7 +360,7 @@ class _OfAccelerations(_Chosen):
             return _without_choice("implicit", taken)
         return self._choice.among(
             self.tape.function.to(Order.ADJOINT),
-            {"implicit": lambda: implicit.adjoint(self.tape, self._residual, self.wrt)},
+            {"implicit": lambda: implicit.adjoint(self.tape, self._residual, self.wrt, self._constraints)},
             {"tape": lambda: reverse.adjoint(self.tape, self.wrt)},
         )
 
@@ -340,7 +371,7 @@ class _OfAccelerations(_Chosen):
         by_tape = Derivatives(self.tape, self.wrt)
         return self._choice.among(
             self.tape.function.to(Order.ADJOINT_JACOBIAN),
-            {"implicit": lambda: implicit.adjoint_jacobian(self.tape, self._residual, self.wrt)},
+            {"implicit": lambda: implicit.adjoint_jacobian(self.tape, self._residual, self.wrt, self._constraints)},
             {"tape": lambda: by_tape.jac_adj1},
         )
 

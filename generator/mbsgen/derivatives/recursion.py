@@ -14,6 +14,7 @@ from sympy import Integer
 
 from mbsgen.derivatives import kernels
 from mbsgen.formulations import impl, ports
+from mbsgen.formulations.closure import count_forces
 from mbsgen.formulations.links import State, declare_state, write_chain
 from mbsgen.formulations.parsimony.curvatures import Curvatures, curvatures
 from mbsgen.formulations.parsimony.mass_matrix import Entries
@@ -121,8 +122,8 @@ class _Writer:
     @staticmethod
     def declare(tree: Tree, reductions: Reductions) -> _Writer:
         builder = Builder()
-        state = declare_state(tree, builder)
-        return _Writer(tree, reductions, builder, state, dict(vars(state)))
+        state = declare_state(tree, builder, more=count_forces(tree))
+        return _Writer(tree, reductions, builder, state, {**vars(state), **state.more})
 
     def seed(self, port: Port, size: int) -> list[Scalar]:
         seeds = self.builder.vector(port, size)

@@ -167,6 +167,12 @@ def write_forces(tree: Tree) -> Tape:
     return builder.build("loop_forces")
 
 
+def count_forces(tree: Tree) -> dict[Port, int]:
+    """Return the sizes of lam and tau, the forces of a tree's equations and of its driven joints, where it has some."""
+    sizes = {ports.MULTIPLIERS: len(kept_equations(tree)), ports.DRIVING_FORCES: len(tree.driven)}
+    return {port: size for port, size in sizes.items() if size}
+
+
 def add_multipliers(tape: Tape, tree: Tree) -> Tape:
     """Write a residual of the tree with its constraints: Phi - Q - JT lam, less tau in the driven joints.
 
@@ -179,10 +185,7 @@ def add_multipliers(tape: Tape, tree: Tree) -> Tape:
     for i in tape.inputs:
         given[i.name] = builder.input(i.port, i.sparsity)
         if i.port == ports.ACCELERATIONS:
-            if tree.loops or tree.constraints:
-                given[ports.MULTIPLIERS.name] = builder.vector(ports.MULTIPLIERS, len(kept_equations(tree)))
-            if tree.driven:
-                given[ports.DRIVING_FORCES.name] = builder.vector(ports.DRIVING_FORCES, len(tree.driven))
+            given |= {port.name: builder.vector(port, size) for port, size in count_forces(tree).items()}
     values = replay(tape, builder, given)
     found = tape.output(ports.RESIDUAL.name)
     Phi = [values[v] for v in found.values]

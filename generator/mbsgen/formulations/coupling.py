@@ -17,8 +17,8 @@ from sympy import Expr, Symbol
 
 from mbsgen.formulations import condition, exp1, exp2, multipliers, ports, semi
 from mbsgen.formulations.links import assign_symbols, declare_state, joint_forces, write_chain
-from mbsgen.formulations.multipliers import Equations
-from mbsgen.formulations.parsimony.elimination import Column, Factors, factorise
+from mbsgen.formulations.multipliers import Bordered, Equations
+from mbsgen.formulations.parsimony.elimination import Factors, factorise
 from mbsgen.formulations.parsimony.segments import align, feels_itself, largest_inertias
 from mbsgen.formulations.planning import finish
 from mbsgen.formulations.reductions import Reductions
@@ -219,14 +219,8 @@ class _Coupled:
     def equations(self) -> Equations:
         """Return the equations of loops, constraints and driven joints, of the uncoupled tree."""
         if not self.tree.is_constrained:
-            return Equations((), (), ())
+            return Equations((), ())
         return multipliers.write_equations(self.tree.uncoupled, self.map.builder, self.given)
-
-    def renumber(self, equations: Equations) -> Equations:
-        """Number the statuses of equations in the coupled tree: its joints, then the loops."""
-        n = len(self.tree.bodies)
-        statuses = (self.map.joint(x) if x <= n else self.size + x - n for x in equations.statuses)
-        return replace(equations, statuses=tuple(statuses))
 
     def finish(self, name: str, qdd: Sequence[Scalar], found: Sequence[Scalar] = ()) -> Tape:
         """Build the tape of accelerations, and of the multipliers of a tree with constraints."""
@@ -251,23 +245,12 @@ def write_exp1(tree: Tree, reductions: Reductions) -> Tape:
             builder.guard(factors.D[i], upper[i, i], own.size * exp1.PIVOT_TOLERANCE, i)
         else:
             builder.guard(factors.D[i], scales[i], exp1.LOCKING_TOLERANCE, i)
-    if not tree.is_constrained:
-        x = factors.solve(b)
-        return own.finish("exp1", [x[i] for i in range(1, own.size + 1)])
-    free, equations = factors.descend(b), own.equations
+    equations = own.equations
     rows = [map.gather({(0, i): value for i, value in row.items()}, None, Axis.VELOCITIES) for row in equations.rows]
-    forces = [factors.descend({i + 1: value for (_, i), value in row.items()}) for row in rows]
-
-    def weigh(one: Column, other: Column) -> Scalar:
-        terms = [one[i] * factors.inverses[i] * other[i] for i in factors.inverses]
-        return sum(terms[1:], start=terms[0])
-
-    A = {(k, l): weigh(forces[k], forces[l]) for l in range(equations.size) for k in range(l + 1)}
-    right = [b - weigh(column, free) for b, column in zip(equations.right, forces, strict=True)]
-    found, pivots = multipliers.solve(builder, A, right)
-    multipliers.guard(builder, own.renumber(equations), A, pivots)
-    x = factors.rise({i: _add(value, [forces[k][i] * found[k] for k in found]) for i, value in free.items()})
-    return own.finish("exp1", [x[i] for i in range(1, own.size + 1)], [found[k] for k in sorted(found)])
+    system = Bordered.of(factors, [{i + 1: value for (_, i), value in row.items()} for row in rows])
+    multipliers.guard(builder, multipliers.list_statuses(tree), system.A, system.reduced.pivots)
+    x, found = system.solve(b, equations.right)
+    return own.finish("exp1", [x[i] for i in range(1, own.size + 1)], found)
 
 
 def write_exp2(tree: Tree, reductions: Reductions) -> Tape:
@@ -297,18 +280,26 @@ def write_exp2(tree: Tree, reductions: Reductions) -> Tape:
     ]
     first = len(couplings)
     if equations.size:
-        found, pivots = multipliers.solve(builder, JB, right)
+        system = multipliers.eliminate(builder, JB, len(B))
+        found, pivots = system.solve(right), system.pivots
     else:
         factors = factorise(builder, {(k + 1, l + 1): value for (k, l), value in JB.items()}, len(B))
         solved = factors.solve(dict(enumerate(right, 1)))
-        found, pivots = ({k: column[k + 1] for k in range(len(B))} for column in (solved, factors.D))
+        found, pivots = [solved[k + 1] for k in range(len(B))], {k: factors.D[k + 1] for k in range(len(B))}
     _guard_couplings(own, tape, values, {k + 1: pivots[k] / JB[k, k] for k in range(first)})
-    own_A = {(k - first, k - first): JB[k, k] for k in range(first, len(B))}
-    multipliers.guard(builder, own.renumber(equations), own_A, {k - first: pivots[k] for k in pivots if k >= first})
+    numbers = range(equations.size)
+    own_A = {(k, k): JB[first + k, first + k] for k in numbers}
+    multipliers.guard(builder, multipliers.list_statuses(tree), own_A, {k: pivots[first + k] for k in numbers})
     qdd = []
     for i in (i for i in range(n) if i not in followers):
         qdd.append(sum((column[i] * found[k] for k, column in enumerate(B)), start=a[i]))
-    return own.finish("exp2", qdd, [found[k] for k in range(first, len(B))])
+    return own.finish("exp2", qdd, found[first:])
+
+
+def write_unrestrained(name: str, tree: Tree, reductions: Reductions) -> Tape:
+    """Write `exp1` or `exp2` of a tree without its loops, constraints and drives: it has the same guards of joints."""
+    free = replace(tree, loops=(), constraints=(), driven=(), closure=None)
+    return {"exp1": write_exp1, "exp2": write_exp2}[name](free, reductions)
 
 
 def write_condition(tree: Tree, reductions: Reductions) -> Tape:
@@ -358,10 +349,6 @@ def _measure_couplings(tree: Tree, map: Map, whole: Factors) -> Scalar:
 
 def _factorise(builder: Builder, M: Block, size: int) -> Factors:
     return factorise(builder, {(i + 1, j + 1): x for (i, j), x in M.items() if i <= j and not x.is_zero}, size)
-
-
-def _add(value: Scalar, terms: Sequence[Scalar]) -> Scalar:
-    return sum(terms, start=value)
 
 
 def _size(x: Scalar) -> Scalar:

@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
+from types import MappingProxyType
 
 from sympy import Expr
 
@@ -51,6 +52,7 @@ class State:
     p: list[Scalar]
     a: list[Scalar] = field(default_factory=list)  # accelerations of driven joints
     frames: Mapping[int, Frame] = field(default_factory=dict)  # by the first body that stands for a quaternion
+    more: Mapping[str, list[Scalar]] = field(default_factory=dict)  # further columns, by name
 
 
 @dataclass(frozen=True)
@@ -222,13 +224,18 @@ def declare_state(
     forces: bool = True,
     wrenches: bool = True,
     drive: bool = False,
+    more: Mapping[Port, int] = MappingProxyType({}),
 ) -> State:
-    """Declare q; qd, qdd, u, a where requested; w for open wrenches; theta and p for parameters, if there are any."""
+    """Declare q; qd, qdd, u, a where requested; w for open wrenches; theta and p for parameters, if there are any.
+
+    `more` are the sizes of further columns, which follow the accelerations.
+    """
     assert not tree.couplings, "recursions see the uncoupled tree; see coupling.write"
     n = len(tree.bodies)
     given = builder.vector(ports.COORDINATES, len(tree.coordinates))
     qd = builder.vector(ports.VELOCITIES, n) if rates else []
     qdd = builder.vector(ports.ACCELERATIONS, n) if accelerations else []
+    further = {port.name: builder.vector(port, size) for port, size in more.items()}
     u = builder.vector(ports.FORCES, sum(body.joint.actuated for body in tree.bodies)) if forces else []
     a = builder.vector(ports.DRIVE, len(tree.driven)) if drive and tree.driven else []
     left_open = 3 * sum(vector is None for x in tree.wrenches for vector in (x.force, x.moment))
@@ -240,9 +247,9 @@ def declare_state(
 
     theta, p = declare(ports.DESIGN, Kind.DIFFERENTIATED), declare(ports.PARAMETERS, Kind.RUNTIME)
     if not tree.quaternions:
-        return State(given, qd, qdd, u, w, theta, p, a)
+        return State(given, qd, qdd, u, w, theta, p, a, more=further)
     q, frames = share_out(tree, builder, given)
-    return State(q, qd, qdd, u, w, theta, p, a, frames)
+    return State(q, qd, qdd, u, w, theta, p, a, frames, further)
 
 
 def share_out(tree: Tree, builder: Builder, given: Sequence[Scalar]) -> tuple[list[Scalar], dict[int, Frame]]:

@@ -8,11 +8,11 @@ moves, so it is eliminated in the order of least degree. Driven joints are rows 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from mbsgen.formulations import closure, ports
-from mbsgen.formulations.parsimony.elimination import Column, factorise
+from mbsgen.formulations.parsimony.elimination import Column, Entries, Factors, factorise
 from mbsgen.model.tree import Tree
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.replay import replay
@@ -30,7 +30,6 @@ class Equations:
 
     rows: tuple[Row, ...]
     right: tuple[Scalar, ...]  # b
-    statuses: tuple[int, ...]  # of each row, what a kernel returns where it depends on others
 
     @property
     def size(self) -> int:
@@ -39,11 +38,9 @@ class Equations:
 
 
 def write_equations(tree: Tree, builder: Builder, given: Mapping[str, Sequence[Scalar]]) -> Equations:
-    """Write J and b of an uncoupled tree. A driven joint has its acceleration; statuses are numbered in `tree`."""
+    """Write J and b of an uncoupled tree; b holds the accelerations of driven joints."""
     rows: list[Row] = []
     right: list[Scalar] = []
-    statuses: list[int] = []
-    n = len(tree.bodies)
     if tree.loops or tree.constraints:
         tape = closure.build_jacobian(tree)
         values = replay(tape, builder, {i.name: given[i.name] for i in tape.inputs})
@@ -51,34 +48,96 @@ def write_equations(tree: Tree, builder: Builder, given: Mapping[str, Sequence[S
         for (r, c), value in closure.jacobian_entries(tape, values).items():
             rows[r][c] = value
         right = [-values[v] for v in tape.output(ports.CLOSURE_BIAS.name).values]
-        statuses = [n + 1 + loop for loop, _ in closure.kept_equations(tree)]
     for number, acceleration in zip(tree.driven, given.get(ports.DRIVE.name, ()), strict=True):
         rows.append({number - 1: builder.number(1.0)})
         right.append(acceleration)
-        statuses.append(number)
-    return Equations(tuple(rows), tuple(right), tuple(statuses))
+    return Equations(tuple(rows), tuple(right))
 
 
-def solve(builder: Builder, A: Mapping[tuple[int, int], Scalar], right: Sequence[Scalar]) -> tuple[Column, Column]:
-    """Solve A lam = right; return lam, and the pivot of each equation as a part of its diagonal, numbered from 0.
+def list_statuses(tree: Tree) -> tuple[int, ...]:
+    """List the status of each equation that depends on others: behind the joints the loops, or the driven joint."""
+    joints = tree.joints
+    driven = (joints.index(tree.bodies[number - 1].joint) + 1 for number in tree.driven)
+    return (*(len(joints) + 1 + loop for loop, _ in closure.kept_equations(tree)), *driven)
 
-    A holds one triangle, by numbers from 0, the smaller one first.
-    """
-    size = len(right)
+
+@dataclass(frozen=True)
+class Eliminated:
+    """A symmetric matrix, eliminated in the order of least degree. Unknowns are numbered from 0."""
+
+    factors: Factors
+    place: Mapping[int, int]  # by unknown: its number among the factors
+
+    @property
+    def pivots(self) -> Column:
+        """Return the pivot of each unknown."""
+        return {k: self.factors.D[place] for k, place in self.place.items()}
+
+    def solve(self, right: Sequence[Scalar]) -> list[Scalar]:
+        """Solve for one right-hand side."""
+        found = self.factors.solve({self.place[k]: value for k, value in enumerate(right)})
+        return [found[self.place[k]] for k in range(len(right))]
+
+
+def eliminate(builder: Builder, A: Entries, size: int) -> Eliminated:
+    """Factorise A, which holds one triangle by numbers from 0, the smaller one first."""
     order = order_by_degree(size, {place for place, value in A.items() if not value.is_zero})
     place = {k: size - step for step, k in enumerate(order)}  # the last unknown is eliminated first
     permuted = {
         (min(place[k], place[l]), max(place[k], place[l])): value for (k, l), value in A.items() if not value.is_zero
     }
-    factors = factorise(builder, permuted, size)
-    found = factors.solve({place[k]: value for k, value in enumerate(right)})
-    return {k: found[place[k]] for k in range(size)}, {k: factors.D[place[k]] for k in range(size)}
+    return Eliminated(factorise(builder, permuted, size), place)
 
 
-def guard(builder: Builder, equations: Equations, A: Mapping[tuple[int, int], Scalar], pivots: Column) -> None:
+@dataclass(frozen=True)
+class Bordered:
+    """The matrix of M x - JT z = b, J x = c: by the factors of M, the system A z = c - J M^-1 b is left."""
+
+    factors: Factors  # of M
+    columns: tuple[Column, ...]  # LT^-1 JT
+    A: Entries
+    reduced: Eliminated
+
+    @staticmethod
+    def of(factors: Factors, rows: Sequence[Column]) -> Bordered:
+        """Border M by the rows of J, which are numbered from 1."""
+        columns = tuple(factors.descend(row) for row in rows)
+        size = len(rows)
+        A = {(k, l): _weigh(factors, columns[k], columns[l]) for l in range(size) for k in range(l + 1)}
+        return Bordered(factors, columns, A, eliminate(factors.builder, A, size))
+
+    def solve(
+        self, b: Mapping[int, Scalar], c: Sequence[Scalar] = (), known: Mapping[int, Scalar] | None = None
+    ) -> tuple[Column, list[Scalar]]:
+        """Solve for x, numbered from 1, and z. Without c, it is 0; known entries of x are taken over."""
+        free = self.factors.descend(b)
+        right = list(c) or [self.factors.builder.zero] * len(self.columns)
+        z = self.reduced.solve(
+            [x - _weigh(self.factors, own, free) for x, own in zip(right, self.columns, strict=True)]
+        )
+        for own, force in zip(self.columns, z, strict=True):
+            free = {i: value + own[i] * force for i, value in free.items()}
+        return self.factors.rise(free, known), z
+
+    def invert(self, numbers: Iterable[int]) -> dict[int, tuple[Column, list[Scalar]]]:
+        """Solve for unit columns b; an entry of x that two columns share by symmetry is computed once."""
+        found: dict[int, tuple[Column, list[Scalar]]] = {}
+        for j in sorted(numbers, reverse=True):
+            known = {i: x[j] for i, (x, _) in found.items()}
+            found[j] = self.solve({j: self.factors.builder.number(1.0)}, known=known)
+        return found
+
+
+def _weigh(factors: Factors, one: Column, other: Column) -> Scalar:
+    """Multiply two columns by D^-1 between them."""
+    terms = [one[i] * factors.inverses[i] * other[i] for i in factors.inverses]
+    return sum(terms[1:], start=terms[0])
+
+
+def guard(builder: Builder, statuses: Sequence[int], A: Entries, pivots: Column) -> None:
     """Guard each pivot: it must stand out of the rounding of its diagonal entry."""
-    for k, status in enumerate(equations.statuses):
-        builder.guard(pivots[k], A[k, k], equations.size * PIVOT_TOLERANCE, status)
+    for k, status in enumerate(statuses):
+        builder.guard(pivots[k], A[k, k], len(statuses) * PIVOT_TOLERANCE, status)
 
 
 def order_by_degree(size: int, entries: set[tuple[int, int]]) -> list[int]:
