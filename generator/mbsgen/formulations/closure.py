@@ -69,7 +69,7 @@ def kept_equations(tree: Tree) -> tuple[tuple[int, str], ...]:
 
 
 def build(tree: Tree) -> Tape:
-    """Write `loops`: inputs q [, p]; output h, shape (m,): what is left open of loops and constraints."""
+    """Write `loops`: inputs q [, p]; output gap = h(q), shape (m,): what is left open of loops and constraints."""
     builder = Builder()
     state = declare_state(tree, builder, rates=False, accelerations=False, forces=False, wrenches=False)
     chain = write_chain(tree, builder, state)

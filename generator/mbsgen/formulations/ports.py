@@ -42,8 +42,12 @@ MULTIPLIERS = Port(
     unit="N, N m or the constraint's own",
     meaning="multipliers: the force on each equation of h, in the direction in which h grows",
 )
-CLOSURE = Port(
-    "h", Role.CLOSURE, Axis.CONSTRAINTS, unit="m, or 1 of angles", meaning="what is left open of loops and constraints"
+CLOSURE = Port(  # not called h, as the result of setup is
+    "gap",
+    Role.CLOSURE,
+    Axis.CONSTRAINTS,
+    unit="m, or 1 of angles",
+    meaning="h(q): what is left open of loops and constraints",
 )
 CLOSURE_RATE = Port("hd", Role.CLOSURE_RATE, Axis.CONSTRAINTS, meaning="time derivative of h: J qd")
 CLOSURE_ACCELERATION = Port(

@@ -285,7 +285,7 @@ def _accelerations(truth: Truth, _: Computation, results: Results) -> Iterator[C
 
 def _closure(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
     """Compare what is left open, relative to lengths of 1."""
-    yield Comparison("h", results["h"], truth.closures.h, Decimal(1))
+    yield Comparison("gap", results["gap"], truth.closures.h, Decimal(1))
 
 
 def _closure_rate(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
