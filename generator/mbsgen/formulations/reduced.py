@@ -90,9 +90,10 @@ def build_accelerations(tree: Tree, reductions: Reductions = ALL) -> Tape:
 
     right = [sum((-x for x in inertia(i, given)), start=net[i]) for i in free]
     A = {(r, s): M[free[r], free[s]] for s in range(len(free)) for r in range(s + 1)}
-    found, pivots = multipliers.solve(own.builder, A, right) if free else ({}, {})
+    system = multipliers.eliminate(own.builder, A, len(free))
+    found = system.solve(right)
     for r, i in enumerate(free):
-        own.builder.guard(pivots[r], A[r, r], len(free) * exp1.PIVOT_TOLERANCE, own.independent[i] + 1)
+        own.builder.guard(system.pivots[r], A[r, r], len(free) * exp1.PIVOT_TOLERANCE, own.independent[i] + 1)
     ydd = given | {i: found[r] for r, i in enumerate(free)}
     own.builder.output_dense(ports.INDEPENDENT_ACCELERATIONS, [[ydd[i]] for i in range(size)])
     if given:

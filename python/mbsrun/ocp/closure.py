@@ -50,7 +50,7 @@ class Closure:
 
     def gaps(self, q: Array) -> Array:
         """Return h, (B, m)."""
-        return self.plant("loops", q=q)["h"]
+        return self.plant("loops", q=q)["gap"]
 
     def jacobian(self, q: Array) -> Array:
         """Return J, (B, m, n)."""

@@ -113,7 +113,7 @@ def close(
     functions = [
         *(make(kernel, " ".join(given[1]), Phi=Phi) for kernel in ("impl", "semi_res")),
         *(make(kernel, "q qd u", **explicit) for kernel in ("exp1", "exp2")),
-        make("loops", "q", h=h),
+        make("loops", "q", gap=h),
         make("loop_rates", "q qd", hd=hd),
         make("loop_accelerations", "q qd qdd", hdd=hdd),
         make("loop_forces", "q lam", Q=J.T @ lam),
