@@ -1,13 +1,15 @@
 """The common part of all readers: bodies with clean names, combined to a Model, and checked as a whole.
 
 A `Draft` takes bodies as in a file: a pose, joints about or along any axes, a solid. Held joints become part of poses.
-Names that a model cannot have are changed, with a notice.
+Its `closing` takes loops, equations of coordinates, and joints that follow others. Names that a model cannot have are
+changed, with a notice.
 """
 
 from __future__ import annotations
 
+import re
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -15,14 +17,32 @@ import numpy as np
 
 from mbsgen.documents import Data, Place, abbreviate, nearest, take
 from mbsgen.errors import Fault
-from mbsgen.expressions import FLOATS, Number, evaluate
+from mbsgen.expressions import FLOATS, Number, evaluate, is_free_name
+from mbsgen.importing.closing import Closing, Closure, Equation, Rule
 from mbsgen.importing.findings import Findings, Notice
 from mbsgen.importing.markup import Element
 from mbsgen.importing.poses import ORIGIN, Array, Pose, Writer, turn, write_triple
 from mbsgen.importing.solids import NOTHING, Solid, add, find_miss, show_moments, write_inertia
 from mbsgen.model.checks import find_faults
+from mbsgen.model.following import list_joints
 from mbsgen.model.joints import find_joint_type
-from mbsgen.model.model import BASE, FREE, UNITS, Body, Fixed, Follow, Frame, Friction, Joint, Law, Model, Triple
+from mbsgen.model.model import (
+    BASE,
+    FREE,
+    UNITS,
+    Body,
+    Constraint,
+    Fixed,
+    Follow,
+    Frame,
+    Friction,
+    Joint,
+    Law,
+    Loop,
+    LoopEnd,
+    Model,
+    Triple,
+)
 from mbsgen.model.naming import MAX_LENGTH
 from mbsgen.model.topology import find_carriers
 from mbsgen.model.tree import Motion
@@ -30,6 +50,7 @@ from mbsgen.model.tree import Motion
 GRAVITY = (0.0, 0.0, -9.81)
 TOLERANCE = 1e-9  # of the largest moment: rounding of a file's digits in an inertia that is just possible
 SLIGHT = 1e-9  # m2: a body whose inertia is less than this times its mass is a point
+AGREED = 1e-6  # rad or m: the digits with which joints are held
 GROSS = 0.5  # of the largest moment of bodies fixed together: beyond this, results mean little
 
 
@@ -76,8 +97,9 @@ class Move:
     armature: float = 0.0  # a rotor's contribution to M [kg m2 or kg]
     velocity: float | None = None  # the largest, either way [rad/s or m/s]; 0 and None: unbounded
     effort: float | None = None  # the same of the input [N m or N]
-    follows: tuple[str, float, float] | None = None  # another joint of the file, ratio, offset
+    follows: Rule | None = None
     floats: bool = False  # one of the joints of a quaternion
+    start: float = 0.0  # the coordinate in the pose of the file [rad or m]
 
     def at(self, q: float) -> Pose:
         """Return the pose of the moving frame, in the frame before it."""
@@ -123,14 +145,17 @@ class Draft:
     findings: Findings
     choices: Choices
     writer: Writer = field(init=False)
+    closing: Closing = field(default_factory=Closing)
     bodies: list[Body] = field(default_factory=list)
     frames: list[Frame] = field(default_factory=list)
     _solids: dict[str, Solid] = field(default_factory=dict)  # by the name of the body
     _sources: dict[str, Element] = field(default_factory=dict)  # of bodies
     _fixed: dict[str, Pose] = field(default_factory=dict)  # of bodies without joints, on their parents
     _moves: dict[tuple[str, int], Element] = field(default_factory=dict)  # of joints: body, place in its sequence
+    _starts: dict[tuple[str, int], float] = field(default_factory=dict)  # of joints: body, place in its sequence
     _called: dict[str, str] = field(default_factory=dict)  # file name of a joint -> its name in the model
     _names: dict[str, set[str]] = field(default_factory=dict)
+    _equations: list[Equation] = field(default_factory=list)  # of the model
     _locked: set[str] = field(default_factory=set)
     _sensors: set[str] = field(default_factory=set)
     _joints: list[str] = field(default_factory=list)  # of the file
@@ -184,10 +209,11 @@ class Draft:
         model = Model(
             name=self._choose_name("model", self.choices.name or name, root),
             gravity=write_triple(self.choices.gravity or gravity),
-            bodies=tuple(map(self._lead, self.bodies)),
+            bodies=tuple(self.bodies),
             frames=tuple(self.frames),
             allow_unphysical=not allowed,
         )
+        model = self._close(model)
         self._check_model(model, root)
         self._tell_fixed(model)
         self._tell_angles()
@@ -225,36 +251,20 @@ class Draft:
             name = None if move.name is None else self._choose_name("joint", move.name, move.source)
             lower, upper = (None if limit is None else Number(limit) for limit in (move.lower, move.upper))
             speed, force = (Number(bound) if bound else None for bound in (move.velocity, move.effort))
-            follows = None
-            if move.follows is not None:
-                leader, ratio, offset = move.follows
-                follows = Follow(leader, Number(ratio), Number(offset))  # still its name in the file
             if move.name is not None:
                 self._called.setdefault(move.name, name or body)
+                if move.follows is not None:
+                    self.closing.rules[move.name] = move.follows
             joints.append(
                 Joint(
                     move.motion, _write_axis(move.axis), None if name == body and len(kept) == 1 else name,
                     self.writer.placement(pose), move.actuated, lower, upper, move.law,
-                    speed, force, Number(move.armature), follows, move.floats,
+                    speed, force, Number(move.armature), floats=move.floats,
                 )
             )  # fmt: skip
             self._moves[body, i] = move.source
+            self._starts[body, i] = move.start
         return joints[0] if len(joints) == 1 else tuple(joints)
-
-    def _lead(self, body: Body) -> Body:
-        """Replace the names of leading joints in the file by their names in the model."""
-
-        def lead(joint: Joint) -> Joint:
-            if joint.follows is None:
-                return joint
-            return replace(joint, follows=replace(joint.follows, joint=self._called[joint.follows.joint]))
-
-        match body.joint:
-            case Fixed():
-                return body
-            case Joint():
-                return replace(body, joint=lead(body.joint))
-        return replace(body, joint=tuple(map(lead, body.joint)))
 
     def _choose_name(self, kind: str, wanted: str, source: Element) -> str:
         """Return a valid name that differs from all others of its kind; a change makes a notice."""
@@ -269,6 +279,99 @@ class Draft:
         if wanted and name != wanted:
             self.findings.tell(source, f"{kind} {abbreviate(wanted)} is called {abbreviate(name)} in the model")
         return name
+
+    # --- loops and followers -----------------------------------------------------------------------------------------
+
+    def _close(self, model: Model) -> Model:
+        """Add loops, equations and followers."""
+        files = {own: file for file, own in self._called.items()}
+        equations = self._equations = [*self._hold_equations()]
+        for equation in equations:
+            for term in equation.terms:
+                self._make_writable(term.joint, equation.source)
+        model = replace(
+            model,
+            bodies=tuple(self._lead(body, files) for body in model.bodies),
+            loops=tuple(map(self._write_loop, self.closing.closures)),
+            constraints=tuple(
+                Constraint(self._choose_name("loop", x.name, x.source), x.write(self._called)) for x in equations
+            ),
+        )
+        if not (model.loops or model.constraints):
+            return model
+        return replace(model, independent=self._list_independent(model), assembly=tuple(self._list_starts(model)))
+
+    def _write_loop(self, closure: Closure) -> Loop:
+        one, other = (LoopEnd(spot.body, self.writer.placement(spot.pose)) for spot in (closure.first, closure.second))
+        axis = UNITS["z"] if closure.axis is None else _write_axis(closure.axis)
+        return Loop(self._choose_name("loop", closure.name, closure.source), closure.cut, one, other, axis)
+
+    def _hold_equations(self) -> Iterator[Equation]:
+        """Yield the equations that are left where some joints are held; a fault where held joints contradict one."""
+        for equation in self.closing.equations:
+            left = equation.hold(dict(self.choices.locked))
+            if left.terms:
+                yield left
+            elif abs(left.constant) > AGREED:
+                remedy = "hold one of its joints only, or at other coordinates"
+                self.findings.fault(equation.source, f"the joints are held, and {left.constant:g} is left", remedy)
+            else:
+                self.findings.tell(equation.source, "the joints are held, and meet it")
+
+    def _make_writable(self, joint: str, source: Element) -> None:
+        """Rename a joint that an equation cannot name."""
+        name = self._called[joint]
+        if is_free_name(name):
+            return
+        clean = re.sub(r"[^A-Za-z0-9_]", "_", name)
+        clean = clean if is_free_name(clean) else f"q_{clean}"
+        self._called[joint] = self._choose_name("joint", clean, source)
+        text = f"joint {abbreviate(name)} is called {abbreviate(self._called[joint])} in the model"
+        self.findings.tell(source, f"{text}, as equations need it")
+
+    def _list_independent(self, model: Model) -> tuple[str, ...]:
+        """List the independent coordinates where the file says which ones depend on others."""
+        steps = [step for step in list_joints(model) if step.joint.follows is None]
+        dependent = {self._called[file] for file in self.closing.dependent if file in self._called}
+        if not dependent.intersection(step.name for step in steps):
+            return ()
+        if any(step.joint.floats for step in steps):
+            self.findings.sum_up("the independent coordinates are chosen anew, since some are of quaternions")
+            return ()
+        return tuple(step.name for step in steps if step.name not in dependent)
+
+    def _list_starts(self, model: Model) -> Iterator[tuple[str, Number]]:
+        """Yield the coordinates in the pose of the file that are not 0."""
+        for step in list_joints(model):
+            _, i, _, *rest = step.place
+            start = self._starts[model.bodies[int(i)].name, int(rest[0]) if rest else 0]
+            if start and step.joint.follows is None and not step.joint.floats:
+                yield step.name, Number(start)
+
+    def _lead(self, body: Body, files: Mapping[str, str]) -> Body:
+        """Name the joints of a body as equations need them, and let joints follow others."""
+
+        def lead(joint: Joint) -> Joint:
+            file = files.get(body.name if joint.name is None else joint.name)
+            if file is None:
+                return joint
+            joint = (
+                joint
+                if joint.name is None and self._called[file] == body.name
+                else replace(joint, name=self._called[file])
+            )
+            if file not in self.closing.rules:
+                return joint
+            leader, ratio, offset = self.closing.rules[file]
+            follows = Follow(self._called[leader], Number(ratio), Number(offset))
+            return replace(joint, follows=follows, actuated=False, max_force=None)
+
+        match body.joint:
+            case Fixed():
+                return body
+            case Joint():
+                return replace(body, joint=lead(body.joint))
+        return replace(body, joint=tuple(map(lead, body.joint)))
 
     # --- checks ------------------------------------------------------------------------------------------------------
 
@@ -347,6 +450,10 @@ class Draft:
                 return self._moves.get((name, k), self._sources[name])
             case ("bodies", int(i), *_):
                 return self._sources[model.bodies[i].name]
+            case ("loops", int(i), *_):
+                return self.closing.closures[i].source
+            case ("constraints", int(i), *_):
+                return self._equations[i].source
         return None
 
     def _tell_fixed(self, model: Model) -> None:

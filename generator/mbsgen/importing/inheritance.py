@@ -96,15 +96,18 @@ class Defaults:
         for inner in section.all("default"):
             self._read(inner, name)
 
-    def resolve(self, element: Element, active: str) -> Mapping[str, str]:
-        """Return the attributes of an element with the defaults of its class, or of the active class."""
+    def resolve(self, element: Element, active: str, tag: str = "") -> Mapping[str, str]:
+        """Return the attributes of an element with the defaults of its class, or of the active class.
+
+        `tag` is what the defaults call it, if not the element's own.
+        """
         name = element.attributes.get("class", active)
         if name not in self._classes:
             self.check(element, name)
             name = MAIN
         settings = self._classes[name]
         general = settings.get("general", {}) if element.tag in _GENERAL else {}
-        return {**general, **settings.get(element.tag, {}), **element.attributes}
+        return {**general, **settings.get(tag or element.tag, {}), **element.attributes}
 
     def check(self, element: Element, name: str) -> str:
         """Return an existing class; a fault where there is none of the name."""

@@ -10,17 +10,19 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mbsgen.documents import abbreviate, nearest
+from mbsgen.importing.closing import Spot
 from mbsgen.importing.drafting import GRAVITY, Choices, Draft, Imported, Move, list_moves, make_law, move_freely
+from mbsgen.importing.equalities import Coordinate, Place, Register, add_equalities, list_sites
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.geometry import SHAPES, SIZES, SPANNED, WEIGHTLESS, make_solid
 from mbsgen.importing.inheritance import MAIN, Defaults, include_files
 from mbsgen.importing.markup import Element
-from mbsgen.importing.poses import ORIGIN, Array, Pose, place, turn, turn_quaternion
+from mbsgen.importing.poses import ORIGIN, Array, Pose, find_turns, place, turn, turn_quaternion
 from mbsgen.importing.solids import NOTHING, Solid, add
 from mbsgen.model.model import BASE
 from mbsgen.model.tree import Motion
@@ -30,7 +32,7 @@ TURNS = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
 JOINTS = ("joint", "freejoint")
 KINDS = ("hinge", "slide", "ball", "free")
 COPIES = ("composite", "flexcomp", "replicate", "attach", "plugin")  # elements that make bodies from other text
-ALTERING = ("equality", "tendon", "deformable", "extension")  # sections that act on bodies
+ALTERING = ("tendon", "deformable", "extension")  # sections that act on bodies
 MARKS = frozenset(  # elements without mass and force, or read elsewhere
     ["inertial", "joint", "freejoint", "geom", "site", "body", "frame", "camera", "light"]
 )
@@ -61,6 +63,9 @@ class _Placed:
     active: str  # default class
 
 
+_Waiting = tuple[Element, Place, Pose, str]  # a body, its carrier, frames between them, default class
+
+
 class _Scene:
     """An MJCF file during reading."""
 
@@ -76,6 +81,8 @@ class _Scene:
         self._driven = self._read_actuators()
         self._scale = 1.0
         self._skipped: Counter[str] = Counter()
+        self._register = Register()
+        self._used_sites = {*choices.sensors, *list_sites(root)}
         self._touching = 0  # number of geoms of bodies that may have contacts
 
     def read(self) -> Imported:
@@ -88,6 +95,7 @@ class _Scene:
         for world in worlds:
             self._add_bodies(world)
         self._check_actuators()
+        add_equalities(self._root, self._register, self._draft, self._defaults, self._findings)
         self._tell_sections()
         return self._draft.finish(self._root.attributes.get("model", "scene"), gravity, self._root)
 
@@ -171,12 +179,13 @@ class _Scene:
 
     def _add_bodies(self, world: Element) -> None:
         base = world.attributes.get("childclass", MAIN)
-        waiting: list[tuple[Element, str, Pose, str]] = []
-        self._add_children(world, BASE, ORIGIN, self._defaults.check(world, base), waiting)
+        waiting: list[_Waiting] = []
+        self._add_children(world, Place(Spot(BASE, ORIGIN), ORIGIN), self._defaults.check(world, base), waiting)
         while waiting:
-            body, parent, pose, active = waiting.pop()
+            body, carrier, around, active = waiting.pop()
             active = self._defaults.check(body, body.attributes.get("childclass", active))
-            pose = pose @ self._read_pose(body, body.attributes)
+            parent, step = carrier.spot.body, self._read_pose(body, body.attributes)
+            pose = carrier.spot.pose @ around @ step
             parts = [*self._unframe(body, ORIGIN, active)]
             moves, anchor = self._read_moves(body, parts, pose)
             solid = self._read_solid(body, parts).scaled(self._scale).shifted(anchor)
@@ -185,24 +194,27 @@ class _Scene:
             own = self._draft.add_body(name or "body", parent, first, moves, solid, body)
             self._warn_body(body)
             inner = Pose(np.eye(3), -anchor, ())
+            found = Place(Spot(own, inner), carrier.home @ around @ step)
             if name:
                 self._draft.add_frame(name, own, inner, body)
-            self._add_children(body, own, inner, active, waiting)
+                self._register.bodies.setdefault(name, found)
+            self._add_children(body, found, active, waiting)
 
-    def _add_children(
-        self, body: Element, own: str, inner: Pose, active: str, waiting: list[tuple[Element, str, Pose, str]]
-    ) -> None:
-        """Queue the bodies of a body, and add its sites; `inner` is the pose of its frame in the model's."""
-        found = []
+    def _add_children(self, body: Element, carrier: Place, active: str, waiting: list[_Waiting]) -> None:
+        """Queue the bodies of a body, and add its sites."""
+        own, inner = carrier.spot.body, carrier.spot.pose
+        found: list[_Waiting] = []
         for part in self._unframe(body, ORIGIN, active):
             element = part.element
             if element.tag == "body":
-                found.append((element, own, inner @ part.around, part.active))
+                found.append((element, carrier, part.around, part.active))
             elif element.tag == "site":
                 attributes = self._defaults.resolve(element, part.active)
-                if "name" in attributes and attributes["name"] in self._choices.sensors:
-                    pose = inner @ part.around @ self._read_pose(element, attributes)
-                    self._draft.add_frame(attributes["name"], own, pose, element)
+                if attributes.get("name") in self._used_sites:
+                    spot = Spot(own, inner @ part.around @ self._read_pose(element, attributes))
+                    self._register.sites[attributes["name"]] = spot
+                    if attributes["name"] in self._choices.sensors:
+                        self._draft.add_frame(attributes["name"], own, spot.pose, element)
                 self._skipped["site"] += 1
             elif element.tag in COPIES:
                 remedy = "save the compiled model (mujoco.mj_saveLastXML), and import that"
@@ -308,7 +320,7 @@ class _Scene:
                 if body.path.count("/") != 2 or moves:
                     remedy = "let only bodies of the world float, without other joints"
                     self._findings.fault(part.element, "a free joint within the tree", remedy)
-                moves += move_freely(part.element, quaternion=self._choices.quaternions)
+                moves += self._move_freely(part.element, pose)
                 self._tell_start(part.element, pose)
                 self._warn_of_six(part.element, attributes, "a free joint")
                 continue
@@ -331,6 +343,13 @@ class _Scene:
                 moves.append(self._read_move(part, kind, attributes, step))
         return moves, anchor
 
+    def _move_freely(self, element: Element, pose: Pose) -> Iterator[Move]:
+        """Yield the joints of a free body, with the coordinates that it has in the file."""
+        z, y, x = (angle for _, angle in find_turns(pose.rotation))
+        starts = (*pose.position, z, y, x)
+        for move, start in zip(move_freely(element, quaternion=self._choices.quaternions), starts, strict=True):
+            yield replace(move, start=float(start))
+
     def _read_move(self, part: _Placed, kind: str, attributes: Mapping[str, str], step: Pose) -> Move:
         element, name = part.element, attributes.get("name")
         is_hinge = kind == "hinge"
@@ -350,6 +369,8 @@ class _Scene:
         motion = Motion.REVOLUTE if is_hinge else Motion.PRISMATIC
         if reference:
             step = Move(motion, axis, element, pose=step).at(-reference)
+        if name is not None:
+            self._register.coordinates[name] = Coordinate(reference, name in self._driven)
         lower, upper = self._read_range(element, attributes, is_hinge=is_hinge)
         self._warn_joint(element, attributes)
         friction, speed = number("frictionloss"), self._choices.friction_speed
@@ -367,6 +388,7 @@ class _Scene:
             law=make_law(number("stiffness"), coordinate(number("springref")), number("damping"), friction, speed),
             armature=number("armature") + self._rotors[name or ""],
             effort=self._driven.get(name or ""),
+            start=reference,
         )
 
     def _read_range(
