@@ -434,14 +434,18 @@ class Draft:
     def _check_model(self, model: Model, root: Element) -> None:
         """Report faults of the model at the elements that cause them."""
         for found in find_faults(model):
-            remedy = found.remedy
+            remedy, finding = found.remedy, self._name_twin(found.finding)
             if found.finding == "nothing moves":
                 remedy = "give it a joint that is not fixed, or free its root link (--base floating)"
             if "moves nothing" in found.finding:
                 remedy += ", or hold it where it is (--lock)"
-            self.findings.fault(self._locate(model, found.place) or root, found.finding, remedy)
+            self.findings.fault(self._locate(model, found.place) or root, finding, remedy)
         if self.findings.faults:
             raise self.findings.refuse()
+
+    def _name_twin(self, finding: str) -> str:
+        """Replace the place of a loop in the model by its line in the file."""
+        return re.sub(r"\bloops\[(\d+)\]", lambda x: f"line {self.closing.closures[int(x[1])].source.line}", finding)
 
     def _locate(self, model: Model, place: Place) -> Element | None:
         match place:

@@ -144,11 +144,11 @@ class _Reader:
         one, other = bodies
         anchor = place(self.findings.numbers(element, "anchor", (0.0, 0.0, 0.0)))
         relative = self._read_relative(element)
-        relative = _seen(one, other.home) if relative is None else relative
-        return _attach(one, relative @ anchor), _attach(other, anchor)
+        relative = _seen(one, other.home @ anchor) if relative is None else relative
+        return _attach(one, relative), _attach(other, anchor)
 
     def _read_relative(self, element: Element) -> Pose | None:
-        """Read the pose of the second body in the first; None without one."""
+        """Read the pose of the second body, with the anchor as its origin, in the first; None without one."""
         *position, w, x, y, z = self.findings.numbers(element, "relpose", _NO_POSE)
         if not any((w, x, y, z)):
             return None
@@ -196,9 +196,9 @@ class _Reader:
             self._equate(element, own, other, coefficients)
 
     def _read_polynomial(self, element: Element) -> tuple[float, ...]:
-        """Read the five coefficients; the file may leave the last ones out."""
-        given = element.attributes.get("polycoef", "0 1 0 0 0").split()
-        text = {"polycoef": " ".join([*given, *["0"] * (5 - len(given))])}
+        """Read the five coefficients; the last ones that the file leaves out have their defaults."""
+        given = element.attributes.get("polycoef", "").split()
+        text = {"polycoef": " ".join([*given, *["0", "1", "0", "0", "0"][len(given) :]])}
         return self.findings.numbers(element, "polycoef", (0.0, 1.0, 0.0, 0.0, 0.0), attributes=text)
 
     def _is_coordinate(self, element: Element, name: str) -> bool:
