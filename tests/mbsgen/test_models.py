@@ -1,9 +1,8 @@
-"""The models that ship: what they are made of, and how they move, by closed forms and by Pinocchio."""
+"""The trees that ship: what they are made of, and how they move, by closed forms and by Pinocchio."""
 
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,10 +13,10 @@ from mbsgen.model.tree import Motion, Tree
 from mbsgen.pipeline import Options, make, read_tree
 from mbsgen.tape.interpreter import evaluate
 from tests.random_trees import Pinocchio, floats, law_forces, values_of
+from tests.shipped import FOLDER, TREES
 
 Array = NDArray[np.float64]
-MODELS = Path(__file__).parents[2] / "models"
-NAMES = sorted(file.stem for file in MODELS.glob("*.yaml") if not file.name.endswith(".ocp.yaml"))
+NAMES = tuple(file.stem for file in TREES)
 G = 9.81
 
 # Joints, sliding joints, driven joints, sensors.
@@ -37,7 +36,7 @@ PARTS = {
 
 
 def read(name: str) -> Tree:
-    return read_tree(MODELS / f"{name}.yaml")
+    return read_tree(FOLDER / f"{name}.yaml")
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -52,7 +51,7 @@ def test_models_have_their_parts(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_models_generate(name: str) -> None:
-    product = make(MODELS / f"{name}.yaml", Options(derivatives=1))
+    product = make(FOLDER / f"{name}.yaml", Options(derivatives=1))
     assert len(product.manifest.coordinates) == PARTS[name][0]
 
 

@@ -23,6 +23,7 @@ they hold for quaternions too.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 from mbsgen.algebra.rotations import axis_rotation
 from mbsgen.algebra.vectors import Matrix, Vector
@@ -71,8 +72,7 @@ def kept_equations(tree: Tree) -> tuple[tuple[int, str], ...]:
 def build(tree: Tree) -> Tape:
     """Write `loops`: inputs q [, p]; output gap = h(q), shape (m,): what is left open of loops and constraints."""
     builder = Builder()
-    state = declare_state(tree, builder, rates=False, accelerations=False, forces=False, wrenches=False)
-    chain = write_chain(tree, builder, state)
+    chain = _write_chain(tree, builder)
     entries = [x for loop in tree.loops for x in _close_loop(chain, loop)]
     entries += [_lower(chain, constraint) for constraint in tree.constraints]
     if tree.closure is not None:
@@ -90,6 +90,12 @@ _SENSES: Mapping[Cut, tuple[int, ...]] = {  # the axes that must not be turned r
 }
 
 
+def _write_chain(tree: Tree, builder: Builder) -> Chain:
+    """Write the links of a tree at q; wrenches do not matter for closures."""
+    state = declare_state(tree, builder, rates=False, accelerations=False, forces=False, wrenches=False)
+    return write_chain(replace(tree, wrenches=()), builder, state)
+
+
 def list_senses(tree: Tree) -> tuple[int, ...]:
     """List the number of the loop of each result of `build_senses`."""
     return tuple(k for k, loop in enumerate(tree.loops) for _ in _SENSES.get(loop.cut, ()))
@@ -98,8 +104,7 @@ def list_senses(tree: Tree) -> tuple[int, ...]:
 def build_senses(tree: Tree) -> Tape:
     """Write the cosines between axes that loops keep in one direction: h vanishes for the opposite one too."""
     builder = Builder()
-    state = declare_state(tree, builder, rates=False, accelerations=False, forces=False, wrenches=False)
-    chain = write_chain(tree, builder, state)
+    chain = _write_chain(tree, builder)
     found = []
     for loop in tree.loops:
         first, second = _End.make(chain, loop)

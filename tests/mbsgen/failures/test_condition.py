@@ -39,8 +39,8 @@ from tests.mbsgen.failures.mechanisms import (
     tape_of,
 )
 from tests.random_trees import random_tree
+from tests.shipped import TREES
 
-MODELS = [f for f in sorted((Path(__file__).parents[3] / "models").glob("*.yaml")) if not f.stem.endswith(".ocp")]
 TOLD_BY = {"exp1": "elimination", "exp2": "articulated"}
 ALWAYS = 1e-13  # what forces and accelerations lose beside: `condition` does not look at them
 ABOVE, BELOW = 16, 50  # factors within which errors, and the largest of several errors, agree with the estimate
@@ -140,7 +140,7 @@ def test_a_lock_itself_is_told(name: str):
         assert not told(tree, state)["exp1"] <= 1e-2
 
 
-@pytest.mark.parametrize("file", MODELS, ids=lambda file: file.stem)
+@pytest.mark.parametrize("file", TREES, ids=lambda file: file.stem)
 def test_models_raise_no_alarm(file: Path):
     """Eleven digits at any position."""
     tree = build_tree(read_model(file))

@@ -126,7 +126,6 @@ assembly: {q2: 0.1, ball.rx: pi/2}
 
 
 ROOT = Path(__file__).parents[3]
-MODELS = sorted(file for file in (ROOT / "models").glob("*.yaml") if not file.name.endswith(".ocp.yaml"))
 
 
 def reread(model: Model) -> Model:

@@ -25,9 +25,9 @@ from mbsgen.pipeline import Options, build_parametric, make
 from mbsgen.tape.interpreter import DIGITS, evaluate
 from tests.number_paths import set_number
 from tests.random_scenes import random_model
+from tests.shipped import TREES
 
 Array = NDArray[np.float64]
-MODELS = [f for f in sorted((Path(__file__).parents[3] / "models").glob("*.yaml")) if not f.stem.endswith(".ocp")]
 CLOSE = 1e-12  # relative: rounding of some hundred operations, of numbers that are rounded once more
 
 
@@ -80,7 +80,7 @@ def assert_parameters_are_numbers_of_the_file(text: str, folder: Path, seed: int
 
 
 @pytest.mark.parametrize("zeros", [False, True], ids=["", "zeros"])
-@pytest.mark.parametrize("file", MODELS, ids=lambda file: file.stem)
+@pytest.mark.parametrize("file", TREES, ids=lambda file: file.stem)
 def test_parameters_are_the_numbers_of_the_models_that_ship(file: Path, zeros: bool, tmp_path: Path) -> None:
     assert_parameters_are_numbers_of_the_file(file.read_text(encoding="utf-8"), tmp_path, 1, zeros=zeros)
 

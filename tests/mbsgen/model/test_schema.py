@@ -14,7 +14,8 @@ from jsonschema import Draft202012Validator
 
 from mbsgen.documents import read_document
 from mbsgen.model.schema import write_schema
-from tests.mbsgen.model.files import GOOD, MODELS, ROOT, WALKER
+from tests.mbsgen.model.files import GOOD, ROOT, WALKER
+from tests.shipped import MODELS
 
 FILE = ROOT / "models" / "model.schema.json"
 VALIDATOR = Draft202012Validator(json.loads(write_schema()))

@@ -34,7 +34,8 @@ from mbsgen.model.expansion import list_steps
 from mbsgen.model.model import Body, Fixed, Joint, Loop, Model
 from mbsgen.model.reader import read_model
 from mbsgen.model.writer import MAX_WIDTH, write_model
-from tests.mbsgen.model.files import GOOD, LINKAGE, MODELS, WALKER, reread
+from tests.mbsgen.model.files import GOOD, LINKAGE, WALKER, reread
+from tests.shipped import MODELS
 
 
 @pytest.mark.parametrize("file", MODELS, ids=lambda file: file.stem)
