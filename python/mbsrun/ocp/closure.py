@@ -96,15 +96,17 @@ class Closure:
         return q
 
     def follow(self, path: Array, start: Array, held: Sequence[int]) -> Array | None:
-        """Close a path (K, n) point by point from a closed pose, with coordinates held at the path's.
+        """Close a path (K, n) point by point, from a closed pose on.
 
-        Others change as little as the loops allow. Return None where they do not close, or not by a way that is near.
+        Held coordinates keep their values of the path, and the others go on from the point before; where none is held,
+        each pose goes to the nearest closed one. Return None where loops do not close, or coordinates jump.
         """
         others, closed, last = np.setdiff1d(np.arange(len(start)), held), np.empty_like(path), start
         for k, pose in enumerate(path):
-            guess = last.copy()
-            guess[list(held)] = pose[list(held)]
-            found = self.close(guess, held)
+            near = pose.copy()
+            if held:
+                near[others] = last[others]
+            found = self.close(near, held)
             if not self.is_closed(found) or np.abs((found - last)[others]).max(initial=0.0) > LONGEST:
                 return None
             closed[k] = last = found

@@ -9,13 +9,14 @@ other and of the loops.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mbsrun.ocp.closure import Array, Closure, Gap
 from mbsrun.ocp.problem import Problem
 
+ASIDE = 0.1  # how far poses are moved to leave a singular one [rad, m]
 SAME = 1e-6  # the difference from a given value that counts as rounding [rad, m, 1/s]
 
 
@@ -39,7 +40,7 @@ class Completion:
 
     values: Array  # (n,)
     kept: tuple[int, ...]  # entries that are conditions; the loops give the others
-    strays: tuple[Stray, ...]
+    strays: tuple[Stray, ...] = ()
     gap: Gap | None = None  # of loops that do not close
 
 
@@ -47,11 +48,11 @@ def complete_pose(closure: Closure, near: Array, given: Mapping[int, float], usu
     """Complete a pose; entries of `usual` keep their values of the pose `near` where given ones leave them free."""
     q = np.array(near, dtype=np.float64)
     q[list(given)] = list(given.values())
-    kept = closure.choose(np.array(closure.manifest.pose), [*given, *(i for i in usual if i not in given)])
+    kept = closure.choose(closure.close(q), [*given, *(i for i in usual if i not in given)])
     found = closure.close(q, kept)
     if not closure.is_closed(found):
         return Completion(found, tuple(kept), (), closure.find_gap(found))
-    return Completion(found, tuple(kept), _find_strays(given, found))
+    return find_strays(Completion(found, tuple(kept)), given)
 
 
 def complete_velocities(closure: Closure, q: Array, given: Mapping[int, float], usual: Sequence[int]) -> Completion:
@@ -60,11 +61,25 @@ def complete_velocities(closure: Closure, q: Array, given: Mapping[int, float], 
     J, values = closure.jacobian(q[None])[0], [given.get(i, 0.0) for i in kept]
     whole = np.concatenate((J, np.eye(q.size)[kept]))
     found = np.linalg.lstsq(whole, np.concatenate((np.zeros(len(J)), values)), rcond=None)[0]
-    return Completion(found, tuple(kept), _find_strays(given, found))
+    return find_strays(Completion(found, tuple(kept)), given)
 
 
-def _find_strays(given: Mapping[int, float], found: Array) -> tuple[Stray, ...]:
-    return tuple(Stray(i, x, float(found[i])) for i, x in given.items() if abs(x - found[i]) > SAME)
+def find_surplus(closure: Closure, q: Array, chosen: Sequence[int]) -> list[int]:
+    """Find chosen entries that follow from the ones before, in the pose q and in another one near it.
+
+    In a singular pose loops keep entries that are free elsewhere.
+    """
+    other = closure.close(q + ASIDE * np.cos(np.arange(q.size)))
+    kept = max((closure.choose(pose, chosen) for pose in (q, other)), key=len)
+    return [i for i in chosen if i not in kept]
+
+
+def find_strays(completion: Completion, given: Mapping[int, float]) -> Completion:
+    """Add the given values that a completion contradicts."""
+    if completion.gap is not None:
+        return completion
+    pairs = ((i, x, float(completion.values[i])) for i, x in given.items())
+    return replace(completion, strays=tuple(Stray(i, x, y) for i, x, y in pairs if abs(x - y) > SAME))
 
 
 def find_open_states(problem: Problem, closure: Closure) -> Iterator[tuple[str, str, str]]:
@@ -81,7 +96,6 @@ def find_open_states(problem: Problem, closure: Closure) -> Iterator[tuple[str, 
             gap = f"the loops open at {closure.measure_rates(q[None], qd[None]):.3g} m/s or 1/s"
             yield "start_qd", gap, "give velocities that keep them closed: ocp.conditions.complete_velocities"
     names = closure.manifest.positions
-    pose = np.array(closure.manifest.pose)
     for key, chosen in (
         ("free_start", given if len(given) < nq else []),
         ("free_start", speeds if len(speeds) < len(qd) else []),
@@ -89,6 +103,6 @@ def find_open_states(problem: Problem, closure: Closure) -> Iterator[tuple[str, 
         ("end.velocities", [i for i, _ in problem.end.velocities]),
         ("end.accelerations", [i for i, _ in problem.end.accelerations]),
     ):
-        if surplus := sorted(set(chosen) - set(closure.choose(pose, chosen))):
+        if surplus := find_surplus(closure, q, chosen):
             named = ", ".join(names[i] for i in surplus)
             yield key, f"{named} follows from the others by the loops", "leave it out"

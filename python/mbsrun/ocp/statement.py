@@ -31,7 +31,7 @@ from mbsgen.errors import Fault, InputError
 from mbsgen.expressions import FLOATS, Expression, ExpressionError, evaluate, is_free_name, names, parse
 from mbsrun.ocp.checks import LEAST_TOLERANCE, find_loop_conflicts, list_open_inputs
 from mbsrun.ocp.closure import Closure, find_closure
-from mbsrun.ocp.conditions import Completion, complete_pose, complete_velocities
+from mbsrun.ocp.conditions import Completion, complete_pose, complete_velocities, find_strays, find_surplus
 from mbsrun.ocp.methods import METHODS, Amount
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import (
@@ -311,15 +311,17 @@ class _Reading:
 
     def closed_end(self, closure: Closure, end: End, start_q: Sequence[float]) -> End:
         """Drop coordinates of the end that follow from others; refuse those that contradict them."""
-        completion = complete_pose(closure, np.array(start_q), dict(end.coordinates), ())
-        if end.coordinates:
-            self.check_completion(("end", "pose"), completion, self.coordinates)
+        given, near = dict(end.coordinates), np.array(start_q)
+        surplus = find_surplus(closure, near, list(given))
+        if surplus:
+            kept = {i: x for i, x in given.items() if i not in surplus}
+            found = complete_pose(closure, near, kept, ())
+            self.check_completion(("end", "pose"), find_strays(found, given), self.coordinates)
         for key, targets in (("velocity", end.velocities), ("acceleration", end.accelerations)):
-            given = [i for i, _ in targets]
-            for i in sorted(set(given) - set(closure.choose(np.array(self.manifest.pose), given))):
+            for i in find_surplus(closure, near, [i for i, _ in targets]):
                 finding = f"{self.velocities.known[i]} follows from the others by the loops"
                 self.fault(("end", key, self.velocities.known[i]), finding, "leave it out")
-        return replace(end, coordinates=tuple((i, x) for i, x in end.coordinates if i in completion.kept))
+        return replace(end, coordinates=tuple((i, x) for i, x in end.coordinates if i not in surplus))
 
     def attitudes(self, place: Place, values: Sequence[float]) -> list[float]:
         """Normalise the quaternions among coordinates."""

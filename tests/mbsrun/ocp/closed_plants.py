@@ -33,12 +33,12 @@ def pendulum_of_rods() -> Peer:
 
 
 def five_bar() -> Peer:
-    """Two arms of 0.3 and 0.4 m, 0.2 m apart, whose hands are one point; the motors are at the base."""
+    """Two arms of 0.3 and 0.35 m, 0.2 m apart, whose hands are one point; the motors are at the base."""
     q, qd = ca.SX.sym("q", 4), ca.SX.sym("qd", 4)  # shoulder and elbow of the left arm, then of the right one
     T, V, hands = 0.0, 0.0, []
     for k, x in ((0, -0.1), (2, 0.1)):
         at, angle = ca.vertcat(x, 0), 0
-        for i, (length, mass) in enumerate(((0.3, 1.0), (0.4, 0.6))):
+        for i, (length, mass) in enumerate(((0.3, 1.0), (0.35, 0.6))):
             angle += q[k + i]
             along = ca.vertcat(ca.cos(angle), ca.sin(angle))
             centre = at + length / 2 * along

@@ -1,0 +1,410 @@
+"""Optimal control of closed loops: both forms against minimal coordinates, against each other and against CasADi."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from mbsgen.errors import InputError
+from mbsrun.ocp import schemes
+from mbsrun.ocp.backends import condensation
+from mbsrun.ocp.backends.numpy import build
+from mbsrun.ocp.checks import ProblemError
+from mbsrun.ocp.closure import CLOSED, Closure
+from mbsrun.ocp.guess import make_guess
+from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Form, Loops, Problem, Representation, SolverOptions, Term
+from mbsrun.ocp.resimulation import accelerations, integrate, resimulate
+from mbsrun.ocp.schemes import Family
+from mbsrun.ocp.solution import Failure, Solution
+from mbsrun.ocp.solve import settle, solve
+from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.status import OPEN
+from mbsrun.ocp.structure import structure
+from mbsrun.ocp.transcription import transcribe
+from tests.mbsrun.ocp.closed_plants import FIVE_BAR_POSE, G, five_bar, pendulum_of_rods
+from tests.mbsrun.ocp.plants import FREE_RANGE, mechanism
+from tests.mbsrun.ocp.programs import check_derivatives
+from tests.mbsrun.peer import Peer
+
+FORMS = [
+    (Loops.MULTIPLIERS, Representation.IMPL),
+    (Loops.MULTIPLIERS, Representation.EXP1_O),
+    (Loops.MULTIPLIERS, Representation.EXP2_A),
+    (Loops.REDUCED, Representation.IMPL),
+    (Loops.REDUCED, Representation.EXP1_O),
+    (Loops.REDUCED, Representation.EXP1_A),
+]
+
+
+@cache
+def arms() -> Peer:
+    return five_bar()
+
+
+@cache
+def rods() -> Peer:
+    return pendulum_of_rods()
+
+
+def reach(loops: Loops | None = None, representation: Representation = Representation.IMPL, N: int = 8) -> Problem:
+    """Move the hand of the five-bar to a side and up, from rest to rest."""
+    q = Closure(arms()).close(np.array(FIVE_BAR_POSE), (0, 2))
+    hand = arms()("sensors", q=q[None])["position"].ravel()
+    x, y, z = hand + np.array([0.1, 0.08, 0.0])
+    return Problem(
+        name="reach",
+        horizon=0.8,
+        intervals=N,
+        family=Family.RADAU,
+        degree=3,
+        representation=representation,
+        loops=loops,
+        cost=Cost(1.0),
+        start_q=tuple(q.tolist()),
+        start_qd=(0.0,) * 4,
+        bounds=Bounds((FREE_RANGE,) * 4, (FREE_RANGE,) * 4, (FREE_RANGE,) * 2),
+        end=End(sensors=(("hand", (float(x), float(y), float(z))),), velocity_zero=True),
+    )
+
+
+@cache
+def solved(loops: Loops, representation: Representation, N: int = 8) -> Solution:
+    found = solve(reach(loops, representation, N), arms())
+    assert isinstance(found, Solution)
+    return found
+
+
+def rich(loops: Loops, representation: Representation, family: Family, *, free: bool) -> Problem:
+    """Ask for everything that a problem can ask for."""
+    return replace(
+        reach(loops, representation, 2),
+        family=family,
+        degree=2,
+        horizon_range=(0.4, 1.0) if free else None,
+        free_start=(0, 1, 3, 5, 6, 7) if free else (),
+        cost=Cost(3.0, 0.5, (Term("(q_left_elbow - a)**2 + u_left*qd_left", 2.0),), (Term("T**2 + qdd_right", 4.0),)),
+        end=End(
+            coordinates=((1, -0.5),),
+            velocities=((0, 0.5),),
+            accelerations=((2, 1.5),),
+            sensor_velocities=(("hand", (0.1, 0.0, 0.0)),) if free else (),
+        ),
+        constraints=(Constraint("x_hand**2 + a*t", (-1.0, 2.0)), Constraint("q_right_elbow", (0.0, 2.0), "end")),
+        constants=(("a", 0.3),),
+    )
+
+
+@pytest.mark.parametrize("free", [False, True])
+@pytest.mark.parametrize(("loops", "representation"), [FORMS[0], FORMS[2], FORMS[3], FORMS[4]])
+def test_derivatives_are_casadis_of_the_same_program(loops: Loops, representation: Representation, free: bool) -> None:
+    check_derivatives(rich(loops, representation, Family.RADAU, free=free), arms())
+
+
+@pytest.mark.parametrize("loops", Loops)
+def test_the_functions_in_numpy_are_the_ones_in_casadi(loops: Loops) -> None:
+    problem = rich(loops, Representation.IMPL, Family.RADAU, free=True)
+    transcription = transcribe(problem, arms())
+    ours, theirs = build(transcription.program, arms()), condensation.build(transcription.program, arms())
+    rng = np.random.default_rng(3)
+    x, p = rng.uniform(0.5, 1, theirs.variables), transcription.parameters(problem)
+    lam = rng.uniform(-1, 1, theirs.constraints)
+    assert ours.constraint(x, p) == pytest.approx(theirs.constraint(x, p).full().ravel(), rel=1e-12, abs=1e-12)
+    for found, expected in (
+        (ours.jacobian(x, p), theirs.jacobian(x, p)[1]),
+        (ours.hessian(x, p, 0.7, lam), theirs.hessian(x, p, 0.7, lam)),
+    ):
+        assert found.toarray() == pytest.approx(ca.DM(expected).full(), rel=1e-11, abs=1e-11)
+
+
+@pytest.mark.parametrize(("loops", "representation"), FORMS)
+def test_all_forms_find_one_optimum_and_keep_the_loops_closed(loops: Loops, representation: Representation) -> None:
+    """On one mesh, costs differ by the error of the discretisation, some h^5; loops are closed to rounding."""
+    found = solved(loops, representation)
+    assert found.cost.total == pytest.approx(solved(*FORMS[0]).cost.total, rel=1e-5)
+    assert found.violation.closure is not None
+    assert found.violation.closure < 1e-10
+    assert found.violation.closure_rate is not None
+    assert found.violation.closure_rate < 1e-9
+
+
+def test_legendre_points_close_the_loops_at_mesh_points_too() -> None:
+    problem = replace(reach(Loops.REDUCED), family=Family.LEGENDRE)
+    found = solve(problem, arms())
+    assert isinstance(found, Solution)
+    assert found.cost.total == pytest.approx(solved(*FORMS[0]).cost.total, rel=1e-4)
+    assert Closure(arms()).measure(found.trajectory.q) < 1e-10
+
+
+@cache
+def _swing(N: int) -> Problem:
+    """Swing the point of the pendulum up by 120 degrees, past the height at which x does not determine y."""
+    end = 2 * np.pi / 3
+    return Problem(
+        name="swing",
+        horizon=1.0,
+        intervals=N,
+        family=Family.RADAU,
+        degree=4,
+        cost=Cost(1.0),
+        start_q=(0.0, -1.0),
+        start_qd=(0.0, 0.0),
+        bounds=Bounds((FREE_RANGE,) * 2, (FREE_RANGE,) * 2, (FREE_RANGE,)),
+        end=End(coordinates=((1, -float(np.cos(end))),), velocity_zero=True),
+    )
+
+
+def test_multipliers_pass_where_no_choice_of_coordinates_is_independent() -> None:
+    """The same swing in the angle from below, theta'' = -g sin theta + u cos theta, has the same cost."""
+    q, qd, qdd, u = symbols = tuple(ca.SX.sym(name) for name in ("q", "qd", "qdd", "u"))
+    angle = mechanism(("q",), qdd + G * ca.sin(q) - u * ca.cos(q) + 0 * qd, symbols)
+    minimal = replace(
+        _swing(20),
+        start_q=(0.0,),
+        start_qd=(0.0,),
+        bounds=Bounds((FREE_RANGE,), (FREE_RANGE,), (FREE_RANGE,)),
+        end=End(coordinates=((0, 2 * float(np.pi) / 3),), velocity_zero=True),
+    )
+    expected, found = solve(minimal, angle), solve(_swing(20), rods())
+    assert isinstance(expected, Solution)
+    assert isinstance(found, Solution)
+    assert found.problem.loops is Loops.MULTIPLIERS
+    assert found.cost.total == pytest.approx(expected.cost.total, rel=1e-6)
+    theta = np.arctan2(found.trajectory.q[:, 0], -found.trajectory.q[:, 1])
+    assert np.abs(theta) == pytest.approx(np.abs(expected.trajectory.q[:, 0]), abs=1e-4)
+
+
+def test_a_regular_guess_chooses_the_reduced_form() -> None:
+    problem = reach()
+    guess = make_guess(problem, arms(), schemes.build(problem.family, problem.degree))
+    assert settle(problem, arms(), guess).loops is Loops.REDUCED  # type: ignore[arg-type]
+    explicit = replace(problem, representation=Representation.EXP2_O)
+    assert settle(explicit, arms(), guess).loops is Loops.MULTIPLIERS  # type: ignore[arg-type]
+
+
+def test_guesses_are_closed_and_their_inputs_make_the_motion() -> None:
+    problem = reach()
+    guess = make_guess(problem, arms(), schemes.build(problem.family, problem.degree))
+    assert not hasattr(guess, "distance")
+    closure = Closure(arms())
+    assert closure.measure(guess.point_q) < 1e-12
+    assert closure.measure_rates(guess.point_q, guess.point_qd) < 1e-12
+    flat = [x.reshape(-1, x.shape[-1]) for x in (guess.point_q, guess.point_qd, guess.point_qdd)]
+    opening = closure.jacobian(flat[0]) @ flat[2][:, :, None] + closure.bias(flat[0], flat[1])[:, :, None]
+    assert np.abs(opening).max() < 1e-11
+    fine = replace(problem, intervals=100, degree=1)
+    guess = make_guess(fine, arms(), schemes.build(fine.family, fine.degree))
+    found = accelerations(arms(), guess.point_q[:, 0], guess.point_qd[:, 0], guess.u)
+    assert found == pytest.approx(guess.point_qdd[:, 0], abs=1e-9)
+
+
+@pytest.mark.parametrize(("loops", "representation"), FORMS[:4])
+@pytest.mark.parametrize("free", [False, True])
+def test_constraints_are_independent_at_a_solution(loops: Loops, representation: Representation, free: bool) -> None:
+    """LICQ: the Jacobian of all equations, with fixed variables out, has full row rank."""
+    problem = reach(loops, representation, 3)
+    if free:
+        problem = replace(problem, free_start=(0, 1, 3, 5, 7))
+    found = solve(replace(problem, end=replace(problem.end, sensors=(), coordinates=((1, -1.2),))), arms())
+    assert isinstance(found, Solution)
+    transcription = transcribe(found.problem, arms())
+    functions = condensation.build(transcription.program, arms())
+    x = transcription.pack(found.trajectory)
+    J = ca.DM(functions.jacobian(x, transcription.parameters(found.problem))[1]).full()
+    lower, upper = transcription.constraint_bounds(found.problem)
+    J = J[np.isfinite(lower) & (lower == upper)]
+    values = np.linalg.svd(J / np.linalg.norm(J, axis=1)[:, None], compute_uv=False)
+    assert values[-1] > 1e-5
+
+
+@pytest.mark.parametrize("loops", Loops)
+def test_a_free_start_is_closed(loops: Loops) -> None:
+    """The right shoulder is given; the left one and all else are found, at the least cost."""
+    problem = replace(reach(loops), free_start=(0, 1, 3))
+    found, held = solve(problem, arms()), solved(loops, Representation.IMPL)
+    assert isinstance(found, Solution)
+    assert found.trajectory.q[0, 2] == pytest.approx(problem.start_q[2], abs=1e-9)
+    assert abs(found.trajectory.q[0, 0] - problem.start_q[0]) > 1e-3
+    assert Closure(arms()).measure(found.trajectory.q) < 1e-10
+    assert found.cost.total < held.cost.total
+
+
+def test_dependent_velocities_are_variables_where_they_are_read() -> None:
+    """Bounded by what the motion needs without bounds, they cost a little more; both forms agree."""
+    free = solved(Loops.REDUCED, Representation.IMPL)
+    fastest = float(np.abs(free.trajectory.point_qd[:, :, 1]).max())
+    bounds = Bounds(
+        (FREE_RANGE,) * 4, (FREE_RANGE, (-0.8 * fastest, 0.8 * fastest), *(FREE_RANGE,) * 2), (FREE_RANGE,) * 2
+    )
+    costs = []
+    for loops in Loops:
+        found = solve(replace(reach(loops), bounds=bounds), arms())
+        assert isinstance(found, Solution)
+        assert np.abs(found.trajectory.point_qd[:, :, 1]).max() <= 0.8 * fastest + 1e-7
+        costs.append(found.cost.total)
+    assert costs[0] == pytest.approx(costs[1], rel=1e-4)
+    assert costs[0] > free.cost.total
+
+
+# --- re-simulation ---------------------------------------------------------------------------------------------------
+
+
+def test_accelerations_of_closed_loops_are_the_kernels() -> None:
+    rng = np.random.default_rng(4)
+    q, qd, u = rng.uniform(-1, 1, (3, 4)), rng.uniform(-1, 1, (3, 4)), rng.uniform(-1, 1, (3, 2))
+    assert accelerations(arms(), q, qd, u) == pytest.approx(arms()("exp1", q=q, qd=qd, u=u)["qdd"], rel=1e-9)
+
+
+def test_a_free_swing_stays_on_its_circle_and_keeps_its_energy() -> None:
+    """Two seconds of the pendulum of rods, released level: x^2 + y^2 = 1 to rounding; energy to 1e-11."""
+    gaps: list[float] = []
+    ends = integrate(rods(), np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 1)), 2.0, gaps=gaps)
+    assert ends is not None
+    x, y, vx, vy = ends[0]
+    assert x**2 + y**2 == pytest.approx(1.0, abs=1e-14)
+    assert (vx**2 + vy**2) / 2 + G * y == pytest.approx(0.0, abs=1e-11)
+    assert 0 < max(gaps) < 1e-12
+
+
+@pytest.mark.parametrize("loops", Loops)
+def test_the_defect_falls_with_the_order_of_the_method(loops: Loops) -> None:
+    """Radau of degree 3 has order 5, a defect h^6: half the step, 1/64 of it; a factor of 20 shows order 4 at least."""
+    defects = []
+    for N in (4, 8):
+        motion = solved(loops, Representation.IMPL, N).trajectory
+        states = np.concatenate((motion.q, motion.qd), axis=1)
+        ends = integrate(arms(), states[:-1], motion.u, float(motion.t[1]))
+        assert ends is not None
+        defects.append(np.abs(ends - states[1:]).max())
+    assert defects[1] < defects[0] / 20
+
+
+def test_the_re_simulation_shows_that_loops_stay_closed() -> None:
+    check = resimulate(solved(Loops.REDUCED, Representation.IMPL, 4), arms()).resimulation
+    assert check is not None
+    assert check.closure is not None
+    assert 0 < check.closure <= CLOSED
+
+
+def test_a_solve_that_leaves_loops_open_is_no_solution() -> None:
+    """A solver that accepts the guess at once ends with the gap of the guess."""
+    problem = reach(Loops.MULTIPLIERS)
+    problem = replace(problem, solver=SolverOptions(options=(("acceptable_tol", 1e20), ("acceptable_iter", 1))))
+    guess = make_guess(problem, arms(), schemes.build(problem.family, problem.degree))
+    found = solve(problem, arms(), guess=replace(guess, point_q=guess.point_q + 0.05))  # type: ignore[arg-type, union-attr]
+    assert isinstance(found, Failure)
+    assert found.run.status == OPEN
+
+
+# --- what is refused --------------------------------------------------------------------------------------------------
+
+
+CONFLICTS: dict[str, tuple[Callable[[], Problem], str]] = {
+    "legendre": (lambda: replace(reach(Loops.MULTIPLIERS), family=Family.LEGENDRE), "no mesh points"),
+    "shooting": (lambda: replace(reach(), form=Form.SHOOTING), "takes no closed loops"),
+    "integral": (lambda: replace(reach(), form=Form.INTEGRAL), "takes no closed loops"),
+    "no reduced form": (lambda: reach(Loops.REDUCED, Representation.EXP2_O), "has no reduced form"),
+    "acceleration": (
+        lambda: replace(reach(Loops.REDUCED), end=End(accelerations=((1, 0.0),))),
+        "the acceleration of left_elbow",
+    ),
+    "open start": (lambda: replace(reach(), start_q=FIVE_BAR_POSE), "the loop loop stays open by"),
+    "opening start": (lambda: replace(reach(), start_qd=(1.0, 0.0, 0.0, 0.0)), "the loops open at"),
+    "end": (
+        lambda: replace(reach(), end=End(coordinates=((0, 2.0), (1, -1.0), (2, 1.0)))),
+        "right follows from the others",
+    ),
+    "free start": (lambda: replace(reach(), free_start=(0,)), "right_elbow follows from the others"),
+}
+
+
+@pytest.mark.parametrize("name", CONFLICTS)
+def test_what_loops_contradict_is_refused(name: str) -> None:
+    make, finding = CONFLICTS[name]
+    with pytest.raises(ProblemError, match=finding):
+        solve(make(), arms())
+
+
+def test_a_form_of_loops_needs_loops() -> None:
+    q, qd, qdd, u = symbols = tuple(ca.SX.sym(name) for name in ("q", "qd", "qdd", "u"))
+    plant = mechanism(("q",), qdd - u + 0 * q * qd, symbols)
+    one = replace(
+        _swing(4),
+        start_q=(0.0,),
+        start_qd=(0.0,),
+        bounds=Bounds((FREE_RANGE,), (FREE_RANGE,), (FREE_RANGE,)),
+        end=End(),
+    )
+    with pytest.raises(ProblemError, match="no closed loops"):
+        solve(replace(one, loops=Loops.REDUCED), plant)
+    assert structure(settle(one, plant)).loops is None
+
+
+FILE = """\
+model: five_bar.yaml
+horizon: 0.8
+intervals: 8
+scheme: radau
+degree: 3
+cost: {{inputs: 1}}
+start: {start}
+end: {end}
+"""
+
+
+def _read(folder: Path, start: str, end: str = "{velocity: zero}") -> Problem:
+    path = folder / "reach.ocp.yaml"
+    path.write_text(FILE.format(start=start, end=end), "utf-8")
+    return read_problem(path, lambda _: arms())[0]
+
+
+STARTS = {
+    "{pose: {left: 2.2, right: 0.9}, velocity: {left: 1.5}}": ((0, 2.2), (2, 0.9)),
+    "{pose: {left: 2.2, left_elbow: -1.3}}": ((0, 2.2), (1, -1.3)),
+    "{pose: {left: 2.0}}": ((0, 2.0), (2, FIVE_BAR_POSE[2])),
+}
+
+
+@pytest.mark.parametrize("start", STARTS)
+def test_a_start_is_completed_by_closing(tmp_path: Path, start: str) -> None:
+    """What is given keeps its value, other independent coordinates those of the assembled pose; loops give the rest."""
+    problem, closure = _read(tmp_path, start), Closure(arms())
+    q, qd = np.array(problem.start_q), np.array(problem.start_qd)
+    assert closure.is_closed(q)
+    assert closure.measure_rates(q[None], qd[None]) < 1e-12
+    assert qd[0] == (pytest.approx(1.5) if "velocity" in start else 0)
+    for i, value in STARTS[start]:
+        assert q[i] == pytest.approx(value, abs=1e-15)
+    assert problem.free_start == ()
+
+
+def test_a_null_frees_what_follows_from_it(tmp_path: Path) -> None:
+    problem = _read(tmp_path, "{pose: {left: null, right: 0.9}}")
+    assert problem.free_start == (0, 1, 3, 5, 7)
+
+
+def test_targets_that_follow_from_others_are_dropped_or_refused(tmp_path: Path) -> None:
+    closure = Closure(arms())
+    q = closure.close(np.array([2.3, -1.3, 1.0, 1.3]), (0, 2))
+    end = f"{{pose: {{left: 2.3, right: 1.0, left_elbow: {q[1]:.9f}}}}}"
+    assert [i for i, _ in _read(tmp_path, "{pose: {}}", end).end.coordinates] == [0, 2]
+    with pytest.raises(InputError, match=r"left_elbow = -1, but the loops put it at -1\.\d+, 0\.\d+ away"):
+        _read(tmp_path, "{pose: {}}", "{pose: {left: 2.3, right: 1.0, left_elbow: -1}}")
+
+
+REFUSED = {
+    "{pose: {left: 3.1, right: 0}}": "the loop loop stays open by 0.",
+    "{pose: {left: 2.2, right: 0.9, left_elbow: -1}}": "left_elbow = -1, but the loops put it at",
+    "{pose: [2.2, -1.3, 0.9, 1.3]}": "away; leave it out",
+}
+
+
+@pytest.mark.parametrize("start", REFUSED)
+def test_a_start_that_loops_contradict_is_refused_with_the_distance(tmp_path: Path, start: str) -> None:
+    with pytest.raises(InputError, match=REFUSED[start]):
+        _read(tmp_path, start)
