@@ -36,7 +36,7 @@ class Peer:
         **loops: Any,
     ) -> None:
         self._functions = {**functions, "jac_impl": functions["impl"].jacobian()}
-        self._maps: dict[tuple[str, int], ca.Function] = {}
+        self._batches: dict[tuple[str, int], _Batch] = {}
         self.manifest = Manifest(
             format=FORMAT,
             generator="by hand",
@@ -73,29 +73,51 @@ class Peer:
 
     def __call__(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> dict[str, NDArray[np.float64]]:
         """Evaluate; a leading batch axis on all inputs is allowed."""
-        function = self.casadi(name)
-        arrays = {key: np.asarray(value, dtype=float) for key, value in inputs.items()}
-        wanted = [key for key in function.name_in() if not key.startswith("out_")]
-        assert set(arrays) == set(wanted), f"{name} takes {wanted}"
-        is_batch = arrays[wanted[0]].ndim == 2  # the first input is a vector
-        states = len(arrays[wanted[0]]) if is_batch else 1
-        columns = {
-            key: array.reshape(states, *function.size_in(key)).transpose(1, 0, 2).reshape(function.size1_in(key), -1)
-            for key, array in arrays.items()
-        }
-        if (name, states) not in self._maps:
-            self._maps[name, states] = function.map(states)
-        results = self._maps[name, states](**columns)
-        out = {}
-        for i, key in enumerate(function.name_out()):
-            rows, cols = function.size_out(i)
+        first = next(key for key in self.casadi(name).name_in() if not key.startswith("out_"))
+        is_batch = np.ndim(inputs[first]) == 2  # the first input is a vector
+        states = len(np.asarray(inputs[first])) if is_batch else 1
+        if (name, states) not in self._batches:
+            self._batches[name, states] = _Batch(self.casadi(name), states)
+        found = self._batches[name, states](inputs, sparse=sparse)
+        return found if is_batch else {key: value[0] for key, value in found.items()}
+
+
+class _Batch:
+    """A function at several states at once, on its own buffers."""
+
+    def __init__(self, function: ca.Function, states: int) -> None:
+        self._states = states
+        self._buffer, self._run = function.map(states).buffer()
+        self._inputs, self._outputs = {}, {}
+        for i, name in enumerate(function.name_in()):
+            if not name.startswith("out_"):
+                held, pattern = np.zeros((states, function.nnz_in(i))), function.sparsity_in(i)
+                rows, cols = (np.array(k, dtype=int) for k in pattern.get_triplet())
+                self._inputs[name] = held, pattern.shape, rows, cols
+                if held.size:
+                    self._buffer.set_arg(i, held.data)  # type: ignore[call-arg]
+        for i, name in enumerate(function.name_out()):
+            values, pattern = np.zeros((states, function.nnz_out(i))), function.sparsity_out(i)
+            rows, cols = (np.array(k, dtype=int) for k in pattern.get_triplet())
+            self._outputs[name] = values, pattern.shape, rows, cols
+            if values.size:
+                self._buffer.set_res(i, values.data)  # type: ignore[call-arg]
+
+    def __call__(self, inputs: Mapping[str, ArrayLike], *, sparse: bool) -> dict[str, NDArray[np.float64]]:
+        assert set(inputs) == set(self._inputs), f"it takes {list(self._inputs)}"
+        for name, (held, shape, rows, cols) in self._inputs.items():
+            held[:] = np.asarray(inputs[name], dtype=float).reshape(self._states, *shape)[:, rows, cols]
+        self._run()
+        assert not self._buffer.ret(), "it can be evaluated"
+        found = {}
+        for name, (values, shape, rows, cols) in self._outputs.items():
             if sparse:
-                value = np.array(results[key].nonzeros()).reshape(states, function.nnz_out(i))
-            else:
-                value = ca.densify(results[key]).full().reshape(rows, states, cols).transpose(1, 0, 2)
-                value = value[:, :, 0] if cols == 1 and not key.startswith("jac_") else value
-            out[key] = value if is_batch else value[0]
-        return out
+                found[name] = values.copy()
+                continue
+            whole = np.zeros((self._states, *shape))
+            whole[:, rows, cols] = values
+            found[name] = whole[:, :, 0] if shape[1] == 1 and not name.startswith("jac_") else whole
+        return found
 
 
 def pose_functions(q: ca.SX, sensors: ca.SX, p: ca.SX, R: ca.SX) -> dict[str, ca.Function]:

@@ -37,7 +37,7 @@ from mbsrun.ocp.representations import Loops
 from mbsrun.ocp.structure import Structure
 from mbsrun.quantities import list_quantities
 
-POSITIONS = KernelResult("loops", ("q",), "h")
+POSITIONS = KernelResult("loops", ("q",), "gap")
 RATES = KernelResult("loop_rates", ("q", "qd"), "hd")
 FORCES = KernelResult("loop_forces", ("q", "lam"), "Q")
 

@@ -54,7 +54,7 @@ class Closure:
 
     def jacobian(self, q: Array) -> Array:
         """Return J, (B, m, n)."""
-        return self.plant("jac_loops", q=q)["jac_h_q"]
+        return self.plant("jac_loops", q=q)["jac_gap_q"]
 
     def bias(self, q: Array, qd: Array) -> Array:
         """Return gamma, (B, m)."""
