@@ -1,0 +1,189 @@
+"""Assemblies of loops: closed poses, redundant equations, choices of coordinates, and loops that cannot be closed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import acos, cos, pi, sin
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mbsgen.assembly import assemble, describe
+from mbsgen.errors import InputError
+from mbsgen.model.construction import body, constraint, end, loop, make_model, revolute, rod
+from mbsgen.model.model import Model
+from mbsgen.model.reduction import build_tree
+from mbsgen.model.tree import Kind, Tree
+from mbsgen.pipeline import Options, make, read_tree
+
+CRANK, COUPLER, ROCKER, GROUND = 0.2, 0.5, 0.4, 0.6
+UNIFORM = (0.1, 0.1, 0.1)
+
+
+def link(name: str, parent: str, x: float, *, actuated: bool = False) -> object:
+    joint = revolute("z", name=name, position=(x, 0, 0), actuated=actuated)
+    return body(name, joint, parent=parent, mass=1.0, com=(0.1, 0, 0), inertia=UNIFORM)
+
+
+def four_bar(
+    lengths: tuple[float, float, float, float] = (CRANK, COUPLER, ROCKER, GROUND), **settings: object
+) -> Model:
+    crank, coupler, rocker, ground = lengths
+    bodies = [
+        link("crank", "base", 0.0, actuated=True),
+        link("coupler", "crank", crank),
+        link("rocker", "base", ground),
+    ]
+    first, second = end("coupler", position=(coupler, 0, 0)), end("rocker", position=(rocker, 0, 0))
+    known = {"loops": [loop("knee", "hinge", first, second)], "assembly": {"crank": 1.0, "rocker": 1.5}} | settings
+    return make_model("four-bar", bodies, gravity=(0, -9.81, 0), **known)  # type: ignore[arg-type]
+
+
+def close(model: Model) -> Tree:
+    return assemble(build_tree(model))
+
+
+def refuse(model: Model) -> str:
+    with pytest.raises(InputError) as found:
+        read_tree(model)
+    return str(found.value)
+
+
+def test_a_four_bar_closes_where_its_circles_meet() -> None:
+    """The knee lies on the circles about the tip of the crank and about the ground's second pivot."""
+    closure = close(four_bar()).closure
+    assert closure is not None
+    crank, coupler, rocker = closure.pose
+    x, y = CRANK * cos(crank) + COUPLER * cos(crank + coupler), CRANK * sin(crank) + COUPLER * sin(crank + coupler)
+    np.testing.assert_allclose([x, y], [GROUND + ROCKER * cos(rocker), ROCKER * sin(rocker)], rtol=0, atol=1e-14)
+
+
+def test_both_assemblies_of_a_four_bar_are_found() -> None:
+    """They are images of each other in the line from the tip of the crank to the ground's second pivot."""
+    found = describe(close(four_bar()))
+    assert found is not None
+    assert len(found.assemblies) == 2
+    one, other = (np.array(pose) for pose in found.assemblies)
+    line = np.arctan2(-CRANK * sin(one[0]), GROUND - CRANK * cos(one[0]))
+    mirrored = np.remainder(2 * line - (one[0] + one[1]) - (other[0] + other[1]) + pi, 2 * pi) - pi
+    assert one[0] == other[0]
+    assert abs(mirrored) < 1e-9
+
+
+def test_equations_across_the_plane_are_redundant() -> None:
+    found = describe(close(four_bar()))
+    assert found is not None
+    assert found.freedoms == 1
+    assert found.redundant == ("knee.z", "knee.turn_x", "knee.turn_y")
+
+
+def test_joints_with_inputs_are_independent_and_an_author_decides_otherwise() -> None:
+    chosen, own = close(four_bar()).closure, close(four_bar(independent=["rocker"])).closure
+    assert chosen is not None
+    assert chosen.independent == (0,)
+    assert own is not None
+    assert own.independent == (2,)
+    assert own.dependent == (0, 1)
+
+
+def bricard() -> Model:
+    """Five rods along the edges of a cube, and six hinges: mobile by the directions of its axes alone."""
+    steps = [("y", (1, 0, 0)), ("z", (0, -1, 0)), ("x", (0, 0, 1)), ("y", (-1, 0, 0)), ("z", (0, 1, 0))]
+    bodies, parent, place = [], "base", (0, 0, 0)
+    for k, (axis, rod_) in enumerate(steps):
+        joint = revolute(axis, name=f"q{k}", position=place, actuated=False)
+        bodies.append(body(f"rod{k}", joint, parent=parent, mass=1.0, com=tuple(x / 2 for x in rod_), inertia=UNIFORM))
+        parent, place = f"rod{k}", rod_
+    last = loop("last", "hinge", end(parent, position=place), end("base", position=(0, 0, 1)), axis="x")
+    return make_model("Bricard", bodies, gravity=(0, -9.81, 0), loops=[last])
+
+
+def test_a_mechanism_that_moves_by_its_geometry_has_its_redundant_equation_named() -> None:
+    """Five joints and five equations leave no freedom by counting; one equation follows from the others (Bricard)."""
+    found = describe(close(bricard()))
+    assert found is not None
+    assert (found.coordinates, found.freedoms, len(found.redundant)) == (5, 1, 1)
+
+
+def test_equations_that_are_redundant_for_one_geometry_are_no_run_time_matter() -> None:
+    with pytest.raises(InputError, match="for the present lengths alone"):
+        make(bricard(), Options(runtime=True, derivatives=0, functions=("impl",)))
+
+
+def test_a_loop_out_of_reach_is_named_with_what_is_left() -> None:
+    """The knee cannot bridge 3 m - 0.2 m - 0.5 m - 0.4 m = 1.9 m."""
+    told = refuse(four_bar((CRANK, COUPLER, ROCKER, 3.0)))
+    assert told.startswith("model \"four-bar\": loops[0]: loop 'knee' does not close")
+    assert float(told.split("by ")[1].split(";")[0]) == pytest.approx(1.9, rel=0.02)
+
+
+def test_loops_that_contradict_each_other_are_both_named() -> None:
+    ends = end("coupler"), end("rocker", position=(0.1, 0, 0))
+    told = refuse(four_bar(loops=[rod("one", *ends, 0.4), rod("other", *ends, 0.5)]))
+    assert "loop 'one' does not close" in told
+    assert "loop 'other' does not close" in told
+
+
+def test_a_constraint_without_a_solution_is_named() -> None:
+    told = refuse(four_bar(constraints=[constraint("cam", "sin(crank) - 2")]))
+    assert "constraints[0]: constraint 'cam' does not close" in told
+
+
+def test_a_loop_that_leaves_no_freedom_is_refused() -> None:
+    told = refuse(four_bar(constraints=[constraint("stop", "crank + sin(crank) - 1.5")]))
+    assert "leave no joint free to move" in told
+
+
+def test_a_parallelogram_in_line_is_singular() -> None:
+    """All links lie on one line: the change point, where two assemblies meet."""
+    told = refuse(four_bar((0.3, 0.6, 0.3, 0.6), assembly={}))
+    assert "singular pose" in told
+    assert "1 of their equations are independent there, 2 nearby" in told
+
+
+def test_axes_turned_round_are_told() -> None:
+    first = end("coupler", position=(COUPLER, 0, 0), orientation=[("x", pi)])
+    told = refuse(four_bar(loops=[loop("knee", "hinge", first, end("rocker", position=(ROCKER, 0, 0)))]))
+    assert "loop 'knee' closes with its axes turned round only" in told
+
+
+@pytest.mark.parametrize("names", [["crank", "rocker"], ["crank", "coupler", "rocker"]])
+def test_too_many_independent_joints_are_counted(names: list[str]) -> None:
+    told = refuse(four_bar(independent=names))
+    assert f"independent: {len(names)} independent joints" in told
+    assert "1 determine all others" in told
+
+
+def test_an_independent_joint_at_its_dead_centre_is_refused() -> None:
+    """Crank and coupler in line: the rocker is at its limit, and does not determine the crank."""
+    reach = CRANK + COUPLER
+    crank = acos((reach**2 + GROUND**2 - ROCKER**2) / (2 * reach * GROUND))
+    pose = {"crank": crank, "rocker": pi - acos((ROCKER**2 + GROUND**2 - reach**2) / (2 * ROCKER * GROUND))}
+    assert "do not determine the others" in refuse(four_bar(independent=["rocker"], assembly=pose))
+
+
+def test_more_driven_joints_than_freedoms_are_counted() -> None:
+    model = four_bar()
+    passive = [replace(b, joint=replace(b.joint, actuated=False)) for b in model.bodies]  # type: ignore[type-var]
+    told = refuse(replace(model, bodies=tuple(passive), driven=("crank", "rocker")))
+    assert "driven: 2 driven joints, where 1 determine all others" in told
+
+
+def test_faults_of_loops_have_their_lines(tmp_path: Path) -> None:
+    file = tmp_path / "model.yaml"
+    file.write_text(
+        "name: rods\ngravity: [0, -9.81, 0]\nbodies:\n"
+        "  - {name: a, joint: {type: revolute, axis: z}, mass: 1, com: [0.1, 0, 0]}\n"
+        "  - {name: b, joint: {type: revolute, axis: z, position: [1, 0, 0]}, mass: 1, com: [0.1, 0, 0]}\n"
+        "loops:\n  - {name: bar, type: rod, from: {body: a, position: [0.2, 0, 0]}, to: {body: b}, length: 2}\n",
+        encoding="utf-8",
+    )
+    with pytest.raises(InputError, match=r"model\.yaml:7: loops\[0\]: loop 'bar' does not close"):
+        read_tree(file)
+
+
+def test_a_tree_without_loops_stays_as_it_is() -> None:
+    tree = build_tree(make_model("one", [link("a", "base", 0.0)], gravity=(0, 0, -9.81)))  # type: ignore[list-item]
+    assert assemble(tree) is tree
+    assert all(p.kind is Kind.CONSTANT for p in tree.parameters)
