@@ -15,15 +15,15 @@ from mbsgen.assembly.mechanism import Mechanism
 from mbsgen.expressions import Number, Operation
 from mbsgen.formulations import semi
 from mbsgen.formulations.closure import list_equations
-from mbsgen.formulations.poses import build_frames
 from mbsgen.model.construction import joint
 from mbsgen.model.expansion import list_steps
 from mbsgen.model.model import Body, Loop, LoopEnd, Model, Placement
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
-from mbsgen.model.tree import Closure, Cut, LoopFrame, Motion, Sensor, Tree
+from mbsgen.model.tree import Closure, Cut, Motion, Tree
 from mbsgen.pipeline import read_tree
 from mbsgen.tape.interpreter import evaluate
+from tests.loop_ends import open_loops, place_ends
 from tests.random_trees import floats, values_of
 from tests.shipped import CLOSED, FOLDER
 
@@ -64,10 +64,6 @@ def read(name: str) -> tuple[Tree, Closure]:
     return tree, tree.closure
 
 
-def open_loops(tree: Tree) -> Tree:
-    return replace(tree, loops=(), closure=None)
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_closed_models_have_their_parts_and_degrees_of_freedom(name: str) -> None:
     """Degrees of freedom by Gruebler: joints less equations, of which a hinge in a plane has 2."""
@@ -81,21 +77,6 @@ def test_closed_models_have_their_parts_and_degrees_of_freedom(name: str) -> Non
     counted = 2 * parts.loops if parts.is_planar else parts.equations
     assert parts.freedoms == parts.joints - counted == parts.joints - len(closure.kept)
     assert tree.name == name
-
-
-def place_ends(tree: Tree, q: Array) -> list[tuple[Array, Array, Array, Array]]:
-    """Return origins p1, p2 and axes R1, R2 of the two ends of each loop, as poses of sensors."""
-
-    def sense(end: LoopFrame) -> Sensor:
-        return Sensor("end", end.body, end.position, end.axes)
-
-    ends = tuple(sense(end) for loop in tree.loops for end in (loop.first, loop.second))
-    bare = replace(open_loops(tree), sensors=ends)
-    found = evaluate(build_frames(bare), {"q": list(q)} | ({"p": given} if (given := values_of(tree)) else {}))
-    n = len(tree.bodies)
-    p: Array = np.array(found["p"], float).reshape(-1, 3)[n:]
-    R: Array = np.array(found["R"], float).reshape(-1, 3, 3)[n:].transpose(0, 2, 1)
-    return [(p[i], p[i + 1], R[i], R[i + 1]) for i in range(0, len(ends), 2)]
 
 
 @pytest.mark.parametrize("name", NAMES)
