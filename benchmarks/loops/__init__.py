@@ -1,0 +1,1 @@
+"""Benchmarks of mechanisms with loops: the community's models, references, and other programs for the same work."""
