@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +88,7 @@ class Andrews:
 
     def inertia(self, beta: Any) -> Any:
         """Return m(beta)."""
-        F, E, G, H = self.points(beta)
+        F, E, _, _ = self.points(beta)
         e, w = self.directions(beta), self.rates(beta)
         Ed = 1j * w[2] * (E - self.B)
         velocities = (
@@ -113,7 +114,7 @@ class Andrews:
 
     def angles(self, beta: Any) -> tuple[Any, ...]:
         """Return the joints' angles; all but beta and theta stay within half a turn."""
-        e1, e2, e3, e4, e5, e6, e7 = self.directions(beta)
+        _, e2, e3, e4, e5, e6, e7 = self.directions(beta)
         gamma, delta, epsilon = mp.arg(e3), mp.arg(e5), mp.arg(e7)
         return beta, mp.arg(e2) - beta, gamma, mp.arg(e4 / e5), delta, mp.arg(e6 / e7), epsilon
 
@@ -246,7 +247,7 @@ def find_phi(model: Bricard, time: Any, panels: int = 8, nodes: int = 40) -> tup
         return half * sum(w * model.slowness(middle + half * x) for x, w in rule)
 
     edges = [mp.pi * k / panels for k in range(panels + 1)]
-    swing = [pass_panel(*pair) for pair in zip(edges, edges[1:], strict=False)]
+    swing = [pass_panel(*pair) for pair in pairwise(edges)]
     period = 2 * sum(swing)
     rest = time - period * mp.floor(time / period)
     is_back = rest > period / 2
@@ -294,7 +295,7 @@ def find_tilt(bars: int, time: Any, nodes: int = 40, panels: int = 16) -> tuple[
         return half * sum(w / rate(middle + half * x) for x, w in rule)
 
     edges = [2 * mp.pi * k / panels for k in range(panels + 1)]
-    turn = [pass_panel(*pair) for pair in zip(edges, edges[1:], strict=False)]
+    turn = [pass_panel(*pair) for pair in pairwise(edges)]
     turns = mp.floor(time / sum(turn))
     rest = time - turns * sum(turn)
     k = next(k for k in range(panels) if sum(turn[: k + 1]) >= rest)

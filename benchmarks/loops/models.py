@@ -16,7 +16,8 @@ NAMES = ("pendulum_rod", "double_pendulum_rods", "four_bars", "andrews", "bricar
 _HEAD = """\
 # {title}, A02 of the IFToMM library of multibody benchmarks: rods of 1 m and 1 kg, {uprights} upright
 # ones on the base and {bars} level ones between their ends. At first B0, the end of the first, moves by 1 m/s along x.
-# With all rods on one line there are {uprights} freedoms instead of one. `python -m benchmarks.loops.models {bars}` prints this.
+# With all rods on one line there are {uprights} freedoms instead of one.
+# `python -m benchmarks.loops.models {bars}` prints this.
 
 name: {name}
 gravity: [0, -9.81, 0]

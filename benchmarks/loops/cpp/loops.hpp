@@ -1,0 +1,64 @@
+// The rest of a mechanism's text: what closes loops between its bodies, and forces in its joints.
+//
+// After the bodies of mechanism.hpp: the number of loops; a line for each: its kind (point, axis, frame); twice the body
+// (0 is the base), the frame's origin, 3, and its axes as columns, row by row, 9. Then the number of forces; for each
+// the joint, from 0, and five numbers f, k, slack, a, b, rest: f - k (1 - slack / r) (b cos q - a sin q) with
+// r = sqrt(rest + 2 (a cos q + b sin q)).
+#ifndef BENCHMARKS_LOOPS_HPP
+#define BENCHMARKS_LOOPS_HPP
+
+#include <cmath>
+#include <istream>
+#include <string>
+#include <vector>
+
+#include <Eigen/Core>
+
+struct End {
+    int body;
+    Eigen::Vector3d position;
+    Eigen::Matrix3d axes;
+};
+
+struct Loop {
+    std::string kind;
+    End ends[2];
+};
+
+struct Law {
+    int joint;
+    double f, k, slack, a, b, rest;
+    double operator()(double q) const
+    {
+        if (k == 0) return f;
+        const double c = std::cos(q), s = std::sin(q);
+        return f - k * (1 - slack / std::sqrt(rest + 2 * (a * c + b * s))) * (b * c - a * s);
+    }
+};
+
+inline std::vector<Loop> read_loops(std::istream &file)
+{
+    int size = 0;
+    file >> size;
+    std::vector<Loop> loops(size);
+    for (Loop &loop : loops) {
+        file >> loop.kind;
+        for (End &end : loop.ends) {
+            file >> end.body;
+            for (int k = 0; k < 3; ++k) file >> end.position[k];
+            for (int k = 0; k < 9; ++k) file >> end.axes(k / 3, k % 3);
+        }
+    }
+    return loops;
+}
+
+inline std::vector<Law> read_laws(std::istream &file)
+{
+    int size = 0;
+    file >> size;
+    std::vector<Law> laws(size);
+    for (Law &law : laws) file >> law.joint >> law.f >> law.k >> law.slack >> law.a >> law.b >> law.rest;
+    return laws;
+}
+
+#endif
