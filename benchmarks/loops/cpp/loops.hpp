@@ -2,8 +2,9 @@
 //
 // After the bodies of mechanism.hpp: the number of loops; a line for each: its kind (point, axis, frame); twice the body
 // (0 is the base), the frame's origin, 3, and its axes as columns, row by row, 9. Then the number of forces; for each
-// the joint, from 0, and five numbers f, k, slack, a, b, rest: f - k (1 - slack / r) (b cos q - a sin q) with
-// r = sqrt(rest + 2 (a cos q + b sin q)).
+// the joint, from 0, and six numbers f, k, slack, a, b, rest: f - k (1 - slack / r) (b cos q - a sin q) with
+// r = sqrt(rest + 2 (a cos q + b sin q)). Then the number of springs between points of bodies; for each twice the body
+// and the point, 3; stiffness, damping and length without force.
 #ifndef BENCHMARKS_LOOPS_HPP
 #define BENCHMARKS_LOOPS_HPP
 
@@ -50,6 +51,27 @@ inline std::vector<Loop> read_loops(std::istream &file)
         }
     }
     return loops;
+}
+
+struct Spring {
+    int bodies[2];
+    Eigen::Vector3d points[2];
+    double stiffness, damping, slack;
+};
+
+inline std::vector<Spring> read_springs(std::istream &file)
+{
+    int size = 0;
+    file >> size;
+    std::vector<Spring> springs(size);
+    for (Spring &spring : springs) {
+        for (int end = 0; end < 2; ++end) {
+            file >> spring.bodies[end];
+            for (int k = 0; k < 3; ++k) file >> spring.points[end][k];
+        }
+        file >> spring.stiffness >> spring.damping >> spring.slack;
+    }
+    return springs;
 }
 
 inline std::vector<Law> read_laws(std::istream &file)
