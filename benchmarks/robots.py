@@ -26,11 +26,13 @@ def find_robot(name: str, folder: Path) -> Path | None:
         return None
     imported = import_model(file, Choices(name=name, base="floating", mimic="free"))
     path = folder / f"{name}.yaml"
-    path.write_text(write_model(_without_forces(imported.model)), encoding="utf-8")
+    path.write_text(write_model(remove_forces(imported.model)), encoding="utf-8")
     return path
 
 
-def _without_forces(model: Model) -> Model:
+def remove_forces(model: Model) -> Model:
+    """Return the model without laws of joints."""
+
     def release(body: Body) -> Body:
         match body.joint:
             case Fixed():

@@ -7,8 +7,6 @@
 
 #include <pinocchio/algorithm/constrained-dynamics-derivatives.hpp>
 #include <pinocchio/algorithm/constrained-dynamics.hpp>
-#include <pinocchio/algorithm/jacobian.hpp>
-#include <pinocchio/algorithm/loop-constrained-aba.hpp>
 
 #include "../../cpp/mechanism.hpp"
 #include "loops.hpp"
@@ -103,15 +101,6 @@ int pinl_load(const char *path, double mu, double accuracy, int iterations)
 KERNEL(pinl_exp1)
 {
     Wanted(res[0], state->mechanism.model.nv) = accelerate(arg[0], arg[1], arg[2]);
-    return 0;
-}
-
-KERNEL(pinl_exp2)
-{
-    State &s = *state;
-    Wanted(res[0], s.mechanism.model.nv) =
-        pinocchio::lcaba(s.mechanism.model, s.data, given(arg[0]), given(arg[1]), torques(arg[0], arg[2]),
-                         s.constraints, s.datas, s.settings);
     return 0;
 }
 
