@@ -1,8 +1,8 @@
 """Trees with loops in Exudyn's absolute coordinates, and their motions by its implicit integrators.
 
-Mechanisms in the plane x, y have 2-D bodies and joints, as in Exudyn's own example of four-bars; others have 3-D ones with
-rotation vectors, as in its example of Bricard's mechanism, whose redundant joint needs a dense solver that
-ignores what is singular.
+Mechanisms in the plane x, y have 2-D bodies and joints, as in Exudyn's own example of four-bars; others have 3-D ones
+with Euler parameters, as in its example of Bricard's mechanism, whose redundant joint needs a dense solver that ignores
+what is singular.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Kernels of mechanisms with loops beside other programs: accelerations and their Jacobian, in one run.
 
 Multipliers are results of our kernels and are not compared: each program has its own. MuJoCo's loops are soft, so its
-accelerations differ, and the table says by how much. All numbers of a model are folded into our code, not into the others'.
+accelerations differ, and the table says by how much. All numbers of a model are folded into our code alone.
 """
 
 from __future__ import annotations
@@ -87,9 +87,10 @@ def measure_model(model: Path, rounds: int, report: Callable[[str], None] = lamb
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         free = write_without_forces(model, folder)
-        kernels, tree = Mechanism(find_folder(free, Extent(NEEDED, derivatives=1))), read_tree(free)
+        generated = find_folder(free, Extent(NEEDED, derivatives=1))
+        kernels, tree = Mechanism(generated), read_tree(free)
         pool = draw_states(kernels, STATES)
-        ours = _list_ours(kernels)
+        ours = _list_ours(kernels, generated)
         report("timing")
         return [_measure_function(name, kernels, tree, ours[name], pool, rounds, folder) for name in FUNCTIONS]
 
@@ -101,13 +102,13 @@ def write_without_forces(model: Path, folder: Path) -> Path:
     return path
 
 
-def _list_ours(kernels: Mechanism) -> dict[str, dict[str, Function]]:
+def _list_ours(kernels: Mechanism, folder: Path) -> dict[str, dict[str, Function]]:
     """Return our kernels by function and way, with sines of our header and of the C library."""
     manifest = kernels.manifest
     names = [name for group in FUNCTIONS.values() for name in group]
     sources = [source for name in names for source in manifest.kernel(name).sources]
     own = kernels.compile(*names)
-    libm = compile_library(kernels.folder, manifest.prefix, sources, Variant(libm=True).compiler())
+    libm = compile_library(folder, manifest.prefix, sources, Variant(libm=True).compiler())
     return {
         function: {
             f"{name}{mark}": find_function(library, manifest.kernel(name).symbol)
