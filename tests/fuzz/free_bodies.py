@@ -23,7 +23,20 @@ import numpy as np
 from scipy.linalg import lu_factor, lu_solve, qr
 
 from tests.fuzz.jets import Jet, dot, evaluate_jet
-from tests.fuzz.kinematics import DECIMALS, Array, Data, Kinematics, Link, Motion, Moved, Numbers, Values, skew, turn_by
+from tests.fuzz.kinematics import (
+    DECIMALS,
+    Array,
+    Data,
+    Kinematics,
+    Link,
+    Motion,
+    Moved,
+    Numbers,
+    Values,
+    rest,
+    skew,
+    turn_by,
+)
 
 SYNONYMS = {"revolute": "hinge", "spherical": "ball", "fixed": "solid"}
 RANK = 1e-9  # of the largest singular value: smaller ones are 0
@@ -73,10 +86,12 @@ class FreeBodies(Kinematics):
         numbers: Numbers = DECIMALS,
         scene: Data | None = None,
         *,
+        axes: Mapping[str, Array] | None = None,
         gravity: bool = True,
     ) -> None:
+        """Take a model. `axes` turns a joint's frame into the one that loops beyond the joint are measured in."""
         super().__init__(model, names, numbers)
-        self.scene = scene or {}
+        self.scene, self.axes = scene or {}, axes or {}
         self.gravity = self.vector(model["gravity"] if gravity and self.scene.get("gravity", True) else [0, 0, 0])
         self.locked = {name: self.number(x) for name, x in self.scene.get("locked", {}).items()}
         self.follows = {
@@ -334,26 +349,48 @@ class FreeBodies(Kinematics):
             for key, along in (("from", axis), ("to", axis2 if kind == "universal" else axis))
         )
         d = second.origin - first.origin
-        (x1, y1, z1), (x2, y2, z2) = first.axes, second.axes
-        at = [dot(d, x1), dot(d, y1), dot(d, z1)]
+        (x1, y1, z1), (x2, _, z2) = first.axes, second.axes
+        gap = [dot(d, axis) for axis in self._find_measure(moved, loop)]
+        aligned = [dot(x1, z2), dot(y1, z2)]
         match kind:
             case "rod":
                 length = self.number(loop["length"])
                 return [(dot(d, d) - length * length) / (2 * length)]
             case "ball":
-                return at
+                return gap
             case "hinge":
-                return [*at, dot(x1, z2), dot(y1, z2)]
+                return [*gap, *aligned]
             case "universal":
-                return [*at, dot(z1, z2) - axis @ axis2]
+                return [*gap, dot(z1, z2) - axis @ axis2]
             case "cylindrical":
-                return [*at[:2], dot(x1, z2), dot(y1, z2)]
+                return [dot(d, x1), dot(d, y1), *aligned]
             case "prismatic":
-                return [*at[:2], dot(x1, z2), dot(y1, z2), dot(y1, x2)]
+                return [dot(d, x1), dot(d, y1), *aligned, dot(y1, x2)]
             case "planar":
-                return [at[2], dot(x1, z2), dot(y1, z2)]
+                return [dot(d, z1), *aligned]
         assert kind == "solid"
-        return [*at, dot(y1, z2), dot(z1, x2), dot(x1, y2)]
+        return [*gap, *aligned, dot(y1, x2)]
+
+    def _find_measure(self, moved: Moved, loop: Data) -> list[Array]:
+        """Return the axes of the last body that carries both ends of a loop."""
+        one, other = (self._climb(moved, moved.nodes[loop[key].get("body", "base")]) for key in ("from", "to"))
+        node = next(node for node in one if node in other)
+        if not node:
+            start = rest(self.numbers)
+            return [self._direction(moved, start, 0, e) for e in start.R.T]
+        link = moved.links[node - 1]
+        axes = link.moved.turned(self.axes.get(link.names[-1], self.numbers.array(np.eye(3))))
+        return [self._direction(moved, axes, node, e) for e in axes.R.T]
+
+    def _climb(self, moved: Moved, node: int) -> list[int]:
+        """List the nodes from one to the base, without those that a locked joint carries."""
+        found = []
+        while node:
+            link = moved.links[node - 1]
+            if self.lead(link.names[0])[0] not in self.locked:
+                found.append(node)
+            node = link.before
+        return [*found, 0]
 
     def _end(self, moved: Moved, end: Data, axis: Array) -> _Frame:
         name = end.get("body", "base")
