@@ -225,6 +225,16 @@ class FreeBodies(Kinematics):
         names = [(name, equation) for name, kind in loops for equation in counts[kind]]
         return names + [(x["name"], "equation") for x in self.model.get("constraints", ())]
 
+    def climb(self, moved: Moved, node: int) -> list[int]:
+        """List the nodes from one to the base, without those that a locked joint carries."""
+        found = []
+        while node:
+            link = moved.links[node - 1]
+            if self.lead(link.names[0])[0] not in self.locked:
+                found.append(node)
+            node = link.before
+        return [*found, 0]
+
     # -- motion -------------------------------------------------------------------------------------------------------
 
     def solve(
@@ -373,7 +383,7 @@ class FreeBodies(Kinematics):
 
     def _find_measure(self, moved: Moved, loop: Data) -> list[Array]:
         """Return the axes of the last body that carries both ends of a loop."""
-        one, other = (self._climb(moved, moved.nodes[loop[key].get("body", "base")]) for key in ("from", "to"))
+        one, other = (self.climb(moved, moved.nodes[loop[key].get("body", "base")]) for key in ("from", "to"))
         node = next(node for node in one if node in other)
         if not node:
             start = rest(self.numbers)
@@ -381,16 +391,6 @@ class FreeBodies(Kinematics):
         link = moved.links[node - 1]
         axes = link.moved.turned(self.axes.get(link.names[-1], self.numbers.array(np.eye(3))))
         return [self._direction(moved, axes, node, e) for e in axes.R.T]
-
-    def _climb(self, moved: Moved, node: int) -> list[int]:
-        """List the nodes from one to the base, without those that a locked joint carries."""
-        found = []
-        while node:
-            link = moved.links[node - 1]
-            if self.lead(link.names[0])[0] not in self.locked:
-                found.append(node)
-            node = link.before
-        return [*found, 0]
 
     def _end(self, moved: Moved, end: Data, axis: Array) -> _Frame:
         name = end.get("body", "base")

@@ -530,10 +530,15 @@ def search(
             else:
                 tally.agreed += 1
         if keep is not None and tally.findings and tally.findings[-1][0] == number:
-            keep.mkdir(parents=True, exist_ok=True)
-            told = f"{tally.findings[-1][1]}\n# reductions: {mechanism.reductions}\n# scene: {mechanism.scene}"
-            text = f"# seed {number}: {told}\n# numbers: {mechanism.numbers}, tolerance: {mechanism.tolerance}\n"
-            text += f"# parameters: {dict(mechanism.parameters)}\n" + yaml.safe_dump(mechanism.model, sort_keys=False)
-            (keep / f"mechanism_{number}.yaml").write_text(text)
+            keep_file(keep, number, tally.findings[-1][1], mechanism)
         show(number, tally)
     return tally
+
+
+def keep_file(folder: Path, number: int, finding: str, mechanism: Mechanism) -> None:
+    """Write the model file of a mechanism that disagrees, and what was found, into a folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    found = f"{finding}\n# reductions: {mechanism.reductions}\n# scene: {mechanism.scene}"
+    text = f"# seed {number}: {found}\n# numbers: {mechanism.numbers}, tolerance: {mechanism.tolerance}\n"
+    text += f"# parameters: {dict(mechanism.parameters)}\n" + yaml.safe_dump(mechanism.model, sort_keys=False)
+    (folder / f"mechanism_{number}.yaml").write_text(text)
