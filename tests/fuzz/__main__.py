@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import click
 
-from tests.fuzz import inputs, mechanisms
+from tests.fuzz import inputs, linkages, loops, mechanisms
 
 
 @click.group()
@@ -38,6 +39,22 @@ def inputs_command(count: int, seed: int, kinds: tuple[str, ...], keep: Path | N
 @click.option("--keep", type=click.Path(path_type=Path), help="A folder for the model files that disagree.")
 def mechanisms_command(count: int, seed: int, keep: Path | None) -> None:
     """Draw mechanisms: all functions agree with virtual power in absolute coordinates."""
+    sys.exit(run(mechanisms.search, count, seed, keep))
+
+
+@cli.command("loops")
+@click.option("--count", default=200, show_default=True, help="Mechanisms to try; a fourth as many linkages follow.")
+@click.option("--seed", default=0, show_default=True, help="The first seed; each mechanism has the next.")
+@click.option("--keep", type=click.Path(path_type=Path), help="A folder for the model files that disagree.")
+def loops_command(count: int, seed: int, keep: Path | None) -> None:
+    """Draw closed mechanisms: all functions agree with free bodies, and linkages move alike wherever they are cut."""
+    failed = run(loops.search, count, seed, keep)
+    click.echo("linkages, cut at two places:")
+    sys.exit(run(linkages.search, count // 4, seed, None if keep is None else keep / "linkages") or failed)
+
+
+def run(search: Callable[..., mechanisms.Tally], count: int, seed: int, keep: Path | None) -> int:
+    """Run a search and show its findings; return the exit status."""
 
     def show(number: int, tally: mechanisms.Tally) -> None:
         if tally.findings and tally.findings[-1][0] == number:
@@ -48,9 +65,9 @@ def mechanisms_command(count: int, seed: int, keep: Path | None) -> None:
     def summary(tally: mechanisms.Tally) -> str:
         return f"{tally.agreed} agree, {len(tally.refused)} refused, {len(tally.findings)} disagree"
 
-    tally = mechanisms.search(count, seed, keep, show)
+    tally = search(count, seed, keep, show)
     click.echo(summary(tally))
-    sys.exit(1 if tally.findings else 0)
+    return 1 if tally.findings else 0
 
 
 if __name__ == "__main__":

@@ -41,6 +41,7 @@ from tests.fuzz.kinematics import (
 SYNONYMS = {"revolute": "hinge", "spherical": "ball", "fixed": "solid"}
 RANK = 1e-9  # of the largest singular value: smaller ones are 0
 STEPS = 60  # of Newton's method
+LONGEST = 0.3  # of its steps [rad or m]
 
 
 class OpenLoopError(Exception):
@@ -187,7 +188,8 @@ class FreeBodies(Kinematics):
                 break
             step = self.numbers.array(np.zeros(len(self.names_of_velocities)))
             step[free] = -(self._pseudoinverse(J[:, free]) @ h)
-            found = self.advance(found, step)
+            size = float(abs(step).max(initial=0))
+            found = self.advance(found, step * self.numbers.make(min(1.0, LONGEST / max(size, LONGEST))))
         raise OpenLoopError(f"h = {left[-1]:.1e} is left")
 
     def advance(self, q: Values, step: Sequence[Any] | Array) -> dict[str, Any]:

@@ -38,6 +38,7 @@ from tests.fuzz.kinematics import DECIMALS, FLOATS, Array, Motion, Values, fifty
 from tests.fuzz.mechanisms import CHOICES, Mechanism, Tally
 
 CUTS = ("rod", "ball", "hinge", "universal", "cylindrical", "prismatic", "planar", "solid")
+THIN = ([0, 0, 0], ["m*l**2/12", "m*l**2/12", 0])
 WORDS = {"ball": "spherical", "hinge": "revolute", "solid": "fixed"}
 ROUNDING = 1e-10  # of the largest entry: the generator's constants are rounded, and conditions are at most some 1000
 REGULAR = 0.03  # the least singular value of J, relative to the largest, of a pose that is drawn
@@ -54,16 +55,22 @@ def draw(seed: int) -> Mechanism:
     """Draw a mechanism. Its loops hold at the pose that the file gives; some equations may be missing."""
     mechanism = mechanisms.draw(seed)
     numbers = "given" if mechanism.numbers == "approximate" else mechanism.numbers
-    with_loops = _Loops(mechanism.model, mechanism.scene, seed).model
+    for attempt in range(ATTEMPTS):
+        with_loops = _Loops(mechanism.model, mechanism.scene, f"{seed} loops {attempt}").model
+        if any(with_loops.get(key) for key in ("loops", "constraints", "driven")):
+            break
     return replace(mechanism, model=with_loops, numbers=numbers, tolerance=0.0)
 
 
 class _Loops:
     """Adds loops to a model, one by one."""
 
-    def __init__(self, model: dict[str, Any], scene: dict[str, Any], seed: int) -> None:
+    def __init__(self, model: dict[str, Any], scene: dict[str, Any], seed: str) -> None:
         self.model, self.scene = copy.deepcopy(model), scene
-        self.source = random.Random(f"{seed} loops")
+        for body in self.model["bodies"]:
+            if body["inertia"] in THIN:  # many a joint would move nothing
+                body["inertia"] = [0.05, 0.08, 0.06]
+        self.source = random.Random(seed)
         names = {name: x["value"] if isinstance(x, dict) else x for name, x in model["parameters"].items()}
         self.parameters = names
         program = self._program(self.model)
@@ -202,12 +209,21 @@ def write_turns(R: Array) -> list[dict[str, Any]]:
 
 def examine(mechanism: Mechanism, seed: int = 0, *, derivatives: bool = False) -> str:
     """Compare a mechanism at a random state; return what differs, or nothing. Raises MbsError where it is refused."""
+    tree, tapes = write_tapes(mechanism, derivatives=derivatives)
+    with fifty_digits():
+        return Comparison(mechanism, tree, tapes, seed).run()
+
+
+def write_tapes(mechanism: Mechanism, *, derivatives: bool = False) -> tuple[Tree, Mapping[str, Tape]]:
+    """Read a mechanism, assemble it, and write its functions; verify their derivatives where these are asked for."""
     with tempfile.TemporaryDirectory() as folder:
         scene = Path(folder) / "fuzz.scene.yaml"
         scene.write_text(yaml.safe_dump(mechanism.scene or {"motion": True}, sort_keys=False))
         whole = mechanisms.read(mechanism, Path(folder))
         staged = read_scene(scene, whole, list_results())
     tree = assemble(build_tree(stage(whole, staged)))
+    if not tree.is_constrained:
+        raise OpenLoopError("nothing was found that leaves it a freedom")
     names = tuple(name for name, entry in FUNCTIONS.items() if all(need.holds(tree) for need in entry.needs))
     functions = None if derivatives else tuple(x for x in names if x not in NOT_COMPARED)
     options = Options(
@@ -216,9 +232,7 @@ def examine(mechanism: Mechanism, seed: int = 0, *, derivatives: bool = False) -
     families = write_families(tree, merge(options, staged))
     if derivatives:
         verify(tree, families, still=not staged.motion)
-    tapes = {family.value.name: family.value for family in families}
-    with fifty_digits():
-        return Comparison(mechanism, tree, tapes, seed).run()
+    return tree, {family.value.name: family.value for family in families}
 
 
 class Comparison:
@@ -337,6 +351,15 @@ class Comparison:
                 self._judge(f"{name}: tau", found["tau"], tau, self._size(solved))
         self._check_choice(q)
 
+    def accelerate(self, q: Mapping[str, Any], qd: Array) -> Array:
+        """Return what exp1 gives for a state without forces of joints; velocities are in the program's order."""
+        rates = dict(zip(self.program.names_of_velocities, qd, strict=True))
+        own = DECIMALS.array([rates[name] for name in self.names])
+        given, self.u = self.u, dict.fromkeys(self.u, 0.0)
+        found = dict(zip(self.names, self._evaluate("exp1", {"q": q, "qd": own})["qdd"], strict=True))
+        self.u = given
+        return DECIMALS.array([found[name] for name in self.program.names_of_velocities])
+
     def _size(self, solved: Solution) -> float:
         return max(1e-3, *(abs(float(x)) for x in (*solved.lam, *solved.tau.values())))
 
@@ -408,13 +431,26 @@ def search(
     count: int, seed: int, keep: Path | None = None, show: Callable[[int, Tally], None] = lambda *_: None
 ) -> Tally:
     """Examine mechanisms from a seed on; one in WITH_DERIVATIVES with its derivatives."""
-    tally = Tally()
-    for number in range(seed, seed + count):
+
+    def examine_one(number: int) -> tuple[str, Callable[[], Mechanism]]:
         mechanism = draw(number)
-        if not any(mechanism.model.get(key) for key in ("loops", "constraints", "driven")):
-            continue
+        found = examine(mechanism, number, derivatives=number % WITH_DERIVATIVES == 0)
+        return found, lambda: mechanism
+
+    return tally_up(range(seed, seed + count), examine_one, keep, show)
+
+
+def tally_up(
+    numbers: Sequence[int],
+    examine_one: Callable[[int], tuple[str, Callable[[], Mechanism]]],
+    keep: Path | None,
+    show: Callable[[int, Tally], None],
+) -> Tally:
+    """Examine mechanisms by their numbers; keep the files of those that disagree."""
+    tally = Tally()
+    for number in numbers:
         try:
-            finding = examine(mechanism, number, derivatives=number % WITH_DERIVATIVES == 0)
+            finding, mechanism = examine_one(number)
         except MbsError as error:
             tally.refused.append((number, str(error).splitlines()[0]))
         except (OpenLoopError, ZeroDivisionError) as error:
@@ -422,11 +458,11 @@ def search(
         except Exception as error:
             tally.findings.append((number, f"{type(error).__name__}: {error}"))
         else:
-            if finding:
-                tally.findings.append((number, finding))
-            else:
+            if not finding:
                 tally.agreed += 1
-        if keep is not None and tally.findings and tally.findings[-1][0] == number:
-            mechanisms.keep_file(keep, number, tally.findings[-1][1], mechanism)
+            else:
+                tally.findings.append((number, finding))
+                if keep is not None:
+                    mechanisms.keep_file(keep, number, finding, mechanism())
         show(number, tally)
     return tally
