@@ -295,11 +295,12 @@ class Comparison:
         J = found.J[kept][:, self.order]
         if "loops" in self.tapes:
             jacobian = self._evaluate("loop_jacobian", at)
-            self._judge("loops", self._evaluate("loops", at)["h"], found.h[kept])
+            self._judge("loops", self._evaluate("loops", at)["gap"], found.h[kept])
             self._judge("loop_rates", self._evaluate("loop_rates", at)["hd"], found.hd[kept])
             self._judge("loop_accelerations", self._evaluate("loop_accelerations", at)["hdd"], found.hdd[kept])
             self._judge("loop_jacobian", jacobian["J"], J)
             self._judge("gamma", jacobian["gamma"], found.gamma[kept])
+            self._judge("loop_forces", self._evaluate("loop_forces", at)["Q"], lam @ J)
         Phi, size = self._residual(q, qd, qdd)
         Phi -= lam @ J
         for name, force in zip(self.driven, tau, strict=True):
@@ -349,7 +350,47 @@ class Comparison:
                 self._judge(f"{name}: lam", found["lam"], solved.lam, self._size(solved))
             if self.driven:
                 self._judge(f"{name}: tau", found["tau"], tau, self._size(solved))
+        if "impl_red" in self.tapes:
+            self._compare_reduced(q, own, at, solved)
         self._check_choice(q)
+
+    def _compare_reduced(self, q: Mapping[str, Any], qd: Array, at: Mapping[str, Any], solved: Solution) -> None:
+        """Compare the reduced forms, by Z: the joint velocities of unit independent velocities."""
+        free, kept = list(self.closure.independent), list(self.closure.kept)
+        found = self.program.close_over(q, self._by_name(qd), self._by_name(qd * 0))
+        J, gamma = found.J[kept][:, self.order], found.gamma[kept]
+        unit = DECIMALS.array(np.eye(len(free)))
+        Z = np.column_stack([self._complete(J, column, gamma * 0) for column in unit] or [qd[:, None][:, :0]])
+        ydd, tau = self._draw(len(free)), self._draw(len(self.driven))
+        net, size = self._residual(q, qd, self._complete(J, ydd, -gamma))
+        residual = net @ Z
+        for name, force in zip(self.driven, tau, strict=True):
+            residual[free.index(self.names.index(name))] -= force
+        given = {**at, "yd": qd[free], "ydd": ydd, "tau": tau}
+        size *= max(1.0, float(abs(Z).max(initial=0)))
+        self._judge("impl_red", self._evaluate("impl_red", given)["Phi"], residual, size)
+        still, _ = self._residual(q, qd, self._complete(J, ydd * 0, -gamma), forces=False)
+        moving, _ = self._residual(q, qd, self._complete(J, ydd, -gamma), forces=False)
+        semi = self._evaluate("semi_red", given)
+        self._judge("semi_red: c", semi["c"], still @ Z, size)
+        M = semi["M"].reshape(len(free), len(free))
+        self._judge("semi_red: M", M @ ydd, (moving - still) @ Z, size)
+        self._judge("semi_red: M", M, M.T)
+        wanted = DECIMALS.array([solved.qdd[self.names[k]] for k in free])
+        self._judge("exp1_red: ydd", self._evaluate("exp1_red", given)["ydd"], wanted)
+        if self.driven:
+            tau = DECIMALS.array([solved.tau[name] for name in self.driven])
+            self._judge("exp1_red: tau", self._evaluate("exp1_red", given)["tau"], tau, self._size(solved))
+
+    def _complete(self, J: Array, y: Array, right: Array) -> Array:
+        """Return entries of all joints by the independent ones: J x = right."""
+        free, rest = list(self.closure.independent), list(self.closure.dependent)
+        found = DECIMALS.array(np.zeros(len(self.names)))
+        found[free] = y
+        inverse = DECIMALS.array(np.linalg.inv(J[:, rest].astype(float)))
+        for _ in range(6):
+            found[rest] = found[rest] + inverse @ (right - J @ found)
+        return found
 
     def accelerate(self, q: Mapping[str, Any], qd: Array) -> Array:
         """Return what exp1 gives for a state without forces of joints; velocities are in the program's order."""
