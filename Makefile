@@ -17,10 +17,11 @@ test: lint
 	$(BIN)/pytest -n 2 --dist worksteal
 
 # Changes the files that ship, and draws mechanisms, to find faults: some hours. FUZZ="--count 100" is quick, and goes to
-# both searches; FUZZ_INPUTS="--kind models" and FUZZ_MECHANISMS="--seed 1000" go to one.
+# all searches; FUZZ_INPUTS="--kind models", FUZZ_MECHANISMS="--seed 1000" and FUZZ_LOOPS="--seed 200" go to one.
 fuzz: $(VENV)/installed-dev
 	$(BIN)/python -m tests.fuzz inputs $(FUZZ) $(FUZZ_INPUTS)
 	$(BIN)/python -m tests.fuzz mechanisms $(FUZZ) $(FUZZ_MECHANISMS)
+	$(BIN)/python -m tests.fuzz loops $(FUZZ) $(FUZZ_LOOPS)
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .

@@ -8,11 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from tests.fuzz import inputs, mechanisms
+from tests.fuzz import inputs, linkages, loops, mechanisms
 from tests.fuzz.absolute import Absolute, Data
+from tests.fuzz.kinematics import fifty_digits
 
 COUNT = 12
 SOUND = 1  # the seed of a mechanism that is accepted
+DRIVEN = 2  # the seed of a mechanism with a loop and a driven joint
+LINKAGE = 0  # the seed of a planar linkage
 ROUGH = 9  # the seed of a mechanism that a tolerance changes
 
 
@@ -86,3 +89,24 @@ def test_an_approximation_that_errs_by_more_than_the_tolerance_is_found() -> Non
     rough = replace(mechanisms.draw(ROUGH), numbers="approximate", tolerance=0.1)
     assert mechanisms.examine(rough) == ""
     assert "errs by more than" in mechanisms.examine(rough, beyond=0.1)
+
+
+@pytest.mark.parametrize("seed", [4, 12, 28])
+def test_closed_mechanisms_agree_with_free_bodies(seed: int) -> None:
+    """Loops of several kinds, a constraint and a driven joint: a program where all bodies are free finds the same."""
+    assert loops.examine(loops.draw(seed), seed) == ""
+
+
+def test_a_linkage_moves_alike_wherever_it_is_cut() -> None:
+    """A linkage with redundant equations, cut at two of its hinges: the same accelerations of its bodies."""
+    assert linkages.examine(LINKAGE) == ""
+
+
+def test_a_closed_mechanism_that_is_wrong_is_found() -> None:
+    """Otherwise agreement would show nothing: the functions are the ones of another gravity."""
+    mechanism = loops.draw(DRIVEN)
+    tree, tapes = loops.write_tapes(mechanism)
+    other = {**mechanism.model, "gravity": [0, 0, 1]}
+    with fifty_digits():
+        found = loops.Comparison(replace(mechanism, model=other), tree, tapes, DRIVEN).run()
+    assert all(f"{name} by" in found for name in ("impl", "exp1: qdd", "exp1: tau", "exp2: lam", "semi_red: c"))
