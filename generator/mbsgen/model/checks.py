@@ -15,6 +15,7 @@ import numpy as np
 from mbsgen.documents import Place, abbreviate
 from mbsgen.expressions import Expression, Negation, Number, write
 from mbsgen.model import tree
+from mbsgen.model.elimination import check_constraints
 from mbsgen.model.expansion import list_steps
 from mbsgen.model.findings import Finding
 from mbsgen.model.following import check_followers
@@ -53,7 +54,7 @@ def find_faults(model: Model, doubtful: Container[Place] = frozenset()) -> list[
     findings += check_followers(model, valuation)
     findings += check_loops(model, valuation, doubtful)
     findings += valuation.findings
-    return findings or [*check_undetermined_joints(model), *_check_fixed(model)]
+    return findings or [*check_undetermined_joints(model), *_check_fixed(model), *check_constraints(model)]
 
 
 def _check_carrier(i: int, body: Body, valuation: Valuation) -> Iterator[Finding]:

@@ -1,7 +1,7 @@
-"""Joints that follow others: what leads each in the end, what is wrong with them, and how their limits bind.
+"""Joints that follow others: which joint leads each in the end, the faults of their rules, and their limits.
 
-q of a follower is ratio * q of its leader + offset. A leader may follow another joint itself; rules are put together
-until they name a joint that has a coordinate.
+q of a follower is ratio * q of its leader + offset. A leader may follow another joint itself; rules are combined until
+they name a joint that has a coordinate.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from mbsgen.model.expansion import Step, list_steps
 from mbsgen.model.findings import Finding
 from mbsgen.model.model import ONE, ZERO, Follow, Model
 from mbsgen.model.valuation import Valuation
+
+MAX_CHAIN = 32  # joints that follow each other in a row: the size of a combined offset is the square of it
 
 
 def list_joints(model: Model) -> list[Step]:
@@ -80,17 +82,25 @@ def _check_rules(steps: Sequence[Step], by_name: Mapping[str, Step], valuation: 
             yield Finding((*place, "joint"), finding, "name a joint that turns about, or slides along, one axis")
         elif _leads_back(step, by_name):
             yield Finding((*place, "joint"), "the joint follows itself in the end", "let one joint follow none")
+        elif len(leaders := _list_leaders(step, by_name)) > MAX_CHAIN:
+            finding = f"a chain of more than {MAX_CHAIN} joints that follow each other"
+            yield Finding((*place, "joint"), finding, f"let it follow {abbreviate(leaders[-1])}")
 
 
 def _leads_back(step: Step, by_name: Mapping[str, Step]) -> bool:
-    name, seen = step.name, set()
-    while name not in seen and name in by_name:
-        seen.add(name)
+    return step.name in _list_leaders(step, by_name)
+
+
+def _list_leaders(step: Step, by_name: Mapping[str, Step]) -> list[str]:
+    """List the joints that lead a joint, from the next one on, each once."""
+    name, found = step.name, dict[str, None]()
+    while name in by_name:
         follow = by_name[name].joint.follows
-        if follow is None:
-            return False
+        if follow is None or follow.joint in found:
+            break
         name = follow.joint
-    return name == step.name
+        found[name] = None
+    return [*found]
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from mbsgen.model.topology import find_carriers
 from mbsgen.model.tree import Cut, coordinate_symbol
 from mbsgen.model.valuation import Array, Valuation
 
-MAX_EQUATIONS = 1000  # loops and constraints
+MAX_EQUATIONS = 500  # loops and constraints
 SHORTEST = 1e-150  # of a rod: its square does not vanish
 PARALLEL = 1e-9  # sine of the angle between the axes of a universal joint
 

@@ -1,9 +1,10 @@
 """Model -> Tree: bodies in order, and every joint about or along a positive coordinate axis of its body.
 
 Massless bodies are inserted in a sequence of joints. A fixed body is merged with its parent. A body whose joint has
-another axis gets a new frame: the author's, turned by a constant rotation C with a = C e_k. Masses, sensors, wrenches
-and child joints are transformed to their new frames; sensors keep their poses, and bodies and wrenches the axes in the
-model file.
+another axis gets a new frame: the author's, turned by a constant rotation C with a = C e_k. Masses, sensors, wrenches,
+loops and child joints are transformed to their new frames; sensors keep their poses, and bodies and wrenches the axes
+in the model file. The axis of a loop is the z axis of its two frames. Linear constraints of two joints become followers
+(see `elimination`); other constraints become equations in coordinates that do not follow others.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from sympy import Expr, Symbol
 
 from mbsgen.expressions import Algebra, Expression, evaluate, names
 from mbsgen.model import model, tree
+from mbsgen.model.elimination import eliminate
 from mbsgen.model.expansion import expand
 from mbsgen.model.following import Range, find_range, find_rules, list_joints
 from mbsgen.model.model import BASE, Model
@@ -42,6 +44,7 @@ from mbsgen.model.tree import (
 
 def build_tree(description: Model) -> Tree:
     """Make the Tree of a checked model."""
+    description = eliminate(description)
     parameters, reader = _read_parameters(description)
     expanded = expand(description).model
     seats = {BASE: _Seat(0)}

@@ -248,3 +248,46 @@ def test_models_made_in_python_are_checked_too() -> None:
         make(loops=[rod("r", end("arm"), end("base"), 0)])
     with pytest.raises(InputError, match="an empty name"):
         make(constraints=[constraint("", "arm - 2")])
+
+
+# Equations in place of the cam's; path and finding of the one fault that follows.
+CONTRADICTIONS: dict[str, tuple[list[str], str, str]] = {
+    "two places of a joint": (["q4 - 0.1", "q4 - 0.3"], "constraints[1].equation", "0.2 is left"),
+    "two offsets": (["q2 + 2*q3 - a", "q2/2 + q3"], "constraints[1].equation", "is left"),
+    "a circle of ratios": (["q2 - q3", "q3 - q4 - 1", "q4 - q2"], "constraints[2].equation", "1 is left"),
+    "only driven joints": (["q1 - a"], "constraints[0].equation", "all joints in this equation are"),
+    "a joint that follows a driven one": (
+        ["a*sin(q5)"],
+        "constraints[0].equation",
+        "all joints in this equation are driven",
+    ),
+}
+
+
+@pytest.mark.parametrize(("equations", "path", "finding"), CONTRADICTIONS.values(), ids=CONTRADICTIONS.keys())
+def test_contradictions_are_found(equations: list[str], path: str, finding: str, tmp_path: Path) -> None:
+    listed = "".join(f"  - {{name: c{i}, equation: {text}}}\n" for i, text in enumerate(equations))
+    follower = "{name: q5, type: revolute, axis: x, follows: {joint: q1}}"
+    text = LINKAGE.replace(f"  - {{name: cam, equation: {CAM}}}\n", listed)
+    text = text.replace("{type: fixed, position: [1, 0, 0]}", follower).replace("mass: 1}", "mass: 1, com: [0, 1, 0]}")
+    told = find_faults(text, tmp_path)
+    assert [fault.path for fault in told] == [path]
+    assert finding in told[0].finding
+
+
+def test_constraints_that_let_nothing_move_are_found(tmp_path: Path) -> None:
+    text = LINKAGE[: LINKAGE.index("loops:")].replace(
+        "  - {name: ball, parent: slider, joint: {type: ball}, mass: 1, inertia: [1, 1, 1]}\n", ""
+    )
+    equations = ("q1 - q2", "q1 + q2 - q3", "q4 - 1", "q1 - 0.5")
+    text += "constraints:\n" + "".join(f"  - {{name: c{i}, equation: {x}}}\n" for i, x in enumerate(equations))
+    assert [(x.path, x.finding) for x in find_faults(text, tmp_path)] == [
+        ("constraints", "no joint is left that moves")
+    ]
+
+
+def test_limits_of_a_joint_that_a_constraint_makes_a_follower_bind_its_leader(tmp_path: Path) -> None:
+    text = LINKAGE.replace(CAM, "q3 - q2 - 2").replace("position: [0, 0, a]", "position: [0, 0, a], limits: [-1, 1]")
+    text = text.replace("position: [0.4, 0, 0], act", "position: [0.4, 0, 0], limits: [-0.5, 0.5], act")
+    (fault,) = find_faults(text, tmp_path)
+    assert fault.finding == "the limits of its followers leave the joint no range"

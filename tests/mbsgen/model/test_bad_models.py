@@ -566,3 +566,16 @@ HOSTILE = {  # written so that reading them with care is quick, and without care
 @pytest.mark.parametrize("text", HOSTILE.values(), ids=HOSTILE.keys())
 def test_hostile_files_are_refused(text: str, tmp_path: Path) -> None:
     assert 0 < len(find_faults(text, tmp_path)) <= MAX_FAULTS + 1
+
+
+def test_a_long_chain_of_followers_is_refused(tmp_path: Path) -> None:
+    """Combined rules grow with the square of the chain: a thousand joints would take hours."""
+    bodies = "".join(
+        f"  - {{name: x{i}, joint: {{type: revolute, axis: y, follows: {{joint: {f'x{i - 1}' if i else 'q1'}}}}}, "
+        "mass: 1, com: [1, 0, 0]}\n"
+        for i in range(34)
+    )
+    told = find_faults(GOOD.replace(HOOK, HOOK + bodies), tmp_path)
+    assert [(fault.path, fault.remedy) for fault in told] == [
+        (f"bodies[{i}].joint.follows.joint", 'let it follow "q1"') for i in (35, 36)
+    ]
