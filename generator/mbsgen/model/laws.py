@@ -14,28 +14,14 @@ from itertools import count
 from mbsgen.expressions import Call, Constant, Expression, Negation, Operation, Power, names
 from mbsgen.model.model import ZERO, Friction, Law
 
+Exchange = Callable[[str, Expression], Expression]  # of a name and a number
 
-def replace_numbers(law: Law, joint: str, exchange: Callable[[str, Expression], Expression]) -> Law:
+
+def replace_numbers(law: Law, joint: str, exchange: Exchange) -> Law:
     """Replace each number in the law of a joint by the result of `exchange` for its name and its value."""
 
     def take(name: str, expression: Expression) -> Expression:
         return exchange(name, expression) if _is_number(expression) else expression
-
-    counted = (f"{joint}.force.{k}" for k in count(1))
-
-    def take_all(expression: Expression) -> Expression:
-        if _is_number(expression):
-            return take(next(counted), expression)
-        match expression:
-            case Negation(operand):
-                return Negation(take_all(operand))
-            case Operation(_, left, right):
-                return replace(expression, left=take_all(left), right=take_all(right))
-            case Power(base):
-                return replace(expression, base=take_all(base))
-            case Call(_, arguments):
-                return replace(expression, arguments=tuple(map(take_all, arguments)))
-        return expression
 
     return Law(
         stiffness=take(f"{joint}.stiffness", law.stiffness),
@@ -46,8 +32,29 @@ def replace_numbers(law: Law, joint: str, exchange: Callable[[str, Expression], 
             torque=take(f"{joint}.friction.torque", law.friction.torque),
             speed=take(f"{joint}.friction.speed", law.friction.speed),
         ),
-        force=take_all(law.force),
+        force=replace_counted(law.force, f"{joint}.force", exchange),
     )
+
+
+def replace_counted(expression: Expression, path: str, exchange: Exchange) -> Expression:
+    """Replace each number in an expression by the result of `exchange` for `path`.1, `path`.2, ... and its value."""
+    counted = (f"{path}.{k}" for k in count(1))
+
+    def take(inner: Expression) -> Expression:
+        if _is_number(inner):
+            return exchange(next(counted), inner)
+        match inner:
+            case Negation(operand):
+                return Negation(take(operand))
+            case Operation(_, left, right):
+                return replace(inner, left=take(left), right=take(right))
+            case Power(base):
+                return replace(inner, base=take(base))
+            case Call(_, arguments):
+                return replace(inner, arguments=tuple(map(take, arguments)))
+        return inner
+
+    return take(expression)
 
 
 def _is_number(expression: Expression) -> bool:

@@ -1,10 +1,11 @@
 """A Model -> the same Model with its numbers as parameters at run time, each by its path in the file.
 
 Parameters are the numbers that the author wrote: `elbow.position.x` and `elbow.damping` of a joint, `forearm.mass`,
-`forearm.com.z` and `forearm.inertia.xy` of a body, `gravity.z`, `frames.tip.position.x`, `wrenches.push.force.y`.
-Positions are in the frames, and centres of mass and tensors along the axes, that the author gave them in. Rotations
-are counted from 1, as are the numbers of a force law: `elbow.orientation.1` [rad]. An expression over parameters stays
-that expression.
+`forearm.com.z` and `forearm.inertia.xy` of a body, `gravity.z`, `frames.tip.position.x`, `wrenches.push.force.y`,
+`loops.knee.from.position.x` and `loops.strut.length` of loops. Positions are in the frames, and centres of mass and
+tensors along the axes, that the author gave them in. Rotations are counted from 1, as are the numbers of a force law
+and of an equation: `elbow.orientation.1` [rad], `constraints.cam.2`. An expression over parameters stays that
+expression.
 """
 
 from __future__ import annotations
@@ -13,17 +14,20 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from mbsgen.expressions import Expression, Name, Number, evaluate, names
+from mbsgen.model.elimination import eliminate
 from mbsgen.model.expansion import Step, list_steps
 from mbsgen.model.joints import describe_joint
-from mbsgen.model.laws import replace_numbers
+from mbsgen.model.laws import replace_counted, replace_numbers
 from mbsgen.model.model import (
     Body,
+    Constraint,
     Fixed,
     Follow,
     Frame,
     Inertia,
     Joint,
     Law,
+    Loop,
     Model,
     Parameter,
     Placement,
@@ -31,7 +35,7 @@ from mbsgen.model.model import (
     Wrench,
 )
 from mbsgen.model.symbols import symbolic, to_double
-from mbsgen.model.tree import Kind
+from mbsgen.model.tree import Cut, Kind
 from mbsgen.model.valuation import Valuation
 
 _NUMBERS = symbolic({})
@@ -44,9 +48,9 @@ def with_runtime_numbers(model: Model, *, zeros: bool = False) -> Model:
     A number that is 0 stays, and so does an angle that is a multiple of a quarter turn: they make equations short. With
     `zeros` they become parameters too, also zeros that the file does not mention. Axes of joints stay, with the
     constants that they depend on; so do limits, which are not in the equations, and the ratios and offsets of joints
-    that follow others.
+    that follow others. Constraints that become followers do so before, since their numbers must be constant.
     """
-    return _Release(model, zeros).apply()
+    return _Release(eliminate(model), zeros).apply()
 
 
 class _Release:
@@ -72,6 +76,8 @@ class _Release:
             bodies=tuple(self._body(i, body) for i, body in enumerate(model.bodies)),
             frames=tuple(map(self._frame, model.frames)),
             wrenches=tuple(map(self._wrench, model.wrenches)),
+            loops=tuple(map(self._loop, model.loops)),
+            constraints=tuple(map(self._constraint, model.constraints)),
         )
         return replace(released, parameters=tuple(self._parameters.values()))
 
@@ -178,6 +184,19 @@ class _Release:
             moment=wrench.moment and self._triple(f"{path}.moment", wrench.moment),
         )
 
+    def _loop(self, loop: Loop) -> Loop:
+        path = f"loops.{loop.name}"
+        first, second = (
+            replace(end, placement=self._placement(f"{path}.{key}", end.placement))
+            for key, end in (("from", loop.first), ("to", loop.second))
+        )
+        length = self._number(f"{path}.length", loop.length) if loop.cut is Cut.ROD else loop.length
+        return replace(loop, first=first, second=second, length=length)
+
+    def _constraint(self, constraint: Constraint) -> Constraint:
+        path = f"constraints.{constraint.name}"
+        return replace(constraint, equation=replace_counted(constraint.equation, path, self._number))
+
 
 def _find_fixed(model: Model) -> set[str]:
     """Find the parameters that axes depend on, by themselves or by the values of others."""
@@ -189,7 +208,8 @@ def _find_fixed(model: Model) -> set[str]:
 
 
 def _list_axes(model: Model) -> Iterator[Triple]:
-    return (joint.axis for body in model.bodies for joint in body.joints)
+    yield from (joint.axis for body in model.bodies for joint in body.joints)
+    yield from (axis for loop in model.loops for axis in (loop.axis, loop.axis2))
 
 
 def _is_quarter_turn(angle: Expression) -> bool:

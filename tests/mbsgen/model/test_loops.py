@@ -13,8 +13,9 @@ from mbsgen.model.construction import body, constraint, end, loop, make_model, r
 from mbsgen.model.model import Model
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
-from mbsgen.model.symbols import to_double
-from mbsgen.model.tree import Cut, LoopFrame, coordinate_symbol
+from mbsgen.model.releasing import with_runtime_numbers
+from mbsgen.model.symbols import exact, to_double
+from mbsgen.model.tree import Cut, Kind, LoopFrame, Tree, coordinate_symbol
 from tests.mbsgen.model.descriptions import (
     AXES,
     CLOSE,
@@ -151,3 +152,48 @@ def test_python_makes_the_same_model_as_a_file(tmp_path: Path) -> None:
         assembly={"q2": 0.1, "ball.rx": "pi/2"},
     )
     assert made == read_one
+
+
+def test_numbers_of_loops_and_equations_become_parameters(tmp_path: Path) -> None:
+    """They have their paths in the file; at their present values, frames and equations are the file's."""
+    file = tmp_path / "model.yaml"
+    file.write_text(LINKAGE.replace("a*sin(q1)", "a*sin(3*q1) + 0.1"), encoding="utf-8")
+    model = read_model(file)
+    released, zeros = (with_runtime_numbers(model, zeros=zeros) for zeros in (False, True))
+    place = {"loops.knee.from.position.x", "loops.knee.to.position.z", "loops.knee.to.orientation.1"}
+    names = {"loops.strut.from.position.z", "loops.strut.length", "constraints.cam.1", "constraints.cam.2"}
+    assert {p.name for p in released.parameters if p.name[:4] in ("loop", "cons")} == place | names
+    assert {f"loops.strut.to.position.{axis}" for axis in "xyz"} <= {p.name for p in zeros.parameters}
+    assert {p.name: p.kind for p in released.parameters}["a"] is Kind.RUNTIME
+    written = build_tree(model)
+    for tree in map(build_tree, (released, zeros)):
+        assert list_loop_numbers(tree) == pytest.approx(list_loop_numbers(written), abs=1e-15)
+
+
+def list_loop_numbers(tree: Tree) -> list[float]:
+    """List the numbers of frames, and the values of equations at some coordinates."""
+    values = {p.symbol: exact(p.value) for p in tree.parameters}
+    values |= {coordinate_symbol(b.joint.name): exact(0.3 * i) for i, b in enumerate(tree.bodies, 1)}
+    numbers = [x.value for x in tree.loops] + [x.equation for x in tree.constraints]
+    for frame in (frame for x in tree.loops for frame in (x.first, x.second)):
+        numbers += [*frame.position, *(number for row in frame.axes for number in row)]
+    return [float(number.xreplace(values)) for number in numbers]
+
+
+def test_constraints_that_are_rules_stay_rules_where_all_numbers_are_inputs() -> None:
+    """Otherwise the functions of all numbers would have other coordinates than the functions of the file."""
+    model = make_linkage(constraints=[constraint("gear", "q3 - k*q2 - 0.5")])
+    assert build_tree(with_runtime_numbers(model, zeros=True)).couplings == build_tree(model).couplings
+
+
+def test_constants_of_axes_of_loops_stay() -> None:
+    model = make_linkage(loops=[loop("slot", "planar", end("third"), end("base"), axis=(0, "k", 1))])
+    released = with_runtime_numbers(model)
+    assert {p.name: p.kind for p in released.parameters}["k"] is Kind.CONSTANT
+    assert build_tree(released).loops[0].first.axes == build_tree(model).loops[0].first.axes
+
+
+def test_parameters_of_loops_are_kept() -> None:
+    """A number that loops alone depend on is a parameter of the code; one that nothing depends on is none."""
+    tree = build_tree(make_linkage(loops=[rod("strut", end("arm"), end("base"), "2*l")]))
+    assert tree.symbols == {Symbol("l")}
