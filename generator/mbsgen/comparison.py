@@ -23,6 +23,7 @@ from mbsgen.importing import Choices, import_model
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.symbols import to_double
 from mbsgen.model.tree import NO_FORCE, ZERO, Tree
+from mbsgen.procedure.procedure import straight
 from mbsgen.roles import Role
 from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.types import Tape
@@ -152,7 +153,7 @@ def _strip(tree: Tree) -> Tree:
 def _compute(tree: Tree, states: Sequence[tuple[Array, Array, Array]]) -> list[dict[str, Array]]:
     """Compute Phi, M, c and qdd by the kernels of the tree, without inputs."""
     tapes = [
-        FUNCTIONS[name].build(tree, replace(ALL, trials=1))
+        straight(FUNCTIONS[name].build(tree, replace(ALL, trials=1)))
         for name in (REFERENCE, list_giving(Role.MASS_MATRIX)[0], list_giving(Role.ACCELERATION)[0])
     ]
     rest = np.zeros(sum(joint.actuated for joint in tree.joints))

@@ -86,7 +86,9 @@ def _steps(scene: Scene) -> Iterator[tuple[str, Scene]]:
 
 
 def _tapes(tree: Tree, request: Request) -> dict[str, Tape]:
-    return {family.value.name: straight(family.value) for family in write_families(tree, request)}
+    """Write the functions that are straight-line programs."""
+    written = [family.value for family in write_families(tree, request)]
+    return {function.name: function for function in written if isinstance(function, Tape)}
 
 
 def _count(tree: Tree, request: Request) -> dict[str, int]:
@@ -138,13 +140,13 @@ class _Comparison:
         if accelerations:
             qdd = np.zeros(len(self.whole.joints))
             qdd[self.moving] = found[accelerations.name][:, 0]
-            residual = FUNCTIONS[REFERENCE].build(self.whole, self.reductions)
+            residual = straight(FUNCTIONS[REFERENCE].build(self.whole, self.reductions))
             rows, still = (
                 _evaluate(residual, state | {accelerations.name: x})[ports.RESIDUAL.name][self.moving]
                 for x in (qdd, 0 * qdd)
             )
             return float(np.abs(rows).max() / np.abs(still).max())
-        expected = _evaluate(FUNCTIONS[tape.name].build(self.whole, self.reductions), state)
+        expected = _evaluate(straight(FUNCTIONS[tape.name].build(self.whole, self.reductions)), state)
         compared = [o for o in tape.outputs if not (self._is_grounded and o.port in _OF_ALL_MASS)]
         return max(
             (_differ(found[o.name], self._pick(o.port, expected[o.name])) for o in compared),

@@ -84,10 +84,13 @@ def _write_chosen(
     forms: list[Derivatives] = []
     for name, entry in _choose_functions(tree, request.needed).items():
         tell(name)
-        tape = entry.build(tree, request.reductions)
-        assert tape.name == name, "the catalogue calls a tape by its own name"
-        tape = keep_results(tape, read[name]) if name in read else tape
+        function = entry.build(tree, request.reductions)
+        assert function.name == name, "the catalogue calls a function by its own name"
         order = min(entry.order, request.derivatives)
+        if isinstance(function, Procedure):
+            families.append(Family(function, title=entry.title))
+            continue
+        tape = keep_results(function, read[name]) if name in read else function
         if not order:
             families.append(Family(tape, title=entry.title))
             continue
@@ -117,6 +120,7 @@ def _finish(families: Sequence[Family], request: Request) -> list[Family]:
     joined = []
     for name, parts in scene.together:
         members = [by_name[part] for part in parts]
+        _refuse_iterations(name, members)
         jacs = [straight(family.jac) for family in members if family.jac is not None]
         function = Function(name)
         value = merge([straight(family.value) for family in members], function)
@@ -126,12 +130,22 @@ def _finish(families: Sequence[Family], request: Request) -> list[Family]:
     return [*kept, *joined]
 
 
+def _refuse_iterations(name: str, members: Sequence[Family]) -> None:
+    """Refuse to join functions that iterate. Raises OptionError."""
+    found = [family.value.name for family in members if isinstance(family.value, Procedure)]
+    if found:
+        remedy = "generate it on its own"
+        raise OptionError(f"together: {name}: {found[0]} is solved by an iteration, which cannot be joined; {remedy}")
+
+
 def _let_rest(family: Family) -> Family:
     """Replace the velocities by zeros; drop derivatives by them."""
 
-    def rest(function: Computation | None) -> Tape | None:
+    def rest(function: Computation | None) -> Computation | None:
         if function is None:
             return None
+        if isinstance(function, Procedure) and not any(wire.port.role is Role.VELOCITY for wire in function.inputs):
+            return function
         tape = straight(function)
         kept = {o.name for o in tape.outputs if not is_of(o.port, Role.VELOCITY)}
         return set_zero(keep_results(tape, kept), Role.VELOCITY)

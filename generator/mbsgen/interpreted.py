@@ -18,6 +18,7 @@ from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
+from mbsgen.procedure.procedure import straight
 from mbsgen.tape.interpreter import evaluate, find_failure
 
 Array = NDArray[np.float64]
@@ -32,7 +33,7 @@ class Interpreted:
     def __init__(self, model: Path, name: str, *, gravity: bool = True) -> None:
         """Write the equations. Raises InputError with every fault in the model."""
         tree = assemble(build_tree(read_model(model)))
-        self._tape = FUNCTIONS[name].build(tree if gravity else replace(tree, gravity=_NOWHERE), ONE_PLAN)
+        self._tape = straight(FUNCTIONS[name].build(tree if gravity else replace(tree, gravity=_NOWHERE), ONE_PLAN))
 
     def compute(self, states: Mapping[str, Array]) -> dict[str, Array]:
         """Compute all results, (K, size) by name, for inputs (K, size) by name. Guards are not tested."""

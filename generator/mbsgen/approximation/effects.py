@@ -22,6 +22,7 @@ from mbsgen.formulations import ports
 from mbsgen.formulations.catalogue import FUNCTIONS, REFERENCE, list_giving
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Kind
+from mbsgen.procedure.procedure import straight
 from mbsgen.roles import Role
 from mbsgen.tape.interpreter import FLOATS, evaluate
 from mbsgen.tape.passes import keep_results, set_zero
@@ -52,7 +53,7 @@ class ReleasedFunctions:
         self.tapes = {name: self._write(name) for name in wanted.functions}
 
     def _write(self, name: str) -> Tape:
-        tape = FUNCTIONS[name].build(self.released.tree, Reductions(trials=1))
+        tape = straight(FUNCTIONS[name].build(self.released.tree, Reductions(trials=1)))
         if name in self.wanted.results:
             tape = keep_results(tape, self.wanted.results[name])
         return tape if self.wanted.motion else set_zero(tape, Role.VELOCITY)
@@ -122,7 +123,7 @@ class Comparison:
         self._functions = functions
         none = self._none
         released = functions.released
-        residual = FUNCTIONS[REFERENCE].build(released.tree, Reductions(trials=1))
+        residual = straight(FUNCTIONS[REFERENCE].build(released.tree, Reductions(trials=1)))
         still = dict(states) | {
             "u": np.zeros((len(states["q"]), sum(joint.actuated for joint in released.tree.joints)))
         }
@@ -131,7 +132,7 @@ class Comparison:
         self._still, self._driven = still, still | {"u": torques[:, driven]}
         self._whole = {name: self._evaluate(name, none) for name in functions.judged}
         self._poses = {name: values[:poses] for name, values in still.items()}
-        self._inertia = FUNCTIONS[list_giving(Role.MASS_MATRIX)[0]].build(released.tree, Reductions(trials=1))
+        self._inertia = straight(FUNCTIONS[list_giving(Role.MASS_MATRIX)[0]].build(released.tree, Reductions(trials=1)))
 
     @property
     def _none(self) -> Sets:

@@ -72,7 +72,7 @@ class Dynamics:
         """Return the derivatives of the accelerations at which loops open."""
         if not (self._tree.loops or self._tree.constraints):
             return None
-        tape = catalogue.FUNCTIONS["loop_accelerations"].build(self._tree, self._reductions)
+        tape = straight(catalogue.FUNCTIONS["loop_accelerations"].build(self._tree, self._reductions))
         return kernels.differentiate(tape, differentiable(tape))
 
 
@@ -174,7 +174,7 @@ class _Chosen(Derivatives, ABC):
 
 class _OfResidual(_Chosen):
     def __init__(self, tree: Tree, reductions: Reductions, choice: _Choice) -> None:
-        tape = catalogue.FUNCTIONS[catalogue.REFERENCE].build(tree, reductions)
+        tape = straight(catalogue.FUNCTIONS[catalogue.REFERENCE].build(tree, reductions))
         super().__init__(tape, differentiable(tape))
         self._tree, self._reductions, self._choice = tree, reductions, choice
 

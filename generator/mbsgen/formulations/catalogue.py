@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from mbsgen.formulations import (
+    closing,
     closure,
     condition,
     coupling,
@@ -35,11 +36,12 @@ from mbsgen.formulations import (
 from mbsgen.formulations.planning import dynamics_alone
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Tree
+from mbsgen.procedure.procedure import Computation, straight
 from mbsgen.roles import Role
 from mbsgen.tape.ports import Port
 from mbsgen.tape.types import Tape
 
-Build = Callable[[Tree, Reductions], Tape]
+Build = Callable[[Tree, Reductions], Computation]
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,7 @@ class Entry:
     from the derivatives of the function REFERENCE, whatever its own recursion is.
     """
 
-    build: Build  # of any tree, see `project`
+    build: Build  # of any tree, see `project`; a procedure is not differentiated
     title: str  # for readers of the generated code
     results: tuple[Port, ...]
     order: int = 0  # up to which it is differentiated, by all inputs but parameters
@@ -95,7 +97,7 @@ class Entry:
         return any(port.role is role for port in self.results)
 
 
-def project(build: Build, coupled: Build | None = None) -> Build:
+def project(build: coupling.Build, coupled: coupling.Build | None = None) -> coupling.Build:
     """Return a function of any tree, from one that ignores couplings; `coupled` writes trees that have some.
 
     Without `coupled`, the results are projected by virtual power: none of them may be accelerations.
@@ -103,7 +105,7 @@ def project(build: Build, coupled: Build | None = None) -> Build:
     return partial(coupling.write, build, coupled)
 
 
-def _plainly(build: Callable[[Tree], Tape]) -> Build:
+def _plainly(build: Callable[[Tree], Tape]) -> coupling.Build:
     """Return a function that no reduction concerns."""
     return project(lambda tree, _: build(tree))
 
@@ -222,6 +224,26 @@ FUNCTIONS: Mapping[str, Entry] = {
         results=(ports.CLOSURE_JACOBIAN, ports.CLOSURE_BIAS),
         needs=(LOOPS,),
     ),
+    "close": Entry(
+        lambda tree, _: closing.build(tree),
+        "coordinates with all loops closed, from the independent ones",
+        results=(ports.CLOSED,),
+        needs=(LOOPS,),
+    ),
+    "close_rates": Entry(
+        lambda tree, _: closing.build_rates(tree),
+        "velocities that keep loops closed, from the independent ones",
+        results=(ports.CLOSED_VELOCITIES,),
+        order=2,
+        needs=(LOOPS,),
+    ),
+    "close_accelerations": Entry(
+        lambda tree, _: closing.build_accelerations(tree),
+        "accelerations that keep loops closed, from the independent ones",
+        results=(ports.CLOSED_ACCELERATIONS,),
+        order=2,
+        needs=(LOOPS,),
+    ),
     "impl_red": Entry(
         reduced.build_residual,
         "residual of the independent coordinates, recursive Newton-Euler",
@@ -261,7 +283,7 @@ def list_rows() -> Mapping[str, Row]:
 def write_row(name: str, tree: Tree, reductions: Reductions) -> Tape:
     """Write the function of a row of the flop table: the dynamics of a tree alone."""
     driven = list_rows()[name].driven
-    return FUNCTIONS[name.lower()].build(dynamics_alone(tree, driven=driven), reductions)
+    return straight(FUNCTIONS[name.lower()].build(dynamics_alone(tree, driven=driven), reductions))
 
 
 def list_giving(role: Role) -> tuple[str, ...]:

@@ -80,6 +80,13 @@ REDUCED_MASS_MATRIX = Port(
     "M", Role.MASS_MATRIX, Axis.INDEPENDENT, Axis.INDEPENDENT, meaning="mass matrix of the independent coordinates"
 )
 REDUCED_BIAS = Port("c", Role.BIAS, Axis.INDEPENDENT, meaning="bias of the independent coordinates")
+CLOSED = Port("closed", Role.RESULT, Axis.COORDINATES, unit="rad or m", meaning="coordinates with all loops closed")
+CLOSED_VELOCITIES = Port(
+    "qd", Role.RESULT, Axis.VELOCITIES, unit="rad/s or m/s", meaning="velocities that keep loops closed"
+)
+CLOSED_ACCELERATIONS = Port(
+    "qdd", Role.RESULT, Axis.VELOCITIES, unit="rad/s2 or m/s2", meaning="accelerations that keep loops closed"
+)
 
 POSITION = Port(
     "position",

@@ -104,11 +104,19 @@ def build_accelerations(tree: Tree, reductions: Reductions = ALL) -> Tape:
 class Reduced:
     """A tree in a builder, moved by its independent velocities. Columns are by the entries of qd."""
 
-    def __init__(self, tree: Tree, reductions: Reductions, more: Sequence[Port], *, by_columns: bool = True) -> None:
-        """Declare q and yd, the inputs `more`, w, theta and p; by_columns: the columns of Z are written."""
+    def __init__(
+        self,
+        tree: Tree,
+        reductions: Reductions,
+        more: Sequence[Port],
+        *,
+        by_columns: bool = True,
+        wrenches: bool = True,
+    ) -> None:
+        """Declare q and yd, the inputs `more`, w, theta and p; by_columns: velocities are written by those of Z."""
         self.tree, self.reductions, self._by_columns = tree, reductions, by_columns
         self.builder = Builder()
-        self._map, self.given = Map.take(tree, self.builder, list(_list_inputs(tree, more)))
+        self._map, self.given = Map.take(tree, self.builder, list(_list_inputs(tree, more, wrenches=wrenches)))
         found = known_closure(tree)
         self.independent, self.dependent = found.independent, found.dependent
         numbers = [tree.joints.index(tree.bodies[i - 1].joint) for i in tree.driven]
@@ -187,8 +195,9 @@ class Reduced:
         def take(port: Port) -> list[Scalar]:
             return list(self.given.get(port.name, []))
 
-        forces = [take(port) for port in (ports.FORCES, ports.WRENCHES, ports.DESIGN, ports.PARAMETERS)]
-        return write_chain(tree, self.builder, State(q, self.all_velocities, [], *forces, [], frames))
+        u, w, theta, p = map(take, (ports.FORCES, ports.WRENCHES, ports.DESIGN, ports.PARAMETERS))
+        state = State(q, self.all_velocities, [], u, w, theta, p, frames=frames)
+        return write_chain(tree, self.builder, state)
 
     def gather(self, forces: Sequence[Scalar] | Mapping[int, Scalar]) -> Column:
         """Return the forces on the entries of qd, from the forces of all joints, by virtual power."""
@@ -260,10 +269,10 @@ def known_closure(tree: Tree) -> Closure:
     return tree.closure
 
 
-def _list_inputs(tree: Tree, more: Sequence[Port]) -> Iterator[Input]:
+def _list_inputs(tree: Tree, more: Sequence[Port], *, wrenches: bool) -> Iterator[Input]:
     """List the inputs of a reduced form, for the uncoupled tree: q, yd, `more`, w, theta, p."""
     f = len(known_closure(tree).independent)
-    open_numbers = 3 * sum(vector is None for x in tree.wrenches for vector in (x.force, x.moment))
+    left_open = 3 * sum(vector is None for x in tree.wrenches for vector in (x.force, x.moment))
     sizes = {
         ports.COORDINATES: len(tree.uncoupled.coordinates),
         ports.INDEPENDENT_VELOCITIES: f,
@@ -271,7 +280,7 @@ def _list_inputs(tree: Tree, more: Sequence[Port]) -> Iterator[Input]:
         ports.DRIVING_FORCES: len(tree.driven),
         ports.FORCES: sum(body.joint.actuated for body in tree.bodies),
         ports.DRIVE: len(tree.driven),
-        ports.WRENCHES: open_numbers,
+        ports.WRENCHES: left_open if wrenches else 0,
         ports.DESIGN: sum(x.kind is Kind.DIFFERENTIATED for x in tree.parameters),
         ports.PARAMETERS: sum(x.kind is Kind.RUNTIME for x in tree.parameters),
     }

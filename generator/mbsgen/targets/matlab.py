@@ -9,7 +9,6 @@ import re
 from dataclasses import dataclass
 
 from mbsgen.manifest import Flops
-from mbsgen.procedure.procedure import straight
 from mbsgen.tape.counts import count
 from mbsgen.tape.types import FUNCTIONS, Input, Op, Output, Sparsity, Tape
 from mbsgen.targets.contract import Family
@@ -71,8 +70,8 @@ class _View:
 
 
 def write_matlab(unit: Unit) -> dict[str, str]:
-    """Write every kernel of `unit` as a Matlab function; return the files of the folder, path -> text."""
-    views = [_view(unit.prefix, family, tape) for family in unit.families for tape in map(straight, family.functions)]
+    """Write every kernel of `unit` that does not iterate as a Matlab function; return the files, path -> text."""
+    views = [_view(unit.prefix, family, tape) for family in unit.families for tape in family.tapes]
     common = {"version": unit.version, "model_hash": unit.model_hash}
     return {f"{FOLDER}/{view.name}.m": lay_out("matlab/kernel.m", kernel=view, **common) for view in views}
 
