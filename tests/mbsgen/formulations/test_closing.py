@@ -17,9 +17,8 @@ from mbsgen.procedure.newton import Newton
 from mbsgen.procedure.procedure import Procedure, as_procedure, interpret
 from mbsgen.targets.contract import Family
 from tests.mbsgen.formulations.agreement import FEW
-from tests.mbsgen.formulations.closed_mechanisms import TEXTS, make, read
-from tests.mbsgen.formulations.test_reduced import draw, run
-from tests.mbsgen.procedure.test_c import Library
+from tests.mbsgen.formulations.closed_mechanisms import TEXTS, draw, make, read, run
+from tests.mbsgen.procedure.compiled import Library
 
 ROUNDING = 1e-13  # a closed loop of lengths up to 1 m: some tens of roundings
 STRAIGHT = ("four_bar", "slider_crank", "five_bar", "spatial_rod", "geared", "driven")  # without an iteration
@@ -158,7 +157,7 @@ def test_a_loop_out_of_reach_is_a_status_that_names_it(name, q):
     assert (status, found.size) == (len(tree.joints) + 1, 0)
 
 
-def test_c_closes_loops_as_the_interpreter_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_c_closes_loops_as_the_interpreter_does(tmp_path: Path):
     """Closed forms and Newton's method, compiled with all warnings."""
     trees = {name: make(name) for name in ("slider_crank", "platform")}
     families = {}
@@ -166,8 +165,7 @@ def test_c_closes_loops_as_the_interpreter_does(tmp_path: Path, monkeypatch: pyt
         function = as_procedure(FUNCTIONS["close"].build(tree, FEW))
         named = replace(function, function=replace(function.function, base=f"close_{name}"))
         families[name] = Family(named)
-    monkeypatch.setattr("tests.mbsgen.procedure.test_c.FAMILIES", families)
-    library = Library(tmp_path)
+    library = Library(tuple(families.values()), tmp_path)
     for name, tree in trees.items():
         function = families[name].value
         given = {"q": [x + 0.05 for x in tree.closure.pose]}
