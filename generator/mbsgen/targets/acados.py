@@ -48,6 +48,7 @@ VDE_X = Port("vdeX", Role.RESULT, meaning="the rate of Sx")
 VDE_P = Port("vdeP", Role.RESULT, meaning="the rate of Sp")
 ADJ = Port("adj", Role.RESULT, meaning="gradient of the weighted rates by x, then u")
 HESS = Port("HESS", Role.RESULT, meaning="second derivatives of the weighted residuals by x, xdot, z, u")
+_LOOPS = (Role.MULTIPLIER, Role.DRIVING_FORCE, Role.CLOSURE)  # arguments of mechanisms with loops
 _TITLES = {
     "impl_dae_fun": "residuals",
     "impl_dae_fun_jac_x_xdot_z": "residuals and Jacobians",
@@ -64,7 +65,7 @@ _TITLES = {
 def add_acados(families: Sequence[Family], *, timed: bool = True) -> tuple[Family, ...]:
     """Write the functions that can be made from the residual and the cheapest function that computes accelerations.
 
-    Raises OptionError where there is neither, or where a joint has a quaternion.
+    Raises OptionError where there is neither, where a joint has a quaternion, or where loops are closed.
     """
     tapes = {tape.function: tape for family in families for tape in family.tapes}
     known = [Function(name) for name in list_giving(Role.ACCELERATION)]
@@ -73,6 +74,8 @@ def add_acados(families: Sequence[Family], *, timed: bool = True) -> tuple[Famil
     if residual not in tapes and not explicit:
         forms = " or ".join(function.name for function in known)
         raise OptionError(f"acados: its functions are made of {residual.name}, {forms}; name one")
+    if any(x.port.role in _LOOPS for tape in tapes.values() for x in (*tape.inputs, *tape.outputs)):
+        raise OptionError("acados: it would integrate loops apart, since nothing keeps them closed; leave it out")
     if any(_size(tape, Role.COORDINATE) > _size(tape, Role.VELOCITY) > 0 for tape in tapes.values()):
         raise OptionError("acados: its states are q and qd, of one size; a joint with a quaternion has more of the one")
 

@@ -226,3 +226,18 @@ def test_an_acados_before_time_gets_functions_without_it(model: Path) -> None:
         if name in kernels:
             assert tuple(a.name for a in kernels[name].inputs) == tuple(x for x in inputs if x != "t")
     assert "impl_dae_hess" in kernels
+
+
+@pytest.mark.parametrize("function", ["impl", "exp1"])
+def test_mechanisms_with_loops_are_refused(tmp_path: Path, function: str) -> None:
+    """An integrator that knows nothing of loops would drift off, and nothing would tell."""
+    file = tmp_path / "rod.yaml"
+    file.write_text(
+        "name: rod\ngravity: [0, -9.81, 0]\nassembly: {x: 1}\nbodies:\n"
+        "  - name: bob\n    joint: [{type: prismatic, axis: x, name: x}, {type: prismatic, axis: y, name: y}]\n"
+        "    mass: 1\n"
+        "loops:\n  - {name: string, type: rod, from: {body: base}, to: {body: bob}, length: 1}\n",
+        encoding="utf-8",
+    )
+    with pytest.raises(OptionError, match="acados: it would integrate loops apart"):
+        make(file, Options(targets=("acados",), functions=(function,), derivatives=0))
