@@ -22,11 +22,11 @@ def pendulum_of_rods() -> Peer:
     return close(
         "pendulum of rods",
         (q, qd),
-        ca.sumsqr(qd) / 2,
+        ca.SX(ca.sumsqr(qd) / 2),
         G * q[1],
-        (ca.sumsqr(q) - 1) / 2,
+        ca.SX((ca.sumsqr(q) - 1) / 2),
         joints,
-        ca.vertcat(q, 0),
+        ca.vertcat(q, ca.SX(0)),
         independent=(0,),
         pose=(0.0, -1.0),
     )
@@ -35,9 +35,9 @@ def pendulum_of_rods() -> Peer:
 def five_bar() -> Peer:
     """Two arms of 0.3 and 0.35 m, 0.2 m apart, whose hands are one point; the motors are at the base."""
     q, qd = ca.SX.sym("q", 4), ca.SX.sym("qd", 4)  # shoulder and elbow of the left arm, then of the right one
-    T, V, hands = 0.0, 0.0, []
+    T, V, hands = ca.SX(0), ca.SX(0), []
     for k, x in ((0, -0.1), (2, 0.1)):
-        at, angle = ca.vertcat(x, 0), 0
+        at, angle = ca.SX([x, 0.0]), ca.SX(0)
         for i, (length, mass) in enumerate(((0.3, 1.0), (0.35, 0.6))):
             angle += q[k + i]
             along = ca.vertcat(ca.cos(angle), ca.sin(angle))
@@ -56,7 +56,7 @@ def five_bar() -> Peer:
         V,
         hands[0] - hands[1],
         joints,
-        ca.vertcat(hands[0], 0),
+        ca.vertcat(hands[0], ca.SX(0)),
         independent=(0, 2),
         pose=FIVE_BAR_POSE,
     )

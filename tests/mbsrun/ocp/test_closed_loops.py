@@ -26,6 +26,7 @@ from mbsrun.ocp.solve import settle, solve
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.status import OPEN
 from mbsrun.ocp.structure import structure
+from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.ocp.transcription import transcribe
 from tests.mbsrun.ocp.closed_plants import FIVE_BAR_POSE, G, five_bar, pendulum_of_rods
 from tests.mbsrun.ocp.plants import FREE_RANGE, mechanism
@@ -184,15 +185,16 @@ def test_multipliers_pass_where_no_choice_of_coordinates_is_independent() -> Non
 def test_a_regular_guess_chooses_the_reduced_form() -> None:
     problem = reach()
     guess = make_guess(problem, arms(), schemes.build(problem.family, problem.degree))
-    assert settle(problem, arms(), guess).loops is Loops.REDUCED  # type: ignore[arg-type]
+    assert isinstance(guess, Trajectory)
+    assert settle(problem, arms(), guess).loops is Loops.REDUCED
     explicit = replace(problem, representation=Representation.EXP2_O)
-    assert settle(explicit, arms(), guess).loops is Loops.MULTIPLIERS  # type: ignore[arg-type]
+    assert settle(explicit, arms(), guess).loops is Loops.MULTIPLIERS
 
 
 def test_guesses_are_closed_and_their_inputs_make_the_motion() -> None:
     problem = reach()
     guess = make_guess(problem, arms(), schemes.build(problem.family, problem.degree))
-    assert not hasattr(guess, "distance")
+    assert isinstance(guess, Trajectory)
     closure = Closure(arms())
     assert closure.measure(guess.point_q) < 1e-12
     assert closure.measure_rates(guess.point_q, guess.point_qd) < 1e-12
@@ -201,6 +203,7 @@ def test_guesses_are_closed_and_their_inputs_make_the_motion() -> None:
     assert np.abs(opening).max() < 1e-11
     fine = replace(problem, intervals=100, degree=1)
     guess = make_guess(fine, arms(), schemes.build(fine.family, fine.degree))
+    assert isinstance(guess, Trajectory)
     found = accelerations(arms(), guess.point_q[:, 0], guess.point_qd[:, 0], guess.u)
     assert found == pytest.approx(guess.point_qdd[:, 0], abs=1e-9)
 
@@ -299,7 +302,8 @@ def test_a_solve_that_leaves_loops_open_is_no_solution() -> None:
     problem = reach(Loops.MULTIPLIERS)
     problem = replace(problem, solver=SolverOptions(options=(("acceptable_tol", 1e20), ("acceptable_iter", 1))))
     guess = make_guess(problem, arms(), schemes.build(problem.family, problem.degree))
-    found = solve(problem, arms(), guess=replace(guess, point_q=guess.point_q + 0.05))  # type: ignore[arg-type, union-attr]
+    assert isinstance(guess, Trajectory)
+    found = solve(problem, arms(), guess=replace(guess, point_q=guess.point_q + 0.05))
     assert isinstance(found, Failure)
     assert found.run.status == OPEN
 
