@@ -161,9 +161,11 @@ def write_forces(tree: Tree) -> Tape:
     tape = reverse.adjoint(build_rates(tree), [ports.VELOCITIES.name])
     builder = Builder()
     seed = seed_port(ports.CLOSURE_RATE)
+    used = {i.name for i in drop_unused_inputs(tape).inputs}
+    parameters = [i for i in tape.inputs if i.port.role is Role.PARAMETER]  # of which a setup is made, used or not
     given = {
         i.name: builder.input(ports.MULTIPLIERS if i.port == seed else i.port, i.sparsity)
-        for i in drop_unused_inputs(tape).inputs
+        for i in (*(i for i in tape.inputs if i.name in used and i not in parameters), *parameters)
     }
     given |= {i.name: [builder.zero] * i.sparsity.nnz for i in tape.inputs if i.name not in given}
     values = replay(tape, builder, given)
