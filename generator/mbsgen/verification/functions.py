@@ -211,13 +211,49 @@ class Truth:
 
     def hold(self, given: Callable[[Port, int], Numbers]) -> Numbers:
         """Return the joint forces JT lam and tau, of multipliers that are given by their ports and sizes."""
-        forces = [ZERO] * self.n
+        forces = self.drive(given(ports.DRIVING_FORCES, len(self.driven)))
         if self.coupled.loops or self.coupled.constraints:
             lam = given(ports.MULTIPLIERS, len(self.closures.h))
-            forces = [dot(column, lam) for column in self.J]
-        for i, force in zip(self.driven, given(ports.DRIVING_FORCES, len(self.driven)), strict=True):
-            forces[i] += force
+            forces = [a + dot(column, lam) for a, column in zip(forces, self.J, strict=True)]
         return forces
+
+    def drive(self, tau: Numbers) -> Numbers:
+        """Return the joint forces of the driven joints."""
+        own = dict(zip(self.driven, tau, strict=True))
+        return [own.get(i, ZERO) for i in range(self.n)]
+
+    def extend(self, y: Numbers, right: Numbers) -> Numbers:
+        """Return the velocities of which the independent ones are y, and by which h changes as `right`."""
+        closure, found = self.coupled.closure, [ZERO] * self.n
+        assert closure is not None, "a tree with loops is assembled"
+        for i, value in zip(closure.independent, y, strict=True):
+            found[i] = value
+        rows = [[self.J[i][r] for i in closure.dependent] for r in range(len(right))]
+        left = [x - dot([column[r] for column in self.J], found) for r, x in enumerate(right)]
+        for i, row in zip(closure.dependent, _invert(rows), strict=True):
+            found[i] = dot(row, left)
+        return found
+
+    @cached_property
+    def Z(self) -> list[Numbers]:
+        """Return the velocities of each unit of the independent ones."""
+        assert self.coupled.closure is not None, "a tree with loops is assembled"
+        f, m = len(self.coupled.closure.independent), len(self.coupled.closure.kept)
+        return [self.extend([Decimal(int(i == j)) for j in range(f)], [ZERO] * m) for i in range(f)]
+
+    @cached_property
+    def reduced(self) -> Truth:
+        """Return the same place, moved by the independent velocities and accelerations that are inputs."""
+        found, f = Truth(self.coupled, self._equations, self.state), len(self.Z)
+        found.qd = self.extend(self.state.take(ports.INDEPENDENT_VELOCITIES.name, f), [ZERO] * len(self.closures.h))
+        found.all_qd = self.move(found.qd)
+        found.qdd = found.accelerate(self.state.take(ports.INDEPENDENT_ACCELERATIONS.name, f))
+        return found
+
+    def accelerate(self, ydd: Numbers) -> Numbers:
+        """Return the accelerations of which the independent ones are ydd, and which keep loops closed."""
+        gamma = self.closures.accelerate(self.all_qd, [ZERO] * len(self.all_qd))
+        return self.extend(ydd, [-x for x in gamma])
 
     def moving_point(self, body: int, r: Vector) -> Vector:
         """Return the velocity of a point fixed in a body."""
@@ -307,6 +343,50 @@ def _closure_jacobian(truth: Truth, tape: Computation, results: Results) -> Iter
     rows, cols = range(output.sparsity.rows), range(output.sparsity.cols)
     expected = [truth.J[c][r] for c in cols for r in rows]
     yield Comparison("J", [found.get((r, c), ZERO) for c in cols for r in rows], expected, Decimal(1))
+
+
+def _loop_forces(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
+    lam = truth.state.take(ports.MULTIPLIERS.name, len(truth.closures.h))
+    yield Comparison("Q", results["Q"], [dot(column, lam) for column in truth.J], largest(lam))
+
+
+def _project(truth: Truth, forces: Numbers) -> Numbers:
+    return [dot(column, forces) for column in truth.Z]
+
+
+def _reduced_residual(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
+    own = truth.reduced
+    Phi, held = own.residual(own.qdd), own.drive(own.state.take(ports.DRIVING_FORCES.name, len(own.driven)))
+    expected = _project(own, [a - b - c for a, b, c in zip(Phi, own.Q, held, strict=True)])
+    yield Comparison("Phi", results["Phi"], expected, _size(own, Phi, own.Q, held))
+
+
+def _reduced_terms(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
+    """Compare M ydd, which holds every entry of M, and c."""
+    own, f = truth.reduced, len(truth.Z)
+    ydd = own.state.take(ports.INDEPENDENT_ACCELERATIONS.name, f)
+    Phi, bias = own.residual(own.qdd), own.residual(own.accelerate([ZERO] * f))
+    if "M" in results:
+        product = [dot([results["M"][r + f * c] for c in range(f)], ydd) for r in range(f)]
+        gain = _project(own, [a - b for a, b in zip(Phi, bias, strict=True)])
+        yield Comparison("M", product, gain, _size(own, Phi, bias))
+    if "c" in results:
+        yield Comparison("c", results["c"], _project(own, bias), _size(own, bias))
+
+
+def _reduced_accelerations(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
+    """Compare the residual at the computed accelerations with the forces, and the driven ones with the inputs."""
+    own, ydd = truth.reduced, results["ydd"]
+    Phi, held = own.residual(own.accelerate(ydd)), own.drive(results.get("tau", [ZERO] * len(own.driven)))
+    forces = _project(own, [a + b for a, b in zip(own.Q, held, strict=True)])
+    yield Comparison("ydd", _project(own, Phi), forces, _size(own, Phi, own.Q, held))
+    given = own.state.take(ports.DRIVE.name, len(own.driven))
+    yield Comparison("ydd", [dot(ydd, [column[i] for column in own.Z]) for i in own.driven], given)
+
+
+def _size(truth: Truth, *forces: Numbers) -> Decimal:
+    """Bound the terms of forces on the independent velocities."""
+    return max(map(largest, forces)) * max(map(largest, truth.Z))
 
 
 def _places(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
@@ -441,6 +521,11 @@ EXPECTATIONS: Mapping[Port, Expectation] = {
     ports.CLOSURE_ACCELERATION: _closure_acceleration,
     ports.CLOSURE_BIAS: _closure_acceleration,
     ports.CLOSURE_JACOBIAN: _closure_jacobian,
+    ports.JOINT_FORCES: _loop_forces,
+    ports.REDUCED_RESIDUAL: _reduced_residual,
+    ports.REDUCED_MASS_MATRIX: _reduced_terms,
+    ports.REDUCED_BIAS: _reduced_terms,
+    ports.INDEPENDENT_ACCELERATIONS: _reduced_accelerations,
     ports.POSITION: _places,
     ports.VELOCITY: _velocities,
     ports.ANGULAR_VELOCITY: _velocities,

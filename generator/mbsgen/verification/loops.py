@@ -15,7 +15,7 @@ from mbsgen.model.tree import Cut, Loop, Tree
 from mbsgen.verification.geometry import STEP, ZERO, Mechanism, Pose, add, dot, slope, times, transpose
 from mbsgen.verification.states import Numbers
 
-SECOND_STEP = Decimal("1e-12")  # of second differences: their error and the rounding are below 1e-23
+SECOND_STEP = Decimal("1e-9")  # of second differences of fourth order: their error and the rounding are some 1e-32
 Value = Callable[[Sequence[Decimal]], Numbers]  # of constraints, at the coordinates of all joints
 
 
@@ -43,11 +43,13 @@ class Closures:
                 a, b, c, d, e, f = (qd[i - 1] for i in x.bodies)
                 for i, more in zip(x.bodies, (e * c - f * b, f * a - d * c, d * b - e * a), strict=False):
                     bend[i - 1] += more
-        moved = (
-            self._close([step * v + step * step / 2 * a for v, a in zip(qd, bend, strict=True)])
-            for step in (SECOND_STEP, -SECOND_STEP)
-        )
-        return [(x + y - 2 * z) / SECOND_STEP**2 for x, y, z in zip(*moved, self.h, strict=True)]
+        coarse, fine = (self._bend(step, qd, bend) for step in (2 * SECOND_STEP, SECOND_STEP))
+        return [(4 * y - x) / 3 for x, y in zip(coarse, fine, strict=True)]
+
+    def _bend(self, step: Decimal, qd: Numbers, qdd: Numbers) -> Numbers:
+        """Return the second difference of h along a curve."""
+        moved = (self._close([h * v + h * h / 2 * a for v, a in zip(qd, qdd, strict=True)]) for h in (step, -step))
+        return [(x + y - 2 * z) / step**2 for x, y, z in zip(*moved, self.h, strict=True)]
 
     def _close(self, displacement: Numbers | None) -> Numbers:
         poses = self._mechanism.poses(self._q, displacement)

@@ -27,11 +27,9 @@ class State:
         """Return the numbers of an input."""
         if name in self.parameters:
             return self.parameters[name]
-        return (
-            [Decimal(0)] * size
-            if name == ports.VELOCITIES.name and self.is_still
-            else list(draw(name, size, self.number))
-        )
+        if self.is_still and name in (ports.VELOCITIES.name, ports.INDEPENDENT_VELOCITIES.name):
+            return [Decimal(0)] * size
+        return list(draw(name, size, self.number))
 
 
 def draw_states(tree: Tree, *, still: bool) -> Iterator[State]:
