@@ -18,7 +18,7 @@ from functools import partial
 from itertools import islice
 
 from mbsgen.formulations import ports
-from mbsgen.formulations.catalogue import REFERENCE, list_giving
+from mbsgen.formulations.catalogue import FUNCTIONS, REFERENCE
 from mbsgen.request import OptionError
 from mbsgen.roles import Order, Role
 from mbsgen.tape.builder import Builder, Scalar
@@ -68,7 +68,7 @@ def add_acados(families: Sequence[Family], *, timed: bool = True) -> tuple[Famil
     Raises OptionError where there is neither, where a joint has a quaternion, or where loops are closed.
     """
     tapes = {tape.function: tape for family in families for tape in family.tapes}
-    known = [Function(name) for name in list_giving(Role.ACCELERATION)]
+    known = [Function(name) for name, entry in FUNCTIONS.items() if ports.ACCELERATIONS in entry.results]
     explicit = [function for function in known if function in tapes]
     residual = Function(REFERENCE)
     if residual not in tapes and not explicit:
