@@ -28,6 +28,7 @@ from mbsgen.formulations import (
     impl,
     ports,
     poses,
+    projection,
     rates,
     reduced,
     semi,
@@ -242,6 +243,18 @@ FUNCTIONS: Mapping[str, Entry] = {
         "accelerations that keep loops closed, from the independent ones",
         results=(ports.CLOSED_ACCELERATIONS,),
         order=2,
+        needs=(LOOPS,),
+    ),
+    "project": Entry(
+        partial(projection.build, weighted=True),
+        "coordinates and velocities with all loops closed, by the least change of kinetic energy",
+        results=(ports.CLOSED, ports.PROJECTED_VELOCITIES),
+        needs=(LOOPS,),
+    ),
+    "project_plain": Entry(
+        partial(projection.build, weighted=False),
+        "coordinates and velocities with all loops closed, by the least change of either",
+        results=(ports.CLOSED, ports.PROJECTED_VELOCITIES),
         needs=(LOOPS,),
     ),
     "impl_red": Entry(

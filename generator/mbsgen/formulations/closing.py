@@ -20,6 +20,7 @@ from functools import cached_property
 
 from mbsgen.formulations import closure, coupling, dyads, ports, rates
 from mbsgen.formulations.partition import Partition, Place, find_blocks
+from mbsgen.formulations.projection import normalise
 from mbsgen.formulations.reduced import Reduced, known_closure
 from mbsgen.formulations.reductions import ALL
 from mbsgen.model.tree import Tree
@@ -218,12 +219,7 @@ class _Closing:
         sheet = Sheet()
         b, q = sheet.builder, sheet.take(self._q)
         y = [sheet.take(self._solved[c][0])[self._solved[c][1]] for c in range(len(self.dependent))]
-        found = _move(self.tree, b, q, y, self.dependent, self.seats)
-        for first in _quaternions(self.tree, self.dependent):
-            entries = range(first, first + 4)
-            squared = sum((found[k] * found[k] for k in entries), start=b.zero)
-            inverse = b.number(1.0) / b.sqrt(squared)
-            found = [x * inverse if k in entries else x for k, x in enumerate(found)]
+        found = normalise(self.tree, b, _move(self.tree, b, q, y, self.dependent, self.seats))
         sheet.give(result, found)
         tape = coupling.write(lambda own, _: closure.build_senses(own), None, self.tree, ALL)
         given = {i.name: found if i.name == ports.COORDINATES.name else sheet.take(Wire.of(i)) for i in tape.inputs}
@@ -238,16 +234,6 @@ def _seat(tree: Tree) -> list[int | None]:
     inside = {tree.bodies[i - 1].joint.name for x in tree.quaternions for i in x.bodies}
     places = {name: k for k, name in enumerate(tree.coordinates)}
     return [None if joint.name in inside else places[joint.name] for joint in tree.joints]
-
-
-def _quaternions(tree: Tree, dependent: Sequence[int]) -> list[int]:
-    """List the entry of q at which each quaternion begins that dependent velocities move."""
-    moved = {tree.joints[k].name for k in dependent}
-    return [
-        tree.coordinates.index(x.coordinates[-4])
-        for x in tree.quaternions
-        if moved & {tree.bodies[i - 1].joint.name for i in x.bodies}
-    ]
 
 
 def _write_gaps(tree: Tree, dependent: Sequence[int], seats: Sequence[int | None]) -> Tape:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.linalg
 from sympy import Integer
 
 from mbsgen.assembly.mechanism import Mechanism
@@ -17,7 +18,7 @@ from mbsgen.procedure.newton import Newton
 from mbsgen.procedure.procedure import Procedure, as_procedure, interpret
 from mbsgen.targets.contract import Family
 from tests.mbsgen.formulations.agreement import FEW
-from tests.mbsgen.formulations.closed_mechanisms import TEXTS, draw, make, read, run
+from tests.mbsgen.formulations.closed_mechanisms import TEXTS, draw, make, read, run, spread
 from tests.mbsgen.procedure.compiled import Library
 
 ROUNDING = 1e-13  # a closed loop of lengths up to 1 m: some tens of roundings
@@ -155,6 +156,32 @@ def test_a_loop_out_of_reach_is_a_status_that_names_it(name, q):
     loop = replace(loop, value=exact(0.25)) if name == "spatial_rod" else replace(loop, first=short)
     status, found = call("close", replace(tree, loops=(loop,)), q=q)
     assert (status, found.size) == (len(tree.joints) + 1, 0)
+
+
+@pytest.mark.parametrize("function", ["project", "project_plain"])
+@pytest.mark.parametrize("name", TEXTS)
+def test_projection_is_the_least_change_that_closes_the_loops(name, function):
+    """h = 0 and J qd = 0; changes, weighted by M or 1, have no part along motions that loops allow."""
+    tree, rng = make(name), np.random.default_rng(6)
+    pose, n = np.array(tree.closure.pose), len(tree.joints)
+    given = {"q": pose + 0.03 * rng.uniform(-1, 1, pose.size), "qd": rng.uniform(-1, 1, n)}
+    given["p"] = [x.value for x in tree.parameters]
+    status, found = call(function, tree, **given)
+    q, qd = np.split(found, [pose.size])
+    assert status == 0
+    mechanism = Mechanism(tree)
+    assert mechanism.h(q) == pytest.approx(0, abs=ROUNDING)
+    assert mechanism.J(q) @ qd == pytest.approx(0, abs=ROUNDING)
+    for at, change in ((q, qd - given["qd"]), (given["q"], q - given["q"]))[: 1 if tree.quaternions else 2]:
+        weight = np.eye(n) if function == "project_plain" else spread("semi", tree, {**given, "q": at}, "M")
+        free = [k for k, joint in enumerate(tree.joints) if joint.name not in driven(tree)]
+        motions = scipy.linalg.null_space(mechanism.J(at)[:, free])
+        assert motions.T @ weight[np.ix_(free, free)] @ change[free] == pytest.approx(0, abs=1e-12)
+        assert (np.delete(change, free) == 0).all()
+
+
+def driven(tree: Tree) -> set[str]:
+    return {tree.bodies[number - 1].joint.name for number in tree.driven}
 
 
 def test_c_closes_loops_as_the_interpreter_does(tmp_path: Path):
