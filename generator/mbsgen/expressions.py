@@ -15,7 +15,7 @@ import math
 import operator
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Generic, Literal, TypeVar
 
@@ -146,6 +146,22 @@ def names(expression: Expression) -> frozenset[str]:
     if isinstance(expression, Name):
         return frozenset((expression.name,))
     return frozenset().union(*map(names, _operands(expression)))
+
+
+def substitute(expression: Expression, values: Mapping[str, Expression]) -> Expression:
+    """Put expressions in place of names."""
+    match expression:
+        case Name(name):
+            return values.get(name, expression)
+        case Negation(operand):
+            return Negation(substitute(operand, values))
+        case Operation(_, left, right):
+            return replace(expression, left=substitute(left, values), right=substitute(right, values))
+        case Power(base):
+            return replace(expression, base=substitute(base, values))
+        case Call(_, arguments):
+            return replace(expression, arguments=tuple(substitute(x, values) for x in arguments))
+    return expression
 
 
 def evaluate(expression: Expression, values: Mapping[str, T], algebra: Algebra[T]) -> T:

@@ -8,11 +8,12 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from mbsgen import __version__, manifest
 from mbsgen.approximation.choice import Approximation, approximate
-from mbsgen.assembly import AssemblyError, assemble
-from mbsgen.documents import abbreviate, read_document, refuse, write_path
+from mbsgen.assembly import AssemblyError, assemble, list_held
+from mbsgen.documents import Place, abbreviate, read_document, refuse, write_path
 from mbsgen.errors import Fault
 from mbsgen.evidence import gather
 from mbsgen.families import Functions, Tell, say_nothing, write_families, write_functions
@@ -22,10 +23,10 @@ from mbsgen.importing import import_model, is_foreign
 from mbsgen.manifest import Coordinate, Frame, Loop, Manifest, Parameter, Wrench
 from mbsgen.model.checks import find_faults
 from mbsgen.model.model import Model
-from mbsgen.model.reader import read_model
+from mbsgen.model.reader import ModelWarning, read_model
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.releasing import with_runtime_numbers
-from mbsgen.model.scene import EVERYTHING, Scene, read_scene, stage
+from mbsgen.model.scene import EVERYTHING, Scene, apply_kinds, read_scene, stage
 from mbsgen.model.symbols import exact, to_double
 from mbsgen.model.tree import NO_FORCE, Kind, Motion, Tree
 from mbsgen.model.writer import write_model
@@ -106,6 +107,9 @@ class _Trees:
 def _build_trees(whole: Model, staged: Model, request: Request) -> _Trees:
     """Build the tree that functions are generated of, and the trees that the report counts."""
     written, parametric = assemble(build_tree(staged)), build_parametric(whole, request.scene)
+    if request.scene.locked and (held := list_held(written)):
+        shown = ", ".join(map(abbreviate, held))
+        warnings.warn(f"with the locked joints of the scene, loops keep {shown} at rest", ModelWarning, stacklevel=3)
     if request.runtime:
         generated = build_parametric(whole, request.scene, zeros=True) if request.zeros else parametric
         return _Trees(written, parametric, assemble(generated), None)
@@ -161,15 +165,29 @@ def _locating(model: Path | Model) -> Iterator[None]:
     except AssemblyError as error:
         if isinstance(model, Path) and not is_foreign(model):
             document = read_document(model)
-            raise refuse([document.fault(x.place, x.finding, x.remedy) for x in error.findings]) from None
-        file = str(model) if isinstance(model, Path) else f"model {abbreviate(model.name)}"
-        faults = [Fault(file, 0, write_path(x.place), x.finding, x.remedy) for x in error.findings]
-        raise refuse(faults) from None
+            found = [(_find_place(x.place, document.data), x) for x in error.findings]
+            raise refuse([document.fault(place, x.finding, x.remedy) for place, x in found]) from None
+        file, data = str(model), dict[str, Any]()
+        if isinstance(model, Model):
+            file = f"model {abbreviate(model.name)}"
+            data["loops"] = [{"name": x.name} for x in model.loops]
+            data["constraints"] = [{"name": x.name} for x in model.constraints]
+        found = [(_find_place(x.place, data), x) for x in error.findings]
+        raise refuse([Fault(file, 0, write_path(place), x.finding, x.remedy) for place, x in found]) from None
+
+
+def _find_place(place: Place, data: Any) -> Place:
+    """Find in a valid model file the place of a loop or constraint that a finding names."""
+    match place:
+        case (("loops" | "constraints") as key, str(name), *rest):
+            i = next((i for i, entry in enumerate(data.get(key, ())) if entry.get("name") == name), None)
+            return place if i is None else (key, i, *rest)
+    return place
 
 
 def build_parametric(model: Model, scene: Scene = EVERYTHING, *, zeros: bool = False) -> Tree:
     """Build the tree of a model whose numbers are run-time parameters, as far as a scene needs them."""
-    tree = build_tree(stage(with_runtime_numbers(model, zeros=zeros), scene))
+    tree = build_tree(stage(with_runtime_numbers(apply_kinds(model, scene), zeros=zeros), scene))
     own, used = {p.name for p in model.parameters if p.kind is Kind.RUNTIME}, tree.symbols
     needed = (p for p in tree.parameters if p.kind is not Kind.RUNTIME or p.name in own or p.symbol in used)
     return replace(tree, parameters=tuple(needed))

@@ -3,6 +3,6 @@
 from __future__ import annotations
 
 from mbsgen.assembly.assemble import AssemblyError, assemble
-from mbsgen.assembly.findings import Findings, describe
+from mbsgen.assembly.findings import Findings, describe, list_held
 
-__all__ = ["AssemblyError", "Findings", "assemble", "describe"]
+__all__ = ["AssemblyError", "Findings", "assemble", "describe", "list_held"]

@@ -10,6 +10,7 @@ numbers too: an equation that follows from others for one geometry alone may not
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -18,7 +19,7 @@ import numpy as np
 from mbsgen.assembly.choice import REGULAR, choose_columns, choose_rows, measure
 from mbsgen.assembly.mechanism import Array, Mechanism
 from mbsgen.assembly.poses import OPEN, Attempt, close, find_pose, rank, walk
-from mbsgen.documents import Place
+from mbsgen.documents import Place, abbreviate
 from mbsgen.errors import MbsError
 from mbsgen.model.findings import Finding
 from mbsgen.model.tree import Closure, Cut, Kind, Tree
@@ -58,17 +59,30 @@ def assemble(tree: Tree) -> Tree:
 
 def _start(tree: Tree) -> Array:
     """Return the author's rough pose."""
-    names = {number: tree.bodies[number - 1].joint.name for number, _ in tree.rough}
-    given = {names[number]: value for number, value in tree.rough}
+    given = {tree.bodies[number - 1].joint.name: value for number, value in tree.rough}
+    for quaternion in tree.quaternions:
+        turns = [given.get(tree.bodies[i - 1].joint.name, 0.0) for i in quaternion.bodies[-3:]]
+        given |= dict(zip(quaternion.coordinates[-4:], _make_quaternion(np.array(turns)), strict=True))
     return np.array([given.get(name, rest) for name, rest in zip(tree.coordinates, tree.neutral, strict=True)])
 
 
+def _make_quaternion(turn: Array) -> Array:
+    """Return the quaternion, its scalar last, of a turn: its angle times its axis, along x, y, z."""
+    angle = float(np.linalg.norm(turn))
+    axis = turn / angle if angle else turn
+    return np.array([*(math.sin(angle / 2) * axis), math.cos(angle / 2)])
+
+
 def _place(tree: Tree, number: int) -> tuple[Place, str]:
-    """Return the place and the name of a loop or constraint, by its number among all."""
+    """Return the place and the name of a loop or constraint, by its number among all.
+
+    The place has its name: a file has more constraints than the tree, where some became followers.
+    """
     if number < len(tree.loops):
-        return ("loops", number), f"loop {tree.loops[number].name!r}"
-    k = number - len(tree.loops)
-    return ("constraints", k), f"constraint {tree.constraints[k].name!r}"
+        name = tree.loops[number].name
+        return ("loops", name), f"loop {abbreviate(name)}"
+    name = tree.constraints[number - len(tree.loops)].name
+    return ("constraints", name), f"constraint {abbreviate(name)}"
 
 
 def _name_gaps(mechanism: Mechanism, attempt: Attempt) -> list[Finding]:
@@ -86,8 +100,9 @@ def _name_gaps(mechanism: Mechanism, attempt: Attempt) -> list[Finding]:
     if found:
         return found
     turned = next(k for k, x in zip(mechanism.senses_of, attempt.senses, strict=True) if not x > 0)
-    finding = f"loop {tree.loops[turned].name!r} closes with its axes turned round only"
-    return [Finding(("loops", turned), finding, "turn the orientation of one end, or give a rough pose in `assembly:`")]
+    place, name = _place(tree, turned)
+    finding = f"{name} closes with its axes turned round only"
+    return [Finding(place, finding, "turn the orientation of one end, or give a rough pose in `assembly:`")]
 
 
 def _name_singularity(found: int, expected: int) -> Finding:

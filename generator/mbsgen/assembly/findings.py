@@ -8,12 +8,13 @@ import numpy as np
 
 from mbsgen.assembly.choice import measure
 from mbsgen.assembly.mechanism import Array, Mechanism
-from mbsgen.assembly.poses import Attempt, close
+from mbsgen.assembly.poses import Attempt, close, null_space, walk
 from mbsgen.model.tree import Motion, Tree
 
 STARTS = 48  # from which other assemblies are searched for
 LARGEST = 12  # dependent coordinates, up to which they are
 APART = 1e-6  # rad or m between two assemblies
+RESTING = 1e-6  # of the velocity of a joint, where the velocities of all together have the length 1
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,17 @@ def describe(tree: Tree) -> Findings | None:
         measure(J, closure.dependent),
         tuple(find_assemblies(mechanism)),
     )
+
+
+def list_held(tree: Tree) -> tuple[str, ...]:
+    """Name the joints that the loops of an assembled tree keep at rest, wherever the others move."""
+    if tree.closure is None:
+        return ()
+    mechanism, names = Mechanism(tree), [joint.name for joint in tree.joints]
+    moves = np.zeros(len(names), bool)
+    for q in walk(mechanism, np.array(tree.closure.pose)):
+        moves |= np.linalg.norm(null_space(mechanism.J(q)), axis=1) > RESTING
+    return tuple(name for name, is_moving in zip(names, moves, strict=True) if not is_moving)
 
 
 def find_assemblies(mechanism: Mechanism) -> list[tuple[float, ...]]:

@@ -83,7 +83,7 @@ def walk(mechanism: Mechanism, first: Array) -> Iterator[Array]:
     yield first
     pose = first
     for k in range(WALKS):
-        free = _null_space(mechanism.slopes(pose))
+        free = null_space(mechanism.slopes(pose))
         if not free.shape[1]:
             return
         direction = free @ draw.standard_normal(free.shape[1])
@@ -100,7 +100,8 @@ def rank(J: Array) -> int:
     return int((values > RANK * max(float(values.max(initial=0.0)), 1e-300)).sum())
 
 
-def _null_space(H: Array) -> Array:
+def null_space(H: Array) -> Array:
+    """Return orthonormal directions, as columns, along which a Jacobian vanishes."""
     if not H.size:
         return np.eye(H.shape[1])
     _, values, rows = np.linalg.svd(H)

@@ -1,25 +1,65 @@
-"""Locked joints: a Model, and coordinates of joints that are not to move -> a Model in which they are fixed."""
+"""Locked joints: a Model, and coordinates of joints that are not to move -> a Model in which they are fixed.
+
+Equations keep the coordinates of locked joints as numbers. An equation between locked joints that holds is left out;
+one that does not hold stays, and `checks` finds it. Loops stay: whether the other joints of a loop can still move is
+found where loops are assembled.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
-from mbsgen.expressions import Call, Expression, Negation, Number, Operation
+from mbsgen.expressions import Call, Expression, Negation, Number, Operation, names, substitute
+from mbsgen.model.elimination import eliminate
 from mbsgen.model.expansion import list_steps
-from mbsgen.model.following import list_joints, place_followers
-from mbsgen.model.model import HERE, ORIGIN, ZERO, Body, Fixed, Joint, Model, Placement, Rotation, Triple
+from mbsgen.model.following import find_rules, list_joints, place_followers
+from mbsgen.model.model import HERE, ORIGIN, ZERO, Body, Constraint, Fixed, Joint, Model, Placement, Rotation, Triple
 from mbsgen.model.tree import Motion
+from mbsgen.model.valuation import Valuation
+
+OPEN = 1e-9  # what may be left of an equation between locked joints, m or rad: it is as the user writes coordinates
 
 
 def lock(model: Model, coordinates: Mapping[str, Expression]) -> Model:
     """Fix joints, by name, at their coordinates [rad or m]; they lose limits, forces and inputs with their freedom.
 
-    Joints that follow them are fixed where they are then.
+    Joints that follow them, or that a linear constraint ties to them alone, are fixed accordingly.
     """
-    coordinates = place_followers(list_joints(model), coordinates)
+    if not coordinates:
+        return model
+    coordinates = _place_tied(model, coordinates)
     bodies = [part for i, body in enumerate(model.bodies) for part in _lock_body(i, body, coordinates)]
-    return replace(model, bodies=tuple(bodies))
+    return replace(
+        model,
+        bodies=tuple(bodies),
+        constraints=tuple(_lock_constraints(model, coordinates)),
+        driven=tuple(name for name in model.driven if name not in coordinates),
+        independent=tuple(name for name in model.independent if name not in coordinates),
+        assembly=tuple((name, rough) for name, rough in model.assembly if name not in coordinates),
+    )
+
+
+def _place_tied(model: Model, coordinates: Mapping[str, Expression]) -> dict[str, Expression]:
+    """Return the coordinates of some joints, and of all joints that these determine by rules of followers."""
+    steps = list_joints(eliminate(model))
+    placed = dict(coordinates)
+    for name, rule in find_rules(steps).items():
+        if name in coordinates:
+            difference = coordinates[name] if rule.offset == ZERO else Operation("-", coordinates[name], rule.offset)
+            placed.setdefault(rule.joint, _quotient(difference, rule.ratio))
+    return place_followers(steps, placed)
+
+
+def _lock_constraints(model: Model, coordinates: Mapping[str, Expression]) -> Iterator[Constraint]:
+    valuation, known = Valuation(model.parameters, ()), {p.name for p in model.parameters}
+    for constraint in model.constraints:
+        equation = substitute(constraint.equation, coordinates)
+        if names(equation) <= known:
+            left = valuation.form((), equation, {})
+            if left is not None and left.is_number and abs(left) <= OPEN:
+                continue
+        yield replace(constraint, equation=equation)
 
 
 def _lock_body(i: int, body: Body, coordinates: Mapping[str, Expression]) -> list[Body]:

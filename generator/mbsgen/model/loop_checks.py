@@ -114,7 +114,7 @@ def _check_ends(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
         if any(lies_under(("loops", i, key, "body"), doubtful) for key in ("from", "to")):
             continue
         first, second = loop.first.body, loop.second.body
-        remedy = "name two bodies with joints between them"
+        remedy = "let a joint between two bodies move, or leave the loop out"
         if first == second:
             yield Finding(place, f"a loop between {abbreviate(first)} and itself", remedy)
         elif first in carriers and carriers[first] == carriers.get(second):

@@ -100,18 +100,25 @@ def read_scene(path: Path, model: Model, functions: Mapping[str, Sequence[str]])
 
 
 def stage(model: Model, scene: Scene) -> Model:
-    """Remove parts of a model that a scene does not need; with locked joints, also wrenches on bodies at rest."""
-    kinds = dict(scene.parameters)
-    kept = lock(model, dict(scene.locked))
+    """Remove parts of a model that a scene does not need; with locked joints, also wrenches on bodies at rest.
+
+    The rough coordinates of locked joints go, too, and so do equations between them that hold.
+    """
+    kept = lock(apply_kinds(model, scene), dict(scene.locked))
     carriers = find_carriers(kept)
     felt = [w for w in kept.wrenches if carriers[w.body] != BASE]
     return replace(
         kept,
         gravity=kept.gravity if scene.gravity else ORIGIN,
-        parameters=tuple(replace(p, kind=kinds.get(p.name, p.kind)) for p in kept.parameters),
         frames=tuple(f for f in kept.frames if scene.sensors is None or f.name in scene.sensors),
         wrenches=tuple(w for w in felt if scene.wrenches is None or w.name in scene.wrenches),
     )
+
+
+def apply_kinds(model: Model, scene: Scene) -> Model:
+    """Give the parameters of a model the kinds that they have in a scene."""
+    kinds = dict(scene.parameters)
+    return replace(model, parameters=tuple(replace(p, kind=kinds.get(p.name, p.kind)) for p in model.parameters))
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import pytest
 
 from mbsgen.assembly import assemble, describe
 from mbsgen.errors import InputError
-from mbsgen.model.construction import body, constraint, end, loop, make_model, revolute, rod
+from mbsgen.model.construction import body, constraint, end, free, loop, make_model, revolute, rod
 from mbsgen.model.model import Model
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Kind, Tree
@@ -114,20 +114,48 @@ def test_equations_that_are_redundant_for_one_geometry_are_no_run_time_matter() 
 def test_a_loop_out_of_reach_is_named_with_what_is_left() -> None:
     """The knee cannot bridge 3 m - 0.2 m - 0.5 m - 0.4 m = 1.9 m."""
     told = refuse(four_bar((CRANK, COUPLER, ROCKER, 3.0)))
-    assert told.startswith("model \"four-bar\": loops[0]: loop 'knee' does not close")
+    assert told.startswith('model "four-bar": loops[0]: loop "knee" does not close')
     assert float(told.split("by ")[1].split(";")[0]) == pytest.approx(1.9, rel=0.02)
 
 
 def test_loops_that_contradict_each_other_are_both_named() -> None:
     ends = end("coupler"), end("rocker", position=(0.1, 0, 0))
     told = refuse(four_bar(loops=[rod("one", *ends, 0.4), rod("other", *ends, 0.5)]))
-    assert "loop 'one' does not close" in told
-    assert "loop 'other' does not close" in told
+    assert 'loop "one" does not close' in told
+    assert 'loop "other" does not close' in told
 
 
 def test_a_constraint_without_a_solution_is_named() -> None:
     told = refuse(four_bar(constraints=[constraint("cam", "sin(crank) - 2")]))
-    assert "constraints[0]: constraint 'cam' does not close" in told
+    assert 'constraints[0]: constraint "cam" does not close' in told
+
+
+def test_faults_of_constraints_have_their_lines_beside_such_as_became_followers(tmp_path: Path) -> None:
+    """The gear's joint follows, so the cam is the first equation of the tree, and the second of the file."""
+    joints = ("x, position: [0, 0, 0]", "y, actuated: false", "z, actuated: false")
+    bodies = [
+        f"  - {{name: b{i}, joint: {{type: revolute, axis: {text}}}, mass: 1, com: [0.1, 0.2, 0.3]}}\n"
+        for i, text in enumerate(joints)
+    ]
+    file = tmp_path / "model.yaml"
+    file.write_text(
+        f"name: cam\ngravity: [0, 0, 0]\nbodies:\n{''.join(bodies)}constraints:\n"
+        "  - {name: gear, equation: b2 - 2*b1}\n  - {name: cam, equation: sin(b0) - 2}\n",
+        encoding="utf-8",
+    )
+    with pytest.raises(InputError, match=r'model\.yaml:9: constraints\[1\]: constraint "cam" does not close'):
+        read_tree(file)
+
+
+def test_a_rough_turn_of_a_quaternion_is_where_the_search_begins() -> None:
+    """The plate hangs from the base by a ball, so any turn closes it: it stays at the rough one."""
+    plate = body("plate", free(), mass=1, inertia=(1, 1, 1))
+    loops = [loop("hang", "ball", end("base", position=(1, 2, 3)), end("plate"))]
+    rough = {"plate.x": 1, "plate.y": 2, "plate.z": 3, "plate.ry": 0.6, "plate.rz": 0.8}
+    closure = close(make_model("plate", [plate], gravity=(0, 0, 0), loops=loops, assembly=rough)).closure
+    assert closure is not None
+    expected = (1, 2, 3, 0, 0.6 * sin(0.5), 0.8 * sin(0.5), cos(0.5))
+    assert closure.pose == pytest.approx(expected, abs=1e-12)
 
 
 def test_a_loop_that_leaves_no_freedom_is_refused() -> None:
@@ -145,7 +173,7 @@ def test_a_parallelogram_in_line_is_singular() -> None:
 def test_axes_turned_round_are_told() -> None:
     first = end("coupler", position=(COUPLER, 0, 0), orientation=[("x", pi)])
     told = refuse(four_bar(loops=[loop("knee", "hinge", first, end("rocker", position=(ROCKER, 0, 0)))]))
-    assert "loop 'knee' closes with its axes turned round only" in told
+    assert 'loop "knee" closes with its axes turned round only' in told
 
 
 @pytest.mark.parametrize("names", [["crank", "rocker"], ["crank", "coupler", "rocker"]])
@@ -179,7 +207,7 @@ def test_faults_of_loops_have_their_lines(tmp_path: Path) -> None:
         "loops:\n  - {name: bar, type: rod, from: {body: a, position: [0.2, 0, 0]}, to: {body: b}, length: 2}\n",
         encoding="utf-8",
     )
-    with pytest.raises(InputError, match=r"model\.yaml:7: loops\[0\]: loop 'bar' does not close"):
+    with pytest.raises(InputError, match=r'model\.yaml:7: loops\[0\]: loop "bar" does not close'):
         read_tree(file)
 
 
