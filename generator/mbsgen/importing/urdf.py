@@ -1,7 +1,7 @@
 """URDF -> Draft of a model: one body a link, in the link's own frame.
 
-A link's frame is its joint's frame, as in URDF, so a model has the coordinates of the file. Roll, pitch and yaw are
-turns about z by yaw, about y by pitch, about x by roll. Bodies are listed depth first, joints in the file's order.
+A link's frame is its joint's frame, as in URDF, so a model has the coordinates of the file. Bodies are listed depth
+first, joints in the file's order. `urdf_loops` reads what closes loops.
 """
 
 from __future__ import annotations
@@ -16,8 +16,10 @@ from mbsgen.documents import abbreviate, nearest
 from mbsgen.importing.drafting import GRAVITY, Choices, Draft, Imported, Move, list_moves, make_law, move_freely
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.markup import Element
-from mbsgen.importing.poses import ORIGIN, Array, Pose, place
+from mbsgen.importing.poses import ORIGIN, Pose
 from mbsgen.importing.solids import NOTHING, Solid
+from mbsgen.importing.urdf_frames import read_axis, read_origin
+from mbsgen.importing.urdf_loops import READERS, add_loops, has_loops, is_dependent
 from mbsgen.model.model import BASE
 from mbsgen.model.tree import Motion
 
@@ -26,6 +28,7 @@ READ = frozenset(
     {
         *("robot", "link", "joint", "inertial", "mass", "inertia", "origin", "axis", "limit", "dynamics", "mimic"),
         *("parent", "child", "transmission"),
+        *READERS,
     }
 )
 _XACRO = ("include", "property", "macro", "arg", "if", "unless", "insert_block", "call")
@@ -51,6 +54,7 @@ class _Robot:
         self._root = root
         self._choices = choices
         self._findings = findings
+        self._is_closed = has_loops(root)
         self._leaders = self._read_leaders()
         self._draft = Draft(findings, replace(choices, locked=(*choices.locked, *self._hold_followers())))
         self._rotors: defaultdict[str, float] = defaultdict(float)  # rotor inertia at joints, from transmissions
@@ -105,7 +109,7 @@ class _Robot:
             parent, child = (self._find_link(joint, key, links) for key in ("parent", "child"))
             if child is not None and child in carriers:
                 line = carriers[child].line
-                remedy = "a tree has one; loops of bodies are not part of a model"
+                remedy = "a tree has one; close the loop by a <loop> between frames of the two links"
                 self._findings.fault(joint, f"link {abbreviate(child)} has a second joint, after line {line}", remedy)
             elif parent is not None and child is not None:
                 carriers[child] = joint
@@ -117,7 +121,8 @@ class _Robot:
             self._findings.fault(self._root, finding, "let exactly one link be no joint's child")
         if self._findings.faults:
             raise self._findings.refuse()
-        self._add_links(roots[0], links, carried)
+        bodies = self._add_links(roots[0], links, carried)
+        add_loops(self._root, bodies, carriers, self._draft)
         self._tell_ignored()
         self._tell_conventions(roots[0], carried)
         return self._draft.finish(self._root.attributes.get("name", "robot"), GRAVITY, self._root)
@@ -147,32 +152,32 @@ class _Robot:
             return None
         return name
 
-    def _add_links(self, root: str, links: dict[str, Element], carried: dict[str, list[tuple[Element, str]]]) -> None:
+    def _add_links(
+        self, root: str, links: dict[str, Element], carried: dict[str, list[tuple[Element, str]]]
+    ) -> dict[str, str]:
+        """Add all links; return their bodies."""
         first = links[root]
         moves = move_freely(first, quaternion=self._choices.quaternions) if self._choices.base == "floating" else []
         waiting: list[tuple[str, str, Pose, list[Move]]] = [(root, BASE, ORIGIN, moves)]
-        reached = set()
+        bodies: dict[str, str] = {}
         while waiting:
             name, parent, pose, moves = waiting.pop()
-            reached.add(name)
-            own = self._draft.add_body(name, parent, pose, moves, self._read_solid(links[name]), links[name])
+            own = bodies[name] = self._draft.add_body(
+                name, parent, pose, moves, self._read_solid(links[name]), links[name]
+            )
             self._draft.add_frame(name, own, ORIGIN, links[name])
             for joint, child in reversed(carried[name]):
                 waiting.append((child, own, self._read_origin(joint), [*self._read_moves(joint)]))
         if self._choices.base == "fixed" and self._read_solid(first).mass:
             self._findings.tell(first, "the root link stands fast on the base; --base floating frees it")
-        for name in links.keys() - reached:
+        for name in links.keys() - bodies.keys():
             self._findings.fault(links[name], "it hangs in a loop of joints", "let its chain begin at the root link")
+        return bodies
 
     # --- parts of links ----------------------------------------------------------------------------------------------
 
     def _read_origin(self, element: Element) -> Pose:
-        origin = element.first("origin")
-        if origin is None:
-            return ORIGIN
-        position = self._findings.numbers(origin, "xyz", (0.0, 0.0, 0.0))
-        roll, pitch, yaw = map(self._draft.writer.snap, self._findings.numbers(origin, "rpy", (0.0, 0.0, 0.0)))
-        return place(position, [(k, angle) for k, angle in ((2, yaw), (1, pitch), (0, roll)) if angle])
+        return read_origin(element, self._findings, self._draft.writer)
 
     def _read_solid(self, link: Element) -> Solid:
         inertial = link.first("inertial")
@@ -204,7 +209,9 @@ class _Robot:
                 yield from move_freely(joint, quaternion=self._choices.quaternions)
             case "planar":
                 self._refuse_mimic(joint)
-                yield from list_moves("planar", joint, actuated=False, normal=[*map(float, self._read_axis(joint))])
+                yield from list_moves(
+                    "planar", joint, actuated=False, normal=[*map(float, read_axis(joint, self._findings))]
+                )
             case "revolute" | "continuous" | "prismatic":
                 yield self._read_move(joint, kind, name)
             case _:
@@ -227,6 +234,11 @@ class _Robot:
                 for key in ("velocity", "effort")
             )
         follows = self._read_mimic(joint, name)
+        is_free = follows is None
+        if self._is_closed and is_dependent(joint, self._findings):
+            self._draft.closing.dependent.add(name)
+            self._findings.tell(joint, "it depends on others: it has no input")
+            is_free = False
         dynamics = joint.first("dynamics")
         damping = friction = 0.0
         armature = self._rotors[name]
@@ -238,7 +250,7 @@ class _Robot:
             self._findings.tell(joint, f"dry friction of {friction:g}, smoothed: tanh(qd/{speed:g})")
         return Move(
             Motion.PRISMATIC if kind == "prismatic" else Motion.REVOLUTE,
-            self._read_axis(joint),
+            read_axis(joint, self._findings),
             joint,
             name=name,
             lower=lower,
@@ -246,8 +258,8 @@ class _Robot:
             law=make_law(damping=damping, friction=friction, speed=self._choices.friction_speed),
             armature=armature,
             velocity=velocity,
-            effort=None if follows else effort,
-            actuated=follows is None,
+            effort=effort if is_free else None,
+            actuated=is_free,
             follows=follows,
         )
 
@@ -266,14 +278,6 @@ class _Robot:
                 self._findings.tell(dynamics, f"{key} {value:g} is the joint's armature: no gear ratio is applied")
                 total += value
         return total
-
-    def _read_axis(self, joint: Element) -> Array:
-        element = joint.first("axis")
-        axis = (1.0, 0.0, 0.0) if element is None else self._findings.numbers(element, "xyz", (1.0, 0.0, 0.0))
-        if not any(axis) and element is not None:
-            self._findings.fault(element, "an axis without direction", "give a nonzero one, e.g. 0 0 1")
-            axis = (1.0, 0.0, 0.0)
-        return np.array(axis)
 
     def _read_mimic(self, joint: Element, name: str) -> tuple[str, float, float] | None:
         mimic = joint.first("mimic")
