@@ -3,17 +3,18 @@
     J qd = Ju x + Jv y = 0,    x = -Ju^-1 Jv y,    qd = Z y,    Z = [-Ju^-1 Jv; 1]
 
 (Wehage and Haug, 1982; Samin and Fisette, 2003, 4.3.) Ju is permuted to block triangular form by its structural zeros
-(Duff, 1981), so independent loops separate. A block of one or two rows is solved in closed form. In larger blocks the
-columns are orthogonalised, Ju = Q R, with modified Gram-Schmidt (Bjorck, 1967), which needs no choice of pivots: it
-fails only where Ju loses rank, at any pose.
+(Duff, 1981), so independent loops separate. A block of up to three rows is solved by its determinant. The columns of a
+larger block are orthogonalised, Ju = Q R, with modified Gram-Schmidt (Bjorck, 1967), which needs no choice of pivots:
+it fails only where Ju loses rank, at any pose.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from mbsgen.algebra.vectors import Matrix, Vector
 from mbsgen.errors import TapeError
 from mbsgen.formulations.multipliers import Row, order_by_degree
 from mbsgen.tape.builder import Builder, Scalar
@@ -90,6 +91,27 @@ class Pair(Block):
         return [(self._d * x - self._c * y) * self._inverse, (self._a * y - self._b * x) * self._inverse]
 
 
+class Triple(Block):
+    """Three equations of three unknowns, by cross products of the columns."""
+
+    def __init__(self, builder: Builder, place: Place, rows: Sequence[Row]) -> None:
+        super().__init__(place)
+        zero = builder.zero
+        a, b, c = (Vector.of(rows[r].get(k, zero) for r in place.rows) for k in place.columns)
+        sizes = [_total([_size(x) for x in column]) for column in (a, b, c)]
+        self._normals = Matrix((b.cross(c), c.cross(a), a.cross(b)))
+        determinant = a.dot(self._normals.rows[0])
+        _guard_columns(builder, place, rows, dict(zip(place.columns, sizes, strict=True)))
+        builder.guard(_size(determinant), sizes[0] * sizes[1] * sizes[2], TOLERANCE, place.statuses[0])
+        self._inverse = builder.number(1.0) / determinant
+
+    def solve(self, b: Sequence[Scalar]) -> list[Scalar]:
+        return list(self._normals.apply(Vector.of(b)).scale(self._inverse))
+
+    def solve_transposed(self, b: Sequence[Scalar]) -> list[Scalar]:
+        return list(self._normals.transposed.apply(Vector.of(b)).scale(self._inverse))
+
+
 class Many(Block):
     """More equations: A = Q R, with R of unit diagonal, and columns of Q that are orthogonal."""
 
@@ -144,7 +166,7 @@ class Partition:
         """Take the rows of J, whose entries may be structural zeros, and the status of each."""
         self.builder = builder
         self.rows = [{c: x for c, x in row.items() if not x.is_zero} for row in rows]
-        kinds = {1: Single, 2: Pair}
+        kinds: Mapping[int, Callable[[Builder, Place, Sequence[Row]], Block]] = {1: Single, 2: Pair, 3: Triple}
         self._blocks = [
             kinds.get(len(place.rows), Many)(builder, place, self.rows)
             for place in find_blocks([[c for c in row if c in dependent] for row in self.rows], statuses)

@@ -255,6 +255,10 @@ class Truth:
         gamma = self.closures.accelerate(self.all_qd, [ZERO] * len(self.all_qd))
         return self.extend(ydd, [-x for x in gamma])
 
+    def at(self, q: Numbers) -> Truth:
+        """Return the same state at other coordinates."""
+        return Truth(self.coupled, self._equations, replace(self.state, coordinates=tuple(q)))
+
     def moving_point(self, body: int, r: Vector) -> Vector:
         """Return the velocity of a point fixed in a body."""
         v, OM = self.speeds[body]
@@ -497,6 +501,27 @@ def _condition(truth: Truth, _: Computation, results: Results) -> Iterator[Compa
         yield Comparison("elimination", results["elimination"], [abs(M[i][i] * inverse[i][i]) for i in range(truth.n)])
 
 
+def _closed(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
+    """Compare what is left open at closed coordinates, relative to lengths of 1, with 0."""
+    left = truth.at(results["closed"]).closures.h
+    yield Comparison("closed", left, [ZERO] * len(left), Decimal(1))
+
+
+def _projected(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
+    """Compare the rate of what is left open with 0."""
+    qd = results["closed_qd"]
+    left = truth.at(results["closed"]).closures.rate(truth.move(qd))
+    yield Comparison("closed_qd", left, [ZERO] * len(left), largest(qd))
+
+
+def _closed_velocities(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
+    yield Comparison("qd", results["qd"], truth.reduced.qd)
+
+
+def _closed_accelerations(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
+    yield Comparison("qdd", results["qdd"], truth.reduced.qdd)
+
+
 def _invert(M: list[Numbers]) -> list[Numbers]:
     """Invert a matrix by elimination with partial pivoting."""
     n = len(M)
@@ -526,6 +551,10 @@ EXPECTATIONS: Mapping[Port, Expectation] = {
     ports.REDUCED_MASS_MATRIX: _reduced_terms,
     ports.REDUCED_BIAS: _reduced_terms,
     ports.INDEPENDENT_ACCELERATIONS: _reduced_accelerations,
+    ports.CLOSED: _closed,
+    ports.PROJECTED_VELOCITIES: _projected,
+    ports.CLOSED_VELOCITIES: _closed_velocities,
+    ports.CLOSED_ACCELERATIONS: _closed_accelerations,
     ports.POSITION: _places,
     ports.VELOCITY: _velocities,
     ports.ANGULAR_VELOCITY: _velocities,

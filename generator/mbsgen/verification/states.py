@@ -10,6 +10,7 @@ from mbsgen.formulations import ports
 from mbsgen.model.tree import Kind, Tree
 
 Numbers = list[Decimal]
+START = Decimal("0.01")  # by which dependent coordinates differ from the closed pose, rad or m
 SPREAD = Decimal(
     "0.1"
 )  # by which part of themselves parameters differ from their values; by which amount, if these are 0
@@ -22,11 +23,14 @@ class State:
     number: int  # 0: with all parameters at their values
     parameters: Mapping[str, Numbers]  # by the name of the input that holds them
     is_still: bool  # velocities are 0
+    coordinates: tuple[Decimal, ...] | None = None  # None: drawn
 
     def take(self, name: str, size: int) -> Numbers:
         """Return the numbers of an input."""
         if name in self.parameters:
             return self.parameters[name]
+        if name == ports.COORDINATES.name and self.coordinates is not None:
+            return list(self.coordinates)
         if self.is_still and name in (ports.VELOCITIES.name, ports.INDEPENDENT_VELOCITIES.name):
             return [Decimal(0)] * size
         return list(draw(name, size, self.number))
@@ -38,6 +42,16 @@ def draw_states(tree: Tree, *, still: bool) -> Iterator[State]:
     while True:
         yield State(number, _draw_parameters(tree, number), still)
         number += 1
+
+
+def draw_start(tree: Tree) -> tuple[Decimal, ...]:
+    """Draw coordinates near the closed pose, at which the dependent ones can be found."""
+    closure, names = tree.closure, [joint.name for joint in tree.joints]
+    assert closure is not None, "a tree with loops is assembled"
+    fixed = {names[k] for k in closure.independent}
+    drawn = draw("start", len(closure.pose), 0)
+    pairs = zip(tree.coordinates, closure.pose, drawn, strict=True)
+    return tuple(Decimal(x) if name in fixed else Decimal(x) + START * more for name, x, more in pairs)
 
 
 def _draw_parameters(tree: Tree, number: int) -> dict[str, Numbers]:
