@@ -12,10 +12,13 @@ import pytest
 import yaml
 
 from mbsgen.expressions import FUNCTIONS
+from mbsgen.formulations.closure import EQUATIONS
 from mbsgen.model.joints import list_joint_types
+from mbsgen.model.loops import WORDS
 from mbsgen.model.model import Model
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
+from mbsgen.model.tree import Cut
 from mbsgen.model.writer import write_model
 
 PAGE = (Path(__file__).parents[2] / "docs" / "model.md").read_text(encoding="utf-8")
@@ -65,5 +68,16 @@ def test_joints_are_called_as_the_page_says(tmp_path: Path) -> None:
 def test_functions_and_types_are_listed() -> None:
     (listed,) = re.findall(r"functions `([^`]+)`", PAGE)
     assert set(listed.split()) == set(FUNCTIONS)
-    types = {name for cell in re.findall(r"^\| (`.*?) \|", PAGE, re.MULTILINE) for name in re.findall(r"`(\w+)`", cell)}
+    types = list_cells(PAGE[PAGE.index("| type |") : PAGE.index("| loop |")])
     assert types == {*list_joint_types()} - {"revolute", "prismatic", "fixed"}  # which the text introduces
+    assert list_cells(PAGE[PAGE.index("| loop |") :]) == {*WORDS}
+
+
+def list_cells(text: str) -> set[str]:
+    """List the words of code in the first column of tables."""
+    return {name for cell in re.findall(r"^\| (`.*?) \|", text, re.MULTILINE) for name in re.findall(r"`(\w+)`", cell)}
+
+
+def test_equations_of_loops_are_as_many_as_the_page_says() -> None:
+    counts = dict(re.findall(r"^\| `(\w+)`.*? \| (\d) \|", PAGE, re.MULTILINE))
+    assert {Cut(word): int(count) for word, count in counts.items()} == {cut: len(EQUATIONS[cut]) for cut in Cut}
