@@ -7,7 +7,8 @@
 #define RANK 1e-8     /* a pivot of J below this part of the first is 0: rounding over it is 1e-8 of the accelerations */
 #define NEAR 0.02     /* a smallest pivot below this part of the first: stages are closed too */
 #define SINGULAR 1e-4 /* below this part: accelerations by orthogonal decomposition, which squares no pivot */
-#define WORN 0.1      /* a smallest pivot that has shrunk to this part: dependent coordinates are chosen anew */
+#define NOISY 1e-6    /* of the accelerations: the most that is taken for rounding */
+#define WORN 0.5      /* of the determinant of the best dependent joints: where the present ones have less, they are changed */
 #define ITERATIONS 25 /* of Newton's method */
 #define SLOW 0.1      /* a change above this part of the one before: J is computed anew */
 #define SETTLED 1e-15 /* a change below this, absolute or relative, ends an iteration, */
@@ -22,15 +23,18 @@ typedef struct {
     mbs_outcome *out;
     casadi_int free;     /* joints that are not driven, */
     casadi_int *moves;   /* by their entries of qd */
-    casadi_int *depends; /* n: the dependent joints, then others */
+    casadi_int *depends; /* e dependent joints */
+    casadi_int *best;    /* n: the dependent joints that would be best, then others */
     casadi_int *row;     /* e: exchanged rows of LU */
     casadi_real *J;      /* e x n */
     casadi_real *B;      /* n x e: equations in the free joints, or e x e: in the dependent ones */
     casadi_real *M;      /* n x n: its Cholesky factor for free joints */
     casadi_real *x, *g, *saved, *sum, *k;
     mbs_least least;
-    casadi_real pivot; /* smallest pivot of the dependent joints, when they were chosen; 0: they are not */
-    casadi_real last;  /* the smallest pivot of J, relative to the largest: small near a singular pose */
+    casadi_real last;  /* the smallest pivot of J, relative to the largest: small near a singular pose; */
+    casadi_real least_pivot; /* the least of these in a step */
+    casadi_real volume; /* the logarithm of the dependent joints' determinant */
+    int is_ready;      /* J is decomposed, or dependent joints are chosen */
 } mbs_run;
 
 static int call(mbs_call kernel)
@@ -84,7 +88,7 @@ casadi_int mbs_closed_reals(const mbs_closed *p, casadi_int stages)
 
 casadi_int mbs_closed_integers(const mbs_closed *p)
 {
-    return 2 * p->n + 2 * p->e;
+    return 2 * p->n + 3 * p->e;
 }
 
 static mbs_run open_run(const mbs_closed *p, const mbs_manner *how, casadi_real *reals, casadi_int *integers,
@@ -92,8 +96,8 @@ static mbs_run open_run(const mbs_closed *p, const mbs_manner *how, casadi_real 
 {
     mbs_run r;
     casadi_int i, k;
-    r.p = p, r.how = how, r.out = out, r.pivot = 0, r.last = 1, r.free = 0;
-    r.moves = integers, r.depends = r.moves + p->n, r.row = r.depends + p->n, r.least.column = r.row + p->e;
+    r.p = p, r.how = how, r.out = out, r.is_ready = 0, r.last = r.least_pivot = 1, r.free = 0;
+    r.moves = integers, r.depends = r.moves + p->n, r.best = r.depends + p->e, r.row = r.best + p->n, r.least.column = r.row + p->e;
     r.J = reals, r.B = r.J + p->e * p->n, r.M = r.B + p->e * p->n, r.least.factor = r.M + p->n * p->n;
     r.least.size = r.least.factor + p->e, r.least.y = r.least.size + 2 * p->e, r.x = r.least.y + p->n;
     r.g = r.x + 2 * p->n, r.saved = r.g + 2 * p->e, r.sum = r.saved + p->n, r.k = r.sum + p->nq + p->n;
@@ -108,6 +112,13 @@ static mbs_run open_run(const mbs_closed *p, const mbs_manner *how, casadi_real 
     return r;
 }
 
+/* Note the smallest pivot of J, as a part of the largest. */
+static void see(mbs_run *r, casadi_real pivot)
+{
+    r->last = pivot;
+    r->least_pivot = pivot < r->least_pivot ? pivot : r->least_pivot;
+}
+
 /* --- the equations of loops ---------------------------------------------------------------------------------------- */
 
 static int differentiate(mbs_run *r)
@@ -117,13 +128,15 @@ static int differentiate(mbs_run *r)
     return status;
 }
 
-/* Choose as dependent the joints with the largest pivots of J, by elimination with exchanges of rows and columns in B. */
-static void choose_dependent(mbs_run *r)
+/* Write to `best` the dependent joints with the largest pivots of J, by elimination with exchanges of rows and columns in B;
+ * return the logarithm of the size of their determinant. */
+static casadi_real find_best(mbs_run *r)
 {
     const casadi_int e = r->p->e, f = r->free;
+    casadi_real volume = 0;
     casadi_int i, j, k;
     for (j = 0; j < f; ++j)
-        r->depends[j] = r->moves[j];
+        r->best[j] = r->moves[j];
     for (i = 0; i < e; ++i)
         for (j = 0; j < f; ++j)
             r->B[i * f + j] = r->J[i * r->p->n + r->moves[j]];
@@ -134,6 +147,9 @@ static void choose_dependent(mbs_run *r)
                 if (fabs(r->B[i * f + j]) > fabs(r->B[at]))
                     at = i * f + j;
         row = at / f, column = at % f;
+        if (!(fabs(r->B[at]) > 0))
+            break;
+        volume += log(fabs(r->B[at]));
         for (j = 0; j < f; ++j) {
             const casadi_real x = r->B[k * f + j];
             r->B[k * f + j] = r->B[row * f + j];
@@ -144,13 +160,14 @@ static void choose_dependent(mbs_run *r)
             r->B[i * f + k] = r->B[i * f + column];
             r->B[i * f + column] = x;
         }
-        i = r->depends[k], r->depends[k] = r->depends[column], r->depends[column] = i;
-        for (i = k + 1; i < e && r->B[k * f + k] != 0; ++i) {
+        i = r->best[k], r->best[k] = r->best[column], r->best[column] = i;
+        for (i = k + 1; i < e; ++i) {
             const casadi_real factor = r->B[i * f + k] / r->B[k * f + k];
             for (j = k; j < f; ++j)
                 r->B[i * f + j] -= factor * r->B[k * f + j];
         }
     }
+    return volume;
 }
 
 static casadi_real factorise_dependent(mbs_run *r)
@@ -160,7 +177,7 @@ static casadi_real factorise_dependent(mbs_run *r)
     for (i = 0; i < e; ++i)
         for (j = 0; j < e; ++j)
             r->B[i * e + j] = r->J[i * r->p->n + r->depends[j]];
-    return mbs_lu_factorise(e, r->B, r->row);
+    return mbs_lu_factorise(e, r->B, r->row, &r->volume);
 }
 
 /* Write to least.A the equations in free joints, with the mass matrix's factor L as B = J L^-T, and decompose them. */
@@ -175,7 +192,7 @@ static void factorise_free(mbs_run *r, int weighs)
             mbs_cholesky_forward(f, r->M, r->B + i * f);
     }
     r->least.n = f;
-    r->last = mbs_least_factorise(&r->least, RANK);
+    see(r, mbs_least_factorise(&r->least, RANK));
 }
 
 /* Compute the Cholesky factor of the mass matrix of free joints. */
@@ -202,20 +219,42 @@ static int prepare(mbs_run *r)
     if (status)
         return status;
     if (r->how->keeping == MBS_PARTITIONING) {
-        casadi_real pivot = factorise_dependent(r);
-        if (!(pivot > WORN * r->pivot)) {
-            choose_dependent(r);
-            pivot = factorise_dependent(r);
-            r->out->switches += r->pivot > 0;
-            r->pivot = pivot;
-        }
-        r->last = pivot;
-        return pivot > RANK ? 0 : fail(r, MBS_DEPENDENT, r->J);
+        see(r, factorise_dependent(r));
+        return r->last > RANK ? 0 : fail(r, MBS_DEPENDENT, r->J);
     }
     if (r->how->keeping == MBS_MASS_PROJECTION && (status = factorise_mass(r)) != 0)
         return status;
     factorise_free(r, r->how->keeping == MBS_MASS_PROJECTION);
     return 0;
+}
+
+/* Be ready for a step from q: choose dependent joints where the present ones are worn. A choice holds for a whole step, since
+ * its stages must be corrected in one way. */
+static int renew(mbs_run *r)
+{
+    casadi_real volume;
+    casadi_int k;
+    int status = 0;
+    if (!r->p->e || r->how->keeping == MBS_BAUMGARTE)
+        return 0;
+    if (r->how->keeping != MBS_PARTITIONING) {
+        status = r->is_ready ? 0 : prepare(r);
+        r->is_ready = 1;
+        return status;
+    }
+    status = differentiate(r);
+    if (status)
+        return status;
+    volume = find_best(r);
+    see(r, r->is_ready ? factorise_dependent(r) : 0);
+    if (!(r->last > 0 && r->volume > volume + log(WORN))) {
+        for (k = 0; k < r->p->e; ++k)
+            r->depends[k] = r->best[k];
+        r->out->switches += r->is_ready;
+        see(r, factorise_dependent(r));
+    }
+    r->is_ready = 1;
+    return r->last > RANK ? 0 : fail(r, MBS_DEPENDENT, r->J);
 }
 
 /* Write the change of velocities (n, in x) that changes the equations by -g, with the J that is decomposed. */
@@ -511,17 +550,20 @@ static int finish(mbs_run *r, casadi_real t, casadi_real h, casadi_real *y)
     return 0;
 }
 
-/* Return the error of the step from x to y relative to the tolerances, in the root mean square. */
+/* Return the error of the step from x to y relative to the tolerances, in the root mean square. Near a singular pose,
+ * where accelerations err by epsilon over the square of the smallest pivot, an error of this size is tolerated. */
 static casadi_real estimate(mbs_run *r, casadi_real h, const casadi_real *x, const casadi_real *y)
 {
     const casadi_int size = r->p->nq + r->p->n;
+    const casadi_real noise = 100 * MBS_EPSILON / (r->least_pivot * r->least_pivot + 100 * MBS_EPSILON / NOISY);
+    const casadi_real rounding = h * noise * measure(size, r->k);
     casadi_real squares[2] = {0, 0};
     casadi_int i, c;
     for (i = 0; i < r->how->estimates; ++i) {
         combine(r, r->how->stages, r->how->E + i * r->how->stages, 1, 0, r->sum);
         for (c = 0; c < size; ++c) {
             const casadi_real a = fabs(x[c]), b = fabs(y[c]);
-            const casadi_real part = r->sum[c] / (r->how->atol + r->how->rtol * (a > b ? a : b));
+            const casadi_real part = r->sum[c] / (r->how->atol + rounding + r->how->rtol * (a > b ? a : b));
             squares[i] += part * part;
         }
     }
@@ -569,7 +611,9 @@ static int run_fixed(mbs_run *r, casadi_real h, casadi_int steps, const casadi_r
         const casadi_real t = times[r->out->steps];
         const casadi_real *x = states + size * r->out->steps;
         casadi_real *y = states + size * (r->out->steps + 1);
-        status = step(r, t, h, x, 0, y);
+        status = renew(r);
+        if (!status)
+            status = step(r, t, h, x, 0, y);
         if (!status)
             status = finish(r, times[r->out->steps + 1], h, y);
         if (status)
@@ -589,7 +633,9 @@ static int run_adaptive(mbs_run *r, casadi_real end, casadi_real *h, casadi_int 
                         casadi_real *states)
 {
     const casadi_int size = r->p->nq + r->p->n;
-    int status = evaluate(r, times[0], 0, states), was_rejected = 0;
+    int status = renew(r), was_rejected = 0;
+    if (!status)
+        status = evaluate(r, times[0], 0, states);
     if (!status && *h == 0)
         status = begin(r, times[0], states, h);
     while (!status && r->out->steps < steps && times[r->out->steps] < end) {
@@ -600,6 +646,7 @@ static int run_adaptive(mbs_run *r, casadi_real end, casadi_real *h, casadi_int 
             length = left;
         else if (2 * length > left)
             length = left / 2;
+        r->least_pivot = r->last;
         status = step(r, t, length, x, 1, y);
         if (!status)
             error = estimate(r, length, x, y);
@@ -626,6 +673,8 @@ static int run_adaptive(mbs_run *r, casadi_real end, casadi_real *h, casadi_int 
             *h = length * factor;
         was_rejected = 0;
         if (r->out->steps < steps && times[r->out->steps] < end)
+            status = renew(r);
+        if (!status && r->out->steps < steps && times[r->out->steps] < end)
             status = evaluate(r, times[r->out->steps], 0, y);
     }
     return status;
@@ -636,11 +685,8 @@ void mbs_closed_run(const mbs_closed *plant, const mbs_manner *manner, casadi_re
 {
     mbs_run r = open_run(plant, manner, reals, integers, outcome);
     lay(&r, states);
-    if (plant->e && manner->keeping != MBS_BAUMGARTE)
-        outcome->status = prepare(&r);
-    if (!outcome->status)
-        outcome->status = manner->estimates ? run_adaptive(&r, end, h, steps, times, states)
-                                            : run_fixed(&r, *h, steps, times, states);
+    outcome->status = manner->estimates ? run_adaptive(&r, end, h, steps, times, states)
+                                        : run_fixed(&r, *h, steps, times, states);
 }
 
 void mbs_closed_read(const mbs_closed *plant, const mbs_manner *manner, casadi_int count, const casadi_real *times,
@@ -654,8 +700,8 @@ void mbs_closed_read(const mbs_closed *plant, const mbs_manner *manner, casadi_i
         casadi_real *y = ends + size * outcome->steps;
         const casadi_real t = times[outcome->steps], h = lengths[outcome->steps];
         lay(&r, x);
-        if (plant->e && manner->keeping != MBS_BAUMGARTE)
-            outcome->status = prepare(&r);
+        r.is_ready = 0;
+        outcome->status = renew(&r);
         if (!outcome->status)
             outcome->status = step(&r, t, h, x, 0, y);
         if (!outcome->status)
@@ -669,6 +715,8 @@ void mbs_closed_restore(const mbs_closed *plant, const mbs_manner *manner, casad
     mbs_run r = open_run(plant, manner, reals, integers, outcome);
     lay(&r, state);
     outcome->status = guide(&r, t);
+    if (!outcome->status)
+        outcome->status = renew(&r);
     if (!outcome->status && plant->e)
         outcome->status = restore(&r);
     if (!outcome->status)

@@ -140,10 +140,11 @@ void mbs_least_weigh(const mbs_least *s, const casadi_real *x, casadi_real *lam)
 
 /* --- LU ------------------------------------------------------------------------------------------------------------ */
 
-casadi_real mbs_lu_factorise(casadi_int n, casadi_real *A, casadi_int *row)
+casadi_real mbs_lu_factorise(casadi_int n, casadi_real *A, casadi_int *row, casadi_real *volume)
 {
     casadi_real least = 1, most = 0;
     casadi_int i, j, k;
+    *volume = 0;
     for (k = 0; k < n; ++k) {
         casadi_int best = k;
         casadi_real size;
@@ -159,6 +160,7 @@ casadi_real mbs_lu_factorise(casadi_int n, casadi_real *A, casadi_int *row)
         size = fabs(A[k * n + k]);
         if (!(size > 0))
             return 0;
+        *volume += log(size);
         most = size > most ? size : most;
         least = k == 0 || size < least ? size : least;
         for (i = k + 1; i < n; ++i) {

@@ -35,8 +35,9 @@ casadi_real mbs_least_solve(const mbs_least *system, const casadi_real *g, casad
 /* Write lam (e) with B^T lam = x, for an x of mbs_least_solve; 0 for the equations left out. */
 void mbs_least_weigh(const mbs_least *system, const casadi_real *x, casadi_real *lam);
 
-/* Decompose A (n x n, row by row) = P L U in place. Returns the smallest pivot relative to the largest. */
-casadi_real mbs_lu_factorise(casadi_int n, casadi_real *A, casadi_int *row);
+/* Decompose A (n x n, row by row) = P L U in place; write the logarithm of its determinant's size. Returns the smallest pivot
+ * relative to the largest: 0 for a singular matrix. */
+casadi_real mbs_lu_factorise(casadi_int n, casadi_real *A, casadi_int *row, casadi_real *volume);
 
 /* Solve A x = b in place of x, which holds b; `room` for n numbers. */
 void mbs_lu_solve(casadi_int n, const casadi_real *A, const casadi_int *row, casadi_real *x, casadi_real *room);

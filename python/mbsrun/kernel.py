@@ -7,6 +7,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Self
@@ -23,15 +24,36 @@ from mbsgen.roles import FAMILY, Order, Role, name_kernel
 from mbsrun.binding import ArgumentError, Array, Entry, Port, Status, bind, load_batch
 from mbsrun.library import Compiler, compile_library, find_compiler
 
-__all__ = ["ArgumentError", "Array", "KernelError", "Kernels"]
+__all__ = ["ArgumentError", "Array", "KernelError", "Kernels", "Place", "find_place"]
 
 
 class KernelError(MbsError):
-    """A kernel that returned a nonzero status: it failed at a joint."""
+    """A kernel that returned a nonzero status: it failed at a joint, or at a loop."""
 
-    def __init__(self, kernel: str, joint: str, state: int) -> None:
-        self.kernel, self.joint, self.state = kernel, joint, state
-        super().__init__(f"{kernel} failed at joint {joint}, in state {state} (from 0) of the given states")
+    def __init__(self, kernel: str, place: Place, state: int) -> None:
+        self.kernel, self.joint, self.loop, self.state = kernel, place.joint, place.loop, state
+        super().__init__(f"{kernel} failed at {place}, in state {state} (from 0) of the given states")
+
+
+@dataclass(frozen=True)
+class Place:
+    """The joint, or the loop, that a status names; neither where it names none."""
+
+    joint: str | None
+    loop: str | None
+    status: int
+
+    def __str__(self) -> str:
+        named = (("joint", self.joint), ("loop", self.loop))
+        return next((f"{kind} {name}" for kind, name in named if name is not None), f"number {self.status}")
+
+
+def find_place(manifest: Manifest, status: int) -> Place:
+    """Return what a kernel's status names: k the joint number k, and n + k the loop number k, of n joints, from 1."""
+    joints, loops = ([x.name for x in entries] for entries in (manifest.coordinates, manifest.loops))
+    n = len(joints)
+    joint = joints[status - 1] if 0 < status <= n else None
+    return Place(joint, loops[status - n - 1] if n < status <= n + len(loops) else None, status)
 
 
 class Kernels:
@@ -95,8 +117,8 @@ class Kernels:
     def attempt(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> tuple[dict[str, Array], Status]:
         """Call a kernel as `__call__` does, but return the status of each state beside the results.
 
-        The status, shape () or (batch,), is 0, or k where the kernel failed at joint k, from 1; the results of such a
-        state are not a number. Raises ArgumentError.
+        The status, shape () or (batch,), is 0, or a number that `find_place` reads where the kernel failed; the results
+        of such a state are not a number. Raises ArgumentError.
         """
         entry = self._binder.bind(name)
         if entry.design:
@@ -200,8 +222,7 @@ class Kernels:
         return self._hidden if entry.takes_hidden else None
 
     def _tell(self, name: str, status: int, state: int) -> KernelError:
-        names = [c.name for c in self.manifest.coordinates]
-        return KernelError(name, names[status - 1] if 0 < status <= len(names) else f"number {status}", state)
+        return KernelError(name, find_place(self.manifest, status), state)
 
 
 class _Binder:

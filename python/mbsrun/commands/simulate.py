@@ -20,15 +20,19 @@ from mbsrun.commands.console import (
 )
 from mbsrun.external import load
 from mbsrun.ocp.solution import read_solution
+from mbsrun.simulation.closing import close_start
 from mbsrun.simulation.drive import hold_steps, input_labels
 from mbsrun.simulation.methods import METHODS, Family, Formulation
-from mbsrun.simulation.motion import Motion
+from mbsrun.simulation.motion import Keeping, Motion
 from mbsrun.simulation.record import FILES as MOTION_FILES
 from mbsrun.simulation.record import describe_settings, write_motion
 from mbsrun.simulation.simulate import simulate
 from mbsrun.simulation.statement import Recording, read_statement
 
-PLAIN = ("input_period", "max_steps", "max_seconds")  # of a simulation
+PLAIN = (  # options whose names are those of a settings file
+    *("duration", "method", "formulation", "step", "output_step", "rtol", "atol", "stages", "rho"),
+    *("loops", "alpha", "beta", "input_period", "max_steps", "max_seconds"),
+)
 
 
 SIMULATE_HELP = """Integrate the motion of MODEL, and write it with its energy, plots and an animation.
@@ -48,6 +52,10 @@ open; an option wins over the file:
 \b
 Methods
 METHODS
+
+\b
+Loops are kept closed, with --loops, by
+KEEPING
 
 \b
 Formulations
@@ -83,7 +91,16 @@ def list_methods() -> str:
     return "\n".join(lines)
 
 
-@click.command("simulate", help=SIMULATE_HELP.replace("METHODS", list_methods()))
+def list_keeping() -> str:
+    """List the ways to keep loops closed, with their methods, as help shows them."""
+    lines = []
+    for keeping in Keeping:
+        names = ", ".join(name for name, method in METHODS.items() if keeping in method.keeps)
+        lines.append(f"  {keeping.value:<16}{names}")
+    return "\n".join(lines)
+
+
+@click.command("simulate", help=SIMULATE_HELP.replace("METHODS", list_methods()).replace("KEEPING", list_keeping()))
 @click.argument("model", type=click.Path(path_type=Path))
 @click.option(
     "-o",
@@ -109,6 +126,13 @@ def list_methods() -> str:
     metavar="R",
     help="The part of the highest frequencies that a step of generalized-alpha keeps, 0 to 1; by default 0.8.",
 )
+@click.option(
+    "--loops",
+    type=click.Choice([keeping.value for keeping in Keeping]),
+    help="How loops are kept closed; see above. By default the method's first.",
+)
+@click.option("--alpha", metavar="A", help="Baumgarte's gain of the rate at which loops open [1/s]; by default 5.")
+@click.option("--beta", metavar="B", help="Baumgarte's gain of what is open [1/s]; by default 5.")
 @click.option("--output-step", metavar="H", help="The time between states that are kept [s]; by default T/1000.")
 @click.option("--max-steps", type=int, metavar="N", help="The largest number of steps; by default 10 million.")
 @click.option("--max-seconds", metavar="S", help="The largest processor time; by default 60 s.")
@@ -120,6 +144,12 @@ def list_methods() -> str:
     multiple=True,
     metavar="NAME=EXPRESSION",
     help="The input of an actuated joint [N m, N], by the time t and the state: --input 'q1=0.2*sin(3*t) - 2*qd_q1'",
+)
+@click.option(
+    "--driven",
+    multiple=True,
+    metavar="NAME=EXPRESSION",
+    help="The motion of a driven joint over the time t: --driven 'q1=0.2*sin(3*t)'; by default it stands.",
 )
 @click.option("--input-period", metavar="H", help="Compute inputs every H seconds, and hold them in between.")
 @click.option("--parameter", "parameters", multiple=True, metavar="NAME=NUMBER", help="A run-time parameter.")
@@ -137,13 +167,16 @@ def simulate_command(
     recording = None if solution is None else _read_recording(solution, mechanism.manifest)
     statement = read_statement(file, _collect_options(given), mechanism.manifest, recording)
     mechanism = mechanism.with_parameters(**statement.parameters)
+    q, qd, note = close_start(mechanism, statement.start, statement.course)
+    if note:
+        say(f"note: {note}")
     out = out or Path(f"{model.stem}.simulation")
     with MESSAGES.status("integrating") as status:
 
         def show(time: float) -> None:
             status.update(f"integrating: t = {time:.4g} of {statement.settings.duration:.4g} s")
 
-        motion = simulate(mechanism, statement.drive, statement.q, statement.qd, statement.settings, show)
+        motion = simulate(mechanism, statement.drive, q, qd, statement.settings, show, statement.course)
         status.update("writing")
         write_motion(motion, mechanism, out)
     _print_motion(motion, mechanism.manifest)
@@ -157,10 +190,10 @@ def simulate_command(
 
 def _collect_options(given: Mapping[str, Any]) -> dict[str, Data]:
     """Nest options as a settings file does; NAME=VALUE is split at its last =, since names may hold one."""
-    plain = ("duration", "method", "formulation", "step", "output_step", "rtol", "atol", "stages", "rho", *PLAIN)
-    options: dict[str, Data] = {name: given[name] for name in plain if given[name] is not None}
+    options: dict[str, Data] = {name: given[name] for name in PLAIN if given[name] is not None}
     start: dict[str, Data] = {key: pairs for key in ("pose", "velocity") if (pairs := _split(key, given[key]))}
     lists = {"start": start, "inputs": _split("input", given["inputs"])}
+    lists["driven"] = _split("driven", given["driven"])
     lists["parameters"] = _split("parameter", given["parameters"])
     return {**options, **{key: pairs for key, pairs in lists.items() if pairs}}
 
@@ -209,5 +242,10 @@ def _print_motion(motion: Motion, manifest: Manifest) -> None:
         total, drift = energy.total, np.abs(energy.drift).max()
         rows["energy"] = f"{total[0]:.8g} J at the start, {total[-1]:.8g} J at the end, {energy.work[-1]:.4g} J of work"
         rows["energy drift"] = f"{drift:.1e} J at most"
+    if motion.closure is not None:
+        position, velocity = motion.closure.most
+        rows["loops open"] = f"{position:.1e} at most, at a rate of {velocity:.1e}"
+        if settings.get("loops") == Keeping.PARTITIONING.value:
+            rows["switches"] = f"{effort.switches} of dependent coordinates"
     for name, text in rows.items():
         click.echo(f"{name:<14}{text}")

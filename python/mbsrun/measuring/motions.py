@@ -24,6 +24,7 @@ from mbsrun.measuring.points import MotionPoint
 from mbsrun.measuring.store import Store
 from mbsrun.measuring.timing import sum_up
 from mbsrun.models import Extent, find_folder
+from mbsrun.simulation.closing import close_start
 from mbsrun.simulation.drive import Drive, hold, input_labels
 from mbsrun.simulation.methods import METHODS, Family, Formulation
 from mbsrun.simulation.motion import Motion, Settings
@@ -111,7 +112,8 @@ def read_course(model: Path, file: Path | None, duration: float | None) -> Cours
     mechanism = mechanism.with_parameters(**statement.parameters)
     facts = (file.read_text(encoding="utf-8"), tuple(statement.parameters.items()))
     settings = statement.settings
-    return Course(mechanism, statement.q, statement.qd, statement.drive, settings.duration, repr(facts))
+    q, qd, _ = close_start(mechanism, statement.start, statement.course)
+    return Course(mechanism, q, qd, statement.drive, settings.duration, repr(facts))
 
 
 def measure_motions(

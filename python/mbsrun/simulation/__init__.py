@@ -1,8 +1,25 @@
 """Forward simulation: a model, its inputs over time and a state in; the motion, its energy and pictures out."""
 
+from mbsrun.simulation.closing import OpenError, close_pose, complete_velocities
+from mbsrun.simulation.course import Course, follow, stand
 from mbsrun.simulation.drive import Drive, control
 from mbsrun.simulation.methods import METHODS, Formulation
-from mbsrun.simulation.motion import Motion, Settings
+from mbsrun.simulation.motion import Keeping, Motion, Settings
 from mbsrun.simulation.simulate import simulate
 
-__all__ = ["METHODS", "Drive", "Formulation", "Motion", "Settings", "control", "simulate"]
+__all__ = [
+    "METHODS",
+    "Course",
+    "Drive",
+    "Formulation",
+    "Keeping",
+    "Motion",
+    "OpenError",
+    "Settings",
+    "close_pose",
+    "complete_velocities",
+    "control",
+    "follow",
+    "simulate",
+    "stand",
+]

@@ -20,7 +20,7 @@ from mbsrun.kernel import KernelError
 from mbsrun.limits import Allowance, LimitError
 from mbsrun.simulation.drive import DriveError, Piece
 from mbsrun.simulation.dynamics import Dynamics, SingularError
-from mbsrun.simulation.explicit import SINGULAR
+from mbsrun.simulation.explicit import describe_singularity
 from mbsrun.simulation.motion import Chunk, Halt, HaltError, Settings
 
 Array = NDArray[np.float64]
@@ -86,8 +86,7 @@ def integrate(
             raise
         if isinstance(error, LimitError | DriveError):
             raise HaltError(Halt(times[-1], None, error.finding, error.remedy)) from None
-        halt = Halt(times[-1], error.joint, SINGULAR, "start elsewhere, or keep away from this configuration")
-        raise HaltError(halt) from None
+        raise HaltError(describe_singularity(error, times[-1])) from None
     if pictures:
         yield _gather(times, states, pictures, n)
 

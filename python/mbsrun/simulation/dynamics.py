@@ -22,6 +22,7 @@ from mbsgen.errors import MbsError
 from mbsgen.manifest import Argument, Kernel
 from mbsgen.roles import Order, Role, name_derivative, name_kernel
 from mbsrun.kernel import Kernels
+from mbsrun.simulation.course import Course, stand
 from mbsrun.simulation.formulation import Evaluated, Formulation
 from mbsrun.simulation.motion import Effort
 
@@ -44,6 +45,7 @@ class Dynamics:
 
     kernels: Kernels
     formulation: Formulation
+    course: Course = field(default_factory=lambda: stand(()))  # the motion of driven joints
     effort: Effort = field(default_factory=Effort)
     kept: dict[str, Any] = field(default_factory=dict)  # objects that an integrator makes once, and uses again
     _taken: dict[str, frozenset[str]] = field(default_factory=dict)  # by kernel: the inputs that it takes
@@ -96,13 +98,13 @@ class Dynamics:
         K, C, M = self._pick(name, "Phi", ("q", "qd", "qdd"), q, qd, v, self.accelerations(q, qd, v))
         return -np.asarray(np.linalg.solve(M, K)), -np.asarray(np.linalg.solve(M, C))
 
-    def residual(self, q: Array, qd: Array, qdd: Array, v: Array) -> Array:
-        """Evaluate the residual, shape (..., n)."""
+    def residual(self, q: Array, qd: Array, qdd: Array, v: Array, lam: Array | None = None) -> Array:
+        """Evaluate the residual, shape (..., n), with the multipliers of loops."""
         self.effort.evaluations += _states(q)
         name = self._evaluated.function
         if self._evaluated.is_direct:
             return qdd - self.call(name, q, qd, v)["qdd"]
-        return self.call(name, q, qd, v, qdd)["Phi"]
+        return self.call(name, q, qd, v, qdd, lam)["Phi"]
 
     def stiffnesses(self, q: Array, qd: Array, qdd: Array, v: Array) -> tuple[Array, Array, Array]:
         """Differentiate the residual by q, qd and qdd, shapes (..., n, nq), (..., n, n) twice."""
@@ -114,24 +116,45 @@ class Dynamics:
         K, C, M = self._pick(name, "Phi", ("q", "qd", "qdd"), q, qd, v, qdd)
         return K, C, M
 
-    def input_slopes(self, q: Array, qd: Array, qdd: Array, v: Array) -> Array:
+    def input_slopes(self, q: Array, qd: Array, qdd: Array, v: Array, lam: Array | None = None) -> Array:
         """Differentiate the residual by the inputs, in which it is linear: states (K, ...) -> (K, n, m)."""
         K, m = v.shape
         a, b, c = (np.repeat(x, m + 1, axis=0) for x in (q, qd, qdd))
         inputs = v[:, None] + np.eye(m + 1, m, k=-1)  # as they are; then with each larger by 1
-        residuals = self.residual(a, b, c, inputs.reshape(-1, m)).reshape(K, m + 1, -1)
+        lam = None if lam is None else np.repeat(lam, m + 1, axis=0)
+        residuals = self.residual(a, b, c, inputs.reshape(-1, m), lam).reshape(K, m + 1, -1)
         return np.asarray((residuals[:, 1:] - residuals[:, :1]).transpose(0, 2, 1))
 
-    def call(self, name: str, q: Array, qd: Array, v: Array, qdd: Array | None = None) -> Mapping[str, Array]:
+    def call(
+        self,
+        name: str,
+        q: Array,
+        qd: Array,
+        v: Array,
+        qdd: Array | None = None,
+        lam: Array | None = None,
+    ) -> Mapping[str, Array]:
         """Call a kernel with the inputs that it takes."""
         forces = self.forces_count
-        given = {"q": q, "qd": qd, "u": v[..., :forces], "w": v[..., forces:], "qdd": qdd}
+        given = {"q": q, "qd": qd, "u": v[..., :forces], "w": v[..., forces:], "qdd": qdd, "lam": lam}
+        given["tau"] = np.zeros(len(self.kernels.manifest.driven))
         taken = self._taken.get(name)
         if taken is None:
             inputs = self.kernels.manifest.kernel(name).inputs
             taken = self._taken[name] = frozenset(a.name for a in inputs if a.nnz)
         wanted: dict[str, Any] = {key: x for key, x in given.items() if key in taken and x is not None}
         return self.kernels(name, **wanted)
+
+    def forces(self, t: Array, q: Array, qd: Array, v: Array) -> tuple[Array, Array]:
+        """Return multipliers (K, e) and forces of driven joints (K, d) at times (K,); NaN where they fail."""
+        manifest = self.kernels.manifest
+        name = next(x for x in (Formulation.EXP1.value, Formulation.EXP2.value) if manifest.find(x) is not None)
+        given: dict[str, Any] = {"q": q, "qd": qd, "u": v[:, : self.forces_count], "w": v[:, self.forces_count :]}
+        given["a"] = self.course.states(t)[2]
+        taken = [a.name for a in manifest.kernel(name).inputs if a.nnz]
+        results, _ = self.kernels.attempt(name, **{key: x for key, x in given.items() if key in taken})
+        nothing = np.zeros((len(t), 0))
+        return results.get("lam", nothing), results.get("tau", nothing)
 
     @property
     def _evaluated(self) -> Evaluated:

@@ -33,7 +33,12 @@ def add_up_work(dynamics: Dynamics, piece: Piece, chunk: Chunk) -> Array:
     stages, length = chunk.stages or _place_nodes(dynamics, piece, chunk), np.diff(chunk.t)
     k, s, _ = stages.q.shape
     q, qd = (x.reshape(k * s, -1) for x in (stages.q, stages.qd))
-    power = dynamics.call("power", q, qd, piece.follow(stages.t.ravel(), q, qd))["power"]
+    v = piece.follow(stages.t.ravel(), q, qd)
+    power = dynamics.call("power", q, qd, v)["power"]
+    driven = list(dynamics.kernels.manifest.driven)
+    if driven:
+        driving = dynamics.forces(stages.t.ravel(), q, qd, v)[1]
+        power = power.reshape(-1) + (driving * qd[:, driven]).sum(axis=1)
     return np.asarray(length * (power.reshape(k, s) @ stages.weights))
 
 

@@ -8,24 +8,18 @@ csrc/mbs_simulate.h; under inputs that follow the state, in Python.
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 from typing import Any
 
-import cffi
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsgen import resources
-from mbsrun.binding import Entry, bind
-from mbsrun.kernel import KernelError, Kernels
-from mbsrun.library import compile_library, find_compiler
+from mbsrun.kernel import KernelError, Kernels, Place, find_place
 from mbsrun.limits import Allowance, LimitError
 from mbsrun.simulation.drive import DriveError, Piece
 from mbsrun.simulation.dynamics import Dynamics, SingularError, find_mass_matrix
+from mbsrun.simulation.memory import Memory, load_functions
 from mbsrun.simulation.motion import Chunk, Halt, HaltError, Settings
 
 Array = NDArray[np.float64]
@@ -124,7 +118,7 @@ def _integrate_in_python(
         except (LimitError, DriveError) as error:
             halt = Halt(times[k], None, error.finding, error.remedy)
         except (KernelError, SingularError) as error:
-            halt = Halt(times[k], error.joint, SINGULAR, "start elsewhere, or keep away from this configuration")
+            halt = describe_singularity(error, times[k])
         if not np.isfinite(states[-1]).all():
             states.pop()
             halt = describe_status(dynamics.kernels, RUNAWAY, times[k], states[-1])
@@ -182,10 +176,18 @@ def describe_status(kernels: Kernels, status: int, time: float, state: Array) ->
             "the motion diverges: its numbers overflow",
             "take a smaller step or an implicit method",
         )
-    joint = names[status - 1] if status <= len(names) else None
-    return Halt(float(time), joint, SINGULAR, "start elsewhere, or keep away from this configuration")
+    return describe_singularity(find_place(kernels.manifest, status), float(time))
 
 
+def describe_singularity(place: Place | KernelError | SingularError, time: float) -> Halt:
+    """Describe accelerations that cannot be computed."""
+    remedy = "start elsewhere, or keep away from this configuration"
+    if isinstance(place, SingularError) or place.loop is None:
+        return Halt(time, place.joint, SINGULAR, remedy)
+    return Halt(time, None, DEPENDENT, remedy, loop=place.loop)
+
+
+DEPENDENT = "the accelerations cannot be computed here: its equations depend on others, at a singular pose"
 SINGULAR = "the accelerations cannot be computed here: the mass matrix is singular, or has lost its digits"
 
 
@@ -193,46 +195,31 @@ class _Plant:
     """A formulation as the C functions take it, with the memory that they use."""
 
     def __init__(self, dynamics: Dynamics) -> None:
-        self.ffi, self.lib = _load()
-        ffi, n = self.ffi, dynamics.size
-        kernels, forces = dynamics.kernels, dynamics.forces_count
+        self.ffi, self.lib = load_functions(_CDEF, "mbs_simulate.c")
+        n, kernels, forces = dynamics.size, dynamics.kernels, dynamics.forces_count
         evaluated = dynamics.formulation.evaluated
-        rate, mass = evaluated.function, evaluated.mass
-        rate_entry, mass_entry = _bind(kernels, rate), _bind(kernels, mass) if mass else None
-        self.memory: dict[str, Array] = {
+        arrays = {
             "q": np.zeros(dynamics.places),
             "qd": np.zeros(n),
-            "qdd": np.zeros(n),
-            "rest": np.zeros(n),
+            "qdd": np.zeros(n),  # the accelerations at which a residual is evaluated
             "v": np.zeros(forces + count_wrench_entries(kernels) + 1),
-            "matrix": np.zeros(n * n),
         }
-        filled = kernels.filled
-        self.memory |= filled
-        inputs = {name: self._pointer(name) for name in ("q", "qd", "v", "matrix")}
-        inputs |= {"u": inputs["v"], "w": inputs["v"] + forces, "qdd": self._pointer("rest")}
-        inputs |= {name: self._pointer(name) for name in filled}
-        self.kept: list[Any] = [rate_entry, mass_entry]  # objects that C has pointers to
-        p: Any = ffi.new("mbs_plant *")
+        memory = self.memory = Memory(self.ffi, kernels, arrays)
+        p: Any = self.ffi.new("mbs_plant *")
         self.plant = p
-        p.n, p.nq, p.m = n, dynamics.places, len(self.memory["v"]) - 1
-        p.q, p.qd, p.v, p.qdd, p.matrix = inputs["q"], inputs["qd"], inputs["v"], self._pointer("qdd"), inputs["matrix"]
-        p.rate, p.rate_arg, p.rate_res = self._lay(rate_entry, inputs, rate_entry.outputs[0].argument.name, p.qdd)
+        p.n, p.nq, p.m = n, dynamics.places, len(arrays["v"]) - 1
+        p.q, p.qd, p.v = (memory.pointer(name) for name in ("q", "qd", "v"))
+        p.qdd, p.matrix = memory.add("found", n), memory.add("matrix", n * n)
+        rate = memory.bind(evaluated.function)
+        p.rate, p.rate_arg, p.rate_res = memory.lay(rate, {rate.outputs[0].argument.name: "found"})
         if kernels.manifest.configuration:
-            change = _bind(kernels, "rates")
-            self.kept.append(change)
-            self.memory["qt"] = np.zeros(dynamics.places)
-            p.qt = self._pointer("qt")
-            p.change, p.change_arg, p.change_res = self._lay(change, inputs, "rate", p.qt)
-        if mass_entry is not None:
-            M = find_mass_matrix(mass_entry.kernel)
-            port = next(x for x in mass_entry.outputs if x.argument == M)
-            self.memory["M"] = np.zeros(port.argument.nnz)
-            numbers = port.spread()
-            place = self.places = np.flatnonzero(numbers >= 0)[np.argsort(numbers[numbers >= 0])].astype(np.int64)
-            p.M, p.entries = self._pointer("M"), port.argument.nnz
-            p.place = ffi.from_buffer("long long[]", place.data)
-            p.mass, p.mass_arg, p.mass_res = self._lay(mass_entry, inputs, port.argument.name, self._pointer("M"))
+            p.qt = memory.add("qt", dynamics.places)
+            p.change, p.change_arg, p.change_res = memory.lay(memory.bind("rates"), {"rate": "qt"})
+        if evaluated.mass is not None:
+            mass = memory.bind(evaluated.mass)
+            M = find_mass_matrix(mass.kernel)
+            p.M, p.entries, p.place = memory.add("M", M.nnz), M.nnz, memory.place(mass, M)
+            p.mass, p.mass_arg, p.mass_res = memory.lay(mass, {M.name: "M"})
 
     def run(self, state: Array, tableau: Tableau, h: float, steps: int, inputs: Array) -> tuple[int, int, Array]:
         """Take steps; inputs (steps * stages, m), or one row for all. Return how many, status, and states by rows."""
@@ -247,36 +234,7 @@ class _Plant:
         done = self.lib.mbs_simulate_rk(self.plant, len(tableau.b), A, b, h, steps, v, v_step, path, work, status)
         return done, status[0], states
 
-    def _pointer(self, name: str) -> Any:
-        return self.ffi.cast("double *", self.memory[name].ctypes.data)
-
-    def _lay(self, entry: Entry, inputs: Mapping[str, Any], wanted: str, place: Any) -> tuple[Any, Any, Any]:
-        """Make the argument lists of a kernel for one of its results."""
-        arg, res = self.ffi.new("const double *[]", entry.n_in), self.ffi.new("double *[]", entry.n_out)
-        for port in entry.inputs:
-            arg[port.position] = inputs[port.argument.name]
-        for port in entry.outputs:
-            if port.argument.name == wanted:
-                res[port.position] = place
-        self.kept += [arg, res]
-        function = self.ffi.cast("mbs_kernel", int(entry.ffi.cast("intptr_t", entry.function)))
-        return function, arg, res
-
 
 def count_wrench_entries(kernels: Kernels) -> int:
     """Count the entries of w."""
     return sum(3 * wrench.force + 3 * wrench.moment for wrench in kernels.manifest.wrenches)
-
-
-def _bind(kernels: Kernels, name: str) -> Entry:
-    return bind(kernels.compile(name), kernels.manifest.kernel(name))
-
-
-@cache
-def _load() -> tuple[cffi.FFI, Any]:
-    ffi = cffi.FFI()
-    ffi.cdef(_CDEF)
-    library: Path = compile_library(
-        resources.folder("csrc"), "mbs_simulate", ["mbs_simulate.c"], find_compiler(os.environ)
-    )
-    return ffi, ffi.dlopen(str(library))

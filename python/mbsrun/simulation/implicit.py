@@ -26,7 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,7 @@ from mbsrun.limits import Allowance, LimitError
 from mbsrun.ocp import schemes
 from mbsrun.simulation.drive import DriveError, Piece, differentiate
 from mbsrun.simulation.dynamics import Dynamics, SingularError
-from mbsrun.simulation.explicit import SINGULAR, count_steps, place_steps
+from mbsrun.simulation.explicit import SINGULAR, count_steps, describe_singularity, place_steps
 from mbsrun.simulation.motion import Chunk, Halt, HaltError, Settings, Stages
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ class _StuckError(Exception):
 
 
 @dataclass(frozen=True, eq=False)
-class _State:
+class State:
     """The end of a step, with its stages, (s, nq) and (s, n)."""
 
     q: Array
@@ -65,13 +65,14 @@ class _State:
     stage_qd: Array
 
 
-Step = Callable[[_State, float, float], _State]  # state, its time, length of the step -> the next state
+Step = Callable[[State, float, float], State]  # state, its time, length of the step -> the next state
 
 
 @dataclass(frozen=True, eq=False)
-class _Scheme:
+class Scheme:
     """A method: how it steps, and where in a step (s,), with which weights (s,) it evaluates integrals, if it does."""
 
+    start: Callable[[Array, Array], Array]  # q and qd at the start of a piece -> qdd there
     step: Step
     points: Array | None = None
     weights: Array | None = None
@@ -99,7 +100,7 @@ class _Loop:
         return K + S @ by_q, C + S @ by_qd, M
 
 
-Make = Callable[[Dynamics, Piece, Settings], _Scheme]  # the scheme of a method for a piece
+Make = Callable[[Dynamics, Piece, Settings], Scheme]  # the scheme of a method for a piece
 
 
 def integrate(
@@ -118,9 +119,9 @@ def integrate(
     count = count_steps(piece, settings.step)
     h, time, k = (piece.end - piece.start) / count, piece.start, 0
     scheme = make(dynamics, piece, settings)
-    done: list[_State] = []
+    done: list[State] = []
     try:
-        done.append(_State(q, qd, _consistent(dynamics, piece, q, qd), q[None], qd[None]))
+        done.append(State(q, qd, scheme.start(q, qd), q[None], qd[None]))
         for k in range(count):
             time = piece.start + k * h
             allowance.spend()
@@ -139,7 +140,7 @@ def integrate(
         yield _gather(done, piece, count, count, scheme)
 
 
-def _gather(done: list[_State], piece: Piece, last: int, count: int, scheme: _Scheme) -> Chunk:
+def _gather(done: list[State], piece: Piece, last: int, count: int, scheme: Scheme) -> Chunk:
     """Bundle states, the last of which is reached with step number `last` of `count`."""
     t = place_steps(piece, last + 1 - len(done) + np.arange(len(done)), count)
     q, qd = np.array([state.q for state in done]), np.array([state.qd for state in done])
@@ -151,13 +152,14 @@ def _gather(done: list[_State], piece: Piece, last: int, count: int, scheme: _Sc
 
 
 def _describe(error: Exception, time: float) -> Halt:
-    joint = getattr(error, "joint", None)
     if isinstance(error, LimitError | DriveError):
         return Halt(time, None, error.finding, error.remedy)
     if isinstance(error, _StuckError):
         finding = f"Newton's method does not converge within {ITERATIONS} iterations"
-        return Halt(time, joint, finding, "take a smaller step")
-    return Halt(time, joint, SINGULAR, "start elsewhere, or keep away from this configuration")
+        return Halt(time, error.joint, finding, "take a smaller step")
+    if isinstance(error, KernelError | SingularError):
+        return describe_singularity(error, time)
+    return Halt(time, None, SINGULAR, "start elsewhere, or keep away from this configuration")
 
 
 def _consistent(dynamics: Dynamics, piece: Piece, q: Array, qd: Array) -> Array:
@@ -171,7 +173,7 @@ def _consistent(dynamics: Dynamics, piece: Piece, q: Array, qd: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class _Places:
+class Places:
     """Coordinates at the stages of a step, which follow from the velocities V (s, n) there: Q = q + h A rates(Q, V)."""
 
     dynamics: Dynamics
@@ -213,17 +215,17 @@ class _Places:
         return np.eye(Q.size) - by_q, by_qd
 
 
-def make_alpha(dynamics: Dynamics, piece: Piece, settings: Settings) -> _Scheme:
+def make_alpha(dynamics: Dynamics, piece: Piece, settings: Settings) -> Scheme:
     """Unknown: qdd at the step's end. `a` is the method's own acceleration, which follows qdd."""
     rho = settings.rho
     alpha_m, alpha_f = (2 * rho - 1) / (rho + 1), rho / (rho + 1)
     gamma = 0.5 + alpha_f - alpha_m
     beta = 0.25 * (gamma + 0.5) ** 2
     ratio = (1 - alpha_f) / (1 - alpha_m)  # d a / d qdd
-    places = _Places(dynamics, np.array([[0.5]]), np.array([1.0]))  # from the mean velocity, at the step's middle
+    places = Places(dynamics, np.array([[0.5]]), np.array([1.0]))  # from the mean velocity, at the step's middle
     loop, memory = _Loop(dynamics, piece), dict[str, Array]()
 
-    def step(state: _State, time: float, h: float) -> _State:
+    def step(state: State, time: float, h: float) -> State:
         a, end = memory.get("a", state.qdd), np.array([time + h])
 
         def advance(qdd: Array) -> tuple[Array, Array, Array, Array, Array]:
@@ -242,20 +244,20 @@ def make_alpha(dynamics: Dynamics, piece: Piece, settings: Settings) -> _Scheme:
             matrix = M + ratio * (h * gamma * C + h * beta * by_mean)
             return -np.asarray(np.linalg.solve(matrix, loop.residual(*at)[0]))
 
-        qdd = _iterate(dynamics, correct, state.qdd, _scale(state, h))
+        qdd = iterate(dynamics, correct, state.qdd, scale_changes(state, h))
         q, qd, memory["a"], *_ = advance(qdd)
-        return _State(q, qd, qdd, np.stack((state.q, q)), np.stack((state.qd, qd)))
+        return State(q, qd, qdd, np.stack((state.q, q)), np.stack((state.qd, qd)))
 
-    return _Scheme(step, np.array([0.0, 1.0]), np.array([0.5, 0.5]))
+    return Scheme(partial(_consistent, dynamics, piece), step, np.array([0.0, 1.0]), np.array([0.5, 0.5]))
 
 
-def make_collocation(family: schemes.Family, dynamics: Dynamics, piece: Piece, settings: Settings) -> _Scheme:
+def make_collocation(family: schemes.Family, dynamics: Dynamics, piece: Piece, settings: Settings) -> Scheme:
     """Unknowns: qdd at the stages, (s, n)."""
     scheme = schemes.build(family, settings.stages)
     A, b, c, s, n = scheme.integration, scheme.weights, scheme.points, scheme.degree, dynamics.size
-    places, values, loop = _Places(dynamics, A, b), _values_at(c), _Loop(dynamics, piece)
+    places, values, loop = Places(dynamics, A, b), extrapolate(c), _Loop(dynamics, piece)
 
-    def step(state: _State, time: float, h: float) -> _State:
+    def step(state: State, time: float, h: float) -> State:
         t = time + h * c
 
         def advance(z: Array) -> tuple[Array, Array]:
@@ -273,18 +275,18 @@ def make_collocation(family: schemes.Family, dynamics: Dynamics, piece: Piece, s
             residual = loop.residual(t, q, qd, z).ravel()
             return -np.asarray(np.linalg.solve(matrix, residual)).reshape(s, n)
 
-        z = _iterate(dynamics, correct, np.tile(state.qdd, (s, 1)), _scale(state, h))
+        z = iterate(dynamics, correct, np.tile(state.qdd, (s, 1)), scale_changes(state, h))
         Q, V = advance(z)
-        return _State(places.end(state.q, Q, V, h), state.qd + h * b @ z, values @ z, Q, V)
+        return State(places.end(state.q, Q, V, h), state.qd + h * b @ z, values @ z, Q, V)
 
-    return _Scheme(step, c, b)
+    return Scheme(partial(_consistent, dynamics, piece), step, c, b)
 
 
-def make_symplectic(dynamics: Dynamics, piece: Piece, _: Settings) -> _Scheme:
+def make_symplectic(dynamics: Dynamics, piece: Piece, _: Settings) -> Scheme:
     """Unknown: the velocity w of the step. Inputs are those at its start."""
     n = dynamics.size
 
-    def step(state: _State, time: float, h: float) -> _State:
+    def step(state: State, time: float, h: float) -> State:
         q, qd, v = state.q, state.qd, piece.at(time, state.q, state.qd)
 
         def correct(w: Array) -> Array:
@@ -296,15 +298,15 @@ def make_symplectic(dynamics: Dynamics, piece: Piece, _: Settings) -> _Scheme:
             residual = M[0] @ (w - qd) + h * (dynamics.residual(q, w, rest, v) - B @ w)
             return -np.asarray(np.linalg.solve(M[0] + h * (damping - B.T), residual))
 
-        w = _iterate(dynamics, correct, qd, 1 / (1 + np.abs(qd)) + h / (1 + np.abs(q)))
+        w = iterate(dynamics, correct, qd, 1 / (1 + np.abs(qd)) + h / (1 + np.abs(q)))
         end, rest = q + h * w, np.zeros(n)
         M = dynamics.stiffnesses(np.array([q, end]), np.zeros((2, n)), np.zeros((2, n)), np.tile(v, (2, 1)))[2]
-        return _State(end, dynamics.solve(M[1], M[0] @ w), rest, end[None], w[None])
+        return State(end, dynamics.solve(M[1], M[0] @ w), rest, end[None], w[None])
 
-    return _Scheme(step)
+    return Scheme(partial(_consistent, dynamics, piece), step)
 
 
-def _values_at(points: Array) -> Array:
+def extrapolate(points: Array) -> Array:
     """Evaluate at 1 the basis polynomials of the points: the guess for the next step's stages."""
     gaps = points[:, None] - points
     np.fill_diagonal(gaps, 1.0)
@@ -313,13 +315,13 @@ def _values_at(points: Array) -> Array:
     return np.asarray((tops / gaps).prod(axis=1))
 
 
-def _scale(state: _State, h: float) -> Array:
+def scale_changes(state: State, h: float) -> Array:
     """Return the change of the state in a step by a unit acceleration, relative to the state, or 1 with quaternions."""
     sizes = np.abs(state.q) if state.q.shape == state.qd.shape else 0.0
     return np.asarray(h / (1 + np.abs(state.qd)) + h * h / (1 + sizes))
 
 
-def _iterate(dynamics: Dynamics, correct: Callable[[Array], Array], guess: Array, scale: Array) -> Array:
+def iterate(dynamics: Dynamics, correct: Callable[[Array], Array], guess: Array, scale: Array) -> Array:
     """Solve for accelerations by Newton's method, until their change times `scale` (n,) is within CONVERGED."""
     z = guess
     before = change = np.zeros_like(z)
@@ -334,5 +336,5 @@ def _iterate(dynamics: Dynamics, correct: Callable[[Array], Array], guess: Array
             break
     if not np.isfinite(change).all():
         change = before  # the numbers have overflowed
-    worst = np.nan_to_num(np.abs(change) * scale, nan=np.inf).reshape(-1, dynamics.size).max(axis=0).argmax()
+    worst = np.nan_to_num(np.abs(change) * scale, nan=np.inf).reshape(-1, len(scale)).max(axis=0).argmax()
     raise _StuckError(dynamics.kernels.manifest.coordinates[int(worst)].name)

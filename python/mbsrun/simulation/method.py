@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mbsrun.limits import Allowance
 from mbsrun.simulation.drive import Piece
 from mbsrun.simulation.dynamics import Dynamics
-from mbsrun.simulation.motion import Chunk, Settings
+from mbsrun.simulation.motion import Chunk, Keeping, Settings
 
 Array = NDArray[np.float64]
 
@@ -42,6 +42,8 @@ class Method:
     stability: float | None = None  # explicit: how far along the negative real axis h lambda may lie
     takes_quaternions: bool = True
     needs_residual: bool = False  # of a formulation that has one: accelerations are not enough
+    closed: Integrator | None = None  # how it steps with loops or driven joints; None: it does not
+    keeps: tuple[Keeping, ...] = ()  # the ways in which it keeps loops closed; the first is the default
 
     @property
     def has_fixed_steps(self) -> bool:

@@ -2,26 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 
+from mbsgen.manifest import Manifest
 from mbsrun.ocp import schemes
-from mbsrun.simulation import adaptive, explicit, implicit
+from mbsrun.simulation import adaptive, closed, explicit, implicit, multipliers
 from mbsrun.simulation.formulation import Formulation
 from mbsrun.simulation.method import Family, Integrator, Method
-from mbsrun.simulation.motion import Settings
+from mbsrun.simulation.motion import Keeping, Settings
 
-__all__ = ["METHODS", "Family", "Formulation", "Method", "choose_formulation", "takes_too_many_steps"]
+__all__ = [
+    "METHODS",
+    "Family",
+    "Formulation",
+    "Method",
+    "choose_formulation",
+    "complete_settings",
+    "find_refusals",
+    "takes_too_many_steps",
+]
 
 _STEP, _TOLERANCES = ("step",), ("rtol", "atol")
 
 
-def _explicit(order: int, title: str, tableau: explicit.Tableau, stability: float) -> Method:
-    return Method(Family.EXPLICIT, order, title, partial(explicit.integrate, tableau), _STEP, stability)
+def _explicit(order: int, title: str, pair: closed.Pair, stability: float) -> Method:
+    integrate = partial(explicit.integrate, pair.tableau)
+    method = Method(Family.EXPLICIT, order, title, integrate, _STEP, stability)
+    return replace(method, closed=partial(closed.integrate, pair), keeps=closed.EXPLICIT)
 
 
-def _adaptive(order: int | None, title: str, stepper: adaptive.Stepper, stability: float | None = None) -> Method:
-    return Method(Family.ADAPTIVE, order, title, partial(adaptive.integrate, stepper), _TOLERANCES, stability)
+def _adaptive(
+    order: int | None,
+    title: str,
+    stepper: adaptive.Stepper,
+    stability: float | None = None,
+    pair: closed.Pair | None = None,
+) -> Method:
+    integrate = partial(adaptive.integrate, stepper)
+    method = Method(Family.ADAPTIVE, order, title, integrate, _TOLERANCES, stability)
+    return method if pair is None else replace(method, closed=partial(closed.integrate, pair), keeps=closed.EXPLICIT)
 
 
 def _implicit(make: implicit.Make) -> Integrator:
@@ -29,7 +50,7 @@ def _implicit(make: implicit.Make) -> Integrator:
 
 
 METHODS: Mapping[str, Method] = {
-    "euler": _explicit(1, "explicit Euler", explicit.EULER, 2.0),
+    "euler": _explicit(1, "explicit Euler", closed.EULER_STEPS, 2.0),
     "symplectic-euler": Method(
         Family.IMPLICIT,
         1,
@@ -39,9 +60,9 @@ METHODS: Mapping[str, Method] = {
         takes_quaternions=False,
         needs_residual=True,
     ),
-    "rk4": _explicit(4, "the classical Runge-Kutta method", explicit.RK4, 2.785),
-    "dop853": _adaptive(8, "explicit Runge-Kutta of Dormand and Prince", adaptive.DOP853, 6.1),
-    "rk45": _adaptive(5, "explicit Runge-Kutta of Dormand and Prince", adaptive.RK45, 3.3),
+    "rk4": _explicit(4, "the classical Runge-Kutta method", closed.RK4_STEPS, 2.785),
+    "dop853": _adaptive(8, "explicit Runge-Kutta of Dormand and Prince", adaptive.DOP853, 6.1, closed.DOP853),
+    "rk45": _adaptive(5, "explicit Runge-Kutta of Dormand and Prince", adaptive.RK45, 3.3, closed.RK45),
     "lsoda": _adaptive(None, "Adams or BDF, as the stiffness asks for", adaptive.LSODA),
     "radau": _adaptive(5, "implicit Runge-Kutta, three Radau IIA stages", adaptive.RADAU),
     "bdf": _adaptive(None, "backward differentiation formulas", adaptive.BDF),
@@ -51,6 +72,8 @@ METHODS: Mapping[str, Method] = {
         "generalised alpha of Chung and Hulbert",
         _implicit(implicit.make_alpha),
         (*_STEP, "rho"),
+        closed=_implicit(multipliers.make_alpha),
+        keeps=(Keeping.INDEX_3,),
     ),
     "radau-iia": Method(
         Family.IMPLICIT,
@@ -58,6 +81,8 @@ METHODS: Mapping[str, Method] = {
         "Radau collocation: order 2 stages - 1; 1 stage is implicit Euler",
         _implicit(partial(implicit.make_collocation, schemes.Family.RADAU)),
         (*_STEP, "stages"),
+        closed=_implicit(multipliers.make_radau),
+        keeps=(Keeping.GGL,),
     ),
     "gauss": Method(
         Family.IMPLICIT,
@@ -73,6 +98,41 @@ def choose_formulation(method: str, formulation: Formulation) -> Formulation:
     """Return the formulation that a method evaluates: the residual, where it needs one and is given accelerations."""
     lacks_residual = METHODS[method].needs_residual and formulation.evaluated.is_direct
     return Formulation.IMPL if lacks_residual else formulation
+
+
+def complete_settings(settings: Settings, *, is_closed: bool) -> Settings:
+    """Return the settings with the method's own choices; `is_closed`: for a model with loops or driven joints."""
+    method = METHODS[settings.method]
+    formulation = choose_formulation(settings.method, settings.formulation)
+    if not is_closed:
+        return replace(settings, formulation=formulation)
+    if method.family is Family.IMPLICIT and formulation.evaluated.is_direct:
+        formulation = Formulation.IMPL
+    return replace(settings, formulation=formulation, loops=settings.loops or next(iter(method.keeps), None))
+
+
+def find_refusals(settings: Settings, manifest: Manifest) -> Iterator[tuple[str, str, str]]:
+    """Find what a model's loops and driven joints forbid: the setting, the finding and the remedy."""
+    method = METHODS[settings.method]
+    if not (manifest.loops or manifest.driven):
+        if settings.loops is not None:
+            yield "loops", "the model has no loops", "leave it out"
+        return
+    if method.closed is None:
+        known = ", ".join(name for name, x in METHODS.items() if x.closed is not None)
+        yield "method", f"{settings.method} takes no loops or driven joints", f"give one of {known}"
+        return
+    if settings.loops is not None and settings.loops not in method.keeps:
+        known = ", ".join(x.value for x in method.keeps)
+        yield "loops", f"{settings.method} does not keep them closed by {settings.loops.value}", f"give one of {known}"
+        return
+    if settings.loops is Keeping.PARTITIONING and manifest.quaternions:
+        yield "loops", "partitioning takes no quaternions", "give projection"
+    if settings.loops is Keeping.BAUMGARTE:
+        gain = max(settings.alpha, settings.beta)
+        if method.has_fixed_steps and gain * settings.step > 1:
+            finding = f"the gain {gain:g} 1/s times the step {settings.step:g} s is {gain * settings.step:.3g}"
+            yield "step", finding, "keep it below 1, else the loops' own motion diverges"
 
 
 def takes_too_many_steps(settings: Settings) -> bool:

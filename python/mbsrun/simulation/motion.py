@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,17 @@ STILL = 1e-9  # of kinetic energy: a smaller drift brings no warning
 STORED = 1000  # states that are kept of a motion, about, unless another distance of outputs is asked for
 
 
+class Keeping(Enum):
+    """How loops are kept closed."""
+
+    PROJECTION = "projection"  # by the least change of coordinates and velocities, after each step
+    MASS_PROJECTION = "mass-projection"  # by the change that is least in the mass matrix
+    PARTITIONING = "partitioning"  # by dependent coordinates, at each stage
+    BAUMGARTE = "baumgarte"  # by accelerations that make open loops close, with given gains
+    GGL = "ggl"  # stabilised index 2: by multipliers of positions and of velocities
+    INDEX_3 = "index-3"  # by multipliers of positions
+
+
 @dataclass(frozen=True)
 class Settings:
     """How to integrate. Times in s."""
@@ -30,6 +42,9 @@ class Settings:
     atol: float = 1e-9  # and absolute (rad, m; rad/s, m/s)
     stages: int = 2  # of radau-iia and gauss
     rho: float = 0.8  # of generalized-alpha: the part of the highest frequencies' amplitude that a step keeps
+    loops: Keeping | None = None  # None: the method's first
+    alpha: float = 5.0  # 1/s: gains of Baumgarte's terms, of the rate
+    beta: float = 5.0  # 1/s: and of what is open
     output_step: float | None = None  # between the states that are kept; None: duration / STORED
     max_steps: int = Limits.steps  # a motion that would take more is refused, or halts
     max_seconds: float = Limits.seconds  # of processor time; the motion halts when they are used up
@@ -43,9 +58,10 @@ class Halt:
     joint: str | None  # where; None where no joint can be named
     finding: str
     remedy: str
+    loop: str | None = None
 
     def __str__(self) -> str:
-        place = f", joint {self.joint}" if self.joint else ""
+        place = f", joint {self.joint}" if self.joint else f", loop {self.loop}" if self.loop else ""
         return f"stopped at t = {self.time:.6g} s{place}: {self.finding}; {self.remedy}"
 
 
@@ -58,6 +74,7 @@ class Effort:
     evaluations: int = 0  # of accelerations or residuals, in one state each
     jacobians: int = 0
     iterations: int = 0  # of Newton's method
+    switches: int = 0  # of dependent coordinates
     seconds: float = 0.0  # of processor time
 
 
@@ -102,6 +119,17 @@ class Energy:
 
 
 @dataclass(frozen=True, eq=False)
+class Closure:
+    """The loops along a motion: e equations, d driven joints, at K times."""
+
+    position: Array  # (K,): the largest |h|
+    velocity: Array  # (K,): the largest |J qd|
+    most: tuple[float, float]  # the same of all steps
+    multipliers: Array  # (K, e), not a number at singular poses
+    driving: Array  # (K, d): forces of driven joints
+
+
+@dataclass(frozen=True, eq=False)
 class Motion:
     """A motion of nq coordinates, n velocities under m inputs, at K times; with `halt`, the part that was reached."""
 
@@ -112,6 +140,7 @@ class Motion:
     inputs: Array  # (K, m): u, then w; where they jump, the values after the jump
     energy: Energy | None  # None where it overflows, or a kernel fails on the way
     effort: Effort
+    closure: Closure | None = None  # of a model with loops or driven joints
     halt: Halt | None = None
     warnings: tuple[str, ...] = ()
 

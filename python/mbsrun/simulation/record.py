@@ -24,9 +24,10 @@ from mbsrun.animation import write_animation
 from mbsrun.external import Mechanism
 from mbsrun.kernel import Kernels
 from mbsrun.quaternions import find_rates
+from mbsrun.simulation.closing import name_equations
 from mbsrun.simulation.drive import input_labels
 from mbsrun.simulation.methods import METHODS
-from mbsrun.simulation.motion import Motion, Settings
+from mbsrun.simulation.motion import Closure, Keeping, Motion, Settings
 
 Array = NDArray[np.float64]
 
@@ -52,7 +53,12 @@ def write_motion(motion: Motion, kernels: Mechanism, folder: Path) -> None:
 def describe_settings(settings: Settings) -> dict[str, object]:
     """List the settings that matter to the method."""
     wanted = ["duration", "method", *METHODS[settings.method].settings]
-    return {name: getattr(settings, name) for name in wanted} | {"formulation": settings.formulation.value}
+    found = {name: getattr(settings, name) for name in wanted} | {"formulation": settings.formulation.value}
+    if settings.loops is not None:
+        found["loops"] = settings.loops.value
+    if settings.loops is Keeping.BAUMGARTE:
+        found |= {"alpha": settings.alpha, "beta": settings.beta}
+    return found
 
 
 def _summarise(motion: Motion, kernels: Kernels) -> str:
@@ -78,9 +84,20 @@ def _summarise(motion: Motion, kernels: Kernels) -> str:
             "work": float(energy.work[-1]),
             "largest_drift": float(np.abs(energy.drift).max()),
         },
+        **({} if motion.closure is None else {"closure": _summarise_closure(motion.closure, manifest)}),
         "end": {"t": float(motion.t[-1]), "q": motion.q[-1].tolist(), "qd": motion.qd[-1].tolist()},
     }
     return json.dumps(summary, indent=1, ensure_ascii=False) + "\n"
+
+
+def _summarise_closure(closure: Closure, manifest: Manifest) -> dict[str, object]:
+    position, velocity = closure.most
+    return {
+        "loops": [loop.name for loop in manifest.loops],
+        "driven": [manifest.coordinates[i].name for i in manifest.driven],
+        "largest_position": position,
+        "largest_velocity": velocity,
+    }
 
 
 def _tabulate(motion: Motion, manifest: Manifest) -> str:
@@ -92,6 +109,11 @@ def _tabulate(motion: Motion, manifest: Manifest) -> str:
     if motion.energy is not None:
         header += ["kinetic", "potential", "work"]
         columns += [x[:, None] for x in (motion.energy.kinetic, motion.energy.potential, motion.energy.work)]
+    if motion.closure is not None:
+        closure = motion.closure
+        header += ["open", "opening", *(f"lam[{x}]" for x in name_equations(manifest))]
+        header += [f"tau[{names[i]}]" for i in manifest.driven]
+        columns += [closure.position[:, None], closure.velocity[:, None], closure.multipliers, closure.driving]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)

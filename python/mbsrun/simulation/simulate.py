@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,15 +13,18 @@ from mbsrun.kernel import ArgumentError, KernelError, Kernels
 from mbsrun.limits import Allowance, Limits
 from mbsrun.quaternions import measure_lengths
 from mbsrun.simulation import adaptive
+from mbsrun.simulation.closing import check_closed, measure_gaps
+from mbsrun.simulation.course import Course, check_course, is_constrained, place_driven, stand
 from mbsrun.simulation.drive import Drive, DriveError, Piece, input_labels
 from mbsrun.simulation.dynamics import Dynamics, SingularError
 from mbsrun.simulation.energy import add_up_work
 from mbsrun.simulation.formulation import Formulation
 from mbsrun.simulation.method import Family
-from mbsrun.simulation.methods import METHODS, choose_formulation, takes_too_many_steps
+from mbsrun.simulation.methods import METHODS, complete_settings, find_refusals, takes_too_many_steps
 from mbsrun.simulation.motion import (
     STORED,
     Chunk,
+    Closure,
     Effort,
     Energy,
     Halt,
@@ -44,17 +46,26 @@ def simulate(
     qd: ArrayLike,
     settings: Settings,
     show: Callable[[float], None] = lambda _: None,
+    course: Course | None = None,
 ) -> Motion:
     """Integrate the motion from q, qd (n,) at time 0 under the inputs of `drive`; call `show` with the time reached.
 
-    A failure on the way is no exception: `halt` of the motion then describes why it ends early. Raises ValueError
-    for arguments that do not fit, ArgumentError for kernels that were not generated, DriveError for inputs without a
-    value.
+    Driven joints move along `course`; without one they stand still. A failure on the way is no exception: `halt` of the
+    motion then describes why it ends early. Raises ValueError for arguments that do not fit, OpenError for a start
+    with open loops, ArgumentError for kernels that were not generated, DriveError for inputs without a value.
     """
     start = _check(kernels, drive, q, qd, settings)
-    settings = replace(settings, formulation=choose_formulation(settings.method, settings.formulation))
-    dynamics, integrate = Dynamics(kernels, settings.formulation), METHODS[settings.method].integrate
-    record = _Record(kernels, settings, *start)
+    is_closed = is_constrained(kernels.manifest)
+    settings = complete_settings(settings, is_closed=is_closed)
+    course = course or stand(start[0][place_driven(kernels.manifest)])
+    if is_closed:
+        check_course(kernels.manifest, course, *start)
+        check_closed(kernels, *start)
+    dynamics = Dynamics(kernels, settings.formulation, course)
+    method = METHODS[settings.method]
+    integrate = method.closed if is_closed else method.integrate
+    assert integrate is not None, "the method was checked to take loops"
+    record = _Record(kernels, settings, *start, course)
     allowance = Allowance(Limits(settings.max_steps, settings.max_seconds))
     halt: Halt | None = None
     pieces = drive.play(kernels, settings.duration, lambda: record.last)
@@ -97,6 +108,8 @@ def _check(kernels: Kernels, drive: Drive, q: ArrayLike, qd: ArrayLike, settings
         raise ValueError(f"step = {settings.step} takes more than max_steps = {settings.max_steps} steps")
     if manifest.quaternions and not METHODS[settings.method].takes_quaternions:
         raise ValueError(f"{settings.method} takes no quaternions; gauss with one stage does")
+    for name, finding, remedy in find_refusals(settings, manifest):
+        raise ValueError(f"{name}: {finding}; {remedy}")
     _check_kernels(kernels, settings)
     if settings.duration > drive.end:
         raise ValueError(f"the inputs end at {drive.end} s, before the duration of {settings.duration} s")
@@ -105,12 +118,18 @@ def _check(kernels: Kernels, drive: Drive, q: ArrayLike, qd: ArrayLike, settings
 
 def _check_kernels(kernels: Kernels, settings: Settings) -> None:
     """Demand the kernels that the formulation, energies, warnings and pictures need."""
-    formulation = choose_formulation(settings.method, settings.formulation)
-    evaluated, is_explicit = formulation.evaluated, METHODS[settings.method].stability is not None
+    is_closed, is_explicit = is_constrained(kernels.manifest), METHODS[settings.method].stability is not None
+    evaluated = complete_settings(settings, is_closed=is_closed).formulation.evaluated
     jacobian = name_kernel(evaluated.function, Order.JACOBIAN)
     needed = {evaluated.function, "energy", "power", "frames"}
     needed |= set() if evaluated.mass in (None, jacobian) else {evaluated.mass}
-    needed |= {"impl", "jac_impl"} if is_explicit else {jacobian}
+    if is_closed:
+        needed |= {"semi", "semi_res"} if is_explicit else {jacobian}
+        needed |= {"loops", "loop_rates", "loop_jacobian"} if kernels.manifest.loops else set()
+        needed |= {"jac_loops", "jac_loop_rates"} if kernels.manifest.loops and not is_explicit else set()
+        needed |= set() if kernels.manifest.find("exp2") else {"exp1"}
+    else:
+        needed |= {"impl", "jac_impl"} if is_explicit else {jacobian}
     needed |= {"rates", "jac_rates"} if kernels.manifest.configuration else set()
     missing = sorted(needed - {kernel.name for kernel in kernels.manifest.kernels})
     if missing:
@@ -136,9 +155,10 @@ def _timed(chunks: Iterator[Chunk], effort: Effort) -> Iterator[Chunk]:
 class _Record:
     """Keeps some of the states, and the work done until then."""
 
-    def __init__(self, kernels: Kernels, settings: Settings, q: Array, qd: Array) -> None:
+    def __init__(self, kernels: Kernels, settings: Settings, q: Array, qd: Array, course: Course) -> None:
         self.kernels, self.settings = kernels, settings
-        self.observer = Dynamics(kernels, settings.formulation)  # its calls are not the integrator's
+        self.is_closed, self.gaps = is_constrained(kernels.manifest), [0.0, 0.0]
+        self.observer = Dynamics(kernels, settings.formulation, course)  # its calls are not the integrator's
         self.distance = settings.output_step or settings.duration / STORED
         self.t, self.q, self.qd, self.work = [0.0], [q], [qd], [0.0]
         self.inputs: list[Array] = []
@@ -158,6 +178,8 @@ class _Record:
     def add(self, chunk: Chunk) -> None:
         """Take steps: keep the states at the times of outputs."""
         assert self.piece is not None, "a chunk lies in a piece"
+        if self.is_closed:
+            self.gaps = [max(*x) for x in zip(self.gaps, self._measure_gaps(chunk.q, chunk.qd), strict=True)]
         if chunk.dense is not None:
             chunk, chosen = self._refine(chunk)
         else:
@@ -193,9 +215,20 @@ class _Record:
             inputs=inputs,
             energy=energy if is_known else None,
             effort=effort,
+            closure=self._find_closure(t, q, qd, inputs) if self.is_closed else None,
             halt=halt,
             warnings=(*warnings, *(_find_drift(energy) if is_known else ())),
         )
+
+    def _measure_gaps(self, q: Array, qd: Array) -> tuple[float, float]:
+        position, velocity = measure_gaps(self.kernels, q, qd)
+        return float(position.max()), float(velocity.max())
+
+    def _find_closure(self, t: Array, q: Array, qd: Array, inputs: Array) -> Closure:
+        """Compute how far loops are open along the motion, and the forces that keep them closed."""
+        gaps = measure_gaps(self.kernels, q, qd)
+        most = [max(*x) for x in zip(self.gaps, self._measure_gaps(q, qd), strict=True)]
+        return Closure(*gaps, (most[0], most[1]), *self.observer.forces(t, q, qd, inputs))
 
     def _keep(self, chunk: Chunk, work: Array, chosen: NDArray[np.intp]) -> None:
         if chosen.size:
@@ -248,7 +281,7 @@ class _Record:
     def _find_stiffness(self, effort: Effort, t: Array, q: Array, qd: Array, inputs: Array) -> list[str]:
         """Warn where stability, not accuracy, sets the length of explicit steps."""
         method = METHODS[self.settings.method]
-        if method.stability is None or not t[-1]:
+        if method.stability is None or not t[-1] or self.is_closed:
             return []
         dynamics = Dynamics(self.kernels, Formulation.IMPL)
         try:

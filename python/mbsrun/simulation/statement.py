@@ -38,9 +38,11 @@ from mbsgen.manifest import Manifest, Wrench
 from mbsrun.ocp.schemes import DEGREES
 from mbsrun.quantities import list_quantities
 from mbsrun.quaternions import list_quaternions, neutral, normalise
+from mbsrun.simulation.closing import Start
+from mbsrun.simulation.course import Course, follow, place_driven
 from mbsrun.simulation.drive import STATE, TIME, Drive, express
-from mbsrun.simulation.methods import METHODS, Formulation, takes_too_many_steps
-from mbsrun.simulation.motion import Settings
+from mbsrun.simulation.methods import METHODS, Formulation, find_refusals, takes_too_many_steps
+from mbsrun.simulation.motion import Keeping, Settings
 
 Array = NDArray[np.float64]
 
@@ -50,13 +52,13 @@ MAX_OUTPUTS = 1_000_000  # states kept
 
 @dataclass(frozen=True, eq=False)
 class Statement:
-    """A simulation to run: n coordinates, m inputs."""
+    """A simulation to run: n coordinates, m inputs. With loops, the start is yet to be closed: see `closing`."""
 
     settings: Settings
-    q: Array  # (n,)
-    qd: Array  # (n,)
+    start: Start
     drive: Drive
     parameters: Mapping[str, float]  # run-time parameters with other values than the model's
+    course: Course  # of driven joints
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +153,11 @@ class _SettingsSection(Section):
     rho: NumberField = Field(default=Number(Settings.rho), examples=[0.8])
     max_steps: int = Field(default=Settings.max_steps, ge=1, examples=[1_000_000])
     max_seconds: NumberField = Field(default=Number(Settings.max_seconds), examples=[60.0])
+    loops: Keeping | None = Field(default=None, examples=["projection"])
+    alpha: NumberField = Field(default=Number(Settings.alpha), examples=[5.0])
+    beta: NumberField = Field(default=Number(Settings.beta), examples=[5.0])
     start: _StartSection = Field(default=_StartSection(), examples=[{}])
+    driven: dict[str, NumberField] = Field(default={}, examples=[{}])
     inputs: dict[str, NumberField] = Field(default={}, examples=[{}])
     input_period: NumberField | None = Field(default=None, examples=[1e-3])
     wrenches: dict[str, _WrenchSection] = Field(default={}, examples=[{}])
@@ -179,13 +185,14 @@ class _Reading:
                 self.fault(("constants", key), "no name for a constant", "give a word that means nothing else")
             self.constants[key] = self.number(("constants", key), expression)
         settings, drive = self.settings(section), self.drive(section)
-        q, qd = self.start(section.start)
+        start = self.start(section.start)
+        course = self.course(section.driven, start)
         known = [p.name for p in (*self.manifest.parameters, *self.manifest.design)]
         parameters = {}
         for name, expression in section.parameters.items():
             if self.find(("parameters", name), name, known, "parameter that may be changed") is not None:
                 parameters[name] = self.number(("parameters", name), expression)
-        return Statement(settings, q, qd, drive, parameters)
+        return Statement(settings, start, drive, parameters, course)
 
     def settings(self, section: _SettingsSection) -> Settings:
         """Read how to integrate."""
@@ -204,7 +211,12 @@ class _Reading:
             else self.number(("output_step",), section.output_step, positive),
             max_steps=section.max_steps,
             max_seconds=self.number(("max_seconds",), section.max_seconds, positive),
+            loops=section.loops,
+            alpha=self.number(("alpha",), section.alpha, 0.0),
+            beta=self.number(("beta",), section.beta, 0.0),
         )
+        for name, finding, remedy in find_refusals(settings, self.manifest):
+            self.fault((name,), finding, remedy)
         if settings.rho > 1:
             self.fault(("rho",), f"found {settings.rho:g}", "give a number from 0 to 1")
         if self.manifest.quaternions and not METHODS[settings.method].takes_quaternions:
@@ -230,27 +242,50 @@ class _Reading:
             self.fault(("duration",), f"found {duration:g}", f"give at most {end:g}: there the recorded inputs end")
         return duration
 
-    def start(self, section: _StartSection) -> tuple[Array, Array]:
-        """Read the state at time 0: by name, else the recording's, else 0."""
-        starts = []
+    def start(self, section: _StartSection) -> Start:
+        """Read the state at time 0: by name, else the recording's, else where loops are closed, else 0."""
+        starts, named = [], []
         places = self.manifest.positions
         for key, given, recorded, known in (
             ("pose", section.pose, "q", places),
             ("velocity", section.velocity, "qd", self.coordinates),
         ):
             values = neutral(self.manifest) if key == "pose" else np.zeros(len(known))
+            if key == "pose" and self.manifest.pose:
+                values = np.array(self.manifest.pose)
+            names: dict[int, float] = {}
             if self.recording is not None:
                 values = np.array(getattr(self.recording, recorded), dtype=np.float64)
             for name, expression in given.items():
                 i = self.find(("start", key, name), name, list(known), "coordinate" if key == "pose" else "velocity")
                 if i is not None:
-                    values[i] = self.number(("start", key, name), expression)
-            starts.append(values)
+                    names[i] = self.number(("start", key, name), expression)
+            base = values.copy()
+            values[list(names)] = list(names.values())
+            starts.append((base, values))
+            named.append(frozenset(names))
         for quaternion in list_quaternions(self.manifest):
-            if not starts[0][quaternion.entries].any():
+            if not starts[0][1][quaternion.entries].any():
                 finding = f"the quaternion of {quaternion.joint} is 0"
                 self.fault(("start", "pose"), finding, f"give {places[quaternion.first + 3]} too")
-        return normalise(starts[0], self.manifest), starts[1]
+        q = normalise(starts[0][1], self.manifest)
+        return Start(starts[0][0], q, starts[1][1], *named)
+
+    def course(self, section: Mapping[str, Expression], start: Start) -> Course:
+        """Read the motion of driven joints; one that is not named stands where it starts."""
+        driven = [self.coordinates[i] for i in self.manifest.driven]
+        expressions: list[Expression] = [Number(float(start.q[i])) for i in place_driven(self.manifest)]
+        for name, expression in section.items():
+            i = self.find(("driven", name), name, driven, "driven joint")
+            if i is None or not self.formula(("driven", name), expression, with_state=False):
+                continue
+            expressions[i] = expression
+            if place_driven(self.manifest)[i] in start.placed:
+                self.fault(("start", "pose", name), "its motion is given under driven", "give one or the other")
+        for i in start.moving & set(self.manifest.driven):
+            name = self.coordinates[i]
+            self.fault(("start", "velocity", name), "this joint is driven", "give its motion under driven")
+        return follow(expressions, driven, {k: v for k, v in self.constants.items() if math.isfinite(v)})
 
     def drive(self, section: _SettingsSection) -> Drive:
         """Read the inputs over time; inputs that are not named are 0."""
@@ -310,9 +345,9 @@ class _Reading:
             return math.nan
         return value
 
-    def formula(self, place: Place, expression: Expression) -> bool:
+    def formula(self, place: Place, expression: Expression, *, with_state: bool = True) -> bool:
         """Return whether the names of an expression are known: constants, the time, and quantities of the state."""
-        known = [TIME, *self.constants, *self.quantities]
+        known = [TIME, *self.constants, *(self.quantities if with_state else ())]
         unknown = sorted(names(expression) - set(known))
         for name in unknown:
             meant = nearest(name, known)

@@ -130,9 +130,9 @@ def test_a_start_is_given_by_name(loose: Mechanism) -> None:
     assert manifest.positions == ("trunk.x", "trunk.y", "trunk.z", *(f"trunk.q{x}" for x in "xyzw"), "wing")
     given = {"start": {"pose": {"trunk.qx": 3, "trunk.qw": 4}, "velocity": {"trunk.ry": 2}}, "duration": 1}
     statement = read_statement(None, given, manifest)
-    np.testing.assert_allclose(statement.q, [0, 0, 0, 0.6, 0, 0, 0.8, 0])
-    assert statement.qd.tolist() == [0, 0, 0, 0, 2, 0, 0]
-    assert read_statement(None, {"duration": 1}, manifest).q.tolist() == [0, 0, 0, 0, 0, 0, 1, 0]
+    np.testing.assert_allclose(statement.start.q, [0, 0, 0, 0.6, 0, 0, 0.8, 0])
+    assert statement.start.qd.tolist() == [0, 0, 0, 0, 2, 0, 0]
+    assert read_statement(None, {"duration": 1}, manifest).start.q.tolist() == [0, 0, 0, 0, 0, 0, 1, 0]
     for wrong, text in (
         ({"start": {"pose": {"trunk.qw": 0}}}, "the quaternion of trunk is 0; give"),
         ({"start": {"pose": {"trunk.rx": 1}}}, "trunk.rx"),

@@ -170,8 +170,8 @@ def read(folder: Path, text: str, bench: Mechanism, **options: Any) -> Statement
 def test_a_settings_file_says_all(tmp_path: Path, bench: Mechanism) -> None:
     statement = read(tmp_path, SETTINGS, bench)
     assert statement.settings == Settings(2 * np.pi, "rk4")
-    assert statement.q.tolist() == [np.pi / 2, 0.1, 0]
-    assert statement.qd.tolist() == [0, 0, 1]
+    assert statement.start.q.tolist() == [np.pi / 2, 0.1, 0]
+    assert statement.start.qd.tolist() == [0, 0, 1]
     assert statement.drive.pieces[0].at(0.5).tolist() == [np.pi, 0, 0.25, 1]
     assert statement.parameters == {"c": 3}
 
@@ -179,7 +179,7 @@ def test_a_settings_file_says_all(tmp_path: Path, bench: Mechanism) -> None:
 def test_options_win_over_the_file(tmp_path: Path, bench: Mechanism) -> None:
     statement = read(tmp_path, SETTINGS, bench, method="gauss", stages=3, start={"pose": {"slider": "a/2"}})
     assert (statement.settings.method, statement.settings.stages) == ("gauss", 3)
-    assert statement.q.tolist() == [np.pi / 2, np.pi, 0], "what an option does not name stays"
+    assert statement.start.q.tolist() == [np.pi / 2, np.pi, 0], "what an option does not name stays"
 
 
 FAULTS = {

@@ -1,0 +1,354 @@
+"""Explicit Runge-Kutta methods for models with loops or driven joints: steps of a fixed length, or by a tolerance.
+
+The steps are taken in C: see csrc/mbs_closed.h for the equations, and for the ways to keep the loops closed. States
+within a step are the ends of shorter ones from its start, so that they have the method's order, and are closed too.
+
+Hairer, Norsett, Wanner, "Solving ordinary differential equations I", sections II.4 and II.5.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import integrate as scipy_integrate
+
+from mbsrun.kernel import find_place
+from mbsrun.limits import Allowance, LimitError
+from mbsrun.simulation.closing import GAP, number_loops
+from mbsrun.simulation.course import Course, place_driven
+from mbsrun.simulation.drive import DriveError, Piece
+from mbsrun.simulation.dynamics import Dynamics, find_mass_matrix
+from mbsrun.simulation.explicit import (
+    EULER,
+    RK4,
+    Tableau,
+    count_steps,
+    count_wrench_entries,
+    describe_singularity,
+    place_steps,
+)
+from mbsrun.simulation.formulation import Formulation
+from mbsrun.simulation.memory import Memory, load_functions
+from mbsrun.simulation.motion import Chunk, Halt, HaltError, Keeping, Settings
+
+Array = NDArray[np.float64]
+
+STEPS = 1024  # taken in C at a time
+RUNAWAY, STOPPED, SHORT, OPEN, BRANCHED, DEPENDENT = -1, -2, -3, -4, -5, -6  # the C functions' statuses
+KEEPING = {  # the C functions' numbers
+    Keeping.PROJECTION: 1,
+    Keeping.MASS_PROJECTION: 2,
+    Keeping.PARTITIONING: 0,
+    Keeping.BAUMGARTE: 3,
+}
+
+_RESULT, _TABLEAU = "result ", "tableau "  # begin the names of arrays that are no kernel's input
+
+_CDEF = """
+typedef int (*mbs_kernel)(const double **arg, double **res, long long *iw, double *w, int mem);
+typedef struct { mbs_kernel f; const double **arg; double **res; } mbs_call;
+typedef struct { const double *nonzeros; long long entries; const long long *place; } mbs_entries;
+typedef struct {
+    long long n, nq, m, e, d;
+    double *q, *qd, *course, *rest;
+    const double *qdd, *r, *h, *hd, *gamma, *qt;
+    mbs_entries M, J;
+    mbs_call direct, residual, mass, closure, rates, jacobian, change;
+    const long long *driven, *place, *loop;
+} mbs_closed;
+typedef struct {
+    long long stages, estimates, order;
+    const double *A, *b, *c, *E;
+    double rtol, atol, alpha, beta;
+    int keeping;
+    int (*guide)(double t);
+    int (*inputs)(double t);
+} mbs_manner;
+typedef struct {
+    long long evaluations, rejected, switches, steps;
+    int status, loop;
+} mbs_outcome;
+long long mbs_closed_reals(const mbs_closed *plant, long long stages);
+long long mbs_closed_integers(const mbs_closed *plant);
+void mbs_closed_run(const mbs_closed *plant, const mbs_manner *manner, double end, double *h, long long steps,
+                    double *times, double *states, double *reals, long long *integers, mbs_outcome *outcome);
+void mbs_closed_read(const mbs_closed *plant, const mbs_manner *manner, long long count, const double *times,
+                     const double *lengths, const double *starts, double *ends, double *reals, long long *integers,
+                     mbs_outcome *outcome);
+"""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A Runge-Kutta method with estimates of its error: none for steps of a fixed length."""
+
+    tableau: Tableau
+    E: tuple[tuple[float, ...], ...] = ()  # a row for each estimate
+    order: int = 0  # of the first estimate, plus 1
+
+
+def _rows(*arrays: Any) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(map(float, row)) for row in arrays)
+
+
+def _pair_rk45() -> Pair:
+    """SciPy's estimate takes the rates at the end of the step too: a seventh stage of weight 0."""
+    method = scipy_integrate.RK45
+    A = np.zeros((7, 7))
+    A[:6, :5], A[6, :6] = method.A, method.B
+    return Pair(Tableau(_rows(*A), (*map(float, method.B), 0.0)), _rows(method.E), 5)
+
+
+def _pair_dop853() -> Pair:
+    method = scipy_integrate.DOP853
+    stages = len(method.B)
+    tableau = Tableau(_rows(*method.A[:stages, :stages]), tuple(map(float, method.B)))
+    return Pair(tableau, _rows(method.E5[:stages], method.E3[:stages]), 8)
+
+
+EULER_STEPS, RK4_STEPS, RK45, DOP853 = Pair(EULER), Pair(RK4), _pair_rk45(), _pair_dop853()
+EXPLICIT = tuple(KEEPING)
+
+
+def integrate(
+    pair: Pair,
+    dynamics: Dynamics,
+    piece: Piece,
+    q: Array,
+    qd: Array,
+    settings: Settings,
+    allowance: Allowance,
+) -> Iterator[Chunk]:
+    """Go through a piece of the inputs; yield the steps.
+
+    Raises HaltError where a kernel fails, a loop cannot be kept closed, or the allowance is used up.
+    """
+    if "plant" not in dynamics.kept:
+        dynamics.kept["plant"] = _Plant(dynamics, pair, settings)
+    return _march(dynamics.kept["plant"], piece, np.concatenate((q, qd)), settings, allowance)
+
+
+def _march(plant: _Plant, piece: Piece, state: Array, settings: Settings, allowance: Allowance) -> Iterator[Chunk]:
+    plant.open(piece)
+    count = 0 if plant.manner.estimates else count_steps(piece, settings.step)
+    time, first = piece.start, 0
+    while time < piece.end:
+        steps = min(STEPS, max(1, allowance.steps), count - first if count else STEPS)
+        try:
+            allowance.spend()
+        except LimitError as error:
+            raise HaltError(Halt(time, None, error.finding, error.remedy)) from None
+        times = place_steps(piece, first + np.arange(steps + 1), count) if count else np.full(steps + 1, time)
+        length = (piece.end - piece.start) / count if count else None
+        done, halt, states = plant.run(state, times, piece.end, steps, length)
+        if done:
+            allowance.spend(done - 1)
+            time, state, first = float(times[done]), states[done], first + done
+            q, qd = np.split(states[: done + 1], [plant.dynamics.places], axis=1)
+            yield Chunk(times[: done + 1], q, qd, plant.make_dense(piece, times[:done], states[:done]))
+        if halt is not None:
+            raise halt
+
+
+class _Feed:
+    """The inputs and the motion of driven joints, as C functions ask for them."""
+
+    def __init__(self, course: Course, arrays: Mapping[str, Array]) -> None:
+        self.course, self.arrays = course, arrays
+        self.piece: Piece | None = None
+        self.error: BaseException | None = None  # raised in a function that C called
+
+    def open(self, piece: Piece) -> None:
+        """Take the inputs of a piece, and write those at its start."""
+        self.piece = piece
+        if piece.is_constant:
+            self.lay_inputs(piece.start)
+        self.lay_course(piece.start)
+
+    def lay_course(self, time: float) -> None:
+        """Write coordinates, velocities and accelerations of driven joints."""
+        numbers = np.concatenate(self.course.at(time))
+        self.arrays["course"][: len(numbers)] = numbers
+
+    def lay_inputs(self, time: float) -> None:
+        """Write the inputs, which may follow the state that is laid out."""
+        assert self.piece is not None, "inputs belong to a piece"
+        q, qd, v = (self.arrays[name] for name in ("q", "qd", "v"))
+        v[:-1] = self.piece.at(time, q.copy(), qd.copy())
+
+    def serve(self, ffi: Any, lay: Callable[[float], None]) -> Any:
+        """Make a function for C, which keeps an exception until C has returned."""
+
+        def call(time: float) -> int:
+            try:
+                lay(time)
+            except BaseException as error:
+                self.error = error
+                return 1
+            return 0
+
+        return ffi.callback("int(double)", call)
+
+
+class _Plant:
+    """A model as the C functions take it, with the memory that they use."""
+
+    def __init__(self, dynamics: Dynamics, pair: Pair, settings: Settings) -> None:
+        self.dynamics, self.manifest = dynamics, dynamics.kernels.manifest
+        self.ffi, self.lib = load_functions(_CDEF, "mbs_closed.c", "mbs_least.c")
+        self.plant, self.manner = self.ffi.new("mbs_closed *"), self.ffi.new("mbs_manner *")
+        self.length = self.ffi.new("double *")  # of the next step
+        self.memory = self._lay_plant()
+        self.feed = _Feed(dynamics.course, self.memory.arrays)
+        self._lay_manner(pair, settings)
+        reals, integers = (
+            self.lib.mbs_closed_reals(self.plant, len(pair.tableau.b)),
+            self.lib.mbs_closed_integers(self.plant),
+        )
+        self.room = self.memory.add("reals", reals + 1), self.memory.integers([0] * integers)
+
+    def _lay_plant(self) -> Memory:
+        dynamics, manifest, p = self.dynamics, self.manifest, self.plant
+        n, e, d = dynamics.size, len(number_loops(manifest)), len(manifest.driven)
+        arrays = {
+            "q": np.zeros(dynamics.places),
+            "qd": np.zeros(n),
+            "qdd": np.zeros(n),
+            "lam": np.zeros(e + 1),
+            "v": np.zeros(dynamics.forces_count + count_wrench_entries(dynamics.kernels) + 1),
+            "course": np.zeros(3 * d + 1),
+            "tau": np.zeros(d + 1),  # 0: residuals of driven joints are their forces, and are not read
+        }
+        arrays["a"] = arrays["course"][2 * d :]
+        memory = Memory(self.ffi, dynamics.kernels, arrays)
+        p.n, p.nq, p.m, p.e, p.d = n, dynamics.places, len(arrays["v"]) - 1, e, d
+        p.q, p.qd, p.course, p.rest = (memory.pointer(name) for name in ("q", "qd", "course", "qdd"))
+        sizes = {"qdd": n, "r": n, "h": e, "hd": e, "gamma": e, "qt": dynamics.places}
+        for name, size in sizes.items():
+            setattr(p, name, memory.add(_RESULT + name, size + 1))
+        p.driven, p.place = memory.integers(manifest.driven), memory.integers(place_driven(manifest))
+        p.loop = memory.integers(number_loops(manifest))
+        self._lay_dynamics(memory)
+        if e:
+            self._lay_call(memory, p.closure, "loops", {GAP: "h"})
+            self._lay_call(memory, p.rates, "loop_rates", {"hd": "hd"})
+            self._lay_call(memory, p.jacobian, "loop_jacobian", {"J": "J", "gamma": "gamma"}, p.J)
+        if manifest.configuration:
+            self._lay_call(memory, p.change, "rates", {"rate": "qt"})
+        return memory
+
+    def _lay_dynamics(self, memory: Memory) -> None:
+        """Lay accelerations, if the formulation gives them, and what solves for them elsewhere."""
+        p, evaluated = self.plant, self.dynamics.formulation.evaluated
+        if evaluated.is_direct:
+            self._lay_call(memory, p.direct, evaluated.function, {"qdd": "qdd"})
+            evaluated = Formulation.SEMI.evaluated
+        assert evaluated.mass is not None, "a residual comes with a mass matrix"
+        self._lay_call(memory, p.residual, evaluated.function, {"Phi": "r"})
+        M = find_mass_matrix(self.manifest.kernel(evaluated.mass))
+        self._lay_call(memory, p.mass, evaluated.mass, {M.name: "M"}, p.M)
+
+    def _lay_call(self, memory: Memory, call: Any, name: str, results: dict[str, str], matrix: Any = None) -> None:
+        """Lay a kernel; with a matrix, its first result is that one."""
+        entry = memory.bind(name)
+        if matrix is not None:
+            argument = next(x for x in entry.kernel.outputs if x.name == next(iter(results)))
+            matrix.nonzeros = memory.add(_RESULT + results[argument.name], argument.nnz + 1)
+            matrix.entries, matrix.place = argument.nnz, memory.place(entry, argument)
+        call.f, call.arg, call.res = memory.lay(entry, {key: _RESULT + x for key, x in results.items()})
+
+    def _lay_manner(self, pair: Pair, settings: Settings) -> None:
+        memory, tableau, m = self.memory, pair.tableau, self.manner
+        m.stages, m.estimates, m.order = len(tableau.b), len(pair.E), pair.order
+        for name, values in (("A", tableau.A), ("b", tableau.b), ("c", tableau.c), ("E", pair.E)):
+            numbers = np.ravel(np.array(values, dtype=np.float64))
+            setattr(m, name, memory.add(_TABLEAU + name, numbers.size + 1))
+            memory.arrays[_TABLEAU + name][:-1] = numbers
+        m.rtol, m.atol, m.alpha, m.beta = settings.rtol, settings.atol, settings.alpha, settings.beta
+        assert settings.loops is not None, "the method's way of keeping loops closed is chosen"
+        m.keeping = KEEPING[settings.loops]
+        if self.manifest.driven and not self.dynamics.course.is_constant:
+            m.guide = memory.keep(self.feed.serve(self.ffi, self.feed.lay_course))
+        self.inputs = memory.keep(self.feed.serve(self.ffi, self.feed.lay_inputs))
+
+    def open(self, piece: Piece) -> None:
+        """Take the inputs of a piece."""
+        self.feed.open(piece)
+        self.manner.inputs = self.ffi.NULL if piece.is_constant else self.inputs
+
+    def run(
+        self, state: Array, times: Array, end: float, steps: int, length: float | None
+    ) -> tuple[int, BaseException | None, Array]:
+        """Take steps; return how many, why they end early, and the states by rows."""
+        states = np.empty((steps + 1, len(state)))
+        states[0] = state
+        outcome, effort = self.ffi.new("mbs_outcome *"), self.dynamics.effort
+        if length is not None:
+            self.length[0] = length
+        path = self._point(times), self._point(states)
+        self.lib.mbs_closed_run(self.plant, self.manner, end, self.length, steps, *path, *self.room, outcome)
+        effort.steps += outcome.steps
+        effort.rejected = (effort.rejected or 0) + outcome.rejected
+        effort.evaluations += outcome.evaluations
+        effort.switches += outcome.switches
+        return outcome.steps, self._explain(outcome, float(times[outcome.steps])), states
+
+    def make_dense(self, piece: Piece, times: Array, states: Array) -> Callable[..., tuple[Array, Array]]:
+        """Return the motion within steps that begin at `times` (k,) and `states` (k, nq + n)."""
+
+        def dense(t: Array, step: NDArray[np.intp]) -> tuple[Array, Array]:
+            self.open(piece)
+            starts, ends = np.ascontiguousarray(states[step]), np.empty((len(t), states.shape[1]))
+            begins = np.ascontiguousarray(times[step])
+            lengths, outcome = np.ascontiguousarray(t - begins), self.ffi.new("mbs_outcome *")
+            given = [self._point(x) for x in (begins, lengths, starts, ends)]
+            self.lib.mbs_closed_read(self.plant, self.manner, len(t), *given, *self.room, outcome)
+            failure = self._explain(outcome, float(t[min(outcome.steps, len(t) - 1)]))
+            if failure is not None:
+                raise failure
+            q, qd = np.split(ends, [self.dynamics.places], axis=1)
+            return q, qd
+
+        return dense
+
+    def _explain(self, outcome: Any, time: float) -> BaseException | None:
+        """Return why steps end early, if they do."""
+        error, self.feed.error = self.feed.error, None
+        piece = self.feed.piece
+        if outcome.status == STOPPED and isinstance(error, DriveError) and piece and piece.law is not None:
+            return HaltError(Halt(time, None, error.finding, error.remedy))
+        if outcome.status == STOPPED:
+            return error
+        if not outcome.status:
+            return None
+        return HaltError(describe_status(self.dynamics, outcome.status, outcome.loop, time, self.memory.arrays["qd"]))
+
+    def _point(self, array: Array) -> Any:
+        return self.ffi.cast("double *", array.ctypes.data)
+
+
+_FINDINGS = {
+    OPEN: ("it cannot be closed here", "take a smaller step, or look for a singular pose"),
+    BRANCHED: ("to close it would change the velocities by a tenth in one step", "take a smaller step or tolerance"),
+    DEPENDENT: ("its equations contradict each other or others here: a singular pose", "start elsewhere"),
+}
+
+
+def describe_status(dynamics: Dynamics, status: int, loop: int, time: float, qd: Array) -> Halt:
+    """Describe a status of the C functions, returned in the step after `time`; qd: the last velocities."""
+    manifest = dynamics.kernels.manifest
+    names = [c.name for c in manifest.coordinates]
+    fastest = names[int(np.nan_to_num(np.abs(qd), nan=np.inf).argmax())]
+    if status == RUNAWAY:
+        return Halt(time, fastest, "the motion diverges: its numbers overflow", "take a smaller step")
+    if status == SHORT:
+        finding = "the step has become too short to advance the time"
+        return Halt(time, fastest, finding, "loosen the tolerance, or look for a singularity there")
+    if status > 0:
+        return describe_singularity(find_place(manifest, status), time)
+    finding, remedy = _FINDINGS[status]
+    return Halt(time, None, finding, remedy, loop=manifest.loops[loop - 1].name)

@@ -1,0 +1,87 @@
+"""Kernels laid out for loops in C: the arrays that they read and write, and their lists of arguments."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from functools import cache
+from typing import Any
+
+import cffi
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsgen import resources
+from mbsgen.manifest import Argument
+from mbsrun.binding import Entry, bind
+from mbsrun.kernel import Kernels
+from mbsrun.library import compile_library, find_compiler
+
+Array = NDArray[np.float64]
+
+
+class Memory:
+    """Arrays by name, which C functions have pointers to: q, qd and the rest of the inputs, and results."""
+
+    def __init__(self, ffi: Any, kernels: Kernels, arrays: Mapping[str, Array]) -> None:
+        """Take arrays of inputs under their kernels' names; `u` and `w` are parts of the array `v`."""
+        self.ffi, self.kernels = ffi, kernels
+        self.arrays = {**arrays, **kernels.filled}
+        self.inputs = {name: self.pointer(name) for name in self.arrays}
+        if "v" in self.arrays:
+            forces = len(kernels.manifest.actuated)
+            self.inputs |= {"u": self.inputs["v"], "w": self.inputs["v"] + forces}
+        self._kept: list[Any] = []  # objects that C has pointers to
+
+    def add(self, name: str, size: int) -> Any:
+        """Make an array, and return a pointer to it."""
+        self.arrays[name] = np.zeros(size)
+        return self.pointer(name)
+
+    def pointer(self, name: str) -> Any:
+        """Return a pointer to an array."""
+        return self.ffi.cast("double *", self.arrays[name].ctypes.data)
+
+    def keep(self, value: Any) -> Any:
+        """Keep an object as long as this memory, and return it."""
+        self._kept.append(value)
+        return value
+
+    def bind(self, name: str) -> Entry:
+        """Compile a kernel and find its arguments."""
+        entry: Entry = self.keep(bind(self.kernels.compile(name), self.kernels.manifest.kernel(name)))
+        return entry
+
+    def lay(self, entry: Entry, results: Mapping[str, str]) -> tuple[Any, Any, Any]:
+        """Return a kernel's function and its lists of arguments; `results` names the array of each result."""
+        arg, res = self.ffi.new("const double *[]", entry.n_in), self.ffi.new("double *[]", entry.n_out)
+        for port in entry.inputs:
+            arg[port.position] = self.inputs[port.argument.name]
+        for port in entry.outputs:
+            if port.argument.name in results:
+                res[port.position] = self.pointer(results[port.argument.name])
+        function = self.ffi.cast("mbs_kernel", int(entry.ffi.cast("intptr_t", entry.function)))
+        return function, self.keep(arg), self.keep(res)
+
+    def place(self, entry: Entry, argument: Argument) -> Any:
+        """Return which entry of the full matrix, row by row, each nonzero of a result is."""
+        numbers = next(port for port in entry.outputs if port.argument == argument).spread()
+        places = np.flatnonzero(numbers >= 0)[np.argsort(numbers[numbers >= 0])]
+        return self.integers(places)
+
+    def integers(self, values: Iterable[int]) -> Any:
+        """Keep whole numbers, and return a pointer to them."""
+        return self.keep(self.ffi.new("long long[]", [*map(int, values), 0]))  # an array without an entry is none
+
+
+def load_functions(declarations: str, *sources: str) -> tuple[Any, Any]:
+    """Compile C files of the project, and return the library of the functions that are declared."""
+    return _load(declarations, sources)
+
+
+@cache
+def _load(declarations: str, sources: tuple[str, ...]) -> tuple[cffi.FFI, Any]:
+    ffi = cffi.FFI()
+    ffi.cdef(declarations)
+    library = compile_library(resources.folder("csrc"), "mbs_simulate", sources, find_compiler(os.environ))
+    return ffi, ffi.dlopen(str(library))

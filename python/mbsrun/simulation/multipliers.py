@@ -1,0 +1,254 @@
+"""Implicit steps of a fixed length for models with loops: the multipliers lam are unknowns, h(q) = 0 is an equation.
+
+Generalised alpha, index 3 (Arnold, Bruls, Multibody System Dynamics 18 (2007), section 3): at the end of a step
+
+    Phi(q, qd, qdd, lam) = 0,    h(q) = 0
+
+Radau collocation of the stabilised index 2 system (Gear, Gupta, Leimkuhler, Journal of Computational and Applied
+Mathematics 12 (1985); Hairer, Wanner, "Solving Ordinary Differential Equations II", section VII.1): at each stage
+
+    q' = v + B mu,    Phi(q, v, v', lam) = 0,    h(q) = 0,    J(q) v = 0,    B = J^T at the start of the step
+
+where mu vanishes along a motion. The last stage is the end of the step, so loops are closed there to rounding. In both,
+driven joints have their given coordinates, velocities and accelerations, and no unknown.
+
+A step that meets a singular pose has a matrix without an inverse; its solution of least norm is taken then.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsgen.roles import Order, name_derivative, name_kernel
+from mbsrun.ocp import schemes
+from mbsrun.simulation.closing import GAP, find_gaps, name_loops
+from mbsrun.simulation.course import place_driven
+from mbsrun.simulation.drive import Piece, differentiate
+from mbsrun.simulation.dynamics import Dynamics
+from mbsrun.simulation.implicit import Places, Scheme, State, extrapolate, iterate, scale_changes
+from mbsrun.simulation.motion import Settings
+
+Array = NDArray[np.float64]
+
+RANK = 1e-12  # of singular values, relative to the first
+
+
+@dataclass(frozen=True, eq=False)
+class _Slopes:
+    """Derivatives of the residual at K states."""
+
+    K: Array  # (K, n, nq)
+    C: Array  # (K, n, n)
+    M: Array  # (K, n, n)
+    lam: Array  # (K, n, e)
+    h: Array  # of h by q, (K, e, nq)
+    hd_q: Array  # of J v by q, (K, e, nq)
+    J: Array  # (K, e, n)
+
+
+@dataclass(frozen=True)
+class _Loops:
+    """The equations of motion with multipliers, under the inputs of a piece."""
+
+    dynamics: Dynamics
+    piece: Piece
+
+    @cached_property
+    def size(self) -> int:
+        """Count the equations of loops."""
+        return len(name_loops(self.dynamics.kernels.manifest))
+
+    @cached_property
+    def driven(self) -> list[int]:
+        """List the driven entries of qd."""
+        return list(self.dynamics.kernels.manifest.driven)
+
+    @cached_property
+    def placed(self) -> list[int]:
+        """List the driven entries of q."""
+        return place_driven(self.dynamics.kernels.manifest)
+
+    def guide(self, t: Array, q: Array, qd: Array, qdd: Array) -> None:
+        """Write the driven entries of states (K, ...) at times (K,)."""
+        if self.driven:
+            q[:, self.placed], qd[:, self.driven], qdd[:, self.driven] = self.dynamics.course.states(t)
+
+    def residual(self, t: Array, q: Array, qd: Array, qdd: Array, lam: Array) -> tuple[Array, Array, Array]:
+        """Evaluate Phi (K, n), h and J qd (K, e)."""
+        dynamics, v = self.dynamics, self.piece.follow(t, q, qd)
+        dynamics.effort.evaluations += len(t)
+        Phi = dynamics.call(dynamics.formulation.evaluated.function, q, qd, v, qdd, lam)["Phi"].copy()
+        Phi[:, self.driven] = 0
+        if not self.size:
+            return Phi, np.zeros((len(t), 0)), np.zeros((len(t), 0))
+        return Phi, find_gaps(dynamics.kernels, q), dynamics.kernels("loop_rates", q=q, qd=qd)["hd"]
+
+    def slopes(self, t: Array, q: Array, qd: Array, qdd: Array, lam: Array) -> _Slopes:
+        """Differentiate the residual."""
+        dynamics, v = self.dynamics, self.piece.follow(t, q, qd)
+        dynamics.effort.jacobians += len(t)
+        name = dynamics.formulation.evaluated.function
+        n, nq, e = dynamics.size, dynamics.places, self.size
+        blocks = dynamics.call(name_kernel(name, Order.JACOBIAN), q, qd, v, qdd, lam)
+        sizes = {"q": nq, "qd": n, "qdd": n, "lam": e}
+        K, C, M, by_lam = (
+            blocks.get(name_derivative("Phi", x), np.zeros((len(t), n, size))) for x, size in sizes.items()
+        )
+        if self.piece.law is not None:
+            S = dynamics.input_slopes(q, qd, qdd, v, lam)
+            by_q, by_qd = differentiate(self.piece.law, t, q, qd)
+            K, C = K + S @ by_q, C + S @ by_qd
+        if not e:
+            return _Slopes(K, C, M, by_lam, *(np.zeros((len(t), 0, size)) for size in (nq, nq, n)))
+        by_place = dynamics.kernels(name_kernel("loops", Order.JACOBIAN), q=q)[name_derivative(GAP, "q")]
+        rates = dynamics.kernels(name_kernel("loop_rates", Order.JACOBIAN), q=q, qd=qd)
+        blank = np.zeros((len(t), e, nq))
+        return _Slopes(
+            K,
+            C,
+            M,
+            by_lam,
+            by_place,
+            rates.get(name_derivative("hd", "q"), blank),
+            rates[name_derivative("hd", "qd")],
+        )
+
+    def fix(self, matrix: Array) -> None:
+        """Make the driven accelerations of a matrix (s, rows, s, columns) known: their change is 0."""
+        for i in range(len(matrix)):
+            matrix[i, self.driven] = 0
+            matrix[:, :, i, self.driven] = 0
+            matrix[i, self.driven, i, self.driven] = 1
+
+    def start(self, q: Array, qd: Array) -> tuple[Array, Array]:
+        """Solve Phi = 0, J qdd + gamma = 0 for the accelerations and multipliers at the start of the piece."""
+        n, e, t = self.dynamics.size, self.size, np.array([self.piece.start])
+        state = q[None], qd[None], np.zeros((1, n)), np.zeros((1, e))
+        self.guide(t, *state[:3])
+        slopes, right = self.slopes(t, *state), self.residual(t, *state)[0]
+        matrix = np.zeros((1, n + e, 1, n + e))
+        matrix[0, :n, 0, :n], matrix[0, :n, 0, n:], matrix[0, n:, 0, :n] = slopes.M[0], slopes.lam[0], slopes.J[0]
+        gamma = self.dynamics.kernels("loop_jacobian", q=q, qd=qd)["gamma"] if e else np.zeros(0)
+        gamma = gamma + slopes.J[0] @ state[2][0]
+        self.fix(matrix)
+        found = -np.asarray(np.linalg.lstsq(matrix[0, :, 0], np.concatenate((right[0], gamma)), rcond=RANK)[0])
+        return found[:n] + state[2][0], found[n:]
+
+
+def make_alpha(dynamics: Dynamics, piece: Piece, settings: Settings) -> Scheme:
+    """Unknown: qdd and lam at the step's end. `a` is the method's own acceleration, which follows qdd."""
+    rho, n = settings.rho, dynamics.size
+    alpha_m, alpha_f = (2 * rho - 1) / (rho + 1), rho / (rho + 1)
+    gamma = 0.5 + alpha_f - alpha_m
+    beta = 0.25 * (gamma + 0.5) ** 2
+    ratio = (1 - alpha_f) / (1 - alpha_m)  # d a / d qdd
+    places = Places(dynamics, np.array([[0.5]]), np.array([1.0]))
+    loops, memory = _Loops(dynamics, piece), dict[str, Array]()
+
+    def start(q: Array, qd: Array) -> Array:
+        memory["a"], memory["lam"] = loops.start(q, qd)
+        return memory["a"]
+
+    def step(state: State, time: float, h: float) -> State:
+        a, end = memory["a"], np.array([time + h])
+
+        def advance(z: Array) -> tuple[Any, Array, Array, Array]:
+            """Return q, qd, qdd and lam at the end, the method's acceleration, and the middle of the way."""
+            qdd = z[None, :n].copy()
+            new = ((1 - alpha_f) * qdd + alpha_f * state.qdd - alpha_m * a) / (1 - alpha_m)
+            mean = state.qd + h * ((0.5 - beta) * a + beta * new)
+            middle = places.stages(state.q, mean, h)
+            q = places.end(state.q, middle, mean, h)[None]
+            qd = state.qd + h * ((1 - gamma) * a + gamma * new)
+            loops.guide(end, q, qd, qdd)
+            return (q, qd, qdd, z[None, n:]), new[0], middle, mean
+
+        def correct(z: Array) -> Array:
+            at, _, middle, mean = advance(z)
+            slopes, (Phi, gap, _) = loops.slopes(end, *at), loops.residual(end, *at)
+            by_mean = 2 * places.stiffen(np.concatenate((slopes.K, slopes.h), axis=1), middle, mean, h)[0, 0]
+            matrix = np.zeros((1, len(z), 1, len(z)))
+            matrix[0, :, 0, :n] = ratio * h * beta * by_mean
+            matrix[0, :n, 0, :n] += slopes.M[0] + ratio * h * gamma * slopes.C[0]
+            matrix[0, :n, 0, n:] = slopes.lam[0]
+            loops.fix(matrix)
+            scale = np.r_[np.ones(n), np.full(len(z) - n, 1 / (beta * h * h))]
+            return solve_step(scale[:, None] * matrix[0, :, 0], scale * np.concatenate((Phi[0], gap[0])))
+
+        scale = np.r_[scale_changes(state, h), np.zeros(loops.size)]
+        z = iterate(dynamics, correct, np.concatenate((state.qdd, memory["lam"])), scale)
+        (q, qd, qdd, _), memory["a"], *_ = advance(z)
+        memory["lam"] = z[n:]
+        return State(q[0], qd[0], qdd[0], np.stack((state.q, q[0])), np.stack((state.qd, qd[0])))
+
+    return Scheme(start, step, np.array([0.0, 1.0]), np.array([0.5, 0.5]))
+
+
+def make_radau(dynamics: Dynamics, piece: Piece, settings: Settings) -> Scheme:
+    """Unknown: v', lam and mu at the stages."""
+    scheme = schemes.build(schemes.Family.RADAU, settings.stages)
+    A, c, s, n = scheme.integration, scheme.points, scheme.degree, dynamics.size
+    places, values, loops = Places(dynamics, A, scheme.weights), extrapolate(c), _Loops(dynamics, piece)
+    e, memory = loops.size, dict[str, Array]()
+
+    def start(q: Array, qd: Array) -> Array:
+        qdd, lam = loops.start(q, qd)
+        memory["guess"] = np.tile(np.concatenate((qdd, lam, np.zeros(e))), (s, 1))
+        return qdd
+
+    def step(state: State, time: float, h: float) -> State:
+        t, B = time + h * c, np.zeros((n, e))
+        if e:
+            B = dynamics.kernels("loop_jacobian", q=state.q, qd=state.qd)["J"].T.copy()
+        B[loops.driven] = 0
+
+        def advance(z: Array) -> tuple[Any, Array, Array]:
+            """Return q, v, v' and lam at the stages, the velocities with B mu, and q as it follows from these."""
+            qdd, lam, mu = z[:, :n].copy(), z[:, n : n + e], z[:, n + e :]
+            qd = state.qd + h * A @ qdd
+            if loops.driven:
+                qd[:, loops.driven] = dynamics.course.states(t)[1]
+            moving = qd + mu @ B.T
+            free = places.stages(state.q, moving, h)
+            q = free.copy()
+            loops.guide(t, q, qd, qdd)
+            return (q, qd, qdd, lam), moving, free
+
+        def correct(z: Array) -> Array:
+            at, moving, free = advance(z)
+            slopes, residuals = loops.slopes(t, *at), loops.residual(t, *at)
+            by_q = np.concatenate((slopes.K, slopes.h, slopes.hd_q), axis=1)
+            by_moving = places.stiffen(by_q, free, moving, h)  # (s, s, n + 2 e, n)
+            matrix = np.zeros((s, n + 2 * e, s, n + 2 * e))
+            matrix[..., :n] = h * np.einsum("ijab,jk->iakb", by_moving, A)
+            matrix[..., n + e :] = np.einsum("ijab,be->iaje", by_moving, B)
+            direct = np.concatenate((slopes.C, np.zeros((s, e, n)), slopes.J), axis=1)
+            matrix[..., :n] += h * np.einsum("iab,ik->iakb", direct, A)
+            matrix[range(s), :n, range(s), :n] += slopes.M
+            matrix[range(s), :n, range(s), n : n + e] = slopes.lam
+            loops.fix(matrix)
+            scale = np.tile(np.r_[np.ones(n), np.full(e, 1 / (h * h)), np.full(e, 1 / h)], s)
+            size = s * (n + 2 * e)
+            right = np.concatenate(residuals, axis=1).ravel()
+            return solve_step(scale[:, None] * matrix.reshape(size, size), scale * right).reshape(s, -1)
+
+        weights = np.r_[scale_changes(state, h), np.zeros(e), np.full(e, h)]
+        z = iterate(dynamics, correct, memory["guess"], weights)
+        (q, qd, qdd, _), *_ = advance(z)
+        memory["guess"] = np.tile(values @ z, (s, 1))
+        return State(q[-1], qd[-1], qdd[-1], q, qd)
+
+    return Scheme(start, step, c, scheme.weights)
+
+
+def solve_step(matrix: Array, right: Array) -> Array:
+    """Return the Newton step -matrix^-1 right; of a singular matrix, the one of least norm."""
+    try:
+        return -np.asarray(np.linalg.solve(matrix, right))
+    except np.linalg.LinAlgError:
+        return -np.asarray(np.linalg.lstsq(matrix, right, rcond=RANK)[0])

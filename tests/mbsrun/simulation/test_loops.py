@@ -1,0 +1,403 @@
+"""Motions of closed loops, by every way to keep them closed: closed forms, laws of mechanics, orders, each other.
+
+The pendulum is IFToMM's A01 in Cartesian coordinates: 1 kg on a rod of 1 m, let go horizontally. The parallelogram has
+rods of 1 m and 1 kg; on the branch where its coupler stays level it is one pendulum: (2/3 + 1) q'' = -g (1 + 1) sin(q)
+for the angle q from the downward vertical, and at q = pi/2 its Jacobian loses its rank.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from math import pi, sqrt
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import null_space
+from scipy.special import ellipj
+
+from mbsgen.expressions import parse
+from mbsrun import Mechanism, cli, load
+from mbsrun.kernel import find_place
+from mbsrun.simulation import (
+    Keeping,
+    Motion,
+    OpenError,
+    Settings,
+    close_pose,
+    complete_velocities,
+    follow,
+    simulate,
+)
+from mbsrun.simulation.drive import Drive, control, express, hold
+
+A01 = """
+name: cartesian_pendulum
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: x, joint: {type: prismatic, axis: x}}
+  - {name: z, parent: x, joint: {type: prismatic, axis: z}, mass: 1}
+loops:
+  - {name: rod, type: rod, from: {body: base}, to: {body: z}, length: 1}
+assembly: {x: 1}
+"""
+PARALLELOGRAM = """
+name: parallelogram
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: left, joint: {name: q1, type: revolute, axis: -y}, mass: 1, com: [0, 0, -0.5], inertia: [1/12, 1/12, 0]}
+  - {name: top, parent: left, joint: {name: q2, type: revolute, axis: -y, position: [0, 0, -1]}, mass: 1,
+     com: [0.5, 0, 0], inertia: [0, 1/12, 1/12]}
+  - {name: right, joint: {name: q3, type: revolute, axis: -y, position: [1, 0, 0]}, mass: 1, com: [0, 0, -0.5],
+     inertia: [1/12, 1/12, 0]}
+loops:
+  - {name: pin, type: hinge, axis: y, from: {body: top, position: [1, 0, 0]}, to: {body: right, position: [0, 0, -1]}}
+assembly: {q1: 1, q2: -1, q3: 1}
+independent: [q1]
+"""
+DRIVEN = (
+    PARALLELOGRAM.replace("independent: [q1]", "driven: [q1]")
+    .replace("parallelogram", "driven_parallelogram")
+    .replace("axis: -y}, mass", "axis: -y, actuated: false}, mass", 1)
+)
+EXPLICIT = [Keeping.PROJECTION, Keeping.MASS_PROJECTION, Keeping.PARTITIONING, Keeping.BAUMGARTE]
+INERTIA, WEIGHT = 2 / 3 + 1, 2 * 9.81  # of the parallelogram in its angle
+
+
+def make(folder: Path, text: str) -> Mechanism:
+    file = folder / "model.yaml"
+    file.write_text(text, encoding="utf-8")
+    return load(file)
+
+
+@pytest.fixture(scope="module")
+def pendulum(tmp_path_factory: pytest.TempPathFactory) -> Mechanism:
+    return make(tmp_path_factory.mktemp("a01"), A01)
+
+
+@pytest.fixture(scope="module")
+def parallelogram(tmp_path_factory: pytest.TempPathFactory) -> Mechanism:
+    return make(tmp_path_factory.mktemp("parallelogram"), PARALLELOGRAM)
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory: pytest.TempPathFactory) -> Mechanism:
+    return make(tmp_path_factory.mktemp("driven"), DRIVEN)
+
+
+def exact(t: float) -> np.ndarray:
+    """Return the pendulum's place when it was let go at (1, 0)."""
+    k = sqrt(0.5)
+    _, cn, dn, _ = ellipj(sqrt(9.81) * t, k**2)
+    angle = 2 * np.arcsin(k * cn / dn)
+    return np.array([np.sin(angle), -np.cos(angle)])
+
+
+def rest(mechanism: Mechanism) -> Drive:
+    return hold(np.zeros(len(mechanism.manifest.actuated)))
+
+
+def swing(pendulum: Mechanism, **settings: Any) -> Motion:
+    return simulate(pendulum, rest(pendulum), [1, 0], [0, 0], Settings(**settings))
+
+
+def level(angle: float) -> np.ndarray:
+    """Return the parallelogram's pose with a level coupler."""
+    return np.array([angle, -angle, angle])
+
+
+def roll(parallelogram: Mechanism, angle: float, speed: float, **settings: Any) -> Motion:
+    """Let the parallelogram go with a level coupler."""
+    qd = np.array([speed, -speed, speed])
+    return simulate(parallelogram, rest(parallelogram), level(angle), qd, Settings(**settings))
+
+
+def turn(angle: float, speed: float, t: float) -> float:
+    """Integrate the parallelogram's angle as that of one pendulum."""
+
+    def rate(_: float, y: np.ndarray) -> list[float]:
+        return [y[1], -WEIGHT / INERTIA * np.sin(y[0])]
+
+    return float(solve_ivp(rate, (0, t), [angle, speed], "DOP853", rtol=1e-12, atol=1e-12).y[0, -1])
+
+
+# --- accuracy ------------------------------------------------------------------------------------------------------
+
+ORDERS = [
+    *[({"method": "rk4", "loops": keeping}, 4, 0.02) for keeping in EXPLICIT],
+    ({"method": "euler"}, 1, 1e-3),
+    ({"method": "generalized-alpha"}, 2, 0.01),
+    ({"method": "radau-iia", "stages": 1}, 1, 2e-3),
+    ({"method": "radau-iia", "stages": 2}, 3, 5e-3),
+    ({"method": "radau-iia", "stages": 3}, 5, 0.05),
+]
+
+
+@pytest.mark.parametrize(("settings", "order", "step"), ORDERS)
+def test_methods_have_their_order(pendulum: Mechanism, settings: dict[str, Any], order: int, step: float) -> None:
+    """Halving the step divides the error by 2^order, to a tenth of an order (at least)."""
+    errors = [
+        np.abs(swing(pendulum, duration=0.6, step=h, **settings).q[-1] - exact(0.6)).max() for h in (step, step / 2)
+    ]
+    assert errors[1] > 1e-13, "the error must not be rounding"
+    assert np.log2(errors[0] / errors[1]) >= order - 0.1
+
+
+@pytest.mark.parametrize("keeping", EXPLICIT)
+@pytest.mark.parametrize("method", ["dop853", "rk45"])
+def test_adaptive_methods_keep_their_tolerance(pendulum: Mechanism, method: str, keeping: Keeping) -> None:
+    """At the end, and between the steps; the pendulum passes through both axes, where one coordinate is no choice."""
+    motion = swing(pendulum, duration=2.0, method=method, loops=keeping)
+    assert motion.energy is not None
+    assert motion.closure is not None
+    assert np.abs(motion.q[-1] - exact(2.0)).max() < 1e-6
+    assert np.abs(motion.energy.drift).max() < 1e-6
+    inside = len(motion.t) // 3
+    assert np.abs(motion.q[inside] - exact(motion.t[inside])).max() < 1e-6
+    assert (motion.effort.switches > 0) == (keeping is Keeping.PARTITIONING)
+    if keeping is not Keeping.BAUMGARTE:
+        assert max(motion.closure.most) < 1e-13
+
+
+def test_baumgarte_is_as_accurate_as_measured(pendulum: Mechanism) -> None:
+    """The drift of RK4 at h = 0.01 in 10 s, which an independent program measured: 1.0e-7 at 5 1/s, 3.6e-5 without."""
+    drifts = []
+    for gain in (0.0, 5.0):
+        motion = swing(pendulum, duration=10.0, method="rk4", step=1e-2, loops=Keeping.BAUMGARTE, alpha=gain, beta=gain)
+        assert motion.closure is not None
+        drifts.append(motion.closure.most[0])
+    assert drifts[0] == pytest.approx(3.6e-5, rel=0.5)
+    assert drifts[1] == pytest.approx(1.0e-7, rel=0.5)
+
+
+def test_baumgarte_refuses_stiff_gains(pendulum: Mechanism) -> None:
+    with pytest.raises(ValueError, match=r"the gain 300 1/s times the step 0.01 s is 3; keep it below 1"):
+        swing(pendulum, duration=1.0, method="rk4", step=1e-2, loops=Keeping.BAUMGARTE, alpha=300.0)
+
+
+@pytest.mark.parametrize("formulation", ["exp1", "semi", "impl"])
+def test_formulations_agree(pendulum: Mechanism, formulation: str) -> None:
+    """Accelerations by articulated bodies, and those by orthogonal decomposition, differ by rounding."""
+    kind = type(Settings(1.0).formulation)
+    a, b = (swing(pendulum, duration=1.0, method="rk4", formulation=x) for x in (kind.EXP2, kind(formulation)))
+    assert np.abs(a.q[-1] - b.q[-1]).max() < 1e-12
+
+
+# --- forces --------------------------------------------------------------------------------------------------------
+
+
+def test_the_rods_force_is_the_pendulums(pendulum: Mechanism) -> None:
+    """lam = -m (g cos(angle) + l angle'^2) = -3 m g cos(angle) for a release at pi/2, in the rod's direction."""
+    motion = swing(pendulum, duration=1.0)
+    assert motion.closure is not None
+    assert np.allclose(motion.closure.multipliers[:, 0], 3 * 9.81 * motion.q[:, 1], rtol=0, atol=1e-6)
+
+
+def drive_angle(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return 0.3 + 0.5 sin(2 t) with its derivatives."""
+    return 0.3 + 0.5 * np.sin(2 * t), np.cos(2 * t), -2 * np.sin(2 * t)
+
+
+COURSE = follow([parse("0.3 + 0.5*sin(2*t)")], ["q1"], {})
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"method": "dop853"},
+        {"method": "dop853", "loops": Keeping.PARTITIONING},
+        {"method": "radau-iia", "step": 0.02},
+        {"method": "generalized-alpha"},
+    ],
+)
+def test_driven_joints_move_as_given_and_show_their_force(driven: Mechanism, settings: dict[str, Any]) -> None:
+    """The force is that of the pendulum, I q'' + W sin(q); its work is the change of energy."""
+    start = np.array([1.0, -1.0, 1.0])
+    motion = simulate(driven, rest(driven), level(0.3), start, Settings(1.0, **settings), course=COURSE)
+    q, _, qdd = drive_angle(motion.t)
+    assert motion.closure is not None
+    assert motion.energy is not None
+    assert np.abs(motion.q[:, 0] - q).max() < 1e-12
+    assert np.abs(motion.q[:, 2] - q).max() < 1e-12
+    assert np.allclose(motion.closure.driving[:, 0], INERTIA * qdd + WEIGHT * np.sin(q), rtol=0, atol=1e-3)
+    assert np.abs(motion.energy.drift).max() < 1e-4
+    assert motion.energy.work.max() > 1
+
+
+def test_a_driven_start_must_be_on_its_course(driven: Mechanism) -> None:
+    with pytest.raises(ValueError, match="qd of driven joint q1 starts at 0, its course at 1"):
+        simulate(driven, rest(driven), level(0.3), np.zeros(3), Settings(1.0), course=COURSE)
+
+
+def test_inputs_follow_the_state_and_the_time(parallelogram: Mechanism) -> None:
+    """A force that takes the weight off leaves the input's own turn, by explicit and by implicit steps."""
+
+    def carry(t: float, q: np.ndarray, _: np.ndarray) -> list[float]:
+        return [WEIGHT * np.sin(q[0]) + INERTIA * np.cos(t), 0, 0]
+
+    for settings in ({"method": "dop853"}, {"method": "rk4", "step": 5e-3}, {"method": "radau-iia", "step": 0.05}):
+        motion = simulate(
+            parallelogram,
+            control(carry),
+            level(0.2),
+            [0.5, -0.5, 0.5],
+            Settings(0.5, **settings),  # type: ignore[arg-type]
+        )
+        assert motion.q[-1, 0] == pytest.approx(0.2 + 0.5 * 0.5 + 1 - np.cos(0.5), abs=1e-6)
+
+
+# --- singular poses ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"method": "rk4", "step": 5e-3},
+        {"method": "rk4", "step": 5e-3, "loops": Keeping.MASS_PROJECTION},
+        {"method": "rk4", "step": 5e-3, "loops": Keeping.PARTITIONING},
+        {"method": "generalized-alpha", "step": 5e-3},
+        {"method": "dop853"},
+    ],
+)
+def test_a_parallelogram_passes_its_singular_pose(parallelogram: Mechanism, settings: dict[str, Any]) -> None:
+    """It turns over through pi/2 and 3 pi/2, where its coupler might fold over, and stays level."""
+    motion = roll(parallelogram, 0.1, 8.0, duration=1.5, **settings)
+    assert motion.is_complete
+    assert motion.q[-1, 0] > 2 * pi
+    assert np.abs(motion.q[-1] - level(turn(0.1, 8.0, 1.5))).max() < 1e-3
+
+
+def test_a_start_at_a_singular_pose_is_solved_if_it_is_consistent(parallelogram: Mechanism) -> None:
+    """On the level branch; velocities of both branches at once contradict the loop's second derivative."""
+    motion = roll(parallelogram, pi / 2, 6.0, duration=0.2, method="rk4")
+    assert np.abs(motion.q[-1] - level(turn(pi / 2, 6.0, 0.2))).max() < 1e-8
+    J = parallelogram("loop_jacobian", q=level(pi / 2), qd=np.zeros(3))["J"]
+    both = np.array([6.0, -6.0, 6.0]) + null_space(J, rcond=1e-9).sum(axis=1)
+    stuck = simulate(parallelogram, rest(parallelogram), level(pi / 2), both, Settings(0.2, "rk4"))
+    assert stuck.halt is not None
+    assert stuck.halt.loop == "pin"
+
+
+def test_a_kernels_failure_names_the_loop(parallelogram: Mechanism) -> None:
+    """Statuses up to the number of joints name these; the next ones name loops."""
+    places = [find_place(parallelogram.manifest, status) for status in (3, 4, 5)]
+    assert [str(place) for place in places] == ["joint q3", "loop pin", "number 5"]
+
+
+# --- starts --------------------------------------------------------------------------------------------------------
+
+
+def test_a_start_is_closed_from_what_is_given(parallelogram: Mechanism) -> None:
+    """The other coordinates follow along the same assembly, far from the pose that the manifest holds."""
+    q = close_pose(parallelogram, np.array(parallelogram.manifest.pose), [0], np.array([-1.2]))
+    assert np.allclose(q, level(-1.2), rtol=0, atol=1e-12)
+    qd = complete_velocities(parallelogram, q, np.array([2.0, 0, 0]), [0])
+    assert np.allclose(qd, [2, -2, 2], rtol=0, atol=1e-12)
+    with pytest.raises(OpenError, match="the given velocities open it at a rate of"):
+        complete_velocities(parallelogram, q, np.array([2.0, 2.0, 0]), [0, 1])
+
+
+def test_an_open_start_is_refused(parallelogram: Mechanism) -> None:
+    with pytest.raises(OpenError, match=r"loop pin: it is open by 0\.0867"):
+        simulate(parallelogram, rest(parallelogram), [1, -1, 1.1], np.zeros(3), Settings(1.0))
+    with pytest.raises(OpenError, match=r"loop pin: it opens at 0\.841"):
+        simulate(parallelogram, rest(parallelogram), level(1), [1, -1, 0], Settings(1.0))
+
+
+@pytest.mark.parametrize("method", ["lsoda", "gauss", "symplectic-euler"])
+def test_other_methods_are_refused(parallelogram: Mechanism, method: str) -> None:
+    with pytest.raises(ValueError, match=f"{method} takes no loops or driven joints; give one of euler, rk4"):
+        roll(parallelogram, 1.0, 0.0, duration=1.0, method=method)
+    wrong = replace(Settings(1.0), loops=Keeping.GGL)
+    with pytest.raises(ValueError, match="dop853 does not keep them closed by ggl; give one of projection"):
+        simulate(parallelogram, rest(parallelogram), level(1), np.zeros(3), wrong)
+
+
+# --- the command ---------------------------------------------------------------------------------------------------
+
+
+Run = Callable[..., tuple[int, str, dict[str, Any]]]
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run the command on a model's text; it returns the exit code, what was said, and the summary."""
+
+    def run(text: str, *options: str) -> tuple[int, str, dict[str, Any]]:
+        file, out = tmp_path / "model.yaml", tmp_path / "out"
+        file.write_text(text, encoding="utf-8")
+        words = ["mbsrun", "simulate", str(file), "--duration", "0.5", "-o", str(out), *options]
+        monkeypatch.setattr(sys, "argv", words)
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        said, summary = "".join(capsys.readouterr()), out / "simulation.json"
+        return (
+            int(end.value.code or 0),
+            " ".join(said.split()),
+            json.loads(summary.read_text()) if summary.exists() else {},
+        )
+
+    return run
+
+
+def test_the_command_closes_the_start_and_reports_closure(run: Run, tmp_path: Path) -> None:
+    """Summary, JSON and table hold the closure; the table holds the forces of the loop."""
+    code, said, summary = run(PARALLELOGRAM, "--pose", "q1=0.4", "--velocity", "q1=1")
+    assert code == 0
+    assert "loops open" in said
+    assert summary["closure"]["loops"] == ["pin"]
+    assert summary["closure"]["largest_position"] < 1e-13
+    assert summary["settings"]["loops"] == "projection"
+    lines = (tmp_path / "out" / "trajectory.csv").read_text().splitlines()
+    assert lines[0].endswith("open,opening,lam[pin.x],lam[pin.z]")
+    first = dict(zip(lines[0].split(","), map(float, lines[1].split(",")), strict=True))
+    assert [first[f"q[q{i}]"] for i in (1, 2, 3)] == pytest.approx([0.4, -0.4, 0.4], abs=1e-12)
+    assert [first[f"qd[q{i}]"] for i in (1, 2, 3)] == pytest.approx([1, -1, 1], abs=1e-12)
+
+
+def test_the_command_takes_driven_joints(run: Run, tmp_path: Path) -> None:
+    code, _, summary = run(DRIVEN, "--driven", "q1=0.3 + 0.5*sin(2*t)", "--loops", "partitioning")
+    assert code == 0
+    assert summary["end"]["q"][0] == pytest.approx(0.3 + 0.5 * np.sin(1), abs=1e-12)
+    assert (tmp_path / "out" / "trajectory.csv").read_text().splitlines()[0].endswith("tau[q1]")
+
+
+REFUSED = {
+    "an open start": (["--pose", "q1=0.4", "--pose", "q2=1", "--pose", "q3=0"], "loop pin: it stays open by"),
+    "a start that contradicts itself": (
+        ["--velocity", "q1=1", "--velocity", "q2=1"],
+        "loop pin: the given velocities open it at a rate of",
+    ),
+    "a method without loops": (["--method", "gauss"], "gauss takes no loops"),
+    "a joint that is not driven": (["--driven", "q1=t"], 'the model has no driven joint "q1"'),
+    "a stiff gain": (["--method", "rk4", "--loops", "baumgarte", "--alpha", "2000"], "is 2; keep it below 1"),
+}
+
+
+@pytest.mark.parametrize(("options", "message"), REFUSED.values(), ids=REFUSED.keys())
+def test_the_command_refuses(run: Run, options: list[str], message: str) -> None:
+    code, said, summary = run(PARALLELOGRAM, *options)
+    assert code == 2
+    assert message in said
+    assert not summary
+
+
+def test_a_start_that_is_nearly_closed_is_told(run: Run) -> None:
+    code, said, _ = run(PARALLELOGRAM, "--pose", "q1=0.4", "--pose", "q2=-0.4001", "--pose", "q3=0.4")
+    assert code == 0
+    assert "the loops were not closed at the given start: coordinates were changed by up to" in said
+
+
+def test_time_is_an_input_too(parallelogram: Mechanism) -> None:
+    """Inputs over time are part of the stages: the order holds."""
+    push = express([parse("3*sin(4*t)"), parse("0"), parse("0")], ["q1", "q2", "q3"], {})
+    ends = [
+        simulate(parallelogram, push, level(0.3), np.zeros(3), Settings(0.5, "rk4", step=h)).q[-1]
+        for h in (0.02, 0.01, 0.005)
+    ]
+    assert np.log2(np.abs(ends[0] - ends[1]).max() / np.abs(ends[1] - ends[2]).max()) > 3.8
