@@ -67,6 +67,14 @@ KEYS = (
     "value",
     "functions",
     "results",
+    "loops",
+    "constraints",
+    "equation",
+    "driven",
+    "independent",
+    "assembly",
+    "from",
+    "length",
 )
 
 
@@ -320,6 +328,48 @@ bodies:
 frames: [{name: tip, body: second, position: [l, 0, 0]}]
 wrenches: [{name: push, body: second, force: input}]
 """
+LINKAGES = (
+    """\
+name: linkage
+gravity: [0, 0, -9.81]
+parameters: {l: {value: 0.5, kind: runtime}, a: 0.3}
+bodies:
+  - {name: crank, joint: {name: q1, type: revolute, axis: y}, mass: 1, com: [0.1, 0, 0]}
+  - name: bar
+    parent: crank
+    joint: {name: q2, type: revolute, axis: y, position: [a, 0, 0], actuated: false}
+    mass: 1
+    com: [0.1, 0, 0]
+  - name: rocker
+    joint: {name: q3, type: revolute, axis: y, position: [l, 0, 0], actuated: false}
+    mass: 1
+    com: [0.1, 0, 0]
+  - {name: slide, joint: {name: q4, type: prismatic, axis: x, actuated: false}, mass: 2}
+loops:
+  - name: knee
+    type: hinge
+    from: {body: bar, position: [l, 0, 0]}
+    to: {body: rocker, position: [0.4, 0, 0]}
+    axis: y
+constraints: [{name: cam, equation: q4 - a*sin(q1)}]
+independent: [q1]
+assembly: {q1: -1, q3: -1.5}
+""",
+    """\
+name: swing
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: plate, joint: {type: free}, mass: 1, inertia: [1, 1, 1]}
+  - {name: motor, joint: {name: m, type: revolute, axis: x, actuated: false}, mass: 1, com: [0, 0, 0.1]}
+  - {name: gear, joint: {name: g, type: revolute, axis: x, actuated: false}, mass: 1, com: [0, 0, 0.1]}
+loops:
+  - {name: rope, type: rod, from: {body: base}, to: {body: plate, position: [0.1, 0, 0]}, length: 1.05}
+  - {name: hook, type: universal, from: {body: motor, position: [0, 0, 1]}, to: {body: plate}, axis2: [0, 3, 4]}
+constraints: [{name: mesh, equation: g + 2*m - 0.1}]
+driven: [m]
+assembly: {plate.z: 1, plate.rx: pi/4}
+""",
+)
 SETTINGS = (
     "duration: 1\nstart: {pose: {first: 0.2}, velocity: {first: 1}}\ninputs: {first: sin(2*pi*t), second: 0}\n",
     "duration: 2\nmethod: rk4\nstep: 0.01\nwrenches: {push: {force: [0, 0, 1]}}\nparameters: {l: 0.4}\n",
@@ -348,7 +398,8 @@ def _use_model(file: Path) -> None:
     tree = read_tree(file)
     assert all(re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", parameter.name) for parameter in tree.parameters)
     if len(tree.bodies) <= SMALL:
-        generate(file, file.parent / OUT, Options(functions=("impl", "exp2"), derivatives=0))
+        functions = ("loops",) if tree.loops else ("impl", "exp2")
+        generate(file, file.parent / OUT, Options(functions=functions, derivatives=0))
 
 
 def _use_scene(file: Path) -> None:
@@ -452,6 +503,7 @@ def _texts(name: str, texts: Sequence[str]) -> tuple[tuple[str, bytes], ...]:
 
 KINDS: Mapping[str, Kind] = {
     "models": Kind(_list_models, _use_model),
+    "linkages": Kind(lambda: _texts("linkage.yaml", LINKAGES), _use_model),
     "scenes": Kind(lambda: _texts("scene.yaml", SCENES), _use_scene, {"model.yaml": MODEL.encode()}),
     "problems": Kind(_list_problems, _use_problem),
     "settings": Kind(_list_settings, _use_settings),
