@@ -14,7 +14,7 @@ end. Entries of x that are independent are 0.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -63,7 +63,7 @@ def build_iterated(tree: Tree) -> Procedure:
 def build_rates(tree: Tree) -> Tape:
     """Write `close_rates`: inputs q, yd [, theta] [, p]; output qd, shape (n,)."""
     own = Reduced(tree, ALL, [], wrenches=False, by_columns=False)
-    own.builder.output_dense(ports.CLOSED_VELOCITIES, _stack(own.velocities))
+    own.builder.output_dense(ports.CLOSED_VELOCITIES, [[x] for x in own.select(own.velocities)])
     return own.builder.build("close_rates")
 
 
@@ -72,12 +72,8 @@ def build_accelerations(tree: Tree) -> Tape:
     own = Reduced(tree, ALL, [ports.INDEPENDENT_ACCELERATIONS], wrenches=False, by_columns=False)
     given = own.given_accelerations
     found = given | own.partition.follow(given, own.bias)
-    own.builder.output_dense(ports.CLOSED_ACCELERATIONS, _stack(found))
+    own.builder.output_dense(ports.CLOSED_ACCELERATIONS, [[x] for x in own.select(found)])
     return own.builder.build("close_accelerations")
-
-
-def _stack(column: Mapping[int, Scalar]) -> list[list[Scalar]]:
-    return [[column[k]] for k in range(len(column))]
 
 
 def _declare(tape: Tape, inputs: Sequence[Wire]) -> Tape:

@@ -150,9 +150,19 @@ def build_jacobian(tree: Tree) -> Tape:
     return builder.build("loop_jacobian")
 
 
-def write_jacobian(tree: Tree) -> Tape:
-    """Write J from hd, which is linear in qd: its derivative by qd depends on q alone."""
+def write_jacobian(tree: Tree, spread: Callable[[Builder, Sequence[Scalar]], list[Scalar]] | None = None) -> Tape:
+    """Write J from hd, which is linear in qd: its derivative by qd depends on q alone.
+
+    With `spread`, the derivative is by the unknowns from which it computes qd.
+    """
     tape, by = build_rates(tree), [ports.VELOCITIES.name]
+    if spread:
+        builder = Builder(cancel=True)
+        given = {i.name: builder.input(i.port, i.sparsity) for i in tape.inputs}
+        given[ports.VELOCITIES.name] = spread(builder, given[ports.VELOCITIES.name])
+        values = replay(tape, builder, given)
+        builder.output_dense(ports.CLOSURE_RATE, [[values[v]] for v in tape.outputs[0].values])
+        tape = builder.build(tape.function)
     return drop_unused_inputs(min(forward.jacobian(tape, by), reverse.jacobian(tape, by), key=lambda t: count(t).paper))
 
 

@@ -12,7 +12,8 @@ Driven joints are independent. Residuals take their forces tau; `exp1_red` takes
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 
 from mbsgen.formulations import closure, exp1, multipliers, ports
@@ -25,14 +26,14 @@ from mbsgen.formulations.partition import Partition
 from mbsgen.formulations.planning import find_plans, finish
 from mbsgen.formulations.reductions import ALL, Reductions
 from mbsgen.formulations.semi import terms
+from mbsgen.formulations.unknowns import Column, Unknowns
 from mbsgen.model.tree import Closure, Kind, Tree
+from mbsgen.tape import forward
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.counts import count
 from mbsgen.tape.ports import Port
 from mbsgen.tape.replay import replay
 from mbsgen.tape.types import Input, Sparsity, Tape
-
-Column = dict[int, Scalar]  # by the entry of qd, from 0
 
 
 def build_residual(tree: Tree, reductions: Reductions = ALL) -> Tape:
@@ -79,7 +80,7 @@ def build_accelerations(tree: Tree, reductions: Reductions = ALL) -> Tape:
     """
     own = Reduced(tree, reductions, [ports.FORCES, ports.DRIVE])
     M, c = own.project_terms()
-    Q = own.project(own.gather(joint_forces(own.chain)))
+    Q = own.project(own.Q)
     net = [force - bias for force, bias in zip(Q, c, strict=True)]
     size = len(net)
     given = dict(zip(own.driven, own.given.get(ports.DRIVE.name, []), strict=True))
@@ -102,7 +103,7 @@ def build_accelerations(tree: Tree, reductions: Reductions = ALL) -> Tape:
 
 
 class Reduced:
-    """A tree in a builder, moved by its independent velocities. Columns are by the entries of qd."""
+    """A tree in a builder, moved by its independent velocities. Columns are by the entries of qd, of unknowns."""
 
     def __init__(
         self,
@@ -115,7 +116,7 @@ class Reduced:
     ) -> None:
         """Declare q and yd, the inputs `more`, w, theta and p; by_columns: velocities are written by those of Z."""
         self.tree, self.reductions, self._by_columns = tree, reductions, by_columns
-        self.builder = Builder()
+        self.builder = Builder(cancel=True)
         self._map, self.given = Map.take(tree, self.builder, list(_list_inputs(tree, more, wrenches=wrenches)))
         found = known_closure(tree)
         self.independent, self.dependent = found.independent, found.dependent
@@ -127,14 +128,26 @@ class Reduced:
     @cached_property
     def partition(self) -> Partition:
         """Return the equations of the loops, to solve for dependent entries with."""
-        tape = closure.write_jacobian(self.tree.uncoupled)
+        unknowns, tree = self.unknowns, self.tree.uncoupled
+        tape = closure.write_jacobian(tree, self._take_absolute() if unknowns.is_absolute else None)
         values = replay(tape, self.builder, {i.name: self.given[i.name] for i in tape.inputs})
         entries = closure.jacobian_entries(tape, values)
         rows: list[Column] = [{} for _ in range(tape.outputs[0].sparsity.rows)]
         for r, row in enumerate(rows):
-            row |= self.gather({c: x for (k, c), x in entries.items() if k == r})
+            own = {c: x for (k, c), x in entries.items() if k == r}
+            row |= own if unknowns.is_absolute else unknowns.gather(own)
         statuses = [len(self.tree.joints) + 1 + loop for loop, _ in closure.kept_equations(self.tree)]
         return Partition(self.builder, rows, statuses, self.dependent)
+
+    def _take_absolute(self) -> Callable[[Builder, Sequence[Scalar]], list[Scalar]]:
+        """Return how joint velocities follow from the unknowns, in any builder."""
+        forms = [{k: x.literal or 0.0 for k, x in form.items()} for form in self.unknowns.velocities]
+
+        def spread(builder: Builder, unknowns: Sequence[Scalar]) -> list[Scalar]:
+            terms = ([builder.number(x) * unknowns[k] for k, x in form.items()] for form in forms)
+            return [sum(own[1:], start=own[0]) for own in terms]
+
+        return spread
 
     @cached_property
     def columns(self) -> dict[int, Column]:
@@ -144,13 +157,40 @@ class Reduced:
 
     @cached_property
     def velocities(self) -> Column:
-        """Return qd."""
+        """Return the independent velocities and the unknowns."""
         yd = dict(zip(self.independent, self.given[ports.INDEPENDENT_VELOCITIES.name], strict=True))
         return self.combine(yd) if self._by_columns else yd | self.partition.follow(yd)
 
     @cached_property
     def bias(self) -> list[Scalar]:
-        """Return Jd qd."""
+        """Return Jd qd, in the way with fewer operations."""
+        ways = [self._differentiate_along()]
+        if self.unknowns.is_absolute and not self.tree.quaternions:
+            ways.append(self._sum_curvatures())
+        entries = [x for row in self.partition.rows for x in row.values()]
+        return min(ways, key=lambda values: self.builder.cost([*entries, *values]))
+
+    def _sum_curvatures(self) -> list[Scalar]:
+        """Sum up the derivatives of J by pairs of unknowns: in planar loops, most of these are 0."""
+        tape = closure.write_jacobian(self.tree.uncoupled, self._take_absolute())
+        values = replay(tape, self.builder, {i.name: self.given[i.name] for i in tape.inputs})
+        gradients = forward.propagate(tape, self.builder, values, [ports.COORDINATES.name])
+        first = list(itertools.accumulate((i.sparsity.nnz for i in tape.inputs), initial=0))
+        places = {i.name: place for i, place in zip(tape.inputs, first, strict=False)}
+        output, v = tape.outputs[0], self.velocities
+        total = [self.builder.zero] * output.sparsity.rows
+        pairs: dict[tuple[int, int, int], Scalar] = {}
+        for (r, k), value in zip(output.sparsity.entries, output.values, strict=True):
+            joints = {c - places[ports.COORDINATES.name]: x for c, x in gradients[value].items()}
+            for l, x in self.unknowns.gather(joints, self.unknowns.velocities).items():
+                pair = (r, min(k, l), max(k, l))
+                pairs[pair] = pairs[pair] + x if pair in pairs else x
+        for (r, k, l), x in sorted(pairs.items()):
+            total[r] = total[r] + x * (v[k] * v[l])
+        return total
+
+    def _differentiate_along(self) -> list[Scalar]:
+        """Differentiate J qd along the motion."""
         tape = closure.build_accelerations(self.tree.uncoupled)
         zeros = [self.builder.zero] * len(self.tree.bodies)
         given = {**self.given, ports.VELOCITIES.name: self.all_velocities, ports.ACCELERATIONS.name: zeros}
@@ -175,20 +215,32 @@ class Reduced:
             found[k] = sum(parts[1:], start=parts[0])
         return found
 
-    def spread(self, column: Mapping[int, Scalar]) -> list[Scalar]:
-        """Return the velocities or accelerations of all joints, followers included."""
-        return self._map.expand(ports.VELOCITIES, [column[k] for k in range(len(self.tree.joints))])
-
     @cached_property
     def all_velocities(self) -> list[Scalar]:
         """Return the velocities of all joints."""
-        return self.spread(self.velocities)
+        return self.unknowns.spread(self.velocities)
+
+    def select(self, column: Mapping[int, Scalar]) -> list[Scalar]:
+        """Return the velocities or accelerations of the joints that follow no other."""
+        followers, every = self.tree.followers, self.unknowns.spread(column)
+        return [x for i, x in enumerate(every, 1) if i not in followers]
 
     # -- forces ---------------------------------------------------------------------------------------------------
 
     @cached_property
+    def unknowns(self) -> Unknowns:
+        """Return the unknowns of the dependent joints."""
+        if self.tree.couplings or not self.reductions.absolute:
+            return Unknowns.relative(self._map)
+        segments = align(self._write_chain([]), group=self.reductions.share_frames)
+        return Unknowns.absolute(self.builder, segments, self.dependent)
+
+    @cached_property
     def chain(self) -> Chain:
         """Return the uncoupled tree in motion."""
+        return self._write_chain(self.all_velocities)
+
+    def _write_chain(self, qd: list[Scalar]) -> Chain:
         tree = self.tree.uncoupled
         q, frames = share_out(tree, self.builder, self.given[ports.COORDINATES.name])
 
@@ -196,14 +248,12 @@ class Reduced:
             return list(self.given.get(port.name, []))
 
         u, w, theta, p = map(take, (ports.FORCES, ports.WRENCHES, ports.DESIGN, ports.PARAMETERS))
-        state = State(q, self.all_velocities, [], u, w, theta, p, frames=frames)
-        return write_chain(tree, self.builder, state)
+        return write_chain(tree, self.builder, State(q, qd, [], u, w, theta, p, frames=frames))
 
-    def gather(self, forces: Sequence[Scalar] | Mapping[int, Scalar]) -> Column:
-        """Return the forces on the entries of qd, from the forces of all joints, by virtual power."""
-        own = forces if isinstance(forces, Mapping) else dict(enumerate(forces))
-        block = self._map.gather({(i, 0): x for i, x in own.items()}, ports.VELOCITIES.rows, None)
-        return {k: x for (k, _), x in sorted(block.items())}
+    @cached_property
+    def Q(self) -> Column:
+        """Return the forces of the joints, on the unknowns."""
+        return self.unknowns.gather(dict(enumerate(joint_forces(self.chain))), self.unknowns.velocities)
 
     def project(self, forces: Mapping[int, Scalar]) -> list[Scalar]:
         """Form ZT times forces on the entries of qd."""
@@ -212,24 +262,27 @@ class Reduced:
         ]
 
     def residual(self, accelerations: Mapping[int, Scalar]) -> Column:
-        """Return Phi - Q on the entries of qd."""
-        chain = self.chain
+        """Return Phi - Q on the unknowns."""
+        chain, unknowns = self.chain, self.unknowns
         plan = find_plans(self.tree.uncoupled, self.reductions).residual
         segments = align(chain, group=self.reductions.share_frames)
         writing = begin(chain, segments, plan, self.reductions)
-        Phi = residual(writing, self.all_velocities, chain.accelerate(self.spread(accelerations)))
-        return self.gather([a - b for a, b in zip(Phi, joint_forces(chain), strict=True)])
+        qdd = chain.accelerate(unknowns.spread(accelerations))
+        Phi = residual(writing, self.all_velocities, qdd, absolute=unknowns.is_absolute)
+        return {k: x - self.Q[k] for k, x in unknowns.gather(dict(enumerate(Phi))).items()}
 
     def project_terms(self) -> tuple[dict[tuple[int, int], Scalar], list[Scalar]]:
         """Return one triangle of M, and c without Q, by places among the independent entries."""
-        plan = find_plans(self.tree.uncoupled, self.reductions).mass_matrix
-        triangle, bias = terms(self.chain, self.chain.state, plan, self.reductions)
+        plans, unknowns = find_plans(self.tree.uncoupled, self.reductions), self.unknowns
+        plan = plans.elimination if unknowns.is_absolute else plans.mass_matrix
+        state = self.chain.state
+        triangle, bias = terms(self.chain, state, plan, self.reductions, absolute=unknowns.is_absolute)
         whole = {(i - 1, j - 1): x for (i, j), x in triangle.items()} | {
             (j - 1, i - 1): x for (i, j), x in triangle.items()
         }
-        axis, zero = ports.VELOCITIES.rows, self.builder.zero
-        M = self._map.gather(whole, axis, axis)
-        c = self.gather(bias)
+        zero = self.builder.zero
+        M = unknowns.gather_matrix(whole)
+        c = unknowns.gather(dict(enumerate(bias)))
         images = {k: self._load(M, k) for k in self.independent}  # (M Z) of the dependent entries
         columns, found = self.columns, dict[tuple[int, int], Scalar]()
         for s, k in enumerate(self.independent):

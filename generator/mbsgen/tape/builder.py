@@ -80,10 +80,11 @@ class Builder:
     """Collects operations, and builds the Tape of the operations that outputs and guards need.
 
     fold: evaluate operations on literals, drop 0 and 1, gather literal factors. number: give equal operations one node.
+    cancel: a + (b - a) is b, for sums of differences.
     """
 
-    def __init__(self, *, fold: bool = True, number: bool = True) -> None:
-        self._fold = fold
+    def __init__(self, *, fold: bool = True, number: bool = True, cancel: bool = False) -> None:
+        self._fold, self._cancel = fold, cancel
         self._number = number
         self._nodes: list[Key | mpf | None] = [None]  # node 0 is never used; None: an entry of an input
         self._known: dict[Key, Ref] = {}
@@ -199,11 +200,22 @@ class Builder:
             (cx, bx), (cy, by) = self._term(x), self._term(y)
             if bx == by:
                 return self.mul(self.literal(cx + cy), bx) if bx else self.literal(cx + cy)
+        if self._cancel and (left := self._find_left(x, y) or self._find_left(y, x)):
+            return left
         if abs(x) > abs(y):
             x, y = y, x
         if x < 0:
             return -self._node(Op.ADD if y < 0 else Op.SUB, -x, abs(y))
         return self._node(Op.ADD if y > 0 else Op.SUB, x, abs(y))
+
+    def _find_left(self, x: Ref, y: Ref) -> Ref:
+        """Refer to what is left of x + y where y is a sum with -x in it; 0 where it is none."""
+        key = self._nodes[abs(y)]
+        if not isinstance(key, tuple) or key[0] not in (Op.ADD, Op.SUB):
+            return 0
+        a, b = (key[1], key[2] if key[0] is Op.ADD else -key[2])
+        a, b = (a, b) if y > 0 else (-a, -b)
+        return b if x == -a else a if x == -b else 0
 
     def mul(self, x: Ref, y: Ref) -> Ref:
         """Refer to x * y."""
