@@ -3,9 +3,10 @@
     J qd = Ju x + Jv y = 0,    x = -Ju^-1 Jv y,    qd = Z y,    Z = [-Ju^-1 Jv; 1]
 
 (Wehage and Haug, 1982; Samin and Fisette, 2003, 4.3.) Ju is permuted to block triangular form by its structural zeros
-(Duff, 1981), so independent loops separate. A block of up to three rows is solved by its determinant. The columns of a
-larger block are orthogonalised, Ju = Q R, with modified Gram-Schmidt (Bjorck, 1967), which needs no choice of pivots:
-it fails only where Ju loses rank, at any pose.
+(Duff, 1981), so independent loops separate. A block of up to three rows is solved by its determinant. Of a larger
+block, unknowns that are local to few rows are eliminated first, by the normal of their columns. The columns of what
+is left are orthogonalised, Ju = Q R, with modified Gram-Schmidt (Bjorck, 1967). None of this chooses pivots: it fails
+only where Ju loses rank, at any pose.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 from mbsgen.algebra.vectors import Matrix, Vector
 from mbsgen.errors import TapeError
@@ -33,6 +35,14 @@ class Place:
     rows: tuple[int, ...]
     columns: tuple[int, ...]  # column k is matched with row k: it has an entry there
     statuses: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Group:
+    """Rows of a block, and the unknowns that appear in these rows alone."""
+
+    rows: tuple[int, ...]
+    columns: tuple[int, ...]
 
 
 class Block(ABC):
@@ -157,6 +167,83 @@ class Many(Block):
         return x
 
 
+class Joined(Block):
+    """A block in which some unknowns are local to a few rows: all but one of as many as these rows.
+
+    The normal n of their columns, a perpendicular or a cross product, leaves one equation without them; the other
+    unknowns are solved for first. n vanishes only where the local columns depend on each other. With dual vectors a*
+    of the local columns, a*.a = 1 and a*.b = a*.n = 0, their unknowns are a*.r, with r what is left of the rows.
+    """
+
+    def __init__(self, builder: Builder, place: Place, rows: Sequence[Row], groups: Sequence[Group]) -> None:
+        super().__init__(place)
+        self._builder, self._groups, self._rows = builder, groups, rows
+        local = {c for group in groups for c in group.columns}
+        within = {r for group in groups for r in group.rows}
+        self._shared = [c for c in place.columns if c not in local]
+        self._free = [r for r in place.rows if r not in within]
+        status = dict(zip(place.rows, place.statuses, strict=True))
+        self._normals: list[dict[int, Scalar]] = []
+        self._duals: list[list[dict[int, Scalar]]] = []
+        for group in groups:
+            self._take_normal(group, status[group.rows[0]])
+        left = [{c: x for c, x in rows[r].items() if c in self._shared} for r in self._free]
+        left += [
+            {c: _combine(normal, {r: rows[r].get(c, builder.zero) for r in normal}) for c in self._shared}
+            for normal in self._normals
+        ]
+        statuses = [*(status[r] for r in self._free), *(status[group.rows[0]] for group in groups)]
+        self._rest = Partition(builder, left, statuses, self._shared)
+
+    def _take_normal(self, group: Group, status: int) -> None:
+        b, rows = self._builder, group.rows
+        columns = [[self._rows[r].get(c, b.zero) for r in rows] for c in group.columns]
+        if len(rows) == 2:
+            ((x, y),) = columns
+            normal = [-y, x]
+            squared = _dot(normal, normal)
+            numerators = [[x, y]]
+        else:
+            one, other = (Vector.of(column) for column in columns)
+            cross = one.cross(other)
+            normal, squared = list(cross), cross.dot(cross)
+            numerators = [list(other.cross(cross)), list(cross.cross(one))]
+            b.guard(squared, one.dot(one) * other.dot(other), SQUARED_TOLERANCE, status)
+        whole = [_size(x) for r in rows for _, x in sorted(self._rows[r].items())]
+        b.guard(_total([_size(x) for column in columns for x in column]), _total(whole), SQUARED_TOLERANCE, status)
+        inverse = b.number(1.0) / squared
+        self._normals.append(dict(zip(rows, normal, strict=True)))
+        self._duals.append([dict(zip(rows, (x * inverse for x in dual), strict=True)) for dual in numerators])
+
+    def solve(self, b: Sequence[Scalar]) -> list[Scalar]:
+        given = dict(zip(self.place.rows, b, strict=True))
+        right = [given[r] for r in self._free] + [_combine(normal, given) for normal in self._normals]
+        x = self._rest.solve(right)
+        for group, duals in zip(self._groups, self._duals, strict=True):
+            left = {
+                r: _subtract(given[r], [(a, x[c]) for c, a in self._rows[r].items() if c in self._shared])
+                for r in group.rows
+            }
+            x |= {c: _combine(dual, left) for c, dual in zip(group.columns, duals, strict=True)}
+        return [x[c] for c in self.place.columns]
+
+    def solve_transposed(self, b: Sequence[Scalar]) -> list[Scalar]:
+        given, zero = dict(zip(self.place.columns, b, strict=True)), self._builder.zero
+        x: dict[int, Scalar] = {}
+        for group, duals in zip(self._groups, self._duals, strict=True):
+            for r in group.rows:
+                x[r] = _total([dual[r] * given[c] for c, dual in zip(group.columns, duals, strict=True)])
+        right = {
+            c: _subtract(given[c], [(self._rows[r][c], own) for r, own in sorted(x.items()) if c in self._rows[r]])
+            for c in self._shared
+        }
+        found = self._rest.solve_transposed(right)
+        x |= dict(zip(self._free, found, strict=False))
+        for normal, part in zip(self._normals, found[len(self._free) :], strict=True):
+            x |= {r: x.get(r, zero) + n * part for r, n in normal.items()}
+        return [x[r] for r in self.place.rows]
+
+
 class Partition:
     """Ju, ready to solve with. Its rows are numbered from 0, its columns by the entries of qd that depend."""
 
@@ -166,11 +253,15 @@ class Partition:
         """Take the rows of J, whose entries may be structural zeros, and the status of each."""
         self.builder = builder
         self.rows = [{c: x for c, x in row.items() if not x.is_zero} for row in rows]
+        places = find_blocks([[c for c in row if c in dependent] for row in self.rows], statuses)
+        self._blocks = [self._make(place) for place in places]
+
+    def _make(self, place: Place) -> Block:
         kinds: Mapping[int, Callable[[Builder, Place, Sequence[Row]], Block]] = {1: Single, 2: Pair, 3: Triple}
-        self._blocks = [
-            kinds.get(len(place.rows), Many)(builder, place, self.rows)
-            for place in find_blocks([[c for c in row if c in dependent] for row in self.rows], statuses)
-        ]
+        if len(place.rows) in kinds:
+            return kinds[len(place.rows)](self.builder, place, self.rows)
+        groups = find_groups(place, self.rows)
+        return Joined(self.builder, place, self.rows, groups) if groups else Many(self.builder, place, self.rows)
 
     def solve(self, b: Sequence[Scalar]) -> Row:
         """Solve Ju x = b."""
@@ -224,6 +315,19 @@ def find_blocks(pattern: Sequence[Sequence[int]], statuses: Sequence[int]) -> li
     return found
 
 
+def find_groups(place: Place, rows: Sequence[Row]) -> list[Group]:
+    """Find disjoint groups of three rows with two local unknowns, then of two rows with one."""
+    touched = {c: {r for r in place.rows if c in rows[r]} for c in place.columns}
+    candidates = [(pair, touched[pair[0]] | touched[pair[1]]) for pair in combinations(place.columns, 2)]
+    candidates += [((c,), touched[c]) for c in place.columns]
+    found: list[Group] = []
+    for columns, own in candidates:
+        used = {x for group in found for x in (*group.rows, *(-1 - c for c in group.columns))}
+        if len(own) == len(columns) + 1 and used.isdisjoint({*own, *(-1 - c for c in columns)}):
+            found.append(Group(tuple(sorted(own)), columns))
+    return found
+
+
 def _match(pattern: Sequence[Sequence[int]]) -> dict[int, int]:
     """Match each row with an unknown of its own, by augmenting paths."""
     owners: dict[int, int] = {}
@@ -268,6 +372,10 @@ def _subtract(value: Scalar, products: Sequence[tuple[Scalar, Scalar]]) -> Scala
     for a, b in products:
         value = value - a * b
     return value
+
+
+def _combine(factors: Mapping[int, Scalar], values: Mapping[int, Scalar]) -> Scalar:
+    return _total([x * values[r] for r, x in factors.items()])
 
 
 def _dot(a: Sequence[Scalar], b: Sequence[Scalar]) -> Scalar:
