@@ -12,8 +12,9 @@ from itertools import accumulate
 
 from mbsgen import resources
 from mbsgen.manifest import Argument, Flops, Kernel
+from mbsgen.procedure.procedure import Computation
 from mbsgen.procedure.wires import Wire
-from mbsgen.roles import Role
+from mbsgen.roles import Axis, Role
 from mbsgen.tape.types import Input, Output, Sparsity
 from mbsgen.targets.agreement import compare
 from mbsgen.targets.c_stages import Written, write_stages
@@ -26,6 +27,7 @@ ABI_HEADER = "mbs_abi.h"
 # Results that lose digits with the condition of the mass matrix.
 _SOLVED = (Role.ACCELERATION, Role.CONDITION, Role.MULTIPLIER, Role.DRIVING_FORCE)
 _LARGEST_REFERENCE = 1000  # results of a function; where it has more, the check program holds none of them
+_LARGEST_DERIVATIVE = 10_000  # of derivatives likewise
 _COPIED = (ABI_HEADER, "mbs_sincos.h", "mbs_check.h", "mbs_check.c")  # from csrc; more where stages need them
 
 
@@ -45,7 +47,6 @@ def write_c(unit: Unit) -> Sources:
     views = [_view(unit.prefix, face, unit.part) for face in found]
     header = f"{unit.prefix}.h"
     parameters, design = (tuple(write_literal(x) for x in values) for values in (unit.parameters, unit.design))
-    has_loops = any(group.name == "loop" for group in unit.groups)
     common = {
         "prefix": unit.prefix,
         "version": unit.version,
@@ -62,7 +63,7 @@ def write_c(unit: Unit) -> Sources:
         sources[f"{unit.prefix}_names.c"] = lay_out("c/names.c", **common)
     copied = dict.fromkeys((*_COPIED, *(name for view in views for name in view.stages.headers)))
     files = {
-        header: lay_out("c/model.h", kernels=views, tolerance=unit.tolerance, loops=has_loops, **common),
+        header: lay_out("c/model.h", kernels=views, tolerance=unit.tolerance, loops=unit.has_loops, **common),
         **{name: (resources.folder("csrc") / name).read_text(encoding="utf-8") for name in copied},
         **sources,
         f"{unit.prefix}_check.c": _write_check(unit, found, common),
@@ -73,10 +74,14 @@ def write_c(unit: Unit) -> Sources:
 
 
 def _write_check(unit: Unit, found: Sequence[Face], common: Mapping[str, object]) -> str:
-    comparisons = compare(unit.families, only_driven=unit.only_driven)
-    values = [family.value for family in unit.families]
-    solved = {f.name for f in values if all(o.port.role in _SOLVED for o in f.outputs)}
-    references = {k: v for k, v in unit.references.items() if 0 < len(v) <= _LARGEST_REFERENCE}
+    comparisons = compare(unit.families, only_driven=unit.only_driven, has_loops=unit.has_loops)
+    solved = {face.kernel for face in found if _is_solved(face.family.value)}
+    values = {family.value.name for family in unit.families}
+    references = {
+        k: v
+        for k, v in unit.references.items()
+        if 0 < len(v) <= (_LARGEST_REFERENCE if k in values else _LARGEST_DERIVATIVE)
+    }
     compared = {kernel for comparison in comparisons for kernel in comparison.kernels} | references.keys()
     known = [
         {"kernel": kernel, "is_solved": kernel in solved, "values": wrap(map(repr, values))}
@@ -84,6 +89,12 @@ def _write_check(unit: Unit, found: Sequence[Face], common: Mapping[str, object]
     ]
     chosen = [f for f in found if f.kernel in compared]
     return lay_out("c/check.c", faces=chosen, comparisons=comparisons, references=known, **common)
+
+
+def _is_solved(value: Computation) -> bool:
+    """Return whether the results of a function, and its derivatives, come from the solution of equations."""
+    reduced = any(Axis.INDEPENDENT in (o.port.rows, o.port.cols) for o in value.outputs)
+    return reduced or all(o.port.role in _SOLVED for o in value.outputs)
 
 
 # -- the manifest's side --------------------------------------------------------------------------------------------

@@ -25,3 +25,8 @@ class Unit:
     references: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # results at the check's first state
     tolerance: float | None = None  # allowed relative error of the functions; None: exact
     part: int = LENGTH  # least lines of a part of a long function
+
+    @property
+    def has_loops(self) -> bool:
+        """Return whether loops or constraints restrict the mechanism."""
+        return any(group.name == "loop" for group in self.groups)

@@ -19,7 +19,7 @@ from mbsgen.roles import Order, Role
 from mbsgen.tape.interpreter import DECIMALS, fifty_digits
 from mbsgen.targets.contract import Family
 from mbsgen.verification.derivatives import compare_derivatives, compare_linearised
-from mbsgen.verification.functions import Comparison, Truth, grow_energy, list_expectations, write_equations
+from mbsgen.verification.functions import Comparison, Results, Truth, grow_energy, list_expectations, write_equations
 from mbsgen.verification.states import Numbers, State, draw_start, draw_states
 
 STATES = 2  # with parameters at their values, and near them
@@ -85,7 +85,10 @@ class _Verifier:
             if {ports.KINETIC, ports.POTENTIAL} <= {o.port for o in value.outputs} and not self.still:
                 self._judge(name, self._grow_energy(value, truth), truth.state)
             if found and truth.state.number == 0 and not starts_closed:  # the check program starts at drawn numbers
-                self.references[name] = tuple(float(x) for o in value.outputs for x in results[o.name])
+                self._refer(value, results)
+
+    def _refer(self, function: Computation, results: Results) -> None:
+        self.references[function.name] = tuple(float(x) for o in function.outputs for x in results[o.name])
 
     def _grow_energy(self, value: Computation, truth: Truth) -> Comparison:
         given = self._arguments(value, truth.state)
@@ -98,6 +101,10 @@ class _Verifier:
         for name, family in self.by_name.items():
             for kernel, comparison in compare_derivatives(family, arguments):
                 self._judge(kernel, comparison, state)
+            if state.number == 0 and (self.tree.loops or self.tree.constraints):
+                for derivative in family.functions[1:]:
+                    results = evaluate(derivative, arguments(derivative), DECIMALS)
+                    self._refer(derivative, results)
             plain = self.by_name.get(family.value.function.base)
             if family.value.function.order is Order.LINEARISATION and plain is not None:
                 for comparison in compare_linearised(family, plain, arguments):
