@@ -22,6 +22,7 @@ from rich.text import Text
 from rich.tree import Tree as Branches
 
 from mbsgen import __version__
+from mbsgen.assembly import reach
 from mbsgen.errors import MbsError
 from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
 from mbsgen.families import Tell, say_nothing
@@ -304,10 +305,13 @@ def _check_folder(files: Mapping[str, str], out: Path) -> None:
     click.echo(f"{out}: as generated now", err=True)
 
 
+_AT = "Coordinates of the drawing, rad or m; 0 by default, or where the loops are closed."
+
+
 @cli.command("show")
 @MODEL
 @click.option("-o", "--output", "out", type=click.Path(path_type=Path), help="The picture to write: .png or .svg.")
-@click.option("--at", "coordinates", metavar="q1=0.3,...", help="Coordinates of the drawing, rad or m; 0 by default.")
+@click.option("--at", "coordinates", metavar="q1=0.3,...", help=_AT)
 @importing
 def show_command(model: Path, out: Path | None, coordinates: str | None, choices: Choices) -> None:
     """Print the tree of MODEL; with -o, draw it.
@@ -315,7 +319,7 @@ def show_command(model: Path, out: Path | None, coordinates: str | None, choices
     The tree lists bodies, joints and masses, and the indices, from 0, of joints in q and u and of frames among sensors.
     The picture shows the tree beside the mechanism in space.
     """
-    from mbsgen.drawing import FORMATS, describe_joint, list_masses, render  # drawing takes long to load
+    from mbsgen.drawing import FORMATS, describe_joint, describe_loop, list_masses, render  # takes long to load
 
     form = "" if out is None else out.suffix.removeprefix(".").lower()
     if out is not None and form not in FORMATS:
@@ -332,6 +336,10 @@ def show_command(model: Path, out: Path | None, coordinates: str | None, choices
     for k, sensor in enumerate(tree.sensors):
         named = Text.assemble((f"frame {sensor.name}", "italic"), (f"  sensor {k}", "dim"))
         branches[sensor.body].add(named)
+    for loop in tree.loops:
+        branches[0].add(Text.assemble((f"loop {loop.name}", "italic"), f": {describe_loop(tree, loop)}"))
+    for constraint in tree.constraints:
+        branches[0].add(Text.assemble((f"constraint {constraint.name}", "italic")))
     if out is not None:
         write_file(render(tree, q, form), out)
         click.echo(f"wrote {out}", err=True)
@@ -368,8 +376,12 @@ def _describe_limits(lower: float | None, upper: float | None) -> str:
 
 
 def _read_coordinates(tree: Tree, text: str) -> list[float]:
-    """Read `name=number,...` as the coordinates of all joints. Raises click.BadParameter with all faults."""
-    values = dict(zip(tree.coordinates, tree.neutral, strict=True))
+    """Read `name=number,...` as the coordinates of all joints, the others of which close the loops.
+
+    Raises click.BadParameter with all faults.
+    """
+    values = dict(zip(tree.coordinates, tree.closure.pose if tree.closure else tree.neutral, strict=True))
+    given: dict[int, float] = {}
     faults = []
     for part in filter(str.strip, text.split(",")):
         name, sign, written = (word.strip() for word in part.rpartition("="))
@@ -383,9 +395,14 @@ def _read_coordinates(tree: Tree, text: str) -> list[float]:
         values[name] = _read_finite(written)
         if not math.isfinite(values[name]):
             faults.append(f"{part.strip()}: {written!r} is no number; write, for example, {name}=0.3")
+        given[tree.coordinates.index(name)] = values[name]
     if faults:
         raise click.BadParameter("\n  ".join(faults), param_hint="--at")
-    return list(values.values())
+    if tree.closure is None or not given:
+        return list(values.values())
+    if (found := reach(tree, given)) is None:
+        raise click.BadParameter("the loops do not close there; give other coordinates, or fewer", param_hint="--at")
+    return [float(x) for x in found]
 
 
 @cli.command("report")

@@ -1,13 +1,15 @@
 """Drawing: Tree, joint coordinates -> a picture of the mechanism in space beside its tree.
 
-All numbers are evaluated from tapes: poses from `frames`, masses and centres of mass from `masses`.
+All numbers are evaluated from tapes: poses from `frames`, masses and centres of mass from `masses`. A loop is drawn
+between its ends, which are placed as sensors: a rod as a line, any other loop as a ring at the first end, and a dashed
+line to the second one where the loop is open. In the tree a dashed line joins the two bodies.
 """
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
 from typing import Any
 
@@ -30,7 +32,7 @@ from mbsgen.formulations.coupling import couple
 from mbsgen.formulations.links import declare_state, write_chain
 from mbsgen.formulations.poses import build_frames
 from mbsgen.model.symbols import exact, round_number, to_double, total
-from mbsgen.model.tree import Kind, Motion, Tree
+from mbsgen.model.tree import Cut, Kind, Loop, LoopFrame, Motion, Sensor, Tree
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.types import Tape
@@ -45,7 +47,10 @@ INK = "0.35"  # of everything except bodies
 SHARE = 0.58  # of the picture's width, for the mechanism in space
 _LONGEST = 24  # characters of a name in a picture
 _MASSES = 0.15  # where the column of masses ends, of the width of the tree
-_MOST = 60  # bodies that are named in a picture
+_MOST = 60  # bodies that are named in a picture, and loops
+_OPEN = 1e-6  # of the size of a mechanism: ends of a loop that are farther apart are joined by a line
+SMALL = 1e-9  # rad or m: rounding of a coordinate that is 0
+LOOSE = (0, (4, 3))  # the style of lines of loops: dashes
 
 
 @dataclass(frozen=True)
@@ -57,23 +62,32 @@ class Scene:
     centres: Array  # of mass, shape (bodies, 3) [m]; the origin of a body that has none
     masses: Array  # shape (bodies,) [kg]
     sensors: Array  # shape (sensors, 3) [m]
+    ends: Array  # of the loops, first and second, shape (loops, 2, 3) [m]
 
 
 def pose(tree: Tree, q: Sequence[float]) -> Scene:
     """Compute all positions at the joint coordinates `q` [rad or m] and the default parameters."""
     n, s = len(tree.bodies), len(tree.sensors)
+    ends = [_sense(end) for loop in tree.loops for end in (loop.first, loop.second)]
     at = {"q": list(q)}
     for port, kind in ((ports.PARAMETERS, Kind.RUNTIME), (ports.DESIGN, Kind.DIFFERENTIATED)):
         at[port.name] = [parameter.value for parameter in tree.parameters if parameter.kind is kind]
     frames, masses = (
         {name: np.array(values, float) for name, values in evaluate(tape, at).items()}
-        for tape in (couple(build_frames(tree.uncoupled), tree), couple(_build_masses(tree.uncoupled), tree))
+        for tape in (
+            couple(build_frames(replace(tree.uncoupled, sensors=(*tree.sensors, *ends))), tree),
+            couple(_build_masses(tree.uncoupled), tree),
+        )
     )
-    places = frames["p"].reshape(n + s, 3)
-    rotations = frames["R"].reshape(n + s, 3, 3).transpose(0, 2, 1)[:n]  # columns: axes of the bodies
+    places = frames["p"].reshape(-1, 3)
+    rotations = frames["R"].reshape(-1, 3, 3).transpose(0, 2, 1)[:n]  # columns: axes of the bodies
     axes, first = (np.einsum("brc,bc->br", rotations, masses[name].reshape(n, 3)) for name in ("axis", "S"))
     centres = places[:n] + np.divide(first.T, masses["m"], where=masses["m"] != 0, out=np.zeros((3, n))).T
-    return Scene(places[:n], axes, centres, masses["m"], places[n:])
+    return Scene(places[:n], axes, centres, masses["m"], places[n : n + s], places[n + s :].reshape(-1, 2, 3))
+
+
+def _sense(end: LoopFrame) -> Sensor:
+    return Sensor("end", end.body, end.position, end.axes)
 
 
 def list_masses(tree: Tree) -> list[float]:
@@ -129,6 +143,10 @@ def draw(tree: Tree, q: Sequence[float]) -> Figure:
 
 def _describe_coordinates(tree: Tree, q: Sequence[float]) -> str:
     moved = [f"{_shorten(name)} = {x:g}" for name, x in zip(tree.coordinates, q, strict=True) if x]
+    if tree.closure is not None:
+        joints = [tree.joints[i].name for i in tree.closure.independent]
+        chosen = [(name, q[tree.coordinates.index(name)]) for name in joints if name in tree.coordinates]
+        moved = [f"{_shorten(name)} = {x:.3g}" for name, x in chosen if abs(x) > SMALL]
     if not moved:
         return "at q = 0"
     return f"at {', '.join(moved[:6])}{', ...' if len(moved) > 6 else ''}"
@@ -154,7 +172,7 @@ def render(tree: Tree, q: Sequence[float], form: str) -> bytes:
 
 
 def _draw_mechanism(space: Axes3D, tree: Tree, scene: Scene) -> None:
-    points = np.concatenate((np.zeros((1, 3)), scene.origins, scene.centres, scene.sensors))
+    points = np.concatenate((np.zeros((1, 3)), scene.origins, scene.centres, scene.sensors, scene.ends.reshape(-1, 3)))
     size = float(np.ptp(points, axis=0).max()) or 1.0
     reach = 0.09 * size * min(1.0, 15 / len(tree.bodies))
     dot = min(1.0, 40 / len(tree.bodies))
@@ -179,6 +197,7 @@ def _draw_mechanism(space: Axes3D, tree: Tree, scene: Scene) -> None:
         carrier = COLORS[(sensor.body - 1) % len(COLORS)] if sensor.body else INK
         _draw_line(space, origin, place, color=carrier, linewidth=4.5, alpha=0.9, solid_capstyle="round")
         space.scatter(*place, s=55, color="black", marker="x", depthshade=False, zorder=7)
+    _draw_loops(space, tree, scene, size, dot)
     space.scatter(0, 0, 0, s=60, color=INK, marker="s", depthshade=False, zorder=4)
     _fit(space)
     _draw_legend(space, tree)
@@ -186,6 +205,20 @@ def _draw_mechanism(space: Axes3D, tree: Tree, scene: Scene) -> None:
         starts = np.concatenate((np.zeros((1, 3)), scene.origins))[[body.parent for body in tree.bodies]]
         inner = [starts + part * (scene.origins - starts) for part in (0.15, 0.3, 0.5, 0.7, 0.85)]
         _write_names(space, tree, scene, np.concatenate((points, ends, *inner)))
+
+
+def _draw_loops(space: Axes3D, tree: Tree, scene: Scene, size: float, dot: float) -> None:
+    for loop, ends in zip(tree.loops, scene.ends, strict=True):
+        for end, place in zip((loop.first, loop.second), ends, strict=True):
+            origin = scene.origins[end.body - 1] if end.body else np.zeros(3)
+            color = COLORS[(end.body - 1) % len(COLORS)] if end.body else INK
+            _draw_line(space, origin, place, color=color, linewidth=4.5, alpha=0.9, solid_capstyle="round")
+        is_rod = loop.cut is Cut.ROD
+        if is_rod or np.linalg.norm(ends[1] - ends[0]) > _OPEN * size:
+            _draw_line(space, *ends, color="black", linewidth=1.6, linestyle="-" if is_rod else LOOSE)
+        for place in ends if is_rod else ends[:1]:
+            space.scatter(*place, s=60 * dot, color="white", edgecolors="black", depthshade=False, zorder=6)
+            space.scatter(*place, s=14 * dot, color="black", depthshade=False, zorder=7)
 
 
 def _draw_line(space: Axes3D, start: Array, end: Array, **style: object) -> None:
@@ -246,6 +279,10 @@ def _draw_legend(space: Axes3D, tree: Tree) -> None:
     entries.append(Line2D([], [], color=INK, marker="o", linestyle=":", markersize=8, label="centre of mass"))
     if tree.sensors:
         entries.append(Line2D([], [], color="black", marker="x", linestyle="", label="frame"))
+    if tree.loops:
+        ring = Line2D([], [], color="black", marker="o", linestyle=LOOSE, linewidth=1.2, markersize=8, label="loop")
+        ring.set_markerfacecolor("white")
+        entries.append(ring)
     entries.append(Line2D([], [], color=INK, marker="s", linestyle="", label="base"))
     space.legend(handles=entries, loc="upper left", frameon=False, fontsize=8)
 
@@ -257,6 +294,8 @@ def _write_names(space: Axes3D, tree: Tree, scene: Scene, points: Array) -> None
         names.setdefault(tuple(np.round(scene.origins[i], 9)), []).append(_shorten(body.joint.name))
     for sensor, place in zip(tree.sensors, scene.sensors, strict=True):
         names.setdefault(tuple(np.round(place, 9)), []).append(f"[{_shorten(sensor.name)}]")
+    for loop, ends in zip(tree.loops, scene.ends, strict=True):
+        names.setdefault(tuple(np.round(ends[0], 9)), []).append(f"({_shorten(loop.name)})")
     figure = space.get_figure()
     assert isinstance(figure, Figure)
     figure.draw_without_rendering()  # the projection is known thereafter
@@ -319,24 +358,25 @@ def _keep(value: float, low: float, high: float) -> float:
 
 
 def _draw_tree(panel: Axes, tree: Tree, masses: Array) -> None:
-    """List the bodies, one per line, indented by depth; masses are in a column before them."""
+    """List the bodies, one per line, indented by depth, then the loops; masses are in a column before the bodies."""
     panel.axis("off")
     listed, depths = list_rows(tree)
     rows = listed[:_MOST]
     indent = min(0.05, 0.3 / max(depths[i] for i in rows))
     panel.set_xlim(0, 1)
-    panel.set_ylim(max(len(rows), 14) + 1.5, -0.8)
-    size = 9.5 if len(rows) <= 30 else 8.0
+    loops = tree.loops[:_MOST]
+    panel.set_ylim(max(len(rows) + bool(loops) + len(loops), 14) + 1.5, -0.8)
+    size = 9.5 if len(rows) + len(loops) <= 30 else 8.0
     panel.text(_MASSES, 0.0, "mass [kg]", fontsize=size, va="center", ha="right", color=INK)
     panel.text(_MASSES + 0.02, 0.0, "base", fontsize=size, va="center", color=INK)
     heights = {0: 0.0}
     lines: list[tuple[Annotation, Annotation]] = []
+    style: dict[str, Any] = {"fontsize": size, "va": "center", "parse_math": False}
     for row, i in enumerate(rows, 1):
         body, x = tree.bodies[i - 1], _MASSES + 0.02 + indent * depths[i]
         trunk = x - indent + 0.012
         panel.plot([trunk, trunk, x - 0.006], [heights[body.parent] + 0.35, row, row], color=INK, linewidth=0.8)
         panel.plot(x + 0.008, row, "o", color=COLORS[(i - 1) % len(COLORS)], markersize=7)
-        style: dict[str, Any] = {"fontsize": size, "va": "center", "parse_math": False}
         name = panel.annotate(_shorten(body.name), (x + 0.03, row), weight="bold", **style)
         text = f"   {_shorten(body.joint.name)}: {describe_joint(tree, i)}"
         lines.append((name, panel.annotate(text, (1, 0.5), xycoords=name, **style)))
@@ -345,7 +385,27 @@ def _draw_tree(panel: Axes, tree: Tree, masses: Array) -> None:
         heights[i] = row
     if len(listed) > len(rows):
         panel.text(_MASSES, len(rows) + 1, f"and {len(listed) - len(rows)} more bodies", va="center", color=INK)
+    dots = {0: (_MASSES + 0.04, 0.0)} | {i: (_MASSES + 0.028 + indent * depths[i], heights[i]) for i in rows}
+    for row, loop in enumerate(loops, len(rows) + 2):
+        name = panel.annotate(_shorten(loop.name), (_MASSES + 0.02, row), weight="bold", style="italic", **style)
+        text = f"   {describe_loop(tree, loop)}"
+        lines.append((name, panel.annotate(text, (1, 0.5), xycoords=name, **style)))
+        if loop.first.body in dots and loop.second.body in dots:
+            _join(panel, dots[loop.first.body], dots[loop.second.body])
     _narrow(panel, lines)
+
+
+def describe_loop(tree: Tree, loop: Loop) -> str:
+    """Return a loop's type and its bodies in words."""
+    ends = [_shorten(tree.bodies[end.body - 1].name) if end.body else "base" for end in (loop.first, loop.second)]
+    return f"{loop.cut.value} between {ends[0]} and {ends[1]}"
+
+
+def _join(panel: Axes, first: tuple[float, float], second: tuple[float, float]) -> None:
+    """Draw a dashed arc between two bodies, to the left of their names."""
+    upper, lower = sorted((first, second), key=lambda dot: dot[1])
+    arrow = {"arrowstyle": "-", "linestyle": LOOSE, "color": INK, "linewidth": 1.0, "connectionstyle": "arc3,rad=0.3"}
+    panel.annotate("", lower, xytext=upper, arrowprops=arrow, zorder=0)
 
 
 def _narrow(panel: Axes, lines: Sequence[tuple[Annotation, Annotation]]) -> None:

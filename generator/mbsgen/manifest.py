@@ -150,6 +150,8 @@ class Loop(_Entry):
     cut: str  # see `tree.Cut`; "constraint" of an equation
     first: int = -1  # index of the frame of the body of its first end; -1: the base
     second: int = -1
+    first_point: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the end, in that frame [m]
+    second_point: tuple[float, float, float] = (0.0, 0.0, 0.0)
     equations: tuple[str, ...] = ()  # what its entries of h are: "x", "y", "z", "distance", ...
     redundant: tuple[str, ...] = ()  # its equations that follow from others, and are no entries of h
 

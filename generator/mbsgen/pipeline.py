@@ -27,8 +27,8 @@ from mbsgen.model.reader import ModelWarning, read_model
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.releasing import with_runtime_numbers
 from mbsgen.model.scene import EVERYTHING, Scene, apply_kinds, read_scene, stage
-from mbsgen.model.symbols import exact, to_double
-from mbsgen.model.tree import NO_FORCE, Kind, Motion, Tree
+from mbsgen.model.symbols import exact, to_double, total
+from mbsgen.model.tree import IDENTITY, NO_FORCE, Kind, Motion, Tree, Vector
 from mbsgen.model.writer import write_model
 from mbsgen.output import write_folder
 from mbsgen.procedure.procedure import Computation, Procedure
@@ -316,20 +316,41 @@ def _describe_loops(tree: Tree) -> tuple[Loop, ...]:
         kept = tree.closure.kept if tree.closure else ()
         return tuple(x for i, (own, x) in every if own == number and (i in kept) is is_kept)
 
-    def describe(number: int, title: str, cut: str, first: int, second: int) -> Loop:
-        equations, redundant = name(number, is_kept=True), name(number, is_kept=False)
-        return Loop(name=title, cut=cut, first=first, second=second, equations=equations, redundant=redundant)
-
-    loops = [describe(k, x.name, x.cut.value, x.first.body - 1, x.second.body - 1) for k, x in enumerate(tree.loops)]
-    first = len(loops)
-    return (*loops, *(describe(k, x.name, "constraint", -1, -1) for k, x in enumerate(tree.constraints, first)))
+    loops = [
+        Loop(
+            name=loop.name,
+            cut=loop.cut.value,
+            first=loop.first.body - 1,
+            second=loop.second.body - 1,
+            first_point=_locate(tree, loop.first.body, loop.first.position),
+            second_point=_locate(tree, loop.second.body, loop.second.position),
+            equations=name(k, is_kept=True),
+            redundant=name(k, is_kept=False),
+        )
+        for k, loop in enumerate(tree.loops)
+    ]
+    return (
+        *loops,
+        *(
+            Loop(name=x.name, cut="constraint", equations=name(k, is_kept=True), redundant=name(k, is_kept=False))
+            for k, x in enumerate(tree.constraints, len(loops))
+        ),
+    )
 
 
 def _describe_frame(tree: Tree, i: int) -> Frame:
     """Describe the frame of a body, with the centre of mass of a body that carries nothing, at the model's numbers."""
     body = tree.bodies[i - 1]
-    values = {p.symbol: exact(p.value) for p in tree.parameters}
-    carries = bool(tree.children(i)) or any(s.body == i for s in tree.sensors)
-    x, y, z = (0.0 if carries or body.mass == 0 else to_double(number.xreplace(values)) for number in body.com)
-    slides, com = body.joint.motion is Motion.PRISMATIC, (x, y, z) if (x, y, z) != (0, 0, 0) else None
+    ends = {end.body for loop in tree.loops for end in (loop.first, loop.second)}
+    carries = bool(tree.children(i)) or any(s.body == i for s in tree.sensors) or i in ends
+    place = _locate(tree, i, body.com) if not carries and body.mass != 0 else (0.0, 0.0, 0.0)
+    slides, com = body.joint.motion is Motion.PRISMATIC, place if any(place) else None
     return Frame(name=body.name, parent=body.parent - 1, sensor=False, slides=slides, com=com)
+
+
+def _locate(tree: Tree, number: int, point: Vector) -> tuple[float, float, float]:
+    """Return a point of a body in the axes that its author gave it, at the model's numbers [m]."""
+    axes = tree.bodies[number - 1].axes if number else IDENTITY
+    values = {p.symbol: exact(p.value) for p in tree.parameters}
+    x, y, z = (to_double(total(axes[r][c] * point[r] for r in range(3)).xreplace(values)) for c in range(3))
+    return x, y, z

@@ -82,6 +82,7 @@ def render_animation(
         "end": float(t[-1]),
         "times": len(grid),
         "frames": _describe_frames(skeleton),
+        "links": [{"ends": [x.first, x.second], "rod": x.is_rod} for x in skeleton.links],
         "markers": [{"name": m.name, "at": [float(x) for x in m.position]} for m in markers],
         "places": _encode(np.clip(skeleton.p.swapaxes(1, 2), -FAR, FAR), "<f4"),
         "turns": _encode(_quaternions(skeleton.R), "<i2"),

@@ -74,6 +74,12 @@ function line(points, stroke, thickness) {
   pen.stroke();
 }
 
+function dashed(points, stroke, pattern) {
+  pen.setLineDash(pattern);
+  line(points, stroke, 2);
+  pen.setLineDash([]);
+}
+
 function disc(p, radius, fill) {
   pen.beginPath();
   pen.arc(p.x, p.y, radius, 0, 2 * Math.PI);
@@ -137,6 +143,11 @@ function draw() {
     const radius = frame.sensor ? 0.75 * thick : 0.6 * thick;
     shapes.push({ depth: end.depth + 1e-3 * size, draw: () => disc(end, radius, frame.sensor ? color.sensor : color.joint) });
     if (byId("axes").checked) shapes.push({ depth: end.depth + 2e-3 * size, draw: () => triad(project, p, axes(k, f), 0.06 * size) });
+  });
+  motion.links.forEach((link) => { // a rod, or a gap between ends that coincide where the loop is closed
+    const ends = link.ends.map((f) => project(place(k, f)));
+    const stroke = link.rod ? color.body : color.joint;
+    shapes.push({ depth: (ends[0].depth + ends[1].depth) / 2, draw: () => dashed(ends, stroke, link.rod ? [] : [4, 4]) });
   });
   motion.markers.forEach((m) => {
     const p = project(m.at);

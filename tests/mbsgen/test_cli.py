@@ -16,6 +16,7 @@ import pytest
 from mbsgen import __version__
 from mbsgen.cli import BAD_INPUT, DIFFERENT, SWITCHES, cli, main
 from mbsgen.report import DIFFERENTIATION
+from tests.shipped import FOLDER
 
 ARM = Path(__file__).parents[2] / "models" / "arm_pendulum.yaml"
 PENDULUM = """\
@@ -249,6 +250,17 @@ def test_coordinates_that_cannot_be_read_are_all_told(at: str, words: list[str],
     done = mbsgen("show", "pendulum.yaml", "--at", at)
     assert (done.code, done.out) == (BAD_INPUT, "")
     assert [word for word in words if word not in done.err] == []
+
+
+def test_a_closed_mechanism_is_drawn_where_its_loops_are_closed(mbsgen: Command) -> None:
+    """The tree lists the loops. A given coordinate takes the others along; where it cannot, that is told."""
+    four_bar = str(FOLDER / "four_bar.yaml")
+    done = mbsgen("show", four_bar, "-o", "a.svg", "--at", "motor=4")
+    assert (done.code, done.err) == (0, "wrote a.svg\n")
+    assert done.out.splitlines()[-1] == "└── loop closure: hinge between coupler and rocker"
+    done = mbsgen("show", four_bar, "--at", "swing=4")
+    assert (done.code, done.out) == (BAD_INPUT, "")
+    assert "the loops do not close there" in done.err
 
 
 @pytest.mark.parametrize("out", ["a.pdf", "a", "folder.png", "pendulum.yaml/a.png"])

@@ -147,3 +147,35 @@ def test_a_picture_tells_neither_place_nor_day(arm: Tree) -> None:
     text = render(arm, [0.0] * 6, "svg").decode()
     assert str(ROOT) not in text
     assert not re.search(r"20\d\d-\d\d-\d\d", text)
+
+
+@pytest.fixture(scope="module")
+def wishbone() -> Tree:
+    return read_tree(ROOT / "models" / "wishbone.yaml")
+
+
+def test_loops_are_drawn_between_their_ends(wishbone: Tree) -> None:
+    """Points on the x axis through the outer ball of the lower arm, and so on, by the numbers of the file at q = 0."""
+    ends = pose(wishbone, [0.0] * 10).ends
+    assert ends[0] == pytest.approx(np.array([[-0.03, 0.71, 0.14]] * 2), abs=1e-15)
+    assert ends[1] == pytest.approx(np.array([[-0.12, 0.4, -0.07], [-0.12, 0.72, -0.07]]), abs=1e-15)
+    assert ends[2] == pytest.approx(np.array([[0, 0.65, -0.09], [0, 0.55, -0.1]]), abs=1e-15)
+
+
+def test_loops_are_named_and_open_ones_have_a_dashed_line(wishbone: Tree) -> None:
+    assert wishbone.closure is not None
+    for q, dashed in ((wishbone.closure.pose, 0), ([0.0] * 10, 1)):
+        figure = draw(wishbone, q)
+        texts = [text.get_text() for text in figure.findobj(Text)]
+        assert "   rod between rack and knuckle" in texts
+        assert any("(upper ball)" in text for text in texts)
+        lines = [
+            line for line in figure.axes[0].get_lines() if line.get_linestyle() == "--" and line.get_linewidth() == 1.6
+        ]
+        assert len(lines) == dashed
+
+
+def test_the_title_shows_the_independent_coordinates() -> None:
+    tree = read_tree(ROOT / "models" / "slider_crank.yaml")
+    assert tree.closure is not None
+    assert draw(tree, tree.closure.pose).get_suptitle() == f"slider_crank at crank = {tree.closure.pose[0]:.3g}"

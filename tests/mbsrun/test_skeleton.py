@@ -51,3 +51,40 @@ def test_joints_that_follow_others_are_drawn(gripper):
     """Frames belong to bodies, of which there are more than coordinates."""
     assert [frame.slides for frame in gripper.manifest.frames] == [False, True, True, False]
     assert "right, centre of mass" in render_animation(gripper, [0, 1], [[0, 0, 0], [1, 0.04, 1]])
+
+
+CLOSED = """\
+name: closed
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: crank, joint: {type: revolute, axis: -y}, mass: 1, com: [0.1, 0, 0.05], inertia: [0.1, 0.1, 0.1]}
+  - name: slider
+    joint: {type: prismatic, axis: x, position: [0.5, 0, 0.1], actuated: false}
+    mass: 0.1
+  - {name: flap, joint: {type: revolute, axis: -y}, mass: 1, com: [0.1, 0, 0.05], inertia: [0.1, 0.1, 0.1]}
+loops:
+  - {name: bar, type: rod, length: 0.3, from: {body: crank, position: [0.2, 0, 0.1]}, to: {body: slider}}
+assembly: {crank: 0.5}
+"""
+
+
+def test_ends_of_loops_and_centres_of_mass_are_in_the_axes_of_the_file(tmp_path):
+    """About -y by q: (x, z) goes to (x cos q - z sin q, x sin q + z cos q). A body at an end needs no other one."""
+    path = tmp_path / "closed.yaml"
+    path.write_text(CLOSED)
+    closed = mbsrun.load(path)
+    q = np.array(closed.manifest.pose)
+    found = place(closed, q[None])
+    names = [frame.name for frame in found.frames]
+    assert names[3:] == ["flap, centre of mass", "bar, first end", "bar, second end"]
+    (link,) = found.links
+    assert (link.name, names[link.first], names[link.second]) == ("bar", *names[4:])
+    assert link.is_rod
+    a, x, b = (q[closed.manifest.positions.index(name)] for name in ("crank", "slider", "flap"))
+    first = [0.2 * np.cos(a) - 0.1 * np.sin(a), 0, 0.2 * np.sin(a) + 0.1 * np.cos(a)]
+    assert found.p[0, :, link.first] == pytest.approx(first, abs=1e-15)
+    assert found.p[0, :, link.second] == pytest.approx([0.5 + x, 0, 0.1], abs=1e-15)
+    assert np.linalg.norm(found.p[0, :, link.first] - found.p[0, :, link.second]) == pytest.approx(0.3, abs=1e-14)
+    centre = [0.1 * np.cos(b) - 0.05 * np.sin(b), 0, 0.1 * np.sin(b) + 0.05 * np.cos(b)]
+    assert found.p[0, :, 3] == pytest.approx(centre, abs=1e-15)
+    assert '"links": [{"ends": [4, 5], "rod": true}]' in render_animation(closed, [0], q[None])

@@ -4,5 +4,6 @@ from __future__ import annotations
 
 from mbsgen.assembly.assemble import AssemblyError, assemble
 from mbsgen.assembly.findings import Findings, describe, list_held
+from mbsgen.assembly.poses import reach
 
-__all__ = ["AssemblyError", "Findings", "assemble", "describe", "list_held"]
+__all__ = ["AssemblyError", "Findings", "assemble", "describe", "list_held", "reach"]

@@ -7,12 +7,14 @@ H+ is the pseudo-inverse, so redundant equations do no harm (Nikravesh, 1988, ch
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from mbsgen.assembly.mechanism import Array, Mechanism
+from mbsgen.model.tree import Tree
 
 STEPS = 100
 LONGEST = 0.5  # of a step, rad or m, so that distant poses are approached slowly
@@ -22,6 +24,7 @@ RANK = 1e-9  # of the largest singular value: smaller ones are 0
 SPREADS = (0.0, *(0.1,) * 4, *(0.3,) * 8, *(1.0,) * 16, *(3.0,) * 32)  # of the starts, about the rough pose
 WALKS = 8  # poses that are looked at besides the first one
 STRIDE = 0.4  # between them, rad or m
+PACE = 0.1  # of given coordinates on the way to their values, rad or m
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,22 @@ def close(
         if length < SHORTEST:
             break
     return Attempt(q, mechanism.h(q), mechanism.senses(q))
+
+
+def reach(tree: Tree, wanted: Mapping[int, float]) -> Array | None:
+    """Return a closed pose of an assembled tree with given entries of q; None where the way from its pose ends."""
+    assert tree.closure is not None, "the tree is assembled"
+    mechanism, q = Mechanism(tree), np.array(tree.closure.pose)
+    held = [*wanted]
+    start, end = q[held], np.array([*wanted.values()])
+    count = max(1, math.ceil(float(np.abs(end - start).max(initial=0.0)) / PACE))
+    for part in np.linspace(0.0, 1.0, count + 1)[1:]:
+        q[held] = start + part * (end - start)
+        found = close(mechanism, q, held=held)
+        if not found.is_closed:
+            return None
+        q = found.q
+    return q
 
 
 def walk(mechanism: Mechanism, first: Array) -> Iterator[Array]:

@@ -98,7 +98,11 @@ def draw_mechanism(solution: Solution, plant: Plant, path: Path) -> None:
     assert isinstance(axes, Axes3D)
     times = Normalize(0, solution.trajectory.t[-1])
     for k in np.linspace(0, len(p) - 1, min(POSES, len(p))).round().astype(int):
-        _draw_pose(axes, frames, p[k], TIME(times(trajectory.t[k])), 3.0 if k in (0, len(p) - 1) else 1.2)
+        color = TIME(times(trajectory.t[k]))
+        _draw_pose(axes, frames, p[k], color, 3.0 if k in (0, len(p) - 1) else 1.2)
+        for link in skeleton.links:
+            ends = p[k][:, [link.first, link.second]]
+            axes.plot(*ends, color=color, linewidth=1.2, linestyle="-" if link.is_rod else ":")
     targets = dict(solution.problem.end.sensors)
     for i, frame in enumerate(frames):
         if frame.sensor and frame.name in targets:
