@@ -318,6 +318,7 @@ def find_blocks(pattern: Sequence[Sequence[int]], statuses: Sequence[int]) -> li
 def find_groups(place: Place, rows: Sequence[Row]) -> list[Group]:
     """Find disjoint groups of three rows with two local unknowns, then of two rows with one."""
     touched = {c: {r for r in place.rows if c in rows[r]} for c in place.columns}
+    candidates: list[tuple[tuple[int, ...], set[int]]]
     candidates = [(pair, touched[pair[0]] | touched[pair[1]]) for pair in combinations(place.columns, 2)]
     candidates += [((c,), touched[c]) for c in place.columns]
     found: list[Group] = []

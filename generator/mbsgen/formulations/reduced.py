@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 
 from mbsgen.formulations import closure, exp1, multipliers, ports
@@ -116,6 +117,7 @@ class Reduced:
     ) -> None:
         """Declare q and yd, the inputs `more`, w, theta and p; by_columns: velocities are written by those of Z."""
         self.tree, self.reductions, self._by_columns = tree, reductions, by_columns
+        self._bodies = tree.uncoupled if wrenches else replace(tree.uncoupled, wrenches=())
         self.builder = Builder(cancel=True)
         self._map, self.given = Map.take(tree, self.builder, list(_list_inputs(tree, more, wrenches=wrenches)))
         found = known_closure(tree)
@@ -241,7 +243,7 @@ class Reduced:
         return self._write_chain(self.all_velocities)
 
     def _write_chain(self, qd: list[Scalar]) -> Chain:
-        tree = self.tree.uncoupled
+        tree = self._bodies
         q, frames = share_out(tree, self.builder, self.given[ports.COORDINATES.name])
 
         def take(port: Port) -> list[Scalar]:

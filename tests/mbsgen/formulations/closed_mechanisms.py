@@ -45,6 +45,8 @@ assembly: {q1: 1.0, q2: -0.5, q3: 1.5}
 _SLIDER_CRANK = """
 name: slider_crank
 gravity: [0, -9.81, 0]
+parameters:
+  l: {value: 0.35, kind: differentiated}
 bodies:
   - {name: crank, joint: {name: q1, type: revolute, axis: z}, mass: 1.0, com: [0.05, 0, 0], inertia: [0.01,
      0.01, 0.01]}
@@ -54,7 +56,9 @@ bodies:
   - {name: piston, joint: {name: x, type: prismatic, axis: x, position: [0, 0.02, 0], actuated: false,
      damping: 2}, mass: 0.7}
 loops:
-  - {name: pin, type: ball, from: {body: rod, position: [0.35, 0, 0]}, to: {body: piston}}
+  - {name: pin, type: ball, from: {body: rod, position: [l, 0, 0]}, to: {body: piston}}
+wrenches:
+  - {name: gas, body: piston, frame: base, force: input}
 assembly: {q1: 0.7, q2: -0.9, x: 0.4}
 """
 
@@ -213,6 +217,8 @@ def draw(tree: Tree, seed: int) -> dict[str, Array]:
         "u": rng.uniform(-3, 3, sum(body.joint.actuated for body in tree.bodies)),
         "a": rng.uniform(-3, 3, len(tree.driven)),
         "tau": rng.uniform(-3, 3, len(tree.driven)),
+        "w": rng.uniform(-5, 5, 3 * len(tree.wrenches)),
+        "theta": np.array([x.value for x in tree.parameters if x.kind is Kind.DIFFERENTIATED]),
         "p": np.array([x.value for x in tree.parameters if x.kind is Kind.RUNTIME]),
     }
     own, other = list(closure.independent), list(closure.dependent)

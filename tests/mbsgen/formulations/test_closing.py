@@ -31,6 +31,8 @@ STRAIGHT = ("four_bar", "slider_crank", "five_bar", "spatial_rod", "geared", "dr
 def call(name: str, tree: Tree, **given: object) -> tuple[int, np.ndarray]:
     """Return the status of a function and its first result, as generated code does."""
     function = as_procedure(FUNCTIONS[name].build(tree, FEW))
+    values = [x.value for x in tree.parameters]  # of one kind
+    given = {**given, "p": values, "theta": values}
     outcome = interpret(function, {i.name: [float(x) for x in given[i.name]] for i in function.inputs})
     return outcome.status, np.array([x for values in outcome.results.values() for x in values], float)
 
@@ -41,7 +43,7 @@ def test_close_keeps_the_independent_coordinates_and_closes_all_loops(name, seed
     tree = make(name)
     rng, pose = np.random.default_rng(seed), np.array(tree.closure.pose)
     start = pose + 0.1 * rng.uniform(-1, 1, pose.size)
-    status, q = call("close", tree, q=start, p=[x.value for x in tree.parameters])
+    status, q = call("close", tree, q=start)
     assert status == 0
     assert Mechanism(tree).h(q) == pytest.approx(0, abs=ROUNDING)
     kept = [k for k in tree.closure.independent if not tree.quaternions or tree.joints[k].name in tree.coordinates[7:]]
@@ -168,7 +170,6 @@ def test_projection_is_the_least_change_that_closes_the_loops(name, function):
     tree, rng = make(name), np.random.default_rng(6)
     pose, n = np.array(tree.closure.pose), len(tree.joints)
     given = {"q": pose + 0.03 * rng.uniform(-1, 1, pose.size), "qd": rng.uniform(-1, 1, n)}
-    given["p"] = [x.value for x in tree.parameters]
     status, found = call(function, tree, **given)
     q, qd = np.split(found, [pose.size])
     assert status == 0
@@ -176,7 +177,8 @@ def test_projection_is_the_least_change_that_closes_the_loops(name, function):
     assert mechanism.h(q) == pytest.approx(0, abs=ROUNDING)
     assert mechanism.J(q) @ qd == pytest.approx(0, abs=ROUNDING)
     for at, change in ((q, qd - given["qd"]), (given["q"], q - given["q"]))[: 1 if tree.quaternions else 2]:
-        weight = np.eye(n) if function == "project_plain" else spread("semi", tree, {**given, "q": at}, "M")
+        state = {**draw(tree, 0), **given, "q": at}
+        weight = np.eye(n) if function == "project_plain" else spread("semi", tree, state, "M")
         free = [k for k, joint in enumerate(tree.joints) if joint.name not in driven(tree)]
         motions = scipy.linalg.null_space(mechanism.J(at)[:, free])
         assert motions.T @ weight[np.ix_(free, free)] @ change[free] == pytest.approx(0, abs=1e-12)
@@ -198,7 +200,7 @@ def test_c_closes_loops_as_the_interpreter_does(tmp_path: Path):
     library = Library(tuple(families.values()), tmp_path)
     for name, tree in trees.items():
         function = families[name].value
-        given = {"q": [x + 0.05 for x in tree.closure.pose]}
+        given = {"q": [x + 0.05 for x in tree.closure.pose], "theta": [x.value for x in tree.parameters]}
         status, found = library.call(function, given)
         assert status == 0
         assert found["closed"] == pytest.approx(
