@@ -27,6 +27,7 @@ from mbsgen.formulations.catalogue import FUNCTIONS, list_results
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.scene import read_scene, stage
 from mbsgen.model.tree import Kind, Tree
+from mbsgen.pipeline import build_parametric
 from mbsgen.request import Options, merge
 from mbsgen.tape import interpreter
 from mbsgen.tape.types import Tape
@@ -38,6 +39,7 @@ from tests.fuzz.kinematics import DECIMALS, FLOATS, Array, Motion, Values, fifty
 from tests.fuzz.mechanisms import CHOICES, Mechanism, Tally
 
 CUTS = ("rod", "ball", "hinge", "universal", "cylindrical", "prismatic", "planar", "solid")
+PARAMETRIC = ("runtime", "zeros")  # every number is a run-time parameter, and changed
 THIN = ([0, 0, 0], ["m*l**2/12", "m*l**2/12", 0])
 WORDS = {"ball": "spherical", "hinge": "revolute", "solid": "fixed"}
 ROUNDING = 1e-10  # of the largest entry: the generator's constants are rounded, and conditions are at most some 1000
@@ -210,6 +212,8 @@ def write_turns(R: Array) -> list[dict[str, Any]]:
 def examine(mechanism: Mechanism, seed: int = 0, *, derivatives: bool = False) -> str:
     """Compare a mechanism at a random state; return what differs, or nothing. Raises MbsError where it is refused."""
     tree, tapes = write_tapes(mechanism, derivatives=derivatives)
+    if mechanism.numbers in PARAMETRIC:
+        mechanism = mechanisms.change_numbers(mechanism, tree, seed)
     with fifty_digits():
         return Comparison(mechanism, tree, tapes, seed).run()
 
@@ -221,7 +225,10 @@ def write_tapes(mechanism: Mechanism, *, derivatives: bool = False) -> tuple[Tre
         scene.write_text(yaml.safe_dump(mechanism.scene or {"motion": True}, sort_keys=False))
         whole = mechanisms.read(mechanism, Path(folder))
         staged = read_scene(scene, whole, list_results())
-    tree = assemble(build_tree(stage(whole, staged)))
+    if mechanism.numbers in PARAMETRIC:
+        tree = assemble(build_parametric(whole, staged, zeros=mechanism.numbers == "zeros"))
+    else:
+        tree = assemble(build_tree(stage(whole, staged)))
     if not tree.is_constrained:
         raise OpenLoopError("nothing was found that leaves it a freedom")
     names = tuple(name for name, entry in FUNCTIONS.items() if all(need.holds(tree) for need in entry.needs))
