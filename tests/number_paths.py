@@ -28,6 +28,10 @@ def set_number(data: Data, path: str, value: float) -> None:
         for item in data.get(section, []):
             if path.startswith(start := f"{section}.{item['name']}."):
                 return _write(item, path.removeprefix(start).split("."), value)
+    for loop in data.get("loops", []):
+        if path.startswith(start := f"loops.{loop['name']}."):
+            key, *place = path.removeprefix(start).split(".")
+            return _write(loop[key], place, value) if place else _write(loop, [key], value)
     owners = [(name, owner) for name, owner in _list_owners(data) if path.startswith(f"{name}.")]
     for name, owner in owners:
         place = path.removeprefix(f"{name}.").split(".")

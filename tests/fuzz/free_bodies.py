@@ -101,6 +101,7 @@ class FreeBodies(Kinematics):
             for joint in (body["joint"] if isinstance(body["joint"], list) else [body["joint"]])
             if "follows" in joint
         }
+        self.driven = [name for name in model.get("driven", ()) if name not in self.locked]
         self.names_of_velocities = [x for x in self.velocities() if x not in self.follows and x not in self.locked]
 
     @property
@@ -265,7 +266,7 @@ class FreeBodies(Kinematics):
             F += jet.gradient * force
         loops = self._equations(moved)
         loops = [loops[k] for k in (range(len(loops)) if kept is None else kept)]
-        driven = {name: own[name] - self.numbers.make((drive or {})[name]) for name in self.model.get("driven", ())}
+        driven = {name: own[name] - self.numbers.make((drive or {})[name]) for name in self.driven}
         ties = [jet for link in moved.links for jet in self._joint(moved, link)]
         ties += [own[name] - self.number(x.get("ratio", 1.0)) * own[x["joint"]] for name, x in self.follows.items()]
         ties += [own[name] for name in self.locked]

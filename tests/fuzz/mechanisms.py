@@ -310,11 +310,11 @@ def examine(
 
 
 def change_numbers(mechanism: Mechanism, tree: Tree, seed: int) -> Mechanism:
-    """Change every run-time parameter of a tree, and the file at its path; numbers in a law of force have no path."""
+    """Change every run-time parameter of a tree, and the file at its path; numbers in a formula have no path."""
     source, model = random.Random(f"{seed} numbers"), copy.deepcopy(mechanism.model)
     values = dict(mechanism.parameters)
     for parameter in (p for p in tree.parameters if p.kind is Kind.RUNTIME):
-        if re.search(r"\.force\.[0-9]+$", parameter.name) and not parameter.name.startswith("wrenches."):
+        if re.search(r"^(?!wrenches).*\.force\.[0-9]+$|^constraints\.", parameter.name):
             continue
         drawn = parameter.value * source.uniform(0.9, 1.1) if parameter.value else source.uniform(0.0, 0.02)
         values[parameter.name] = drawn
