@@ -7,6 +7,7 @@ functions are compared, in 50 digits.
 
 from __future__ import annotations
 
+import ast
 import copy
 import math
 import random
@@ -28,9 +29,9 @@ from mbsgen.model.reduction import build_tree
 from mbsgen.model.scene import read_scene, stage
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.pipeline import build_parametric
+from mbsgen.procedure.procedure import Computation, as_procedure, evaluate
 from mbsgen.request import Options, merge
 from mbsgen.tape import interpreter
-from mbsgen.tape.types import Tape
 from mbsgen.verification.verify import verify
 from tests.fuzz import mechanisms
 from tests.fuzz.absolute import Absolute
@@ -46,6 +47,7 @@ ROUNDING = 1e-10  # of the largest entry: the generator's constants are rounded,
 REGULAR = 0.03  # the least singular value of J, relative to the largest, of a pose that is drawn
 ATTEMPTS = 12  # at a loop that restricts the motion regularly
 NEAR = 0.1  # how far coordinates are from the assembled pose where functions are compared
+SMALL = 0.01  # how far from closed poses coordinates are that are to be closed
 WITH_DERIVATIVES = 25
 NOT_COMPARED = ("condition", "jacobian", "frames", "rates")  # functions of the tree alone
 
@@ -118,7 +120,7 @@ class _Loops:
             model = self.model | {section: [*self.model.get(section, []), added]}
             J = self._restrict(model)
             singular = np.linalg.svd(J, compute_uv=False) if J.size else np.zeros(1)
-            if len(J) < J.shape[1] and singular.min() > REGULAR * singular.max():
+            if len(J) < J.shape[1] and singular.min() > REGULAR * max(1.0, singular.max()):
                 self.model = model
                 return
 
@@ -218,7 +220,7 @@ def examine(mechanism: Mechanism, seed: int = 0, *, derivatives: bool = False) -
         return Comparison(mechanism, tree, tapes, seed).run()
 
 
-def write_tapes(mechanism: Mechanism, *, derivatives: bool = False) -> tuple[Tree, Mapping[str, Tape]]:
+def write_tapes(mechanism: Mechanism, *, derivatives: bool = False) -> tuple[Tree, Mapping[str, Computation]]:
     """Read a mechanism, assemble it, and write its functions; verify their derivatives where these are asked for."""
     with tempfile.TemporaryDirectory() as folder:
         scene = Path(folder) / "fuzz.scene.yaml"
@@ -245,13 +247,14 @@ def write_tapes(mechanism: Mechanism, *, derivatives: bool = False) -> tuple[Tre
 class Comparison:
     """The tapes of a tree beside the independent program, at one open state and one closed state."""
 
-    def __init__(self, mechanism: Mechanism, tree: Tree, tapes: Mapping[str, Tape], seed: int) -> None:
+    def __init__(self, mechanism: Mechanism, tree: Tree, tapes: Mapping[str, Computation], seed: int) -> None:
         self.mechanism, self.tree, self.tapes = mechanism, tree, tapes
         self.source = np.random.default_rng(seed)
         axes = {
             body.joint.name: DECIMALS.array([[float(x) for x in row] for row in body.axes]).T for body in tree.bodies
         }
-        numbers = (mechanism.model, mechanism.parameters, DECIMALS)
+        model = express_rules(mechanism, set(tree.coordinates))
+        numbers = (model, mechanism.parameters, DECIMALS)
         self.program = FreeBodies(*numbers, mechanism.scene, axes=axes)
         self.power = Absolute(*numbers, gravity=mechanism.scene.get("gravity", True))
         self.names = [joint.name for joint in tree.joints]
@@ -359,6 +362,7 @@ class Comparison:
                 self._judge(f"{name}: tau", found["tau"], tau, self._size(solved))
         if "impl_red" in self.tapes:
             self._compare_reduced(q, own, at, solved)
+        self._compare_closing(q, own, at)
         self._check_choice(q)
 
     def _compare_reduced(self, q: Mapping[str, Any], qd: Array, at: Mapping[str, Any], solved: Solution) -> None:
@@ -388,6 +392,60 @@ class Comparison:
         if self.driven:
             tau = DECIMALS.array([solved.tau[name] for name in self.driven])
             self._judge("exp1_red: tau", self._evaluate("exp1_red", given)["tau"], tau, self._size(solved))
+
+    def _compare_closing(self, q: Mapping[str, Any], qd: Array, at: Mapping[str, Any]) -> None:
+        """Compare the functions that close loops and project states on closed ones."""
+        if "close" not in self.tapes:
+            return
+        program, free = self.program, list(self.closure.independent)
+        found = program.close_over(q, self._by_name(qd), self._by_name(qd * 0))
+        kept = list(self.closure.kept)
+        J, gamma = found.J[kept][:, self.order], found.gamma[kept]
+        given = {**at, "yd": self._draw(len(free)), "ydd": self._draw(len(free))}
+        rates = self._complete(J, given["yd"], gamma * 0)
+        self._judge("close_rates", self._evaluate("close_rates", given)["qd"], rates)
+        moving = program.close_over(q, self._by_name(rates), self._by_name(rates * 0)).gamma[kept]
+        accelerations = self._complete(J, given["ydd"], -moving)
+        self._judge("close_accelerations", self._evaluate("close_accelerations", given)["qdd"], accelerations)
+        step = self._draw(len(self.names)) * Decimal(SMALL)
+        step[free] = DECIMALS.array(np.zeros(len(free)))
+        off = {**at, "q": self._advance(q, step)}
+        closed = dict(zip(self.tree.coordinates, self._evaluate("close", off)["closed"], strict=True))
+        self._judge("close: h", program.jacobian(closed)[0], DECIMALS.array(np.zeros(len(found.h))))
+        if not self.tree.quaternions:
+            order = self.tree.coordinates
+            self._judge("close", DECIMALS.array([closed[x] for x in order]), DECIMALS.array([q[x] for x in order]))
+        self._check_projection(q, qd, at)
+
+    def _advance(self, q: Mapping[str, Any], step: Array) -> dict[str, Any]:
+        own = self._by_name(step)
+        return self.program.advance(dict(q), [own[name] for name in self.program.names_of_velocities])
+
+    def _check_projection(self, q: Mapping[str, Any], qd: Array, at: Mapping[str, Any]) -> None:
+        """Check that projections close loops, and that what they change is W^-1 JT times multipliers."""
+        program, kept = self.program, list(self.closure.kept)
+        free = [k for k, name in enumerate(self.names) if name not in self.driven]
+        start = self._advance(q, self._draw(len(self.names)) * Decimal(SMALL))
+        rates = qd + self._draw(len(qd))
+        for name in ("project", "project_plain"):
+            found = self._evaluate(name, {**at, "q": start, "qd": rates})
+            closed, velocities = dict(zip(self.tree.coordinates, found["closed"], strict=True)), found["closed_qd"]
+            h, J = program.jacobian(closed)
+            J = J[:, self.order]
+            self._judge(f"{name}: h", h, h * 0)
+            self._judge(f"{name}: hd", J @ velocities, h * 0)
+            changes = [(closed, rates - velocities)]
+            if not self.tree.quaternions:
+                order = self.tree.coordinates
+                changes.append((start, DECIMALS.array([start[x] - closed[x] for x in order])))
+            for place, change in changes:
+                J = program.jacobian(place)[1][kept][:, self.order].astype(float)[:, free]
+                M = self._evaluate("semi", {**at, "q": place})["M"].reshape(len(self.names), -1).astype(float)
+                W = np.eye(len(self.names)) if name == "project_plain" else M
+                forces = (W @ change.astype(float))[free]
+                lam = np.linalg.lstsq(J.T, forces, rcond=None)[0]
+                rest = DECIMALS.array(forces - J.T @ lam)
+                self._judge(f"{name}: change", rest, rest * 0, max(1e-3, float(np.abs(forces).max(initial=0))))
 
     def _complete(self, J: Array, y: Array, right: Array) -> Array:
         """Return entries of all joints by the independent ones: J x = right."""
@@ -436,14 +494,14 @@ class Comparison:
 
     def _evaluate(self, name: str, at: Mapping[str, Any]) -> dict[str, Array]:
         """Evaluate a tape; results are dense."""
-        tape = self.tapes[name]
-        given = {i.name: [DECIMALS.make(x) for x in self._input(i.name, at)] for i in tape.inputs if i.name != "h"}
-        if any(i.name == "h" for i in tape.inputs):
+        function = as_procedure(self.tapes[name])
+        given = {i.name: [DECIMALS.make(x) for x in self._input(i.name, at)] for i in function.inputs if i.name != "h"}
+        if any(i.name == "h" for i in function.inputs):
             p = [Decimal(x) for x in self._parameters(Kind.RUNTIME)]
             setup = self.tapes.get("setup")  # else no function depends on the parameters
-            given["h"] = [] if setup is None else interpreter.evaluate(setup, {"p": p}, interpreter.DECIMALS)["h"]
-        values = interpreter.evaluate(tape, given, interpreter.DECIMALS)
-        return {o.name: _spread(o.sparsity, values[o.name]) for o in tape.outputs}
+            given["h"] = [] if setup is None else evaluate(setup, {"p": p}, interpreter.DECIMALS)["h"]
+        values = evaluate(function, given, interpreter.DECIMALS)
+        return {o.name: _spread(o.sparsity, values[o.name]) for o in function.outputs}
 
     def _input(self, name: str, at: Mapping[str, Any]) -> Sequence[Any]:
         match name:
@@ -465,6 +523,29 @@ class Comparison:
 
     def _parameters(self, kind: Kind) -> list[float]:
         return [self.mechanism.parameters.get(x.name, x.value) for x in self.tree.parameters if x.kind is kind]
+
+
+def express_rules(mechanism: Mechanism, coordinates: set[str]) -> dict[str, Any]:
+    """Let joints without coordinates follow others as linear constraints of two joints demand."""
+    model = copy.deepcopy(mechanism.model)
+    program = FreeBodies(model, mechanism.parameters, FLOATS, mechanism.scene)
+    settings = dict(program.elementary())
+    missing = [name for name in program.names_of_velocities if name in settings and name not in coordinates]
+    for name in missing:
+        constraint = next(x for x in model["constraints"] if name in _names_of(x["equation"]))
+        (other,) = {x for x in _names_of(constraint["equation"]) if x in settings and x != name}
+        at = [
+            mechanisms.value_of(constraint["equation"], {**mechanism.parameters, name: a, other: b})
+            for a, b in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
+        ]
+        slope = at[1] - at[0]
+        settings[name]["follows"] = {"joint": other, "ratio": -(at[2] - at[0]) / slope, "offset": -at[0] / slope}
+        model["constraints"].remove(constraint)
+    return model
+
+
+def _names_of(equation: str) -> set[str]:
+    return {node.id for node in ast.walk(ast.parse(equation)) if isinstance(node, ast.Name)}
 
 
 def _spread(sparsity: Any, values: Sequence[Any]) -> Array:
