@@ -139,16 +139,15 @@ def _refuse_iterations(name: str, members: Sequence[Family]) -> None:
 
 
 def _let_rest(family: Family) -> Family:
-    """Replace the velocities by zeros; drop derivatives by them."""
+    """Replace the velocities by zeros; drop derivatives by them. Functions that iterate keep all their inputs."""
 
     def rest(function: Computation | None) -> Computation | None:
         if function is None:
             return None
-        if isinstance(function, Procedure) and not any(wire.port.role is Role.VELOCITY for wire in function.inputs):
+        if isinstance(function, Procedure):
             return function
-        tape = straight(function)
-        kept = {o.name for o in tape.outputs if not is_of(o.port, Role.VELOCITY)}
-        return set_zero(keep_results(tape, kept), Role.VELOCITY)
+        kept = {o.name for o in function.outputs if not is_of(o.port, Role.VELOCITY)}
+        return set_zero(keep_results(function, kept), Role.VELOCITY)
 
     value = rest(family.value)
     assert value is not None, "a family has a value"

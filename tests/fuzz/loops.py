@@ -401,7 +401,7 @@ class Comparison:
         found = program.close_over(q, self._by_name(qd), self._by_name(qd * 0))
         kept = list(self.closure.kept)
         J, gamma = found.J[kept][:, self.order], found.gamma[kept]
-        given = {**at, "yd": self._draw(len(free)), "ydd": self._draw(len(free))}
+        given = {**at, "yd": self._draw(len(free)) * Decimal(self.moves), "ydd": self._draw(len(free))}
         rates = self._complete(J, given["yd"], gamma * 0)
         self._judge("close_rates", self._evaluate("close_rates", given)["qd"], rates)
         moving = program.close_over(q, self._by_name(rates), self._by_name(rates * 0)).gamma[kept]

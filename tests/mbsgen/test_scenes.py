@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from mbsgen.assembly import assemble
 from mbsgen.errors import InputError
 from mbsgen.evidence import gather
 from mbsgen.expressions import Number, parse
@@ -88,6 +89,18 @@ def test_without_motion_only_statics_is_left():
     assert [o.name for o in jac.outputs] == ["jac_Phi_q", "jac_Phi_qdd", "jac_Phi_u"]
     assert count(value).paper < count(impl.build(build_tree(model))).paper
     assert max(gather(model, merge(Options(), scene)).deviations.values()) < 1e-15
+
+
+def test_without_motion_loops_are_closed_and_states_projected() -> None:
+    """An iteration keeps its inputs, velocities too; straight functions lose theirs."""
+    model = read_model(MODELS / "four_bar.yaml")
+    scene = Scene(functions=("close_rates", "project"), motion=False)
+    tree = assemble(build_tree(stage(model, scene)))
+    families = {f.value.name: f.value for f in write_families(tree, merge(Options(derivatives=0), scene))}
+    assert {name: [i.name for i in value.inputs] for name, value in families.items()} == {
+        "close_rates": ["q"],
+        "project": ["q", "qd"],
+    }
 
 
 @pytest.mark.parametrize("name", ["exp1", "exp2"])
