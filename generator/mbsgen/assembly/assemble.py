@@ -22,6 +22,7 @@ from mbsgen.assembly.poses import OPEN, Attempt, close, find_pose, rank, walk
 from mbsgen.documents import Place, abbreviate
 from mbsgen.errors import MbsError
 from mbsgen.model.findings import Finding
+from mbsgen.model.symbols import exact, to_double
 from mbsgen.model.tree import Closure, Cut, Kind, Tree
 
 PASSIVE, ACTIVE = 1.0, 0.2  # weights of the columns of joints without and with an actuator: the latter are independent
@@ -89,7 +90,7 @@ def _name_gaps(mechanism: Mechanism, attempt: Attempt) -> list[Finding]:
     """Name the loops that stay open, and by how much."""
     tree, gaps = mechanism.tree, dict[int, float]()
     for (number, _), value in zip(mechanism.equations, attempt.h, strict=True):
-        gaps[number] = max(gaps.get(number, 0.0), abs(float(value)))
+        gaps[number] = max(gaps.get(number, 0.0), _measure_gap(tree, number, float(value)))
     found = []
     for number in (number for number, gap in gaps.items() if not gap <= OPEN):
         place, name = _place(tree, number)
@@ -103,6 +104,15 @@ def _name_gaps(mechanism: Mechanism, attempt: Attempt) -> list[Finding]:
     place, name = _place(tree, turned)
     finding = f"{name} closes with its axes turned round only"
     return [Finding(place, finding, "turn the orientation of one end, or give a rough pose in `assembly:`")]
+
+
+def _measure_gap(tree: Tree, number: int, value: float) -> float:
+    """Return how far an equation is from holding; a rod's h = (d.d - L2) / (2 L) as the distance |d| - L."""
+    if number >= len(tree.loops) or tree.loops[number].cut is not Cut.ROD or not math.isfinite(value):
+        return abs(value)
+    present = {p.symbol: exact(p.value) for p in tree.parameters}
+    length = to_double(tree.loops[number].value.xreplace(present))
+    return abs(math.sqrt(max(length * length + 2 * length * value, 0.0)) - length)
 
 
 def _name_singularity(found: int, expected: int) -> Finding:

@@ -43,6 +43,11 @@ class Mechanism:
         self.n = len(tree.joints)
         self.senses_of = closure.list_senses(tree)  # of each cosine, the number of its loop
 
+    @property
+    def operations(self) -> int:
+        """Count the operations of h and dh/dq."""
+        return len(self._h.operations) + len(self._slopes.operations)
+
     def h(self, q: Array) -> Array:
         """Return what is left open, shape (all equations,)."""
         return np.array(self._evaluate(self._h, q)[ports.CLOSURE.name], float)

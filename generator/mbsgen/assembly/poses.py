@@ -22,6 +22,8 @@ SHORTEST = 1e-9  # of a step: the next one is at the rounding
 OPEN = 1e-9  # of what may be left of an equation, m or rad, of sizes of 1
 RANK = 1e-9  # of the largest singular value: smaller ones are 0
 SPREADS = (0.0, *(0.1,) * 4, *(0.3,) * 8, *(1.0,) * 16, *(3.0,) * 32)  # of the starts, about the rough pose
+EFFORT = 100_000_000  # operations of all attempts together, so that a large model is refused in a quarter of a minute
+FEWEST = 3  # attempts, however large the model is
 WALKS = 8  # poses that are looked at besides the first one
 STRIDE = 0.4  # between them, rad or m
 PACE = 0.1  # of given coordinates on the way to their values, rad or m
@@ -51,7 +53,7 @@ def find_pose(mechanism: Mechanism, rough: Array) -> Attempt:
     """Close all loops near a rough pose: from it, then from starts about it. Return the best attempt."""
     draw = np.random.default_rng(0)
     best: Attempt | None = None
-    for spread in SPREADS:
+    for spread in SPREADS[: count_starts(mechanism.operations)]:
         found = close(mechanism, rough + spread * draw.standard_normal(rough.size))
         if found.is_closed:
             return found
@@ -59,6 +61,11 @@ def find_pose(mechanism: Mechanism, rough: Array) -> Attempt:
             best = found
     assert best is not None, "some start was tried"
     return best
+
+
+def count_starts(operations: int) -> int:
+    """Return from how many starts loops are closed, given the operations of one step."""
+    return max(FEWEST, min(len(SPREADS), EFFORT // (STEPS * operations + 1)))
 
 
 def close(

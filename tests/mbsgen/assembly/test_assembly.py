@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from mbsgen.assembly import assemble, describe
+from mbsgen.assembly.poses import FEWEST, SPREADS, count_starts
 from mbsgen.errors import InputError
 from mbsgen.model.construction import body, constraint, end, free, loop, make_model, revolute, rod
 from mbsgen.model.model import Model
@@ -116,6 +117,20 @@ def test_a_loop_out_of_reach_is_named_with_what_is_left() -> None:
     told = refuse(four_bar((CRANK, COUPLER, ROCKER, 3.0)))
     assert told.startswith('model "four-bar": loops[0]: loop "knee" does not close')
     assert float(told.split("by ")[1].split(";")[0]) == pytest.approx(1.9, rel=0.02)
+
+
+def test_the_gap_of_a_rod_is_a_length() -> None:
+    """The tips of crank and rocker are at most 0.2 m + 0.6 m + 0.4 m apart: of 3 m, 1.8 m are missing."""
+    ends = end("crank", position=(CRANK, 0, 0)), end("rocker", position=(ROCKER, 0, 0))
+    told = refuse(four_bar(loops=[rod("bar", *ends, 3.0)]))
+    assert float(told.split("by ")[1].split(" m;")[0]) == pytest.approx(1.8, rel=0.01)
+
+
+def test_large_models_are_closed_from_fewer_starts() -> None:
+    """A loop of hundreds of joints that is out of reach would be searched for minutes."""
+    assert count_starts(1000) == len(SPREADS)
+    assert count_starts(70_000) < 20
+    assert count_starts(10**9) == FEWEST
 
 
 def test_loops_that_contradict_each_other_are_both_named() -> None:
