@@ -38,7 +38,7 @@ def check_loops(model: Model, valuation: Valuation, doubtful: Container[Place]) 
     for i, loop in enumerate(model.loops):
         yield from _check_loop(("loops", i), loop, valuation)
     yield from _check_ends(model, doubtful)
-    yield from _check_twins(model)
+    yield from _check_twins(model, doubtful)
     joints = _Joints.of(model, doubtful)
     for i, constraint in enumerate(model.constraints):
         yield from _check_constraint(("constraints", i, "equation"), constraint, joints, valuation)
@@ -125,14 +125,19 @@ def _check_ends(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
             yield Finding(place, finding, remedy)
 
 
-def _check_twins(model: Model) -> Iterator[Finding]:
+def _check_twins(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
     """Find loops and constraints that are given twice."""
     seen: dict[object, int] = {}
+    parts: tuple[Place, ...] = (("type",), ("from", "body"), ("to", "body"), ("axis",), ("length",))
     for i, loop in enumerate(model.loops):
+        if any(lies_under(("loops", i, *part), doubtful) for part in parts):
+            continue
         other = seen.setdefault(replace(loop, name=""), i)
         if other != i:
             yield Finding(("loops", i), f"the same loop as {write_path(('loops', other))}", "leave one of them out")
     for i, constraint in enumerate(model.constraints):
+        if lies_under(("constraints", i, "equation"), doubtful):
+            continue
         other = seen.setdefault(constraint.equation, i)
         if other != i:
             finding = f"the same equation as in {write_path(('constraints', other))}"

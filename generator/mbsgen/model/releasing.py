@@ -16,6 +16,7 @@ from dataclasses import replace
 from mbsgen.expressions import Expression, Name, Number, evaluate, names
 from mbsgen.model.elimination import eliminate
 from mbsgen.model.expansion import Step, list_steps
+from mbsgen.model.following import list_joints
 from mbsgen.model.joints import describe_joint
 from mbsgen.model.laws import replace_counted, replace_numbers
 from mbsgen.model.model import (
@@ -61,6 +62,7 @@ class _Release:
         self._zeros = zeros
         self._valuation = Valuation(model.parameters, ())
         fixed = _find_fixed(model)
+        self._coordinates = {step.name for step in list_joints(model)} if model.constraints else set()
         self._parameters = {
             p.name: replace(p, kind=Kind.RUNTIME)
             if p.kind is Kind.CONSTANT and p.name not in fixed and not names(p.value)
@@ -88,7 +90,7 @@ class _Release:
         if not self._zeros and (value == 0 or (of_turn and _is_quarter_turn(expression))):
             return expression
         name, count = path, 1
-        while name in self._parameters:  # names of bodies, joints and frames may be alike
+        while name in self._parameters or name in self._coordinates:  # names of bodies, joints and frames may be alike
             name, count = f"{path}.{count + 1}", count + 1
         self._parameters[name] = Parameter(name, expression, Kind.RUNTIME)
         return Name(name)

@@ -291,3 +291,9 @@ def test_limits_of_a_joint_that_a_constraint_makes_a_follower_bind_its_leader(tm
     text = text.replace("position: [0.4, 0, 0], act", "position: [0.4, 0, 0], limits: [-0.5, 0.5], act")
     (fault,) = find_faults(text, tmp_path)
     assert fault.finding == "the limits of its followers leave the joint no range"
+
+
+def test_parts_that_are_alike_by_their_faults_are_no_twins(tmp_path: Path) -> None:
+    """Equations that cannot be read are replaced by one example while the rest is examined."""
+    text = LINKAGE.replace(CAM, "q4 +").replace("driven", "  - {name: c, equation: '2 -'}\ndriven")
+    assert [x.path for x in find_faults(text, tmp_path)] == ["constraints[0].equation", "constraints[1].equation"]

@@ -186,6 +186,14 @@ def test_constraints_that_are_rules_stay_rules_where_all_numbers_are_inputs() ->
     assert build_tree(with_runtime_numbers(model, zeros=True)).couplings == build_tree(model).couplings
 
 
+def test_a_joint_with_the_name_of_a_number_is_no_number() -> None:
+    arm = body("arm", revolute("y", name="q1"), mass=1, com=(0, 0, 1))
+    other = body("other", revolute("y", name="constraints.c.1"), mass=1, com=(0, 0, 1))
+    model = make_model("m", [arm, other], gravity=(0, 0, 0), constraints=[constraint("c", "sin(q1) - 0.5")])
+    (equation,) = (x.equation for x in build_tree(with_runtime_numbers(model)).constraints)
+    assert equation == sin(coordinate_symbol("q1")) - Symbol("constraints.c.1.2")
+
+
 def test_constants_of_axes_of_loops_stay() -> None:
     model = make_linkage(loops=[loop("slot", "planar", end("third"), end("base"), axis=(0, "k", 1))])
     released = with_runtime_numbers(model)
