@@ -147,7 +147,7 @@ class Peer:
         self.jacobian_nonzeros = int(self._solver.get_function("nlp_jac_g").nnz_out(1))
         self.seconds_building = processor_seconds() - begin
         if shelf is not None:
-            self._solver, seconds = _compile(self._solver, options, shelf)
+            self._solver, seconds = compile_solver(self._solver, options, shelf)
             self.seconds_building += seconds
 
     def solve(self, guess: Trajectory) -> Effort:
@@ -170,7 +170,7 @@ class Peer:
         return np.concatenate(parts)
 
 
-def _compile(solver: ca.Function, options: Mapping[str, Any], shelf: Shelf) -> tuple[ca.Function, float]:
+def compile_solver(solver: ca.Function, options: Mapping[str, Any], shelf: Shelf) -> tuple[ca.Function, float]:
     """Return the same solver with its functions compiled, and the processor time that takes."""
     begin = processor_seconds()
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):  # CasADi writes to where it is

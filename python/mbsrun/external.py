@@ -16,6 +16,7 @@ from mbsrun.models import Extent, find_folder, is_model
 
 INTEGER = "casadi_int"  # the integers of functions that CasADi can call
 START = Extent(("impl", "frames"), 1)
+LOOPS = ("loops", "loop_rates", "loop_accelerations", "loop_forces")  # short, and a program that needs one needs others
 
 
 class Mechanism(Kernels):
@@ -85,7 +86,8 @@ class OnDemand:
 
     def _load(self, function: str) -> Mechanism:
         if function not in self._mechanisms:
-            self._mechanisms[function] = Mechanism(find_folder(self._path, Extent((function,))))
+            together = LOOPS if function in LOOPS else (function,)
+            self._mechanisms |= dict.fromkeys(together, Mechanism(find_folder(self._path, Extent(together))))
         return self._mechanisms[function]
 
 
