@@ -1,9 +1,9 @@
 """Conditions on the start and the end of a motion with closed loops: which of them are independent, and the rest.
 
 Loops relate coordinates, so a start or a target may give too much. Of the values given, in order, the first ones that
-can have any value are kept. Newton's method finds all other coordinates, and a value that differs from what it finds is
-reported with the difference. So no state has more conditions than it can meet, and conditions are independent of each
-other and of the loops.
+can have any value are kept. Newton's method finds all other coordinates. A given value that differs from the value
+found is reported, with the difference. So no state has more conditions than it can meet, and conditions are independent
+of each other and of the loops.
 """
 
 from __future__ import annotations

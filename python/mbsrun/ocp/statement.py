@@ -310,7 +310,7 @@ class _Reading:
             self.fault(place, finding, "leave it out: the loops give it")
 
     def closed_end(self, closure: Closure, end: End, start_q: Sequence[float]) -> End:
-        """Drop coordinates of the end that follow from others; refuse those that contradict them."""
+        """Drop coordinates of the end that follow from others; refuse values that contradict the others."""
         given, near = dict(end.coordinates), np.array(start_q)
         surplus = find_surplus(closure, near, list(given))
         if surplus:

@@ -132,7 +132,7 @@ class Writer:
         return [self.motions.velocities.index(i) for i in which]
 
     def split_equations(self, equations: Indices) -> tuple[Indices, Indices, Indices]:
-        """Split the equations of stages (N, S, ...) into those of states, of motion, and of loops.
+        """Split the equations of stages (N, S, ...) into three groups: of states, of motion, and of loops.
 
         For an ODE, the equations of motion are the last ones of states.
         """

@@ -241,7 +241,7 @@ def test_a_free_start_is_closed(loops: Loops) -> None:
 
 
 def test_dependent_velocities_are_variables_where_they_are_read() -> None:
-    """Bounded by what the motion needs without bounds, they cost a little more; both forms agree."""
+    """Below the speed that the motion has without bounds, the cost rises a little; both forms agree."""
     free = solved(Loops.REDUCED, Representation.IMPL)
     fastest = float(np.abs(free.trajectory.point_qd[:, :, 1]).max())
     bounds = Bounds(
@@ -379,7 +379,7 @@ STARTS = {
 
 @pytest.mark.parametrize("start", STARTS)
 def test_a_start_is_completed_by_closing(tmp_path: Path, start: str) -> None:
-    """What is given keeps its value, other independent coordinates those of the assembled pose; loops give the rest."""
+    """Given coordinates keep their values, independent ones the assembled pose's, and the loops give all others."""
     problem, closure = _read(tmp_path, start), Closure(arms())
     q, qd = np.array(problem.start_q), np.array(problem.start_qd)
     assert closure.is_closed(q)
