@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 from mbsgen.derivatives.dynamics import Dynamics
 from mbsgen.derivatives.kernels import Derivatives, differentiable, differentiate
+from mbsgen.derivatives.staged import StagedDerivatives
 from mbsgen.formulations import ports
 from mbsgen.formulations.catalogue import FUNCTIONS, Entry, refuse, select_functions
 from mbsgen.model.tree import Kind, Tree
@@ -87,6 +88,9 @@ def _write_chosen(
         function = entry.build(tree, request.reductions)
         assert function.name == name, "the catalogue calls a function by its own name"
         order = min(entry.order, request.derivatives)
+        if entry.iterated and order:
+            families += _write_staged(function, entry.iterated(tree), entry.title, order)
+            continue
         if isinstance(function, Procedure):
             families.append(Family(function, title=entry.title))
             continue
@@ -110,6 +114,13 @@ def _write_family(found: Derivatives, title: str, order: int) -> Iterator[Family
     second = found.jac_adj1 if order > 1 else None
     yield Family(found.tape, found.jac, found.adj1, second, title, found.staged)
     yield Family(found.lin, title=f"{title}, with its Jacobians", staged=found.staged)
+
+
+def _write_staged(value: Computation, procedure: Procedure, title: str, order: int) -> Iterator[Family]:
+    """Write a function with the derivatives of a procedure that computes the same."""
+    found = StagedDerivatives.of(procedure, order)
+    yield Family(value, found.jac, found.adj1, found.jac_adj1, title)
+    yield Family(found.lin, title=f"{title}, with its Jacobians")
 
 
 def _finish(families: Sequence[Family], request: Request) -> list[Family]:

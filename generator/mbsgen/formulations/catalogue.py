@@ -37,7 +37,7 @@ from mbsgen.formulations import (
 from mbsgen.formulations.planning import dynamics_alone
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Tree
-from mbsgen.procedure.procedure import Computation, straight
+from mbsgen.procedure.procedure import Computation, Procedure, straight
 from mbsgen.roles import Role
 from mbsgen.tape.ports import Port
 from mbsgen.tape.types import Tape
@@ -84,13 +84,14 @@ class Entry:
     from the derivatives of the function REFERENCE, whatever its own recursion is.
     """
 
-    build: Build  # of any tree, see `project`; a procedure is not differentiated
+    build: Build  # of any tree, see `project`; a procedure is differentiated by `iterated` alone
     title: str  # for readers of the generated code
     results: tuple[Port, ...]
     order: int = 0  # up to which it is differentiated, by all inputs but parameters
     needs: tuple[Need, ...] = ()
     is_form: bool = False  # of the equations of motion
     row: Row | None = None
+    iterated: Callable[[Tree], Procedure] | None = None  # the same by iterations, if this is to be differentiated
     same_as: str = ""  # another entry that computes the same, and is judged in its place
 
     def gives(self, role: Role) -> bool:
@@ -229,6 +230,8 @@ FUNCTIONS: Mapping[str, Entry] = {
         lambda tree, _: closing.build(tree),
         "coordinates with all loops closed, from the independent ones",
         results=(ports.CLOSED,),
+        order=2,
+        iterated=closing.build_iterated,
         needs=(LOOPS,),
     ),
     "close_rates": Entry(

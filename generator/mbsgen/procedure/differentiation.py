@@ -26,13 +26,16 @@ from mbsgen.tape.ports import adjoint_port, derivative_port, seed_port
 from mbsgen.tape.types import Sparsity
 
 
-def jacobian(procedure: Procedure, wrt: Sequence[str]) -> Procedure:
-    """Differentiate every result by the inputs `wrt`. Blocks that are zero are left out."""
+def jacobian(procedure: Procedure, wrt: Sequence[str], *, with_values: bool = False) -> Procedure:
+    """Differentiate every result by the inputs `wrt`. Blocks that are zero are left out.
+
+    with_values: the results come first, as in a linearisation.
+    """
     own = procedure.function
     order = Order.ADJOINT_JACOBIAN if own.order is Order.ADJOINT else Order.JACOBIAN
     slopes = Slopes([procedure.input(x) for x in wrt], _find_matrices(procedure), _list_names(procedure))
     stages = [stage for given in procedure.stages for stage in given.push(slopes)]
-    sheet, outputs = Sheet(), []
+    sheet, outputs = Sheet(), [*procedure.outputs] if with_values else []
     for output, x in product(procedure.outputs, wrt):
         if x in (found := slopes.find(output)):
             wire, port = found[x], derivative_port(output.port, procedure.input(x).port)
@@ -41,6 +44,7 @@ def jacobian(procedure: Procedure, wrt: Sequence[str]) -> Procedure:
                 sheet.give(block, sheet.take(wire) if wire else [sheet.builder.number(1.0)] * output.sparsity.nnz)
             outputs.append(block)
     stages += written(sheet, slopes.name("renamed"))
+    order = Order.LINEARISATION if with_values else order
     return fuse(Procedure(own.to(order), procedure.inputs, tuple(stages), tuple(outputs)))
 
 

@@ -146,13 +146,13 @@ class Newton(Stage):
             given += [{} for _ in range(n)] if i.name == self.unknown else slopes.take(sheet, self._wire(i.name))
         gradients = carry(self.residual, sheet.builder, values, given)
         places: dict[tuple[int, int], Scalar] = {}
-        blocks, used = [], 0
+        blocks, used, g = [], 0, self.residual.outputs[0]
         for x in wrt:
-            entries = [(r, k) for r in range(n) for k in slopes.places[x]]
-            pattern = Sparsity.of(n, slopes.sizes[x], entries)
+            columns = [k for k in slopes.places[x] if any(slopes.column(x, k) in gradients[v] for v in g.values)]
+            pattern = Sparsity.of(n, slopes.sizes[x], [(r, k) for r in range(n) for k in columns])
             blocks.append(Block(slopes.register(self.solution, x, pattern), used))
-            for r, value in enumerate(self.residual.outputs[0].values):
-                for k in slopes.places[x]:
+            for r, value in enumerate(g.values):
+                for k in columns:
                     entry = gradients[value].get(slopes.column(x, k))
                     if entry is not None and not entry.is_zero:
                         places[used + k, r] = entry

@@ -73,18 +73,16 @@ class _Verifier:
         for name, family in self.by_name.items():
             value, found = family.value, False
             expectations = list_expectations(value) if value.function.order is Order.VALUE else ()
-            starts_closed = any(o.port == ports.CLOSED for o in value.outputs)
-            if not expectations or (starts_closed and truth.state.number):  # other lengths may keep loops open
+            if not expectations or (_closes(value) and truth.state.number):  # other lengths may keep loops open
                 continue
-            state = replace(truth.state, coordinates=draw_start(self.tree)) if starts_closed else truth.state
-            results = evaluate(value, self._arguments(value, state), DECIMALS)
+            results = evaluate(value, self._arguments(value, truth.state), DECIMALS)
             for expect in expectations:
                 for comparison in expect(truth, value, results):
                     self._judge(name, comparison, truth.state)
                     found = True
             if {ports.KINETIC, ports.POTENTIAL} <= {o.port for o in value.outputs} and not self.still:
                 self._judge(name, self._grow_energy(value, truth), truth.state)
-            if found and truth.state.number == 0 and not starts_closed:  # the check program starts at drawn numbers
+            if found and truth.state.number == 0 and not _closes(value):  # the check program starts at drawn numbers
                 self._refer(value, results)
 
     def _refer(self, function: Computation, results: Results) -> None:
@@ -111,6 +109,8 @@ class _Verifier:
                     self._judge(name, comparison, state)
 
     def _arguments(self, tape: Computation, state: State) -> dict[str, Numbers]:
+        if _closes(tape):
+            state = replace(state, coordinates=draw_start(self.tree))
         return {
             i.name: self._setup(state) if i.port.role is Role.SETUP else state.take(i.name, i.sparsity.nnz)
             for i in tape.inputs
@@ -131,3 +131,8 @@ class _Verifier:
                 "report it with the model"
             )
         self.deviations[kernel] = max(self.deviations.get(kernel, 0.0), float(deviation))
+
+
+def _closes(function: Computation) -> bool:
+    """Return whether a function closes loops, or is a derivative of one that does: it needs a start near a pose."""
+    return any(ports.CLOSED in (x.port, x.port.of) for x in (*function.inputs, *function.outputs))
