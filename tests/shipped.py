@@ -1,4 +1,4 @@
-"""The models that ship, by what they are: trees, and mechanisms with closed loops."""
+"""The models that ship: trees, and mechanisms with closed loops."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The models with closed loops that ship: what they are made of, how many degrees of freedom they have, their poses."""
+"""The models with closed loops that ship: their parts, their degrees of freedom, their poses."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ ROUNDING = 2e-14  # m and of directions, for lengths up to 10 m
 
 @dataclass(frozen=True)
 class Parts:
-    """What a model is made of."""
+    """The parts of a model, by number."""
 
     joints: int
     slides: int

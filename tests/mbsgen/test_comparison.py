@@ -30,6 +30,16 @@ def test_equal_equations_are_called_equal(base: str, tmp_path: Path) -> None:
     assert found.named == ("order of joints: Pinocchio's is y, w, z, x; ours is z, x, y, w",)
 
 
+def test_trees_are_compared_without_their_loops(tmp_path: Path) -> None:
+    """Also where the loops do not close: Pinocchio's reader knows none."""
+    ends = '<predecessor link="d"/><successor link="e"/>'
+    coupling = '<coupling name="belt"><predecessor link="d"/><successor link="c"/></coupling>'
+    path = write(tmp_path, "".join(ARM) + f'<loop name="weld" type="fixed">{ends}</loop>{coupling}')
+    found = compare_with_pinocchio(path, Choices())
+    assert max(found.imported.values()) < TOLERANCE
+    assert found.named[0].startswith("loops and constraints weld, belt: Pinocchio's reader has none")
+
+
 def test_what_differs_is_named(tmp_path: Path) -> None:
     """Damping is in Phi and qdd, a rotor in M too; without them all agrees."""
     loss = LOSSES.replace("<dynamics", '<dynamics armature="0.4"')

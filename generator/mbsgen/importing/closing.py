@@ -1,4 +1,4 @@
-"""What closes a draft: loops between bodies, equations of coordinates, and joints that follow others.
+"""The closing of a draft: loops between bodies, equations of coordinates, and joints that follow others.
 
 Joints have their names in the file here; a draft replaces them by their names in the model when it is complete.
 """
@@ -96,7 +96,7 @@ class Closing:
     dependent: set[str] = field(default_factory=set)  # joints whose coordinates others determine, by the file
 
     def couple(self, follower: str, rule: Rule) -> bool:
-        """Let a joint follow another one; return False where it follows one already, or leads the other."""
+        """Couple a joint to another one; return False where it follows one already, or leads the other."""
         leader, ratio, _ = rule
         chain = [leader]
         while chain[-1] in self.rules and len(chain) <= len(self.rules):

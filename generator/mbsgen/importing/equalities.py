@@ -210,7 +210,7 @@ class _Reader:
         return name in there
 
     def _follow(self, element: Element, own: str, other: str, coefficients: tuple[float, ...]) -> bool:
-        """Let one joint follow the other where the rule is linear; return False where neither can."""
+        """Couple the two joints where the rule is linear; return False where neither can follow the other."""
         c0, c1, *rest = coefficients
         if any(rest) or not c1 or {own, other} & {name for name, _ in self.draft.choices.locked}:
             return False

@@ -1,7 +1,7 @@
 """URDF -> Draft of a model: one body a link, in the link's own frame.
 
 A link's frame is its joint's frame, as in URDF, so a model has the coordinates of the file. Bodies are listed depth
-first, joints in the file's order. `urdf_loops` reads what closes loops.
+first, joints in the file's order. `urdf_loops` reads the loops.
 """
 
 from __future__ import annotations

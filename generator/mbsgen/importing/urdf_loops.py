@@ -149,7 +149,7 @@ class _Reader:
             self.draft.closing.equations.append(Equation(_name(element), tuple(terms), 0.0, element))
 
     def _follow(self, element: Element, first: list[str], second: list[str], ratio: float) -> bool:
-        """Let one joint follow the other where there are two, and none is held."""
+        """Couple two joints where none is held; return False otherwise."""
         held = {name for name, _ in self.draft.choices.locked}
         if len(first) != 1 or len(second) != 1 or held & {*first, *second} or not ratio:
             return False
