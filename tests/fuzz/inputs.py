@@ -394,6 +394,28 @@ MJCF = """<mujoco model="pair"><compiler angle="degree"/><option gravity="0 0 -9
 """
 
 
+_BAR = """<link name="{}"><inertial><origin xyz="0 0 0.2"/><mass value="1"/>
+<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.01"/></inertial></link>"""
+_PIN = """<joint name="{}" type="continuous" independent="{}"><parent link="{}"/><child link="{}"/>
+<origin xyz="{} 0 {}"/><axis xyz="0 1 0"/></joint>"""
+URDF_LOOP = f"""<robot name="bars"><link name="base"/>{"".join(map(_BAR.format, ("left", "right", "top", "gear")))}
+{_PIN.format("a", "true", "base", "left", 0, 0)}{_PIN.format("b", "false", "base", "right", 0.4, 0)}
+{_PIN.format("c", "false", "left", "top", 0, 0.5)}{_PIN.format("d", "false", "base", "gear", 0, 0)}
+<loop name="pin" type="revolute"><predecessor link="top"><origin xyz="0.4 0 0"/></predecessor>
+<successor link="right"><origin xyz="0 0 0.5" rpy="0 0 0"/></successor><axis xyz="0 1 0"/></loop>
+<coupling name="belt"><predecessor link="left"/><successor link="gear"/><ratio value="3"/></coupling></robot>
+"""
+MJCF_LOOP = """<mujoco model="bars"><default><geom type="sphere" size="0.1"/><joint axis="0 1 0"/></default><worldbody>
+<body name="left"><joint name="a" ref="20"/><geom/>
+<body name="top" pos="0.1 0 0.5"><joint name="b"/><geom/></body></body>
+<body name="right" pos="0.4 0 0"><joint name="c"/><geom/><site name="end" pos="0.1 0 0.5"/></body>
+<body name="cam" pos="1 0 0"><joint name="d"/><geom pos="0.1 0 0"/></body></worldbody><equality>
+<connect name="pin" body1="top" body2="right" anchor="0.4 0 0" solref="0.01 1"/>
+<joint joint1="d" joint2="a" polycoef="0 1 0.3"/><weld active="false" body1="top" body2="cam" relpose="0 0 1 1 0 0 0"/>
+</equality></mujoco>
+"""
+
+
 def _use_model(file: Path) -> None:
     tree = read_tree(file)
     assert all(re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", parameter.name) for parameter in tree.parameters)
@@ -409,7 +431,8 @@ def _use_scene(file: Path) -> None:
 def _use_foreign(file: Path) -> None:
     tree = read_tree(import_model(file).model)
     if len(tree.bodies) <= SMALL:
-        make(import_model(file).model, Options(functions=("impl", "exp2"), derivatives=0))
+        functions = ("loops",) if tree.loops else ("impl", "exp2")
+        make(import_model(file).model, Options(functions=functions, derivatives=0))
 
 
 def _use_manifest(file: Path) -> None:
@@ -509,6 +532,6 @@ KINDS: Mapping[str, Kind] = {
     "settings": Kind(_list_settings, _use_settings),
     "solutions": Kind(_list_solutions, _use_solution),
     "manifests": Kind(_list_manifests, _use_manifest),
-    "urdf": Kind(lambda: (("robot.urdf", URDF.encode()),), _use_foreign),
-    "mjcf": Kind(lambda: (("robot.xml", MJCF.encode()),), _use_foreign),
+    "urdf": Kind(lambda: (("robot.urdf", URDF.encode()), ("bars.urdf", URDF_LOOP.encode())), _use_foreign),
+    "mjcf": Kind(lambda: (("robot.xml", MJCF.encode()), ("bars.xml", MJCF_LOOP.encode())), _use_foreign),
 }
