@@ -92,7 +92,8 @@ def _write_chosen(
             families += _write_staged(function, entry.iterated(tree), entry.title, order)
             continue
         if isinstance(function, Procedure):
-            families.append(Family(function, title=entry.title))
+            outputs = tuple(wire for wire in function.outputs if wire.name in read.get(name, (wire.name,)))
+            families.append(Family(replace(function, outputs=outputs), title=entry.title))
             continue
         tape = keep_results(function, read[name]) if name in read else function
         if not order:

@@ -91,6 +91,15 @@ def test_without_motion_only_statics_is_left():
     assert max(gather(model, merge(Options(), scene)).deviations.values()) < 1e-15
 
 
+def test_a_function_that_iterates_gives_the_chosen_results_alone() -> None:
+    """As straight functions do: of a projection, the coordinates without the velocities."""
+    model = read_model(MODELS / "four_bar.yaml")
+    scene = Scene(functions=("project",), results=(("project", ("closed",)),))
+    tree = assemble(build_tree(stage(model, scene)))
+    (family,) = write_families(tree, merge(Options(derivatives=0), scene))
+    assert [o.name for o in family.value.outputs] == ["closed"]
+
+
 def test_without_motion_loops_are_closed_and_states_projected() -> None:
     """An iteration keeps its inputs, velocities too; straight functions lose theirs."""
     model = read_model(MODELS / "four_bar.yaml")
