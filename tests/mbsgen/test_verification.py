@@ -22,6 +22,7 @@ from mbsgen.tape.ports import Port
 from mbsgen.tape.types import Op, Output, Sparsity, Tape
 from mbsgen.targets.contract import Family
 from mbsgen.verification.verify import TOLERANCE, VerificationError, verify
+from tests.mbsgen.formulations.closed_mechanisms import make
 
 ONE_PLAN, OPTIONS = (kind(reductions=Reductions(trials=1)) for kind in (Request, Options))
 
@@ -98,6 +99,26 @@ def test_a_single_wrong_number_is_refused(kernel: str) -> None:
     with pytest.raises(VerificationError, match=".*" if kernel == "setup" else rf"kite: (lin_)?{kernel}: ") as error:
         verify(tree, with_fault(families, kernel), still=False)
     assert "nothing is written" in str(error.value)
+
+
+CLOSED_FORMS = ("impl", "semi_res", "exp1", "exp2", "impl_red", "semi_red", "exp1_red")
+OF_LOOPS = ("loops", "loop_rates", "loop_accelerations", "loop_jacobian", "loop_forces")
+
+
+@cache
+def closed() -> dict[str, Family]:
+    """Write the functions of a closed mechanism in space."""
+    request = replace(ONE_PLAN, functions=(*CLOSED_FORMS, *OF_LOOPS), derivatives=0)
+    return {family.value.name: family for family in write_families(make("spatial"), request)}
+
+
+@pytest.mark.parametrize("kernel", [*CLOSED_FORMS, *OF_LOOPS])
+def test_a_single_wrong_number_of_a_closed_mechanism_is_refused(kernel: str) -> None:
+    """The last entry of the last result, doubled: of lam in accelerations, of gamma beside J."""
+    own = (closed()[kernel],)
+    assert set(verify(make("spatial"), own, still=False).deviations) == {kernel}
+    with pytest.raises(VerificationError, match=f"spatial: {kernel}: "):
+        verify(make("spatial"), with_fault(own, kernel), still=False)
 
 
 def test_nothing_is_written_where_a_function_is_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -61,6 +61,16 @@ def test_whole_models_pass(
     assert "sensors against the last of frames" in found
 
 
+def test_closed_mechanisms_pass_in_single_precision(closed: Path, tmp_path: Path, requires: Requires) -> None:
+    """Derivatives are compared with 50 digits, since loops may be nearly singular at random states."""
+    status, found = check(build(closed, tmp_path / "check", requires("gcc"), "-O0", "-DMBS_REAL=float"))
+    assert (status, set(found.values())) == (0, {"ok"})
+    for name in ("impl", "exp1", "loops", "impl_red"):
+        assert f"adj1_{name} against jac_{name}" in found
+        for kernel in (name, f"jac_{name}", f"jac_adj1_{name}"):
+            assert f"{kernel} against 50 digits" in found
+
+
 # -- planted faults -------------------------------------------------------------------------------------------------
 
 
