@@ -201,7 +201,8 @@ def _compare(
         if "jac_qdd_q" in other:
             pairs.append((project(own, way), project(other, way)))
         for a, b in pairs:
-            worst = max(worst, float(np.abs(a - b).max() / max(1.0, float(np.abs(a).max()))))
+            error = float(np.abs(a - b).max() / max(1.0, float(np.abs(a).max())))
+            worst = max(worst, error if np.isfinite(error) else np.inf)
     return worst
 
 

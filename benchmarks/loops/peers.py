@@ -52,7 +52,7 @@ class Peer:
 def compile_library(source: Path, command: Sequence[str], link: Sequence[str], packages: Sequence[str] = ()) -> Path:
     """Compile a source of `cpp/` to a library, once: it is found again by its text, flags and packages."""
     digest = hashlib.sha256(repr((command, link, packages)).encode())
-    for file in (source, HERE / "loops.hpp", HERE.parents[1] / "cpp" / "mechanism.hpp"):
+    for file in (source, *sorted(HERE.glob("*.hpp")), HERE.parents[1] / "cpp" / "mechanism.hpp"):
         digest.update(file.read_bytes())
     target = find_cache() / "loops" / f"{source.stem}-{digest.hexdigest()[:16]}.so"
     if not target.exists():
@@ -63,14 +63,14 @@ def compile_library(source: Path, command: Sequence[str], link: Sequence[str], p
     return target
 
 
-def compile_pinocchio() -> Path | None:
-    """Compile Pinocchio's program; None where its headers are missing. It takes minutes."""
+def compile_pinocchio(name: str = "pinocchio_loops.cpp") -> Path | None:
+    """Compile a program of Pinocchio; None where its headers are missing. It takes minutes."""
     headers = find_includes()
     if headers is None:
         return None
     search = ("-isystem", str(headers), "-isystem", str(headers / "eigen3"))
     command = (*_find_cxx(), "-w", *BOOST, *FAST, *search)
-    return compile_library(HERE / "pinocchio_loops.cpp", command, (), find_versions())
+    return compile_library(HERE / name, command, (), find_versions())
 
 
 def compile_simbody() -> Path | None:
