@@ -280,7 +280,7 @@ def _cross(a: Sequence[Any], b: Sequence[Any]) -> list[Any]:
 
 
 def find_tilt(bars: int, time: Any, nodes: int = 40, panels: int = 16) -> tuple[Any, Any]:
-    """Return the angle of the upright rods of N four-bars from the vertical, and its rate; it turns on and on.
+    """Return the angle of the upright rods of N four-bars from the vertical, and its rate; they turn on and on.
 
     m = (N + 1)/3 + N, V = g cos(angle) ((N + 1)/2 + N).
     """
@@ -304,7 +304,7 @@ def find_tilt(bars: int, time: Any, nodes: int = 40, panels: int = 16) -> tuple[
         error = sum(turn[:k]) + pass_panel(edges[k], angle) - rest
         angle -= error * rate(angle)
         if abs(error) < mpf(10) ** (5 - mp.dps):
-            return angle, rate(angle)
+            return 2 * mp.pi * turns + angle, rate(angle)
     raise ArithmeticError("Newton's method on the quadrature does not converge")
 
 
@@ -517,8 +517,10 @@ def _refer_four_bars() -> dict[str, Any]:
         for time in ("1", "5", "10", "20"):
             angle, rate = find_tilt(bars, mpf(time))
             place = mp.sin(angle), mp.cos(angle)
-            motion[str(bars)][time] = _print({"place": place, "velocity": (rate * place[1], -rate * place[0])})
-    return {"source": "quadrature of the energy over the angle of the rods", "order": ["x", "y"], "motion": motion}
+            velocity = rate * place[1], -rate * place[0]
+            motion[str(bars)][time] = _print({"angle": (angle, rate), "place": place, "velocity": velocity})
+    order = ["the angle of the upright rods, clockwise, and its rate", "x, y of B0", "its velocity"]
+    return {"source": "quadrature of the energy over the angle of the rods", "order": order, "motion": motion}
 
 
 def _refer_flyball() -> dict[str, Any]:

@@ -39,7 +39,9 @@ class Outcome:
     """The end of a motion."""
 
     position: Array  # of the bodies' centres of mass, a row each
+    velocity: Array
     angle: Array  # of 2-D bodies, total; else nothing
+    omega: Array
     seconds: float  # of the processor
 
 
@@ -129,7 +131,9 @@ class Plane:
         position = np.array([read(b, kinds.Position, [0, 0, 0]) for b in bodies])
         nodes = [self.mbs.GetObject(b)["nodeNumber"] for b in bodies]
         angle = np.array([self.mbs.GetNodeOutput(n, kinds.Coordinates)[2] for n in nodes])
-        return Outcome(position, angle + np.array(self.angles[1:]), seconds)
+        omega = np.array([self.mbs.GetNodeOutput(n, kinds.Coordinates_t)[2] for n in nodes])
+        velocity = np.array([read(b, kinds.Velocity, [0, 0, 0]) for b in bodies])
+        return Outcome(position, velocity, angle + np.array(self.angles[1:]), omega, seconds)
 
 
 def _pairs(tie: Spring) -> tuple[tuple[int, int], tuple[tuple[float, float, float], tuple[float, float, float]]]:
@@ -204,7 +208,8 @@ class Space:
         seconds = solve(self.mbs, span, manner)
         read, kinds = self.mbs.GetObjectOutputBody, exu.OutputVariableType
         position = np.array([read(b, kinds.Position, [0, 0, 0]) for b in self.bodies[1:]])
-        return Outcome(position, np.zeros(0), seconds)
+        velocity = np.array([read(b, kinds.Velocity, [0, 0, 0]) for b in self.bodies[1:]])
+        return Outcome(position, velocity, np.zeros(0), np.zeros(0), seconds)
 
 
 def solve(mbs: Any, span: float, manner: Manner) -> float:

@@ -5,7 +5,7 @@ A hinge of which the tree keeps no more than the equations of a ball, as in a pl
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -116,24 +116,31 @@ def _join(numbers: Iterable[float]) -> str:
 # --- MuJoCo -------------------------------------------------------------------------------------------------------
 
 
-def write_xml(tree: Tree, solref: str = "0.0002 1", solimp: str = "0.9999 0.9999 0.001 0.5 1") -> str:
-    """Write a mechanism as MJCF; loops are soft, as stiff as `solref` and `solimp` say. Raises ValueError."""
+SOFT = 'solref="0.0002 1" solimp="0.9999 0.9999 0.001 0.5 1"'  # as stiff as MuJoCo's loops remain stable with
+
+
+def write_xml(tree: Tree, springs: Sequence[Spring] = ()) -> str:
+    """Write a mechanism as MJCF; its loops are soft. Raises ValueError."""
     massless = [body.name for body in tree.bodies if body.mass == 0]
     if massless:
         raise ValueError(f"{tree.name}: {', '.join(massless)}: MuJoCo takes no bodies without mass")
     values = _values(tree)
     head = f'<option gravity="{_join(_numbers(tree.gravity, values))}" iterations="100" tolerance="1e-14"/>'
     lines = ['<mujoco><compiler angle="radian" autolimits="false"/>', head, "<worldbody>"]
-    lines += [*_write_sites(tree, 0, values), *_write_bodies(tree, 0, values), "</worldbody>", "<equality>"]
-    soft = f'solref="{solref}" solimp="{solimp}"'
+    lines += [*_write_sites(tree, 0, values, springs), *_write_bodies(tree, 0, values, springs), "</worldbody>"]
+    lines.append("<equality>")
     for loop, kind in zip(tree.loops, list_kinds(tree), strict=True):
         pairs = {"point": ("",), "axis": ("", ".z"), "frame": ("",)}[kind]
         word = "weld" if kind == "frame" else "connect"
-        lines += [f'<{word} site1="{loop.name}.1{x}" site2="{loop.name}.2{x}" {soft}/>' for x in pairs]
-    return "\n".join([*lines, "</equality></mujoco>"]) + "\n"
+        lines += [f'<{word} site1="{loop.name}.1{x}" site2="{loop.name}.2{x}" {SOFT}/>' for x in pairs]
+    lines += ["</equality>", "<tendon>"]
+    for k, spring in enumerate(springs):
+        own = f'springlength="{spring.slack}" stiffness="{spring.stiffness}" damping="{spring.damping}"'
+        lines.append(f'<spatial {own}><site site="tie{k}.0"/><site site="tie{k}.1"/></spatial>')
+    return "\n".join([*lines, "</tendon></mujoco>"]) + "\n"
 
 
-def _write_bodies(tree: Tree, parent: int, values: Mapping[Symbol, float]) -> Iterator[str]:
+def _write_bodies(tree: Tree, parent: int, values: Mapping[Symbol, float], springs: Sequence[Spring]) -> Iterator[str]:
     for number in tree.children(parent):
         body = tree.bodies[number - 1]
         yield f'<body name="{body.name}" pos="{_join(_numbers(body.position, values))}" {_write_axes(body, values)}>'
@@ -144,8 +151,8 @@ def _write_bodies(tree: Tree, parent: int, values: Mapping[Symbol, float]) -> It
         entries = [max(I[k][k], TINY) for k in range(3)] + [I[0][1], I[0][2], I[1][2]]
         (mass,), com = _numbers((body.mass,), values), _join(_numbers(body.com, values))
         yield f'<inertial pos="{com}" mass="{mass!r}" fullinertia="{_join(entries)}"/>'
-        yield from _write_sites(tree, number, values)
-        yield from _write_bodies(tree, number, values)
+        yield from _write_sites(tree, number, values, springs)
+        yield from _write_bodies(tree, number, values, springs)
         yield "</body>"
 
 
@@ -154,7 +161,11 @@ def _write_axes(body: Body, values: Mapping[Symbol, float]) -> str:
     return f'xyaxes="{_join(_numbers((*columns[0], *columns[1]), values))}"'
 
 
-def _write_sites(tree: Tree, number: int, values: Mapping[Symbol, float]) -> Iterator[str]:
+def _write_sites(tree: Tree, number: int, values: Mapping[Symbol, float], springs: Sequence[Spring]) -> Iterator[str]:
+    for k, spring in enumerate(springs):
+        for end, (body, point) in enumerate(zip(spring.bodies, spring.points, strict=True)):
+            if body == number:
+                yield f'<site name="tie{k}.{end}" pos="{_join(point)}"/>'
     for loop, kind in zip(tree.loops, list_kinds(tree), strict=True):
         for which, end in ((1, loop.first), (2, loop.second)):
             if end.body != number:
