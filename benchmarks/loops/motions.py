@@ -23,6 +23,7 @@ from benchmarks.loops.peers import (
     DIRECT,
     MUJOCO,
     PINOCCHIO,
+    PROGRAMS,
     PROXIMAL,
     SIMTK,
     compile_mujoco,
@@ -147,7 +148,7 @@ def _list_simbody(problem: Problem, folder: Path) -> Iterator[Way]:
 
 
 def _list_pinocchio(problem: Problem, folder: Path) -> Iterator[Way]:
-    library = compile_pinocchio("pinocchio_motion.cpp")
+    library = compile_pinocchio(PROGRAMS[1])
     if library is None:
         return
     opened, stages = ctypes.CDLL(str(library)), dop853.N_STAGES
@@ -244,7 +245,7 @@ def _bind(solve: Callable[..., Run], *settings: object) -> Callable[[], Run]:
     return lambda: solve(*settings)
 
 
-def measure_name(problem: Problem, ours: Sequence[Way], rounds: int, report: Callable[[str], None]) -> Diagram:
+def measure_motion(problem: Problem, ours: Sequence[Way], rounds: int, report: Callable[[str], None]) -> Diagram:
     """Run our ways and those of all peers."""
     with tempfile.TemporaryDirectory() as place:
         return measure_problem(problem, [*ours, *list_peers(problem, Path(place))], rounds, report)

@@ -36,6 +36,7 @@ SIMBODY = Path("/usr/include/simbody")  # where Debian puts it
 PINOCCHIO, SIMTK, MUJOCO = "Pinocchio", "Simbody", "MuJoCo"
 PROXIMAL = (1e-8, 1e-12, 20)  # mu, accuracy and iterations of Pinocchio's method where equations are redundant
 DIRECT = (0.0, 1e-12, 1)
+PROGRAMS = ("pinocchio_loops.cpp", "pinocchio_motion.cpp")
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ def compile_library(source: Path, command: Sequence[str], link: Sequence[str], p
     return target
 
 
-def compile_pinocchio(name: str = "pinocchio_loops.cpp") -> Path | None:
+def compile_pinocchio(name: str) -> Path | None:
     """Compile a program of Pinocchio; None where its headers are missing. It takes minutes."""
     headers = find_includes()
     if headers is None:
@@ -100,6 +101,16 @@ def _find_cxx() -> tuple[str, ...]:
     return (*shlex.split(os.environ.get("CXX", "c++")), "-std=c++17")
 
 
+def compile_all() -> list[str]:
+    """Compile every program; return the names of those whose headers are missing."""
+    libraries = {
+        PINOCCHIO: [compile_pinocchio(name) for name in PROGRAMS],
+        SIMTK: [compile_simbody()],
+        MUJOCO: [compile_mujoco()],
+    }
+    return [name for name, found in libraries.items() if None in found]
+
+
 @cache
 def find_peers() -> tuple[Peer, ...]:
     """Compile every peer whose headers are there."""
@@ -107,7 +118,7 @@ def find_peers() -> tuple[Peer, ...]:
 
 
 def _list_peers() -> Iterator[Peer]:
-    pinocchio, simbody, mujoco = compile_pinocchio(), compile_simbody(), compile_mujoco()
+    pinocchio, simbody, mujoco = compile_pinocchio(PROGRAMS[0]), compile_simbody(), compile_mujoco()
     if pinocchio is not None:
         names = (("exp", "pinl_exp1"), ("jac_exp", "pinl_jac_exp1"))
         for label, settings in (("direct", DIRECT), ("proximal", PROXIMAL)):
