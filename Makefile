@@ -5,7 +5,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test fuzz lint bench bench-growth bench-ocp bench-results study laboratory mutants golden schema clean
+.PHONY: demo test fuzz lint bench bench-growth bench-ocp bench-loops bench-results study laboratory mutants golden schema clean
 
 demo: $(VENV)/installed
 	$(BIN)/mbsgen models/arm_pendulum.yaml -o build/arm_pendulum
@@ -43,7 +43,12 @@ bench-growth: $(VENV)/installed-bench
 bench-ocp: $(VENV)/installed
 	$(BIN)/python -m benchmarks.ocp $(BENCH)
 
-# Copies what the three have measured to benchmarks/results, and writes its summary.
+# Kernels and motions of mechanisms with closed loops, beside Pinocchio, Simbody, Exudyn and MuJoCo: ten minutes, after
+# BENCH=--prepare, which compiles the others' programs.
+bench-loops: $(VENV)/installed-bench
+	$(BIN)/python -m benchmarks.loops $(BENCH)
+
+# Copies what these have measured to benchmarks/results, and writes its summary.
 bench-results: $(VENV)/installed-bench
 	$(BIN)/python -m benchmarks.summary
 	$(BIN)/python -m benchmarks.readme

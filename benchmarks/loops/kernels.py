@@ -22,7 +22,7 @@ from benchmarks.loops.peers import MUJOCO, Peer, describe, find_peers, write_fil
 from benchmarks.loops.states import Directions, draw_states, find_directions, project
 from benchmarks.robots import remove_forces
 from mbsgen.model.model import ZERO, Carrier, Fixed, Joint
-from mbsgen.model.tree import Tree
+from mbsgen.model.tree import Kind, Tree
 from mbsgen.model.writer import write_model
 from mbsgen.pipeline import read, read_tree
 from mbsrun import Mechanism
@@ -114,10 +114,12 @@ def hash_sources() -> str:
 
 
 def write_without_forces(model: Path, folder: Path) -> Path:
-    """Write a model file without laws of joints, rotors and wrenches: not all peers have them."""
+    """Write a model file with numbers alone, without laws of joints, rotors and wrenches: not all peers have them."""
     path, free = folder / f"{model.stem}.yaml", remove_forces(read(model))
     bodies = tuple(replace(body, joint=_remove_rotors(body.joint)) for body in free.bodies)
-    path.write_text(write_model(replace(free, bodies=bodies, wrenches=())), encoding="utf-8")
+    parameters = tuple(replace(parameter, kind=Kind.CONSTANT) for parameter in free.parameters)
+    content = replace(free, bodies=bodies, parameters=parameters, wrenches=())
+    path.write_text(write_model(content), encoding="utf-8")
     return path
 
 

@@ -90,7 +90,7 @@ def _write_row(row: Row) -> tuple[str, ...]:
         f"{libm.ns:.0f} · {libm.ns_median:.0f}",
         "–" if quickest is None else quickest.way + ("" if quickest.agrees else ", disagrees"),
         "–" if quickest is None else f"{quickest.ns:.0f} · {quickest.ns_median:.0f}",
-        *("–" if pair is None else f"{pair[0]:#.3g} · {pair[1]:#.3g}" for pair in ratios),
+        *("–" if pair is None else _write_pair(*pair) for pair in ratios),
     )
 
 
@@ -110,14 +110,18 @@ def _write_level(diagram: Diagram, level: float) -> tuple[str, ...]:
     quickest = min(peers, key=lambda x: x.seconds, default=None)
     ratio = "–"
     if own is not None and quickest is not None:
-        ratio = f"{quickest.seconds / own.seconds:#.3g} · {quickest.seconds_median / own.seconds_median:#.3g}"
+        ratio = _write_pair(quickest.seconds / own.seconds, quickest.seconds_median / own.seconds_median)
     return (f"{level:.0e}", *(_write_point(best[author]) for author in AUTHORS), ratio)
 
 
 def _write_point(point: Point | None) -> str:
     if point is None:
         return "–"
-    return f"{1e3 * point.seconds:#.3g} · {1e3 * point.seconds_median:#.3g} ({point.method})"
+    return f"{_write_pair(1e3 * point.seconds, 1e3 * point.seconds_median)} ({point.method})"
+
+
+def _write_pair(*numbers: float) -> str:
+    return " · ".join(f"{x:.0f}" if x >= 100 else f"{x:#.3g}" for x in numbers)
 
 
 def make_tables(results: Results) -> Iterator[Table]:
