@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from benchmarks.loops.mechanism import find_obstacle
 from benchmarks.loops.peers import MUJOCO, Peer, describe, find_peers, write_files
 from benchmarks.loops.states import Directions, draw_states, find_directions, project
 from benchmarks.robots import remove_forces
-from mbsgen.model.model import ZERO, Carrier, Fixed, Joint
+from mbsgen.model.model import BASE, ZERO, Body, Carrier, Fixed, Joint
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.model.writer import write_model
 from mbsgen.pipeline import read, read_tree
@@ -118,9 +118,17 @@ def write_without_forces(model: Path, folder: Path) -> Path:
     path, free = folder / f"{model.stem}.yaml", remove_forces(read(model))
     bodies = tuple(replace(body, joint=_remove_rotors(body.joint)) for body in free.bodies)
     parameters = tuple(replace(parameter, kind=Kind.CONSTANT) for parameter in free.parameters)
-    content = replace(free, bodies=bodies, parameters=parameters, wrenches=())
+    content = replace(free, bodies=tuple(_order(bodies, BASE)), parameters=parameters, wrenches=())
     path.write_text(write_model(content), encoding="utf-8")
     return path
+
+
+def _order(bodies: Sequence[Body], parent: str) -> Iterator[Body]:
+    """Put the bodies of every branch together, as Pinocchio wants them."""
+    for body in bodies:
+        if body.parent == parent:
+            yield body
+            yield from _order(bodies, body.name)
 
 
 def _remove_rotors(carrier: Carrier) -> Carrier:
@@ -193,7 +201,10 @@ def _load_peers(function: str, tree: Tree, folder: Path) -> tuple[list[Peer], li
     obstacle = find_obstacle(tree)
     if obstacle is not None:
         return [], [obstacle]
-    write_files(tree, folder)
+    try:
+        write_files(tree, folder)
+    except ValueError as error:
+        return [], [str(error)]
     peers, failures = [], []
     for peer in find_peers():
         if function not in dict(peer.functions):
