@@ -304,13 +304,15 @@ def test_the_summary_compares_the_quickest_of_either_side(tmp_path: Path) -> Non
     for file in FILES:
         (tmp_path / file).write_text(json.dumps(contents.get(file, "")), encoding="utf-8")
     out = tmp_path / "results"
-    arguments = ["--kernels", str(tmp_path), "--ocp", str(tmp_path), "-o", str(out)]
+    (tmp_path / "loops.md").write_text("loops", encoding="utf-8")
+    arguments = ["--kernels", str(tmp_path), "--ocp", str(tmp_path), "--loops", str(tmp_path), "-o", str(out)]
     run = CliRunner().invoke(summarise, arguments)
     assert run.exit_code == 0, run.output
     page = (out / "summary.md").read_text(encoding="utf-8")
     assert "| UR5, 6 joints | – (–) | 1.50 (3.00) | – (–) | – (–) |" in page
     assert "| evaluation 1.50 (4.00) | whole solve 1.50 (4.00) |" in page
     assert (out / "growth.json").exists()
+    assert (out / "loops.md").read_text(encoding="utf-8") == "loops"
     (tmp_path / "growth.md").unlink()
     run = CliRunner().invoke(summarise, arguments)
     assert "growth.md: not there; measure first" in run.output
