@@ -135,7 +135,7 @@ def _load_pinocchio(library: Path, settings: tuple[float, float, int]) -> Callab
     def load(folder: Path) -> None:
         path, accepted = os.fsencode(folder / "mechanism.txt"), ctypes.CDLL(str(library)).pinl_load
         if accepted(path, ctypes.c_double(mu), ctypes.c_double(accuracy), iterations):
-            raise ValueError(f"Pinocchio cannot read {folder / 'mechanism.txt'}")
+            raise ValueError(f"it cannot read {folder / 'mechanism.txt'}")
 
     return load
 
@@ -143,7 +143,7 @@ def _load_pinocchio(library: Path, settings: tuple[float, float, int]) -> Callab
 def _load_simbody(library: Path) -> Callable[[Path], None]:
     def load(folder: Path) -> None:
         if ctypes.CDLL(str(library)).sbl_load(os.fsencode(folder / "mechanism.txt")):
-            raise ValueError(f"Simbody cannot read {folder / 'mechanism.txt'}")
+            raise ValueError(f"it cannot read {folder / 'mechanism.txt'}")
 
     return load
 
@@ -152,8 +152,10 @@ def _load_mujoco(library: Path) -> Callable[[Path], None]:
     def load(folder: Path) -> None:
         numbers = [int(text) for text in (folder / "actuated.txt").read_text("utf-8").split()]
         path, joints = folder / "mechanism.xml", (ctypes.c_int * len(numbers))(*numbers)
-        if not path.exists() or ctypes.CDLL(str(library)).mjl_load(os.fsencode(path), joints, len(numbers)):
-            raise ValueError(f"MuJoCo cannot read {path}")
+        if not path.exists():
+            raise ValueError("it takes no bodies without mass")
+        if ctypes.CDLL(str(library)).mjl_load(os.fsencode(path), joints, len(numbers)):
+            raise ValueError(f"it cannot read {path}")
 
     return load
 
