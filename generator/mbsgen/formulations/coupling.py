@@ -83,6 +83,10 @@ class Map:
             return map, {i.name: map.expand(i.port, map.declare(i)) for i in inputs}
         unknown = Map.of(tree, builder, None)  # declares inputs, and expands none
         declared = {i.port: unknown.declare(i) for i in inputs}
+        for port, kind in ((ports.PARAMETERS, Kind.RUNTIME), (ports.DESIGN, Kind.DIFFERENTIATED)):
+            size = sum(x.kind is kind for x in tree.parameters)
+            if size and port not in declared:  # the function does not read them, but ratios and offsets may
+                declared[port] = builder.vector(port, size)
         p, theta = (declared.get(port, []) for port in (ports.PARAMETERS, ports.DESIGN))
         map = Map.of(tree, builder, assign_symbols(tree, builder, p, theta))
         return map, {port.name: map.expand(port, given) for port, given in declared.items()}

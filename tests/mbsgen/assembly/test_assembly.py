@@ -12,8 +12,8 @@ import pytest
 from mbsgen.assembly import assemble, describe
 from mbsgen.assembly.poses import FEWEST, SPREADS, count_starts
 from mbsgen.errors import InputError
-from mbsgen.model.construction import body, constraint, end, free, loop, make_model, revolute, rod
-from mbsgen.model.model import Model
+from mbsgen.model.construction import body, constraint, end, free, loop, make_model, number, revolute, rod
+from mbsgen.model.model import Follow, Model, Parameter
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.pipeline import Options, make, read_tree
@@ -230,3 +230,15 @@ def test_a_tree_without_loops_stays_as_it_is() -> None:
     tree = build_tree(make_model("one", [link("a", "base", 0.0)], gravity=(0, 0, -9.81)))  # type: ignore[list-item]
     assert assemble(tree) is tree
     assert all(p.kind is Kind.CONSTANT for p in tree.parameters)
+
+
+def test_ratios_and_loops_read_parameters_that_a_function_does_not() -> None:
+    """The forces of a loop depend on no mass, but the mass is a parameter of the model, and the ratio another."""
+    known = {"m": Parameter("m", number(1.0), Kind.DIFFERENTIATED), "r": Parameter("r", number(2.0), Kind.RUNTIME)}
+    turning = replace(revolute("x", actuated=False), follows=Follow("crank", number("r")))
+    gear = body("gear", turning, mass=1.0, inertia=UNIFORM)
+    model = four_bar()
+    heavy = replace(model.bodies[0], mass=number("m"))
+    model = replace(model, parameters=tuple(known.values()), bodies=(heavy, *model.bodies[1:], gear))
+    product = make(model, Options(functions=("loop_forces", "impl"), derivatives=0))
+    assert product.report.verification.unchecked == ()
