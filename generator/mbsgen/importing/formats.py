@@ -42,7 +42,10 @@ class Format:
 
 
 _MARKUP = (".urdf", ".xml", ".mjcf", ".xacro", ".sdf")  # the root element shows the format, whatever the file's name
-_ADVICE = {"sdf": "SDF is not read; convert it to URDF", "mujocoinclude": "import the file that includes this one"}
+_ADVICE = {
+    "sdf": "SDF is not read; convert it to URDF, and close its loops by <loop>",
+    "mujocoinclude": "import the file that includes this one",
+}
 
 
 def make_markup_format(name: str, tag: str, read: Callable[[Element, Choices, Findings], Imported]) -> Format:
