@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,14 +15,14 @@ from mbsgen.assembly import assemble
 from mbsgen.assembly.mechanism import Mechanism
 from mbsgen.assembly.poses import close
 from mbsgen.formulations.catalogue import FUNCTIONS
+from mbsgen.formulations.reductions import ALL
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Kind, Tree
-from mbsgen.tape.interpreter import evaluate
-from mbsgen.tape.types import Tape
-from tests.mbsgen.formulations.agreement import FEW
+from mbsgen.procedure.procedure import Computation, evaluate
 
 Array = NDArray[np.float64]
+ONE = replace(ALL, trials=1)  # plan; plans do not change what is computed
 Values = Mapping[str, Sequence[float]]
 
 _FOUR_BAR = """
@@ -185,8 +186,8 @@ def make(name: str) -> Tree:
 
 
 @cache
-def build(name: str, tree: Tree) -> Tape:
-    return FUNCTIONS[name].build(tree, FEW)
+def build(name: str, tree: Tree) -> Computation:
+    return FUNCTIONS[name].build(tree, ONE)
 
 
 def run(name: str, tree: Tree, given: Values) -> dict[str, Array]:
