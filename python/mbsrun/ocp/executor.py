@@ -12,6 +12,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 
+import numpy as np
+
 from mbsrun.ocp import schemes, solution
 from mbsrun.ocp.guess import Pose, adapt, balance, find_pose, interpolate, rest
 from mbsrun.ocp.linear import MUMPS, OWN
@@ -141,7 +143,8 @@ class Worker:
         if key not in self._poses:
             self._poses[key] = find_pose(problem, self.plant)
         pose = self._poses[key]
-        return interpolate(problem, scheme, pose.q, self.plant) if pose.is_reached else None
+        motion = interpolate(problem, scheme, pose.q, self.plant) if pose.is_reached else None
+        return None if motion is None or not np.isfinite(motion.point_q).all() else motion
 
 
 class LocalExecutor:

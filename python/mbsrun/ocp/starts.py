@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.manifest import Manifest
-from mbsrun.ocp.guess import balance, bump, find_pose, interpolate, rest, scatter_poses
+from mbsrun.ocp.closure import find_closure
+from mbsrun.ocp.guess import balance, bump, close_motion, find_pose, interpolate, rest, scatter_poses
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Form, Problem, Range
 from mbsrun.ocp.schemes import Scheme
@@ -78,20 +79,20 @@ def describe_turns(turns: str) -> str:
 def vary(
     variation: Variation, problem: Problem, plant: Plant, scheme: Scheme, bumped: Sequence[int]
 ) -> Trajectory | None:
-    """Make the motion of a variation on the problem's grid; None where no pose meets the end's targets.
+    """Make the motion of a variation on the problem's grid; None where no motion leads to a pose of the end's targets.
 
     `bumped` are the coordinates that bumps move. Raises ValueError for bumps on a motion with quaternions.
     """
     rng = np.random.default_rng(variation.seed)
     motion = _move(variation, problem, plant, scheme, rng)
-    if motion is None:
+    if motion is None or not np.isfinite(motion.point_q).all():
         return None
     if variation.kind == "bumps":
-        return balance(bump(motion, bumped, rng), problem, plant, "dynamic")
+        return balance(_close(bump(motion, bumped, rng), plant), problem, plant, "dynamic")
     is_mixed = variation.kind in ("branches", "turns")
     if not problem.has_quaternions and (variation.kind == "waves" or (is_mixed and rng.uniform() < 0.5)):
-        return balance(add_waves(motion, problem, rng), problem, plant, "dynamic")
-    return add_noise(balance(motion, problem, plant, problem.guess.inputs), problem, plant.manifest, rng)
+        return balance(_close(add_waves(motion, problem, rng), plant), problem, plant, "dynamic")
+    return _close(add_noise(balance(motion, problem, plant, problem.guess.inputs), problem, plant.manifest, rng), plant)
 
 
 def add_noise(motion: Trajectory, problem: Problem, manifest: Manifest, rng: np.random.Generator) -> Trajectory:
@@ -122,7 +123,24 @@ def add_noise(motion: Trajectory, problem: Problem, manifest: Manifest, rng: np.
 
 def hop(motion: Trajectory, problem: Problem, plant: Plant, seed: tuple[int, ...]) -> Trajectory:
     """Add waves to a motion, and return it with the inputs of its inverse dynamics."""
-    return balance(add_waves(motion, problem, np.random.default_rng(seed), HOPS), problem, plant, "dynamic")
+    waved = add_waves(motion, problem, np.random.default_rng(seed), HOPS)
+    return balance(_close(waved, plant), problem, plant, "dynamic")
+
+
+def _close(motion: Trajectory, plant: Plant) -> Trajectory:
+    """Close the loops along a motion from point to point; where that fails, close each pose by itself."""
+    closure = find_closure(plant)
+    closed = motion if closure is None else close_motion(motion, closure)
+    if closure is None or np.isfinite(closed.point_q).all():
+        return closed
+
+    def close(q: Array, qd: Array) -> tuple[Array, Array]:
+        poses = np.array([closure.close(pose) for pose in q.reshape(-1, q.shape[-1])])
+        return poses.reshape(q.shape), closure.project_velocities(poses, qd.reshape(poses.shape)).reshape(q.shape)
+
+    q, qd = close(motion.q, motion.qd)
+    point_q, point_qd = close(motion.point_q, motion.point_qd)
+    return replace(motion, q=q, qd=qd, point_q=point_q, point_qd=point_qd)
 
 
 def add_waves(

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 from mbsgen.errors import InputError
+from mbsgen.pipeline import Options, make
+from mbsgen.roles import Role
 from mbsrun.ocp import schemes
 from mbsrun.ocp.backends import condensation
 from mbsrun.ocp.backends.numpy import build
@@ -415,3 +417,47 @@ REFUSED = {
 def test_a_start_that_loops_contradict_is_refused_with_the_distance(tmp_path: Path, start: str) -> None:
     with pytest.raises(InputError, match=REFUSED[start]):
         _read(tmp_path, start)
+
+
+MODEL = """\
+name: rods
+gravity: [0, -9.81, 0]
+parameters: {l: 0.35, load: {value: 1, kind: runtime}}
+bodies:
+  - name: first
+    joint: {name: first, type: revolute, axis: z}
+    mass: 1
+    com: [0.2, 0, 0]
+    inertia: [0, 0.01, 0.01]
+  - name: second
+    parent: first
+    joint: {name: second, type: revolute, axis: z, position: [0.4, 0, 0], actuated: false}
+    mass: load
+    com: [0.2, 0, 0]
+    inertia: [0, 0.01, 0.01]
+loops:
+  - name: rod
+    type: rod
+    length: l
+    from: {body: base, position: [0.7, 0, 0]}
+    to: {body: second, position: [0.4, 0, 0]}
+independent: [first]
+assembly: {first: 0.5, second: -1}
+"""
+
+
+def test_the_kernels_by_hand_have_the_arguments_of_generated_ones(tmp_path: Path) -> None:
+    """Names and order; the model has a run-time parameter that loops do not read."""
+    (tmp_path / "rods.yaml").write_text(MODEL, "utf-8")
+    by_hand = [kernel for kernel in rods().manifest.kernels if not kernel.name.startswith("jac_")]
+    functions = tuple(kernel.name for kernel in by_hand if kernel.name not in ("sensors", "motion"))
+    product = make(tmp_path / "rods.yaml", Options(functions=functions, derivatives=0))
+    for kernel in by_hand:
+        if kernel.name in functions:
+            generated = product.manifest.kernel(kernel.name)
+            inputs = [a.name for a in generated.inputs if a.role is not Role.SETUP]
+            assert inputs == [a.name for a in kernel.inputs], kernel.name
+            if kernel.name != "frames":
+                assert [a.name for a in generated.outputs] == [a.name for a in kernel.outputs], kernel.name
+    alone = make(tmp_path / "rods.yaml", Options(functions=("loop_forces",), derivatives=0)).manifest
+    assert [a.name for a in alone.kernel("loop_forces").inputs] == ["q", "lam", "h"]
