@@ -26,7 +26,7 @@ from mbsgen.model.symbols import exact, to_double
 from mbsgen.model.tree import Closure, Cut, Kind, Tree
 
 PASSIVE, ACTIVE = 1.0, 0.2  # weights of the columns of joints without and with an actuator: the latter are independent
-CHANGE = 0.01  # by which part run-time parameters are changed
+CHANGE = 0.01  # by which part run-time parameters are changed; by how much, where they are 0 now
 
 
 class AssemblyError(MbsError):
@@ -126,7 +126,10 @@ def _check_redundancy(tree: Tree, mechanism: Mechanism, pose: Array, kept: Seque
     if not own:
         return
     draw = np.random.default_rng(2)
-    changed = [p.value * (1 + CHANGE * x) for p, x in zip(own, draw.uniform(-1, 1, len(own)), strict=True)]
+    parts = CHANGE * draw.uniform(-1, 1, len(own))
+    changed = [
+        p.value * (1 + part) if p.value else part for p, part in zip(own, parts, strict=True)
+    ]  # a 0 may change too
     other = Mechanism(tree, changed)
     found = close(other, pose, kept)
     left = np.abs(found.h)

@@ -12,7 +12,7 @@ import pytest
 from mbsgen.assembly import assemble, describe
 from mbsgen.assembly.poses import FEWEST, SPREADS, count_starts
 from mbsgen.errors import InputError
-from mbsgen.model.construction import body, constraint, end, free, loop, make_model, number, revolute, rod
+from mbsgen.model.construction import body, constraint, end, free, loop, make_model, number, revolute, rod, runtime
 from mbsgen.model.model import Follow, Model, Parameter
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Kind, Tree
@@ -110,6 +110,18 @@ def test_a_mechanism_that_moves_by_its_geometry_has_its_redundant_equation_named
 def test_equations_that_are_redundant_for_one_geometry_are_no_run_time_matter() -> None:
     with pytest.raises(InputError, match="for the present lengths alone"):
         make(bricard(), Options(runtime=True, derivatives=0, functions=("impl",)))
+
+
+def test_a_loop_in_a_plane_has_no_lengths_across_it_at_run_time() -> None:
+    """Else a length across the plane, 0 now, could be changed, and the equation that it violates is left out."""
+    model, options = four_bar(), Options(runtime=True, zeros=True, derivatives=0, functions=("loops",))
+    make(model, replace(options, zeros=False))
+    with pytest.raises(InputError, match='loop "knee": its equation [a-z_]+ follows from the others for the present'):
+        make(model, options)
+    first, second = end("coupler", position=(COUPLER, 0, 0)), end("rocker", position=(ROCKER, 0, "across"))
+    shifted = {"loops": [loop("knee", "hinge", first, second)], "parameters": {"across": runtime(0)}}
+    with pytest.raises(InputError, match='loop "knee": its equation z follows from the others for the present'):
+        make(four_bar(**shifted), replace(options, runtime=False, zeros=False))
 
 
 def test_a_loop_out_of_reach_is_named_with_what_is_left() -> None:
