@@ -127,9 +127,7 @@ def _check_redundancy(tree: Tree, mechanism: Mechanism, pose: Array, kept: Seque
         return
     draw = np.random.default_rng(2)
     parts = CHANGE * draw.uniform(-1, 1, len(own))
-    changed = [
-        p.value * (1 + part) if p.value else part for p, part in zip(own, parts, strict=True)
-    ]  # a 0 may change too
+    changed = [p.value * (1 + part) if p.value else part for p, part in zip(own, parts, strict=True)]
     other = Mechanism(tree, changed)
     found = close(other, pose, kept)
     left = np.abs(found.h)
@@ -137,7 +135,7 @@ def _check_redundancy(tree: Tree, mechanism: Mechanism, pose: Array, kept: Seque
         number, name = mechanism.equations[int(left.argmax())]
         place, owner = _place(tree, number)
         finding = f"{owner}: its equation {name} follows from the others for the present lengths alone"
-        remedy = "make the lengths constants, or take a kind of loop with fewer equations"
+        remedy = "make the lengths constants, zeros too, or take a kind of loop with fewer equations"
         raise AssemblyError(tree.name, [Finding(place, finding, remedy)])
 
 

@@ -116,7 +116,7 @@ def test_a_loop_in_a_plane_has_no_lengths_across_it_at_run_time() -> None:
     """Else a length across the plane, 0 now, could be changed, and the equation that it violates is left out."""
     model, options = four_bar(), Options(runtime=True, zeros=True, derivatives=0, functions=("loops",))
     make(model, replace(options, zeros=False))
-    with pytest.raises(InputError, match='loop "knee": its equation [a-z_]+ follows from the others for the present'):
+    with pytest.raises(InputError, match=r'loop "knee": its equation [a-z_]+ follows from the others for the present'):
         make(model, options)
     first, second = end("coupler", position=(COUPLER, 0, 0)), end("rocker", position=(ROCKER, 0, "across"))
     shifted = {"loops": [loop("knee", "hinge", first, second)], "parameters": {"across": runtime(0)}}
