@@ -56,8 +56,15 @@ class Dynamics:
         """
         if any(o.port in implicit.UNKNOWNS for o in tape.outputs):
             first = next((found for found in before if isinstance(found, _OfAccelerations)), None)
-            return _OfAccelerations(tape, self._residual, self._choice, first, self._restrain(tape))
+            return _OfAccelerations(tape, self._residual, self._choice_of_accelerations, first, self._restrain(tape))
         return self._residual if tape.function == self._residual.tape.function else _Renamed(tape, self._residual)
+
+    @property
+    def _choice_of_accelerations(self) -> _Choice:
+        """Return the choice for the accelerations; with loops, the tape's own derivatives soon take far too long."""
+        if not self._tree.is_constrained:
+            return self._choice
+        return replace(self._choice, is_compared=len(self._tree.bodies) <= self._choice.size.compared)
 
     def _restrain(self, tape: Tape) -> Constraints | None:
         """Return the equations that a form of the accelerations keeps besides the residual's."""
