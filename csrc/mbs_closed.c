@@ -31,6 +31,8 @@ typedef struct {
     casadi_real *M;      /* n x n: its Cholesky factor for free joints */
     casadi_real *x, *g, *saved, *sum, *k;
     mbs_least least;
+    const casadi_real *inputs, *courses; /* rows for each stage, or NULL */
+    casadi_int row_of_step;
     casadi_real last;  /* the smallest pivot of J, relative to the largest: small near a singular pose; */
     casadi_real least_pivot; /* the least of these in a step */
     casadi_real volume; /* the logarithm of the dependent joints' determinant */
@@ -96,7 +98,7 @@ static mbs_run open_run(const mbs_closed *p, const mbs_manner *how, casadi_real 
 {
     mbs_run r;
     casadi_int i, k;
-    r.p = p, r.how = how, r.out = out, r.is_ready = 0, r.last = r.least_pivot = 1, r.free = 0;
+    r.p = p, r.how = how, r.out = out, r.inputs = r.courses = 0, r.row_of_step = 0, r.is_ready = 0, r.last = r.least_pivot = 1, r.free = 0;
     r.moves = integers, r.depends = r.moves + p->n, r.best = r.depends + p->e, r.row = r.best + p->n, r.least.column = r.row + p->e;
     r.J = reals, r.B = r.J + p->e * p->n, r.M = r.B + p->e * p->n, r.least.factor = r.M + p->n * p->n;
     r.least.size = r.least.factor + p->e, r.least.y = r.least.size + 2 * p->e, r.x = r.least.y + p->n;
@@ -109,6 +111,7 @@ static mbs_run open_run(const mbs_closed *p, const mbs_manner *how, casadi_real 
             r.moves[r.free++] = i;
     out->evaluations = out->rejected = out->switches = out->steps = 0;
     out->status = out->loop = 0;
+    out->pivot = 1;
     return r;
 }
 
@@ -117,6 +120,7 @@ static void see(mbs_run *r, casadi_real pivot)
 {
     r->last = pivot;
     r->least_pivot = pivot < r->least_pivot ? pivot : r->least_pivot;
+    r->out->pivot = pivot < r->out->pivot ? pivot : r->out->pivot;
 }
 
 /* --- the equations of loops ---------------------------------------------------------------------------------------- */
@@ -373,13 +377,15 @@ static int restore(mbs_run *r)
     return status ? status : close_velocities(r, way);
 }
 
-/* Put driven joints where they are at time t. */
-static int guide(mbs_run *r, casadi_real t)
+/* Put driven joints where they are at time t, that of stage i. */
+static int guide(mbs_run *r, casadi_real t, casadi_int i)
 {
     const mbs_closed *p = r->p;
     casadi_int k;
-    if (r->how->guide && r->how->guide(t))
+    if (!r->courses && r->how->guide && r->how->guide(t))
         return MBS_STOPPED;
+    for (k = 0; k < 3 * p->d && r->courses; ++k)
+        p->course[k] = r->courses[(r->row_of_step + i) * 3 * p->d + k];
     for (k = 0; k < p->d; ++k) {
         p->q[p->place[k]] = p->course[k];
         p->qd[p->driven[k]] = p->course[p->d + k];
@@ -495,13 +501,16 @@ static void combine(const mbs_run *r, casadi_int count, const casadi_real *weigh
 /* Compute the rates of stage i at time t and state y. */
 static int evaluate(mbs_run *r, casadi_real t, casadi_int i, const casadi_real *y)
 {
+    casadi_int k;
     int status;
     lay(r, y);
-    status = guide(r, t);
+    status = guide(r, t, i);
     if (!status && i && r->p->e
         && (r->how->keeping == MBS_PARTITIONING || (r->how->keeping != MBS_BAUMGARTE && r->last < NEAR)))
         status = restore(r);
-    if (!status && r->how->inputs && r->how->inputs(t))
+    for (k = 0; k < r->p->m && r->inputs; ++k)
+        r->p->v[k] = r->inputs[(r->row_of_step + i) * r->p->m + k];
+    if (!status && !r->inputs && r->how->inputs && r->how->inputs(t))
         status = MBS_STOPPED;
     return status ? status : accelerate(r, r->k + (r->p->nq + r->p->n) * i);
 }
@@ -530,7 +539,7 @@ static int finish(mbs_run *r, casadi_real t, casadi_real h, casadi_real *y)
     casadi_int k;
     int status;
     lay(r, y);
-    status = guide(r, t);
+    status = guide(r, t, r->how->stages);
     if (!status && p->e && r->how->keeping != MBS_BAUMGARTE)
         status = restore(r);
     if (status)
@@ -542,7 +551,7 @@ static int finish(mbs_run *r, casadi_real t, casadi_real h, casadi_real *y)
     }
     if (p->e && r->how->keeping != MBS_BAUMGARTE && jump > JUMP * speed && speed > 0) {
         lay(r, y);
-        if ((status = guide(r, t)) != 0 || (status = call(p->rates)) != 0)
+        if ((status = guide(r, t, r->how->stages)) != 0 || (status = call(p->rates)) != 0)
             return status;
         return fail(r, MBS_BRANCHED, p->hd);
     }
@@ -690,12 +699,14 @@ void mbs_closed_run(const mbs_closed *plant, const mbs_manner *manner, casadi_re
 }
 
 void mbs_closed_read(const mbs_closed *plant, const mbs_manner *manner, casadi_int count, const casadi_real *times,
-                     const casadi_real *lengths, const casadi_real *starts, casadi_real *ends, casadi_real *reals,
-                     casadi_int *integers, mbs_outcome *outcome)
+                     const casadi_real *lengths, const casadi_real *inputs, const casadi_real *courses,
+                     const casadi_real *starts, casadi_real *ends, casadi_real *reals, casadi_int *integers,
+                     mbs_outcome *outcome)
 {
     const casadi_int size = plant->nq + plant->n;
     mbs_run r = open_run(plant, manner, reals, integers, outcome);
-    for (; outcome->steps < count && !outcome->status; ++outcome->steps) {
+    r.inputs = inputs, r.courses = courses;
+    for (; outcome->steps < count && !outcome->status; ++outcome->steps, r.row_of_step += manner->stages + 1) {
         const casadi_real *x = starts + size * outcome->steps;
         casadi_real *y = ends + size * outcome->steps;
         const casadi_real t = times[outcome->steps], h = lengths[outcome->steps];
@@ -714,7 +725,7 @@ void mbs_closed_restore(const mbs_closed *plant, const mbs_manner *manner, casad
 {
     mbs_run r = open_run(plant, manner, reals, integers, outcome);
     lay(&r, state);
-    outcome->status = guide(&r, t);
+    outcome->status = guide(&r, t, 0);
     if (!outcome->status)
         outcome->status = renew(&r);
     if (!outcome->status && plant->e)

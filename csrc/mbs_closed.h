@@ -50,6 +50,7 @@ typedef struct {
 typedef struct {
     casadi_int n, nq, m, e, d; /* velocities, coordinates, inputs, equations of loops, driven joints */
     casadi_real *q, *qd;       /* where kernels read coordinates and velocities, */
+    casadi_real *v;            /* m inputs, */
     casadi_real *course;       /* d coordinates, d velocities and d accelerations of driven joints, */
     casadi_real *rest;         /* the accelerations of `residual` */
     const casadi_real *qdd, *r, *h, *hd, *gamma, *qt; /* where `direct`, `residual`, `closure`, ... write */
@@ -80,7 +81,8 @@ typedef struct {
 /* What a run counts, and how it ended. */
 typedef struct {
     casadi_int evaluations, rejected, switches, steps;
-    int status, loop; /* of status MBS_OPEN to MBS_DEPENDENT: the number of the loop, from 1 */
+    casadi_real pivot; /* the smallest pivot of J met, as a part of the largest: small near a singular pose */
+    int status, loop;  /* of status MBS_OPEN to MBS_DEPENDENT: the number of the loop, from 1 */
 } mbs_outcome;
 
 /* Room for a run. */
@@ -95,10 +97,12 @@ void mbs_closed_run(const mbs_closed *plant, const mbs_manner *manner, casadi_re
                     mbs_outcome *outcome);
 
 /* Take `count` steps, each from its own time and state (starts), of its own length, and write where they end: the motion
- * within the steps of a run, to its order. */
+ * within the steps of a run, to its order. Inputs and courses may be given for all stages of each step, then for its end:
+ * rows of m and of 3 d numbers; NULL: the manner's functions are asked. */
 void mbs_closed_read(const mbs_closed *plant, const mbs_manner *manner, casadi_int count, const casadi_real *times,
-                     const casadi_real *lengths, const casadi_real *starts, casadi_real *ends, casadi_real *reals,
-                     casadi_int *integers, mbs_outcome *outcome);
+                     const casadi_real *lengths, const casadi_real *inputs, const casadi_real *courses,
+                     const casadi_real *starts, casadi_real *ends, casadi_real *reals, casadi_int *integers,
+                     mbs_outcome *outcome);
 
 /* Put a state (q, qd) on h = 0, J qd = 0, from anywhere near, as `manner` says; `driven` ones at time t. */
 void mbs_closed_restore(const mbs_closed *plant, const mbs_manner *manner, casadi_real t, casadi_real *state,

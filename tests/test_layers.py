@@ -114,7 +114,7 @@ MBSRUN = Package(
         "lab.cases lab.maps",
         "lab",
         "commands.console",
-        "commands.advise commands.cache commands.chart commands.lab "
+        "commands.advise commands.cache commands.chart commands.inverse commands.lab "
         "commands.simulate commands.solve commands.study commands.sweep",
         "commands",
         "cli",

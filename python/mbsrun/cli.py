@@ -14,6 +14,7 @@ from mbsrun.commands.console import (
     BAD_INPUT,
     say,
 )
+from mbsrun.commands.inverse import inverse_command
 from mbsrun.commands.lab import lab_command
 from mbsrun.commands.simulate import simulate_command
 from mbsrun.commands.solve import solve_command
@@ -24,6 +25,7 @@ HELP = """Simulate multibody systems, and solve their optimal control problems.
 
 \b
   mbsrun simulate MODEL -o DIR  integrate a motion, and write it, plots and an animation to DIR
+  mbsrun inverse MODEL -o FILE  compute the forces that a given motion takes, as a table
   mbsrun solve PROBLEM -o DIR   solve, and write solution and pictures to DIR
   mbsrun sweep PROBLEM -o FILE  solve for a grid of targets, by a protocol, and print its effort
   mbsrun study PROBLEM          solve for all targets, formulations and costs of a paper, and report
@@ -38,6 +40,7 @@ MODEL and PROBLEM are YAML files; models/ holds examples. Summaries go to stdout
 
 COMMANDS = (
     simulate_command,
+    inverse_command,
     solve_command,
     sweep_command,
     study_command,

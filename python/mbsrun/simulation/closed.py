@@ -54,7 +54,7 @@ typedef struct { mbs_kernel f; const double **arg; double **res; } mbs_call;
 typedef struct { const double *nonzeros; long long entries; const long long *place; } mbs_entries;
 typedef struct {
     long long n, nq, m, e, d;
-    double *q, *qd, *course, *rest;
+    double *q, *qd, *v, *course, *rest;
     const double *qdd, *r, *h, *hd, *gamma, *qt;
     mbs_entries M, J;
     mbs_call direct, residual, mass, closure, rates, jacobian, change;
@@ -70,6 +70,7 @@ typedef struct {
 } mbs_manner;
 typedef struct {
     long long evaluations, rejected, switches, steps;
+    double pivot;
     int status, loop;
 } mbs_outcome;
 long long mbs_closed_reals(const mbs_closed *plant, long long stages);
@@ -77,8 +78,8 @@ long long mbs_closed_integers(const mbs_closed *plant);
 void mbs_closed_run(const mbs_closed *plant, const mbs_manner *manner, double end, double *h, long long steps,
                     double *times, double *states, double *reals, long long *integers, mbs_outcome *outcome);
 void mbs_closed_read(const mbs_closed *plant, const mbs_manner *manner, long long count, const double *times,
-                     const double *lengths, const double *starts, double *ends, double *reals, long long *integers,
-                     mbs_outcome *outcome);
+                     const double *lengths, const double *inputs, const double *courses, const double *starts,
+                     double *ends, double *reals, long long *integers, mbs_outcome *outcome);
 """
 
 
@@ -226,7 +227,7 @@ class _Plant:
         arrays["a"] = arrays["course"][2 * d :]
         memory = Memory(self.ffi, dynamics.kernels, arrays)
         p.n, p.nq, p.m, p.e, p.d = n, dynamics.places, len(arrays["v"]) - 1, e, d
-        p.q, p.qd, p.course, p.rest = (memory.pointer(name) for name in ("q", "qd", "course", "qdd"))
+        p.q, p.qd, p.v, p.course, p.rest = (memory.pointer(name) for name in ("q", "qd", "v", "course", "qdd"))
         sizes = {"qdd": n, "r": n, "h": e, "hd": e, "gamma": e, "qt": dynamics.places}
         for name, size in sizes.items():
             setattr(p, name, memory.add(_RESULT + name, size + 1))
@@ -263,6 +264,7 @@ class _Plant:
 
     def _lay_manner(self, pair: Pair, settings: Settings) -> None:
         memory, tableau, m = self.memory, pair.tableau, self.manner
+        self.nodes = np.append(tableau.c, 1.0)
         m.stages, m.estimates, m.order = len(tableau.b), len(pair.E), pair.order
         for name, values in (("A", tableau.A), ("b", tableau.b), ("c", tableau.c), ("E", pair.E)):
             numbers = np.ravel(np.array(values, dtype=np.float64))
@@ -295,6 +297,7 @@ class _Plant:
         effort.rejected = (effort.rejected or 0) + outcome.rejected
         effort.evaluations += outcome.evaluations
         effort.switches += outcome.switches
+        effort.pivot = min(effort.pivot, outcome.pivot)
         return outcome.steps, self._explain(outcome, float(times[outcome.steps])), states
 
     def make_dense(self, piece: Piece, times: Array, states: Array) -> Callable[..., tuple[Array, Array]]:
@@ -305,7 +308,8 @@ class _Plant:
             starts, ends = np.ascontiguousarray(states[step]), np.empty((len(t), states.shape[1]))
             begins = np.ascontiguousarray(times[step])
             lengths, outcome = np.ascontiguousarray(t - begins), self.ffi.new("mbs_outcome *")
-            given = [self._point(x) for x in (begins, lengths, starts, ends)]
+            rows = self._sample(piece, begins, lengths)
+            given = [self.ffi.NULL if x is None else self._point(x) for x in (begins, lengths, *rows, starts, ends)]
             self.lib.mbs_closed_read(self.plant, self.manner, len(t), *given, *self.room, outcome)
             failure = self._explain(outcome, float(t[min(outcome.steps, len(t) - 1)]))
             if failure is not None:
@@ -314,6 +318,13 @@ class _Plant:
             return q, qd
 
         return dense
+
+    def _sample(self, piece: Piece, begins: Array, lengths: Array) -> tuple[Array | None, Array | None]:
+        """Return inputs and courses at the stages and the end of each step, where they vary over time alone."""
+        times = (begins[:, None] + lengths[:, None] * self.nodes).ravel()
+        inputs = None if piece.is_constant or piece.law is not None else np.ascontiguousarray(piece.values(times))
+        is_guided = bool(self.manner.guide)
+        return inputs, np.hstack(self.dynamics.course.states(times)) if is_guided else None
 
     def _explain(self, outcome: Any, time: float) -> BaseException | None:
         """Return why steps end early, if they do."""

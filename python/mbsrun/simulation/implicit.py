@@ -321,17 +321,23 @@ def scale_changes(state: State, h: float) -> Array:
     return np.asarray(h / (1 + np.abs(state.qd)) + h * h / (1 + sizes))
 
 
-def iterate(dynamics: Dynamics, correct: Callable[[Array], Array], guess: Array, scale: Array) -> Array:
-    """Solve for accelerations by Newton's method, until their change times `scale` (n,) is within CONVERGED."""
-    z = guess
+def iterate(
+    dynamics: Dynamics, correct: Callable[[Array], Array], guess: Array, scale: Array, noise: float = 0.0
+) -> Array:
+    """Solve for accelerations by Newton's method, until their change times `scale` (n,) is within CONVERGED.
+
+    A change within `noise` that shrinks no more is taken for rounding.
+    """
+    z, last = guess, np.inf
     before = change = np.zeros_like(z)
     for _ in range(ITERATIONS):
         dynamics.effort.iterations += 1
         before, change = z, correct(z)
         z = before + change
         size = float(np.max(np.abs(change) * scale))
-        if size <= CONVERGED:
+        if size <= CONVERGED or last / 2 < size <= noise:
             return z
+        last = size
         if not np.isfinite(size):
             break
     if not np.isfinite(change).all():

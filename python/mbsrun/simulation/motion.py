@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 
 DRIFT = 0.01  # of the energy that is exchanged; a larger drift brings a warning
 STILL = 1e-9  # of kinetic energy: a smaller drift brings no warning
+SINGULAR = 0.01  # a pivot of the loops' Jacobian, relative to the largest; a smaller one may bring a warning
 STORED = 1000  # states that are kept of a motion, about, unless another distance of outputs is asked for
 
 
@@ -75,6 +76,7 @@ class Effort:
     jacobians: int = 0
     iterations: int = 0  # of Newton's method
     switches: int = 0  # of dependent coordinates
+    pivot: float = 1.0  # of the loops' Jacobian, the smallest relative to the largest: small near a singular pose
     seconds: float = 0.0  # of processor time
 
 

@@ -35,6 +35,7 @@ from mbsrun.simulation.motion import Settings
 
 Array = NDArray[np.float64]
 
+NOISE = 1e-7  # of a change of the state: near a singular pose, rounding of h over a small pivot of J
 RANK = 1e-12  # of singular values, relative to the first
 
 
@@ -181,7 +182,7 @@ def make_alpha(dynamics: Dynamics, piece: Piece, settings: Settings) -> Scheme:
             return solve_step(scale[:, None] * matrix[0, :, 0], scale * np.concatenate((Phi[0], gap[0])))
 
         scale = np.r_[scale_changes(state, h), np.zeros(loops.size)]
-        z = iterate(dynamics, correct, np.concatenate((state.qdd, memory["lam"])), scale)
+        z = iterate(dynamics, correct, np.concatenate((state.qdd, memory["lam"])), scale, NOISE)
         (q, qd, qdd, _), memory["a"], *_ = advance(z)
         memory["lam"] = z[n:]
         return State(q[0], qd[0], qdd[0], np.stack((state.q, q[0])), np.stack((state.qd, qd[0])))
@@ -238,7 +239,7 @@ def make_radau(dynamics: Dynamics, piece: Piece, settings: Settings) -> Scheme:
             return solve_step(scale[:, None] * matrix.reshape(size, size), scale * right).reshape(s, -1)
 
         weights = np.r_[scale_changes(state, h), np.zeros(e), np.full(e, h)]
-        z = iterate(dynamics, correct, memory["guess"], weights)
+        z = iterate(dynamics, correct, memory["guess"], weights, NOISE)
         (q, qd, qdd, _), *_ = advance(z)
         memory["guess"] = np.tile(values @ z, (s, 1))
         return State(q[-1], qd[-1], qdd[-1], q, qd)

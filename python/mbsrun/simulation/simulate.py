@@ -22,6 +22,7 @@ from mbsrun.simulation.formulation import Formulation
 from mbsrun.simulation.method import Family
 from mbsrun.simulation.methods import METHODS, complete_settings, find_refusals, takes_too_many_steps
 from mbsrun.simulation.motion import (
+    SINGULAR,
     STORED,
     Chunk,
     Closure,
@@ -29,6 +30,7 @@ from mbsrun.simulation.motion import (
     Energy,
     Halt,
     HaltError,
+    Keeping,
     Motion,
     Settings,
 )
@@ -217,7 +219,11 @@ class _Record:
             effort=effort,
             closure=self._find_closure(t, q, qd, inputs) if self.is_closed else None,
             halt=halt,
-            warnings=(*warnings, *(_find_drift(energy) if is_known else ())),
+            warnings=(
+                *warnings,
+                *(_find_drift(energy) if is_known else ()),
+                *_find_singularity(self.settings, effort),
+            ),
         )
 
     def _measure_gaps(self, q: Array, qd: Array) -> tuple[float, float]:
@@ -298,6 +304,16 @@ class _Record:
             f"stiff: motion of joint {joint} decays at {decay:.3g} 1/s, so that explicit steps must stay below "
             f"{method.stability / decay:.2g} s; an implicit method (radau, radau-iia) takes longer ones"
         ]
+
+
+def _find_singularity(settings: Settings, effort: Effort) -> list[str]:
+    """Warn where Baumgarte's terms may have left the branch of a loop's motion."""
+    if settings.loops is not Keeping.BAUMGARTE or effort.pivot > SINGULAR:
+        return []
+    return [
+        f"the motion passes a singular pose of the loops (a pivot of their Jacobian shrinks to {effort.pivot:.1e}), "
+        "where Baumgarte's terms may choose another branch; compare it with projection"
+    ]
 
 
 def _find_drift(energy: Energy) -> list[str]:

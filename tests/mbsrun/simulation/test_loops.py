@@ -24,6 +24,7 @@ from scipy.special import ellipj
 from mbsgen.expressions import parse
 from mbsrun import Mechanism, cli, load
 from mbsrun.kernel import find_place
+from mbsrun.models import Extent, find_folder
 from mbsrun.simulation import (
     Keeping,
     Motion,
@@ -35,13 +36,14 @@ from mbsrun.simulation import (
     simulate,
 )
 from mbsrun.simulation.drive import Drive, control, express, hold
+from mbsrun.simulation.inverse import FreeError, invert
 
 A01 = """
 name: cartesian_pendulum
 gravity: [0, 0, -9.81]
 bodies:
-  - {name: x, joint: {type: prismatic, axis: x}}
-  - {name: z, parent: x, joint: {type: prismatic, axis: z}, mass: 1}
+  - {name: x, joint: {type: prismatic, axis: x, actuated: false}}
+  - {name: z, parent: x, joint: {type: prismatic, axis: z, actuated: false}, mass: 1}
 loops:
   - {name: rod, type: rod, from: {body: base}, to: {body: z}, length: 1}
 assembly: {x: 1}
@@ -65,14 +67,23 @@ DRIVEN = (
     .replace("parallelogram", "driven_parallelogram")
     .replace("axis: -y}, mass", "axis: -y, actuated: false}, mass", 1)
 )
+FUNCTIONS = (
+    *("impl", "semi", "semi_res", "exp1", "exp2", "energy", "power", "frames"),
+    *("loops", "loop_rates", "loop_jacobian"),
+)
 EXPLICIT = [Keeping.PROJECTION, Keeping.MASS_PROJECTION, Keeping.PARTITIONING, Keeping.BAUMGARTE]
 INERTIA, WEIGHT = 2 / 3 + 1, 2 * 9.81  # of the parallelogram in its angle
 
 
-def make(folder: Path, text: str) -> Mechanism:
+def generate(folder: Path, text: str) -> Path:
+    """Return a generated folder with the functions that simulation needs."""
     file = folder / "model.yaml"
     file.write_text(text, encoding="utf-8")
-    return load(file)
+    return find_folder(file, Extent(functions=FUNCTIONS, derivatives=1))
+
+
+def make(folder: Path, text: str) -> Mechanism:
+    return load(generate(folder, text))
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +114,7 @@ def rest(mechanism: Mechanism) -> Drive:
 
 
 def swing(pendulum: Mechanism, **settings: Any) -> Motion:
-    return simulate(pendulum, rest(pendulum), [1, 0], [0, 0], Settings(**settings))
+    return simulate(pendulum, rest(pendulum), [1, 0], [0, 0], Settings(**{"output_step": 0.1, **settings}))
 
 
 def level(angle: float) -> np.ndarray:
@@ -114,7 +125,7 @@ def level(angle: float) -> np.ndarray:
 def roll(parallelogram: Mechanism, angle: float, speed: float, **settings: Any) -> Motion:
     """Let the parallelogram go with a level coupler."""
     qd = np.array([speed, -speed, speed])
-    return simulate(parallelogram, rest(parallelogram), level(angle), qd, Settings(**settings))
+    return simulate(parallelogram, rest(parallelogram), level(angle), qd, Settings(**{"output_step": 0.1, **settings}))
 
 
 def turn(angle: float, speed: float, t: float) -> float:
@@ -212,13 +223,15 @@ COURSE = follow([parse("0.3 + 0.5*sin(2*t)")], ["q1"], {})
         {"method": "dop853"},
         {"method": "dop853", "loops": Keeping.PARTITIONING},
         {"method": "radau-iia", "step": 0.02},
-        {"method": "generalized-alpha"},
+        {"method": "generalized-alpha", "step": 2e-3},
     ],
 )
 def test_driven_joints_move_as_given_and_show_their_force(driven: Mechanism, settings: dict[str, Any]) -> None:
     """The force is that of the pendulum, I q'' + W sin(q); its work is the change of energy."""
     start = np.array([1.0, -1.0, 1.0])
-    motion = simulate(driven, rest(driven), level(0.3), start, Settings(1.0, **settings), course=COURSE)
+    motion = simulate(
+        driven, rest(driven), level(0.3), start, Settings(1.0, **settings, output_step=0.05), course=COURSE
+    )
     q, _, qdd = drive_angle(motion.t)
     assert motion.closure is not None
     assert motion.energy is not None
@@ -246,7 +259,7 @@ def test_inputs_follow_the_state_and_the_time(parallelogram: Mechanism) -> None:
             control(carry),
             level(0.2),
             [0.5, -0.5, 0.5],
-            Settings(0.5, **settings),  # type: ignore[arg-type]
+            Settings(0.5, output_step=0.1, **settings),  # type: ignore[arg-type]
         )
         assert motion.q[-1, 0] == pytest.approx(0.2 + 0.5 * 0.5 + 1 - np.cos(0.5), abs=1e-6)
 
@@ -270,6 +283,15 @@ def test_a_parallelogram_passes_its_singular_pose(parallelogram: Mechanism, sett
     assert motion.is_complete
     assert motion.q[-1, 0] > 2 * pi
     assert np.abs(motion.q[-1] - level(turn(0.1, 8.0, 1.5))).max() < 1e-3
+
+
+def test_baumgarte_warns_of_a_singular_pose(parallelogram: Mechanism, pendulum: Mechanism) -> None:
+    """Its terms do not know the branches that meet there."""
+    settings = Settings(0.5, "rk4", loops=Keeping.BAUMGARTE)
+    qd = 8 * np.array([1.0, -1.0, 1.0])
+    motion = simulate(parallelogram, rest(parallelogram), level(0.1), qd, settings)
+    assert any("passes a singular pose of the loops" in warning for warning in motion.warnings)
+    assert not swing(pendulum, duration=0.5, method="rk4", loops=Keeping.BAUMGARTE).warnings
 
 
 def test_a_start_at_a_singular_pose_is_solved_if_it_is_consistent(parallelogram: Mechanism) -> None:
@@ -318,6 +340,64 @@ def test_other_methods_are_refused(parallelogram: Mechanism, method: str) -> Non
         simulate(parallelogram, rest(parallelogram), level(1), np.zeros(3), wrong)
 
 
+# --- inverse dynamics ----------------------------------------------------------------------------------------------
+
+TIMES = np.linspace(0, 1, 11)
+
+
+def test_spare_actuators_share_the_force(parallelogram: Mechanism) -> None:
+    """All three joints turn alike, so the least forces for I q'' + W sin(q) at one are thirds of it."""
+    forces = invert(parallelogram, [0], COURSE, TIMES)
+    q, qd, qdd = drive_angle(TIMES)
+    assert np.allclose(forces.q, np.outer(q, [1, -1, 1]), rtol=0, atol=1e-12)
+    assert np.allclose(forces.qd, np.outer(qd, [1, -1, 1]), rtol=0, atol=1e-12)
+    assert np.allclose(forces.qdd, np.outer(qdd, [1, -1, 1]), rtol=0, atol=1e-11)
+    whole = INERTIA * qdd + WEIGHT * np.sin(q)
+    assert np.allclose(forces.u, np.outer(whole, [1, -1, 1]) / 3, rtol=0, atol=1e-11)
+    assert forces.spare == 2
+    residual = parallelogram("impl", q=forces.q, qd=forces.qd, qdd=forces.qdd, lam=forces.multipliers, u=forces.u)
+    assert np.abs(residual["Phi"]).max() < 1e-11
+
+
+def test_a_driven_joint_needs_the_pendulums_force(driven: Mechanism) -> None:
+    """Its two other joints are actuated, and share the work."""
+    forces = invert(driven, [0], COURSE, TIMES)
+    q, _, qdd = drive_angle(TIMES)
+    whole = INERTIA * qdd + WEIGHT * np.sin(q)
+    assert np.allclose(forces.tau[:, 0] - forces.u[:, 0] + forces.u[:, 1], whole, rtol=0, atol=1e-11)
+
+
+def test_missing_forces_are_told(pendulum: Mechanism) -> None:
+    """Held at z = -1/2 without actuators, the part of the weight along the circle is missing; and z must be given."""
+    forces = invert(pendulum, [1], follow([parse("-0.5")], ["z"], {}), np.zeros(1))
+    assert forces.q[0, 0] == pytest.approx(sqrt(0.75), abs=1e-12)
+    assert forces.unbalanced[0] == pytest.approx(9.81 * 0.75, abs=1e-11)
+    with pytest.raises(FreeError, match="1 freedoms are left when nothing moves"):
+        invert(pendulum, [], follow([], [], {}), np.zeros(1))
+
+
+def test_the_inverse_command_writes_a_table(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, out = generate(tmp_path, PARALLELOGRAM), tmp_path / "forces.csv"
+    words = ["mbsrun", "inverse", str(folder), "--duration", "1", "--output-step", "0.5", "-o", str(out)]
+    monkeypatch.setattr(sys, "argv", [*words, "--motion", "q1=0.3 + 0.5*sin(2*t)"])
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    assert not end.value.code
+    assert "2 forces more than freedoms: the ones of least norm" in capsys.readouterr().out
+    header, *rows = out.read_text().splitlines()
+    assert header.endswith("u[q1],u[q2],u[q3],lam[pin.x],lam[pin.z],unbalanced")
+    assert len(rows) == 3
+    monkeypatch.setattr(sys, "argv", [*words, "--motion", "knee=t"])
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    assert end.value.code == 2
+    assert "found 'knee=t'; give NAME=EXPRESSION once for some of q1, q2, q3" in " ".join(
+        capsys.readouterr().err.split()
+    )
+
+
 # --- the command ---------------------------------------------------------------------------------------------------
 
 
@@ -329,9 +409,8 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     """Run the command on a model's text; it returns the exit code, what was said, and the summary."""
 
     def run(text: str, *options: str) -> tuple[int, str, dict[str, Any]]:
-        file, out = tmp_path / "model.yaml", tmp_path / "out"
-        file.write_text(text, encoding="utf-8")
-        words = ["mbsrun", "simulate", str(file), "--duration", "0.5", "-o", str(out), *options]
+        folder, out = generate(tmp_path, text), tmp_path / "out"
+        words = ["mbsrun", "simulate", str(folder), "--duration", "0.5", "-o", str(out), *options]
         monkeypatch.setattr(sys, "argv", words)
         with pytest.raises(SystemExit) as end:
             cli.main()

@@ -1,0 +1,130 @@
+"""Inverse dynamics along a given motion: some joints' q(t), and so all others' -> the forces that it takes.
+
+    Phi(q, qd, qdd) = S u + D tau + J^T lam
+
+Phi is the residual without inputs, S and D choose the actuated and the driven joints. With a basis Z of the motions
+that loops admit, J Z = 0, the forces solve Z^T (S u + D tau) = Z^T Phi: the ones of least norm, where there are more of
+them than freedoms; what they cannot balance is returned, where there are fewer. The rest gives the multipliers lam.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import null_space
+
+from mbsgen.errors import MbsError
+from mbsrun.kernel import ArgumentError, Kernels
+from mbsrun.quaternions import neutral
+from mbsrun.simulation.closing import RANK, close_pose, complete_velocities
+from mbsrun.simulation.course import Course
+from mbsrun.simulation.drive import input_labels
+from mbsrun.simulation.dynamics import Dynamics
+from mbsrun.simulation.formulation import Formulation
+
+Array = NDArray[np.float64]
+
+
+class FreeError(MbsError):
+    """A motion that the given joints do not determine."""
+
+
+@dataclass(frozen=True, eq=False)
+class Forces:
+    """A motion at K times, with the forces that it takes."""
+
+    t: Array  # (K,)
+    q: Array  # (K, nq)
+    qd: Array  # (K, n)
+    qdd: Array  # (K, n)
+    u: Array  # (K, m): of actuated joints
+    tau: Array  # (K, d): of driven joints
+    multipliers: Array  # (K, e)
+    unbalanced: Array  # (K,): the largest generalised force that u and tau cannot provide
+    spare: int  # entries of u and tau beyond the freedoms: they have the least norm
+
+
+def invert(kernels: Kernels, joints: Sequence[int], course: Course, times: Array) -> Forces:
+    """Compute the forces for the motion `course` of some joints, by their entries of qd, at increasing times.
+
+    The first pose is reached from the manifest's. Raises OpenError where loops cannot be closed, and FreeError where
+    the joints do not determine the others.
+    """
+    manifest = kernels.manifest
+    missing = {"impl", *(("loops", "loop_rates", "loop_jacobian") if manifest.loops else ())}
+    missing -= {kernel.name for kernel in manifest.kernels}
+    if missing:
+        raise ArgumentError(f"{manifest.model} was generated without {', '.join(sorted(missing))}")
+    places = [manifest.positions.index(manifest.coordinates[i].name) for i in joints]
+    dynamics = Dynamics(kernels, Formulation.IMPL, course)
+    pose = np.array(manifest.pose) if manifest.pose else neutral(manifest)
+    steps = []
+    for state in zip(*course.states(times), strict=True):
+        q, qd, qdd, J = _follow(kernels, joints, places, pose, *state)
+        steps.append((q, qd, qdd, *_balance(dynamics, q, qd, qdd, J)))
+        pose = q
+    q, qd, qdd, u, tau, lam, unbalanced, spare = (np.array(x) for x in zip(*steps, strict=True))
+    return Forces(times, q, qd, qdd, u, tau, lam, unbalanced, int(spare.max()))
+
+
+def _follow(
+    kernels: Kernels, joints: Sequence[int], places: Sequence[int], pose: Array, y: Array, yd: Array, ydd: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Return q, qd and qdd of all joints, and J."""
+    manifest = kernels.manifest
+    n = len(manifest.coordinates)
+    free = [i for i in range(n) if i not in joints]
+    qd, qdd = np.zeros(n), np.zeros(n)
+    qd[list(joints)], qdd[list(joints)] = yd, ydd
+    J = np.zeros((0, n))
+    if manifest.loops:
+        pose = close_pose(kernels, pose, places, y)
+        qd = complete_velocities(kernels, pose, qd, joints)
+        found = kernels("loop_jacobian", q=pose, qd=qd)
+        J = found["J"]
+        qdd[free] = -np.linalg.lstsq(J[:, free], found["gamma"] + J @ qdd, rcond=RANK)[0]
+    else:
+        pose = pose.copy()
+        pose[list(places)] = y
+    left = len(free) - np.linalg.matrix_rank(J[:, free], rtol=RANK) if free else 0
+    if left:
+        names = ", ".join(manifest.coordinates[i].name for i in joints)
+        raise FreeError(f"{left} freedoms are left when {names or 'nothing'} moves; give the motion of more joints")
+    return pose, qd, qdd, J
+
+
+def _balance(dynamics: Dynamics, q: Array, qd: Array, qdd: Array, J: Array) -> tuple[Array, Array, Array, float, int]:
+    """Return u, tau, lam, what stays unbalanced, and how many forces are spare."""
+    manifest, forces = dynamics.kernels.manifest, dynamics.forces_count
+    v, lam = np.zeros((1, len(input_labels(manifest)))), np.zeros((1, len(J)))
+    state = q[None], qd[None], qdd[None]
+    Phi = dynamics.residual(*state, v, lam)[0]
+    S = np.zeros((len(qd), 0)) if not forces else -dynamics.input_slopes(*state, v, lam)[0][:, :forces]
+    D = np.eye(len(qd))[:, list(manifest.driven)]
+    Z, sides = null_space(J, rcond=RANK) if len(J) else np.eye(len(qd)), np.hstack((S, D))
+    found, _, rank, _ = np.linalg.lstsq(Z.T @ sides, Z.T @ Phi, rcond=RANK)
+    rest = Phi - sides @ found
+    unbalanced = Z @ (Z.T @ rest)
+    multipliers = np.linalg.lstsq(J.T, rest - unbalanced, rcond=RANK)[0] if len(J) else np.zeros(0)
+    spare = sides.shape[1] - int(rank)
+    return found[:forces], found[forces:], multipliers, float(np.abs(unbalanced).max()), spare
+
+
+def tabulate(forces: Forces, kernels: Kernels) -> tuple[list[str], Array]:
+    """Return the names of columns, bracketed, and the numbers, a row for each time."""
+    manifest = kernels.manifest
+    names = [c.name for c in manifest.coordinates]
+    labels = {
+        "q": manifest.positions,
+        "qd": names,
+        "qdd": names,
+        "u": [names[i] for i in manifest.actuated],
+        "tau": [names[i] for i in manifest.driven],
+    }
+    header = ["t", *(f"{kind}[{x}]" for kind, entries in labels.items() for x in entries)]
+    header += [f"lam[{loop.name}.{x}]" for loop in manifest.loops for x in loop.equations] + ["unbalanced"]
+    columns = [forces.t[:, None], forces.q, forces.qd, forces.qdd, forces.u, forces.tau, forces.multipliers]
+    return header, np.concatenate((*columns, forces.unbalanced[:, None]), axis=1)
