@@ -91,7 +91,7 @@ def test_an_approximation_that_errs_by_more_than_the_tolerance_is_found() -> Non
     assert "errs by more than" in mechanisms.examine(rough, beyond=0.1)
 
 
-@pytest.mark.parametrize("seed", [4, 12, 28])
+@pytest.mark.parametrize("seed", [9, 32, 33])
 def test_closed_mechanisms_agree_with_free_bodies(seed: int) -> None:
     """Loops of several kinds, a constraint and a driven joint: a program where all bodies are free finds the same."""
     assert loops.examine(loops.draw(seed), seed) == ""
