@@ -29,7 +29,7 @@ from mbsgen.roles import Axis
 from mbsrun.forms import VALUES
 from mbsrun.measuring.candidates import Candidate, add_hidden, compile_kernel
 from mbsrun.measuring.functions import Variant
-from mbsrun.measuring.mechanisms import Subject, draw_states, refuse_quaternions
+from mbsrun.measuring.mechanisms import Subject, draw_states, refuse_unmeasured
 from mbsrun.measuring.points import Cost
 from mbsrun.measuring.store import Store
 from mbsrun.measuring.timing import Watch, measure_costs
@@ -87,9 +87,9 @@ QUICK = FidelityScope(3, 8, ("impl", "exp2", "sensors"))
 def list_reductions(model: Path, manifest: Manifest, scenes: Sequence[Path]) -> list[Reduction]:
     """List the reductions by scenes: each part of a scene, then the whole scene; without scenes, the usual reductions.
 
-    Raises InputError for files that cannot be read, MbsError for a model with quaternions.
+    Raises InputError for files that cannot be read, MbsError for a model that is not measured.
     """
-    refuse_quaternions(manifest)
+    refuse_unmeasured(manifest)
     data = read_document(model).data
     if not scenes:
         return list(_list_usual(data, manifest))

@@ -66,19 +66,22 @@ def write_chain(size: int, folder: Path) -> Path:
     return path
 
 
-def refuse_quaternions(manifest: Manifest) -> None:
-    """Raise MbsError for a model with more coordinates than velocities."""
+def refuse_unmeasured(manifest: Manifest) -> None:
+    """Raise MbsError for a model with quaternions, loops or driven joints: random states of it are of no use."""
     if manifest.configuration:
         raise MbsError(f"{manifest.model}: joints with quaternions are not measured; take `spherical` joints")
+    if manifest.loops or manifest.driven:
+        remedy = "compare `mbsrun simulate` runs of its methods, and the flops of its report"
+        raise MbsError(f"{manifest.model}: mechanisms with loops or driven joints are not measured; {remedy}")
 
 
 def draw_states(manifest: Manifest, parameters: Mapping[str, float], count: int, seed: int = 1) -> dict[str, Array]:
     """Draw states: an array (count, size) for each input of a residual; u and w as well, parameters at their values.
 
     All numbers except the parameters are exact in single precision, so that kernels of both precisions get the same.
-    Raises MbsError for a model with quaternions.
+    Raises MbsError for models that are not measured.
     """
-    refuse_quaternions(manifest)
+    refuse_unmeasured(manifest)
     rng = np.random.default_rng(seed)
     n = len(manifest.coordinates)
     wrench = sum(3 * x.force + 3 * x.moment for x in manifest.wrenches)

@@ -19,7 +19,7 @@ from mbsgen.manifest import Manifest
 from mbsrun.external import Mechanism, load
 from mbsrun.forms import FUNCTIONS
 from mbsrun.measuring.functions import Variant
-from mbsrun.measuring.mechanisms import draw_states, refuse_quaternions
+from mbsrun.measuring.mechanisms import draw_states, refuse_unmeasured
 from mbsrun.measuring.points import MotionPoint
 from mbsrun.measuring.store import Store
 from mbsrun.measuring.timing import sum_up
@@ -107,7 +107,7 @@ def read_course(model: Path, file: Path | None, duration: float | None) -> Cours
     mechanism = load(model) if model.is_dir() else Mechanism(find_folder(model, EXTENT))
     if file is None:
         return draw_course(mechanism, duration or 2.0)
-    refuse_quaternions(mechanism.manifest)
+    refuse_unmeasured(mechanism.manifest)
     statement = read_statement(file, {}, mechanism.manifest)
     mechanism = mechanism.with_parameters(**statement.parameters)
     facts = (file.read_text(encoding="utf-8"), tuple(statement.parameters.items()))

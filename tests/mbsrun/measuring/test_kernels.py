@@ -9,11 +9,11 @@ import mpmath
 import numpy as np
 import pytest
 
-from mbsgen.errors import InputError
+from mbsgen.errors import InputError, MbsError
 from mbsrun.measuring import kernels
 from mbsrun.measuring.functions import Variant
 from mbsrun.measuring.kernels import ACCELERATIONS, MASS, RESIDUAL, SINGLE, SLOPES_R, USUAL, VALUES, KernelScope
-from mbsrun.measuring.mechanisms import Subject, draw_states, write_chain
+from mbsrun.measuring.mechanisms import Subject, draw_states, refuse_unmeasured, write_chain
 from mbsrun.measuring.pictures import draw_kernels
 from mbsrun.measuring.points import KernelPoint, write_points
 from mbsrun.measuring.reference import Reference
@@ -21,6 +21,7 @@ from mbsrun.measuring.store import Store
 from mbsrun.models import Extent
 
 U = {"float64": 2.0**-53, "float32": 2.0**-24}
+MODELS = Path(__file__).parents[3] / "models"
 LITTLE = KernelScope((), (USUAL, SINGLE), 2, 2)
 
 
@@ -171,3 +172,10 @@ def test_derivatives_are_of_what_the_residual_takes(cart: Path) -> None:
     states = draw_states(subject.manifest, subject.kernels.parameters, 1)
     moment = Reference(cart).at({name: values[0] for name, values in states.items()})
     assert set(kernels._expect(SLOPES_R, moment)) == {f"jac_Phi_{x}" for x in ("q", "qd", "qdd", "u", "w", "theta")}
+
+
+def test_mechanisms_with_loops_are_not_measured() -> None:
+    """Random states open the loops, so errors and times at them would say nothing."""
+    subject = Subject(MODELS / "four_bar.yaml", Extent(("impl",), 0))
+    with pytest.raises(MbsError, match="mechanisms with loops or driven joints are not measured"):
+        refuse_unmeasured(subject.manifest)
