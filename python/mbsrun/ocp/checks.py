@@ -60,6 +60,8 @@ def list_open_inputs(manifest: Manifest) -> list[str]:
         Role.VELOCITY,
         Role.ACCELERATION,
         Role.MULTIPLIER,
+        Role.DRIVE,  # these two are refused by themselves
+        Role.DRIVING_FORCE,
         Role.FORCE,
         Role.SETUP,
         Role.DESIGN,

@@ -17,7 +17,7 @@ from mbsgen.roles import Role
 from mbsrun.ocp import schemes
 from mbsrun.ocp.backends import condensation
 from mbsrun.ocp.backends.numpy import build
-from mbsrun.ocp.checks import ProblemError
+from mbsrun.ocp.checks import ProblemError, find_loop_conflicts
 from mbsrun.ocp.closure import CLOSED, Closure
 from mbsrun.ocp.guess import make_guess
 from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Form, Loops, Problem, Representation, SolverOptions, Term
@@ -337,6 +337,15 @@ def test_what_loops_contradict_is_refused(name: str) -> None:
     make, finding = CONFLICTS[name]
     with pytest.raises(ProblemError, match=finding):
         solve(make(), arms())
+
+
+@pytest.mark.parametrize(
+    ("part", "finding"),
+    [({"driven": (1,)}, "the motion of left_elbow is given"), ({"quaternions": (0,)}, "a loop with quaternions")],
+)
+def test_mechanisms_without_an_optimal_control_problem_are_refused(part: dict[str, object], finding: str) -> None:
+    manifest = arms().manifest.model_copy(update=part)
+    assert any(finding in conflict.finding for conflict in find_loop_conflicts(reach(), manifest))
 
 
 def test_a_form_of_loops_needs_loops() -> None:
