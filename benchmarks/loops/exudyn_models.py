@@ -214,7 +214,7 @@ class Space:
 
 def solve(mbs: Any, span: float, manner: Manner) -> float:
     """Integrate a system; return the processor's seconds. Raises ArithmeticError."""
-    settings = exu.SimulationSettings()
+    settings: Any = exu.SimulationSettings()
     times = settings.timeIntegration
     times.numberOfSteps, times.endTime, times.verboseMode = manner.steps, span, 0
     times.newton.useModifiedNewton = True

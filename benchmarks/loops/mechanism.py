@@ -163,9 +163,9 @@ def _write_axes(body: Body, values: Mapping[Symbol, float]) -> str:
 
 def _write_sites(tree: Tree, number: int, values: Mapping[Symbol, float], springs: Sequence[Spring]) -> Iterator[str]:
     for k, spring in enumerate(springs):
-        for end, (body, point) in enumerate(zip(spring.bodies, spring.points, strict=True)):
+        for side, (body, point) in enumerate(zip(spring.bodies, spring.points, strict=True)):
             if body == number:
-                yield f'<site name="tie{k}.{end}" pos="{_join(point)}"/>'
+                yield f'<site name="tie{k}.{side}" pos="{_join(point)}"/>'
     for loop, kind in zip(tree.loops, list_kinds(tree), strict=True):
         for which, end in ((1, loop.first), (2, loop.second)):
             if end.body != number:

@@ -191,11 +191,11 @@ def _list_exudyn(problem: Problem) -> Iterator[Way]:
     def solve(steps: int, trapezoidal: bool) -> Run:
         manner = Manner(steps, trapezoidal, is_redundant=problem.is_redundant)
         if flat:
-            plane = Plane(problem.tree, problem.q, problem.qd, problem.laws, problem.springs)
+            plane = Plane(problem.tree, problem.q.tolist(), problem.qd.tolist(), problem.laws, problem.springs)
             end = plane.run(problem.span, manner)
             q, qd = (_relate(problem, values) for values in (end.angle, end.omega))
             return Run(problem.measure(q, qd), end.seconds, steps)
-        end = Space(problem.tree, problem.q, problem.qd, problem.springs).run(problem.span, manner)
+        end = Space(problem.tree, problem.q.tolist(), problem.qd.tolist(), problem.springs).run(problem.span, manner)
         n = len(problem.q)
         places = place_bodies(problem.tree, problem.end[:n].tolist(), problem.end[n:].tolist())[1:]
         expected = np.array([[*x.com, *x.velocity] for x in places])

@@ -42,14 +42,14 @@ def draw_states(kernels: Mechanism, states: int, seed: int = 1) -> dict[str, Arr
             continue
         J = read_jacobian(kernels, q)
         qd = rng.uniform(-3, 3, J.shape[1])
-        found.append((q, qd - np.linalg.lstsq(J, J @ qd, rcond=None)[0]))
+        found.append((q, np.asarray(qd - np.linalg.lstsq(J, J @ qd, rcond=None)[0])))
         if len(found) == states:
             return {
                 "q": np.array([pair[0] for pair in found]),
                 "qd": np.array([pair[1] for pair in found]),
                 "u": rng.uniform(-5, 5, (states, inputs)),
             }
-    raise ArithmeticError(f"{manifest.name}: no {states} states with closed loops were found")
+    raise ArithmeticError(f"{manifest.model}: no {states} states with closed loops were found")
 
 
 def _count_inputs(kernels: Mechanism) -> int:
