@@ -377,7 +377,7 @@ static int restore(mbs_run *r)
     return status ? status : close_velocities(r, way);
 }
 
-/* Put driven joints where they are at time t, that of stage i. */
+/* Put driven joints where they are at time t of stage i. */
 static int guide(mbs_run *r, casadi_real t, casadi_int i)
 {
     const mbs_closed *p = r->p;

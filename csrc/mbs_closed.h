@@ -25,7 +25,7 @@ extern "C" {
 #define MBS_MASS_PROJECTION 2
 #define MBS_BAUMGARTE 3
 
-/* Statuses beside those of kernels, which are positive. */
+/* Statuses; kernels have positive ones. */
 #define MBS_RUNAWAY (-1)   /* numbers that are not finite */
 #define MBS_STOPPED (-2)   /* a function for inputs returned a number other than 0 */
 #define MBS_SHORT (-3)     /* the step has become too short */
@@ -96,7 +96,7 @@ void mbs_closed_run(const mbs_closed *plant, const mbs_manner *manner, casadi_re
                     casadi_real *times, casadi_real *states, casadi_real *reals, casadi_int *integers,
                     mbs_outcome *outcome);
 
-/* Take `count` steps, each from its own time and state (starts), of its own length, and write where they end: the motion
+/* Take `count` steps, each from a time and a state (starts), with a length, and write where they end: the motion
  * within the steps of a run, to its order. Inputs and courses may be given for all stages of each step, then for its end:
  * rows of m and of 3 d numbers; NULL: the manner's functions are asked. */
 void mbs_closed_read(const mbs_closed *plant, const mbs_manner *manner, casadi_int count, const casadi_real *times,

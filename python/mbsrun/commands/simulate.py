@@ -29,7 +29,7 @@ from mbsrun.simulation.record import describe_settings, write_motion
 from mbsrun.simulation.simulate import simulate
 from mbsrun.simulation.statement import Recording, read_statement
 
-PLAIN = (  # options whose names are those of a settings file
+PLAIN = (  # options that a settings file has too
     *("duration", "method", "formulation", "step", "output_step", "rtol", "atol", "stages", "rho"),
     *("loops", "alpha", "beta", "input_period", "max_steps", "max_seconds"),
 )
@@ -132,7 +132,7 @@ def list_keeping() -> str:
     help="How loops are kept closed; see above. By default the method's first.",
 )
 @click.option("--alpha", metavar="A", help="Baumgarte's gain of the rate at which loops open [1/s]; by default 5.")
-@click.option("--beta", metavar="B", help="Baumgarte's gain of what is open [1/s]; by default 5.")
+@click.option("--beta", metavar="B", help="Baumgarte's gain of the gap [1/s]; by default 5.")
 @click.option("--output-step", metavar="H", help="The time between states that are kept [s]; by default T/1000.")
 @click.option("--max-steps", type=int, metavar="N", help="The largest number of steps; by default 10 million.")
 @click.option("--max-seconds", metavar="S", help="The largest processor time; by default 60 s.")

@@ -78,9 +78,9 @@ class Start:
 
 
 def close_start(kernels: Kernels, start: Start, course: Course) -> tuple[Array, Array, str]:
-    """Return q and qd with closed loops, and a note on what was changed of the given coordinates, or nothing.
+    """Return q and qd with closed loops, and a note where given coordinates were changed.
 
-    Given entries are kept, the others follow from them. A pose that is nearly closed is moved as a whole. Raises
+    Given entries are kept, the others follow. A pose that is nearly closed is moved as a whole. Raises
     OpenError where the loops stay open.
     """
     manifest = kernels.manifest
@@ -161,7 +161,7 @@ def _invert_rates(kernels: Kernels, q: Array) -> Array:
 
 
 def complete_velocities(kernels: Kernels, q: Array, qd: Array, given: Collection[int]) -> Array:
-    """Return velocities with J qd = 0, with the entries `given` as in qd; those that stay free have the least norm.
+    """Return velocities with J qd = 0, with the entries `given` as in qd; the others have the least norm.
 
     Raises OpenError where the given ones contradict each other.
     """
@@ -175,12 +175,12 @@ def complete_velocities(kernels: Kernels, q: Array, qd: Array, given: Collection
     worst = int(np.abs(left).argmax())
     if not abs(left[worst]) <= OPEN * (1 + np.abs(found).max()):
         finding = f"the given velocities open it at a rate of {abs(left[worst]):.3g}"
-        raise OpenError(name_loops(manifest)[worst], finding, "give those of independent joints only")
+        raise OpenError(name_loops(manifest)[worst], finding, "give independent joints only")
     return found
 
 
 def check_closed(kernels: Kernels, q: Array, qd: Array) -> None:
-    """Check that a state is on the loops' equations. Raises OpenError with what is left open."""
+    """Check that a state is on the loops' equations. Raises OpenError with the largest gap."""
     if not name_loops(kernels.manifest):
         return
     rates = kernels("loop_rates", q=q, qd=qd)["hd"]

@@ -45,7 +45,7 @@ class Settings:
     rho: float = 0.8  # of generalized-alpha: the part of the highest frequencies' amplitude that a step keeps
     loops: Keeping | None = None  # None: the method's first
     alpha: float = 5.0  # 1/s: gains of Baumgarte's terms, of the rate
-    beta: float = 5.0  # 1/s: and of what is open
+    beta: float = 5.0  # 1/s: and of the gap
     output_step: float | None = None  # between the states that are kept; None: duration / STORED
     max_steps: int = Limits.steps  # a motion that would take more is refused, or halts
     max_seconds: float = Limits.seconds  # of processor time; the motion halts when they are used up

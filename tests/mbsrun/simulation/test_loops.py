@@ -123,13 +123,13 @@ def level(angle: float) -> np.ndarray:
 
 
 def roll(parallelogram: Mechanism, angle: float, speed: float, **settings: Any) -> Motion:
-    """Let the parallelogram go with a level coupler."""
+    """Release the parallelogram with a level coupler."""
     qd = np.array([speed, -speed, speed])
     return simulate(parallelogram, rest(parallelogram), level(angle), qd, Settings(**{"output_step": 0.1, **settings}))
 
 
 def turn(angle: float, speed: float, t: float) -> float:
-    """Integrate the parallelogram's angle as that of one pendulum."""
+    """Integrate the parallelogram's angle as a pendulum's."""
 
     def rate(_: float, y: np.ndarray) -> list[float]:
         return [y[1], -WEIGHT / INERTIA * np.sin(y[0])]
@@ -193,7 +193,7 @@ def test_baumgarte_refuses_stiff_gains(pendulum: Mechanism) -> None:
 
 @pytest.mark.parametrize("formulation", ["exp1", "semi", "impl"])
 def test_formulations_agree(pendulum: Mechanism, formulation: str) -> None:
-    """Accelerations by articulated bodies, and those by orthogonal decomposition, differ by rounding."""
+    """Articulated bodies and orthogonal decomposition give accelerations that differ by rounding."""
     kind = type(Settings(1.0).formulation)
     a, b = (swing(pendulum, duration=1.0, method="rk4", formulation=x) for x in (kind.EXP2, kind(formulation)))
     assert np.abs(a.q[-1] - b.q[-1]).max() < 1e-12
@@ -227,7 +227,7 @@ COURSE = follow([parse("0.3 + 0.5*sin(2*t)")], ["q1"], {})
     ],
 )
 def test_driven_joints_move_as_given_and_show_their_force(driven: Mechanism, settings: dict[str, Any]) -> None:
-    """The force is that of the pendulum, I q'' + W sin(q); its work is the change of energy."""
+    """The force is the pendulum's, I q'' + W sin(q); its work is the change of energy."""
     start = np.array([1.0, -1.0, 1.0])
     motion = simulate(
         driven, rest(driven), level(0.3), start, Settings(1.0, **settings, output_step=0.05), course=COURSE
