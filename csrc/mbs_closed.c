@@ -719,17 +719,3 @@ void mbs_closed_read(const mbs_closed *plant, const mbs_manner *manner, casadi_i
             outcome->status = finish(&r, t + h, h, y);
     }
 }
-
-void mbs_closed_restore(const mbs_closed *plant, const mbs_manner *manner, casadi_real t, casadi_real *state,
-                        casadi_real *reals, casadi_int *integers, mbs_outcome *outcome)
-{
-    mbs_run r = open_run(plant, manner, reals, integers, outcome);
-    lay(&r, state);
-    outcome->status = guide(&r, t, 0);
-    if (!outcome->status)
-        outcome->status = renew(&r);
-    if (!outcome->status && plant->e)
-        outcome->status = restore(&r);
-    if (!outcome->status)
-        take(&r, state);
-}

@@ -104,10 +104,6 @@ void mbs_closed_read(const mbs_closed *plant, const mbs_manner *manner, casadi_i
                      const casadi_real *starts, casadi_real *ends, casadi_real *reals, casadi_int *integers,
                      mbs_outcome *outcome);
 
-/* Put a state (q, qd) on h = 0, J qd = 0, from anywhere near, as `manner` says; `driven` ones at time t. */
-void mbs_closed_restore(const mbs_closed *plant, const mbs_manner *manner, casadi_real t, casadi_real *state,
-                        casadi_real *reals, casadi_int *integers, mbs_outcome *outcome);
-
 #ifdef __cplusplus
 }
 #endif
