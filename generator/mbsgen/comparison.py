@@ -188,7 +188,7 @@ def _miss(found: Sequence[Mapping[str, Array]], expected: Sequence[Mapping[str, 
 
 
 def _name_loops(tree: Tree) -> Iterator[str]:
-    names = [x.name for x in (*tree.loops, *tree.constraints)]
+    names = [*(loop.name for loop in tree.loops), *(constraint.name for constraint in tree.constraints)]
     if names:
         yield f"loops and constraints {_list(names)}: Pinocchio's reader has none; the trees are compared without them"
 

@@ -12,19 +12,20 @@ import numpy as np
 
 from mbsgen.assembly.mechanism import Array
 
-ENOUGH = 0.3  # of the largest part: of candidates above, the first is taken, so that a choice keeps the author's order
+ENOUGH = 0.3  # of the largest part: of rows above, the first is taken, so that a choice keeps the author's order
+NEARLY = 0.999  # likewise of columns, whose weights decide
 REGULAR = 1e-6  # the least singular value of the dependent columns, as a part of the largest one of J
 
 
 def choose_rows(poses: Sequence[Array], count: int) -> tuple[int, ...]:
     """Choose independent rows of J, given at several poses."""
     left = [J / np.maximum(np.linalg.norm(J, axis=1, keepdims=True), 1e-300) for J in poses]
-    return tuple(sorted(_choose(left, count, np.ones(left[0].shape[0]))))
+    return tuple(sorted(_choose(left, count, np.ones(left[0].shape[0]), ENOUGH)))
 
 
 def choose_columns(poses: Sequence[Array], weights: Array) -> tuple[int, ...]:
     """Choose independent columns of J, as many as it has rows; of those alike, the ones of the largest weight."""
-    return tuple(sorted(_choose([J.T.copy() for J in poses], poses[0].shape[0], weights)))
+    return tuple(sorted(_choose([J.T.copy() for J in poses], poses[0].shape[0], weights, NEARLY)))
 
 
 def measure(J: Array, columns: Sequence[int]) -> float:
@@ -35,12 +36,12 @@ def measure(J: Array, columns: Sequence[int]) -> float:
     return float(values.min() / np.linalg.svd(J, compute_uv=False).max())
 
 
-def _choose(left: list[Array], count: int, weights: Array) -> list[int]:
+def _choose(left: list[Array], count: int, weights: Array, enough: float) -> list[int]:
     chosen: list[int] = []
     for _ in range(count):
         parts = np.min([np.linalg.norm(A, axis=1) for A in left], axis=0) * weights
         parts[chosen] = 0.0
-        k = int(np.flatnonzero(parts >= ENOUGH * parts.max())[0])
+        k = int(np.flatnonzero(parts >= enough * parts.max())[0])
         chosen.append(k)
         for A in left:
             unit = A[k] / max(float(np.linalg.norm(A[k])), 1e-300)

@@ -18,7 +18,7 @@ from mbsgen.derivatives.implicit import Constraints
 from mbsgen.derivatives.kernels import Derivatives, differentiable
 from mbsgen.derivatives.vanishing import drop_vanishing, find_patterns, narrow
 from mbsgen.formulations import catalogue, coupling
-from mbsgen.formulations.multipliers import list_statuses
+from mbsgen.formulations.multipliers import list_owners
 from mbsgen.formulations.planning import finish
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Kind, Tree
@@ -72,7 +72,8 @@ class Dynamics:
         if not tree.is_constrained:
             return None
         unrestrained = coupling.write_unrestrained(tape.function.base, tree, self._reductions)
-        return Constraints(self._closure, len(tree.driven), list_statuses(tree), unrestrained)
+        guards = coupling.write_guards(tree)
+        return Constraints(self._closure, len(tree.driven), list_owners(tree), guards, unrestrained)
 
     @cached_property
     def _closure(self) -> Derivatives | None:

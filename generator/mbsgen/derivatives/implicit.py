@@ -30,7 +30,7 @@ from functools import cached_property
 
 from mbsgen.derivatives.kernels import Derivatives
 from mbsgen.formulations import multipliers, ports
-from mbsgen.formulations.multipliers import Bordered
+from mbsgen.formulations.multipliers import Bordered, Owner
 from mbsgen.formulations.parsimony.elimination import Column, Entries, Factors, factorise
 from mbsgen.procedure import solve as systems
 from mbsgen.procedure.patterns import LANES, Tree
@@ -56,7 +56,8 @@ class Constraints:
 
     accelerations: Derivatives | None  # hdd of loops and constraints; without them, joints are driven only
     driven: int  # joints
-    statuses: tuple[int, ...]  # of each equation
+    owners: tuple[Owner, ...]  # of each equation
+    guards: Tape  # of rows that may vanish as a whole
     unrestrained: Tape  # the accelerations of the same tree without these equations, with the guards of its joints
 
 
@@ -312,7 +313,10 @@ class _State:
             self.builder.guard(pivot, values[guard.scale], guard.tolerance, guard.joint)
         if self.constraints:
             system = self.system
-            multipliers.guard(self.builder, self.constraints.statuses, system.A, system.reduced.pivots)
+            multipliers.guard(self.builder, self.constraints.owners, system.A, system.reduced.pivots)
+            rows = self.constraints.guards
+            values = replay(rows, self.builder, {i.name: self.inputs[i.name] for i in rows.inputs})
+            replay_guards(rows, self.builder, values)
 
     def slope(self, of: Port, name: str) -> Port:
         """Return the port of the derivative of a result by an input."""
@@ -339,7 +343,7 @@ def _write_rows(
             rows[r][c + 1] = value
         right = [-bias[k, 0] for k in range(len(rows))]
     if constraints.driven:
-        joints = constraints.statuses[-constraints.driven :]
+        joints = [owner.status for owner in constraints.owners[-constraints.driven :]]
         rows += [{number: builder.number(1.0)} for number in joints]
         right += at_rest[ports.DRIVE.name]
     return rows, right

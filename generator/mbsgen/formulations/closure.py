@@ -219,6 +219,38 @@ def add_multipliers(tape: Tape, tree: Tree) -> Tape:
     return builder.build(tape.function)
 
 
+# -- lost equations -------------------------------------------------------------------------------------------------
+
+
+def group_equations(tree: Tree) -> tuple[tuple[int, bool], ...]:
+    """Return the group of each entry of h: its loop, and whether it compares directions, not places."""
+    return tuple((loop, name.startswith("turn") or name == "angle") for loop, name in kept_equations(tree))
+
+
+def find_lone_equations(tree: Tree) -> tuple[int, ...]:
+    """List the entries of h, from 0, that are alone in their groups; entries of constraints have no known size."""
+    groups = group_equations(tree)
+    return tuple(k for k, group in enumerate(groups) if groups.count(group) == 1 and group[0] < len(tree.loops))
+
+
+def build_levers(tree: Tree) -> Tape:
+    """Write bounds on the entries of J in lone equations: how far a joint may be from the end that it moves, or 1.
+
+    The output `levers`, shape (lone equations, n), depends on parameters, and not on angles.
+    """
+    builder = Builder()
+    state = declare_state(tree, builder, rates=False, accelerations=False, forces=False, wrenches=False)
+    chain = write_chain(replace(tree, wrenches=()), builder, state)
+    groups, rows = group_equations(tree), []
+    for k in find_lone_equations(tree):
+        number, is_turn = groups[k]
+        first, second = _End.make(chain, tree.loops[number])
+        bounds = {**first.bound(is_turn=is_turn), **second.bound(is_turn=is_turn)}
+        rows.append([bounds.get(i, builder.zero) for i in range(1, len(tree.bodies) + 1)])
+    builder.output_dense("levers", rows)
+    return builder.build("levers")
+
+
 # -- time derivatives ---------------------------------------------------------------------------------------------
 
 
@@ -314,7 +346,8 @@ class _End:
         own = path[0].frame if path else carrier
         axes, place = chain.matrix(end.axes), chain.vector(end.position)
         self._axes = own.times(axes) if own else axes
-        self.place = self._carry(own.apply(place) if own else place, is_point=True)
+        self._point = own.apply(place) if own else place
+        self.place = self._carry(self._point, is_point=True)
 
     @staticmethod
     def make(chain: Chain, loop: Loop) -> tuple[_End, _End]:
@@ -326,6 +359,15 @@ class _End:
             carrier = one.pop().frame
             other.pop()
         return _End(chain, loop.first, one, carrier), _End(chain, loop.second, other, carrier)
+
+    def bound(self, *, is_turn: bool) -> dict[int, Scalar]:
+        """Bound the velocity of the end, or with `is_turn` its angular velocity, for unit rates of its joints."""
+        one, zero, found = self._chain.builder.number(1.0), self._chain.builder.zero, dict[int, Scalar]()
+        reach = _length(self._point)
+        for segment in self._path:
+            found[segment.number] = (one if is_turn else reach) if segment.is_revolute else (zero if is_turn else one)
+            reach = reach + _length(segment.d)
+        return found
 
     def axis(self, k: int) -> Vector[Scalar]:
         """Return an axis of the frame."""
@@ -361,6 +403,11 @@ class _End:
 
     def _coordinate(self, segment: Segment) -> Scalar:
         return segment.signed(self._chain.state.q[segment.number - 1])
+
+
+def _length(v: Vector[Scalar]) -> Scalar:
+    squared = v.dot(v)
+    return squared if squared.is_zero else squared.builder.sqrt(squared)
 
 
 def _turn(axis: int, angle: Scalar, v: Vector[Scalar]) -> Vector[Scalar]:

@@ -28,7 +28,7 @@ from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.lowering import lower
 from mbsgen.tape.passes import keep_results
 from mbsgen.tape.ports import Port
-from mbsgen.tape.replay import replay
+from mbsgen.tape.replay import replay, replay_guards
 from mbsgen.tape.types import Input, Op, Tape
 
 Block = dict[tuple[int, int], Scalar]  # by (row, column), from 0
@@ -226,6 +226,12 @@ class _Coupled:
             return Equations((), ())
         return multipliers.write_equations(self.tree.uncoupled, self.map.builder, self.given)
 
+    def guard_rows(self) -> None:
+        """Guard rows of J that may vanish as a whole."""
+        tape = multipliers.write_guards(self.tree)
+        values = replay(tape, self.map.builder, {i.name: self.given[i.name] for i in tape.inputs})
+        replay_guards(tape, self.map.builder, values)
+
     def finish(self, name: str, qdd: Sequence[Scalar], found: Sequence[Scalar] = ()) -> Tape:
         """Build the tape of accelerations, and of the multipliers of a tree with constraints."""
         self.map.builder.output_dense(ports.ACCELERATIONS, [[x] for x in qdd])
@@ -252,7 +258,8 @@ def write_exp1(tree: Tree, reductions: Reductions) -> Tape:
     equations = own.equations
     rows = [map.gather({(0, i): value for i, value in row.items()}, None, Axis.VELOCITIES) for row in equations.rows]
     system = Bordered.of(factors, [{i + 1: value for (_, i), value in row.items()} for row in rows])
-    multipliers.guard(builder, multipliers.list_statuses(tree), system.A, system.reduced.pivots)
+    multipliers.guard(builder, multipliers.list_owners(tree), system.A, system.reduced.pivots)
+    own.guard_rows()
     x, found = system.solve(b, equations.right)
     return own.finish("exp1", [x[i] for i in range(1, own.size + 1)], found)
 
@@ -293,11 +300,21 @@ def write_exp2(tree: Tree, reductions: Reductions) -> Tape:
     _guard_couplings(own, tape, values, {k + 1: pivots[k] / JB[k, k] for k in range(first)})
     numbers = range(equations.size)
     own_A = {(k, k): JB[first + k, first + k] for k in numbers}
-    multipliers.guard(builder, multipliers.list_statuses(tree), own_A, {k: pivots[first + k] for k in numbers})
+    multipliers.guard(builder, multipliers.list_owners(tree), own_A, {k: pivots[first + k] for k in numbers})
+    own.guard_rows()
     qdd = []
     for i in (i for i in range(n) if i not in followers):
         qdd.append(sum((column[i] * found[k] for k, column in enumerate(B)), start=a[i]))
     return own.finish("exp2", qdd, found[first:])
+
+
+def write_guards(tree: Tree) -> Tape:
+    """Write the guards of rows of J that may vanish as a whole: inputs q [, p], no result."""
+    plain, builder = multipliers.write_guards(tree), Builder()
+    _, given = Map.take(tree, builder, plain.inputs)
+    values = replay(plain, builder, given)
+    replay_guards(plain, builder, values)
+    return builder.build(plain.function)
 
 
 def write_unrestrained(name: str, tree: Tree, reductions: Reductions) -> Tape:

@@ -16,10 +16,12 @@ from mbsgen.formulations.parsimony.elimination import Column, Entries, Factors, 
 from mbsgen.model.tree import Tree
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.replay import replay
+from mbsgen.tape.types import Op, Tape
 
 # An entry of lam errs by some epsilon times the ratio of A's diagonal to the pivot that remains of it; as in EXP1, an
 # equation fails where about three digits remain.
 PIVOT_TOLERANCE = 500.0
+ROW_TOLERANCE = 1000.0  # likewise, of a row as a part of its lengths
 
 Row = dict[int, Scalar]  # by the entry of qd, from 0
 
@@ -54,11 +56,20 @@ def write_equations(tree: Tree, builder: Builder, given: Mapping[str, Sequence[S
     return Equations(tuple(rows), tuple(right))
 
 
-def list_statuses(tree: Tree) -> tuple[int, ...]:
-    """List the status of each equation that depends on others: behind the joints the loops, or the driven joint."""
+@dataclass(frozen=True)
+class Owner:
+    """What an equation belongs to."""
+
+    status: int  # of a kernel where the equation depends on others: behind the joints the loops, or a driven joint
+    group: tuple[int, bool]  # its loop, or a number below 0, and whether it compares directions; of one unit
+
+
+def list_owners(tree: Tree) -> tuple[Owner, ...]:
+    """List the owners of all equations: entries of h, then driven joints."""
     joints = tree.joints
     driven = (joints.index(tree.bodies[number - 1].joint) + 1 for number in tree.driven)
-    return (*(len(joints) + 1 + loop for loop, _ in closure.kept_equations(tree)), *driven)
+    loops = (Owner(len(joints) + 1 + group[0], group) for group in closure.group_equations(tree))
+    return (*loops, *(Owner(number, (-number, False)) for number in driven))
 
 
 @dataclass(frozen=True)
@@ -134,10 +145,44 @@ def _weigh(factors: Factors, one: Column, other: Column) -> Scalar:
     return sum(terms[1:], start=terms[0])
 
 
-def guard(builder: Builder, statuses: Sequence[int], A: Entries, pivots: Column) -> None:
-    """Guard each pivot: it must stand out of the rounding of its diagonal entry."""
-    for k, status in enumerate(statuses):
-        builder.guard(pivots[k], A[k, k], len(statuses) * PIVOT_TOLERANCE, status)
+def guard(builder: Builder, owners: Sequence[Owner], A: Entries, pivots: Column) -> None:
+    """Guard each pivot: it must stand out of the rounding of the diagonal entries of its group."""
+    scales: dict[tuple[int, bool], Scalar] = {}
+    for k, owner in enumerate(owners):
+        own = A[k, k]
+        scales[owner.group] = scales[owner.group] + own if owner.group in scales else own
+    for k, owner in enumerate(owners):
+        builder.guard(pivots[k], scales[owner.group], len(owners) * PIVOT_TOLERANCE, owner.status)
+
+
+def write_guards(tree: Tree) -> Tape:
+    """Write guards of rows of J that are alone in their groups: inputs q [, p] of the uncoupled tree, no result.
+
+    Where such a row vanishes as a whole, its entries are rounding of the lengths that they are sums of.
+    """
+    builder = Builder()
+    lone = closure.find_lone_equations(tree)
+    if not lone:
+        return builder.build("loop_guards")
+    jacobian, levers = closure.write_jacobian(tree.uncoupled), closure.build_levers(tree.uncoupled)
+    inputs = {i.name: i for tape in (levers, jacobian) for i in tape.inputs}
+    given = {name: builder.input(i.port, i.sparsity) for name, i in inputs.items()}
+    values, bounds = (
+        replay(tape, builder, {i.name: given[i.name] for i in tape.inputs}) for tape in (jacobian, levers)
+    )
+    places = {
+        place: bounds[v] for place, v in zip(levers.outputs[0].sparsity.entries, levers.outputs[0].values, strict=True)
+    }
+    rows: dict[int, list[tuple[Scalar, Scalar]]] = {k: [] for k in lone}
+    for (r, c), v in zip(jacobian.outputs[0].sparsity.entries, jacobian.outputs[0].values, strict=True):
+        if r in rows:
+            rows[r].append((builder.apply(Op.ABS, values[v]), places[lone.index(r), c]))
+    for k, found in rows.items():
+        (size, bound), *more = found
+        for x, y in more:
+            size, bound = size + x, bound + y
+        builder.guard(size, bound, ROW_TOLERANCE, list_owners(tree)[k].status)
+    return builder.build("loop_guards")
 
 
 def order_by_degree(size: int, entries: set[tuple[int, int]]) -> list[int]:

@@ -155,7 +155,7 @@ class _Projection:
         solved, velocities = self._solve(sheet, closed), sheet.take(qd)
         lam = solved.balance(
             [multipliers.along(row, velocities, b.zero) for row in solved.rows],
-            multipliers.list_statuses(self.tree)[: len(solved.rows)],
+            multipliers.list_owners(self.tree)[: len(solved.rows)],
         )
         for k in self.free:
             parts = [column[k] * x for column, x in zip(solved.columns, lam, strict=True)]
@@ -173,13 +173,13 @@ class _Solved:
     rows: Sequence[Row]
     columns: Sequence[Column]
 
-    def balance(self, right: Sequence[Scalar], statuses: Sequence[int]) -> list[Scalar]:
+    def balance(self, right: Sequence[Scalar], owners: Sequence[multipliers.Owner]) -> list[Scalar]:
         """Solve J W^-1 JT lam = right."""
         zero = self.builder.zero
         rows = [{k: x for k, x in row.items() if k in self.columns[0]} for row in self.rows]
         A = {(k, l): multipliers.along(rows[k], self.columns[l], zero) for l in range(len(rows)) for k in range(l + 1)}
         system = multipliers.eliminate(self.builder, A, len(rows))
-        multipliers.guard(self.builder, statuses, A, system.pivots)
+        multipliers.guard(self.builder, owners, A, system.pivots)
         return system.solve(right)
 
 

@@ -74,7 +74,9 @@ def add_acados(families: Sequence[Family], *, timed: bool = True) -> tuple[Famil
     if residual not in tapes and not explicit:
         forms = " or ".join(function.name for function in known)
         raise OptionError(f"acados: its functions are made of {residual.name}, {forms}; name one")
-    if any(x.port.role in _LOOPS for tape in tapes.values() for x in (*tape.inputs, *tape.outputs)):
+    taken = [i.port.role for tape in tapes.values() for i in tape.inputs]
+    given = [o.port.role for tape in tapes.values() for o in tape.outputs]
+    if not {*taken, *given}.isdisjoint(_LOOPS):
         raise OptionError("acados: it would integrate loops apart, since nothing keeps them closed; leave it out")
     if any(_size(tape, Role.COORDINATE) > _size(tape, Role.VELOCITY) > 0 for tape in tapes.values()):
         raise OptionError("acados: its states are q and qd, of one size; a joint with a quaternion has more of the one")
