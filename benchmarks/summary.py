@@ -96,7 +96,7 @@ def main(kernels: Path, ocp: Path, loops: Path, out: Path) -> None:
     if missing:
         raise click.ClickException(f"{', '.join(missing)}: not there; measure first: make bench bench-growth bench-ocp")
     out.mkdir(parents=True, exist_ok=True)
-    places |= {file: loops / file for file in LOOPS if (loops / file).exists()}  # a benchmark of its own
+    places |= {file: loops / file for file in LOOPS if (loops / file).exists()}  # a separate benchmark
     for file, path in places.items():
         shutil.copyfile(path, out / file)
     contents = [json.loads(places[f"{name}.json"].read_text("utf-8")) for name in ("benchmarks", "growth", "ocp")]

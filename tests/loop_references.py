@@ -126,7 +126,7 @@ class Andrews:
 
 
 def _intersect(first: Any, a: Any, second: Any, b: Any, side: int) -> Any:
-    """Return the point at distances a and b from two points, left of the way from one to the other if side is 1."""
+    """Return the point at distances a and b from two points; seen from the first, it lies to the left if side is 1."""
     way = second - first
     c = abs(way)
     along = (a**2 - b**2 + c**2) / (2 * c)

@@ -116,7 +116,7 @@ def test_a_four_bar_moves_as_its_vector_equation_does(angle: float) -> None:
 
 @pytest.mark.parametrize("angle", [0.4, 2.0, -1.1])
 def test_a_slider_crank_moves_as_its_closed_form_does(angle: float) -> None:
-    """x = a cos t + sqrt(b^2 - a^2 sin^2 t), twice differentiated; the torque is that of the energies."""
+    """x = a cos t + sqrt(b^2 - a^2 sin^2 t), twice differentiated; the torque follows from the energies."""
     a, b, rate, acceleration = CRANK, COUPLER, 1.7, -2.3
     s, c = math.sin(angle), math.cos(angle)
     root = math.sqrt(b**2 - a**2 * s**2)

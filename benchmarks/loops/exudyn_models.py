@@ -58,7 +58,7 @@ class Plane:
     def __init__(
         self, tree: Tree, q: Sequence[float], qd: Sequence[float], laws: Sequence[Law] = (), ties: Sequence[Spring] = ()
     ) -> None:
-        """Make bodies, joints, loops, and forces: of the laws those that are constant, and springs."""
+        """Make bodies, joints, loops, the forces of constant laws, and springs."""
         self.container = exu.SystemContainer()
         self.mbs = self.container.AddSystem()
         self.tree, self.places = tree, place_bodies(tree, q, qd)

@@ -220,7 +220,7 @@ def _load_peers(function: str, tree: Tree, folder: Path) -> tuple[list[Peer], li
 def _time(
     watches: Sequence[tuple[str, Watch]], peers: Mapping[str, Peer], rounds: int, folder: Path
 ) -> dict[str, Array]:
-    """Time all in turn; Pinocchio's settings are those of its last load, so it is loaded for each way."""
+    """Time all in turn; load each peer before its turn, as the last load sets Pinocchio's settings."""
     found: dict[str, list[float]] = {name: [] for name, _ in watches}
     for _ in range(rounds):
         for name, watch in watches:

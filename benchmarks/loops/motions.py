@@ -246,6 +246,6 @@ def _bind(solve: Callable[..., Run], *settings: object) -> Callable[[], Run]:
 
 
 def measure_motion(problem: Problem, ours: Sequence[Way], rounds: int, report: Callable[[str], None]) -> Diagram:
-    """Run our ways and those of all peers."""
+    """Run our ways and the ways of all peers."""
     with tempfile.TemporaryDirectory() as place:
         return measure_problem(problem, [*ours, *list_peers(problem, Path(place))], rounds, report)

@@ -102,7 +102,7 @@ def _find_cxx() -> tuple[str, ...]:
 
 
 def compile_all() -> list[str]:
-    """Compile every program; return the names of those whose headers are missing."""
+    """Compile every program; return the names of the peers whose headers are missing."""
     libraries = {
         PINOCCHIO: [compile_pinocchio(name) for name in PROGRAMS],
         SIMTK: [compile_simbody()],

@@ -24,15 +24,15 @@ of the C library; "libm" is ours with that.
 - Pinocchio: `constraintDynamics` in C++, and `computeConstraintDynamicsDerivatives` after it. It has no hinge for
   loops. A hinge in a plane is a 3-D point there, of which one equation is redundant; one in space is two points. Its
   direct method (mu = 0) fails on redundant equations; the proximal one takes two or three rounds. Its Jacobian
-  disagrees for most loops between two moving bodies (version 4.1). On Andrews' mechanism, differences of its own
-  accelerations agree with our Jacobian to 1e-10, and not with its own. Its time is shown all the same.
+  disagrees for most loops between two moving bodies (version 4.1). On Andrews' mechanism, differences of its
+  accelerations agree with our Jacobian to 1e-10; its Jacobian does not. Its time is shown all the same.
 - Simbody: articulated bodies; a rank-revealing factorisation at each call. No derivatives.
 - MuJoCo: its loops are soft, so it computes something else; it is never the quickest peer of a kernel.
 - Exudyn has no kernels to call; it is compared by motions.
 
 Motions: milliseconds of the processor of the quickest setting that reaches an error, shortest and median of {repeats}
 runs. The error is the largest of |x - x*| / (1 + |x*|) over coordinates and velocities at the end; x* has 17 digits or
-more (`python -m tests.loop_references`). Our integrators and those of Simbody keep loops closed. Pinocchio has no
+more (`python -m tests.loop_references`). Our integrators and Simbody's keep loops closed. Pinocchio has no
 integrator and gets DOP853 in C++, without projection. Exudyn's methods are of second order. In the governor, the peers
 have springs where we have loops through struts of 1 mg. Settings finer than the first that takes 1 s are not tried.
 """

@@ -159,7 +159,7 @@ def read_tree(model: Path | Model) -> Tree:
 
 @contextmanager
 def _locating(model: Path | Model) -> Iterator[None]:
-    """Give the faults of loops their lines in the model file."""
+    """Add to the faults of loops their lines in the model file."""
     try:
         yield
     except AssemblyError as error:

@@ -124,7 +124,7 @@ class FreeBodies(Kinematics):
         return leader, ratio * slope, ratio * start + offset
 
     def fill(self, q: Values) -> dict[str, Any]:
-        """Return the coordinates of all joints, by those of the joints that have coordinates."""
+        """Return the coordinates of all joints, from the coordinates of the joints that follow no other."""
         found = {name: self.numbers.make(x) for name, x in q.items()}
         for name in self.velocities():
             leader, ratio, offset = self.lead(name)
@@ -229,7 +229,7 @@ class FreeBodies(Kinematics):
         return names + [(x["name"], "equation") for x in self.model.get("constraints", ())]
 
     def climb(self, moved: Moved, node: int) -> list[int]:
-        """List the nodes from one to the base, without those that a locked joint carries."""
+        """List the nodes from one to the base, without the nodes that a locked joint carries."""
         found = []
         while node:
             link = moved.links[node - 1]
@@ -286,7 +286,7 @@ class FreeBodies(Kinematics):
         return Solution(qdd, lam, dict(zip(driven, tau, strict=True)), bodies)
 
     def _newton(self, moved: Moved, w: Values) -> tuple[Array, Array]:
-        """Return A and F: inertias, and all forces except those of joints."""
+        """Return A and F: inertias, and all forces except joint forces."""
         size = 6 * len(moved.links)
         A, F = self.numbers.array(np.zeros((size, size))), self.numbers.array(np.zeros(size))
         for body in self.model["bodies"]:

@@ -1,4 +1,4 @@
-"""Functions of the motion of bodies, with what Newton's equations need of them: f, its time derivatives, its gradient.
+"""Functions of the motion of bodies, for Newton's equations: f, its time derivatives and its gradient.
 
     fd = G V,    fdd = G Vd + b
 

@@ -223,7 +223,7 @@ def seat_links(linkage: Linkage, cuts: set[str]) -> dict[str, tuple[Pivot, bool]
 
 
 def write_model(linkage: Linkage, cuts: set[str], name: str) -> dict[str, Any]:
-    """Write a linkage as the data of a model file; a link's frame is that of the pivot which carries it."""
+    """Write a linkage as the data of a model file; a link has the frame of the pivot that carries it."""
     seats = seat_links(linkage, cuts)
 
     def place(link: str, p: Array, R: Array) -> dict[str, Any]:

@@ -526,7 +526,7 @@ class Comparison:
 
 
 def express_rules(mechanism: Mechanism, coordinates: set[str]) -> dict[str, Any]:
-    """Let joints without coordinates follow others as linear constraints of two joints demand."""
+    """Replace linear constraints of two joints by rules of followers, for joints without coordinates."""
     model = copy.deepcopy(mechanism.model)
     program = FreeBodies(model, mechanism.parameters, FLOATS, mechanism.scene)
     settings = dict(program.elementary())
@@ -575,7 +575,7 @@ def tally_up(
     keep: Path | None,
     show: Callable[[int, Tally], None],
 ) -> Tally:
-    """Examine mechanisms by their numbers; keep the files of those that disagree."""
+    """Examine mechanisms by their numbers; keep the files of the mechanisms that disagree."""
     tally = Tally()
     for number in numbers:
         try:

@@ -253,7 +253,7 @@ def test_coordinates_that_cannot_be_read_are_all_told(at: str, words: list[str],
 
 
 def test_a_closed_mechanism_is_drawn_where_its_loops_are_closed(mbsgen: Command) -> None:
-    """The tree lists the loops. A given coordinate takes the others along; where it cannot, that is told."""
+    """The tree lists the loops. A given coordinate takes the others along; where it cannot, the command fails."""
     four_bar = str(FOLDER / "four_bar.yaml")
     done = mbsgen("show", four_bar, "-o", "a.svg", "--at", "motor=4")
     assert (done.code, done.err) == (0, "wrote a.svg\n")

@@ -113,7 +113,7 @@ def test_an_equation_that_locked_joints_do_not_obey_is_refused(text: str) -> Non
 
 
 def test_a_ratio_that_a_scene_makes_an_input_is_one_in_all_functions() -> None:
-    """The coordinates of the tree with all numbers at run time are those of the tree that is generated."""
+    """The tree with all numbers at run time has the coordinates of the tree that is generated."""
     scene = Scene(parameters=(("ratio", Kind.RUNTIME),))
     model = five_bar("q6 - ratio*q5")
     one, other = build_tree(stage(model, scene)), build_parametric(model, scene)

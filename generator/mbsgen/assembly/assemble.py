@@ -2,7 +2,7 @@
 
 1. a pose at which all equations hold, near the author's rough one
 2. the rank of J along the mechanism, hence the redundant equations, and the degrees of freedom
-3. the independent coordinates: the author's, or those whose partners are best determined by them
+3. the independent coordinates: the author's, or the coordinates that determine the others best
 
 Everything is computed with the model's numbers. Where run-time parameters appear, redundancy is examined for other
 numbers too: an equation that follows from others for one geometry alone may not be left out.

@@ -1,4 +1,4 @@
-"""What was found out about the loops of a tree, for the report: degrees of freedom, choices, other assemblies."""
+"""Findings about the loops of a tree, for the report: degrees of freedom, choices, other assemblies."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ class Mechanism:
     """The loops of a tree, with all equations that they have."""
 
     def __init__(self, tree: Tree, parameters: Sequence[float] | None = None) -> None:
-        """Take a tree; `parameters` are the values of those that are no constants, in its order; else the model's."""
+        """Take a tree, and values of its parameters except constants, in its order; None: the model's values."""
         whole = replace(tree, closure=None)
         self.tree = tree
         self.equations = closure.list_equations(tree)

@@ -19,7 +19,7 @@ from mbsgen.model.tree import Tree
 STEPS = 100
 LONGEST = 0.5  # of a step, rad or m, so that distant poses are approached slowly
 SHORTEST = 1e-9  # of a step: the next one is at the rounding
-OPEN = 1e-9  # of what may be left of an equation, m or rad, of sizes of 1
+OPEN = 1e-9  # largest residual of a closed equation, m or rad, where sizes are about 1
 RANK = 1e-9  # of the largest singular value: smaller ones are 0
 SPREADS = (0.0, *(0.1,) * 4, *(0.3,) * 8, *(1.0,) * 16, *(3.0,) * 32)  # of the starts, about the rough pose
 EFFORT = 100_000_000  # operations of all attempts together, so that a large model is refused in a quarter of a minute
@@ -136,7 +136,7 @@ def null_space(H: Array) -> Array:
 
 
 def _normalise(mechanism: Mechanism, q: Array) -> Array:
-    """Give quaternions the length 1."""
+    """Return the coordinates with quaternions of length 1."""
     names = mechanism.tree.coordinates
     for x in mechanism.tree.quaternions:
         first = names.index(x.coordinates[-4])

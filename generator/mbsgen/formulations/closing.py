@@ -211,7 +211,7 @@ class _Closing:
             yield replace(block.newton, start=near) if form else block.newton
 
     def _assemble(self, result: Wire) -> Straight:
-        """Give all coordinates, with unit quaternions. Axes that a loop keeps in one direction may not be opposite."""
+        """Write all coordinates, with unit quaternions. Axes that a loop keeps in one direction may not be opposite."""
         sheet = Sheet()
         b, q = sheet.builder, sheet.take(self._q)
         y = [sheet.take(self._solved[c][0])[self._solved[c][1]] for c in range(len(self.dependent))]

@@ -58,9 +58,9 @@ def write_equations(tree: Tree, builder: Builder, given: Mapping[str, Sequence[S
 
 @dataclass(frozen=True)
 class Owner:
-    """What an equation belongs to."""
+    """The loop, constraint or driven joint of an equation."""
 
-    status: int  # of a kernel where the equation depends on others: behind the joints the loops, or a driven joint
+    status: int  # of a kernel where the equation depends on others: n + its loop's number, or its driven joint's number
     group: tuple[int, bool]  # its loop, or a number below 0, and whether it compares directions; of one unit
 
 

@@ -4,9 +4,9 @@
 
 (Wehage and Haug, 1982; Samin and Fisette, 2003, 4.3.) Ju is permuted to block triangular form by its structural zeros
 (Duff, 1981), so independent loops separate. A block of up to three rows is solved by its determinant. Of a larger
-block, unknowns that are local to few rows are eliminated first, by the normal of their columns. The columns of what
-is left are orthogonalised, Ju = Q R, with modified Gram-Schmidt (Bjorck, 1967). None of this chooses pivots: it fails
-only where Ju loses rank, at any pose.
+block, unknowns that are local to few rows are eliminated first, by the normal of their columns. The remaining columns
+are orthogonalised, Ju = Q R, with modified Gram-Schmidt (Bjorck, 1967). None of this chooses pivots: it fails only
+where Ju loses rank, at any pose.
 """
 
 from __future__ import annotations
@@ -172,7 +172,7 @@ class Joined(Block):
 
     The normal n of their columns, a perpendicular or a cross product, leaves one equation without them; the other
     unknowns are solved for first. n vanishes only where the local columns depend on each other. With dual vectors a*
-    of the local columns, a*.a = 1 and a*.b = a*.n = 0, their unknowns are a*.r, with r what is left of the rows.
+    of the local columns, a*.a = 1 and a*.b = a*.n = 0, their unknowns are a*.r, with r the rest of the rows.
     """
 
     def __init__(self, builder: Builder, place: Place, rows: Sequence[Row], groups: Sequence[Group]) -> None:
@@ -330,7 +330,7 @@ def find_groups(place: Place, rows: Sequence[Row]) -> list[Group]:
 
 
 def _match(pattern: Sequence[Sequence[int]]) -> dict[int, int]:
-    """Match each row with an unknown of its own, by augmenting paths."""
+    """Match each row with a different unknown, by augmenting paths."""
     owners: dict[int, int] = {}
 
     def seat(row: int, tried: set[int]) -> bool:

@@ -85,7 +85,7 @@ CLOSED_VELOCITIES = Port(
     "qd", Role.RESULT, Axis.VELOCITIES, unit="rad/s or m/s", meaning="velocities that keep loops closed"
 )
 PROJECTED_VELOCITIES = Port(
-    "closed_qd", Role.RESULT, Axis.VELOCITIES, unit="rad/s or m/s", meaning="velocities put on what loops allow"
+    "closed_qd", Role.RESULT, Axis.VELOCITIES, unit="rad/s or m/s", meaning="nearest velocities that keep loops closed"
 )
 CLOSED_ACCELERATIONS = Port(
     "qdd", Role.RESULT, Axis.VELOCITIES, unit="rad/s2 or m/s2", meaning="accelerations that keep loops closed"

@@ -115,7 +115,7 @@ class Reduced:
         by_columns: bool = True,
         wrenches: bool = True,
     ) -> None:
-        """Declare q and yd, the inputs `more`, w, theta and p; by_columns: velocities are written by those of Z."""
+        """Declare q and yd, the inputs `more`, w, theta and p; by_columns: write velocities by the columns of Z."""
         self.tree, self.reductions, self._by_columns = tree, reductions, by_columns
         self._bodies = tree.uncoupled if wrenches else replace(tree.uncoupled, wrenches=())
         self.builder = Builder(cancel=True)

@@ -3,7 +3,7 @@
 A constraint a q1 + b q2 + c = 0 with constants a, b, c is a follower's rule q2 = -(a/b) q1 - c/b (see `following`).
 The follower has no input, is not driven, not independent by the author's choice, and no part of a quaternion. Of two
 such joints it is the later one, unless the file gives its rough coordinate. All other constraints remain equations:
-those of one joint, of three joints or more, those that depend on run-time parameters, and those that are not linear.
+equations of one joint or of more than two, nonlinear equations, and equations that depend on run-time parameters.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from mbsgen.model.model import Body, Constraint, Follow, Joint, Model
 from mbsgen.model.symbols import DIGITS
 from mbsgen.model.valuation import Valuation
 
-NOISE = 1e-40  # of the largest coefficient: what is left of coefficients that cancel in 60 digits
-OPEN = 1e-12  # of the largest number in an equation: what doubles leave of it where it holds
+NOISE = 1e-40  # of the largest coefficient: smaller sums are the rounding of coefficients that cancel in 60 digits
+OPEN = 1e-12  # of the largest number in an equation: the rounding of doubles where the equation holds
 LARGEST = 1e100  # of a ratio or its inverse: beyond, the equation remains
 
 
@@ -60,7 +60,7 @@ class Linear:
 
 
 def eliminate(model: Model) -> Model:
-    """Let joints follow others where constraints of a checked model say so; the other constraints remain."""
+    """Replace constraints of a checked model by rules of followers where possible; the other constraints remain."""
     if not model.constraints:
         return model
     forms, candidates = _express(model), _list_candidates(model)
@@ -88,7 +88,7 @@ def eliminate(model: Model) -> Model:
 
 
 def _express(model: Model) -> dict[str, Linear]:
-    """Express names as forms: parameters that are constant, and coordinates of joints, by those of their leaders."""
+    """Express constant parameters, and joints by their leaders, as linear forms."""
     valuation, steps = Valuation(model.parameters, ()), list_joints(model)
     constants = (p.name for p in model.parameters if not valuation.changes(Name(p.name)))
     forms = {name: Linear({}, valuation.digits((), Name(name))) for name in constants}
@@ -170,7 +170,7 @@ def _check_drives(model: Model) -> Iterator[Finding]:
 
 
 def _check_linear(model: Model) -> Iterator[Finding]:
-    """Find linear constraints that contradict each other, and those that let no joint move.
+    """Find linear constraints that contradict each other, and constraints that let no joint move.
 
     Gauss and Jordan's elimination in doubles, row by row: each row that is kept has 1 in the column of its pivot, and
     the other rows have 0 there.

@@ -18,7 +18,7 @@ from mbsgen.model.model import HERE, ORIGIN, ZERO, Body, Constraint, Fixed, Join
 from mbsgen.model.tree import Motion
 from mbsgen.model.valuation import Valuation
 
-OPEN = 1e-9  # what may be left of an equation between locked joints, m or rad: it is as the user writes coordinates
+OPEN = 1e-9  # largest residual of an equation between locked joints, m or rad: users round the coordinates they write
 
 
 def lock(model: Model, coordinates: Mapping[str, Expression]) -> Model:

@@ -164,7 +164,7 @@ class _Joints:
         return cls(by_name, frozenset(p.name for p in model.parameters), are_known)
 
     def find(self, place: Place, name: str) -> Iterator[Finding]:
-        """Find what keeps a name from naming a joint with one coordinate of its own."""
+        """Find the faults of a name that should name a joint with one coordinate, which follows no other joint."""
         step = self.by_name.get(name)
         if step is None:
             if self.are_known:
@@ -204,7 +204,7 @@ def _check_constraint(place: Place, constraint: Constraint, joints: _Joints, val
     symbols = {name: coordinate_symbol(name) for name in own}
     form = valuation.form(place, constraint.equation, symbols)
     if form is not None and form.free_symbols.isdisjoint(symbols.values()):
-        left = f", and {to_double(form):g} is left of it" if form.is_number and form != 0 else ""
+        left = f", and {to_double(form):g} remains" if form.is_number and form != 0 else ""
         finding = f"the equation depends on no joint{left}" if not own else f"its joints cancel{left}"
         yield Finding(place, finding, "give an equation between coordinates of joints, or leave it out")
 

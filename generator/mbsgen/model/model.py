@@ -209,7 +209,7 @@ class LoopEnd:
 
 @dataclass(frozen=True)
 class Loop:
-    """What closes a loop of bodies, between frames on two of them, see `tree.Cut`."""
+    """A joint that closes a loop of bodies, between frames on two of them; see `tree.Cut`."""
 
     name: str
     cut: Cut
@@ -222,7 +222,7 @@ class Loop:
 
 @dataclass(frozen=True)
 class Constraint:
-    """An equation of coordinates: what vanishes."""
+    """An equation of coordinates: the expression is 0."""
 
     name: str
     equation: Expression  # over the names of joints, and parameters

@@ -380,7 +380,7 @@ def _make_sensor(frame: model.Frame, seat: _Seat, reader: _Reader) -> tree.Senso
 
 
 def _express_coordinates(bodies: Sequence[tree.Body], couplings: Sequence[Coupling]) -> dict[str, Expr]:
-    """Express the coordinate of every joint by those of joints that do not follow others."""
+    """Express the coordinate of every joint by the coordinates of joints that do not follow others."""
     own = {body.joint.name: coordinate_symbol(body.joint.name) for body in bodies}
     names = [*own]
     followers = {names[x.follower - 1]: total((x.ratio * own[names[x.leader - 1]], x.offset)) for x in couplings}

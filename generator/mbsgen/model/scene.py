@@ -116,7 +116,7 @@ def stage(model: Model, scene: Scene) -> Model:
 
 
 def apply_kinds(model: Model, scene: Scene) -> Model:
-    """Give the parameters of a model the kinds that they have in a scene."""
+    """Return a model whose parameters have the kinds that a scene chooses."""
     kinds = dict(scene.parameters)
     return replace(model, parameters=tuple(replace(p, kind=kinds.get(p.name, p.kind)) for p in model.parameters))
 

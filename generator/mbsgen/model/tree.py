@@ -125,7 +125,7 @@ class Coupling:
 
 
 class Cut(Enum):
-    """A kind of loop, by what it keeps together. Axes are the z axes of its two frames."""
+    """A kind of loop, by the quantities that it keeps equal. Axes are the z axes of its two frames."""
 
     ROD = "rod"  # the distance of the origins
     BALL = "ball"  # the origins
@@ -148,7 +148,7 @@ class LoopFrame:
 
 @dataclass(frozen=True)
 class Loop:
-    """A cut: what closes a loop of bodies, between frames on two of them."""
+    """A cut: a joint that closes a loop of bodies, between frames on two of them."""
 
     name: str
     cut: Cut
@@ -159,7 +159,7 @@ class Loop:
 
 @dataclass(frozen=True)
 class Constraint:
-    """An equation of coordinates: what vanishes."""
+    """An equation of coordinates: the expression is 0."""
 
     name: str
     equation: Expr  # over `coordinate_symbol` of joints, and parameters
@@ -172,10 +172,10 @@ def coordinate_symbol(joint: str) -> Symbol:
 
 @dataclass(frozen=True)
 class Closure:
-    """What was found out about the loops and constraints of a tree, in the coordinates of the coupled tree."""
+    """The closed pose, kept equations and independent velocities of a tree, in the coordinates of the coupled tree."""
 
     pose: tuple[float, ...]  # q at which all loops are closed
-    kept: tuple[int, ...]  # of all equations, from 0: those that do not follow from others
+    kept: tuple[int, ...]  # numbers, from 0, of the equations that do not follow from others
     independent: tuple[int, ...]  # entries of qd, from 0, that determine all others
     dependent: tuple[int, ...]  # the other ones; as many as kept equations
 

@@ -209,7 +209,7 @@ class Builder:
         return self._node(Op.ADD if y > 0 else Op.SUB, x, abs(y))
 
     def _find_left(self, x: Ref, y: Ref) -> Ref:
-        """Refer to what is left of x + y where y is a sum with -x in it; 0 where it is none."""
+        """Refer to b where y is a sum -x + b, so that x + y = b; return 0 where y is no such sum."""
         key = self._nodes[abs(y)]
         if not isinstance(key, tuple) or key[0] not in (Op.ADD, Op.SUB):
             return 0

@@ -205,7 +205,7 @@ class Truth:
 
     @property
     def driven(self) -> tuple[int, ...]:
-        """List the driven joints, from 0, among those that follow no other."""
+        """List the numbers, from 0, of the driven joints among the joints that follow no other."""
         joints = [joint.name for joint in self.coupled.joints]
         return tuple(joints.index(self.tree.bodies[number - 1].joint.name) for number in self.coupled.driven)
 
@@ -502,13 +502,13 @@ def _condition(truth: Truth, _: Computation, results: Results) -> Iterator[Compa
 
 
 def _closed(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
-    """Compare what is left open at closed coordinates, relative to lengths of 1, with 0."""
+    """Compare the gaps of loops at closed coordinates, relative to lengths of 1, with 0."""
     left = truth.at(results["closed"]).closures.h
     yield Comparison("closed", left, [ZERO] * len(left), Decimal(1))
 
 
 def _projected(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
-    """Compare the rate of what is left open with 0."""
+    """Compare the rates of the gaps of loops with 0."""
     qd = results["closed_qd"]
     left = truth.at(results["closed"]).closures.rate(truth.move(qd))
     yield Comparison("closed_qd", left, [ZERO] * len(left), largest(qd))

@@ -1,7 +1,7 @@
 """Closures of loops in 50 digits, from the poses of bodies; their derivatives are differences of these.
 
-The equations are written from what each kind of loop keeps together, in the base frame, and share nothing with the
-generated ones but their order, their units, and the frame that positions are resolved in.
+The equations follow from the definition of each kind of loop, in the base frame. They share with the generated
+equations only their order, their units, and the frame that positions are resolved in.
 """
 
 from __future__ import annotations
@@ -60,17 +60,17 @@ class Closures:
         every = [found[place] for place in sorted(found)]
         closure = self.tree.closure
         kept = range(len(every)) if closure is None else closure.kept
-        assert len(kept) == len(kept_equations(self.tree)), "the equations are those of the generated code"
+        assert len(kept) == len(kept_equations(self.tree)), "the generated code has the same equations"
         return [every[i] for i in kept]
 
     @cached_property
     def _joints(self) -> Numbers:
-        """Return the coordinate of each joint; 0 for those of quaternions."""
+        """Return the coordinate of each joint; 0 for the joints of quaternions."""
         by_name = dict(zip(self.tree.coordinates, self._q, strict=True))
         return [by_name.get(body.joint.name, ZERO) for body in self.tree.bodies]
 
     def _open(self, loop: Loop, k: int, poses: Sequence[Pose]) -> Iterator[Decimal]:
-        """Yield what is left open of a loop, in the order of its equations."""
+        """Yield the gaps of a loop, in the order of its equations."""
         first, second = (self._place(f"{k}_{end}", x.body, poses) for end, x in enumerate((loop.first, loop.second)))
         carrier = poses[self._find_carrier(loop.first.body, loop.second.body)]
         (x1, y1, z1), (x2, _, z2) = transpose(first.R), transpose(second.R)

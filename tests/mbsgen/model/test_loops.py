@@ -105,7 +105,7 @@ def make_linkage(**parts: Any) -> Model:
 
 
 def test_equations_are_expressions_of_coordinates() -> None:
-    """Joints that follow others are replaced by what they follow."""
+    """Joints that follow others are replaced by the joints that lead them."""
     equations = ["q3 - k*sin(q2) + l", "q1*cos(q3)"]
     tree = build_tree(make_linkage(constraints=[constraint(f"c{i}", text) for i, text in enumerate(equations)]))
     q1, q2, q3 = map(coordinate_symbol, ("q1", "q2", "q3"))

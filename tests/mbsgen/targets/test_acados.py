@@ -230,7 +230,7 @@ def test_an_acados_before_time_gets_functions_without_it(model: Path) -> None:
 
 @pytest.mark.parametrize("function", ["impl", "exp1"])
 def test_mechanisms_with_loops_are_refused(tmp_path: Path, function: str) -> None:
-    """An integrator that knows nothing of loops would drift off, and nothing would tell."""
+    """An integrator that knows nothing of loops would drift off silently."""
     file = tmp_path / "rod.yaml"
     file.write_text(
         "name: rod\ngravity: [0, -9.81, 0]\nassembly: {x: 1}\nbodies:\n"
