@@ -87,12 +87,11 @@ class FreeBodies(Kinematics):
         numbers: Numbers = DECIMALS,
         scene: Data | None = None,
         *,
-        axes: Mapping[str, Array] | None = None,
         gravity: bool = True,
     ) -> None:
-        """Take a model. `axes` turns a joint's frame into the one that loops beyond the joint are measured in."""
+        """Take a model, its parameters, a number type, and a scene."""
         super().__init__(model, names, numbers)
-        self.scene, self.axes = scene or {}, axes or {}
+        self.scene = scene or {}
         self.gravity = self.vector(model["gravity"] if gravity and self.scene.get("gravity", True) else [0, 0, 0])
         self.locked = {name: self.number(x) for name, x in self.scene.get("locked", {}).items()}
         self.follows = {
@@ -392,8 +391,7 @@ class FreeBodies(Kinematics):
             start = rest(self.numbers)
             return [self._direction(moved, start, 0, e) for e in start.R.T]
         link = moved.links[node - 1]
-        axes = link.moved.turned(self.axes.get(link.names[-1], self.numbers.array(np.eye(3))))
-        return [self._direction(moved, axes, node, e) for e in axes.R.T]
+        return [self._direction(moved, link.moved, node, e) for e in link.moved.R.T]
 
     def _end(self, moved: Moved, end: Data, axis: Array) -> _Frame:
         name = end.get("body", "base")

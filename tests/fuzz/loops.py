@@ -250,12 +250,9 @@ class Comparison:
     def __init__(self, mechanism: Mechanism, tree: Tree, tapes: Mapping[str, Computation], seed: int) -> None:
         self.mechanism, self.tree, self.tapes = mechanism, tree, tapes
         self.source = np.random.default_rng(seed)
-        axes = {
-            body.joint.name: DECIMALS.array([[float(x) for x in row] for row in body.axes]).T for body in tree.bodies
-        }
         model = express_rules(mechanism, set(tree.coordinates))
         numbers = (model, mechanism.parameters, DECIMALS)
-        self.program = FreeBodies(*numbers, mechanism.scene, axes=axes)
+        self.program = FreeBodies(*numbers, mechanism.scene)
         self.power = Absolute(*numbers, gravity=mechanism.scene.get("gravity", True))
         self.names = [joint.name for joint in tree.joints]
         self.order = [self.program.names_of_velocities.index(name) for name in self.names]

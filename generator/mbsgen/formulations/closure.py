@@ -3,7 +3,7 @@
     h(q) = 0,    hd = J qd,    hdd = J qdd + gamma,    gamma = Jd qd
 
 With d from the origin of a loop's first frame to the origin of its second, the axes x1, y1, z1 and x2, y2, z2 of the
-two frames, and the axes x, y, z of the last body that carries both, its equations are
+two frames, and the author's axes x, y, z of the last body that carries both, its equations are
 
     rod            (d.d - L2) / (2 L)
     ball           d.x, d.y, d.z
@@ -26,7 +26,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from mbsgen.algebra.rotations import axis_rotation
-from mbsgen.algebra.vectors import Matrix, Vector
+from mbsgen.algebra.vectors import Vector
 from mbsgen.formulations import ports, rates
 from mbsgen.formulations.links import Chain, declare_state, write_chain
 from mbsgen.formulations.parsimony.segments import Segment, align
@@ -341,9 +341,11 @@ def _join(first: _End, second: _End) -> Iterator[Scalar]:
 class _End:
     """One end of a loop in the frame of the last body that carries both; axes are carried there when asked for."""
 
-    def __init__(self, chain: Chain, end: LoopFrame, path: Sequence[Segment], carrier: Matrix[Scalar] | None) -> None:
-        self._chain, self._path, self._carrier = chain, path, carrier
-        own = path[0].frame if path else carrier
+    def __init__(self, chain: Chain, end: LoopFrame, path: Sequence[Segment], carrier: Segment | None) -> None:
+        self._chain, self._path = chain, path
+        own = path[0].frame if path else carrier.frame if carrier else None
+        # the author's axes of the last body that carries both ends; None: the base's
+        self._along = carrier.frame.times(chain.matrix(chain.tree.bodies[carrier.number - 1].axes)) if carrier else None
         axes, place = chain.matrix(end.axes), chain.vector(end.position)
         self._axes = own.times(axes) if own else axes
         self._point = own.apply(place) if own else place
@@ -356,7 +358,7 @@ class _End:
         one, other = (_climb(segments, end.body) for end in (loop.first, loop.second))
         carrier = None
         while one and other and one[-1] is other[-1]:
-            carrier = one.pop().frame
+            carrier = one.pop()
             other.pop()
         return _End(chain, loop.first, one, carrier), _End(chain, loop.second, other, carrier)
 
@@ -389,7 +391,7 @@ class _End:
                 v = segment.d if is_point else still
             first = group[-1]
             v = first.turn.apply(total) + v if first.turn else total + v
-        return self._carrier.transposed.apply(v) if self._carrier else v
+        return self._along.transposed.apply(v) if self._along else v
 
     def _add_angles(self, group: Sequence[Segment]) -> list[Scalar | None]:
         """Return the angle of each segment of a group from where its first joint is carried; None of a slide."""

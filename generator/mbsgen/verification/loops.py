@@ -72,14 +72,15 @@ class Closures:
     def _open(self, loop: Loop, k: int, poses: Sequence[Pose]) -> Iterator[Decimal]:
         """Yield the gaps of a loop, in the order of its equations."""
         first, second = (self._place(f"{k}_{end}", x.body, poses) for end, x in enumerate((loop.first, loop.second)))
-        carrier = poses[self._find_carrier(loop.first.body, loop.second.body)]
+        number = self._find_carrier(loop.first.body, loop.second.body)
+        axes = times(poses[number].R, self._mechanism.matrix(f"axes_{number}")) if number else poses[0].R
         (x1, y1, z1), (x2, _, z2) = transpose(first.R), transpose(second.R)
         d = add(second.p, [-x for x in first.p])
         (value,) = self._mechanism.vector(f"loop_{k}")
         if loop.cut is Cut.ROD:
             yield (dot(d, d) - value * value) / (2 * value)
         elif loop.cut in (Cut.BALL, Cut.HINGE, Cut.UNIVERSAL, Cut.SOLID):
-            yield from (dot(d, axis) for axis in transpose(carrier.R))
+            yield from (dot(d, axis) for axis in transpose(axes))
         else:
             yield from [dot(d, z1)] if loop.cut is Cut.PLANAR else [dot(d, x1), dot(d, y1)]
         if loop.cut is Cut.UNIVERSAL:
