@@ -216,7 +216,7 @@ def test_what_alters_the_motion_is_told_one_by_one(tmp_path: Path) -> None:
     imported = import_model(path)
     with pytest.warns(UserWarning, match="warning: ") as caught:
         assert read(path) == imported.model
-    assert len(caught) == 7
+    assert len(caught) == 6
     found = "\n".join(warnings(imported))
     for text in (
         "body[a]: warning: gravcomp",
