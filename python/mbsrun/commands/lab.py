@@ -99,8 +99,6 @@ def _print_verdicts(cases: Sequence[Case], findings: Sequence[Finding]) -> None:
         own = [x for x in verdicts if x.case == case.id]
         for number, verdict in enumerate(own):
             table.add_row(f"{case.id} {case.title}" if number == 0 else "", *map(Text, _list_cells(verdict)))
-        if not case.trials:
-            table.add_row(f"{case.id} {case.title}", "-", "", "", "", "", "", Text(f"does not apply: {case.exemption}"))
     console = _console()
     console.print(table)
     for finding in findings:

@@ -81,8 +81,8 @@ class Case:
     title: str
     setup: str  # the setup of the trials
     criterion: str
-    trials: tuple[Trial, ...] = ()
-    exemption: str = ""  # the reason why it does not apply to this program
+    trials: tuple[Trial, ...]
+    exemption: str = ""  # the part that does not apply to this program
 
 
 @dataclass(frozen=True)

@@ -77,6 +77,32 @@ bodies:
     mass: 1
 """
 
+# IFToMM's A01 in Cartesian coordinates: 1 kg, held at 1 m from the origin by a rod without mass; at first level.
+PENDULUM_ROD = """
+name: pendulum_rod
+gravity: [0, -9.81, 0]
+bodies:
+  - name: rail
+    joint: {name: x, type: prismatic, axis: x, actuated: false}
+  - name: bob
+    parent: rail
+    joint: {name: y, type: prismatic, axis: y, actuated: false}
+    mass: 1
+loops:
+  - {name: rod, type: rod, length: 1, from: {body: base}, to: {body: bob}}
+assembly: {x: 1, y: 0}
+"""
+
+# IFToMM's A04: five rods along edges of a cube, and six hinges. Each entry: a hinge's axis, its place on the rod
+# before, and the rod's direction.
+BRICARD = (
+    ("y", (0, 0, 0), (1, 0, 0)),
+    ("z", (1, 0, 0), (0, -1, 0)),
+    ("x", (0, -1, 0), (0, 0, 1)),
+    ("y", (0, 0, 1), (-1, 0, 0)),
+    ("z", (-1, 0, 0), (0, 1, 0)),
+)
+
 LOCKS = {"Cardan": "zyx", "wrist": "zyz"}  # axes of three joints through one point
 
 
@@ -139,6 +165,41 @@ bodies:
     mass: 1
     com: [0.4, 0, 0]
 """
+
+
+def describe_bricard() -> str:
+    """Describe Bricard's mechanism: rods of 1 m, 1 kg and a square section of 0.1 m."""
+    lines = ["name: bricard", "gravity: [0, -9.81, 0]", "bodies:"]
+    for k, (axis, place, direction) in enumerate(BRICARD, 1):
+        com = [x / 2 for x in direction]
+        inertia = ", ".join("0.01/6" if x else "1.01/12" for x in direction)
+        lines += [
+            f"  - name: rod{k}",
+            *([f"    parent: rod{k - 1}"] if k > 1 else []),
+            f"    joint: {{name: q{k}, type: revolute, axis: {axis}, actuated: false, position: {list(place)}}}",
+            "    mass: 1",
+            f"    com: {com}",
+            f"    inertia: [{inertia}]",
+        ]
+    ends = "from: {body: rod5, position: [0, 1, 0]}, to: {body: base, position: [0, 0, 1]}"
+    return "\n".join(lines) + f"\nloops:\n  - {{name: last, type: hinge, axis: x, {ends}}}\n"
+
+
+def describe_four_bars(bars: int) -> str:
+    """Describe IFToMM's A02: upright rods a0, a1, ... on the base, level ones between their ends, of 1 m and 1 kg."""
+    lines, loops = ["name: four_bars", "gravity: [0, -9.81, 0]", "bodies:"], ["loops:"]
+    for k in range(bars + 1):
+        joint = f"{{name: a{k}, type: revolute, axis: z, actuated: false, position: [{k}, 0, 0]}}"
+        lines += [f"  - name: upright{k}", f"    joint: {joint}"]
+        lines += ["    mass: 1", "    com: [0, 0.5, 0]", "    inertia: [1/12, 0, 1/12]"]
+        if k == bars:
+            break
+        joint = f"{{name: b{k + 1}, type: revolute, axis: z, actuated: false, position: [0, 1, 0]}}"
+        lines += [f"  - name: level{k + 1}", f"    parent: upright{k}", f"    joint: {joint}"]
+        lines += ["    mass: 1", "    com: [0.5, 0, 0]", "    inertia: [0, 1/12, 1/12]"]
+        ends = f"from: {{body: level{k + 1}, position: [1, 0, 0]}}, to: {{body: upright{k + 1}, position: [0, 1, 0]}}"
+        loops.append(f"  - {{name: B{k + 1}, type: hinge, {ends}}}")
+    return "\n".join((*lines, *loops, "independent: [a0]")) + "\n"
 
 
 def draw(size: int, seeds: Sequence[int], *, q: float | None = None) -> dict[str, Array]:

@@ -71,13 +71,10 @@ def write_findings(cases: Sequence[Case], findings: Sequence[Finding], folder: P
         )
         for x in judge(findings)
     ]
-    exempt: list[tuple[Cell, ...]] = [
-        (c.id, c.title, *[None] * 7, "does not apply", c.exemption) for c in cases if not c.trials
-    ]
     columns = ("case", "title", "way", "quantity", "value", "bound", "trial", "met", "of", "verdict", "remark")
     note = "; ".join(f"{case.id}: {case.criterion}" for case in cases)
     title = "Where methods fail: verdicts by formulation, method or representation"
-    rows = tuple(sorted(verdicts + exempt, key=lambda row: str(row[0])))
+    rows = tuple(sorted(verdicts, key=lambda row: str(row[0])))
     paths = write_table(Table(title, columns, rows, note), folder, "verdicts")
     names = [field.name for field in fields(Finding)]
     order = ("case", "trial", *(name for name in names if name not in ("case", "trial")))
