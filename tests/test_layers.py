@@ -110,7 +110,7 @@ MBSRUN = Package(
         "lab.case lab.mechanisms",
         "lab.digits lab.integration lab.optimisation lab.runs",
         "lab.interpretation",
-        "lab.chains lab.compilation lab.derivatives lab.expressions lab.inertias lab.locks",
+        "lab.chains lab.compilation lab.derivatives lab.expressions lab.inertias lab.locks lab.loops",
         "lab.cases lab.maps",
         "lab",
         "commands.console",
