@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence, Set
 from pathlib import Path
 
 import casadi as ca
 from numpy.typing import ArrayLike
 
 from mbsgen.manifest import Kernel, Manifest
-from mbsgen.roles import Role, split_kernel
+from mbsgen.roles import Order, Role, name_adjoint, name_derivative, name_unneeded, split_kernel
 from mbsrun.binding import ArgumentError
 from mbsrun.kernel import Array, Kernels
 from mbsrun.models import Extent, find_folder, is_model
@@ -44,10 +44,41 @@ class Mechanism(Kernels):
             fixed |= {a.name: self._design for a in kernel.inputs if a.role is Role.DESIGN}
         if external.name_in() == names and external.name_out() == outputs and not fixed:
             return external
-        inputs = {name: ca.MX.sym(name, external.sparsity_in(name)) for name in names if name not in fixed}
-        results = external(**inputs, **fixed)
-        chosen = [results[name] for name in outputs]
-        return ca.Function(kernel.symbol, list(inputs.values()), chosen, list(inputs), outputs)
+        inputs = [name for name in names if name not in fixed]
+        known = {found.order for found in map(self._binder.describe, family)}
+        return _fix(external, inputs, outputs, fixed, kernel.order, known)
+
+
+JACOBIANS = {Order.VALUE: Order.JACOBIAN, Order.ADJOINT: Order.ADJOINT_JACOBIAN}
+
+
+def _fix(
+    function: ca.Function,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    fixed: Mapping[str, Array],
+    order: Order,
+    known: Set[Order],
+) -> ca.Function:
+    """Return a kernel as a function of some inputs; the others are fixed, in its generated derivatives as well.
+
+    CasADi would differentiate the call instead, and multiply the generated derivatives by matrices of ones.
+    """
+    unneeded = [name_unneeded(name) for name in outputs]
+    derivatives = {}
+    if JACOBIANS.get(order) in known:
+        blocks = [name_derivative(of, by) for of in outputs for by in inputs]
+        jacobian = function.jacobian()
+        derivatives["jac"] = _fix(jacobian, [*inputs, *unneeded], blocks, fixed, JACOBIANS[order], known)
+    if order is Order.VALUE and Order.ADJOINT in known:
+        given = [*inputs, *unneeded, *map(name_adjoint, outputs)]
+        adjoint = function.reverse(1)
+        derivatives["adj1"] = _fix(adjoint, given, [*map(name_adjoint, inputs)], fixed, Order.ADJOINT, known)
+    symbols = {name: ca.MX.sym(name, function.sparsity_in(name)) for name in inputs}
+    results = function(**symbols, **fixed)
+    cache = {f"{prefix}_{function.name()}": derivative for prefix, derivative in derivatives.items()}
+    chosen = [results[name] for name in outputs]
+    return ca.Function(function.name(), list(symbols.values()), chosen, inputs, outputs, {"cache": cache})
 
 
 class OnDemand:

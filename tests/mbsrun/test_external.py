@@ -96,6 +96,24 @@ def test_values_and_derivatives_are_those_of_the_tape(parametric: bool, k: Mecha
         np.testing.assert_allclose(found(*arguments).full(), expected(*arguments).full(), rtol=0, atol=10 * ROUNDING)
 
 
+@pytest.mark.parametrize("parametric", [True, False])
+@pytest.mark.parametrize("name", ["jac_impl", "adj1_impl", "jac_adj1_impl"])
+def test_derivatives_are_the_generated_ones_alone(name: str, parametric: bool, k: Mechanism, plain: Mechanism) -> None:
+    """With fixed parameters too: each is a call of its kernel, whose results no operation of CasADi's changes."""
+    function = (k if parametric else plain).casadi("impl")
+    derivative = {
+        "jac_impl": function.jacobian,
+        "adj1_impl": lambda: function.reverse(1),
+        "jac_adj1_impl": lambda: function.reverse(1).jacobian(),
+    }[name]()
+    if parametric:
+        kinds = {derivative.instruction_id(i) for i in range(derivative.n_instructions())}
+        assert kinds <= {ca.OP_INPUT, ca.OP_CONST, ca.OP_CALL, ca.OP_OUTPUT}
+        (derivative,) = derivative.find_functions()
+    assert derivative.class_name() == "External"
+    assert derivative.name().startswith(name.removesuffix("impl"))
+
+
 @pytest.mark.parametrize("name", ["impl", "jac_impl", "adj1_impl", "jac_adj1_impl"])
 def test_every_kernel_has_a_casadi_function(name: str, k: Mechanism) -> None:
     """With the inputs and outputs of the manifest, and the values of the NumPy face."""
