@@ -28,17 +28,23 @@ import yaml
 
 from mbsgen import manifest
 from mbsgen.errors import MbsError
+from mbsgen.formulations.reductions import Reductions
 from mbsgen.importing import import_model
 from mbsgen.pipeline import Options, generate, make, read_tree
+from mbsrun.external import Mechanism
+from mbsrun.models import Extent, find_folder
 from mbsrun.ocp.solution import CostTerms, Run, Size, Solution, Violation, read_solution, write_solution
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.simulation.statement import read_statement
+from tests.shipped import CLOSED
 
 ROOT = Path(__file__).parents[2]
 MODELS = ROOT / "models"
 LIMIT = 20  # seconds of the processor, which other programs do not lengthen
 SMALL = 4  # bodies of a model that is generated too
+WITH_LOOPS = Extent(("impl", "sensors", "loops"), derivatives=1)  # for problems, whose starts are closed
+ONE_TRIAL = Reductions(trials=1)
 OUT = "out"  # what is written beside an input
 
 NASTY_NUMBERS = (
@@ -442,7 +448,7 @@ def _use_manifest(file: Path) -> None:
 
 @dataclass(frozen=True)
 class _Described:
-    """A mechanism of which nothing is computed."""
+    """A mechanism without loops: nothing is computed of it when a problem is read."""
 
     manifest: manifest.Manifest
 
@@ -452,7 +458,7 @@ def _describe(text: bytes) -> manifest.Manifest:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "model.yaml"
         file.write_bytes(text)
-        return make(file, Options(derivatives=0, functions=("impl", "sensors"))).manifest
+        return make(file, Options(derivatives=0, functions=("impl", "sensors"), reductions=ONE_TRIAL)).manifest
 
 
 def _use_problem(file: Path) -> None:
@@ -467,7 +473,7 @@ def _use_solution(file: Path) -> None:
     read_solution(file)
 
 
-_MECHANISMS: dict[str, Any] = {}  # by the names of model files; problems compute nothing of them when they are read
+_MECHANISMS: dict[str, Any] = {}  # by the names of model files
 
 
 def _list_models() -> Sources:
@@ -477,8 +483,13 @@ def _list_models() -> Sources:
 def _list_problems() -> Sources:
     _MECHANISMS["pair.yaml"] = _Described(_describe(MODEL.encode()))
     problems = _list("*.yaml", problems=True)
-    for name in {yaml.safe_load(content)["model"] for _, content in problems}:
-        _MECHANISMS[name] = _Described(_describe((MODELS / name).read_bytes()))
+    for problem, content in problems:
+        name = yaml.safe_load(content)["model"]
+        if MODELS / name not in CLOSED:
+            _MECHANISMS[name] = _Described(_describe((MODELS / name).read_bytes()))
+        elif name not in _MECHANISMS:
+            _MECHANISMS[name] = Mechanism(find_folder(MODELS / name, WITH_LOOPS))
+            read_problem(MODELS / problem, lambda path: _MECHANISMS[path.name])  # compiles: a search sees no process
     return problems
 
 
