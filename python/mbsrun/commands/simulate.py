@@ -38,8 +38,8 @@ PLAIN = (  # options that a settings file has too
 SIMULATE_HELP = """Integrate the motion of MODEL, and write it with its energy, plots and an animation.
 
 MODEL is a model file, or a folder that mbsgen wrote. The motion starts at time 0 where --pose and --velocity put it (0
-where they do not), under the inputs of --input. A file can hold all of these, and the wrenches that a model leaves
-open; an option wins over the file:
+where they do not, or where loops put it), under the inputs of --input. A file can hold all of these, and the wrenches
+that a model leaves open; an option wins over the file:
 
 \b
   duration: 5
