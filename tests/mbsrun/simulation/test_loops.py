@@ -33,6 +33,7 @@ from mbsrun.simulation import (
     close_pose,
     complete_velocities,
     follow,
+    record,
     simulate,
 )
 from mbsrun.simulation.drive import Drive, control, express, hold
@@ -68,27 +69,27 @@ DRIVEN = (
     .replace("axis: -y}, mass", "axis: -y, actuated: false}, mass", 1)
 )
 FUNCTIONS = (
-    *("impl", "semi", "semi_res", "exp1", "exp2", "energy", "power", "frames"),
+    *("impl", "semi", "semi_res", "exp2", "energy", "power", "frames"),
     *("loops", "loop_rates", "loop_jacobian"),
 )
 EXPLICIT = [Keeping.PROJECTION, Keeping.MASS_PROJECTION, Keeping.PARTITIONING, Keeping.BAUMGARTE]
 INERTIA, WEIGHT = 2 / 3 + 1, 2 * 9.81  # of the parallelogram in its angle
 
 
-def generate(folder: Path, text: str) -> Path:
-    """Return a generated folder with the functions that simulation needs."""
+def generate(folder: Path, text: str, *more: str) -> Path:
+    """Return a generated folder with the functions that simulation needs, and with more."""
     file = folder / "model.yaml"
     file.write_text(text, encoding="utf-8")
-    return find_folder(file, Extent(functions=FUNCTIONS, derivatives=1))
+    return find_folder(file, Extent(functions=(*FUNCTIONS, *more), derivatives=1))
 
 
-def make(folder: Path, text: str) -> Mechanism:
-    return load(generate(folder, text))
+def make(folder: Path, text: str, *more: str) -> Mechanism:
+    return load(generate(folder, text, *more))
 
 
 @pytest.fixture(scope="module")
 def pendulum(tmp_path_factory: pytest.TempPathFactory) -> Mechanism:
-    return make(tmp_path_factory.mktemp("a01"), A01)
+    return make(tmp_path_factory.mktemp("a01"), A01, "exp1")
 
 
 @pytest.fixture(scope="module")
@@ -141,10 +142,10 @@ def turn(angle: float, speed: float, t: float) -> float:
 
 ORDERS = [
     *[({"method": "rk4", "loops": keeping}, 4, 0.02) for keeping in EXPLICIT],
-    ({"method": "euler"}, 1, 1e-3),
-    ({"method": "generalized-alpha"}, 2, 0.01),
-    ({"method": "radau-iia", "stages": 1}, 1, 2e-3),
-    ({"method": "radau-iia", "stages": 2}, 3, 5e-3),
+    ({"method": "euler"}, 1, 2e-3),
+    ({"method": "generalized-alpha"}, 2, 0.02),
+    ({"method": "radau-iia", "stages": 1}, 1, 5e-3),
+    ({"method": "radau-iia", "stages": 2}, 3, 1e-2),
     ({"method": "radau-iia", "stages": 3}, 5, 0.05),
 ]
 
@@ -159,8 +160,9 @@ def test_methods_have_their_order(pendulum: Mechanism, settings: dict[str, Any],
     assert np.log2(errors[0] / errors[1]) >= order - 0.1
 
 
-@pytest.mark.parametrize("keeping", EXPLICIT)
-@pytest.mark.parametrize("method", ["dop853", "rk45"])
+@pytest.mark.parametrize(
+    ("method", "keeping"), [*(("dop853", keeping) for keeping in EXPLICIT), ("rk45", Keeping.PROJECTION)]
+)
 def test_adaptive_methods_keep_their_tolerance(pendulum: Mechanism, method: str, keeping: Keeping) -> None:
     """At the end, and between the steps; the pendulum passes through both axes, where one coordinate is no choice."""
     motion = swing(pendulum, duration=2.0, method=method, loops=keeping)
@@ -439,6 +441,13 @@ def test_the_command_closes_the_start_and_reports_closure(run: Run, tmp_path: Pa
     assert [first[f"qd[q{i}]"] for i in (1, 2, 3)] == pytest.approx([1, -1, 1], abs=1e-12)
 
 
+@pytest.fixture
+def no_plots(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw nothing: another test looks at the files."""
+    monkeypatch.setattr(record, "plot_motion", lambda *_: None)
+
+
+@pytest.mark.usefixtures("no_plots")
 def test_the_command_takes_driven_joints(run: Run, tmp_path: Path) -> None:
     code, _, summary = run(DRIVEN, "--driven", "q1=0.3 + 0.5*sin(2*t)", "--loops", "partitioning")
     assert code == 0
@@ -466,6 +475,7 @@ def test_the_command_refuses(run: Run, options: list[str], message: str) -> None
     assert not summary
 
 
+@pytest.mark.usefixtures("no_plots")
 def test_a_start_that_is_nearly_closed_is_told(run: Run) -> None:
     code, said, _ = run(PARALLELOGRAM, "--pose", "q1=0.4", "--pose", "q2=-0.4001", "--pose", "q3=0.4")
     assert code == 0
