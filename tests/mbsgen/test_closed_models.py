@@ -15,6 +15,7 @@ from mbsgen.assembly.mechanism import Mechanism
 from mbsgen.expressions import Number, Operation
 from mbsgen.formulations import semi
 from mbsgen.formulations.closure import list_equations
+from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.construction import joint
 from mbsgen.model.expansion import list_steps
 from mbsgen.model.model import Body, Loop, LoopEnd, Model, Placement
@@ -165,7 +166,7 @@ def project_mass(tree: Tree) -> Array:
     closure, n = tree.closure, len(tree.joints)
     independent, dependent = list(closure.independent), list(closure.dependent)
     given = {"q": list(closure.pose), "qd": [0.0] * n} | ({"p": p} if (p := values_of(tree)) else {})
-    M = np.array(evaluate(semi.build(open_loops(tree)), given)["M"], float).reshape(n, n)
+    M = np.array(evaluate(semi.build(open_loops(tree), Reductions(trials=1)), given)["M"], float).reshape(n, n)
     J = Mechanism(tree).J(np.array(closure.pose))[list(closure.kept)]
     Z = np.zeros((n, len(independent)))
     Z[independent] = np.eye(len(independent))

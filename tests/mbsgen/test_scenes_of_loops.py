@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from mbsgen.assembly.mechanism import Mechanism
 from mbsgen.errors import InputError
 from mbsgen.expressions import parse
+from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.construction import body, constraint, end, loop, make_model, revolute, runtime
 from mbsgen.model.model import Model
 from mbsgen.model.reader import ModelWarning
@@ -19,6 +21,7 @@ from mbsgen.model.tree import Kind
 from mbsgen.pipeline import Options, build_parametric, make, read_tree
 
 CRANKS = ("q1", "q3")
+OPTIONS = Options(functions=("impl",), derivatives=0, reductions=Reductions(trials=1))
 
 
 def five_bar(*equations: str) -> Model:
@@ -50,7 +53,7 @@ def lock(model: Model, **places: str) -> Model:
 def refuse(model: Model, **places: str) -> str:
     scene = Scene(locked=tuple((name, parse(text)) for name, text in places.items()))
     with pytest.raises(InputError) as found:
-        make(model, Options(functions=("impl",), derivatives=0, scene=scene))
+        make(model, replace(OPTIONS, scene=scene))
     return str(found.value)
 
 
@@ -69,7 +72,7 @@ def test_joints_that_loops_keep_at_rest_are_told() -> None:
     """With both cranks locked, the links of the five-bar are rigid; the joints beside it go on moving."""
     scene = Scene(locked=(("q1", parse("-1.2")), ("q3", parse("-1.9"))))
     with pytest.warns(ModelWarning, match='loops keep "q2", "q4" at rest'):
-        product = make(five_bar(), Options(functions=("impl",), derivatives=0, scene=scene))
+        product = make(five_bar(), replace(OPTIONS, scene=scene))
     assert [c.name for c in product.manifest.coordinates] == ["q2", "q4", "q5", "q6"]
 
 
@@ -123,6 +126,6 @@ def test_a_ratio_that_a_scene_makes_an_input_is_one_in_all_functions() -> None:
 
 def test_loops_of_a_file_are_locked_by_a_scene_file(tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text("functions: [impl]\nderivatives: 0\nlocked: {q1: -1.2}\n", encoding="utf-8")
-    product = make(five_bar(), Options(scene=tmp_path / "scene.yaml"))
+    product = make(five_bar(), replace(OPTIONS, functions=None, derivatives=2, scene=tmp_path / "scene.yaml"))
     assert product.manifest.loops[0].name == "hand"
     assert len(product.manifest.independent) == len(read_tree(five_bar()).joints) - 1 - 2

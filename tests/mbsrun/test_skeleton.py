@@ -7,6 +7,7 @@ import pytest
 
 import mbsrun
 from mbsrun.animation import render_animation
+from mbsrun.models import Extent, find_folder
 from mbsrun.skeleton import place
 
 GRIPPER = """\
@@ -27,9 +28,14 @@ parameters: {l: {value: 0.3, kind: runtime}}
 
 @pytest.fixture(scope="module")
 def gripper(tmp_path_factory):
-    path = tmp_path_factory.mktemp("gripper") / "gripper.yaml"
-    path.write_text(GRIPPER)
-    return mbsrun.load(path)
+    return load(tmp_path_factory.mktemp("gripper"), GRIPPER)
+
+
+def load(folder, text):
+    """Generate poses alone."""
+    path = folder / "model.yaml"
+    path.write_text(text)
+    return mbsrun.load(find_folder(path, Extent(("frames",), derivatives=0)))
 
 
 def test_a_body_that_carries_nothing_ends_at_its_centre_of_mass(gripper):
@@ -70,9 +76,7 @@ assembly: {crank: 0.5}
 
 def test_ends_of_loops_and_centres_of_mass_are_in_the_axes_of_the_file(tmp_path):
     """About -y by q: (x, z) goes to (x cos q - z sin q, x sin q + z cos q). A body at an end needs no other one."""
-    path = tmp_path / "closed.yaml"
-    path.write_text(CLOSED)
-    closed = mbsrun.load(path)
+    closed = load(tmp_path, CLOSED)
     q = np.array(closed.manifest.pose)
     found = place(closed, q[None])
     names = [frame.name for frame in found.frames]

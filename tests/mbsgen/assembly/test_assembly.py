@@ -12,6 +12,7 @@ import pytest
 from mbsgen.assembly import assemble, describe
 from mbsgen.assembly.poses import FEWEST, SPREADS, count_starts
 from mbsgen.errors import InputError
+from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.construction import body, constraint, end, free, loop, make_model, number, revolute, rod, runtime
 from mbsgen.model.model import Follow, Model, Parameter
 from mbsgen.model.reduction import build_tree
@@ -20,6 +21,7 @@ from mbsgen.pipeline import Options, make, read_tree
 
 CRANK, COUPLER, ROCKER, GROUND = 0.2, 0.5, 0.4, 0.6
 UNIFORM = (0.1, 0.1, 0.1)
+ONE_PLAN = Options(derivatives=0, reductions=Reductions(trials=1))
 
 
 def link(name: str, parent: str, x: float, *, actuated: bool = False) -> object:
@@ -109,12 +111,12 @@ def test_a_mechanism_that_moves_by_its_geometry_has_its_redundant_equation_named
 
 def test_equations_that_are_redundant_for_one_geometry_are_no_run_time_matter() -> None:
     with pytest.raises(InputError, match="for the present lengths alone"):
-        make(bricard(), Options(runtime=True, derivatives=0, functions=("impl",)))
+        make(bricard(), replace(ONE_PLAN, runtime=True, functions=("impl",)))
 
 
 def test_a_loop_in_a_plane_has_no_lengths_across_it_at_run_time() -> None:
     """Else a length across the plane, 0 now, could be changed, and the equation that it violates is left out."""
-    model, options = four_bar(), Options(runtime=True, zeros=True, derivatives=0, functions=("loops",))
+    model, options = four_bar(), replace(ONE_PLAN, runtime=True, zeros=True, functions=("loops",))
     make(model, replace(options, zeros=False))
     with pytest.raises(InputError, match=r'loop "knee": its equation [a-z_]+ follows from the others for the present'):
         make(model, options)
@@ -252,5 +254,5 @@ def test_ratios_and_loops_read_parameters_that_a_function_does_not() -> None:
     model = four_bar()
     heavy = replace(model.bodies[0], mass=number("m"))
     model = replace(model, parameters=tuple(known.values()), bodies=(heavy, *model.bodies[1:], gear))
-    product = make(model, Options(functions=("loop_forces", "impl"), derivatives=0))
+    product = make(model, replace(ONE_PLAN, functions=("loop_forces", "impl")))
     assert product.report.verification.unchecked == ()

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from mbsgen.errors import InputError
+from mbsgen.formulations.reductions import Reductions
 from mbsgen.pipeline import Options, make
 from mbsgen.roles import Role
 from mbsrun.ocp import schemes
@@ -460,7 +461,7 @@ def test_the_kernels_by_hand_have_the_arguments_of_generated_ones(tmp_path: Path
     (tmp_path / "rods.yaml").write_text(MODEL, "utf-8")
     by_hand = [kernel for kernel in rods().manifest.kernels if not kernel.name.startswith("jac_")]
     functions = tuple(kernel.name for kernel in by_hand if kernel.name not in ("sensors", "motion"))
-    product = make(tmp_path / "rods.yaml", Options(functions=functions, derivatives=0))
+    product = make(tmp_path / "rods.yaml", Options(functions=functions, derivatives=0, reductions=Reductions(trials=1)))
     for kernel in by_hand:
         if kernel.name in functions:
             generated = product.manifest.kernel(kernel.name)
