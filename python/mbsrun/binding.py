@@ -77,6 +77,11 @@ class Port:
             return None
         return np.array(a.row, dtype=np.intp), np.repeat(np.arange(a.cols), np.diff(a.colind))
 
+    @cached_property
+    def entries(self) -> NDArray[np.intp] | None:
+        """Return the numbers of the nonzeros among the entries, row by row; None where every entry is one."""
+        return None if self.places is None else self.places[0] * self.argument.cols + self.places[1]
+
     def spread(self) -> NDArray[np.intp]:
         """Return, for each entry, row by row, the index of its nonzero; -1: none."""
         a = self.argument
@@ -99,6 +104,11 @@ class Entry:
     inputs: tuple[Port, ...]
     outputs: tuple[Port, ...]
     free: list[_Desk] = field(default_factory=list)  # taken and put back whole, so that threads do not share one
+
+    @cached_property
+    def wanted(self) -> dict[str, Port]:
+        """The inputs that the caller gives, by name."""
+        return {port.argument.name: port for port in self.inputs if not port.is_hidden}
 
     @cached_property
     def takes_hidden(self) -> bool:

@@ -273,7 +273,7 @@ class _Binder:
 
 def _collect(entry: Entry, inputs: Mapping[str, ArrayLike]) -> list[tuple[Port, Array]]:
     """Pair ports with arrays; all faults are reported together."""
-    wanted = {port.argument.name: port for port in entry.inputs if not port.is_hidden}
+    wanted = entry.wanted
     faults = [f"{name}: there is no such input" for name in inputs if name not in wanted]
     arrays = []
     for name, port in wanted.items():
@@ -319,10 +319,10 @@ def _gather(kernel: str, port: Port, array: Array) -> Array:
 def _scatter(port: Port, nonzeros: Array) -> Array:
     """Spread the nonzeros of each state: shape (states, *shape)."""
     a, states = port.argument, nonzeros.shape[0]
-    if port.places is None:
+    if port.entries is None:
         return nonzeros.reshape((states, a.cols, a.rows)).swapaxes(1, 2).reshape((states, *port.shape))
-    matrices = np.zeros((states, a.rows, a.cols))
-    matrices[:, *port.places] = nonzeros
+    matrices = np.zeros((states, a.rows * a.cols))
+    matrices[:, port.entries] = nonzeros
     return matrices.reshape((states, *port.shape))
 
 

@@ -17,6 +17,7 @@ A step that meets a singular pose has a matrix without an inverse; its solution 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -26,7 +27,7 @@ from numpy.typing import NDArray
 
 from mbsgen.roles import Order, name_derivative, name_kernel
 from mbsrun.ocp import schemes
-from mbsrun.simulation.closing import GAP, find_gaps, name_loops
+from mbsrun.simulation.closing import GAP, name_loops
 from mbsrun.simulation.course import place_driven
 from mbsrun.simulation.drive import Piece, differentiate
 from mbsrun.simulation.dynamics import Dynamics
@@ -34,6 +35,7 @@ from mbsrun.simulation.implicit import Places, Scheme, State, extrapolate, itera
 from mbsrun.simulation.motion import Settings
 
 Array = NDArray[np.float64]
+Residuals = tuple[Array, Array, Array]  # Phi, h and J v
 
 NOISE = 1e-7  # of a change of the state: near a singular pose, rounding of h over a small pivot of J
 RANK = 1e-12  # of singular values, relative to the first
@@ -79,49 +81,34 @@ class _Loops:
         if self.driven:
             q[:, self.placed], qd[:, self.driven], qdd[:, self.driven] = self.dynamics.course.states(t)
 
-    def residual(self, t: Array, q: Array, qd: Array, qdd: Array, lam: Array) -> tuple[Array, Array, Array]:
-        """Evaluate Phi (K, n), h and J qd (K, e)."""
-        dynamics, v = self.dynamics, self.piece.follow(t, q, qd)
-        dynamics.effort.evaluations += len(t)
-        Phi = dynamics.call(dynamics.formulation.evaluated.function, q, qd, v, qdd, lam)["Phi"].copy()
-        Phi[:, self.driven] = 0
-        if not self.size:
-            return Phi, np.zeros((len(t), 0)), np.zeros((len(t), 0))
-        return Phi, find_gaps(dynamics.kernels, q), dynamics.kernels("loop_rates", q=q, qd=qd)["hd"]
-
-    def slopes(self, t: Array, q: Array, qd: Array, qdd: Array, lam: Array) -> _Slopes:
-        """Differentiate the residual."""
-        dynamics, v = self.dynamics, self.piece.follow(t, q, qd)
-        dynamics.effort.jacobians += len(t)
+    def linearise(self, t: Array, q: Array, qd: Array, qdd: Array, lam: Array) -> tuple[Residuals, _Slopes]:
+        """Evaluate Phi (K, n), h and J qd (K, e), and differentiate them."""
+        dynamics, v, count = self.dynamics, self.piece.follow(t, q, qd), len(t)
+        dynamics.effort.evaluations += count
+        dynamics.effort.jacobians += count
         name = dynamics.formulation.evaluated.function
         n, nq, e = dynamics.size, dynamics.places, self.size
-        blocks = dynamics.call(name_kernel(name, Order.JACOBIAN), q, qd, v, qdd, lam)
+        blocks = dynamics.call(name_kernel(name, Order.LINEARISATION), q, qd, v, qdd, lam)
+        Phi = blocks["Phi"].copy()
+        Phi[:, self.driven] = 0
         sizes = {"q": nq, "qd": n, "qdd": n, "lam": e}
-        K, C, M, by_lam = (
-            blocks.get(name_derivative("Phi", x), np.zeros((len(t), n, size))) for x, size in sizes.items()
-        )
+        K, C, M, by_lam = (_pick(blocks, "Phi", x, (count, n, size)) for x, size in sizes.items())
         if self.piece.law is not None:
             S = dynamics.input_slopes(q, qd, qdd, v, lam)
             by_q, by_qd = differentiate(self.piece.law, t, q, qd)
             K, C = K + S @ by_q, C + S @ by_qd
         if not e:
-            return _Slopes(K, C, M, by_lam, *(np.zeros((len(t), 0, size)) for size in (nq, nq, n)))
-        by_place = dynamics.kernels(name_kernel("loops", Order.JACOBIAN), q=q)[name_derivative(GAP, "q")]
-        rates = dynamics.kernels(name_kernel("loop_rates", Order.JACOBIAN), q=q, qd=qd)
-        blank = np.zeros((len(t), e, nq))
-        return _Slopes(
-            K,
-            C,
-            M,
-            by_lam,
-            by_place,
-            rates.get(name_derivative("hd", "q"), blank),
-            rates[name_derivative("hd", "qd")],
-        )
+            none = np.zeros((count, 0))
+            return (Phi, none, none), _Slopes(K, C, M, by_lam, *(np.zeros((count, 0, x)) for x in (nq, nq, n)))
+        places = dynamics.kernels(name_kernel("loops", Order.LINEARISATION), q=q)
+        rates = dynamics.kernels(name_kernel("loop_rates", Order.LINEARISATION), q=q, qd=qd)
+        by_place, by_q = places[name_derivative(GAP, "q")], _pick(rates, "hd", "q", (count, e, nq))
+        slopes = _Slopes(K, C, M, by_lam, by_place, by_q, rates[name_derivative("hd", "qd")])
+        return (Phi, places[GAP], rates["hd"]), slopes
 
     def fix(self, matrix: Array) -> None:
         """Make the driven accelerations of a matrix (s, rows, s, columns) known: their change is 0."""
-        for i in range(len(matrix)):
+        for i in range(len(matrix) if self.driven else 0):
             matrix[i, self.driven] = 0
             matrix[:, :, i, self.driven] = 0
             matrix[i, self.driven, i, self.driven] = 1
@@ -131,7 +118,7 @@ class _Loops:
         n, e, t = self.dynamics.size, self.size, np.array([self.piece.start])
         state = q[None], qd[None], np.zeros((1, n)), np.zeros((1, e))
         self.guide(t, *state[:3])
-        slopes, right = self.slopes(t, *state), self.residual(t, *state)[0]
+        (right, *_), slopes = self.linearise(t, *state)
         matrix = np.zeros((1, n + e, 1, n + e))
         matrix[0, :n, 0, :n], matrix[0, :n, 0, n:], matrix[0, n:, 0, :n] = slopes.M[0], slopes.lam[0], slopes.J[0]
         gamma = self.dynamics.kernels("loop_jacobian", q=q, qd=qd)["gamma"] if e else np.zeros(0)
@@ -171,7 +158,7 @@ def make_alpha(dynamics: Dynamics, piece: Piece, settings: Settings) -> Scheme:
 
         def correct(z: Array) -> Array:
             at, _, middle, mean = advance(z)
-            slopes, (Phi, gap, _) = loops.slopes(end, *at), loops.residual(end, *at)
+            (Phi, gap, _), slopes = loops.linearise(end, *at)
             by_mean = 2 * places.stiffen(np.concatenate((slopes.K, slopes.h), axis=1), middle, mean, h)[0, 0]
             matrix = np.zeros((1, len(z), 1, len(z)))
             matrix[0, :, 0, :n] = ratio * h * beta * by_mean
@@ -204,6 +191,7 @@ def make_radau(dynamics: Dynamics, piece: Piece, settings: Settings) -> Scheme:
 
     def step(state: State, time: float, h: float) -> State:
         t, B = time + h * c, np.zeros((n, e))
+        scale = np.tile(np.r_[np.ones(n), np.full(e, 1 / (h * h)), np.full(e, 1 / h)], s)
         if e:
             B = dynamics.kernels("loop_jacobian", q=state.q, qd=state.qd)["J"].T.copy()
         B[loops.driven] = 0
@@ -222,21 +210,18 @@ def make_radau(dynamics: Dynamics, piece: Piece, settings: Settings) -> Scheme:
 
         def correct(z: Array) -> Array:
             at, moving, free = advance(z)
-            slopes, residuals = loops.slopes(t, *at), loops.residual(t, *at)
+            residuals, slopes = loops.linearise(t, *at)
             by_q = np.concatenate((slopes.K, slopes.h, slopes.hd_q), axis=1)
             by_moving = places.stiffen(by_q, free, moving, h)  # (s, s, n + 2 e, n)
             matrix = np.zeros((s, n + 2 * e, s, n + 2 * e))
-            matrix[..., :n] = h * np.einsum("ijab,jk->iakb", by_moving, A)
             matrix[..., n + e :] = np.einsum("ijab,be->iaje", by_moving, B)
-            direct = np.concatenate((slopes.C, np.zeros((s, e, n)), slopes.J), axis=1)
-            matrix[..., :n] += h * np.einsum("iab,ik->iakb", direct, A)
+            by_moving[range(s), range(s)] += np.concatenate((slopes.C, np.zeros((s, e, n)), slopes.J), axis=1)
+            matrix[..., :n] = h * np.einsum("ijab,jk->iakb", by_moving, A)
             matrix[range(s), :n, range(s), :n] += slopes.M
             matrix[range(s), :n, range(s), n : n + e] = slopes.lam
             loops.fix(matrix)
-            scale = np.tile(np.r_[np.ones(n), np.full(e, 1 / (h * h)), np.full(e, 1 / h)], s)
-            size = s * (n + 2 * e)
             right = np.concatenate(residuals, axis=1).ravel()
-            return solve_step(scale[:, None] * matrix.reshape(size, size), scale * right).reshape(s, -1)
+            return solve_step(scale[:, None] * matrix.reshape(scale.size, -1), scale * right).reshape(s, -1)
 
         weights = np.r_[scale_changes(state, h), np.zeros(e), np.full(e, h)]
         z = iterate(dynamics, correct, memory["guess"], weights, NOISE)
@@ -245,6 +230,12 @@ def make_radau(dynamics: Dynamics, piece: Piece, settings: Settings) -> Scheme:
         return State(q[-1], qd[-1], qdd[-1], q, qd)
 
     return Scheme(start, step, c, scheme.weights)
+
+
+def _pick(blocks: Mapping[str, Array], result: str, by: str, shape: tuple[int, ...]) -> Array:
+    """Return a derivative among a kernel's results; a block without an entry is 0."""
+    found = blocks.get(name_derivative(result, by))
+    return np.zeros(shape) if found is None else found
 
 
 def solve_step(matrix: Array, right: Array) -> Array:

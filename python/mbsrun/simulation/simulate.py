@@ -126,9 +126,10 @@ def _check_kernels(kernels: Kernels, settings: Settings) -> None:
     needed = {evaluated.function, "energy", "power", "frames"}
     needed |= set() if evaluated.mass in (None, jacobian) else {evaluated.mass}
     if is_closed:
-        needed |= {"semi", "semi_res"} if is_explicit else {jacobian}
+        linearised = name_kernel(evaluated.function, Order.LINEARISATION)
+        needed |= {"semi", "semi_res"} if is_explicit else {jacobian, linearised}
         needed |= {"loops", "loop_rates", "loop_jacobian"} if kernels.manifest.loops else set()
-        needed |= {"jac_loops", "jac_loop_rates"} if kernels.manifest.loops and not is_explicit else set()
+        needed |= {"lin_loops", "lin_loop_rates"} if kernels.manifest.loops and not is_explicit else set()
         needed |= set() if kernels.manifest.find("exp2") else {"exp1"}
     else:
         needed |= {"impl", "jac_impl"} if is_explicit else {jacobian}
