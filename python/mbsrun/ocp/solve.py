@@ -144,7 +144,7 @@ class Solver:
             size=Size(
                 functions.variables,
                 functions.constraints,
-                functions.jacobian.nnz_out(1),
+                functions.jacobian.nnz_out(0),
                 functions.hessian.nnz_out(0),
             ),
             cost=CostTerms(tuple(zip(problem.cost.names, terms.tolist(), strict=True))),

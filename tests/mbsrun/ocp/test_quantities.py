@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mbsgen.expressions import ExpressionError
-from mbsrun.ocp.backends.casadi import make_function
+from mbsrun.ocp.backends.places import make_function
 from mbsrun.ocp.functions import Formula
 from mbsrun.ocp.layout import Motions
 from mbsrun.ocp.problem import Representation

@@ -19,6 +19,7 @@ from mbsrun.external import load_on_demand
 from mbsrun.models import Extent, find_folder
 from mbsrun.ocp.backends.condensation import build as build_functions
 from mbsrun.ocp.guess import bump, find_pose, interpolate, make_guess, rest
+from mbsrun.ocp.methods.ipopt import pair
 from mbsrun.ocp.pictures import animate, plot_trajectories
 from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Form, Problem, Representation, Term
 from mbsrun.ocp.resimulation import resimulate
@@ -151,7 +152,7 @@ def test_ipopt_finds_no_fault_in_the_derivatives(sphere: Mechanism, capfd: pytes
     program = build_functions(transcription.program, sphere)
     x, p = ca.MX.sym("x", program.variables), ca.MX.sym("p", program.parameters)
     nlp = {"x": x, "p": p, "f": program.objective(x, p), "g": program.constraint(x, p)}
-    functions = {"grad_f": program.gradient, "jac_g": program.jacobian, "hess_lag": program.hessian}
+    functions = {"grad_f": program.gradient, "jac_g": pair(program.jacobian), "hess_lag": program.hessian}
     test = {"derivative_test": "second-order", "derivative_test_perturbation": 1e-7, "derivative_test_tol": 5e-3}
     options = {**functions, "ipopt": {**test, "point_perturbation_radius": 0.0, "max_iter": 0}, "print_time": False}
     start = np.random.default_rng(1).uniform(0.5, 1, program.variables)

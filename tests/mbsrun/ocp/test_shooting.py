@@ -128,7 +128,8 @@ def unroll(condensed: Condensed, x: ca.MX) -> tuple[CasadiProgram, ca.MX]:
             z -= equations.constraint(ca.vertcat(x, z)[order], nothing)
     else:
         for _ in range(8):
-            r, J = equations.jacobian(ca.vertcat(x, z)[order], nothing)
+            v = ca.vertcat(x, z)[order]
+            r, J = equations.constraint(v, nothing), equations.jacobian(v, nothing)
             z -= ca.solve(J[:, unknowns.tolist()], r, "qr")
     return condensed.rest, ca.vertcat(x, z)[order]
 
@@ -156,7 +157,7 @@ def test_kept_slopes_lead_to_where_newtons_method_leads(plant: Peer) -> None:
         v = np.zeros(equations.variables)
         v[program.program.kept] = rng.uniform(-4, 4, program.variables)
         for _ in range(30):
-            r, J = equations.jacobian(v, nothing)
+            r, J = equations.constraint(v, nothing), equations.jacobian(v, nothing)
             unknowns = groups.unknowns.ravel()
             step = np.linalg.solve(J.full()[:, unknowns], r.full().ravel())
             v[unknowns] -= step

@@ -12,6 +12,7 @@ from mbsrun.ocp import schemes
 from mbsrun.ocp.backends.casadi import Functions
 from mbsrun.ocp.backends.condensation import build
 from mbsrun.ocp.guess import interpolate
+from mbsrun.ocp.methods.ipopt import pair
 from mbsrun.ocp.problem import Bounds, Cost, End, Problem, SolverOptions, Term, cylindrical
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.solution import Failure, Solution
@@ -199,7 +200,7 @@ def check_derivatives(program: Functions, p: np.ndarray, x0: np.ndarray, **scale
     """Have IPOPT compare the derivatives with differences; it prints what it finds."""
     x, weights = ca.MX.sym("x", program.variables), ca.MX.sym("p", 2)
     nlp = {"x": x, "p": weights, "f": program.objective(x, weights), "g": program.constraint(x, weights)}
-    functions = {"grad_f": program.gradient, "jac_g": program.jacobian, "hess_lag": program.hessian, **scaled}
+    functions = {"grad_f": program.gradient, "jac_g": pair(program.jacobian), "hess_lag": program.hessian, **scaled}
     test = {"derivative_test": "second-order", "derivative_test_perturbation": 1e-7, "derivative_test_tol": 5e-3}
     solver = ca.nlpsol("check", "ipopt", nlp, {**functions, "ipopt": {**test, "max_iter": 0}, "print_time": False})
     solver(x0=x0, p=p, lbg=0, ubg=0)
@@ -232,7 +233,7 @@ def test_ipopt_finds_the_fault_in_scaled_derivatives(
 ) -> None:
     """So it does use them."""
     program, p, x0 = tiny
-    true = {"jac_g": program.jacobian, "hess_lag": program.hessian}[name]
+    true = {"jac_g": pair(program.jacobian), "hess_lag": program.hessian}[name]
     inputs = true.mx_in()
     results = list(true.call(inputs))
     results[result] *= factor

@@ -7,8 +7,7 @@ whole, and does not colour. A kernel's derivatives are the generated ones; an ex
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
@@ -17,9 +16,9 @@ import casadi as ca
 import numpy as np
 from scipy import sparse
 
-from mbsgen.expressions import FUNCTIONS, Algebra, evaluate
 from mbsrun.ocp.backends.assembly import Parts, Scatter, assemble, prepare, scatter_matrix, scatter_weighted
-from mbsrun.ocp.functions import Array, Formula, Function, Indices, KernelResult, Pattern
+from mbsrun.ocp.backends.places import Placed, place
+from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.program import Block, Matrix, Program
 
@@ -57,7 +56,7 @@ class Functions(Protocol):
 
     @property
     def jacobian(self) -> ca.Function:
-        """(x, p) -> g, its Jacobian: in the form that `nlpsol` takes as `jac_g`."""
+        """(x, p) -> the Jacobian of g."""
 
     @property
     def hessian(self) -> ca.Function:
@@ -65,77 +64,6 @@ class Functions(Protocol):
 
     def complete(self, x: Array) -> Array:
         """Return all variables of the program. Raises ValueError where inner equations have no solution."""
-
-
-# --- functions -----------------------------------------------------------------------------------------------------
-
-_SYMBOLS: Algebra[ca.SX] = Algebra(
-    number=ca.SX,
-    constants={"pi": ca.SX(ca.pi)},
-    negate=operator.neg,
-    operations={"+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv},
-    power=operator.pow,
-    functions={"abs": ca.fabs} | {name: getattr(ca, name) for name in FUNCTIONS if name != "abs"},
-)
-
-
-def make_function(function: Function, plant: Plant) -> ca.Function:
-    """Make a CasADi function; it is differentiable by its inputs, not by parameters and data."""
-    return _make_formula(function, plant) if isinstance(function, Formula) else _make_result(function, plant)
-
-
-def _make_result(result: KernelResult, plant: Plant) -> ca.Function:
-    kernel = plant.casadi(result.kernel)
-    if result.entries is None and result.fixed is None and kernel.n_out() == 1:
-        assert tuple(kernel.name_in()) == result.inputs, "a block's columns are in the order of the kernel's inputs"
-        return kernel
-    inputs = [ca.MX.sym(name, kernel.size1_in(name)) for name in result.inputs]
-    given = list(inputs)
-    if result.fixed is not None:
-        varying = list(result.fixed.varying)
-        inputs[0] = ca.MX.sym(result.inputs[0], len(varying))
-        given[0] = ca.MX(ca.DM(result.fixed.values))
-        given[0][varying] = inputs[0]
-    value = ca.vec(_apply(kernel, result, given))
-    chosen = value if result.entries is None else value[list(result.entries)]
-    return ca.Function("result", inputs, [chosen], list(result.inputs), [result.result])
-
-
-def _apply(kernel: ca.Function, result: KernelResult, given: Sequence[ca.MX]) -> ca.MX:
-    return kernel(**dict(zip(result.inputs, given, strict=True)))[result.result]
-
-
-def _make_formula(formula: Formula, plant: Plant) -> ca.Function:
-    plain = _make_plain(formula, plant)
-    if not formula.computed:
-        return plain
-    given = {part.kind: ca.MX.sym(part.kind, part.size) for part in formula.arguments}
-    values = given | {
-        kind: ca.vec(_apply(plant.casadi(result.kernel), result, [given[name] for name in result.inputs]))
-        for kind, result in formula.computed
-    }
-    value = plain.call([values[kind] for kind in plain.name_in()])[0]
-    return ca.Function("formula", list(given.values()), [value], list(given), ["value"], _options(formula, given))
-
-
-def _make_plain(formula: Formula, plant: Plant) -> ca.Function:
-    """Make the function of the numbers that expressions read; kernels compute some of them."""
-    sizes = {kind: plant.casadi(result.kernel).numel_out(result.result) for kind, result in formula.computed}
-    sizes = {part.kind: part.size for part in formula.arguments} | sizes
-    read = {kind for kind, _ in formula.names.values()}
-    if formula.data is not None:  # also where nothing is read: a function needs an input
-        read.add(formula.data.kind)
-    symbols = {kind: ca.SX.sym(kind, size) for kind, size in sizes.items() if kind in read}
-    values = {name: symbols[kind][index] for name, (kind, index) in formula.names.items()}
-    results = ca.vertcat(*(evaluate(expression, values, _SYMBOLS) for expression in formula.expressions))
-    kinds = list(symbols)
-    return ca.Function("formula", list(symbols.values()), [results], kinds, ["value"], _options(formula, kinds))
-
-
-def _options(formula: Formula, kinds: Sequence[str] | Mapping[str, ca.MX]) -> dict[str, list[bool]]:
-    """Name the arguments that are variables: by the others nothing is differentiated."""
-    others = {part.kind for part in (formula.parameters, formula.data) if part is not None}
-    return {"is_diff_in": [kind not in others for kind in kinds]}
 
 
 # --- the program ---------------------------------------------------------------------------------------------------
@@ -213,8 +141,12 @@ class CasadiProgram:
     def constraint(self) -> ca.Function:
         """(x, p) -> g."""
         x, p = self._symbols()
-        g = self._residual(x, [block.results(x, p) for block in self.blocks])
-        return ca.Function("nlp_g", [x, p], [g], ["x", "p"], ["g"])
+        matrix, values = to_casadi(self.program.A), [x]
+        for block in self.blocks:
+            part = block.results(x, p)
+            matrix = ca.horzcat(matrix, _gather(part, self.constraints))
+            values.append(part.values)
+        return ca.Function("nlp_g", [x, p], [ca.densify(matrix @ ca.vertcat(*values))], ["x", "p"], ["g"])
 
     @cached_property
     def gradient(self) -> ca.Function:
@@ -229,14 +161,11 @@ class CasadiProgram:
 
     @cached_property
     def jacobian(self) -> ca.Function:
-        """(x, p) -> g, its Jacobian: in the form that `nlpsol` takes as `jac_g`."""
+        """(x, p) -> the Jacobian of g."""
         x, p = self._symbols()
-        results = [block.results(x, p) for block in self.blocks]
-        parts = [_constant(self.program.A)]
-        for block, values in zip(self.blocks, results, strict=True):
-            parts += block.jacobian(x, p, values)
-        outputs = [self._residual(x, results), _assemble((self.constraints, self.variables), parts)]
-        return ca.Function("nlp_jac_g", [x, p], outputs, ["x", "p"], ["g", "jac_g_x"])
+        parts = [_constant(self.program.A), *(part for block in self.blocks for part in block.jacobian(x, p))]
+        jacobian = _assemble((self.constraints, self.variables), parts)
+        return ca.Function("nlp_jac_g", [x, p], [jacobian], ["x", "p"], ["jac_g_x"])
 
     @cached_property
     def hessian(self) -> ca.Function:
@@ -261,12 +190,8 @@ class CasadiProgram:
 
     def _terms(self, x: ca.MX, p: ca.MX) -> ca.MX:
         squares = ca.vertcat(*(ca.dot(x, to_casadi(H) @ x) / 2 for H in self.program.H))
-        terms = (block.put(x, block.results(x, p), len(self.program.H)) for block in self.costs)
+        terms = (_sum_into(block.results(x, p), len(self.program.H)) for block in self.costs)
         return sum(terms, start=squares)
-
-    def _residual(self, x: ca.MX, results: Sequence[ca.MX]) -> ca.MX:
-        put = (block.put(x, values, self.constraints) for block, values in zip(self.blocks, results, strict=True))
-        return sum(put, start=to_casadi(self.program.A) @ x)
 
 
 # --- a block and its derivatives -----------------------------------------------------------------------------------
@@ -274,10 +199,10 @@ class CasadiProgram:
 
 @dataclass(frozen=True)
 class _Mapped:
-    """A block with its CasADi function, mapped over its places."""
+    """A block and its function at all places."""
 
     parts: Parts
-    function: ca.Function
+    function: Placed
 
     @property
     def block(self) -> Block:
@@ -287,77 +212,58 @@ class _Mapped:
     def rows(self) -> Indices:
         return self.block.rows
 
-    def results(self, x: ca.MX, p: ca.MX) -> ca.MX:
-        """Apply the function at every place: its results, place by place, before they are scaled."""
-        return ca.vec(self.function.map(self.block.places)(*self._arguments(x, p)))
+    def results(self, x: ca.MX, p: ca.MX) -> _Values:
+        """Apply the function at every place, and place its scaled results in a column."""
+        factored = _Values(self.parts.scatter_results(), self._apply(x, p))
+        return factored if self.block.factor is None else factored.times(x[self.block.factor])
 
-    def put(self, x: ca.MX, results: ca.MX, size: int) -> ca.MX:
-        """Scale the results, and sum them into their rows."""
-        values = _sum_into(_Values(self.parts.scatter_results(), results), size)
-        return values if self.block.factor is None else x[self.block.factor] * values
-
-    def jacobian(self, x: ca.MX, p: ca.MX, results: ca.MX) -> list[_Values]:
-        """Return the Jacobian at every place, a part for each input; `results` are the function's."""
-        block, function = self.block, self.function.jacobian()
-        unread = ca.MX(function.size1_in(function.n_in() - 1), block.places)  # results as inputs are not read
-        parts = function.map(block.places).call([*self._arguments(x, p), unread])
-        found = []
-        for i, part in enumerate(parts[: len(block.columns)]):
-            values = ca.vec(part.nz[:])
-            scatter = self.parts.scatter_jacobian(read_pattern(function.sparsity_out(i)), i)
-            found.append(_Values(scatter, values if block.factor is None else x[block.factor] * values))
-        return found if block.factor is None else [*found, _Values(self._by_factor(), results)]
+    def jacobian(self, x: ca.MX, p: ca.MX) -> list[_Values]:
+        """Return the Jacobian at every place, a part for each input."""
+        nonzeros = enumerate(self.function.jacobian(self._arguments(x, p)))
+        found = [_Values(self.parts.scatter_jacobian(part.pattern, i), part.values) for i, part in nonzeros]
+        if self.block.factor is None:
+            return found
+        return [*(part.times(x[self.block.factor]) for part in found), _Values(self._by_factor(), self._apply(x, p))]
 
     def derivative(self, x: ca.MX, p: ca.MX, lam: ca.MX) -> list[_Values]:
         """Return the derivative of lam' F as columns, a part for each input; `lam` place by place."""
-        block = self.block
-        adjoint, jacobian = self.function.reverse(1), self.function.jacobian()
-        n = self.function.n_in()
-        weights = ca.reshape(lam, block.rows.shape[0], block.places)
-        unread = ca.MX(adjoint.size1_in(n), block.places * adjoint.size2_in(n))
-        products = adjoint.map(block.places).call([*self._arguments(x, p), unread, weights])[: len(block.columns)]
-        parts = []
-        for i, product in enumerate(products):
-            # an adjoint may be dense where F's Jacobian is not
-            read = sorted(set(jacobian.sparsity_out(i).get_triplet()[1]))
-            pattern = ca.Sparsity.triplet(product.size1(), 1, read, [0] * len(read))
-            values = ca.project(product, ca.repmat(pattern, 1, block.places))
-            scatter = self.parts.scatter_gradient(np.array(read, dtype=np.int64), product.size1(), i)
-            parts.append(_Values(scatter, ca.vec(values.nz[:])))
-        if block.factor is None:
+        parts = self._differentiate(x, p, lam)
+        if self.block.factor is None:
             return parts
         by_factor = self._by_factor()
         column = replace(by_factor, row=by_factor.col, col=np.zeros_like(by_factor.col))
-        return [
-            *(part.times(x[block.factor]) for part in parts),
-            _Values(column, lam * self.results(x, p)),
-        ]
+        return [*(part.times(x[self.block.factor]) for part in parts), _Values(column, lam * self._apply(x, p))]
 
     def hessian(self, x: ca.MX, p: ca.MX, lam: ca.MX) -> list[_Values]:
         """Return the Hessian of lam' F at every place, a part for each pair of inputs; `lam` place by place."""
-        block = self.block
-        n, inputs = len(block.columns), self.function.n_in()
-        function = self.function.reverse(1).jacobian()  # inputs: F's, its result, lam, the adjoint's results
-        factored = lam if block.factor is None else x[block.factor] * lam
-        weights = ca.reshape(factored, block.rows.shape[0], block.places)
-        unread = [ca.MX(function.size1_in(k), block.places * function.size2_in(k)) for k in range(function.n_in())]
-        results = function.map(block.places).call(
-            [*self._arguments(x, p), unread[inputs], weights, *unread[inputs + 2 :]]
-        )
-        which = {(i, j): i * (inputs + 2) + j for i in range(n) for j in range(n)}
+        factor = self.block.factor
+        weights = self._shape(lam if factor is None else x[factor] * lam)
         parts = [
-            _Values(self.parts.scatter_hessian(read_pattern(function.sparsity_out(k)), i, j), ca.vec(results[k].nz[:]))
-            for (i, j), k in which.items()
-            if function.nnz_out(k)
+            _Values(self.parts.scatter_hessian(part.pattern, i, j), part.values)
+            for (i, j), part in self.function.hessian(self._arguments(x, p), weights).items()
         ]
-        if block.factor is None:
+        if factor is None:
             return parts
-        unfactored = replace(self, parts=replace(self.parts, block=replace(block, factor=None)))
         edge = [
-            _Values(replace(part.scatter, col=np.full(part.scatter.row.size, block.factor)), part.values)
-            for part in unfactored.derivative(x, p, lam)
+            _Values(replace(part.scatter, col=np.full(part.scatter.row.size, factor)), part.values)
+            for part in self._differentiate(x, p, lam)
         ]
         return [*parts, *edge, *(part.transposed() for part in edge)]
+
+    def _apply(self, x: ca.MX, p: ca.MX) -> ca.MX:
+        """Return the results place by place, before they are scaled."""
+        return ca.vec(self.function.value(self._arguments(x, p)))
+
+    def _differentiate(self, x: ca.MX, p: ca.MX, lam: ca.MX) -> list[_Values]:
+        """Return the derivative of lam' F before a factor multiplies it."""
+        nonzeros = self.function.gradient(self._arguments(x, p), self._shape(lam))
+        return [
+            _Values(self.parts.scatter_gradient(part.pattern.row, part.pattern.shape[0], i), part.values)
+            for i, part in enumerate(nonzeros)
+        ]
+
+    def _shape(self, lam: ca.MX) -> ca.MX:
+        return ca.reshape(lam, self.block.rows.shape[0], self.block.places)
 
     def _arguments(self, x: ca.MX, p: ca.MX) -> list[ca.MX]:
         block = self.block
@@ -378,16 +284,10 @@ class _Mapped:
 
 
 def _prepare(block: Block, variables: int, plant: Plant) -> _Mapped:
-    return _Mapped(prepare(block, variables), make_function(block.function, plant))
+    return _Mapped(prepare(block, variables), place(block.function, plant, block.places))
 
 
 # --- matrices ------------------------------------------------------------------------------------------------------
-
-
-def read_pattern(sparsity: ca.Sparsity) -> Pattern:
-    """Return the pattern of CasADi's."""
-    row, col = (np.asarray(k, dtype=np.int64) for k in sparsity.get_triplet())
-    return Pattern(sparsity.shape, row, col)
 
 
 def to_casadi(matrix: Matrix) -> ca.DM:
@@ -406,9 +306,14 @@ def _constant(matrix: Matrix) -> _Values:
 
 def _sum_into(part: _Values, size: int) -> ca.MX:
     """Return the vector of which each entry is the sum of coefficient * values[source] of its row."""
+    return _gather(part, size) @ part.values
+
+
+def _gather(part: _Values, size: int) -> ca.DM:
+    """Return the matrix by which the values become the entries of a vector."""
     scatter = part.scatter
     entries = (scatter.coefficient, (scatter.row, scatter.source))
-    return to_casadi(sparse.coo_array(entries, shape=(size, part.values.numel())).tocsc()) @ part.values
+    return to_casadi(sparse.coo_array(entries, shape=(size, part.values.numel())).tocsc())
 
 
 def _assemble(shape: tuple[int, int], parts: Sequence[_Values]) -> ca.MX:

@@ -19,8 +19,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsrun.ocp.backends.casadi import CasadiProgram, Functions, make_function
+from mbsrun.ocp.backends.casadi import CasadiProgram, Functions
 from mbsrun.ocp.backends.mapped import MappedFunction
+from mbsrun.ocp.backends.places import make_function
 from mbsrun.ocp.elimination import Elimination, eliminate
 from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.plant import Plant
@@ -94,11 +95,11 @@ class Condensed:
 
     @cached_property
     def jacobian(self) -> ca.Function:
-        """(x, p) -> g, its Jacobian."""
+        """(x, p) -> the Jacobian of g."""
         x, p = self._symbols()
-        g, J = self.rest.jacobian(self._completion(x), p)
+        J = self.rest.jacobian(self._completion(x), p)
         by_x = J[:, self.program.kept.tolist()] + J[:, self._z] @ self._slopes(x)
-        return ca.Function("nlp_jac_g", [x, p], [g, by_x], ["x", "p"], ["g", "jac_g_x"])
+        return ca.Function("nlp_jac_g", [x, p], [by_x], ["x", "p"], ["jac_g_x"])
 
     @cached_property
     def hessian(self) -> ca.Function:
@@ -106,7 +107,7 @@ class Condensed:
         x, p = self._symbols()
         lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", self.constraints)
         v, kept = self._completion(x), self.program.kept.tolist()
-        gradient = self.rest.jacobian(v, p)[1].T @ lam_g
+        gradient = self.rest.jacobian(v, p).T @ lam_g
         if self._cost_reads_unknowns:
             gradient += lam_f * self.rest.gradient(v, p)[1]
         H = ca.triu2symm(self.rest.hessian(v, p, lam_f, lam_g))

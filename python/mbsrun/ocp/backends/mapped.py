@@ -8,7 +8,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from mbsrun.ocp.backends.casadi import read_pattern
+from mbsrun.ocp.backends.places import read_pattern
 from mbsrun.ocp.functions import Array, Pattern
 
 

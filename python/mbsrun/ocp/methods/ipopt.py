@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import casadi as ca
+
 from mbsrun.ocp.linear import LINEAR_SOLVERS, MUMPS, OWN, set_up
 from mbsrun.ocp.methods.method import Method, Order, Solver
 from mbsrun.ocp.methods.nlpsol import UNDIFFERENTIATED, make
@@ -75,12 +77,19 @@ def make_ipopt(order: Order) -> Solver:
     settings: dict[str, Any] = {
         **UNDIFFERENTIATED,
         "grad_f": functions.gradient,
-        "jac_g": functions.jacobian,
+        "jac_g": pair(functions.jacobian),
         "ipopt": {**QUIET, **given, **_choose_linear_solver(order.options)},
     }
     if order.options.get("hessian_approximation") != "limited-memory":
         settings["hess_lag"] = functions.hessian
     return make("ipopt", order, settings)
+
+
+def pair(jacobian: ca.Function) -> ca.Function:
+    """Return (x, p) -> g, Jacobian, as `nlpsol` takes it; IPOPT does not read g here, so it is left out."""
+    x, p = jacobian.mx_in()
+    outputs = [ca.MX(jacobian.size1_out(0), 1), jacobian(x, p)]
+    return ca.Function("nlp_jac_g", [x, p], outputs, ["x", "p"], ["g", "jac_g_x"])
 
 
 def _choose_linear_solver(options: Settings) -> Settings:

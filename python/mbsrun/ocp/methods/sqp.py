@@ -29,7 +29,7 @@ def make_sqp(order: Order) -> Solver:
     hessian = ca.triu2symm(functions.hessian(x, p, scale * lam_f, lam_g))
     f, gradient = functions.gradient(x, p)
     inputs, names = [x, p, lam_f, lam_g], functions.hessian.name_in()
-    outputs = [scale * f, scale * gradient, *functions.jacobian(x, p)]
+    outputs = [scale * f, scale * gradient, functions.constraint(x, p), functions.jacobian(x, p)]
     ipopt = {**QUIET, **set_up(OWN), "tol": order.tolerance / 100}
     quiet = {"print_time": False, "error_on_fail": False}
     settings = {
