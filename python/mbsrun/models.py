@@ -26,6 +26,7 @@ class Extent:
 
 
 WHOLE = Extent()
+INTEGRATED = Extent(derivatives=1)  # simulations need no second derivatives, which take longest to write
 
 
 def is_model(path: Path) -> bool:
