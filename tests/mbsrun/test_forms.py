@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from mbsgen.formulations import catalogue
-from mbsgen.roles import Role
+from mbsgen.formulations import catalogue, ports
+from mbsgen.tape.ports import Port
 from mbsrun import forms
 
 
 def test_the_forms_of_the_runtime_are_those_of_the_catalogue() -> None:
-    assert catalogue.list_giving(Role.RESIDUAL) == forms.RESIDUALS
-    assert catalogue.list_giving(Role.ACCELERATION) == forms.ACCELERATIONS
+    def list_giving(result: Port) -> tuple[str, ...]:
+        return tuple(name for name, entry in catalogue.FUNCTIONS.items() if result in entry.results)
+
+    assert list_giving(ports.RESIDUAL) == forms.RESIDUALS
+    assert list_giving(ports.ACCELERATIONS) == forms.ACCELERATIONS
     assert tuple(form.name for form in forms.FORMS) == tuple(catalogue.list_rows())
     assert set(forms.DIFFERENTIATED) == {name for name, entry in catalogue.FUNCTIONS.items() if entry.is_form}
-    assert set(forms.FUNCTIONS) == {*forms.DIFFERENTIATED, *catalogue.list_giving(Role.MASS_MATRIX)}
+    assert set(forms.FUNCTIONS) == {*forms.DIFFERENTIATED, *list_giving(ports.MASS_MATRIX)}

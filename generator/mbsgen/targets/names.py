@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import re
 
-MAX_LENGTH = 38  # with the name of any kernel, 63: the most that Matlab reads
+MAX_LENGTH = 34  # with the name of any kernel, 63: the most that Matlab reads
 _KEPT = re.compile(r"[A-Ya-z0-9_]")
 # Words that stand around the prefix in symbols (`jac_arm_impl`, `arm_compute_impl`, `mbs_abi.h`): as a part of a
 # prefix they would make `jac_arm` + `impl` and `jac_` + `arm_impl` the same symbol, or `arm_IDX` + `_q` and `arm` +
