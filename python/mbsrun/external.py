@@ -12,7 +12,7 @@ from mbsgen.manifest import Kernel, Manifest
 from mbsgen.roles import Order, Role, name_adjoint, name_derivative, name_unneeded, split_kernel
 from mbsrun.binding import ArgumentError
 from mbsrun.kernel import Array, Kernels
-from mbsrun.models import Extent, find_folder, is_model
+from mbsrun.models import WHOLE, Extent, find_folder, is_model
 
 INTEGER = "casadi_int"  # the integers of functions that CasADi can call
 START = Extent(("impl", "frames"), 1)
@@ -130,10 +130,11 @@ def load_on_demand(path: Path) -> Mechanism | OnDemand:
     return OnDemand(path) if is_model(path) else load(path)
 
 
-def load(path: str | Path, parameters: Mapping[str, float] | None = None) -> Mechanism:
+def load(path: str | Path, parameters: Mapping[str, float] | None = None, extent: Extent = WHOLE) -> Mechanism:
     """Load the kernels of a generated folder, or of a model file; earlier results are found in the cache.
 
-    `parameters` replace values of the model's run-time parameters, by the user's names. Raises InputError for a folder
-    without a manifest or a model with faults, CompileError when the compiler fails.
+    `extent` is the part of a model file to generate. `parameters` replace values of the model's run-time parameters, by
+    the user's names. Raises InputError for a folder without a manifest or a model with faults, CompileError when the
+    compiler fails.
     """
-    return Mechanism(find_folder(Path(path)), parameters)
+    return Mechanism(find_folder(Path(path), extent), parameters)

@@ -12,8 +12,8 @@ import numpy as np
 from mbsgen.expressions import Expression, ExpressionError, Number, parse
 from mbsgen.manifest import Manifest
 from mbsrun.commands.console import NumberType, say
-from mbsrun.external import Mechanism
-from mbsrun.models import INTEGRATED, find_folder
+from mbsrun.external import load
+from mbsrun.models import INTEGRATED
 from mbsrun.simulation.course import follow, place_driven
 from mbsrun.simulation.inverse import invert, tabulate
 
@@ -54,7 +54,7 @@ def inverse_command(
     step = output_step if output_step is not None else duration / 1000
     if not (duration > 0 and step > 0 and duration / step <= 1_000_000):
         raise click.UsageError("--duration and --output-step must be positive, with at most a million rows")
-    mechanism = Mechanism(find_folder(model, INTEGRATED))
+    mechanism = load(model, extent=INTEGRATED)
     manifest = mechanism.manifest
     expressions = _read_motions(motions, manifest)
     names = [c.name for c in manifest.coordinates]

@@ -18,8 +18,8 @@ from mbsrun.commands.console import (
     NameType,
     say,
 )
-from mbsrun.external import Mechanism
-from mbsrun.models import INTEGRATED, find_folder
+from mbsrun.external import load
+from mbsrun.models import INTEGRATED
 from mbsrun.ocp.solution import read_solution
 from mbsrun.simulation.closing import close_start
 from mbsrun.simulation.drive import hold_steps, input_labels
@@ -164,7 +164,7 @@ def simulate_command(
     context: click.Context, /, model: Path, out: Path | None, file: Path | None, solution: Path | None, **given: Any
 ) -> None:
     """Read, integrate, write, print."""
-    mechanism = Mechanism(find_folder(model, INTEGRATED))
+    mechanism = load(model, extent=INTEGRATED)
     recording = None if solution is None else _read_recording(solution, mechanism.manifest)
     statement = read_statement(file, _collect_options(given), mechanism.manifest, recording)
     mechanism = mechanism.with_parameters(**statement.parameters)
