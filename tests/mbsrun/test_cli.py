@@ -50,7 +50,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     """Run the command in an empty folder with the arm made by hand; a problem's text is put into task.ocp.yaml."""
     monkeypatch.chdir(tmp_path)
     arm = peer_arm()
-    monkeypatch.setattr(simulate, "load", lambda _, extent: arm)
+    monkeypatch.setattr(simulate, "load", lambda _, **_extent: arm)
     monkeypatch.setattr(solving, "load_on_demand", lambda _: arm)
     monkeypatch.setattr(sweep, "load_on_demand", lambda _: arm)
 
