@@ -27,7 +27,7 @@ from rich.table import Table
 
 from benchmarks.compilation import describe_machine, find_cache
 from benchmarks.newton_euler import write_functions
-from benchmarks.ocp.peer import Effort, Settings, Shelf, compile_solver, list_settings
+from benchmarks.ocp.peer import Effort, Settings, Shelf, compile_solver, list_options, list_settings
 from benchmarks.study import DisagreementError
 from mbsgen.model.tree import Tree
 from mbsgen.pipeline import read_tree
@@ -179,14 +179,7 @@ class LoopPeer:
             "f": problem.cost.inputs * step * ca.sumsqr(v[-m:, :]),
             "g": ca.vertcat(*g, ca.vec(paths)),
         }
-        options: dict[str, Any] = {
-            "print_time": False,
-            "error_on_fail": False,
-            "no_nlp_grad": True,
-            "calc_lam_p": False,
-            "expand": settings.expand and shelf is None,
-            "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-8, **settings.ipopt},
-        }
+        options = list_options(settings, shelf)
         self._solver = ca.nlpsol("peer", "ipopt", nlp, options)
         if shelf is not None:
             self._solver, _ = compile_solver(self._solver, options, shelf)

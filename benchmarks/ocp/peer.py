@@ -129,15 +129,7 @@ class Peer:
             "f": problem.cost.inputs * inputs_cost + problem.cost.input_rates * rates_cost,
             "g": ca.vertcat(*g),
         }
-        # sensitivities to parameters, which nobody asks for, would be compiled too
-        options: dict[str, Any] = {
-            "print_time": False,
-            "error_on_fail": False,
-            "no_nlp_grad": True,
-            "calc_lam_p": False,
-            "expand": settings.expand and shelf is None,
-        }
-        options["ipopt"] = {"print_level": 0, "sb": "yes", "tol": 1e-8, **settings.ipopt}
+        options = list_options(settings, shelf)
         self._solver = ca.nlpsol("peer", "ipopt", nlp, options)
         states, free = np.array(problem.bounds.q + problem.bounds.qd), np.tile((-np.inf, np.inf), (n, 1))
         point = np.concatenate((states, free)) if has_z else states
@@ -248,6 +240,18 @@ class Settings:
 
     ipopt: Mapping[str, Any]
     expand: bool  # whether the whole program becomes one expression of scalars, where it is not compiled
+
+
+def list_options(settings: Settings, shelf: Shelf | None) -> dict[str, Any]:
+    """List the options of a peer's solver; sensitivities to parameters would be compiled too, for nobody."""
+    return {
+        "print_time": False,
+        "error_on_fail": False,
+        "no_nlp_grad": True,
+        "calc_lam_p": False,
+        "expand": settings.expand and shelf is None,
+        "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-8, **settings.ipopt},
+    }
 
 
 def list_settings(problem: Problem) -> dict[str, Settings]:

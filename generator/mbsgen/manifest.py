@@ -203,6 +203,16 @@ class Manifest(_Entry):
         return tuple(k.base for k in self.kernels if k.order is Order.VALUE and k.giving(role))
 
     @property
+    def equations(self) -> tuple[str, ...]:
+        """Names of the entries of h, as in `knee.x`."""
+        return tuple(f"{loop.name}.{equation}" for loop in self.loops for equation in loop.equations)
+
+    @property
+    def owners(self) -> tuple[int, ...]:
+        """Indices of the loops that the entries of h belong to."""
+        return tuple(k for k, loop in enumerate(self.loops) for _ in loop.equations)
+
+    @property
     def positions(self) -> tuple[str, ...]:
         """Names of the entries of q."""
         return self.configuration or tuple(c.name for c in self.coordinates)

@@ -170,7 +170,7 @@ class _Closing:
         return fuse(Procedure(FUNCTION, inputs, (*stages, self._assemble(result)), (result,)))
 
     def _list_blocks(self) -> Iterator[_Block]:
-        statuses = [len(self.tree.joints) + 1 + loop for loop, _ in closure.kept_equations(self.tree)]
+        statuses = closure.list_statuses(self.tree)
         pattern = forward.jacobian(self._gaps, [_UNKNOWN]).outputs[0].sparsity
         rows = [[c for r, c in pattern.entries if r == k] for k in range(pattern.rows)]
         for number, place in enumerate(find_blocks(rows, statuses), 1):
@@ -221,7 +221,7 @@ class _Closing:
         given = {i.name: found if i.name == ports.COORDINATES.name else sheet.take(Wire.of(i)) for i in tape.inputs}
         values = replay(tape, b, given)
         for v, loop in zip(tape.outputs[0].values, closure.list_senses(self.tree), strict=True):
-            b.guard(values[v], b.number(1.0), 1.0, len(self.tree.joints) + 1 + loop)
+            b.guard(values[v], b.number(1.0), 1.0, closure.find_status(self.tree, loop))
         return Straight(sheet.finish("closing"))
 
 

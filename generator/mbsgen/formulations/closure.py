@@ -37,7 +37,7 @@ from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.counts import count
 from mbsgen.tape.lowering import lower
 from mbsgen.tape.passes import drop_unused_inputs
-from mbsgen.tape.ports import Port, adjoint_port, derivative_port, seed_port
+from mbsgen.tape.ports import Port, adjoint_port, seed_port
 from mbsgen.tape.replay import replay
 from mbsgen.tape.types import Tape
 
@@ -67,6 +67,16 @@ def kept_equations(tree: Tree) -> tuple[tuple[int, str], ...]:
     """List the entries of h likewise: all equations but the redundant ones, once these are known."""
     every = list_equations(tree)
     return every if tree.closure is None else tuple(every[i] for i in tree.closure.kept)
+
+
+def find_status(tree: Tree, loop: int) -> int:
+    """Return what a kernel returns where it fails at a loop or constraint, by its number: they follow the joints."""
+    return len(tree.joints) + 1 + loop
+
+
+def list_statuses(tree: Tree) -> tuple[int, ...]:
+    """List the status of each entry of h."""
+    return tuple(find_status(tree, loop) for loop, _ in kept_equations(tree))
 
 
 def build(tree: Tree) -> Tape:
@@ -430,8 +440,3 @@ def jacobian_entries(tape: Tape, values: Sequence[Scalar]) -> dict[tuple[int, in
     """Return the entries of J by row and column, from the values of a replayed tape that gives J first."""
     found = tape.outputs[0]
     return {place: values[v] for place, v in zip(found.sparsity.entries, found.values, strict=True)}
-
-
-def jacobian_port() -> Port:
-    """Return the port of the derivative of hd by qd, which is J."""
-    return derivative_port(ports.CLOSURE_RATE, ports.VELOCITIES)

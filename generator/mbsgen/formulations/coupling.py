@@ -226,12 +226,6 @@ class _Coupled:
             return Equations((), ())
         return multipliers.write_equations(self.tree.uncoupled, self.map.builder, self.given)
 
-    def guard_rows(self) -> None:
-        """Guard rows of J that may vanish as a whole."""
-        tape = multipliers.write_guards(self.tree)
-        values = replay(tape, self.map.builder, {i.name: self.given[i.name] for i in tape.inputs})
-        replay_guards(tape, self.map.builder, values)
-
     def finish(self, name: str, qdd: Sequence[Scalar], found: Sequence[Scalar] = ()) -> Tape:
         """Build the tape of accelerations, and of the multipliers of a tree with constraints."""
         self.map.builder.output_dense(ports.ACCELERATIONS, [[x] for x in qdd])
@@ -259,7 +253,7 @@ def write_exp1(tree: Tree, reductions: Reductions) -> Tape:
     rows = [map.gather({(0, i): value for i, value in row.items()}, None, Axis.VELOCITIES) for row in equations.rows]
     system = Bordered.of(factors, [{i + 1: value for (_, i), value in row.items()} for row in rows])
     multipliers.guard(builder, multipliers.list_owners(tree), system.A, system.reduced.pivots)
-    own.guard_rows()
+    multipliers.guard_rows(tree, builder, own.given)
     x, found = system.solve(b, equations.right)
     return own.finish("exp1", [x[i] for i in range(1, own.size + 1)], found)
 
@@ -301,7 +295,7 @@ def write_exp2(tree: Tree, reductions: Reductions) -> Tape:
     numbers = range(equations.size)
     own_A = {(k, k): JB[first + k, first + k] for k in numbers}
     multipliers.guard(builder, multipliers.list_owners(tree), own_A, {k: pivots[first + k] for k in numbers})
-    own.guard_rows()
+    multipliers.guard_rows(tree, builder, own.given)
     qdd = []
     for i in (i for i in range(n) if i not in followers):
         qdd.append(sum((column[i] * found[k] for k, column in enumerate(B)), start=a[i]))

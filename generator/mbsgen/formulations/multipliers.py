@@ -15,7 +15,7 @@ from mbsgen.formulations import closure, ports
 from mbsgen.formulations.parsimony.elimination import Column, Entries, Factors, factorise
 from mbsgen.model.tree import Tree
 from mbsgen.tape.builder import Builder, Scalar
-from mbsgen.tape.replay import replay
+from mbsgen.tape.replay import replay, replay_guards
 from mbsgen.tape.types import Op, Tape
 
 # An entry of lam errs by some epsilon times the ratio of A's diagonal to the pivot that remains of it; as in EXP1, an
@@ -68,7 +68,7 @@ def list_owners(tree: Tree) -> tuple[Owner, ...]:
     """List the owners of all equations: entries of h, then driven joints."""
     joints = tree.joints
     driven = (joints.index(tree.bodies[number - 1].joint) + 1 for number in tree.driven)
-    loops = (Owner(len(joints) + 1 + group[0], group) for group in closure.group_equations(tree))
+    loops = (Owner(closure.find_status(tree, group[0]), group) for group in closure.group_equations(tree))
     return (*loops, *(Owner(number, (-number, False)) for number in driven))
 
 
@@ -183,6 +183,13 @@ def write_guards(tree: Tree) -> Tape:
             size, bound = size + x, bound + y
         builder.guard(size, bound, ROW_TOLERANCE, list_owners(tree)[k].status)
     return builder.build("loop_guards")
+
+
+def guard_rows(tree: Tree, builder: Builder, given: Mapping[str, Sequence[Scalar]]) -> None:
+    """Write these guards to a builder, for the inputs of the uncoupled tree."""
+    tape = write_guards(tree)
+    values = replay(tape, builder, {i.name: given[i.name] for i in tape.inputs})
+    replay_guards(tape, builder, values)
 
 
 def order_by_degree(size: int, entries: set[tuple[int, int]]) -> list[int]:

@@ -33,7 +33,7 @@ from mbsgen.tape import forward
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.counts import count
 from mbsgen.tape.ports import Port
-from mbsgen.tape.replay import replay, replay_guards
+from mbsgen.tape.replay import replay
 from mbsgen.tape.types import Input, Sparsity, Tape
 
 
@@ -138,11 +138,8 @@ class Reduced:
         for r, row in enumerate(rows):
             own = {c: x for (k, c), x in entries.items() if k == r}
             row |= own if unknowns.is_absolute else unknowns.gather(own)
-        guards = multipliers.write_guards(self.tree)
-        values = replay(guards, self.builder, {i.name: self.given[i.name] for i in guards.inputs})
-        replay_guards(guards, self.builder, values)
-        statuses = [len(self.tree.joints) + 1 + loop for loop, _ in closure.kept_equations(self.tree)]
-        return Partition(self.builder, rows, statuses, self.dependent)
+        multipliers.guard_rows(self.tree, self.builder, self.given)
+        return Partition(self.builder, rows, closure.list_statuses(self.tree), self.dependent)
 
     def _take_absolute(self) -> Callable[[Builder, Sequence[Scalar]], list[Scalar]]:
         """Return how joint velocities follow from the unknowns, in any builder."""

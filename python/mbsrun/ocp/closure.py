@@ -71,10 +71,9 @@ class Closure:
 
     def find_gap(self, q: Array) -> Gap:
         """Find the loop that is open by the most in one pose (n,)."""
-        owners = [loop.name for loop in self.manifest.loops for name in loop.equations if name not in loop.redundant]
         gaps = np.abs(self.gaps(q[None])[0])
         k = int(gaps.argmax())
-        return Gap(owners[k] if len(owners) == gaps.size else "", float(gaps[k]))
+        return Gap(self.manifest.loops[self.manifest.owners[k]].name, float(gaps[k]))
 
     # --- poses ---
 

@@ -18,7 +18,7 @@ from scipy import integrate as scipy_integrate
 
 from mbsrun.kernel import find_place
 from mbsrun.limits import Allowance, LimitError
-from mbsrun.simulation.closing import GAP, number_loops
+from mbsrun.simulation.closing import GAP
 from mbsrun.simulation.course import Course, place_driven
 from mbsrun.simulation.drive import DriveError, Piece
 from mbsrun.simulation.dynamics import Dynamics, find_mass_matrix
@@ -214,7 +214,7 @@ class _Plant:
 
     def _lay_plant(self) -> Memory:
         dynamics, manifest, p = self.dynamics, self.manifest, self.plant
-        n, e, d = dynamics.size, len(number_loops(manifest)), len(manifest.driven)
+        n, e, d = dynamics.size, len(manifest.owners), len(manifest.driven)
         arrays = {
             "q": np.zeros(dynamics.places),
             "qd": np.zeros(n),
@@ -232,7 +232,7 @@ class _Plant:
         for name, size in sizes.items():
             setattr(p, name, memory.add(_RESULT + name, size + 1))
         p.driven, p.place = memory.integers(manifest.driven), memory.integers(place_driven(manifest))
-        p.loop = memory.integers(number_loops(manifest))
+        p.loop = memory.integers([k + 1 for k in manifest.owners])
         self._lay_dynamics(memory)
         if e:
             self._lay_call(memory, p.closure, "loops", {GAP: "h"})

@@ -38,21 +38,6 @@ class OpenError(MbsError):
         super().__init__(f"loop {loop}: {finding}; {remedy}")
 
 
-def name_loops(manifest: Manifest) -> tuple[str, ...]:
-    """Name the loop of each entry of h."""
-    return tuple(loop.name for loop in manifest.loops for _ in loop.equations)
-
-
-def number_loops(manifest: Manifest) -> list[int]:
-    """Number the loop of each entry of h, from 1."""
-    return [k for k, loop in enumerate(manifest.loops, start=1) for _ in loop.equations]
-
-
-def name_equations(manifest: Manifest) -> tuple[str, ...]:
-    """Name the entries of h, as in `knee.x`."""
-    return tuple(f"{loop.name}.{equation}" for loop in manifest.loops for equation in loop.equations)
-
-
 def find_gaps(kernels: Kernels, q: Array) -> Array:
     """Return h of poses (..., nq)."""
     return kernels("loops", q=q)[GAP]
@@ -60,7 +45,7 @@ def find_gaps(kernels: Kernels, q: Array) -> Array:
 
 def measure_gaps(kernels: Kernels, q: Array, qd: Array) -> tuple[Array, Array]:
     """Return the largest |h| and |J qd| of states (K, ...), shape (K,) each; 0 without loops."""
-    if not name_loops(kernels.manifest):
+    if not kernels.manifest.owners:
         return np.zeros(len(q)), np.zeros(len(q))
     h, hd = find_gaps(kernels, q), kernels("loop_rates", q=q, qd=qd)["hd"]
     return np.abs(h).max(axis=1), np.abs(hd).max(axis=1)
@@ -86,8 +71,8 @@ def close_start(kernels: Kernels, start: Start, course: Course) -> tuple[Array, 
     manifest = kernels.manifest
     q, qd, placed, moving = start.q.copy(), start.qd.copy(), place_driven(manifest), list(manifest.driven)
     q[placed], qd[moving], _ = course.at(0.0)
-    note, names = "", name_loops(manifest)
-    if not names:
+    note = ""
+    if not manifest.owners:
         return q, qd, note
     given = sorted(start.placed | set(placed))
     try:
@@ -148,7 +133,7 @@ def _settle(kernels: Kernels, q: Array, given: Collection[int], limit: float) ->
     worst = int(np.abs(h).argmax())
     if not abs(h[worst]) <= OPEN:
         finding = f"it stays open by {abs(h[worst]):.3g}"
-        raise OpenError(name_loops(manifest)[worst], finding, "give other coordinates, or fewer of them")
+        raise OpenError(_name_loop(manifest, worst), finding, "give other coordinates, or fewer of them")
     return q
 
 
@@ -175,13 +160,13 @@ def complete_velocities(kernels: Kernels, q: Array, qd: Array, given: Collection
     worst = int(np.abs(left).argmax())
     if not abs(left[worst]) <= OPEN * (1 + np.abs(found).max()):
         finding = f"the given velocities open it at a rate of {abs(left[worst]):.3g}"
-        raise OpenError(name_loops(manifest)[worst], finding, "give independent joints only")
+        raise OpenError(_name_loop(manifest, worst), finding, "give independent joints only")
     return found
 
 
 def check_closed(kernels: Kernels, q: Array, qd: Array) -> None:
     """Check that a state is on the loops' equations. Raises OpenError with the largest gap."""
-    if not name_loops(kernels.manifest):
+    if not kernels.manifest.owners:
         return
     rates = kernels("loop_rates", q=q, qd=qd)["hd"]
     for gaps, unit in ((find_gaps(kernels, q), "is open by"), (rates, "opens at")):
@@ -190,4 +175,9 @@ def check_closed(kernels: Kernels, q: Array, qd: Array) -> None:
         if not left[worst] <= OPEN * (1 + np.abs(qd).max(initial=0.0)):
             finding = f"it {unit} {left[worst]:.3g} at the start"
             remedy = "close it with close_pose and complete_velocities of mbsrun.simulation"
-            raise OpenError(name_loops(kernels.manifest)[worst], finding, remedy)
+            raise OpenError(_name_loop(kernels.manifest, worst), finding, remedy)
+
+
+def _name_loop(manifest: Manifest, entry: int) -> str:
+    """Name the loop of an entry of h."""
+    return manifest.loops[manifest.owners[entry]].name

@@ -125,6 +125,6 @@ def tabulate(forces: Forces, kernels: Kernels) -> tuple[list[str], Array]:
         "tau": [names[i] for i in manifest.driven],
     }
     header = ["t", *(f"{kind}[{x}]" for kind, entries in labels.items() for x in entries)]
-    header += [f"lam[{loop.name}.{x}]" for loop in manifest.loops for x in loop.equations] + ["unbalanced"]
+    header += [f"lam[{x}]" for x in manifest.equations] + ["unbalanced"]
     columns = [forces.t[:, None], forces.q, forces.qd, forces.qdd, forces.u, forces.tau, forces.multipliers]
     return header, np.concatenate((*columns, forces.unbalanced[:, None]), axis=1)

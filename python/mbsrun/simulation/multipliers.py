@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from mbsgen.roles import Order, name_derivative, name_kernel
 from mbsrun.ocp import schemes
-from mbsrun.simulation.closing import GAP, name_loops
+from mbsrun.simulation.closing import GAP
 from mbsrun.simulation.course import place_driven
 from mbsrun.simulation.drive import Piece, differentiate
 from mbsrun.simulation.dynamics import Dynamics
@@ -64,7 +64,7 @@ class _Loops:
     @cached_property
     def size(self) -> int:
         """Count the equations of loops."""
-        return len(name_loops(self.dynamics.kernels.manifest))
+        return len(self.dynamics.kernels.manifest.owners)
 
     @cached_property
     def driven(self) -> list[int]:

@@ -24,7 +24,6 @@ from mbsrun.animation import write_animation
 from mbsrun.external import Mechanism
 from mbsrun.kernel import Kernels
 from mbsrun.quaternions import find_rates
-from mbsrun.simulation.closing import name_equations
 from mbsrun.simulation.drive import input_labels
 from mbsrun.simulation.methods import METHODS
 from mbsrun.simulation.motion import Closure, Keeping, Motion, Settings
@@ -111,7 +110,7 @@ def _tabulate(motion: Motion, manifest: Manifest) -> str:
         columns += [x[:, None] for x in (motion.energy.kinetic, motion.energy.potential, motion.energy.work)]
     if motion.closure is not None:
         closure = motion.closure
-        header += ["open", "opening", *(f"lam[{x}]" for x in name_equations(manifest))]
+        header += ["open", "opening", *(f"lam[{x}]" for x in manifest.equations)]
         header += [f"tau[{names[i]}]" for i in manifest.driven]
         columns += [closure.position[:, None], closure.velocity[:, None], closure.multipliers, closure.driving]
     text = io.StringIO()
