@@ -23,9 +23,22 @@ typedef float mbs_stages_real;
 typedef double mbs_stages_real;
 #endif
 
+/* The nonzeros of a matrix with columns for x and v: column j has those from column[j] up to column[j + 1], and row
+ * holds the row of each, increasing in a column. */
+typedef struct {
+    const int *column, *row;
+} mbs_stages_pattern;
+
+/* The patterns of a stage; h is the lower triangle of the Hessian. */
+typedef struct {
+    mbs_stages_pattern de, dd, dg, h;
+} mbs_stages_patterns;
+
 /* Numbers of a stage: states, stage variables, rows of e, rows of g. */
 typedef struct {
     int nx, nv, ne, ng;
+    int inner; /* as many of the first v are given by the first rows of e: unknowns within an interval; 0: none */
+    const mbs_stages_patterns *patterns; /* NULL: matrices are dense */
 } mbs_stages_size;
 
 /* What an iteration begins with. */

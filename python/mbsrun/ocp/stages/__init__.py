@@ -1,0 +1,1 @@
+"""A program in stages: what the solver in C takes; tables of a transcription, and their functions in C."""
