@@ -1,8 +1,6 @@
 /* Small dense blocks: see blocks.h. Sums run down columns, so that compilers make vectors of them. */
 #include "blocks.h"
 
-#include <math.h>
-
 static void add_columns(int from, int m, const real *restrict A, int lda, real b0, real b1, real b2, real b3,
                         real *restrict c)
 {
@@ -86,12 +84,12 @@ int mbs_stages_cholesky(int m, int n, real *A, int lda, real zero)
 {
     int i, j, l;
     for (j = 0; j < n; ++j) {
-        real *a = A + (size_t)j * (size_t)lda, pivot = fabs(a[j]);
+        real *a = A + (size_t)j * (size_t)lda, pivot = real_abs(a[j]);
         for (l = 0; l < j; ++l)
             add_column(j, m, A + (size_t)l * (size_t)lda, -A[(size_t)l * (size_t)lda + (size_t)j], a);
         if (!(a[j] > zero * pivot))
             return j;
-        pivot = 1 / (real)sqrt(a[j]);
+        pivot = 1 / real_sqrt(a[j]);
         for (i = j; i < m; ++i)
             a[i] *= pivot;
     }

@@ -4,7 +4,23 @@
 
 #include "mbs_stages.h"
 
+#include <math.h>
+
+/* Numbers and functions of one precision alone: a processor may compute double ones by software. */
 typedef mbs_stages_real real;
+#ifdef MBS_STAGES_FLOAT
+#define real_abs fabsf
+#define real_sqrt sqrtf
+#define real_pow powf
+#define real_log logf
+#define real_log10 log10f
+#else
+#define real_abs fabs
+#define real_sqrt sqrt
+#define real_pow pow
+#define real_log log
+#define real_log10 log10
+#endif
 
 /* C += factor A B: A is m by k, B is k by n; `lower`: only the lower triangle of C. */
 void mbs_stages_multiply(int m, int n, int k, real factor, const real *A, int lda, const real *B, int ldb, real *C,

@@ -4,14 +4,13 @@
  * y = y' row_scale / cost_scale. Rows of d are scaled as the states that they give. */
 #include "solver.h"
 
-#include <math.h>
 #include <string.h>
 
 static int is_finite(int n, const real *x)
 {
     int i, finite = 1;
     for (i = 0; i < n; ++i)
-        finite &= fabs(x[i]) <= MBS_STAGES_LARGEST;
+        finite &= real_abs(x[i]) <= MBS_STAGES_LARGEST;
     return finite;
 }
 

@@ -1,12 +1,10 @@
 /* The filter of Fletcher and Leyffer, 2002, as Waechter and Biegler, 2006, use it. */
 #include "solver.h"
 
-#include <math.h>
-
 /* a <= b, up to the rounding of `base`. */
 int mbs_stages_below(real a, real b, real base)
 {
-    return a - b <= 10 * MBS_STAGES_EPSILON * (real)fabs(base);
+    return a - b <= 10 * MBS_STAGES_EPSILON * real_abs(base);
 }
 
 void mbs_stages_filter_clear(mbs_stages_filter *f)

@@ -1,8 +1,6 @@
 /* Termination: what the errors, the clock and the iterate say. */
 #include "solver.h"
 
-#include <math.h>
-
 #define UNBOUNDED ((real)1e20)
 #define CERTAIN ((real)1e-2) /* barrier parameters that a least violation is believed at */
 #define CLEAR ((real)1000)   /* how much larger than the barrier parameter it must be */

@@ -1,7 +1,6 @@
 /* The iterations of a barrier problem: errors, barrier parameter, Newton's step, line search. */
 #include "solver.h"
 
-#include <math.h>
 #include <string.h>
 
 #define KAPPA_EPSILON ((real)10)  /* errors that a barrier parameter is lowered at, beside itself */
@@ -28,7 +27,7 @@ static int lower_barrier(mbs_stages *s, mbs_stages_phase *p)
     const real least = s->options.tolerance / (KAPPA_EPSILON + 1);
     int force = p->tiny && p->tiny_before;
     while (force || mbs_stages_measure_errors(s, p, p->mu).scaled <= KAPPA_EPSILON * p->mu) {
-        const real a = KAPPA_MU * p->mu, b = (real)pow(p->mu, THETA_MU), lower = a < b ? a : b;
+        const real a = KAPPA_MU * p->mu, b = real_pow(p->mu, THETA_MU), lower = a < b ? a : b;
         if (p->mu <= least)
             return force ? -1 : 0;
         p->mu = lower > least ? lower : least;
@@ -44,7 +43,7 @@ static int lower_barrier(mbs_stages *s, mbs_stages_phase *p)
 /* Keep z near mu / distance, and the distance from 0. */
 static void mend_bound(real *x, real *bound, real *z, real mu, real sign)
 {
-    const real least = (real)pow(MBS_STAGES_EPSILON, 0.75) * (fabs(*bound) > 1 ? (real)fabs(*bound) : 1);
+    const real least = real_pow(MBS_STAGES_EPSILON, (real)0.75) * (real_abs(*bound) > 1 ? real_abs(*bound) : 1);
     real distance = sign * (*x - *bound);
     if (!(distance > MBS_STAGES_EPSILON * mu)) {
         *bound -= sign * least;
@@ -62,9 +61,9 @@ static void mend_bounds(mbs_stages *s, mbs_stages_phase *p)
     for (i = 0; i < p->size; ++i) {
         if (mbs_stages_is_fixed(s, i))
             continue;
-        if (fabs(p->lower[i]) < MBS_STAGES_INFINITE)
+        if (real_abs(p->lower[i]) < MBS_STAGES_INFINITE)
             mend_bound(&p->x[i], &p->lower[i], &p->zl[i], p->mu, 1);
-        if (fabs(p->upper[i]) < MBS_STAGES_INFINITE)
+        if (real_abs(p->upper[i]) < MBS_STAGES_INFINITE)
             mend_bound(&p->x[i], &p->upper[i], &p->zu[i], p->mu, -1);
     }
 }
@@ -84,7 +83,7 @@ static int find_step(mbs_stages *s, mbs_stages_phase *p)
     mbs_stages_stationarity(s, p, 1, p->slope);
     mbs_stages_newton_solve(s, p, p->c, &p->step);
     for (i = 0; i < p->size; ++i)
-        if (!(fabs(p->step.x[i]) <= MBS_STAGES_LARGEST))
+        if (!(real_abs(p->step.x[i]) <= MBS_STAGES_LARGEST))
             return -1;
     return contradict(s, p) ? -1 : 0;
 }

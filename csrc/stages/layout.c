@@ -1,7 +1,6 @@
 /* The workspace: one pass counts its bytes, the same pass hands them out. */
 #include "solver.h"
 
-#include <math.h>
 #include <string.h>
 
 #define ALIGNMENT 16
@@ -173,7 +172,7 @@ static void lay_solver(arena *a, mbs_stages *s)
     for (i = 0; i < sizeof of_rows / sizeof *of_rows; ++i)
         *of_rows[i] = numbers(a, m, 1);
     s->least.elastic = 1;
-    s->recursion.zero_pivot = (real)pow(MBS_STAGES_EPSILON, 0.65); /* double: 7e-11 */
+    s->recursion.zero_pivot = real_pow(MBS_STAGES_EPSILON, (real)0.65); /* double: 7e-11 */
     s->recursion.zero_curvature = 10 * MBS_STAGES_EPSILON;
     s->recursion.fixed = s->fixed;
     s->recursion.stages = s->problem->stages;

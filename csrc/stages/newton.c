@@ -5,7 +5,6 @@
  * identity is added to the curvature of all variables (Waechter, Biegler, 2006, algorithm IC). */
 #include "solver.h"
 
-#include <math.h>
 #include <string.h>
 
 #define FIRST ((real)1e-4)  /* multiple of the identity that is tried first */
@@ -16,7 +15,7 @@
 
 static int has(real bound)
 {
-    return fabs(bound) < MBS_STAGES_INFINITE;
+    return real_abs(bound) < MBS_STAGES_INFINITE;
 }
 
 static void find_sigma(const mbs_stages *s, mbs_stages_phase *p)
@@ -168,7 +167,7 @@ static real norm(const mbs_stages *s, const real *w, const real *c)
     int i;
     for (i = 0; i < s->rows; ++i) {
         const real give = s->recursion.compliance[i];
-        const real a = (real)fabs(c[i]) / (give > 1 ? give : 1);
+        const real a = real_abs(c[i]) / (give > 1 ? give : 1);
         most = a > most ? a : most;
     }
     return most;
@@ -184,7 +183,7 @@ static void add(int n, const real *a, real *b)
 /* Solve the reduced system, and refine while that helps. */
 static void solve_reduced(mbs_stages *s)
 {
-    const real enough = (real)pow(MBS_STAGES_EPSILON, 0.8), right = norm(s, s->rw, s->rc);
+    const real enough = real_pow(MBS_STAGES_EPSILON, (real)0.8), right = norm(s, s->rw, s->rc);
     real last = MBS_STAGES_LARGEST;
     int i;
     memset(s->best_w, 0, (size_t)s->variables * sizeof *s->best_w);

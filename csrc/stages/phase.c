@@ -4,7 +4,6 @@
  * (Waechter, Biegler: On the implementation of an interior-point filter line-search algorithm, 2006, section 3.7). */
 #include "solver.h"
 
-#include <math.h>
 #include <string.h>
 
 #define KAPPA ((real)1e-5)
@@ -13,7 +12,7 @@
 
 static int has(real bound)
 {
-    return fabs(bound) < MBS_STAGES_INFINITE;
+    return real_abs(bound) < MBS_STAGES_INFINITE;
 }
 
 int mbs_stages_is_fixed(const mbs_stages *s, int i)
@@ -26,7 +25,7 @@ real mbs_stages_sum(int n, const real *c)
     real sum = 0;
     int i;
     for (i = 0; i < n; ++i)
-        sum += (real)fabs(c[i]);
+        sum += real_abs(c[i]);
     return sum;
 }
 
@@ -35,7 +34,7 @@ real mbs_stages_largest(int n, const real *c)
     real most = 0;
     int i;
     for (i = 0; i < n; ++i)
-        most = fabs(c[i]) > most ? (real)fabs(c[i]) : most;
+        most = real_abs(c[i]) > most ? real_abs(c[i]) : most;
     return most;
 }
 
@@ -95,7 +94,7 @@ void mbs_stages_reweigh(mbs_stages *s, mbs_stages_phase *p)
 {
     if (!p->elastic)
         return;
-    s->weight_factor = (real)sqrt(p->mu);
+    s->weight_factor = real_sqrt(p->mu);
     p->cost = elastic_cost(s, p->x);
     elastic_gradient(s, p);
     mbs_stages_find_lagrangian(s, p);
@@ -123,9 +122,9 @@ real mbs_stages_barrier(const mbs_stages *s, const mbs_stages_phase *p, const re
         if (mbs_stages_is_fixed(s, i))
             continue;
         if (below)
-            logarithms += (real)log(x[i] - p->lower[i]);
+            logarithms += real_log(x[i] - p->lower[i]);
         if (above)
-            logarithms += (real)log(p->upper[i] - x[i]);
+            logarithms += real_log(p->upper[i] - x[i]);
         if (below && !above)
             distances += x[i] - p->lower[i];
         if (above && !below)
@@ -200,9 +199,9 @@ static real complementarity(const mbs_stages *s, const mbs_stages_phase *p, real
         if (mbs_stages_is_fixed(s, i))
             continue;
         if (has(p->lower[i]))
-            a = (real)fabs((p->x[i] - p->lower[i]) * p->zl[i] - mu), ++*count;
+            a = real_abs((p->x[i] - p->lower[i]) * p->zl[i] - mu), ++*count;
         if (has(p->upper[i]))
-            b = (real)fabs((p->upper[i] - p->x[i]) * p->zu[i] - mu), ++*count;
+            b = real_abs((p->upper[i] - p->x[i]) * p->zu[i] - mu), ++*count;
         *sum += p->zl[i] + p->zu[i];
         most = a > most ? a : most;
         most = b > most ? b : most;
@@ -247,7 +246,7 @@ mbs_stages_errors mbs_stages_measure_errors(mbs_stages *s, mbs_stages_phase *p, 
     slack = e.complementarity / size_of(sum, count);
     e.violation = 0;
     for (i = 0; i < s->rows; ++i) {
-        const real c = (real)fabs(p->c[i]) / s->row_scale[i];
+        const real c = real_abs(p->c[i]) / s->row_scale[i];
         e.violation = c > e.violation ? c : e.violation;
     }
     e.scaled = dual > e.scaled ? dual : e.scaled;
@@ -289,7 +288,7 @@ real mbs_stages_dual_boundary(const mbs_stages *s, const mbs_stages_phase *p, co
 /* Move a number inside its bounds, by `push` of their distance or magnitude. */
 void mbs_stages_push_inside(real *x, real lower, real upper, real push)
 {
-    real a = push * (fabs(lower) > 1 ? (real)fabs(lower) : 1), b = push * (fabs(upper) > 1 ? (real)fabs(upper) : 1);
+    real a = push * (real_abs(lower) > 1 ? real_abs(lower) : 1), b = push * (real_abs(upper) > 1 ? real_abs(upper) : 1);
     const int below = has(lower), above = has(upper);
     if (below && above) {
         const real c = push * (upper - lower);

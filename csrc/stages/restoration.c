@@ -7,7 +7,6 @@
  * iterate that the filter of the caller's problem accepts, or at a least violation. */
 #include "solver.h"
 
-#include <math.h>
 #include <string.h>
 
 #define PENALTY ((real)1000)
@@ -23,7 +22,7 @@ static void copy_main(real *to, const real *from, int n)
 static void split_residual(real c, real mu, real *plus, real *minus)
 {
     const real a = (mu - PENALTY * c) / (2 * PENALTY), b = mu * c / (2 * PENALTY);
-    const real root = (real)sqrt(a * a + b > 0 ? a * a + b : 0);
+    const real root = real_sqrt(a * a + b > 0 ? a * a + b : 0);
     *minus = a >= 0 || !(root - a > 0) ? a + root : b / (root - a);
     *plus = c + *minus;
     if (!(*minus > 0))
@@ -59,14 +58,14 @@ static int start(mbs_stages *s)
     copy_main(q->upper, p->upper, n);
     copy_main(s->reference, p->x, s->variables);
     for (i = 0; i < s->variables; ++i)
-        s->weight[i] = fabs(p->x[i]) > 1 ? 1 / (real)fabs(p->x[i]) : 1;
+        s->weight[i] = real_abs(p->x[i]) > 1 ? 1 / real_abs(p->x[i]) : 1;
     for (i = 0; i < n; ++i) {
         q->zl[i] = p->zl[i] < PENALTY ? p->zl[i] : PENALTY;
         q->zu[i] = p->zu[i] < PENALTY ? p->zu[i] : PENALTY;
     }
     start_elastics(s, q);
     memset(q->y, 0, (size_t)s->rows * sizeof *q->y);
-    s->weight_factor = (real)sqrt(q->mu);
+    s->weight_factor = real_sqrt(q->mu);
     if (mbs_stages_phase_values(s, q, q->x, &q->cost, q->c))
         return -1;
     mbs_stages_begin(s, q);
@@ -85,7 +84,7 @@ real mbs_stages_worst_violation(const mbs_stages *s)
     real worst = 0;
     int i;
     for (i = 0; i < s->rows; ++i)
-        worst = fabs(violation(s, i)) > worst ? (real)fabs(violation(s, i)) : worst;
+        worst = real_abs(violation(s, i)) > worst ? real_abs(violation(s, i)) : worst;
     return worst;
 }
 
@@ -96,7 +95,7 @@ int mbs_stages_restored(mbs_stages *s)
     real theta = 0, cost;
     int i;
     for (i = 0; i < s->rows; ++i)
-        theta += (real)fabs(violation(s, i));
+        theta += real_abs(violation(s, i));
     if (!(theta <= REDUCTION * p->theta) || mbs_stages_phase_values(s, p, q->x, &cost, s->main.trial_c))
         return 0;
     return mbs_stages_filter_accepts(&p->filter, theta, mbs_stages_barrier(s, p, q->x, cost));
@@ -107,8 +106,8 @@ static void reset_bounds(mbs_stages *s, mbs_stages_phase *p)
     int i;
     for (i = 0; i < p->size; ++i) {
         const int fixed = mbs_stages_is_fixed(s, i);
-        p->zl[i] = !fixed && fabs(p->lower[i]) < MBS_STAGES_INFINITE ? 1 : 0;
-        p->zu[i] = !fixed && fabs(p->upper[i]) < MBS_STAGES_INFINITE ? 1 : 0;
+        p->zl[i] = !fixed && real_abs(p->lower[i]) < MBS_STAGES_INFINITE ? 1 : 0;
+        p->zu[i] = !fixed && real_abs(p->upper[i]) < MBS_STAGES_INFINITE ? 1 : 0;
     }
 }
 
@@ -153,7 +152,7 @@ static mbs_stages_clash describe(const mbs_stages *s, int k, int row)
     clash.stage = k;
     clash.kind = row < t->d ? MBS_STAGES_EQUALITY : row < t->g ? MBS_STAGES_DYNAMICS : MBS_STAGES_INEQUALITY;
     clash.row = row - (row < t->d ? t->e : row < t->g ? t->d : t->g);
-    clash.violation = (real)fabs(s->main.c[row]) / s->row_scale[row];
+    clash.violation = real_abs(s->main.c[row]) / s->row_scale[row];
     return clash;
 }
 
@@ -178,7 +177,7 @@ static void find_clashes(mbs_stages *s)
     for (k = 0; k < s->problem->stages; ++k) {
         const mbs_stages_stage *t = &s->recursion.stage[k];
         for (i = t->e; i < t->g + t->ng; ++i)
-            if (fabs(s->main.c[i]) > least)
+            if (real_abs(s->main.c[i]) > least)
                 insert(&s->result, describe(s, k, i));
     }
 }

@@ -5,7 +5,6 @@
  * the violation, second-order corrections are tried. */
 #include "solver.h"
 
-#include <math.h>
 #include <string.h>
 
 #define GAMMA_THETA ((real)1e-5)
@@ -30,7 +29,7 @@ static real shortest(const mbs_stages_phase *p, const search *t)
     real alpha = GAMMA_THETA;
     if (t->descent < 0) {
         const real b = GAMMA_PHI * p->theta / -t->descent;
-        const real c = DELTA * (real)(pow(p->theta, S_THETA) / pow(-t->descent, S_PHI));
+        const real c = DELTA * (real_pow(p->theta, S_THETA) / real_pow(-t->descent, S_PHI));
         alpha = b < alpha ? b : alpha;
         if (p->theta <= p->theta_least && c < alpha)
             alpha = c;
@@ -49,12 +48,12 @@ static int try_step(mbs_stages *s, mbs_stages_phase *p, const real *dx, real alp
         return -1;
     t->theta = mbs_stages_sum(s->rows, p->trial_c);
     t->phi = mbs_stages_barrier(s, p, p->trial, p->trial_cost);
-    return fabs(t->phi) <= MBS_STAGES_LARGEST && t->theta <= MBS_STAGES_LARGEST ? 0 : -1;
+    return real_abs(t->phi) <= MBS_STAGES_LARGEST && t->theta <= MBS_STAGES_LARGEST ? 0 : -1;
 }
 
 static int is_descent(const mbs_stages_phase *p, const search *t, real alpha)
 {
-    return t->descent < 0 && alpha * (real)pow(-t->descent, S_PHI) > DELTA * (real)pow(p->theta, S_THETA);
+    return t->descent < 0 && alpha * real_pow(-t->descent, S_PHI) > DELTA * real_pow(p->theta, S_THETA);
 }
 
 static int holds_armijo(const mbs_stages_phase *p, const search *t, real alpha)
@@ -64,8 +63,8 @@ static int holds_armijo(const mbs_stages_phase *p, const search *t, real alpha)
 
 static int rises_too_much(const mbs_stages_phase *p, const search *t)
 {
-    const real size = fabs(p->phi) > 10 ? (real)log10(fabs(p->phi)) : 1;
-    return t->phi > p->phi && log10(t->phi - p->phi) > RISE + size;
+    const real size = real_abs(p->phi) > 10 ? real_log10(real_abs(p->phi)) : 1;
+    return t->phi > p->phi && real_log10(t->phi - p->phi) > RISE + size;
 }
 
 static int is_progress(const mbs_stages_phase *p, const search *t)
@@ -149,9 +148,9 @@ static int is_tiny(const mbs_stages *s, const mbs_stages_phase *p)
 {
     int i;
     for (i = 0; i < p->size; ++i)
-        if (fabs(p->step.x[i]) > 10 * MBS_STAGES_EPSILON * (1 + fabs(p->x[i])))
+        if (real_abs(p->step.x[i]) > 10 * MBS_STAGES_EPSILON * (1 + real_abs(p->x[i])))
             return 0;
-    return mbs_stages_largest(s->rows, p->c) <= 1e-4;
+    return mbs_stages_largest(s->rows, p->c) <= (real)1e-4;
 }
 
 /* A filter that alone refuses first trials again and again was made far from here: start it anew. */

@@ -5,7 +5,6 @@
  * P_ji P_ik / (P_ii + W). Products in row i lose no digits, however far apart P and W are. */
 #include "soft.h"
 
-#include <math.h>
 #include <string.h>
 
 /* Row and column i: all of the price for a fixed state, else the share of it. */
@@ -42,7 +41,7 @@ int mbs_stages_soften(mbs_stages_soft *s, const real *P, const real *give, const
         const real price = 1 / give[i], own = s->P[(size_t)i * n + (size_t)i];
         memcpy(s->rows + (size_t)i * n, s->P + (size_t)i * n, n * sizeof *P);
         s->sum[i] = own + price;
-        if (!s->fixed[i] && !(s->sum[i] > zero_curvature * (price + (real)fabs(own))))
+        if (!s->fixed[i] && !(s->sum[i] > zero_curvature * (price + real_abs(own))))
             return -1;
         if (!s->fixed[i])
             lower_others(s, i);

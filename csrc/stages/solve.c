@@ -1,7 +1,6 @@
 /* A solve: from the caller's numbers to scaled ones, the barrier problem, and back. */
 #include "solver.h"
 
-#include <math.h>
 #include <string.h>
 
 #define STEEPEST ((real)100) /* gradients that are not scaled down */
@@ -12,7 +11,7 @@ static const real NONE = 2 * MBS_STAGES_INFINITE;
 mbs_stages_options mbs_stages_default_options(void)
 {
     mbs_stages_options o;
-    const int few = MBS_STAGES_EPSILON > 1e-10; /* digits */
+    const int few = MBS_STAGES_EPSILON > (real)1e-10; /* digits */
     memset(&o, 0, sizeof o);
     o.tolerance = few ? (real)1e-4 : (real)1e-8;
     o.violation_tolerance = few ? (real)1e-3 : (real)1e-4;
@@ -27,7 +26,7 @@ mbs_stages_options mbs_stages_default_options(void)
 static real bound(const real *bounds, int i, real none, real factor)
 {
     const real b = bounds ? bounds[i] : none;
-    return fabs(b) < MBS_STAGES_INFINITE ? b * factor : b;
+    return real_abs(b) < MBS_STAGES_INFINITE ? b * factor : b;
 }
 
 /* The usual size of a variable: the caller's, or by the option the larger of two bounds. */
@@ -39,8 +38,8 @@ static real variable_scale(const mbs_stages *s, int i)
         return p->scale[i];
     if (!s->options.scale_by_bounds || !p->lower || !p->upper || p->lower[i] == p->upper[i])
         return 1;
-    a = (real)fabs(p->lower[i]);
-    b = (real)fabs(p->upper[i]);
+    a = real_abs(p->lower[i]);
+    b = real_abs(p->upper[i]);
     a = a > b ? a : b;
     return a < MBS_STAGES_INFINITE && a > 0 ? a : 1;
 }
@@ -131,7 +130,7 @@ static void scale_rows(mbs_stages *s, int at, int m, int n, const real *A)
     for (i = 0; i < m; ++i) {
         real most = 0;
         for (j = 0; j < n; ++j) {
-            const real a = (real)fabs(A[(size_t)j * (size_t)m + (size_t)i]);
+            const real a = real_abs(A[(size_t)j * (size_t)m + (size_t)i]);
             most = a > most ? a : most;
         }
         s->row_scale[at + i] = gentle(most);
@@ -188,7 +187,7 @@ static void start_bounds(const mbs_stages *s, mbs_stages_phase *p)
 /* A distance from a bound, and its multiplier, on the central path: distance z = mu. The larger one stays. */
 static void centre(real *distance, real *z, real most, real mu)
 {
-    const real root = (real)sqrt(mu), strong = *z > root ? *z : root;
+    const real root = real_sqrt(mu), strong = *z > root ? *z : root;
     if (!(*distance > mu / strong))
         *distance = mu / strong;
     if (*distance > most)
@@ -335,7 +334,7 @@ static void write_result(mbs_stages *s)
     s->result.complementarity = e.complementarity / s->cost_scale;
     s->result.barrier = p->mu;
     for (i = 0; i < s->variables; ++i) {
-        const real a = (real)fabs(p->slope[i]) / (s->variable_scale[i] * s->cost_scale);
+        const real a = real_abs(p->slope[i]) / (s->variable_scale[i] * s->cost_scale);
         s->result.stationarity = a > s->result.stationarity ? a : s->result.stationarity;
     }
 }

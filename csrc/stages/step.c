@@ -10,7 +10,6 @@
  * generalization of the Riccati recursion for equality-constrained linear quadratic optimal control, 2023). */
 #include "step.h"
 
-#include <math.h>
 #include <string.h>
 
 #define CLEAR ((real)0.25) /* share of a pivot in its row that needs no better one */
@@ -23,7 +22,7 @@ static void weigh_rows(const mbs_stages_step *p, real *weight)
     for (j = 0; j < p->n; ++j) {
         const real *a = p->lu + (size_t)j * (size_t)p->capacity;
         for (i = 0; i < p->rows; ++i)
-            weight[i] = fabs(a[i]) > weight[i] ? (real)fabs(a[i]) : weight[i];
+            weight[i] = real_abs(a[i]) > weight[i] ? real_abs(a[i]) : weight[i];
     }
     for (i = 0; i < p->rows; ++i)
         weight[i] = weight[i] > 0 ? 1 / weight[i] : 0;
@@ -55,8 +54,8 @@ static int find_pivot(const mbs_stages_step *p, const real *weight, const char *
         if (used[j])
             continue;
         for (i = done; i < p->rows; ++i)
-            if (fabs(a[i]) * weight[i] > most) {
-                most = (real)fabs(a[i]) * weight[i];
+            if (real_abs(a[i]) * weight[i] > most) {
+                most = real_abs(a[i]) * weight[i];
                 *row = i;
                 *column = j;
                 found = 1;
@@ -100,7 +99,7 @@ static int eliminate_clear(mbs_stages_step *p, real *weight, char *used, int fro
         real most = 0;
         int row = done;
         for (i = done; i < p->rows; ++i) {
-            const real share = (real)fabs(a[i]) * weight[i];
+            const real share = real_abs(a[i]) * weight[i];
             row = share > most ? i : row;
             most = share > most ? share : most;
         }
@@ -267,7 +266,7 @@ static void eliminate_constants(mbs_stages_step *p, real *constant, real *m)
     }
     p->left = 0;
     for (i = done; i < p->rows; ++i)
-        p->left = fabs(m[i]) > p->left ? (real)fabs(m[i]) : p->left;
+        p->left = real_abs(m[i]) > p->left ? real_abs(m[i]) : p->left;
 }
 
 void mbs_stages_step_back(mbs_stages_step *p, const real *linear, real *constant, real *vector)
