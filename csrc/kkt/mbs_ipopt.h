@@ -3,7 +3,11 @@
  * IPOPT loads linear solvers from a library of the user's choice (option `hsllib`), by the names of solvers that it
  * knows. These functions have the names of `ma97`, whose interface passes the state of an analysis and a factorisation.
  * mbs_plan.h and mbs_ldl.h do the work, and contain nothing of HSL. They share no state, so threads may call them at
- * once. Layout of the structures: version 2.8 of that interface. */
+ * once.
+ *
+ * The structures have the layout of version 2.8 of that interface, which IPOPT 3.14.11 to 3.14.19 use. A caller must
+ * check IPOPT's version before it loads these functions: of a structure with another layout they would read and write
+ * the wrong numbers. */
 #ifndef MBS_IPOPT_H
 #define MBS_IPOPT_H
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from mbsrun.ocp import schemes, solution
 from mbsrun.ocp.guess import Pose, adapt, balance, find_pose, interpolate, rest
-from mbsrun.ocp.linear import MUMPS, OWN
+from mbsrun.ocp.linear import MUMPS, OWN, choose
 from mbsrun.ocp.methods.ipopt import LINEAR_SOLVER
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
@@ -48,7 +48,7 @@ def choose_options(problem: Problem, trial: Trial) -> Problem:
     if solver.method != "ipopt":
         return problem
     is_free = trial.protocol in ("robust", MULTISTART) and not any(name.startswith(MUMPS) for name, _ in solver.options)
-    told: dict[str, float | int | str] = {LINEAR_SOLVER: OWN if is_free else MUMPS}
+    told: dict[str, float | int | str] = {LINEAR_SOLVER: choose(OWN if is_free else MUMPS)}
     if isinstance(trial.start, Found) and trial.start.is_held:
         told |= HOLD
     return replace(problem, solver=replace(solver, options=tuple((told | dict(solver.options)).items())))
