@@ -40,7 +40,9 @@ STATUS = (
     "bad problem",
 )
 CDEF = """
-typedef struct { int nx, nv, ne, ng; } mbs_stages_size;
+typedef struct { const int *column, *row; } mbs_stages_pattern;
+typedef struct { mbs_stages_pattern de, dd, dg, h; } mbs_stages_patterns;
+typedef struct { int nx, nv, ne, ng, inner; const mbs_stages_patterns *patterns; } mbs_stages_size;
 typedef struct {
     int iteration, restoring;
     REAL cost, violation, stationarity, barrier, step, curvature;

@@ -487,14 +487,14 @@ static int hessian(void *context, int k, const real *x, const real *v, real fact
 }
 int main(void)
 {
-    mbs_stages_size size[N + 1] = {{0, 0, 0, 0}};
+    mbs_stages_size size[N + 1];
     real lower[3 * N + 2], upper[3 * N + 2], least[N], most[N];
     facts about = {0, 0, 0};
     mbs_stages_problem problem = {0};
     mbs_stages_result result;
     int k, run;
     for (k = 0; k <= N; ++k) {
-        const mbs_stages_size inner = {2, 1, 0, 1}, last = {2, 0, 2, 0};
+        const mbs_stages_size inner = {2, 1, 0, 1, 0, NULL}, last = {2, 0, 2, 0, 0, NULL};
         size[k] = k < N ? inner : last;
     }
     problem.stages = N + 1;

@@ -52,7 +52,7 @@ static int hessian(void *context, int k, const double *x, const double *v, doubl
 /* Sizes and bounds: the first state is fixed at rest below, torques are limited. */
 static void describe(mbs_stages_size *size, double *lower, double *upper)
 {
-    const mbs_stages_size interval = {2, 1, 0, 0}, last = {2, 0, 2, 0};
+    const mbs_stages_size interval = {2, 1, 0, 0, 0, NULL}, last = {2, 0, 2, 0, 0, NULL};
     int k, i;
     for (k = 0; k <= INTERVALS; ++k)
         size[k] = k < INTERVALS ? interval : last;
