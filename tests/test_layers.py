@@ -81,8 +81,7 @@ MBSRUN = Package(
         "external",
         "ocp.factors ocp.linear ocp.schemes ocp.plant ocp.functions ocp.status ocp.trajectory",
         "skeleton",
-        "ocp.program ocp.formulas ocp.integrators ocp.representations ocp.closure quaternions quantities animation "
-        "jets",
+        "ocp.program ocp.formulas ocp.integrators ocp.representations closure quaternions quantities animation jets",
         "simulation ocp.problem ocp.elimination ocp.layout",
         "ocp.conditions ocp.quantities",
         "ocp.backends ocp.structure",

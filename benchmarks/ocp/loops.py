@@ -31,9 +31,9 @@ from benchmarks.ocp.peer import Effort, Settings, Shelf, compile_solver, list_op
 from benchmarks.study import DisagreementError
 from mbsgen.model.tree import Tree
 from mbsgen.pipeline import read_tree
+from mbsrun.closure import Closure
 from mbsrun.external import load_on_demand
 from mbsrun.ocp import schemes
-from mbsrun.ocp.closure import Closure
 from mbsrun.ocp.guess import make_guess
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Loops, Problem

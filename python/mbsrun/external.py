@@ -16,7 +16,7 @@ from mbsrun.models import WHOLE, Extent, find_folder, is_model
 
 INTEGER = "casadi_int"  # the integers of functions that CasADi can call
 START = Extent(("impl", "frames"), 1)
-LOOPS = ("loops", "loop_rates", "loop_accelerations", "loop_forces")  # short, and a program that needs one needs others
+LOOPS = ("loops", "loop_rates", "loop_jacobian", "loop_forces")  # short, and a program that needs one needs others
 
 
 class Mechanism(Kernels):

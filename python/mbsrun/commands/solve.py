@@ -14,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemaini
 from rich.progress import Progress as ProgressBar
 from rich.table import Table
 
+from mbsrun.closure import CLOSED
 from mbsrun.commands.console import (
     MESSAGES,
     NOT_SOLVED,
@@ -26,7 +27,6 @@ from mbsrun.commands.console import (
 )
 from mbsrun.external import Mechanism, OnDemand, load_on_demand
 from mbsrun.ocp.checks import MAX_STEPS
-from mbsrun.ocp.closure import CLOSED
 from mbsrun.ocp.integrators import INTEGRATORS
 from mbsrun.ocp.methods import METHODS as SOLVERS
 from mbsrun.ocp.multistart import Wish, describe_starts, solve_from_many

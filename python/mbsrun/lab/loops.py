@@ -17,13 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from mbsrun.closure import Closure
 from mbsrun.external import Mechanism
 from mbsrun.kernel import KernelError, Kernels
 from mbsrun.lab.case import Finding, Workspace, check, demand, find_worst, show_failure
 from mbsrun.lab.integration import STAYS, swing, swing_freely
 from mbsrun.lab.mechanisms import BRICARD, PENDULUM_ROD, describe_bricard, describe_four_bars, write
 from mbsrun.models import Extent, find_folder
-from mbsrun.simulation import Keeping, Motion, Settings, close_pose, simulate
+from mbsrun.simulation import Keeping, Motion, Settings, simulate
 from mbsrun.simulation.drive import hold
 
 Array = NDArray[np.float64]
@@ -144,7 +145,7 @@ def _rotate(axis: int, angle: float) -> Array:
 
 def _turn(plant: Kernels, angle: float) -> Array:
     """Return the closed pose of Bricard's mechanism with its last joint at an angle."""
-    return close_pose(plant, np.zeros(5), [4], np.array([angle]))
+    return Closure(plant).move(np.zeros(5), [4], np.array([angle]))
 
 
 def _find_rank(J: Array) -> int:

@@ -17,7 +17,7 @@ from mbsgen.errors import MbsError
 from mbsgen.expressions import ExpressionError, names, parse
 from mbsgen.manifest import Manifest
 from mbsgen.roles import Role
-from mbsrun.ocp.closure import has_loops
+from mbsrun.closure import has_loops
 from mbsrun.ocp.integrators import INTEGRATORS
 from mbsrun.ocp.methods import METHODS
 from mbsrun.ocp.problem import Conflict, Form, Loops, Problem, Representation, find_conflicts

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbsrun.ocp.closure import Array, Closure, Gap
+from mbsrun.closure import Array, Closure, Gap
 from mbsrun.ocp.problem import Problem
 
 ASIDE = 0.1  # how far poses are moved to leave a singular one [rad, m]
@@ -58,9 +58,7 @@ def complete_pose(closure: Closure, near: Array, given: Mapping[int, float], usu
 def complete_velocities(closure: Closure, q: Array, given: Mapping[int, float], usual: Sequence[int]) -> Completion:
     """Complete velocities in a closed pose; entries of `usual` are 0 where given ones leave them free."""
     kept = closure.choose(q, [*given, *(i for i in usual if i not in given)])
-    J, values = closure.jacobian(q[None])[0], [given.get(i, 0.0) for i in kept]
-    whole = np.concatenate((J, np.eye(q.size)[kept]))
-    found = np.linalg.lstsq(whole, np.concatenate((np.zeros(len(J)), values)), rcond=None)[0]
+    found = closure.complete_velocities(q, kept, np.array([given.get(i, 0.0) for i in kept]))
     return find_strays(Completion(found, tuple(kept)), given)
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import qmc
 
-from mbsrun.ocp.closure import Closure, find_closure, has_loops
+from mbsrun.closure import Closure, find_closure, has_loops
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Inputs, Problem
 from mbsrun.ocp.schemes import Scheme
@@ -160,8 +160,8 @@ def close_motion(motion: Trajectory, closure: Closure) -> Trajectory:
         return replace(motion, point_q=np.full_like(motion.point_q, np.nan))
     qdd = motion.point_qdd.reshape(N * d, n)
     if found:
-        qd = closure.complete_velocities(closed, qd[:, found])
-        qdd = closure.complete_accelerations(closed[N + 1 :], qd[N + 1 :], qdd[:, found])
+        qd = closure.complete_velocities(closed, found, qd[:, found])
+        qdd = closure.complete_accelerations(closed[N + 1 :], qd[N + 1 :], found, qdd[:, found])
     else:
         qd = closure.project_velocities(closed, qd)
         qdd = closure.project_accelerations(closed[N + 1 :], qd[N + 1 :], qdd)

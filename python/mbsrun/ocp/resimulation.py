@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from scipy.integrate import DOP853
 
 from mbsgen.errors import MbsError
+from mbsrun.closure import CLOSED, find_closure, has_loops
 from mbsrun.limits import Allowance, LimitError, Limits
-from mbsrun.ocp.closure import CLOSED, find_closure, has_loops
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.solution import Resimulation, Solution
 from mbsrun.quaternions import find_rates

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.manifest import Manifest
+from mbsrun.closure import Closure, find_closure
 from mbsrun.ocp import methods, schemes
 from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.checks import ProblemError, check_problem, find_loop_conflicts
-from mbsrun.ocp.closure import Closure, find_closure
 from mbsrun.ocp.conditions import find_open_states
 from mbsrun.ocp.guess import Pose, adapt, make_guess
 from mbsrun.ocp.methods import METHODS, Iterate, Order, Start

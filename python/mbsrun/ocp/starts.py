@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.manifest import Manifest
-from mbsrun.ocp.closure import find_closure
+from mbsrun.closure import find_closure
 from mbsrun.ocp.guess import balance, bump, close_motion, find_pose, interpolate, rest, scatter_poses
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Form, Problem, Range
@@ -134,12 +134,8 @@ def _close(motion: Trajectory, plant: Plant) -> Trajectory:
     if closure is None or np.isfinite(closed.point_q).all():
         return closed
 
-    def close(q: Array, qd: Array) -> tuple[Array, Array]:
-        poses = np.array([closure.close(pose) for pose in q.reshape(-1, q.shape[-1])])
-        return poses.reshape(q.shape), closure.project_velocities(poses, qd.reshape(poses.shape)).reshape(q.shape)
-
-    q, qd = close(motion.q, motion.qd)
-    point_q, point_qd = close(motion.point_q, motion.point_qd)
+    q, qd = closure.project(motion.q, motion.qd)
+    point_q, point_qd = closure.project(motion.point_q, motion.point_qd)
     return replace(motion, q=q, qd=qd, point_q=point_q, point_qd=point_qd)
 
 

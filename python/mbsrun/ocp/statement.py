@@ -29,8 +29,8 @@ from mbsgen.documents import (
 )
 from mbsgen.errors import Fault, InputError
 from mbsgen.expressions import FLOATS, Expression, ExpressionError, evaluate, is_free_name, names, parse
+from mbsrun.closure import Closure, find_closure
 from mbsrun.ocp.checks import LEAST_TOLERANCE, find_loop_conflicts, list_open_inputs
-from mbsrun.ocp.closure import Closure, find_closure
 from mbsrun.ocp.conditions import Completion, complete_pose, complete_velocities, find_strays, find_surplus
 from mbsrun.ocp.methods import METHODS, Amount
 from mbsrun.ocp.plant import Plant

@@ -32,8 +32,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from mbsrun.closure import Closure, find_closure
 from mbsrun.ocp import integrators, schemes
-from mbsrun.ocp.closure import Closure, find_closure
 from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.integrators import Integrator
 from mbsrun.ocp.layout import Layout, Rows, at_points
@@ -167,17 +167,14 @@ class Transcription:
         if self.closure is not None and layout.motions.is_reduced:
             mesh_qd = self._complete(mesh_q, mesh_qd)
             qd = self._complete(q, qd)
-            n = qd.shape[-1]
-            flat = (part.reshape(-1, part.shape[-1]) for part in (q, qd, qdd))
-            qdd = self.closure.complete_accelerations(*flat).reshape(*point_t.shape, n)
+            qdd = self.closure.complete_accelerations(q, qd, self.closure.independent, qdd)
         return Trajectory(t, mesh_q, mesh_qd, x[layout.inputs], point_t, q, qd, qdd)
 
     def _complete(self, q: Array, velocities: Array) -> Array:
         """Return all velocities from the ones that are variables: (..., n) both."""
         assert self.closure is not None, "without loops all velocities are variables"
         yd = velocities[..., self.layout.motions.carried_velocities]
-        found = self.closure.complete_velocities(q.reshape(-1, q.shape[-1]), yd.reshape(-1, yd.shape[-1]))
-        return found.reshape(q.shape)
+        return self.closure.complete_velocities(q, self.closure.independent, yd)
 
 
 def find_multipliers(closure: Closure, trajectory: Trajectory) -> Array:

@@ -1,6 +1,6 @@
 """Forward simulation: a model, its inputs over time and a state in; the motion, its energy and pictures out."""
 
-from mbsrun.simulation.closing import OpenError, close_pose, complete_velocities
+from mbsrun.closure import OpenError
 from mbsrun.simulation.course import Course, follow, stand
 from mbsrun.simulation.drive import Drive, control
 from mbsrun.simulation.methods import METHODS, Formulation
@@ -16,8 +16,6 @@ __all__ = [
     "Motion",
     "OpenError",
     "Settings",
-    "close_pose",
-    "complete_velocities",
     "control",
     "follow",
     "simulate",

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import integrate as scipy_integrate
 
+from mbsrun.closure import GAP
 from mbsrun.kernel import find_place
 from mbsrun.limits import Allowance, LimitError
-from mbsrun.simulation.closing import GAP
 from mbsrun.simulation.course import Course, place_driven
 from mbsrun.simulation.drive import DriveError, Piece
 from mbsrun.simulation.dynamics import Dynamics, find_mass_matrix

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from scipy.linalg import null_space
 
 from mbsgen.errors import MbsError
+from mbsrun.closure import RANK, Closure
 from mbsrun.kernel import ArgumentError, Kernels
 from mbsrun.quaternions import neutral
-from mbsrun.simulation.closing import RANK, close_pose, complete_velocities
+from mbsrun.simulation.closing import complete_velocities
 from mbsrun.simulation.course import Course
 from mbsrun.simulation.drive import input_labels
 from mbsrun.simulation.dynamics import Dynamics
@@ -81,11 +82,11 @@ def _follow(
     qd[list(joints)], qdd[list(joints)] = yd, ydd
     J = np.zeros((0, n))
     if manifest.loops:
-        pose = close_pose(kernels, pose, places, y)
-        qd = complete_velocities(kernels, pose, qd, joints)
-        found = kernels("loop_jacobian", q=pose, qd=qd)
-        J = found["J"]
-        qdd[free] = -np.linalg.lstsq(J[:, free], found["gamma"] + J @ qdd, rcond=RANK)[0]
+        closure = Closure(kernels)
+        pose = closure.move(pose, places, y)
+        qd = complete_velocities(closure, pose, qd, joints)
+        qdd = closure.complete_accelerations(pose, qd, joints, ydd)
+        J = closure.jacobian(pose)
     else:
         pose = pose.copy()
         pose[list(places)] = y

@@ -121,7 +121,7 @@ class Energy:
 
 
 @dataclass(frozen=True, eq=False)
-class Closure:
+class ClosureRecord:
     """The loops along a motion: e equations, d driven joints, at K times."""
 
     position: Array  # (K,): the largest |h|
@@ -142,7 +142,7 @@ class Motion:
     inputs: Array  # (K, m): u, then w; where they jump, the values after the jump
     energy: Energy | None  # None where it overflows, or a kernel fails on the way
     effort: Effort
-    closure: Closure | None = None  # of a model with loops or driven joints
+    closure: ClosureRecord | None = None  # of a model with loops or driven joints
     halt: Halt | None = None
     warnings: tuple[str, ...] = ()
 

@@ -26,8 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.roles import Order, name_derivative, name_kernel
+from mbsrun.closure import GAP
 from mbsrun.ocp import schemes
-from mbsrun.simulation.closing import GAP
 from mbsrun.simulation.course import place_driven
 from mbsrun.simulation.drive import Piece, differentiate
 from mbsrun.simulation.dynamics import Dynamics

@@ -26,7 +26,7 @@ from mbsrun.kernel import Kernels
 from mbsrun.quaternions import find_rates
 from mbsrun.simulation.drive import input_labels
 from mbsrun.simulation.methods import METHODS
-from mbsrun.simulation.motion import Closure, Keeping, Motion, Settings
+from mbsrun.simulation.motion import ClosureRecord, Keeping, Motion, Settings
 
 Array = NDArray[np.float64]
 
@@ -89,7 +89,7 @@ def _summarise(motion: Motion, kernels: Kernels) -> str:
     return json.dumps(summary, indent=1, ensure_ascii=False) + "\n"
 
 
-def _summarise_closure(closure: Closure, manifest: Manifest) -> dict[str, object]:
+def _summarise_closure(closure: ClosureRecord, manifest: Manifest) -> dict[str, object]:
     position, velocity = closure.most
     return {
         "loops": [loop.name for loop in manifest.loops],

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mbsgen.roles import Order, name_kernel
+from mbsrun.closure import Closure
 from mbsrun.kernel import ArgumentError, KernelError, Kernels
 from mbsrun.limits import Allowance, Limits
 from mbsrun.quaternions import measure_lengths
 from mbsrun.simulation import adaptive
-from mbsrun.simulation.closing import check_closed, measure_gaps
+from mbsrun.simulation.closing import check_closed
 from mbsrun.simulation.course import Course, check_course, is_constrained, place_driven, stand
 from mbsrun.simulation.drive import Drive, DriveError, Piece, input_labels
 from mbsrun.simulation.dynamics import Dynamics, SingularError
@@ -25,7 +26,7 @@ from mbsrun.simulation.motion import (
     SINGULAR,
     STORED,
     Chunk,
-    Closure,
+    ClosureRecord,
     Effort,
     Energy,
     Halt,
@@ -161,6 +162,7 @@ class _Record:
     def __init__(self, kernels: Kernels, settings: Settings, q: Array, qd: Array, course: Course) -> None:
         self.kernels, self.settings = kernels, settings
         self.is_closed, self.gaps = is_constrained(kernels.manifest), [0.0, 0.0]
+        self.equations = Closure(kernels)
         self.observer = Dynamics(kernels, settings.formulation, course)  # its calls are not the integrator's
         self.distance = settings.output_step or settings.duration / STORED
         self.t, self.q, self.qd, self.work = [0.0], [q], [qd], [0.0]
@@ -228,14 +230,15 @@ class _Record:
         )
 
     def _measure_gaps(self, q: Array, qd: Array) -> tuple[float, float]:
-        position, velocity = measure_gaps(self.kernels, q, qd)
-        return float(position.max()), float(velocity.max())
+        return self.equations.measure(q), self.equations.measure_rates(q, qd)
 
-    def _find_closure(self, t: Array, q: Array, qd: Array, inputs: Array) -> Closure:
+    def _find_closure(self, t: Array, q: Array, qd: Array, inputs: Array) -> ClosureRecord:
         """Compute how far loops are open along the motion, and the forces that keep them closed."""
-        gaps = measure_gaps(self.kernels, q, qd)
+        position, velocity = (
+            np.abs(x).max(axis=1, initial=0.0) for x in (self.equations.gaps(q), self.equations.rates(q, qd))
+        )
         most = [max(*x) for x in zip(self.gaps, self._measure_gaps(q, qd), strict=True)]
-        return Closure(*gaps, (most[0], most[1]), *self.observer.forces(t, q, qd, inputs))
+        return ClosureRecord(position, velocity, (most[0], most[1]), *self.observer.forces(t, q, qd, inputs))
 
     def _keep(self, chunk: Chunk, work: Array, chosen: NDArray[np.intp]) -> None:
         if chosen.size:

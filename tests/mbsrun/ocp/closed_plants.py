@@ -115,7 +115,7 @@ def close(
         *(make(kernel, "q qd u", **explicit) for kernel in ("exp1", "exp2")),
         make("loops", "q", gap=h),
         make("loop_rates", "q qd", hd=hd),
-        make("loop_accelerations", "q qd qdd", hdd=hdd),
+        make("loop_jacobian", "q qd", J=J, gamma=gamma),
         make("loop_forces", "q lam", Q=J.T @ lam),
         make("impl_red", "q yd ydd u", Phi=reduced),
         make("exp1_red", "q yd u", ydd=solved),

@@ -15,11 +15,11 @@ from mbsgen.errors import InputError
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.pipeline import Options, make
 from mbsgen.roles import Role
+from mbsrun.closure import CLOSED, Closure
 from mbsrun.ocp import schemes
 from mbsrun.ocp.backends import condensation
 from mbsrun.ocp.backends.numpy import build
 from mbsrun.ocp.checks import ProblemError, find_loop_conflicts
-from mbsrun.ocp.closure import CLOSED, Closure
 from mbsrun.ocp.guess import make_guess
 from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Form, Loops, Problem, Representation, SolverOptions, Term
 from mbsrun.ocp.resimulation import accelerations, integrate, resimulate

@@ -23,19 +23,18 @@ from scipy.special import ellipj
 
 from mbsgen.expressions import parse
 from mbsrun import Mechanism, cli, load
+from mbsrun.closure import Closure, OpenError
 from mbsrun.kernel import find_place
 from mbsrun.models import Extent, find_folder
 from mbsrun.simulation import (
     Keeping,
     Motion,
-    OpenError,
     Settings,
-    close_pose,
-    complete_velocities,
     follow,
     record,
     simulate,
 )
+from mbsrun.simulation.closing import complete_velocities
 from mbsrun.simulation.drive import Drive, control, express, hold
 from mbsrun.simulation.inverse import FreeError, invert
 
@@ -318,12 +317,13 @@ def test_a_kernels_failure_names_the_loop(parallelogram: Mechanism) -> None:
 
 def test_a_start_is_closed_from_what_is_given(parallelogram: Mechanism) -> None:
     """The other coordinates follow along the same assembly, far from the pose that the manifest holds."""
-    q = close_pose(parallelogram, np.array(parallelogram.manifest.pose), [0], np.array([-1.2]))
+    closure = Closure(parallelogram)
+    q = closure.move(np.array(parallelogram.manifest.pose), [0], np.array([-1.2]))
     assert np.allclose(q, level(-1.2), rtol=0, atol=1e-12)
-    qd = complete_velocities(parallelogram, q, np.array([2.0, 0, 0]), [0])
+    qd = complete_velocities(closure, q, np.array([2.0, 0, 0]), [0])
     assert np.allclose(qd, [2, -2, 2], rtol=0, atol=1e-12)
     with pytest.raises(OpenError, match="the given velocities open it at a rate of"):
-        complete_velocities(parallelogram, q, np.array([2.0, 2.0, 0]), [0, 1])
+        complete_velocities(closure, q, np.array([2.0, 2.0, 0]), [0, 1])
 
 
 def test_an_open_start_is_refused(parallelogram: Mechanism) -> None:

@@ -1,0 +1,279 @@
+"""Closed loops outside the kernels: poses, velocities and accelerations that keep them closed.
+
+    h(q) = 0,    J qd = 0,    J qdd + gamma = 0,    q' = E(q) qd
+
+with h from the kernel `loops`, and J and gamma = Jd qd from `loop_jacobian`. Some entries g are given, the others f are
+free. Newton's method finds a pose near another one; velocities and accelerations x, with gamma or 0 for b, are linear:
+
+    dq_f = -((J E^+)_f)^+ h,    x_f = -J_f^+ (J_g x_g + b)
+
+The pseudo-inverses take the change of least norm, and none along directions in which J has lost its rank. So poses are
+found where the kernels `close`, `close_rates`, `close_accelerations` and `project` fail. E is 1 without quaternions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsgen.errors import MbsError
+from mbsgen.manifest import Manifest
+from mbsrun.kernel import Kernels
+from mbsrun.ocp.plant import Plant
+
+Array = NDArray[np.float64]
+
+GAP = "gap"  # the name of h among the kernels' results
+CLOSED = 1e-10  # the largest gap of closed loops [m, 1]
+ITERATIONS = 50  # of Newton's method
+LONGEST = 0.5  # step of Newton's method [rad, m]
+SETTLED = 1e-14  # a step below which Newton's method ends, relative to 1 + |q|
+FARTHEST = 0.5  # how far Newton's method goes along a continuation, relative to 1 + |q|
+SHORTEST = 1e-3  # step of a continuation, relative to the whole way
+RANK = 1e-8  # of singular values, relative to the first: a double root is found to the root of the rounding
+INDEPENDENT = 1e-6  # the least part of a unit vector that other conditions leave undetermined
+REGULAR = 1e-3  # the least singular value of the block of dependent coordinates, relative to the largest of J
+
+
+class OpenError(MbsError):
+    """A loop that cannot be closed from the given entries."""
+
+    def __init__(self, loop: str, finding: str, remedy: str) -> None:
+        self.loop, self.finding, self.remedy = loop, finding, remedy
+        super().__init__(f"loop {loop}: {finding}; {remedy}")
+
+
+@dataclass(frozen=True)
+class Gap:
+    """The loop that is open by the most, or that opens the fastest."""
+
+    name: str
+    size: float  # [m, 1], per second for rates
+
+    def __str__(self) -> str:
+        return f"the loop {self.name} stays open by {self.size:.3g}"
+
+
+class Closure:
+    """The loops of a mechanism; arrays are of shape (..., n) unless they say otherwise.
+
+    `held` and `given` are entries of q for poses, and entries of qd for velocities and accelerations. A mechanism
+    without loops has m = 0 equations, and everything keeps it closed.
+    """
+
+    def __init__(self, plant: Plant | Kernels) -> None:
+        """Take the kernels of a mechanism."""
+        self.plant, self.manifest = plant, plant.manifest
+        self.independent, self.dependent = list(self.manifest.independent), list(self.manifest.dependent)
+        self.places, self.size = len(self.manifest.positions), len(self.manifest.coordinates)
+        self.count = len(self.manifest.owners)  # m
+
+    # --- the equations ---
+
+    def gaps(self, q: Array) -> Array:
+        """Return h, (..., m)."""
+        return self._evaluate("loops", GAP, (self.count,), q=q)
+
+    def rates(self, q: Array, qd: Array) -> Array:
+        """Return J qd, (..., m)."""
+        return self._evaluate("loop_rates", "hd", (self.count,), q=q, qd=qd)
+
+    def jacobian(self, q: Array) -> Array:
+        """Return J, (..., m, n)."""
+        rest = np.zeros((*q.shape[:-1], self.size))
+        return self._evaluate("loop_jacobian", "J", (self.count, self.size), q=q, qd=rest)
+
+    def bias(self, q: Array, qd: Array) -> Array:
+        """Return gamma, (..., m)."""
+        return self._evaluate("loop_jacobian", "gamma", (self.count,), q=q, qd=qd)
+
+    def _evaluate(self, name: str, result: str, shape: tuple[int, ...], **state: Array) -> Array:
+        """Return a kernel's result for states of any leading shape."""
+        leading = state["q"].shape[:-1]
+        if not self.count:
+            return np.zeros((*leading, *shape))
+        flat: dict[str, Any] = {key: np.ascontiguousarray(x.reshape(-1, x.shape[-1])) for key, x in state.items()}
+        return self.plant(name, **flat)[result].reshape(*leading, *shape)
+
+    def _slopes(self, q: Array) -> Array:
+        """Return J E^+, the derivatives of h by q for changes that E admits, (B, m, nq)."""
+        J = self.jacobian(q)
+        if not self.manifest.configuration:
+            return J
+        rates = self.plant("jac_rates", q=q, qd=np.zeros((len(q), self.size)))["jac_rate_qd"]
+        return np.asarray(J @ np.linalg.pinv(rates))
+
+    # --- how far loops are open ---
+
+    def measure(self, q: Array) -> float:
+        """Return the largest gap of some poses."""
+        return float(np.abs(self.gaps(q)).max(initial=0.0))
+
+    def measure_rates(self, q: Array, qd: Array) -> float:
+        """Return the largest rate at which loops open in some states."""
+        return float(np.abs(self.rates(q, qd)).max(initial=0.0))
+
+    def is_closed(self, q: Array) -> bool:
+        """Return whether the loops of some poses are closed."""
+        return self.measure(q) <= CLOSED
+
+    def find_gap(self, q: Array) -> Gap:
+        """Find the loop that is open by the most in one pose (nq,)."""
+        return self.find_worst(self.gaps(q))
+
+    def find_worst(self, gaps: Array) -> Gap:
+        """Find the loop of the largest one of some gaps, or rates, (m,)."""
+        k = int(np.abs(gaps).argmax())
+        return Gap(self.manifest.loops[self.manifest.owners[k]].name, float(abs(gaps[k])))
+
+    # --- poses ---
+
+    def close(self, q: Array, held: Collection[int] = (), farthest: float = np.inf) -> Array:
+        """Close the loops near poses (..., nq), with some coordinates held; return the last iterates.
+
+        A pose that goes farther than `farthest` from its start is given up.
+        """
+        q = np.array(q, dtype=np.float64, order="C")
+        poses, free = q.reshape(-1, self.places), self._list_free(self.places, held)
+        start, active = poses.copy(), np.arange(len(poses) if free.size and self.count else 0)
+        for _ in range(ITERATIONS):
+            gaps, slopes = self.gaps(poses[active]), self._slopes(poses[active])[..., free]
+            finite = np.isfinite(gaps).all(axis=1) & np.isfinite(slopes).all(axis=(1, 2))
+            active, gaps, slopes = active[finite], gaps[finite], slopes[finite]
+            if not active.size:
+                break
+            step = -_solve(slopes, gaps)
+            length = np.abs(step).max(axis=1)
+            poses[active[:, None], free] += step * np.minimum(1.0, LONGEST / np.maximum(length, SETTLED))[:, None]
+            way = np.abs(poses[active] - start[active]).max(axis=1)
+            goes_on = (length > SETTLED * (1 + np.abs(poses[active]).max(axis=1))) & (way <= farthest)
+            active = active[goes_on]
+            if not active.size:
+                break
+        return q
+
+    def move(self, pose: Array, given: Sequence[int], values: Array) -> Array:
+        """Return a closed pose (nq,) with given entries at some values, reached from the pose `pose`.
+
+        The given entries move there step by step, and the others follow in the same assembly. Raises OpenError where
+        the loops cannot be closed on the way.
+        """
+        q, start, way, length = pose.copy(), pose[list(given)], 0.0, 1.0
+        while way < 1:
+            length = min(length, 1 - way)
+            trial = q.copy()
+            trial[list(given)] = start + (way + length) * (values - start)
+            found = self.close(trial, given, FARTHEST * (1 + np.abs(trial).max()))
+            if self.is_closed(found):
+                q, way, length = found, way + length, 2 * length
+                continue
+            length /= 2
+            if length < SHORTEST:
+                raise self.tell_open(found)
+        return q
+
+    def tell_open(self, q: Array) -> OpenError:
+        """Return the error of a pose (nq,) whose loops stay open."""
+        gap = self.find_gap(q)
+        return OpenError(gap.name, f"it stays open by {gap.size:.3g}", "give other coordinates, or fewer of them")
+
+    def follow(self, path: Array, start: Array, held: Sequence[int]) -> Array | None:
+        """Close a path (K, n) point by point, from a closed pose on.
+
+        Held coordinates keep their values of the path, and the others go on from the point before; where none is held,
+        each pose goes to the nearest closed one. Return None where loops do not close, or coordinates jump.
+        """
+        others, closed, last = self._list_free(self.places, held), np.empty_like(path), start
+        for k, pose in enumerate(path):
+            near = pose.copy()
+            if held:
+                near[others] = last[others]
+            found = self.close(near, held)
+            if not self.is_closed(found) or np.abs((found - last)[others]).max(initial=0.0) > LONGEST:
+                return None
+            closed[k] = last = found
+        return closed
+
+    @staticmethod
+    def _list_free(size: int, held: Collection[int]) -> NDArray[np.int64]:
+        return np.setdiff1d(np.arange(size), np.array([*held], dtype=np.int64))
+
+    # --- velocities and accelerations ---
+
+    def complete_velocities(self, q: Array, given: Sequence[int], values: Array) -> Array:
+        """Return velocities with given entries at some values (..., g); the others follow, with the least norm."""
+        return self._complete(q, given, values, np.zeros((*q.shape[:-1], self.count)))
+
+    def complete_accelerations(self, q: Array, qd: Array, given: Sequence[int], values: Array) -> Array:
+        """Return accelerations with given entries at some values (..., g); the others follow, with the least norm."""
+        return self._complete(q, given, values, self.bias(q, qd))
+
+    def _complete(self, q: Array, given: Sequence[int], values: Array, bias: Array) -> Array:
+        x = np.zeros((*q.shape[:-1], self.size))
+        x[..., list(given)] = values
+        return self._correct(q, x, bias, given)
+
+    def _correct(self, q: Array, x: Array, bias: Array, held: Collection[int] = ()) -> Array:
+        """Solve J x + bias = 0 for the nearest x with some entries held."""
+        J, free, x = self.jacobian(q), self._list_free(self.size, held), x.copy()
+        for _ in range(2 if free.size else 0):  # the second time for rounding
+            x[..., free] -= _solve(J[..., free], (J @ x[..., None])[..., 0] + bias)
+        return x
+
+    def project(self, q: Array, qd: Array) -> tuple[Array, Array]:
+        """Return the nearest states that keep the loops closed, for states that nearly do."""
+        closed = self.close(q)
+        return closed, self.project_velocities(closed, qd)
+
+    def project_velocities(self, q: Array, qd: Array) -> Array:
+        """Return the nearest velocities that keep the loops closed."""
+        return self._correct(q, qd, np.zeros((*q.shape[:-1], self.count)))
+
+    def project_accelerations(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the nearest accelerations that keep the loops closed."""
+        return self._correct(q, qdd, self.bias(q, qd))
+
+    # --- independent coordinates ---
+
+    def is_regular(self, q: Array) -> bool:
+        """Return whether the independent coordinates determine the others along a path (K, n), by one branch."""
+        J = self.jacobian(q)
+        block = J[:, :, self.dependent]
+        if not np.isfinite(J).all():
+            return False
+        least, most = (np.linalg.svd(x, compute_uv=False) for x in (block, J))
+        signs = np.sign(np.linalg.det(block))
+        return bool((least[:, -1] >= REGULAR * most[:, 0]).all() and (signs == signs[0]).all())
+
+    def choose(self, q: Array, candidates: Sequence[int]) -> list[int]:
+        """Choose the first candidates that can have any value near a pose (n,), whatever the chosen before have."""
+        basis = np.linalg.svd(self.jacobian(q), full_matrices=False)[2]
+        chosen = []
+        for i in candidates:
+            left = np.eye(q.size)[i]
+            for _ in range(2):  # twice is enough: the second time removes the rounding of the first
+                left = left - basis.T @ (basis @ left)
+            length = float(np.linalg.norm(left))
+            if length > INDEPENDENT:
+                chosen.append(i)
+                basis = np.concatenate((basis, left[None] / length))
+        return chosen
+
+
+def _solve(A: Array, b: Array) -> Array:
+    """Return the x of least norm that solves A x = b in the least squares, for a batch of both."""
+    return np.asarray((np.linalg.pinv(A, rcond=RANK) @ b[..., None])[..., 0])
+
+
+def find_closure(plant: Plant) -> Closure | None:
+    """Return the loops of a mechanism; None where it has none."""
+    return Closure(plant) if has_loops(plant.manifest) else None
+
+
+def has_loops(manifest: Manifest) -> bool:
+    """Return whether a mechanism has closed loops or constraints."""
+    return bool(manifest.dependent)
