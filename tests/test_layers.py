@@ -75,7 +75,7 @@ MBSRUN = Package(
     layers=(
         "trust limits forms",
         "cache",
-        "library models",
+        "library models bare",
         "binding environment",
         "kernel",
         "external",
