@@ -73,7 +73,7 @@ MBSGEN = Package(
 MBSRUN = Package(
     source=ROOT / "python" / "mbsrun",
     layers=(
-        "trust limits forms",
+        "trust limits forms reading",
         "cache",
         "library models bare",
         "binding environment",

@@ -23,6 +23,7 @@ class Extent:
     targets: tuple[str, ...] = ()  # languages beside C, such as python
     scene: Path | None = None  # a scene file
     without: tuple[str, ...] = ()  # reductions of the operation count that are switched off, by their fields' names
+    runtime: bool = False  # every number of the model a run-time parameter, by its path in the file
 
 
 WHOLE = Extent()
@@ -46,7 +47,9 @@ def find_folder(path: Path, extent: Extent = WHOLE) -> Path:
     def make(building: Path) -> Path:
         from mbsgen.pipeline import Options, generate  # only here, and late: kernels are called without SymPy
 
-        options = Options(functions=extent.functions, derivatives=extent.derivatives, targets=extent.targets)
+        options = Options(
+            runtime=extent.runtime, functions=extent.functions, derivatives=extent.derivatives, targets=extent.targets
+        )
         reductions = replace(options.reductions, **dict.fromkeys(extent.without, False))
         options = replace(options, reductions=reductions, scene=extent.scene or options.scene)
         generate(path, building / "generated", options)

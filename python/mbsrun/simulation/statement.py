@@ -1,14 +1,13 @@
 """Statements of a simulation: a settings file and the options of a command line -> start, inputs and settings.
 
-Options replace the file's data before anything is checked, so both follow the same rules. Numbers may be
-expressions over the file's `constants`; inputs and wrenches over those, the time t and the state.
+Numbers may be expressions over the file's `constants`; inputs and wrenches over those, the time t and the state.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -25,19 +24,15 @@ from mbsgen.documents import (
     abbreviate,
     examine,
     expect,
-    lies_under,
-    nearest,
-    read_document,
     read_number,
     refuse,
-    write_path,
 )
-from mbsgen.errors import Fault
-from mbsgen.expressions import FLOATS, Expression, ExpressionError, Number, evaluate, is_free_name, names
+from mbsgen.expressions import Expression, Number, is_free_name
 from mbsgen.manifest import Manifest, Wrench
 from mbsrun.ocp.schemes import DEGREES
 from mbsrun.quantities import list_quantities
 from mbsrun.quaternions import list_quaternions, neutral, normalise
+from mbsrun.reading import Reading, attribute, read_settings
 from mbsrun.simulation.closing import Start
 from mbsrun.simulation.course import Course, follow, place_driven
 from mbsrun.simulation.drive import STATE, TIME, Drive, express
@@ -46,7 +41,6 @@ from mbsrun.simulation.motion import Keeping, Settings
 
 Array = NDArray[np.float64]
 
-COMMAND_LINE = "command line"
 MAX_OUTPUTS = 1_000_000  # states kept
 
 
@@ -77,43 +71,18 @@ def read_statement(
 
     A recording takes the place of `inputs`, and of a start that is not given. Raises InputError with every fault.
     """
-    document = Document("", {}, {}, {}) if file is None else read_document(file)
+    document = read_settings(file, options)
     if file is not None:
         expect(document, "settings")
-    merged = replace(
-        document, data=_overlay(document.data, options) if isinstance(document.data, dict) else document.data
-    )
-    examination = examine(merged, _SettingsSection)
-    reading = _Reading(merged, manifest, examination.stand_ins, recording)
+    examination = examine(document, _SettingsSection)
+    reading = _Reading(document, manifest, examination.stand_ins, recording)
     faults = list(examination.faults)
     if examination.value is not None:
         statement = reading.statement(examination.value)
         faults += reading.faults
     if examination.value is None or faults:
-        spelled = tuple(write_path(place) for place in _leaves(options))
-        raise refuse([_attribute(fault, spelled, file) for fault in faults])
+        raise refuse(attribute(faults, options, file))
     return statement
-
-
-def _overlay(below: Data, above: Data) -> Data:
-    if isinstance(below, dict) and isinstance(above, dict):
-        return {**below, **{key: _overlay(below.get(key), value) for key, value in above.items()}}
-    return above
-
-
-def _leaves(options: Data, place: Place = ()) -> Iterator[Place]:
-    if isinstance(options, dict):
-        for key, value in options.items():
-            yield from _leaves(value, (*place, key))
-    else:
-        yield place
-
-
-def _attribute(fault: Fault, options: tuple[str, ...], file: Path | None) -> Fault:
-    """Name the command line where an option is at fault, or where there is no file."""
-    if file is None or any(fault.path.startswith(option) for option in options):
-        return replace(fault, file=COMMAND_LINE, line=0)
-    return fault
 
 
 # --- schema --------------------------------------------------------------------------------------------------------
@@ -166,16 +135,16 @@ class _SettingsSection(Section):
 # --- meaning -------------------------------------------------------------------------------------------------------
 
 
-class _Reading:
+class _Reading(Reading):
     """Evaluates numbers and looks names up in a model; collects the faults."""
 
     def __init__(
         self, document: Document, manifest: Manifest, stand_ins: frozenset[Place], recording: Recording | None
     ) -> None:
-        self.document, self.manifest, self.stand_ins, self.recording = document, manifest, stand_ins, recording
-        self.faults: list[Fault] = []
-        self.constants: dict[str, float] = {}
+        super().__init__(document, stand_ins)
+        self.manifest, self.recording = manifest, recording
         self.quantities = {name: x for name, x in list_quantities(manifest).items() if x.kind in STATE}
+        self.known = (TIME, *self.quantities)  # names that expressions of inputs may use
         self.coordinates = [c.name for c in manifest.coordinates]
 
     def statement(self, section: _SettingsSection) -> Statement:
@@ -277,7 +246,7 @@ class _Reading:
         expressions: list[Expression] = [Number(float(start.q[i])) for i in place_driven(self.manifest)]
         for name, expression in section.items():
             i = self.find(("driven", name), name, driven, "driven joint")
-            if i is None or not self.formula(("driven", name), expression, with_state=False):
+            if i is None or not self.formula(("driven", name), expression, [TIME]):
                 continue
             expressions[i] = expression
             if place_driven(self.manifest)[i] in start.placed:
@@ -294,7 +263,7 @@ class _Reading:
         labels = [f"joint {name}" for name in actuated]
         for name, expression in section.inputs.items():
             i = self.find(("inputs", name), name, actuated, "actuated coordinate")
-            if i is not None and self.formula(("inputs", name), expression):
+            if i is not None and self.formula(("inputs", name), expression, self.known):
                 expressions[i] = expression
         known = [wrench.name for wrench in self.manifest.wrenches]
         for name in section.wrenches:
@@ -326,46 +295,6 @@ class _Reading:
             if is_input:
                 vector: list[Expression] = [Number(0.0)] * 3
                 for i, expression in enumerate(given or ()):
-                    if self.formula((*place, i), expression):
+                    if self.formula((*place, i), expression, self.known):
                         vector[i] = expression
                 yield part, vector
-
-    def number(self, place: Place, expression: Expression, least: float = -math.inf) -> float:
-        """Compute an expression; return NaN, which passes all later checks, where it fails or is less than `least`."""
-        if lies_under(place, self.stand_ins) or any(math.isnan(self.constants.get(n, 0)) for n in names(expression)):
-            return math.nan
-        try:
-            value = evaluate(expression, self.constants, FLOATS)
-        except ExpressionError as error:
-            self.fault(place, error.finding, error.remedy)
-            return math.nan
-        if value < least:
-            wanted = "a positive number" if least > 0 else "a number that is not negative"
-            self.fault(place, f"found {value:g}", f"give {wanted}")
-            return math.nan
-        return value
-
-    def formula(self, place: Place, expression: Expression, *, with_state: bool = True) -> bool:
-        """Return whether the names of an expression are known: constants, the time, and quantities of the state."""
-        known = [TIME, *self.constants, *(self.quantities if with_state else ())]
-        unknown = sorted(names(expression) - set(known))
-        for name in unknown:
-            meant = nearest(name, known)
-            remedy = f"did you mean {abbreviate(meant)}?" if meant else f"known here are {', '.join(known)}"
-            self.fault(place, f"unknown name {abbreviate(name)}", remedy)
-        is_known = not unknown and all(math.isfinite(self.constants.get(n, 0)) for n in names(expression))
-        return is_known and not lies_under(place, self.stand_ins)
-
-    def find(self, place: Place, name: str, known: list[str], kind: str) -> int | None:
-        """Look a name up; report it where it is unknown."""
-        if name in known:
-            return known.index(name)
-        meant = nearest(name, known)
-        remedy = f"did you mean {abbreviate(meant)}?" if meant else f"there are {', '.join(known) or 'none'}"
-        self.fault(place, f"the model has no {kind} {abbreviate(name)}", remedy)
-        return None
-
-    def fault(self, place: Place, finding: str, remedy: str) -> None:
-        """Keep a fault, unless it follows from one that is kept."""
-        if not lies_under(place, self.stand_ins):
-            self.faults.append(self.document.fault(place, finding, remedy))
