@@ -37,12 +37,28 @@ static real shortest(const mbs_stages_phase *p, const search *t)
     return GAMMA_ALPHA * alpha;
 }
 
+/* A number that rounding put on a bound, or beyond it: half of the way there, or none if that has no digit. */
+static real keep_inside(real x, real trial, real lower, real upper)
+{
+    if (!(trial > lower)) {
+        const real half = x + (lower - x) / 2;
+        return half > lower ? half : x;
+    }
+    if (!(trial < upper)) {
+        const real half = x + (upper - x) / 2;
+        return half < upper ? half : x;
+    }
+    return trial;
+}
+
 /* Evaluate x + alpha dx; returns -1 if there is no result. */
 static int try_step(mbs_stages *s, mbs_stages_phase *p, const real *dx, real alpha, search *t)
 {
     int i;
-    for (i = 0; i < p->size; ++i)
-        p->trial[i] = p->x[i] + alpha * dx[i];
+    for (i = 0; i < p->size; ++i) {
+        const real trial = p->x[i] + alpha * dx[i];
+        p->trial[i] = mbs_stages_is_fixed(s, i) ? trial : keep_inside(p->x[i], trial, p->lower[i], p->upper[i]);
+    }
     t->theta = t->phi = MBS_STAGES_LARGEST;
     if (mbs_stages_phase_values(s, p, p->trial, &p->trial_cost, p->trial_c))
         return -1;
