@@ -142,7 +142,7 @@ static void lay_recursion(arena *a, mbs_stages *s, const mbs_stages_problem *pro
         lay_step(a, p, t->nx, t->nv, t->ne + t->equal + t->next);
         lay_soft(a, q, t->next);
         if (k == 0)
-            lay_step(a, &r->root, 0, t->nx, t->nx);
+            lay_step(a, &r->root, 0, t->nx, 2 * t->nx); /* rows passed to it, and fixed states */
         largest = larger(largest, t->n);
         rows = larger(rows, t->ne + t->ng + t->n + t->next);
     }

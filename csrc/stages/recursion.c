@@ -102,6 +102,12 @@ static void add_row(mbs_stages_step *p, const real *derivative, int stride, int 
     ++p->rows;
 }
 
+/* Whether variable i of stage k is fixed by a row of this stage. Fixed first states are rows of the root. */
+static int has_row(const mbs_stages_recursion *r, int k, int i)
+{
+    return r->fixed[r->stage[k].w + i] && !(k == 0 && i < r->stage[k].nx);
+}
+
 /* Rows that hold exactly: of (e, g), of fixed variables, of conditions on the next state. */
 static void stack_rows(const mbs_stages_recursion *r, int k)
 {
@@ -115,7 +121,7 @@ static void stack_rows(const mbs_stages_recursion *r, int k)
             add_row(p, row.derivative, row.stride, 0);
     }
     for (i = 0; i < s->n; ++i)
-        if (r->fixed[s->w + i])
+        if (has_row(r, k, i))
             add_row(p, NULL, 0, i);
     if (s->next > 0) {
         const entrance q = enter(r, k + 1);
@@ -147,17 +153,18 @@ static int soften(mbs_stages_recursion *r, int k)
                              r->zero_curvature);
 }
 
-/* The first state is free, except for the rows passed to it. */
+/* The first state is free, except for the rows passed to it and for its fixed variables. */
 static int factorise_root(mbs_stages_recursion *r)
 {
     const mbs_stages_step *q = &r->step[0];
     mbs_stages_step *p = &r->root;
-    const size_t n = (size_t)q->nx;
-    size_t i, j;
-    p->rows = q->passed;
-    for (j = 0; j < n; ++j)
-        for (i = 0; i < (size_t)q->passed; ++i)
-            p->lu[j * (size_t)p->capacity + i] = q->C[j * (size_t)q->passed + i];
+    int i;
+    p->rows = 0;
+    for (i = 0; i < q->passed; ++i)
+        add_row(p, q->C + i, q->passed, 0);
+    for (i = 0; i < q->nx; ++i)
+        if (r->fixed[r->stage[0].w + i])
+            add_row(p, NULL, 0, i);
     return mbs_stages_reduce(p, q->P, r->work, r->zero_pivot, r->zero_curvature);
 }
 
@@ -200,7 +207,7 @@ static void collect_stage(const mbs_stages_recursion *r, int k, const real *rw, 
             constant[at++] = rc[row.place];
     }
     for (i = 0; i < s->n; ++i)
-        if (r->fixed[s->w + i])
+        if (has_row(r, k, i))
             constant[at++] = 0;
     if (s->next > 0) {
         const entrance q = enter(r, k + 1);
@@ -218,6 +225,19 @@ static void note_left(mbs_stages_recursion *r, const mbs_stages_step *p)
     r->left = p->left > r->left ? p->left : r->left;
 }
 
+/* Fixed first states change by `first`, or not at all if it is NULL. */
+static void sweep_root(mbs_stages_recursion *r, const real *first)
+{
+    const mbs_stages_step *q = &r->step[0];
+    real *constant = r->vector[1];
+    int i, at = q->passed;
+    memcpy(constant, q->c, (size_t)q->passed * sizeof *constant);
+    for (i = 0; i < q->nx; ++i)
+        if (r->fixed[r->stage[0].w + i])
+            constant[at++] = first ? -first[i] : 0;
+    mbs_stages_step_back(&r->root, q->p, constant, r->vector[3]);
+}
+
 static void sweep_back(mbs_stages_recursion *r, const real *rw, const real *rc)
 {
     real *linear = r->vector[0], *constant = r->vector[1], *work = r->vector[3];
@@ -231,8 +251,7 @@ static void sweep_back(mbs_stages_recursion *r, const real *rw, const real *rc)
         if (k > 0 && r->soft_dynamics)
             mbs_stages_soften_linear(&r->soft[k - 1], p->p, r->compliance + r->stage[k - 1].d);
     }
-    memcpy(constant, r->step[0].c, (size_t)r->step[0].passed * sizeof *constant);
-    mbs_stages_step_back(&r->root, r->step[0].p, constant, work);
+    sweep_root(r, NULL);
     note_left(r, &r->root);
 }
 
@@ -256,7 +275,7 @@ static int spread_multipliers(const mbs_stages_recursion *r, int k, const real *
         dy[row.place] = sum / give;
     }
     for (i = 0; i < s->n; ++i)
-        at += r->fixed[s->w + i] != 0;
+        at += has_row(r, k, i);
     return at;
 }
 
@@ -304,6 +323,28 @@ void mbs_stages_sweep(mbs_stages_recursion *r, const real *rw, const real *rc, r
     sweep_back(r, rw, rc);
     sweep_ahead(r, rc, dw, dy);
     for (i = 0; i < r->variables; ++i)
+        if (r->fixed[i])
+            dw[i] = 0;
+}
+
+static void clear_sweep(mbs_stages_step *p)
+{
+    const size_t pivots = (size_t)p->pivots;
+    memset(p->p, 0, (size_t)p->nx * sizeof *p->p);
+    memset(p->c, 0, (size_t)p->nx * sizeof *p->c);
+    memset(p->l, 0, (size_t)p->nv * sizeof *p->l);
+    memset(p->t, 0, pivots * sizeof *p->t);
+    memset(p->qp, 0, pivots * sizeof *p->qp);
+}
+
+void mbs_stages_respond(mbs_stages_recursion *r, const real *first, const real *zero, real *dw, real *dy)
+{
+    int k, i;
+    for (k = 0; k < r->stages; ++k)
+        clear_sweep(&r->step[k]);
+    sweep_root(r, first);
+    sweep_ahead(r, zero, dw, dy);
+    for (i = r->stage[0].nx; i < r->variables; ++i)
         if (r->fixed[i])
             dw[i] = 0;
 }

@@ -55,6 +55,10 @@ int mbs_stages_factorise(mbs_stages_recursion *r);
 /* Solve once. */
 void mbs_stages_sweep(mbs_stages_recursion *r, const real *rw, const real *rc, real *dw, real *dy);
 
+/* How a solution changes where fixed first states change by `first`, an entry for each first state. The rows' right-hand
+ * sides `zero` are 0. A sweep ahead alone; it needs hard dynamics. */
+void mbs_stages_respond(mbs_stages_recursion *r, const real *first, const real *zero, real *dw, real *dy);
+
 /* out += JT y, and out += J w */
 void mbs_stages_add_transposed(const mbs_stages_recursion *r, const real *y, real *out);
 void mbs_stages_add_rows(const mbs_stages_recursion *r, const real *w, real *out);
