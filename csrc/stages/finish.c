@@ -85,6 +85,12 @@ const char *mbs_stages_explain(mbs_stages_status status)
         return "A callback returned no result, or no finite one.";
     case MBS_STAGES_BAD_PROBLEM:
         return "Bounds cross, more of them are equal than when the solver was made, or a scale is not positive.";
+    case MBS_STAGES_PREPARED:
+        return "A step is ready for feedback.";
+    case MBS_STAGES_STEPPED:
+        return "A step was made.";
+    case MBS_STAGES_NOT_PREPARED:
+        return "Feedback needs a preparation that succeeded.";
     }
     return "This status is unknown.";
 }

@@ -24,7 +24,8 @@ void mbs_stages_begin(mbs_stages *s, mbs_stages_phase *p)
 /* Lower the barrier parameter while its problem is solved well enough; superlinearly near the end. */
 static int lower_barrier(mbs_stages *s, mbs_stages_phase *p)
 {
-    const real least = s->options.tolerance / (KAPPA_EPSILON + 1);
+    const real fixed = p->elastic ? 0 : mbs_stages_least_barrier(s), zero = s->options.tolerance / (KAPPA_EPSILON + 1);
+    const real least = fixed > zero ? fixed : zero;
     int force = p->tiny && p->tiny_before;
     while (force || mbs_stages_measure_errors(s, p, p->mu).scaled <= KAPPA_EPSILON * p->mu) {
         const real a = KAPPA_MU * p->mu, b = real_pow(p->mu, THETA_MU), lower = a < b ? a : b;
@@ -125,7 +126,7 @@ int mbs_stages_run(mbs_stages *s, mbs_stages_phase *p)
         if (mbs_stages_phase_derivatives(s, p))
             return MBS_STAGES_CALLBACK_FAILED;
         mbs_stages_find_lagrangian(s, p);
-        errors = mbs_stages_measure_errors(s, p, 0);
+        errors = mbs_stages_measure_errors(s, p, p->elastic ? 0 : mbs_stages_least_barrier(s));
         if (s->problem->watch)
             mbs_stages_report(s, p, &errors);
         if (p->elastic && mbs_stages_restored(s))

@@ -161,6 +161,7 @@ static void lay_solver(arena *a, mbs_stages *s)
                            &s->reference,      &s->weight,      &s->raw_w,       &s->rw,
                            &s->dw,             &s->residual_w,  &s->best_w};
     real **const of_rows[] = {&s->point.y, &s->row_scale, &s->raw_rows, &s->rc, &s->dy, &s->residual_c, &s->best_y};
+    real **const of_slacks[] = {&s->slack, &s->slack_below, &s->slack_above};
     size_t i;
     s->point.variables = n;
     s->point.rows = m;
@@ -171,6 +172,8 @@ static void lay_solver(arena *a, mbs_stages *s)
         *of_w[i] = numbers(a, n, 1);
     for (i = 0; i < sizeof of_rows / sizeof *of_rows; ++i)
         *of_rows[i] = numbers(a, m, 1);
+    for (i = 0; i < sizeof of_slacks / sizeof *of_slacks; ++i)
+        *of_slacks[i] = numbers(a, s->slacks, 1);
     s->least.elastic = 1;
     s->recursion.zero_pivot = real_pow(MBS_STAGES_EPSILON, (real)0.65); /* double: 7e-11 */
     s->recursion.zero_curvature = 10 * MBS_STAGES_EPSILON;

@@ -83,8 +83,11 @@ typedef enum {
     MBS_STAGES_OUT_OF_DIGITS,   /* steps make no progress in this precision */
     MBS_STAGES_UNBOUNDED,       /* variables grow beyond 1e20 of their scales */
     MBS_STAGES_CALLBACK_FAILED, /* `stage` holds where; the last iterate is kept */
-    MBS_STAGES_BAD_PROBLEM      /* bounds cross or are not numbers, more are equal than when the solver was made, or a
+    MBS_STAGES_BAD_PROBLEM,     /* bounds cross or are not numbers, more are equal than when the solver was made, or a
                                  * scale is not positive */
+    MBS_STAGES_PREPARED,        /* a step is ready for feedback */
+    MBS_STAGES_STEPPED,         /* a step was made */
+    MBS_STAGES_NOT_PREPARED     /* feedback without a preparation that succeeded */
 } mbs_stages_status;
 
 typedef struct {
@@ -101,6 +104,8 @@ typedef struct {
     int scaled;                           /* 1: scale the cost and rows by their first gradients: 1 */
     int scale_by_bounds;                  /* 1: variables without given scales take the larger of two bounds: 0 */
     mbs_stages_real push;                 /* least relative distance of the first point from bounds: 0.01 */
+    mbs_stages_real least_barrier;        /* solve for this barrier parameter, in units of the cost; 0: as low as the
+                                           * tolerance asks for (in real time: 1e-4) */
 } mbs_stages_options;
 
 /* A row or a bound that stays violated. */
@@ -161,6 +166,35 @@ mbs_stages_result mbs_stages_solve(mbs_stages *solver, const mbs_stages_options 
 
 /* Move the iterate one stage ahead: each stage takes the numbers of the next one, where their sizes are equal. */
 void mbs_stages_shift(mbs_stages *solver);
+
+/* Control in real time: a step of Newton's method for the problem with the barrier parameter `least_barrier`, without a
+ * line search, in two parts.
+ *
+ * `mbs_stages_prepare` does all that needs no measurement: it moves the iterate ahead if `shift` is not 0, calls the
+ * callbacks, factorises, and finds the step for the first state of the iterate. Returns MBS_STAGES_PREPARED.
+ * `mbs_stages_feedback` takes the measured first state, changes the step by what follows from it, and makes it as long
+ * as all variables, slacks and multipliers stay strictly inside their bounds. Returns MBS_STAGES_STEPPED.
+ *
+ * First states with equal bounds are the measured ones; of `first`, which has nx numbers, the others are not read.
+ * `v` gets the variables of stage 0. Each keeps its bounds; a variable that its bounds do not hinder gets the whole step,
+ * even where the iterate takes a part of it. Where no step is made, `v` has the numbers of the iterate and the
+ * iterate stays as it is.
+ *
+ * The first preparation after a solve starts from its solution, or from the caller's guess. Only the tolerance-free
+ * options `least_barrier`, `by_stage`, `scaled`, `scale_by_bounds` are read. `options` may be NULL for the default. */
+typedef struct {
+    mbs_stages_status status;
+    int stage;          /* of a failed callback or a bad bound, or -1 */
+    int factorisations; /* more than 1 where curvature was added */
+    mbs_stages_real curvature; /* what was added */
+    mbs_stages_real stationarity, violation, complementarity; /* before the step: largest, unscaled; the last one
+                                                               * is |distance multiplier - barrier| */
+    mbs_stages_real deviation;          /* largest difference of the measured first state and the iterate's, scaled */
+    mbs_stages_real length, dual_length; /* of the step */
+} mbs_stages_realtime;
+
+mbs_stages_realtime mbs_stages_prepare(mbs_stages *solver, const mbs_stages_options *options, int shift);
+mbs_stages_realtime mbs_stages_feedback(mbs_stages *solver, const mbs_stages_real *first, mbs_stages_real *v);
 
 /* Return a sentence for a status. */
 const char *mbs_stages_explain(mbs_stages_status status);

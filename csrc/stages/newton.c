@@ -208,7 +208,20 @@ static void solve_reduced(mbs_stages *s)
     }
 }
 
-static void spread_slacks(const mbs_stages *s, const mbs_stages_phase *p, mbs_stages_direction *d)
+/* Newton's step of z for the step of x. */
+void mbs_stages_bound_steps(const mbs_stages *s, const mbs_stages_phase *p, mbs_stages_direction *d)
+{
+    int i;
+    for (i = 0; i < p->size; ++i) {
+        const real below = p->x[i] - p->lower[i], above = p->upper[i] - p->x[i];
+        const int fixed = mbs_stages_is_fixed(s, i);
+        d->zl[i] = !fixed && has(p->lower[i]) ? (p->mu - p->zl[i] * d->x[i]) / below - p->zl[i] : 0;
+        d->zu[i] = !fixed && has(p->upper[i]) ? (p->mu + p->zu[i] * d->x[i]) / above - p->zu[i] : 0;
+    }
+}
+
+/* The step of slacks, of elastic variables and of all bounds' multipliers, from the step of variables and rows. */
+void mbs_stages_spread(const mbs_stages *s, const mbs_stages_phase *p, mbs_stages_direction *d)
 {
     const int at = s->variables, plus = at + s->slacks, minus = plus + s->rows;
     int k, i;
@@ -222,18 +235,7 @@ static void spread_slacks(const mbs_stages *s, const mbs_stages_phase *p, mbs_st
         d->x[plus + i] = (d->y[i] - p->slope[plus + i]) * yield(s, p, plus + i);
         d->x[minus + i] = (-d->y[i] - p->slope[minus + i]) * yield(s, p, minus + i);
     }
-}
-
-/* Newton's step of z for the step of x. */
-void mbs_stages_bound_steps(const mbs_stages *s, const mbs_stages_phase *p, mbs_stages_direction *d)
-{
-    int i;
-    for (i = 0; i < p->size; ++i) {
-        const real below = p->x[i] - p->lower[i], above = p->upper[i] - p->x[i];
-        const int fixed = mbs_stages_is_fixed(s, i);
-        d->zl[i] = !fixed && has(p->lower[i]) ? (p->mu - p->zl[i] * d->x[i]) / below - p->zl[i] : 0;
-        d->zu[i] = !fixed && has(p->upper[i]) ? (p->mu + p->zu[i] * d->x[i]) / above - p->zu[i] : 0;
-    }
+    mbs_stages_bound_steps(s, p, d);
 }
 
 /* The step for rows c. `slope` holds the derivatives with the barrier's. */
@@ -243,8 +245,7 @@ void mbs_stages_newton_solve(mbs_stages *s, mbs_stages_phase *p, const real *c, 
     solve_reduced(s);
     memcpy(d->x, s->best_w, (size_t)s->variables * sizeof *d->x);
     memcpy(d->y, s->best_y, (size_t)s->rows * sizeof *d->y);
-    spread_slacks(s, p, d);
-    mbs_stages_bound_steps(s, p, d);
+    mbs_stages_spread(s, p, d);
 }
 
 /* Multipliers of least squares: they make the derivatives of the Lagrangian smallest. */

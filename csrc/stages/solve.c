@@ -88,7 +88,7 @@ static const real *from(const real *numbers, int at)
 }
 
 /* Bounds of all variables and slacks; -1 where they are not as they must be. */
-static int set_all_bounds(mbs_stages *s)
+int mbs_stages_set_bounds(mbs_stages *s)
 {
     const mbs_stages_problem *p = s->problem;
     int k;
@@ -195,7 +195,7 @@ static void centre(real *distance, real *z, real most, real mu)
     *z = mu / *distance;
 }
 
-static void centre_variable(mbs_stages_phase *p, int i)
+void mbs_stages_centre(mbs_stages_phase *p, int i)
 {
     const int below = p->lower[i] > -MBS_STAGES_INFINITE, above = p->upper[i] < MBS_STAGES_INFINITE;
     const real most = below && above ? (p->upper[i] - p->lower[i]) / 2 : NONE;
@@ -238,7 +238,7 @@ static void start_warm(mbs_stages *s, mbs_stages_phase *p)
         if (mbs_stages_is_fixed(s, i))
             p->zl[i] = p->zu[i] = 0;
         else
-            centre_variable(p, i);
+            mbs_stages_centre(p, i);
 }
 
 /* The mean of distance z after a step that aims at 0, beside the mean before it, sets the first barrier parameter
@@ -265,21 +265,35 @@ static int choose_barrier(mbs_stages *s, mbs_stages_phase *p)
     return 0;
 }
 
+/* The barrier parameter to end with, scaled; 0: as low as the tolerance asks for. */
+real mbs_stages_least_barrier(const mbs_stages *s)
+{
+    return s->options.least_barrier > 0 ? s->options.least_barrier * s->cost_scale : 0;
+}
+
+static real first_barrier(const mbs_stages *s)
+{
+    const mbs_stages_options *o = &s->options;
+    const real first = o->barrier > 0 ? o->barrier : o->warm ? (real)1e-6 : (real)0.1;
+    const real least = mbs_stages_least_barrier(s);
+    return first > least ? first : least;
+}
+
 /* The first point and its multipliers; a status where that fails. */
-static int start(mbs_stages *s)
+int mbs_stages_start(mbs_stages *s)
 {
     mbs_stages_phase *p = &s->main;
     const mbs_stages_options *o = &s->options;
-    if (set_scales(s) || set_all_bounds(s))
+    if (set_scales(s) || mbs_stages_set_bounds(s))
         return MBS_STAGES_BAD_PROBLEM;
     start_variables(s);
     if (scale_functions(s))
         return MBS_STAGES_CALLBACK_FAILED;
-    if (set_all_bounds(s)) /* bounds that are nearly equal may become equal by scaling */
+    if (mbs_stages_set_bounds(s)) /* bounds that are nearly equal may become equal by scaling */
         return MBS_STAGES_BAD_PROBLEM;
     if (start_slacks(s))
         return MBS_STAGES_CALLBACK_FAILED;
-    p->mu = o->barrier > 0 ? o->barrier : o->warm ? (real)1e-6 : (real)0.1;
+    p->mu = first_barrier(s);
     if (o->warm)
         start_warm(s, p);
     else
@@ -308,7 +322,7 @@ static void find_fixed_multipliers(mbs_stages *s)
         }
 }
 
-static void write_point(mbs_stages *s)
+void mbs_stages_write_point(mbs_stages *s)
 {
     const mbs_stages_phase *p = &s->main;
     int i;
@@ -346,12 +360,13 @@ mbs_stages_result mbs_stages_solve(mbs_stages *s, const mbs_stages_options *opti
     s->options = options ? *options : mbs_stages_default_options();
     s->failed_stage = -1;
     s->began = s->problem->clock ? s->problem->clock(s->problem->context) : 0;
-    status = start(s);
+    s->live = s->ready = 0;
+    status = mbs_stages_start(s);
     if (status == MBS_STAGES_RUNNING)
         status = mbs_stages_run(s, &s->main);
     if (status != MBS_STAGES_BAD_PROBLEM) {
         find_fixed_multipliers(s);
-        write_point(s);
+        mbs_stages_write_point(s);
         write_result(s);
     }
     s->result.status = (mbs_stages_status)status;
@@ -359,6 +374,7 @@ mbs_stages_result mbs_stages_solve(mbs_stages *s, const mbs_stages_options *opti
     return s->result;
 }
 
+/* Move numbers of stage k + 1 to stage k, where there are as many. */
 static void shift_numbers(real *numbers, int to, int from_place, int n, int m)
 {
     if (n == m)
@@ -372,7 +388,10 @@ void mbs_stages_shift(mbs_stages *s)
     for (k = 0; k + 1 < s->problem->stages; ++k) {
         const mbs_stages_stage *t = &s->recursion.stage[k], *next = t + 1;
         real *const of_w[] = {p->w, p->below, p->above};
+        real *const of_slacks[] = {s->slack, s->slack_below, s->slack_above};
         size_t i;
+        for (i = 0; i < sizeof of_slacks / sizeof *of_slacks; ++i)
+            shift_numbers(of_slacks[i], t->s, next->s, t->ng, next->ng);
         for (i = 0; i < sizeof of_w / sizeof *of_w; ++i) {
             shift_numbers(of_w[i], t->w, next->w, t->nx, next->nx);
             shift_numbers(of_w[i], t->w + t->nx, next->w + next->nx, t->nv, next->nv);

@@ -68,6 +68,10 @@ struct mbs_stages {
     int variables, rows, slacks;
     mbs_stages_point point;
     mbs_stages_phase main, least;
+    real *slack, *slack_below, *slack_above; /* of rows of g and their multipliers, kept between steps in real time */
+    mbs_stages_realtime realtime;
+    int live;  /* the iterate is the one of a step in real time, its slacks too */
+    int ready; /* a step is prepared */
     real *variable_scale, *row_scale, cost_scale;
     char *fixed;                  /* of (w, s) */
     real *reference, *weight;     /* of w in restoration */
@@ -106,6 +110,7 @@ void mbs_stages_push_inside(real *x, real lower, real upper, real push);
 /* newton.c: steps */
 int mbs_stages_newton_factorise(mbs_stages *s, mbs_stages_phase *p);
 void mbs_stages_newton_solve(mbs_stages *s, mbs_stages_phase *p, const real *c, mbs_stages_direction *d);
+void mbs_stages_spread(const mbs_stages *s, const mbs_stages_phase *p, mbs_stages_direction *d);
 void mbs_stages_bound_steps(const mbs_stages *s, const mbs_stages_phase *p, mbs_stages_direction *d);
 void mbs_stages_estimate_multipliers(mbs_stages *s, mbs_stages_phase *p);
 
@@ -126,6 +131,13 @@ real mbs_stages_worst_violation(const mbs_stages *s);
 /* finish.c */
 int mbs_stages_check(mbs_stages *s, mbs_stages_phase *p, const mbs_stages_errors *e);
 void mbs_stages_report(const mbs_stages *s, const mbs_stages_phase *p, const mbs_stages_errors *e);
+
+/* solve.c: the first point; bounds of all variables and slacks; the iterate for the caller */
+int mbs_stages_start(mbs_stages *s);
+int mbs_stages_set_bounds(mbs_stages *s);
+void mbs_stages_centre(mbs_stages_phase *p, int i);
+void mbs_stages_write_point(mbs_stages *s);
+real mbs_stages_least_barrier(const mbs_stages *s);
 
 /* iterate.c: run a barrier problem until there is a status */
 int mbs_stages_run(mbs_stages *s, mbs_stages_phase *p);

@@ -1,0 +1,276 @@
+/* Control in real time: one Newton step of the barrier problem, split at the measurement.
+ *
+ * The barrier parameter stays, so that steps from one sampling period to the next go on with one another's work: with
+ * nothing disturbed, they converge as Newton's method does. A step is linear in the first state. Prepared is the step
+ * for the first state of the iterate, with all refinement; feedback adds its response to the measured deviation,
+ * which is a sweep ahead without right-hand sides. */
+#include "solver.h"
+
+#include <string.h>
+
+#define BARRIER ((real)1e-4)
+#define CENTRAL ((real)100) /* most ratio of distance z and mu, either way, that a step begins with */
+
+static int has(real bound)
+{
+    return real_abs(bound) < MBS_STAGES_INFINITE;
+}
+
+static int is_bounded(const mbs_stages_phase *p, int i)
+{
+    return has(p->lower[i]) || has(p->upper[i]);
+}
+
+static void limit_ratio(real distance, real *z, real mu)
+{
+    const real middle = mu / distance;
+    if (!(*z >= middle / CENTRAL))
+        *z = middle / CENTRAL;
+    if (*z > middle * CENTRAL)
+        *z = middle * CENTRAL;
+}
+
+/* Bring a variable inside its bounds, and its multipliers near the central path. A variable that is on the wrong side of
+ * a bound, or too near to it for digits, starts anew on the path. */
+static void mind_bounds(const mbs_stages *s, mbs_stages_phase *p, int i)
+{
+    const real least = real_sqrt(MBS_STAGES_EPSILON) * p->mu;
+    const int below = has(p->lower[i]), above = has(p->upper[i]);
+    if (mbs_stages_is_fixed(s, i) || !is_bounded(p, i))
+        return;
+    if ((below && !(p->x[i] - p->lower[i] > least)) || (above && !(p->upper[i] - p->x[i] > least))) {
+        mbs_stages_centre(p, i);
+        return;
+    }
+    if (below)
+        limit_ratio(p->x[i] - p->lower[i], &p->zl[i], p->mu);
+    if (above)
+        limit_ratio(p->upper[i] - p->x[i], &p->zu[i], p->mu);
+}
+
+/* Fixed variables take their bounds, except for the first state: that is measured later. */
+static void load_variables(const mbs_stages *s, mbs_stages_phase *p)
+{
+    const int first = s->recursion.stage[0].nx;
+    int i;
+    for (i = 0; i < s->variables; ++i) {
+        const int fixed = s->fixed[i];
+        const real factor = s->variable_scale[i] * s->cost_scale;
+        p->x[i] = fixed && i >= first ? p->lower[i] : s->point.w[i] / s->variable_scale[i];
+        p->zl[i] = fixed || !has(p->lower[i]) ? 0 : s->point.below[i] * factor;
+        p->zu[i] = fixed || !has(p->upper[i]) ? 0 : s->point.above[i] * factor;
+    }
+}
+
+static void load_slacks(const mbs_stages *s, mbs_stages_phase *p, const mbs_stages_stage *t)
+{
+    int i;
+    for (i = 0; i < t->ng; ++i) {
+        const int from = t->s + i, to = s->variables + from;
+        const real scale = s->row_scale[t->g + i];
+        p->x[to] = s->fixed[to] ? p->lower[to] : s->slack[from] * scale;
+        p->zl[to] = s->fixed[to] || !has(p->lower[to]) ? 0 : s->slack_below[from] * s->cost_scale / scale;
+        p->zu[to] = s->fixed[to] || !has(p->upper[to]) ? 0 : s->slack_above[from] * s->cost_scale / scale;
+    }
+}
+
+/* Take the iterate of the last step, with the scales of the first one. */
+static int load(mbs_stages *s)
+{
+    mbs_stages_phase *p = &s->main;
+    int k, i;
+    if (mbs_stages_set_bounds(s))
+        return MBS_STAGES_BAD_PROBLEM;
+    p->mu = mbs_stages_least_barrier(s);
+    load_variables(s, p);
+    for (i = 0; i < s->rows; ++i)
+        p->y[i] = s->point.y[i] * s->cost_scale / s->row_scale[i];
+    for (k = 0; k < s->problem->stages; ++k)
+        load_slacks(s, p, &s->recursion.stage[k]);
+    for (i = 0; i < p->size; ++i)
+        mind_bounds(s, p, i);
+    return MBS_STAGES_RUNNING;
+}
+
+static void save(mbs_stages *s)
+{
+    const mbs_stages_phase *p = &s->main;
+    int k, i;
+    mbs_stages_write_point(s);
+    for (k = 0; k < s->problem->stages; ++k) {
+        const mbs_stages_stage *t = &s->recursion.stage[k];
+        for (i = 0; i < t->ng; ++i) {
+            const int to = t->s + i, from = s->variables + to;
+            const real scale = s->row_scale[t->g + i];
+            s->slack[to] = p->x[from] / scale;
+            s->slack_below[to] = p->zl[from] * scale / s->cost_scale;
+            s->slack_above[to] = p->zu[from] * scale / s->cost_scale;
+        }
+    }
+}
+
+/* Evaluate all functions at the iterate. */
+static int evaluate(mbs_stages *s, mbs_stages_phase *p)
+{
+    if (mbs_stages_phase_values(s, p, p->x, &p->cost, p->c) || mbs_stages_phase_derivatives(s, p) ||
+        mbs_stages_phase_hessian(s, p))
+        return MBS_STAGES_CALLBACK_FAILED;
+    return MBS_STAGES_RUNNING;
+}
+
+static void measure(mbs_stages *s, mbs_stages_phase *p)
+{
+    const mbs_stages_errors e = mbs_stages_measure_errors(s, p, p->mu);
+    int i;
+    s->realtime.violation = e.violation;
+    s->realtime.complementarity = e.complementarity / s->cost_scale;
+    for (i = 0; i < s->variables; ++i) {
+        const real a = real_abs(p->slope[i]) / (s->variable_scale[i] * s->cost_scale);
+        s->realtime.stationarity = a > s->realtime.stationarity ? a : s->realtime.stationarity;
+    }
+}
+
+static int is_finite(int n, const real *x)
+{
+    int i, finite = 1;
+    for (i = 0; i < n; ++i)
+        finite &= real_abs(x[i]) <= MBS_STAGES_LARGEST;
+    return finite;
+}
+
+/* The step for the first state of the iterate. */
+static int find_step(mbs_stages *s, mbs_stages_phase *p)
+{
+    if (mbs_stages_newton_factorise(s, p))
+        return MBS_STAGES_OUT_OF_DIGITS;
+    mbs_stages_stationarity(s, p, 1, p->slope);
+    mbs_stages_newton_solve(s, p, p->c, &p->step);
+    return is_finite(p->size, p->step.x) && is_finite(s->rows, p->step.y) ? MBS_STAGES_PREPARED
+                                                                         : MBS_STAGES_OUT_OF_DIGITS;
+}
+
+static int prepare(mbs_stages *s)
+{
+    mbs_stages_phase *p = &s->main;
+    int status = s->live ? load(s) : mbs_stages_start(s);
+    if (status != MBS_STAGES_RUNNING)
+        return status;
+    p->tau = (real)0.99;
+    status = evaluate(s, p);
+    if (status != MBS_STAGES_RUNNING)
+        return status;
+    mbs_stages_find_lagrangian(s, p);
+    measure(s, p);
+    return find_step(s, p);
+}
+
+mbs_stages_realtime mbs_stages_prepare(mbs_stages *s, const mbs_stages_options *options, int shift)
+{
+    mbs_stages_realtime *about = &s->realtime;
+    int status;
+    memset(about, 0, sizeof *about);
+    memset(&s->result, 0, sizeof s->result);
+    s->options = options ? *options : mbs_stages_default_options();
+    s->options.warm = 1;
+    s->options.adaptive = 0;
+    s->options.barrier = MBS_STAGES_EPSILON;
+    if (!(s->options.least_barrier > 0))
+        s->options.least_barrier = BARRIER;
+    s->failed_stage = -1;
+    if (shift)
+        mbs_stages_shift(s);
+    status = prepare(s);
+    s->ready = status == MBS_STAGES_PREPARED;
+    about->status = (mbs_stages_status)status;
+    about->stage = status == MBS_STAGES_CALLBACK_FAILED || status == MBS_STAGES_BAD_PROBLEM ? s->failed_stage : -1;
+    about->factorisations = s->result.factorisations;
+    about->curvature = s->main.added;
+    return *about;
+}
+
+/* The scaled deviation of fixed first states; -1 where one is not a number. */
+static int find_deviation(mbs_stages *s, const real *first, real *deviation)
+{
+    const int n = s->recursion.stage[0].nx;
+    int i;
+    for (i = 0; i < n; ++i)
+        deviation[i] = s->fixed[i] ? first[i] / s->variable_scale[i] - s->main.x[i] : 0;
+    s->realtime.deviation = mbs_stages_largest(n, deviation);
+    return is_finite(n, deviation) ? 0 : -1;
+}
+
+/* Add the response to the deviation to the step. */
+static int respond(mbs_stages *s, mbs_stages_phase *p, const real *deviation)
+{
+    int i;
+    memset(s->residual_c, 0, (size_t)s->rows * sizeof *s->residual_c);
+    mbs_stages_respond(&s->recursion, deviation, s->residual_c, s->dw, s->dy);
+    for (i = 0; i < s->variables; ++i)
+        p->step.x[i] += s->dw[i];
+    for (i = 0; i < s->rows; ++i)
+        p->step.y[i] += s->dy[i];
+    mbs_stages_spread(s, p, &p->step);
+    return is_finite(p->size, p->step.x) && is_finite(s->rows, p->step.y) ? 0 : -1;
+}
+
+/* The whole step of variables of stage 0, each as long as its own bounds let it. */
+static void choose_inputs(const mbs_stages *s, const mbs_stages_phase *p, real *v)
+{
+    const mbs_stages_stage *t = &s->recursion.stage[0];
+    int i;
+    for (i = t->nx; i < t->n; ++i) {
+        const real below = p->tau * (p->x[i] - p->lower[i]), above = p->tau * (p->upper[i] - p->x[i]);
+        real step = p->step.x[i];
+        if (!s->fixed[i] && has(p->lower[i]) && -step > below)
+            step = -below;
+        if (!s->fixed[i] && has(p->upper[i]) && step > above)
+            step = above;
+        v[i - t->nx] = (p->x[i] + step) * s->variable_scale[i];
+    }
+}
+
+static void make_step(mbs_stages *s, mbs_stages_phase *p)
+{
+    const real alpha = mbs_stages_boundary(s, p, p->x, p->step.x, p->tau);
+    const real dual = mbs_stages_dual_boundary(s, p, &p->step);
+    int i;
+    for (i = 0; i < p->size; ++i) {
+        p->x[i] += alpha * p->step.x[i];
+        p->zl[i] += dual * p->step.zl[i];
+        p->zu[i] += dual * p->step.zu[i];
+    }
+    for (i = 0; i < s->rows; ++i)
+        p->y[i] += alpha * p->step.y[i];
+    s->realtime.length = p->alpha = alpha;
+    s->realtime.dual_length = dual;
+}
+
+static int feedback(mbs_stages *s, const real *first)
+{
+    mbs_stages_phase *p = &s->main;
+    if (!s->ready)
+        return MBS_STAGES_NOT_PREPARED;
+    if (find_deviation(s, first, s->rw)) {
+        s->failed_stage = 0;
+        return MBS_STAGES_BAD_PROBLEM;
+    }
+    s->ready = 0;
+    return respond(s, p, s->rw) ? MBS_STAGES_OUT_OF_DIGITS : MBS_STAGES_STEPPED;
+}
+
+mbs_stages_realtime mbs_stages_feedback(mbs_stages *s, const real *first, real *v)
+{
+    const mbs_stages_stage *t = &s->recursion.stage[0];
+    const int status = feedback(s, first);
+    s->realtime.status = (mbs_stages_status)status;
+    if (status == MBS_STAGES_STEPPED) {
+        choose_inputs(s, &s->main, v);
+        make_step(s, &s->main);
+        save(s);
+        s->live = 1;
+    } else {
+        memcpy(v, s->point.w + t->w + t->nx, (size_t)t->nv * sizeof *v);
+    }
+    s->realtime.stage = status == MBS_STAGES_BAD_PROBLEM ? s->failed_stage : s->realtime.stage;
+    return s->realtime;
+}
