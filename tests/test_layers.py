@@ -63,7 +63,7 @@ MBSGEN = Package(
         "verification.derivatives",
         "verification.verify",
         "verification",
-        "report drawing output scaling oracle interpreted comparison",
+        "report drawing output scaling oracle interpreted comparison formulas",
         "pipeline",
         "cli",
         "__main__",
@@ -128,9 +128,10 @@ MBSRUN = Package(
         "mbsgen.expressions",
         "mbsgen.documents",
     ),
-    # a model file given for a generated folder; its equations in 50 digits; the command of a study
+    # a model file given for a generated folder; formulas in C; equations in 50 digits; the command of a study
     lazy={
         "models": "mbsgen.pipeline",
+        "ocp.stages.formulas": "mbsgen.formulas",
         "measuring.reference": "mbsgen.oracle",
         "lab.interpretation": "mbsgen.interpreted",
         "commands.study": "studies.docquier.command",
