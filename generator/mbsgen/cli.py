@@ -23,6 +23,16 @@ from rich.tree import Tree as Branches
 
 from mbsgen import __version__
 from mbsgen.assembly import reach
+from mbsgen.equations import (
+    FORMATS,
+    Page,
+    SizeError,
+    build_symbolic,
+    derive,
+    show_lines,
+    show_motion,
+    write_lines,
+)
 from mbsgen.errors import MbsError
 from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
 from mbsgen.families import Tell, say_nothing
@@ -33,7 +43,7 @@ from mbsgen.model.model import Model
 from mbsgen.model.scene import EVERYTHING
 from mbsgen.model.tree import Tree
 from mbsgen.output import find_differences, write_file
-from mbsgen.pipeline import Options, generate, make, read_tree
+from mbsgen.pipeline import Options, generate, make, read, read_tree
 from mbsgen.report import (
     COLUMNS,
     COMPARISON,
@@ -147,6 +157,7 @@ HELP = f"""Turn the description of a multibody system into C kernels for its dyn
   mbsgen MODEL -o DIR       generate the folder DIR: C, manifest, report
   mbsgen show MODEL         print the tree of its bodies; with -o, draw it
   mbsgen report MODEL       print its cost, and write nothing
+  mbsgen equations MODEL    print its equations of motion, to be read
   mbsgen scaling            count how cost grows with the length of a chain
   mbsgen check MODEL        print every fault of the file
   mbsgen compare MODEL      compare a URDF's equations with Pinocchio's
@@ -420,6 +431,66 @@ def report_command(model: Path, form: str | None, compare: bool, choices: Choice
         print_report(report)
     else:
         click.echo(write_json(report) if form == "json" else write_markdown(report), nl=False)
+
+
+@cli.command("equations")
+@MODEL
+@click.option(
+    "--form",
+    type=click.Choice(["auto", "whole", "lines"]),
+    default="auto",
+    show_default=True,
+    help="Whole equations, or the recursion line by line; auto chooses by their length.",
+)
+@click.option(
+    "--format",
+    "language",
+    type=click.Choice([*FORMATS]),
+    help="The language; by default, text, or what the suffix of --output says.",
+)
+@click.option("--numbers", is_flag=True, help="Put in the numbers of named parameters, instead of their names.")
+@click.option("-o", "--output", "out", type=click.Path(path_type=Path), help="The file to write; else stdout.")
+@importing
+def equations_command(
+    model: Path, form: str, language: str | None, numbers: bool, out: Path | None, choices: Choices
+) -> None:
+    """Print the equations of motion of MODEL: M(q) qdd + c(q, qd) + G(q) = Q.
+
+    Products of sines and cosines are written as sums, so the form is unique, and what is zero is not there. Loops add
+    h(q) = 0 and its Jacobian J, frames their places. Mechanisms of many joints are written line by line, as the
+    recursion that is generated.
+    """
+    if language is None:
+        language = _SUFFIXES.get(out.suffix if out else ".txt", "")
+        if not language:
+            raise click.BadParameter(f"{out} ends in none of {', '.join(_SUFFIXES)}; give --format", param_hint="-o")
+    source = read(_read(model, choices))
+    with _progress() as tell:
+        tell("the equations")
+        tree = read_tree(source) if numbers else build_symbolic(source)
+        page = _choose_page(tree, form)
+    text = FORMATS[language](page)
+    if out is None:
+        click.echo(text, nl=False)
+    else:
+        write_file(text.encode(), out)
+
+
+_SUFFIXES = {".txt": "text", ".py": "python", ".tex": "latex", ".md": "markdown", ".html": "html"}
+_READABLE = 600  # terms of whole equations, beyond which lines are shorter
+
+
+def _choose_page(tree: Tree, form: str) -> Page:
+    """Lay out whole equations, or lines where these are too long."""
+    if form == "lines":
+        return show_lines(write_lines(tree))
+    try:
+        motion = derive(tree)
+    except SizeError as error:
+        if form == "whole":
+            raise SizeError(f"{error}; take --form lines") from None
+        return show_lines(write_lines(tree))
+    return show_motion(motion) if form == "whole" or motion.terms <= _READABLE else show_lines(write_lines(tree))
 
 
 @cli.command("scaling")
