@@ -70,12 +70,21 @@ int mbs_stages_values(mbs_stages *s, const real *w, real *cost, real *rows)
     return is_finite(1, cost) ? 0 : fail(s, s->problem->stages - 1);
 }
 
-static void scale_block(int m, int n, const real *row, const real *column, real *A)
+static void clear(const mbs_stages_matrix *A)
 {
-    int i, j;
-    for (j = 0; j < n; ++j, A += m)
-        for (i = 0; i < m; ++i)
-            A[i] *= row[i] * column[j];
+    memset(A->value, 0, (size_t)A->count * sizeof *A->value);
+}
+
+/* The upper triangle of a dense Hessian is nobody's: it may hold anything. */
+static int is_finite_symmetric(const mbs_stages_matrix *H)
+{
+    int j;
+    if (H->begin)
+        return is_finite(H->count, H->value);
+    for (j = 0; j < H->columns; ++j)
+        if (!is_finite(H->rows - j, H->value + (size_t)j * (size_t)(H->rows + 1)))
+            return 0;
+    return 1;
 }
 
 static int stage_jacobians(mbs_stages *s, int k, const real *w, real *gradient)
@@ -83,22 +92,21 @@ static int stage_jacobians(mbs_stages *s, int k, const real *w, real *gradient)
     const mbs_stages_stage *t = &s->recursion.stage[k];
     const mbs_stages_problem *p = s->problem;
     const real *x = unscale(s, t, w), *scale = s->variable_scale + t->w;
-    const size_t n = (size_t)t->n;
     int i;
-    memset(gradient + t->w, 0, n * sizeof *gradient);
-    memset(t->E, 0, (size_t)t->ne * n * sizeof(real));
-    memset(t->F, 0, (size_t)t->next * n * sizeof(real));
-    memset(t->G, 0, (size_t)t->ng * n * sizeof(real));
-    if (p->jacobians(p->context, k, x, x + t->nx, gradient + t->w, t->E, t->F, t->G))
+    memset(gradient + t->w, 0, (size_t)t->n * sizeof *gradient);
+    clear(&t->E);
+    clear(&t->F);
+    clear(&t->G);
+    if (p->jacobians(p->context, k, x, x + t->nx, gradient + t->w, t->E.value, t->F.value, t->G.value))
         return -1;
-    if (!is_finite(t->n, gradient + t->w) || !is_finite(t->ne * t->n, t->E) || !is_finite(t->next * t->n, t->F) ||
-        !is_finite(t->ng * t->n, t->G))
+    if (!is_finite(t->n, gradient + t->w) || !is_finite(t->E.count, t->E.value) ||
+        !is_finite(t->F.count, t->F.value) || !is_finite(t->G.count, t->G.value))
         return -1;
     for (i = 0; i < t->n; ++i)
         gradient[t->w + i] *= s->cost_scale * scale[i];
-    scale_block(t->ne, t->n, s->row_scale + t->e, scale, t->E);
-    scale_block(t->next, t->n, s->row_scale + t->d, scale, t->F);
-    scale_block(t->ng, t->n, s->row_scale + t->g, scale, t->G);
+    mbs_stages_matrix_scale(&t->E, s->row_scale + t->e, scale);
+    mbs_stages_matrix_scale(&t->F, s->row_scale + t->d, scale);
+    mbs_stages_matrix_scale(&t->G, s->row_scale + t->g, scale);
     return 0;
 }
 
@@ -116,18 +124,16 @@ static int stage_hessian(mbs_stages *s, int k, const real *w, real factor, const
     const mbs_stages_stage *t = &s->recursion.stage[k];
     const mbs_stages_problem *p = s->problem;
     const real *x = unscale(s, t, w), *scale = s->variable_scale + t->w;
-    const int n = t->n;
     int i;
     for (i = t->e; i < t->g + t->ng; ++i)
         s->raw_rows[i] = y[i] * s->row_scale[i];
-    memset(t->H, 0, (size_t)n * (size_t)n * sizeof(real));
+    clear(&t->H);
     if (p->hessian(p->context, k, x, x + t->nx, factor * s->cost_scale, s->raw_rows + t->e, s->raw_rows + t->d,
-                   s->raw_rows + t->g, t->H))
+                   s->raw_rows + t->g, t->H.value))
         return -1;
-    for (i = 0; i < n; ++i)
-        if (!is_finite(n - i, t->H + (size_t)i * (size_t)n + (size_t)i))
-            return -1;
-    scale_block(n, n, scale, scale, t->H);
+    if (!is_finite_symmetric(&t->H))
+        return -1;
+    mbs_stages_matrix_scale(&t->H, scale, scale);
     return 0;
 }
 

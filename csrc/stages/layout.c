@@ -93,10 +93,24 @@ static void lay_phase(arena *a, mbs_stages_phase *p, int size, int rows)
     lay_direction(a, &p->other, size, rows);
 }
 
+/* A matrix, and a dense copy where it has a pattern. */
+static real *lay_matrix(arena *a, mbs_stages_matrix *A, int rows, int columns, const mbs_stages_pattern *pattern)
+{
+    A->rows = rows;
+    A->columns = columns;
+    A->begin = pattern ? pattern->column : NULL;
+    A->end = pattern ? pattern->column + 1 : NULL;
+    A->row = pattern ? pattern->row : NULL;
+    A->count = pattern ? pattern->column[columns] : rows * columns;
+    A->value = numbers(a, A->count, 1);
+    return pattern ? numbers(a, rows, columns) : A->value;
+}
+
 /* Places of a stage come after the places of earlier stages. */
 static void lay_stage(arena *a, mbs_stages *s, const mbs_stages_problem *problem, int k, mbs_stages_stage *t)
 {
     const mbs_stages_size *z = &problem->size[k];
+    const mbs_stages_patterns *p = z->patterns;
     t->nx = z->nx;
     t->nv = z->nv;
     t->n = z->nx + z->nv;
@@ -111,10 +125,10 @@ static void lay_stage(arena *a, mbs_stages *s, const mbs_stages_problem *problem
     s->variables += t->n;
     s->rows += t->ne + t->next + t->ng;
     s->slacks += t->ng;
-    t->E = numbers(a, t->ne, t->n);
-    t->F = numbers(a, t->next, t->n);
-    t->G = numbers(a, t->ng, t->n);
-    t->H = numbers(a, t->n, t->n);
+    t->dense.E = lay_matrix(a, &t->E, t->ne, t->n, p ? &p->de : NULL);
+    t->dense.F = lay_matrix(a, &t->F, t->next, t->n, p ? &p->dd : NULL);
+    t->dense.G = lay_matrix(a, &t->G, t->ng, t->n, p ? &p->dg : NULL);
+    t->dense.H = lay_matrix(a, &t->H, t->n, t->n, p ? &p->h : NULL);
 }
 
 /* Equal bounds of a stage, each of which is a row that holds exactly. */
@@ -148,7 +162,7 @@ static void lay_recursion(arena *a, mbs_stages *s, const mbs_stages_problem *pro
     }
     for (i = 0; i < 4; ++i)
         r->work[i] = numbers(a, largest + rows, largest);
-    for (i = 0; i < 5; ++i)
+    for (i = 0; i < 6; ++i)
         r->vector[i] = numbers(a, 2 * largest + rows, 1);
     r->diagonal = numbers(a, s->variables, 1);
     r->compliance = numbers(a, s->rows, 1);
@@ -196,6 +210,33 @@ static void lay(arena *a, const mbs_stages_problem *problem, mbs_stages *s)
     lay_solver(a, s);
 }
 
+/* Whether rows increase in each column, from row j of column j on in a triangle. */
+static int is_pattern(const mbs_stages_pattern *p, int rows, int columns, int triangle)
+{
+    int j, l;
+    if (!p->column || p->column[0] != 0)
+        return 0;
+    for (j = 0; j < columns; ++j) {
+        int least = triangle ? j : 0;
+        for (l = p->column[j]; l < p->column[j + 1]; ++l) {
+            if (!p->row || p->row[l] < least || p->row[l] >= rows)
+                return 0;
+            least = p->row[l] + 1;
+        }
+        if (p->column[j + 1] < p->column[j])
+            return 0;
+    }
+    return 1;
+}
+
+static int are_patterns(const mbs_stages_size *z, int next)
+{
+    const mbs_stages_patterns *p = z->patterns;
+    const int n = z->nx + z->nv;
+    return is_pattern(&p->de, z->ne, n, 0) && is_pattern(&p->dd, next, n, 0) && is_pattern(&p->dg, z->ng, n, 0) &&
+           is_pattern(&p->h, n, n, 1);
+}
+
 static int is_possible(const mbs_stages_problem *problem)
 {
     int k;
@@ -204,6 +245,10 @@ static int is_possible(const mbs_stages_problem *problem)
     for (k = 0; k < problem->stages; ++k) {
         const mbs_stages_size *z = &problem->size[k];
         if (z->nx < 0 || z->nv < 0 || z->ne < 0 || z->ng < 0)
+            return 0;
+        if (z->inner < 0 || z->inner > z->nv || z->inner > z->ne)
+            return 0;
+        if (z->patterns && !are_patterns(z, k + 1 < problem->stages ? problem->size[k + 1].nx : 0))
             return 0;
     }
     return 1;

@@ -51,8 +51,10 @@ typedef struct {
 /* A problem; it must live as long as its solver.
  *
  * Variables are stage by stage, x before v. Rows are stage by stage, e before d before g; the last stage has no d.
- * A bound that is not there is infinite (at least 1e19 in magnitude). Matrices are dense, column by column, with
- * columns for x and v, and are zero on entry; of the Hessian only the lower triangle is read.
+ * A bound that is not there is infinite (at least 1e19 in magnitude). Matrices have columns for x and v and are zero on
+ * entry. Where a stage has patterns, a callback writes the nonzeros of de, dd, dg and h in the order of the pattern.
+ * Otherwise matrices are dense, column by column, and of the Hessian only the lower triangle is read. The gradient df
+ * is always dense.
  *
  * A callback returns 0, or anything else if it has no result; numbers that are not finite count as no result. */
 typedef struct {

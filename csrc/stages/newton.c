@@ -78,13 +78,23 @@ static void find_compliance(mbs_stages *s, const mbs_stages_phase *p)
     }
 }
 
+/* The diagonal beside the Hessian: of the barrier, and in restoration of the distance from the reference. */
+static void find_diagonal(mbs_stages *s, const mbs_stages_phase *p)
+{
+    real *diagonal = s->recursion.diagonal;
+    int i;
+    memcpy(diagonal, p->sigma, (size_t)s->variables * sizeof *diagonal);
+    for (i = 0; p->elastic && i < s->variables; ++i)
+        diagonal[i] += s->weight_factor * s->weight[i] * s->weight[i];
+}
+
 /* Factorise with added curvature in stages from `first` on; returns -1, or the stage that lacks curvature. */
 static int factorise_with(mbs_stages *s, mbs_stages_phase *p, int first, real regular)
 {
     find_sigma(s, p);
     if (regular > 0)
         add_curvature(s, p, first, regular);
-    memcpy(s->recursion.diagonal, p->sigma, (size_t)s->variables * sizeof *p->sigma);
+    find_diagonal(s, p);
     find_compliance(s, p);
     s->recursion.plain = 0;
     s->recursion.soft_dynamics = p->elastic;
@@ -150,7 +160,7 @@ static void find_residual(mbs_stages *s)
     memcpy(s->residual_c, s->rc, (size_t)s->rows * sizeof *s->rc);
     for (k = 0; !r->plain && k < s->problem->stages; ++k) {
         const mbs_stages_stage *t = &r->stage[k];
-        mbs_stages_apply_symmetric(t->n, 1, t->H, t->n, s->dw + t->w, s->residual_w + t->w);
+        mbs_stages_matrix_apply_symmetric(&t->H, s->dw + t->w, s->residual_w + t->w);
     }
     mbs_stages_add_transposed(r, s->dy, s->residual_w);
     mbs_stages_add_rows(r, s->dw, s->residual_c);

@@ -102,15 +102,7 @@ void mbs_stages_reweigh(mbs_stages *s, mbs_stages_phase *p)
 
 int mbs_stages_phase_hessian(mbs_stages *s, mbs_stages_phase *p)
 {
-    int k, i;
-    if (mbs_stages_hessian(s, p->x, p->elastic ? 0 : (real)1, p->y))
-        return -1;
-    for (k = 0; p->elastic && k < s->problem->stages; ++k) {
-        const mbs_stages_stage *t = &s->recursion.stage[k];
-        for (i = 0; i < t->n; ++i)
-            t->H[(size_t)i * (size_t)(t->n + 1)] += s->weight_factor * s->weight[t->w + i] * s->weight[t->w + i];
-    }
-    return 0;
+    return mbs_stages_hessian(s, p->x, p->elastic ? 0 : (real)1, p->y);
 }
 
 real mbs_stages_barrier(const mbs_stages *s, const mbs_stages_phase *p, const real *x, real cost)

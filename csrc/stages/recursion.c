@@ -19,7 +19,7 @@ static stage_row row_of(const mbs_stages_stage *s, int i)
     const int e = i < s->ne;
     row.place = e ? s->e + i : s->g + (i - s->ne);
     row.stride = e ? s->ne : s->ng;
-    row.derivative = e ? s->E + i : s->G + (i - s->ne);
+    row.derivative = e ? s->dense.E + i : s->dense.G + (i - s->ne);
     return row;
 }
 
@@ -49,7 +49,7 @@ static void start_cost(const mbs_stages_recursion *r, const mbs_stages_stage *s,
     if (r->plain)
         memset(Q, 0, n * n * sizeof *Q);
     else
-        memcpy(Q, s->H, n * n * sizeof *Q);
+        memcpy(Q, s->dense.H, n * n * sizeof *Q);
     for (i = 0; i < n; ++i)
         Q[i * n + i] += r->diagonal[(size_t)s->w + i];
 }
@@ -87,8 +87,8 @@ static void add_next_cost(const mbs_stages_stage *s, const real *P, real *Q, rea
 {
     const int m = s->next, n = s->n;
     memset(product, 0, (size_t)m * (size_t)n * sizeof *product);
-    mbs_stages_multiply(m, n, m, 1, P, m, s->F, m, product, m, 0);
-    mbs_stages_transpose(m, n, s->F, m, turned, n);
+    mbs_stages_multiply(m, n, m, 1, P, m, s->dense.F, m, product, m, 0);
+    mbs_stages_transpose(m, n, s->dense.F, m, turned, n);
     mbs_stages_multiply(n, n, m, 1, turned, n, product, m, Q, n, 1);
 }
 
@@ -128,16 +128,29 @@ static void stack_rows(const mbs_stages_recursion *r, int k)
         for (j = 0; j < s->n; ++j) {
             real *a = p->lu + (size_t)j * (size_t)p->capacity + (size_t)p->rows;
             memset(a, 0, (size_t)q.rows * sizeof *a);
-            mbs_stages_apply(q.rows, s->next, 1, q.C, q.rows, s->F + (size_t)j * (size_t)s->next, a);
+            mbs_stages_apply(q.rows, s->next, 1, q.C, q.rows, s->dense.F + (size_t)j * (size_t)s->next, a);
         }
         p->rows += q.rows;
     }
+}
+
+/* Copy matrices with patterns into dense ones. */
+static void spread_matrices(const mbs_stages_recursion *r, const mbs_stages_stage *s)
+{
+    if (s->H.begin == NULL)
+        return;
+    mbs_stages_matrix_spread(&s->E, s->dense.E, s->ne);
+    mbs_stages_matrix_spread(&s->F, s->dense.F, s->next);
+    mbs_stages_matrix_spread(&s->G, s->dense.G, s->ng);
+    if (!r->plain)
+        mbs_stages_matrix_spread(&s->H, s->dense.H, s->n);
 }
 
 static int factorise_stage(mbs_stages_recursion *r, int k)
 {
     const mbs_stages_stage *s = &r->stage[k];
     real *Q = r->work[3];
+    spread_matrices(r, s);
     start_cost(r, s, Q);
     add_soft_rows(r, s, Q, r->work[0], r->work[1]);
     if (s->next > 0)
@@ -190,22 +203,33 @@ int mbs_stages_factorise(mbs_stages_recursion *r)
     return -1;
 }
 
+/* linear += AT (rc / compliance), of rows from `place` on that give; the constants of the others follow each other.
+ * Returns how many these are. */
+static int collect_rows(const mbs_stages_recursion *r, const mbs_stages_matrix *A, int place, const real *rc,
+                        real *linear, real *constant)
+{
+    real *force = r->vector[5];
+    int i, exact = 0;
+    for (i = 0; i < A->rows; ++i) {
+        const real give = r->compliance[place + i];
+        force[i] = give > 0 ? rc[place + i] / give : 0;
+        if (!(give > 0))
+            constant[exact++] = rc[place + i];
+    }
+    if (exact < A->rows)
+        mbs_stages_matrix_apply_transposed(A, force, linear);
+    return exact;
+}
+
 /* Right-hand sides of stage k: of its cost, and of its rows. */
 static void collect_stage(const mbs_stages_recursion *r, int k, const real *rw, const real *rc, real *linear,
                           real *constant)
 {
     const mbs_stages_stage *s = &r->stage[k];
-    int i, j, at = 0;
+    int i, at;
     memcpy(linear, rw + s->w, (size_t)s->n * sizeof *linear);
-    for (i = 0; i < s->ne + s->ng; ++i) {
-        const stage_row row = row_of(s, i);
-        const real give = r->compliance[row.place];
-        if (give > 0)
-            for (j = 0; j < s->n; ++j)
-                linear[j] += row.derivative[(size_t)j * (size_t)row.stride] * (rc[row.place] / give);
-        else
-            constant[at++] = rc[row.place];
-    }
+    at = collect_rows(r, &s->E, s->e, rc, linear, constant);
+    at += collect_rows(r, &s->G, s->g, rc, linear, constant + at);
     for (i = 0; i < s->n; ++i)
         if (has_row(r, k, i))
             constant[at++] = 0;
@@ -214,7 +238,7 @@ static void collect_stage(const mbs_stages_recursion *r, int k, const real *rw, 
         real *p = r->vector[2];
         memcpy(p, q.p, (size_t)s->next * sizeof *p);
         mbs_stages_apply(s->next, s->next, 1, q.P, s->next, rc + s->d, p);
-        mbs_stages_apply_transposed(s->next, s->n, 1, s->F, s->next, p, linear);
+        mbs_stages_matrix_apply_transposed(&s->F, p, linear);
         memcpy(constant + at, q.c, (size_t)q.rows * sizeof *constant);
         mbs_stages_apply(q.rows, s->next, 1, q.C, q.rows, rc + s->d, constant + at);
     }
@@ -255,25 +279,32 @@ static void sweep_back(mbs_stages_recursion *r, const real *rw, const real *rc)
     note_left(r, &r->root);
 }
 
-/* Multipliers of rows of stage k: of rows that give from their residuals, of the others from `exact`. Returns how many
- * of `exact` it took. */
+/* Multipliers of rows from `place` on: of rows that give from their residuals, of the others from `exact`. Returns how
+ * many of `exact` it took. */
+static int spread_rows(const mbs_stages_recursion *r, const mbs_stages_matrix *A, int place, const real *z,
+                       const real *rc, const real *exact, real *dy)
+{
+    real *residual = dy + place;
+    int i, taken = 0, soft = 0;
+    for (i = 0; i < A->rows; ++i)
+        soft += r->compliance[place + i] > 0;
+    memcpy(residual, rc + place, (size_t)A->rows * sizeof *residual);
+    if (soft > 0)
+        mbs_stages_matrix_apply(A, z, residual);
+    for (i = 0; i < A->rows; ++i) {
+        const real give = r->compliance[place + i];
+        residual[i] = give > 0 ? residual[i] / give : exact[taken++];
+    }
+    return taken;
+}
+
+/* Multipliers of rows of stage k. Returns how many of `exact` it took. */
 static int spread_multipliers(const mbs_stages_recursion *r, int k, const real *z, const real *rc, const real *exact,
                               real *dy)
 {
     const mbs_stages_stage *s = &r->stage[k];
-    int i, j, at = 0;
-    for (i = 0; i < s->ne + s->ng; ++i) {
-        const stage_row row = row_of(s, i);
-        const real give = r->compliance[row.place];
-        real sum = rc[row.place];
-        if (!(give > 0)) {
-            dy[row.place] = exact[at++];
-            continue;
-        }
-        for (j = 0; j < s->n; ++j)
-            sum += row.derivative[(size_t)j * (size_t)row.stride] * z[j];
-        dy[row.place] = sum / give;
-    }
+    int i, at = spread_rows(r, &s->E, s->e, z, rc, exact, dy);
+    at += spread_rows(r, &s->G, s->g, z, rc, exact + at, dy);
     for (i = 0; i < s->n; ++i)
         at += has_row(r, k, i);
     return at;
@@ -287,7 +318,7 @@ static void advance(const mbs_stages_recursion *r, int k, const real *z, const r
     const mbs_stages_stage *s = &r->stage[k];
     const mbs_stages_step *q = &r->step[k + 1];
     memcpy(x, rc + s->d, (size_t)s->next * sizeof *x);
-    mbs_stages_apply(s->next, s->n, 1, s->F, s->next, z, x);
+    mbs_stages_matrix_apply(&s->F, z, x);
     if (r->soft_dynamics) {
         mbs_stages_deviate(&r->soft[k], r->compliance + s->d, x, dy + s->d);
         memset(passed, 0, (size_t)q->passed * sizeof *passed);
@@ -354,9 +385,9 @@ void mbs_stages_add_transposed(const mbs_stages_recursion *r, const real *y, rea
     int k, i;
     for (k = 0; k < r->stages; ++k) {
         const mbs_stages_stage *s = &r->stage[k];
-        mbs_stages_apply_transposed(s->ne, s->n, 1, s->E, s->ne, y + s->e, out + s->w);
-        mbs_stages_apply_transposed(s->next, s->n, 1, s->F, s->next, y + s->d, out + s->w);
-        mbs_stages_apply_transposed(s->ng, s->n, 1, s->G, s->ng, y + s->g, out + s->w);
+        mbs_stages_matrix_apply_transposed(&s->E, y + s->e, out + s->w);
+        mbs_stages_matrix_apply_transposed(&s->F, y + s->d, out + s->w);
+        mbs_stages_matrix_apply_transposed(&s->G, y + s->g, out + s->w);
         for (i = 0; i < s->next; ++i)
             out[r->stage[k + 1].w + i] -= y[s->d + i];
     }
@@ -367,9 +398,9 @@ void mbs_stages_add_rows(const mbs_stages_recursion *r, const real *w, real *out
     int k, i;
     for (k = 0; k < r->stages; ++k) {
         const mbs_stages_stage *s = &r->stage[k];
-        mbs_stages_apply(s->ne, s->n, 1, s->E, s->ne, w + s->w, out + s->e);
-        mbs_stages_apply(s->next, s->n, 1, s->F, s->next, w + s->w, out + s->d);
-        mbs_stages_apply(s->ng, s->n, 1, s->G, s->ng, w + s->w, out + s->g);
+        mbs_stages_matrix_apply(&s->E, w + s->w, out + s->e);
+        mbs_stages_matrix_apply(&s->F, w + s->w, out + s->d);
+        mbs_stages_matrix_apply(&s->G, w + s->w, out + s->g);
         for (i = 0; i < s->next; ++i)
             out[s->d + i] -= w[r->stage[k + 1].w + i];
     }

@@ -2,15 +2,21 @@
 #ifndef MBS_STAGES_RECURSION_H
 #define MBS_STAGES_RECURSION_H
 
-#include "blocks.h"
+#include "matrix.h"
 #include "soft.h"
+
+/* The derivatives of a stage in dense matrices: what the recursion eliminates. */
+typedef struct {
+    real *E, *F, *G, *H; /* ne, next, ng, n rows; n columns each; the lower triangle of H */
+} mbs_stages_dense;
 
 /* Derivatives of a stage, and where its numbers are: w in variables, e, d and g in rows, s in slacks. */
 typedef struct {
     int nx, nv, n, ne, ng, next; /* n = nx + nv; next: states of the next stage, 0 of the last one */
     int w, e, d, g, s;           /* where they begin */
     int equal;                   /* equal bounds that have room */
-    real *E, *F, *G, *H; /* ne, next, ng, n rows; n columns each */
+    mbs_stages_matrix E, F, G, H; /* ne, next, ng, n rows; n columns each */
+    mbs_stages_dense dense;       /* the same numbers, or copies where there are patterns */
 } mbs_stages_stage;
 
 /* One step of the recursion: variables (x, v) with rows that hold exactly, reduced to what they cost x, and to rows
@@ -46,7 +52,7 @@ typedef struct {
     real zero_pivot, zero_curvature;
     real left; /* largest residual of dependent rows in the last sweep: 0 unless they contradict others */
     real *work[4];   /* blocks of the largest step */
-    real *vector[5]; /* its rows and variables */
+    real *vector[6]; /* its rows and variables */
 } mbs_stages_recursion;
 
 /* Factorise; returns -1, or the stage where the reduced Hessian is not positive definite. */

@@ -124,17 +124,12 @@ static real gentle(real steepest)
     return scale > LEAST_SCALE ? scale : LEAST_SCALE;
 }
 
-static void scale_rows(mbs_stages *s, int at, int m, int n, const real *A)
+static void scale_rows(mbs_stages *s, int at, const mbs_stages_matrix *A)
 {
-    int i, j;
-    for (i = 0; i < m; ++i) {
-        real most = 0;
-        for (j = 0; j < n; ++j) {
-            const real a = real_abs(A[(size_t)j * (size_t)m + (size_t)i]);
-            most = a > most ? a : most;
-        }
-        s->row_scale[at + i] = gentle(most);
-    }
+    int i;
+    mbs_stages_matrix_row_maxima(A, s->row_scale + at);
+    for (i = at; i < at + A->rows; ++i)
+        s->row_scale[i] = gentle(s->row_scale[i]);
 }
 
 /* Scale the cost and the rows of e and g by their first derivatives. */
@@ -147,8 +142,8 @@ static int scale_functions(mbs_stages *s)
         return -1;
     for (k = 0; k < s->problem->stages; ++k) {
         const mbs_stages_stage *t = &s->recursion.stage[k];
-        scale_rows(s, t->e, t->ne, t->n, t->E);
-        scale_rows(s, t->g, t->ng, t->n, t->G);
+        scale_rows(s, t->e, &t->E);
+        scale_rows(s, t->g, &t->G);
     }
     s->cost_scale = gentle(mbs_stages_largest(s->variables, s->main.gradient));
     return 0;

@@ -53,6 +53,17 @@ static void copy(int n, const real *from, real *to)
         to[i] = from[i];
 }
 
+/* The entries of A that the pattern has, or all of them. */
+static void write(int m, int n, const real *A, const mbs_stages_pattern *pattern, real factor, real *out)
+{
+    int j, l;
+    for (l = 0; pattern == NULL && l < m * n; ++l)
+        out[l] = factor * A[l];
+    for (j = 0; pattern != NULL && j < n; ++j)
+        for (l = pattern->column[j]; l < pattern->column[j + 1]; ++l)
+            out[l] = factor * A[j * m + pattern->row[l]];
+}
+
 int quadratic_values(void *context, int k, const real *x, const real *v, real *f, real *e, real *d, real *g)
 {
     const stage s = find(context, k);
@@ -75,11 +86,12 @@ int quadratic_values(void *context, int k, const real *x, const real *v, real *f
 int quadratic_jacobians(void *context, int k, const real *x, const real *v, real *f, real *e, real *d, real *g)
 {
     const stage s = find(context, k);
+    const mbs_stages_patterns *p = ((const quadratic *)context)->size[k].patterns;
     copy(s.n, s.q, f);
     add(s.n, s.n, ((const quadratic *)context)->size[k].nx, s.H, x, v, f);
-    copy(s.ne * s.n, s.E, e);
-    copy(s.next * s.n, s.F, d);
-    copy(s.ng * s.n, s.G, g);
+    write(s.ne, s.n, s.E, p ? &p->de : NULL, 1, e);
+    write(s.next, s.n, s.F, p ? &p->dd : NULL, 1, d);
+    write(s.ng, s.n, s.G, p ? &p->dg : NULL, 1, g);
     return 0;
 }
 
@@ -87,9 +99,8 @@ int quadratic_hessian(void *context, int k, const real *x, const real *v, real f
                       const real *yg, real *h)
 {
     const stage s = find(context, k);
-    int i;
+    const mbs_stages_patterns *p = ((const quadratic *)context)->size[k].patterns;
     (void)x, (void)v, (void)ye, (void)yd, (void)yg;
-    for (i = 0; i < s.n * s.n; ++i)
-        h[i] = factor * s.H[i];
+    write(s.n, s.n, s.H, p ? &p->h : NULL, factor, h);
     return 0;
 }

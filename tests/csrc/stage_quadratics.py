@@ -31,12 +31,14 @@ def random_problem(
     width: float = 1.0,
     first: bool = True,
     flat: float = 0.0,
+    share: float = 1.0,
 ) -> Quadratic:
     """A convex problem for which a random point is feasible.
 
     `bounds` is the part of the variables that has them, on either side, at most `width` from the point; `first` fixes
     the first state; `flat` is the part of the directions without curvature;
-    the cost is bounded below all the same.
+    the cost is bounded below all the same. `share` is the part of the entries of matrices that may be nonzero, the
+    same entries in stages of the same sizes.
     """
     point = [rng.standard_normal(nx + nv) for nx, nv, _, _ in sizes]
     nexts = [size[0] for size in sizes[1:]] + [0]
@@ -44,14 +46,16 @@ def random_problem(
     least, most = [], []
     for (nx, nv, ne, ng), after, w, ahead in zip(sizes, nexts, point, [*point[1:], np.zeros(0)], strict=True):
         n = nx + nv
-        root = spread(rng, n, n) * (rng.random(n)[:, None] >= flat)
+        masks = np.random.default_rng([nx, nv, ne, ng, after])
+        keep = [masks.random((rows, n)) < share for rows in (n, after, ne, ng)]
+        root = spread(rng, n, n) * (rng.random(n)[:, None] >= flat) * keep[0]
         H.append(root.T @ root + (0.1 if flat == 0 else 0.0) * np.eye(n))
         q.append(rng.standard_normal(n) if flat == 0 else root.T @ rng.standard_normal(n))
-        F.append(0.9 * spread(rng, after, n))
+        F.append(0.9 * spread(rng, after, n) * keep[1])
         b.append(ahead[:after] - F[-1] @ w)
-        E.append(spread(rng, ne, n))
+        E.append(spread(rng, ne, n) * keep[2])
         e.append(-E[-1] @ w)
-        G.append(spread(rng, ng, n))
+        G.append(spread(rng, ng, n) * keep[3])
         sides = rng.integers(0, 3, ng)
         least.append(np.where(sides == 1, -INFINITE, G[-1] @ w - width * rng.random(ng)))
         most.append(np.where(sides == 2, INFINITE, G[-1] @ w + width * rng.random(ng)))

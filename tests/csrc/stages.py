@@ -128,6 +128,29 @@ class Library:
         return np.frombuffer(memory, self.dtype)
 
 
+Pattern = tuple[list[int], list[int]]  # where columns begin, rows of nonzeros
+
+
+@dataclass(frozen=True)
+class Extra:
+    """Inner variables of a stage, and the patterns of de, dd, dg and the lower triangle of the Hessian, if any."""
+
+    inner: int = 0
+    patterns: tuple[Pattern, ...] | None = None
+
+
+def lay_sizes(library: Library, sizes: Sequence[tuple[int, ...]], extras: Sequence[Extra]) -> tuple[Any, list[Any]]:
+    """Return sizes of stages in C, and what must live as long; stages with the same Extra share patterns."""
+    ffi, kept, known = library.ffi, [], {}
+    for extra in extras:
+        if extra.patterns is not None and id(extra) not in known:
+            arrays = [[ffi.new("int[]", part) for part in pattern] for pattern in extra.patterns]
+            known[id(extra)] = ffi.new("mbs_stages_patterns *", arrays)
+            kept += [arrays, known[id(extra)]]
+    rows = [(*s, e.inner, known.get(id(e), ffi.NULL)) for s, e in zip(sizes, extras, strict=True)]
+    return ffi.new("mbs_stages_size[]", [*rows, (0, 0, 0, 0, 0, ffi.NULL)]), kept
+
+
 @dataclass(frozen=True)
 class Kind:
     """A sort of stage: expressions of x and v, and bounds of (x, v) and of g."""
@@ -138,6 +161,15 @@ class Kind:
     d: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
     e: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
     g: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
+    inner: int = 0
+    sparse: bool = False
+
+    @cached_property
+    def extra(self) -> Extra:
+        _, jacobians, hessian = self.functions
+        parts = [jacobians.sparsity_out(i) for i in (1, 2, 3)] + [hessian.sparsity_out(0)]
+        patterns = tuple((list(p.colind()), list(p.row())) for p in parts)
+        return Extra(self.inner, patterns if self.sparse else None)
 
     @property
     def size(self) -> tuple[int, int, int, int]:
@@ -151,12 +183,15 @@ class Kind:
         lagrangian = factor * self.cost + sum(
             (ca.dot(a, b) for a, b in zip(y, values[1:], strict=True) if a.numel()), ca.SX(0)
         )
-        jacobians = [ca.jacobian(f, w) for f in values]
-        hessian = ca.hessian(lagrangian, w)[0]
+        jacobians = [ca.densify(ca.jacobian(values[0], w))]
+        jacobians += [ca.jacobian(f, w) for f in values[1:]]
+        hessian = ca.tril(ca.hessian(lagrangian, w)[0])
+        if not self.sparse:
+            jacobians, hessian = [ca.densify(f) for f in jacobians], ca.densify(hessian)
         return (
             ca.Function("values", [self.x, self.v], [ca.densify(f) for f in values]),
-            ca.Function("jacobians", [self.x, self.v], [ca.densify(f) for f in jacobians]),
-            ca.Function("hessian", [self.x, self.v, factor, *y], [ca.densify(hessian)]),
+            ca.Function("jacobians", [self.x, self.v], jacobians),
+            ca.Function("hessian", [self.x, self.v, factor, *y], [hessian]),
         )
 
 
@@ -232,6 +267,10 @@ class Problem:
     def sizes(self) -> list[tuple[int, int, int, int]]:
         return [kind.size for kind in self.stages]
 
+    @property
+    def extras(self) -> list[Extra]:
+        return [kind.extra for kind in self.stages]
+
     def callbacks(self, library: Library, fault: Fault | None) -> list[Any]:
         """Context, values, Jacobians, Hessian."""
         sizes, ffi, r = self.sizes, library.ffi, library.real
@@ -239,30 +278,27 @@ class Problem:
         functions = [kind.functions for kind in self.kinds]
         calls = [0, 0, 0]
 
-        def run(k: int, which: int, inputs: list[tuple[Any, int]], outputs: list[tuple[Any, int]]) -> int:
+        def run(k: int, which: int, inputs: list[tuple[Any, int]], outputs: list[Any]) -> int:
             calls[which] += k == 0
             arguments = [library.view(p, n).astype(np.float64) if n else ca.DM(0, 1) for p, n in inputs]
             results = functions[self.order[k]][which].call(arguments)
-            for (pointer, n), result in zip(outputs, results, strict=True):
-                if n:
-                    library.view(pointer, n)[:] = np.asarray(result).ravel(order="F")
+            for pointer, result in zip(outputs, results, strict=True):
+                if result.nnz():
+                    library.view(pointer, result.nnz())[:] = result.nonzeros()
             if fault and fault(FUNCTIONS[which], calls[which], k):
-                library.view(*outputs[0])[-1] = np.nan
+                library.view(outputs[0], results[0].nnz())[-1] = np.nan
             return 0
 
         def values(_: Any, k: int, x: Any, v: Any, f: Any, e: Any, d: Any, g: Any) -> int:
-            nx, nv, ne, ng = sizes[k]
-            return run(k, 0, [(x, nx), (v, nv)], [(f, 1), (e, ne), (d, after[k]), (g, ng)])
+            return run(k, 0, [(x, sizes[k][0]), (v, sizes[k][1])], [f, e, d, g])
 
         def jacobians(_: Any, k: int, x: Any, v: Any, f: Any, e: Any, d: Any, g: Any) -> int:
-            nx, nv, ne, ng = sizes[k]
-            n = nx + nv
-            return run(k, 1, [(x, nx), (v, nv)], [(f, n), (e, ne * n), (d, after[k] * n), (g, ng * n)])
+            return run(k, 1, [(x, sizes[k][0]), (v, sizes[k][1])], [f, e, d, g])
 
         def hessian(_: Any, k: int, x: Any, v: Any, factor: float, e: Any, d: Any, g: Any, h: Any) -> int:
             nx, nv, ne, ng = sizes[k]
             inputs = [(x, nx), (v, nv), (ffi.new(f"{r}[1]", [factor]), 1), (e, ne), (d, after[k]), (g, ng)]
-            return run(k, 2, inputs, [(h, (nx + nv) ** 2)])
+            return run(k, 2, inputs, [h])
 
         first, out = f"int(void *, int, const {r} *, const {r} *", f", {r} *, {r} *, {r} *, {r} *)"
         multipliers = f", {r}, const {r} *, const {r} *, const {r} *, {r} *)"
@@ -292,6 +328,23 @@ class Quadratic:
     most: Array
     guess: Array
     scale: Array | None = None
+    inner: list[int] | None = None  # of each stage
+    sparse: bool = False  # nonzeros by patterns, which stages of the same sizes share
+
+    @cached_property
+    def extras(self) -> list[Extra]:
+        inner = self.inner or [0] * len(self.sizes)
+        nexts = [size[0] for size in self.sizes[1:]] + [0]
+        keys = list(zip(self.sizes, nexts, inner, strict=True))
+        known: dict[Any, Extra] = {}
+        for key in set(keys):
+            alike = [k for k, other in enumerate(keys) if other == key]
+            parts = [sum(np.abs(m[k]) for k in alike) for m in (self.E, self.F, self.G, self.H)]
+            parts[3] = np.tril(parts[3])
+            columns = [sp.csc_array(np.asarray(part)) for part in parts]
+            patterns = tuple((c.indptr.tolist(), c.indices.tolist()) for c in columns)
+            known[key] = Extra(key[2], patterns if self.sparse else None)
+        return [known[key] for key in keys]
 
     def callbacks(self, library: Library, _: Fault | None) -> list[Any]:
         parts = zip(self.H, self.q, self.F, self.b, self.E, self.e, self.G, strict=True)
@@ -299,10 +352,10 @@ class Quadratic:
         starts = np.concatenate([[0], np.cumsum([len(s) for s in stages])])
         data = library.numbers(np.concatenate(stages))
         ffi = library.ffi
-        sizes = ffi.new("mbs_stages_size[]", [*self.sizes, (0, 0, 0, 0)])
+        sizes, patterns = lay_sizes(library, self.sizes, self.extras)
         start = ffi.new("long[]", [int(i) for i in starts])
         context = ffi.new("quadratic *", [sizes, start, library.pointer(data)])
-        self.kept = data, sizes, start, context
+        self.kept = data, sizes, patterns, start, context
         lib = library.lib
         return [context, lib.quadratic_values, lib.quadratic_jacobians, lib.quadratic_hessian]
 
@@ -382,7 +435,7 @@ class Solver:
         self.path: list[tuple[Any, ...]] = []
         self.seconds = 0.0
         ffi, numbers = library.ffi, library.numbers
-        self.size = ffi.new("mbs_stages_size[]", problem.sizes)
+        self.size, self.patterns = lay_sizes(library, problem.sizes, problem.extras)
         self.lower, self.upper = numbers(problem.lower), numbers(problem.upper)
         self.least, self.most = numbers(problem.least), numbers(problem.most)
         self.scale = None if problem.scale is None else numbers(problem.scale)

@@ -70,6 +70,43 @@ def test_convex_quadratic_programs_have_the_optimum_of_ipopt(library: Library, s
         assert close(answer.w, solution["x"], 1e-6)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_patterns_give_the_iterates_of_dense_matrices(library: Library, seed: int) -> None:
+    """Two thirds of all entries are zero, and each kind of stage has its pattern."""
+    rng = np.random.default_rng(seed)
+    problem = random_problem(rng, [(3, 4, 2, 2)] * 6 + [(2, 3, 1, 0)] * 3 + [(2, 0, 0, 1)], bounds=0.4, share=0.3)
+    dense, sparse = (Solver(library, replace(problem, sparse=flag)) for flag in (False, True))
+    answers = dense.solve(), sparse.solve()
+    assert [a.status for a in answers] == ["solved", "solved"]
+    assert answers[1].result.iterations == answers[0].result.iterations
+    assert close(answers[1].w, answers[0].w, 1e-10)
+    assert max(problem.residuals(*answers[1].point)) < 1e-8
+
+
+def test_patterns_of_nonlinear_problems(library: Library) -> None:
+    """The chain, where curvature is added; a target out of reach, which ends in restoration; no numbers."""
+    for problem in (next(p for p in nonlinear() if p.name == "hanging chain"), too_weak()):
+        sparse = replace(problem, kinds=[replace(kind, sparse=True) for kind in problem.kinds])
+        first, other = Solver(library, problem).solve(), Solver(library, sparse).solve()
+        assert (other.status, other.result.iterations) == (first.status, first.result.iterations)
+        assert other.result.cost == pytest.approx(first.result.cost, rel=1e-8)
+    failed = Solver(library, sparse, lambda what, _, k: (what, k) == ("hessian", 3)).solve()
+    assert (failed.status, failed.result.stage) == ("callback failed", 3)
+
+
+def test_a_pattern_must_be_one(library: Library) -> None:
+    """Rows beyond the matrix, rows that do not increase, entries above the diagonal: no solver is made."""
+    problem = random_problem(np.random.default_rng(0), [(2, 2, 1, 0)] * 3)
+    solver = Solver(library, replace(problem, sparse=True))
+    pattern = solver.size[0].patterns
+    for matrix, place, row in (("de", 0, 1), ("dd", 1, 0), ("dd", 0, -1), ("h", 4, 0)):
+        rows = library.ffi.cast("int *", getattr(pattern, matrix).row)
+        kept, rows[place] = rows[place], row
+        assert library.lib.mbs_stages_bytes(solver.c) == 0
+        rows[place] = kept
+    assert library.lib.mbs_stages_bytes(solver.c) == solver.bytes
+
+
 def with_row(problem: Quadratic, k: int, row: Array, constant: float) -> Quadratic:
     """Add a row of e to a stage."""
     nx, nv, ne, ng = problem.sizes[k]

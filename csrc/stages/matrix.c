@@ -1,0 +1,103 @@
+/* Matrices with or without a pattern: see matrix.h. */
+#include "matrix.h"
+
+#include <string.h>
+
+void mbs_stages_matrix_apply(const mbs_stages_matrix *A, const real *x, real *restrict y)
+{
+    int j, l;
+    if (A->begin == NULL) {
+        mbs_stages_apply(A->rows, A->columns, 1, A->value, A->rows, x, y);
+        return;
+    }
+    for (j = 0; j < A->columns; ++j) {
+        const real a = x[j];
+        for (l = A->begin[j]; l < A->end[j]; ++l)
+            y[A->row[l]] += A->value[l] * a;
+    }
+}
+
+void mbs_stages_matrix_apply_transposed(const mbs_stages_matrix *A, const real *x, real *restrict y)
+{
+    int j, l;
+    if (A->begin == NULL) {
+        mbs_stages_apply_transposed(A->rows, A->columns, 1, A->value, A->rows, x, y);
+        return;
+    }
+    for (j = 0; j < A->columns; ++j) {
+        real sum = 0;
+        for (l = A->begin[j]; l < A->end[j]; ++l)
+            sum += A->value[l] * x[A->row[l]];
+        y[j] += sum;
+    }
+}
+
+void mbs_stages_matrix_apply_symmetric(const mbs_stages_matrix *A, const real *x, real *restrict y)
+{
+    int j, l;
+    if (A->begin == NULL) {
+        mbs_stages_apply_symmetric(A->rows, 1, A->value, A->rows, x, y);
+        return;
+    }
+    for (j = 0; j < A->columns; ++j) {
+        const real a = x[j];
+        real sum = 0;
+        l = A->begin[j];
+        if (l < A->end[j] && A->row[l] == j)
+            sum = A->value[l++] * a;
+        for (; l < A->end[j]; ++l) {
+            sum += A->value[l] * x[A->row[l]];
+            y[A->row[l]] += A->value[l] * a;
+        }
+        y[j] += sum;
+    }
+}
+
+void mbs_stages_matrix_scale(const mbs_stages_matrix *A, const real *row, const real *column)
+{
+    int i, j, l;
+    if (A->begin == NULL) {
+        real *a = A->value;
+        for (j = 0; j < A->columns; ++j, a += A->rows)
+            for (i = 0; i < A->rows; ++i)
+                a[i] *= row[i] * column[j];
+        return;
+    }
+    for (j = 0; j < A->columns; ++j)
+        for (l = A->begin[j]; l < A->end[j]; ++l)
+            A->value[l] *= row[A->row[l]] * column[j];
+}
+
+static void raise_to(real *most, real a)
+{
+    if (real_abs(a) > *most)
+        *most = real_abs(a);
+}
+
+void mbs_stages_matrix_row_maxima(const mbs_stages_matrix *A, real *most)
+{
+    int i, j, l;
+    memset(most, 0, (size_t)A->rows * sizeof *most);
+    for (j = 0; j < A->columns; ++j)
+        if (A->begin == NULL)
+            for (i = 0; i < A->rows; ++i)
+                raise_to(&most[i], A->value[(size_t)j * (size_t)A->rows + (size_t)i]);
+        else
+            for (l = A->begin[j]; l < A->end[j]; ++l)
+                raise_to(&most[A->row[l]], A->value[l]);
+}
+
+void mbs_stages_matrix_spread(const mbs_stages_matrix *A, real *dense, int ld)
+{
+    int j, l;
+    for (j = 0; j < A->columns; ++j) {
+        real *to = dense + (size_t)j * (size_t)ld;
+        if (A->begin == NULL) {
+            memcpy(to, A->value + (size_t)j * (size_t)A->rows, (size_t)A->rows * sizeof *to);
+            continue;
+        }
+        memset(to, 0, (size_t)A->rows * sizeof *to);
+        for (l = A->begin[j]; l < A->end[j]; ++l)
+            to[A->row[l]] = A->value[l];
+    }
+}
