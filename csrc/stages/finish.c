@@ -29,7 +29,7 @@ static int is_least(mbs_stages *s, mbs_stages_phase *p)
 {
     const real worst = mbs_stages_worst_violation(s);
     return p->elastic && p->mu <= CERTAIN && worst > CLEAR * p->mu &&
-           mbs_stages_measure_errors(s, p, p->mu).scaled <= 10 * p->mu;
+           mbs_stages_measure_errors(s, p, p->mu).scaled <= 10 * p->mu + mbs_stages_rounding(p);
 }
 
 /* A status, or MBS_STAGES_RUNNING. Restoration is solved at a least violation above 0, which is a contradiction. */

@@ -27,7 +27,8 @@ static int lower_barrier(mbs_stages *s, mbs_stages_phase *p)
     const real fixed = p->elastic ? 0 : mbs_stages_least_barrier(s), zero = s->options.tolerance / (KAPPA_EPSILON + 1);
     const real least = fixed > zero ? fixed : zero;
     int force = p->tiny && p->tiny_before;
-    while (force || mbs_stages_measure_errors(s, p, p->mu).scaled <= KAPPA_EPSILON * p->mu) {
+    const real rounding = mbs_stages_rounding(p);
+    while (force || mbs_stages_measure_errors(s, p, p->mu).scaled <= KAPPA_EPSILON * p->mu + rounding) {
         const real a = KAPPA_MU * p->mu, b = real_pow(p->mu, THETA_MU), lower = a < b ? a : b;
         if (p->mu <= least)
             return force ? -1 : 0;

@@ -7,7 +7,6 @@
 #include <string.h>
 
 #define KAPPA ((real)1e-5)
-#define PENALTY ((real)1000) /* of violations in restoration */
 #define USUAL ((real)100)    /* size of multipliers beyond which errors are scaled */
 
 static int has(real bound)
@@ -48,7 +47,7 @@ static real elastic_cost(const mbs_stages *s, const real *x)
         const real d = s->weight[i] * (x[i] - s->reference[i]);
         distance += d * d;
     }
-    return PENALTY * mbs_stages_sum(2 * s->rows, p) + s->weight_factor * distance / 2;
+    return MBS_STAGES_PENALTY * mbs_stages_sum(2 * s->rows, p) + s->weight_factor * distance / 2;
 }
 
 int mbs_stages_phase_values(mbs_stages *s, const mbs_stages_phase *p, const real *x, real *cost, real *c)
@@ -83,7 +82,7 @@ int mbs_stages_phase_derivatives(mbs_stages *s, mbs_stages_phase *p)
     if (mbs_stages_jacobians(s, p->x, p->gradient))
         return -1;
     for (i = s->variables; i < p->size; ++i)
-        p->gradient[i] = i < s->variables + s->slacks ? 0 : PENALTY;
+        p->gradient[i] = i < s->variables + s->slacks ? 0 : MBS_STAGES_PENALTY;
     if (p->elastic)
         elastic_gradient(s, p);
     return 0;
@@ -244,6 +243,12 @@ mbs_stages_errors mbs_stages_measure_errors(mbs_stages *s, mbs_stages_phase *p, 
     e.scaled = dual > e.scaled ? dual : e.scaled;
     e.scaled = slack > e.scaled ? slack : e.scaled;
     return e;
+}
+
+/* What rounding alone leaves of the optimality conditions. The multipliers of restoration are as large as its penalty. */
+real mbs_stages_rounding(const mbs_stages_phase *p)
+{
+    return p->elastic ? 100 * MBS_STAGES_EPSILON * MBS_STAGES_PENALTY : 0;
 }
 
 /* The largest step, at most 1, that keeps a part 1 - tau of each distance. */

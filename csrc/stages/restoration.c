@@ -9,7 +9,6 @@
 
 #include <string.h>
 
-#define PENALTY ((real)1000)
 #define REDUCTION ((real)0.9) /* of the violation, at least */
 #define LARGE ((real)1000)    /* multipliers of bounds that are not worth keeping */
 
@@ -21,14 +20,14 @@ static void copy_main(real *to, const real *from, int n)
 /* The p and n of least barrier cost for a residual c. */
 static void split_residual(real c, real mu, real *plus, real *minus)
 {
-    const real a = (mu - PENALTY * c) / (2 * PENALTY), b = mu * c / (2 * PENALTY);
+    const real a = (mu - MBS_STAGES_PENALTY * c) / (2 * MBS_STAGES_PENALTY), b = mu * c / (2 * MBS_STAGES_PENALTY);
     const real root = real_sqrt(a * a + b > 0 ? a * a + b : 0);
     *minus = a >= 0 || !(root - a > 0) ? a + root : b / (root - a);
     *plus = c + *minus;
     if (!(*minus > 0))
-        *minus = mu / PENALTY;
+        *minus = mu / MBS_STAGES_PENALTY;
     if (!(*plus > 0))
-        *plus = mu / PENALTY;
+        *plus = mu / MBS_STAGES_PENALTY;
 }
 
 static void start_elastics(mbs_stages *s, mbs_stages_phase *q)
@@ -60,8 +59,8 @@ static int start(mbs_stages *s)
     for (i = 0; i < s->variables; ++i)
         s->weight[i] = real_abs(p->x[i]) > 1 ? 1 / real_abs(p->x[i]) : 1;
     for (i = 0; i < n; ++i) {
-        q->zl[i] = p->zl[i] < PENALTY ? p->zl[i] : PENALTY;
-        q->zu[i] = p->zu[i] < PENALTY ? p->zu[i] : PENALTY;
+        q->zl[i] = p->zl[i] < MBS_STAGES_PENALTY ? p->zl[i] : MBS_STAGES_PENALTY;
+        q->zu[i] = p->zu[i] < MBS_STAGES_PENALTY ? p->zu[i] : MBS_STAGES_PENALTY;
     }
     start_elastics(s, q);
     memset(q->y, 0, (size_t)s->rows * sizeof *q->y);

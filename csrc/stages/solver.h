@@ -15,6 +15,7 @@
 #endif
 #define MBS_STAGES_INFINITE ((real)1e19)
 #define MBS_STAGES_ENTRIES 64  /* of a filter */
+#define MBS_STAGES_PENALTY ((real)1000) /* of violations in restoration */
 #define MBS_STAGES_RUNNING (-1) /* no status yet */
 #define MBS_STAGES_RESTORED (-2)
 
@@ -99,6 +100,7 @@ real mbs_stages_barrier(const mbs_stages *s, const mbs_stages_phase *p, const re
 void mbs_stages_find_lagrangian(mbs_stages *s, mbs_stages_phase *p);
 void mbs_stages_stationarity(mbs_stages *s, mbs_stages_phase *p, int barrier, real *out);
 mbs_stages_errors mbs_stages_measure_errors(mbs_stages *s, mbs_stages_phase *p, real mu);
+real mbs_stages_rounding(const mbs_stages_phase *p);
 real mbs_stages_boundary(const mbs_stages *s, const mbs_stages_phase *p, const real *x, const real *dx, real tau);
 real mbs_stages_dual_boundary(const mbs_stages *s, const mbs_stages_phase *p, const mbs_stages_direction *d);
 real mbs_stages_descent(const mbs_stages *s, const mbs_stages_phase *p, const real *dx);

@@ -150,26 +150,36 @@ def test_rows_are_dependent_across_stages(library: Library) -> None:
     assert sum(c.violation for c in refused.result.clash) == pytest.approx(1.0, abs=1e-3)
 
 
+def contradictory(k: int, difference: float) -> Quadratic:
+    """Two of the same row with constants that differ, in stage k of 11."""
+    rng = np.random.default_rng(k)
+    problem = random_problem(rng, [(3, 2, 1, 1)] * 10 + [(3, 0, 1, 1)], bounds=0.3)
+    return with_row(problem, k, problem.E[k][0], problem.e[k][0] + difference)
+
+
 @pytest.mark.parametrize("k", [0, 4, 10])
 def test_contradictory_equalities_are_named(library: Library, k: int) -> None:
     """The same row with two constants: their difference stays, in one of them or in both."""
-    rng = np.random.default_rng(k)
-    problem = random_problem(rng, [(3, 2, 1, 1)] * 10 + [(3, 0, 1, 1)], bounds=0.3)
-    answer = Solver(library, with_row(problem, k, problem.E[k][0], problem.e[k][0] + 0.5)).solve()
+    answer = Solver(library, contradictory(k, 0.5)).solve()
     assert answer.status == "infeasible"
     assert set(clashes(answer)) <= {(k, "e", 0), (k, "e", 1)}
     assert sum(c.violation for c in answer.result.clash) == pytest.approx(0.5, abs=1e-3)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_inequalities_that_bounds_forbid_are_named(library: Library, seed: int) -> None:
-    """A row of g wants more than bounds of its stage allow by far."""
+def forbidden(seed: int) -> tuple[Quadratic, int]:
+    """A row of g wants more than bounds of its stage allow by far: the problem, and the stage."""
     rng = np.random.default_rng(seed)
     problem = random_problem(rng, [(2, 3, 1, 2)] * 8 + [(2, 0, 0, 2)], bounds=0.5)
     k = int(rng.integers(1, 8))
     problem.lower[5 * k : 5 * k + 5], problem.upper[5 * k : 5 * k + 5] = -1.0, 1.0
     problem.least[2 * k] = 20 * np.abs(problem.G[k][0]).sum()
     problem.most[2 * k] = 1e20
+    return problem, k
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_inequalities_that_bounds_forbid_are_named(library: Library, seed: int) -> None:
+    problem, k = forbidden(seed)
     answer = Solver(library, problem).solve()
     assert answer.status == "infeasible"
     assert clashes(answer)[0] == (k, "g", 0)
@@ -454,6 +464,25 @@ def test_single_precision_knows_a_target_out_of_reach(library: Library, single: 
     assert (exact.status, answer.status) == ("infeasible", "infeasible")
     assert clashes(answer) == clashes(exact)
     assert answer.result.clash[0].violation == pytest.approx(exact.result.clash[0].violation, rel=1e-3)
+
+
+@pytest.mark.parametrize("k", [0, 4, 10])
+@pytest.mark.parametrize("difference", [0.5, 0.02])
+def test_single_precision_names_contradictory_equalities(single: Library, k: int, difference: float) -> None:
+    """Multipliers of restoration are as large as its penalty, so their rounding is not small beside the tolerance."""
+    answer = Solver(single, contradictory(k, difference)).solve()
+    assert answer.status == "infeasible"
+    assert set(clashes(answer)) <= {(k, "e", 0), (k, "e", 1)}
+    assert sum(c.violation for c in answer.result.clash) == pytest.approx(difference, abs=2e-3)
+    assert answer.result.iterations < 30
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_single_precision_names_inequalities_that_bounds_forbid(single: Library, seed: int) -> None:
+    problem, k = forbidden(seed)
+    answer = Solver(single, problem).solve()
+    assert answer.status == "infeasible"
+    assert clashes(answer)[0] == (k, "g", 0)
 
 
 def test_objects_hold_no_state_and_need_the_mathematical_library_alone(compiled: Path) -> None:
