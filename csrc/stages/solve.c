@@ -253,7 +253,7 @@ static int choose_barrier(mbs_stages *s, mbs_stages_phase *p)
                                         mbs_stages_dual_boundary(s, p, &p->step));
         ratio = after / before;
         mu = ratio * ratio * ratio * before;
-        p->mu = mu > (real)1e-6 ? (mu < 100 ? mu : 100) : (real)1e-6;
+        p->mu = mu > MBS_STAGES_LOW ? (mu < 100 ? mu : 100) : MBS_STAGES_LOW;
     } else {
         p->mu = (real)0.1;
     }
@@ -269,7 +269,7 @@ real mbs_stages_least_barrier(const mbs_stages *s)
 static real first_barrier(const mbs_stages *s)
 {
     const mbs_stages_options *o = &s->options;
-    const real first = o->barrier > 0 ? o->barrier : o->warm ? (real)1e-6 : (real)0.1;
+    const real first = o->barrier > 0 ? o->barrier : o->warm ? MBS_STAGES_LOW : (real)0.1;
     const real least = mbs_stages_least_barrier(s);
     return first > least ? first : least;
 }

@@ -9,9 +9,11 @@
 #ifdef MBS_STAGES_FLOAT
 #define MBS_STAGES_EPSILON FLT_EPSILON
 #define MBS_STAGES_LARGEST FLT_MAX
+#define MBS_STAGES_LOW 1e-5f /* a barrier parameter to begin with near a solution */
 #else
 #define MBS_STAGES_EPSILON DBL_EPSILON
 #define MBS_STAGES_LARGEST DBL_MAX
+#define MBS_STAGES_LOW 1e-6
 #endif
 #define MBS_STAGES_INFINITE ((real)1e19)
 #define MBS_STAGES_ENTRIES 64  /* of a filter */
