@@ -71,7 +71,7 @@ def write_functions(
 
 def list_functions(tree: Tree, request: Request) -> tuple[str, ...]:
     """List the functions of the catalogue that are written. Raises OptionError for unknown names."""
-    return tuple(_choose_functions(tree, request.needed))
+    return tuple(_choose_functions(tree, request))
 
 
 def _write_chosen(
@@ -83,7 +83,7 @@ def _write_chosen(
     dynamics = Dynamics(tree, request.reductions, staged=staged, size=request.size)
     read = dict(request.scene.results)
     forms: list[Derivatives] = []
-    for name, entry in _choose_functions(tree, request.needed).items():
+    for name, entry in _choose_functions(tree, request).items():
         tell(name)
         function = entry.build(tree, request.reductions)
         assert function.name == name, "the catalogue calls a function by its own name"
@@ -126,7 +126,8 @@ def _write_staged(value: Computation, procedure: Procedure, title: str, order: i
 
 def _finish(families: Sequence[Family], request: Request) -> list[Family]:
     """Set velocities at rest to zero, join functions of one state, and drop functions that only joining needed."""
-    scene, chosen = request.scene, request.functions
+    scene = request.scene
+    chosen = None if request.functions is None else {*request.functions, *request.optional}
     still = families if scene.motion else [_let_rest(family) for family in families]
     by_name = {family.value.name: family for family in still}
     joined = []
@@ -167,13 +168,14 @@ def _let_rest(family: Family) -> Family:
     return replace(family, value=value, jac=jac, adj1=adj1, jac_adj1=jac_adj1, staged={})
 
 
-def _choose_functions(tree: Tree, names: tuple[str, ...] | None) -> Mapping[str, Entry]:
+def _choose_functions(tree: Tree, request: Request) -> Mapping[str, Entry]:
     """Choose functions by name, in the order of the catalogue; report all faulty names together."""
     present = select_functions(tree)
-    if names is None:
+    if request.needed is None:
         return present
+    names = [name for name in request.needed if name in present or name not in request.optional]
     faults = [] if names else [f"no function is named; there are {', '.join(present)}"]
-    for name in dict.fromkeys(names):
+    for name in names:
         if name in FUNCTIONS and name not in present:
             faults.append(refuse(name, tree))
         elif name not in FUNCTIONS:

@@ -35,6 +35,7 @@ class Options:
     targets: tuple[str, ...] = ()  # beside C, see `targets.languages`
     compare: bool = False  # also count the formulations without each reduction
     functions: tuple[str, ...] | None = None  # of the catalogue; None: the scene's
+    optional: tuple[str, ...] = ()  # beside these, the ones of the catalogue that the model has
     derivatives: int = 2  # the highest order; the scene may lower it
     scene: Path | Scene = EVERYTHING  # the part of the model to generate
     tolerance: float | None = None  # allowed relative error; None: the scene's
@@ -54,6 +55,7 @@ class Request:
     """The merged options and scene. Of the scene, its functions and its order of derivatives are merged here."""
 
     functions: tuple[str, ...] | None = None  # of the catalogue; None: all that the model has
+    optional: tuple[str, ...] = ()  # beside these, the ones that the model has
     derivatives: int = 2  # up to which order
     targets: tuple[str, ...] = ()  # beside C
     runtime: bool = False  # every number of the model a run-time parameter
@@ -70,9 +72,9 @@ class Request:
 
     @property
     def needed(self) -> tuple[str, ...] | None:
-        """List the chosen functions, and the parts of combined functions; None: all."""
+        """List the chosen functions, optional ones, and the parts of combined functions; None: all."""
         parts = [part for _, group in self.scene.together for part in group]
-        return None if self.functions is None else tuple(dict.fromkeys((*self.functions, *parts)))
+        return None if self.functions is None else tuple(dict.fromkeys((*self.functions, *self.optional, *parts)))
 
     @property
     def values_alone(self) -> Request:
@@ -95,6 +97,7 @@ def merge(options: Options, scene: Scene) -> Request:
         raise OptionError(f"tolerance: {finding}; leave one of the options out")
     return Request(
         functions=scene.functions if options.functions is None else options.functions,
+        optional=options.optional,
         derivatives=min(options.derivatives, scene.derivatives),
         targets=options.targets,
         runtime=options.runtime,

@@ -13,6 +13,7 @@ found where the kernels `close`, `close_rates`, `close_accelerations` and `proje
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -34,6 +35,7 @@ LONGEST = 0.5  # step of Newton's method [rad, m]
 SETTLED = 1e-14  # a step below which Newton's method ends, relative to 1 + |q|
 FARTHEST = 0.5  # how far Newton's method goes along a continuation, relative to 1 + |q|
 SHORTEST = 1e-3  # step of a continuation, relative to the whole way
+SPREAD = 0.2  # step of continuations side by side [rad, m]
 RANK = 1e-8  # of singular values, relative to the first: a double root is found to the root of the rounding
 INDEPENDENT = 1e-6  # the least part of a unit vector that other conditions leave undetermined
 REGULAR = 1e-3  # the least singular value of the block of dependent coordinates, relative to the largest of J
@@ -176,6 +178,27 @@ class Closure:
                 raise self.tell_open(found)
         return q
 
+    def spread(self, pose: Array, given: Sequence[int], values: Array) -> Array:
+        """Return closed poses (K, nq), each with given entries on the way from a pose (nq,) to values (K, g).
+
+        They go step by step, and as far as the loops close by the same branch, away from singular poses.
+        """
+        q, far = np.tile(pose, (len(values), 1)), np.abs(values - pose[list(given)]).max(initial=0.0)
+        count = max(1, math.ceil(far / SPREAD))
+        sign, active = self._find_branch(pose[None])[0], np.arange(len(values))
+        for k in range(1, count + 1):
+            trial = q[active]
+            trial[:, list(given)] = pose[list(given)] + k / count * (values[active] - pose[list(given)])
+            found = self.close(trial, given)
+            is_good = np.abs(self.gaps(found)).max(axis=1, initial=0.0) <= CLOSED
+            is_good &= np.abs(found - q[active]).max(axis=1) <= LONGEST
+            is_good &= self._find_branch(found) == sign
+            active, found = active[is_good], found[is_good]
+            if not active.size:
+                break
+            q[active] = found
+        return q
+
     def tell_open(self, q: Array) -> OpenError:
         """Return the error of a pose (nq,) whose loops stay open."""
         gap = self.find_gap(q)
@@ -241,13 +264,17 @@ class Closure:
 
     def is_regular(self, q: Array) -> bool:
         """Return whether the independent coordinates determine the others along a path (K, n), by one branch."""
+        branches = self._find_branch(q)
+        return bool(branches[0] and (branches == branches[0]).all())
+
+    def _find_branch(self, q: Array) -> Array:
+        """Return the sign of the determinant of J's dependent columns for poses (K, n); 0 near singular poses."""
         J = self.jacobian(q)
+        J = np.where(np.isfinite(J).all(axis=(1, 2), keepdims=True), J, 0.0)
         block = J[:, :, self.dependent]
-        if not np.isfinite(J).all():
-            return False
         least, most = (np.linalg.svd(x, compute_uv=False) for x in (block, J))
-        signs = np.sign(np.linalg.det(block))
-        return bool((least[:, -1] >= REGULAR * most[:, 0]).all() and (signs == signs[0]).all())
+        is_regular = (least[:, -1] > 0) & (least[:, -1] >= REGULAR * most[:, 0])
+        return np.where(is_regular, np.sign(np.linalg.det(block)), 0.0)
 
     def choose(self, q: Array, candidates: Sequence[int]) -> list[int]:
         """Choose the first candidates that can have any value near a pose (n,), whatever the chosen before have."""

@@ -24,6 +24,7 @@ class Extent:
     scene: Path | None = None  # a scene file
     without: tuple[str, ...] = ()  # reductions of the operation count that are switched off, by their fields' names
     runtime: bool = False  # every number of the model a run-time parameter, by its path in the file
+    optional: tuple[str, ...] = ()  # functions beside the named ones, if the model has them: of loops, of sensors
 
 
 WHOLE = Extent()
@@ -48,7 +49,11 @@ def find_folder(path: Path, extent: Extent = WHOLE) -> Path:
         from mbsgen.pipeline import Options, generate  # only here, and late: kernels are called without SymPy
 
         options = Options(
-            runtime=extent.runtime, functions=extent.functions, derivatives=extent.derivatives, targets=extent.targets
+            runtime=extent.runtime,
+            functions=extent.functions,
+            optional=extent.optional,
+            derivatives=extent.derivatives,
+            targets=extent.targets,
         )
         reductions = replace(options.reductions, **dict.fromkeys(extent.without, False))
         options = replace(options, reductions=reductions, scene=extent.scene or options.scene)

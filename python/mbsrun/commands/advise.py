@@ -111,7 +111,7 @@ def _measure_control(model: Path, out: Path, accuracy: float, quick: bool, repor
     scope = kernels.KernelScope((), (kernels.USUAL, kernels.SINGLE), 3 if quick else 40, 4 if quick else 16)
     store = Store(out / "control.jsonl", KernelPoint)
     points: list[KernelPoint] = []
-    tasks = (*kernels.KERNELS, *kernels.SLOPES)
+    tasks = kernels.list_tasks(subject.manifest, derivatives=True)
     for done, task in enumerate(tasks):
         report(task, done, len(tasks))
         points += kernels.measure_task(subject, task, scope, store)

@@ -10,7 +10,16 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from mbsrun.measuring.kernels import ACCELERATIONS, RESIDUAL, SLOPES_A, SLOPES_R
+from mbsrun.measuring.kernels import (
+    ACCELERATIONS,
+    REDUCED_A,
+    REDUCED_R,
+    RESIDUAL,
+    SLOPES_A,
+    SLOPES_R,
+    SLOPES_RA,
+    SLOPES_RR,
+)
 from mbsrun.measuring.motions import Course, Standard
 from mbsrun.measuring.points import Cost, KernelPoint, MotionPoint, SolvePoint
 
@@ -20,6 +29,10 @@ NEEDS = {
     ACCELERATIONS: "motion under torques",
     SLOPES_R: "derivatives of the torques",
     SLOPES_A: "derivatives of the accelerations",
+    REDUCED_R: "torques for a motion of independent joints",
+    REDUCED_A: "motion of independent joints under torques",
+    SLOPES_RR: "derivatives of the torques by independent joints",
+    SLOPES_RA: "derivatives of the accelerations of independent joints",
 }
 
 

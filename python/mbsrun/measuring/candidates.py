@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 States = Mapping[str, Array]  # (K, size) by name
 Found = tuple[NDArray[np.int64], list[dict[str, Array]]]  # the status of each state, and its results
 
-VARIABLES = ("q", "qd", "qdd", "u", "w", "theta")  # of Jacobians
+VARIABLES = ("q", "qd", "yd", "qdd", "ydd", "lam", "tau", "a", "u", "w", "theta")  # of Jacobians
 LARGEST = 20_000  # operations of a CasADi function that is compiled: for more, -O3 takes minutes
 
 
@@ -94,17 +94,18 @@ class Candidate:
 
     def _subtract(self, results: list[dict[str, Array]], states: States) -> dict[str, Array]:
         assert self.differences is not None, "called only where differences are taken"
-        (name,) = results[0]
-        values, step = np.array([x[name].ravel() for x in results]), self.differences.step
-        if self.differences.central:
-            columns = (values[::2] - values[1::2]) / (2 * step)
-        else:
-            columns = (values[1:] - values[0]) / step
-        found, start = {}, 0
-        for variable in self._variables():
-            width = states[variable].shape[1]
-            found[name_derivative(name, variable)] = columns[start : start + width].T
-            start += width
+        step, found = self.differences.step, {}
+        for name in results[0]:
+            values = np.array([x[name].ravel() for x in results])
+            if self.differences.central:
+                columns = (values[::2] - values[1::2]) / (2 * step)
+            else:
+                columns = (values[1:] - values[0]) / step
+            start = 0
+            for variable in self._variables():
+                width = states[variable].shape[1]
+                found[name_derivative(name, variable)] = columns[start : start + width].T
+                start += width
         return found
 
 
@@ -132,12 +133,12 @@ def differentiate(subject: Subject, name: str, variant: Variant) -> Candidate | 
     """Differentiate the equations of a kernel by CasADi, and compile the C; or return the reason against it."""
     kernel = subject.manifest.kernel(name)
     function = trace(load_equations(subject), kernel)
-    inputs, (out,) = function.sx_in(), function.name_out()
+    inputs = function.sx_in()
     names = [x for x in VARIABLES if x in function.name_in()]
     chosen = [inputs[function.name_in().index(x)] for x in names]
-    (result,) = function.call(inputs)
-    blocks = [ca.jacobian(result, x) for x in chosen]
-    labels = [name_derivative(out, x) for x in names]
+    results = dict(zip(function.name_out(), function.call(inputs), strict=True))
+    blocks = [ca.jacobian(result, x) for result in results.values() for x in chosen]
+    labels = [name_derivative(out, x) for out in results for x in names]
     symbol = f"casadi_{kernel.symbol}"
     jacobian = ca.Function(symbol, inputs, blocks, function.name_in(), labels, {"cse": True})
     if jacobian.n_instructions() > LARGEST:
@@ -171,7 +172,7 @@ def load_equations(subject: Subject) -> ModuleType:
 
 
 def trace(equations: ModuleType, kernel: Kernel) -> ca.Function:
-    """Write a kernel with one dense result in CasADi's symbols."""
+    """Write a kernel with dense results in CasADi's symbols."""
     inputs = [ca.SX.sym(a.name, a.rows) for a in kernel.inputs]
     results = getattr(equations, kernel.name)(*(x.elements() for x in inputs), functions=ca)
     outputs = [ca.vertcat(*results[a.name]) for a in kernel.outputs]

@@ -29,7 +29,7 @@ from mbsgen.roles import Axis
 from mbsrun.forms import VALUES
 from mbsrun.measuring.candidates import Candidate, add_hidden, compile_kernel
 from mbsrun.measuring.functions import Variant
-from mbsrun.measuring.mechanisms import Subject, draw_states, refuse_unmeasured
+from mbsrun.measuring.mechanisms import CLOSING, Subject, draw_states, refuse_unmeasured
 from mbsrun.measuring.points import Cost
 from mbsrun.measuring.store import Store
 from mbsrun.measuring.timing import Watch, measure_costs
@@ -107,7 +107,7 @@ def take_whole(model: Path, scope: FidelityScope) -> Subject:
     data = read_document(model).data
     has_sensors = isinstance(data, dict) and bool(data.get("frames"))
     kernels = tuple(name for name in scope.kernels if name != "sensors" or has_sensors)
-    return Subject(model, Extent(kernels, 0))
+    return Subject(model, Extent(kernels, 0, optional=CLOSING[:3]))
 
 
 def measure_fidelity(
@@ -143,7 +143,8 @@ def _list_usual(data: Data, manifest: Manifest) -> Iterator[Reduction]:
     bodies = data.get("bodies") if isinstance(data, dict) else None
     if not isinstance(data, dict) or not isinstance(bodies, list):
         return
-    if len(manifest.coordinates) > 1:
+    is_open = not (manifest.loops or manifest.driven)  # else other joints would move with a locked one
+    if len(manifest.coordinates) > 1 and is_open:
         for c in manifest.coordinates:
             place = min(max(0.0, -np.inf if c.lower is None else c.lower), np.inf if c.upper is None else c.upper)
             yield Reduction(f"{c.name} locked", data, {"locked": {c.name: float(place)}})
@@ -163,7 +164,8 @@ def _list_usual(data: Data, manifest: Manifest) -> Iterator[Reduction]:
     sensors = [frame.name for frame in manifest.frames if frame.sensor]
     if len(sensors) > 1:
         yield from (Reduction(f"sensor {name} alone", data, {"sensors": [name]}) for name in sensors)
-    yield from (Reduction(f"tolerance {tolerance:g}", data, {"tolerance": tolerance}) for tolerance in TOLERANCES)
+    if is_open:  # errors of other mechanisms are not estimated
+        yield from (Reduction(f"tolerance {tolerance:g}", data, {"tolerance": tolerance}) for tolerance in TOLERANCES)
 
 
 def _drop_forces(body: Data) -> Data:
@@ -198,7 +200,7 @@ class KernelComparison:
         self, whole: Subject, kernel: str, reduced: Sequence[tuple[Reduction, Subject | str]], scope: FidelityScope
     ) -> None:
         self.whole, self.kernel, self.reduced, self.scope = whole, kernel, reduced, scope
-        self.states = draw_states(whole.manifest, whole.kernels.parameters, STATES)
+        self.states = draw_states(whole.kernels, STATES)
 
     def measure(self) -> list[FidelityPoint]:
         """Evaluate and compare all, then time all in turn."""
@@ -285,6 +287,9 @@ def _reduce(states: States, whole: Manifest, subject: Subject) -> dict[str, Arra
     entries = [f"{x.name} {k}" for x in whole.wrenches for k in range(3 * x.force + 3 * x.moment)]
     left = [f"{x.name} {k}" for x in manifest.wrenches for k in range(3 * x.force + 3 * x.moment)]
     reduced["w"] = states["w"][:, _find(entries, left)]
+    for name, axis in (("lam", Axis.CONSTRAINTS), ("tau", Axis.DRIVEN), ("a", Axis.DRIVEN)):
+        if name in states:
+            reduced[name] = states[name][:, _find(_name_entries(whole, axis), _name_entries(manifest, axis))]
     values = subject.kernels.parameters
     for name, given in (("p", manifest.parameters), ("theta", manifest.design)):
         reduced[name] = np.tile([values[p.name] for p in given], (len(states["q"]), 1))
@@ -303,6 +308,8 @@ def _name_entries(manifest: Manifest, axis: Axis) -> list[str]:
     names = {
         Axis.VELOCITIES: [joint.name for joint in manifest.coordinates],
         Axis.SENSORS: [frame.name for frame in manifest.frames if frame.sensor],
+        Axis.CONSTRAINTS: list(manifest.equations),
+        Axis.DRIVEN: [manifest.coordinates[i].name for i in manifest.driven],
     }
     return names[axis]
 

@@ -6,7 +6,8 @@ Errors are against 50 digits at the same inputs (`reference`), the largest over 
     of the equations   max_i |r_i| / (|M| |qdd| + |c| + |Q|)_i,    the backward error
 
 where r is the error of a residual, or the residual at the computed accelerations: a change of the forces by r makes the
-result exact. A state in which the kernel returns a status other than 0 counts as failed.
+result exact. With closed loops, lam and the equations of loops count likewise. A state in which the kernel returns a
+status other than 0 counts as failed.
 """
 
 from __future__ import annotations
@@ -19,11 +20,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mbsgen.manifest import Manifest
 from mbsgen.roles import Order, name_derivative, name_kernel
 from mbsrun import forms
-from mbsrun.measuring.candidates import VARIABLES, Candidate, add_hidden, compile_kernel, difference, differentiate
+from mbsrun.closure import has_loops
+from mbsrun.kernel import find_place
+from mbsrun.measuring.candidates import Candidate, add_hidden, compile_kernel, difference, differentiate
 from mbsrun.measuring.functions import Variant
-from mbsrun.measuring.mechanisms import Subject, draw_states, write_chain
+from mbsrun.measuring.mechanisms import CLOSING, Subject, draw_states, write_chain
 from mbsrun.measuring.points import KernelPoint
 from mbsrun.measuring.reference import Moment, Reference
 from mbsrun.measuring.store import Store
@@ -35,10 +39,20 @@ Results = Mapping[str, Array]
 
 RESIDUAL, MASS, ACCELERATIONS = "residual", "mass matrix and bias", "accelerations"
 SLOPES_R, SLOPES_A = "Jacobian of the residual", "Jacobian of the accelerations"
-KERNELS = {RESIDUAL: forms.RESIDUALS, MASS: (forms.SEMI.function,), ACCELERATIONS: forms.ACCELERATIONS}
-SLOPES = {SLOPES_R: RESIDUAL, SLOPES_A: ACCELERATIONS}
-VALUES = Extent(forms.FUNCTIONS, 0)
-DERIVATIVES = Extent(forms.FUNCTIONS, 1, targets=("python",))
+REDUCED_R, REDUCED_M, REDUCED_A = "reduced residual", "reduced mass matrix and bias", "reduced accelerations"
+SLOPES_RR, SLOPES_RA = "Jacobian of the reduced residual", "Jacobian of the reduced accelerations"
+KERNELS = {
+    RESIDUAL: forms.RESIDUALS,
+    MASS: (forms.SEMI.function,),
+    ACCELERATIONS: forms.ACCELERATIONS,
+    REDUCED_R: ("impl_red",),
+    REDUCED_M: ("semi_red",),
+    REDUCED_A: ("exp1_red",),
+}
+SLOPES = {SLOPES_R: RESIDUAL, SLOPES_A: ACCELERATIONS, SLOPES_RR: REDUCED_R, SLOPES_RA: REDUCED_A}
+OF_LOOPS = (REDUCED_R, REDUCED_M, REDUCED_A, SLOPES_RR, SLOPES_RA)  # tasks that mechanisms without loops do not have
+VALUES = Extent(forms.FUNCTIONS, 0, optional=CLOSING)
+DERIVATIVES = replace(VALUES, derivatives=1, targets=("python",))
 
 USUAL, SINGLE = Variant(), Variant("float32")
 VARIANTS = (
@@ -85,14 +99,20 @@ def measure_kernels(
     own = Subject(model, DERIVATIVES if scope.derivatives else VALUES)
     report(f"{own.manifest.model}: generating", 0, 1)  # a model with faults is refused before anything is written
     chains = [Subject(write_chain(size, folder / "models"), VALUES) for size in scope.sizes]
-    jobs = [(own, task) for task in (*KERNELS, *(SLOPES if scope.derivatives else ()))]
-    jobs += [(chain, task) for chain in chains for task in KERNELS]
+    jobs = [(own, task) for task in list_tasks(own.manifest, derivatives=scope.derivatives)]
+    jobs += [(chain, task) for chain in chains for task in list_tasks(chain.manifest, derivatives=False)]
     store = Store(folder / "kernels.jsonl", KernelPoint)
     points: list[KernelPoint] = []
     for done, (subject, task) in enumerate(jobs):
         report(f"{subject.model.stem}: {task}", done, len(jobs))
         points += measure_task(subject, task, scope, store)
     return points
+
+
+def list_tasks(manifest: Manifest, *, derivatives: bool) -> list[str]:
+    """List the tasks of a mechanism."""
+    every = (*KERNELS, *(SLOPES if derivatives else ()))
+    return [task for task in every if has_loops(manifest) or task not in OF_LOOPS]
 
 
 def measure_task(subject: Subject, task: str, scope: KernelScope, store: Store[KernelPoint]) -> list[KernelPoint]:
@@ -118,8 +138,7 @@ class KernelTask:
 
     def __init__(self, subject: Subject, task: str, scope: KernelScope) -> None:
         self.subject, self.task, self.scope = subject, task, scope
-        manifest, parameters = subject.manifest, subject.kernels.parameters
-        self.states = add_hidden(subject, draw_states(manifest, parameters, max(STATES, scope.judged)))
+        self.states = add_hidden(subject, draw_states(subject.kernels, max(STATES, scope.judged)))
 
     @cached_property
     def moments(self) -> list[Moment]:
@@ -152,7 +171,7 @@ class KernelTask:
             return
         names = KERNELS[SLOPES[self.task]]
         yield from (compile_kernel(self.subject, name_kernel(name, Order.JACOBIAN), variant) for name in names)
-        yield from difference(self.subject, names[0] if self.task == SLOPES_R else names[1], variant)
+        yield from difference(self.subject, names[-1] if self.task == SLOPES_A else names[0], variant)
         if variant.precision == "float64":  # CasADi's C calls sine in double precision
             for name in names:
                 found = differentiate(self.subject, name, variant)
@@ -191,9 +210,9 @@ class KernelTask:
         """Describe failures and their joints."""
         parts = []
         if statuses.any():
-            names = [c.name for c in self.subject.manifest.coordinates]
-            joints = ", ".join(names[s - 1] for s in sorted(set(statuses[statuses > 0].tolist())))
-            parts.append(f"digits lost at {joints} in {np.count_nonzero(statuses)} of {len(statuses)} states")
+            found = sorted(set(statuses[statuses > 0].tolist()))
+            places = ", ".join(str(find_place(self.subject.manifest, s)).removeprefix("joint ") for s in found)
+            parts.append(f"digits lost at {places} in {np.count_nonzero(statuses)} of {len(statuses)} states")
         if overflown:
             parts.append(f"not a number, with status 0, in {overflown} of {self.scope.judged} states")
         return "; ".join(parts)
@@ -210,27 +229,39 @@ class KernelTask:
 
 def _expect(task: str, moment: Moment) -> dict[str, Array]:
     """Compute the results of a task in 50 digits, by their names in kernels."""
-    if task == RESIDUAL:
-        return {"Phi": _round([moment.residual()]).T}
-    if task == MASS:
-        return {"M": _round(moment.M), "c": _round([moment.bias]).T}
-    if task == ACCELERATIONS:
-        return {"qdd": _round([moment.qdd]).T}
-    names = [name for name in VARIABLES if moment.state.get(name)]
-    if task == SLOPES_R:
-        return {name_derivative("Phi", name): _round(moment.slopes(name, moment.state["qdd"])).T for name in names}
-    slopes = {name: moment.slopes(name, moment.qdd) for name in names if name != "qdd"}
-    return {
-        name_derivative("qdd", name): -_round([moment.solve(row) for row in rows]).T for name, rows in slopes.items()
-    }
+    reduced = moment.reduced
+    if task in (RESIDUAL, REDUCED_R):
+        return {"Phi": _round([moment.residual() if task == RESIDUAL else reduced.residual()]).T}
+    if task in (MASS, REDUCED_M):
+        M, c = (moment.M, moment.bias) if task == MASS else reduced.terms
+        return {"M": _round(M), "c": _round([c]).T}
+    if task in (ACCELERATIONS, REDUCED_A):
+        solution = moment.solution if task == ACCELERATIONS else reduced.solution
+        return {name: _round([x]).T for name, x in solution.items()}
+    names = [name for name in _INPUTS[task] if moment.state.get(name)]
+    if task in (SLOPES_R, SLOPES_RR):
+        rows = {name: moment.slopes(name) if task == SLOPES_R else reduced.slopes(name) for name in names}
+        return {name_derivative("Phi", name): _round(x).T for name, x in rows.items()}
+    solved = {name: moment.differentiate(name) if task == SLOPES_A else reduced.differentiate(name) for name in names}
+    return {name_derivative(of, by): _round(x).T for by, results in solved.items() for of, x in results.items()}
+
+
+_OWN = ("u", "w", "theta")
+_INPUTS = {  # that results are differentiated by
+    SLOPES_R: ("q", "qd", "qdd", "lam", "tau", *_OWN),
+    SLOPES_A: ("q", "qd", "a", *_OWN),
+    SLOPES_RR: ("q", "yd", "ydd", "tau", *_OWN),
+    SLOPES_RA: ("q", "yd", "a", *_OWN),
+}
 
 
 def _measure_backward(task: str, moment: Moment, found: Results, expected: Results) -> float | None:
     if task == RESIDUAL:
-        return _relate(found["Phi"] - expected["Phi"], moment.scale(moment.state["qdd"]))
-    if task == ACCELERATIONS and np.isfinite(found["qdd"]).all():
-        qdd = [moment.context.mpf(float(x)) for x in found["qdd"].ravel()]
-        return _relate(_round([moment.residual(qdd=qdd)]), moment.scale(qdd))
+        forces = {name: moment.state[name] for name in ("qdd", "lam", "tau") if moment.state.get(name)}
+        return _relate(found["Phi"] - expected["Phi"], moment.scale(forces)[: moment.size])
+    if task == ACCELERATIONS and all(np.isfinite(x).all() for x in found.values()):
+        solution = {name: [moment.context.mpf(float(x)) for x in found[name].ravel()] for name in expected}
+        return _relate(_round([moment.balance(**solution)]), moment.scale(solution))
     return None
 
 

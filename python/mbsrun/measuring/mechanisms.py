@@ -12,13 +12,16 @@ from numpy.typing import NDArray
 
 from mbsgen.errors import Fault, InputError, MbsError
 from mbsgen.manifest import Manifest
+from mbsrun.closure import Closure, has_loops
 from mbsrun.external import Mechanism
+from mbsrun.kernel import Kernels
 from mbsrun.models import Extent, find_folder
 
 Array = NDArray[np.float64]
 
 AXES = "zyx"  # of a chain's joints, in turn
-RANGES = {"qd": 3.0, "qdd": 10.0, "u": 20.0, "w": 10.0}  # states are drawn from [-x, x]
+RANGES = {"qd": 3.0, "qdd": 10.0, "u": 20.0, "w": 10.0, "lam": 20.0, "tau": 20.0, "a": 10.0}  # drawn from [-x, x]
+CLOSING = ("loops", "loop_rates", "loop_jacobian", "impl_red", "semi_red", "exp1_red")  # what loops are measured with
 
 
 @dataclass(frozen=True)
@@ -67,31 +70,45 @@ def write_chain(size: int, folder: Path) -> Path:
 
 
 def refuse_unmeasured(manifest: Manifest) -> None:
-    """Raise MbsError for a model with quaternions, loops or driven joints: random states of it are of no use."""
+    """Raise MbsError for a model with quaternions."""
     if manifest.configuration:
         raise MbsError(f"{manifest.model}: joints with quaternions are not measured; take `spherical` joints")
-    if manifest.loops or manifest.driven:
-        remedy = "compare `mbsrun simulate` runs of its methods, and the flops of its report"
-        raise MbsError(f"{manifest.model}: mechanisms with loops or driven joints are not measured; {remedy}")
 
 
-def draw_states(manifest: Manifest, parameters: Mapping[str, float], count: int, seed: int = 1) -> dict[str, Array]:
+def draw_states(kernels: Kernels, count: int, seed: int = 1) -> dict[str, Array]:
     """Draw states: an array (count, size) for each input of a residual; u and w as well, parameters at their values.
 
-    All numbers except the parameters are exact in single precision, so that kernels of both precisions get the same.
-    Raises MbsError for models that are not measured.
+    With closed loops, independent coordinates are drawn, or go as far to a drawn value as the loops can follow; all
+    velocities and accelerations belong to the independent ones, which are `yd` and `ydd`. All numbers except the
+    parameters are exact in single precision, so that kernels of both precisions get the same; loops are closed to that
+    precision. Raises MbsError for models that are not measured.
     """
+    manifest = kernels.manifest
     refuse_unmeasured(manifest)
     rng = np.random.default_rng(seed)
     n = len(manifest.coordinates)
     wrench = sum(3 * x.force + 3 * x.moment for x in manifest.wrenches)
     sizes = {"qd": n, "qdd": n, "u": len(manifest.actuated), "w": wrench}
+    sizes |= {"lam": len(manifest.owners)} if manifest.owners else {}
+    sizes |= {"tau": len(manifest.driven), "a": len(manifest.driven)} if manifest.driven else {}
     q = np.column_stack([rng.uniform(*_range(c.motion, c.lower, c.upper), count) for c in manifest.coordinates])
     states = {"q": q} | {name: rng.uniform(-RANGES[name], RANGES[name], (count, k)) for name, k in sizes.items()}
     states = {name: values.astype(np.float32).astype(np.float64) for name, values in states.items()}
+    if has_loops(manifest):
+        states |= _close(Closure(kernels), states)
     for name, given in (("p", manifest.parameters), ("theta", manifest.design)):
-        states[name] = np.tile([parameters[p.name] for p in given], (count, 1))
+        states[name] = np.tile([kernels.parameters[p.name] for p in given], (count, 1))
     return states
+
+
+def _close(closure: Closure, states: Mapping[str, Array]) -> dict[str, Array]:
+    """Return closed states with the independent coordinates, velocities and accelerations of the given ones."""
+    y = closure.independent
+    q = closure.spread(np.array(closure.manifest.pose), y, states["q"][:, y])
+    qd = closure.complete_velocities(q, y, states["qd"][:, y])
+    qdd = closure.complete_accelerations(q, qd, y, states["qdd"][:, y])
+    closed = {"q": q, "qd": qd, "qdd": qdd, "yd": qd[:, y], "ydd": qdd[:, y]}
+    return {name: values.astype(np.float32).astype(np.float64) for name, values in closed.items()}
 
 
 def _range(motion: str, lower: float | None, upper: float | None) -> tuple[float, float]:

@@ -12,18 +12,23 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbsgen.errors import MbsError
 from mbsgen.manifest import Manifest
+from mbsrun.closure import Closure, has_loops
 from mbsrun.external import Mechanism
 from mbsrun.measuring.points import SolvePoint
 from mbsrun.measuring.store import Store
 from mbsrun.measuring.timing import sum_up
+from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.problem import Bounds, Cost, End, Form, Problem, Representation
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.solution import Failure
 from mbsrun.ocp.solve import solve
+
+Array = NDArray[np.float64]
 
 HORIZON = 1.0  # s
 REACH = 0.5  # rad, and a fifth of it in m: how far the actuated joints go
@@ -54,7 +59,8 @@ class Case:
 def state_reach(mechanism: Mechanism) -> Case:
     """State a problem for any mechanism: its actuated joints move a little way, from rest to rest, with least effort.
 
-    What is passive goes along. Raises MbsError where nothing is actuated.
+    What is passive goes along. With closed loops, it starts in the assembled pose, and goes as far as the loops allow.
+    Raises MbsError where nothing is actuated.
     """
     manifest = mechanism.manifest
     if not manifest.actuated:
@@ -63,7 +69,8 @@ def state_reach(mechanism: Mechanism) -> Case:
         (-math.inf if c.lower is None else c.lower, math.inf if c.upper is None else c.upper)
         for c in manifest.coordinates
     ]
-    start = tuple(float(np.clip(0.0, *bounds)) for bounds in ranges)
+    start = np.array(manifest.pose) if has_loops(manifest) else np.array([np.clip(0.0, *bounds) for bounds in ranges])
+    goals = _find_goals(mechanism, start)
     free = (-math.inf, math.inf)
     problem = Problem(
         name=f"{manifest.model}_reach",
@@ -72,12 +79,12 @@ def state_reach(mechanism: Mechanism) -> Case:
         family=Family.RADAU,
         degree=4,
         cost=Cost(inputs=1.0),
-        start_q=start,
+        start_q=tuple(start.tolist()),
         start_qd=(0.0,) * len(start),
         bounds=Bounds(tuple(ranges), (free,) * len(start), (free,) * len(manifest.actuated)),
         end=End(
-            coordinates=tuple((i, _find_goal(manifest, i, start[i])) for i in manifest.actuated),
-            velocities=tuple((i, 0.0) for i in manifest.actuated),
+            coordinates=tuple(goals.items()),
+            velocities=tuple((i, 0.0) for i in goals),
         ),
     )
     return Case(problem, mechanism)
@@ -125,9 +132,12 @@ def measure_solve(case: Case, problem: Problem, repeats: int, store: Store[Solve
 
 
 def _solve(mechanism: Mechanism, problem: Problem, repeats: int) -> SolvePoint:
-    outcome = solve(problem, mechanism)
     names = (mechanism.manifest.model, problem.representation.value, problem.family.value)
     grid = (problem.degree, problem.intervals)
+    try:
+        outcome = solve(problem, mechanism)
+    except ProblemError as error:  # loops take some combinations only
+        return SolvePoint(*names, *grid, None, None, None, 0, "; ".join(finding for _, finding, _ in error.findings))
     if isinstance(outcome, Failure):
         return SolvePoint(*names, *grid, None, None, None, outcome.run.iterations, outcome.finding)
     check = resimulate(outcome, mechanism).resimulation
@@ -137,6 +147,18 @@ def _solve(mechanism: Mechanism, problem: Problem, repeats: int) -> SolvePoint:
     finding = "" if defect is not None else "the integrator gave up in the re-simulation"
     cost = sum_up(np.array(times))
     return SolvePoint(*names, *grid, cost, defect, outcome.cost.total, outcome.run.iterations, finding)
+
+
+def _find_goals(mechanism: Mechanism, start: Array) -> dict[int, float]:
+    """Return goals of the actuated joints; of those that can have any value, where loops relate them."""
+    manifest = mechanism.manifest
+    goals = {i: _find_goal(manifest, i, float(start[i])) for i in manifest.actuated}
+    if not has_loops(manifest):
+        return goals
+    closure = Closure(mechanism)
+    chosen = closure.choose(start, manifest.actuated)
+    reached = closure.spread(start, chosen, np.array([[goals[i] for i in chosen]]))[0]
+    return {i: float(reached[i]) for i in chosen}
 
 
 def _find_goal(manifest: Manifest, i: int, start: float) -> float:

@@ -182,6 +182,7 @@ def solve(
     if isinstance(start, Pose):
         return _tell_unreachable(problem, start)
     problem = settle(problem, plant, start)
+    check_problem(problem, plant.manifest)
     return Solver(problem, plant).solve(problem, start, watch)
 
 

@@ -63,6 +63,19 @@ def test_the_fastest_that_is_accurate_enough_is_chosen() -> None:
     assert stepped.shortlist("motion") == [stepped.choose("motion")] == [steps[1]]
 
 
+HELD = """
+name: held
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: y, joint: {type: prismatic, axis: y}}
+  - {name: z, parent: y, joint: {type: prismatic, axis: z, actuated: false}, mass: 1}
+loops:
+  - {name: rod, type: rod, length: 1, from: {body: base}, to: {body: z}}
+assembly: {y: 0.6, z: -0.8}
+independent: [y]
+"""
+
+
 @pytest.fixture
 def rod(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
@@ -92,6 +105,21 @@ def test_solves_are_refined_until_they_are_accurate(rod: Path, tmp_path: Path) -
     last = [p for p in points if p.intervals == points[-1].intervals]
     assert {p.representation for p in last} == {r.value for r in both}
     assert last[0].cost == pytest.approx(last[1].cost, rel=1e-6)
+
+
+def test_a_reach_with_loops_goes_as_far_as_they_allow(tmp_path: Path) -> None:
+    """A rod of 1 m holds a slide at y = 0.6: from there it can go to 1. SEMI has no reduced form, for other points."""
+    path = tmp_path / "held.yaml"
+    path.write_text(HELD, encoding="utf-8")
+    case = solves.state_reach(load(path))
+    assert case.problem.start_q == pytest.approx((0.6, -0.8), abs=1e-6)
+    ((i, goal),) = case.problem.end.coordinates
+    assert i == 0
+    assert goal == pytest.approx(0.6 + solves.REACH / 5)
+    scope = solves.SolveScope((Family.LEGENDRE,), (3,), (4,), (Representation.IMPL, Representation.SEMI), 1)
+    points = solves.measure_solves(case, 1e-2, scope, Store(tmp_path / "p.jsonl", SolvePoint), lambda *_: None)
+    assert [p.representation for p in points if p.seconds] == ["IMPL"]
+    assert "where loops would be open" in points[-1].finding
 
 
 def test_nothing_actuated_leaves_nothing_to_optimise(tmp_path: Path) -> None:

@@ -28,6 +28,17 @@ bodies:
     com: [0, 0, -1]
     inertia: [0, 0, 0]
 """
+HELD = """
+name: held
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: y, joint: {type: prismatic, axis: y, actuated: false}}
+  - {name: z, parent: y, joint: {type: prismatic, axis: z, actuated: false}, mass: 1}
+loops:
+  - {name: rod, type: rod, length: 1, from: {body: base}, to: {body: z}}
+assembly: {y: 0.6, z: -0.8}
+independent: [y]
+"""
 DURATION = 2.0
 
 
@@ -99,3 +110,20 @@ def test_a_motion_without_a_reference_is_refused(locked: Path) -> None:
     course = replace(draw_course(mechanism, 1.0), q=np.array([0.0, np.pi / 2, 0.0]), qd=np.array([1.0, 1.0, 1.0]))
     with pytest.raises(NoReferenceError, match="there is no reference"):
         motions.find_standard(course)
+
+
+def test_motions_with_loops_are_measured_by_the_methods_that_take_them(tmp_path: Path) -> None:
+    """A rod that a loop holds by a second pin is the pendulum: y = sin(q), z = -cos(q), with a point mass there."""
+    path = tmp_path / "model.yaml"
+    path.write_text(HELD, encoding="utf-8")
+    course = draw_course(Mechanism(find_folder(path, EXTENT)), 0.5)
+    assert np.hypot(*course.q) == pytest.approx(1.0, abs=1e-9)
+    standard = motions.find_standard(course)
+    assert standard.accuracy < 1e-10
+    assert standard.title.startswith("Radau")
+    families = (("rk4", Formulation.EXP2), ("gauss", Formulation.IMPL), ("radau-iia", Formulation.EXP1))
+    scope = MotionScope(families, (4,), (16,), (), 1)
+    points = motions.measure_motions(course, standard, scope, Store(tmp_path / "points.jsonl", MotionPoint), quiet)
+    assert [(p.method, p.finding) for p in points] == [("rk4", "")]
+    assert points[0].error is not None
+    assert points[0].error < 1e-5

@@ -146,4 +146,4 @@ def test_what_takes_no_quaternions_says_so(loose: Mechanism) -> None:
     with pytest.raises(ValueError, match="a quaternion of q is 0"):
         simulate(loose, hold(np.zeros(0)), [0.0] * 8, qd, Settings(0.1))
     with pytest.raises(MbsError, match="joints with quaternions are not measured"):
-        draw_states(loose.manifest, {}, 1)
+        draw_states(loose, 1)
