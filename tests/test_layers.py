@@ -88,6 +88,9 @@ MBSRUN = Package(
         "skeleton",
         "ocp.program ocp.formulas ocp.integrators ocp.representations closure quaternions quantities animation jets",
         "simulation ocp.problem ocp.elimination ocp.layout",
+        "linearisation.equations",
+        "linearisation.pictures",
+        "linearisation",
         "ocp.conditions ocp.quantities",
         "ocp.backends ocp.structure",
         "ocp.closing",
@@ -119,7 +122,7 @@ MBSRUN = Package(
         "lab",
         "commands.console",
         "commands.advise commands.cache commands.chart commands.inverse commands.lab "
-        "commands.simulate commands.solve commands.study commands.sweep",
+        "commands.linearise commands.simulate commands.solve commands.study commands.sweep",
         "commands",
         "cli",
         "__main__",

@@ -16,6 +16,7 @@ from mbsrun.commands.console import (
 )
 from mbsrun.commands.inverse import inverse_command
 from mbsrun.commands.lab import lab_command
+from mbsrun.commands.linearise import linearise_command
 from mbsrun.commands.simulate import simulate_command
 from mbsrun.commands.solve import solve_command
 from mbsrun.commands.study import study_command
@@ -26,6 +27,7 @@ HELP = """Simulate multibody systems, and solve their optimal control problems.
 \b
   mbsrun simulate MODEL -o DIR  integrate a motion, and write it, plots and an animation to DIR
   mbsrun inverse MODEL -o FILE  compute the forces that a given motion takes, as a table
+  mbsrun linearise MODEL        find linear equations, modes and transfer functions about a pose at rest
   mbsrun solve PROBLEM -o DIR   solve, and write solution and pictures to DIR
   mbsrun sweep PROBLEM -o FILE  solve for a grid of targets, by a protocol, and print its effort
   mbsrun study PROBLEM          solve for all targets, formulations and costs of a paper, and report
@@ -41,6 +43,7 @@ MODEL and PROBLEM are YAML files; models/ holds examples. Summaries go to stdout
 COMMANDS = (
     simulate_command,
     inverse_command,
+    linearise_command,
     solve_command,
     sweep_command,
     study_command,

@@ -1,0 +1,168 @@
+"""`mbsrun linearise`: a model at rest -> its linear equations, modes, transfer functions and a regulator."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+from rich.table import Table
+
+from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
+from mbsrun.commands.console import print_table, say
+from mbsrun.external import load
+from mbsrun.linearisation import Equilibrium, Linearisation, balance, find_pose, linearise, settle
+from mbsrun.linearisation.equations import LOST
+from mbsrun.linearisation.pictures import plot_poles, plot_responses
+from mbsrun.models import INTEGRATED
+
+LINEARISE_HELP = """Linearise the equations of motion of MODEL about a pose at rest.
+
+The pose is the model's own, or the one of --pose; loops give the other coordinates. By default the inputs keep it at
+rest, beside the ones of --input. With --settle the inputs stay, and the pose moves to an equilibrium near it.
+
+\b
+  mbsrun linearise models/cart_pole.yaml --pose pole=pi --regulate 0.1
+
+The table has a row for each pole, or pair of poles: frequency, damping ratio, and whether the inputs reach it and the
+frames show it. Names in its last column move the most.
+
+\b
+The output folder gets
+  linearisation.json   pose, inputs, M, C, K, F, A, B, G, poles, zeros, gains
+  poles.png            poles in the complex plane
+  responses.png        transfer functions from inputs to coordinates
+
+\b
+Exit codes
+  0   written
+  2   the model or an argument cannot be accepted, or the pose is no equilibrium; nothing written
+"""
+
+_SHARE = 0.3  # of the largest entry of a mode's shape: joints that move less are not named
+
+
+@click.command("linearise", help=LINEARISE_HELP)
+@click.argument("model", type=click.Path(path_type=Path))
+@click.option("--pose", "poses", multiple=True, metavar="NAME=NUMBER", help="A coordinate [rad, m]: --pose pole=pi")
+@click.option("--input", "inputs", multiple=True, metavar="NAME=NUMBER", help="A constant input [N m, N].")
+@click.option("--settle", "settles", is_flag=True, help="Find an equilibrium near the pose; inputs are 0 or given.")
+@click.option(
+    "--regulate",
+    "weight",
+    type=click.FloatRange(0, 1e12, min_open=True),
+    metavar="W",
+    help="Also find the gains that minimise the integral of |x|² + |ẋ|² + W |u|².",
+)
+@click.option("-o", "--output", "out", type=click.Path(path_type=Path), help="The folder; by default NAME.linear.")
+def linearise_command(
+    model: Path, poses: Sequence[str], inputs: Sequence[str], settles: bool, weight: float | None, out: Path | None
+) -> None:
+    """Read, compute, write, print."""
+    kernels = load(model, extent=INTEGRATED)
+    manifest = kernels.manifest
+    names = [manifest.coordinates[i].name for i in manifest.actuated]
+    pose = find_pose(kernels, _read_numbers(poses, manifest.positions, "--pose"))
+    given = {names.index(name): value for name, value in _read_numbers(inputs, names, "--input").items()}
+    if settles:
+        u = np.zeros(len(names))
+        u[list(given)] = list(given.values())
+        equilibrium = settle(kernels, pose, u)
+    else:
+        equilibrium = balance(kernels, pose, given)
+    found = linearise(kernels, equilibrium)
+    gains = None if weight is None else found.regulate(weight)
+    out = out or Path(f"{model.stem}.linear")
+    out.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(_summarise(found, manifest.positions, gains), indent=1, ensure_ascii=False, allow_nan=False)
+    (out / "linearisation.json").write_text(text + "\n", encoding="utf-8")
+    plot_poles(found, out / "poles.png")
+    if found.inputs:
+        plot_responses(found, out / "responses.png")
+    _show(found, equilibrium, manifest.positions, gains)
+    say(f"wrote {out}")
+
+
+def _read_numbers(pairs: Sequence[str], known: Collection[str], option: str) -> dict[str, float]:
+    """Read NAME=NUMBER, once each."""
+    found: dict[str, float] = {}
+    for pair in pairs:
+        name, sign, text = pair.partition("=")
+        if not sign or name.strip() not in known or name.strip() in found:
+            told = f"found {pair!r}; give NAME=NUMBER once for some of {', '.join(known)}"
+            raise click.BadParameter(told, param_hint=option)
+        try:
+            found[name.strip()] = evaluate(parse(text), {}, FLOATS)
+        except ExpressionError as error:
+            raise click.BadParameter(f"{name}: {error}", param_hint=option) from None
+    return found
+
+
+def _show(found: Linearisation, at: Equilibrium, positions: Sequence[str], gains: NDArray[np.float64] | None) -> None:
+    """Print the equilibrium, the poles, and the gains as inputs of `mbsrun simulate`."""
+    click.echo("pose    " + ", ".join(f"{name} = {value:.6g}" for name, value in zip(positions, at.q, strict=True)))
+    if found.inputs:
+        click.echo("inputs  " + ", ".join(f"{name} = {u:.6g}" for name, u in zip(found.inputs, at.u, strict=True)))
+    table = Table(box=None, pad_edge=False)
+    for heading in ("pole [1/s]", "frequency [Hz]", "damping", "controllable", "observable", "moves"):
+        table.add_column(heading, justify="left" if heading == "moves" else "right")
+    for mode in found.modes:
+        sign = " ± " if mode.pole.imag else ""
+        pole = f"{mode.pole.real:.5g}{sign}{f'{mode.pole.imag:.5g}i' if sign else ''}"
+        moving = [n for n, x in zip(found.freedoms, np.abs(mode.shape), strict=True) if x >= _SHARE]
+        reached = ("yes" if x > LOST else "no" for x in (mode.controllable, mode.observable))
+        table.add_row(pole, f"{mode.frequency:.5g}", f"{mode.damping:.4g}", *reached, ", ".join(moving))
+    print_table(table)
+    click.echo("stable" if found.is_stable else "not asymptotically stable")
+    if gains is not None:
+        for feedback in _write_feedback(found, at, positions, gains):
+            click.echo(f"--input '{feedback}'")
+
+
+def _write_feedback(
+    found: Linearisation, at: Equilibrium, positions: Sequence[str], gains: NDArray[np.float64]
+) -> list[str]:
+    """Write each input as an expression of the state, as `mbsrun simulate` takes it."""
+    rest, d, lines = dict(zip(positions, at.q, strict=True)), len(found.freedoms), []
+    if not set(found.freedoms) <= set(rest):
+        return []  # turns of quaternions are no coordinates
+    for name, u, row in zip(found.inputs, at.u, gains, strict=True):
+        terms = [f"{u:.12g}"]
+        terms += [f"{-k:+.12g}*(q_{x} - ({rest[x]:.12g}))" for x, k in zip(found.freedoms, row[:d], strict=True)]
+        terms += [f"{-k:+.12g}*qd_{x}" for x, k in zip(found.freedoms, row[d:], strict=True)]
+        lines.append(f"{name}={' '.join(terms)}")
+    return lines
+
+
+def _summarise(found: Linearisation, positions: Sequence[str], gains: NDArray[np.float64] | None) -> dict[str, Any]:
+    at, d = found.equilibrium, len(found.freedoms)
+    return {
+        "pose": dict(zip(positions, at.q.tolist(), strict=True)),
+        "inputs": dict(zip(found.inputs, at.u.tolist(), strict=True)),
+        "multipliers": at.multipliers.tolist(),
+        "freedoms": found.freedoms,
+        "outputs": found.outputs,
+        **{name: getattr(found, name).tolist() for name in ("M", "C", "K", "F", "A", "B", "G")},
+        "modes": [
+            {
+                "pole": [mode.pole.real, mode.pole.imag],
+                "frequency": mode.frequency,
+                "damping": mode.damping,
+                "controllable": mode.controllable,
+                "observable": mode.observable,
+                "shape": [[x.real, x.imag] for x in mode.shape.tolist()],
+            }
+            for mode in found.modes
+        ],
+        "zeros": {
+            f"{output} by {name}": [[z.real, z.imag] for z in found.find_zeros(i, k).tolist()]
+            for k, name in enumerate(found.inputs)
+            for i, output in enumerate(found.outputs[:d])
+        },
+        "stable": found.is_stable,
+        "gains": None if gains is None else gains.tolist(),
+    }

@@ -1,0 +1,14 @@
+"""Small motions about a pose at rest: equilibria, linear equations, modes, transfer functions, pictures."""
+
+from mbsrun.linearisation.equations import (
+    BalanceError,
+    Equilibrium,
+    Linearisation,
+    Mode,
+    balance,
+    find_pose,
+    linearise,
+    settle,
+)
+
+__all__ = ["BalanceError", "Equilibrium", "Linearisation", "Mode", "balance", "find_pose", "linearise", "settle"]

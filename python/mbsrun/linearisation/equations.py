@@ -1,0 +1,290 @@
+"""Small motions about a pose at rest: equilibria, linear equations, modes, transfer functions, controllability.
+
+With velocities qd = Z s along the motions Z that loops admit (1 without loops), coordinates q' = N qd, and a force on
+every joint Phi(q, qd, qdd) - S u - J^T lam = 0, small changes obey
+
+    M s' + C s + K x = F u,    x' = s,    M = ZT Phi_qdd Z,   C = ZT Phi_qd Z,   K = ZT Phi_q N Z,   F = ZT S
+
+with the multipliers lam of the pose, so K has the stiffness of loaded loops. As first-order equations
+
+    d/dt (x, s) = A (x, s) + B u,    y = G (x, s),
+
+y being the changes of x and the displacements of sensors. A pole is controllable where (A - pole, B) keeps full rank
+(Popov, Belevitch, Hautus), and observable where (A - pole; G) does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from mbsgen.errors import MbsError
+from mbsrun.closure import CLOSED, RANK, Closure
+from mbsrun.kernel import ArgumentError, Kernels
+from mbsrun.quaternions import neutral, normalise
+from mbsrun.simulation.drive import input_labels
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+BALANCED = 1e-8  # the largest force that counts as none, relative to the largest of the joints, or absolute below 1
+ITERATIONS = 100  # of Newton's method for an equilibrium
+LONGEST = 0.3  # its step [rad, m]
+ZERO = 1e-6  # of poles, relative to |A|: a double pole at 0 is found to the root of the rounding
+ROUNDING = 1e-12  # of the real parts of poles, relative to |A|
+LOST = 1e-9  # of singular values, relative to the largest: a mode below is out of reach
+
+
+class BalanceError(MbsError):
+    """A pose that is no equilibrium."""
+
+
+@dataclass(frozen=True, eq=False)
+class Equilibrium:
+    """A pose at rest, with the forces that keep it."""
+
+    q: Array  # (nq,)
+    u: Array  # (m,)
+    multipliers: Array  # (e,)
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A real pole, or a pair of poles."""
+
+    pole: complex  # with an imaginary part of at least 0 [1/s]
+    shape: Complex  # of x, (d,): largest entry 1
+    controllable: float  # the least singular value of (A - pole, B), relative to |A| + |B|
+    observable: float  # the same of (A - pole; G)
+
+    @property
+    def frequency(self) -> float:
+        """Undamped frequency [Hz]."""
+        return abs(self.pole) / (2 * np.pi)
+
+    @property
+    def damping(self) -> float:
+        """Damping ratio: 1 and more where nothing swings, below 0 where it grows."""
+        return -self.pole.real / abs(self.pole) if self.pole else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation:
+    """Linear equations about an equilibrium, for d freedoms, m inputs, o outputs."""
+
+    equilibrium: Equilibrium
+    freedoms: tuple[str, ...]  # names of x
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    M: Array  # (d, d)
+    C: Array
+    K: Array
+    F: Array  # (d, m)
+    G: Array  # (o, 2 d)
+
+    @cached_property
+    def A(self) -> Array:
+        """The system matrix, (2 d, 2 d), of (x, s)."""
+        d = len(self.M)
+        lower = -np.linalg.solve(self.M, np.hstack((self.K, self.C)))
+        return np.vstack((np.hstack((np.zeros((d, d)), np.eye(d))), lower))
+
+    @cached_property
+    def B(self) -> Array:
+        """The input matrix, (2 d, m)."""
+        return np.vstack((np.zeros_like(self.F), np.linalg.solve(self.M, self.F)))
+
+    @cached_property
+    def modes(self) -> tuple[Mode, ...]:
+        """Poles in order of their size; of a pair, the one with a positive imaginary part."""
+        poles, shapes = np.linalg.eig(self.A)
+        d, size = len(self.M), np.linalg.norm(self.A) + np.linalg.norm(self.B)
+        length = np.linalg.norm(self.A)
+        poles = np.where(np.abs(poles) < ZERO * length, 0.0, poles)
+        poles = np.where(np.abs(poles.real) < ROUNDING * length, 1j * poles.imag, poles)
+        found = []
+        for pole, vector in zip(poles, shapes.T, strict=True):
+            if pole.imag < 0:
+                continue
+            shape = vector[:d] / vector[:d][np.abs(vector[:d]).argmax()] if vector[:d].any() else vector[:d]
+            rest = self.A - pole * np.eye(2 * d)
+            reach = linalg.svdvals(np.hstack((rest, self.B)))[-1]
+            sight = linalg.svdvals(np.vstack((rest, self.G)))[-1]
+            found.append(Mode(complex(pole), shape, float(reach / size), float(sight / size)))
+        return tuple(sorted(found, key=lambda mode: (abs(mode.pole), mode.pole.real)))
+
+    @property
+    def is_stable(self) -> bool:
+        """Return whether all poles have a negative real part."""
+        return all(mode.pole.real < 0 for mode in self.modes)
+
+    def respond(self, frequencies: Array) -> Complex:
+        """Return the transfer functions at frequencies [Hz]: (frequencies, outputs, inputs)."""
+        identity = np.eye(len(self.A))
+        return np.array([self.G @ np.linalg.solve(2j * np.pi * f * identity - self.A, self.B) for f in frequencies])
+
+    def find_zeros(self, output: int, entry: int) -> Complex:
+        """Return the zeros of the transfer function from an input to an output."""
+        size = len(self.A)
+        pencil = np.zeros((size + 1, size + 1))
+        pencil[:size, :size], pencil[:size, size], pencil[size, :size] = self.A, self.B[:, entry], self.G[output]
+        mass = np.zeros_like(pencil)
+        mass[:size, :size] = np.eye(size)
+        found = linalg.eigvals(pencil, mass, homogeneous_eigvals=True)
+        finite = np.abs(found[1]) > RANK * np.abs(found).max(axis=0)
+        return np.asarray(found[0][finite] / found[1][finite])
+
+    def regulate(self, weight: float) -> Array:
+        """Return the gains (m, 2 d) of u = -gains (x, s) that minimise the integral of |x|^2 + |s|^2 + weight |u|^2.
+
+        Raises BalanceError where a pole that is not stable cannot be controlled.
+        """
+        lost = [mode for mode in self.modes if mode.pole.real >= 0 and mode.controllable < LOST]
+        if lost:
+            named = ", ".join(f"{mode.pole:.3g}" for mode in lost)
+            raise BalanceError(f"no input reaches the poles {named}; give the mechanism more inputs")
+        P = linalg.solve_continuous_are(self.A, self.B, np.eye(len(self.A)), weight * np.eye(self.B.shape[1]))
+        return np.asarray(self.B.T @ P / weight)
+
+
+def linearise(kernels: Kernels, equilibrium: Equilibrium) -> Linearisation:
+    """Linearise the equations of motion about an equilibrium."""
+    manifest, q = kernels.manifest, equilibrium.q
+    blocks = kernels("jac_impl", **_state(kernels, equilibrium))
+    Z, N, freedoms = _list_motions(kernels, q)
+    d = Z.shape[1]
+    G, outputs = [np.eye(d)], list(freedoms)
+    sensors = [frame.name for frame in manifest.frames if frame.sensor]
+    if sensors:
+        G.append(kernels("jac_sensors", q=q)["jac_position_q"] @ N @ Z)
+        outputs += [f"{sensor}.{axis}" for sensor in sensors for axis in "xyz"]
+    S = -blocks["jac_Phi_u"] if manifest.actuated else np.zeros((len(Z), 0))
+    return Linearisation(
+        equilibrium=equilibrium,
+        freedoms=freedoms,
+        inputs=tuple(manifest.coordinates[i].name for i in manifest.actuated),
+        outputs=tuple(outputs),
+        M=Z.T @ blocks["jac_Phi_qdd"] @ Z,
+        C=Z.T @ blocks["jac_Phi_qd"] @ Z,
+        K=Z.T @ blocks["jac_Phi_q"] @ N @ Z,
+        F=Z.T @ S,
+        G=np.hstack((np.vstack(G), np.zeros((len(outputs), d)))),
+    )
+
+
+def balance(kernels: Kernels, q: Array, given: Mapping[int, float]) -> Equilibrium:
+    """Keep a pose at rest, by the inputs of least norm beside the given ones.
+
+    Raises BalanceError where no inputs keep it, OpenError for open loops.
+    """
+    check_kernels(kernels)
+    manifest, closure = kernels.manifest, Closure(kernels)
+    if not closure.is_closed(q):
+        raise closure.tell_open(q)
+    u = np.zeros(len(manifest.actuated))
+    u[list(given)] = list(given.values())
+    free = [k for k in range(u.size) if k not in given]
+    forces, scale = _find_forces(kernels, Equilibrium(q, u, np.zeros(closure.count)))
+    Z, _, names = _list_motions(kernels, q)
+    at_rest = Equilibrium(q, u, np.zeros(closure.count))
+    S = np.zeros((len(Z), 0)) if not u.size else -kernels("jac_impl", **_state(kernels, at_rest))["jac_Phi_u"]
+    u[free] += np.linalg.lstsq(Z.T @ S[:, free], Z.T @ forces, rcond=RANK)[0] if free else 0.0
+    rest = forces - S[:, free] @ u[free]
+    left = np.abs(Z.T @ rest)
+    if left.max(initial=0.0) > BALANCED * max(1.0, scale):
+        worst = int(left.argmax())
+        raise BalanceError(
+            f"the pose is no equilibrium: a force of {left[worst]:.3g} along {names[worst]} is not balanced; "
+            "settle it, or give another pose"
+        )
+    return Equilibrium(q, u, _carry(closure, q, rest))
+
+
+def settle(kernels: Kernels, q: Array, u: Array) -> Equilibrium:
+    """Find an equilibrium near a pose, under given inputs (m,), by Newton's method; it need not be stable.
+
+    Raises BalanceError where it finds none.
+    """
+    check_kernels(kernels)
+    closure, given = Closure(kernels), dict(enumerate(u))
+    for _ in range(ITERATIONS):
+        q = closure.close(normalise(q, kernels.manifest))
+        if not closure.is_closed(q):
+            raise closure.tell_open(q)
+        Z, N, _ = _list_motions(kernels, q)
+        forces, scale = _find_forces(kernels, Equilibrium(q, u, np.zeros(closure.count)))
+        state = _state(kernels, Equilibrium(q, u, _carry(closure, q, forces)))
+        K = Z.T @ kernels("jac_impl", **state)["jac_Phi_q"] @ N @ Z
+        step = -np.asarray(np.linalg.lstsq(K, Z.T @ forces, rcond=RANK)[0])
+        longest = np.abs(step).max(initial=0.0)
+        q = q + N @ Z @ step * min(1.0, LONGEST / max(longest, CLOSED))
+        if longest <= CLOSED and np.abs(Z.T @ forces).max(initial=0.0) <= BALANCED * max(1.0, scale):
+            return balance(kernels, closure.close(normalise(q, kernels.manifest)), given)
+    raise BalanceError("no equilibrium was found near the pose; give another pose, or other inputs")
+
+
+def check_kernels(kernels: Kernels, needed: Collection[str] = ("impl", "jac_impl")) -> None:
+    """Raise ArgumentError where a generated folder lacks functions."""
+    known = {kernel.name for kernel in kernels.manifest.kernels}
+    missing = [name for name in needed if name not in known]
+    if missing:
+        raise ArgumentError(f"{kernels.manifest.model} was generated without {', '.join(missing)}")
+
+
+def _state(kernels: Kernels, at: Equilibrium) -> dict[str, Any]:
+    """Return the inputs of `impl` at rest."""
+    manifest = kernels.manifest
+    rest = np.zeros(len(manifest.coordinates))
+    given = {"q": at.q, "qd": rest, "qdd": rest, "u": at.u, "lam": at.multipliers}
+    taken = {argument.name for argument in kernels.describe("impl").inputs}
+    if "w" in taken:
+        given["w"] = np.zeros(len(input_labels(manifest)) - at.u.size)
+    return {name: value for name, value in given.items() if name in taken}
+
+
+def _carry(closure: Closure, q: Array, forces: Array) -> Array:
+    """Return the multipliers of the loops that carry some forces."""
+    if not closure.count:
+        return np.zeros(0)
+    return np.asarray(np.linalg.lstsq(closure.jacobian(q).T, forces, rcond=RANK)[0])
+
+
+def _find_forces(kernels: Kernels, at: Equilibrium) -> tuple[Array, float]:
+    """Return the forces that are missing at rest (n,), and the largest number among them."""
+    forces = kernels("impl", **_state(kernels, at))["Phi"]
+    return forces, float(np.abs(forces).max(initial=0.0))
+
+
+def _list_motions(kernels: Kernels, q: Array) -> tuple[Array, Array, tuple[str, ...]]:
+    """Return Z (n, d), N (nq, n), and the names of the freedoms."""
+    manifest, closure = kernels.manifest, Closure(kernels)
+    n = len(manifest.coordinates)
+    names = [coordinate.name for coordinate in manifest.coordinates]
+    N = np.eye(n)
+    if manifest.configuration:
+        N = kernels("jac_rates", q=q, qd=np.zeros(n))["jac_rate_qd"]
+    if not closure.count:
+        return np.eye(n), N, tuple(names)
+    chosen = closure.independent
+    Z = np.array([closure.complete_velocities(q, chosen, row) for row in np.eye(len(chosen))]).T
+    return Z, N, tuple(names[i] for i in chosen)
+
+
+def find_pose(kernels: Kernels, values: Mapping[str, float]) -> Array:
+    """Return the model's own pose (nq,) with some coordinates at given values; loops give the others.
+
+    Raises OpenError where loops cannot be closed.
+    """
+    manifest, closure = kernels.manifest, Closure(kernels)
+    places = [manifest.positions.index(name) for name in values]
+    start = np.array(manifest.pose) if manifest.pose else neutral(manifest)
+    q = start.copy()
+    q[places] = list(values.values())
+    q = normalise(q, manifest)
+    return closure.move(start, places, q[places]) if closure.count else q

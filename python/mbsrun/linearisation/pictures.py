@@ -1,0 +1,65 @@
+"""Pictures of linear equations: poles in the complex plane, and transfer functions over frequency."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.colors import TABLEAU_COLORS
+from matplotlib.figure import Figure
+
+from mbsrun.linearisation.equations import Array, Linearisation
+
+COLORS = tuple(TABLEAU_COLORS)
+DECADES = 1.5  # shown below the lowest and above the highest frequency
+POINTS = 800
+MOST = 6  # lines in one picture
+
+
+def plot_poles(found: Linearisation, path: Path) -> None:
+    """Plot the poles."""
+    figure = Figure(figsize=(6, 5), layout="constrained")
+    axes = figure.subplots()
+    poles = np.array([mode.pole for mode in found.modes])
+    whole = np.concatenate((poles, poles.conj()))
+    axes.axvline(0.0, color="black", linewidth=0.8)
+    axes.axhline(0.0, color="black", linewidth=0.8)
+    axes.plot(whole.real, whole.imag, "x", color=COLORS[0], markersize=9, markeredgewidth=2)
+    axes.set_xlabel("real part [1/s]: right of 0 grows")
+    axes.set_ylabel("imaginary part [rad/s]")
+    axes.set_title("Poles", loc="left")
+    axes.margins(0.15)
+    axes.grid(alpha=0.3)
+    figure.savefig(path, dpi=120, metadata={"Software": None})
+
+
+def plot_responses(found: Linearisation, path: Path) -> None:
+    """Plot the transfer functions from each input to each freedom: magnitude and phase."""
+    frequencies = _choose_frequencies(found)
+    responses = found.respond(frequencies)
+    columns = max(1, len(found.inputs))
+    figure = Figure(figsize=(4 + 3 * columns, 6), layout="constrained")
+    plots = np.atleast_2d(figure.subplots(2, columns, sharex=True, squeeze=False))
+    for k, name in enumerate(found.inputs):
+        magnitude, phase = plots[:, k]
+        for i, output in enumerate(found.outputs[: min(MOST, len(found.freedoms))]):
+            values = responses[:, i, k]
+            if not np.abs(values).any():
+                continue
+            color = COLORS[i % len(COLORS)]
+            magnitude.loglog(frequencies, np.abs(values), color=color, label=output)
+            phase.semilogx(frequencies, np.degrees(np.unwrap(np.angle(values))), color=color)
+        magnitude.set_title(f"input {name}", loc="left", fontsize="medium")
+        magnitude.legend(frameon=False, fontsize="small")
+        phase.set_xlabel("frequency [Hz]")
+    plots[0, 0].set_ylabel("magnitude [rad or m, for N m or N]")
+    plots[1, 0].set_ylabel("phase [degrees]")
+    for axes in plots.flat:
+        axes.grid(alpha=0.3)
+    figure.savefig(path, dpi=120, metadata={"Software": None})
+
+
+def _choose_frequencies(found: Linearisation) -> Array:
+    known = [mode.frequency for mode in found.modes if mode.frequency > 0] or [1.0]
+    low, high = np.log10(min(known)) - DECADES, np.log10(max(known)) + DECADES
+    return np.asarray(np.logspace(low, high, POINTS))

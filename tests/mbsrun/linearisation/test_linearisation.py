@@ -1,0 +1,172 @@
+"""Linear equations about a pose: closed forms, differences of accelerations, and what a regulator does."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from mbsrun.cli import cli
+from mbsrun.closure import Closure, OpenError
+from mbsrun.external import Mechanism, load
+from mbsrun.linearisation import BalanceError, balance, find_pose, linearise, settle
+from mbsrun.models import INTEGRATED
+from tests.shipped import FOLDER
+
+
+def _load(name: str) -> Mechanism:
+    return load(FOLDER / f"{name}.yaml", extent=INTEGRATED)
+
+
+@pytest.mark.parametrize(("pole", "sign"), [(0.0, 1), (np.pi, -1)], ids=["hanging", "upright"])
+def test_a_cart_pole_is_the_textbooks(pole: float, sign: int) -> None:
+    """A point mass 1/2 m below a free cart: poles of (1 + m/M) g/l."""
+    kernels = _load("cart_pole")
+    found = linearise(kernels, balance(kernels, find_pose(kernels, {"pole": pole}), {}))
+    cart, mass, length, g = 1.0, 0.3, 0.5, 9.81
+    rate = np.sqrt((1 + mass / cart) * g / length)
+    poles = sorted((mode.pole for mode in found.modes), key=abs)
+    assert poles[:2] == [0, 0]
+    expected = [1j * rate] if sign > 0 else [-rate, rate]
+    assert sorted(poles[2:], key=lambda x: x.real) == pytest.approx(expected, rel=1e-9)
+    assert not found.is_stable
+    assert all(mode.controllable > 1e-3 for mode in found.modes)
+
+
+def test_a_double_pendulum_swings_at_the_frequencies_of_its_matrices() -> None:
+    """Small swings of two thin rods, with M and K written by hand."""
+    kernels = _load("double_pendulum")
+    found = linearise(kernels, settle(kernels, np.array([0.3, -0.2]), np.zeros(0)))
+    l1, l2, m1, m2, g = 1.0, 0.7, 1.5, 0.8, 9.81
+    b = m2 * l2**2 / 3 + m2 * l1 * l2 / 2
+    M = np.array([[m1 * l1**2 / 3 + m2 * (l1**2 + l1 * l2 + l2**2 / 3), b], [b, m2 * l2**2 / 3]])
+    K = g * np.array([[m1 * l1 / 2 + m2 * l1 + m2 * l2 / 2, m2 * l2 / 2], [m2 * l2 / 2, m2 * l2 / 2]])
+    assert found.equilibrium.q == pytest.approx(np.zeros(2), abs=1e-9)
+    expected = np.sqrt(np.sort(np.linalg.eigvals(np.linalg.solve(M, K)))) / (2 * np.pi)
+    assert [mode.frequency for mode in found.modes] == pytest.approx(expected, rel=1e-9)
+    assert [mode.damping for mode in found.modes] == [0, 0]
+    assert not found.is_stable  # they swing for ever
+
+
+@pytest.mark.parametrize("name", ["four_bar", "satellite"])
+def test_slopes_are_differences_of_accelerations(name: str) -> None:
+    """exp2 shares neither formulation nor multipliers with the residual that is linearised."""
+    kernels = _load(name)
+    equilibrium = balance(kernels, find_pose(kernels, {}), {})
+    found, closure, n = linearise(kernels, equilibrium), Closure(kernels), len(kernels.manifest.coordinates)
+    freedoms = [[c.name for c in kernels.manifest.coordinates].index(x) for x in found.freedoms]
+
+    def accelerate(x: np.ndarray, s: np.ndarray, u: np.ndarray) -> np.ndarray:
+        qd = np.zeros(n)
+        qd[freedoms] = x
+        q = equilibrium.q + (kernels("rates", q=equilibrium.q, qd=qd)["rate"] if kernels.manifest.configuration else qd)
+        if closure.count:
+            q = closure.close(q, freedoms)
+        velocities = np.zeros(n)
+        velocities[freedoms] = s
+        if closure.count:
+            velocities = closure.complete_velocities(q, freedoms, s)
+        return kernels("exp2", q=q, qd=velocities, u=u)["qdd"][freedoms]
+
+    d, step = len(freedoms), 1e-5
+    zero, u = np.zeros(d), equilibrium.u
+    assert accelerate(zero, zero, u) == pytest.approx(zero, abs=1e-8)
+    for k in range(d):
+        e = step * np.eye(d)[k]
+        by_x = (accelerate(e, zero, u) - accelerate(-e, zero, u)) / (2 * step)
+        by_s = (accelerate(zero, e, u) - accelerate(zero, -e, u)) / (2 * step)
+        scale = max(1.0, np.abs(found.A).max())
+        assert by_x == pytest.approx(found.A[d:, k], abs=1e-6 * scale)
+        assert by_s == pytest.approx(found.A[d:, d + k], abs=1e-6 * scale)
+    for k in range(u.size):
+        e = step * np.eye(u.size)[k]
+        by_u = (accelerate(zero, zero, u + e) - accelerate(zero, zero, u - e)) / (2 * step)
+        assert by_u == pytest.approx(found.B[d:, k], abs=1e-6 * max(1.0, np.abs(found.B).max()))
+
+
+def test_transfer_functions_are_the_dynamic_stiffness() -> None:
+    kernels = _load("satellite")
+    found = linearise(kernels, balance(kernels, find_pose(kernels, {"hinge": 1.0}), {}))
+    d = len(found.freedoms)
+    for f in (0.1, 2.0):
+        w = 2 * np.pi * f
+        expected = np.linalg.solve(-(w**2) * found.M + 1j * w * found.C + found.K, found.F)
+        assert found.respond(np.array([f]))[0, :d] == pytest.approx(expected, rel=1e-9)
+
+
+def test_zeros_make_the_transfer_function_vanish() -> None:
+    kernels = _load("cart_pole")
+    found = linearise(kernels, balance(kernels, find_pose(kernels, {}), {}))
+    (zero,) = (z for z in found.find_zeros(0, 0) if z.imag > 0)
+    assert abs(found.respond(np.array([zero.imag / (2 * np.pi)]))[0, 0, 0]) < 1e-9
+
+
+ACROSS = """\
+name: across
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: cart, joint: {name: cart, type: prismatic, axis: x}, mass: 1}
+  - name: pole
+    parent: cart
+    joint: {name: pole, type: revolute, axis: x, actuated: false}
+    mass: 0.3
+    com: [0, 0, 0.5]
+"""
+
+
+def test_a_pole_that_falls_across_the_way_of_its_cart_is_out_of_reach(tmp_path: Path) -> None:
+    (tmp_path / "across.yaml").write_text(ACROSS, encoding="utf-8")
+    kernels = load(tmp_path / "across.yaml", extent=INTEGRATED)
+    found = linearise(kernels, balance(kernels, find_pose(kernels, {}), {}))
+    assert [mode.controllable > 1e-6 for mode in found.modes] == [True, True, False, False]
+    with pytest.raises(BalanceError, match="no input reaches"):
+        found.regulate(1.0)
+
+
+def test_the_regulator_minimises_its_integral() -> None:
+    """At the optimum, the cost from a state is x' P x, by Lyapunov's equation of the closed loop."""
+    kernels = _load("cart_pole")
+    found = linearise(kernels, balance(kernels, find_pose(kernels, {"pole": np.pi}), {}))
+    best = found.regulate(0.1)
+    closed = found.A - found.B @ best
+    assert np.linalg.eigvals(closed).real.max() < -0.5
+
+    def cost(gains: np.ndarray) -> float:
+        size = len(found.A)
+        loop, price = found.A - found.B @ gains, np.eye(size) + 0.1 * gains.T @ gains
+        whole = np.kron(loop.T, np.eye(size)) + np.kron(np.eye(size), loop.T)
+        return float(np.trace(np.linalg.solve(whole, -price.ravel()).reshape(size, size)))
+
+    rng = np.random.default_rng(2)
+    assert all(cost(best + 0.05 * rng.normal(size=best.shape)) > cost(best) for _ in range(5))
+
+
+def test_a_pose_that_nothing_keeps_is_refused() -> None:
+    kernels = _load("double_pendulum")
+    with pytest.raises(BalanceError, match=r"force of 5\.\d+ along q1 is not balanced; settle it"):
+        balance(kernels, np.array([0.3, 0.0]), {})
+    with pytest.raises(OpenError):
+        balance(_load("four_bar"), np.zeros(3), {})
+
+
+def test_the_command_writes_a_feedback_that_balances(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    model, runner = str(FOLDER / "cart_pole.yaml"), CliRunner()
+    run = runner.invoke(cli, ["linearise", model, "--pose", "pole=pi", "--regulate", "0.1"], catch_exceptions=False)
+    assert run.exit_code == 0
+    written = json.loads(Path("cart_pole.linear/linearisation.json").read_text(encoding="utf-8"))
+    assert written["stable"] is False
+    assert len(written["gains"][0]) == 4
+    assert {x.name for x in Path("cart_pole.linear").iterdir()} == {"linearisation.json", "poles.png", "responses.png"}
+    (feedback,) = re.findall(r"--input '(.*)'", run.stdout)
+    arguments = ["simulate", model, "--pose", "pole=pi+0.2", "--duration", "12", "--input", feedback, "-o", "out"]
+    assert runner.invoke(cli, arguments, catch_exceptions=False).exit_code == 0
+    last = Path("out/trajectory.csv").read_text(encoding="utf-8").splitlines()[-1].split(",")
+    assert [float(x) for x in last[1:5]] == pytest.approx([0, np.pi, 0, 0], abs=1e-3)
+    wrong = runner.invoke(cli, ["linearise", model, "--pose", "pol=1"])
+    assert wrong.exit_code == 2
+    assert "give NAME=NUMBER" in wrong.output
