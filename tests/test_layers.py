@@ -106,6 +106,13 @@ MBSRUN = Package(
         "ocp.pictures ocp.cluster",
         "ocp.multistart",
         "ocp",
+        "tracking.trial tracking.controller",
+        "tracking.plant tracking.solving tracking.statement",
+        "tracking.loop tracking.mechanisms",
+        "tracking.analysis",
+        "tracking.pictures",
+        "tracking.record",
+        "tracking",
         "measuring.points measuring.functions measuring.mechanisms measuring.reference measuring.sections "
         "measuring.store",
         "measuring.timing measuring.captions measuring.fronts measuring.page",
@@ -122,7 +129,7 @@ MBSRUN = Package(
         "lab",
         "commands.console",
         "commands.advise commands.cache commands.chart commands.inverse commands.lab "
-        "commands.linearise commands.simulate commands.solve commands.study commands.sweep",
+        "commands.linearise commands.simulate commands.solve commands.study commands.sweep commands.track",
         "commands",
         "cli",
         "__main__",

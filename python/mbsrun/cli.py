@@ -21,6 +21,7 @@ from mbsrun.commands.simulate import simulate_command
 from mbsrun.commands.solve import solve_command
 from mbsrun.commands.study import study_command
 from mbsrun.commands.sweep import sweep_command
+from mbsrun.commands.track import track_command
 
 HELP = """Simulate multibody systems, and solve their optimal control problems.
 
@@ -30,6 +31,7 @@ HELP = """Simulate multibody systems, and solve their optimal control problems.
   mbsrun linearise MODEL        find linear equations, modes and transfer functions about a pose at rest
   mbsrun solve PROBLEM -o DIR   solve, and write solution and pictures to DIR
   mbsrun sweep PROBLEM -o FILE  solve for a grid of targets, by a protocol, and print its effort
+  mbsrun track PROBLEM -o DIR   control a simulated plant by solving from every measured state
   mbsrun study PROBLEM          solve for all targets, formulations and costs of a paper, and report
   mbsrun chart kernels MODEL    draw speed against accuracy of kernels, or of simulation
   mbsrun advise MODEL           recommend the fastest choices for a model, at an accuracy
@@ -46,6 +48,7 @@ COMMANDS = (
     linearise_command,
     solve_command,
     sweep_command,
+    track_command,
     study_command,
     chart,
     advise_command,

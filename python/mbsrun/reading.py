@@ -27,7 +27,7 @@ def read_settings(file: Path | None, options: Mapping[str, Data]) -> Document:
 
 
 def overlay(below: Data, above: Data) -> Data:
-    """Return the data with the values of `above` in place of its own."""
+    """Return the data `below`, with values replaced where `above` has them."""
     if isinstance(below, dict) and isinstance(above, dict):
         return {**below, **{key: overlay(below.get(key), value) for key, value in above.items()}}
     return above

@@ -16,17 +16,20 @@ from mbsgen.model.reader import read_model
 from mbsgen.model.scene import read_scene
 from mbsrun.ocp.statement import read_problem
 from mbsrun.simulation.statement import read_statement
+from mbsrun.tracking.statement import TrialStatement
 
 MODELS = Path(__file__).parents[2] / "models"
 FILES = {
     "model": (MODELS / "pendulum.yaml").read_text(encoding="utf-8"),
     "problem": (MODELS / "arm_reach.ocp.yaml").read_text(encoding="utf-8"),
+    "trial": "duration: 2\nrate: 10\n",
     "settings": "duration: 2\nstep: 0.1\n",
     "scene": "functions: [impl]\nlocked: {a: 0}\n",
 }
 READERS: dict[str, Callable[[Path], Any]] = {
     "model": read_model,
     "problem": lambda file: read_problem(file, lambda _: SimpleNamespace()),  # type: ignore[arg-type, type-var]
+    "trial": lambda file: TrialStatement(file, {}),
     "settings": lambda file: read_statement(file, {}, SimpleNamespace()),  # type: ignore[arg-type]
     "scene": lambda file: read_scene(file, SimpleNamespace(), {}),  # type: ignore[arg-type]
 }

@@ -227,8 +227,8 @@ def _choose(
     problem = replace(problem, integrator=integrator or problem.integrator, steps=steps or problem.steps)
     if guess_inputs is not None:
         problem = replace(problem, guess=replace(problem.guess, inputs=guess_inputs))
-    if solver is not None and solver != problem.solver.method:
-        problem = replace(problem, solver=replace(problem.solver, method=solver, options=()))
+    if solver is not None:
+        problem = problem.with_solver(solver)
     check_conflicts(problem)
     return problem
 

@@ -162,6 +162,12 @@ class Problem:
         sensors = tuple((name, position if name == sensor else old) for name, old in self.end.sensors)
         return replace(self, end=replace(self.end, sensors=sensors))
 
+    def with_solver(self, method: SolverName) -> Problem:
+        """Return the same problem for an NLP method; another method drops the options of the former one."""
+        if method == self.solver.method:
+            return self
+        return replace(self, solver=replace(self.solver, method=method, options=()))
+
 
 @dataclass(frozen=True)
 class Conflict:

@@ -65,19 +65,51 @@ def resample(trajectory: Trajectory, t: NDArray[np.float64], point_t: NDArray[np
     """
     pace = float(trajectory.t[-1] / t[-1])
     mesh, points = (_Reading(trajectory, np.asarray(times) * pace) for times in (t, point_t))
-    impulses = np.diff(trajectory.t)[:, None] * trajectory.u
-    integral = np.concatenate((np.zeros_like(impulses[:1]), np.cumsum(impulses, axis=0)))
-    sums = np.stack([np.interp(t * pace, trajectory.t, column) for column in integral.T], axis=-1)
     return Trajectory(
         t=t,
         q=mesh.states(trajectory.q, trajectory.point_q),
         qd=mesh.states(trajectory.qd, trajectory.point_qd) * pace,
-        u=np.diff(sums, axis=0) / (np.diff(t) * pace)[:, None],
+        u=average_inputs(trajectory, t * pace),
         point_t=point_t,
         point_q=points.states(trajectory.q, trajectory.point_q),
         point_qd=points.states(trajectory.qd, trajectory.point_qd) * pace,
         point_qdd=points.accelerations(trajectory.point_qdd) * pace**2,
     )
+
+
+def move_ahead(
+    trajectory: Trajectory, elapsed: float, t: NDArray[np.float64], point_t: NDArray[np.float64]
+) -> Trajectory:
+    """Read a motion from the time `elapsed` on, on a grid that begins there: mesh points t, collocation points point_t.
+
+    After its end the motion stands still in its last pose, under its last inputs. Nothing is scaled.
+    """
+    end = float(trajectory.t[-1])
+
+    def read(times: NDArray[np.float64]) -> tuple[_Reading, NDArray[np.float64]]:
+        later = times + elapsed
+        return _Reading(trajectory, np.minimum(later, end)), (later <= end * (1 + 1e-12))[..., None]
+
+    (mesh, mesh_moves), (points, points_move) = read(t), read(point_t)
+    return Trajectory(
+        t=t,
+        q=mesh.states(trajectory.q, trajectory.point_q),
+        qd=mesh.states(trajectory.qd, trajectory.point_qd) * mesh_moves,
+        u=average_inputs(trajectory, t + elapsed),
+        point_t=point_t,
+        point_q=points.states(trajectory.q, trajectory.point_q),
+        point_qd=points.states(trajectory.qd, trajectory.point_qd) * points_move,
+        point_qdd=points.accelerations(trajectory.point_qdd) * points_move,
+    )
+
+
+def average_inputs(trajectory: Trajectory, times: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the mean inputs between times (K + 1,), shape (K, m); after its end a motion keeps its last inputs."""
+    knots = np.append(trajectory.t, max(float(times[-1]), float(trajectory.t[-1])) + 1.0)
+    u = np.concatenate((trajectory.u, trajectory.u[-1:]))
+    impulses = np.concatenate((np.zeros_like(u[:1]), np.cumsum(np.diff(knots)[:, None] * u, axis=0)))
+    sums = np.stack([np.interp(times, knots, column) for column in impulses.T], axis=-1)
+    return np.asarray(np.diff(sums, axis=0) / np.diff(times)[:, None])
 
 
 class _Reading:

@@ -185,7 +185,7 @@ def express(
         return np.stack(columns, axis=1) if columns else np.zeros((len(t), 0))
 
     def follow(kernels: Kernels, t: Array, q: Array, qd: Array) -> Array:
-        return compute(t, _measure(used, kernels, q, qd))
+        return compute(t, measure(used, kernels, q, qd))
 
     for expression in expressions:  # an unknown name is an error before anything runs
         with np.errstate(all="ignore"):
@@ -196,7 +196,7 @@ def express(
     return Drive((Piece(0.0, np.inf, lambda t: compute(t, {}), is_constant),))
 
 
-def _measure(used: Mapping[str, Quantity], kernels: Kernels, q: Array, qd: Array) -> dict[str, Array]:
+def measure(used: Mapping[str, Quantity], kernels: Kernels, q: Array, qd: Array) -> dict[str, Array]:
     """Compute quantities of states (K, nq), (K, n): shape (K,) each."""
     kinds = {quantity.kind for quantity in used.values()}
     found = {"q": q, "qd": qd}

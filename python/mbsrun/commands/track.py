@@ -1,0 +1,194 @@
+"""`mbsrun track`: a problem file and a trial -> a closed loop, with tables and pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as ProgressBar
+
+from mbsgen.documents import Data
+from mbsrun.commands.console import MESSAGES, NOT_SOLVED, NameType, say
+from mbsrun.external import Mechanism, OnDemand, load_on_demand
+from mbsrun.ocp.methods import METHODS as SOLVERS
+from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.statement import read_problem
+from mbsrun.simulation.methods import METHODS
+from mbsrun.tracking.loop import NoPlanError, Sample, Track, track
+from mbsrun.tracking.mechanisms import load_simulated
+from mbsrun.tracking.plant import Plant
+from mbsrun.tracking.record import FILES, Report, report_track, write_track
+from mbsrun.tracking.solving import SolvingController
+from mbsrun.tracking.statement import TrialStatement
+from mbsrun.tracking.trial import Fallback, Trial
+
+TRACK_HELP = """Control a simulated mechanism by solving PROBLEM again from every measured state.
+
+PROBLEM is a problem file of optimal control. At a given rate, the state is measured, the problem is solved from there,
+and the first inputs of the plan act until the next sample: model predictive control. The plant is simulated with an
+adaptive integrator. It may have other masses than the controller's model, its measurements have noise, inputs may come
+late, and it may be pushed. A file describes all of this; an option wins over the file:
+
+\b
+  duration: 5                       # s
+  rate: 20                          # samples a second
+  delay: 1                          # periods from a measurement to its inputs
+  plant: {scale: {mp: 1.2}}         # the true mass is 20 % larger
+  noise: {coordinates: 1e-3, velocities: 1e-2, seed: 0}
+  kicks:
+    - {time: 3, velocity: {pole: 1}}
+  measures:
+    - {name: lean, expression: abs(q_pole - pi), from: 4, most: 0.02}
+
+The plant waits for the controller: computing times are recorded, and do not change the motion. Take a delay of one
+period or more in their place. The page docs/track.md lists all keys.
+
+\b
+The output folder gets
+  summary.json      figures: failures, computing times, measures, margins to bounds and constraints
+  track.csv         a row for each sample: true and measured state, inputs, status, iterations, seconds
+  plots.png         states against references, inputs within bounds, measures
+  times.png         the histogram of computing times
+  animation.html    plays the true motion in any browser
+
+Ctrl-C ends the loop; the part so far is written, and marked as incomplete.
+
+\b
+Exit codes
+  0   the end was reached, and every measure stayed below its limit
+  1   it was not reached, or a measure exceeded its limit; what there is is written; or the
+      controller found no plan from the start: then nothing is written
+  2   a file or an argument cannot be accepted; nothing written
+"""
+
+LISTED = 8  # margins and statuses that are printed
+
+
+@click.command("track", help=TRACK_HELP)
+@click.argument("file", metavar="PROBLEM", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    "out",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="The folder to write to; by default NAME.track here, for a problem file NAME.ocp.yaml.",
+)
+@click.option("--settings", type=click.Path(path_type=Path), help="A file with settings; see above.")
+@click.option("--duration", metavar="T", help="The length of the motion [s].")
+@click.option("--rate", metavar="HZ", help="The number of samples a second.")
+@click.option("--delay", type=int, metavar="N", help="Periods from a measurement to its inputs; by default 0.")
+@click.option("--predict/--no-predict", default=None, help="Plan from the state after the delay, or from the measured.")
+@click.option(
+    "--fallback",
+    type=click.Choice([x.value for x in Fallback]),
+    help="The inputs of a sample without a plan; by default the last plan's.",
+)
+@click.option("--seed", type=int, metavar="N", help="Of the noise; by default 0.")
+@click.option("--method", type=NameType(METHODS), help="How the plant is integrated; by default dop853.")
+@click.option("--solver", type=NameType(SOLVERS), help="The controller's NLP method; by default the problem's.")
+@click.pass_context
+def track_command(
+    context: click.Context, /, file: Path, out: Path | None, settings: Path | None, solver: str | None, **given: Any
+) -> None:
+    """Read, run, write, print."""
+    statement = TrialStatement(settings, _collect_options(given))
+    models: list[Path] = []
+
+    def load_model(model: Path) -> Mechanism | OnDemand:
+        models.append(model)
+        return load_on_demand(model)
+
+    problem, model = read_problem(file, load_model)
+    if solver is not None:
+        problem = problem.with_solver(solver)
+    with MESSAGES.status("generating and compiling"):
+        changes = statement.changes
+        other = models[0] if changes.model is None else (settings or file).parent / changes.model
+        true = load_simulated(other, is_released=changes.is_released)
+        trial, parameters = statement.trial(problem, true.manifest, true.parameters)
+        true = true.with_parameters(**parameters)
+        predicting = load_simulated(models[0]) if trial.delay and trial.predicts else None
+    controller = SolvingController(problem, model, trial.period, trial.horizon)
+    try:
+        found = _run(trial, problem, Plant(true, trial), controller, predicting)
+    except NoPlanError as error:
+        say(str(error))
+        context.exit(NOT_SOLVED)
+    out = out or Path(f"{problem.name}.track")
+    with MESSAGES.status("drawing"):
+        report = report_track(found, problem, true)
+        write_track(report, true, out)
+    _print_report(report)
+    say(f"wrote {', '.join(str(out / name) for name in FILES)}")
+    for warning in _list_warnings(report):
+        say(f"warning: {warning}")
+    context.exit(0 if report.is_met else NOT_SOLVED)
+
+
+def _collect_options(given: dict[str, Any]) -> dict[str, Data]:
+    """Nest options as a settings file does."""
+    options: dict[str, Data] = {key: value for key, value in given.items() if value is not None}
+    for key, section in (("seed", "noise"), ("method", "plant")):
+        if key in options:
+            options[section] = {key: options.pop(key)}
+    return options
+
+
+def _run(trial: Trial, problem: Problem, plant: Plant, controller: SolvingController, model: Mechanism | None) -> Track:
+    """Run the loop, and show how far it is."""
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[time]}"), TimeRemainingColumn())
+    with ProgressBar(*columns, console=MESSAGES, transient=True) as bar:
+        task = bar.add_task("planning from the start", total=trial.samples, time="")
+
+        def show(sample: Sample) -> None:
+            told = f"{sample.decision.status}, {1e3 * sample.decision.seconds:.3g} ms"
+            bar.update(task, advance=1, description=told, time=f"t = {sample.time:.3f} s")
+
+        return track(trial, problem.bounds, plant, controller, model, show)
+
+
+def _print_report(report: Report) -> None:
+    found, trial = report.track, report.track.trial
+    statuses = ", ".join(f"{count} {status}" for status, count in report.statuses[:LISTED])
+    iterations = [sample.decision.iterations for sample in found.samples]
+    times = report.times
+    rows = {
+        "problem": trial.name,
+        "reached": f"{found.t[-1]:.6g} s of {trial.duration:.6g} s, {len(found.samples)} samples "
+        f"of {1e3 * trial.period:.6g} ms",
+        "controller": statuses,
+        "failures": f"{found.failures}; {report.moved} states were put within the bounds",
+        "iterations": f"{sum(iterations) / len(iterations):.3g} a sample, {max(iterations)} at most",
+        "time": f"{1e3 * times.median:.3g} ms a sample (median), {1e3 * times.tail:.3g} ms (99.9th percentile), "
+        f"{1e3 * times.largest:.3g} ms at most",
+        "energy drift": f"{found.drift:.1e} J in a period, at most: the integration's error",
+    }
+    for x in report.measured:
+        limit = "" if x.most is None else f"; limit {x.most:.4g}" + ("" if x.is_met else ", exceeded")
+        rows[x.name] = f"{x.largest:.4g} at most, {x.rms:.4g} rms{limit}"
+    for name, text in rows.items():
+        click.echo(f"{name:<14}{text}")
+    if report.margins:
+        click.echo("least margins to bounds and constraints")
+    for margin in sorted(report.margins, key=lambda margin: margin.least)[:LISTED]:
+        click.echo(f"  {margin.least:>10.3g} at {margin.time:.3f} s  {margin.name}")
+
+
+def _list_warnings(report: Report) -> list[str]:
+    """List what a reader must know before believing the figures."""
+    found, warnings = report.track, []
+    samples = len(found.samples)
+    if found.halt is not None:
+        warnings.append(f"{found.halt}; what was written is incomplete")
+    if found.failures:
+        warnings.append(f"the controller found no plan at {found.failures} of {samples} samples; see track.csv")
+    if report.late:
+        warnings.append(
+            f"at {report.late} of {samples} samples the controller took longer than a period; the plant waited for it"
+        )
+    if found.lossy:
+        warnings.append(f"the energy drifts in {found.lossy} periods; take a smaller tolerance or step of the plant")
+    warnings += [f"the margin to {text} is unknown, since it reads accelerations" for text in report.unmeasured]
+    return warnings

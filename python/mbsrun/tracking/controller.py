@@ -1,0 +1,43 @@
+"""A controller as the closed loop calls it.
+
+    prepare(time, constants)    move the kept plan to the time at which the next one begins
+    feedback(q, qd)             plan from a state: inputs from that time on, and a status
+
+`planned` reads inputs off the kept plan, for samples at which no new one was found. A controller holds its plan between
+samples; the loop knows no solver.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """The result of one sample."""
+
+    inputs: Array  # (m,): for the period that begins at the time that was prepared; kept ones where nothing was found
+    status: str  # the solver's word
+    is_solved: bool
+    iterations: int
+    seconds: float  # from the state to the inputs
+
+
+class Controller(Protocol):
+    """A model predictive controller: n_q coordinates, n velocities, m inputs."""
+
+    def prepare(self, time: float, constants: Mapping[str, float]) -> None:
+        """Move the plan to begin at `time` [s], with values of the problem's constants."""
+
+    def feedback(self, q: Array, qd: Array) -> Decision:
+        """Plan from a state at the prepared time."""
+
+    def planned(self, time: float) -> Array:
+        """Return the inputs (m,) of the kept plan for the period that begins at a time; its last ones after its end."""

@@ -1,0 +1,193 @@
+"""The closed loop: at each sample k, at the time t_k = k h,
+
+    measured = state + noise,    planned from = the measured state, or its prediction at t_k + delay h
+    u_(k + delay) = controller(planned from),    state(t_(k+1)) = plant(state(t_k), u_k + noise)
+
+The loop is synchronous: the plant waits for the controller, and computing times are recorded, not acted on. A delay of
+whole periods stands for the time that the computation takes; with prediction, the controller plans from the state in
+which its inputs will act, by its own model and the inputs that are on their way (Findeisen, Allgoewer, "Computational
+delay in nonlinear model predictive control", IFAC Proceedings 37 (2004)).
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsgen.errors import MbsError
+from mbsrun.kernel import Kernels
+from mbsrun.ocp.problem import Bounds
+from mbsrun.simulation.drive import hold_steps
+from mbsrun.simulation.motion import Halt
+from mbsrun.simulation.simulate import simulate
+from mbsrun.tracking.controller import Controller, Decision
+from mbsrun.tracking.plant import Plant
+from mbsrun.tracking.trial import Fallback, Trial
+
+Array = NDArray[np.float64]
+
+INSIDE = 1e-6  # how far from a bound a state beyond it is put, relative to 1 + |state|
+UNPREDICTED = "No_Prediction"  # the status of a sample at which the model has no motion to the end of the delay
+
+
+class NoPlanError(MbsError):
+    """A controller that finds no plan from the start."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One sample of the loop, and the period after it."""
+
+    time: float
+    q: Array  # the true state
+    qd: Array
+    measured_q: Array
+    measured_qd: Array
+    decision: Decision
+    preparing: float  # s before the measurement
+    u: Array  # (m,): the inputs that were asked for in this period, delay included
+    acting: Array  # (m,): and the ones that acted, with noise
+    is_moved: bool  # the measured state was beyond a bound, and the controller got a state within it
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """The samples of a loop, and the true motion at K times."""
+
+    trial: Trial
+    first: Decision  # the plan from the start, which is made before the loop begins
+    samples: tuple[Sample, ...]
+    t: Array  # (K,)
+    q: Array  # (K, nq)
+    qd: Array  # (K, n)
+    u: Array  # (K, m): inputs that were asked for
+    drift: float  # J: the largest drift of the energy in a period
+    lossy: int  # periods whose drift is larger than it should be
+    halt: Halt | None
+
+    @property
+    def failures(self) -> int:
+        """Count the samples without a new plan."""
+        return sum(not sample.decision.is_solved for sample in self.samples)
+
+    @property
+    def is_complete(self) -> bool:
+        """Return whether the end was reached."""
+        return self.halt is None
+
+
+def track(
+    trial: Trial,
+    bounds: Bounds,
+    plant: Plant,
+    controller: Controller,
+    model: Kernels | None = None,
+    show: Callable[[Sample], None] = lambda _: None,
+) -> Track:
+    """Run a trial; call `show` with each sample.
+
+    `bounds` are the controller's; `model` is the controller's mechanism, needed for predictions. A failure on the way
+    is no exception: `halt` of the track then describes why it ends early. Raises NoPlanError where the controller
+    finds no plan from the start.
+    """
+    loop = _Loop(trial, bounds, plant, controller, model)
+    for k in range(trial.samples):
+        try:
+            show(loop.step(k))
+        except KeyboardInterrupt:
+            loop.halt = Halt(k * trial.period, None, "the user stopped it", "run it again for the whole")
+        if loop.halt is not None:
+            break
+    return loop.finish()
+
+
+class _Loop:
+    """Holds the plant's state, and the inputs that are on their way."""
+
+    def __init__(
+        self, trial: Trial, bounds: Bounds, plant: Plant, controller: Controller, model: Kernels | None
+    ) -> None:
+        self.trial, self.plant, self.controller, self.model = trial, plant, controller, model
+        self.lower, self.upper = (np.array(side) for side in zip(*bounds.q, *bounds.qd, strict=True))
+        self.q, self.qd = trial.start_q, trial.start_qd
+        self.samples: list[Sample] = []
+        self.stretches = [(np.zeros(1), self.q[None], self.qd[None])]
+        self.drift, self.lossy, self.halt = 0.0, 0, None  # type: tuple[float, int, Halt | None]
+        controller.prepare(0.0, trial.constants_at(0.0))
+        self.first = controller.feedback(*self._move_inside(self.q, self.qd)[:2])
+        if not self.first.is_solved:
+            raise NoPlanError(
+                f"the controller finds no plan from the start ({self.first.status}); "
+                "solve the problem by `mbsrun solve`, and mend it until that succeeds"
+            )
+        self.pending = deque(controller.planned(k * trial.period) for k in range(trial.delay))
+        self.last = controller.planned(0.0)
+
+    def step(self, k: int) -> Sample:
+        """Take sample k, and move the plant through the period after it."""
+        trial, start = self.trial, k * self.trial.period
+        ahead = start + trial.delay * trial.period * trial.predicts
+        before = time.perf_counter()
+        self.controller.prepare(ahead, trial.constants_at(ahead))
+        preparing = time.perf_counter() - before
+        measured = self.plant.measure(k, self.q, self.qd)
+        decision, is_moved = self._decide(ahead, measured)
+        u = decision.inputs
+        if not decision.is_solved and trial.fallback is Fallback.HOLD:
+            u = self.pending[-1] if self.pending else self.last
+        self.pending.append(u)
+        self.last = self.pending.popleft()
+        acting = self.plant.disturb(k, self.last)
+        sample = Sample(start, self.q, self.qd, *measured, decision, preparing, self.last, acting, is_moved)
+        if not decision.is_solved and trial.fallback is Fallback.STOP:
+            self.halt = Halt(start, None, f"the controller found no plan ({decision.status})", "see the fallback")
+        else:
+            self._advance(start, min(start + trial.period, trial.duration), acting)
+        self.samples.append(sample)
+        return sample
+
+    def finish(self) -> Track:
+        """Gather the track."""
+        t, q, qd = (np.concatenate(part) for part in zip(*self.stretches, strict=True))
+        period = np.clip((t / self.trial.period * (1 - 1e-12)).astype(int), 0, max(len(self.samples) - 1, 0))
+        u = np.array([sample.u for sample in self.samples])[period]
+        return Track(self.trial, self.first, tuple(self.samples), t, q, qd, u, self.drift, self.lossy, self.halt)
+
+    def _decide(self, ahead: float, measured: tuple[Array, Array]) -> tuple[Decision, bool]:
+        """Plan from a measured state, or from its prediction."""
+        state: tuple[Array, Array] | None = measured
+        if self.pending and self.trial.predicts:
+            state = self._predict(*measured)
+        if state is None:
+            return Decision(self.controller.planned(ahead), UNPREDICTED, False, 0, 0.0), False
+        q, qd, is_moved = self._move_inside(*state)
+        return self.controller.feedback(q, qd), is_moved
+
+    def _predict(self, q: Array, qd: Array) -> tuple[Array, Array] | None:
+        """Return the state at the end of the delay by the controller's model; None where the motion stops before."""
+        assert self.model is not None, "a delay with prediction needs the model"
+        times = self.trial.period * np.arange(len(self.pending) + 1)
+        settings = replace(self.trial.integration, duration=float(times[-1]))
+        motion = simulate(self.model, hold_steps(times, np.array(self.pending)), q, qd, settings)
+        return (motion.q[-1], motion.qd[-1]) if motion.is_complete else None
+
+    def _move_inside(self, q: Array, qd: Array) -> tuple[Array, Array, bool]:
+        """Put entries of a state that are beyond the controller's bounds just inside: plans begin within them."""
+        state = np.concatenate((q, qd))
+        margin = INSIDE * (1 + np.abs(state))
+        is_low, is_high = state < self.lower, state > self.upper
+        inside = np.where(is_low, self.lower + margin, np.where(is_high, self.upper - margin, state))
+        return inside[: q.size], inside[q.size :], bool((is_low | is_high).any())
+
+    def _advance(self, start: float, end: float, acting: Array) -> None:
+        stretch = self.plant.advance(self.q, self.qd, start, end, acting)
+        self.stretches.append((stretch.t[1:], stretch.q[1:], stretch.qd[1:]))
+        self.q, self.qd = stretch.q[-1], stretch.qd[-1]
+        self.drift = max(self.drift, abs(stretch.drift))
+        self.lossy += not stretch.is_kept
+        self.halt = stretch.halt

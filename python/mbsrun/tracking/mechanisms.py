@@ -1,0 +1,29 @@
+"""The kernels of a closed loop: of the true mechanism, whose numbers may differ, and of predictions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mbsgen.manifest import Manifest
+from mbsrun.external import Mechanism, load, load_on_demand
+from mbsrun.models import INTEGRATED, Extent
+
+SIMULATED = ("exp2", "impl", "energy", "power", "frames")  # as the simulation needs them, without loops
+
+
+def load_simulated(model: Path, *, is_released: bool = False) -> Mechanism:
+    """Load the kernels that a simulation and its measurements need.
+
+    `is_released` makes every number of the model a run-time parameter. Parameters of the file keep their names, and
+    other numbers have their paths, such as `link7.mass`. Raises InputError with every fault of the model.
+    """
+    return load(model, extent=_choose(load_on_demand(model).manifest, is_released=is_released))
+
+
+def _choose(manifest: Manifest, *, is_released: bool) -> Extent:
+    """Choose the functions to generate: few where no loops are to be closed."""
+    if manifest.loops or manifest.driven:
+        return Extent(derivatives=INTEGRATED.derivatives, runtime=is_released)
+    sensors = ("sensors", "motion") if any(frame.sensor for frame in manifest.frames) else ()
+    rates = ("rates",) if manifest.configuration else ()
+    return Extent((*SIMULATED, *sensors, *rates), INTEGRATED.derivatives, runtime=is_released)

@@ -1,0 +1,98 @@
+"""A controller that solves its problem to a tolerance at each sample, by a method of `ocp.methods`.
+
+The problem is transcribed once. Each solve starts from the last plan, moved ahead by the time that has passed:
+the standard warm start of model predictive control, see Diehl, Ferreau, Haverbeke, "Efficient numerical methods for
+nonlinear MPC and moving horizon estimation", LNCIS 384 (2009), section 3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsrun.ocp import schemes
+from mbsrun.ocp.guess import Pose, make_guess
+from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.solution import Failure
+from mbsrun.ocp.solve import Solver, settle
+from mbsrun.ocp.trajectory import Trajectory, average_inputs, grid, move_ahead
+from mbsrun.tracking.controller import Decision
+from mbsrun.tracking.trial import Horizon
+
+Array = NDArray[np.float64]
+
+WARM: Mapping[str, Mapping[str, float | int | str]] = {  # by method: options of all solves after the first
+    "ipopt": {"mu_init": 1e-3}
+}
+UNREACHED = "No_Guess"
+
+
+class SolvingController:
+    """Solves an optimal control problem from each measured state."""
+
+    def __init__(self, problem: Problem, plant: Plant, period: float, horizon: Horizon | None = None) -> None:
+        """Take a problem, of which every sample replaces the start, and the horizon where it shrinks.
+
+        Raises ProblemError for a problem with faults.
+        """
+        self.period, self.horizon = period, horizon
+        self._plant, self._problem, self._next = plant, self._shape(problem, 0.0), problem
+        self._solver: Solver | None = None
+        self._plan: Trajectory | None = None
+        self._begun, self._time = 0.0, 0.0
+
+    def prepare(self, time: float, constants: Mapping[str, float]) -> None:
+        """Set the time and the constants of the next solve."""
+        known = {**dict(self._problem.constants), **constants}
+        problem = self._shape(self._problem, time)
+        self._next = replace(problem, constants=tuple((name, known[name]) for name, _ in problem.constants))
+        self._time = time
+
+    def feedback(self, q: Array, qd: Array) -> Decision:
+        """Solve from a state; a plan that is found is kept."""
+        problem = replace(self._next, start_q=tuple(q.tolist()), start_qd=tuple(qd.tolist()))
+        guess = self._guess(problem)
+        if isinstance(guess, Pose):
+            return Decision(self.planned(self._time), UNREACHED, False, 0, 0.0)
+        if self._solver is None:
+            problem = self._problem = self._next = settle(problem, self._plant, guess)
+            self._solver = Solver(problem, self._plant)
+        outcome = self._solver.solve(problem, guess)
+        run = outcome.run
+        if isinstance(outcome, Failure):
+            return Decision(self.planned(self._time), run.status, False, run.iterations, run.seconds)
+        if self._plan is None:
+            self._problem = _warm(self._problem)
+        self._plan, self._begun = outcome.trajectory, self._time
+        return Decision(self.planned(self._time), run.status, True, run.iterations, run.seconds)
+
+    def planned(self, time: float) -> Array:
+        """Return the plan's mean inputs over the period from a time on; zeros where there is no plan yet."""
+        if self._plan is None:
+            return np.zeros(len(self._problem.bounds.u))
+        elapsed = time - self._begun
+        return np.asarray(average_inputs(self._plan, np.array([elapsed, elapsed + self.period]))[0])
+
+    def _guess(self, problem: Problem) -> Trajectory | Pose:
+        if self._plan is None or self._solver is None:
+            return make_guess(problem, self._plant, schemes.build(problem.family, problem.degree))
+        scheme = self._solver.transcription.scheme
+        times = grid(problem.horizon, problem.intervals, scheme.points)
+        return move_ahead(self._plan, self._time - self._begun, *times)
+
+    def _shape(self, problem: Problem, time: float) -> Problem:
+        """Return the problem with its length at a time: one program serves all lengths of a horizon that shrinks."""
+        if self.horizon is None:
+            return problem
+        length = self.horizon.length(time)
+        return replace(problem, horizon=length, horizon_range=(length, length))
+
+
+def _warm(problem: Problem) -> Problem:
+    """Return the problem with options for starts near a solution, where the file does not give them."""
+    given = dict(WARM.get(problem.solver.method, {})) | dict(problem.solver.options)
+    return replace(problem, solver=replace(problem.solver, options=tuple(given.items())))
