@@ -168,8 +168,9 @@ def _print_report(report: Report) -> None:
     for x in report.measured:
         limit = "" if x.most is None else f"; limit {x.most:.4g}" + ("" if x.is_met else ", exceeded")
         rows[x.name] = f"{x.largest:.4g} at most, {x.rms:.4g} rms{limit}"
+    width = max(map(len, rows))
     for name, text in rows.items():
-        click.echo(f"{name:<14}{text}")
+        click.echo(f"{name:<{width}}  {text}")
     if report.margins:
         click.echo("least margins to bounds and constraints")
     for margin in sorted(report.margins, key=lambda margin: margin.least)[:LISTED]:
