@@ -260,6 +260,10 @@ class Closure:
         """Return the nearest accelerations that keep the loops closed."""
         return self._correct(q, qdd, self.bias(q, qd))
 
+    def balance(self, q: Array, forces: Array) -> Array:
+        """Return the multipliers (..., m) of joint forces that loops have to bear: J^T lam = forces."""
+        return _solve(self.jacobian(q).swapaxes(-1, -2), forces)
+
     # --- independent coordinates ---
 
     def is_regular(self, q: Array) -> bool:

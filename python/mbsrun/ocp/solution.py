@@ -18,7 +18,7 @@ from mbsgen.manifest import Manifest
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.record import SAME
 from mbsrun.ocp.status import ACCEPTABLE
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.trajectory import Array, Trajectory
 
 FORMAT: Literal["mbsrun solution 1"] = "mbsrun solution 1"
 
@@ -173,6 +173,8 @@ class Solution:
     trajectory: Trajectory
     resimulation: Resimulation | None = None
     starts: Starts | None = None  # of the search that found it, if it was one
+    equations: tuple[str, ...] = ()  # of closed loops
+    multipliers: Array | None = None  # (N, d, m): the forces on these equations at the points of the trajectory
 
     @property
     def is_only_acceptable(self) -> bool:
@@ -203,6 +205,8 @@ def write_solution(solution: Solution, path: Path) -> None:
     """Write a solution to a file, one line for each of its parts."""
     parts = _FILE.dump_python(_File(FORMAT, solution), mode="json")["solution"]
     trajectory = parts.pop("trajectory")
+    if not solution.equations:
+        del parts["equations"], parts["multipliers"]
     lines = [f'  "{key}": {json.dumps(value, ensure_ascii=False)}' for key, value in parts.items()]
     arrays = [f'   "{key}": {json.dumps(value)}' for key, value in trajectory.items()]
     lines.append('  "trajectory": {\n' + ",\n".join(arrays) + "\n  }")

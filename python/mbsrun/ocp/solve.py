@@ -131,7 +131,8 @@ class Solver:
     def _solution(self, problem: Problem, run: Run, x: Array) -> Solution:
         manifest, transcription = self.plant.manifest, self.transcription
         functions, parameters = self.program.casadi, transcription.parameters(problem)
-        trajectory = transcription.unpack(functions.complete(x))
+        completed = functions.complete(x)
+        trajectory = transcription.unpack(completed)
         g = functions.constraint(x, parameters).full().ravel()
         terms = functions.terms(x, parameters).full().ravel() * problem.cost.weights
         return Solution(
@@ -155,6 +156,8 @@ class Solver:
                 *_measure_closure(trajectory, transcription.closure),
             ),
             trajectory=trajectory,
+            equations=manifest.equations,
+            multipliers=transcription.read_multipliers(completed, trajectory),
         )
 
     def _solver(self, problem: Problem) -> methods.Solver:

@@ -1,7 +1,8 @@
 """A solution as a table: Solution and plant -> CSV, a row for each mesh and collocation point, in SI units.
 
-Columns are time, coordinates, velocities, accelerations, inputs and positions of sensors in the base frame; the header
-names each with its unit. Names of the model are bracketed, so that a spreadsheet reads no cell as a formula.
+Columns are time, coordinates, velocities, accelerations, inputs, multipliers of closed loops, and positions of sensors
+in the base frame; the header names each with its unit. Names of the model are bracketed, so that a spreadsheet reads no
+cell as a formula.
 """
 
 from __future__ import annotations
@@ -25,7 +26,10 @@ SAME = 1e-12  # of an interval: points that are as near to its end are the next 
 
 def write_table(solution: Solution, plant: Plant, path: Path) -> None:
     """Write a solution as CSV, with every digit."""
-    columns = [*_read_motion(solution.trajectory), _place_sensors(solution.trajectory, plant)]
+    columns = _read_motion(solution.trajectory)
+    if solution.multipliers is not None:
+        columns.append(_read_forces(solution.trajectory, solution.multipliers))
+    columns.append(_place_sensors(solution.trajectory, plant))
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(_name_columns(plant.manifest))
@@ -41,8 +45,17 @@ def _name_columns(manifest: Manifest) -> list[str]:
         *(f"qd[{name}] [{unit}/s]" for name, unit in units.items()),
         *(f"qdd[{name}] [{unit}/s^2]" for name, unit in units.items()),
         *(f"u[{c.name}] [{c.force_unit}]" for c in actuated),
+        *(f"lam[{name}] [{unit}]" for name, unit in zip(manifest.equations, _list_units(manifest), strict=True)),
         *(f"{axis}[{frame.name}] [m]" for frame in manifest.frames if frame.sensor for axis in "xyz"),
     ]
+
+
+def _list_units(manifest: Manifest) -> list[str]:
+    """List the units of the multipliers: of forces along distances, of moments; expressions have none of their own."""
+    return [_UNITS.get(name, "N m") for loop in manifest.loops for name in loop.equations]
+
+
+_UNITS = {**dict.fromkeys(("x", "y", "z", "distance"), "N"), "equation": "-"}
 
 
 def _read_motion(trajectory: Trajectory) -> list[Array]:
@@ -51,24 +64,38 @@ def _read_motion(trajectory: Trajectory) -> list[Array]:
     Where an interval begins, accelerations and inputs are the interval's; at the end, the last interval's. There they
     are read off the polynomial through the accelerations at the interval's points.
     """
-    t, step = trajectory.t, float(trajectory.t[1] - trajectory.t[0])
-    nodes = (trajectory.point_t[0] - t[0]) / step
-    inner = nodes < 1 - SAME
-    first, last = (read_basis(nodes, place) for place in (0.0, 1.0))
-    N, kept = len(trajectory.u), 1 + int(inner.sum())
-
-    def join(mesh: Array, points: Array, end: Array) -> Array:
-        rows = np.concatenate((mesh[:, None], points[:, inner]), axis=1).reshape(N * kept, -1)
-        return np.concatenate((rows, end[None]))
-
-    qdd, u = trajectory.point_qdd, trajectory.u
+    t, u = trajectory.t, trajectory.u
+    kept = 1 + int(_find_inner(trajectory).sum())
     return [
-        join(t[:-1, None], trajectory.point_t[..., None], t[-1:]),
-        join(trajectory.q[:-1], trajectory.point_q, trajectory.q[-1]),
-        join(trajectory.qd[:-1], trajectory.point_qd, trajectory.qd[-1]),
-        join(np.einsum("j,kjn->kn", first, qdd), qdd, last @ qdd[-1]),
+        _join(trajectory, t[:-1, None], trajectory.point_t[..., None], t[-1:]),
+        _join(trajectory, trajectory.q[:-1], trajectory.point_q, trajectory.q[-1]),
+        _join(trajectory, trajectory.qd[:-1], trajectory.point_qd, trajectory.qd[-1]),
+        _read_forces(trajectory, trajectory.point_qdd),
         np.concatenate((np.repeat(u, kept, axis=0), u[-1:])),
     ]
+
+
+def _read_forces(trajectory: Trajectory, points: Array) -> Array:
+    """Read accelerations, or forces, that are known at collocation points (N, d, m), at all points in order."""
+    nodes = _place_nodes(trajectory)
+    first, last = (read_basis(nodes, place) for place in (0.0, 1.0))
+    return _join(trajectory, np.einsum("j,kjn->kn", first, points), points, last @ points[-1])
+
+
+def _join(trajectory: Trajectory, mesh: Array, points: Array, end: Array) -> Array:
+    """Put values at the starts of the intervals, at their points, and at the end in order."""
+    rows = np.concatenate((mesh[:, None], points[:, _find_inner(trajectory)]), axis=1)
+    return np.concatenate((rows.reshape(-1, rows.shape[-1]), end[None]))
+
+
+def _place_nodes(trajectory: Trajectory) -> Array:
+    """Place the points of an interval, from 0 to 1."""
+    return np.asarray((trajectory.point_t[0] - trajectory.t[0]) / (trajectory.t[1] - trajectory.t[0]))
+
+
+def _find_inner(trajectory: Trajectory) -> NDArray[np.bool_]:
+    """Find the points of an interval that are not the next mesh point."""
+    return np.asarray(_place_nodes(trajectory) < 1 - SAME)
 
 
 def _place_sensors(trajectory: Trajectory, plant: Plant) -> Array:

@@ -170,6 +170,14 @@ class Transcription:
             qdd = self.closure.complete_accelerations(q, qd, self.closure.independent, qdd)
         return Trajectory(t, mesh_q, mesh_qd, x[layout.inputs], point_t, q, qd, qdd)
 
+    def read_multipliers(self, x: Array, trajectory: Trajectory) -> Array | None:
+        """Read the multipliers of loops, (N, d, m), off all variables, or find them where they are none."""
+        if self.closure is None:
+            return None
+        return (
+            x[self.layout.multipliers] if self.layout.multipliers.size else find_multipliers(self.closure, trajectory)
+        )
+
     def _complete(self, q: Array, velocities: Array) -> Array:
         """Return all velocities from the ones that are variables: (..., n) both."""
         assert self.closure is not None, "without loops all velocities are variables"
@@ -183,8 +191,7 @@ def find_multipliers(closure: Closure, trajectory: Trajectory) -> Array:
     q, qd, qdd = (x.reshape(N * d, n) for x in (trajectory.point_q, trajectory.point_qd, trajectory.point_qdd))
     u, none = np.repeat(trajectory.u, d, axis=0), np.zeros((N * d, len(closure.dependent)))
     Phi = closure.plant("impl", q=q, qd=qd, qdd=qdd, lam=none, u=u)["Phi"]
-    found = np.linalg.pinv(closure.jacobian(q).swapaxes(1, 2)) @ Phi[:, :, None]
-    return np.nan_to_num(found).reshape(N, d, -1)
+    return np.nan_to_num(closure.balance(q, Phi)).reshape(N, d, -1)
 
 
 def transcribe(problem: Problem, plant: Plant) -> Transcription:

@@ -109,7 +109,7 @@ def _balance(dynamics: Dynamics, q: Array, qd: Array, qdd: Array, J: Array) -> t
     found, _, rank, _ = np.linalg.lstsq(Z.T @ sides, Z.T @ Phi, rcond=RANK)
     rest = Phi - sides @ found
     unbalanced = Z @ (Z.T @ rest)
-    multipliers = np.linalg.lstsq(J.T, rest - unbalanced, rcond=RANK)[0] if len(J) else np.zeros(0)
+    multipliers = Closure(dynamics.kernels).balance(q, rest - unbalanced) if len(J) else np.zeros(0)
     spare = sides.shape[1] - int(rank)
     return found[:forces], found[forces:], multipliers, float(np.abs(unbalanced).max()), spare
 

@@ -24,11 +24,12 @@ from mbsrun.ocp.guess import make_guess
 from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Form, Loops, Problem, Representation, SolverOptions, Term
 from mbsrun.ocp.resimulation import accelerations, integrate, resimulate
 from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.solution import Failure, Solution
+from mbsrun.ocp.solution import Failure, Solution, read_solution, write_solution
 from mbsrun.ocp.solve import settle, solve
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.status import OPEN
 from mbsrun.ocp.structure import structure
+from mbsrun.ocp.table import write_table
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.ocp.transcription import transcribe
 from tests.mbsrun.ocp.closed_plants import FIVE_BAR_POSE, G, five_bar, pendulum_of_rods
@@ -137,6 +138,27 @@ def test_all_forms_find_one_optimum_and_keep_the_loops_closed(loops: Loops, repr
     assert found.violation.closure < 1e-10
     assert found.violation.closure_rate is not None
     assert found.violation.closure_rate < 1e-9
+
+
+@pytest.mark.parametrize(("loops", "representation"), [FORMS[0], FORMS[1], FORMS[3]])
+def test_a_solution_holds_the_forces_of_its_loops(loops: Loops, representation: Representation, tmp_path: Path) -> None:
+    """They are the ones of the explicit dynamics; with multipliers, up to the error of the discretisation."""
+    found = solved(loops, representation)
+    assert found.equations == ("loop.x", "loop.y")
+    assert found.multipliers is not None
+    motion = found.trajectory
+    (N, d, n), forces = motion.point_q.shape, found.multipliers
+    state = {name: x.reshape(N * d, n) for name, x in (("q", motion.point_q), ("qd", motion.point_qd))}
+    expected = arms()("exp1", **state, u=np.repeat(motion.u, d, axis=0))["lam"].reshape(forces.shape)
+    exact = loops is Loops.REDUCED
+    assert np.abs(forces - expected).max() < (1e-6 if exact else 0.05) * np.abs(expected).max()
+    write_solution(found, tmp_path / "solution.json")
+    again = read_solution(tmp_path / "solution.json")
+    assert (again.multipliers == forces).all()
+    write_table(found, arms(), tmp_path / "solution.csv")
+    header, *rows = (tmp_path / "solution.csv").read_text(encoding="utf-8").splitlines()
+    place = header.split(",").index("lam[loop.x] [N]")
+    assert float(rows[1].split(",")[place]) == forces[0, 0, 0]
 
 
 def test_legendre_points_close_the_loops_at_mesh_points_too() -> None:
