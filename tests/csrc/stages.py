@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -39,49 +40,7 @@ STATUS = (
     "callback failed",
     "bad problem",
 )
-CDEF = """
-typedef struct { const int *column, *row; } mbs_stages_pattern;
-typedef struct { mbs_stages_pattern de, dd, dg, h; } mbs_stages_patterns;
-typedef struct { int nx, nv, ne, ng, inner; const mbs_stages_patterns *patterns; } mbs_stages_size;
-typedef struct {
-    int iteration, restoring;
-    REAL cost, violation, stationarity, barrier, step, curvature;
-} mbs_stages_progress;
-typedef struct {
-    int stages;
-    const mbs_stages_size *size;
-    void *context;
-    int (*values)(void *, int, const REAL *, const REAL *, REAL *, REAL *, REAL *, REAL *);
-    int (*jacobians)(void *, int, const REAL *, const REAL *, REAL *, REAL *, REAL *, REAL *);
-    int (*hessian)(void *, int, const REAL *, const REAL *, REAL, const REAL *, const REAL *, const REAL *, REAL *);
-    void (*watch)(void *, const mbs_stages_progress *);
-    double (*clock)(void *);
-    const REAL *lower, *upper, *least, *most, *scale;
-} mbs_stages_problem;
-typedef struct {
-    REAL tolerance, violation_tolerance, acceptable_tolerance;
-    int acceptable_iterations, iterations;
-    double seconds;
-    REAL barrier;
-    int adaptive, warm, by_stage, scaled, scale_by_bounds;
-    REAL push;
-} mbs_stages_options;
-typedef struct { int stage, kind, row; REAL violation; } mbs_stages_clash;
-typedef struct {
-    int status, stage, iterations, restorations, evaluations, factorisations, refinements, dependent;
-    REAL cost, stationarity, violation, complementarity, barrier;
-    int clashes;
-    mbs_stages_clash clash[8];
-} mbs_stages_result;
-typedef struct { REAL *w, *y, *below, *above; int variables, rows; } mbs_stages_point;
-typedef struct mbs_stages mbs_stages;
-size_t mbs_stages_bytes(const mbs_stages_problem *problem);
-mbs_stages *mbs_stages_create(const mbs_stages_problem *problem, void *workspace, size_t bytes);
-mbs_stages_options mbs_stages_default_options(void);
-mbs_stages_point mbs_stages_iterate(const mbs_stages *solver);
-mbs_stages_result mbs_stages_solve(mbs_stages *solver, const mbs_stages_options *options);
-void mbs_stages_shift(mbs_stages *solver);
-const char *mbs_stages_explain(int status);
+QUADRATIC = """
 typedef struct { const mbs_stages_size *size; const long *start; const REAL *data; } quadratic;
 int quadratic_values(void *, int, const REAL *, const REAL *, REAL *, REAL *, REAL *, REAL *);
 int quadratic_jacobians(void *, int, const REAL *, const REAL *, REAL *, REAL *, REAL *, REAL *);
@@ -107,12 +66,21 @@ def compile_solver(place: Path, *flags: str) -> Path:
     return library
 
 
+def declarations(real: str) -> str:
+    """Return the declarations of the solver's header without what the preprocessor reads."""
+    text = (sources()[0].parent / "mbs_stages.h").read_text("utf-8")
+    text = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
+    clashes = re.findall(r"#define MBS_STAGES_CLASHES (\d+)", text)[0]
+    text = re.sub(r"#ifdef __cplusplus.*?#endif|#ifdef MBS_STAGES_FLOAT.*?#endif|#[^\n]*", "", text, flags=re.DOTALL)
+    return f"typedef {real} mbs_stages_real;" + text.replace("MBS_STAGES_CLASHES", clashes)
+
+
 class Library:
     """The solver, loaded."""
 
     def __init__(self, path: Path, real: str = "double") -> None:
         self.ffi = cffi.FFI()
-        self.ffi.cdef(CDEF.replace("REAL", real))
+        self.ffi.cdef(declarations(real) + QUADRATIC.replace("REAL", real))
         self.lib: Any = self.ffi.dlopen(str(path))
         self.real, self.dtype = real, np.dtype(np.float64 if real == "double" else np.float32)
 
