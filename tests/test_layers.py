@@ -78,7 +78,7 @@ MBSGEN = Package(
 MBSRUN = Package(
     source=ROOT / "python" / "mbsrun",
     layers=(
-        "trust limits forms reading",
+        "trust limits forms reading stack",
         "cache",
         "library models bare",
         "binding environment",

@@ -7,7 +7,6 @@
 #include <stdint.h>
 
 #define PAINT 0xa5a5a5a5u
-#define SPARE 64          /* bytes below the stack pointer that are not painted */
 #define FAULT 99          /* status of the emulator after a fault */
 #define WRITE 4           /* operations of semihosting (Arm: Semihosting for AArch32 and AArch64) */
 #define EXIT_EXTENDED 32
@@ -99,9 +98,10 @@ unsigned long mbs_bare_instructions(void)
 
 static void paint_stack(void)
 {
-    uint32_t *at;
-    uint32_t *const end = (uint32_t *)((uintptr_t)__builtin_frame_address(0) - SPARE);
-    for (at = stack_low; at < end; ++at)
+    volatile uint32_t *at; /* a call of memset would overwrite its own frame */
+    uint32_t *pointer;
+    __asm__ volatile("mov %0, sp" : "=r"(pointer));
+    for (at = stack_low; at < pointer; ++at)
         *at = PAINT;
 }
 
@@ -128,7 +128,8 @@ __attribute__((naked)) static void fault(void)
 static void reset(void)
 {
     uint32_t *from = data_load, *to;
-    unsigned long began;
+    unsigned long began, counted;
+    long deepest;
     int status;
     CPACR |= 0xfu << 20;
     __asm__ volatile("dsb\n\tisb");
@@ -139,8 +140,10 @@ static void reset(void)
     paint_stack();
     began = mbs_bare_instructions();
     status = main();
-    mbs_bare_print_integer("mbs_bare_instructions", (long)(mbs_bare_instructions() - began));
-    mbs_bare_print_integer("mbs_bare_stack", measure_stack());
+    counted = mbs_bare_instructions() - began;
+    deepest = measure_stack();
+    mbs_bare_print_integer("mbs_bare_instructions", (long)counted);
+    mbs_bare_print_integer("mbs_bare_stack", deepest);
     leave((uint32_t)status);
 }
 

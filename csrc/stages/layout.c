@@ -85,6 +85,8 @@ static void lay_phase(arena *a, mbs_stages_phase *p, int size, int rows)
     p->size = size;
     for (i = 0; i < sizeof vectors / sizeof *vectors; ++i)
         *vectors[i] = numbers(a, size, 1);
+    p->filter.theta = numbers(a, MBS_STAGES_ENTRIES, 1);
+    p->filter.phi = numbers(a, MBS_STAGES_ENTRIES, 1);
     p->y = numbers(a, rows, 1);
     p->c = numbers(a, rows, 1);
     p->trial_c = numbers(a, rows, 1);

@@ -24,7 +24,7 @@
 /* Pairs (violation, barrier function) that no later iterate may be worse than in both. */
 typedef struct {
     int count;
-    real theta[MBS_STAGES_ENTRIES], phi[MBS_STAGES_ENTRIES];
+    real *theta, *phi; /* MBS_STAGES_ENTRIES each */
 } mbs_stages_filter;
 
 typedef struct {

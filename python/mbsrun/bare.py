@@ -19,6 +19,7 @@ from pathlib import Path
 
 from mbsgen.errors import MbsError
 from mbsgen.resources import folder
+from mbsrun.stack import GRAPHS, Function, read_graphs
 
 SINGLE = "fpv5-sp-d16"  # the floating-point unit of most Cortex-M7
 DOUBLE = "fpv5-d16"
@@ -36,6 +37,10 @@ PACKAGES = {
     "arm-none-eabi-nm": "install binutils-arm-none-eabi",
     EMULATOR: "install qemu-system-arm",
 }
+# Bytes of newlib's functions, from runs: sine reduces a large argument by a long division.
+LIBRARY = {"sinf": 512, "cosf": 512, "tanf": 512}
+OTHER = 96  # of all other functions
+START = 32  # of the code that calls main
 _COUNTS = re.compile(r"^mbs_bare_instructions (\d+)\nmbs_bare_stack (\d+)\n\Z", re.MULTILINE)
 
 
@@ -70,7 +75,7 @@ class Outcome:
 
 
 def build(sources: Sequence[Path], image: Path, flags: Sequence[str] = (), unit: str = SINGLE) -> Image:
-    """Compile and link sources with the start-up code.
+    """Compile sources and link them, or objects, with the start-up code.
 
     `flags` are more flags of the compiler, such as -I and -D; `unit` is the floating-point unit. No heap is linked: a
     program that allocates memory does not link. Raises BareError with the compiler's message.
@@ -84,11 +89,21 @@ def build(sources: Sequence[Path], image: Path, flags: Sequence[str] = (), unit:
     return Image(image, int(sizes[0]), int(sizes[1]), int(sizes[2]), frozenset(symbols))
 
 
-def find_needs(sources: Sequence[Path], place: Path, flags: Sequence[str] = (), unit: str = SINGLE) -> frozenset[str]:
-    """Compile sources to one object in the folder `place`; return the symbols that it needs of libraries."""
-    made = str(place / "whole.o")
-    _call(COMPILER, *FLAGS, f"-mfpu={unit}", *flags, "-r", "-nostdlib", *map(str, sources), "-o", made)
-    return frozenset(_call("arm-none-eabi-nm", "--undefined-only", "--format=just-symbols", made).split())
+def compile_object(sources: Sequence[Path], made: Path, flags: Sequence[str] = (), unit: str = SINGLE) -> Path:
+    """Compile sources to one object file, which `build` takes as a source, with call graphs beside it."""
+    command = (*FLAGS, f"-mfpu={unit}", *flags, GRAPHS, "-r", "-nostdlib", *map(str, sources))
+    _call(COMPILER, *command, "-o", str(made))
+    return made
+
+
+def find_needs(made: Path) -> frozenset[str]:
+    """Return the symbols that an object file needs of others."""
+    return frozenset(_call("arm-none-eabi-nm", "--undefined-only", "--format=just-symbols", str(made)).split())
+
+
+def read_functions(made: Path) -> dict[str, Function]:
+    """Read the call graphs beside an object file of `compile_object`."""
+    return read_graphs([path.read_text("utf-8") for path in sorted(made.parent.glob(f"{made.name}-*.ci"))])
 
 
 def run(image: Path, seconds: float = 30.0) -> Outcome:

@@ -11,15 +11,17 @@ import pytest
 
 from mbsgen.resources import folder
 from mbsrun import bare
-from tests.csrc.stages import STRICT, sources
+from mbsrun.stack import Rules, compile_graphs, find_deepest
+from tests.csrc.stages import STATUS, STRICT, sources
 
 CSRC = folder("csrc")
 EXAMPLE = CSRC / "stages" / "example"
 WARNED = (*STRICT, "-Wdouble-promotion", "-Wfloat-conversion")
-SOLVER = ("-DMBS_STAGES_FLOAT", f"-I{CSRC / 'stages'}")
+SOLVER = ("-DMBS_STAGES_FLOAT", f"-I{CSRC / 'stages'}", f"-I{EXAMPLE}")
 Program = Callable[..., bare.Image]
 
-MATHEMATICS = {"logf", "log10f", "powf", "sqrtf", "memcpy", "memmove", "memset"}
+SINES = {"sinf", "cosf"}  # of the pendulum
+MATHEMATICS = {"logf", "log10f", "powf", "sqrtf", "memcpy", "memmove", "memset"} | SINES
 CLOCK = {"__aeabi_dsub", "__aeabi_dcmpge", "__aeabi_dcmpgt"}  # double precision by software
 ALLOCATION = ("malloc", "calloc", "realloc", "free", "sbrk", "printf", "fopen")
 
@@ -108,9 +110,16 @@ def test_a_missing_tool_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 
 
 @pytest.fixture(scope="module")
-def pendulum(program: Program) -> bare.Image:
-    files = [*sources(), EXAMPLE / "pendulum.c", EXAMPLE / "bare.c"]
-    return program(None, *files, flags=(*SOLVER, *WARNED))
+def solver(requires: Callable[[str], str], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the solver and the pendulum's functions as an object of single precision."""
+    requires(bare.COMPILER)
+    files = [*sources(), EXAMPLE / "pendulum.c"]
+    return bare.compile_object(files, tmp_path_factory.mktemp("solver") / "solver.o", [*WARNED, *SOLVER])
+
+
+@pytest.fixture(scope="module")
+def pendulum(program: Program, solver: Path) -> bare.Image:
+    return program(None, solver, EXAMPLE / "bare.c", flags=SOLVER)
 
 
 def test_the_pendulum_swings_up_on_the_bare_machine(pendulum: bare.Image, tmp_path: Path) -> None:
@@ -129,17 +138,104 @@ def test_the_pendulum_swings_up_on_the_bare_machine(pendulum: bare.Image, tmp_pa
     assert found.stack < 4096
 
 
+LIMITS = r"""
+#include "mbs_bare.h"
+#include "pendulum.h"
+static char workspace[400 * 1024] __attribute__((aligned(16)));
+static pendulum problem;
+static int nothing(void *context, int k, const mbs_stages_real *x, const mbs_stages_real *v, mbs_stages_real *f,
+                   mbs_stages_real *e, mbs_stages_real *d, mbs_stages_real *g)
+{
+    (void)context, (void)k, (void)x, (void)v, (void)e, (void)d, (void)g;
+    *f = k == 7 ? (mbs_stages_real)NAN : 0;
+    return 0;
+}
+int main(void)
+{
+    static const mbs_stages_real torques[] = {4, (mbs_stages_real)0.2, -1};
+    mbs_stages_result result;
+    int i;
+    for (i = 0; i < 4; ++i) {
+        mbs_stages *solver;
+        pendulum_describe(&problem, torques[i % 3]);
+        if (i == 3)
+            problem.problem.values = nothing;
+        solver = mbs_stages_create(&problem.problem, workspace, sizeof workspace);
+        if (solver == NULL)
+            return 1;
+        result = mbs_stages_solve(solver, NULL);
+        mbs_bare_print_integer("status", result.status);
+        mbs_bare_print_integer("stage", result.stage);
+        mbs_bare_print_integer("clashes", result.clashes);
+    }
+    return 0;
+}
+"""
+
+
+def test_statuses_on_the_bare_machine(program: Program, solver: Path) -> None:
+    """Solved, infeasible, bounds that cross, no number at the guess: each by its status, with its stage."""
+    image = program("#include <math.h>\n" + LIMITS, solver, flags=SOLVER)
+    found = bare.run(image.path)
+    assert found.status == 0
+    assert [STATUS[int(x)] for x in found.numbers("status")] == [
+        "solved",
+        "infeasible",
+        "bad problem",
+        "callback failed",
+    ]
+    assert found.numbers("stage") == [-1, -1, 0, 7]
+    assert [x > 0 for x in found.numbers("clashes")] == [False, True, False, False]
+
+
+def test_the_stack_is_bounded_by_call_graphs(pendulum: bare.Image, solver: Path, tmp_path: Path) -> None:
+    """The bound of the cross-compiler's frames holds in a run and is near it; the host's frames are larger."""
+    main = bare.compile_object([EXAMPLE / "bare.c"], tmp_path / "main.o", [*SOLVER, f"-I{CSRC / 'bare'}"])
+    callbacks = [f"pendulum.c:{name}" for name in ("values", "jacobians", "hessian")]
+    pointers = {"evaluate.c": callbacks, "finish.c": (), "solve.c": (), "realtime.c": ()}
+    rules = Rules(pointers, bare.LIBRARY, bare.OTHER, depth=2)
+    target = bare.read_functions(solver)
+    found = bare.run(pendulum.path).stack
+    assert found <= bare.START + find_deepest({**target, **bare.read_functions(main)}, ["main"], rules).bytes
+    host = compile_graphs(["gcc", "-std=c99", "-O2", *SOLVER], [*sources(), EXAMPLE / "pendulum.c"], tmp_path)
+    roots = ["mbs_stages_create", "mbs_stages_solve", "mbs_stages_prepare", "mbs_stages_feedback"]
+    on_target, on_host = (find_deepest(functions, roots, rules).bytes for functions in (target, host))
+    assert found / 2 <= on_target <= found
+    assert on_target <= on_host <= 2 * on_target
+
+
+@pytest.mark.parametrize(
+    ("call", "bound"),
+    [
+        ("sinf(x)", bare.LIBRARY["sinf"]),
+        ("cosf(x)", bare.LIBRARY["cosf"]),
+        ("powf(x, y) + logf(x) + log10f(x) + sqrtf(x)", bare.OTHER),
+        ("(float)(memmove(a, b, n) == memset(b, 1, n)) + (float)((double)x < (double)y - 1)", bare.OTHER),
+    ],
+)
+def test_the_stack_of_the_library(program: Program, call: str, bound: int) -> None:
+    """Sine reduces a large argument at most; the others need less."""
+    image = program(
+        '#include "mbs_bare.h"\n#include <math.h>\n#include <string.h>\n'
+        "volatile float x = 1e30f, y = 2.3f, result; volatile unsigned n = 77; char a[100], b[100];\n"
+        f"int main(void) {{ result = {call}; x = 0.7f; result += {call}; x = -200; result += {call}; return 0; }}\n"
+    )
+    assert bare.run(image.path).stack <= bare.START + 32 + bound
+
+
 def test_the_image_holds_no_allocation(pendulum: bare.Image) -> None:
     """And no input or output of newlib."""
     assert "mbs_stages_solve" in pendulum.symbols
     assert not {name for name in pendulum.symbols if name.strip("_").startswith(ALLOCATION)}
 
 
-@pytest.mark.parametrize("unit", [bare.SINGLE, bare.DOUBLE])
-def test_the_solver_needs_the_mathematical_library_alone(
-    requires: Callable[[str], str], tmp_path: Path, unit: str
-) -> None:
-    """In single precision: on a processor without double precision, its software does the clock alone."""
+def test_the_solver_needs_the_mathematical_library_alone(solver: Path) -> None:
+    """The processor computes in single precision, and software in double precision for the clock alone."""
+    assert bare.find_needs(solver) == MATHEMATICS | CLOCK
+
+
+def test_two_precisions_need_no_software_of_numbers(requires: Callable[[str], str], tmp_path: Path) -> None:
+    """A processor with both precisions computes all by itself, in double precision too."""
     requires(bare.COMPILER)
-    needs = bare.find_needs(sources(), tmp_path, [*WARNED, *SOLVER], unit)
-    assert needs - MATHEMATICS == (CLOCK if unit == bare.SINGLE else set())
+    made = bare.compile_object(sources(), tmp_path / "solver.o", STRICT, bare.DOUBLE)
+    assert bare.find_needs(made) == {name.removesuffix("f") for name in MATHEMATICS - SINES}
