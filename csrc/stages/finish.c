@@ -11,10 +11,11 @@ static int is_late(const mbs_stages *s)
     return p->clock && s->options.seconds > 0 && p->clock(p->context) - s->began >= s->options.seconds;
 }
 
+/* The cost of distances, KAPPA mu, is not in the conditions; it does not vanish where mu stays. */
 static int is_solved(const mbs_stages *s, const mbs_stages_errors *e, real tolerance)
 {
-    const real most = s->options.violation_tolerance;
-    return e->scaled <= tolerance && e->violation <= most && e->complementarity / s->cost_scale <= most;
+    const real most = s->options.violation_tolerance, stays = (real)1.01 * MBS_STAGES_KAPPA * mbs_stages_least_barrier(s);
+    return e->scaled <= (tolerance > stays ? tolerance : stays) && e->violation <= most && e->complementarity / s->cost_scale <= most;
 }
 
 static int is_acceptable(mbs_stages *s, mbs_stages_phase *p, const mbs_stages_errors *e)

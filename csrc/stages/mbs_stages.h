@@ -174,13 +174,12 @@ void mbs_stages_shift(mbs_stages *solver);
  *
  * `mbs_stages_prepare` does all that needs no measurement: it moves the iterate ahead if `shift` is not 0, calls the
  * callbacks, factorises, and finds the step for the first state of the iterate. Returns MBS_STAGES_PREPARED.
- * `mbs_stages_feedback` takes the measured first state, changes the step by what follows from it, and makes it as long
- * as all variables, slacks and multipliers stay strictly inside their bounds. Returns MBS_STAGES_STEPPED.
+ * `mbs_stages_feedback` takes the measured first state, changes the step by what follows from it, and makes it.
+ * Variables, slacks and multipliers stay strictly inside their bounds: each variable takes the whole step, or goes
+ * almost to its own bound. Returns MBS_STAGES_STEPPED.
  *
  * First states with equal bounds are the measured ones; of `first`, which has nx numbers, the others are not read.
- * `v` gets the variables of stage 0. Each keeps its bounds; a variable that its bounds do not hinder gets the whole step,
- * even where the iterate takes a part of it. Where no step is made, `v` has the numbers of the iterate and the
- * iterate stays as it is.
+ * `v` gets the variables of stage 0. Where no step is made, the iterate stays as it is, and `v` gets its numbers.
  *
  * The first preparation after a solve starts from its solution, or from the caller's guess. Only the tolerance-free
  * options `least_barrier`, `by_stage`, `scaled`, `scale_by_bounds` are read. `options` may be NULL for the default. */
@@ -192,7 +191,7 @@ typedef struct {
     mbs_stages_real stationarity, violation, complementarity; /* before the step: largest, unscaled; the last one
                                                                * is |distance multiplier - barrier| */
     mbs_stages_real deviation;          /* largest difference of the measured first state and the iterate's, scaled */
-    mbs_stages_real length, dual_length; /* of the step */
+    mbs_stages_real length, dual_length; /* of the step: the least part that a variable took; of multipliers */
 } mbs_stages_realtime;
 
 mbs_stages_realtime mbs_stages_prepare(mbs_stages *solver, const mbs_stages_options *options, int shift);

@@ -6,7 +6,6 @@
 
 #include <string.h>
 
-#define KAPPA ((real)1e-5)
 #define USUAL ((real)100)    /* size of multipliers beyond which errors are scaled */
 
 static int has(real bound)
@@ -121,7 +120,7 @@ real mbs_stages_barrier(const mbs_stages *s, const mbs_stages_phase *p, const re
         if (above && !below)
             distances += p->upper[i] - x[i];
     }
-    return cost - p->mu * (logarithms - KAPPA * distances);
+    return cost - p->mu * (logarithms - MBS_STAGES_KAPPA * distances);
 }
 
 static real barrier_slope(const mbs_stages_phase *p, int i)
@@ -133,7 +132,7 @@ static real barrier_slope(const mbs_stages_phase *p, int i)
     if (above)
         slope += p->mu / (p->upper[i] - p->x[i]);
     if (below != above)
-        slope += below ? KAPPA * p->mu : -KAPPA * p->mu;
+        slope += below ? MBS_STAGES_KAPPA * p->mu : -MBS_STAGES_KAPPA * p->mu;
     return slope;
 }
 

@@ -3,7 +3,10 @@
  * The barrier parameter stays, so that steps from one sampling period to the next go on with one another's work: with
  * nothing disturbed, they converge as Newton's method does. A step is linear in the first state. Prepared is the step
  * for the first state of the iterate, with all refinement; feedback adds its response to the measured deviation,
- * which is a sweep ahead without right-hand sides. */
+ * which is a sweep ahead without right-hand sides.
+ *
+ * There is no line search. Each variable takes the whole step or goes almost to its own bound. One length for all of
+ * them would stop the inputs of now because of a bound that matters much later. */
 #include "solver.h"
 
 #include <string.h>
@@ -16,11 +19,6 @@ static int has(real bound)
     return real_abs(bound) < MBS_STAGES_INFINITE;
 }
 
-static int is_bounded(const mbs_stages_phase *p, int i)
-{
-    return has(p->lower[i]) || has(p->upper[i]);
-}
-
 static void limit_ratio(real distance, real *z, real mu)
 {
     const real middle = mu / distance;
@@ -30,18 +28,31 @@ static void limit_ratio(real distance, real *z, real mu)
         *z = middle * CENTRAL;
 }
 
-/* Bring a variable inside its bounds, and its multipliers near the central path. A variable that is on the wrong side of
- * a bound, or too near to it for digits, starts anew on the path. */
+/* The least distance from a bound that has digits enough for a step to leave a part of it. */
+static real least_distance(const mbs_stages_phase *p, real bound)
+{
+    const real a = real_sqrt(MBS_STAGES_EPSILON) * p->mu, b = 1000 * MBS_STAGES_EPSILON * real_abs(bound);
+    return a > b ? a : b;
+}
+
+/* Put a variable that is outside of its bounds, or too near to one, on the central path. */
+static void start_anew(mbs_stages_phase *p, int i, real least)
+{
+    const real most = p->mu / least;
+    p->zl[i] = p->zl[i] < most ? p->zl[i] : most;
+    p->zu[i] = p->zu[i] < most ? p->zu[i] : most;
+    mbs_stages_centre(p, i);
+}
+
+/* Bring a variable inside its bounds, and its multipliers near the central path. */
 static void mind_bounds(const mbs_stages *s, mbs_stages_phase *p, int i)
 {
-    const real least = real_sqrt(MBS_STAGES_EPSILON) * p->mu;
     const int below = has(p->lower[i]), above = has(p->upper[i]);
-    if (mbs_stages_is_fixed(s, i) || !is_bounded(p, i))
+    const real a = below ? least_distance(p, p->lower[i]) : 0, b = above ? least_distance(p, p->upper[i]) : 0;
+    if (mbs_stages_is_fixed(s, i))
         return;
-    if ((below && !(p->x[i] - p->lower[i] > least)) || (above && !(p->upper[i] - p->x[i] > least))) {
-        mbs_stages_centre(p, i);
-        return;
-    }
+    if ((below && !(p->x[i] - p->lower[i] > a)) || (above && !(p->upper[i] - p->x[i] > b)))
+        start_anew(p, i, a > b ? a : b);
     if (below)
         limit_ratio(p->x[i] - p->lower[i], &p->zl[i], p->mu);
     if (above)
@@ -213,35 +224,33 @@ static int respond(mbs_stages *s, mbs_stages_phase *p, const real *deviation)
     return is_finite(p->size, p->step.x) && is_finite(s->rows, p->step.y) ? 0 : -1;
 }
 
-/* The whole step of variables of stage 0, each as long as its own bounds let it. */
-static void choose_inputs(const mbs_stages *s, const mbs_stages_phase *p, real *v)
+/* The part of its step, at most 1, that keeps variable i inside its bounds. */
+static real length(const mbs_stages_phase *p, int i)
 {
-    const mbs_stages_stage *t = &s->recursion.stage[0];
-    int i;
-    for (i = t->nx; i < t->n; ++i) {
-        const real below = p->tau * (p->x[i] - p->lower[i]), above = p->tau * (p->upper[i] - p->x[i]);
-        real step = p->step.x[i];
-        if (!s->fixed[i] && has(p->lower[i]) && -step > below)
-            step = -below;
-        if (!s->fixed[i] && has(p->upper[i]) && step > above)
-            step = above;
-        v[i - t->nx] = (p->x[i] + step) * s->variable_scale[i];
-    }
+    const real step = p->step.x[i], below = p->tau * (p->x[i] - p->lower[i]), above = p->tau * (p->upper[i] - p->x[i]);
+    if (has(p->lower[i]) && -step > below)
+        return below / -step;
+    if (has(p->upper[i]) && step > above)
+        return above / step;
+    return 1;
 }
 
+/* Multipliers of rows and of bounds have one length each for all of them: own lengths made convergence worse. */
 static void make_step(mbs_stages *s, mbs_stages_phase *p)
 {
-    const real alpha = mbs_stages_boundary(s, p, p->x, p->step.x, p->tau);
     const real dual = mbs_stages_dual_boundary(s, p, &p->step);
+    real least = 1;
     int i;
     for (i = 0; i < p->size; ++i) {
+        const real alpha = mbs_stages_is_fixed(s, i) ? 1 : length(p, i);
+        least = alpha < least ? alpha : least;
         p->x[i] += alpha * p->step.x[i];
         p->zl[i] += dual * p->step.zl[i];
         p->zu[i] += dual * p->step.zu[i];
     }
     for (i = 0; i < s->rows; ++i)
-        p->y[i] += alpha * p->step.y[i];
-    s->realtime.length = p->alpha = alpha;
+        p->y[i] += least * p->step.y[i];
+    s->realtime.length = p->alpha = least;
     s->realtime.dual_length = dual;
 }
 
@@ -264,13 +273,11 @@ mbs_stages_realtime mbs_stages_feedback(mbs_stages *s, const real *first, real *
     const int status = feedback(s, first);
     s->realtime.status = (mbs_stages_status)status;
     if (status == MBS_STAGES_STEPPED) {
-        choose_inputs(s, &s->main, v);
         make_step(s, &s->main);
         save(s);
         s->live = 1;
-    } else {
-        memcpy(v, s->point.w + t->w + t->nx, (size_t)t->nv * sizeof *v);
     }
+    memcpy(v, s->point.w + t->w + t->nx, (size_t)t->nv * sizeof *v);
     s->realtime.stage = status == MBS_STAGES_BAD_PROBLEM ? s->failed_stage : s->realtime.stage;
     return s->realtime;
 }

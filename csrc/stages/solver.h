@@ -16,6 +16,7 @@
 #define MBS_STAGES_LOW 1e-6
 #endif
 #define MBS_STAGES_INFINITE ((real)1e19)
+#define MBS_STAGES_KAPPA ((real)1e-5) /* price of the distance from a bound, beside the barrier parameter */
 #define MBS_STAGES_ENTRIES 64  /* of a filter */
 #define MBS_STAGES_PENALTY ((real)1000) /* of violations in restoration */
 #define MBS_STAGES_RUNNING (-1) /* no status yet */

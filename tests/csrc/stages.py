@@ -39,6 +39,9 @@ STATUS = (
     "unbounded",
     "callback failed",
     "bad problem",
+    "prepared",
+    "stepped",
+    "not prepared",
 )
 QUADRATIC = """
 typedef struct { const mbs_stages_size *size; const long *start; const REAL *data; } quadratic;
@@ -462,10 +465,32 @@ class Solver:
         places = (self.offset - len(CANARY), self.offset + self.bytes)
         return all(bytes(buffer[at : at + len(CANARY)]) == CANARY for at in places)
 
-    def solve(self, **options: Any) -> Answer:
+    def _options(self, options: dict[str, Any]) -> Any:
         given = self.library.ffi.new("mbs_stages_options *", self.library.lib.mbs_stages_default_options())
         for name, value in options.items():
             setattr(given, name, value)
+        return given
+
+    def prepare(self, *, shift: bool = False, **options: Any) -> tuple[str, Any]:
+        """Prepare a step in real time; return its status and its figures."""
+        result = self.library.lib.mbs_stages_prepare(self.solver, self._options(options), int(shift))
+        assert self.untouched()
+        return STATUS[result.status], result
+
+    def feedback(self, first: Array) -> tuple[str, Array, Any]:
+        """Make the step for the first state; return its status, the variables of stage 0 and its figures."""
+        nv = self.problem.sizes[0][1]
+        memory, v = self.library.numbers(first), self.library.numbers(np.zeros(nv + 1))
+        v[nv] = np.pi  # behind the last number
+        result = self.library.lib.mbs_stages_feedback(
+            self.solver, self.library.pointer(memory), self.library.pointer(v)
+        )
+        assert self.untouched()
+        assert v[nv] == self.library.numbers(np.array([np.pi]))[0]
+        return STATUS[result.status], v[:nv].astype(np.float64), result
+
+    def solve(self, **options: Any) -> Answer:
+        given = self._options(options)
         self.path, self.seconds = [], 0.0
         result = self.library.lib.mbs_stages_solve(self.solver, given)
         assert self.untouched()

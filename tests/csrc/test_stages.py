@@ -15,23 +15,7 @@ import pytest
 from mbsrun.library import find_compiler
 from tests.csrc.stage_problems import nonlinear, too_weak
 from tests.csrc.stage_quadratics import dense_solution, random_problem, random_sizes
-from tests.csrc.stages import STRICT, Answer, Array, Library, Problem, Quadratic, Solver, compile_solver, sources
-
-
-@pytest.fixture(scope="module")
-def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return compile_solver(tmp_path_factory.mktemp("stages"))
-
-
-@pytest.fixture(scope="module")
-def library(compiled: Path) -> Library:
-    return Library(compiled)
-
-
-@pytest.fixture(scope="module")
-def single(tmp_path_factory: pytest.TempPathFactory) -> Library:
-    """The solver in single precision."""
-    return Library(compile_solver(tmp_path_factory.mktemp("single"), "-DMBS_STAGES_FLOAT"), "float")
+from tests.csrc.stages import STRICT, Answer, Array, Library, Problem, Quadratic, Solver, sources
 
 
 @pytest.fixture(params=["library", "single"], ids=["double", "float"])

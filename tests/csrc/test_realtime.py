@@ -1,0 +1,211 @@
+"""Newton steps in real time, split into preparation and feedback: one step, many steps, and closed loops."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mbsrun.library import find_compiler
+from tests.csrc.stage_problems import POLE, UP, cart_pole_ode, nonlinear, pendulum_ode, shooting
+from tests.csrc.stage_quadratics import dense_solution, random_problem, random_sizes
+from tests.csrc.stages import STRICT, Array, Library, Problem, Quadratic, Solver, sources
+
+
+def state(problem: Problem | Quadratic) -> Array:
+    """The fixed first state."""
+    first: Array = problem.lower[: problem.sizes[0][0]].copy()
+    return first
+
+
+def moved(problem: Quadratic, first: Array) -> Quadratic:
+    """The same problem with another first state."""
+    lower, upper = problem.lower.copy(), problem.upper.copy()
+    lower[: len(first)] = upper[: len(first)] = first
+    return replace(problem, lower=lower, upper=upper)
+
+
+@pytest.mark.parametrize("stages", [1, 2, 3, 7, 20])
+def test_a_step_solves_linear_quadratic_problems(library: Library, stages: int) -> None:
+    """The preparation knows another first state than the feedback; variables and multipliers are the dense ones."""
+    rng = np.random.default_rng(stages)
+    for _ in range(4):
+        problem = random_problem(rng, random_sizes(rng, stages, 5))
+        w, y, unique = dense_solution(problem)
+        first = state(problem)
+        solver = Solver(library, moved(problem, first + rng.standard_normal(len(first))))
+        status, figures = solver.prepare()
+        assert (status, figures.factorisations, figures.curvature) == ("prepared", 1, 0.0)
+        status, v, figures = solver.feedback(first)
+        assert (status, figures.length) == ("stepped", 1.0)
+        assert figures.deviation > 0
+        assert np.allclose(solver.get("w"), w, rtol=1e-10, atol=1e-10)
+        assert np.array_equal(v, solver.get("w")[len(first) : len(first) + len(v)])
+        if unique:
+            assert np.allclose(solver.get("y"), y, rtol=1e-9, atol=1e-9)
+
+
+def test_first_states_without_equal_bounds_are_free(library: Library) -> None:
+    """The measurement of such a state is not read: here it is no number."""
+    problem = random_problem(np.random.default_rng(0), [(3, 2, 1, 0)] * 5 + [(3, 0, 0, 0)])
+    problem.lower[1], problem.upper[1] = -1e20, 1e20
+    solver = Solver(library, problem)
+    solver.prepare()
+    assert solver.feedback(np.array([problem.lower[0], np.nan, problem.lower[2]]))[0] == "stepped"
+    assert np.allclose(solver.get("w"), dense_solution(problem)[0], atol=1e-10)
+
+
+@pytest.mark.parametrize("problem", nonlinear(), ids=lambda p: p.name)
+def test_steps_converge_to_the_solution_at_their_barrier_parameter(library: Library, problem: Problem) -> None:
+    """Quadratically in the end, from a point nearby; slacks and multipliers stay positive."""
+    answer = Solver(library, problem).solve(least_barrier=1e-3, tolerance=1e-9)
+    assert (answer.status, answer.result.barrier) == ("solved", pytest.approx(1e-3, rel=1e-12))
+    solver = Solver(library, problem)
+    solver.set(w=answer.w + 0.02 * np.random.default_rng(1).standard_normal(len(answer.w)))
+    errors = []
+    for _ in range(12):
+        assert solver.prepare(least_barrier=1e-3)[0] == "prepared"
+        status, _, figures = solver.feedback(state(problem))
+        assert status == "stepped"
+        bounded = (problem.lower > -1e19) & (problem.lower < problem.upper)
+        assert (solver.get("below")[bounded] > 0).all()
+        assert (solver.get("w")[bounded] > problem.lower[bounded]).all()
+        errors.append(np.abs(solver.get("w") - answer.w).max())
+    assert min(errors) < 1e-6  # the solve ends where the conditions hold to 1e-8
+    assert figures.stationarity < 1e-6
+    assert figures.violation < 1e-8
+    before, after = next((a, b) for a, b in itertools.pairwise(errors) if a < 1e-2)
+    assert after < 30 * before**2 + 1e-7
+
+
+def balance() -> list[Problem]:
+    """Horizons of controllers: a pendulum and a cart-pole, to be swung up and balanced."""
+    return [
+        shooting("pendulum", pendulum_ode, 2, 25, 0.1, np.zeros(2), UP, 4.0, 1.0, softly=True),
+        shooting("cart-pole", cart_pole_ode, 4, 30, 0.06, np.zeros(4), POLE, 12.0, 1.0, softly=True),
+    ]
+
+
+def follow(solver: Solver, problem: Problem, steps: int, kicks: dict[int, Array], **options: Any) -> list[Array]:
+    """The states of the closed loop; inputs must keep their bounds."""
+    advance = problem.kinds[0].functions[0]
+    nx = problem.sizes[0][0]
+    limit = problem.upper[nx]
+    states = [state(problem)]
+    for i in range(steps):
+        assert solver.prepare(shift=i > 0, **options)[0] == "prepared"
+        status, v, _ = solver.feedback(states[-1])
+        assert status == "stepped"
+        assert abs(v[0]) < limit
+        ahead = advance(states[-1], v.astype(solver.library.dtype).astype(np.float64))[2]
+        states.append(np.asarray(ahead).ravel() + kicks.get(i, 0.0))
+    return states
+
+
+@pytest.mark.parametrize("i", [0, 1])
+def test_closed_loops_swing_up_and_balance(library: Library, i: int) -> None:
+    """One step a period, with kicks on the way and at the top; torque and force stay within limits."""
+    problem, target = balance()[i], (UP, POLE)[i]
+    solver = Solver(library, problem)
+    assert solver.solve().status == "solved"
+    rng = np.random.default_rng(0)
+    kicks = {k: 0.1 * rng.standard_normal(len(target)) for k in (5, 12, 40)}
+    states = follow(solver, problem, 90, kicks)
+    assert np.abs(states[-1] - target).max() < 0.1
+    assert np.abs(states[-1] - target).max() < np.abs(states[41] - target).max() / 3
+
+
+def test_a_cold_start_in_the_loop_converges(library: Library) -> None:
+    """Without a solve before it: the guess of the problem, and nothing known of multipliers."""
+    problem = balance()[0]
+    states = follow(Solver(library, problem), problem, 90, {})
+    assert np.abs(states[-1] - UP).max() < 1e-3
+
+
+def test_the_nominal_loop_follows_the_solution(library: Library) -> None:
+    """With the problem solved, shifted steps keep to the optimal path: the horizon ends at rest, wherever it ends."""
+    problem = shooting("pendulum", pendulum_ode, 2, 60, 0.1, np.zeros(2), UP, 4.0, 1.0, softly=True)
+    solver = Solver(library, problem)
+    w = solver.solve(least_barrier=1e-3).w
+    states = follow(solver, problem, 40, {}, least_barrier=1e-3)
+    planned = [w[3 * k : 3 * k + 2] for k in range(41)]
+    assert np.abs(np.array(states) - planned).max() < 1e-4
+
+
+@pytest.mark.parametrize("function", ["values", "jacobians", "hessian"])
+def test_a_callback_without_numbers_keeps_the_iterate(library: Library, function: str) -> None:
+    """The status names the stage; feedback has the inputs of the plan, and the next period goes on."""
+    broken = False
+    problem = balance()[0]
+    solver = Solver(library, problem, lambda what, _, k: broken and what == function and k == 7)
+    assert solver.solve().status == "solved"
+    follow(solver, problem, 3, {})
+    kept = [solver.get(name) for name in ("w", "y", "below", "above")]
+    broken = True
+    status, figures = solver.prepare()
+    assert (status, figures.stage) == ("callback failed", 7)
+    status, v, _ = solver.feedback(state(problem))
+    assert status == "not prepared"
+    assert np.array_equal(v, kept[0][2:3])
+    broken = False
+    assert all(np.array_equal(solver.get(n), a) for n, a in zip(("w", "y", "below", "above"), kept, strict=True))
+    assert solver.prepare()[0] == "prepared"
+    assert solver.feedback(kept[0][:2])[0] == "stepped"
+
+
+def test_feedback_needs_numbers_and_a_preparation(library: Library) -> None:
+    """A measurement that is no number leaves the preparation for the next one."""
+    problem = balance()[0]
+    solver = Solver(library, problem)
+    assert solver.feedback(np.zeros(2))[0] == "not prepared"
+    solver.prepare()
+    status, v, figures = solver.feedback(np.array([0.0, np.nan]))
+    assert (status, figures.stage, v[0]) == ("bad problem", 0, problem.guess[2])
+    assert solver.feedback(np.zeros(2))[0] == "stepped"
+    assert solver.feedback(np.zeros(2))[0] == "not prepared"
+    solver.upper[5] = solver.lower[5] - 1
+    status, figures = solver.prepare()
+    assert (status, figures.stage) == ("bad problem", 1)
+
+
+def test_curvature_is_added_and_remembered(library: Library) -> None:
+    """Concave costs: the second preparation starts from the amount of the first one, so it tries less often."""
+    problem = random_problem(np.random.default_rng(0), [(2, 2, 0, 0)] * 6 + [(2, 0, 0, 0)])
+    for H in problem.H[:-1]:
+        H[3, 3] = -5.0
+    problem.lower[:], problem.upper[:] = np.maximum(problem.lower, -9.0), np.minimum(problem.upper, 9.0)
+    solver = Solver(library, problem)
+    _, first = solver.prepare(least_barrier=1e-2)
+    assert solver.feedback(state(problem))[0] == "stepped"
+    _, second = solver.prepare(least_barrier=1e-2)
+    assert first.curvature > 0
+    assert second.curvature > 0
+    assert second.factorisations < first.factorisations
+
+
+def test_single_precision_in_the_loop(library: Library, single: Library) -> None:
+    problem = balance()[0]
+    ends = []
+    for one in (library, single):
+        solver = Solver(one, problem)
+        solver.solve(least_barrier=1e-3)
+        ends.append(follow(solver, problem, 70, {}, least_barrier=1e-3)[-1])
+    assert np.abs(ends[1] - UP).max() < 1e-2
+
+
+def test_the_example_balances(tmp_path: Path) -> None:
+    """Under sanitizers; its exit status says whether the pendulum is up and all periods had a step."""
+    place = sources()[0].parent
+    flags = [*STRICT, "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", f"-I{place}"]
+    files = [str(place / "example" / "balance.c"), *map(str, sources())]
+    program = tmp_path / "balance"
+    command = [*find_compiler(os.environ).command, *flags, *files, "-lm", "-o", str(program)]
+    subprocess.run(command, check=True)
+    shown = subprocess.run([str(program)], check=True, capture_output=True, text=True).stdout
+    assert "0 failures" in shown
