@@ -47,6 +47,7 @@ class Parts:
 
 
 PARTS = {
+    "compressor": Parts(3, 1, 0, 1, 5, 1, is_planar=True),
     "delta": Parts(12, 3, 3, 3, 9, 3, is_planar=False),
     "excavator": Parts(12, 3, 4, 4, 20, 4, is_planar=True),
     "five_bar": Parts(4, 0, 2, 1, 5, 2, is_planar=True),

@@ -243,6 +243,43 @@ def test_driven_joints_move_as_given_and_show_their_force(driven: Mechanism, set
     assert motion.energy.work.max() > 1
 
 
+def test_the_torque_of_the_compressor_is_that_of_virtual_power() -> None:
+    """At constant speed w: tau = d/dq (I(q) w^2 / 2 + V(q)) - F dz/dq, with the forces F of gas and drag on the piston.
+
+    I(q) w^2 / 2 is the energy of rod and piston: the centre of the rod is 0.3 of its length above the crank's pin.
+    """
+    file, w = Path(__file__).parents[3] / "models" / "compressor.yaml", 100.0
+    compressor = load(find_folder(file, Extent(functions=FUNCTIONS, derivatives=1)))
+    closure = Closure(compressor)
+    start = closure.move(np.array(compressor.manifest.pose), [0], np.array([0.7]))
+    qd = closure.complete_velocities(start, [0], np.array([w]))
+    course = follow([parse("0.7 + 100*t")], ["crank"], {})
+    motion = simulate(compressor, rest(compressor), start, qd, Settings(0.06, output_step=0.01), course=course)
+    assert motion.closure is not None
+    crank, l = 0.045, 0.14
+
+    def tilt(q: np.ndarray) -> np.ndarray:
+        return np.asarray(np.arcsin(crank / l * np.sin(q)))
+
+    def place(q: np.ndarray) -> np.ndarray:
+        return crank * np.cos(q) + l * np.cos(tilt(q))
+
+    def slope(f: Callable[[np.ndarray], np.ndarray], q: np.ndarray, h: float = 1e-3) -> np.ndarray:
+        return (8 * (f(q + h) - f(q - h)) - f(q + 2 * h) + f(q - 2 * h)) / (12 * h)
+
+    def energy(q: np.ndarray) -> np.ndarray:
+        across, up = lambda q: 0.7 * crank * np.sin(q), lambda q: 0.7 * crank * np.cos(q) + 0.3 * place(q)
+        inertia = 0.52 * (slope(across, q) ** 2 + slope(up, q) ** 2) + 1.6e-3 * slope(tilt, q) ** 2
+        weight = 9.81 * (6.2 * 0.004 * np.cos(q) + 0.52 * up(q) + 0.41 * place(q))
+        return (inertia + 0.41 * slope(place, q) ** 2) * w**2 / 2 + weight
+
+    q = 0.7 + w * motion.t
+    gas = -0.0046 * 1e5 * (0.102 / (0.012 + crank + l - place(q)) - 1)
+    expected = slope(energy, q) - (gas - 15 * slope(place, q) * w) * slope(place, q)
+    assert np.ptp(expected) > 30
+    assert np.allclose(motion.closure.driving[:, 0], expected, rtol=0, atol=1e-6)
+
+
 def test_a_driven_start_must_be_on_its_course(driven: Mechanism) -> None:
     with pytest.raises(ValueError, match="qd of driven joint q1 starts at 0, its course at 1"):
         simulate(driven, rest(driven), level(0.3), np.zeros(3), Settings(1.0), course=COURSE)
