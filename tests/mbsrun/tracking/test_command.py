@@ -1,0 +1,144 @@
+"""`mbsrun track`: its files, its exit codes, and the faults of a trial file."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from mbsgen.errors import InputError
+from mbsrun import Mechanism, cli
+from mbsrun.external import load_on_demand
+from mbsrun.ocp.statement import read_problem
+from mbsrun.tracking import record
+from mbsrun.tracking.record import FILES
+from mbsrun.tracking.statement import TrialStatement
+from tests.mbsrun.tracking.test_solving import FOLLOW
+
+SETTINGS = """
+duration: 0.3
+rate: 20
+delay: 1
+updates: {t0: t}
+start: {velocity: {x: 1}}
+plant: {scale: {m: 1.2}}
+noise: {coordinates: 1e-4, velocities: {x: 1e-3}}
+references: {q_x: sin(t)}
+measures:
+  - {name: error, expression: abs(x_middle - sin(t)), most: LIMIT}
+"""
+BOUNDED = FOLLOW + "bounds: {inputs: [-9, 9]}\nconstraints: [{expression: q_x - t0, range: [-1, 1]}]\n"
+Run = Callable[..., tuple[object, str, str]]
+
+
+@pytest.fixture
+def run(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run the command in the folder of the puck; return exit code, stdout and stderr."""
+    monkeypatch.chdir(folder)
+
+    def call(*options: str, settings: str, task: str = BOUNDED) -> tuple[object, str, str]:
+        (folder / "task.ocp.yaml").write_text(task, encoding="utf-8")
+        (folder / "task.track.yaml").write_text(settings, encoding="utf-8")
+        monkeypatch.setattr(
+            sys, "argv", ["mbsrun", "track", "task.ocp.yaml", "--settings", "task.track.yaml", *options]
+        )
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        return (end.value.code, *capsys.readouterr())
+
+    return call
+
+
+def read_table(folder: str) -> list[dict[str, str]]:
+    """Read the samples, without computing times."""
+    with Path(folder, "track.csv").open(encoding="utf-8") as file:
+        return [
+            {key: x for key, x in row.items() if key not in ("seconds", "preparing")} for row in csv.DictReader(file)
+        ]
+
+
+def test_a_trial_is_run_and_written(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Exit code 0 where measures stay below their limits, 1 where one does not; the same trial gives the same table."""
+    code, stdout, stderr = run("-o", "met", settings=SETTINGS.replace("LIMIT", "0.01"))
+    assert code == 0, stderr
+    assert sorted(os.listdir("met")) == sorted(FILES)
+    for words in ("task", "6 Solve_Succeeded", "error ", "(99.9th percentile)", "input x", "q_x - t0"):
+        assert words in stdout
+    rows = read_table("met")
+    assert len(rows) == 6
+    assert rows[0]["measured_q[x]"] != rows[0]["q[x]"]
+    assert {row["solved"] for row in rows} == {"1"}
+    summary = json.loads(Path("met/summary.json").read_text(encoding="utf-8"))
+    assert summary["complete"]
+    assert summary["measures"]["error"]["largest"] < 0.01
+    assert 0.6 < summary["margins"]["q_x - t0"]["least"] <= 1
+    monkeypatch.setattr(record, "save", lambda *_: None)  # pictures take seconds
+    code, stdout, _ = run("-o", "missed", settings=SETTINGS.replace("LIMIT", "1e-9"))
+    assert code == 1
+    assert "limit 1e-09, exceeded" in stdout
+    assert read_table("missed") == rows
+
+
+def test_no_plan_from_the_start_writes_nothing(run: Run) -> None:
+    far = BOUNDED + "end: {pose: {x: 1000}}\n"
+    code, _, stderr = run("-o", "none", settings=SETTINGS.replace("LIMIT", "1"), task=far)
+    assert code == 1
+    assert "finds no plan from the start (Infeasible_Problem_Detected)" in stderr
+    assert not Path("none").exists()
+
+
+FAULTS = """
+duration: 1
+rate: 20
+constants: {t0: 1}
+horizon: {end: 1, least: 0.01}
+plant: {scale: {mm: 1.2}, parameters: {k: 3}}
+noise: {velocities: {z: 1}, inputs: -1}
+updates: {t1: t, t0: q_x}
+start: {pose: {y: 1}}
+kicks: [{time: 3, velocity: {y: 1}}]
+wrenches: [{wrench: push, from: 1, until: 0.5, force: [1, q_x, 3], moment: [0, 0, 1]}]
+measures: [{name: a, expression: y_middel, from: 2}]
+references: {q_y: 1}
+"""
+
+
+def test_all_faults_of_a_trial_are_reported_with_their_places(folder: Path, pushed: Mechanism) -> None:
+    (folder / "task.ocp.yaml").write_text(FOLLOW, encoding="utf-8")
+    (folder / "faults.track.yaml").write_text(FAULTS, encoding="utf-8")
+    problem, _ = read_problem(folder / "task.ocp.yaml", load_on_demand)
+    statement = TrialStatement(folder / "faults.track.yaml", {"noise": {"seed": 3}})
+    with pytest.raises(InputError) as error:
+        statement.trial(problem, pushed.manifest, {"m": 2.0})
+    found = [(fault.line, fault.path) for fault in error.value.faults]
+    assert found == sorted(
+        [
+            (4, "constants.t0"),
+            (5, "horizon.least"),
+            (6, "plant.parameters.k"),
+            (6, "plant.scale.mm"),
+            (7, "noise.inputs"),
+            (7, "noise.velocities.z"),
+            (8, "updates.t0"),
+            (8, "updates.t1"),
+            (9, "start.pose.y"),
+            (10, "kicks[0].time"),
+            (10, "kicks[0].velocity.y"),
+            (11, "wrenches[0].force[1]"),
+            (11, "wrenches[0].moment"),
+            (11, "wrenches[0].until"),
+            (12, "measures[0].expression"),
+            (12, "measures[0].from"),
+            (13, "references.q_y"),
+        ]
+    )
+
+
+def test_a_missing_rate_of_the_command_line_is_named() -> None:
+    with pytest.raises(InputError, match="command line: rate: missing"):
+        TrialStatement(None, {"duration": "1"})
