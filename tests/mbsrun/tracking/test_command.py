@@ -18,7 +18,7 @@ from mbsrun.ocp.statement import read_problem
 from mbsrun.tracking import record
 from mbsrun.tracking.record import FILES
 from mbsrun.tracking.statement import TrialStatement
-from tests.mbsrun.tracking.test_solving import FOLLOW
+from tests.mbsrun.tracking.tasks import FOLLOW
 
 SETTINGS = """
 duration: 0.3

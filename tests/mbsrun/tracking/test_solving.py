@@ -18,18 +18,8 @@ from mbsrun.ocp.trajectory import Trajectory, grid, move_ahead
 from mbsrun.simulation.motion import Settings
 from mbsrun.tracking import Horizon, Noise, Plant, SolvingController, Track, Trial, track
 from mbsrun.tracking.mechanisms import load_simulated
+from tests.mbsrun.tracking.tasks import FOLLOW, TO_REST
 
-TASK = """
-model: puck.yaml
-constants: {t0: 0}
-horizon: 1
-intervals: 20
-scheme: radau
-degree: 2
-start: {pose: {}}
-"""
-TO_REST = TASK + "cost: {inputs: 1}\nend: {pose: {x: 1}, velocity: zero}\n"
-FOLLOW = TASK + "cost: {inputs: 1e-4, running: [{expression: (q_x - sin(t0 + t))**2, weight: 100}]}\n"
 QUIET = Noise(np.zeros(1), np.zeros(1), np.zeros(1))
 TRIAL = Trial("task", 0.9, 0.05, np.zeros(1), np.zeros(1), QUIET, Settings(1.0))
 SHRINKING = Horizon(1.0, 0.1)
