@@ -6,9 +6,11 @@ Arguments are full matrices: entries outside an input's pattern are not read, en
 from __future__ import annotations
 
 import re
+import warnings
 from dataclasses import dataclass
 
 from mbsgen.manifest import Flops
+from mbsgen.model.reader import ModelWarning
 from mbsgen.tape.counts import count
 from mbsgen.tape.types import FUNCTIONS, Input, Op, Output, Sparsity, Tape
 from mbsgen.targets.contract import Family
@@ -70,7 +72,14 @@ class _View:
 
 
 def write_matlab(unit: Unit) -> dict[str, str]:
-    """Write every kernel of `unit` that does not iterate as a Matlab function; return the files, path -> text."""
+    """Write every kernel of `unit` that does not iterate as a Matlab function; return the files, path -> text.
+
+    Python's warnings name the others.
+    """
+    left = [f.name for family in unit.families for f in family.functions if not isinstance(f, Tape)]
+    if left:
+        finding = f"matlab: {', '.join(left)}: left out, since functions for Matlab contain no iteration"
+        warnings.warn(f"{finding}; --python writes them", ModelWarning, stacklevel=2)
     views = [_view(unit.prefix, family, tape) for family in unit.families for tape in family.tapes]
     common = {"version": unit.version, "model_hash": unit.model_hash}
     return {f"{FOLDER}/{view.name}.m": lay_out("matlab/kernel.m", kernel=view, **common) for view in views}

@@ -12,9 +12,9 @@ import pytest
 from numpy.typing import NDArray
 
 from mbsgen.formulations.catalogue import FUNCTIONS
-from mbsgen.model.reader import read_model
+from mbsgen.model.reader import ModelWarning, read_model
 from mbsgen.model.tree import Kind
-from mbsgen.pipeline import build_parametric, read_tree, write_families
+from mbsgen.pipeline import Options, build_parametric, make, read_tree, write_families
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.types import Sparsity, Tape
@@ -173,3 +173,13 @@ def test_names_are_as_short_as_matlab_wants(tmp_path: Path) -> None:
         assert Path(path).name == f"{text.split('] = ')[1].split('(')[0]}.m"
         assert max(map(len, re.findall(r"\w+", text))) <= LONGEST_NAME
         assert max(map(len, text.splitlines())) <= 120
+
+
+def test_what_iterates_is_left_out_with_a_warning() -> None:
+    """A spatial loop is closed by Newton's method; its rates are straight code."""
+    options = Options(functions=("close", "close_rates"), derivatives=0, targets=("matlab",))
+    with pytest.warns(ModelWarning, match="^matlab: close: left out"):
+        product = make(MODELS / "wishbone.yaml", options)
+    assert [file for file in product.files if file.startswith(FOLDER)] == [f"{FOLDER}/wishbone_close_rates.m"]
+    long = [line for line in product.files["wishbone.h"].splitlines() if len(line) > 125]
+    assert [line for line in long if "NAMES_loop" in line] == []
