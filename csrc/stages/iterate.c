@@ -45,7 +45,7 @@ static int lower_barrier(mbs_stages *s, mbs_stages_phase *p)
 /* Keep z near mu / distance, and the distance from 0. */
 static void mend_bound(real *x, real *bound, real *z, real mu, real sign)
 {
-    const real least = real_pow(MBS_STAGES_EPSILON, (real)0.75) * (real_abs(*bound) > 1 ? real_abs(*bound) : 1);
+    const real least = MBS_STAGES_APART * (real_abs(*bound) > 1 ? real_abs(*bound) : 1);
     real distance = sign * (*x - *bound);
     if (!(distance > MBS_STAGES_EPSILON * mu)) {
         *bound -= sign * least;

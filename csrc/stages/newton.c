@@ -193,7 +193,7 @@ static void add(int n, const real *a, real *b)
 /* Solve the reduced system, and refine while that helps. */
 static void solve_reduced(mbs_stages *s)
 {
-    const real enough = real_pow(MBS_STAGES_EPSILON, (real)0.8), right = norm(s, s->rw, s->rc);
+    const real enough = MBS_STAGES_REFINED, right = norm(s, s->rw, s->rc);
     real last = MBS_STAGES_LARGEST;
     int i;
     memset(s->best_w, 0, (size_t)s->variables * sizeof *s->best_w);

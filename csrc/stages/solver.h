@@ -9,11 +9,15 @@
 #ifdef MBS_STAGES_FLOAT
 #define MBS_STAGES_EPSILON FLT_EPSILON
 #define MBS_STAGES_LARGEST FLT_MAX
-#define MBS_STAGES_LOW 1e-5f /* a barrier parameter to begin with near a solution */
+#define MBS_STAGES_LOW 1e-5f       /* a barrier parameter to begin with near a solution */
+#define MBS_STAGES_REFINED 1.5e-5f /* residual of a step beside its right-hand side */
+#define MBS_STAGES_APART 6.4e-6f   /* how far a bound is moved from a variable that reached it */
 #else
 #define MBS_STAGES_EPSILON DBL_EPSILON
 #define MBS_STAGES_LARGEST DBL_MAX
 #define MBS_STAGES_LOW 1e-6
+#define MBS_STAGES_REFINED 3e-13
+#define MBS_STAGES_APART 1.8189894035458565e-12
 #endif
 #define MBS_STAGES_INFINITE ((real)1e19)
 #define MBS_STAGES_KAPPA ((real)1e-5) /* price of the distance from a bound, beside the barrier parameter */

@@ -23,7 +23,10 @@ from mbsrun.stack import GRAPHS, Function, read_graphs
 
 SINGLE = "fpv5-sp-d16"  # the floating-point unit of most Cortex-M7
 DOUBLE = "fpv5-d16"
-FLAGS = ("-std=c99", "-O2", "-mcpu=cortex-m7", "-mthumb", "-mfloat-abi=hard", "-ffunction-sections", "-fdata-sections")
+FLAGS = (
+    *("-std=c99", "-O2", "-ffp-contract=fast", "-fno-math-errno", "-mcpu=cortex-m7", "-mthumb", "-mfloat-abi=hard"),
+    *("-ffunction-sections", "-fdata-sections"),
+)
 LINK = ("-nostartfiles", "-nodefaultlibs", "-Wl,--gc-sections", "-lm", "-lc", "-lgcc")
 EMULATOR = "qemu-system-arm"
 COMPILER = "arm-none-eabi-gcc"

@@ -21,7 +21,7 @@ SOLVER = ("-DMBS_STAGES_FLOAT", f"-I{CSRC / 'stages'}", f"-I{EXAMPLE}")
 Program = Callable[..., bare.Image]
 
 SINES = {"sinf", "cosf"}  # of the pendulum
-MATHEMATICS = {"logf", "log10f", "powf", "sqrtf", "memcpy", "memmove", "memset"} | SINES
+MATHEMATICS = {"logf", "log10f", "powf", "memcpy", "memmove", "memset"} | SINES
 CLOCK = {"__aeabi_dsub", "__aeabi_dcmpge", "__aeabi_dcmpgt"}  # double precision by software
 ALLOCATION = ("malloc", "calloc", "realloc", "free", "sbrk", "printf", "fopen")
 
