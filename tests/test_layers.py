@@ -88,6 +88,10 @@ MBSRUN = Package(
         "skeleton",
         "ocp.program ocp.formulas ocp.integrators ocp.representations closure quaternions quantities animation jets",
         "simulation ocp.problem ocp.elimination ocp.layout",
+        "fmu.layout",
+        "fmu.description",
+        "fmu.package",
+        "fmu",
         "linearisation.equations",
         "linearisation.pictures",
         "linearisation",
@@ -128,7 +132,7 @@ MBSRUN = Package(
         "lab.cases lab.maps",
         "lab",
         "commands.console",
-        "commands.advise commands.cache commands.chart commands.inverse commands.lab "
+        "commands.advise commands.cache commands.chart commands.fmu commands.inverse commands.lab "
         "commands.linearise commands.simulate commands.solve commands.study commands.sweep commands.track",
         "commands",
         "cli",

@@ -14,6 +14,7 @@ from mbsrun.commands.console import (
     BAD_INPUT,
     say,
 )
+from mbsrun.commands.fmu import fmu_command
 from mbsrun.commands.inverse import inverse_command
 from mbsrun.commands.lab import lab_command
 from mbsrun.commands.linearise import linearise_command
@@ -35,6 +36,7 @@ HELP = """Simulate multibody systems, and solve their optimal control problems.
   mbsrun study PROBLEM          solve for all targets, formulations and costs of a paper, and report
   mbsrun chart kernels MODEL    draw speed against accuracy of kernels, or of simulation
   mbsrun advise MODEL           recommend the fastest choices for a model, at an accuracy
+  mbsrun fmu MODEL -o FILE      write a functional mock-up unit (FMI 3.0)
   mbsrun lab                    run the cases in which methods fail, and judge
   mbsrun cache                  list generated and compiled files, or clear them
 
@@ -53,6 +55,7 @@ COMMANDS = (
     chart,
     advise_command,
     lab_command,
+    fmu_command,
     cache_command,
 )
 

@@ -73,6 +73,11 @@ class Kernels:
         given = (*self.manifest.parameters, *self.manifest.design)
         self._set_parameters({p.name: p.value for p in given}, parameters or {})
 
+    @property
+    def folder(self) -> Path:
+        """The folder of the C files."""
+        return self._binder.folder
+
     def with_parameters(self, **parameters: float) -> Self:
         """Return the same kernels with other values of the named parameters."""
         other = copy.copy(self)

@@ -1,0 +1,53 @@
+"""`mbsrun fmu`: a model -> a functional mock-up unit of FMI 3.0."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from mbsrun.commands.console import say
+from mbsrun.external import load
+from mbsrun.fmu.layout import DYNAMICS, OUTPUTS, RATES
+from mbsrun.fmu.package import STEP, write_fmu
+from mbsrun.models import Extent
+
+FMU_HELP = """Write MODEL as a functional mock-up unit of FMI 3.0, for model exchange and co-simulation.
+
+\b
+  mbsrun fmu models/double_pendulum.yaml -o double_pendulum.fmu
+
+\b
+Variables
+  q_NAME, qd_NAME   states, which are outputs too: coordinates and velocities of joints
+  u_NAME            inputs: forces of actuated joints, and wrenches that the model leaves open
+  FRAME.x, .y, .z   outputs: places of the model's frames
+  step              a parameter: the longest step of co-simulation [s]
+
+The model's run-time parameters are tunable parameters. Derivatives, directional and adjoint, are exact. Co-simulation
+takes steps of the classical Runge-Kutta method, as `mbsrun simulate --method rk4` does. The unit holds the sources, and
+a library for this machine's system. Mechanisms with closed loops are refused.
+
+\b
+Exit codes
+  0   written
+  2   the model or an argument cannot be accepted; nothing written
+"""
+
+
+@click.command("fmu", help=FMU_HELP)
+@click.argument("model", type=click.Path(path_type=Path))
+@click.option(
+    "--step",
+    type=click.FloatRange(1e-9, 1e3),
+    default=STEP,
+    show_default=True,
+    help="The longest step of co-simulation [s].",
+)
+@click.option("--source-only", "source_only", is_flag=True, help="Leave the library out.")
+@click.option("-o", "--output", "out", type=click.Path(path_type=Path), help="The file; by default NAME.fmu.")
+def fmu_command(model: Path, step: float, source_only: bool, out: Path | None) -> None:
+    """Generate, compile, write."""
+    kernels = load(model, extent=Extent((DYNAMICS, OUTPUTS), 1, optional=(RATES,)))
+    out = write_fmu(kernels, out or Path(f"{model.stem}.fmu"), step=step, compiled=not source_only)
+    say(f"wrote {out}")
