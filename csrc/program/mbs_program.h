@@ -47,7 +47,7 @@ typedef struct {
     const int *result;    /* where results begin: f, e, d, g; or df and the nonzeros of de, dd, dg; or of the Hessian */
 } mbs_program_script;
 
-/* Stages that are alike. */
+/* Stages that are alike; `size` has patterns. */
 typedef struct {
     mbs_stages_size size;
     mbs_program_script values, jacobians, hessian;
@@ -57,7 +57,7 @@ typedef struct {
     int stages, kinds;
     const int *kind_of_stage;
     const mbs_program_kind *kind;
-    int parameters; /* of the whole problem */
+    int parameters; /* of the whole problem, then inputs of kernels that are the same for all calls */
     int numbers;    /* of a stage: times of points, references */
     const mbs_program_function *functions;
     int arguments, results, integers, reals; /* the most that a call needs */

@@ -114,16 +114,33 @@ class Kind:
 
 
 @dataclass(frozen=True)
+class Given:
+    """An argument that the kernels of a model fill: run-time parameters, or what follows from them."""
+
+    kernel: str
+    name: str
+    size: int
+
+
+@dataclass(frozen=True)
 class StageProgram:
-    """A whole program in stages; and how its vectors follow from those of the program that it was made of."""
+    """A whole program in stages; and how its vectors follow from those of the program that it was made of.
+
+    All equations give inner variables, and are 0. All other rows are inequalities, some with equal bounds. A row that is
+    one state of the first stage is no row of these tables, but gives bounds of that state.
+    """
 
     kinds: tuple[Kind, ...]
     kind_of_stage: tuple[int, ...]
     functions: tuple[CalledFunction, ...]
     parameters: int  # entries of p, as in the program
+    given: tuple[Given, ...]  # follow p
     numbers: Array  # (stages, count): numbers of each stage
     variables: Indices  # of each variable (stage by stage, x before v): the program's, -1: an inner one of these tables
     bounded: Indices  # the same, but -1 where bounds are another copy's
     rows_e: Indices  # of each equation of a stage: the program's row, -1: one of these tables
     rows_d: Indices  # of each row of the dynamics, stage by stage: likewise
     rows_g: Indices  # of each inequality, stage by stage: the program's row
+    fixed: Indices  # (count, 2): a variable, and the program's row whose bounds it has as well
+    lifted: Indices  # variables y of these tables alone, whose equation is y - f(x, v) = 0
+    lifted_rows: Indices  # these equations, by their numbers among all equations
