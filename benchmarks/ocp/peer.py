@@ -197,6 +197,11 @@ class Points:
         """Evaluate a generated kernel."""
         return self._plant(name, sparse=sparse, **inputs)
 
+    def find_family(self, name: str) -> Points:
+        """Return the kernels that hold a function with all of its derivatives: these."""
+        self.describe(name)
+        return self
+
     def casadi(self, name: str) -> ca.Function:
         """Return a kernel as a CasADi function with its derivatives."""
         if name not in self._functions:

@@ -48,6 +48,11 @@ class Mechanism(Kernels):
         known = {found.order for found in map(self._binder.describe, family)}
         return _fix(external, inputs, outputs, fixed, kernel.order, known)
 
+    def find_family(self, name: str) -> Mechanism:
+        """Return the kernels that hold a function with all of its derivatives."""
+        self._binder.describe(name)
+        return self
+
 
 JACOBIANS = {Order.VALUE: Order.JACOBIAN, Order.ADJOINT: Order.ADJOINT_JACOBIAN}
 
@@ -114,6 +119,10 @@ class OnDemand:
     def casadi(self, name: str) -> ca.Function:
         """Return a function with its exact derivatives, as `Mechanism.casadi` does."""
         return self._load(name).casadi(name)
+
+    def find_family(self, name: str) -> Mechanism:
+        """Return the kernels that hold a function with all of its derivatives."""
+        return self._load(name)
 
     def _load(self, function: str) -> Mechanism:
         if function not in self._mechanisms:

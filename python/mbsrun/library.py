@@ -59,16 +59,21 @@ class _Object:
     command: tuple[str, ...]
 
 
-def compile_library(folder: Path, prefix: str, names: Iterable[str], compiler: Compiler) -> Path:
+def compile_library(
+    folder: Path, prefix: str, names: Iterable[str], compiler: Compiler, *beside: Path, **texts: str
+) -> Path:
     """Compile C files of a folder, as many at once as there are processors, and link them to one shared library.
 
-    Compiled files are found in the cache; `prefix` is the model's part of it. Raises CompileError with the command and
-    the compiler's message, or for a name that cannot be a generated file's; CacheError.
+    C files and headers that are not in the folder are looked for in the folders `beside` it. `texts` are more C files,
+    by their names without the ending. Compiled files are found in the cache; `prefix` is the model's part of it. Raises
+    CompileError with the command and the compiler's message, or for a name that cannot be a generated file's;
+    CacheError.
     """
     if not re.fullmatch(r"\w+", prefix, re.ASCII):
         raise CompileError(f"{folder}: {prefix!r} cannot be the prefix of generated names")
-    place = PurePath(COMPILED, prefix)
-    objects = [_plan(_read_source(folder, name), place, compiler) for name in dict.fromkeys(names)]
+    place, given = PurePath(COMPILED, prefix), {f"{name}.c": text.encode() for name, text in texts.items()}
+    wanted = dict.fromkeys((*names, *given))
+    objects = [_plan(_read_source((folder, *beside), name, given), place, compiler) for name in wanted]
     return _link(objects, place / prefix, compiler)
 
 
@@ -108,17 +113,18 @@ def _split(environment: Mapping[str, str], name: str) -> list[str]:
         raise CompileError(f"{name}: {error}; mend its quotes") from None
 
 
-def _read_source(folder: Path, name: str) -> dict[str, bytes]:
-    """Read a C file, which comes first, and the headers of its folder that it includes; names are not trusted."""
+def _read_source(folders: Sequence[Path], name: str, given: Mapping[str, bytes]) -> dict[str, bytes]:
+    """Read a C file, which comes first, and the headers that it includes; names are not trusted."""
     files: dict[str, bytes] = {}
     wanted = [name]
     while wanted:
         file = wanted.pop()
         if not _FILE.fullmatch(file):
-            raise CompileError(f"{folder}: {file!r} cannot be a generated file; generate the folder again")
+            raise CompileError(f"{folders[0]}: {file!r} cannot be a generated file; generate the folder again")
         if file not in files:
+            folder = next((folder for folder in folders if (folder / file).exists()), folders[0])
             try:
-                files[file] = (folder / file).read_bytes()
+                files[file] = given[file] if file in given else (folder / file).read_bytes()
             except OSError as error:
                 raise CompileError(f"{folder / file}: {error.strerror}; generate the folder again") from None
             wanted += [found.decode(errors="replace") for found in _INCLUDE.findall(files[file])]

@@ -50,6 +50,11 @@ class Differentiated:
         """Evaluate a generated kernel."""
         return self._plant(name, sparse=sparse, **inputs)
 
+    def find_family(self, name: str) -> Differentiated:
+        """Return the kernels that hold a function with all of its derivatives: these."""
+        self.describe(name)
+        return self
+
     def casadi(self, name: str) -> ca.Function:
         """Return a kernel as a CasADi function."""
         if name not in DIFFERENTIATED:

@@ -67,6 +67,11 @@ class Peer:
                     break
         return self._functions[name]
 
+    def find_family(self, name: str) -> Peer:
+        """Return the kernels that hold a function with all of its derivatives: these."""
+        self.describe(name)
+        return self
+
     def describe(self, name: str) -> Kernel:
         """Describe a kernel, with its patterns."""
         return _describe(name, self.casadi(name))

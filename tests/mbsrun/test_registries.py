@@ -62,7 +62,9 @@ def make_slsqp(order: Order) -> Solver:
         def watch(x: np.ndarray) -> None:
             iterations[0] += 1
             if start.watch is not None:
-                start.watch(Iterate(iterations[0], functions.objective(x, p), functions.constraint(x, p)))
+                start.watch(
+                    Iterate(iterations[0], functions.objective(x, p), start.measure(functions.constraint(x, p)))
+                )
 
         rows = NonlinearConstraint(
             lambda x: functions.constraint(x, p),
@@ -126,7 +128,7 @@ def test_files_and_checks_know_what_is_added(tmp_path: Path) -> None:
     file.write_text(text.replace("midpoint", "leapfrog").replace("toy", "magic"), "utf-8")
     with pytest.raises(InputError) as refusal:
         read_problem(file, lambda _: plant)
-    for names in ("collocation, rk4, midpoint", "ipopt, sqpmethod, toy"):
+    for names in ("collocation, rk4, midpoint", "ipopt, sqpmethod, mbs, toy"):
         assert f"give one of {names}" in str(refusal.value)
     wrong = replace(problem, integrator="leapfrog", solver=SolverOptions(method="magic"))
     with pytest.raises(ProblemError) as findings:

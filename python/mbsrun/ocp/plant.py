@@ -28,3 +28,6 @@ class Plant(Protocol):
 
     def casadi(self, name: str) -> ca.Function:
         """Return a kernel as a CasADi function with its exact derivatives."""
+
+    def find_family(self, name: str) -> Plant:
+        """Return the kernels that hold a function with all of its derivatives."""

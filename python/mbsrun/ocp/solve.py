@@ -118,7 +118,7 @@ class Solver:
 
         def show(iterate: Iterate) -> None:
             assert watch is not None, "only a watch is shown iterates"
-            watch(Progress(iterate.number, iterate.cost, _excess(iterate.g, g_lower, g_upper)))
+            watch(Progress(iterate.number, iterate.cost, iterate.violation))
 
         solver = self._solver(problem)
         start = Start(x, parameters, lower, upper, g_lower, g_upper, None if watch is None else show)

@@ -32,6 +32,10 @@ _REASONS: Mapping[str, tuple[str, str]] = MappingProxyType(
             "drop a constraint, or take more intervals",
         ),
         "NonIpopt_Exception_Thrown": ("the search was interrupted", "let it run to its end"),
+        "Search_Direction_Becomes_Too_Small": (
+            "the search makes no more progress in double precision after {iterations} iterations",
+            "try another guess, or a larger solver.tolerance",
+        ),
         "Diverging_Iterates": (
             "the iterates diverge: the cost seems to have no lower bound",
             "bound what can grow, or give the cost a term that grows with it",

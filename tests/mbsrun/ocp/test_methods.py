@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from mbsgen.errors import InputError
+from mbsrun.external import OnDemand
 from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.guess import interpolate
 from mbsrun.ocp.methods import METHODS, Amount, Order, Start
+from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem, SolverOptions, cylindrical
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import Progress, solve
@@ -21,13 +23,33 @@ from tests.mbsrun.ocp.conftest import MODELS
 from tests.mbsrun.ocp.plants import push
 from tests.mbsrun.peer import Peer, double_integrator
 
+MASS = """
+name: mass
+gravity: [0, 0, 0]
+bodies:
+  - {name: slide, joint: {type: prismatic, axis: x}, mass: 1}
+"""
+
+
+@pytest.fixture(scope="module")
+def mass(tmp_path_factory: pytest.TempPathFactory) -> OnDemand:
+    """The double integrator with kernels in C."""
+    path = tmp_path_factory.mktemp("models") / "mass.yaml"
+    path.write_text(MASS, encoding="utf-8")
+    return OnDemand(path)
+
+
+def choose(method: str, mass: OnDemand) -> Plant:
+    """Choose a plant that a method can use: the project's own one calls C alone."""
+    return mass if method == "mbs" else double_integrator()
+
 
 @pytest.mark.parametrize("method", METHODS)
-def test_every_solver_finds_the_optimum(method: str) -> None:
+def test_every_solver_finds_the_optimum(method: str, mass: OnDemand) -> None:
     """12 / (1 - 1/N^2), as above; the watch receives the true cost, with any scale of the solver."""
     seen: list[Progress] = []
     options = SolverOptions(method=method, objective_scaling=0.01)
-    outcome = solve(replace(push(8), solver=options), double_integrator(), seen.append)
+    outcome = solve(replace(push(8), solver=options), choose(method, mass), seen.append)
     assert isinstance(outcome, Solution)
     assert outcome.cost.total == pytest.approx(12 / (1 - 1 / 64), rel=1e-6)
     assert all(p.cost == pytest.approx(outcome.cost.total, rel=1e-3) for p in seen[-1:])
@@ -45,14 +67,15 @@ def test_solvers_agree_on_an_arm(arm: Peer, reach: Problem) -> None:
 
 
 @pytest.mark.parametrize(("method", "name"), [(m, name) for m, method in METHODS.items() for name in method.options])
-def test_every_option_is_one_of_the_solver(method: str, name: str) -> None:
+def test_every_option_is_one_of_the_solver(method: str, name: str, mass: OnDemand) -> None:
     """CasADi and IPOPT refuse what they do not know, and values that they do not take."""
     option = METHODS[method].options[name]
     least = option.least if isinstance(option, Amount) else 0.0
     value = option.words[-1] if not isinstance(option, Amount) else int(max(least, 1)) if option.whole else least + 0.25
     assert option.admits(value)
-    transcription = transcribe(push(4), double_integrator())
-    order = Order(Prepared(transcription.program, double_integrator()), 1e-8, 100, 1.0, {name: value})
+    plant = choose(method, mass)
+    transcription = transcribe(push(4), plant)
+    order = Order(Prepared(transcription.program, plant), 1e-8, 100, 1.0, {name: value})
     guess = interpolate(push(4), transcription.scheme, np.array([1.0]))
     lower, upper = transcription.variable_bounds(push(4))
     g_lower, g_upper = transcription.constraint_bounds(push(4))

@@ -8,6 +8,7 @@ from mbsrun.ocp.methods.ipopt import IPOPT
 from mbsrun.ocp.methods.method import Answer, Iterate, Method, Order, Solver, Start
 from mbsrun.ocp.methods.options import Amount, Choice, Option
 from mbsrun.ocp.methods.sqp import SQP
+from mbsrun.ocp.methods.stages import STAGES
 
 __all__ = [
     "METHODS",
@@ -22,4 +23,4 @@ __all__ = [
     "Start",
 ]
 
-METHODS: Mapping[str, Method] = {"ipopt": IPOPT, "sqpmethod": SQP}
+METHODS: Mapping[str, Method] = {"ipopt": IPOPT, "sqpmethod": SQP, "mbs": STAGES}

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.functions import Array
 from mbsrun.ocp.methods.options import Option, Settings
@@ -27,7 +29,7 @@ class Iterate:
 
     number: int
     cost: float
-    g: Array
+    violation: float  # of the constraints, the largest
 
 
 Watch = Callable[[Iterate], None]  # an exception in it ends the solver, and is raised again
@@ -45,6 +47,10 @@ class Start:
     g_upper: Array
     watch: Watch | None = None
 
+    def measure(self, g: Array) -> float:
+        """Return by how much constraints leave their bounds: the largest."""
+        return float(np.maximum(self.g_lower - g, g - self.g_upper).max(initial=0.0))
+
 
 @dataclass(frozen=True)
 class Answer:
@@ -55,6 +61,7 @@ class Answer:
     iterations: int
     evaluating: float = 0.0  # s in functions and derivatives
     cpu_evaluating: float = 0.0
+    clash: tuple[int, ...] = ()  # of a failure: rows of the program that stay violated, the worst first
 
 
 Solver = Callable[[Start], Answer]

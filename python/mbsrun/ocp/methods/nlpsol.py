@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 
 from mbsrun.ocp.backends.casadi import Functions
-from mbsrun.ocp.methods.method import Answer, Iterate, Order, Solver, Start, Watch
+from mbsrun.ocp.methods.method import Answer, Iterate, Order, Solver, Start
 from mbsrun.ocp.status import SOLVED
 
 # Sensitivities to parameters, which nobody asks for, and for which CasADi would differentiate the whole.
@@ -25,7 +25,7 @@ def make(name: str, order: Order, settings: Mapping[str, Any], *, scale: float =
     function = ca.nlpsol("ocp", name, nlp, {"iteration_callback": callback, **quiet, **settings})
 
     def solve(start: Start) -> Answer:
-        callback.begin(start.watch)
+        callback.begin(start)
         answer = function(
             x0=start.x, p=start.parameters, lbx=start.lower, ubx=start.upper, lbg=start.g_lower, ubg=start.g_upper
         )
@@ -62,14 +62,14 @@ class _Callback(ca.Callback):
         sizes = {"x": variables, "f": 1, "g": constraints, "lam_x": variables, "lam_g": constraints}
         self._patterns = [ca.Sparsity.dense(sizes.get(name, functions.parameters)) for name in ca.nlpsol_out()]
         self._scale = scale
-        self._watch: Watch | None = None
+        self._start: Start | None = None
         self._iteration = 0
         self._error: Exception | None = None
         self.construct("watch")
 
-    def begin(self, watch: Watch | None) -> None:
+    def begin(self, start: Start) -> None:
         """Count from 0 again."""
-        self._watch, self._iteration, self._error = watch, 0, None
+        self._start, self._iteration, self._error = start, 0, None
 
     def end(self) -> None:
         """Raise what the watch raised, which CasADi would turn into a warning."""
@@ -86,9 +86,10 @@ class _Callback(ca.Callback):
         return self._patterns[i]
 
     def eval(self, arguments: Sequence[ca.DM]) -> list[ca.DM]:
-        if self._watch is not None:
+        if self._start is not None and self._start.watch is not None:
+            violation = self._start.measure(arguments[2].full().ravel())
             try:
-                self._watch(Iterate(self._iteration, float(arguments[1]) / self._scale, arguments[2].full().ravel()))
+                self._start.watch(Iterate(self._iteration, float(arguments[1]) / self._scale, violation))
             except Exception as error:
                 self._error = error
                 return [ca.DM(1)]  # asks the solver to stop

@@ -96,6 +96,7 @@ def name_called(function: KernelFunction) -> str:
 
 
 def _describe_kernel(function: KernelResult, derivative: Derivative, plant: Plant) -> Signature:
+    plant = plant.find_family(function.kernel)
     kernel = plant.describe(function.kernel)
     called = KernelFunction(function.kernel, derivative)
     derived = {a.name: a for a in plant.describe(name_called(called)).outputs}

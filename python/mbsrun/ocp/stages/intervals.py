@@ -12,13 +12,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
 from mbsrun.ocp.functions import Array, Function, Indices
-from mbsrun.ocp.program import COMMON, Block, Matrix, Program, Stages
+from mbsrun.ocp.program import COMMON, Block, Column, Program, Stages
 
 Mask = NDArray[np.bool_]
 
@@ -163,7 +164,7 @@ class _Division:
         matrix, entries = self.sort_matrix()
         squares = self.sort_quadratics()
         every = [*groups, matrix, *(group for _, group, _ in squares)]
-        carried = self.find_carried(every, blocks, squares)
+        carried = self.find_carried(groups, squares)
         signs = [
             (*(group.sign(k) for group in every), carried[k].tobytes(), carried[k + 1].tobytes(), len(self.others[k]))
             for k in range(self.N + 1)
@@ -239,7 +240,7 @@ class _Division:
         begin = np.searchsorted(owner[order], np.arange(self.N + 2))
         local[order] = numbering.others + np.arange(order.size) - begin[owner[order]]
         self.row_owner, self.row_local = owner, local
-        self.others = tuple(order[a:b] for a, b in zip(begin[:-1], begin[1:], strict=True))
+        self.others = tuple(order[a:b] for a, b in pairwise(begin))
 
     # --- elements by stage ---
 
@@ -264,7 +265,7 @@ class _Division:
 
     def sort(self, owner: Indices, chosen: Indices, *features: NDArray[np.int64]) -> _Group:
         """Sort some elements by their stages."""
-        stacked = np.concatenate([f.reshape(len(chosen), -1) for f in features], axis=1)
+        stacked = np.concatenate([f[:, None] if f.ndim == 1 else f for f in features], axis=1)
         order = np.argsort(owner, kind="stable")
         begin = np.searchsorted(owner[order], np.arange(self.N + 2))
         return _Group(chosen[order], begin, np.ascontiguousarray(stacked[order]))
@@ -282,9 +283,8 @@ class _Division:
                     rows, owner = self.row_local[block.rows], self.row_owner[block.rows[0]]
                     assert (self.row_owner[block.rows] == owner).all(), "the rows of a place are of one stage"
                 chosen = np.flatnonzero((rows != LEFT_OUT).any(axis=0))
-                columns = [self.localise(_variables(part), owner) for part in block.columns]
                 which = [part.which[:, None] for part in block.columns if not isinstance(part, np.ndarray)]
-                features = [c.T if isinstance(p, np.ndarray) else c for c, p in zip(columns, block.columns, strict=True)]
+                features = [self.localise(_by_places(part), owner[:, None]) for part in block.columns]
                 scale = np.ascontiguousarray(block.scales).view(np.int64)[:, None]
                 parts = [f[chosen] for f in (*features, *which, rows.T, scale)]
                 groups.append(self.sort(owner[chosen], chosen, *parts))
@@ -324,13 +324,12 @@ class _Division:
     def find_carried(
         self,
         groups: Sequence[_Group],
-        blocks: Sequence[tuple[Block, bool]],
         squares: Sequence[tuple[int, _Group, Triplets]],
     ) -> list[Indices]:
         """Find the inputs of the stage before that each stage reads; and of a stage after the last: none."""
         first, last = self.numbering.before, self.numbering.inside
         read = np.zeros((self.N + 2, self.numbering.inputs), dtype=bool)
-        for group, features in zip(groups, self.columns, strict=False):
+        for group, features in zip(groups, self.columns, strict=True):
             stage = np.repeat(np.arange(self.N + 1), np.diff(group.begin))
             for columns in features:
                 sorted_columns = columns[group.order]
@@ -433,9 +432,7 @@ def _read_places(block: Block, division: _Division) -> _Reads:
     """Read the variables of all places of a block."""
     reads = _Reads(block.places, division)
     for part in block.columns:
-        variables = _variables(part)
-        if isinstance(part, np.ndarray):
-            variables = variables.T
+        variables = _by_places(part)
         place = np.repeat(np.arange(block.places), variables.shape[1])
         reads.add(place, variables.ravel())
     return reads
@@ -449,8 +446,9 @@ def _own(block: Block, place: int, division: _Division) -> int:
     return int(_read_places(part, division).owners(part.stages)[0])
 
 
-def _variables(part: object) -> Indices:
-    return part if isinstance(part, np.ndarray) else part.variables  # type: ignore[attr-defined, no-any-return]
+def _by_places(part: Column) -> Indices:
+    """Return the variables that a part reads, (places, width)."""
+    return part.T if isinstance(part, np.ndarray) else part.variables
 
 
 def _take(entries: Triplets, chosen: Indices) -> Triplets:

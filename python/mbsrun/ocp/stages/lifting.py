@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbsrun.ocp.functions import Array, Formula, Function, Indices, Input, KernelResult
 from mbsrun.ocp.stages.intervals import LEFT_OUT, Application, Functions, Numbering, Part, Triplets
@@ -30,7 +31,7 @@ class Vector(Enum):
 
 @dataclass(frozen=True)
 class Targets:
-    """The results of a function that go to one vector: row += coefficient * result; of the cost, the row is a weight."""
+    """Results that go to one vector: row += coefficient * result. Of the cost, the row is a weight."""
 
     vector: Vector
     result: Indices
@@ -365,5 +366,5 @@ def _stack(parts: Sequence[Triplets]) -> Triplets:
     return Triplets(*(np.concatenate([getattr(t, name) for t in every]) for name in ("row", "col", "value")))
 
 
-def _between(values: Indices, first: int, end: int) -> Indices:
+def _between(values: Indices, first: int, end: int) -> NDArray[np.bool_]:
     return (values >= first) & (values < end)

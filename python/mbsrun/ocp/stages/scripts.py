@@ -7,7 +7,7 @@ of the cost that is multiplied by the factor sigma,
     Jacobians    df += p_i y',        de, dd, dg += scale (T F' + F dT)
     Hessian      H += (w' F)'' + scale (F'' lambda dT' + dT lambda' F'),      lambda = sigma p_i, or multipliers
 
-A use without a factor T has T = 1 and no derivative by it. Steps are levels: terms of one level read what earlier levels
+A use without a factor T has T = 1 and no derivative by it. Steps are levels: terms of one level read what earlier ones
 wrote. Numbers are numbered from the beginning of W; those after the constants from `ROOM` on, until a script is closed.
 """
 
@@ -20,7 +20,8 @@ import numpy as np
 
 from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.stages.calls import Signature, Signatures
-from mbsrun.ocp.stages.lifting import Stage, Targets, Triplets, Use, Vector
+from mbsrun.ocp.stages.intervals import Triplets
+from mbsrun.ocp.stages.lifting import Stage, Targets, Use, Vector
 from mbsrun.ocp.stages.tables import Call, CalledFunction, Derivative, Given, Kind, Nonzeros, Script, Step, Terms
 
 ROOM = 1 << 40  # added to the numbers of entries after the constants
@@ -206,7 +207,7 @@ class _Writer:
                 return NONE
             if (np.diff(entries) == 1).all():
                 return int(entries[0])
-            varying, values = np.arange(entries.size), np.zeros(entries.size)
+            varying, values = np.arange(entries.size), [0.0] * entries.size
         whole = np.array(values, dtype=np.float64)
         whole[varying] = 0.0
         at = self.put(whole)
@@ -240,7 +241,9 @@ class _Writer:
         return Script(tuple(steps), start, end + self.room, tuple(results))
 
 
-def _collect(parts: Sequence[tuple[Indices, Indices, Array, Indices]], settle: Callable[[Indices], Indices]) -> list[Terms]:
+def _collect(
+    parts: Sequence[tuple[Indices, Indices, Array, Indices]], settle: Callable[[Indices], Indices]
+) -> list[Terms]:
     """Gather the terms of a level: sums, then products."""
     if not parts:
         return []
@@ -356,23 +359,20 @@ def _write_hessian(stage: Stage, frame: Frame) -> tuple[Script, Nonzeros]:
             for targets in use.targets:
                 chosen, entry = _match(found.row, targets.result)
                 col = columns[found.col[chosen]]
-                from_, by = place + found.taken[chosen], multiplier(targets)[entry]
+                from_, lam = place + found.taken[chosen], multiplier(targets)[entry]
                 twice = np.where(col == use.factor, 2.0, 1.0)
                 high, low = np.maximum(col, use.factor), np.minimum(col, use.factor)
-                entries.append(_entries(high, low, twice * targets.coefficient[entry], from_, by))
-    pattern, at = _assemble(writer, entries, (n, n))
-    return writer.close((at,)), pattern
+                entries.append(_entries(high, low, twice * targets.coefficient[entry], from_, lam))
+    pattern, begin = _assemble(writer, entries, (n, n))
+    return writer.close((begin,)), pattern
 
 
 def _lay_weights(writer: _Writer, use: Use, signature: Signature, multiplier: Callable[[Targets], Indices]) -> int:
     """Return where the weights of the results of a use lie; they are copied unless they are multipliers as they are."""
     factor = NONE if use.factor is None else use.factor
-    results, froms, coefficients = [], [], []
-    for targets in use.targets:
-        results.append(signature.weighted[targets.result])
-        froms.append(multiplier(targets))
-        coefficients.append(targets.coefficient)
-    result, from_, coefficient = (np.concatenate(parts) for parts in (results, froms, coefficients))
+    result = np.concatenate([signature.weighted[targets.result] for targets in use.targets])
+    from_ = np.concatenate([multiplier(targets) for targets in use.targets])
+    coefficient = np.concatenate([targets.coefficient for targets in use.targets])
     known = result >= 0
     result, from_, coefficient = result[known], from_[known], coefficient[known]
     is_plain = factor == NONE and result.size == signature.weight_size and bool((coefficient == 1.0).all())
@@ -407,7 +407,14 @@ def _match(rows: Indices, wanted: Indices) -> tuple[Indices, Indices]:
 def _entries(
     row: Indices, col: Indices | int, coefficient: Array | float, from_: Indices | int, by: Indices | int
 ) -> Entries:
-    return Entries(*np.broadcast_arrays(row, col, np.asarray(coefficient, dtype=np.float64), from_, by))
+    row, col, from_, by, whole = np.broadcast_arrays(row, col, from_, by, np.asarray(coefficient, dtype=np.float64))
+    return Entries(
+        row=row.astype(np.int64),
+        col=col.astype(np.int64),
+        coefficient=whole.astype(np.float64),
+        from_=from_.astype(np.int64),
+        by=by.astype(np.int64),
+    )
 
 
 def _constant(linear: Triplets) -> Entries:
@@ -416,13 +423,11 @@ def _constant(linear: Triplets) -> Entries:
 
 def _assemble(writer: _Writer, parts: Sequence[Entries], shape: tuple[int, int]) -> tuple[Nonzeros, int]:
     """Sum entries into the nonzeros of a matrix, column by column; return its pattern and where the nonzeros begin."""
-    nothing = _entries(np.zeros(0, dtype=np.int64), 0, 0.0, 0, 0)
-    every = [nothing, *parts]
-    row, col, coefficient, from_, by = (
-        np.concatenate([getattr(part, name) for part in every])
-        for name in ("row", "col", "coefficient", "from_", "by")
-    )
-    places, number = np.unique(col.astype(np.int64) * max(shape[0], 1) + row, return_inverse=True)
+    every = [_entries(np.zeros(0, dtype=np.int64), 0, 0.0, 0, 0), *parts]
+    row, col = np.concatenate([part.row for part in every]), np.concatenate([part.col for part in every])
+    from_, by = np.concatenate([part.from_ for part in every]), np.concatenate([part.by for part in every])
+    coefficient = np.concatenate([part.coefficient for part in every])
+    places, number = np.unique(col * max(shape[0], 1) + row, return_inverse=True)
     is_constant = from_ == NONE
     start = np.bincount(number[is_constant], weights=coefficient[is_constant], minlength=places.size)
     at = writer.put(start.astype(np.float64))

@@ -126,8 +126,8 @@ class Given:
 class StageProgram:
     """A whole program in stages; and how its vectors follow from those of the program that it was made of.
 
-    All equations give inner variables, and are 0. All other rows are inequalities, some with equal bounds. A row that is
-    one state of the first stage is no row of these tables, but gives bounds of that state.
+    All equations give inner variables, and are 0. All other rows are inequalities, some with equal bounds. A row that
+    is one state of the first stage is no row of these tables, but gives bounds of that state.
     """
 
     kinds: tuple[Kind, ...]

@@ -1,0 +1,134 @@
+"""The project's own interior-point method for problems in stages, in C: see csrc/stages.
+
+The program is written as tables of stages, once for all solves whose bounds and weights vanish in the same places.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+
+import numpy as np
+
+from mbsrun.ocp.backends.prepared import Prepared
+from mbsrun.ocp.functions import Array
+from mbsrun.ocp.methods.method import Answer, Iterate, Method, Order, Solver, Start
+from mbsrun.ocp.methods.options import COUNT, POSITIVE, SWITCH, Amount, Option, Settings
+from mbsrun.ocp.program import Program
+from mbsrun.ocp.stages import binding
+from mbsrun.ocp.stages.building import build
+from mbsrun.ocp.stages.tables import StageProgram
+from mbsrun.ocp.status import ACCEPTABLE, SOLVED
+
+STAGES_OPTIONS: Mapping[str, Option] = {
+    "acceptable_iterations": COUNT,
+    "acceptable_tolerance": POSITIVE,
+    "adaptive": SWITCH,
+    "barrier": POSITIVE,
+    "by_stage": SWITCH,
+    "push": Amount(1e-20, 0.5),
+    "scale_by_bounds": SWITCH,
+    "scaled": SWITCH,
+    "seconds": POSITIVE,
+    "violation_tolerance": POSITIVE,
+}
+
+STATUSES = {
+    "MBS_STAGES_SOLVED": SOLVED,
+    "MBS_STAGES_ACCEPTABLE": ACCEPTABLE,
+    "MBS_STAGES_INFEASIBLE": "Infeasible_Problem_Detected",
+    "MBS_STAGES_ITERATION_LIMIT": "Maximum_Iterations_Exceeded",
+    "MBS_STAGES_TIME_LIMIT": "Maximum_WallTime_Exceeded",
+    "MBS_STAGES_OUT_OF_DIGITS": "Search_Direction_Becomes_Too_Small",
+    "MBS_STAGES_UNBOUNDED": "Diverging_Iterates",
+    "MBS_STAGES_CALLBACK_FAILED": "Invalid_Number_Detected",
+    "MBS_STAGES_BAD_PROBLEM": "Infeasible_Problem_Detected",  # a state of the start beyond its bounds
+}
+
+
+def make_stages(order: Order) -> Solver:
+    """Make the method for a program."""
+    settings = _read_settings(order)
+    tables: dict[bytes, binding.Tables] = {}
+    free: dict[bytes, list[binding.Solver]] = {}  # solvers that nobody uses now
+    lock = threading.Lock()
+    program = order.program.data
+
+    def take(numbers: binding.Numbers) -> tuple[bytes, binding.Solver]:
+        weights = numbers.parameters[: len(program.H)] != 0
+        rows = np.isfinite(numbers.least) | np.isfinite(numbers.most)
+        key = weights.tobytes() + rows.tobytes()
+        with lock:
+            if key not in tables:
+                tables[key] = binding.Tables(build(program, order.program.plant, weights, rows), order.program.plant)
+            found = free.setdefault(key, [])
+            return key, found.pop() if found else binding.Solver(tables[key])
+
+    def solve(start: Start) -> Answer:
+        numbers = _expand(program, start, order.scaling)
+        key, solver = take(numbers)
+
+        def show(progress: binding.Progress) -> None:
+            assert start.watch is not None, "only a watch is shown iterates"
+            start.watch(Iterate(progress.iteration, progress.cost / order.scaling, progress.violation))
+
+        try:
+            watch = None if start.watch is None else show
+            outcome = solver.solve(_complete(order.program, start.x), numbers, settings, watch)
+        finally:
+            with lock:
+                free[key].append(solver)
+        return _answer(program, tables[key].data, outcome)
+
+    return solve
+
+
+def _read_settings(order: Order) -> binding.Settings:
+    """Return the options by the names of the C structure; switches are 1 or 0."""
+    given: Settings = {"acceptable_tolerance": max(order.tolerance, 1e-6), **order.options}
+    words = {"yes": 1.0, "no": 0.0}
+    numbers = {name: float(words.get(str(value), value)) for name, value in given.items() if name != "seconds"}
+    limits = {"tolerance": order.tolerance, "iterations": float(order.max_iterations)}
+    return binding.Settings({**limits, **numbers}, float(given.get("seconds", 0.0)))
+
+
+def _expand(program: Program, start: Start, scaling: float) -> binding.Numbers:
+    """Return the numbers of a solve for all variables and rows; equations of inner variables are 0."""
+    lower, upper = np.full(program.variables, -np.inf), np.full(program.variables, np.inf)
+    lower[program.kept], upper[program.kept] = start.lower, start.upper
+    least, most = np.zeros(program.constraints), np.zeros(program.constraints)
+    least[program.kept_rows], most[program.kept_rows] = start.g_lower, start.g_upper
+    parameters = start.parameters.astype(np.float64)
+    parameters[: len(program.H)] *= scaling
+    return binding.Numbers(parameters, lower, upper, least, most)
+
+
+def _complete(program: Prepared, x: Array) -> Array:
+    """Return all variables; inner ones are 0 where their equations have no solution."""
+    try:
+        return program.numpy.complete(x)
+    except ValueError:
+        whole = np.zeros(program.data.variables)
+        whole[program.data.kept] = x
+        return whole
+
+
+def _answer(program: Program, tables: StageProgram, outcome: binding.Outcome) -> Answer:
+    x = np.zeros(program.variables)
+    known = tables.variables >= 0
+    x[tables.variables[known]] = outcome.w[known]
+    status = STATUSES.get(outcome.status, outcome.status)
+    clash = tuple(row for clash in outcome.clashes if (row := _find_row(tables, clash)) >= 0)
+    return Answer(x[program.kept], status, outcome.iterations, outcome.evaluating, outcome.evaluating, clash)
+
+
+def _find_row(tables: StageProgram, clash: binding.Clash) -> int:
+    """Return the program's row of a row of the tables; -1: one of the tables alone."""
+    kinds = [tables.kinds[kind] for kind in tables.kind_of_stage]
+    nx = [kind.nx for kind in kinds[1:]]
+    counts = ([kind.ne for kind in kinds], nx, [kind.ng for kind in kinds])[clash.kind]
+    rows = (tables.rows_e, tables.rows_d, tables.rows_g)[clash.kind]
+    return int(rows[sum(counts[: clash.stage]) + clash.row])
+
+
+STAGES = Method("the project's own interior-point method, by stages", STAGES_OPTIONS, make_stages)
