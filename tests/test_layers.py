@@ -96,7 +96,7 @@ MBSRUN = Package(
         "linearisation.pictures",
         "linearisation",
         "ocp.conditions ocp.quantities",
-        "ocp.backends ocp.structure",
+        "ocp.backends ocp.structure ocp.stages",
         "ocp.closing",
         "ocp.methods ocp.writing",
         "ocp.checks ocp.transcription",
