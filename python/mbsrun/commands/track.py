@@ -161,7 +161,7 @@ def _print_report(report: Report) -> None:
         "controller": statuses,
         "failures": f"{found.failures}; {report.moved} states were put within the bounds",
         "iterations": f"{sum(iterations) / len(iterations):.3g} a sample, {max(iterations)} at most",
-        "time": f"{1e3 * times.median:.3g} ms a sample (median), {1e3 * times.tail:.3g} ms (99.9th percentile), "
+        "processor": f"{1e3 * times.median:.3g} ms a sample (median), {1e3 * times.tail:.3g} ms (99.9th percentile), "
         f"{1e3 * times.largest:.3g} ms at most",
         "energy drift": f"{found.drift:.1e} J in a period, at most: the integration's error",
     }

@@ -69,7 +69,7 @@ class Margin:
 
 @dataclass(frozen=True)
 class Times:
-    """Computing times [s]."""
+    """Computing times [s], of the processor."""
 
     median: float
     tail: float  # the 99.9th percentile

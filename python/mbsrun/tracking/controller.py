@@ -27,7 +27,7 @@ class Decision:
     status: str  # the solver's word
     is_solved: bool
     iterations: int
-    seconds: float  # from the state to the inputs
+    seconds: float  # of processor time, from the state to the inputs: other programs do not lengthen it
 
 
 class Controller(Protocol):

@@ -49,7 +49,7 @@ class Sample:
     measured_q: Array
     measured_qd: Array
     decision: Decision
-    preparing: float  # s before the measurement
+    preparing: float  # s of processor time, before the measurement
     u: Array  # (m,): the inputs that were asked for in this period, delay included
     acting: Array  # (m,): and the ones that acted, with noise
     is_moved: bool  # the measured state was beyond a bound, and the controller got a state within it
@@ -132,9 +132,9 @@ class _Loop:
         """Take sample k, and move the plant through the period after it."""
         trial, start = self.trial, k * self.trial.period
         ahead = start + trial.delay * trial.period * trial.predicts
-        before = time.perf_counter()
+        before = time.process_time()
         self.controller.prepare(ahead, trial.constants_at(ahead))
-        preparing = time.perf_counter() - before
+        preparing = time.process_time() - before
         measured = self.plant.measure(k, self.q, self.qd)
         decision, is_moved = self._decide(ahead, measured)
         u = decision.inputs

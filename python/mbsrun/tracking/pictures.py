@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 COLORS = tuple(TABLEAU_COLORS)
 NAMED = 12  # lines that a legend still names
 BINS = 40
+LONGEST = 32  # characters of a name in a legend
 
 
 def draw_track(
@@ -53,8 +54,7 @@ def draw_track(
             each.axvline(kick.time, color="0.6", linewidth=0.8, linestyle=":")
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_xlim(track.t[0], track.t[-1] or 1.0)
-    end = "" if track.halt is None else f": incomplete\n{_plain(str(track.halt))}"
-    figure.suptitle(_plain(track.trial.name) + end)
+    figure.suptitle(_plain(track.trial.name) + ("" if track.halt is None else ": incomplete"))
     return figure
 
 
@@ -69,7 +69,7 @@ def draw_times(track: Track, times: Times) -> Figure:
     for name, value, line in (("median", times.median, "-"), (f"{TAIL} %", times.tail, "--")):
         axes.axvline(1e3 * value, color="black", linestyle=line, linewidth=1, label=f"{name}: {1e3 * value:.3g} ms")
     axes.axvline(1e3 * track.trial.period, color="tab:red", linewidth=1, label="sampling period")
-    axes.set_xlabel("computing time of a sample [ms]")
+    axes.set_xlabel("processor time of a sample [ms]")
     axes.set_ylabel("samples")
     axes.legend(frameon=False)
     return figure
@@ -117,5 +117,6 @@ def _finish(axes: Axes, label: str, lines: int) -> None:
 
 
 def _plain(name: str) -> str:
-    """Keep a name of the user's from being read as a formula, or as an instruction to leave it out."""
+    """Shorten a name of the user's; keep it from being read as a formula, or as an instruction to leave it out."""
+    name = name if len(name) <= LONGEST else f"{name[: LONGEST - 3]}..."
     return "\u200b" + name.replace("$", r"\$") if name.startswith("_") else name.replace("$", r"\$")

@@ -64,11 +64,11 @@ class SolvingController:
         outcome = self._solver.solve(problem, guess)
         run = outcome.run
         if isinstance(outcome, Failure):
-            return Decision(self.planned(self._time), run.status, False, run.iterations, run.seconds)
+            return Decision(self.planned(self._time), run.status, False, run.iterations, run.cpu_seconds)
         if self._plan is None:
             self._problem = _warm(self._problem)
         self._plan, self._begun = outcome.trajectory, self._time
-        return Decision(self.planned(self._time), run.status, True, run.iterations, run.seconds)
+        return Decision(self.planned(self._time), run.status, True, run.iterations, run.cpu_seconds)
 
     def planned(self, time: float) -> Array:
         """Return the plan's mean inputs over the period from a time on; zeros where there is no plan yet."""
