@@ -116,9 +116,19 @@ def integrate(
 
     Raises HaltError where a kernel fails, or Newton's method does, or the allowance is used up.
     """
-    count = count_steps(piece, settings.step)
+    return _march(make(dynamics, piece, settings), dynamics, piece, (q, qd), settings, allowance)
+
+
+def _march(
+    scheme: Scheme,
+    dynamics: Dynamics,
+    piece: Piece,
+    start: tuple[Array, Array],
+    settings: Settings,
+    allowance: Allowance,
+) -> Iterator[Chunk]:
+    count, (q, qd) = count_steps(piece, settings.step), start
     h, time, k = (piece.end - piece.start) / count, piece.start, 0
-    scheme = make(dynamics, piece, settings)
     done: list[State] = []
     try:
         done.append(State(q, qd, scheme.start(q, qd), q[None], qd[None]))

@@ -12,7 +12,8 @@ Mathematics 12 (1985); Hairer, Wanner, "Solving Ordinary Differential Equations 
 where mu vanishes along a motion. The last stage is the end of the step, so loops are closed there to rounding. In both,
 driven joints have their given coordinates, velocities and accelerations, and no unknown.
 
-A step that meets a singular pose has a matrix without an inverse; its solution of least norm is taken then.
+A step that meets a singular pose has a matrix without an inverse; its solution of least norm is taken then. Steps of
+Radau collocation are taken in C where that takes the model (`radau`), and the ones that fail there are repeated here.
 """
 
 from __future__ import annotations
@@ -28,10 +29,20 @@ from numpy.typing import NDArray
 from mbsgen.roles import Order, name_derivative, name_kernel
 from mbsrun.closure import GAP
 from mbsrun.ocp import schemes
+from mbsrun.simulation import radau
 from mbsrun.simulation.course import place_driven
 from mbsrun.simulation.drive import Piece, differentiate
 from mbsrun.simulation.dynamics import Dynamics
-from mbsrun.simulation.implicit import Places, Scheme, State, extrapolate, iterate, scale_changes
+from mbsrun.simulation.implicit import (
+    CONVERGED,
+    ITERATIONS,
+    Places,
+    Scheme,
+    State,
+    extrapolate,
+    iterate,
+    scale_changes,
+)
 from mbsrun.simulation.motion import Settings
 
 Array = NDArray[np.float64]
@@ -183,14 +194,29 @@ def make_radau(dynamics: Dynamics, piece: Piece, settings: Settings) -> Scheme:
     A, c, s, n = scheme.integration, scheme.points, scheme.degree, dynamics.size
     places, values, loops = Places(dynamics, A, scheme.weights), extrapolate(c), _Loops(dynamics, piece)
     e, memory = loops.size, dict[str, Array]()
+    stepper = _make_stepper(dynamics, A) if radau.is_taken(dynamics, piece) else None
 
     def start(q: Array, qd: Array) -> Array:
         qdd, lam = loops.start(q, qd)
         memory["guess"] = np.tile(np.concatenate((qdd, lam, np.zeros(e))), (s, 1))
         return qdd
 
+    def step_in_c(state: State, t: Array, h: float, weights: Array) -> State | None:
+        assert stepper is not None, "C takes the model"
+        z, course = memory["guess"].copy(), np.hstack(dynamics.course.states(t))
+        found = stepper.step(h, piece.values(t), course, (state.q, state.qd), weights, z)
+        if found is None:
+            return None
+        memory["guess"] = np.tile(values @ z, (s, 1))
+        qdd = z[-1, :n]
+        qdd[loops.driven] = dynamics.course.states(t[-1:])[2][0]
+        return State(found[0][-1], found[1][-1], qdd, *found)
+
     def step(state: State, time: float, h: float) -> State:
         t, B = time + h * c, np.zeros((n, e))
+        weights = np.r_[scale_changes(state, h), np.zeros(e), np.full(e, h)]
+        if stepper is not None and (taken := step_in_c(state, t, h, weights)) is not None:
+            return taken
         scale = np.tile(np.r_[np.ones(n), np.full(e, 1 / (h * h)), np.full(e, 1 / h)], s)
         if e:
             B = dynamics.kernels("loop_jacobian", q=state.q, qd=state.qd)["J"].T.copy()
@@ -223,13 +249,20 @@ def make_radau(dynamics: Dynamics, piece: Piece, settings: Settings) -> Scheme:
             right = np.concatenate(residuals, axis=1).ravel()
             return solve_step(scale[:, None] * matrix.reshape(scale.size, -1), scale * right).reshape(s, -1)
 
-        weights = np.r_[scale_changes(state, h), np.zeros(e), np.full(e, h)]
         z = iterate(dynamics, correct, memory["guess"], weights, NOISE)
         (q, qd, qdd, _), *_ = advance(z)
         memory["guess"] = np.tile(values @ z, (s, 1))
         return State(q[-1], qd[-1], qdd[-1], q, qd)
 
     return Scheme(start, step, c, scheme.weights)
+
+
+def _make_stepper(dynamics: Dynamics, A: Array) -> radau.Stepper:
+    """Make the steps in C of a method, once for all pieces."""
+    if "stepper" not in dynamics.kept:
+        dynamics.kept["stepper"] = radau.Stepper(dynamics, A, (CONVERGED, NOISE, ITERATIONS))
+    stepper: radau.Stepper = dynamics.kept["stepper"]
+    return stepper
 
 
 def _pick(blocks: Mapping[str, Array], result: str, by: str, shape: tuple[int, ...]) -> Array:

@@ -31,6 +31,7 @@ from mbsrun.simulation import (
     Motion,
     Settings,
     follow,
+    radau,
     record,
     simulate,
 )
@@ -262,22 +263,48 @@ def test_the_torque_of_the_compressor_is_that_of_virtual_power() -> None:
         return np.asarray(np.arcsin(crank / l * np.sin(q)))
 
     def place(q: np.ndarray) -> np.ndarray:
-        return crank * np.cos(q) + l * np.cos(tilt(q))
+        return np.asarray(crank * np.cos(q) + l * np.cos(tilt(q)))
+
+    def across(q: np.ndarray) -> np.ndarray:
+        return np.asarray(0.7 * crank * np.sin(q))
+
+    def up(q: np.ndarray) -> np.ndarray:
+        return np.asarray(0.7 * crank * np.cos(q) + 0.3 * place(q))
 
     def slope(f: Callable[[np.ndarray], np.ndarray], q: np.ndarray, h: float = 1e-3) -> np.ndarray:
-        return (8 * (f(q + h) - f(q - h)) - f(q + 2 * h) + f(q - 2 * h)) / (12 * h)
+        return np.asarray((8 * (f(q + h) - f(q - h)) - f(q + 2 * h) + f(q - 2 * h)) / (12 * h))
 
     def energy(q: np.ndarray) -> np.ndarray:
-        across, up = lambda q: 0.7 * crank * np.sin(q), lambda q: 0.7 * crank * np.cos(q) + 0.3 * place(q)
         inertia = 0.52 * (slope(across, q) ** 2 + slope(up, q) ** 2) + 1.6e-3 * slope(tilt, q) ** 2
         weight = 9.81 * (6.2 * 0.004 * np.cos(q) + 0.52 * up(q) + 0.41 * place(q))
-        return (inertia + 0.41 * slope(place, q) ** 2) * w**2 / 2 + weight
+        return np.asarray((inertia + 0.41 * slope(place, q) ** 2) * w**2 / 2 + weight)
 
     q = 0.7 + w * motion.t
     gas = -0.0046 * 1e5 * (0.102 / (0.012 + crank + l - place(q)) - 1)
     expected = slope(energy, q) - (gas - 15 * slope(place, q) * w) * slope(place, q)
     assert np.ptp(expected) > 30
     assert np.allclose(motion.closure.driving[:, 0], expected, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["parallelogram", "driven"])
+def test_steps_in_c_are_the_ones_in_python(
+    name: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Radau collocation, with inputs over time: the same iterations, and results to their rounding."""
+    mechanism = request.getfixturevalue(name)
+    texts, course = (["5*sin(3*t)", "0", "0"], None) if name == "parallelogram" else (["0", "0"], COURSE)
+    drive = express([parse(text) for text in texts], texts, {})
+    motions = []
+    for is_taken in (True, False):
+        if not is_taken:
+            monkeypatch.setattr(radau, "is_taken", lambda *_: False)
+        settings = Settings(0.5, "radau-iia", step=0.05, stages=3)
+        motions.append(simulate(mechanism, drive, level(0.3), [1, -1, 1], settings, course=course))
+    first, other = motions
+    assert first.effort.iterations == other.effort.iterations > 10
+    assert np.allclose(first.q, other.q, rtol=0, atol=1e-12)
+    assert np.allclose(first.qd, other.qd, rtol=0, atol=1e-11)
+    assert np.ptp(first.q[:, 0]) > 0.1
 
 
 def test_a_driven_start_must_be_on_its_course(driven: Mechanism) -> None:

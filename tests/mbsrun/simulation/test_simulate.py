@@ -101,8 +101,9 @@ def test_expressions_over_time_are_those_of_the_language() -> None:
         drive.pieces[0].at(2.0)
 
 
-def test_the_loops_are_clean_c(requires: Callable[[str], str], tmp_path: Path) -> None:
-    source = folder("csrc") / "mbs_simulate.c"
+@pytest.mark.parametrize("name", ["mbs_simulate.c", "mbs_radau.c"])
+def test_the_loops_are_clean_c(requires: Callable[[str], str], tmp_path: Path, name: str) -> None:
+    source = folder("csrc") / name
     strict = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
     command = [requires("cc"), *strict, "-c", str(source), "-o", str(tmp_path / "simulate.o")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
