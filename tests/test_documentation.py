@@ -12,11 +12,13 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from benchmarks.readme import SUMMARY, fill
+from mbsrun import bare
 from tests import acados
 
 ROOT = Path(__file__).parents[1]
@@ -26,6 +28,7 @@ BLOCK = re.compile(r"^```(sh|python)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 NOT_RUN = "# not run"
 FEWER = {"--starts 20": "--starts 3", "--azimuths 0.8 1.2 3": "--azimuths 0.8 1.2 2"}
+TOOLS = {"docs/microcontroller.md": tuple(bare.PACKAGES)}  # skipped without them
 INTERPRETERS = {"sh": ("bash", "-euo", "pipefail", "-c"), "python": (sys.executable, "-c")}
 
 
@@ -39,7 +42,9 @@ def blocks(document: Path) -> list[tuple[str, str]]:
 
 
 @pytest.mark.parametrize("document", [d for d in DOCUMENTS if blocks(d)], ids=name)
-def test_what_a_document_says_to_type_works(document: Path, tmp_path: Path) -> None:
+def test_what_a_document_says_to_type_works(document: Path, tmp_path: Path, requires: Callable[[str], str]) -> None:
+    for tool in TOOLS.get(name(document), ()):
+        requires(tool)
     checkout = tmp_path / "checkout"
     unwanted = (".git", ".venv", ".*_cache", ".hypothesis", "__pycache__", "build", "dist")
     shutil.copytree(ROOT, checkout, ignore=shutil.ignore_patterns(*unwanted), symlinks=True)

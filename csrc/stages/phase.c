@@ -244,7 +244,8 @@ mbs_stages_errors mbs_stages_measure_errors(mbs_stages *s, mbs_stages_phase *p, 
     return e;
 }
 
-/* What rounding alone leaves of the optimality conditions. The multipliers of restoration are as large as its penalty. */
+/* The errors of optimality conditions that rounding alone makes: multipliers of restoration are as large as its
+ * penalty. */
 real mbs_stages_rounding(const mbs_stages_phase *p)
 {
     return p->elastic ? 100 * MBS_STAGES_EPSILON * MBS_STAGES_PENALTY : 0;

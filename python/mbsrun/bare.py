@@ -64,7 +64,7 @@ class Image:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a program printed and returned."""
+    """The output, status and counts of a run."""
 
     status: int
     output: str

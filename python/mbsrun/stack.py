@@ -40,7 +40,7 @@ class Function:
 
 @dataclass(frozen=True)
 class Rules:
-    """What the graphs do not say."""
+    """Facts that the graphs do not hold."""
 
     pointers: Mapping[str, Sequence[str]] = field(default_factory=dict)  # file: whom it calls through pointers
     library: Mapping[str, int] = field(default_factory=dict)  # bytes of functions without a graph
