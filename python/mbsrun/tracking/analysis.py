@@ -146,7 +146,8 @@ def _list_constants(found: Track) -> dict[str, Array]:
     trial = found.trial
     known: dict[str, Array] = {name: np.array([value]) for name, value in trial.constants.items()}
     known[TIME] = found.t
-    return known | {name: evaluate(expression, known, ARRAYS) for name, expression in trial.updates.items()}
+    with np.errstate(all="ignore"):  # a value that is not finite ends the loop, and fails measures
+        return known | {name: evaluate(expression, known, ARRAYS) for name, expression in trial.updates.items()}
 
 
 def _evaluate(

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.errors import MbsError
+from mbsgen.expressions import ExpressionError
 from mbsrun.kernel import Kernels
 from mbsrun.ocp.problem import Bounds
 from mbsrun.simulation.drive import hold_steps
@@ -93,17 +94,26 @@ def track(
 
     `bounds` are the controller's; `model` is the controller's mechanism, needed for predictions. A failure on the way
     is no exception: `halt` of the track then describes why it ends early. Raises NoPlanError where the controller
-    finds no plan from the start.
+    finds no plan from the start, ExpressionError where an expression has no value there.
     """
     loop = _Loop(trial, bounds, plant, controller, model)
     for k in range(trial.samples):
         try:
             show(loop.step(k))
-        except KeyboardInterrupt:
-            loop.halt = Halt(k * trial.period, None, "the user stopped it", "run it again for the whole")
+        except (KeyboardInterrupt, ExpressionError) as error:
+            if not loop.samples:
+                raise
+            loop.halt = Halt(k * trial.period, None, *_explain(error))
         if loop.halt is not None:
             break
     return loop.finish()
+
+
+def _explain(error: KeyboardInterrupt | ExpressionError) -> tuple[str, str]:
+    """Return finding and remedy of a loop that cannot go on."""
+    if isinstance(error, ExpressionError):
+        return error.finding, error.remedy
+    return "the user stopped it", "run it again for the whole"
 
 
 class _Loop:

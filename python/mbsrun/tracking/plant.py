@@ -15,14 +15,14 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsgen.expressions import FLOATS, Expression, evaluate
+from mbsgen.expressions import Expression
 from mbsrun.closure import find_closure
 from mbsrun.external import Mechanism
 from mbsrun.quaternions import list_quaternions, normalise
 from mbsrun.simulation.drive import Drive, control, hold, input_labels
 from mbsrun.simulation.motion import Halt
 from mbsrun.simulation.simulate import simulate
-from mbsrun.tracking.trial import TIME, Trial
+from mbsrun.tracking.trial import Trial
 
 Array = NDArray[np.float64]
 
@@ -123,7 +123,7 @@ class Plant:
         def act(t: float, _q: Array, _qd: Array) -> Array:
             w = np.zeros(self._wrenches)
             for i, expression in entries:
-                w[i] += evaluate(expression, {**self.trial.constants, TIME: start + t}, FLOATS)
+                w[i] += self.trial.evaluate("wrenches", expression, start + t)
             return np.concatenate((u, w))
 
         return act

@@ -13,7 +13,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsgen.expressions import FLOATS, Expression, evaluate
+from mbsgen.expressions import FLOATS, Expression, ExpressionError, evaluate
 from mbsrun.simulation.motion import Settings
 
 Array = NDArray[np.float64]
@@ -108,5 +108,12 @@ class Trial:
 
     def constants_at(self, time: float) -> dict[str, float]:
         """Return the problem's constants that the loop changes, at a time. Raises ExpressionError without a value."""
-        known = {**self.constants, TIME: time}
-        return {name: evaluate(expression, known, FLOATS) for name, expression in self.updates.items()}
+        return {name: self.evaluate(f"updates.{name}", expression, time) for name, expression in self.updates.items()}
+
+    def evaluate(self, place: str, expression: Expression, time: float) -> float:
+        """Evaluate an expression at a time. Raises ExpressionError, with the place, where it has no value."""
+        try:
+            return evaluate(expression, {**self.constants, TIME: time}, FLOATS)
+        except ExpressionError as error:
+            finding = f"{place}: {error.finding} at t = {time:.6g} s"
+            raise ExpressionError(finding, error.remedy) from None

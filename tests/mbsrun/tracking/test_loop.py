@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from mbsgen.expressions import parse
+from mbsgen.expressions import ExpressionError, parse
 from mbsrun import Mechanism
 from mbsrun.ocp.problem import Bounds
 from mbsrun.simulation.motion import Settings
@@ -159,3 +159,15 @@ def test_constants_are_those_of_the_time_of_the_plan(puck: Mechanism) -> None:
     controller = Counter()
     run(puck, controller, duration=0.3, delay=1, updates={"t0": parse("2*t")})
     assert [values["t0"] for values in controller.constants] == pytest.approx([0.0, 0.2, 0.4, 0.6])
+
+
+@pytest.mark.parametrize("where", ["updates", "wrenches"])
+def test_an_expression_without_a_value_ends_the_loop(pushed: Mechanism, where: str) -> None:
+    root = parse("sqrt(0.25 - t)")
+    changes = {"updates": {"updates": {"t0": root}}, "wrenches": {"pushes": (Push(0.2, 0.9, ((0, root),)),)}}
+    found = run(pushed, Counter(), **changes[where])
+    assert found.halt is not None
+    assert found.halt.finding.startswith(where)
+    assert 0.2 <= found.t[-1] <= found.halt.time == pytest.approx(0.3 if where == "updates" else 0.2)
+    with pytest.raises(ExpressionError, match=r"updates\.t0"):
+        run(pushed, Counter(), updates={"t0": parse("1/t")})
