@@ -130,3 +130,75 @@ void mbs_stages_upper_transposed(int n, const real *U, int ldu, real *x)
     for (j = 0; j < n; ++j, U += ldu)
         x[j] = (x[j] - dot(j, U, x)) / U[j];
 }
+
+int mbs_stages_width(int n)
+{
+    return (n + MBS_STAGES_LANES - 1) / MBS_STAGES_LANES * MBS_STAGES_LANES;
+}
+
+/* Sums stay in registers: lengths of the inner loops are constants, so that compilers make vectors of them. */
+#define COMBINE(LENGTH)                                                                                               \
+    static void combine_##LENGTH(int count, const int *restrict index, const real *restrict factor,                   \
+                                 const real *restrict rows, size_t width, real scale, real *restrict out)             \
+    {                                                                                                                 \
+        real sum[LENGTH];                                                                                             \
+        int t, c;                                                                                                     \
+        for (c = 0; c < LENGTH; ++c)                                                                                  \
+            sum[c] = out[c];                                                                                          \
+        for (t = 0; t < count; ++t) {                                                                                 \
+            const real *restrict row = rows + (size_t)index[t] * width;                                               \
+            const real f = factor[t];                                                                                 \
+            for (c = 0; c < LENGTH; ++c)                                                                              \
+                sum[c] += f * row[c];                                                                                 \
+        }                                                                                                             \
+        for (c = 0; c < LENGTH; ++c)                                                                                  \
+            out[c] = scale * sum[c];                                                                                  \
+    }
+COMBINE(16)
+COMBINE(8)
+COMBINE(4)
+
+void mbs_stages_combine(int width, int count, const int *index, const real *factor, const real *rows, real scale,
+                        real *out)
+{
+    const size_t stride = (size_t)width;
+    int c = 0;
+    for (; c + 16 <= width; c += 16)
+        combine_16(count, index, factor, rows + c, stride, scale, out + c);
+    for (; c + 8 <= width; c += 8)
+        combine_8(count, index, factor, rows + c, stride, scale, out + c);
+    for (; c < width; c += 4)
+        combine_4(count, index, factor, rows + c, stride, scale, out + c);
+}
+
+/* A tile of M, 4 by LENGTH */
+#define GRAM(LENGTH)                                                                                                  \
+    static void gram_##LENGTH(int m, const real *restrict S, const real *restrict Z, size_t width, real *restrict M)  \
+    {                                                                                                                 \
+        real sum[4][LENGTH];                                                                                          \
+        int j, b, c;                                                                                                  \
+        for (b = 0; b < 4; ++b)                                                                                       \
+            for (c = 0; c < LENGTH; ++c)                                                                              \
+                sum[b][c] = M[(size_t)b * width + (size_t)c];                                                         \
+        for (j = 0; j < m; ++j, S += width, Z += width)                                                               \
+            for (b = 0; b < 4; ++b)                                                                                   \
+                for (c = 0; c < LENGTH; ++c)                                                                          \
+                    sum[b][c] += S[b] * Z[c];                                                                         \
+        for (b = 0; b < 4; ++b)                                                                                       \
+            for (c = 0; c < LENGTH; ++c)                                                                              \
+                M[(size_t)b * width + (size_t)c] = sum[b][c];                                                         \
+    }
+GRAM(8)
+GRAM(4)
+
+void mbs_stages_gram(int m, int width, const real *S, const real *Z, real *M)
+{
+    int b, c;
+    for (b = 0; b < width; b += 4) {
+        real *to = M + (size_t)b * (size_t)width;
+        for (c = 0; c + 8 <= width; c += 8)
+            gram_8(m, S + b, Z + c, (size_t)width, to + c);
+        for (; c < width; c += 4)
+            gram_4(m, S + b, Z + c, (size_t)width, to + c);
+    }
+}

@@ -36,6 +36,17 @@ void mbs_stages_apply_transposed(int m, int n, real factor, const real *A, int l
 /* y += factor A x, of the lower triangle of a symmetric A */
 void mbs_stages_apply_symmetric(int n, real factor, const real *A, int lda, const real *x, real *y);
 
+/* Rows of `width` numbers, contiguous, for the operations below; a width is a multiple of MBS_STAGES_LANES. */
+#define MBS_STAGES_LANES 4
+int mbs_stages_width(int n);
+
+/* out = scale (out + sum over t of factor[t] times row index[t]) */
+void mbs_stages_combine(int width, int count, const int *index, const real *factor, const real *rows, real scale,
+                        real *out);
+
+/* M += ST Z: S and Z have m rows, M has `width` of them. */
+void mbs_stages_gram(int m, int width, const real *S, const real *Z, real *M);
+
 /* Factorise the first n columns of the lower triangle of a symmetric A, m by m: A = L LT there. Returns the column of
  * the first pivot that is not above `zero` times the largest that the diagonal entry was, or -1. */
 int mbs_stages_cholesky(int m, int n, real *A, int lda, real zero);

@@ -79,11 +79,11 @@ static void clear(const mbs_stages_matrix *A)
 static int is_finite_symmetric(const mbs_stages_matrix *H)
 {
     int j;
-    if (H->begin)
-        return is_finite(H->count, H->value);
-    for (j = 0; j < H->columns; ++j)
-        if (!is_finite(H->rows - j, H->value + (size_t)j * (size_t)(H->rows + 1)))
+    for (j = 0; j < H->columns; ++j) {
+        const size_t at = H->begin ? (size_t)H->begin[j] : (size_t)j * (size_t)(H->rows + 1);
+        if (!is_finite(H->begin ? H->end[j] - H->begin[j] : H->rows - j, H->value + at))
             return 0;
+    }
     return 1;
 }
 
@@ -93,6 +93,7 @@ static int stage_jacobians(mbs_stages *s, int k, const real *w, real *gradient)
     const mbs_stages_problem *p = s->problem;
     const real *x = unscale(s, t, w), *scale = s->variable_scale + t->w;
     int i;
+    s->recursion.stage[k].inner.stale = 1;
     memset(gradient + t->w, 0, (size_t)t->n * sizeof *gradient);
     clear(&t->E);
     clear(&t->F);

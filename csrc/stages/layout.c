@@ -4,6 +4,8 @@
 #include <string.h>
 
 #define ALIGNMENT 16
+#define SPARE 8  /* inner variables that the recursion has room for, where inner equations do not determine them */
+#define FILL 4   /* nonzeros that factors of inner equations may have for one of these */
 
 /* Memory from `base` on, or only a count of it where base is NULL. */
 typedef struct {
@@ -95,8 +97,7 @@ static void lay_phase(arena *a, mbs_stages_phase *p, int size, int rows)
     lay_direction(a, &p->other, size, rows);
 }
 
-/* A matrix, and a dense copy where it has a pattern. */
-static real *lay_matrix(arena *a, mbs_stages_matrix *A, int rows, int columns, const mbs_stages_pattern *pattern)
+static void lay_matrix(arena *a, mbs_stages_matrix *A, int rows, int columns, const mbs_stages_pattern *pattern)
 {
     A->rows = rows;
     A->columns = columns;
@@ -105,7 +106,131 @@ static real *lay_matrix(arena *a, mbs_stages_matrix *A, int rows, int columns, c
     A->row = pattern ? pattern->row : NULL;
     A->count = pattern ? pattern->column[columns] : rows * columns;
     A->value = numbers(a, A->count, 1);
-    return pattern ? numbers(a, rows, columns) : A->value;
+}
+
+/* Give a dense matrix the pattern of all its entries, or of those of its lower triangle. */
+static void lay_full_pattern(arena *a, mbs_stages_matrix *A, int triangle)
+{
+    const size_t columns = (size_t)A->columns;
+    int *begin = take(a, columns, sizeof(int)), *end = take(a, columns, sizeof(int));
+    int *row = take(a, (size_t)A->count, sizeof(int)), i, j;
+    for (j = 0; a->base && j < A->columns; ++j) {
+        begin[j] = j * A->rows + (triangle ? j : 0);
+        end[j] = (j + 1) * A->rows;
+        for (i = 0; i < A->rows; ++i)
+            row[j * A->rows + i] = i;
+    }
+    A->begin = begin;
+    A->end = end;
+    A->row = row;
+}
+
+static void share_pattern(mbs_stages_matrix *A, const mbs_stages_matrix *from)
+{
+    A->begin = from->begin;
+    A->end = from->end;
+    A->row = from->row;
+}
+
+static int are_alike(const mbs_stages_problem *problem, int k, int l)
+{
+    const mbs_stages_size *a = &problem->size[k], *b = &problem->size[l];
+    return a->nx == b->nx && a->nv == b->nv && a->ne == b->ne && a->ng == b->ng && a->inner == b->inner &&
+           a->patterns == b->patterns && (l == problem->stages - 1) == (k == problem->stages - 1) &&
+           (l == problem->stages - 1 || k == problem->stages - 1 || a[1].nx == b[1].nx);
+}
+
+/* The first stage of the kind of stage k. */
+static int first_alike(const mbs_stages_problem *problem, int k)
+{
+    int l;
+    for (l = k - 1; l >= 0; --l)
+        if (are_alike(problem, k, l))
+            return l;
+    return k;
+}
+
+static int count_block(const mbs_stages_stage *t, const mbs_stages_patterns *patterns)
+{
+    int l, count = 0;
+    if (patterns == NULL)
+        return t->inner.n * t->inner.n;
+    for (l = patterns->de.column[t->nx]; l < patterns->de.column[t->nx + t->inner.n]; ++l)
+        count += patterns->de.row[l] < t->inner.n;
+    return count;
+}
+
+/* The order of pivots of a kind of stages, and how large factors are. */
+static void lay_pivots(arena *a, mbs_stages_pivots *p, int n, int first, int entries, int capacity)
+{
+    int **const of_rows[] = {&p->row, &p->column}, **const of_places[] = {&p->entry, &p->lower, &p->upper};
+    int **const of_nonzeros[] = {&p->lower_place, &p->lower_row, &p->upper_place, &p->upper_column};
+    size_t i;
+    p->n = n;
+    p->first = first;
+    p->entries = entries;
+    p->capacity = capacity;
+    for (i = 0; i < 2; ++i)
+        *of_rows[i] = take(a, (size_t)n, sizeof(int));
+    for (i = 0; i < 3; ++i)
+        *of_places[i] = take(a, (size_t)n + 1, sizeof(int));
+    for (i = 0; i < 4; ++i)
+        *of_nonzeros[i] = take(a, (size_t)capacity, sizeof(int));
+    p->entry_at = take(a, (size_t)entries, sizeof(int));
+    p->entry_place = take(a, (size_t)entries, sizeof(int));
+}
+
+/* What stages of a kind share, in the first of them: patterns, the order of pivots. */
+static void lay_shared(arena *a, mbs_stages *s, const mbs_stages_problem *problem, int k, mbs_stages_stage *t)
+{
+    mbs_stages_matrix *const own[] = {&t->E, &t->F, &t->G, &t->H};
+    const int first = first_alike(problem, k), entries = count_block(t, problem->size[k].patterns);
+    const mbs_stages_stage *other = s->recursion.stage ? &s->recursion.stage[first] : t;
+    const mbs_stages_matrix *const others[] = {&other->E, &other->F, &other->G, &other->H};
+    mbs_stages_pivots spare;
+    int i;
+    for (i = 0; i < 4 && problem->size[k].patterns == NULL; ++i)
+        if (first == k)
+            lay_full_pattern(a, own[i], i == 3);
+        else
+            share_pattern(own[i], others[i]);
+    t->inner.capacity = smaller(t->inner.n * (t->inner.n - 1), FILL * (entries + t->inner.n));
+    if (first < k) {
+        t->inner.pivots = other->inner.pivots;
+        return;
+    }
+    t->inner.pivots = take(a, 1, sizeof spare);
+    lay_pivots(a, a->base ? t->inner.pivots : &spare, t->inner.n, t->nx, entries, t->inner.capacity);
+}
+
+static void lay_inner(arena *a, mbs_stages *s, const mbs_stages_problem *problem, int k, mbs_stages_stage *t)
+{
+    mbs_stages_inner *y = &t->inner;
+    if (y->n == 0)
+        return;
+    lay_shared(a, s, problem, k, t);
+    y->spare = smaller(y->n, SPARE);
+    y->factors.lower = numbers(a, y->capacity, 1);
+    y->factors.inverse = numbers(a, y->n, 1);
+    y->V = numbers(a, t->n, mbs_stages_width(t->n - y->n + y->spare));
+    y->constant = numbers(a, y->n, 1);
+    y->variable = take(a, (size_t)y->spare, sizeof(int));
+    y->row = take(a, (size_t)y->spare, sizeof(int));
+    y->stale = 1;
+}
+
+static void lay_dense(arena *a, mbs_stages_stage *t, int patterns)
+{
+    mbs_stages_dense *d = &t->dense;
+    const int n = t->n - t->inner.n + t->inner.spare, ne = t->ne - t->inner.n + t->inner.spare;
+    const int copy = patterns || t->inner.n > 0;
+    d->nv = t->nv - t->inner.n;
+    d->n = t->nx + d->nv;
+    d->ne = t->ne - t->inner.n;
+    d->E = copy ? numbers(a, ne, n) : t->E.value;
+    d->F = copy ? numbers(a, t->next, n) : t->F.value;
+    d->G = copy ? numbers(a, t->ng, n) : t->G.value;
+    d->H = copy ? numbers(a, n, n) : t->H.value;
 }
 
 /* Places of a stage come after the places of earlier stages. */
@@ -113,6 +238,7 @@ static void lay_stage(arena *a, mbs_stages *s, const mbs_stages_problem *problem
 {
     const mbs_stages_size *z = &problem->size[k];
     const mbs_stages_patterns *p = z->patterns;
+    memset(t, 0, sizeof *t);
     t->nx = z->nx;
     t->nv = z->nv;
     t->n = z->nx + z->nv;
@@ -127,10 +253,13 @@ static void lay_stage(arena *a, mbs_stages *s, const mbs_stages_problem *problem
     s->variables += t->n;
     s->rows += t->ne + t->next + t->ng;
     s->slacks += t->ng;
-    t->dense.E = lay_matrix(a, &t->E, t->ne, t->n, p ? &p->de : NULL);
-    t->dense.F = lay_matrix(a, &t->F, t->next, t->n, p ? &p->dd : NULL);
-    t->dense.G = lay_matrix(a, &t->G, t->ng, t->n, p ? &p->dg : NULL);
-    t->dense.H = lay_matrix(a, &t->H, t->n, t->n, p ? &p->h : NULL);
+    t->inner.n = z->inner;
+    lay_matrix(a, &t->E, t->ne, t->n, p ? &p->de : NULL);
+    lay_matrix(a, &t->F, t->next, t->n, p ? &p->dd : NULL);
+    lay_matrix(a, &t->G, t->ng, t->n, p ? &p->dg : NULL);
+    lay_matrix(a, &t->H, t->n, t->n, p ? &p->h : NULL);
+    lay_inner(a, s, problem, k, t);
+    lay_dense(a, t, p != NULL);
 }
 
 /* Equal bounds of a stage, each of which is a row that holds exactly. */
@@ -144,10 +273,46 @@ static int count_equal(const mbs_stages_problem *problem, const mbs_stages_stage
     return equal;
 }
 
+/* The most that the stages need to work in. */
+typedef struct {
+    int variables, rows;                /* of a stage */
+    int outer, outer_rows;              /* of the recursion */
+    int inner, inner_rows, width;       /* of inner variables, and of right-hand sides for them */
+} extent;
+
+static void extend(extent *e, const mbs_stages_stage *t)
+{
+    const int outer = t->n - t->inner.n + t->inner.spare, ne = t->ne - t->inner.n + t->inner.spare;
+    e->variables = larger(e->variables, t->n);
+    e->rows = larger(e->rows, t->ne + t->ng + t->n + t->next);
+    e->outer = larger(e->outer, outer);
+    e->outer_rows = larger(e->outer_rows, ne + t->ng + t->n + t->next);
+    if (t->inner.n == 0)
+        return;
+    e->inner = larger(e->inner, t->inner.n);
+    e->inner_rows = larger(e->inner_rows, larger(larger(ne, t->inner.n), larger(t->next, t->ng)));
+    e->width = larger(e->width, mbs_stages_width(outer));
+}
+
+static void lay_work(arena *a, mbs_stages_recursion *r, const extent *e)
+{
+    int i;
+    for (i = 0; i < 4; ++i)
+        r->work[i] = numbers(a, e->outer + e->outer_rows, e->outer);
+    for (i = 0; i < 8; ++i)
+        r->vector[i] = numbers(a, 2 * e->variables + e->rows, 1);
+    r->block = numbers(a, e->inner, e->inner);
+    r->right = numbers(a, e->inner_rows, e->width);
+    r->product = numbers(a, e->width, e->width);
+    r->marks = take(a, (size_t)e->inner * (size_t)e->inner, 1);
+    r->spots = take(a, (size_t)(2 * e->inner + e->rows), sizeof(int));
+}
+
 static void lay_recursion(arena *a, mbs_stages *s, const mbs_stages_problem *problem)
 {
     mbs_stages_recursion *r = &s->recursion;
-    int k, i, largest = 1, rows = 1;
+    extent most = {1, 1, 1, 1, 0, 0, 0};
+    int k;
     mbs_stages_stage spare;
     for (k = 0; k < problem->stages; ++k) {
         mbs_stages_stage *t = r->stage ? &r->stage[k] : &spare;
@@ -155,17 +320,13 @@ static void lay_recursion(arena *a, mbs_stages *s, const mbs_stages_problem *pro
         mbs_stages_soft soft, *q = r->soft ? &r->soft[k] : &soft;
         lay_stage(a, s, problem, k, t);
         t->equal = count_equal(problem, t);
-        lay_step(a, p, t->nx, t->nv, t->ne + t->equal + t->next);
+        lay_step(a, p, t->nx, t->dense.nv + t->inner.spare, t->dense.ne + t->inner.spare + t->equal + t->next);
         lay_soft(a, q, t->next);
         if (k == 0)
             lay_step(a, &r->root, 0, t->nx, 2 * t->nx); /* rows passed to it, and fixed states */
-        largest = larger(largest, t->n);
-        rows = larger(rows, t->ne + t->ng + t->n + t->next);
+        extend(&most, t);
     }
-    for (i = 0; i < 4; ++i)
-        r->work[i] = numbers(a, largest + rows, largest);
-    for (i = 0; i < 6; ++i)
-        r->vector[i] = numbers(a, 2 * largest + rows, 1);
+    lay_work(a, r, &most);
     r->diagonal = numbers(a, s->variables, 1);
     r->compliance = numbers(a, s->rows, 1);
 }
@@ -183,7 +344,7 @@ static void lay_solver(arena *a, mbs_stages *s)
     s->point.rows = m;
     lay_phase(a, &s->main, n + s->slacks, m);
     lay_phase(a, &s->least, n + s->slacks + 2 * m, m);
-    s->fixed = take(a, (size_t)(n + s->slacks), 1);
+    s->fixed = take(a, (size_t)(n + s->slacks + 2 * m), 1);
     for (i = 0; i < sizeof of_w / sizeof *of_w; ++i)
         *of_w[i] = numbers(a, n, 1);
     for (i = 0; i < sizeof of_rows / sizeof *of_rows; ++i)

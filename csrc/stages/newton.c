@@ -128,6 +128,7 @@ int mbs_stages_newton_factorise(mbs_stages *s, mbs_stages_phase *p)
             return -1;
     }
     s->result.dependent = s->recursion.dependent;
+    s->result.singular = s->recursion.singular;
     if (regular > 0)
         p->regular = regular;
     p->added = regular;

@@ -15,7 +15,7 @@ static int has(real bound)
 
 int mbs_stages_is_fixed(const mbs_stages *s, int i)
 {
-    return i < s->variables + s->slacks && s->fixed[i];
+    return s->fixed[i];
 }
 
 real mbs_stages_sum(int n, const real *c)

@@ -2,7 +2,7 @@
  *
  * A row of e or g that gives (compliance D > 0) costs (J dw + rc)^2 / (2 D), and dy = (J dw + rc) / D. Where d gives,
  * the next state is the prediction and a deviation t at a cost of t.t / (2 D): see soft.h. */
-#include "recursion.h"
+#include "condense.h"
 #include "step.h"
 
 #include <string.h>
@@ -13,14 +13,26 @@ typedef struct {
     const real *derivative;
 } stage_row;
 
+/* Rows of e that are not inner ones, deferred ones, rows of g. */
 static stage_row row_of(const mbs_stages_stage *s, int i)
 {
+    const int ne = s->dense.ne, own = s->ne - s->inner.n;
     stage_row row;
-    const int e = i < s->ne;
-    row.place = e ? s->e + i : s->g + (i - s->ne);
-    row.stride = e ? s->ne : s->ng;
-    row.derivative = e ? s->dense.E + i : s->dense.G + (i - s->ne);
+    if (i < ne) {
+        row.place = s->e + (i < own ? s->inner.n + i : s->inner.row[i - own]);
+        row.stride = ne;
+        row.derivative = s->dense.E + i;
+    } else {
+        row.place = s->g + (i - ne);
+        row.stride = s->ng;
+        row.derivative = s->dense.G + (i - ne);
+    }
     return row;
+}
+
+static int count_rows(const mbs_stages_stage *s)
+{
+    return s->dense.ne + s->ng;
 }
 
 /* What a prediction of the state of stage k costs, and what it must meet. */
@@ -41,23 +53,23 @@ static entrance enter(const mbs_stages_recursion *r, int k)
     return e;
 }
 
-/* Q = H + diagonal, lower triangle. */
+/* Q = H + diagonal, lower triangle. Where variables were condensed, H holds the diagonal already. */
 static void start_cost(const mbs_stages_recursion *r, const mbs_stages_stage *s, real *Q)
 {
-    const size_t n = (size_t)s->n;
+    const size_t n = (size_t)s->dense.n;
     size_t i;
-    if (r->plain)
+    if (r->plain && s->inner.n == 0)
         memset(Q, 0, n * n * sizeof *Q);
     else
         memcpy(Q, s->dense.H, n * n * sizeof *Q);
-    for (i = 0; i < n; ++i)
+    for (i = 0; i < n && s->inner.n == 0; ++i)
         Q[i * n + i] += r->diagonal[(size_t)s->w + i];
 }
 
 static int count_soft(const mbs_stages_recursion *r, const mbs_stages_stage *s)
 {
     int i, soft = 0;
-    for (i = 0; i < s->ne + s->ng; ++i)
+    for (i = 0; i < count_rows(s); ++i)
         soft += r->compliance[row_of(s, i).place] > 0;
     return soft;
 }
@@ -65,9 +77,9 @@ static int count_soft(const mbs_stages_recursion *r, const mbs_stages_stage *s)
 /* Q += JT J / compliance, of the rows that give. */
 static void add_soft_rows(const mbs_stages_recursion *r, const mbs_stages_stage *s, real *Q, real *turned, real *scaled)
 {
-    const int n = s->n, soft = count_soft(r, s);
+    const int n = s->dense.n, soft = count_soft(r, s);
     int i, j, at = 0;
-    for (i = 0; i < s->ne + s->ng && at < soft; ++i) {
+    for (i = 0; i < count_rows(s) && at < soft; ++i) {
         const stage_row row = row_of(s, i);
         const real give = r->compliance[row.place];
         if (!(give > 0))
@@ -85,7 +97,7 @@ static void add_soft_rows(const mbs_stages_recursion *r, const mbs_stages_stage 
 /* Q += FT P F, with the cost P of the next state. */
 static void add_next_cost(const mbs_stages_stage *s, const real *P, real *Q, real *turned, real *product)
 {
-    const int m = s->next, n = s->n;
+    const int m = s->next, n = s->dense.n;
     memset(product, 0, (size_t)m * (size_t)n * sizeof *product);
     mbs_stages_multiply(m, n, m, 1, P, m, s->dense.F, m, product, m, 0);
     mbs_stages_transpose(m, n, s->dense.F, m, turned, n);
@@ -115,17 +127,17 @@ static void stack_rows(const mbs_stages_recursion *r, int k)
     mbs_stages_step *p = &r->step[k];
     int i, j;
     p->rows = 0;
-    for (i = 0; i < s->ne + s->ng; ++i) {
+    for (i = 0; i < count_rows(s); ++i) {
         const stage_row row = row_of(s, i);
         if (!(r->compliance[row.place] > 0))
             add_row(p, row.derivative, row.stride, 0);
     }
     for (i = 0; i < s->n; ++i)
         if (has_row(r, k, i))
-            add_row(p, NULL, 0, i);
+            add_row(p, mbs_stages_variation(s, i), 1, mbs_stages_outer(s, i));
     if (s->next > 0) {
         const entrance q = enter(r, k + 1);
-        for (j = 0; j < s->n; ++j) {
+        for (j = 0; j < s->dense.n; ++j) {
             real *a = p->lu + (size_t)j * (size_t)p->capacity + (size_t)p->rows;
             memset(a, 0, (size_t)q.rows * sizeof *a);
             mbs_stages_apply(q.rows, s->next, 1, q.C, q.rows, s->dense.F + (size_t)j * (size_t)s->next, a);
@@ -134,29 +146,20 @@ static void stack_rows(const mbs_stages_recursion *r, int k)
     }
 }
 
-/* Copy matrices with patterns into dense ones. */
-static void spread_matrices(const mbs_stages_recursion *r, const mbs_stages_stage *s)
-{
-    if (s->H.begin == NULL)
-        return;
-    mbs_stages_matrix_spread(&s->E, s->dense.E, s->ne);
-    mbs_stages_matrix_spread(&s->F, s->dense.F, s->next);
-    mbs_stages_matrix_spread(&s->G, s->dense.G, s->ng);
-    if (!r->plain)
-        mbs_stages_matrix_spread(&s->H, s->dense.H, s->n);
-}
-
 static int factorise_stage(mbs_stages_recursion *r, int k)
 {
     const mbs_stages_stage *s = &r->stage[k];
+    mbs_stages_step *p = &r->step[k];
     real *Q = r->work[3];
-    spread_matrices(r, s);
+    mbs_stages_condense(r, k);
+    p->n = s->dense.n;
+    p->nv = s->dense.nv;
     start_cost(r, s, Q);
     add_soft_rows(r, s, Q, r->work[0], r->work[1]);
     if (s->next > 0)
         add_next_cost(s, enter(r, k + 1).P, Q, r->work[0], r->work[1]);
     stack_rows(r, k);
-    return mbs_stages_reduce(&r->step[k], Q, r->work, r->zero_pivot, r->zero_curvature);
+    return mbs_stages_reduce(p, Q, r->work, r->zero_pivot, r->zero_curvature);
 }
 
 static int soften(mbs_stages_recursion *r, int k)
@@ -189,11 +192,13 @@ static int dependent_rows(const mbs_stages_step *p)
 int mbs_stages_factorise(mbs_stages_recursion *r)
 {
     int k;
-    r->dependent = 0;
+    mbs_stages_order_pivots(r);
+    r->dependent = r->singular = 0;
     for (k = r->stages - 1; k >= 0; --k) {
         if (factorise_stage(r, k))
             return k;
         r->dependent += dependent_rows(&r->step[k]);
+        r->singular += r->stage[k].inner.missing > 0;
         if (k > 0 && r->soft_dynamics && soften(r, k - 1))
             return k;
     }
@@ -203,45 +208,63 @@ int mbs_stages_factorise(mbs_stages_recursion *r)
     return -1;
 }
 
-/* linear += AT (rc / compliance), of rows from `place` on that give; the constants of the others follow each other.
- * Returns how many these are. */
-static int collect_rows(const mbs_stages_recursion *r, const mbs_stages_matrix *A, int place, const real *rc,
-                        real *linear, real *constant)
+/* gradient += AT (rows / compliance), of rows that give, from `first` on; the constants of the others follow each other.
+ * Row 0 has the compliance at `place`. Returns how many constants there are. */
+static int collect_rows(const mbs_stages_recursion *r, const mbs_stages_matrix *A, int first, int place,
+                        const real *rows, real *gradient, real *constant)
 {
     real *force = r->vector[5];
     int i, exact = 0;
-    for (i = 0; i < A->rows; ++i) {
+    for (i = 0; i < first; ++i)
+        force[i] = 0;
+    for (i = first; i < A->rows; ++i) {
         const real give = r->compliance[place + i];
-        force[i] = give > 0 ? rc[place + i] / give : 0;
+        force[i] = give > 0 ? rows[i] / give : 0;
         if (!(give > 0))
-            constant[exact++] = rc[place + i];
+            constant[exact++] = rows[i];
     }
-    if (exact < A->rows)
-        mbs_stages_matrix_apply_transposed(A, force, linear);
+    if (exact < A->rows - first)
+        mbs_stages_matrix_apply_transposed(A, force, gradient);
     return exact;
 }
 
-/* Right-hand sides of stage k: of its cost, and of its rows. */
-static void collect_stage(const mbs_stages_recursion *r, int k, const real *rw, const real *rc, real *linear,
-                          real *constant)
+/* Rows of stage k, and the derivatives of its cost. */
+static int collect_all_rows(const mbs_stages_recursion *r, int k, const real *rows, real *gradient, real *constant)
 {
     const mbs_stages_stage *s = &r->stage[k];
-    int i, at;
-    memcpy(linear, rw + s->w, (size_t)s->n * sizeof *linear);
-    at = collect_rows(r, &s->E, s->e, rc, linear, constant);
-    at += collect_rows(r, &s->G, s->g, rc, linear, constant + at);
+    const mbs_stages_inner *y = &s->inner;
+    int i, at = collect_rows(r, &s->E, y->n, s->e, rows, gradient, constant);
+    for (i = 0; i < y->deferred; ++i)
+        constant[at++] = rows[y->row[i]];
+    at += collect_rows(r, &s->G, 0, s->g, rows + s->ne + s->next, gradient, constant + at);
     for (i = 0; i < s->n; ++i)
         if (has_row(r, k, i))
-            constant[at++] = 0;
+            constant[at++] = mbs_stages_outer(s, i) < 0 ? y->constant[i - s->nx] : 0;
+    return at;
+}
+
+/* Right-hand sides of stage k: of its cost, and of its rows. */
+static void collect_stage(mbs_stages_recursion *r, int k, const real *rw, const real *rc, real *linear, real *constant)
+{
+    const mbs_stages_stage *s = &r->stage[k];
+    real *gradient = s->inner.n > 0 ? r->vector[6] : linear, *rows = r->vector[7], *p = r->vector[2];
+    const real *ahead = rows + s->ne;
+    int at;
+    memcpy(gradient, rw + s->w, (size_t)s->n * sizeof *gradient);
+    memcpy(rows, rc + s->e, (size_t)(s->ne + s->next + s->ng) * sizeof *rows);
+    if (s->inner.n > 0)
+        mbs_stages_condense_right(r, k, rc, gradient, rows);
+    at = collect_all_rows(r, k, rows, gradient, constant);
     if (s->next > 0) {
         const entrance q = enter(r, k + 1);
-        real *p = r->vector[2];
         memcpy(p, q.p, (size_t)s->next * sizeof *p);
-        mbs_stages_apply(s->next, s->next, 1, q.P, s->next, rc + s->d, p);
-        mbs_stages_matrix_apply_transposed(&s->F, p, linear);
+        mbs_stages_apply(s->next, s->next, 1, q.P, s->next, ahead, p);
+        mbs_stages_matrix_apply_transposed(&s->F, p, gradient);
         memcpy(constant + at, q.c, (size_t)q.rows * sizeof *constant);
-        mbs_stages_apply(q.rows, s->next, 1, q.C, q.rows, rc + s->d, constant + at);
+        mbs_stages_apply(q.rows, s->next, 1, q.C, q.rows, ahead, constant + at);
     }
+    if (s->inner.n > 0)
+        mbs_stages_condense_gradient(s, gradient, linear);
 }
 
 static void note_left(mbs_stages_recursion *r, const mbs_stages_step *p)
@@ -279,34 +302,43 @@ static void sweep_back(mbs_stages_recursion *r, const real *rw, const real *rc)
     note_left(r, &r->root);
 }
 
-/* Multipliers of rows from `place` on: of rows that give from their residuals, of the others from `exact`. Returns how
- * many of `exact` it took. */
-static int spread_rows(const mbs_stages_recursion *r, const mbs_stages_matrix *A, int place, const real *z,
+/* Multipliers of rows from `first` on: of rows that give from their residuals, of the others from `exact`. Row 0 has its
+ * number at `place`. Returns how many of `exact` it took. */
+static int spread_rows(const mbs_stages_recursion *r, const mbs_stages_matrix *A, int first, int place, const real *z,
                        const real *rc, const real *exact, real *dy)
 {
     real *residual = dy + place;
     int i, taken = 0, soft = 0;
-    for (i = 0; i < A->rows; ++i)
+    for (i = first; i < A->rows; ++i)
         soft += r->compliance[place + i] > 0;
     memcpy(residual, rc + place, (size_t)A->rows * sizeof *residual);
     if (soft > 0)
         mbs_stages_matrix_apply(A, z, residual);
-    for (i = 0; i < A->rows; ++i) {
+    for (i = 0; i < first; ++i)
+        residual[i] = 0;
+    for (i = first; i < A->rows; ++i) {
         const real give = r->compliance[place + i];
         residual[i] = give > 0 ? residual[i] / give : exact[taken++];
     }
     return taken;
 }
 
-/* Multipliers of rows of stage k. Returns how many of `exact` it took. */
+/* Multipliers of rows of stage k but inner ones; `force`: those of fixed inner variables, 0 for others. Returns how many
+ * of `exact` it took. */
 static int spread_multipliers(const mbs_stages_recursion *r, int k, const real *z, const real *rc, const real *exact,
-                              real *dy)
+                              real *force, real *dy)
 {
     const mbs_stages_stage *s = &r->stage[k];
-    int i, at = spread_rows(r, &s->E, s->e, z, rc, exact, dy);
-    at += spread_rows(r, &s->G, s->g, z, rc, exact + at, dy);
-    for (i = 0; i < s->n; ++i)
-        at += has_row(r, k, i);
+    const mbs_stages_inner *y = &s->inner;
+    int i, at = spread_rows(r, &s->E, y->n, s->e, z, rc, exact, dy);
+    for (i = 0; i < y->deferred; ++i)
+        dy[s->e + y->row[i]] = exact[at++];
+    at += spread_rows(r, &s->G, 0, s->g, z, rc, exact + at, dy);
+    for (i = 0; i < s->n; ++i) {
+        const int fixed = has_row(r, k, i);
+        force[i] = fixed && mbs_stages_outer(s, i) < 0 ? exact[at] : 0;
+        at += fixed;
+    }
     return at;
 }
 
@@ -329,9 +361,11 @@ static void advance(const mbs_stages_recursion *r, int k, const real *z, const r
     mbs_stages_apply_transposed(q->passed, s->next, 1, q->C, q->passed, passed, dy + s->d);
 }
 
-static void sweep_ahead(mbs_stages_recursion *r, const real *rc, real *dw, real *dy)
+/* `rw` may be NULL: 0. */
+static void sweep_ahead(mbs_stages_recursion *r, const real *rw, const real *rc, real *dw, real *dy)
 {
-    real *exact = r->vector[1], *x = r->vector[2], *passed = r->vector[4];
+    real *exact = r->vector[1], *x = r->vector[2], *passed = r->vector[4], *outer = r->vector[6];
+    real *force = r->vector[7];
     int k;
     mbs_stages_step_ahead(&r->root, x, passed, x, exact, r->vector[3]);
     memcpy(passed, exact, (size_t)r->step[0].passed * sizeof *passed);
@@ -339,12 +373,16 @@ static void sweep_ahead(mbs_stages_recursion *r, const real *rc, real *dw, real 
         const mbs_stages_stage *s = &r->stage[k];
         real *z = dw + s->w;
         int at;
-        mbs_stages_step_ahead(&r->step[k], x, passed, z, exact, r->vector[3]);
-        at = spread_multipliers(r, k, z, rc, exact, dy);
-        if (s->next == 0)
-            continue;
-        memcpy(passed, exact + at, (size_t)enter(r, k + 1).rows * sizeof *passed);
-        advance(r, k, z, rc, x, passed, dy);
+        mbs_stages_step_ahead(&r->step[k], x, passed, s->inner.n > 0 ? outer : z, exact, r->vector[3]);
+        if (s->inner.n > 0)
+            mbs_stages_expand(s, outer, z);
+        at = spread_multipliers(r, k, z, rc, exact, force, dy);
+        if (s->next > 0) {
+            memcpy(passed, exact + at, (size_t)enter(r, k + 1).rows * sizeof *passed);
+            advance(r, k, z, rc, x, passed, dy);
+        }
+        if (s->inner.n > 0)
+            mbs_stages_expand_multipliers(r, k, rw, z, force, dy);
     }
 }
 
@@ -352,7 +390,7 @@ void mbs_stages_sweep(mbs_stages_recursion *r, const real *rw, const real *rc, r
 {
     int i;
     sweep_back(r, rw, rc);
-    sweep_ahead(r, rc, dw, dy);
+    sweep_ahead(r, rw, rc, dw, dy);
     for (i = 0; i < r->variables; ++i)
         if (r->fixed[i])
             dw[i] = 0;
@@ -371,10 +409,13 @@ static void clear_sweep(mbs_stages_step *p)
 void mbs_stages_respond(mbs_stages_recursion *r, const real *first, const real *zero, real *dw, real *dy)
 {
     int k, i;
-    for (k = 0; k < r->stages; ++k)
+    for (k = 0; k < r->stages; ++k) {
         clear_sweep(&r->step[k]);
+        if (r->stage[k].inner.n > 0)
+            memset(r->stage[k].inner.constant, 0, (size_t)r->stage[k].inner.n * sizeof *dw);
+    }
     sweep_root(r, first);
-    sweep_ahead(r, zero, dw, dy);
+    sweep_ahead(r, NULL, zero, dw, dy);
     for (i = r->stage[0].nx; i < r->variables; ++i)
         if (r->fixed[i])
             dw[i] = 0;

@@ -2,13 +2,30 @@
 #ifndef MBS_STAGES_RECURSION_H
 #define MBS_STAGES_RECURSION_H
 
-#include "matrix.h"
+#include "complete.h"
+#include "pivots.h"
 #include "soft.h"
 
-/* The derivatives of a stage in dense matrices: what the recursion eliminates. */
+/* A stage as the recursion sees it: dense matrices of outer variables. */
 typedef struct {
+    int n, nv, ne;       /* n = nx + nv */
     real *E, *F, *G, *H; /* ne, next, ng, n rows; n columns each; the lower triangle of H */
 } mbs_stages_dense;
+
+/* Inner variables of a stage, which the first rows of e give; see condense.c. */
+typedef struct {
+    int n; /* 0: none */
+    int width, capacity; /* capacity: the most nonzeros of both factors */
+    mbs_stages_pivots *pivots; /* of all stages of a kind */
+    mbs_stages_factors factors;
+    real *V;        /* the variation of all variables with the outer ones, `width` numbers a row */
+    real *constant; /* of the inner variables, by the last right-hand side */
+    int stale;      /* Jacobians are newer than V */
+    int own;        /* pivots by the order were too small: complete pivoting, each time anew */
+    int missing;    /* inner variables without pivot */
+    int deferred, spare; /* as many of them are outer variables now; at most */
+    int *variable, *row;  /* these, and the rows without pivot, as they are counted in the block */
+} mbs_stages_inner;
 
 /* Derivatives of a stage, and where its numbers are: w in variables, e, d and g in rows, s in slacks. */
 typedef struct {
@@ -16,7 +33,8 @@ typedef struct {
     int w, e, d, g, s;           /* where they begin */
     int equal;                   /* equal bounds that have room */
     mbs_stages_matrix E, F, G, H; /* ne, next, ng, n rows; n columns each */
-    mbs_stages_dense dense;       /* the same numbers, or copies where there are patterns */
+    mbs_stages_dense dense;       /* the same numbers, or copies where there are patterns or inner variables */
+    mbs_stages_inner inner;
 } mbs_stages_stage;
 
 /* One step of the recursion: variables (x, v) with rows that hold exactly, reduced to what they cost x, and to rows
@@ -39,7 +57,7 @@ typedef struct {
  *
  *     (H + diagonal) dw + JT dy = -rw,   J dw - compliance dy = -rc,   dw = 0 where fixed.
  *
- * J has the rows e, d, g. A row with compliance 0 holds exactly. The compliance of d is 0 in all rows, or in none. */
+ * J has the rows e, d, g. A row with compliance 0 holds exactly; inner rows of e do. The compliance of d is 0 in all rows, or in none. */
 typedef struct {
     int stages, variables, rows;
     mbs_stages_stage *stage;
@@ -49,10 +67,14 @@ typedef struct {
     real *diagonal, *compliance;
     int plain; /* 1: without H */
     int dependent, soft_dynamics;
+    int singular; /* stages whose inner equations do not determine the inner variables */
     real zero_pivot, zero_curvature;
     real left; /* largest residual of dependent rows in the last sweep: 0 unless they contradict others */
     real *work[4];   /* blocks of the largest step */
-    real *vector[6]; /* its rows and variables */
+    real *vector[8]; /* its rows and variables */
+    real *block, *right, *product; /* of inner variables: a block, rows of right-hand sides, a cost */
+    char *marks;
+    int *spots;
 } mbs_stages_recursion;
 
 /* Factorise; returns -1, or the stage where the reduced Hessian is not positive definite. */

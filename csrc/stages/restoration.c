@@ -3,7 +3,8 @@
  *     minimise  PENALTY sum (p + n) + sqrt(mu) / 2 |weight (w - reference)|^2   such that   c(w) - p + n = 0,
  *     p, n >= 0,
  *
- * in the same stages: p and n belong to one row each (Waechter, Biegler, 2006, section 3.3). It ends at the first
+ * in the same stages: p and n belong to one row each (Waechter, Biegler, 2006, section 3.3). Inner rows have none and
+ * hold exactly. It ends at the first
  * iterate that the filter of the caller's problem accepts, or at a least violation. */
 #include "solver.h"
 
@@ -30,16 +31,32 @@ static void split_residual(real c, real mu, real *plus, real *minus)
         *plus = mu / MBS_STAGES_PENALTY;
 }
 
+/* Inner rows hold exactly in restoration too, as their variables are condensed by them. */
+static void fix_inner_rows(mbs_stages *s)
+{
+    char *plus = s->fixed + s->variables + s->slacks, *minus = plus + s->rows;
+    int k;
+    for (k = 0; k < s->problem->stages; ++k) {
+        const mbs_stages_stage *t = &s->recursion.stage[k];
+        memset(plus + t->e, 1, (size_t)t->inner.n);
+        memset(minus + t->e, 1, (size_t)t->inner.n);
+    }
+}
+
 static void start_elastics(mbs_stages *s, mbs_stages_phase *q)
 {
     const int plus = s->variables + s->slacks, minus = plus + s->rows;
     int i;
+    fix_inner_rows(s);
     for (i = 0; i < s->rows; ++i)
-        split_residual(s->main.c[i], q->mu, &q->x[plus + i], &q->x[minus + i]);
+        if (mbs_stages_is_fixed(s, plus + i))
+            q->x[plus + i] = q->x[minus + i] = 0;
+        else
+            split_residual(s->main.c[i], q->mu, &q->x[plus + i], &q->x[minus + i]);
     for (i = plus; i < q->size; ++i) {
         q->lower[i] = 0;
         q->upper[i] = 2 * MBS_STAGES_INFINITE;
-        q->zl[i] = q->mu / q->x[i];
+        q->zl[i] = mbs_stages_is_fixed(s, i) ? 0 : q->mu / q->x[i];
         q->zu[i] = 0;
     }
 }

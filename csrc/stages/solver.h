@@ -81,7 +81,7 @@ struct mbs_stages {
     int live;  /* the iterate is the one of a step in real time, its slacks too */
     int ready; /* a step is prepared */
     real *variable_scale, *row_scale, cost_scale;
-    char *fixed;                  /* of (w, s) */
+    char *fixed;                  /* of (w, s), and of (p, n), which inner rows have none of */
     real *reference, *weight;     /* of w in restoration */
     real weight_factor;
     real *raw_w, *raw_rows, *raw; /* unscaled numbers for callbacks */

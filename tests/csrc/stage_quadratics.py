@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from tests.csrc.stages import INFINITE, Array, Quadratic
@@ -81,3 +83,20 @@ def dense_solution(p: Quadratic) -> tuple[Array, Array, bool]:
     rank = int(np.linalg.matrix_rank(J, tol=1e-9))
     solution = np.linalg.lstsq(K, right, rcond=1e-13)[0] if rank < len(J) else np.linalg.solve(K, right)
     return solution[: len(q)], solution[len(q) : len(q) + len(A)], rank == len(J)
+
+
+def in_units(problem: Quadratic, units: list[Array]) -> Quadratic:
+    """The same problem in variables w / units."""
+    ahead = [u[: len(b)] for u, b in zip([*units[1:], np.zeros(0)], problem.b, strict=True)]
+    every = np.concatenate(units)
+    return replace(
+        problem,
+        H=[u[:, None] * a * u for u, a in zip(units, problem.H, strict=True)],
+        q=[u * a for u, a in zip(units, problem.q, strict=True)],
+        F=[a * u / n[:, None] for u, a, n in zip(units, problem.F, ahead, strict=True)],
+        b=[a / n for a, n in zip(problem.b, ahead, strict=True)],
+        E=[a * u for u, a in zip(units, problem.E, strict=True)],
+        G=[a * u for u, a in zip(units, problem.G, strict=True)],
+        lower=np.where(problem.lower > -1e19, problem.lower / every, problem.lower),
+        upper=np.where(problem.upper < 1e19, problem.upper / every, problem.upper),
+    )

@@ -502,3 +502,13 @@ def show(answer: Answer) -> str:
     """Return a table of the iterations."""
     rows = [f"{a:4d}{'r' if b else ' '} " + " ".join(f"{x:10.2e}" for x in rest) for a, b, *rest in answer.path]
     return "\n".join(rows)
+
+
+def close(a: np.ndarray, b: np.ndarray, tolerance: float) -> bool:
+    return bool(np.abs(a - b).max(initial=0.0) <= tolerance * (1 + np.abs(b).max(initial=0.0)))
+
+
+def clashes(answer: Answer) -> list[tuple[int, str, int]]:
+    """The rows that clash, the worst first."""
+    listed = answer.result.clash[0 : min(answer.result.clashes, 8)]
+    return [(c.stage, "edg"[c.kind], c.row) for c in listed]

@@ -14,8 +14,8 @@ import pytest
 
 from mbsrun.library import find_compiler
 from tests.csrc.stage_problems import nonlinear, too_weak
-from tests.csrc.stage_quadratics import dense_solution, random_problem, random_sizes
-from tests.csrc.stages import STRICT, Answer, Array, Library, Problem, Quadratic, Solver, sources
+from tests.csrc.stage_quadratics import dense_solution, in_units, random_problem, random_sizes
+from tests.csrc.stages import STRICT, Answer, Array, Library, Problem, Quadratic, Solver, clashes, close, sources
 
 
 @pytest.fixture(params=["library", "single"], ids=["double", "float"])
@@ -26,10 +26,6 @@ def either(request: pytest.FixtureRequest) -> Library:
 
 
 Size = tuple[int, int, int, int]
-
-
-def close(a: np.ndarray, b: np.ndarray, tolerance: float) -> bool:
-    return bool(np.abs(a - b).max(initial=0.0) <= tolerance * (1 + np.abs(b).max(initial=0.0)))
 
 
 @pytest.mark.parametrize("stages", [1, 2, 3, 7, 20, 100])
@@ -110,12 +106,6 @@ def with_row(problem: Quadratic, k: int, row: Array, constant: float) -> Quadrat
     sizes, E, e = list(problem.sizes), list(problem.E), list(problem.e)
     sizes[k], E[k], e[k] = (nx, nv, ne + 1, ng), np.vstack([E[k], row]), np.append(e[k], constant)
     return replace(problem, sizes=sizes, E=E, e=e)
-
-
-def clashes(answer: Answer) -> list[tuple[int, str, int]]:
-    """The rows that clash, the worst first."""
-    listed = answer.result.clash[0 : min(answer.result.clashes, 8)]
-    return [(c.stage, "edg"[c.kind], c.row) for c in listed]
 
 
 def test_dependent_rows_are_counted_and_do_no_harm(library: Library) -> None:
@@ -381,23 +371,6 @@ def test_scales_from_bounds_undo_units_by_themselves(library: Library, size: flo
     assert other.result.cost == pytest.approx(first.result.cost, rel=1e-8)
 
 
-def in_units(problem: Quadratic, units: list[Array]) -> Quadratic:
-    """The same problem in variables w / units."""
-    ahead = [u[: len(b)] for u, b in zip([*units[1:], np.zeros(0)], problem.b, strict=True)]
-    every = np.concatenate(units)
-    return replace(
-        problem,
-        H=[u[:, None] * a * u for u, a in zip(units, problem.H, strict=True)],
-        q=[u * a for u, a in zip(units, problem.q, strict=True)],
-        F=[a * u / n[:, None] for u, a, n in zip(units, problem.F, ahead, strict=True)],
-        b=[a / n for a, n in zip(problem.b, ahead, strict=True)],
-        E=[a * u for u, a in zip(units, problem.E, strict=True)],
-        G=[a * u for u, a in zip(units, problem.G, strict=True)],
-        lower=np.where(problem.lower > -1e19, problem.lower / every, problem.lower),
-        upper=np.where(problem.upper < 1e19, problem.upper / every, problem.upper),
-    )
-
-
 def test_ten_thousand_stages(library: Library) -> None:
     """Memory is linear in stages; the work of an iteration is one factorisation; iterations hardly grow."""
     size, iterations = {}, {}
@@ -498,7 +471,7 @@ def test_another_compiler_warns_of_nothing(tmp_path: Path) -> None:
 
 
 def test_sanitizers_find_nothing(tmp_path: Path) -> None:
-    """A separate program, with a workspace of exactly the bytes asked for: solved, infeasible, failed, shifted."""
+    """A separate program, with a workspace of exactly the bytes asked for, with and without inner variables."""
     place, program = sources()[0].parent, tmp_path / "program.c"
     program.write_text(PROGRAM, "utf-8")
     compiler = find_compiler(os.environ).command
@@ -558,6 +531,88 @@ static int hessian(void *context, int k, const real *x, const real *v, real fact
     h[8] = 2 * factor;
     return 0;
 }
+/* The same by implicit Euler: inner y1, y2 are the next state. */
+static int inner_values(void *context, int k, const real *x, const real *v, real *f, real *e, real *d, real *g)
+{
+    if (k == N)
+        return values(context, k, x, v, f, e, d, g);
+    *f = v[2] * v[2];
+    e[0] = v[0] - x[0] - v[1] / 5;
+    e[1] = v[1] - x[1] - (v[2] - sin(v[0])) / 5;
+    d[0] = v[0];
+    d[1] = v[1];
+    return 0;
+}
+static int inner_jacobians(void *context, int k, const real *x, const real *v, real *f, real *e, real *d, real *g)
+{
+    (void)context, (void)x, (void)g;
+    if (k == N) {
+        e[0] = e[1] = 1;
+        return 0;
+    }
+    f[4] = 2 * v[2];
+    e[0] = e[1] = -1;
+    e[2] = e[5] = d[0] = d[1] = 1;
+    e[3] = cos(v[0]) / 5;
+    e[4] = e[6] = -(real)0.2;
+    return 0;
+}
+static int inner_hessian(void *context, int k, const real *x, const real *v, real factor, const real *ye,
+                         const real *yd, const real *yg, real *h)
+{
+    (void)context, (void)x, (void)yd, (void)yg;
+    if (k == N)
+        return 0;
+    h[0] = -ye[1] * sin(v[0]) / 5;
+    h[1] = 2 * factor;
+    return 0;
+}
+static int solve_inner(real limit, mbs_stages_status expected)
+{
+    static const int de[] = {0, 1, 2, 4, 6, 7}, de_row[] = {0, 1, 0, 1, 0, 1, 1}, dd[] = {0, 0, 0, 1, 2, 2},
+                     dd_row[] = {0, 1}, none[] = {0, 0, 0, 0, 0, 0}, h[] = {0, 0, 0, 1, 1, 2}, h_row[] = {2, 4},
+                     last[] = {0, 1, 2};
+    const mbs_stages_patterns middle = {{de, de_row}, {dd, dd_row}, {none, NULL}, {h, h_row}},
+                              end = {{last, dd_row}, {none, NULL}, {none, NULL}, {none, NULL}};
+    mbs_stages_size size[N + 1];
+    real lower[5 * N + 2], upper[5 * N + 2];
+    facts about = {0, 0, 0};
+    mbs_stages_problem problem = {0};
+    mbs_stages_status status;
+    mbs_stages_point point;
+    mbs_stages *solver;
+    void *workspace;
+    size_t bytes;
+    int k, i;
+    for (k = 0; k <= N; ++k) {
+        const mbs_stages_size inner = {2, 3, 2, 0, 2, NULL}, final = {2, 0, 2, 0, 0, NULL};
+        size[k] = k < N ? inner : final;
+        size[k].patterns = k < N ? &middle : &end;
+    }
+    for (i = 0; i < 5 * N + 2; ++i) {
+        lower[i] = i < 2 ? 0 : i % 5 == 4 ? -limit : -INFINITY;
+        upper[i] = -lower[i];
+    }
+    problem.stages = N + 1;
+    problem.size = size;
+    problem.context = &about;
+    problem.values = inner_values;
+    problem.jacobians = inner_jacobians;
+    problem.hessian = inner_hessian;
+    problem.lower = lower, problem.upper = upper;
+    bytes = mbs_stages_bytes(&problem);
+    workspace = malloc(bytes);
+    solver = mbs_stages_create(&problem, workspace, bytes);
+    if (solver == NULL)
+        return 1;
+    point = mbs_stages_iterate(solver);
+    for (i = 0; i < point.variables; ++i)
+        point.w[i] = (real)0.1;
+    status = mbs_stages_solve(solver, NULL).status;
+    mbs_stages_shift(solver);
+    free(workspace);
+    return status != expected;
+}
 int main(void)
 {
     mbs_stages_size size[N + 1];
@@ -605,6 +660,8 @@ int main(void)
         if (result.status != expected[run])
             return 1 + run;
     }
-    return 0;
+    if (solve_inner(4, MBS_STAGES_SOLVED))
+        return 20;
+    return solve_inner((real)0.01, MBS_STAGES_INFEASIBLE) ? 21 : 0;
 }
 """

@@ -1,0 +1,152 @@
+/* Complete pivoting of a block: see complete.h. Rows are compared beside their largest entries. */
+#include "complete.h"
+
+#include <string.h>
+
+static void read_block(mbs_stages_complete *c, const mbs_stages_matrix *A, int first)
+{
+    const size_t n = (size_t)c->n;
+    int i, j, l;
+    memset(c->a, 0, n * n * sizeof *c->a);
+    for (j = 0; j < c->n; ++j)
+        for (l = A->begin[first + j]; l < A->end[first + j] && (i = A->row[l]) < c->n; ++l)
+            c->a[(size_t)i * n + (size_t)j] = A->value[l];
+    for (i = 0; i < c->n; ++i)
+        c->row[i] = c->column[i] = i;
+}
+
+static void weigh_rows(mbs_stages_complete *c)
+{
+    int i, j;
+    for (i = 0; i < c->n; ++i) {
+        const real *a = c->a + (size_t)i * (size_t)c->n;
+        real most = 0;
+        for (j = 0; j < c->n; ++j)
+            most = real_abs(a[j]) > most ? real_abs(a[j]) : most;
+        c->work[i] = most > 0 ? 1 / most : 0;
+    }
+}
+
+static int find_pivot(const mbs_stages_complete *c, real zero_pivot, int *row, int *column)
+{
+    real most = zero_pivot;
+    int i, j, found = 0;
+    for (i = c->rank; i < c->n; ++i) {
+        const real *a = c->a + (size_t)i * (size_t)c->n;
+        for (j = c->rank; j < c->n; ++j)
+            if (real_abs(a[j]) * c->work[i] > most) {
+                most = real_abs(a[j]) * c->work[i];
+                *row = i;
+                *column = j;
+                found = 1;
+            }
+    }
+    return found;
+}
+
+static void exchange(mbs_stages_complete *c, int row, int column)
+{
+    const int at = c->rank, r = c->row[at], k = c->column[at];
+    const real weight = c->work[at];
+    real *a = c->a + (size_t)at * (size_t)c->n, *b = c->a + (size_t)row * (size_t)c->n;
+    int i;
+    for (i = 0; i < c->n; ++i) {
+        const real t = a[i];
+        a[i] = b[i];
+        b[i] = t;
+    }
+    for (i = 0; i < c->n; ++i) {
+        real *e = c->a + (size_t)i * (size_t)c->n, t = e[at];
+        e[at] = e[column];
+        e[column] = t;
+    }
+    c->row[at] = c->row[row], c->row[row] = r;
+    c->column[at] = c->column[column], c->column[column] = k;
+    c->work[at] = c->work[row], c->work[row] = weight;
+}
+
+void mbs_stages_factorise_completely(mbs_stages_complete *c, const mbs_stages_matrix *A, int first, real zero_pivot)
+{
+    int i, j, row, column;
+    read_block(c, A, first);
+    weigh_rows(c);
+    for (c->rank = 0; c->rank < c->n && find_pivot(c, zero_pivot, &row, &column); ++c->rank) {
+        const real *pivot = c->a + (size_t)c->rank * (size_t)c->n;
+        exchange(c, row, column);
+        for (i = c->rank + 1; i < c->n; ++i) {
+            real *a = c->a + (size_t)i * (size_t)c->n;
+            const real factor = a[c->rank] / pivot[c->rank];
+            a[c->rank] = factor;
+            for (j = c->rank + 1; factor != 0 && j < c->n; ++j)
+                a[j] -= factor * pivot[j];
+        }
+    }
+}
+
+real mbs_stages_solve_completely(const mbs_stages_complete *c, const real *b, real *x)
+{
+    real left = 0;
+    int i, j;
+    for (i = 0; i < c->n; ++i) {
+        const real *a = c->a + (size_t)i * (size_t)c->n;
+        real sum = b[c->row[i]];
+        for (j = 0; j < i && j < c->rank; ++j)
+            sum -= a[j] * c->work[j];
+        c->work[i] = sum;
+        left = i >= c->rank && real_abs(sum) > left ? real_abs(sum) : left;
+    }
+    for (i = c->n - 1; i >= 0; --i) {
+        const real *a = c->a + (size_t)i * (size_t)c->n;
+        real sum = i < c->rank ? c->work[i] : 0;
+        for (j = i + 1; j < c->rank; ++j)
+            sum -= a[j] * c->work[j];
+        c->work[i] = i < c->rank ? sum / a[i] : 0;
+        x[c->column[i]] = c->work[i];
+    }
+    return left;
+}
+
+void mbs_stages_solve_completely_transposed(const mbs_stages_complete *c, const real *b, real *x)
+{
+    int i, j;
+    for (i = 0; i < c->rank; ++i) {
+        real sum = b[c->column[i]];
+        for (j = 0; j < i; ++j)
+            sum -= c->a[(size_t)j * (size_t)c->n + (size_t)i] * c->work[j];
+        c->work[i] = sum / c->a[(size_t)i * (size_t)c->n + (size_t)i];
+    }
+    for (i = c->n - 1; i >= 0; --i) {
+        real sum = i < c->rank ? c->work[i] : 0;
+        for (j = i + 1; j < c->rank; ++j)
+            sum -= c->a[(size_t)j * (size_t)c->n + (size_t)i] * c->work[j];
+        x[c->row[i]] = i < c->rank ? (c->work[i] = sum) : 0;
+    }
+}
+
+static void subtract(int width, real factor, const real *restrict a, real *restrict b)
+{
+    int i;
+    for (i = 0; factor != 0 && i < width; ++i)
+        b[i] -= factor * a[i];
+}
+
+void mbs_stages_solve_rows_completely(const mbs_stages_complete *c, int width, real *B, real *X)
+{
+    const size_t w = (size_t)width;
+    int i, j;
+    for (i = 0; i < c->rank; ++i)
+        for (j = 0; j < i; ++j)
+            subtract(width, c->a[(size_t)i * (size_t)c->n + (size_t)j], B + (size_t)c->row[j] * w,
+                     B + (size_t)c->row[i] * w);
+    for (i = c->n - 1; i >= 0; --i) {
+        real *x = X + (size_t)c->column[i] * w;
+        memset(x, 0, w * sizeof *x);
+        if (i >= c->rank)
+            continue;
+        memcpy(x, B + (size_t)c->row[i] * w, w * sizeof *x);
+        for (j = i + 1; j < c->rank; ++j)
+            subtract(width, c->a[(size_t)i * (size_t)c->n + (size_t)j], X + (size_t)c->column[j] * w, x);
+        for (j = 0; j < width; ++j)
+            x[j] /= c->a[(size_t)i * (size_t)c->n + (size_t)i];
+    }
+}

@@ -1,0 +1,425 @@
+/* Inner variables y and inner equations r of a stage, condensed.
+ *
+ * With outer variables u = (x, other v), the equations give y = S u + s with S = -r_y^-1 r_u and s = -r_y^-1 r. All
+ * variables are z = V u + (0, s) with V = (I; S), so that cost and rows of u are
+ *
+ *     VT (H + diagonal) V,      J V,      VT (rw + (H + diagonal) (0, s)),      rc + J (0, s).
+ *
+ * Multipliers of r follow from the derivatives by y: r_yT dy = -(rw + (H + diagonal) z + JT dy of other rows). A variable
+ * y that r does not determine is an outer one, and a row of r without a pivot is another row of e. */
+#include "condense.h"
+
+#include <string.h>
+
+#define OFTEN 4 /* an order that fails in one of so many stages is given up */
+#define TRIES 3
+
+static real *row_of_v(const mbs_stages_stage *s, int i)
+{
+    return s->inner.V + (size_t)i * (size_t)s->inner.width;
+}
+
+static int is_inner(const mbs_stages_stage *s, int i)
+{
+    return i >= s->nx && i < s->nx + s->inner.n;
+}
+
+int mbs_stages_outer(const mbs_stages_stage *s, int i)
+{
+    if (is_inner(s, i))
+        return -1;
+    return i < s->nx ? i : i - s->inner.n;
+}
+
+const real *mbs_stages_variation(const mbs_stages_stage *s, int i)
+{
+    return is_inner(s, i) ? row_of_v(s, i) : NULL;
+}
+
+/* Count stages of each kind whose pivots were too small by the order; an order that failed in many is given up. */
+static void review_orders(mbs_stages_recursion *r)
+{
+    int k;
+    for (k = 0; k < r->stages; ++k)
+        if (r->stage[k].inner.n > 0)
+            r->stage[k].inner.pivots->failed = r->stage[k].inner.pivots->stages = 0;
+    for (k = 0; k < r->stages; ++k) {
+        const mbs_stages_inner *y = &r->stage[k].inner;
+        if (y->n == 0)
+            continue;
+        ++y->pivots->stages;
+        if (y->own && y->missing == 0 && ++y->pivots->failed == 1 && y->pivots->ready)
+            y->pivots->stage = k;
+    }
+    for (k = 0; k < r->stages; ++k) {
+        mbs_stages_pivots *p = r->stage[k].inner.pivots;
+        if (r->stage[k].inner.n > 0 && OFTEN * p->failed > p->stages)
+            p->ready = 0;
+    }
+}
+
+static int choose(mbs_stages_recursion *r, int k)
+{
+    const mbs_stages_stage *s = &r->stage[k];
+    mbs_stages_pivots *p = s->inner.pivots;
+    int l;
+    if (mbs_stages_choose_pivots(p, &s->E, r->block, r->vector[5], r->marks, r->spots, r->zero_pivot))
+        return -1;
+    for (l = 0; l < r->stages; ++l)
+        if (r->stage[l].inner.n > 0 && r->stage[l].inner.pivots == p)
+            r->stage[l].inner.stale = 1;
+    return 0;
+}
+
+/* Where a stage gives no order, because its block is singular, the next one is tried; a few in one factorisation. */
+void mbs_stages_order_pivots(mbs_stages_recursion *r)
+{
+    int k, tries = 0;
+    review_orders(r);
+    for (k = 0; k < r->stages; ++k) {
+        mbs_stages_pivots *p = r->stage[k].inner.pivots;
+        if (r->stage[k].inner.n > 0 && !p->ready && p->stage <= k && tries < TRIES && choose(r, k)) {
+            ++tries;
+            p->stage = k + 1;
+        }
+    }
+    for (k = 0; k < r->stages; ++k)
+        if (r->stage[k].inner.n > 0 && !r->stage[k].inner.pivots->ready && tries < TRIES)
+            r->stage[k].inner.pivots->stage = 0;
+}
+
+static mbs_stages_complete complete(const mbs_stages_recursion *r, const mbs_stages_stage *s)
+{
+    mbs_stages_complete c;
+    c.n = s->inner.n;
+    c.rank = 0;
+    c.a = r->block;
+    c.row = r->spots;
+    c.column = r->spots + c.n;
+    c.work = r->vector[5];
+    return c;
+}
+
+static mbs_stages_complete factorise_completely(const mbs_stages_recursion *r, const mbs_stages_stage *s)
+{
+    mbs_stages_complete c = complete(r, s);
+    mbs_stages_factorise_completely(&c, &s->E, s->nx, r->zero_pivot);
+    return c;
+}
+
+/* Variables and rows without pivots go to the recursion, as many as it has room for. */
+static void defer(mbs_stages_stage *s, const mbs_stages_complete *c)
+{
+    mbs_stages_inner *y = &s->inner;
+    int i;
+    y->missing = c->n - c->rank;
+    y->deferred = y->missing < y->spare ? y->missing : y->spare;
+    for (i = 0; i < y->deferred; ++i) {
+        y->variable[i] = c->column[c->rank + i];
+        y->row[i] = c->row[c->rank + i];
+    }
+}
+
+static void set_outer_sizes(mbs_stages_stage *s)
+{
+    s->dense.nv = s->nv - s->inner.n + s->inner.deferred;
+    s->dense.n = s->nx + s->dense.nv;
+    s->dense.ne = s->ne - s->inner.n + s->inner.deferred;
+    s->inner.width = mbs_stages_width(s->dense.n);
+}
+
+/* B = -r_u: rows as those of r. */
+static void write_right(const mbs_stages_recursion *r, const mbs_stages_stage *s)
+{
+    const mbs_stages_inner *y = &s->inner;
+    const mbs_stages_matrix *E = &s->E;
+    const size_t width = (size_t)y->width;
+    int i, j, l;
+    memset(r->right, 0, (size_t)y->n * width * sizeof *r->right);
+    for (j = 0; j < s->n; ++j) {
+        const int at = mbs_stages_outer(s, j);
+        for (l = E->begin[j]; at >= 0 && l < E->end[j] && E->row[l] < y->n; ++l)
+            r->right[(size_t)E->row[l] * width + (size_t)at] = -E->value[l];
+    }
+    for (i = 0; i < y->deferred; ++i) {
+        j = s->nx + y->variable[i];
+        for (l = E->begin[j]; l < E->end[j] && E->row[l] < y->n; ++l)
+            r->right[(size_t)E->row[l] * width + (size_t)(s->n - y->n + i)] = -E->value[l];
+    }
+}
+
+/* Rows of V of outer variables, and of deferred ones. */
+static void write_units(const mbs_stages_stage *s)
+{
+    const mbs_stages_inner *y = &s->inner;
+    int i;
+    for (i = 0; i < s->n; ++i)
+        if (!is_inner(s, i)) {
+            real *row = row_of_v(s, i);
+            memset(row, 0, (size_t)y->width * sizeof *row);
+            row[mbs_stages_outer(s, i)] = 1;
+        }
+    for (i = 0; i < y->deferred; ++i)
+        row_of_v(s, s->nx + y->variable[i])[s->n - y->n + i] = 1;
+}
+
+/* S by the factors of the stage. */
+static void solve_rows(const mbs_stages_recursion *r, const mbs_stages_stage *s)
+{
+    const mbs_stages_inner *y = &s->inner;
+    const mbs_stages_pivots *p = y->pivots;
+    const mbs_stages_factors *f = &y->factors;
+    const size_t width = (size_t)y->width;
+    real *B = r->right, *S = row_of_v(s, s->nx);
+    int i;
+    for (i = 0; i < y->n; ++i)
+        mbs_stages_combine(y->width, p->lower[i + 1] - p->lower[i], p->lower_row + p->lower[i],
+                           f->lower + p->lower[i], B, f->inverse[i], B + (size_t)p->row[i] * width);
+    for (i = y->n - 1; i >= 0; --i) {
+        real *to = S + (size_t)p->column[i] * width;
+        memcpy(to, B + (size_t)p->row[i] * width, width * sizeof *to);
+        mbs_stages_combine(y->width, p->upper[i + 1] - p->upper[i], p->upper_column + p->upper[i],
+                           f->upper + p->upper[i], S, 1, to);
+    }
+}
+
+/* Factorise the inner equations, and find V. */
+static void find_variation(mbs_stages_recursion *r, mbs_stages_stage *s)
+{
+    mbs_stages_inner *y = &s->inner;
+    y->deferred = y->missing = 0;
+    y->factors.upper = y->factors.lower + (y->pivots->ready ? y->pivots->lower[y->n] : 0);
+    y->own = !y->pivots->ready || mbs_stages_factorise_block(y->pivots, &s->E, &y->factors, r->vector[5],
+                                                             r->zero_pivot) >= 0;
+    if (y->own) {
+        const mbs_stages_complete c = factorise_completely(r, s);
+        defer(s, &c);
+        set_outer_sizes(s);
+        write_right(r, s);
+        mbs_stages_solve_rows_completely(&c, y->width, r->right, row_of_v(s, s->nx));
+    } else {
+        set_outer_sizes(s);
+        write_right(r, s);
+        solve_rows(r, s);
+    }
+    write_units(s);
+}
+
+static void add_row(int width, real factor, const real *restrict a, real *restrict b)
+{
+    int i, c;
+    for (i = 0; i < width; i += MBS_STAGES_LANES)
+        for (c = 0; c < MBS_STAGES_LANES; ++c)
+            b[i + c] += factor * a[i + c];
+}
+
+/* `to` = rows of A V; row i of A comes to place[i], or nowhere if that is -1; `count` rows in all. */
+static void reduce_rows(const mbs_stages_recursion *r, const mbs_stages_stage *s, const mbs_stages_matrix *A,
+                        const int *place, int count, real *to)
+{
+    const int width = s->inner.width;
+    int j, l;
+    if (count == 0)
+        return;
+    memset(r->right, 0, (size_t)count * (size_t)width * sizeof *r->right);
+    for (j = 0; j < s->n; ++j)
+        for (l = A->begin[j]; l < A->end[j]; ++l) {
+            const int i = place ? place[A->row[l]] : A->row[l];
+            if (i >= 0)
+                add_row(width, A->value[l], row_of_v(s, j), r->right + (size_t)i * (size_t)width);
+        }
+    mbs_stages_transpose(s->dense.n, count, r->right, width, to, count);
+}
+
+/* Rows of e of which rounding alone is left are 0, so that none of it becomes a pivot. */
+static void clear_rounding(const mbs_stages_recursion *r, const mbs_stages_stage *s, const int *place)
+{
+    real *size = r->vector[5], *left = r->vector[0];
+    int i, j;
+    mbs_stages_matrix_row_maxima(&s->E, size);
+    for (i = 0; i < s->dense.ne; ++i)
+        left[i] = 0;
+    for (j = 0; j < s->dense.n; ++j)
+        for (i = 0; i < s->dense.ne; ++i) {
+            const real a = real_abs(s->dense.E[(size_t)j * (size_t)s->dense.ne + (size_t)i]);
+            left[i] = a > left[i] ? a : left[i];
+        }
+    for (i = 0; i < s->ne; ++i)
+        for (j = 0; place[i] >= 0 && !(left[place[i]] > r->zero_pivot * size[i]) && j < s->dense.n; ++j)
+            s->dense.E[(size_t)j * (size_t)s->dense.ne + (size_t)place[i]] = 0;
+}
+
+/* Rows of e that the recursion sees: those that are not inner, then deferred ones. */
+static void place_rows(const mbs_stages_stage *s, int *place)
+{
+    const mbs_stages_inner *y = &s->inner;
+    int i;
+    for (i = 0; i < s->ne; ++i)
+        place[i] = i < y->n ? -1 : i - y->n;
+    for (i = 0; i < y->deferred; ++i)
+        place[y->row[i]] = s->ne - y->n + i;
+}
+
+static void reduce_jacobians(mbs_stages_recursion *r, mbs_stages_stage *s)
+{
+    place_rows(s, r->spots);
+    reduce_rows(r, s, &s->E, r->spots, s->dense.ne, s->dense.E);
+    if (s->dense.ne > 0)
+        clear_rounding(r, s, r->spots);
+    reduce_rows(r, s, &s->F, NULL, s->next, s->dense.F);
+    reduce_rows(r, s, &s->G, NULL, s->ng, s->dense.G);
+}
+
+/* Row j of (H + diagonal) V from the diagonal on, and half of the diagonal. */
+static void find_half(const mbs_stages_recursion *r, const mbs_stages_stage *s, int j, real *half)
+{
+    const mbs_stages_matrix *H = &s->H;
+    const real *v = row_of_v(s, j);
+    real diagonal = r->diagonal[s->w + j];
+    int i, l = H->begin[j];
+    if (!r->plain && l < H->end[j] && H->row[l] == j)
+        diagonal += H->value[l++];
+    for (i = 0; i < s->inner.width; ++i)
+        half[i] = diagonal / 2 * v[i];
+    if (!r->plain && l < H->end[j])
+        mbs_stages_combine(s->inner.width, H->end[j] - l, H->row + l, H->value + l, s->inner.V, 1, half);
+}
+
+/* H = VT Z + ZT V, with rows of Z as above. */
+static void reduce_cost(mbs_stages_recursion *r, mbs_stages_stage *s)
+{
+    const int n = s->dense.n, m = s->inner.n;
+    const size_t width = (size_t)s->inner.width;
+    real *M = r->product, *Z = r->right;
+    int i, j;
+    memset(M, 0, width * width * sizeof *M);
+    for (j = 0; j < s->nx; ++j)
+        find_half(r, s, j, M + (size_t)j * width);
+    for (j = s->nx + m; j < s->n; ++j)
+        find_half(r, s, j, M + (size_t)(j - m) * width);
+    for (j = 0; j < m; ++j)
+        find_half(r, s, s->nx + j, Z + (size_t)j * width);
+    mbs_stages_gram(m, s->inner.width, row_of_v(s, s->nx), Z, M);
+    for (j = 0; j < n; ++j)
+        for (i = j; i < n; ++i)
+            s->dense.H[(size_t)j * (size_t)n + (size_t)i] =
+                M[(size_t)i * width + (size_t)j] + M[(size_t)j * width + (size_t)i];
+}
+
+/* Copy matrices with patterns into dense ones. */
+static void spread_matrices(const mbs_stages_recursion *r, const mbs_stages_stage *s)
+{
+    if (s->H.begin == NULL)
+        return;
+    mbs_stages_matrix_spread(&s->E, s->dense.E, s->ne);
+    mbs_stages_matrix_spread(&s->F, s->dense.F, s->next);
+    mbs_stages_matrix_spread(&s->G, s->dense.G, s->ng);
+    if (!r->plain)
+        mbs_stages_matrix_spread(&s->H, s->dense.H, s->n);
+}
+
+void mbs_stages_condense(mbs_stages_recursion *r, int k)
+{
+    mbs_stages_stage *s = &r->stage[k];
+    if (s->inner.n == 0) {
+        spread_matrices(r, s);
+        return;
+    }
+    if (s->inner.stale) {
+        find_variation(r, s);
+        reduce_jacobians(r, s);
+        s->inner.stale = 0;
+    }
+    reduce_cost(r, s);
+}
+
+/* s = -r_y^-1 r; deferred variables are 0. */
+static void solve_inner(mbs_stages_recursion *r, const mbs_stages_stage *s, const real *rc)
+{
+    const mbs_stages_inner *y = &s->inner;
+    real *x = y->constant;
+    int i;
+    if (y->own) {
+        const mbs_stages_complete c = factorise_completely(r, s);
+        const real left = mbs_stages_solve_completely(&c, rc + s->e, x);
+        if (y->missing > y->deferred && left > r->left)
+            r->left = left;
+    } else {
+        mbs_stages_solve_block(y->pivots, &y->factors, rc + s->e, x, r->vector[5]);
+    }
+    for (i = 0; i < y->n; ++i)
+        x[i] = -x[i];
+}
+
+void mbs_stages_condense_right(mbs_stages_recursion *r, int k, const real *rc, real *gradient, real *rows)
+{
+    const mbs_stages_stage *s = &r->stage[k];
+    const mbs_stages_inner *y = &s->inner;
+    real *z = r->vector[5];
+    int i;
+    solve_inner(r, s, rc);
+    memset(z, 0, (size_t)s->n * sizeof *z);
+    memcpy(z + s->nx, y->constant, (size_t)y->n * sizeof *z);
+    if (!r->plain)
+        mbs_stages_matrix_apply_symmetric(&s->H, z, gradient);
+    for (i = s->nx; i < s->nx + y->n; ++i)
+        gradient[i] += r->diagonal[s->w + i] * z[i];
+    if (s->dense.ne > 0)
+        mbs_stages_matrix_apply(&s->E, z, rows);
+    mbs_stages_matrix_apply(&s->F, z, rows + s->ne);
+    mbs_stages_matrix_apply(&s->G, z, rows + s->ne + s->next);
+}
+
+void mbs_stages_condense_gradient(const mbs_stages_stage *s, const real *gradient, real *out)
+{
+    int i, j;
+    for (i = 0; i < s->dense.n; ++i)
+        out[i] = 0;
+    for (i = 0; i < s->n; ++i) {
+        const real *v = row_of_v(s, i), a = gradient[i];
+        if (is_inner(s, i))
+            for (j = 0; j < s->dense.n; ++j)
+                out[j] += a * v[j];
+        else
+            out[mbs_stages_outer(s, i)] += a;
+    }
+}
+
+void mbs_stages_expand(const mbs_stages_stage *s, const real *outer, real *z)
+{
+    int i, j;
+    for (i = 0; i < s->n; ++i) {
+        const real *v = row_of_v(s, i);
+        real sum = is_inner(s, i) ? s->inner.constant[i - s->nx] : outer[mbs_stages_outer(s, i)];
+        for (j = 0; is_inner(s, i) && j < s->dense.n; ++j)
+            sum += v[j] * outer[j];
+        z[i] = sum;
+    }
+}
+
+void mbs_stages_expand_multipliers(mbs_stages_recursion *r, int k, const real *rw, const real *z, real *force,
+                                   real *dy)
+{
+    const mbs_stages_stage *s = &r->stage[k];
+    const mbs_stages_inner *y = &s->inner;
+    real *gradient = force + s->nx, *found = r->vector[0];
+    int i;
+    for (i = s->nx; i < s->nx + y->n; ++i)
+        force[i] += (rw ? rw[s->w + i] : 0) + r->diagonal[s->w + i] * z[i];
+    if (!r->plain)
+        mbs_stages_matrix_apply_symmetric(&s->H, z, force);
+    if (s->dense.ne > 0)
+        mbs_stages_matrix_apply_transposed(&s->E, dy + s->e, force);
+    mbs_stages_matrix_apply_transposed(&s->F, dy + s->d, force);
+    mbs_stages_matrix_apply_transposed(&s->G, dy + s->g, force);
+    if (y->own) {
+        const mbs_stages_complete c = factorise_completely(r, s);
+        mbs_stages_solve_completely_transposed(&c, gradient, found);
+    } else {
+        mbs_stages_solve_block_transposed(y->pivots, &y->factors, gradient, found, r->vector[5]);
+    }
+    for (i = 0; i < y->deferred; ++i)
+        found[y->row[i]] = -dy[s->e + y->row[i]];
+    for (i = 0; i < y->n; ++i)
+        dy[s->e + i] = -found[i];
+}

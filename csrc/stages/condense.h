@@ -1,0 +1,34 @@
+/* Inner variables of a stage are taken out before the recursion, and found after it. */
+#ifndef MBS_STAGES_CONDENSE_H
+#define MBS_STAGES_CONDENSE_H
+
+#include "recursion.h"
+
+/* Find an order of pivots for kinds of stages that have none. */
+void mbs_stages_order_pivots(mbs_stages_recursion *r);
+
+/* Write the dense matrices of stage k, by the diagonal that is there. */
+void mbs_stages_condense(mbs_stages_recursion *r, int k);
+
+/* The place of variable i among those of the recursion; -1 for an inner one. */
+int mbs_stages_outer(const mbs_stages_stage *s, int i);
+
+/* How variable i changes with those of the recursion, if it is an inner one; NULL: it is one of these. */
+const real *mbs_stages_variation(const mbs_stages_stage *s, int i);
+
+/* Right-hand sides of stage k where the inner equations hold with all outer variables 0: gradient += (H + diagonal) z,
+ * rows (e, d, g) += J z. */
+void mbs_stages_condense_right(mbs_stages_recursion *r, int k, const real *rc, real *gradient, real *rows);
+
+/* out = VT gradient */
+void mbs_stages_condense_gradient(const mbs_stages_stage *s, const real *gradient, real *out);
+
+/* All variables z from those of the recursion. */
+void mbs_stages_expand(const mbs_stages_stage *s, const real *outer, real *z);
+
+/* Multipliers of the inner equations, where dy holds all others; `force` is what fixed variables add to the gradient
+ * (n numbers, overwritten). */
+void mbs_stages_expand_multipliers(mbs_stages_recursion *r, int k, const real *rw, const real *z, real *force,
+                                   real *dy);
+
+#endif
