@@ -1,0 +1,309 @@
+"""A controller's folder from Python: compiled once, called with NumPy arrays; the same C that runs without Python.
+
+    c = mbsrun.controller("DIR")
+    c.data["end_q"][:] = 1.5
+    c.solve().status                    "solved"
+    c.prepare(shift=True)
+    inputs, step = c.feedback(state)
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import cffi
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mbsgen.errors import MbsError
+from mbsrun.controller import folder as folders
+from mbsrun.library import compile_library, find_compiler
+
+Array = NDArray[np.float64]
+
+STATUSES = (
+    "solved",
+    "acceptable",
+    "infeasible",
+    "iteration limit",
+    "time limit",
+    "out of digits",
+    "unbounded",
+    "callback failed",
+    "bad problem",
+    "prepared",
+    "stepped",
+    "not prepared",
+)
+_COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
+_NUMBER = re.compile(r"#define \w+ \d+")
+_ALIGNMENT = 16
+_INSIDE = """
+mbs_stages_point {0}_get_iterate({0} *);
+int {0}_find_values({0} *, int k, double *f, double *e, double *d, double *g);
+"""
+
+
+class ControllerError(MbsError):
+    """Arguments that do not fit a controller, or a folder that cannot be used."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a solve found; numbers are unscaled."""
+
+    status: str  # one of STATUSES
+    message: str
+    stage: int | None  # where a function failed
+    iterations: int
+    cost: float
+    violation: float
+    stationarity: float
+
+    @property
+    def is_solved(self) -> bool:
+        """Return whether a solution was found, if only to the acceptable tolerance."""
+        return self.status in ("solved", "acceptable")
+
+
+@dataclass(frozen=True)
+class Step:
+    """What a preparation or a feedback did; violation and stationarity are those before the step."""
+
+    status: str
+    message: str
+    stage: int | None
+    violation: float
+    stationarity: float
+    deviation: float  # of the measured state from the plan's first one, scaled
+    length: float
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """The kept plan: N intervals."""
+
+    times: Array  # (N + 1,)
+    states: Array  # (N + 1, states)
+    inputs: Array  # (N, inputs)
+
+
+class Controller:
+    """A controller with memory of its own. `data` are views of its numbers, by name, which may be written at any time."""
+
+    manifest: folders.Manifest
+    data: Mapping[str, Array]
+
+    def __init__(self, folder: str | Path) -> None:
+        """Compile the folder's C, or find it in the cache, and make a controller.
+
+        Raises InputError for a folder without a manifest of a controller, CompileError, CacheError.
+        """
+        self._folder = Path(folder)
+        self.manifest = folders.read(self._folder)
+        self._name = self.manifest.prefix
+        self._ffi = cffi.FFI()
+        for header in ("mbs_stages.h", f"{self._name}.h"):
+            self._ffi.cdef(_declare(self._folder / header))
+        self._ffi.cdef(_INSIDE.format(self._name))
+        compiler = find_compiler(os.environ)
+        library = compile_library(self._folder, self._name, self.manifest.sources, compiler)
+        self._library: Any = self._ffi.dlopen(str(library))
+        size = self._call("bytes")
+        self._memory = self._ffi.new("char[]", size + _ALIGNMENT)
+        address = int(self._ffi.cast("uintptr_t", self._memory))
+        self._start = self._memory + (-address) % _ALIGNMENT
+        self._controller = self._call("create", self._start, size)
+        if self._controller == self._ffi.NULL:
+            raise ControllerError(f"{self._folder}: no controller can be made of it; write the folder again")
+        self.data = MappingProxyType(self._view())
+
+    @property
+    def bytes(self) -> int:
+        """Count the bytes of memory that the controller uses."""
+        return int(self._call("bytes"))
+
+    @property
+    def period(self) -> float:
+        """Return the length of an interval of the plan [s]."""
+        return float(self._call("get_period", self._controller))
+
+    @property
+    def options(self) -> Any:
+        """The options of the solver as a struct, see mbs_stages.h: `c.options.least_barrier = 1e-5`."""
+        return self._call("get_options", self._controller)
+
+    def reset(self) -> None:
+        """Set data, options and plan as the folder has them."""
+        self._call("reset", self._controller)
+
+    def solve(
+        self,
+        *,
+        iterations: int | None = None,
+        seconds: float | None = None,
+        tolerance: float | None = None,
+        warm: bool = False,
+    ) -> Result:
+        """Solve from the kept plan; `warm`: from its multipliers too."""
+        for name, limit in (("iterations", iterations), ("seconds", seconds), ("tolerance", tolerance)):
+            if limit is not None and not limit > 0:
+                raise ControllerError(f"{name} = {limit!r} is no limit; give a number above 0, or leave it out")
+        limits = self._ffi.new(f"{self._name}_limits *")
+        limits.iterations, limits.seconds = iterations or 0, seconds or 0.0
+        limits.tolerance, limits.warm = tolerance or 0.0, warm
+        if seconds is not None:
+            limits.clock = _find_clock(self._ffi)
+        self._call("solve", self._controller, limits)
+        found = self._call("get_result", self._controller)
+        return Result(
+            **self._name_status(found),
+            iterations=found.iterations,
+            cost=found.cost,
+            violation=found.violation,
+            stationarity=found.stationarity,
+        )
+
+    def prepare(self, *, shift: bool = False) -> Step:
+        """Begin a sampling period, before its state is measured; `shift` moves the plan ahead by one interval."""
+        self._call("prepare", self._controller, int(shift))
+        return self._describe_step()
+
+    def feedback(self, state: ArrayLike) -> tuple[Array, Step]:
+        """Return the inputs to apply at a measured state, coordinates before velocities, and what was done."""
+        given = self._check("state", state, len(self.manifest.states))
+        inputs = np.zeros(len(self.manifest.inputs))
+        self._call("feedback", self._controller, self._pass(given), self._pass(inputs))
+        return inputs, self._describe_step()
+
+    def plan(self) -> Plan:
+        """Return a copy of the kept plan."""
+        N = self.manifest.intervals
+        times, states = np.zeros(N + 1), np.zeros((N + 1, len(self.manifest.states)))
+        inputs = np.zeros((N, len(self.manifest.inputs)))
+        self._call("get_plan", self._controller, *map(self._pass, (times, states, inputs)))
+        return Plan(times, states, inputs)
+
+    def predict(self, state: ArrayLike, inputs: ArrayLike, seconds: float, steps: int = 10) -> Array:
+        """Return the state after some time under constant inputs, by the model's own dynamics.
+
+        Raises ControllerError where the model has none in the folder, or no acceleration on the way.
+        """
+        if not self.manifest.predicts:
+            raise ControllerError(f"{self._folder}: the model's motion is not part of it, as it has closed loops")
+        if steps < 1 or not seconds >= 0:
+            raise ControllerError(f"seconds = {seconds!r}, steps = {steps!r}: give a time and at least one step")
+        given = self._check("state", state, len(self.manifest.states))
+        u = self._check("inputs", inputs, len(self.manifest.inputs))
+        after = np.zeros_like(given)
+        if self._call("predict", self._controller, self._pass(given), self._pass(u), seconds, steps, self._pass(after)):
+            raise ControllerError("the model has no acceleration on the way; take another state or other inputs")
+        return after
+
+    def find_equations(self, w: Array, counts: Sequence[int]) -> Array:
+        """Take variables as the kept iterate, stage by stage, and return all equations; `counts` of each stage.
+
+        Raises ControllerError where a function has no value.
+        """
+        point = self._call("get_iterate", self._controller)
+        self._ffi.memmove(point.w, np.ascontiguousarray(w, dtype=np.float64), 8 * w.size)
+        rest = [np.zeros(point.variables + point.rows + 1) for _ in range(3)]
+        found = []
+        for k, count in enumerate(counts):
+            e = np.zeros(count + 1)
+            f, d, g = map(self._pass, rest)
+            if self._call("find_values", self._controller, k, f, self._pass(e), d, g):
+                raise ControllerError(f"at the guess, the functions of stage {k} have no value; take another guess")
+            found.append(e[:-1])
+        return np.concatenate(found)
+
+    # --- the C side ---
+
+    def _call(self, function: str, *arguments: Any) -> Any:
+        return getattr(self._library, f"{self._name}_{function}")(*arguments)
+
+    def _pass(self, array: Array) -> Any:
+        return self._ffi.cast("double *", array.ctypes.data)
+
+    def _check(self, name: str, values: ArrayLike, size: int) -> Array:
+        try:
+            array = np.array(values, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ControllerError(f"{name} {values!r} is no vector of numbers; give {size} numbers") from None
+        if array.shape != (size,):
+            raise ControllerError(f"{name} has shape {array.shape}; give {size} numbers")
+        return array
+
+    def _view(self) -> dict[str, Array]:
+        data = self._call("get_data", self._controller)
+        views = {}
+        for field in self.manifest.data:
+            buffer = self._ffi.buffer(getattr(data, field.name), 8 * field.size)
+            array: Array = np.frombuffer(buffer, dtype=np.float64)
+            views[field.name] = array.reshape(field.rows, -1) if field.rows else array
+        return views
+
+    def _name_status(self, found: Any) -> dict[str, Any]:
+        message = self._ffi.string(self._call("explain", found.status)).decode()
+        return {
+            "status": STATUSES[found.status],
+            "message": message,
+            "stage": None if found.stage < 0 else found.stage,
+        }
+
+    def _describe_step(self) -> Step:
+        found = self._call("get_step", self._controller)
+        return Step(
+            **self._name_status(found),
+            violation=found.violation,
+            stationarity=found.stationarity,
+            deviation=found.deviation,
+            length=found.length,
+        )
+
+
+def controller(folder: str | Path) -> Controller:
+    """Load a controller from a folder that `mbsrun controller PROBLEM -o DIR` wrote."""
+    return Controller(folder)
+
+
+def _declare(header: Path) -> str:
+    """Return the declarations of a header: without comments, other headers, C++ and single precision."""
+    try:
+        text = _COMMENT.sub("", header.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ControllerError(f"{header}: {error.strerror}; write the folder again") from None
+    kept: list[str] = []
+    hidden: list[bool] = []  # of each condition that is open
+    for line in text.splitlines():
+        word = line.strip()
+        if word.startswith("#if"):
+            hidden.append(word.startswith("#ifdef"))  # nothing is defined
+        elif word.startswith("#else"):
+            hidden[-1] = not hidden[-1]
+        elif word.startswith("#endif"):
+            hidden.pop()
+        elif not any(hidden) and (not word.startswith("#") or _NUMBER.fullmatch(word)):
+            kept.append(line)
+    return "\n".join(kept)
+
+
+def _find_clock(ffi: cffi.FFI) -> Any:
+    """Return a C function that reads a clock, for limits of time."""
+    import time
+
+    @ffi.callback("double(void *)")  # type: ignore[misc]
+    def read(_: Any) -> float:
+        return time.perf_counter()
+
+    _CLOCKS.append(read)
+    return read
+
+
+_CLOCKS: list[Any] = []

@@ -1,0 +1,267 @@
+"""A problem and its model -> all files of a controller, solved once: the optimum is known, and so are the bytes it needs.
+
+The shipped problem is solved by the controller itself, as it will run: from the guess that it stores.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import TypeAdapter
+
+from mbsgen.errors import MbsError
+from mbsgen.manifest import FILE_NAME, Kernel
+from mbsgen.roles import Role
+from mbsrun.controller import folder as folders
+from mbsrun.controller.fields import find_sources
+from mbsrun.controller.loading import Controller, Result
+from mbsrun.controller.sources import merge, read_kernels, read_solver
+from mbsrun.controller.writing import Design, write_files
+from mbsrun.external import Mechanism, OnDemand
+from mbsrun.models import Extent, find_folder, is_model
+from mbsrun.ocp import schemes
+from mbsrun.ocp.backends import numpy as functions
+from mbsrun.ocp.functions import Array, Formula, KernelResult
+from mbsrun.ocp.guess import Pose, adapt, make_guess
+from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.program import Program
+from mbsrun.ocp.solve import Solver, settle
+from mbsrun.ocp.stages.building import build
+from mbsrun.ocp.stages.calls import name_called
+from mbsrun.ocp.stages.tables import KernelFunction, StageProgram
+from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.transcription import Transcription
+
+Mask = NDArray[np.bool_]
+
+PREDICTING = "exp2"  # gives the accelerations of the model's own motion
+
+
+class UnsolvedError(MbsError):
+    """A problem of which no controller is written, since its own solve fails."""
+
+
+@dataclass(frozen=True)
+class Made:
+    """The files of a controller, and how it solved its problem."""
+
+    files: Mapping[str, str]
+    manifest: folders.Manifest
+    result: Result
+
+
+def make(problem: Problem, plant: Mechanism | OnDemand, model: Path, guess: Trajectory | None = None) -> Made:
+    """Make a controller. Raises ProblemError, UnsolvedError, and what generation and compilation raise."""
+    scheme = schemes.build(problem.family, problem.degree)
+    start = make_guess(problem, plant, scheme) if guess is None else adapt(guess, problem, scheme)
+    if isinstance(start, Pose):
+        finding = f"no pose within the bounds meets the targets; the nearest one found is {start.distance:.3g} away"
+        raise UnsolvedError(f"{problem.name}: {finding}; move the target or widen the bounds")
+    problem = settle(problem, plant, start)
+    transcription = Solver(problem, plant).transcription
+    place, kernels = gather_kernels(transcription.program, plant, model)
+    tables = build(transcription.program, kernels, np.array(problem.cost.weights) != 0, find_rows(transcription, problem))
+    design = Design(
+        name=choose_name(problem.name, kernels.manifest.prefix),
+        version=kernels.manifest.generator.split()[-1],
+        problem=problem,
+        problem_hash=hash_problem(problem),
+        manifest=kernels.manifest,
+        transcription=transcription,
+        tables=tables,
+        sources=find_sources(problem, transcription, tables, kernels.manifest),
+        guess=place_guess(transcription, tables, start, plant),
+        prediction=choose_prediction(kernels, tables),
+    )
+    copied = merge(read_solver(), read_kernels(place, kernels.manifest, list_kernels(design)))
+    with tempfile.TemporaryDirectory() as building:
+        return _finish(design, copied, Path(building))
+
+
+def _finish(design: Design, copied: Mapping[str, str], place: Path) -> Made:
+    """Compile the controller, complete its guess, solve, and write what became known."""
+    first = _describe(design, copied, write_files(design, 0.0), 0.0, folders.Memory(double=0, single=0))
+    controller = _load(first, place)
+    design = replace(design, guess=complete_guess(controller, design.tables, design.guess))
+    second = _describe(design, copied, write_files(design, 0.0), 0.0, folders.Memory(double=0, single=0))
+    controller = _load(second, place)
+    result = controller.solve(iterations=design.problem.solver.max_iterations)
+    if not result.is_solved:
+        at = "" if result.stage is None else f", at stage {result.stage} (from 0)"
+        finding = f"the controller does not solve its own problem: {result.message}{at}"
+        raise UnsolvedError(f"{design.problem.name}: {finding}, after {result.iterations} iterations; mend the guess")
+    cost = float(f"{result.cost:.7g}")
+    memory = folders.Memory(double=controller.bytes, single=0)
+    return replace(_describe(design, copied, write_files(design, cost), cost, memory), result=result)
+
+
+def _load(made: Made, place: Path) -> Controller:
+    for name, text in made.files.items():
+        (place / name).write_text(text, encoding="utf-8", newline="\n")
+    return Controller(place)
+
+
+def _describe(
+    design: Design, copied: Mapping[str, str], own: Mapping[str, str], cost: float, memory: folders.Memory
+) -> Made:
+    """Put all files together, with the manifest and the files of builds."""
+    from mbsgen.targets.layout import lay_out
+
+    files = merge(copied, own)
+    programs = {f"{design.name}_{program}.c" for program in ("main", "check")}
+    sources = tuple(sorted(name for name in files if name.endswith(".c") and name not in programs))
+    lists = lay_out("controller/CMakeLists.txt", name=design.name, version=design.version, sources=sources)
+    names = (*files, "CMakeLists.txt", FILE_NAME)
+    manifest = describe(design, sources, tuple(sorted(names)), cost, memory)
+    return Made({**files, "CMakeLists.txt": lists, FILE_NAME: folders.write(manifest)}, manifest, UNKNOWN)
+
+
+UNKNOWN = Result("not prepared", "", None, 0, 0.0, 0.0, 0.0)
+
+
+def describe(
+    design: Design, sources: tuple[str, ...], files: tuple[str, ...], cost: float, memory: folders.Memory
+) -> folders.Manifest:
+    """Describe a controller."""
+    manifest, layout = design.manifest, design.transcription.layout
+    units = {c.name: c.unit for c in manifest.coordinates}
+    velocities = [manifest.coordinates[i] for i in layout.motions.velocities]
+    states = [folders.Quantity(name=name, unit=units.get(name, "")) for name in manifest.positions]
+    states += [folders.Quantity(name=f"{c.name}'", unit=f"{c.unit}/s") for c in velocities]
+    actuated = [manifest.coordinates[i] for i in manifest.actuated]
+    data = [
+        folders.Data(
+            name=field.name,
+            meaning=field.meaning,
+            size=len(field.entries),
+            rows=field.rows,
+            entries=()
+            if field.rows
+            else tuple(
+                folders.Entry(
+                    name=e.name, unit=e.unit, value=e.value if np.isfinite(e.value) else None, note=e.note
+                )
+                for e in field.entries
+            ),
+        )
+        for field in design.sources.fields
+    ]
+    return folders.Manifest(
+        format=folders.FORMAT,
+        generator=manifest.generator,
+        prefix=design.name,
+        problem=design.problem.name,
+        problem_hash=design.problem_hash,
+        model=manifest.model,
+        model_hash=manifest.model_hash,
+        intervals=design.problem.intervals,
+        horizon=None if layout.horizon is not None else design.problem.horizon,
+        states=tuple(states),
+        inputs=tuple(folders.Quantity(name=c.name, unit=c.force_unit) for c in actuated),
+        data=tuple(data),
+        predicts=bool(design.prediction),
+        cost=cost,
+        memory=memory,
+        sources=sources,
+        files=files,
+    )
+
+
+# --- the problem ---------------------------------------------------------------------------------------------------
+
+
+def choose_name(problem: str, model: str) -> str:
+    """Return the name of a controller in C; no name of its model begins as it does."""
+    from mbsgen.targets.names import mangle
+
+    name = mangle(problem)
+    return f"{name}_controller" if name == model else name
+
+
+def hash_problem(problem: Problem) -> str:
+    """Return a hash of a problem's content."""
+    text = json.dumps(TypeAdapter(Problem).dump_python(problem, mode="json"), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def find_rows(transcription: Transcription, problem: Problem) -> Mask:
+    """Mark the rows of the program that have a bound, and those that a solver does not see."""
+    program = transcription.program
+    lower, upper = transcription.constraint_bounds(problem)
+    rows = np.ones(program.constraints, dtype=bool)
+    rows[program.kept_rows] = np.isfinite(lower) | np.isfinite(upper)
+    return rows
+
+
+def gather_kernels(program: Program, plant: Mechanism | OnDemand, model: Path) -> tuple[Path, Mechanism]:
+    """Return one folder with all kernels of a program, and these; the model's own motion is among them if it can be."""
+    if not is_model(model):
+        return model, Mechanism(model)
+    names = {name for block in (*program.blocks, *program.costs) for name in _list_kernels(block.function)}
+    if not plant.manifest.loops:
+        names.add(PREDICTING)
+        if plant.manifest.quaternions:
+            names.add("rates")
+    place = find_folder(model, Extent(tuple(sorted(names))))
+    return place, Mechanism(place)
+
+
+def _list_kernels(function: Formula | KernelResult) -> set[str]:
+    if isinstance(function, KernelResult):
+        return {function.kernel}
+    return {result.kernel for _, result in function.computed}
+
+
+def list_kernels(design: Design) -> list[Kernel]:
+    """List the kernels that a controller calls."""
+    called = {name_called(f) for f in design.tables.functions if isinstance(f, KernelFunction)}
+    found = [k for k in design.manifest.kernels if k.name in called or k in design.prediction]
+    has_setup = any(a.role is Role.SETUP for k in found for a in k.inputs)
+    return [*found, *([design.manifest.setup] if has_setup and design.manifest.setup else [])]
+
+
+def choose_prediction(kernels: Mechanism, tables: StageProgram) -> tuple[Kernel, ...]:
+    """Choose the kernels of the model's own motion: accelerations, and rates where there are quaternions."""
+    manifest = kernels.manifest
+    acceleration = manifest.find(PREDICTING)
+    rates = manifest.find("rates")
+    if manifest.loops or acceleration is None or (manifest.quaternions and rates is None):
+        return ()
+    found = (acceleration, *([rates] if manifest.quaternions and rates else []))
+    needs_setup = any(a.role is Role.SETUP for kernel in found for a in kernel.inputs)
+    has_setup = any(
+        a.role is Role.SETUP for part in tables.given for a in manifest.kernel(part.kernel).inputs if a.name == part.name
+    )
+    return () if needs_setup and not has_setup else found
+
+
+def place_guess(
+    transcription: Transcription, tables: StageProgram, guess: Trajectory, plant: Mechanism | OnDemand
+) -> Array:
+    """Put a guess in the order of the tables; variables of these alone are 0."""
+    x = functions.build(transcription.program, plant).complete(transcription.pack(guess))
+    return np.where(tables.variables < 0, 0.0, x[tables.variables])
+
+
+def complete_guess(controller: Controller, tables: StageProgram, guess: Array) -> Array:
+    """Compute the variables of the tables alone, y = f(x, v), at a guess."""
+    kinds = [tables.kinds[k] for k in tables.kind_of_stage]
+    equations = np.cumsum([0, *(kind.ne for kind in kinds)])
+    w = guess.copy()
+    for _ in range(MOST_LIFTS):
+        e = controller.find_equations(w, [kind.ne for kind in kinds])
+        assert e.size == equations[-1], "equations of all stages"
+        w[tables.lifted] -= e[tables.lifted_rows]
+        if not np.abs(e[tables.lifted_rows]).max(initial=0.0) > 0:
+            break
+    return w
+
+
+MOST_LIFTS = 10  # rounds: some of the variables read others

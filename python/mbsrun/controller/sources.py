@@ -1,0 +1,72 @@
+"""The files that a controller is compiled from beside its own: kernels of its model, and the solver of `csrc`.
+
+The solver's files get names that begin with `mbs_`, as nothing of a model does, so that all files can share one folder.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from mbsgen import resources
+from mbsgen.errors import MbsError
+from mbsgen.manifest import Kernel, Manifest
+
+ABI = "mbs_abi.h"
+_INCLUDE = re.compile(r'^([ \t]*#[ \t]*include[ \t]*")([^"\n]*)(")', re.MULTILINE)
+_FILE = re.compile(r"[A-Za-z0-9_]+\.[ch]", re.ASCII)
+_SINGLE = """\
+#if defined(MBS_STAGES_FLOAT) && !defined(MBS_REAL)
+#define MBS_REAL float
+#endif
+"""
+
+
+def read_solver() -> dict[str, str]:
+    """Read the solver and the evaluator of tables, and rename them."""
+    folder = resources.folder("csrc")
+    found = [file for part in ("stages", "program") for file in sorted((folder / part).glob("*.[ch]"))]
+    names = {file.name: _rename(file.name) for file in found}
+
+    def include(match: re.Match[str]) -> str:
+        return f"{match[1]}{names.get(match[2], match[2])}{match[3]}"
+
+    return {names[file.name]: _INCLUDE.sub(include, file.read_text(encoding="utf-8")) for file in found}
+
+
+def _rename(name: str) -> str:
+    return name if name.startswith("mbs_") else f"mbs_stages_{name}"
+
+
+def read_kernels(folder: Path, manifest: Manifest, kernels: Iterable[Kernel]) -> dict[str, str]:
+    """Read the C files of kernels, with the headers that they include. Raises MbsError where one cannot be read."""
+    files: dict[str, str] = {}
+    wanted = [ABI, "mbs_sincos.h", manifest.header, *(name for kernel in kernels for name in kernel.sources)]
+    while wanted:
+        name = wanted.pop()
+        if name in files:
+            continue
+        if not _FILE.fullmatch(name):
+            raise MbsError(f"{folder}: {name!r} cannot be a generated file; generate the folder again")
+        files[name] = _read(folder, name)
+        wanted += [match[2] for match in _INCLUDE.finditer(files[name])]
+    return files | {ABI: _SINGLE + files[ABI]}
+
+
+def _read(folder: Path, name: str) -> str:
+    common = resources.folder("csrc") / name
+    path = folder / name
+    try:
+        return (path if path.exists() or not common.exists() else common).read_text(encoding="utf-8")
+    except OSError as error:
+        raise MbsError(f"{path}: {error.strerror}; generate the folder again") from None
+
+
+def merge(*parts: Mapping[str, str]) -> dict[str, str]:
+    """Put files together; no two of one name."""
+    files: dict[str, str] = {}
+    for part in parts:
+        for name, text in part.items():
+            assert files.setdefault(name, text) == text, f"two files are called {name}"
+    return files

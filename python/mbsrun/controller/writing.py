@@ -1,0 +1,279 @@
+"""A controller as a folder of C: problem and plant -> tables, interface, kernels, formulas, solver; all one library.
+
+`fields` finds the run-time data, `arrays` writes the tables, `sources` gathers the files that are copied. All names in C
+begin with the controller's, which is the problem's name, mangled; no text of a file reaches a path.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mbsgen.manifest import Argument, Kernel, Manifest
+from mbsgen.roles import Role
+from mbsrun.controller.arrays import Arrays, Repeated, repeat, split, write_kinds, write_real
+from mbsrun.controller.fields import DESIGN, MASSES, NUMBERS, Sources
+from mbsrun.ocp.functions import Array, Indices
+from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.stages import formulas
+from mbsrun.ocp.stages.calls import name_called
+from mbsrun.ocp.stages.tables import FormulaFunction, StageProgram
+from mbsrun.ocp.transcription import Transcription
+
+
+@dataclass(frozen=True)
+class Design:
+    """Everything that a controller is written from."""
+
+    name: str  # in C
+    version: str
+    problem: Problem
+    problem_hash: str
+    manifest: Manifest  # of the kernels
+    transcription: Transcription
+    tables: StageProgram
+    sources: Sources
+    guess: Array
+    prediction: tuple[Kernel, ...]  # kernels that give accelerations and rates; none: the model's own motion is unknown
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Names of entries, for an enumeration."""
+
+    name: str
+    meaning: str
+    names: tuple[str, ...]
+    size: int = 0
+    place: int = 0
+
+
+@dataclass(frozen=True)
+class _Given:
+    """A part of the parameters that the model's parameters give."""
+
+    is_setup: bool
+    to: int
+    from_: int
+    size: int
+
+
+@dataclass(frozen=True)
+class _Call:
+    """A call of a kernel for the model's own motion."""
+
+    function: str
+    arguments: tuple[str, ...]
+    results: int
+    result: int
+    to: int
+
+
+@dataclass(frozen=True)
+class _Prediction:
+    """How rates of a state begin."""
+
+    positions: int
+    copies_velocities: bool
+
+
+def write_files(design: Design, cost: float) -> dict[str, str]:
+    """Write the files that are the controller's own; `cost` is the optimum that its check expects."""
+    from mbsgen.targets.entries import identify
+    from mbsgen.targets.layout import lay_out
+    from mbsgen.targets.statements import wrap
+
+    name, sources, tables = design.name, design.sources, design.tables
+    layout, manifest = design.transcription.layout, design.manifest
+    velocities = [manifest.coordinates[i].name for i in layout.motions.velocities]
+    states = [f"q_{x}" for x in identify(manifest.positions)] + [f"qd_{x}" for x in identify(velocities)]
+    inputs = identify([manifest.coordinates[i].name for i in manifest.actuated])
+    fields = [
+        _Group(
+            field.name,
+            field.meaning,
+            () if field.rows else tuple(identify([entry.name for entry in field.entries])),
+            len(field.entries),
+            sources.place(field.name),
+        )
+        for field in sources.fields
+    ]
+    first = tables.kinds[tables.kind_of_stage[0]]
+    given = tuple(_list_given(design))
+    common = {
+        "name": name,
+        "version": design.version,
+        "problem_hash": design.problem_hash,
+        "model_hash": manifest.model_hash,
+        "intervals": design.problem.intervals,
+        "states": _Group("STATE", "a state", tuple(states)),
+        "inputs": _Group("INPUT", "the inputs", tuple(inputs)),
+        "fields": fields,
+        "predicts": _Prediction(layout.nq, len(design.prediction) == 1) if design.prediction else None,
+        "parameters": tables.parameters,
+        "all_parameters": tables.parameters + sum(part.size for part in tables.given),
+        "first_states": first.nx,
+        "first_variables": first.nx + first.nv,
+    }
+    setup = manifest.setup if any(part.is_setup for part in given) else None
+    parts = {
+        f"{name}.h": lay_out("controller/controller.h", **common),
+        f"{name}.c": lay_out(
+            "controller/controller.c",
+            given=given,
+            setup=setup.symbol if setup else "",
+            setup_arguments=len(setup.inputs) if setup else 0,
+            setup_place=_find_place(setup, Role.PARAMETER),
+            masses=sources.place(MASSES) if setup else 0,
+            predicted=[_write_call(kernel, design, given) for kernel in design.prediction],
+            stage_numbers_from=sources.place(NUMBERS) if tables.numbers.shape[1] else 0,
+            has_free_horizon=layout.horizon is not None,
+            horizon=write_real(design.problem.horizon),
+            **common,
+        ),
+        f"{name}_main.c": lay_out("controller/main.c", stride=max(1, design.problem.intervals // 10), **common),
+        f"{name}_check.c": lay_out("controller/check.c", cost=f"{cost:.7g}", **common),
+        f"{name}_guess.c": lay_out("controller/guess.c", guess=wrap(map(write_real, design.guess)), **common),
+        f"{name}.pc": lay_out("controller/controller.pc", **common),
+    }
+    return {**parts, **_write_tables(design, common, wrap), **write_formulas(design)}
+
+
+def write_formulas(design: Design) -> dict[str, str]:
+    """Write the functions that are made of expressions."""
+    return {
+        f"{name}.c": formulas.write(function.formula, name, function.derivative)
+        for function, name in zip(design.tables.functions, name_functions(design), strict=True)
+        if isinstance(function, FormulaFunction)
+    }
+
+
+def name_functions(design: Design) -> tuple[str, ...]:
+    """Name the functions of the tables in C."""
+    return tuple(
+        f"{design.name}_formula{k}"
+        if isinstance(function, FormulaFunction)
+        else design.manifest.kernel(name_called(function)).symbol
+        for k, function in enumerate(design.tables.functions)
+    )
+
+
+# --- tables --------------------------------------------------------------------------------------------------------
+
+
+def _write_tables(design: Design, common: Mapping[str, object], wrap) -> dict[str, str]:  # type: ignore[no-untyped-def]
+    from mbsgen.targets.layout import lay_out
+
+    tables, sources, name = design.tables, design.sources, design.name
+    arrays = Arrays(name, wrap)
+    written = write_kinds(tables, arrays)
+    kinds = [tables.kinds[k] for k in tables.kind_of_stage]
+    counts, rows = [kind.nx + kind.nv for kind in kinds], [kind.ng for kind in kinds]
+    ends = [
+        *(split(part, counts) for part in (sources.lower, sources.upper)),
+        *(split(part, rows) for part in (sources.least, sources.most)),
+    ]
+    bounds = repeat([np.concatenate(parts) for parts in zip(*ends, strict=True)], arrays)
+    shapes = {number: (counts[k], rows[k]) for k, number in enumerate(bounds.of_stage)}
+    places, place_of_stage = _find_places(design, counts, arrays)
+    functions = name_functions(design)
+    values = [design.sources.values[part] for part in (sources.lower, sources.upper, sources.least, sources.most)]
+    lower, upper, least, most = (wrap(map(write_real, part)) if part.size else ("0",) for part in values)
+    calls = [
+        step.call
+        for kind in tables.kinds
+        for script in (kind.values, kind.jacobians, kind.second)
+        for step in script.steps
+        if step.call is not None
+    ]
+    view = {
+        **common,
+        "numbers": sources.values.size,
+        "data": sources.count,
+        "variables": sum(counts),
+        "inequalities": sum(rows),
+        "functions": functions,
+        "functions_lines": wrap(functions) if functions else ("NULL",),
+        "arrays": arrays.declared,
+        "kinds": written.kinds,
+        "kind_of_stage": wrap(map(str, tables.kind_of_stage)),
+        "stages": len(kinds),
+        "stage_numbers": tables.numbers.shape[1],
+        "most_arguments": max((len(call.arguments) for call in calls), default=0),
+        "most_results": max((len(call.results) for call in calls), default=0),
+        "work_integers": 0,
+        "work_reals": 0,
+        "sizes": [written.sizes[k] for k in tables.kind_of_stage],
+        "lower": lower,
+        "upper": upper,
+        "least": least,
+        "most": most,
+        "values": wrap(map(write_real, sources.values)),
+        "parameter_from": wrap(map(str, sources.parameters)) if sources.parameters.size else ("0",),
+        "bounds": [f"{shapes[i][0]}, {shapes[i][1]}, {array}" for i, array in enumerate(bounds.names)],
+        "bound_of_stage": wrap(map(str, bounds.of_stage)),
+        "places": places,
+        "place_of_stage": wrap(map(str, place_of_stage)),
+    }
+    return {
+        f"{name}_tables.h": lay_out("controller/tables.h", **view),
+        f"{name}_tables.c": lay_out("controller/tables.c", **view),
+    }
+
+
+def _find_places(design: Design, counts: Sequence[int], arrays: Arrays) -> tuple[list[str], list[int]]:
+    """Find where states and inputs are among the variables of each stage."""
+    layout = design.transcription.layout
+    rows = []
+    for k, variables in enumerate(split(design.tables.variables, counts)):
+        place: dict[int, int] = {}
+        for i, variable in enumerate(variables):
+            place.setdefault(int(variable), i)
+        state = arrays.integers(place[int(i)] for i in layout.mesh[k])
+        inputs = arrays.integers(place[int(i)] for i in layout.inputs[k]) if k < len(layout.inputs) else "NULL"
+        horizon = -1 if layout.horizon is None else place[layout.horizon]
+        rows.append(f"{state}, {inputs}, {horizon}")
+    different = list(dict.fromkeys(rows))
+    return different, [different.index(row) for row in rows]
+
+
+# --- the model's own parameters and motion -------------------------------------------------------------------------
+
+
+def _list_given(design: Design):  # type: ignore[no-untyped-def]
+    to = design.tables.parameters
+    for part in design.tables.given:
+        argument = next(a for a in design.manifest.kernel(part.kernel).inputs if a.name == part.name)
+        is_setup = argument.role is Role.SETUP
+        field = {Role.SETUP: MASSES, Role.PARAMETER: MASSES, Role.DESIGN: DESIGN}[argument.role]
+        yield _Given(is_setup, to, design.sources.place(field), part.size)
+        to += part.size
+
+
+def _find_place(kernel: Kernel | None, role: Role) -> int:
+    return next((k for k, a in enumerate(kernel.inputs) if a.role is role), 0) if kernel else 0
+
+
+def _write_call(kernel: Kernel, design: Design, given: Sequence[_Given]) -> _Call:
+    """Write the call of a kernel that gives accelerations, or rates of coordinates."""
+    role = Role.ACCELERATION if kernel.giving(Role.ACCELERATION) else Role.RATE
+    nq = design.transcription.layout.nq
+    hidden = next((part for part in given if part.is_setup), None)
+
+    def write(argument: Argument) -> str:
+        texts = {
+            Role.COORDINATE: "state",
+            Role.VELOCITY: f"state + {nq}",
+            Role.FORCE: "inputs",
+            Role.SETUP: "NULL" if hidden is None else f"c->parameters + {hidden.to}",
+        }
+        if argument.role is Role.DESIGN:
+            return f"c->numbers + {design.sources.place(DESIGN)}"
+        return texts.get(argument.role, "NULL")
+
+    result = next(k for k, a in enumerate(kernel.outputs) if a.role is role)
+    to = nq if role is Role.ACCELERATION else 0
+    return _Call(kernel.symbol, tuple(map(write, kernel.inputs)), len(kernel.outputs), result, to)
