@@ -110,6 +110,11 @@ MBSRUN = Package(
         "ocp.pictures ocp.cluster",
         "ocp.multistart",
         "ocp",
+        "controllers.folder",
+        "controllers.fields controllers.arrays controllers.sources controllers.loading",
+        "controllers.report controllers.writing",
+        "controllers.making",
+        "controllers",
         "tracking.trial tracking.controller",
         "tracking.plant tracking.solving tracking.statement",
         "tracking.loop tracking.mechanisms",
@@ -132,7 +137,7 @@ MBSRUN = Package(
         "lab.cases lab.maps",
         "lab",
         "commands.console",
-        "commands.advise commands.cache commands.chart commands.fmu commands.inverse commands.lab "
+        "commands.advise commands.cache commands.chart commands.controller commands.fmu commands.inverse commands.lab "
         "commands.linearise commands.simulate commands.solve commands.study commands.sweep commands.track",
         "commands",
         "cli",
@@ -147,10 +152,14 @@ MBSRUN = Package(
         "mbsgen.expressions",
         "mbsgen.documents",
     ),
-    # a model file given for a generated folder; formulas in C; equations in 50 digits; the command of a study
+    # a model file given for a generated folder; formulas and controllers in C, and their folders; equations in 50
+    # digits; the command of a study
     lazy={
         "models": "mbsgen.pipeline",
         "ocp.stages.formulas": "mbsgen.formulas",
+        "controllers.writing": "mbsgen.targets",
+        "controllers.making": "mbsgen.targets",
+        "commands.controller": "mbsgen.output",
         "measuring.reference": "mbsgen.oracle",
         "lab.interpretation": "mbsgen.interpreted",
         "commands.study": "studies.docquier.command",

@@ -14,6 +14,7 @@ from mbsrun.commands.console import (
     BAD_INPUT,
     say,
 )
+from mbsrun.commands.controller import controller_command
 from mbsrun.commands.fmu import fmu_command
 from mbsrun.commands.inverse import inverse_command
 from mbsrun.commands.lab import lab_command
@@ -32,6 +33,7 @@ HELP = """Simulate multibody systems, and solve their optimal control problems.
   mbsrun linearise MODEL        find linear equations, modes and transfer functions about a pose at rest
   mbsrun solve PROBLEM -o DIR   solve, and write solution and pictures to DIR
   mbsrun sweep PROBLEM -o FILE  solve for a grid of targets, by a protocol, and print its effort
+  mbsrun controller PROBLEM -o DIR  write a controller in C: solves, and steps in real time
   mbsrun track PROBLEM -o DIR   control a simulated plant by solving from every measured state
   mbsrun study PROBLEM          solve for all targets, formulations and costs of a paper, and report
   mbsrun chart kernels MODEL    draw speed against accuracy of kernels, or of simulation
@@ -51,6 +53,7 @@ COMMANDS = (
     solve_command,
     sweep_command,
     track_command,
+    controller_command,
     study_command,
     chart,
     advise_command,

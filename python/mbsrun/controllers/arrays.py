@@ -1,4 +1,4 @@
-"""The tables of a controller as text of C: StageProgram -> constant arrays and structs; equal arrays are written once."""
+"""Tables as text of C: StageProgram -> constant arrays and structs; equal arrays are written once."""
 
 from __future__ import annotations
 

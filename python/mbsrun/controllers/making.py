@@ -1,4 +1,4 @@
-"""A problem and its model -> all files of a controller, solved once: the optimum is known, and so are the bytes it needs.
+"""A problem and its model -> all files of a controller, which has solved the problem once.
 
 The shipped problem is solved by the controller itself, as it will run: from the guess that it stores.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -19,12 +20,14 @@ from pydantic import TypeAdapter
 from mbsgen.errors import MbsError
 from mbsgen.manifest import FILE_NAME, Kernel
 from mbsgen.roles import Role
-from mbsrun.controller import folder as folders
-from mbsrun.controller.fields import find_sources
-from mbsrun.controller.loading import Controller, Result
-from mbsrun.controller.sources import merge, read_kernels, read_solver
-from mbsrun.controller.writing import Design, write_files
+from mbsrun.controllers import folder as folders
+from mbsrun.controllers.fields import find_sources
+from mbsrun.controllers.loading import Controller, Result
+from mbsrun.controllers.report import Figures, count_operations, measure_single, measure_stacks
+from mbsrun.controllers.sources import merge, read_kernels, read_solver
+from mbsrun.controllers.writing import Design, name_functions, write_files
 from mbsrun.external import Mechanism, OnDemand
+from mbsrun.library import find_compiler
 from mbsrun.models import Extent, find_folder, is_model
 from mbsrun.ocp import schemes
 from mbsrun.ocp.backends import numpy as functions
@@ -67,7 +70,9 @@ def make(problem: Problem, plant: Mechanism | OnDemand, model: Path, guess: Traj
     problem = settle(problem, plant, start)
     transcription = Solver(problem, plant).transcription
     place, kernels = gather_kernels(transcription.program, plant, model)
-    tables = build(transcription.program, kernels, np.array(problem.cost.weights) != 0, find_rows(transcription, problem))
+    tables = build(
+        transcription.program, kernels, np.array(problem.cost.weights) != 0, find_rows(transcription, problem)
+    )
     design = Design(
         name=choose_name(problem.name, kernels.manifest.prefix),
         version=kernels.manifest.generator.split()[-1],
@@ -87,19 +92,26 @@ def make(problem: Problem, plant: Mechanism | OnDemand, model: Path, guess: Traj
 
 def _finish(design: Design, copied: Mapping[str, str], place: Path) -> Made:
     """Compile the controller, complete its guess, solve, and write what became known."""
-    first = _describe(design, copied, write_files(design, 0.0), 0.0, folders.Memory(double=0, single=0))
-    controller = _load(first, place)
+    compiler = find_compiler(os.environ)
+    controller = _load(_assemble(design, copied, UNSOLVED), place)
     design = replace(design, guess=complete_guess(controller, design.tables, design.guess))
-    second = _describe(design, copied, write_files(design, 0.0), 0.0, folders.Memory(double=0, single=0))
-    controller = _load(second, place)
+    controller = _load(_assemble(design, copied, UNSOLVED), place)
     result = controller.solve(iterations=design.problem.solver.max_iterations)
     if not result.is_solved:
         at = "" if result.stage is None else f", at stage {result.stage} (from 0)"
         finding = f"the controller does not solve its own problem: {result.message}{at}"
-        raise UnsolvedError(f"{design.problem.name}: {finding}, after {result.iterations} iterations; mend the guess")
-    cost = float(f"{result.cost:.7g}")
-    memory = folders.Memory(double=controller.bytes, single=0)
-    return replace(_describe(design, copied, write_files(design, cost), cost, memory), result=result)
+        remedy = "take another guess, or see what `mbsrun solve` says"
+        raise UnsolvedError(f"{design.problem.name}: {finding} It made {result.iterations} iterations; {remedy}")
+    figures = Figures(
+        double=controller.bytes,
+        single=measure_single(place, controller.manifest, compiler),
+        stack=measure_stacks(place, controller.manifest, compiler),
+        compiler=" ".join(compiler.command),
+        iterations=result.iterations,
+        cost=float(f"{result.cost:.7g}"),
+        status=result.status,
+    )
+    return replace(_assemble(design, copied, figures), result=result)
 
 
 def _load(made: Made, place: Path) -> Controller:
@@ -108,27 +120,49 @@ def _load(made: Made, place: Path) -> Controller:
     return Controller(place)
 
 
-def _describe(
-    design: Design, copied: Mapping[str, str], own: Mapping[str, str], cost: float, memory: folders.Memory
-) -> Made:
-    """Put all files together, with the manifest and the files of builds."""
+def _assemble(design: Design, copied: Mapping[str, str], figures: Figures) -> Made:
+    """Put all files together, with the manifest, the report and the files of builds."""
     from mbsgen.targets.layout import lay_out
 
-    files = merge(copied, own)
+    files = merge(copied, write_files(design, figures.cost))
     programs = {f"{design.name}_{program}.c" for program in ("main", "check")}
     sources = tuple(sorted(name for name in files if name.endswith(".c") and name not in programs))
     lists = lay_out("controller/CMakeLists.txt", name=design.name, version=design.version, sources=sources)
-    names = (*files, "CMakeLists.txt", FILE_NAME)
-    manifest = describe(design, sources, tuple(sorted(names)), cost, memory)
-    return Made({**files, "CMakeLists.txt": lists, FILE_NAME: folders.write(manifest)}, manifest, UNKNOWN)
+    files |= {"CMakeLists.txt": lists, REPORT: write_report(design, figures)}
+    manifest = describe(design, sources, tuple(sorted((*files, FILE_NAME))), figures)
+    return Made(files | {FILE_NAME: folders.write(manifest)}, manifest, UNKNOWN)
 
 
+def write_report(design: Design, figures: Figures) -> str:
+    """Write the report."""
+    from mbsgen.targets.layout import lay_out
+
+    tables, layout = design.tables, design.transcription.layout
+    kinds = [tables.kinds[k] for k in tables.kind_of_stage]
+    return lay_out(
+        "controller/report.md",
+        name=design.name,
+        version=design.version,
+        intervals=design.problem.intervals,
+        stages=len(kinds),
+        kinds=len(tables.kinds),
+        states=layout.mesh.shape[1],
+        inputs=layout.inputs.shape[1],
+        variables=sum(kind.nx + kind.nv for kind in kinds),
+        equations=sum(kind.ne for kind in kinds) + sum(kind.nx for kind in kinds[1:]),
+        inequalities=sum(kind.ng for kind in kinds),
+        data=design.sources.count,
+        operations=count_operations(tables, design.manifest),
+        figures=figures,
+    )
+
+
+REPORT = "report.md"
+UNSOLVED = Figures(double=0, single=0, stack={}, compiler="", iterations=0, cost=0.0, status="")
 UNKNOWN = Result("not prepared", "", None, 0, 0.0, 0.0, 0.0)
 
 
-def describe(
-    design: Design, sources: tuple[str, ...], files: tuple[str, ...], cost: float, memory: folders.Memory
-) -> folders.Manifest:
+def describe(design: Design, sources: tuple[str, ...], files: tuple[str, ...], figures: Figures) -> folders.Manifest:
     """Describe a controller."""
     manifest, layout = design.manifest, design.transcription.layout
     units = {c.name: c.unit for c in manifest.coordinates}
@@ -145,9 +179,7 @@ def describe(
             entries=()
             if field.rows
             else tuple(
-                folders.Entry(
-                    name=e.name, unit=e.unit, value=e.value if np.isfinite(e.value) else None, note=e.note
-                )
+                folders.Entry(name=e.name, unit=e.unit, value=e.value if np.isfinite(e.value) else None, note=e.note)
                 for e in field.entries
             ),
         )
@@ -167,8 +199,9 @@ def describe(
         inputs=tuple(folders.Quantity(name=c.name, unit=c.force_unit) for c in actuated),
         data=tuple(data),
         predicts=bool(design.prediction),
-        cost=cost,
-        memory=memory,
+        cost=figures.cost,
+        memory=folders.Memory(double=figures.double, single=figures.single),
+        functions=name_functions(design),
         sources=sources,
         files=files,
     )
@@ -235,11 +268,8 @@ def choose_prediction(kernels: Mechanism, tables: StageProgram) -> tuple[Kernel,
     if manifest.loops or acceleration is None or (manifest.quaternions and rates is None):
         return ()
     found = (acceleration, *([rates] if manifest.quaternions and rates else []))
-    needs_setup = any(a.role is Role.SETUP for kernel in found for a in kernel.inputs)
-    has_setup = any(
-        a.role is Role.SETUP for part in tables.given for a in manifest.kernel(part.kernel).inputs if a.name == part.name
-    )
-    return () if needs_setup and not has_setup else found
+    needed = {a.name for kernel in found for a in kernel.inputs if a.role is Role.SETUP}
+    return found if needed <= {part.name for part in tables.given} else ()
 
 
 def place_guess(

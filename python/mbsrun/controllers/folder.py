@@ -70,6 +70,7 @@ class Manifest(_Part):
     predicts: bool
     cost: float  # of the optimum that the check expects
     memory: Memory
+    functions: tuple[str, ...]  # in C, that the tables call: kernels and expressions
     sources: tuple[str, ...]  # C files of the library
     files: tuple[str, ...]  # every file of the folder
 
@@ -85,7 +86,9 @@ def read(folder: Path) -> Manifest:
     try:
         return Manifest.model_validate_json(path.read_bytes())
     except OSError as error:
-        finding = "there is no such file" if isinstance(error, FileNotFoundError) else f"cannot be read: {error.strerror}"
+        finding = (
+            "there is no such file" if isinstance(error, FileNotFoundError) else f"cannot be read: {error.strerror}"
+        )
         remedy = "write the folder with `mbsrun controller PROBLEM -o DIR`"
         raise InputError([Fault(str(path), 0, "", finding, remedy)]) from None
     except ValidationError as error:

@@ -1,8 +1,8 @@
 """The run-time data of a controller: Problem -> named fields of numbers, and where bounds and parameters read them.
 
-All numbers of a controller lie in one vector. Fields are parts of it: start, targets, bounds, weights, constants, masses.
-To find which number becomes which bound, each is replaced by a mark before the transcription puts it in place; so
-nothing here repeats what the transcription does. Numbers that nothing reads are no data, except for the start.
+All numbers of a controller lie in one vector. Fields are parts of it: start, targets, bounds, weights, constants,
+masses. A mark replaces each number before the transcription puts it in place, and shows which bound the number becomes.
+So nothing here repeats the transcription. Numbers that nothing reads are left out, except for the start.
 """
 
 from __future__ import annotations
@@ -180,7 +180,9 @@ def _add_model(tables: StageProgram, manifest: Manifest, marks: _Marks) -> None:
         entries = [Entry(p.name, "", p.value) for p in manifest.parameters]
         marks.add(MASSES, "run-time parameters of the model", entries)
     if Role.DESIGN in roles:
-        marks.add(DESIGN, "differentiated parameters of the model", [Entry(p.name, "", p.value) for p in manifest.design])
+        marks.add(
+            DESIGN, "differentiated parameters of the model", [Entry(p.name, "", p.value) for p in manifest.design]
+        )
     if tables.numbers.size:
         meaning = "numbers of the stages, stage by stage: relative times that expressions read"
         marks.add(NUMBERS, meaning, [Entry("", "", float(x)) for x in tables.numbers.ravel()])
@@ -232,7 +234,9 @@ def _mark_end(end: End, q: Sequence[tuple[str, str]], qd: Sequence[tuple[str, st
             Entry(f"{sensor}.{axis}", unit, x) for sensor, point in targets for axis, x in zip(AXES, point, strict=True)
         ]
         found = marks.add(name, meaning, entries)
-        return tuple((sensor, (found[3 * k], found[3 * k + 1], found[3 * k + 2])) for k, (sensor, _) in enumerate(targets))
+        return tuple(
+            (sensor, (found[3 * k], found[3 * k + 1], found[3 * k + 2])) for k, (sensor, _) in enumerate(targets)
+        )
 
     return replace(
         end,

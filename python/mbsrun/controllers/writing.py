@@ -1,22 +1,21 @@
 """A controller as a folder of C: problem and plant -> tables, interface, kernels, formulas, solver; all one library.
 
-`fields` finds the run-time data, `arrays` writes the tables, `sources` gathers the files that are copied. All names in C
-begin with the controller's, which is the problem's name, mangled; no text of a file reaches a path.
+`fields` finds the run-time data, `arrays` writes the tables, `sources` gathers the files that are copied. All names in
+C begin with the controller's name, which is the problem's, mangled. No text of a problem file reaches a path.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from mbsgen.manifest import Argument, Kernel, Manifest
 from mbsgen.roles import Role
-from mbsrun.controller.arrays import Arrays, Repeated, repeat, split, write_kinds, write_real
-from mbsrun.controller.fields import DESIGN, MASSES, NUMBERS, Sources
-from mbsrun.ocp.functions import Array, Indices
+from mbsrun.controllers.arrays import Arrays, Wrap, repeat, split, write_kinds, write_real
+from mbsrun.controllers.fields import DESIGN, MASSES, NUMBERS, Sources
+from mbsrun.ocp.functions import Array
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.stages import formulas
 from mbsrun.ocp.stages.calls import name_called
@@ -164,7 +163,7 @@ def name_functions(design: Design) -> tuple[str, ...]:
 # --- tables --------------------------------------------------------------------------------------------------------
 
 
-def _write_tables(design: Design, common: Mapping[str, object], wrap) -> dict[str, str]:  # type: ignore[no-untyped-def]
+def _write_tables(design: Design, common: Mapping[str, object], wrap: Wrap) -> dict[str, str]:
     from mbsgen.targets.layout import lay_out
 
     tables, sources, name = design.tables, design.sources, design.name
@@ -243,7 +242,8 @@ def _find_places(design: Design, counts: Sequence[int], arrays: Arrays) -> tuple
 # --- the model's own parameters and motion -------------------------------------------------------------------------
 
 
-def _list_given(design: Design):  # type: ignore[no-untyped-def]
+def _list_given(design: Design) -> Iterator[_Given]:
+    """List the parts of the parameters that follow from the model's."""
     to = design.tables.parameters
     for part in design.tables.given:
         argument = next(a for a in design.manifest.kernel(part.kernel).inputs if a.name == part.name)

@@ -1,16 +1,17 @@
 """A controller's folder from Python: compiled once, called with NumPy arrays; the same C that runs without Python.
 
-    c = mbsrun.controller("DIR")
-    c.data["end_q"][:] = 1.5
-    c.solve().status                    "solved"
-    c.prepare(shift=True)
-    inputs, step = c.feedback(state)
+c = mbsrun.controller("DIR")
+c.data["end_q"][:] = 1.5
+c.solve().status                    "solved"
+c.prepare(shift=True)
+inputs, step = c.feedback(state)
 """
 
 from __future__ import annotations
 
 import os
 import re
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mbsgen.errors import MbsError
-from mbsrun.controller import folder as folders
+from mbsrun.controllers import folder as folders
 from mbsrun.library import compile_library, find_compiler
 
 Array = NDArray[np.float64]
@@ -95,7 +96,10 @@ class Plan:
 
 
 class Controller:
-    """A controller with memory of its own. `data` are views of its numbers, by name, which may be written at any time."""
+    """A controller in memory.
+
+    `data` holds its run-time data by name, as arrays; numbers that are written there count in the next call.
+    """
 
     manifest: folders.Manifest
     data: Mapping[str, Array]
@@ -108,7 +112,7 @@ class Controller:
         self._folder = Path(folder)
         self.manifest = folders.read(self._folder)
         self._name = self.manifest.prefix
-        self._ffi = cffi.FFI()
+        self._ffi: Any = cffi.FFI()
         for header in ("mbs_stages.h", f"{self._name}.h"):
             self._ffi.cdef(_declare(self._folder / header))
         self._ffi.cdef(_INSIDE.format(self._name))
@@ -122,6 +126,7 @@ class Controller:
         self._controller = self._call("create", self._start, size)
         if self._controller == self._ffi.NULL:
             raise ControllerError(f"{self._folder}: no controller can be made of it; write the folder again")
+        self._clock = self._ffi.callback("double(void *)", lambda _: time.perf_counter())
         self.data = MappingProxyType(self._view())
 
     @property
@@ -159,7 +164,7 @@ class Controller:
         limits.iterations, limits.seconds = iterations or 0, seconds or 0.0
         limits.tolerance, limits.warm = tolerance or 0.0, warm
         if seconds is not None:
-            limits.clock = _find_clock(self._ffi)
+            limits.clock = self._clock
         self._call("solve", self._controller, limits)
         found = self._call("get_result", self._controller)
         return Result(
@@ -242,10 +247,11 @@ class Controller:
 
     def _view(self) -> dict[str, Array]:
         data = self._call("get_data", self._controller)
+        memory = np.frombuffer(self._ffi.buffer(self._memory), dtype=np.uint8)  # lives as long as its views
         views = {}
         for field in self.manifest.data:
-            buffer = self._ffi.buffer(getattr(data, field.name), 8 * field.size)
-            array: Array = np.frombuffer(buffer, dtype=np.float64)
+            first = int(self._ffi.cast("char *", getattr(data, field.name)) - self._memory)
+            array = memory[first : first + 8 * field.size].view(np.float64)
             views[field.name] = array.reshape(field.rows, -1) if field.rows else array
         return views
 
@@ -292,18 +298,3 @@ def _declare(header: Path) -> str:
         elif not any(hidden) and (not word.startswith("#") or _NUMBER.fullmatch(word)):
             kept.append(line)
     return "\n".join(kept)
-
-
-def _find_clock(ffi: cffi.FFI) -> Any:
-    """Return a C function that reads a clock, for limits of time."""
-    import time
-
-    @ffi.callback("double(void *)")  # type: ignore[misc]
-    def read(_: Any) -> float:
-        return time.perf_counter()
-
-    _CLOCKS.append(read)
-    return read
-
-
-_CLOCKS: list[Any] = []

@@ -1,0 +1,94 @@
+"""`mbsrun controller`: a problem file -> a folder of C that solves it, to a tolerance or in real time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from mbsrun.commands.console import MESSAGES, NOT_SOLVED, say
+from mbsrun.controllers.making import Made, UnsolvedError, make
+from mbsrun.external import Mechanism, OnDemand, load_on_demand
+from mbsrun.ocp.solution import read_guess
+from mbsrun.ocp.statement import read_problem
+
+CONTROLLER_HELP = """Write a model predictive controller for the problem of the file PROBLEM, in C.
+
+The folder has all that the controller needs: the kernels of its model, the problem as tables, a solver. It is C99 and
+links to nothing but <math.h>; it allocates no memory, and runs where there is no operating system. Start, targets,
+bounds, weights, constants and masses can change while it runs. From Python, mbsrun.controller("DIR") loads it.
+
+\b
+The output folder gets
+  NAME.h, NAME.c      the interface
+  NAME_tables.c       the problem
+  NAME_main.c         an example: solves, then controls the model for 50 periods
+  NAME_check.c        solves, and compares the optimum with the one known
+  CMakeLists.txt      builds, tests and installs it; NAME.pc is for pkg-config
+  report.md           memory, operations of an iteration, the largest stack
+  manifest.json       names, units and values of all data that can change
+
+Before anything is written, the controller solves the problem from its guess.
+
+\b
+Exit codes
+  0   written
+  1   the controller does not solve its own problem; nothing written
+  2   the problem, its model or an argument cannot be accepted; nothing written
+"""
+
+
+@click.command("controller", help=CONTROLLER_HELP)
+@click.argument("file", metavar="PROBLEM", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    "out",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="The folder to write to; by default NAME.controller here, for a problem file NAME.ocp.yaml.",
+)
+@click.option(
+    "--guess",
+    "other",
+    type=click.Path(path_type=Path),
+    metavar="SOLUTION",
+    help="A solution.json of mbsrun solve to start from, in place of the guess that the problem describes.",
+)
+@click.pass_context
+def controller_command(context: click.Context, /, file: Path, out: Path | None, other: Path | None) -> None:
+    """Read, make, write, print."""
+    from mbsgen.output import write_folder
+
+    models: list[Path] = []
+
+    def load_model(model: Path) -> Mechanism | OnDemand:
+        models.append(model)
+        return load_on_demand(model)
+
+    problem, plant = read_problem(file, load_model)
+    if other is None and problem.guess.solution is not None:
+        other = file.parent / problem.guess.solution
+    guess = None if other is None else read_guess(other, plant.manifest)
+    out = out or Path(f"{problem.name}.controller")
+    try:
+        with MESSAGES.status("making the controller"):
+            made = make(problem, plant, models[-1], guess)
+    except UnsolvedError as error:
+        say(str(error))
+        context.exit(NOT_SOLVED)
+    write_folder(made.files, out)
+    _print_summary(made, out)
+
+
+def _print_summary(made: Made, out: Path) -> None:
+    manifest, result = made.manifest, made.result
+    rows = {
+        "controller": f"{manifest.prefix}, of {len(manifest.states)} states and {len(manifest.inputs)} inputs, "
+        f"{manifest.intervals} intervals",
+        "solves": f"its problem in {result.iterations} iterations, cost {manifest.cost:.7g}",
+        "memory": f"{manifest.memory.double} bytes, in single precision {manifest.memory.single}",
+        "data": ", ".join(f"{field.name} ({field.size})" for field in manifest.data),
+    }
+    for name, value in rows.items():
+        click.echo(f"{name:<12}{value}")
+    say(f"wrote {out}")
