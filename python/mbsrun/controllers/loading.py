@@ -103,6 +103,7 @@ class Controller:
 
     manifest: folders.Manifest
     data: Mapping[str, Array]
+    library: Path  # the shared library that was loaded
 
     def __init__(self, folder: str | Path) -> None:
         """Compile the folder's C, or find it in the cache, and make a controller.
@@ -117,8 +118,8 @@ class Controller:
             self._ffi.cdef(_declare(self._folder / header))
         self._ffi.cdef(_INSIDE.format(self._name))
         compiler = find_compiler(os.environ)
-        library = compile_library(self._folder, self._name, self.manifest.sources, compiler)
-        self._library: Any = self._ffi.dlopen(str(library))
+        self.library = compile_library(self._folder, self._name, self.manifest.sources, compiler)
+        self._library: Any = self._ffi.dlopen(str(self.library))
         size = self._call("bytes")
         self._memory = self._ffi.new("char[]", size + _ALIGNMENT)
         address = int(self._ffi.cast("uintptr_t", self._memory))

@@ -82,9 +82,12 @@ class Figures:
     status: str
 
 
+SINGLE = ("-O0", "-DMBS_STAGES_FLOAT")  # quick to compile, for counting bytes
+
+
 def measure_single(place: Path, manifest: folders.Manifest, compiler: Compiler) -> int:
     """Return the bytes that a controller needs in single precision; it is compiled for this alone."""
-    quick = replace(compiler, flags=(*compiler.flags, "-O0", "-DMBS_STAGES_FLOAT"))
+    quick = replace(compiler, flags=(*compiler.flags, *SINGLE))
     library = compile_library(place, manifest.prefix, manifest.sources, quick)
     ffi = cffi.FFI()
     ffi.cdef(f"size_t {manifest.prefix}_bytes(void);")

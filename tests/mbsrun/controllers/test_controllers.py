@@ -1,0 +1,423 @@
+"""Controllers in C: optima against IPOPT's, data that change, the loop in C against the loop in Python, builds, misuse.
+
+The model's and the problem's names are hostile on purpose: nothing of them may reach C, a shell or a path.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mbsrun
+from mbsgen.errors import InputError
+from mbsrun.controllers import making
+from mbsrun.controllers.folder import read
+from mbsrun.controllers.loading import STATUSES, Controller, ControllerError
+from mbsrun.controllers.making import Made, UnsolvedError, choose_name, make
+from mbsrun.controllers.report import SINGLE
+from mbsrun.external import Mechanism, OnDemand, load, load_on_demand
+from mbsrun.library import compile_library, find_compiler
+from mbsrun.models import Extent
+from mbsrun.ocp import schemes
+from mbsrun.ocp.guess import make_guess
+from mbsrun.ocp.problem import Bounds, Problem
+from mbsrun.ocp.solution import Solution
+from mbsrun.ocp.solve import Solver
+from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.trajectory import Trajectory
+
+Requires = Callable[[str], str]
+
+MODEL = """\
+name: 'cart * "$(touch x)'
+gravity: [0, 0, -9.81]
+parameters:
+  mp: {value: 0.3, kind: runtime}
+  mc: {value: 1.0, kind: differentiated}
+bodies:
+  - name: cart
+    joint: {name: 'c* "', type: prismatic, axis: x, limits: [-2, 2]}
+    mass: mc
+  - name: pole
+    parent: cart
+    joint: {name: pole, type: revolute, axis: -y, actuated: false, damping: 0.01}
+    mass: mp
+    com: [0, 0, -0.5]
+"""
+PROBLEM = """\
+model: cart.yaml
+horizon: 1
+intervals: 8
+scheme: radau
+degree: 2
+representation: EXP1-O
+constants: {rest: 0.1}
+cost:
+  inputs: 0.5
+  running:
+    - {expression: (q_pole - rest*sin(t))**2, weight: 2}
+  terminal:
+    - {expression: qd_pole**2, weight: 0.5}
+start:
+  pose: {pole: 0.4}
+bounds:
+  inputs: [-8, 8]
+constraints:
+  - {expression: q_pole + 0.1*sin(qd_pole), range: [-1, 0.6]}
+end:
+  pose: {pole: 0}
+"""
+HOSTILE = 'a "b" $(touch y); é'
+
+
+@dataclass(frozen=True)
+class Case:
+    """A controller, and what it was made of."""
+
+    problem: Problem
+    plant: OnDemand | Mechanism
+    model: Path
+    guess: Trajectory
+    made: Made
+    folder: Path
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory: pytest.TempPathFactory, requires: Requires) -> Iterator[Case]:
+    """Make the controller; compiled without optimisation, since tests take longer to compile than to run."""
+    requires("cc")
+    place = tmp_path_factory.mktemp("controller")
+    (place / "cart.yaml").write_text(MODEL, encoding="utf-8")
+    (place / f"{HOSTILE}.ocp.yaml").write_text(PROBLEM, encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CFLAGS", "-O0 -Wall -Wextra -Wpedantic -Werror")
+        problem, plant = read_problem(place / f"{HOSTILE}.ocp.yaml", load_on_demand)
+        guess = make_guess(problem, plant, schemes.build(problem.family, problem.degree))
+        assert isinstance(guess, Trajectory)
+        made = make(problem, plant, place / "cart.yaml")
+        folder = place / "written"
+        folder.mkdir()
+        for name, text in made.files.items():
+            (folder / name).write_text(text, encoding="utf-8")
+        yield Case(problem, plant, place / "cart.yaml", guess, made, folder)
+
+
+@pytest.fixture
+def controller(case: Case) -> Controller:
+    """Load it afresh."""
+    return mbsrun.controller(case.folder)
+
+
+def solve_by_ipopt(problem: Problem, plant: OnDemand | Mechanism, guess: Trajectory) -> Solution:
+    outcome = Solver(problem, plant).solve(problem, guess)
+    assert isinstance(outcome, Solution)
+    return outcome
+
+
+# --- optima --------------------------------------------------------------------------------------------------------
+
+
+def test_the_optimum_is_ipopts(case: Case, controller: Controller) -> None:
+    """Cost to 1e-6, plan to 1e-4: both solve to 1e-8 of the scaled conditions."""
+    expected = solve_by_ipopt(case.problem, case.plant, case.guess)
+    result = controller.solve()
+    assert result.is_solved
+    assert result.cost == pytest.approx(expected.cost.total, rel=1e-6)
+    assert case.made.manifest.cost == pytest.approx(expected.cost.total, rel=1e-6)
+    plan, motion = controller.plan(), expected.trajectory
+    assert plan.times == pytest.approx(motion.t)
+    assert plan.states == pytest.approx(np.concatenate((motion.q, motion.qd), axis=1), abs=1e-4)
+    assert plan.inputs == pytest.approx(motion.u, abs=1e-4)
+
+
+def test_data_change_as_the_problem_does(case: Case, controller: Controller) -> None:
+    """All at once: start, target, bounds, a range, weights, a constant, both masses. IPOPT finds the same optimum."""
+    cost, end, bounds = case.problem.cost, case.problem.end, case.problem.bounds
+    changed = replace(
+        case.problem,
+        start_q=(0.2, 0.5),
+        start_qd=(0.1, -0.3),
+        end=replace(end, coordinates=((1, 0.05),)),
+        bounds=Bounds(((-0.4, 2.0), bounds.q[1]), ((-1.5, 1.5), bounds.qd[1]), ((-6.0, 5.0),)),
+        constraints=(replace(case.problem.constraints[0], range=(-1.0, 0.55)),),
+        cost=replace(
+            cost,
+            inputs=0.7,
+            running=(replace(cost.running[0], weight=3.0),),
+            terminal=(replace(cost.terminal[0], weight=0.2),),
+        ),
+        constants=(("rest", 0.3),),
+    )
+    plant = load(case.model, {"mp": 0.5, "mc": 1.4}, Extent(("impl", "frames", "exp1"), 2))
+    expected = solve_by_ipopt(changed, plant, case.guess)
+    values = {
+        "start_q": (0.2, 0.5),
+        "start_qd": (0.1, -0.3),
+        "end_q": (0.05,),
+        "q_lower": (-0.4, -np.inf),
+        "qd_lower": (-1.5, -np.inf),
+        "qd_upper": (1.5, np.inf),
+        "u_lower": (-6.0,),
+        "u_upper": (5.0,),
+        "constraints_upper": (0.55,),
+        "weights": (0.7, 3.0, 0.2),
+        "constants": (0.3,),
+        "parameters": (0.5,),
+        "theta": (1.4,),
+    }
+    for name, numbers in values.items():
+        controller.data[name][:] = numbers
+    result = controller.solve()
+    assert result.cost == pytest.approx(expected.cost.total, rel=1e-6)
+    assert abs(result.cost - case.made.manifest.cost) > 0.01
+    controller.reset()
+    assert controller.solve().cost == pytest.approx(case.made.manifest.cost, rel=1e-6)
+
+
+def test_a_bound_is_not_the_bound_of_another(case: Case) -> None:
+    """Each number of the data is read somewhere, and no vector reads a number of another kind."""
+    manifest = case.made.manifest
+    assert [field.name for field in manifest.data] == [
+        *("start_q", "start_qd", "end_q", "q_lower", "q_upper", "qd_lower", "qd_upper", "u_lower", "u_upper"),
+        *("constraints_lower", "constraints_upper", "weights", "constants", "parameters", "theta", "numbers"),
+    ]
+    notes = {entry.note for field in manifest.data for entry in field.entries}
+    assert {"(q_pole - rest*sin(t))**2", "qd_pole**2", "q_pole + 0.1*sin(qd_pole)"} <= notes
+
+
+# --- in real time --------------------------------------------------------------------------------------------------
+
+LOOP = """\
+#include "{0}.h"
+#include <stdio.h>
+#include <stdlib.h>
+int main(void)
+{{
+    {0}_real state[{0}_STATES] = {{0.01, 0.41, 0.02, -0.1}}, inputs[{0}_INPUTS];
+    void *memory = malloc({0}_bytes());
+    {0} *c = {0}_create(memory, {0}_bytes());
+    int k;
+    if ({0}_solve(c, NULL) != MBS_STAGES_SOLVED)
+        return 1;
+    for (k = 0; k < 8; ++k) {{
+        {0}_get_data(c).weights[{0}_weights_inputs] = 0.5 + 0.01 * k;
+        if ({0}_prepare(c, k > 0) != MBS_STAGES_PREPARED || {0}_feedback(c, state, inputs) != MBS_STAGES_STEPPED)
+            return 2;
+        printf("%a %a %a\\n", inputs[0], state[0], {0}_get_step(c)->stationarity);
+        if ({0}_predict(c, state, inputs, {0}_get_period(c), 4, state))
+            return 3;
+    }}
+    free(memory);
+    return 0;
+}}
+"""
+
+
+def test_the_loop_in_c_and_the_loop_in_python_agree_to_the_last_bit(
+    case: Case, controller: Controller, tmp_path: Path
+) -> None:
+    """Eight periods with changing data: inputs, states and residuals."""
+    name, compiler = case.made.manifest.prefix, find_compiler(os.environ)
+    (tmp_path / "loop.c").write_text(LOOP.format(name), encoding="utf-8")
+    library, program = controller.library, tmp_path / "loop"
+    command = [*compiler.command, *compiler.flags, f"-I{case.folder}", str(tmp_path / "loop.c"), str(library)]
+    subprocess.run([*command, f"-Wl,-rpath,{library.parent}", "-o", str(program)], check=True)
+    told = subprocess.run([str(program)], capture_output=True, text=True, check=True).stdout
+    state, rows = np.array([0.01, 0.41, 0.02, -0.1]), []
+    assert controller.solve().status == "solved"
+    for k in range(8):
+        controller.data["weights"][0] = 0.5 + 0.01 * k
+        assert controller.prepare(shift=k > 0).status == "prepared"
+        inputs, step = controller.feedback(state)
+        assert step.status == "stepped"
+        rows.append([float(inputs[0]), float(state[0]), step.stationarity])
+        state = controller.predict(state, inputs, controller.period, 4)
+    assert [[float.fromhex(x) for x in line.split()] for line in told.splitlines()] == rows
+
+
+def test_feedback_converges_to_the_solution_of_the_measured_state(controller: Controller) -> None:
+    """Steps at one state without a shift are Newton's method for the barrier problem, near the optimum itself."""
+    controller.solve()
+    state = [0.05, 0.45, 0.0, 0.1]
+    for _ in range(8):
+        assert controller.prepare().status == "prepared"
+        inputs, step = controller.feedback(state)
+    assert step.violation < 1e-9
+    assert np.array_equal(controller.data["start_q"], state[:2])
+    assert controller.solve(warm=True).is_solved
+    assert controller.plan().inputs[0] == pytest.approx(inputs, abs=1e-2)  # the barrier's own distance
+
+
+def test_the_model_moves_as_the_simulation_has_it(case: Case, controller: Controller) -> None:
+    """RK4 with the controller's masses against a fine step of the same kernel's accelerations."""
+    controller.data["parameters"][:] = 0.5
+    plant = load(case.model, {"mp": 0.5}, Extent(("impl", "frames", "exp1"), 2))
+    state, dt = np.array([0.1, 0.4, 0.2, -0.3]), 1e-3
+    after = controller.predict(state, [2.0], dt, 1)
+    qdd = plant("exp1", q=state[:2], qd=state[2:], u=[2.0])["qdd"]
+    assert (after - state) / dt == pytest.approx(np.concatenate((state[2:], qdd)), abs=30 * dt)
+    halved = controller.predict(controller.predict(state, [2.0], 0.1, 10), [2.0], 0.1, 10)
+    assert controller.predict(state, [2.0], 0.2, 20) == pytest.approx(halved, abs=1e-12)
+
+
+# --- misuse and failures -------------------------------------------------------------------------------------------
+
+
+def test_a_state_that_is_no_number_gives_the_plans_inputs(controller: Controller) -> None:
+    controller.solve()
+    planned = controller.plan().inputs[0]
+    controller.prepare()
+    inputs, step = controller.feedback([np.nan, 0.4, 0, 0])
+    assert step.status == "bad problem"
+    assert np.array_equal(inputs, planned)
+    assert np.isfinite(controller.data["start_q"]).all()
+
+
+def test_feedback_needs_a_preparation(controller: Controller) -> None:
+    inputs, step = controller.feedback(np.zeros(4))
+    assert step.status == "not prepared"
+    assert np.isfinite(inputs).all()
+
+
+def test_limits_hold(controller: Controller) -> None:
+    result = controller.solve(iterations=2)
+    assert (result.status, result.iterations) == ("iteration limit", 2)
+    controller.reset()
+    assert controller.solve(seconds=1e-9).status == "time limit"
+
+
+def test_data_without_meaning_have_a_status(controller: Controller) -> None:
+    controller.data["u_lower"][:] = 9.0  # above the upper one
+    assert controller.solve().status == "bad problem"
+    controller.reset()
+    controller.data["constants"][:] = np.nan
+    assert controller.solve().status == "callback failed"
+    assert controller.prepare().status in ("callback failed", "bad problem")
+    controller.reset()
+    assert controller.solve().is_solved
+
+
+def test_data_outlive_their_controller(case: Case) -> None:
+    data = mbsrun.controller(case.folder).data["start_q"]
+    assert data == pytest.approx([0, 0.4])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda c: c.feedback([1, 2]), r"state has shape \(2,\); give 4 numbers"),
+        (lambda c: c.feedback("up"), "is no vector of numbers"),
+        (lambda c: c.predict(np.zeros(4), [1.0], -1.0), "give a time"),
+        (lambda c: c.predict(np.zeros(4), [np.inf], 1.0), "no acceleration on the way"),
+        (lambda c: c.solve(iterations=0), "iterations = 0 is no limit"),
+    ],
+)
+def test_misuse_is_told(controller: Controller, call: Callable[[Controller], object], message: str) -> None:
+    with pytest.raises(ControllerError, match=message):
+        call(controller)
+
+
+def test_a_folder_without_a_controller_is_told(tmp_path: Path, case: Case) -> None:
+    with pytest.raises(InputError, match="there is no such file; write the folder"):
+        mbsrun.controller(tmp_path)
+    text = (case.folder / "manifest.json").read_text(encoding="utf-8")
+    (tmp_path / "manifest.json").write_text(text.replace('"intervals": 8', '"intervals": 0'), encoding="utf-8")
+    with pytest.raises(InputError, match="intervals: Input should be greater than or equal to 1"):
+        mbsrun.controller(tmp_path)
+
+
+def test_a_problem_that_is_not_solved_gives_no_controller(case: Case) -> None:
+    """Bounds that leave no way."""
+    bounds = replace(case.problem.bounds, u=((-0.01, 0.01),))
+    with pytest.raises(UnsolvedError, match="the controller does not solve its own problem"):
+        make(replace(case.problem, bounds=bounds), case.plant, case.model)
+
+
+# --- the folder ----------------------------------------------------------------------------------------------------
+
+
+def test_the_same_problem_gives_the_same_bytes(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Measurements apart, which the compiler makes."""
+    known = read(case.folder).memory
+    prefix, rows = case.made.manifest.prefix, case.made.files["report.md"].splitlines()
+    stacks = {
+        row.split("`")[1].removeprefix(f"{prefix}_"): int(row.split("|")[2]) for row in rows if row.startswith("| `")
+    }
+    monkeypatch.setattr(making, "measure_single", lambda *_: known.single)
+    monkeypatch.setattr(making, "measure_stacks", lambda *_: stacks)
+    assert make(case.problem, case.plant, case.model).files == case.made.files
+
+
+def test_names_of_files_and_symbols_are_mangled(case: Case) -> None:
+    name = case.made.manifest.prefix
+    assert all(part.isalnum() and part.isascii() for part in name.split("_"))
+    assert set(os.listdir(case.folder)) == set(case.made.files) == set(case.made.manifest.files)
+    assert not any(
+        HOSTILE in text or "touch" in text for file, text in case.made.files.items() if file != "manifest.json"
+    )
+    assert choose_name("cart", "cart") == "cart_controller"
+
+
+def test_nothing_is_allocated_and_only_libm_is_called(controller: Controller, requires: Requires) -> None:
+    told = subprocess.run([requires("nm"), "-Du", str(controller.library)], capture_output=True, text=True, check=True)
+    symbols = {line.split()[-1].partition("@")[0] for line in told.stdout.splitlines()}
+    weak = {"__cxa_finalize", "__gmon_start__", "_ITM_deregisterTMCloneTable", "_ITM_registerTMCloneTable"}
+    assert symbols - weak <= {"memcpy", "memmove", "memset", "sin", "cos", "sqrt", "fabs", "pow", "exp", "log", "log10"}
+
+
+def test_statuses_are_those_of_the_header(case: Case) -> None:
+    text = case.made.files["mbs_stages.h"]
+    words = [status.upper().replace(" ", "_") for status in STATUSES]
+    places = [text.index(f"    MBS_STAGES_{word}") for word in words]
+    assert places == sorted(places)
+
+
+def test_cmake_builds_checks_and_installs_it(case: Case, tmp_path: Path, requires: Requires) -> None:
+    """The check and the example run; another project finds the installed library, as pkg-config does."""
+    name, cmake = case.made.manifest.prefix, requires("cmake")
+    build(cmake, case.folder, tmp_path / "build", "-DCMAKE_BUILD_TYPE=Debug")
+    run("ctest", "--test-dir", tmp_path / "build")
+    told = run(tmp_path / "build" / f"{name}_main")
+    assert "period 40" in told
+    run(cmake, "--install", tmp_path / "build", "--prefix", tmp_path / "first")
+    place = (tmp_path / "first").rename(tmp_path / "moved")
+    (tmp_path / "CMakeLists.txt").write_text(
+        "cmake_minimum_required(VERSION 3.14)\nproject(user C)\n"
+        f"find_package({name} REQUIRED)\nadd_executable(user user.c)\n"
+        f"target_link_libraries(user PRIVATE {name}::{name})\n",
+        encoding="utf-8",
+    )
+    (tmp_path / "user.c").write_text(f"#include <{name}.h>\nint main(void) {{ return !{name}_bytes(); }}\n")
+    build(cmake, tmp_path, tmp_path / "user", f"-DCMAKE_PREFIX_PATH={place}")
+    run(tmp_path / "user" / "user")
+    query = ("env", f"PKG_CONFIG_PATH={place / 'lib' / 'pkgconfig'}", requires("pkg-config"), name)
+    flags = run(*query, "--cflags", "--libs").split()
+    run(requires("gcc"), "-std=c99", tmp_path / "user.c", *flags, "-o", tmp_path / "again")
+    run(tmp_path / "again")
+
+
+def test_single_precision_agrees_with_the_check(case: Case, tmp_path: Path) -> None:
+    """The library that was compiled to count its bytes."""
+    manifest, compiler = case.made.manifest, find_compiler(os.environ)
+    single = replace(compiler, flags=(*compiler.flags, *SINGLE))
+    library = compile_library(case.folder, manifest.prefix, manifest.sources, single)
+    command = [*single.command, *single.flags, str(case.folder / f"{manifest.prefix}_check.c"), str(library)]
+    run(*command, f"-Wl,-rpath,{library.parent}", "-o", tmp_path / "check")
+    assert run(tmp_path / "check").strip().endswith("agrees")
+
+
+def build(cmake: str, source: Path, target: Path, *options: str) -> None:
+    run(cmake, "-S", source, "-B", target, *options)
+    run(cmake, "--build", target)
+
+
+def run(*command: str | Path) -> str:
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
