@@ -93,7 +93,22 @@ def find_sources(problem: Problem, transcription: Transcription, tables: StagePr
             if np.isfinite(bounds[row]):  # a start that is free has none
                 vector[variable] = bounds[row]
     vectors += [bounds[tables.rows_g] for bounds in rows]
-    return marks.sort([*vectors, p])
+    return marks.sort([*vectors, p], np.concatenate([*vectors, p[find_read(tables)]]))
+
+
+def find_read(tables: StageProgram) -> Indices:
+    """Find the entries of p that the tables read: terms do, and calls whose arguments begin there."""
+    read: set[int] = set()
+    for kind in tables.kinds:
+        first = kind.nx + kind.nv
+        for step in (step for script in (kind.values, kind.jacobians, kind.second) for step in script.steps):
+            if step.terms is not None:
+                by = [] if step.terms.by is None else step.terms.by.tolist()
+                read.update(i - first for i in (*step.terms.from_.tolist(), *by))
+            for begin in () if step.call is None else step.call.arguments:
+                if first <= begin < first + tables.parameters:
+                    read.update(range(begin - first, tables.parameters))
+    return np.array(sorted(i for i in read if 0 <= i < tables.parameters), dtype=np.int64)
 
 
 def _spread(bounds: Array, kept: Indices, size: int, other: float) -> Array:
@@ -118,9 +133,9 @@ class _Marks:
         self.count += len(field.entries)
         return [MARK + k for k in range(first, self.count)]
 
-    def sort(self, vectors: Sequence[Array]) -> Sources:
-        """Replace marks by places, other numbers by places of constants; leave out what nothing reads."""
-        read = {int(x - MARK) for vector in vectors for x in vector if x >= MARK and np.isfinite(x)}
+    def sort(self, vectors: Sequence[Array], read_numbers: Array) -> Sources:
+        """Replace marks by places, other numbers by places of constants; leave out marks that nothing reads."""
+        read = {int(x - MARK) for x in read_numbers if x >= MARK and np.isfinite(x)}
         places: dict[int, int] = {}
         fields, first = [], 0
         for field in self.fields:
@@ -136,7 +151,7 @@ class _Marks:
 
         def find(x: float) -> int:
             if x >= MARK and np.isfinite(x):
-                return places[int(x - MARK)]
+                return places.get(int(x - MARK), len(places) + constants.setdefault(0.0, len(constants)))
             return len(places) + constants.setdefault(x, len(constants))
 
         found = [np.array([find(float(x)) for x in vector], dtype=np.int64) for vector in vectors]

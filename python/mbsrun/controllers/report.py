@@ -97,7 +97,7 @@ def measure_single(place: Path, manifest: folders.Manifest, compiler: Compiler) 
 def measure_stacks(place: Path, manifest: folders.Manifest, compiler: Compiler) -> Mapping[str, int]:
     """Return the bytes of stack below each function of the interface; none where the compiler writes no call graphs."""
     name = manifest.prefix
-    command = [*compiler.command, "-O2", *compiler.flags]
+    command = [*compiler.command, "-O3", *compiler.flags]
     try:
         graphs = compile_graphs(command, [place / source for source in manifest.sources], place)
     except StackError:
