@@ -40,7 +40,7 @@ class Field:
     name: str  # in C and in Python
     meaning: str
     entries: tuple[Entry, ...]
-    rows: int = 0  # of a matrix, whose entries are those of its last row; 0: a vector
+    rows: int = 0  # of a matrix, row by row; 0: a vector
 
 
 @dataclass(frozen=True)

@@ -57,7 +57,7 @@ class ControllerError(MbsError):
 
 @dataclass(frozen=True)
 class Result:
-    """What a solve found; numbers are unscaled."""
+    """The outcome of a solve; numbers are unscaled."""
 
     status: str  # one of STATUSES
     message: str
@@ -75,7 +75,7 @@ class Result:
 
 @dataclass(frozen=True)
 class Step:
-    """What a preparation or a feedback did; violation and stationarity are those before the step."""
+    """The outcome of a preparation or a feedback; violation and stationarity belong to the plan before it."""
 
     status: str
     message: str

@@ -225,7 +225,7 @@ def hash_problem(problem: Problem) -> str:
 
 
 def find_rows(transcription: Transcription, problem: Problem) -> Mask:
-    """Mark the rows of the program that have a bound, and those that a solver does not see."""
+    """Mark the rows of the program that have a bound, and all rows that a solver does not see."""
     program = transcription.program
     lower, upper = transcription.constraint_bounds(problem)
     rows = np.ones(program.constraints, dtype=bool)

@@ -1,11 +1,11 @@
-"""What a controller costs, before it runs: memory, operations of an iteration, the largest stack.
+"""The cost of a controller before it runs: memory, operations of an iteration, the largest stack.
 
-Operations of an evaluation are counted: those of kernels and formulas by the paper's convention, and two or three for
-each term of the tables. Those of the algebra are estimated by the sizes of dense matrices, of a stage with x, inner
-variables y and others v, n = x + v:
+The operations of an evaluation are counted: in kernels and formulas by the paper's convention, and two or three for
+each term of the tables. The operations of the linear algebra are estimated by the sizes of dense matrices. A stage has
+states x, inner variables y and others v, n = |x| + |v|:
 
-    y = S (x, v)           |y| n^2                condensing, by rows of sparse matrices
-    sweep backwards        n^3 / 3 + 2 x n^2      factorisation of v, products with the next stage's matrix
+    y = S (x, v)           |y| n^2 + 2 nnz(H) n    condensing, by rows of sparse matrices
+    sweep backwards        n^3 / 3 + 2 |x| n^2     factorisation of v, products with the next stage's matrix
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def _estimate(kind: Kind) -> int:
 
 @dataclass(frozen=True)
 class Figures:
-    """What the report shows."""
+    """The figures of the report, beside sizes and operations."""
 
     double: int  # bytes
     single: int
