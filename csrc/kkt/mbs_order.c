@@ -5,13 +5,16 @@
  * Unknowns with the same neighbours form one supervariable, which counts all its members. */
 #include "mbs_order.h"
 
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
 #define NONE (-1)
+#define FEW 64  /* neighbours that any unknown may have */
+#define MANY 5  /* times the root of the number of unknowns: neighbours that it may have in larger systems */
 
 typedef struct {
-    int n, total; /* nodes; unknowns */
+    int n, total; /* nodes; unknowns that they hold */
     int eliminated;
     /* of unknowns: what they touch, `elements` elements, then `unknowns` unknowns, from list[start] on */
     int *list, *start, *elements, *unknowns;
@@ -274,18 +277,34 @@ static void update(graph *g, int p, int *mark)
     g->stamp += g->total + 1;
 }
 
-/* Make a supervariable of each unknown, or of each pair that needs each other for a pivot, and list their neighbours. */
-static void start_graph(graph *g, int n, const int *start, const int *adjacent, const char *weak, const int *partner,
-                        int *node)
+int mbs_most_neighbours(int n)
 {
-    int i, k, used = 0;
+    const int many = (int)(MANY * sqrt((double)n));
+    return many > FEW ? many : FEW;
+}
+
+/* Assign unknowns to nodes: one to each, or a pair that needs each other for a pivot; NONE for those with too many
+ * neighbours. */
+static void assign_nodes(graph *g, int n, const int *start, const int *partner, int *node)
+{
+    const int most = mbs_most_neighbours(n);
+    int i;
     for (i = 0; i < n; ++i) {
         const int mate = partner[i];
-        if (mate != NONE && mate < i)
-            node[i] = node[mate];
-        else
-            node[i] = g->n++;
+        if (start[i + 1] - start[i] > most)
+            node[i] = NONE;
+        else {
+            ++g->total;
+            node[i] = mate != NONE && mate < i && node[mate] != NONE ? node[mate] : g->n++;
+        }
     }
+}
+
+/* List the neighbours of each node. */
+static void start_graph(graph *g, int n, const int *start, const int *adjacent, const char *weak, const int *partner,
+                        const int *node)
+{
+    int i, k, used = 0;
     for (k = 0; k <= n; ++k)
         g->head[k] = NONE;
     for (k = 0; k < g->n; ++k) {
@@ -296,17 +315,21 @@ static void start_graph(graph *g, int n, const int *start, const int *adjacent, 
         g->outside[k] = 0;
     }
     for (i = 0; i < n; ++i)
-        ++g->size[node[i]], g->credit[node[i]] += weak[i] && partner[i] == NONE ? -1 : !weak[i];
+        if (node[i] != NONE) {
+            const int alone = partner[i] == NONE || node[partner[i]] == NONE;
+            ++g->size[node[i]];
+            g->credit[node[i]] += weak[i] && alone ? -1 : !weak[i];
+        }
     for (i = 0; i < n; ++i) {
         const int own = node[i], mate = partner[i];
         int both[2] = {i, mate}, b;
-        if (mate != NONE && mate < i)
+        if (own == NONE || (mate != NONE && mate < i && node[mate] == own))
             continue;
         g->start[own] = used;
         for (b = 0; b < g->size[own]; ++b)
             for (k = start[both[b]]; k < start[both[b] + 1]; ++k) {
                 const int other = node[adjacent[k]];
-                if (other != own && g->seen[other] != own) {
+                if (other != NONE && other != own && g->seen[other] != own) {
                     g->seen[other] = own;
                     g->list[used++] = other;
                     g->degree[own] += g->size[other];
@@ -322,21 +345,22 @@ static void start_graph(graph *g, int n, const int *start, const int *adjacent, 
             enlist(g, k);
 }
 
-/* Write the members of the nodes in the order of their elimination. */
+/* Write the members of the nodes in the order of their elimination, then the unknowns of no node. */
 static void write_order(int n, const int *node, const int *sequence, int nodes, int *order, int *place)
 {
     int i, k, used = 0;
     for (k = 0; k < nodes; ++k)
         place[sequence[k]] = 0;
     for (i = 0; i < n; ++i)
-        ++place[node[i]];
+        if (node[i] != NONE)
+            ++place[node[i]];
     for (k = 0; k < nodes; ++k) {
         const int size = place[sequence[k]];
         place[sequence[k]] = used;
         used += size;
     }
     for (i = 0; i < n; ++i)
-        order[place[node[i]]++] = i;
+        order[node[i] == NONE ? used++ : place[node[i]]++] = i;
 }
 
 int mbs_order(int n, const int *start, const int *adjacent, const char *weak, const int *partner, int *order)
@@ -358,7 +382,7 @@ int mbs_order(int n, const int *start, const int *adjacent, const char *weak, co
         for (part = 0; part < sizeof parts / sizeof *parts; ++part)
             *parts[part] = work + part * room;
         g.list = work + INTEGERS * room;
-        g.total = n;
+        assign_nodes(&g, n, start, partner, node);
         start_graph(&g, n, start, adjacent, weak, partner, node);
         while (k < g.n) {
             int i;

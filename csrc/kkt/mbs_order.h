@@ -2,6 +2,10 @@
 #ifndef MBS_ORDER_H
 #define MBS_ORDER_H
 
+/* How many neighbours an unknown may have. Those with more, for example parameters of a whole trajectory, are eliminated
+ * last: all others would meet them again and again. */
+int mbs_most_neighbours(int n);
+
 /* Approximate minimum degree (Amestoy, Davis, Duff, 1996) for indefinite systems.
  *
  * `adjacent[start[i]] .. adjacent[start[i + 1] - 1]` are the neighbours of i, each edge listed at both ends, without
