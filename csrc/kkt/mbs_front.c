@@ -8,6 +8,7 @@
 #define COLUMNS 4       /* columns of a tile of the remainder; its rows are MBS_LANES */
 #define GOOD 0.01       /* ratio of a pivot to its column from which on none better is looked for */
 #define LOOKS 6         /* columns that are looked at for a better one */
+#define PANEL 32        /* candidates for pivots that are looked at, and updated, at once */
 #define CANCELLED 1e-14 /* a determinant, relative to the terms of its difference */
 
 int mbs_stride(int rows)
@@ -31,7 +32,8 @@ void mbs_subtract(int n, double x, const double *restrict a, double *restrict b)
 typedef struct {
     double *a;
     int rows, stride, pivots;
-    int done;
+    int done, next; /* unknowns that are eliminated; the candidate that is looked at first */
+    int first, end; /* the panel: the pivots since `first` have not updated the columns from `end` on */
     double *d;
     int *name;
     double *old; /* D LT, by rows, `pitch` apart */
@@ -105,7 +107,7 @@ static int find_largest(const state *s, int c)
 {
     double most = 0.0;
     int i, where = -1;
-    for (i = s->done; i < s->pivots; ++i) {
+    for (i = s->done; i < s->end; ++i) {
         const double x = i == c ? 0.0 : fabs(*entry(s, i, c));
         if (x > most) {
             most = x;
@@ -144,21 +146,27 @@ static void consider_pair(const state *s, int c, int r, double zero, pivot *best
         prefer(best, r, -1, z / larger(rest_r, y));
 }
 
-/* Find a pivot that is good, or the best of those looked at: of some, if they meet the threshold, or of all. */
-static pivot search(const state *s, double threshold, double zero)
+/* Find a pivot that is good, or the best of those looked at: of some, if they meet the threshold, or of all. Look first
+ * at candidates that have not been found bad lately. */
+static pivot search(state *s, double threshold, double zero)
 {
     pivot best = {-1, -1, 0.0};
-    int c;
-    for (c = s->done; c < s->pivots; ++c) {
-        const double x = fabs(*entry(s, c, c)), top = largest(s, c, -1);
+    int looks, c = s->next;
+    for (looks = 1; looks <= s->end - s->done; ++looks, ++c) {
+        double x, top;
         int r;
+        if (c < s->done || c >= s->end)
+            c = s->done;
+        x = fabs(*entry(s, c, c));
+        top = largest(s, c, -1);
         if (x > zero)
             prefer(&best, c, -1, top > 0.0 ? x / top : HUGE_VAL);
         if (best.ratio < GOOD && (r = find_largest(s, c)) >= 0 && fabs(*entry(s, r, c)) > zero)
             consider_pair(s, c, r, zero, &best);
-        if (best.ratio >= (c + 1 < s->done + LOOKS ? GOOD : threshold))
+        if (best.ratio >= (looks < LOOKS ? GOOD : threshold))
             break;
     }
+    s->next = c + 1;
     return best;
 }
 
@@ -179,7 +187,7 @@ static void eliminate_one(state *s)
     int i;
     for (i = k + 1; i < s->rows; ++i)
         column[i] *= inverse;
-    for (i = k + 1; i < s->pivots; ++i)
+    for (i = k + 1; i < s->end; ++i)
         mbs_subtract(s->rows - i, old[i], column + i, s->a + (size_t)i * (size_t)s->stride + i);
     s->d[2 * k] = own;
     s->d[2 * k + 1] = 0.0;
@@ -201,7 +209,7 @@ static void eliminate_two(state *s)
         one[i] = f * (u * x - y);
         two[i] = f * (t * y - x);
     }
-    for (i = k + 2; i < s->pivots; ++i) {
+    for (i = k + 2; i < s->end; ++i) {
         double *column = s->a + (size_t)i * stride + i;
         mbs_subtract(s->rows - i, old_one[i], one + i, column);
         mbs_subtract(s->rows - i, old_two[i], two + i, column);
@@ -213,17 +221,18 @@ static void eliminate_two(state *s)
     s->done = k + 2;
 }
 
-/* Subtract L D LT from a tile of the remainder: MBS_LANES rows from i on, COLUMNS columns from j on, or to the last. */
-static void subtract_tile(const state *s, int i, int j)
+/* Subtract L D LT, of the pivots from `from` on, from a tile: MBS_LANES rows from i on, COLUMNS columns from j on, or to
+ * the one before `end`. */
+static void subtract_tile(const state *s, int from, int i, int j, int end)
 {
     const size_t stride = (size_t)s->stride;
-    const int width = s->rows - j < COLUMNS ? s->rows - j : COLUMNS;
+    const int width = end - j < COLUMNS ? end - j : COLUMNS;
     const int height = s->rows - i < MBS_LANES ? s->rows - i : MBS_LANES;
-    const double *l = s->a + i, *w = s->old + j;
+    const double *l = s->a + (size_t)from * stride + i, *w = s->old + (size_t)from * s->pitch + j;
     double a[MBS_LANES] = {0.0}, b[MBS_LANES] = {0.0}, c[MBS_LANES] = {0.0}, d[MBS_LANES] = {0.0};
     const double *const sums[COLUMNS] = {a, b, c, d};
     int k, m, n;
-    for (k = 0; k < s->done; ++k, l += stride, w += s->pitch) {
+    for (k = from; k < s->done; ++k, l += stride, w += s->pitch) {
         const double p = w[0], q = w[1], r = w[2], t = w[3];
         for (m = 0; m < MBS_LANES; ++m)
             a[m] += l[m] * p;
@@ -241,24 +250,41 @@ static void subtract_tile(const state *s, int i, int j)
     }
 }
 
-/* Subtract L D LT from the remainder, except the columns of the candidates for pivots. */
-static void subtract_products(const state *s)
+/* Subtract L D LT, of the pivots from `from` on, from the columns `begin` .. `end` - 1. */
+static void subtract_products(const state *s, int from, int begin, int end)
 {
     int i, j;
-    for (j = s->pivots; j < s->rows; j += COLUMNS)
+    for (j = begin; j < end; j += COLUMNS)
         for (i = j; i < s->rows; i += MBS_LANES)
-            subtract_tile(s, i, j);
+            subtract_tile(s, from, i, j, end);
+}
+
+/* Take further candidates into the panel. Returns 0 if there are none. */
+static int widen(state *s)
+{
+    if (s->end == s->pivots)
+        return 0;
+    subtract_products(s, s->first, s->end, s->pivots);
+    s->first = s->done;
+    s->next = s->end;
+    s->end = s->pivots - s->end < PANEL ? s->pivots : s->end + PANEL;
+    return 1;
 }
 
 mbs_eliminated mbs_eliminate(double *front, int rows, int stride, int pivots, int last, const mbs_pivoting *pivoting,
                              double *d, int *name, double *work)
 {
-    state s = {front, rows, stride, pivots, 0, d, name, work, (size_t)stride + MBS_LANES};
+    state s = {front, rows, stride, pivots, 0, 0, 0, pivots < PANEL ? pivots : PANEL, d, name, work,
+               (size_t)stride + MBS_LANES};
     mbs_eliminated result = {0, 0, 0};
     while (s.done < pivots) {
         const pivot best = search(&s, pivoting->threshold, pivoting->zero);
-        if (best.ratio < pivoting->threshold && !(last && best.ratio > 0.0))
-            break;
+        if (best.ratio < pivoting->threshold) {
+            if (widen(&s))
+                continue;
+            if (!last || !(best.ratio > 0.0))
+                break;
+        }
         exchange(&s, s.done, best.first);
         if (best.second < 0) {
             eliminate_one(&s);
@@ -276,7 +302,7 @@ mbs_eliminated mbs_eliminate(double *front, int rows, int stride, int pivots, in
     if (last)
         result.zeros = pivots - s.done;
     else
-        subtract_products(&s);
+        subtract_products(&s, 0, pivots, rows);
     result.eliminated = s.done;
     return result;
 }
