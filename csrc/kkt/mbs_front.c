@@ -7,25 +7,13 @@
 
 #define COLUMNS 4       /* columns of a tile of the remainder; its rows are MBS_LANES */
 #define GOOD 0.01       /* ratio of a pivot to its column from which on none better is looked for */
-#define LOOKS 6         /* columns that are looked at for a better one */
+#define LOOKS 3         /* columns that are looked at for a better one */
 #define PANEL 32        /* candidates for pivots that are looked at, and updated, at once */
 #define CANCELLED 1e-14 /* a determinant, relative to the terms of its difference */
-
-int mbs_stride(int rows)
-{
-    return (rows + MBS_LANES - 1) / MBS_LANES * MBS_LANES;
-}
 
 static double larger(double a, double b)
 {
     return a > b ? a : b;
-}
-
-void mbs_subtract(int n, double x, const double *restrict a, double *restrict b)
-{
-    int i;
-    for (i = 0; i < n; ++i)
-        b[i] -= a[i] * x;
 }
 
 /* A front while it is eliminated. */
@@ -73,48 +61,53 @@ static void exchange(state *s, int i, int j)
 /* The largest of n numbers, whatever their signs. */
 static double peak(const double *a, int n)
 {
-    double most[MBS_LANES] = {0.0};
+    double most[MBS_LANES] = {0.0}, top = 0.0;
     int i, m;
-    for (i = 0; i + MBS_LANES <= n; i += MBS_LANES)
+    if (n < MBS_LANES) {
+        for (i = 0; i < n; ++i)
+            top = larger(top, fabs(a[i]));
+        return top;
+    }
+    for (i = 0; i < n; i += MBS_LANES) {
+        const double *at = a + (i + MBS_LANES > n ? n - MBS_LANES : i); /* the last ones overlap */
         for (m = 0; m < MBS_LANES; ++m) {
-            const double x = fabs(a[i + m]);
+            const double x = fabs(at[m]);
             most[m] = x > most[m] ? x : most[m];
         }
-    for (; i < n; ++i) {
-        const double x = fabs(a[i]);
-        most[0] = x > most[0] ? x : most[0];
     }
-    for (m = 1; m < MBS_LANES; ++m)
-        most[0] = most[m] > most[0] ? most[m] : most[0];
-    return most[0];
+    for (m = 0; m < MBS_LANES / 2; ++m)
+        most[m] = larger(most[m], most[m + MBS_LANES / 2]);
+    return larger(larger(most[0], most[1]), larger(most[2], most[3]));
 }
 
-/* The largest entry of column c, its diagonal and row `but` aside. */
-static double largest(const state *s, int c, int but)
+/* What is off the diagonal of a column. */
+typedef struct {
+    int row;                     /* of the largest entry among the candidates for pivots, or -1 */
+    double among, second, below; /* that entry, the next one among them, and the largest one of all other rows */
+} view;
+
+static view look(const state *s, int c)
 {
-    const double *column = s->a + (size_t)c * (size_t)s->stride;
-    const int from = but > c ? but + 1 : c + 1;
-    double most = larger(peak(column + c + 1, from - c - (from > c + 1 ? 2 : 1)), peak(column + from, s->rows - from));
+    const double *diagonal = entry(s, c, c), *across = s->a + (size_t)s->done * (size_t)s->stride + c;
+    view found = {-1, 0.0, 0.0, 0.0};
     int i;
-    for (i = s->done; i < c; ++i)
-        if (i != but)
-            most = larger(most, fabs(*entry(s, c, i)));
-    return most;
-}
-
-/* The row of the largest entry of column c, among the candidates for pivots, or -1. */
-static int find_largest(const state *s, int c)
-{
-    double most = 0.0;
-    int i, where = -1;
-    for (i = s->done; i < s->end; ++i) {
-        const double x = i == c ? 0.0 : fabs(*entry(s, i, c));
-        if (x > most) {
-            most = x;
-            where = i;
-        }
+#define MEET(entry)                                    \
+    {                                                  \
+        const double x = fabs(entry);                  \
+        if (x > found.among) {                         \
+            found.second = found.among;                \
+            found.among = x;                           \
+            found.row = i;                             \
+        } else                                         \
+            found.second = larger(found.second, x);    \
     }
-    return where;
+    for (i = s->done; i < c; ++i, across += s->stride)
+        MEET(*across)
+    for (++i; i < s->end; ++i)
+        MEET(diagonal[i - c])
+#undef MEET
+    found.below = peak(diagonal + (s->end - c), s->rows - s->end);
+    return found;
 }
 
 /* A pivot: one unknown, or two; and how large it is beside the rest of its columns: 0, nothing; 1, as large. */
@@ -132,12 +125,16 @@ static void prefer(pivot *best, int first, int second, double ratio)
     }
 }
 
-/* Look at c and its partner r as a pair, and at r alone. */
-static void consider_pair(const state *s, int c, int r, double zero, pivot *best)
+/* Look at c and the row of its largest entry as a pair, and at that row alone. */
+static void consider_pair(const state *s, int c, const view *of_c, double zero, pivot *best)
 {
+    const int r = of_c->row;
+    const view of_r = look(s, r);
     const double a = *entry(s, c, c), b = *entry(s, r, c), d = *entry(s, r, r);
-    const double x = fabs(a), y = fabs(b), z = fabs(d), rest_c = largest(s, c, r), rest_r = largest(s, r, c);
-    const double scale = larger(x, larger(y, z)), det = fabs(a / scale * d - b / scale * b);
+    const double x = fabs(a), y = fabs(b), z = fabs(d), scale = larger(x, larger(y, z));
+    const double rest_c = larger(of_c->second, of_c->below);
+    const double rest_r = larger(of_r.row == c ? of_r.second : of_r.among, of_r.below);
+    const double det = fabs(a / scale * d - b / scale * b);
     if (det > zero && det > CANCELLED * scale) {
         const double growth = larger(z * rest_c + y * rest_r, y * rest_c + x * rest_r) / scale;
         prefer(best, c, r, growth > 0.0 ? det / growth : HUGE_VAL);
@@ -154,15 +151,16 @@ static pivot search(state *s, double threshold, double zero)
     int looks, c = s->next;
     for (looks = 1; looks <= s->end - s->done; ++looks, ++c) {
         double x, top;
-        int r;
+        view of_c;
         if (c < s->done || c >= s->end)
             c = s->done;
+        of_c = look(s, c);
         x = fabs(*entry(s, c, c));
-        top = largest(s, c, -1);
+        top = larger(of_c.among, of_c.below);
         if (x > zero)
             prefer(&best, c, -1, top > 0.0 ? x / top : HUGE_VAL);
-        if (best.ratio < GOOD && (r = find_largest(s, c)) >= 0 && fabs(*entry(s, r, c)) > zero)
-            consider_pair(s, c, r, zero, &best);
+        if (best.ratio < GOOD && of_c.row >= 0 && of_c.among > zero)
+            consider_pair(s, c, &of_c, zero, &best);
         if (best.ratio >= (looks < LOOKS ? GOOD : threshold))
             break;
     }
@@ -178,17 +176,26 @@ static const double *keep(const state *s, int k)
     return old;
 }
 
-/* Eliminate the next unknown, and update the columns of the candidates for pivots. */
+/* Subtract a column of L, times a number, from column i. */
+static void update(const state *s, int i, double x, const double *column)
+{
+    const int from = mbs_lane(i);
+    mbs_subtract(s->stride - from, x, column + from, s->a + (size_t)i * (size_t)s->stride + from);
+}
+
+/* Eliminate the next unknown, and update the columns of the panel. */
 static void eliminate_one(state *s)
 {
     const int k = s->done;
     double *column = s->a + (size_t)k * (size_t)s->stride;
     const double own = column[k], inverse = 1.0 / own, *old = keep(s, k);
     int i;
-    for (i = k + 1; i < s->rows; ++i)
+    for (i = mbs_lane(k); i <= k; ++i)
+        column[i] = 0.0;
+    for (i = mbs_lane(k); i < s->stride; ++i)
         column[i] *= inverse;
     for (i = k + 1; i < s->end; ++i)
-        mbs_subtract(s->rows - i, old[i], column + i, s->a + (size_t)i * (size_t)s->stride + i);
+        update(s, i, old[i], column);
     s->d[2 * k] = own;
     s->d[2 * k + 1] = 0.0;
     s->done = k + 1;
@@ -203,16 +210,16 @@ static void eliminate_two(state *s)
     const double a = one[k], b = one[k + 1], c = two[k + 1], t = a / b, u = c / b, f = 1.0 / (b * (t * u - 1.0));
     const double *old_one = keep(s, k), *old_two = keep(s, k + 1);
     int i;
-    one[k + 1] = 0.0;
-    for (i = k + 2; i < s->rows; ++i) {
+    for (i = mbs_lane(k); i < k + 2; ++i)
+        one[i] = two[i] = 0.0;
+    for (i = mbs_lane(k); i < s->stride; ++i) {
         const double x = one[i], y = two[i];
         one[i] = f * (u * x - y);
         two[i] = f * (t * y - x);
     }
     for (i = k + 2; i < s->end; ++i) {
-        double *column = s->a + (size_t)i * stride + i;
-        mbs_subtract(s->rows - i, old_one[i], one + i, column);
-        mbs_subtract(s->rows - i, old_two[i], two + i, column);
+        update(s, i, old_one[i], one);
+        update(s, i, old_two[i], two);
     }
     s->d[2 * k] = a;
     s->d[2 * k + 1] = b;
@@ -305,18 +312,4 @@ mbs_eliminated mbs_eliminate(double *front, int rows, int stride, int pivots, in
         subtract_products(&s, 0, pivots, rows);
     result.eliminated = s.done;
     return result;
-}
-
-double mbs_dot(int n, const double *a, const double *b)
-{
-    double sum[MBS_LANES] = {0.0}, rest = 0.0;
-    int i, m;
-    for (i = 0; i + MBS_LANES <= n; i += MBS_LANES)
-        for (m = 0; m < MBS_LANES; ++m)
-            sum[m] += a[i + m] * b[i + m];
-    for (; i < n; ++i)
-        rest += a[i] * b[i];
-    for (m = 0; m < MBS_LANES; ++m)
-        rest += sum[m];
-    return rest;
 }

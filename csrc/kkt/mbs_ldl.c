@@ -151,8 +151,10 @@ static void fill_front(mbs_factors *f, int k, const shape *s, int children, cons
     const mbs_plan *plan = f->plan;
     double *front = open_numbers(f);
     int e, j, at = s->own + s->delayed;
-    for (j = 0; j < s->rows; ++j)
-        memset(front + (size_t)j * (size_t)s->stride + j, 0, (size_t)(s->stride - j) * sizeof *front);
+    for (j = 0; j < s->rows; ++j) {
+        const int from = mbs_lane(j);
+        memset(front + (size_t)j * (size_t)s->stride + from, 0, (size_t)(s->stride - from) * sizeof *front);
+    }
     for (e = plan->from[k]; e < plan->from[k + 1]; ++e) {
         const int i = shift(s, plan->at_row[e]);
         j = shift(s, plan->at_column[e]);
@@ -265,10 +267,12 @@ void mbs_solve(const mbs_factors *f, double *x)
         const double *L = f->values.at + b->L;
         for (i = 0; i < b->eliminated; ++i)
             y[i] = solution[name[i]];
-        for (i = b->eliminated; i < b->rows; ++i)
+        for (i = b->eliminated; i < b->stride; ++i)
             y[i] = 0.0;
-        for (j = 0; j < b->eliminated; ++j, L += b->stride)
-            mbs_subtract(b->rows - j - 1, y[j], L + j + 1, y + j + 1);
+        for (j = 0; j < b->eliminated; ++j, L += b->stride) {
+            const int from = mbs_lane(j + 1);
+            mbs_subtract(b->stride - from, y[j], L + from, y + from);
+        }
         for (i = b->eliminated; i < b->rows; ++i)
             solution[name[i]] += y[i];
         divide(f->values.at + b->D, b->eliminated, y);
@@ -281,8 +285,12 @@ void mbs_solve(const mbs_factors *f, double *x)
         const double *L = f->values.at + b->L;
         for (i = 0; i < b->rows; ++i)
             y[i] = solution[name[i]];
-        for (j = b->eliminated; j-- > 0;)
-            y[j] -= mbs_dot(b->rows - j - 1, L + (size_t)j * (size_t)b->stride + j + 1, y + j + 1);
+        for (; i < b->stride; ++i)
+            y[i] = 0.0;
+        for (j = b->eliminated; j-- > 0;) {
+            const int from = mbs_lane(j + 1);
+            y[j] -= mbs_dot(b->stride - from, L + (size_t)j * (size_t)b->stride + from, y + from);
+        }
         for (i = 0; i < b->eliminated; ++i)
             solution[name[i]] = y[i];
     }
