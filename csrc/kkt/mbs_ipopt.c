@@ -11,13 +11,16 @@
 #define NO_MEMORY (-1)
 #define DELAYED 0.1 /* share of the unknowns that found no pivot in their fronts from which on the plan is renewed */
 #define RENEWALS 2  /* how often */
+#define DEAR 200.0  /* nanoseconds that an unknown may take; beyond them another plan is tried, */
+#define BETTER 0.75 /* and taken if it takes this share of the time */
 
 /* A system's pattern, and the plan for it, which is made when its values are known. */
 typedef struct {
     int n;
     int *start, *row;
-    char *weak;
+    char *weak; /* in any system for which it has been planned */
     int *partner;
+    double *work;
     mbs_plan *plan;
     int renewals; /* how often the plan may still be renewed */
     int stale;    /* whether it is to be renewed */
@@ -42,6 +45,7 @@ void ma97_free_akeep_d(void **kept)
     free(p->row);
     free(p->weak);
     free(p->partner);
+    free(p->work);
     mbs_release_plan(p->plan);
     free(p);
     *kept = 0;
@@ -80,9 +84,10 @@ void ma97_analyse_d(int check, int n, const int *start, const int *row, const do
     p->renewals = RENEWALS;
     p->start = malloc(((size_t)n + 1) * sizeof *p->start);
     p->row = malloc(((size_t)entries + 1) * sizeof *p->row);
-    p->weak = malloc((size_t)n + 1);
+    p->weak = calloc((size_t)n + 1, 1);
+    p->work = malloc((2 * (size_t)n + 1) * sizeof *p->work);
     p->partner = malloc(((size_t)n + 1) * sizeof *p->partner);
-    if (!p->start || !p->row || !p->weak || !p->partner)
+    if (!p->start || !p->row || !p->weak || !p->partner || !p->work)
         return;
     for (k = 0; k <= n; ++k)
         p->start[k] = start[k] - base;
@@ -91,7 +96,18 @@ void ma97_analyse_d(int check, int n, const int *start, const int *row, const do
     report->flag = 0;
 }
 
-/* Make the plan if there is none, or a better one is due. Returns -1 if memory runs out. */
+/* Return a plan in which all multipliers have partners, or only those of weak variables; NULL if memory runs out. */
+static mbs_plan *make_plan(pattern *p, const double *value, int all)
+{
+    if (mbs_find_partners(p->n, p->start, p->row, value, p->weak, all, p->partner))
+        return 0;
+    return mbs_make_plan(p->n, p->start, p->row, p->weak, p->partner);
+}
+
+/* Make the plan if there is none, or a better one is due. Returns -1 if memory runs out.
+ *
+ * With partners multipliers find their pivots, whatever the variables' diagonal entries become, and as a rule fill is
+ * less. Without them variables are eliminated first, and sometimes fill is much less. */
 static int plan_for(pattern *p, const double *value)
 {
     if (p->stale) {
@@ -100,9 +116,16 @@ static int plan_for(pattern *p, const double *value)
         p->stale = 0;
     }
     if (!p->plan) {
-        if (mbs_find_partners(p->n, p->start, p->row, value, p->weak, p->partner))
-            return -1;
-        p->plan = mbs_make_plan(p->n, p->start, p->row, p->weak, p->partner);
+        mbs_mark_weak(p->n, p->start, p->row, value, p->weak, p->work);
+        p->plan = make_plan(p, value, 1);
+        if (p->plan && p->plan->expected > DEAR * p->n) {
+            mbs_plan *other = make_plan(p, value, 0);
+            if (other && other->expected < BETTER * p->plan->expected) {
+                mbs_release_plan(p->plan);
+                p->plan = other;
+            } else
+                mbs_release_plan(other);
+        }
     }
     return p->plan ? 0 : -1;
 }

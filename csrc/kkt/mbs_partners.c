@@ -15,7 +15,6 @@ typedef struct {
     int *mate;
     int *from;  /* of a node met on the way: the one that it was met from, or NONE */
     int *queue; /* nodes to go on from */
-    char *weak;
 } sides;
 
 /* Variables end where no entry off the diagonal lies in a later row and column both. */
@@ -31,14 +30,13 @@ static int count_variables(int n, const int *start, const int *row)
     return count;
 }
 
-/* Find out which diagonal entries are no pivots; `most` has room for 2 n. */
-static void mark_weak(sides *s, const int *start, const int *row, const double *value, double *most)
+int mbs_mark_weak(int n, const int *start, const int *row, const double *value, char *weak, double *work)
 {
-    double *own = most + s->n;
-    int i, j, k;
-    for (i = 0; i < s->n; ++i)
+    double *most = work, *own = work + n;
+    int i, j, k, count = 0;
+    for (i = 0; i < n; ++i)
         most[i] = own[i] = 0.0;
-    for (j = 0; j < s->n; ++j)
+    for (j = 0; j < n; ++j)
         for (k = start[j]; k < start[j + 1]; ++k) {
             const double x = fabs(value[k]);
             i = row[k];
@@ -49,8 +47,12 @@ static void mark_weak(sides *s, const int *start, const int *row, const double *
                 most[j] = x > most[j] ? x : most[j];
             }
         }
-    for (i = 0; i < s->n; ++i)
-        s->weak[i] = own[i] <= WEAK * most[i];
+    for (i = 0; i < n; ++i)
+        if (!weak[i] && own[i] <= WEAK * most[i]) {
+            weak[i] = 1;
+            ++count;
+        }
+    return count;
 }
 
 static void list_edges(sides *s, const int *start, const int *row, const double *value)
@@ -125,32 +127,40 @@ static void match_along_path(sides *s, int i)
         s->from[seen[met]] = NONE;
 }
 
-int mbs_find_partners(int n, const int *start, const int *row, const double *value, char *weak, int *partner)
+/* Match the unknowns from `from` to `end` - 1 that are marked, or all of them: first with what is free. */
+static void match(sides *s, int from, int end, const char *marked)
+{
+    int i;
+    for (i = from; i < end; ++i)
+        if ((!marked || marked[i]) && s->mate[i] == NONE)
+            match_largest(s, i);
+    for (i = from; i < end; ++i)
+        if ((!marked || marked[i]) && s->mate[i] == NONE)
+            match_along_path(s, i);
+}
+
+int mbs_find_partners(int n, const int *start, const int *row, const double *value, const char *weak, int all,
+                      int *partner)
 {
     const size_t room = (size_t)n + 2, edges = 2 * (size_t)start[n] + 1;
     int *integers = malloc((5 * room + edges) * sizeof *integers), i;
-    double *numbers = malloc((edges > 2 * room ? edges : 2 * room) * sizeof *numbers);
+    double *numbers = malloc(edges * sizeof *numbers);
     sides s = {0};
     if (integers && numbers) {
         s.n = n;
         s.begin = integers;
         s.mate = partner;
-        s.weak = weak;
         s.from = integers + room;
         s.queue = integers + 2 * room;
         s.other = integers + 5 * room;
         s.entry = numbers;
         s.variables = count_variables(n, start, row);
-        mark_weak(&s, start, row, value, numbers);
         list_edges(&s, start, row, value);
         for (i = 0; i < n; ++i)
             s.mate[i] = s.from[i] = NONE;
-        for (i = 0; i < s.variables; ++i)
-            if (s.weak[i])
-                match_largest(&s, i);
-        for (i = 0; i < s.variables; ++i)
-            if (s.weak[i] && s.mate[i] == NONE)
-                match_along_path(&s, i);
+        match(&s, 0, s.variables, weak);
+        if (all)
+            match(&s, s.variables, n, 0);
     }
     i = integers && numbers ? 0 : -1;
     free(integers);

@@ -247,6 +247,7 @@ static void number(const draft *s, mbs_plan *plan, const int *sequence, int *lab
     for (f = 0; f < plan->fronts; ++f) {
         const int up = s->parent[sequence[f]];
         plan->first[f + 1] = plan->first[f] + s->own[sequence[f]];
+        plan->expected += expect(s->own[sequence[f]], s->count[sequence[f]]);
         plan->parent[f] = up == NONE ? NONE : index[up];
         s->next[f] = plan->first[f];
     }

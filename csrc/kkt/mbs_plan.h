@@ -10,6 +10,7 @@
 typedef struct {
     int holders; /* who may still use it; the last one frees it */
     int n, fronts;
+    double expected; /* nanoseconds, about, to factorise a system if no unknown has to wait for a pivot */
     int *order;                      /* the unknown that is eliminated k-th; below, k is the number of an unknown */
     int *first;                      /* own unknowns of front f: first[f] .. first[f + 1] - 1 */
     int *begin;                      /* its others: rows[begin[f]] .. rows[begin[f + 1] - 1], ascending */

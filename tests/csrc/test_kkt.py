@@ -27,7 +27,9 @@ typedef struct mbs_plan mbs_plan;
 typedef struct mbs_factors mbs_factors;
 typedef struct { double threshold, zero; } mbs_pivoting;
 typedef struct { int failed, negative, zeros, delayed, front; long entries; } mbs_met;
-int mbs_find_partners(int n, const int *start, const int *row, const double *value, char *weak, int *partner);
+int mbs_mark_weak(int n, const int *start, const int *row, const double *value, char *weak, double *work);
+int mbs_find_partners(int n, const int *start, const int *row, const double *value, const char *weak, int all,
+                      int *partner);
 mbs_plan *mbs_make_plan(int n, const int *start, const int *row, const char *weak, const int *partner);
 void mbs_release_plan(mbs_plan *plan);
 mbs_factors *mbs_make_factors(mbs_plan *plan);
@@ -55,7 +57,9 @@ class Factorisation:
         start, row = (self._integers(x) for x in (lower.indptr, lower.indices))
         weak, partner = self.ffi.new("char[]", self.n + 1), self.ffi.new("int[]", self.n + 1)
         values = lower.data if ordered_for is None else ordered_for
-        assert self.lib.mbs_find_partners(self.n, start, row, self._numbers(values), weak, partner) == 0
+        numbers, work = self._numbers(values), self.ffi.new("double[]", 2 * self.n + 1)
+        self.lib.mbs_mark_weak(self.n, start, row, numbers, weak, work)
+        assert self.lib.mbs_find_partners(self.n, start, row, numbers, weak, 1, partner) == 0
         plan = self.lib.mbs_make_plan(self.n, start, row, weak, partner)
         self.plan = self.ffi.gc(plan, self.lib.mbs_release_plan)
         self.factors = self.ffi.gc(self.lib.mbs_make_factors(self.plan), self.lib.mbs_free_factors)
