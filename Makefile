@@ -5,7 +5,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo track test fuzz lint bench bench-growth bench-ocp bench-loops bench-results study laboratory mutants golden schema clean
+.PHONY: demo track test fuzz lint bench bench-growth bench-ocp bench-kkt bench-loops bench-results study laboratory mutants golden schema clean
 
 demo: $(VENV)/installed
 	$(BIN)/mbsgen models/arm_pendulum.yaml -o build/arm_pendulum
@@ -49,6 +49,11 @@ bench-growth: $(VENV)/installed-bench
 # compiles what CasADi writes. BENCH=--quick: a minute.
 bench-ocp: $(VENV)/installed
 	$(BIN)/python -m benchmarks.ocp $(BENCH)
+
+# Solves problems from the literature by IPOPT with the project's linear solver and with MUMPS: a quarter of an hour.
+# BENCH=--quick: three problems, half a minute.
+bench-kkt: $(VENV)/installed
+	$(BIN)/python -m benchmarks.kkt $(BENCH)
 
 # Kernels and motions of mechanisms with closed loops, beside Pinocchio, Simbody, Exudyn and MuJoCo: ten minutes, after
 # BENCH=--prepare, which compiles the others' programs.

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 import casadi as ca
 
@@ -51,7 +52,7 @@ def _make_chain() -> Problem:
         lambda s: (8 * s * (s / 2 - 0.25) + 1, 5 * s, 4 * s),
         lambda s: (8 * (s - 0.25),),
         final=lambda x, p: x[1],
-        intervals=200,
+        intervals=400,
         optimum=5.06848011,
     )
 
@@ -78,9 +79,8 @@ def _make_rocket() -> Problem:
         p=((0.01, 10.0),),
         guess_p=(1.0,),
         final=lambda x, p: -x[0],
-        intervals=200,
+        intervals=400,
         optimum=-1.01283,
-        digits=1e-4,
     )
 
 
@@ -110,7 +110,7 @@ def _make_glider() -> Problem:
         p=((10.0, 200.0),),
         guess_p=(100.0,),
         final=lambda x, p: -x[0],
-        intervals=200,
+        intervals=400,
         optimum=-1248.031,
     )
 
@@ -158,7 +158,7 @@ def _make_steering() -> Problem:
         p=((0.01, 10.0),),
         guess_p=(1.0,),
         final=lambda x, p: p[0],
-        intervals=200,
+        intervals=400,
         optimum=0.554570879,
     )
 
@@ -181,7 +181,7 @@ def _make_catalyst() -> Problem:
         _constant(1.0, 0.0),
         _constant(0.0),
         final=lambda x, p: x[0] + x[1] - 1,
-        intervals=200,
+        intervals=400,
         optimum=-0.0480556,
     )
 
@@ -202,7 +202,7 @@ def _make_brachistochrone() -> Problem:
         p=((0.1, 10.0),),
         guess_p=(1.0,),
         final=lambda x, p: p[0],
-        intervals=200,
+        intervals=400,
         optimum=0.8243386694,
     )
 
@@ -221,7 +221,7 @@ def _make_van_der_pol() -> Problem:
         _constant(1.0, 0.0),
         _constant(0.0),
         running=lambda x, u, p, t: x[0] ** 2 + x[1] ** 2 + u[0] ** 2,
-        intervals=200,
+        intervals=400,
         optimum=2.95369916,
     )
 
@@ -242,7 +242,7 @@ def _make_rayleigh() -> Problem:
         running=lambda x, u, p, t: u[0] ** 2 + x[0] ** 2,
         path=lambda x, u, p, t: u[0] + x[0] / 6,
         path_bounds=((-math.inf, 0.0),),
-        intervals=200,
+        intervals=400,
         optimum=44.8044445,
     )
 
@@ -257,7 +257,7 @@ def _make_crane() -> Problem:
     start, end = (0.0, 22.0, 0.0, 0.0, -1.0, 0.0), (10.0, 14.0, 0.0, 2.5, 0.0, 0.0)
     return Problem(
         "container crane",
-        BETTS,
+        "Sakawa, Shindo (1982)",
         rates,
         (FREE, FREE, FREE, (-2.5, 2.5), (-1.0, 1.0), FREE),
         ((-2.83374, 2.83374), (-0.80865, 0.71265)),
@@ -267,7 +267,6 @@ def _make_crane() -> Problem:
         _line(start, end),
         _constant(0.0, 0.0),
         running=lambda x, u, p, t: 4.5 * (x[2] ** 2 + x[5] ** 2),
-        optimum=0.0375194596,
     )
 
 
@@ -301,7 +300,7 @@ def _make_alp_rider() -> Problem:
         running=lambda x, u, p, t: 100 * ca.sumsqr(x) + 0.01 * ca.sumsqr(u),
         path=height,
         path_bounds=(POSITIVE,),
-        intervals=200,
+        intervals=400,
         optimum=2030.85609,
         digits=1e-2,
     )
@@ -321,7 +320,7 @@ def _make_bryson_denham() -> Problem:
         _line((0.0, 1.0), (0.0, -1.0)),
         _constant(0.0),
         running=lambda x, u, p, t: u[0] ** 2 / 2,
-        intervals=200,
+        intervals=400,
         optimum=4.0,
     )
 
@@ -469,13 +468,13 @@ def _make_orbit() -> Problem:
         ((-math.pi, 2 * math.pi),),
         (1.0, 0.0, 1.0),
         (None, 0.0, None),
-        3.3155,
+        3.32,
         _line((1.0, 0.0, 1.0), (1.5, 0.0, 0.8)),
         _constant(1.0),
         final=lambda x, p: -x[0],
         closing=lambda x, p: x[2] ** 2 * x[0] - 1,
-        intervals=200,
-        optimum=-1.5252,
+        intervals=400,
+        optimum=-1.525,
     )
 
 
@@ -495,7 +494,7 @@ def _make_lander() -> Problem:
         p=((0.1, 20.0),),
         guess_p=(4.0,),
         running=lambda x, u, p, t: u[0],
-        intervals=200,
+        intervals=400,
         optimum=8.246211251,
     )
 
@@ -563,7 +562,7 @@ def _make_tumour() -> Problem:
         p=((0.1, 5.0),),
         guess_p=(1.0,),
         final=lambda x, p: x[0],
-        intervals=200,
+        intervals=400,
         optimum=0.757167158,
     )
 
@@ -582,7 +581,7 @@ def _make_fishing() -> Problem:
         _constant(1.0, 1.0),
         _constant(0.2),
         running=lambda x, u, p, t: (x[0] - 1) ** 2 + (x[1] - 1) ** 2,
-        intervals=200,
+        intervals=400,
         optimum=1.34408,
     )
 
@@ -622,11 +621,11 @@ def _make_masses() -> Problem:
 
     def rates(x: ca.SX, u: ca.SX, p: ca.SX, t: ca.SX) -> ca.SX:
         places = [ca.SX(ca.DM(anchor)), *(x[3 * i : 3 * i + 3] for i in range(balls + 1))]
-        links = [b - a for a, b in zip(places, places[1:], strict=False)]
+        links = [b - a for a, b in pairwise(places)]
         rest, stiffness, mass = 0.55 / (balls + 1), 1.0 * (balls + 1), 0.45 / (balls + 1)
         forces = [stiffness * (1 - rest / ca.norm_2(d)) * d for d in links]
         gravity = ca.DM([0.0, 0.0, -9.81])
-        bends = [(b - a) / mass + gravity for a, b in zip(forces, forces[1:], strict=False)]
+        bends = [(b - a) / mass + gravity for a, b in pairwise(forces)]
         return _rows(x[3 * (balls + 1) :], u, *bends)
 
     line = [c for i in range(1, balls + 2) for c in (i / (balls + 1), 0.0, 0.0)]
@@ -648,7 +647,7 @@ def _make_masses() -> Problem:
         _line((*start, *(0.0,) * (3 * balls)), (*line, *(0.0,) * (3 * balls))),
         _constant(0.0, 0.0, 0.0),
         running=cost,
-        intervals=40,
+        intervals=60,
     )
 
 

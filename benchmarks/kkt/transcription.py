@@ -70,7 +70,7 @@ class Problem:
     path_bounds: tuple[Bounds, ...] = ()
     closing: Terminal = nothing  # vanishes at the end
     measured: Measurements | None = None
-    intervals: int = 100
+    intervals: int = 200
     optimum: float | None = None  # printed by the source, or in closed form
     digits: float = 1e-3  # relative difference from the optimum that a mesh may have
 
@@ -89,7 +89,7 @@ class Scheme:
 class Program:
     """A nonlinear program, with its start."""
 
-    nlp: dict[str, ca.MX]
+    nlp: dict[str, Any]  # x, f, g: expressions
     start: Array
     lower: Array
     upper: Array
@@ -167,6 +167,12 @@ SCHEMES = (
     _collocate("legendre", 4, is_constant=True),
     _shoot(2),
 )
+
+
+def admits(problem: Problem, scheme: Scheme) -> bool:
+    """Return whether a scheme has inputs enough for the algebraic equations of a problem, which hold at its points."""
+    equations = sum(lower == upper for lower, upper in problem.path_bounds)
+    return equations * max(1, scheme.inner.count("x")) <= len(problem.u) * max(1, scheme.inner.count("u"))
 
 
 @dataclass
