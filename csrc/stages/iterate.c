@@ -18,6 +18,7 @@ void mbs_stages_begin(mbs_stages *s, mbs_stages_phase *p)
     p->tau = 1 - p->mu > TAU ? 1 - p->mu : TAU;
     p->tiny = p->tiny_before = p->rejected = p->resets = p->acceptable = p->failing = 0;
     p->regular = p->added = p->alpha = 0;
+    mbs_stages_search_anew(p);
     mbs_stages_filter_clear(&p->filter);
 }
 
@@ -35,6 +36,7 @@ static int lower_barrier(mbs_stages *s, mbs_stages_phase *p)
         p->mu = lower > least ? lower : least;
         p->tau = 1 - p->mu > TAU ? 1 - p->mu : TAU;
         p->rejected = 0;
+        mbs_stages_search_anew(p);
         mbs_stages_filter_clear(&p->filter);
         mbs_stages_reweigh(s, p);
         force = 0;
@@ -100,6 +102,12 @@ static int leave(mbs_stages *s, mbs_stages_phase *p)
     return mbs_stages_restore(s);
 }
 
+static int search(mbs_stages *s, mbs_stages_phase *p)
+{
+    const int gentle = p->soft > 0;
+    return mbs_stages_search(s, p) && (gentle || p->failing || mbs_stages_search_softly(s, p)) ? -1 : 0;
+}
+
 static int advance(mbs_stages *s, mbs_stages_phase *p)
 {
     if (lower_barrier(s, p))
@@ -108,7 +116,7 @@ static int advance(mbs_stages *s, mbs_stages_phase *p)
         return MBS_STAGES_CALLBACK_FAILED;
     p->theta = mbs_stages_sum(s->rows, p->c);
     p->phi = mbs_stages_barrier(s, p, p->x, p->cost);
-    if (find_step(s, p) || mbs_stages_search(s, p)) {
+    if (find_step(s, p) ? mbs_stages_search_without_step(s, p) : search(s, p)) {
         const int status = leave(s, p);
         if (status != MBS_STAGES_RUNNING)
             return status;

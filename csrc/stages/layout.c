@@ -79,6 +79,16 @@ static void lay_direction(arena *a, mbs_stages_direction *d, int size, int rows)
     d->y = numbers(a, rows, 1);
 }
 
+static void lay_watchdog(arena *a, mbs_stages_watchdog *w, int size, int rows)
+{
+    w->x = numbers(a, size, 1);
+    w->zl = numbers(a, size, 1);
+    w->zu = numbers(a, size, 1);
+    w->y = numbers(a, rows, 1);
+    w->c = numbers(a, rows, 1);
+    lay_direction(a, &w->step, size, rows);
+}
+
 static void lay_phase(arena *a, mbs_stages_phase *p, int size, int rows)
 {
     real **const vectors[] = {&p->x,  &p->trial,    &p->lower, &p->upper, &p->zl,
@@ -343,6 +353,7 @@ static void lay_solver(arena *a, mbs_stages *s)
     s->point.variables = n;
     s->point.rows = m;
     lay_phase(a, &s->main, n + s->slacks, m);
+    lay_watchdog(a, &s->main.watchdog, n + s->slacks, m);
     lay_phase(a, &s->least, n + s->slacks + 2 * m, m);
     s->fixed = take(a, (size_t)(n + s->slacks + 2 * m), 1);
     for (i = 0; i < sizeof of_w / sizeof *of_w; ++i)

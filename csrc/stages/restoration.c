@@ -10,7 +10,7 @@
 
 #include <string.h>
 
-#define REDUCTION ((real)0.9) /* of the violation, at least */
+#define REDUCTION ((real)0.9) /* of the largest violation, at least */
 #define LARGE ((real)1000)    /* multipliers of bounds that are not worth keeping */
 
 static void copy_main(real *to, const real *from, int n)
@@ -112,7 +112,9 @@ int mbs_stages_restored(mbs_stages *s)
     int i;
     for (i = 0; i < s->rows; ++i)
         theta += real_abs(violation(s, i));
-    if (!(theta <= REDUCTION * p->theta) || mbs_stages_phase_values(s, p, q->x, &cost, s->main.trial_c))
+    if (!(mbs_stages_worst_violation(s) <= REDUCTION * mbs_stages_largest(s->rows, p->c)))
+        return 0;
+    if (mbs_stages_phase_values(s, p, q->x, &cost, s->main.trial_c))
         return 0;
     return mbs_stages_filter_accepts(&p->filter, theta, mbs_stages_barrier(s, p, q->x, cost));
 }

@@ -2,7 +2,11 @@
  *
  * A trial is accepted if it is acceptable to the filter and lowers the violation or the barrier function enough; where
  * the violation is small and the step promises descent, Armijo's condition stands instead. If the first trial raises
- * the violation, second-order corrections are tried. */
+ * the violation, second-order corrections are tried.
+ *
+ * After ten short steps in a row a watchdog lets up to three whole steps pass unseen. If none of the points then is
+ * better than the first one, the search goes back there. Where no length will do, steps that lower the errors of the
+ * optimality conditions are made, before restoration (sections 3.2 and 3.3 there). */
 #include "solver.h"
 
 #include <string.h>
@@ -16,6 +20,10 @@
 #define GAMMA_ALPHA ((real)0.05)
 #define CORRECTIONS 4
 #define GAIN ((real)0.99) /* of the violation by a correction */
+#define SHORT 10          /* steps in a row that rouse the watchdog */
+#define TRIALS 3          /* of the watchdog */
+#define SOFTLY 10         /* steps that lower the errors alone, in a row */
+#define SOFT_GAIN ((real)0.9999)
 #define RISE 5            /* orders of magnitude that the barrier function may rise by */
 
 typedef struct {
@@ -180,10 +188,16 @@ static void mind_refusals(mbs_stages_phase *p, int refused)
     }
 }
 
-static int backtrack(mbs_stages *s, mbs_stages_phase *p, search *t)
+static void note_length(mbs_stages_phase *p, int first)
+{
+    p->watchdog.shortened = first ? 0 : p->watchdog.shortened + 1;
+}
+
+/* Try shorter and shorter steps; `again`: the longest one was tried already. */
+static int backtrack(mbs_stages *s, mbs_stages_phase *p, search *t, int again)
 {
     const real most = mbs_stages_boundary(s, p, p->x, p->step.x, p->tau), least = shortest(p, t);
-    real alpha = most, length;
+    real alpha = again ? most / 2 : most, length;
     int first = 1, refused = 0;
     for (; alpha > least || first; alpha /= 2, first = 0) {
         const int failed = try_step(s, p, p->step.x, alpha, t);
@@ -193,18 +207,183 @@ static int backtrack(mbs_stages *s, mbs_stages_phase *p, search *t)
         if (is_accepted(p, t, alpha)) {
             augment(p, t, alpha);
             accept(s, p, t, alpha);
+            note_length(p, first && !again);
             mind_refusals(p, refused);
             return 0;
         }
         refused |= first && t->filtered;
-        if (!first || t->theta < p->theta || correct(s, p, t, alpha, &length))
+        if (!first || again || t->theta < p->theta || correct(s, p, t, alpha, &length))
             continue;
         augment(p, t, alpha);
         accept(s, p, t, length);
+        note_length(p, 1);
         mind_refusals(p, refused);
         return 0;
     }
     return -1;
+}
+
+static void copy(int n, const real *from, real *to)
+{
+    memcpy(to, from, (size_t)n * sizeof *to);
+}
+
+static void copy_direction(int n, int m, const mbs_stages_direction *from, mbs_stages_direction *to)
+{
+    copy(n, from->x, to->x);
+    copy(n, from->zl, to->zl);
+    copy(n, from->zu, to->zu);
+    copy(m, from->y, to->y);
+}
+
+/* Keep the point and its step for the watchdog. */
+static void start_watching(const mbs_stages *s, mbs_stages_phase *p, real descent)
+{
+    mbs_stages_watchdog *w = &p->watchdog;
+    copy(p->size, p->x, w->x);
+    copy(p->size, p->zl, w->zl);
+    copy(p->size, p->zu, w->zu);
+    copy(s->rows, p->y, w->y);
+    copy(s->rows, p->c, w->c);
+    copy_direction(p->size, s->rows, &p->step, &w->step);
+    w->cost = p->cost;
+    w->theta = p->theta;
+    w->phi = p->phi;
+    w->descent = descent;
+    w->alpha = mbs_stages_boundary(s, p, p->x, p->step.x, p->tau);
+    w->active = 1;
+    w->trials = 0;
+}
+
+/* Go back to the point of the watchdog, and search from there with its step. */
+static int go_back(mbs_stages *s, mbs_stages_phase *p)
+{
+    mbs_stages_watchdog *w = &p->watchdog;
+    search t;
+    copy(p->size, w->x, p->x);
+    copy(p->size, w->zl, p->zl);
+    copy(p->size, w->zu, p->zu);
+    copy(s->rows, w->y, p->y);
+    copy(s->rows, w->c, p->c);
+    copy_direction(p->size, s->rows, &w->step, &p->step);
+    p->cost = w->cost;
+    p->theta = w->theta;
+    p->phi = w->phi;
+    w->active = w->shortened = 0;
+    t.filtered = 0;
+    t.descent = w->descent;
+    return backtrack(s, p, &t, 1);
+}
+
+/* Make the longest step. It must be better than the watchdog's point, or a later one must. */
+static int step_unseen(mbs_stages *s, mbs_stages_phase *p, search *t)
+{
+    mbs_stages_watchdog *w = &p->watchdog;
+    const real alpha = mbs_stages_boundary(s, p, p->x, p->step.x, p->tau);
+    const int failed = try_step(s, p, p->step.x, alpha, t);
+    p->theta = w->theta;
+    p->phi = w->phi;
+    t->descent = w->descent;
+    if (!failed && is_accepted(p, t, w->alpha)) {
+        augment(p, t, w->alpha);
+        w->active = w->shortened = 0;
+    } else if (failed || ++w->trials > TRIALS) {
+        return go_back(s, p);
+    }
+    accept(s, p, t, alpha);
+    return 0;
+}
+
+/* The mean errors of stationarity, of rows and of complementarity, together. */
+static real mean_errors(mbs_stages *s, mbs_stages_phase *p)
+{
+    real products = 0;
+    int i, count = 0;
+    mbs_stages_stationarity(s, p, 0, p->slope);
+    for (i = 0; i < p->size; ++i) {
+        if (mbs_stages_is_fixed(s, i))
+            continue;
+        if (p->lower[i] > -MBS_STAGES_INFINITE)
+            products += real_abs((p->x[i] - p->lower[i]) * p->zl[i] - p->mu), ++count;
+        if (p->upper[i] < MBS_STAGES_INFINITE)
+            products += real_abs((p->upper[i] - p->x[i]) * p->zu[i] - p->mu), ++count;
+    }
+    return mbs_stages_sum(p->size, p->slope) / (real)(p->size > 0 ? p->size : 1) +
+           mbs_stages_sum(s->rows, p->c) / (real)(s->rows > 0 ? s->rows : 1) + products / (real)(count > 0 ? count : 1);
+}
+
+/* Add `alpha` times the step to all multipliers. */
+static void move_multipliers(const mbs_stages *s, mbs_stages_phase *p, real alpha)
+{
+    int i;
+    for (i = 0; i < s->rows; ++i)
+        p->y[i] += alpha * p->step.y[i];
+    for (i = 0; i < p->size; ++i) {
+        p->zl[i] += alpha * p->step.zl[i];
+        p->zu[i] += alpha * p->step.zu[i];
+    }
+}
+
+/* Exchange the point and the trial. */
+static void take_trial(mbs_stages_phase *p)
+{
+    real *x = p->x, *c = p->c;
+    const real cost = p->cost;
+    p->x = p->trial;
+    p->trial = x;
+    p->c = p->trial_c;
+    p->trial_c = c;
+    p->cost = p->trial_cost;
+    p->trial_cost = cost;
+}
+
+/* Whether the trial with multipliers that move alike has smaller errors; if so, it is the point. */
+static int lowers_errors(mbs_stages *s, mbs_stages_phase *p, real alpha)
+{
+    const real before = mean_errors(s, p);
+    take_trial(p);
+    move_multipliers(s, p, alpha);
+    if (mbs_stages_phase_derivatives(s, p) == 0) {
+        mbs_stages_find_lagrangian(s, p);
+        if (mean_errors(s, p) <= SOFT_GAIN * before)
+            return 1;
+    }
+    take_trial(p);
+    move_multipliers(s, p, -alpha);
+    return 0;
+}
+
+int mbs_stages_search_softly(mbs_stages *s, mbs_stages_phase *p)
+{
+    const real primal = mbs_stages_boundary(s, p, p->x, p->step.x, p->tau);
+    const real dual = mbs_stages_dual_boundary(s, p, &p->step), alpha = primal < dual ? primal : dual;
+    search t;
+    t.descent = 0;
+    if (p->elastic || p->soft >= SOFTLY || try_step(s, p, p->step.x, alpha, &t))
+        return -1;
+    if (p->soft == 0)
+        mbs_stages_filter_add(&p->filter, (1 - GAMMA_THETA) * p->theta, p->phi - GAMMA_PHI * p->theta);
+    if (is_accepted(p, &t, 0)) {
+        take_trial(p);
+        move_multipliers(s, p, alpha);
+        p->soft = 0;
+    } else if (lowers_errors(s, p, alpha)) {
+        ++p->soft;
+    } else {
+        return -1;
+    }
+    p->alpha = alpha;
+    return 0;
+}
+
+void mbs_stages_search_anew(mbs_stages_phase *p)
+{
+    p->watchdog.active = p->watchdog.shortened = p->soft = 0;
+}
+
+int mbs_stages_search_without_step(mbs_stages *s, mbs_stages_phase *p)
+{
+    return p->watchdog.active ? go_back(s, p) : -1;
 }
 
 int mbs_stages_search(mbs_stages *s, mbs_stages_phase *p)
@@ -214,6 +393,10 @@ int mbs_stages_search(mbs_stages *s, mbs_stages_phase *p)
     t.descent = mbs_stages_descent(s, p, p->step.x);
     p->tiny_before = p->tiny;
     p->tiny = is_tiny(s, p);
+    if (p->tiny && p->watchdog.active) {
+        p->tiny = 0;
+        return go_back(s, p);
+    }
     if (p->tiny) {
         const real alpha = mbs_stages_boundary(s, p, p->x, p->step.x, p->tau);
         if (try_step(s, p, p->step.x, alpha, &t))
@@ -221,5 +404,9 @@ int mbs_stages_search(mbs_stages *s, mbs_stages_phase *p)
         accept(s, p, &t, alpha);
         return 0;
     }
-    return backtrack(s, p, &t);
+    if (p->soft > 0)
+        return mbs_stages_search_softly(s, p);
+    if (!p->elastic && !p->watchdog.active && p->watchdog.shortened >= SHORT)
+        start_watching(s, p, t.descent);
+    return p->watchdog.active ? step_unseen(s, p, &t) : backtrack(s, p, &t, 0);
 }

@@ -36,6 +36,15 @@ typedef struct {
     real *x, *zl, *zu, *y;
 } mbs_stages_direction;
 
+/* A point that the search goes back to if whole steps from it come to nothing. */
+typedef struct {
+    int shortened; /* iterations with short steps, in a row */
+    int active, trials;
+    real *x, *zl, *zu, *y, *c;
+    mbs_stages_direction step;
+    real cost, theta, phi, descent, alpha;
+} mbs_stages_watchdog;
+
 /* A barrier problem: the caller's, or the problem of least violation (elastic).
  *
  * Its variables lie in one vector x = (w, slacks s of g, and if elastic p, n of each row), with bounds
@@ -61,6 +70,8 @@ typedef struct {
     int acceptable;           /* iterations in a row */
     mbs_stages_filter filter;
     mbs_stages_direction step, other;
+    mbs_stages_watchdog watchdog; /* of the caller's problem alone */
+    int soft;                     /* steps in a row that were accepted because they lower the errors alone */
 } mbs_stages_phase;
 
 /* Largest errors of the optimality conditions. */
@@ -131,6 +142,9 @@ int mbs_stages_below(real a, real b, real base);
 
 /* search.c: 0, or -1 where no step length will do */
 int mbs_stages_search(mbs_stages *s, mbs_stages_phase *p);
+int mbs_stages_search_without_step(mbs_stages *s, mbs_stages_phase *p);
+int mbs_stages_search_softly(mbs_stages *s, mbs_stages_phase *p);
+void mbs_stages_search_anew(mbs_stages_phase *p);
 
 /* restoration.c */
 int mbs_stages_restore(mbs_stages *s);

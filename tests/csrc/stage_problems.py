@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -204,4 +205,14 @@ def nonlinear() -> list[Problem]:
         fastest(30),
         around(25, 0.16),
         chain(30),
+    ]
+
+
+def far_guesses(count: int) -> list[Problem]:
+    """All of these from guesses at random: for each of them `count`, near and far in turn."""
+    rng = np.random.default_rng(7)
+    return [
+        replace(problem, guess=problem.guess + (0.3, 1.0)[i % 2] * rng.standard_normal(len(problem.guess)))
+        for problem in nonlinear()
+        for i in range(count)
     ]

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from mbsrun.library import find_compiler
-from tests.csrc.stage_problems import nonlinear, too_weak
+from tests.csrc.stage_problems import far_guesses, nonlinear, too_weak
 from tests.csrc.stage_quadratics import dense_solution, in_units, random_problem, random_sizes
 from tests.csrc.stages import STRICT, Answer, Array, Library, Problem, Quadratic, Solver, clashes, close, sources
 
@@ -187,6 +187,17 @@ def test_nonlinear_problems_have_the_optimum_of_ipopt(library: Library, problem:
     assert statistics["success"]
     assert answer.status == "solved"
     assert abs(answer.result.cost - solution["f"][0]) <= 1e-8 * (1 + abs(solution["f"][0]))
+    assert max(problem.residuals(*answer.point)) < 1e-7
+
+
+def test_a_problem_is_solved_from_a_far_guess(library: Library) -> None:
+    """It takes the watchdog, and steps that lower the errors alone; IPOPT needs more than 400 iterations.
+
+    The guess is one of those of the comparison in stage_figures.
+    """
+    problem = far_guesses(6)[11]
+    answer = Solver(library, problem).solve(iterations=150)
+    assert (problem.name, answer.status) == ("pendulum, softly", "solved")
     assert max(problem.residuals(*answer.point)) < 1e-7
 
 
