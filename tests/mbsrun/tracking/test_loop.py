@@ -164,8 +164,9 @@ def test_constants_are_those_of_the_time_of_the_plan(puck: Mechanism) -> None:
 @pytest.mark.parametrize("where", ["updates", "wrenches"])
 def test_an_expression_without_a_value_ends_the_loop(pushed: Mechanism, where: str) -> None:
     root = parse("sqrt(0.25 - t)")
-    changes = {"updates": {"updates": {"t0": root}}, "wrenches": {"pushes": (Push(0.2, 0.9, ((0, root),)),)}}
-    found = run(pushed, Counter(), **changes[where])
+    push = Push(0.2, 0.9, ((0, root),))
+    changes: dict[str, Any] = {"updates": {"t0": root}} if where == "updates" else {"pushes": (push,)}
+    found = run(pushed, Counter(), **changes)
     assert found.halt is not None
     assert found.halt.finding.startswith(where)
     assert 0.2 <= found.t[-1] <= found.halt.time == pytest.approx(0.3 if where == "updates" else 0.2)
