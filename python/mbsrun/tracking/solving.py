@@ -26,7 +26,8 @@ from mbsrun.tracking.trial import Horizon
 Array = NDArray[np.float64]
 
 WARM: Mapping[str, Mapping[str, float | int | str]] = {  # by method: options of all solves after the first
-    "ipopt": {"mu_init": 1e-5}
+    "ipopt": {"mu_init": 1e-5},
+    "mbs": {"barrier": 1e-5},
 }
 UNREACHED = "No_Guess"
 
