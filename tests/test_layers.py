@@ -100,7 +100,7 @@ MBSRUN = Package(
         "ocp.closing",
         "ocp.methods ocp.writing",
         "ocp.checks ocp.transcription",
-        "ocp.sections",
+        "ocp.sections ocp.clashes",
         "ocp.statement ocp.guess ocp.record",
         "ocp.solution ocp.starts",
         "ocp.solve ocp.table",

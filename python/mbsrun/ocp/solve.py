@@ -18,6 +18,7 @@ from mbsrun.closure import Closure, find_closure
 from mbsrun.ocp import methods, schemes
 from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.checks import ProblemError, check_problem, find_loop_conflicts
+from mbsrun.ocp.clashes import describe
 from mbsrun.ocp.conditions import find_open_states
 from mbsrun.ocp.guess import Pose, adapt, make_guess
 from mbsrun.ocp.methods import METHODS, Iterate, Order, Start
@@ -79,14 +80,16 @@ class Solver:
         if not np.isfinite(x).all():
             finding = "the guess has numbers that are not finite"
             return Failure(problem, Run(BAD_GUESS, 0, 0.0, 0.0), finding, "take another guess")
-        run, found = self._call(problem, x, watch)
+        run, found, clash = self._call(problem, x, watch)
         if run.status == SOLVED and run.iterations == 0:
             nudge = NUDGE * np.maximum(np.abs(x), 1.0) * np.random.default_rng(0).uniform(-1.0, 1.0, x.size)
-            run, found = self._call(problem, x + nudge, watch)
+            run, found, clash = self._call(problem, x + nudge, watch)
             if run.status == SOLVED:  # a saddle may be met again from one side, but not from the other
-                run, found = self._call(problem, x - nudge, watch)
+                run, found, clash = self._call(problem, x - nudge, watch)
         if run.status not in (SOLVED, ACCEPTABLE) or not np.isfinite(found).all():
-            return Failure(problem, run, *explain(run.status, run.iterations))
+            finding, remedy = explain(run.status, run.iterations)
+            named = describe(clash, self.transcription, self.plant.manifest)
+            return Failure(problem, run, f"{finding}: {named}" if named else finding, remedy)
         solution = self._solution(problem, run, found)
         gap, most = solution.violation.closure or 0.0, max(OPENED, problem.solver.tolerance)
         if gap > most:
@@ -110,8 +113,8 @@ class Solver:
                     return f"the bounds of {kind} {name} are [{lower:g}, {upper:g}]"
         return None
 
-    def _call(self, problem: Problem, x: Array, watch: Watch | None) -> tuple[Run, Array]:
-        """Run the solver from x."""
+    def _call(self, problem: Problem, x: Array, watch: Watch | None) -> tuple[Run, Array, tuple[int, ...]]:
+        """Run the solver from x; return the run, the variables, and the rows that stay violated."""
         lower, upper = self.transcription.variable_bounds(problem)
         g_lower, g_upper = self.transcription.constraint_bounds(problem)
         parameters = self.transcription.parameters(problem)
@@ -126,7 +129,7 @@ class Solver:
         answer = solver(start)
         seconds, cpu_seconds = time.perf_counter() - begin, time.process_time() - cpu_begin
         run = Run(answer.status, answer.iterations, seconds, answer.evaluating, cpu_seconds, answer.cpu_evaluating)
-        return run, answer.x
+        return run, answer.x, answer.clash
 
     def _solution(self, problem: Problem, run: Run, x: Array) -> Solution:
         manifest, transcription = self.plant.manifest, self.transcription

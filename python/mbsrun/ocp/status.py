@@ -48,8 +48,14 @@ _REASONS: Mapping[str, tuple[str, str]] = MappingProxyType(
             "the solver stopped where loops stay open",
             "take a smaller solver.tolerance, another guess, or loops: multipliers",
         ),
-        "Maximum_CpuTime_Exceeded": ("the search was not over in its time", "raise max_cpu_time, or drop it"),
-        "Maximum_WallTime_Exceeded": ("the search was not over in its time", "raise max_wall_time, or drop it"),
+        "Maximum_CpuTime_Exceeded": (
+            "the search was not over in its time",
+            "raise its limit, or drop it",
+        ),
+        "Maximum_WallTime_Exceeded": (
+            "the search was not over in its time",
+            "raise its limit, or drop it",
+        ),
     }
 )
 

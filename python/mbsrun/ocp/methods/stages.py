@@ -33,16 +33,16 @@ STAGES_OPTIONS: Mapping[str, Option] = {
     "violation_tolerance": POSITIVE,
 }
 
+INFEASIBLE = "Infeasible_Problem_Detected"
 STATUSES = {
     "MBS_STAGES_SOLVED": SOLVED,
     "MBS_STAGES_ACCEPTABLE": ACCEPTABLE,
-    "MBS_STAGES_INFEASIBLE": "Infeasible_Problem_Detected",
+    "MBS_STAGES_INFEASIBLE": INFEASIBLE,
     "MBS_STAGES_ITERATION_LIMIT": "Maximum_Iterations_Exceeded",
     "MBS_STAGES_TIME_LIMIT": "Maximum_WallTime_Exceeded",
     "MBS_STAGES_OUT_OF_DIGITS": "Search_Direction_Becomes_Too_Small",
     "MBS_STAGES_UNBOUNDED": "Diverging_Iterates",
     "MBS_STAGES_CALLBACK_FAILED": "Invalid_Number_Detected",
-    "MBS_STAGES_BAD_PROBLEM": "Infeasible_Problem_Detected",  # a state of the start beyond its bounds
 }
 
 
@@ -54,19 +54,25 @@ def make_stages(order: Order) -> Solver:
     lock = threading.Lock()
     program = order.program.data
 
-    def take(numbers: binding.Numbers) -> tuple[bytes, binding.Solver]:
+    def lay(numbers: binding.Numbers) -> bytes:
+        """Build tables unless there are some; return their key."""
         weights = numbers.parameters[: len(program.H)] != 0
         rows = np.isfinite(numbers.least) | np.isfinite(numbers.most)
         key = weights.tobytes() + rows.tobytes()
         with lock:
             if key not in tables:
                 tables[key] = binding.Tables(build(program, order.program.plant, weights, rows), order.program.plant)
-            found = free.setdefault(key, [])
-            return key, found.pop() if found else binding.Solver(tables[key])
+                free[key] = []
+        return key
 
     def solve(start: Start) -> Answer:
         numbers = _expand(program, start, order.scaling)
-        key, solver = take(numbers)
+        key = lay(numbers)
+        crossed = binding.find_crossed(tables[key].data, numbers)
+        if crossed:
+            return Answer(start.x, INFEASIBLE, 0, clash=crossed)
+        with lock:
+            solver = free[key].pop() if free[key] else binding.Solver(tables[key])
 
         def show(progress: binding.Progress) -> None:
             assert start.watch is not None, "only a watch is shown iterates"

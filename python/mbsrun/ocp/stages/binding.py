@@ -27,6 +27,7 @@ from mbsrun.ocp.stages.tables import FormulaFunction, KernelFunction, Kind, Nonz
 
 INFINITE = 1e20
 _NEVER = 1e300  # s
+ROUNDING = 1e-8  # relative, by which a start may be beyond a bound; IPOPT relaxes all bounds by as much
 
 
 class PlantError(MbsError):
@@ -223,7 +224,7 @@ class Outcome:
     status: str  # of the C enumeration
     stage: int
     iterations: int
-    evaluating: float
+    evaluating: float  # s in functions and derivatives
     clashes: tuple[Clash, ...]
 
 
@@ -304,6 +305,7 @@ class Solver:
         for name, value in settings.values.items():
             setattr(options, name, int(value) if isinstance(getattr(options, name), int) else value)
         options.seconds = settings.seconds or (0.0 if watch is None else _NEVER)
+        memory.timed.seconds = 0.0
         result = self.lib.mbs_stages_solve(memory.solver, options)
         observer.end()
         status = self.ffi.typeof("mbs_stages_status").elements[result.status]
@@ -311,7 +313,7 @@ class Solver:
             Clash(clash.stage, int(clash.kind), clash.row)
             for clash in (result.clash[i] for i in range(min(result.clashes, len(result.clash))))
         )
-        return Outcome(memory.w.copy(), status, result.stage, result.iterations, 0.0, clashes)
+        return Outcome(memory.w.copy(), status, result.stage, result.iterations, memory.timed.seconds, clashes)
 
     def _prepare(self, numbers: Numbers) -> _Memory:
         """Set the bounds; make the solver where other ones are equal than before."""
@@ -326,6 +328,14 @@ class Solver:
         return memory
 
 
+def find_crossed(data: StageProgram, numbers: Numbers) -> tuple[int, ...]:
+    """Return the rows of the program that give states of the start values beyond the bounds of these states."""
+    variable, row = data.fixed.T
+    bounded = data.bounded[variable]
+    excess = np.maximum(numbers.least[row] - numbers.upper[bounded], numbers.lower[bounded] - numbers.most[row])
+    return tuple(row[excess > ROUNDING * np.maximum(1.0, np.abs(numbers.least[row]))].tolist())
+
+
 def _set_bounds(data: StageProgram, numbers: Numbers) -> tuple[Array, Array, Array, Array]:
     """Return bounds of variables and of inequalities, in the order of the tables."""
     bounded, known = data.bounded, data.bounded >= 0
@@ -334,6 +344,7 @@ def _set_bounds(data: StageProgram, numbers: Numbers) -> tuple[Array, Array, Arr
     variable, row = data.fixed.T
     lower[variable] = np.maximum(lower[variable], numbers.least[row])
     upper[variable] = np.minimum(upper[variable], numbers.most[row])
+    upper = np.maximum(lower, upper)  # a start beyond a bound by rounding is on it
     given = (lower, upper, numbers.least[data.rows_g], numbers.most[data.rows_g])
     lower, upper, least, most = (np.clip(part, -INFINITE, INFINITE) for part in given)
     return lower, upper, least, most
@@ -347,13 +358,11 @@ class _Memory:
         self.evaluator = Evaluator(tables, parameters)
         self.bounds = [np.append(part, 0.0) for part in bounds]
         problem = self.problem = ffi.new("mbs_stages_problem *")
-        problem.stages, problem.size, problem.context = (
-            len(tables.data.kind_of_stage),
-            tables.sizes,
-            self.evaluator.instance,
-        )
+        problem.stages, problem.size = len(tables.data.kind_of_stage), tables.sizes
+        self.timed = problem.context = ffi.new("mbs_timed_program *")
+        self.timed.instance = self.evaluator.instance
         for name in ("values", "jacobians", "hessian"):
-            setattr(problem, name, ffi.addressof(lib, f"mbs_program_{name}"))
+            setattr(problem, name, ffi.addressof(lib, f"mbs_timed_{name}"))
         for name, held in zip(("lower", "upper", "least", "most"), self.bounds, strict=True):
             setattr(problem, name, ffi.from_buffer("double[]", held))
         size = lib.mbs_stages_bytes(problem)

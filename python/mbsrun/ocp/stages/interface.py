@@ -12,6 +12,7 @@ import cffi
 from mbsgen import resources
 from mbsrun.library import compile_library, find_compiler
 
+_TIMED = "mbs_timed_program.c"
 _COMMENTS = re.compile(r"/\*.*?\*/", re.DOTALL)
 _CPLUSPLUS = re.compile(r"#ifdef __cplusplus.*?#endif", re.DOTALL)
 _PRECISION = re.compile(r"#ifdef MBS_STAGES_FLOAT.*?#else(.*?)#endif", re.DOTALL)
@@ -27,10 +28,10 @@ def read_declarations(text: str) -> str:
 @cache
 def load() -> tuple[Any, Any]:
     """Compile and load the solver and the evaluator. Raises CompileError."""
-    stages, program = (resources.folder("csrc") / name for name in ("stages", "program"))
+    folders = [resources.folder("csrc") / name for name in ("stages", "program", "timing")]
     ffi = cffi.FFI()
-    for header in (stages / "mbs_stages.h", program / "mbs_program.h"):
-        ffi.cdef(read_declarations(header.read_text(encoding="utf-8")))
-    names = sorted(file.name for folder in (stages, program) for file in folder.glob("*.c"))
-    library = compile_library(stages, "mbs_stages", names, find_compiler(os.environ), program)
+    for folder, header in zip(folders, ("mbs_stages.h", "mbs_program.h", "mbs_timed_program.h"), strict=True):
+        ffi.cdef(read_declarations((folder / header).read_text(encoding="utf-8")))
+    names = sorted(file.name for folder in folders[:2] for file in folder.glob("*.c"))
+    library = compile_library(folders[0], "mbs_stages", [*names, _TIMED], find_compiler(os.environ), *folders[1:])
     return ffi, ffi.dlopen(str(library))

@@ -1,0 +1,122 @@
+"""The project's own method by stages, as `solver.method: mbs`: optima, failures, limits and threads."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mbsrun.external import OnDemand, load_on_demand
+from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.solution import Failure, Solution
+from mbsrun.ocp.solve import Progress, Solver, solve
+from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.status import SOLVED
+from tests.mbsrun.ocp.conftest import MODELS
+
+
+def read(name: str, **changes: object) -> tuple[Problem, OnDemand]:
+    """Read a problem that ships, to be solved by the method."""
+    problem, plant = read_problem(MODELS / f"{name}.ocp.yaml", load_on_demand)
+    assert isinstance(plant, OnDemand)
+    return replace(problem, solver=replace(problem.solver, method="mbs"), **changes), plant  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def swing() -> tuple[Problem, OnDemand]:
+    return read("cart_pole_swing_up", intervals=10, degree=3)
+
+
+@pytest.mark.parametrize("name", ["cart_pole_balance", "planar_arm_fastest", "satellite_turn", "five_bar_reach"])
+def test_optima_are_those_of_ipopt(name: str) -> None:
+    """Expressions of cost, a free horizon, quaternions, closed loops; bounds are the same to the last digit."""
+    problem, plant = read(name, intervals=8)
+    problem = replace(problem, solver=replace(problem.solver, tolerance=1e-10))
+    exact = replace(problem.solver, method="ipopt", options=(("bound_relax_factor", 0.0),))
+    found, known = solve(problem, plant), solve(replace(problem, solver=exact), plant)
+    assert isinstance(found, Solution)
+    assert isinstance(known, Solution)
+    assert found.run.status == SOLVED
+    assert found.cost.total == pytest.approx(known.cost.total, rel=1e-8)
+    assert found.violation.constraints < 1e-8
+
+
+def test_other_numbers_need_no_other_tables(swing: tuple[Problem, OnDemand]) -> None:
+    """One solver serves other bounds and targets; with a start that becomes free, it makes new memory."""
+    problem, plant = swing
+    solver = Solver(problem, plant)
+    guess = solve(problem, plant)
+    assert isinstance(guess, Solution)
+    near = replace(problem, end=replace(problem.end, coordinates=((0, 0.9), (1, np.pi))))
+    tight = replace(problem, bounds=replace(problem.bounds, u=((-15.0, 15.0),)))
+    for changed in (near, tight, problem):
+        outcome = solver.solve(changed, guess.trajectory)
+        assert isinstance(outcome, Solution)
+        other = solve(replace(changed, solver=replace(changed.solver, method="ipopt")), plant)
+        assert isinstance(other, Solution)
+        assert outcome.cost.total == pytest.approx(other.cost.total, rel=1e-6)
+
+
+def test_an_infeasible_problem_names_rows_that_clash(swing: tuple[Problem, OnDemand]) -> None:
+    problem, plant = swing
+    outcome = solve(replace(problem, bounds=replace(problem.bounds, u=((-0.5, 0.5),))), plant)
+    assert isinstance(outcome, Failure)
+    assert outcome.run.status == "Infeasible_Problem_Detected"
+    assert "contradict each other: " in outcome.finding
+    assert "interval" in outcome.finding
+
+
+def test_a_start_beyond_its_bounds_is_named(swing: tuple[Problem, OnDemand]) -> None:
+    """The first state has equal bounds, so no search begins."""
+    problem, plant = swing
+    guess = solve(problem, plant)
+    assert isinstance(guess, Solution)
+    bounds = replace(problem.bounds, q=((0.1, 2.0), *problem.bounds.q[1:]))
+    outcome = Solver(problem, plant).solve(replace(problem, bounds=bounds), guess.trajectory)
+    assert isinstance(outcome, Failure)
+    assert outcome.finding.endswith("contradict each other: start: cart")
+
+
+def test_limits_end_a_search(swing: tuple[Problem, OnDemand]) -> None:
+    problem, plant = swing
+    for changes, status in (
+        ({"max_iterations": 3}, "Maximum_Iterations_Exceeded"),
+        ({"options": (("seconds", 1e-6),)}, "Maximum_WallTime_Exceeded"),
+    ):
+        outcome = solve(replace(problem, solver=replace(problem.solver, **changes)), plant)  # type: ignore[arg-type]
+        assert isinstance(outcome, Failure)
+        assert outcome.run.status == status
+
+
+def test_an_exception_in_a_watch_ends_the_search(swing: tuple[Problem, OnDemand]) -> None:
+    problem, plant = swing
+    seen: list[Progress] = []
+
+    def stop(progress: Progress) -> None:
+        seen.append(progress)
+        if progress.iteration == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        solve(problem, plant, stop)
+    assert [p.iteration for p in seen] == [0, 1, 2]
+
+
+def test_threads_share_tables_and_nothing_else(swing: tuple[Problem, OnDemand]) -> None:
+    """One solver in two threads: each solve is the one that it is alone, to the last bit."""
+    problem, plant = swing
+    guess = solve(problem, plant)
+    assert isinstance(guess, Solution)
+    targets = [replace(problem, end=replace(problem.end, coordinates=((0, x), (1, np.pi)))) for x in (0.8, 1.0, 1.2)]
+
+    def run(solver: Solver, target: Problem) -> float:
+        outcome = solver.solve(target, guess.trajectory)
+        assert isinstance(outcome, Solution)
+        return outcome.cost.total
+
+    alone = [run(Solver(problem, plant), target) for target in targets]
+    shared = Solver(problem, plant)
+    with ThreadPoolExecutor(2) as pool:
+        assert list(pool.map(lambda target: run(shared, target), targets * 2)) == alone * 2
