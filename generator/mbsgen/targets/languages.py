@@ -13,6 +13,7 @@ from functools import partial
 
 from mbsgen.request import OptionError
 from mbsgen.targets.acados import add_acados
+from mbsgen.targets.bounds import add_bounded
 from mbsgen.targets.contract import Family
 from mbsgen.targets.matlab import write_matlab
 from mbsgen.targets.python import write_python
@@ -40,6 +41,9 @@ class Target:
 TARGETS: tuple[Target, ...] = (
     Target("python", "Also write the kernels as a Python module, for any number type.", write_python),
     Target("matlab", "Also write the kernels as functions for Matlab and GNU Octave.", write_matlab),
+    Target(
+        "bounds", "Also write the functions with a bound of the rounding error beside each result.", add=add_bounded
+    ),
     Target("acados", "Also write the functions that acados requires, under its names.", add=add_acados),
     Target(
         "acados-untimed",
