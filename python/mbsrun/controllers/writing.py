@@ -112,6 +112,8 @@ def write_files(design: Design, cost: float) -> dict[str, str]:
         "inputs": _Group("INPUT", "the inputs", tuple(inputs)),
         "fields": fields,
         "predicts": _Prediction(layout.nq, len(design.prediction) == 1) if design.prediction else None,
+        "scale": write_real(scale_cost(design.problem)),
+        "weights": len(design.problem.cost.weights),
         "parameters": tables.parameters,
         "all_parameters": tables.parameters + sum(part.size for part in tables.given),
         "first_states": first.nx,
@@ -139,6 +141,11 @@ def write_files(design: Design, cost: float) -> dict[str, str]:
         f"{name}.pc": lay_out("controller/controller.pc", **common),
     }
     return {**parts, **_write_tables(design, common, wrap), **write_formulas(design)}
+
+
+def scale_cost(problem: Problem) -> float:
+    """Return the factor of the cost, as `mbsrun solve` has it."""
+    return problem.solver.objective_scaling or 1 / max(map(abs, problem.cost.weights))
 
 
 def write_formulas(design: Design) -> dict[str, str]:
