@@ -96,7 +96,7 @@ def _finish(design: Design, copied: Mapping[str, str], place: Path) -> Made:
     controller = _load(_assemble(design, copied, UNSOLVED), place)
     design = replace(design, guess=complete_guess(controller, design.tables, design.guess))
     controller = _load(_assemble(design, copied, UNSOLVED), place)
-    result = controller.solve(iterations=design.problem.solver.max_iterations)
+    result = controller.solve()
     if not result.is_solved:
         at = "" if result.stage is None else f", at stage {result.stage} (from 0)"
         finding = f"the controller does not solve its own problem: {result.message}{at}"

@@ -22,6 +22,8 @@ from mbsrun.ocp.stages.calls import name_called
 from mbsrun.ocp.stages.tables import FormulaFunction, StageProgram
 from mbsrun.ocp.transcription import Transcription
 
+METHOD = "mbs"  # of a problem file: the solver that controllers have
+
 
 @dataclass(frozen=True)
 class Design:
@@ -72,6 +74,15 @@ class _Call:
 
 
 @dataclass(frozen=True)
+class _Option:
+    """An option of the solver that the problem file sets."""
+
+    name: str
+    value: str
+    is_tolerance: bool
+
+
+@dataclass(frozen=True)
 class _Prediction:
     """How rates of a state begin."""
 
@@ -85,7 +96,7 @@ def write_files(design: Design, cost: float) -> dict[str, str]:
     from mbsgen.targets.layout import lay_out
     from mbsgen.targets.statements import wrap
 
-    name, sources, tables = design.name, design.sources, design.tables
+    name, sources, tables, problem = design.name, design.sources, design.tables, design.problem
     layout, manifest = design.transcription.layout, design.manifest
     velocities = [manifest.coordinates[i].name for i in layout.motions.velocities]
     states = [f"q_{x}" for x in identify(manifest.positions)] + [f"qd_{x}" for x in identify(velocities)]
@@ -129,6 +140,7 @@ def write_files(design: Design, cost: float) -> dict[str, str]:
             setup_arguments=len(setup.inputs) if setup else 0,
             setup_place=_find_place(setup, Role.PARAMETER),
             masses=sources.place(MASSES) if setup else 0,
+            options=tuple(_list_options(problem)),
             predicted=[_write_call(kernel, design, given) for kernel in design.prediction],
             stage_numbers_from=sources.place(NUMBERS) if tables.numbers.shape[1] else 0,
             has_free_horizon=layout.horizon is not None,
@@ -141,6 +153,21 @@ def write_files(design: Design, cost: float) -> dict[str, str]:
         f"{name}.pc": lay_out("controller/controller.pc", **common),
     }
     return {**parts, **_write_tables(design, common, wrap), **write_formulas(design)}
+
+
+def _list_options(problem: Problem) -> Iterator[_Option]:
+    """List the options of the solver as `mbsrun solve` sets them; a limit of time is the caller's, with a clock."""
+    solver = problem.solver
+    given: dict[str, float | int | str] = {
+        "tolerance": solver.tolerance,
+        "acceptable_tolerance": max(solver.tolerance, 1e-6),
+        "iterations": solver.max_iterations,
+    }
+    if solver.method == METHOD:
+        given |= {name: value for name, value in solver.options if name != "seconds"}
+    switches = {"yes": "1", "no": "0"}
+    for name, value in given.items():
+        yield _Option(name, switches.get(str(value), repr(value)), name.endswith("tolerance"))
 
 
 def scale_cost(problem: Problem) -> float:

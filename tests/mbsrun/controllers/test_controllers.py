@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import subprocess
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -301,6 +302,17 @@ def test_data_without_meaning_have_a_status(controller: Controller) -> None:
     assert controller.prepare().status in ("callback failed", "bad problem")
     controller.reset()
     assert controller.solve().is_solved
+
+
+def test_controllers_in_threads_share_nothing(case: Case) -> None:
+    """Four at once give the bits of one alone."""
+    alone = mbsrun.controller(case.folder)
+    expected = alone.solve()
+    several = [mbsrun.controller(case.folder) for _ in range(4)]
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda c: c.solve(), several))
+    assert found == [expected] * 4
+    assert all(np.array_equal(c.plan().states, alone.plan().states) for c in several)
 
 
 def test_data_outlive_their_controller(case: Case) -> None:
