@@ -135,6 +135,12 @@ def run(image: Path, seconds: float = 30.0) -> Outcome:
     return Outcome(done.returncode, done.stdout[: found.start()], int(found[1]), int(found[2]))
 
 
+def find_tools() -> None:
+    """Raise BareError if a tool is missing, before there is any work to lose."""
+    for tool in PACKAGES:
+        _find(tool)
+
+
 def _find(tool: str) -> str:
     path = shutil.which(tool)
     if path is None:

@@ -481,14 +481,12 @@ def test_another_compiler_warns_of_nothing(tmp_path: Path) -> None:
     subprocess.run(["clang", *STRICT, "-fsyntax-only", *map(str, sources())], check=True, cwd=tmp_path)
 
 
-@pytest.mark.parametrize("precision", ["double", "float"])
-def test_sanitizers_find_nothing(tmp_path: Path, precision: str) -> None:
+def test_sanitizers_find_nothing(tmp_path: Path) -> None:
     """A separate program, with a workspace of exactly the bytes asked for, with and without inner variables."""
     place, program = sources()[0].parent, tmp_path / "program.c"
     program.write_text(PROGRAM, "utf-8")
     compiler = find_compiler(os.environ).command
     flags = [*STRICT, "-O0", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", f"-I{place}"]
-    flags += ["-DMBS_STAGES_FLOAT"] if precision == "float" else []
     files = [str(program), *map(str, sources())]
     subprocess.run([*compiler, *flags, *files, "-lm", "-o", str(tmp_path / "program")], check=True)
     subprocess.run([str(tmp_path / "program")], check=True)

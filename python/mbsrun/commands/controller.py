@@ -54,8 +54,17 @@ Exit codes
     metavar="SOLUTION",
     help="A solution.json of mbsrun solve to start from, in place of the guess that the problem describes.",
 )
+@click.option(
+    "--emulate",
+    "emulated",
+    is_flag=True,
+    help="Run it in single precision on a Cortex-M7 that QEMU emulates; the report shows instructions, memory and "
+    "stack. Needs arm-none-eabi-gcc and qemu-system-arm.",
+)
 @click.pass_context
-def controller_command(context: click.Context, /, file: Path, out: Path | None, other: Path | None) -> None:
+def controller_command(
+    context: click.Context, /, file: Path, out: Path | None, other: Path | None, *, emulated: bool
+) -> None:
     """Read, make, write, print."""
     from mbsgen.output import write_folder
 
@@ -72,7 +81,7 @@ def controller_command(context: click.Context, /, file: Path, out: Path | None, 
     out = out or Path(f"{problem.name}.controller")
     try:
         with MESSAGES.status("making the controller"):
-            made = make(problem, plant, models[-1], guess)
+            made = make(problem, plant, models[-1], guess, emulated=emulated)
     except UnsolvedError as error:
         say(str(error))
         context.exit(NOT_SOLVED)

@@ -20,7 +20,9 @@ from pydantic import TypeAdapter
 from mbsgen.errors import MbsError
 from mbsgen.manifest import FILE_NAME, Kernel
 from mbsgen.roles import Role
+from mbsrun import bare
 from mbsrun.controllers import folder as folders
+from mbsrun.controllers.emulation import emulate
 from mbsrun.controllers.fields import find_sources
 from mbsrun.controllers.loading import Controller, Result
 from mbsrun.controllers.report import Figures, count_operations, measure_single, measure_stacks
@@ -60,8 +62,20 @@ class Made:
     result: Result
 
 
-def make(problem: Problem, plant: Mechanism | OnDemand, model: Path, guess: Trajectory | None = None) -> Made:
-    """Make a controller. Raises ProblemError, UnsolvedError, and what generation and compilation raise."""
+def make(
+    problem: Problem,
+    plant: Mechanism | OnDemand,
+    model: Path,
+    guess: Trajectory | None = None,
+    *,
+    emulated: bool = False,
+) -> Made:
+    """Make a controller; `emulated`: run it on an emulated microcontroller too, for the report.
+
+    Raises ProblemError, UnsolvedError, the errors of generation and compilation, and BareError.
+    """
+    if emulated:
+        bare.find_tools()
     scheme = schemes.build(problem.family, problem.degree)
     start = make_guess(problem, plant, scheme) if guess is None else adapt(guess, problem, scheme)
     if isinstance(start, Pose):
@@ -87,10 +101,10 @@ def make(problem: Problem, plant: Mechanism | OnDemand, model: Path, guess: Traj
     )
     copied = merge(read_solver(), read_kernels(place, kernels.manifest, list_kernels(design)))
     with tempfile.TemporaryDirectory() as building:
-        return _finish(design, copied, Path(building))
+        return _finish(design, copied, Path(building), emulated)
 
 
-def _finish(design: Design, copied: Mapping[str, str], place: Path) -> Made:
+def _finish(design: Design, copied: Mapping[str, str], place: Path, emulated: bool) -> Made:
     """Compile the controller, complete its guess, solve, and write what became known."""
     compiler = find_compiler(os.environ)
     controller = _load(_assemble(design, copied, UNSOLVED), place)
@@ -102,14 +116,16 @@ def _finish(design: Design, copied: Mapping[str, str], place: Path) -> Made:
         finding = f"the controller does not solve its own problem: {result.message}{at}"
         remedy = "take another guess, or see what `mbsrun solve` says"
         raise UnsolvedError(f"{design.problem.name}: {finding} It made {result.iterations} iterations; {remedy}")
+    single = measure_single(place, controller.manifest, compiler)
     figures = Figures(
         double=controller.bytes,
-        single=measure_single(place, controller.manifest, compiler),
+        single=single,
         stack=measure_stacks(place, controller.manifest, compiler),
         compiler=" ".join(compiler.command),
         iterations=result.iterations,
         cost=float(f"{result.cost:.7g}"),
         status=result.status,
+        emulation=emulate(place, controller.manifest, single) if emulated else None,
     )
     return replace(_assemble(design, copied, figures), result=result)
 

@@ -19,6 +19,7 @@ import cffi
 
 from mbsgen.manifest import Manifest
 from mbsrun.controllers import folder as folders
+from mbsrun.controllers.emulation import Emulation
 from mbsrun.library import Compiler, compile_library
 from mbsrun.ocp.stages import formulas
 from mbsrun.ocp.stages.calls import name_called
@@ -80,6 +81,7 @@ class Figures:
     iterations: int
     cost: float
     status: str
+    emulation: Emulation | None = None
 
 
 SINGLE = ("-O0", "-DMBS_STAGES_FLOAT")  # quick to compile, for counting bytes

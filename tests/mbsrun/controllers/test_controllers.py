@@ -17,7 +17,9 @@ import pytest
 
 import mbsrun
 from mbsgen.errors import InputError
+from mbsrun import bare
 from mbsrun.controllers import making
+from mbsrun.controllers.emulation import emulate
 from mbsrun.controllers.folder import read
 from mbsrun.controllers.loading import STATUSES, Controller, ControllerError
 from mbsrun.controllers.making import Made, UnsolvedError, choose_name, make
@@ -422,6 +424,49 @@ def test_single_precision_agrees_with_the_check(case: Case, tmp_path: Path) -> N
     command = [*single.command, *single.flags, str(case.folder / f"{manifest.prefix}_check.c"), str(library)]
     run(*command, f"-Wl,-rpath,{library.parent}", "-o", tmp_path / "check")
     assert run(tmp_path / "check").strip().endswith("agrees")
+
+
+def test_single_precision_under_sanitizers(case: Case, tmp_path: Path, requires: Requires) -> None:
+    """A solve and eight periods, in memory of exactly the bytes that the controller asks for."""
+    manifest, program = case.made.manifest, tmp_path / "loop"
+    (tmp_path / "loop.c").write_text(LOOP.format(manifest.prefix), encoding="utf-8")
+    flags = ["-std=c99", "-O0", *SINGLE, "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    sources = [case.folder / source for source in manifest.sources]
+    run(requires("gcc"), *flags, f"-I{case.folder}", tmp_path / "loop.c", *sources, "-lm", "-o", program)
+    assert len(run(program).splitlines()) == 8
+
+
+def test_it_runs_on_a_bare_machine(
+    case: Case, controller: Controller, requires: Requires, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Solved in single precision on a Cortex-M7, and stepped, with the inputs of the loop in double precision.
+
+    The software of the compiler computes in double precision for the clock alone. The stack is below the host's.
+    """
+    for tool in bare.PACKAGES:
+        requires(tool)
+    manifest = case.made.manifest
+    found = emulate(case.folder, manifest, manifest.memory.single)
+    assert (found.status, set(found.steps), len(found.steps)) == ("solved", {"stepped"}, 10)
+    assert found.cost == pytest.approx(manifest.cost, rel=1e-3)
+    assert controller.solve().is_solved
+    state, inputs = controller.plan().states[0], []
+    for k in range(10):
+        controller.prepare(shift=k > 0)
+        inputs.append(controller.feedback(state)[0])
+        state = controller.predict(state, inputs[-1], controller.period)
+    assert np.array(found.inputs) == pytest.approx(np.array(inputs), abs=0.02)
+    assert 0 < found.feedback.usual <= found.feedback.most < found.prepare.usual <= found.prepare.most < found.solve
+    clock = {"__aeabi_dsub", "__aeabi_dcmpge", "__aeabi_dcmpgt"}
+    assert set(found.needs) - clock <= {"memcpy", "memmove", "memset", "sinf", "cosf", "powf", "logf", "log10f"}
+    assert found.workspace <= manifest.memory.single
+    rows = [row for row in case.made.files["report.md"].splitlines() if row.startswith("| `")]
+    assert found.stack <= max(int(row.split("|")[2]) for row in rows)
+    monkeypatch.setattr(making, "measure_single", lambda *_: manifest.memory.single)
+    monkeypatch.setattr(making, "measure_stacks", lambda *_: {})
+    monkeypatch.setattr(making, "emulate", lambda *_: found)
+    report = make(case.problem, case.plant, case.model, emulated=True).files["report.md"]
+    assert f"| instructions of the solve | {found.solve} |" in report
 
 
 def build(cmake: str, source: Path, target: Path, *options: str) -> None:
