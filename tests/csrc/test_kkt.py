@@ -50,8 +50,18 @@ def load(library: Path) -> tuple[cffi.FFI, Any]:
 class Factorisation:
     """A system, given by its lower triangle, and its factors."""
 
-    def __init__(self, lower: sp.csc_array, ordered_for: Array | None = None, library: Path | None = None) -> None:
-        """Plan for the values of the system, or for others; with the library that IPOPT uses, or another."""
+    def __init__(
+        self,
+        lower: sp.csc_array,
+        ordered_for: Array | None = None,
+        library: Path | None = None,
+        *,
+        every: bool = True,
+    ) -> None:
+        """Plan for the values of the system, or for others; with the library that IPOPT uses, or another.
+
+        Every multiplier gets a partner, or only those of variables that need one.
+        """
         self.ffi, self.lib = load(library or compile_own())
         self.n = lower.shape[0]
         start, row = (self._integers(x) for x in (lower.indptr, lower.indices))
@@ -59,7 +69,7 @@ class Factorisation:
         values = lower.data if ordered_for is None else ordered_for
         numbers, work = self._numbers(values), self.ffi.new("double[]", 2 * self.n + 1)
         self.lib.mbs_mark_weak(self.n, start, row, numbers, weak, work)
-        assert self.lib.mbs_find_partners(self.n, start, row, numbers, weak, 1, partner) == 0
+        assert self.lib.mbs_find_partners(self.n, start, row, numbers, weak, every, partner) == 0
         plan = self.lib.mbs_make_plan(self.n, start, row, weak, partner)
         self.plan = self.ffi.gc(plan, self.lib.mbs_release_plan)
         self.factors = self.ffi.gc(self.lib.mbs_make_factors(self.plan), self.lib.mbs_free_factors)
@@ -219,6 +229,53 @@ def test_a_long_chain_stays_sparse() -> None:
     assert entries[1] < 2.2 * entries[0]
 
 
+@pytest.mark.parametrize("n", [31, 33, 64, 150])
+def test_fronts_of_more_than_a_panel(n: int) -> None:
+    """Dense systems are one front; with zeros on the diagonal, a candidate may get its pivot in a later panel."""
+    rng = np.random.default_rng(n)
+    a = rng.standard_normal((n, n))
+    a += a.T
+    a[: n // 2, : n // 2] = 0.0
+    lower = triangle(sp.coo_array(np.tril(a)))
+    system = Factorisation(lower)
+    met = system.factorise(lower.data)
+    assert (met.failed, met.zeros, met.front) == (0, 0, n)
+    assert met.negative == np.count_nonzero(np.linalg.eigvalsh(a) < 0)
+    b = rng.standard_normal(n)
+    x = system.solve(b)
+    assert np.abs(a @ x - b).max() < 1e-9 * np.abs(a).sum(axis=1).max() * np.abs(x).max()
+
+
+@pytest.mark.parametrize("every", [True, False])
+def test_parameters_of_a_whole_trajectory(*, every: bool) -> None:
+    """Unknowns that all steps share come last, so factors grow with the number of steps."""
+    rng = np.random.default_rng(5)
+    entries = []
+    for steps in (100, 200):
+        J = sp.diags_array(
+            [rng.uniform(0.5, 1.0, steps), rng.uniform(0.5, 1.0, steps)], offsets=[0, 1], shape=(steps, steps + 1)
+        )
+        J = sp.hstack([J, sp.csr_array(rng.uniform(0.5, 1.0, (steps, 3)))])
+        diagonal = np.append(rng.uniform(0.0, 1.0, steps + 1) * (np.arange(steps + 1) % 3 == 0), np.ones(3))
+        lower = triangle(stack(sp.diags_array(diagonal), J))
+        a = dense(lower)
+        system = Factorisation(lower, every=every)
+        met = system.factorise(lower.data)
+        assert (met.zeros, met.negative) == (0, np.count_nonzero(np.linalg.eigvalsh(a) < 0))
+        b = rng.standard_normal(len(a))
+        x = system.solve(b)
+        assert np.abs(a @ x - b).max() < 1e-9 * np.abs(a).sum(axis=1).max() * np.abs(x).max()
+        entries.append(met.entries)
+    assert entries[1] < 2.2 * entries[0]
+
+
+def test_every_multiplier_gets_a_partner() -> None:
+    """Also where all variables have pivots by themselves; without `every`, nobody needs one there."""
+    J = sp.eye_array(30, 40) + sp.diags_array(np.full(30, 2.0), offsets=3, shape=(30, 40))
+    lower = triangle(stack(sp.eye_array(40), J))
+    assert [Factorisation(lower, every=every).pairs for every in (True, False)] == [30, 0]
+
+
 def test_no_compiler_warns_and_no_memory_is_misused(tmp_path: Path) -> None:
     """A program calls the interface that IPOPT uses, under sanitizers."""
     place = folder("csrc") / "kkt"
@@ -232,6 +289,58 @@ def test_no_compiler_warns_and_no_memory_is_misused(tmp_path: Path) -> None:
 
 PROGRAM = r"""
 #include "mbs_ipopt.h"
+#include <math.h>
+enum { N = 200, M = 150, DENSE = 3, ENTRIES = N + M * (3 + DENSE) };
+
+/* [H JT; J 0] by rows of the lower triangle's transpose: each constraint joins three variables, and the last ones. */
+static int solve_larger(void)
+{
+    static int start[N + M + 1], row[ENTRIES + M];
+    static double value[ENTRIES + M], x[N + M], b[N + M];
+    unsigned seed = 1;
+    void *pattern = 0, *factors = 0;
+    ipopt_settings settings;
+    ipopt_report report;
+    int turn, i, j, k, used = 0;
+    ma97_default_control_d(&settings);
+    settings.threshold = 1e-8;
+    settings.zero = 1e-20;
+    for (j = 0; j < N + M; ++j) { /* column j: the diagonal, then the constraints that it is in */
+        start[j] = used;
+        row[used++] = j;
+        for (i = 0; j < N && i < M; ++i)
+            if (j >= N - DENSE || j == i || j == i + 1 || j == (7 * i) % (N - DENSE))
+                row[used++] = N + i;
+    }
+    start[N + M] = used;
+    ma97_analyse_d(0, N + M, start, row, 0, &pattern, &settings, &report, 0);
+    for (turn = 0; turn < 3; ++turn) {
+        for (j = 0; j < N + M; ++j) {
+            b[j] = x[j] = 1.0 + j % 5;
+            for (k = start[j]; k < start[j + 1]; ++k) {
+                seed = seed * 1664525u + 1013904223u;
+                value[k] = 0.1 + (seed >> 8) / 16777216.0;
+                if (row[k] == j)
+                    value[k] = j >= N || (turn && j < M && j % 2) ? 0.0 : value[k];
+            }
+        }
+        ma97_factor_solve_d(4, start, row, value, 1, x, N + M, &pattern, &factors, &settings, &report, 0);
+        if (report.flag || report.negative != M)
+            return 1;
+        for (j = 0; j < N + M; ++j)
+            for (k = start[j]; k < start[j + 1]; ++k) {
+                b[row[k]] -= value[k] * x[j];
+                if (row[k] != j)
+                    b[j] -= value[k] * x[row[k]];
+            }
+        for (j = 0; j < N + M; ++j)
+            if (!(fabs(b[j]) < 1e-6))
+                return 1;
+    }
+    ma97_finalise_d(&pattern, &factors);
+    return 0;
+}
+
 /* minimise x1^2/2 - x2^2/2 with x1 + x2 = b3, and the same without its constraint */
 int main(void)
 {
@@ -251,7 +360,7 @@ int main(void)
     ma97_factor_solve_d(4, start, row, value, 2, x, 3, &pattern, &factors, &settings, &report, 0);
     if (report.flag || report.negative != 1 || x[0] + x[1] < 1.0 - 1e-12 || x[3] + x[4] > 1e-12)
         return 2;
-    value[1] = value[3] = 0.0;
+    value[1] = value[3] = 0.0; /* the constraint has lost its variables */
     ma97_factor_d(4, start, row, value, &pattern, &factors, &settings, &report, 0);
     if (report.flag != -7)
         return 3;
@@ -262,6 +371,8 @@ int main(void)
     if (report.flag || report.negative != 1)
         return 5;
     ma97_finalise_d(&pattern, &factors);
+    if (solve_larger())
+        return 6;
     return pattern || factors ? 4 : 0;
 }
 """
