@@ -24,7 +24,7 @@ SAME = 1e-6  # relative difference of costs within which two optima are one
 LONG = 2.0  # s; a program that one solver takes longer for is solved once
 DEFAULTS = "mumps, defaults"
 SOLVERS: tuple[str, ...] = (OWN, MUMPS, DEFAULTS)
-COMMON: Mapping[str, Any] = {"print_level": 0, "sb": "yes", "tol": 1e-8, "max_iter": 500}
+COMMON: Mapping[str, Any] = {"print_level": 0, "sb": "yes", "tol": 1e-8, "max_iter": 500, "max_cpu_time": 20.0}
 _ALGEBRA = re.compile(r"StdAugSystemSolverMultiSolve\.*:\s+([\d.]+) \(sys:\s+([\d.]+)")
 
 
