@@ -117,7 +117,7 @@ MBSRUN = Package(
         "controllers.making",
         "controllers",
         "tracking.trial tracking.controller",
-        "tracking.plant tracking.solving tracking.statement",
+        "tracking.compiled tracking.plant tracking.solving tracking.statement",
         "tracking.loop tracking.mechanisms",
         "tracking.analysis",
         "tracking.pictures",

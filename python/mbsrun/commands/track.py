@@ -11,11 +11,15 @@ from rich.progress import Progress as ProgressBar
 
 from mbsgen.documents import Data
 from mbsrun.commands.console import MESSAGES, NOT_SOLVED, NameType, say
+from mbsrun.controllers.loading import controller as load_controller
+from mbsrun.controllers.making import hash_problem
 from mbsrun.external import Mechanism, OnDemand, load_on_demand
 from mbsrun.ocp.methods import METHODS as SOLVERS
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.statement import read_problem
 from mbsrun.simulation.methods import METHODS
+from mbsrun.tracking.compiled import CompiledController
+from mbsrun.tracking.controller import Controller
 from mbsrun.tracking.loop import NoPlanError, Sample, Track, track
 from mbsrun.tracking.mechanisms import load_simulated
 from mbsrun.tracking.plant import Plant
@@ -63,7 +67,9 @@ Exit codes
   2   a file or an argument cannot be accepted; nothing written
 """
 
+PREPARED = 0.1  # of a sample's processor time: less preparation is not printed
 LISTED = 8  # margins and statuses that are printed
+MAX_STEPS = 100  # of Newton's method in a sample
 
 
 @click.command("track", help=TRACK_HELP)
@@ -88,11 +94,36 @@ LISTED = 8  # margins and statuses that are printed
 @click.option("--seed", type=int, metavar="N", help="Of the noise; by default 0.")
 @click.option("--method", type=NameType(METHODS), help="How the plant is integrated; by default dop853.")
 @click.option("--solver", type=NameType(SOLVERS), help="The controller's NLP method; by default the problem's.")
+@click.option(
+    "--controller",
+    "folder",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="DIR",
+    help="A folder of C that `mbsrun controller PROBLEM` wrote: it replaces the solver.",
+)
+@click.option(
+    "--steps",
+    type=click.IntRange(1, MAX_STEPS),
+    metavar="N",
+    help="With --controller: control in real time, by N steps of Newton's method a sample; by default it solves.",
+)
 @click.pass_context
 def track_command(
-    context: click.Context, /, file: Path, out: Path | None, settings: Path | None, solver: str | None, **given: Any
+    context: click.Context,
+    /,
+    file: Path,
+    out: Path | None,
+    settings: Path | None,
+    solver: str | None,
+    folder: Path | None,
+    steps: int | None,
+    **given: Any,
 ) -> None:
     """Read, run, write, print."""
+    if folder is not None and solver is not None:
+        raise click.UsageError("--controller has its own solver; leave --solver out")
+    if folder is None and steps is not None:
+        raise click.UsageError("--steps is for a controller in C; give --controller too")
     statement = TrialStatement(settings, _collect_options(given))
     models: list[Path] = []
 
@@ -110,7 +141,9 @@ def track_command(
         trial, parameters = statement.trial(problem, true.manifest, true.parameters)
         true = true.with_parameters(**parameters)
         predicting = load_simulated(models[0]) if trial.delay and trial.predicts else None
-    controller = SolvingController(problem, model, trial.period, trial.horizon)
+        controller: Controller = SolvingController(problem, model, trial.period, trial.horizon)
+        if folder is not None:
+            controller = _load_controller(folder, problem, trial, steps)
     try:
         found = _run(trial, problem, Plant(true, trial), controller, predicting)
     except NoPlanError as error:
@@ -127,6 +160,17 @@ def track_command(
     context.exit(0 if report.is_met else NOT_SOLVED)
 
 
+def _load_controller(folder: Path, problem: Problem, trial: Trial, steps: int | None) -> CompiledController:
+    """Load a controller in C, and check that it fits."""
+    if trial.horizon is not None:
+        raise click.UsageError("a controller in C has plans of one length; leave horizon out of the settings")
+    loaded = load_controller(folder)
+    controller = CompiledController(loaded, problem, trial.period, steps)
+    if loaded.manifest.problem_hash != hash_problem(problem):
+        say(f"warning: {folder} was written for another version of the problem; its own weights, bounds and ends count")
+    return controller
+
+
 def _collect_options(given: dict[str, Any]) -> dict[str, Data]:
     """Nest options as a settings file does."""
     options: dict[str, Data] = {key: value for key, value in given.items() if value is not None}
@@ -136,7 +180,7 @@ def _collect_options(given: dict[str, Any]) -> dict[str, Data]:
     return options
 
 
-def _run(trial: Trial, problem: Problem, plant: Plant, controller: SolvingController, model: Mechanism | None) -> Track:
+def _run(trial: Trial, problem: Problem, plant: Plant, controller: Controller, model: Mechanism | None) -> Track:
     """Run the loop, and show how far it is."""
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[time]}"), TimeRemainingColumn())
     with ProgressBar(*columns, console=MESSAGES, transient=True) as bar:
@@ -163,6 +207,7 @@ def _print_report(report: Report) -> None:
         "iterations": f"{sum(iterations) / len(iterations):.3g} a sample, {max(iterations)} at most",
         "processor": f"{1e3 * times.median:.3g} ms a sample (median), {1e3 * times.tail:.3g} ms (99.9th percentile), "
         f"{1e3 * times.largest:.3g} ms at most",
+        **_describe_preparation(report),
         "energy drift": f"{found.drift:.1e} J in a period, at most: the integration's error",
     }
     for x in report.measured:
@@ -175,6 +220,15 @@ def _print_report(report: Report) -> None:
         click.echo("least margins to bounds and constraints")
     for margin in sorted(report.margins, key=lambda margin: margin.least)[:LISTED]:
         click.echo(f"  {margin.least:>10.3g} at {margin.time:.3f} s  {margin.name}")
+
+
+def _describe_preparation(report: Report) -> dict[str, str]:
+    """Describe the work before measurements, where a controller does a part of its work there."""
+    times = report.preparing
+    if times.median < PREPARED * report.times.median:
+        return {}
+    told = f"{1e3 * times.median:.3g} ms (median), {1e3 * times.tail:.3g} ms (99.9th percentile)"
+    return {"preparation": f"{told} before a measurement; {report.violation:.1e} of violation in a plan, at most"}
 
 
 def _list_warnings(report: Report) -> list[str]:

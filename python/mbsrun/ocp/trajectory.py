@@ -69,7 +69,7 @@ def resample(trajectory: Trajectory, t: NDArray[np.float64], point_t: NDArray[np
         t=t,
         q=mesh.states(trajectory.q, trajectory.point_q),
         qd=mesh.states(trajectory.qd, trajectory.point_qd) * pace,
-        u=average_inputs(trajectory, t * pace),
+        u=average_inputs(trajectory.t, trajectory.u, t * pace),
         point_t=point_t,
         point_q=points.states(trajectory.q, trajectory.point_q),
         point_qd=points.states(trajectory.qd, trajectory.point_qd) * pace,
@@ -95,7 +95,7 @@ def move_ahead(
         t=t,
         q=mesh.states(trajectory.q, trajectory.point_q),
         qd=mesh.states(trajectory.qd, trajectory.point_qd) * mesh_moves,
-        u=average_inputs(trajectory, t + elapsed),
+        u=average_inputs(trajectory.t, trajectory.u, t + elapsed),
         point_t=point_t,
         point_q=points.states(trajectory.q, trajectory.point_q),
         point_qd=points.states(trajectory.qd, trajectory.point_qd) * points_move,
@@ -103,10 +103,13 @@ def move_ahead(
     )
 
 
-def average_inputs(trajectory: Trajectory, times: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean inputs between times (K + 1,), shape (K, m); after its end a motion keeps its last inputs."""
-    knots = np.append(trajectory.t, max(float(times[-1]), float(trajectory.t[-1])) + 1.0)
-    u = np.concatenate((trajectory.u, trajectory.u[-1:]))
+def average_inputs(t: NDArray[np.float64], u: NDArray[np.float64], times: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return means of inputs u (N, m), which change at t (N + 1,), between times (K + 1,): shape (K, m).
+
+    After the end, the last inputs stay.
+    """
+    knots = np.append(t, max(float(times[-1]), float(t[-1])) + 1.0)
+    u = np.concatenate((u, u[-1:]))
     impulses = np.concatenate((np.zeros_like(u[:1]), np.cumsum(np.diff(knots)[:, None] * u, axis=0)))
     sums = np.stack([np.interp(times, knots, column) for column in impulses.T], axis=-1)
     return np.asarray(np.diff(sums, axis=0) / np.diff(times)[:, None])

@@ -28,6 +28,7 @@ class Decision:
     is_solved: bool
     iterations: int
     seconds: float  # of processor time, from the state to the inputs: other programs do not lengthen it
+    violation: float  # of the plan's constraints, the largest; in real time before the last step. NaN: unknown
 
 
 class Controller(Protocol):

@@ -174,7 +174,7 @@ class _Loop:
         if self.pending and self.trial.predicts:
             state = self._predict(*measured)
         if state is None:
-            return Decision(self.controller.planned(ahead), UNPREDICTED, False, 0, 0.0), False
+            return Decision(self.controller.planned(ahead), UNPREDICTED, False, 0, 0.0, np.nan), False
         q, qd, is_moved = self._move_inside(*state)
         return self.controller.feedback(q, qd), is_moved
 

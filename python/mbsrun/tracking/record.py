@@ -44,6 +44,7 @@ class Report:
     preparing: Times
     statuses: tuple[tuple[str, int], ...]  # the controller's words, the most frequent first
     late: int  # samples whose computation took longer than a period
+    violation: float  # of the constraints of a plan, the largest; NaN: no plan was found
     moved: int  # samples whose state was put within the controller's bounds
 
     @property
@@ -56,6 +57,7 @@ def report_track(track: Track, problem: Problem, plant: Mechanism) -> Report:
     """Compute the figures of a track."""
     samples = track.samples
     margins, left = find_margins(track, problem, plant)
+    violations = [sample.decision.violation for sample in samples]
     return Report(
         track=track,
         problem=problem,
@@ -66,6 +68,7 @@ def report_track(track: Track, problem: Problem, plant: Mechanism) -> Report:
         preparing=Times.of([sample.preparing for sample in samples]),
         statuses=tuple(Counter(sample.decision.status for sample in samples).most_common()),
         late=sum(sample.decision.seconds > track.trial.period for sample in samples),
+        violation=max((x for x in violations if x == x), default=np.nan),
         moved=sum(sample.is_moved for sample in samples),
     )
 
@@ -104,6 +107,7 @@ def _summarise(report: Report, manifest: Manifest) -> str:
         "failures": track.failures,
         "statuses": dict(report.statuses),
         "moved_into_bounds": report.moved,
+        "violation": report.violation,
         "late": report.late,
         "iterations": {"mean": float(np.mean(iterations)), "largest": max(iterations)},
         "seconds": asdict(report.times),
@@ -139,7 +143,7 @@ def _tabulate(track: Track, manifest: Manifest) -> str:
     header += [f"measured_q[{name}]" for name in manifest.positions]
     header += [f"measured_qd[{name}]" for name in velocities]
     header += [f"{kind}[{name}]" for kind in ("u", "acting") for name in inputs]
-    header += ["status", "solved", "iterations", "seconds", "preparing"]
+    header += ["status", "solved", "iterations", "seconds", "preparing", "violation"]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)
@@ -147,5 +151,6 @@ def _tabulate(track: Track, manifest: Manifest) -> str:
         numbers = np.concatenate(([x.time], x.q, x.qd, x.measured_q, x.measured_qd, x.u, x.acting)).tolist()
         decision = x.decision
         words = [decision.status, int(decision.is_solved), decision.iterations, decision.seconds, x.preparing]
+        words.append(decision.violation)
         writer.writerow([*numbers, *words])
     return text.getvalue()

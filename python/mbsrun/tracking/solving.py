@@ -7,6 +7,7 @@ nonlinear MPC and moving horizon estimation", LNCIS 384 (2009), section 3.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -58,25 +59,27 @@ class SolvingController:
         problem = replace(self._next, start_q=tuple(q.tolist()), start_qd=tuple(qd.tolist()))
         guess = self._guess(problem)
         if isinstance(guess, Pose):
-            return Decision(self.planned(self._time), UNREACHED, False, 0, 0.0)
+            return Decision(self.planned(self._time), UNREACHED, False, 0, 0.0, math.nan)
         if self._solver is None:
             problem = self._problem = self._next = settle(problem, self._plant, guess)
             self._solver = Solver(problem, self._plant)
         outcome = self._solver.solve(problem, guess)
         run = outcome.run
         if isinstance(outcome, Failure):
-            return Decision(self.planned(self._time), run.status, False, run.iterations, run.cpu_seconds)
+            return Decision(self.planned(self._time), run.status, False, run.iterations, run.cpu_seconds, math.nan)
         if self._plan is None:
             self._problem = _warm(self._problem)
         self._plan, self._begun = outcome.trajectory, self._time
-        return Decision(self.planned(self._time), run.status, True, run.iterations, run.cpu_seconds)
+        return Decision(
+            self.planned(self._time), run.status, True, run.iterations, run.cpu_seconds, outcome.violation.constraints
+        )
 
     def planned(self, time: float) -> Array:
         """Return the plan's mean inputs over the period from a time on; zeros where there is no plan yet."""
         if self._plan is None:
             return np.zeros(len(self._problem.bounds.u))
         elapsed = time - self._begun
-        return np.asarray(average_inputs(self._plan, np.array([elapsed, elapsed + self.period]))[0])
+        return np.asarray(average_inputs(self._plan.t, self._plan.u, np.array([elapsed, elapsed + self.period]))[0])
 
     def _guess(self, problem: Problem) -> Trajectory | Pose:
         if self._plan is None or self._solver is None:

@@ -45,7 +45,7 @@ class Counter:
         k, self.asked = self.asked, self.asked + 1
         is_solved = k not in self.failing
         u = np.array([float(k)]) if is_solved else self.planned(self.times[-1])
-        return Decision(u, "Solved" if is_solved else "Lost", is_solved, 1, 1e-3)
+        return Decision(u, "Solved" if is_solved else "Lost", is_solved, 1, 1e-3, 0.0)
 
     def planned(self, time: float) -> Array:
         return np.array([100 + 10 * time])

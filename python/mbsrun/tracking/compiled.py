@@ -1,0 +1,106 @@
+"""A controller in C, written by `mbsrun controller`: solves to a tolerance, or steps of Newton's method in real time.
+
+In real time a sample makes a fixed number of steps: `prepare` moves the plan ahead and does all the work that needs no
+measurement, `feedback` makes the step for the measured state. See csrc/stages/mbs_stages.h.
+"""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsgen.errors import MbsError
+from mbsrun.controllers.folder import Data
+from mbsrun.controllers.loading import Controller
+from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.trajectory import average_inputs
+from mbsrun.tracking.controller import Decision
+
+Array = NDArray[np.float64]
+
+ROUNDED = 1e-6  # of a number of periods in an interval
+STEPPED = "stepped"
+
+
+class MisfitError(MbsError):
+    """A controller that does not fit a problem or a rate."""
+
+
+class CompiledController:
+    """Calls a controller's C; `steps` in real time in each sample, or None for solves to the tolerance."""
+
+    def __init__(self, controller: Controller, problem: Problem, period: float, steps: int | None = None) -> None:
+        """Take a loaded controller. Raises MisfitError where it is another problem's, or the rate does not fit."""
+        manifest = controller.manifest
+        sizes = len(problem.start_q) + len(problem.start_qd), len(problem.bounds.u), problem.intervals
+        if sizes != (len(manifest.states), len(manifest.inputs), manifest.intervals) or manifest.horizon is None:
+            raise MisfitError(
+                f"the controller {manifest.prefix} is of another problem; write it again by `mbsrun controller`"
+            )
+        self._interval = controller.period
+        count = self._interval / period
+        if round(count) < 1 or abs(count - round(count)) > ROUNDED * count:
+            raise MisfitError(
+                f"the controller's intervals of {self._interval:g} s are no multiple of the period of {period:g} s; "
+                f"give a rate of {1 / self._interval:g} Hz, or a multiple"
+            )
+        self._controller, self._period, self._steps = controller, period, steps
+        self._constants = _place_constants(manifest.data)
+        self._begun, self._time = 0.0, 0.0  # of the plan, and of the sample
+        self._has_plan = False
+
+    def prepare(self, time: float, constants: Mapping[str, float]) -> None:
+        """Move the plan ahead by the intervals that have passed; linearise, where the sample only makes steps."""
+        for name, value in constants.items():
+            self._controller.data["constants"][self._constants[name]] = value
+        self._time = time
+        if not self._has_plan:
+            return
+        passed = math.floor((time - self._begun) / self._interval + ROUNDED)
+        for _ in range(passed):
+            self._controller.prepare(shift=True)
+        self._begun += passed * self._interval
+        if not passed and self._steps is not None:
+            self._controller.prepare()
+
+    def feedback(self, q: Array, qd: Array) -> Decision:
+        """Solve, or make steps, from a state. The first plan is solved for in any case."""
+        before = clock.process_time()
+        if self._steps is None or not self._has_plan:
+            return self._solve(q, qd, before)
+        state = np.concatenate((q, qd))
+        inputs, step = self._controller.feedback(state)
+        for _ in range(self._steps - 1):
+            if step.status == STEPPED:
+                self._controller.prepare()
+                inputs, step = self._controller.feedback(state)
+        seconds = clock.process_time() - before
+        is_solved = step.status == STEPPED
+        return Decision(
+            inputs if is_solved else self.planned(self._time), step.status, is_solved, self._steps, seconds,
+            step.violation,
+        )  # fmt: skip
+
+    def planned(self, time: float) -> Array:
+        """Return the plan's mean inputs over the period from a time on."""
+        plan, elapsed = self._controller.plan(), time - self._begun
+        times = np.array([elapsed, elapsed + self._period])
+        return np.asarray(average_inputs(plan.times - plan.times[0], plan.inputs, times)[0])
+
+    def _solve(self, q: Array, qd: Array, before: float) -> Decision:
+        data = self._controller.data
+        data["start_q"][:], data["start_qd"][:] = q, qd
+        result = self._controller.solve(warm=self._has_plan)
+        seconds = clock.process_time() - before
+        self._has_plan = self._has_plan or result.is_solved
+        inputs = self.planned(self._time)
+        return Decision(inputs, result.status, result.is_solved, result.iterations, seconds, result.violation)
+
+
+def _place_constants(data: tuple[Data, ...]) -> Mapping[str, int]:
+    """Return the place of each constant of the problem's expressions."""
+    return {entry.name: i for field in data if field.name == "constants" for i, entry in enumerate(field.entries)}
