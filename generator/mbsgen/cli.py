@@ -454,9 +454,9 @@ def report_command(model: Path, form: str | None, compare: bool, choices: Choice
 def equations_command(
     model: Path, form: str, language: str | None, numbers: bool, out: Path | None, choices: Choices
 ) -> None:
-    """Print the equations of motion of MODEL: M(q) qdd + c(q, qd) + G(q) = Q.
+    """Print the equations of motion of MODEL.
 
-    Products of sines and cosines are written as sums, so the form is unique, and what is zero is not there. Loops add
+    They are M(q) qdd + c(q, qd) + G(q) = Q. Products of sines and cosines are written as sums, so the form is unique, and what is zero is not there. Loops add
     h(q) = 0 and its Jacobian J, frames their places. Mechanisms of many joints are written line by line, as the
     recursion that is generated.
     """

@@ -41,7 +41,7 @@ SINGLES = Numbers(
 
 @dataclass(frozen=True)
 class Found:
-    """What one evaluation gives."""
+    """The ratios of one evaluation, and whether it failed."""
 
     ratios: tuple[float, ...]  # of bounds to errors that are not 0
     failed: bool
