@@ -8,7 +8,7 @@
  * Gear, Gupta, Leimkuhler, Journal of Computational and Applied Mathematics 12 (1985); Hairer, Wanner, "Solving Ordinary
  * Differential Equations II", section VII.1. Coordinates are integrals of velocities: no quaternions.
  *
- * C99, reentrant but for the arrays that kernels read and write, no allocation.
+ * C99, reentrant except for the arrays that kernels read and write, no allocation.
  */
 #ifndef MBS_RADAU_H
 #define MBS_RADAU_H

@@ -81,8 +81,8 @@ def summarise(cases: Sequence[Case]) -> list[str]:
     lines = [
         f"- {len(problems)} problems, {len(cases)} programs. Lost: {', '.join(lost) or 'none'}.",
         f"- {len(comparable)} programs have the same optimum by both in about as many iterations. There the ratio of",
-        f"  the time of linear algebra is {mean([case.algebra for case in comparable]):.2f} in the geometric mean, and",
-        f"  that of whole solves {mean([case.whole for case in comparable]):.2f}.",
+        f"  the time of linear algebra is {mean([case.algebra for case in comparable]):.2f} in the geometric mean,",
+        f"  and the ratio of whole solves {mean([case.whole for case in comparable]):.2f}.",
         f"- {len(comparable) - len(below)} of these programs reach {GOAL:g} in linear algebra, and",
         f"  {sum(ratio >= GOAL for ratio in by_problem.values())} of {len(by_problem)} problems in the mean of theirs.",
     ]

@@ -1,7 +1,7 @@
 """Estimation of rates of reactions and populations from measurements: four problems of COPS 3.0, with its data.
 
 Sources: gas oil, Tjoa, Biegler (1991); marine, Rothschild et al. (1997); methanol, Maria (1989); pinene, Box et al.
-(1973). The optima are those of the report.
+(1973). The report gives the optima.
 """
 
 from __future__ import annotations

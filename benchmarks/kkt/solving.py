@@ -1,4 +1,4 @@
-"""Solve a program by IPOPT with one linear solver or another, all else equal; IPOPT's own clock tells the algebra.
+"""Solve a program by IPOPT with one linear solver or another, all else equal; IPOPT's own clock measures the algebra.
 
 IPOPT counts what a linear solver takes, with the conversion of its matrices, as `StdAugSystemSolverMultiSolve`.
 """
@@ -30,7 +30,7 @@ _ALGEBRA = re.compile(r"StdAugSystemSolverMultiSolve\.*:\s+([\d.]+) \(sys:\s+([\
 
 @dataclass(frozen=True)
 class Effort:
-    """What a solve took: seconds of the processor."""
+    """The effort of a solve: iterations, and seconds of the processor."""
 
     status: str
     iterations: int
@@ -78,7 +78,7 @@ class Case:
 
     @property
     def peer(self) -> Row:
-        """Return the quicker row of MUMPS; of those that are solved, if one is."""
+        """Return the quicker row of MUMPS; a solved one, if there is one."""
         peers = [row for row in self.rows[1:] if row.is_solved] or self.rows[1:]
         return min(peers, key=lambda row: row.seconds_algebra)
 
@@ -104,7 +104,7 @@ class Case:
 
     @property
     def algebra(self) -> float:
-        """Return the time of MUMPS over that of the project's solver, for linear algebra."""
+        """Return the time of MUMPS over the time of the project's solver, for linear algebra."""
         return self.peer.seconds_algebra / self.own.seconds_algebra
 
     @property

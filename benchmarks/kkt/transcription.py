@@ -251,7 +251,7 @@ def transcribe(problem: Problem, scheme: Scheme, intervals: int | None = None) -
 
 
 def _write_misfit(problem: Problem, mesh: Array, states: ca.MX) -> ca.MX:
-    """Return the sum of squares of what was measured."""
+    """Return the sum of squares of the differences from measurements."""
     if problem.measured is None:
         return ca.MX(0)
     times = np.array(problem.measured.times)

@@ -96,7 +96,7 @@ void ma97_analyse_d(int check, int n, const int *start, const int *row, const do
     report->flag = 0;
 }
 
-/* Return a plan in which all multipliers have partners, or only those of weak variables; NULL if memory runs out. */
+/* Return a plan in which all multipliers have partners, or only multipliers of weak variables; NULL if memory runs out. */
 static mbs_plan *make_plan(pattern *p, const double *value, int all)
 {
     if (mbs_find_partners(p->n, p->start, p->row, value, p->weak, all, p->partner))

@@ -283,7 +283,7 @@ int mbs_most_neighbours(int n)
     return many > FEW ? many : FEW;
 }
 
-/* Assign unknowns to nodes: one to each, or a pair that needs each other for a pivot; NONE for those with too many
+/* Assign unknowns to nodes: one to each, or a pair that needs each other for a pivot; NONE for unknowns with too many
  * neighbours. */
 static void assign_nodes(graph *g, int n, const int *start, const int *partner, int *node)
 {

@@ -127,7 +127,7 @@ static void match_along_path(sides *s, int i)
         s->from[seen[met]] = NONE;
 }
 
-/* Match the unknowns from `from` to `end` - 1 that are marked, or all of them: first with what is free. */
+/* Match the unknowns from `from` to `end` - 1 that are marked, or all of them: first with free ones. */
 static void match(sides *s, int from, int end, const char *marked)
 {
     int i;

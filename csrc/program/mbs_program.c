@@ -85,7 +85,7 @@ static real *append(real *end, const real *numbers, int count)
     return end + count;
 }
 
-/* Begin W with what every script is given; return where it ends. */
+/* Begin W with the numbers that every script is given; return where they end. */
 static real *begin(const mbs_program_instance *p, int k, const real *x, const real *v)
 {
     const mbs_program *program = p->program;

@@ -2,8 +2,8 @@
  *
  * A transcription applies a few functions (kernels, expressions) at many places. Per kind of stage there are three
  * scripts, which compute values, Jacobians and the Hessian of the Lagrangian in one vector W of numbers: sums and
- * products of entries, and calls. Tables are constant and shared; an instance has memory of its own, so that threads
- * share nothing else. C99; no allocation. MBS_STAGES_FLOAT makes all numbers float, those of the functions included. */
+ * products of entries, and calls. Tables are constant and shared; each instance has its own memory, so that
+ * threads share nothing else. C99; no allocation. MBS_STAGES_FLOAT makes all numbers float, also in the functions. */
 #ifndef MBS_PROGRAM_H
 #define MBS_PROGRAM_H
 
@@ -36,8 +36,8 @@ typedef struct {
     const mbs_program_call *call; /* NULL: none */
 } mbs_program_step;
 
-/* W begins with what is given: x, v, parameters, numbers of the stage, and for the Hessian the factor of f, ye, yd,
- * yg. Then come `constants`, which begin as `start`, of which the results are a part; then what calls write. */
+/* W begins with the given numbers: x, v, parameters, numbers of the stage, and for the Hessian the factor of f, ye, yd,
+ * yg. Then come `constants`, which begin as `start`, of which the results are a part; then the results of calls. */
 typedef struct {
     int steps;
     const mbs_program_step *step;

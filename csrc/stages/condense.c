@@ -11,7 +11,7 @@
 
 #include <string.h>
 
-#define OFTEN 4 /* an order that fails in one of so many stages is given up */
+#define OFTEN 4 /* an order that fails in one of as many stages is given up */
 #define TRIES 3
 
 static real *row_of_v(const mbs_stages_stage *s, int i)
@@ -128,7 +128,7 @@ static void set_outer_sizes(mbs_stages_stage *s)
     s->inner.width = mbs_stages_width(s->dense.n);
 }
 
-/* B = -r_u: rows as those of r. */
+/* B = -r_u, in the order of the rows of r. */
 static void write_right(const mbs_stages_recursion *r, const mbs_stages_stage *s)
 {
     const mbs_stages_inner *y = &s->inner;
@@ -249,7 +249,7 @@ static void clear_rounding(const mbs_stages_recursion *r, const mbs_stages_stage
             s->dense.E[(size_t)j * (size_t)s->dense.ne + (size_t)place[i]] = 0;
 }
 
-/* Rows of e that the recursion sees: those that are not inner, then deferred ones. */
+/* Rows of e that the recursion sees: rows that are not inner, then deferred ones. */
 static void place_rows(const mbs_stages_stage *s, int *place)
 {
     const mbs_stages_inner *y = &s->inner;

@@ -10,10 +10,10 @@ void mbs_stages_order_pivots(mbs_stages_recursion *r);
 /* Write the dense matrices of stage k, by the diagonal that is there. */
 void mbs_stages_condense(mbs_stages_recursion *r, int k);
 
-/* The place of variable i among those of the recursion; -1 for an inner one. */
+/* The place of variable i in the recursion; -1 for an inner one. */
 int mbs_stages_outer(const mbs_stages_stage *s, int i);
 
-/* How variable i changes with those of the recursion, if it is an inner one; NULL: it is one of these. */
+/* How variable i changes with the recursion's variables, if it is an inner one; NULL: it is one of these. */
 const real *mbs_stages_variation(const mbs_stages_stage *s, int i);
 
 /* Right-hand sides of stage k where the inner equations hold with all outer variables 0: gradient += (H + diagonal) z,
@@ -23,10 +23,10 @@ void mbs_stages_condense_right(mbs_stages_recursion *r, int k, const real *rc, r
 /* out = VT gradient */
 void mbs_stages_condense_gradient(const mbs_stages_stage *s, const real *gradient, real *out);
 
-/* All variables z from those of the recursion. */
+/* All variables z from the recursion's. */
 void mbs_stages_expand(const mbs_stages_stage *s, const real *outer, real *z);
 
-/* Multipliers of the inner equations, where dy holds all others; `force` is what fixed variables add to the gradient
+/* Multipliers of the inner equations, where dy holds all others; `force` takes the part of fixed variables in the gradient
  * (n numbers, overwritten). */
 void mbs_stages_expand_multipliers(mbs_stages_recursion *r, int k, const real *rw, const real *z, real *force,
                                    real *dy);

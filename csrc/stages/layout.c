@@ -118,7 +118,7 @@ static void lay_matrix(arena *a, mbs_stages_matrix *A, int rows, int columns, co
     A->value = numbers(a, A->count, 1);
 }
 
-/* Give a dense matrix the pattern of all its entries, or of those of its lower triangle. */
+/* Give a dense matrix the pattern of all its entries, or of its lower triangle. */
 static void lay_full_pattern(arena *a, mbs_stages_matrix *A, int triangle)
 {
     const size_t columns = (size_t)A->columns;

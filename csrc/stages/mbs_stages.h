@@ -175,7 +175,7 @@ void mbs_stages_shift(mbs_stages *solver);
  *
  * `mbs_stages_prepare` does all that needs no measurement: it moves the iterate ahead if `shift` is not 0, calls the
  * callbacks, factorises, and finds the step for the first state of the iterate. Returns MBS_STAGES_PREPARED.
- * `mbs_stages_feedback` takes the measured first state, changes the step by what follows from it, and makes it.
+ * `mbs_stages_feedback` takes the measured first state, corrects the step for it, and makes the step.
  * Variables, slacks and multipliers stay strictly inside their bounds: each variable takes the whole step, or goes
  * almost to its own bound. Returns MBS_STAGES_STEPPED.
  *

@@ -2,7 +2,7 @@
  *
  * Pivots are chosen by Markowitz' rule among entries that are not small in their row: the product of the numbers of other
  * nonzeros in row and column bounds the fill (Duff, Erisman, Reid: Direct methods for sparse matrices, 2017, chapter 7).
- * Where most of what remains is filled, it is taken as full, and pivots are the largest beside their rows.
+ * Where most of the remaining block is filled, it is taken as full, and pivots are the largest beside their rows.
  *
  * Later factorisations follow the order row by row: row i of the lower factor and of the upper one are
  *
@@ -16,7 +16,7 @@
 #define PASSES 3
 #define FULL ((real)0.95)       /* nonzeros of a block that is taken as full */
 
-/* What remains while an order is chosen. */
+/* The block that remains while an order is chosen. */
 typedef struct {
     int n, done;
     real *a;          /* row by row */
@@ -146,7 +146,7 @@ static void subtract_row(remainder_block *r, int pivot, int i)
     }
 }
 
-/* Use the pivot at these places: `nonzero` of its row and column stay as those of the factors. */
+/* Use the pivot at these places: `nonzero` of its row and column stay in the factors. */
 static void take(remainder_block *r, int at_row, int at_column)
 {
     const size_t n = (size_t)r->n;
@@ -298,7 +298,7 @@ static void add(int n, real factor, const real *restrict a, real *restrict b)
         b[i] += factor * a[i];
 }
 
-/* Eliminate what is left of the pivot in row i, and keep it as the lower factor's. */
+/* Eliminate the nonzeros before the pivot in row i, and keep them in the lower factor. */
 static void eliminate_row(const mbs_stages_pivots *p, const mbs_stages_factors *f, int i, real *restrict row)
 {
     int t, l;

@@ -12,10 +12,10 @@ typedef struct {
     int n, first, capacity, entries; /* the most nonzeros of both factors; nonzeros of the block */
     int ready;                       /* 1: there is an order */
     int stage;                       /* whose numbers are to give the next order */
-    int stages, failed;              /* of this kind; those whose pivots were too small */
+    int stages, failed;              /* of this kind; stages whose pivots were too small */
     int *row, *column;
     int *entry, *entry_at, *entry_place; /* nonzeros of the row at place i: in the matrix, and the place of the column */
-    int *lower, *lower_place, *lower_row; /* nonzeros left of the pivot: places of their columns, rows at these */
+    int *lower, *lower_place, *lower_row; /* nonzeros before the pivot: places of their columns, rows at these */
     int *upper, *upper_place;            /* nonzeros right of it */
     int *upper_column;                   /* the same as columns of the block */
     int dense;                           /* from this place on the factors are full */

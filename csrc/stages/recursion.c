@@ -323,8 +323,8 @@ static int spread_rows(const mbs_stages_recursion *r, const mbs_stages_matrix *A
     return taken;
 }
 
-/* Multipliers of rows of stage k but inner ones; `force`: those of fixed inner variables, 0 for others. Returns how many
- * of `exact` it took. */
+/* Multipliers of rows of stage k except inner ones; `force`: multipliers of fixed inner variables, 0 for others. Returns
+ * how many of `exact` it took. */
 static int spread_multipliers(const mbs_stages_recursion *r, int k, const real *z, const real *rc, const real *exact,
                               real *force, real *dy)
 {

@@ -6,7 +6,7 @@ import numpy as np
 
 from tests.csrc.stages import INFINITE, Array, Quadratic
 
-# Points and derivatives of the polynomial through the first state and those of Radau's points, by these
+# Points and derivatives of the polynomial through the first state and the states at Radau's points, by these
 POINTS = {
     2: np.array([1 / 3, 1.0]),
     4: np.array([0.08858795951270395, 0.40946686444073473, 0.7876594617608471, 1.0]),

@@ -122,7 +122,7 @@ def test_closed_loops_swing_up_and_balance(library: Library, i: int) -> None:
 
 
 def test_a_cold_start_in_the_loop_converges(library: Library) -> None:
-    """Without a solve before it: the guess of the problem, and nothing known of multipliers."""
+    """Without a solve before it: the guess of the problem, and multipliers of 0."""
     problem = balance()[0]
     states = follow(Solver(library, problem), problem, 90, {})
     assert np.abs(states[-1] - UP).max() < 1e-3

@@ -193,7 +193,7 @@ def test_nonlinear_problems_have_the_optimum_of_ipopt(library: Library, problem:
 def test_a_problem_is_solved_from_a_far_guess(library: Library) -> None:
     """It takes the watchdog, and steps that lower the errors alone; IPOPT needs more than 400 iterations.
 
-    The guess is one of those of the comparison in stage_figures.
+    The guess is one of the comparison in stage_figures.
     """
     problem = far_guesses(6)[11]
     answer = Solver(library, problem).solve(iterations=150)

@@ -101,7 +101,7 @@ def test_more_missing_variables_than_the_recursion_has_room_for(library: Library
 
 
 def test_redundant_inner_rows_do_no_harm(library: Library) -> None:
-    """Each stage repeats an inner row, and an inner variable is in no row: the optimum is that of the whole problem."""
+    """Each stage repeats an inner row, and an inner variable is in no row: the whole problem has the same optimum."""
     rng = np.random.default_rng(6)
     problem = random_problem(rng, [(3, 6, 4, 0)] * 6 + [(3, 0, 0, 0)])
     for k in range(6):

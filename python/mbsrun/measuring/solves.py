@@ -150,7 +150,7 @@ def _solve(mechanism: Mechanism, problem: Problem, repeats: int) -> SolvePoint:
 
 
 def _find_goals(mechanism: Mechanism, start: Array) -> dict[int, float]:
-    """Return goals of the actuated joints; of those that can have any value, where loops relate them."""
+    """Return goals of the actuated joints; where loops relate them, of joints that can have any value."""
     manifest = mechanism.manifest
     goals = {i: _find_goal(manifest, i, float(start[i])) for i in manifest.actuated}
     if not has_loops(manifest):

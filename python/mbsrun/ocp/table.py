@@ -51,7 +51,7 @@ def _name_columns(manifest: Manifest) -> list[str]:
 
 
 def _list_units(manifest: Manifest) -> list[str]:
-    """List the units of the multipliers: of forces along distances, of moments; expressions have none of their own."""
+    """List the units of the multipliers: of forces along distances, of moments; expressions have none."""
     return [_UNITS.get(name, "N m") for loop in manifest.loops for name in loop.equations]
 
 

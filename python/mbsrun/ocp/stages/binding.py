@@ -145,7 +145,7 @@ class Tables:
         return pointers
 
     def _bind_kernels(self, functions: Iterable[KernelFunction]) -> Mapping[str, Entry]:
-        """Compile kernels, those of a folder at once."""
+        """Compile kernels, all of one folder at once."""
         found: dict[str, Entry] = {}
         folders: dict[int, tuple[Kernels, list[str]]] = {}
         for function in functions:
@@ -188,7 +188,7 @@ class Numbers:
 
 @dataclass(frozen=True)
 class Settings:
-    """Options of the solver by the names of its C structure; those that are left out keep their defaults."""
+    """Options of the solver by the names of its C structure; others keep their defaults."""
 
     values: Mapping[str, float]
     seconds: float = 0.0  # a limit; 0: none

@@ -1,7 +1,7 @@
 """A program as tables of stages: Program and plant -> StageProgram.
 
-`intervals` divides a program into stages and finds those that are alike, `lifting` writes the functions of each kind in
-variables of its own, and `scripts` writes the calls and terms that compute them.
+`intervals` divides a program into stages and finds the stages that are alike, `lifting` writes the functions of each
+kind in its own variables, and `scripts` writes the calls and terms that compute them.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ class Result:
 
     position: int
     size: int
-    taken: Indices  # the numbers of those that are entries
+    taken: Indices  # the numbers that are entries
     row: Indices  # of each entry; of second derivatives: an input, as all inputs are numbered
     col: Indices  # of each entry: an input
 
@@ -57,7 +57,7 @@ class Signature:
     weight_size: int
     weighted: Indices  # the entry of the weights of each result; -1: the result is always 0
     found: tuple[Result, ...]
-    is_lower: bool = False  # second derivatives are those of the lower triangle alone
+    is_lower: bool = False  # second derivatives are of the lower triangle alone
 
 
 class Signatures:

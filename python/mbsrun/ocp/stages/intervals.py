@@ -348,7 +348,7 @@ class _Division:
     def gather_data(
         self, groups: Sequence[_Group], blocks: Sequence[tuple[Block, bool]]
     ) -> tuple[Array, list[list[Indices]]]:
-        """Lay the data of all places in a row for each stage; return where those of each place of each block are."""
+        """Lay the data of all places in a row for each stage; return where each place of each block has its data."""
         used = np.zeros(self.N + 1, dtype=np.int64)
         laid: list[tuple[Indices, Indices, Array]] = []
         where: list[list[Indices]] = []

@@ -284,7 +284,7 @@ class _Lifting:
     def write_matrix(
         self, linear: dict[Vector, list[Triplets]], at: Indices, places: Sequence[tuple[Vector, int, float]]
     ) -> None:
-        """Write constant entries; those of a next state that the dynamics give are left out."""
+        """Write constant entries; entries of a next state that the dynamics give are left out."""
         found: dict[Vector, list[tuple[int, int, float]]] = {vector: [] for vector in Vector}
         A = self.functions.matrix
         for i, j, value in zip(A.row.tolist(), A.col.tolist(), A.value.tolist(), strict=True):

@@ -71,7 +71,7 @@ class Functions:
 
 @dataclass(frozen=True)
 class Frame:
-    """What all scripts of a program have in common."""
+    """The sizes that all scripts of a program have in common."""
 
     parameters: int  # p; arguments that a plant fills follow
     given: int  # entries of these
@@ -120,7 +120,9 @@ class _Writer:
         self.stage, self.frame = stage, frame
         self.parameters = stage.nx + stage.nv
         self.numbers = self.parameters + frame.parameters + frame.given
-        self.multipliers = self.numbers + frame.numbers  # of the Hessian: the cost's factor, then those of all rows
+        self.multipliers = (
+            self.numbers + frame.numbers
+        )  # of the Hessian: the cost's factor, then multipliers of all rows
         self.first = self.multipliers + further
         self.start: list[Array] = []
         self.constants = 0
@@ -156,7 +158,7 @@ class _Writer:
         coefficient: Array | float = 1.0,
         by: Indices | int = NONE,
     ) -> None:
-        """Add terms; those of which `from_` or `by` is NONE lack that factor."""
+        """Add terms; where `from_` or `by` is NONE, a term lacks that factor."""
         to, from_, coefficient, by = np.broadcast_arrays(
             np.asarray(to, dtype=np.int64),
             np.asarray(from_, dtype=np.int64),
@@ -336,7 +338,7 @@ def _write_hessian(stage: Stage, frame: Frame) -> tuple[Script, Nonzeros]:
     entries: list[Entries] = []
 
     def multiplier(targets: Targets) -> Indices:
-        """Return where the multipliers of rows are; those of the cost are its weights times the factor."""
+        """Return where the multipliers of rows are; for the cost they are its weights times the factor."""
         if targets.vector is not Vector.COST:
             return first[targets.vector] + targets.row
         return np.array([writer.weigh(int(w), sigma) for w in targets.row], dtype=np.int64)
@@ -397,7 +399,7 @@ def _curve(signature: Signature, columns: Indices, row: Indices, col: Indices, f
 
 
 def _match(rows: Indices, wanted: Indices) -> tuple[Indices, Indices]:
-    """Return which of some results are wanted, and which of the wanted ones each of these is."""
+    """Return which of some results are requested, and which of the requested ones each of these is."""
     at = np.full(max(rows.max(initial=-1), wanted.max(initial=-1)) + 1, -1)
     at[wanted] = np.arange(wanted.size)
     (chosen,) = np.nonzero(at[rows] >= 0)

@@ -1,11 +1,11 @@
-"""The tables of a program in stages, as data: what `csrc/program` evaluates and `csrc/stages` solves.
+"""The tables of a program in stages, as data: `csrc/program` evaluates them, `csrc/stages` solves.
 
 Stage k has states x and variables v, the inner ones first: the first `inner` equations of a stage give them. See
 `csrc/stages/mbs_stages.h` for the problem and `csrc/program/mbs_program.h` for scripts; names are the same.
 
 Whatever reads another stage was rewritten: common variables are states that stay as they are, and inputs of the stage
 before are carried as states. Combinations of variables, and kernels' results that expressions read, are inner variables
-with equations of their own, so every call reads entries of x and v.
+with their own equations, so every call reads entries of x and v.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Script:
-    """What computes values, Jacobians or the Hessian of one stage."""
+    """The program that computes values, Jacobians or the Hessian of one stage."""
 
     steps: tuple[Step, ...]
     start: Array  # the numbers that constants and results begin with
@@ -124,7 +124,7 @@ class Given:
 
 @dataclass(frozen=True)
 class StageProgram:
-    """A whole program in stages; and how its vectors follow from those of the program that it was made of.
+    """A whole program in stages; and how its vectors follow from the vectors of the program that it was made of.
 
     All equations give inner variables, and are 0. All other rows are inequalities, some with equal bounds. A row that
     is one state of the first stage is no row of these tables, but gives bounds of that state.

@@ -1,6 +1,6 @@
 """The functions of tables of stages, as C evaluates them, in the variables of the program that they were made of.
 
-With w = (known, l), the known variables of the tables being variables X of the program and l those of the tables alone,
+With w = (known, l), the known variables of the tables being variables X of the program, and l variables of the tables alone,
 whose equations are r(known, l) = 0:
 
     dw/dX = M,  with  dl/dX = -r_l^-1 r_known M_known
@@ -34,7 +34,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class _Whole:
-    """What all stages compute, in vectors and matrices of the whole."""
+    """The results of all stages, in vectors and matrices of the whole."""
 
     cost: float
     gradient: Array
