@@ -95,7 +95,7 @@ def summarise(cases: Sequence[Case]) -> list[str]:
 
 
 def list_optima(cases: Sequence[Case], problems: Sequence[Problem]) -> list[str]:
-    """Write the optima of the most precise scheme beside those of the sources."""
+    """Write the optima of the most precise scheme beside the published ones."""
     lines = ["| problem | source | published | found | difference |", "|---|---|---:|---:|---:|"]
     for problem in problems:
         found = [c.own for c in cases if c.own.problem == problem.name and c.own.scheme == PRECISE]

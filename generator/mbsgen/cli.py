@@ -456,9 +456,9 @@ def equations_command(
 ) -> None:
     """Print the equations of motion of MODEL.
 
-    They are M(q) qdd + c(q, qd) + G(q) = Q. Products of sines and cosines are written as sums, so the form is unique, and what is zero is not there. Loops add
-    h(q) = 0 and its Jacobian J, frames their places. Mechanisms of many joints are written line by line, as the
-    recursion that is generated.
+    They are M(q) qdd + c(q, qd) + G(q) = Q. Products of sines and cosines are written as sums, so the form is unique,
+    and zeros are not there. Loops add h(q) = 0 and its Jacobian J, frames their places. Mechanisms of many joints are
+    written line by line, as the recursion that is generated.
     """
     if language is None:
         language = _SUFFIXES.get(out.suffix if out else ".txt", "")

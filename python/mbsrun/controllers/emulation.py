@@ -42,7 +42,7 @@ class Emulation:
     prepare: Count
     feedback: Count
     workspace: int  # bytes
-    code: int  # bytes of instructions and constants, those of the C library included
+    code: int  # bytes of instructions and constants, with the C library
     stack: int  # bytes
     needs: tuple[str, ...]  # functions of the C library and of the compiler's own
 

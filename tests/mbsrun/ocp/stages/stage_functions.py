@@ -1,7 +1,7 @@
 """The functions of tables of stages, as C evaluates them, in the variables of the program that they were made of.
 
-With w = (known, l), the known variables of the tables being variables X of the program, and l variables of the tables alone,
-whose equations are r(known, l) = 0:
+With w = (known, l), the known variables of the tables being variables X of the program, and l variables of the tables
+alone, whose equations are r(known, l) = 0:
 
     dw/dX = M,  with  dl/dX = -r_l^-1 r_known M_known
     d2 L/dX2 = M' (L + mu r)_ww M,   L_l + r_l' mu = 0
