@@ -14,10 +14,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import mbsrun
 from mbsgen.errors import InputError
 from mbsrun import bare
+from mbsrun.cli import cli
 from mbsrun.controllers import making
 from mbsrun.controllers.emulation import emulate
 from mbsrun.controllers.folder import read
@@ -467,6 +469,15 @@ def test_it_runs_on_a_bare_machine(
     monkeypatch.setattr(making, "emulate", lambda *_: found)
     report = make(case.problem, case.plant, case.model, emulated=True).files["report.md"]
     assert f"| instructions of the solve | {found.solve} |" in report
+
+
+def test_missing_tools_of_the_emulation_are_named_before_any_work(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "")
+    file = case.model.parent / f"{HOSTILE}.ocp.yaml"
+    run = CliRunner().invoke(cli, ["controller", str(file), "--emulate", "-o", str(case.model.parent / "none")])
+    assert isinstance(run.exception, bare.BareError)
+    assert "arm-none-eabi-gcc is not on the PATH; install gcc-arm-none-eabi" in str(run.exception)
+    assert not (case.model.parent / "none").exists()
 
 
 def build(cmake: str, source: Path, target: Path, *options: str) -> None:
