@@ -6,15 +6,26 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import sparse
 
+from mbsgen.expressions import parse
 from mbsrun.external import load_on_demand
+from mbsrun.ocp.functions import Formula, Input
 from mbsrun.ocp.problem import Form, Loops, Problem, Representation
+from mbsrun.ocp.program import Block, Program, Stages
 from mbsrun.ocp.stages.binding import Evaluator, Tables
 from mbsrun.ocp.stages.building import build
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.transcription import transcribe
 from tests.mbsrun.ocp.conftest import MODELS
 from tests.mbsrun.ocp.stages.stage_functions import compare
+from tests.mbsrun.peer import Peer, double_integrator
+
+
+@pytest.fixture
+def plant() -> Peer:
+    return double_integrator()
+
 
 EPSILON = np.finfo(np.float64).eps
 
@@ -59,3 +70,29 @@ def test_functions_of_stages_are_those_of_the_program(name: str, changes: dict[s
     found = compare(Evaluator(Tables(data, plant), p), program, plant, x, p, rng)
     # sums of some hundred terms, products with the derivatives of lifted variables
     assert max(found.values, found.slopes, found.curvatures) < 1000 * EPSILON
+
+
+def test_a_function_may_read_one_variable_twice(plant: Peer) -> None:
+    """x u + T x u, where both inputs of a product are the state, and T is a factor and an input."""
+    T, inputs, nothing = 5, (Input("a", 1), Input("b", 1), Input("T", 1)), sparse.csc_array((6, 6))
+    names = {part.kind: (part.kind, 0) for part in inputs}
+    product = Formula((parse("a*b*T + a**2"), parse("a/b")), names, inputs)
+    states, at, both = np.array([[0], [2], [4]]), np.arange(2), np.array([[0, 2]])
+    columns = (both, both, np.full((1, 2), T))
+    cost = Block(product, columns, np.zeros((2, 2), dtype=np.int64), at, factor=T)
+    block = Block(product, columns, np.array([[0, 1], [2, 3]]), at, factor=T)
+    A = sparse.coo_array(([1.0, -1, -1, 1, -1, -1], ([4, 4, 4, 5, 5, 5], [2, 0, 1, 4, 2, 3])), shape=(6, 6)).tocsc()
+    stages = Stages(
+        states=states,
+        inputs=np.array([[1], [3]]),
+        inner=np.zeros((2, 0, 0), dtype=np.int64),
+        equations=np.zeros((2, 0, 0), dtype=np.int64),
+        continuity=np.array([[4], [5]]),
+        common=np.array([T]),
+        rows=np.array([0, 1, 0, 1, 0, 1]),
+    )
+    program = Program(A, (nothing,), (block,), (cost,), stages=stages)
+    rng, p = np.random.default_rng(0), np.array([0.7])
+    x = rng.uniform(0.3, 1.0, 6)
+    found = compare(Evaluator(Tables(build(program, plant), plant), p), program, plant, x, p, rng)
+    assert max(found.values, found.slopes, found.curvatures) < 100 * EPSILON
