@@ -15,7 +15,7 @@ from pathlib import Path
 
 from benchmarks.compilation import describe_machine
 from benchmarks.kkt.problems import PROBLEMS
-from benchmarks.kkt.solving import LONG, Case, measure
+from benchmarks.kkt.solving import LIMIT, LONG, Case, measure
 from benchmarks.kkt.transcription import SCHEMES, Problem, Scheme, admits
 from mbsrun.measuring.store import Store
 from mbsrun.ocp.linear import compile_own
@@ -130,7 +130,8 @@ def write_page(figures: Figures) -> str:
         "Times are of the processor, in ms, of the shortest round; one core. Linear algebra is what IPOPT counts for",
         "factorisations, solutions and the conversion of matrices; its clock has steps of 1 ms. Whole solves include",
         "functions in CasADi's virtual machine, and IPOPT itself. Ratios of medians are in brackets. The slower",
-        f"setting of MUMPS runs in the first round alone, as do programs of more than {LONG:g} s.",
+        f"setting of MUMPS runs in the first round alone, as do programs of more than {LONG:g} s. MUMPS is stopped",
+        f"after {LIMIT:g} s by the clock.",
         "",
         *summarise(cases),
     ]
