@@ -1,0 +1,93 @@
+"""Measure: `python -m benchmarks.mpc`; a table to the terminal.
+
+Each solver starts cold, at rest, and then warm: from its own solution, shifted by a step, at the state that the first
+acceleration leads to. All must find the same optimum.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.mpc.casadi_peers import SETTINGS, CasadiPeer, load_torque
+from benchmarks.mpc.problem import JOINTS, Answer, Iterate, Runner, Task, rest
+
+SAME = 1e-6  # relative difference of costs within which two optima are one
+HORIZONS = (20, 100)
+
+
+@dataclass(frozen=True)
+class Row:
+    """What a solver took for a task: the quickest of several rounds."""
+
+    name: str
+    intervals: int
+    cold: Answer
+    warm: Answer
+    cost: float
+    cost_warm: float
+
+
+def make_runners(task: Task) -> Iterator[Runner]:
+    """Make all solvers for a task; another one is another line here."""
+    torque = load_torque()
+    for name in SETTINGS:
+        yield CasadiPeer(task, name, torque)
+
+
+def shift(task: Task, iterate: Iterate) -> Iterate:
+    """Move an iterate one step ahead; the last acceleration is repeated."""
+    last = task.A @ iterate.x[-1] + task.B @ iterate.a[-1]
+    return Iterate(np.vstack([iterate.x[1:], last]), np.vstack([iterate.a[1:], iterate.a[-1:]]))
+
+
+def measure(task: Task, runner: Runner, rounds: int) -> Row:
+    """Solve cold and warm, several times."""
+    start = np.concatenate([task.start, np.zeros(JOINTS)])
+    cold = min((runner.solve(start, rest(task)) for _ in range(rounds)), key=lambda answer: answer.seconds)
+    guess = shift(task, cold.iterate)
+    warm = min((runner.solve(guess.x[0], guess) for _ in range(rounds)), key=lambda answer: answer.seconds)
+    costs = [task.cost(answer.iterate.x, answer.iterate.a) for answer in (cold, warm)]
+    return Row(runner.name, task.intervals, cold, warm, *costs)
+
+
+def agree(rows: Sequence[Row]) -> bool:
+    """Return whether all converged to one optimum, cold and warm."""
+    first = rows[0]
+    return all(
+        row.cold.is_solved
+        and row.warm.is_solved
+        and abs(row.cost - first.cost) <= SAME * abs(first.cost)
+        and abs(row.cost_warm - first.cost_warm) <= SAME * abs(first.cost_warm)
+        for row in rows
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure and print; 1 where solvers disagree."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.mpc", description=__doc__)
+    parser.add_argument("--horizon", action="append", type=int, default=[], help="intervals; by default 20 and 100")
+    parser.add_argument("--rounds", type=int, default=5)
+    given = parser.parse_args(arguments)
+    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+    is_one = True
+    for intervals in given.horizon or HORIZONS:
+        task = Task(intervals=intervals)
+        rows = [measure(task, runner, given.rounds) for runner in make_runners(task)]
+        is_one = is_one and agree(rows)
+        for row in rows:
+            cold, warm = (
+                f"{answer.status} in {answer.iterations}, {1e3 * answer.seconds:.2f} ms"
+                for answer in (row.cold, row.warm)
+            )
+            print(f"N = {intervals:3}  {row.name:8} cold {cold}; shifted {warm}; optimum {row.cost:.9g}")
+    return 0 if is_one else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
