@@ -356,6 +356,7 @@ static void lay_solver(arena *a, mbs_stages *s)
     lay_watchdog(a, &s->main.watchdog, n + s->slacks, m);
     lay_phase(a, &s->least, n + s->slacks + 2 * m, m);
     s->fixed = take(a, (size_t)(n + s->slacks + 2 * m), 1);
+    s->softened = take(a, (size_t)m, 1);
     for (i = 0; i < sizeof of_w / sizeof *of_w; ++i)
         *of_w[i] = numbers(a, n, 1);
     for (i = 0; i < sizeof of_rows / sizeof *of_rows; ++i)

@@ -87,6 +87,18 @@ void mbs_stages_matrix_row_maxima(const mbs_stages_matrix *A, real *most)
                 raise_to(&most[A->row[l]], A->value[l]);
 }
 
+real mbs_stages_matrix_diagonal(const mbs_stages_matrix *A)
+{
+    real most = 0;
+    int j;
+    for (j = 0; j < A->columns; ++j)
+        if (A->begin == NULL)
+            raise_to(&most, A->value[(size_t)j * (size_t)(A->rows + 1)]);
+        else if (A->begin[j] < A->end[j] && A->row[A->begin[j]] == j)
+            raise_to(&most, A->value[A->begin[j]]);
+    return most;
+}
+
 void mbs_stages_matrix_spread(const mbs_stages_matrix *A, real *dense, int ld)
 {
     int j, l;

@@ -25,6 +25,9 @@ void mbs_stages_matrix_scale(const mbs_stages_matrix *A, const real *row, const 
 /* most[i] = the largest entry of row i */
 void mbs_stages_matrix_row_maxima(const mbs_stages_matrix *A, real *most);
 
+/* The largest entry of the diagonal. */
+real mbs_stages_matrix_diagonal(const mbs_stages_matrix *A);
+
 /* Write all entries into a dense matrix with `ld` numbers a column. */
 void mbs_stages_matrix_spread(const mbs_stages_matrix *A, real *dense, int ld);
 

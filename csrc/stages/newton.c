@@ -1,5 +1,10 @@
 /* Newton's step of the barrier problem.
  *
+ * Hard rows that v of their stage cannot meet are met by earlier stages, at once and at any price. Many such rows at
+ * the end of a horizon need so high a price that digits are lost. Then hard rows are softened in the factorisation:
+ * they get a small compliance, which refinement takes back (Bertsekas: Constrained optimization and Lagrange multiplier
+ * methods, 1982, the method of multipliers). Where that does not converge, rows are hard again.
+ *
  * Slacks and elastic variables appear in one row each. They are eliminated: their curvature becomes the compliance of
  * that row, and the recursion solves for w and y. Where the reduced Hessian is not positive definite, a multiple of the
  * identity is added to the curvature of all variables (Waechter, Biegler, 2006, algorithm IC). */
@@ -12,6 +17,8 @@
 #define MOST ((real)1e20)
 #define FREE ((real)1e20)
 #define REFINEMENTS 8
+#define MANY 2               /* refinements that show a loss of digits */
+#define NOTHING ((real)1e-2) /* share of the tolerance that no step needs to be refined to */
 
 static int has(real bound)
 {
@@ -69,6 +76,7 @@ static void find_compliance(mbs_stages *s, const mbs_stages_phase *p)
     const int at = s->variables, plus = at + s->slacks, minus = plus + s->rows;
     real *compliance = s->recursion.compliance;
     int k, i;
+    memset(s->softened, 0, (size_t)s->rows);
     for (i = 0; i < s->rows; ++i)
         compliance[i] = p->elastic ? yield(s, p, plus + i) + yield(s, p, minus + i) : 0;
     for (k = 0; k < s->problem->stages; ++k) {
@@ -88,6 +96,29 @@ static void find_diagonal(mbs_stages *s, const mbs_stages_phase *p)
         diagonal[i] += s->weight_factor * s->weight[i] * s->weight[i];
 }
 
+/* Let hard rows give. */
+static void soften_rows(mbs_stages *s)
+{
+    mbs_stages_recursion *r = &s->recursion;
+    real curvature = 1;
+    int k, i, count = 0;
+    for (k = 0; !r->plain && k < r->stages; ++k) {
+        const real most = mbs_stages_matrix_diagonal(&r->stage[k].H);
+        curvature = most > curvature ? most : curvature;
+    }
+    for (k = 0; k < r->stages; ++k) {
+        const mbs_stages_stage *t = &r->stage[k];
+        for (i = t->e + t->inner.n; i < t->g + t->ng; ++i)
+            if ((i < t->d || i >= t->g) && !(r->compliance[i] > 0)) {
+                r->compliance[i] = MBS_STAGES_SOFT / curvature;
+                s->softened[i] = 1;
+                ++count;
+            }
+    }
+    if (count == 0)
+        s->softening = MBS_STAGES_HARD_FOR_GOOD;
+}
+
 /* Factorise with added curvature in stages from `first` on; returns -1, or the stage that lacks curvature. */
 static int factorise_with(mbs_stages *s, mbs_stages_phase *p, int first, real regular)
 {
@@ -97,6 +128,8 @@ static int factorise_with(mbs_stages *s, mbs_stages_phase *p, int first, real re
     find_diagonal(s, p);
     find_compliance(s, p);
     s->recursion.plain = 0;
+    if (s->softening == MBS_STAGES_SOFTENED && !p->elastic)
+        soften_rows(s);
     s->recursion.soft_dynamics = p->elastic;
     ++s->result.factorisations;
     return mbs_stages_factorise(&s->recursion);
@@ -168,20 +201,39 @@ static void find_residual(mbs_stages *s)
     for (i = 0; i < s->variables; ++i)
         s->residual_w[i] = s->fixed[i] ? 0 : s->residual_w[i] + r->diagonal[i] * s->dw[i];
     for (i = 0; i < s->rows; ++i)
-        s->residual_c[i] -= r->compliance[i] * s->dy[i];
+        s->residual_c[i] -= s->softened[i] ? 0 : r->compliance[i] * s->dy[i];
 }
 
-/* Residuals of rows beside the compliance, if that is large: such a row is an equation of its multiplier. */
-static real norm(const mbs_stages *s, const real *w, const real *c)
+/* Largest residuals of the gradient and of rows, these beside the compliance, if that is large: such a row is an
+ * equation of its multiplier. */
+typedef struct {
+    real w, c;
+} residuals;
+
+static residuals measure(const mbs_stages *s, const real *w, const real *c)
 {
-    real most = mbs_stages_largest(s->variables, w);
+    residuals most;
     int i;
+    most.w = mbs_stages_largest(s->variables, w);
+    most.c = 0;
     for (i = 0; i < s->rows; ++i) {
         const real give = s->recursion.compliance[i];
         const real a = real_abs(c[i]) / (give > 1 ? give : 1);
-        most = a > most ? a : most;
+        most.c = a > most.c ? a : most.c;
     }
     return most;
+}
+
+static real larger(real a, real b)
+{
+    return a > b ? a : b;
+}
+
+/* Residuals beside what they may be: a share of the right-hand sides, or little beside the tolerance of a solution. */
+static real rate(const mbs_stages *s, residuals error, residuals right, real share)
+{
+    const real least = s->options.tolerance * NOTHING;
+    return larger(error.w / larger(share * right.w, least), error.c / larger(share * right.c, least));
 }
 
 static void add(int n, const real *a, real *b)
@@ -191,10 +243,10 @@ static void add(int n, const real *a, real *b)
         b[i] += a[i];
 }
 
-/* Solve the reduced system, and refine while that helps. */
-static void solve_reduced(mbs_stages *s)
+/* Solve the reduced system, and refine while that helps. Returns how often, or -1 where the residual stays large. */
+static int solve_reduced(mbs_stages *s)
 {
-    const real enough = MBS_STAGES_REFINED, right = norm(s, s->rw, s->rc);
+    const residuals right = measure(s, s->rw, s->rc);
     real last = MBS_STAGES_LARGEST;
     int i;
     memset(s->best_w, 0, (size_t)s->variables * sizeof *s->best_w);
@@ -204,12 +256,14 @@ static void solve_reduced(mbs_stages *s)
     for (i = 0;; ++i) {
         real error;
         find_residual(s);
-        error = norm(s, s->residual_w, s->residual_c);
+        error = rate(s, measure(s, s->residual_w, s->residual_c), right, MBS_STAGES_REFINED);
         if (!(error < last) && i > 0)
             break;
         memcpy(s->best_w, s->dw, (size_t)s->variables * sizeof *s->dw);
         memcpy(s->best_y, s->dy, (size_t)s->rows * sizeof *s->dy);
-        if (error <= enough * right || error > last / 2 || i == REFINEMENTS)
+        if (error <= 1)
+            return i;
+        if (error > last / 2 || i == REFINEMENTS)
             break;
         last = error;
         ++s->result.refinements;
@@ -217,6 +271,7 @@ static void solve_reduced(mbs_stages *s)
         add(s->variables, s->best_w, s->dw);
         add(s->rows, s->best_y, s->dy);
     }
+    return -1;
 }
 
 /* Newton's step of z for the step of x. */
@@ -249,14 +304,47 @@ void mbs_stages_spread(const mbs_stages *s, const mbs_stages_phase *p, mbs_stage
     mbs_stages_bound_steps(s, p, d);
 }
 
+static int solve_again(mbs_stages *s, mbs_stages_phase *p, const real *c)
+{
+    if (mbs_stages_newton_factorise(s, p))
+        return -1;
+    reduce_right(s, p, c);
+    return solve_reduced(s);
+}
+
+/* Solve with hard rows or soft ones, whichever keeps digits. */
+static void solve_well(mbs_stages *s, mbs_stages_phase *p, const real *c)
+{
+    int passes = solve_reduced(s);
+    if (p->elastic)
+        return;
+    if (s->softening == MBS_STAGES_HARD && (passes < 0 || passes >= MANY)) {
+        s->softening = MBS_STAGES_SOFTENED;
+        passes = passes < 0 ? solve_again(s, p, c) : passes;
+    }
+    if (s->softening == MBS_STAGES_SOFTENED && passes < 0) {
+        s->softening = MBS_STAGES_HARD_FOR_GOOD;
+        solve_again(s, p, c);
+    }
+}
+
 /* The step for rows c. `slope` holds the derivatives with the barrier's. */
 void mbs_stages_newton_solve(mbs_stages *s, mbs_stages_phase *p, const real *c, mbs_stages_direction *d)
 {
     reduce_right(s, p, c);
-    solve_reduced(s);
+    solve_well(s, p, c);
     memcpy(d->x, s->best_w, (size_t)s->variables * sizeof *d->x);
     memcpy(d->y, s->best_y, (size_t)s->rows * sizeof *d->y);
     mbs_stages_spread(s, p, d);
+}
+
+/* The same with soft rows. They stay soft in the first step, if that helps. */
+static void estimate_softly(mbs_stages *s)
+{
+    s->softening = MBS_STAGES_SOFTENED;
+    soften_rows(s);
+    if (mbs_stages_factorise(&s->recursion) >= 0 || solve_reduced(s) < 0)
+        s->softening = MBS_STAGES_HARD;
 }
 
 /* Multipliers of least squares: they make the derivatives of the Lagrangian smallest. */
@@ -278,7 +366,8 @@ void mbs_stages_estimate_multipliers(mbs_stages *s, mbs_stages_phase *p)
     if (mbs_stages_factorise(r) < 0) {
         memset(p->trial_c, 0, (size_t)s->rows * sizeof *p->trial_c);
         reduce_right(s, p, p->trial_c);
-        solve_reduced(s);
+        if (solve_reduced(s) < 0 && !p->elastic && s->softening == MBS_STAGES_HARD)
+            estimate_softly(s);
         if (mbs_stages_largest(s->rows, s->best_y) <= 1000)
             memcpy(p->y, s->best_y, (size_t)s->rows * sizeof *p->y);
     }

@@ -167,6 +167,7 @@ static int prepare(mbs_stages *s)
     if (status != MBS_STAGES_RUNNING)
         return status;
     p->tau = (real)0.99;
+    s->softening = MBS_STAGES_HARD_FOR_GOOD; /* the response to the first state is not refined */
     status = evaluate(s, p);
     if (status != MBS_STAGES_RUNNING)
         return status;

@@ -354,6 +354,7 @@ mbs_stages_result mbs_stages_solve(mbs_stages *s, const mbs_stages_options *opti
     memset(&s->result, 0, sizeof s->result);
     s->options = options ? *options : mbs_stages_default_options();
     s->failed_stage = -1;
+    s->softening = MBS_STAGES_HARD;
     s->began = s->problem->clock ? s->problem->clock(s->problem->context) : 0;
     s->live = s->ready = 0;
     status = mbs_stages_start(s);

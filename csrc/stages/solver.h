@@ -11,12 +11,14 @@
 #define MBS_STAGES_LARGEST FLT_MAX
 #define MBS_STAGES_LOW 1e-5f       /* a barrier parameter to begin with near a solution */
 #define MBS_STAGES_REFINED 1.5e-5f /* residual of a step beside its right-hand side */
+#define MBS_STAGES_SOFT 4.9e-3f    /* compliance of softened rows, beside the inverse of the curvature */
 #define MBS_STAGES_APART 6.4e-6f   /* how far a bound is moved from a variable that reached it */
 #else
 #define MBS_STAGES_EPSILON DBL_EPSILON
 #define MBS_STAGES_LARGEST DBL_MAX
 #define MBS_STAGES_LOW 1e-6
-#define MBS_STAGES_REFINED 3e-13
+#define MBS_STAGES_REFINED 1e-9
+#define MBS_STAGES_SOFT 6e-9
 #define MBS_STAGES_APART 1.8189894035458565e-12
 #endif
 #define MBS_STAGES_INFINITE ((real)1e19)
@@ -79,6 +81,9 @@ typedef struct {
     real stationarity, violation, complementarity, scaled;
 } mbs_stages_errors;
 
+/* Whether hard rows are softened in factorisations: not yet, now, or no more. */
+typedef enum { MBS_STAGES_HARD, MBS_STAGES_SOFTENED, MBS_STAGES_HARD_FOR_GOOD } mbs_stages_softening;
+
 struct mbs_stages {
     const mbs_stages_problem *problem;
     mbs_stages_options options;
@@ -98,6 +103,8 @@ struct mbs_stages {
     real *raw_w, *raw_rows, *raw; /* unscaled numbers for callbacks */
     real *rw, *rc, *dw, *dy, *residual_w, *residual_c, *best_w, *best_y;
     real left;     /* what its dependent rows lack to agree with the others */
+    mbs_stages_softening softening;
+    char *softened; /* rows that the factorisation lets give, although they are hard */
     double began;
     int failed_stage;
 };

@@ -40,11 +40,11 @@ def test_condensed_problems_have_the_iterates_of_whole_ones(library: Library, se
     """Bounds and inequalities of inner variables, dense matrices and patterns."""
     rng = np.random.default_rng(seed)
     problem = random_problem(rng, SIZES, bounds=0.4, share=(1.0, 0.6)[seed % 2])
-    whole = Solver(library, problem).solve(tolerance=1e-10)
-    answer = Solver(library, condensed(problem, sparse=sparse)).solve(tolerance=1e-10)
+    whole = Solver(library, problem).solve()
+    answer = Solver(library, condensed(problem, sparse=sparse)).solve()
     assert answer.status == "solved"
     agree(answer, whole)
-    assert max(problem.residuals(*answer.point)) < 1e-9
+    assert max(problem.residuals(*answer.point)) < 1e-8
 
 
 @pytest.mark.parametrize("first", [True, False])
@@ -61,7 +61,7 @@ def test_condensed_linear_quadratic_problems_have_the_solution_of_dense_algebra(
         assert answer.result.iterations <= 1
         assert close(answer.w, w, 1e-10)
         assert close(answer.y, y, 1e-9)
-        assert max(problem.residuals(*answer.point)) < 1e-9
+        assert max(problem.residuals(*answer.point)) < 1e-8
 
 
 def test_an_arm_of_collocation_points(library: Library) -> None:

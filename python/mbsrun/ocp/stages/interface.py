@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -13,6 +14,7 @@ from mbsgen import resources
 from mbsrun.library import compile_library, find_compiler
 
 _TIMED = "mbs_timed_program.c"
+_SCALAR = "-fno-tree-slp-vectorize"  # a flag that is good for kernels; rows of the solver want vectors
 _COMMENTS = re.compile(r"/\*.*?\*/", re.DOTALL)
 _CPLUSPLUS = re.compile(r"#ifdef __cplusplus.*?#endif", re.DOTALL)
 _PRECISION = re.compile(r"#ifdef MBS_STAGES_FLOAT.*?#else(.*?)#endif", re.DOTALL)
@@ -33,5 +35,7 @@ def load() -> tuple[Any, Any]:
     for folder, header in zip(folders, ("mbs_stages.h", "mbs_program.h", "mbs_timed_program.h"), strict=True):
         ffi.cdef(read_declarations((folder / header).read_text(encoding="utf-8")))
     names = sorted(file.name for folder in folders[:2] for file in folder.glob("*.c"))
-    library = compile_library(folders[0], "mbs_stages", [*names, _TIMED], find_compiler(os.environ), *folders[1:])
+    compiler = find_compiler(os.environ)
+    compiler = replace(compiler, flags=tuple(flag for flag in compiler.flags if flag != _SCALAR))
+    library = compile_library(folders[0], "mbs_stages", [*names, _TIMED], compiler, *folders[1:])
     return ffi, ffi.dlopen(str(library))
