@@ -35,6 +35,7 @@ LONGEST = 0.5  # step of Newton's method [rad, m]
 SETTLED = 1e-14  # a step below which Newton's method ends, relative to 1 + |q|
 FARTHEST = 0.5  # how far Newton's method goes along a continuation, relative to 1 + |q|
 SHORTEST = 1e-3  # step of a continuation, relative to the whole way
+STRIDE = 1.0  # the longest step of a continuation [rad, m]
 SPREAD = 0.2  # step of continuations side by side [rad, m]
 RANK = 1e-8  # of singular values, relative to the first: a double root is found to the root of the rounding
 INDEPENDENT = 1e-6  # the least part of a unit vector that other conditions leave undetermined
@@ -165,8 +166,9 @@ class Closure:
         the loops cannot be closed on the way.
         """
         q, start, way, length = pose.copy(), pose[list(given)], 0.0, 1.0
+        longest = STRIDE / max(STRIDE, float(np.abs(values - start).max(initial=0.0)))
         while way < 1:
-            length = min(length, 1 - way)
+            length = min(length, longest, 1 - way)
             trial = q.copy()
             trial[list(given)] = start + (way + length) * (values - start)
             found = self.close(trial, given, FARTHEST * (1 + np.abs(trial).max()))

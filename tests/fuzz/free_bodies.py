@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import lu_factor, lu_solve, qr
 
-from tests.fuzz.jets import Jet, dot, evaluate_jet
+from tests.fuzz.jets import SLOPES, Jet, dot, evaluate_jet
 from tests.fuzz.kinematics import (
     DECIMALS,
     Array,
@@ -219,6 +219,7 @@ class FreeBodies(Kinematics):
             "hinge": ("x", "y", "z", "turn_x", "turn_y"),
             "universal": ("x", "y", "z", "angle"),
             "cylindrical": ("x", "y", "turn_x", "turn_y"),
+            "helical": ("x", "y", "turn_x", "turn_y", "screw"),
             "prismatic": ("x", "y", "turn_x", "turn_y", "turn_z"),
             "planar": ("z", "turn_x", "turn_y"),
             "solid": ("x", "y", "z", "turn_x", "turn_y", "turn_z"),
@@ -376,6 +377,12 @@ class FreeBodies(Kinematics):
                 return [*gap, dot(z1, z2) - axis @ axis2]
             case "cylindrical":
                 return [dot(d, x1), dot(d, y1), *aligned]
+            case "helical":
+                pitch = self.number(loop["pitch"])
+                shift = dot(d, z1) / pitch
+                s, c = (shift.apply(*SLOPES[name](shift.value, self.numbers.functions)) for name in ("sin", "cos"))
+                sine, cosine = s * dot(x1, x2) - c * dot(y1, x2), c * dot(x1, x2) + s * dot(y1, x2)
+                return [dot(d, x1), dot(d, y1), *aligned, 2 * pitch * (sine / (1 + cosine))]
             case "prismatic":
                 return [dot(d, x1), dot(d, y1), *aligned, dot(y1, x2)]
             case "planar":

@@ -43,7 +43,9 @@ ROOT = Path(__file__).parents[2]
 MODELS = ROOT / "models"
 LIMIT = 20  # seconds of the processor, which other programs do not lengthen
 SMALL = 4  # bodies of a model that is generated too
-WITH_LOOPS = Extent(("impl", "sensors", "loops"), derivatives=1)  # for problems, whose starts are closed
+WITH_LOOPS = Extent(
+    ("impl", "sensors", "loops", "loop_rates", "loop_jacobian"), derivatives=1
+)  # for problems, whose starts are closed
 ONE_TRIAL = Reductions(trials=1)
 OUT = "out"  # what is written beside an input
 

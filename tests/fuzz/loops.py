@@ -138,7 +138,10 @@ class _Loops:
         cut, draw_place = pick.choice(CUTS), mechanisms._Draw(pick.randrange(10**6))
         loop: dict[str, Any] = {"name": name, "type": WORDS[cut] if cut in WORDS and pick.random() < 0.3 else cut}
         loop["from"] = {"body": one, **draw_place.place()}
-        axis = draw_place.axis() if cut in ("hinge", "universal", "cylindrical", "prismatic", "planar") else "z"
+        if cut == "cylindrical" and (thread := random.Random(repr(loop))).random() < 0.5:
+            cut = loop["type"] = "helical"
+            loop["pitch"] = thread.choice([-0.3, 0.2, 0.5])
+        axis = draw_place.axis() if cut not in ("rod", "ball", "solid") else "z"
         loop |= {"axis": axis} if axis != "z" else {}
         axis2 = pick.choice(["x", "y", "-z", [0, 1, 1], [1, 1, -1]]) if cut == "universal" else axis
         loop |= {"axis2": axis2} if cut == "universal" and axis2 != "x" else {}
@@ -147,7 +150,7 @@ class _Loops:
         e, e2 = program.direction(axis), program.direction(axis2)
         if cut == "universal" and abs(e @ e2) > 0.9:
             return None
-        place, R = self._move_freely(cut, first, e, e2)
+        place, R = self._move_freely(cut, first, e, e2, loop.get("pitch", 0.0))
         if cut == "rod":
             length = float(np.linalg.norm(place - first.p))
             if length < 0.1:
@@ -158,10 +161,10 @@ class _Loops:
         loop["to"]["orientation"] = write_turns(body.R.T @ R)
         return loop
 
-    def _move_freely(self, cut: str, first: Motion, e: Array, e2: Array) -> tuple[Array, Array]:
+    def _move_freely(self, cut: str, first: Motion, e: Array, e2: Array, pitch: float) -> tuple[Array, Array]:
         """Return an origin and axes of the second frame that a cut allows."""
-        pick, along = self.source, first.R @ e
-        turn = turn_about(along, pick.uniform(-1, 1))
+        pick, along, angle = self.source, first.R @ e, self.source.uniform(-1, 1)
+        turn = turn_about(along, angle)
         anywhere = turn_about(np.array([pick.gauss(0, 1) for _ in range(3)]), pick.uniform(-2, 2))
         shift = np.array([pick.uniform(-0.5, 0.5) for _ in range(3)])
         match cut:
@@ -176,6 +179,8 @@ class _Loops:
                 return first.p, turn_about(second @ e2, pick.uniform(-1, 1)) @ second
             case "cylindrical":
                 return first.p + along * shift[0], turn @ first.R
+            case "helical":
+                return first.p + pitch * angle * along / np.linalg.norm(along), turn @ first.R
             case "prismatic":
                 return first.p + along * shift[0], first.R
             case "planar":

@@ -13,13 +13,17 @@ import numpy as np
 from mbsgen.assembly.mechanism import Array
 
 ENOUGH = 0.3  # of the largest part: of rows above, the first is taken, so that a choice keeps the author's order
+NOISE = 1e-12  # of the largest row: rows below are rounding of rows that vanish
 NEARLY = 0.999  # likewise of columns, whose weights decide
 REGULAR = 1e-6  # the least singular value of the dependent columns, as a part of the largest one of J
 
 
 def choose_rows(poses: Sequence[Array], count: int) -> tuple[int, ...]:
     """Choose independent rows of J, given at several poses."""
-    left = [J / np.maximum(np.linalg.norm(J, axis=1, keepdims=True), 1e-300) for J in poses]
+    sizes = [np.linalg.norm(J, axis=1, keepdims=True) for J in poses]
+    left = [
+        J / np.maximum(size, max(NOISE * size.max(initial=0.0), 1e-300)) for J, size in zip(poses, sizes, strict=True)
+    ]
     return tuple(sorted(_choose(left, count, np.ones(left[0].shape[0]), ENOUGH)))
 
 

@@ -10,6 +10,7 @@ two frames, and the author's axes x, y, z of the last body that carries both, it
     hinge          a ball's, x1.z2, y1.z2
     universal      a ball's, z1.z2 - cosine
     cylindrical    d.x1, d.y1, x1.z2, y1.z2
+    helical        a cylindrical joint's, 2 p tan((d.z1 / p - t) / 2), with cos(t) = x1.x2, sin(t) = y1.x2
     prismatic      a cylindrical joint's, y1.x2
     planar         d.z1, x1.z2, y1.z2
     solid          a hinge's, y1.x2
@@ -43,6 +44,7 @@ from mbsgen.tape.types import Tape
 
 Write = Callable[[Tree], Tape]
 
+SCREW = "screw"  # the equation of a shift and a turn [m]: whole turns lead on to the next thread, half ones are far off
 _PLACE = ("x", "y", "z")
 _TURN = ("turn_x", "turn_y")
 EQUATIONS: Mapping[Cut, tuple[str, ...]] = {
@@ -51,6 +53,7 @@ EQUATIONS: Mapping[Cut, tuple[str, ...]] = {
     Cut.HINGE: (*_PLACE, *_TURN),
     Cut.UNIVERSAL: (*_PLACE, "angle"),
     Cut.CYLINDRICAL: ("x", "y", *_TURN),
+    Cut.HELICAL: ("x", "y", *_TURN, SCREW),
     Cut.PRISMATIC: ("x", "y", *_TURN, "turn_z"),
     Cut.PLANAR: ("z", *_TURN),
     Cut.SOLID: (*_PLACE, *_TURN, "turn_z"),
@@ -94,6 +97,7 @@ def build(tree: Tree) -> Tape:
 _SENSES: Mapping[Cut, tuple[int, ...]] = {  # the axes that must not be turned round
     Cut.HINGE: (2,),
     Cut.CYLINDRICAL: (2,),
+    Cut.HELICAL: (2,),
     Cut.PLANAR: (2,),
     Cut.PRISMATIC: (2, 0),
     Cut.SOLID: (2, 0),
@@ -256,6 +260,10 @@ def build_levers(tree: Tree) -> Tape:
         number, is_turn = groups[k]
         first, second = _End.make(chain, tree.loops[number])
         bounds = {**first.bound(is_turn=is_turn), **second.bound(is_turn=is_turn)}
+        if kept_equations(tree)[k][1] == SCREW:
+            lead = _length(chain.still.along(0, chain.scalar(tree.loops[number].value)))
+            turns = {**first.bound(is_turn=True), **second.bound(is_turn=True)}
+            bounds = {i: bound + lead * turns[i] for i, bound in bounds.items()}
         rows.append([bounds.get(i, builder.zero) for i in range(1, len(tree.bodies) + 1)])
     builder.output_dense("levers", rows)
     return builder.build("levers")
@@ -327,6 +335,8 @@ def _close_loop(chain: Chain, loop: Loop) -> list[Scalar]:
             return [*_join(first, second), *turns]
         case Cut.BALL:
             return [*_join(first, second)]
+        case Cut.HELICAL:
+            return [*_line_up(first, second, loop.cut), _screw(first, second, chain.scalar(loop.value))]
     return [*_line_up(first, second, loop.cut)]
 
 
@@ -342,6 +352,15 @@ def _line_up(first: _End, second: _End, cut: Cut) -> Iterator[Scalar]:
     yield from (x1.dot(z2), y1.dot(z2))
     if cut is Cut.PRISMATIC:
         yield y1.dot(second.axis(0))
+
+
+def _screw(first: _End, second: _End, pitch: Scalar) -> Scalar:
+    """Compare the shift of the second frame along z1 with its turn about it: tan(a / 2) = sin(a) / (1 + cos(a))."""
+    b = pitch.builder
+    shift = (second.place - first.place).dot(first.axis(2)) / pitch
+    x2, s, c = second.axis(0), b.sin(shift), b.cos(shift)
+    along, across = first.axis(0).dot(x2), first.axis(1).dot(x2)
+    return (pitch + pitch) * (s * along - c * across) / (b.number(1.0) + c * along + s * across)
 
 
 def _join(first: _End, second: _End) -> Iterator[Scalar]:

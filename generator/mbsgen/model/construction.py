@@ -221,10 +221,17 @@ def end(body: str, *, position: Vector = _ORIGIN, orientation: Turns = ()) -> Lo
 
 
 def loop(
-    name: str, type: str, first: LoopEnd, second: LoopEnd, *, axis: Direction = "z", axis2: Direction = "x"
+    name: str,
+    type: str,
+    first: LoopEnd,
+    second: LoopEnd,
+    *,
+    axis: Direction = "z",
+    axis2: Direction = "x",
+    pitch: Quantity = 0,
 ) -> Loop:
     """Make a joint that closes a loop between two frames, of a type that a file may name; `rod` makes rods."""
-    return Loop(name, read_cut(type), first, second, _direct(axis), _direct(axis2))
+    return Loop(name, read_cut(type), first, second, _direct(axis), _direct(axis2), pitch=number(pitch))
 
 
 def rod(name: str, first: LoopEnd, second: LoopEnd, length: Quantity) -> Loop:

@@ -22,10 +22,10 @@ from mbsgen.model.tree import Cut, coordinate_symbol
 from mbsgen.model.valuation import Array, Valuation
 
 MAX_EQUATIONS = 500  # loops and constraints
-SHORTEST = 1e-150  # of a rod: its square does not vanish
+SHORTEST = 1e-150  # of a rod, whose square does not vanish, and of a pitch
 PARALLEL = 1e-9  # sine of the angle between the axes of a universal joint
 
-WITH_AXIS = (Cut.HINGE, Cut.UNIVERSAL, Cut.CYLINDRICAL, Cut.PRISMATIC, Cut.PLANAR)
+WITH_AXIS = (Cut.HINGE, Cut.UNIVERSAL, Cut.CYLINDRICAL, Cut.HELICAL, Cut.PRISMATIC, Cut.PLANAR)
 
 
 def check_loops(model: Model, valuation: Valuation, doubtful: Container[Place]) -> Iterator[Finding]:
@@ -58,17 +58,21 @@ def _check_loop(place: Place, loop: Loop, valuation: Valuation) -> Iterator[Find
         yield from _check_axes(place, loop, valuation)
     if loop.cut is Cut.ROD:
         yield from _check_length((*place, "length"), loop, valuation)
+    if loop.cut is Cut.HELICAL:
+        yield from _check_pitch((*place, "pitch"), loop, valuation)
 
 
 def _check_unused(place: Place, loop: Loop) -> Iterator[Finding]:
-    """Find axes and a length that a loop of this type does not have."""
-    is_universal, is_rod = loop.cut is Cut.UNIVERSAL, loop.cut is Cut.ROD
+    """Find axes, a length and a pitch that a loop of this type does not have."""
+    is_universal, is_rod, is_screw = (loop.cut is cut for cut in (Cut.UNIVERSAL, Cut.ROD, Cut.HELICAL))
     given = (
         ("axis", loop.axis != UNITS["z"] and loop.cut not in WITH_AXIS, "an axis"),
         ("axis2", loop.axis2 != UNITS["x"] and not is_universal, "a second axis"),
         ("length", loop.length != ZERO and not is_rod, "a length"),
+        ("pitch", loop.pitch != ZERO and not is_screw, "a pitch"),
     )
     owners = {"axis": ", ".join(cut.value for cut in WITH_AXIS), "axis2": "universal", "length": "rod"}
+    owners["pitch"] = "helical"
     for key, is_wrong, what in given:
         if is_wrong:
             finding = f"{what} of a loop of type {loop.cut.value}"
@@ -104,6 +108,15 @@ def _check_length(place: Place, loop: Loop, valuation: Valuation) -> Iterator[Fi
         yield Finding(place, f"a length of {length:g}", remedy)
 
 
+def _check_pitch(place: Place, loop: Loop, valuation: Valuation) -> Iterator[Finding]:
+    pitch = valuation.number(place, loop.pitch)
+    if loop.pitch == ZERO:
+        finding = "a helical joint without a pitch"
+        yield Finding(place, finding, "give how far it moves for each radian, e.g. pitch: 0.01")
+    elif abs(pitch) < SHORTEST:
+        yield Finding(place, f"a pitch of {pitch:g}", "give another number than 0; a hinge has no shift along its axis")
+
+
 def _check_ends(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
     """Find loops between bodies that cannot move against each other."""
     keys = ("name", "parent", "joint")
@@ -128,7 +141,7 @@ def _check_ends(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
 def _check_twins(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
     """Find loops and constraints that are given twice."""
     seen: dict[object, int] = {}
-    parts: tuple[Place, ...] = (("type",), ("from", "body"), ("to", "body"), ("axis",), ("length",))
+    parts: tuple[Place, ...] = (("type",), ("from", "body"), ("to", "body"), ("axis",), ("length",), ("pitch",))
     for i, loop in enumerate(model.loops):
         if any(lies_under(("loops", i, *part), doubtful) for part in parts):
             continue

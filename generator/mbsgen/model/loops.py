@@ -1,6 +1,6 @@
 """Loops, constraints and their ends in a model file: sections -> parts of a Model.
 
-The axes and the length that a type does not have stay at their defaults; `loop_checks` refuses others.
+The axes, the length and the pitch that a type does not have stay at their defaults; `loop_checks` refuses others.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ WORDS: Mapping[str, Cut] = MappingProxyType({**{cut.value: cut for cut in Cut}, 
 _NOTHING = "it would keep nothing together: leave the loop out"
 _OTHERS: Mapping[str, str] = MappingProxyType(  # types of joints that no loop has
     {
-        "helical": "let a joint of a body be the screw, and cut the loop at another joint",
         "floating": _NOTHING,
         "free": _NOTHING,
         "cardan": "give universal, with axis and axis2",
@@ -37,6 +36,7 @@ Word = Literal[
     "revolute",
     "universal",
     "cylindrical",
+    "helical",
     "prismatic",
     "planar",
     "solid",
@@ -79,16 +79,19 @@ class LoopSection(Section):
     axis: DirectionField = Field(
         UNITS["z"],
         examples=["z"],
-        description="of hinge, cylindrical, prismatic and planar (its normal), in both frames; of universal, the first",
+        description="of hinge, cylindrical, helical, prismatic and planar (its normal), in both frames; of universal, "
+        "the first",
     )
     axis2: DirectionField = Field(
         UNITS["x"], examples=["x"], description="of universal: the second axis, in the second frame"
     )
     length: NumberField = Field(ZERO, examples=[0.3], description="of a rod, m")
+    pitch: NumberField = Field(ZERO, examples=[0.01], description="of helical, m/rad: how far it moves for each radian")
 
     def make(self) -> Loop:
         """Make the part of a Model."""
-        return Loop(self.name, self.type, self.first.end, self.second.end, self.axis, self.axis2, self.length)
+        numbers = self.length, self.pitch
+        return Loop(self.name, self.type, self.first.end, self.second.end, self.axis, self.axis2, *numbers)
 
 
 class ConstraintSection(Section):

@@ -218,6 +218,7 @@ class Loop:
     axis: Triple = UNITS["z"]  # in both frames; of a universal joint, the first axis, in the first frame
     axis2: Triple = UNITS["x"]  # of a universal joint: the second axis, in the second frame
     length: Expression = ZERO  # of a rod [m]
+    pitch: Expression = ZERO  # of a helical joint [m/rad]
 
 
 @dataclass(frozen=True)

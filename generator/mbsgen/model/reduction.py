@@ -393,6 +393,8 @@ def _make_loop(loop: model.Loop, seats: Mapping[str, _Seat], reader: _Reader) ->
     match loop.cut:
         case Cut.ROD:
             value = reader.number(loop.length)
+        case Cut.HELICAL:
+            value = reader.number(loop.pitch)
         case Cut.UNIVERSAL:
             second = reader.direction(loop.axis2)
             value = _tidy(cosine(first, second))

@@ -2,10 +2,10 @@
 
 Parameters are the numbers that the author wrote: `elbow.position.x` and `elbow.damping` of a joint, `forearm.mass`,
 `forearm.com.z` and `forearm.inertia.xy` of a body, `gravity.z`, `frames.tip.position.x`, `wrenches.push.force.y`,
-`loops.knee.from.position.x` and `loops.strut.length` of loops. Positions are in the frames, and centres of mass and
-tensors along the axes, that the author gave them in. Rotations are counted from 1, as are the numbers of a force law
-and of an equation: `elbow.orientation.1` [rad], `constraints.cam.2`. An expression over parameters stays that
-expression.
+`loops.knee.from.position.x`, `loops.strut.length` and `loops.nut.pitch` of loops. Positions are in the frames, and
+centres of mass and tensors along the axes, that the author gave them in. Rotations are counted from 1, as are the
+numbers of a force law and of an equation: `elbow.orientation.1` [rad], `constraints.cam.2`. An expression over
+parameters stays that expression.
 """
 
 from __future__ import annotations
@@ -193,7 +193,8 @@ class _Release:
             for key, end in (("from", loop.first), ("to", loop.second))
         )
         length = self._number(f"{path}.length", loop.length) if loop.cut is Cut.ROD else loop.length
-        return replace(loop, first=first, second=second, length=length)
+        pitch = self._number(f"{path}.pitch", loop.pitch) if loop.cut is Cut.HELICAL else loop.pitch
+        return replace(loop, first=first, second=second, length=length, pitch=pitch)
 
     def _constraint(self, constraint: Constraint) -> Constraint:
         path = f"constraints.{constraint.name}"

@@ -132,6 +132,7 @@ class Cut(Enum):
     HINGE = "hinge"  # the origins and the axes
     UNIVERSAL = "universal"  # the origins, and the angle between the axes
     CYLINDRICAL = "cylindrical"  # the axes, as lines
+    HELICAL = "helical"  # the axes, as lines, and the shift along them with the turn about them
     PRISMATIC = "prismatic"  # the axes, as lines, and the turn about them
     PLANAR = "planar"  # the second origin in the plane across the first axis, and the directions of the axes
     SOLID = "solid"  # the frames
@@ -154,7 +155,7 @@ class Loop:
     cut: Cut
     first: LoopFrame
     second: LoopFrame
-    value: Expr = ZERO  # rod: the distance [m]; universal: the cosine of the angle between the axes
+    value: Expr = ZERO  # rod: the distance [m]; universal: the cosine of the axes' angle; helical: the pitch [m/rad]
 
 
 @dataclass(frozen=True)

@@ -201,7 +201,8 @@ def _write_loop(loop: Loop) -> Mapped:
     for key, axis, default in (("axis", loop.axis, UNITS["z"]), ("axis2", loop.axis2, UNITS["x"])):
         if axis != default:
             content[key] = _write_axis(axis)
-    return content | ({} if loop.length == ZERO else {"length": _write_number(loop.length)})
+    numbers = {"length": loop.length, "pitch": loop.pitch}
+    return content | {key: _write_number(x) for key, x in numbers.items() if x != ZERO}
 
 
 def _write_end(end: LoopEnd) -> Mapped:

@@ -23,6 +23,7 @@ from mbsgen.verification.states import Numbers, draw
 Arguments = Callable[[Computation], dict[str, Numbers]]  # the arguments of a function at a state
 Vectors = dict[str, Numbers]  # by result or by input
 
+ROUNDING = Decimal("1e-30")  # of an adjoint, relative to the others
 DIRECTION = "direction"  # the name under which its numbers are drawn, with the name of the input
 
 
@@ -46,7 +47,9 @@ def compare_derivatives(family: Family, arguments: Arguments) -> Iterator[tuple[
             way = _Direction(family, of_adjoint=True)
             along = slope_of(family.adj1, given, way)
             for name, product in _products(family, family.jac_adj1, arguments, way):
-                yield family.jac_adj1.name, Comparison(name, product, along[name], largest(adjoint[name]))
+                size = largest(adjoint[name])
+                size = size if size > ROUNDING * scale else scale  # an adjoint may vanish, but for rounding
+                yield family.jac_adj1.name, Comparison(name, product, along[name], size)
 
 
 def compare_linearised(lin: Family, plain: Family, arguments: Arguments) -> Iterator[Comparison]:

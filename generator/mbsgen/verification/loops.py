@@ -12,6 +12,8 @@ from functools import cached_property
 
 from mbsgen.formulations.closure import kept_equations
 from mbsgen.model.tree import Cut, Loop, Tree
+from mbsgen.tape.interpreter import DECIMALS
+from mbsgen.tape.types import Op
 from mbsgen.verification.geometry import STEP, ZERO, Mechanism, Pose, add, dot, slope, times, transpose
 from mbsgen.verification.states import Numbers
 
@@ -89,6 +91,9 @@ class Closures:
             yield from (dot(x1, z2), dot(y1, z2))
         if loop.cut in (Cut.PRISMATIC, Cut.SOLID):
             yield dot(y1, x2)
+        if loop.cut is Cut.HELICAL:
+            s, c = (DECIMALS.functions[op](dot(d, z1) / value) for op in (Op.SIN, Op.COS))
+            yield 2 * value * (s * dot(x1, x2) - c * dot(y1, x2)) / (1 + c * dot(x1, x2) + s * dot(y1, x2))
 
     def _place(self, end: str, body: int, poses: Sequence[Pose]) -> Pose:
         pose = poses[body]

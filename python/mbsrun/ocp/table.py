@@ -55,7 +55,7 @@ def _list_units(manifest: Manifest) -> list[str]:
     return [_UNITS.get(name, "N m") for loop in manifest.loops for name in loop.equations]
 
 
-_UNITS = {**dict.fromkeys(("x", "y", "z", "distance"), "N"), "equation": "-"}
+_UNITS = {**dict.fromkeys(("x", "y", "z", "distance", "screw"), "N"), "equation": "-"}
 
 
 def _read_motion(trajectory: Trajectory) -> list[Array]:

@@ -13,15 +13,30 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from mbsgen.assembly import assemble
 from mbsgen.expressions import Number
+from mbsgen.formulations import closure
 from mbsgen.formulations.catalogue import FUNCTIONS
+from mbsgen.formulations.closure import kept_equations
 from mbsgen.formulations.reductions import ALL, NONE, Reductions
-from mbsgen.model.construction import body, differentiated, frame, inertia, joint, make_model, revolute, runtime
+from mbsgen.model.construction import (
+    body,
+    differentiated,
+    end,
+    frame,
+    inertia,
+    joint,
+    loop,
+    make_model,
+    revolute,
+    runtime,
+)
 from mbsgen.model.locking import lock
 from mbsgen.model.model import Model, Parameter
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Tree
 from mbsgen.pipeline import Options, make
+from mbsgen.procedure import procedure
 from mbsgen.tape.interpreter import evaluate
 from tests.random_trees import values_of
 
@@ -92,6 +107,27 @@ def test_a_screw_is_that_of_pinocchio() -> None:
     peer.add(first, pin.JointModelHelicalUnaligned(np.array(SKEW), 0.3), turned, np.array([0.4, 0.1, 0]))
     state = draw(tree, 2)
     assert_equations(tree, state, *peer.compute(state["q"], state["qd"]))
+
+
+@pytest.mark.parametrize("angle", [0.7, -4.0, 9.0])
+def test_a_thread_that_closes_a_loop_is_a_screw(angle: float) -> None:
+    """A turn and a slide that a loop of type helical ties together, after whole turns too, move as a helical joint."""
+    arm = body("arm", revolute("y"), mass=0.7, com=(0.2, 0, 0.1), inertia=(0.02, 0.03, 0.01))
+    at: dict[str, Any] = {"position": (0.4, 0.1, 0), "orientation": [("x", 0.5)]}
+    link: dict[str, Any] = {"parent": "arm", "mass": MASS, "com": COM, "inertia": inertia(**TENSOR)}
+    free = body("link", joint("cylindrical", axis=list(SKEW), **at), **link)
+    thread = loop("thread", "helical", end("arm", **at), end("link"), axis=list(SKEW), pitch=0.3)
+    tied = assemble(build_tree(make_model("m", [arm, free], gravity=GRAVITY, loops=[thread])))
+    joined = body("link", joint("helical", axis=list(SKEW), pitch=0.3, **at), **link)
+    screw = build_tree(make_model("m", [arm, joined], gravity=GRAVITY))
+    assert kept_equations(tied) == ((0, "screw"),)
+    q, qd = [0.4, angle, 0.3 * angle], [1.5, -2.0, 0.3 * -2.0]
+    assert evaluate(closure.build(tied), {"q": q})["gap"] == pytest.approx([0], abs=1e-14)
+    expected = evaluate(FUNCTIONS["exp2"].build(screw, ALL), {"q": q[:2], "qd": qd[:2], "u": [0, 0]})["qdd"]
+    found = evaluate(FUNCTIONS["exp2"].build(tied, ALL), {"q": q, "qd": qd, "u": [0, 0, 0]})["qdd"]
+    assert found == pytest.approx([*expected, 0.3 * expected[1]], rel=1e-12)
+    off = {"q": [0.4, angle, 0.3 * angle + 0.2]}
+    assert procedure.evaluate(FUNCTIONS["close"].build(tied, ALL), off)["closed"] == pytest.approx(q, abs=1e-14)
 
 
 def test_a_universal_joint_is_that_of_pinocchio() -> None:
