@@ -60,7 +60,7 @@ class Factorisation:
     ) -> None:
         """Plan for the values of the system, or for others; with the library that IPOPT uses, or another.
 
-        Every multiplier gets a partner, or only those of variables that need one.
+        Every multiplier gets a partner, or only multipliers of variables that need one do.
         """
         self.ffi, self.lib = load(library or compile_own())
         self.n = lower.shape[0]

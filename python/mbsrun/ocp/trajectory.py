@@ -86,7 +86,7 @@ def move_ahead(
     """
     end = float(trajectory.t[-1])
 
-    def read(times: NDArray[np.float64]) -> tuple[_Reading, NDArray[np.float64]]:
+    def read(times: NDArray[np.float64]) -> tuple[_Reading, NDArray[np.bool_]]:
         later = times + elapsed
         return _Reading(trajectory, np.minimum(later, end)), (later <= end * (1 + 1e-12))[..., None]
 

@@ -58,7 +58,7 @@ def make_stages(order: Order) -> Solver:
         """Build tables unless there are some; return their key."""
         weights = numbers.parameters[: len(program.H)] != 0
         rows = np.isfinite(numbers.least) | np.isfinite(numbers.most)
-        key = weights.tobytes() + rows.tobytes()
+        key = bytes(weights.tobytes() + rows.tobytes())
         with lock:
             if key not in tables:
                 tables[key] = binding.Tables(build(program, order.program.plant, weights, rows), order.program.plant)

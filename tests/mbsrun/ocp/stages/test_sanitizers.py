@@ -1,4 +1,4 @@
-"""The evaluator of tables under sanitizers, in a program of its own with memory of exactly the bytes asked for."""
+"""The evaluator of tables under sanitizers, in a separate program with memory of exactly the bytes asked for."""
 
 from __future__ import annotations
 
