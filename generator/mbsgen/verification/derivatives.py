@@ -48,7 +48,7 @@ def compare_derivatives(family: Family, arguments: Arguments) -> Iterator[tuple[
             along = slope_of(family.adj1, given, way)
             for name, product in _products(family, family.jac_adj1, arguments, way):
                 size = largest(adjoint[name])
-                size = size if size > ROUNDING * scale else scale  # an adjoint may vanish, but for rounding
+                size = size if size > ROUNDING * scale else scale  # an adjoint may vanish, except for rounding
                 yield family.jac_adj1.name, Comparison(name, product, along[name], size)
 
 
