@@ -21,8 +21,8 @@ from mbsrun.ocp.linear import OWN, set_up
 MODEL = Path(__file__).parents[1] / "models" / "panda.yaml"
 QUIET: Mapping[str, Any] = {"print_time": False, "error_on_fail": False, "calc_lam_p": False}
 SETTINGS: Mapping[str, Mapping[str, Any]] = {
-    "fatrop": {"fatrop": {"tolerance": 1e-8, "print_level": 0}},
-    "ipopt": {"ipopt": {"tol": 1e-8, "print_level": 0, "sb": "yes"}},
+    "fatrop": {"fatrop": {"tolerance": 1e-7, "print_level": 0}},
+    "ipopt": {"ipopt": {"tol": 1e-7, "print_level": 0, "sb": "yes"}},
 }
 
 
@@ -68,8 +68,11 @@ class CasadiPeer:
         self._upper = np.concatenate([free, np.tile(inner[1], N)[STATES:], task.upper_x])
         self._size = n
 
-    def solve(self, start: Array, guess: Iterate) -> Answer:
-        """Solve from a state of the robot and a guess."""
+    def solve(self, start: Array, guess: Iterate, rounds: int) -> Answer:
+        """Solve from a state of the robot and a guess, several times; return the quickest answer."""
+        return min((self._solve(start, guess) for _ in range(rounds)), key=lambda answer: answer.seconds)
+
+    def _solve(self, start: Array, guess: Iterate) -> Answer:
         N = self._task.intervals
         packed = np.append(np.hstack([guess.x[:-1], guess.a]).ravel(), guess.x[-1])
         begin = time.process_time()

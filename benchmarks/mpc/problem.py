@@ -9,7 +9,8 @@ Torques follow from the residual of inverse dynamics, Phi(q, qd, a), the generat
     minimise  sum_{k<N} h/2 (W_q |q_k - q*|^2 + W_v |qd_k|^2 + W_a |a_k|^2) + 1/2 (E_q |q_N - q*|^2 + E_v |qd_N|^2)
     such that -tau <= Phi(q_k, qd_k, a_k) <= tau,  bounds of q and qd for k > 0, bounds of a
 
-The bounds are those of Franka Emika's "FCI Documentation", robot limits of the Panda.
+Bounds of q and qd are those of Franka Emika's "FCI Documentation", robot limits of the Panda. Torques have 0.4 times,
+and accelerations 4 times the bounds from there, so that torques limit the motion.
 """
 
 from __future__ import annotations
@@ -44,8 +45,8 @@ class Task:
     )
     upper_q: Array = field(default_factory=lambda: _array(2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973))
     speed: Array = field(default_factory=lambda: _array(2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61))
-    acceleration: Array = field(default_factory=lambda: _array(15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0))
-    torque: Array = field(default_factory=lambda: _array(87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0))
+    acceleration: Array = field(default_factory=lambda: 4 * _array(15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0))
+    torque: Array = field(default_factory=lambda: 0.4 * _array(87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0))
 
     @property
     def lower_x(self) -> Array:
@@ -100,8 +101,8 @@ class Runner(Protocol):
 
     name: str
 
-    def solve(self, start: Array, guess: Iterate) -> Answer:
-        """Solve from a state of the robot and a guess."""
+    def solve(self, start: Array, guess: Iterate, rounds: int) -> Answer:
+        """Solve from a state of the robot and a guess, several times; return the quickest answer."""
         ...
 
 
