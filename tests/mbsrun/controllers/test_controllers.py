@@ -6,7 +6,9 @@ The model's and the problem's names are hostile on purpose: nothing of them may 
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -19,7 +21,7 @@ from click.testing import CliRunner
 import mbsrun
 from mbsgen.errors import InputError
 from mbsrun import bare
-from mbsrun.cli import cli
+from mbsrun.cli import cli, main
 from mbsrun.controllers import making
 from mbsrun.controllers.emulation import emulate
 from mbsrun.controllers.folder import read
@@ -353,6 +355,34 @@ def test_a_problem_that_is_not_solved_gives_no_controller(case: Case) -> None:
     bounds = replace(case.problem.bounds, u=((-0.01, 0.01),))
     with pytest.raises(UnsolvedError, match="the controller does not solve its own problem"):
         make(replace(case.problem, bounds=bounds), case.plant, case.model)
+
+
+def test_the_command_writes_a_folder_and_replaces_only_its_own(
+    case: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit codes: 0 where it is written, 1 where the problem is not solved, 2 for a folder of somebody else."""
+    monkeypatch.setattr(making, "measure_single", lambda *_: 0)
+    monkeypatch.setattr(making, "measure_stacks", lambda *_: {})
+    shutil.copy(case.model, tmp_path)
+    file, out = tmp_path / "task.ocp.yaml", tmp_path / "out"
+
+    def call(text: str) -> tuple[object, str]:
+        file.write_text(text, encoding="utf-8")
+        monkeypatch.setattr(sys, "argv", ["mbsrun", "controller", str(file), "-o", str(out)])
+        with pytest.raises(SystemExit) as end:
+            main()
+        return end.value.code, "".join(capsys.readouterr())
+
+    code, told = call(PROBLEM)
+    assert (code, "its problem in" in told) == (0, True)
+    assert mbsrun.controller(out).solve().is_solved
+    code, told = call(PROBLEM.replace("[-8, 8]", "[-0.01, 0.01]"))
+    assert (code, "does not solve its own problem" in told) == (1, True)
+    assert (out / "task.h").exists()
+    (out / "notes.txt").write_text("mine", encoding="utf-8")
+    code, told = call(PROBLEM)
+    assert (code, "it holds notes.txt, which mbsgen did not write" in told) == (2, True)
+    assert "unknown: it needs call graphs" in (out / "report.md").read_text(encoding="utf-8")
 
 
 # --- the folder ----------------------------------------------------------------------------------------------------
