@@ -364,7 +364,7 @@ def test_the_command_writes_a_folder_and_replaces_only_its_own(
     monkeypatch.setattr(making, "measure_single", lambda *_: 0)
     monkeypatch.setattr(making, "measure_stacks", lambda *_: {})
     shutil.copy(case.model, tmp_path)
-    file, out = tmp_path / "task.ocp.yaml", tmp_path / "out"
+    file, out = tmp_path / f"{HOSTILE}.ocp.yaml", tmp_path / "out"
 
     def call(text: str) -> tuple[object, str]:
         file.write_text(text, encoding="utf-8")
@@ -378,7 +378,7 @@ def test_the_command_writes_a_folder_and_replaces_only_its_own(
     assert mbsrun.controller(out).solve().is_solved
     code, told = call(PROBLEM.replace("[-8, 8]", "[-0.01, 0.01]"))
     assert (code, "does not solve its own problem" in told) == (1, True)
-    assert (out / "task.h").exists()
+    assert (out / f"{case.made.manifest.prefix}.h").exists()
     (out / "notes.txt").write_text("mine", encoding="utf-8")
     code, told = call(PROBLEM)
     assert (code, "it holds notes.txt, which mbsgen did not write" in told) == (2, True)
