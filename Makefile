@@ -5,7 +5,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo track test fuzz lint bench bench-growth bench-ocp bench-kkt bench-loops bench-results study laboratory mutants golden schema clean
+.PHONY: demo track test fuzz lint bench bench-growth bench-ocp bench-kkt bench-mpc bench-loops bench-results study laboratory mutants golden schema clean
 
 demo: $(VENV)/installed
 	$(BIN)/mbsgen models/arm_pendulum.yaml -o build/arm_pendulum
@@ -54,6 +54,10 @@ bench-ocp: $(VENV)/installed
 # BENCH=--quick: three problems, half a minute.
 bench-kkt: $(VENV)/installed
 	$(BIN)/python -m benchmarks.kkt $(BENCH)
+
+# Predictive control of a Panda by fatrop, acados and IPOPT: a minute. `python3 tests/acados.py build/acados` installs acados.
+bench-mpc: $(VENV)/installed
+	$(BIN)/python -m benchmarks.mpc $(BENCH)
 
 # Kernels and motions of mechanisms with closed loops, beside Pinocchio, Simbody, Exudyn and MuJoCo: ten minutes, after
 # BENCH=--prepare, which compiles the others' programs.
