@@ -12,7 +12,7 @@
 #include <string.h>
 
 #define SHARE ((real)0.01)     /* of a pivot in its row, at least, when an order is chosen */
-#define LOST ((real)1e6)       /* how much larger than a pivot the rest of its row may become later */
+#define LOST ((real)1e9)      /* how much larger than a pivot the rest of its row may become later; h^2 is a pivot */
 #define PASSES 3
 #define FULL ((real)0.95)       /* nonzeros of a block that is taken as full */
 

@@ -36,7 +36,7 @@ CASES = {
     "closed loops, multipliers": ("five_bar_reach", {"loops": Loops.MULTIPLIERS}),
     "expressions of positions": ("planar_arm_reach", {}),
     "free horizon, input rates": ("planar_arm_fastest", {"input_rates": 1.3}),
-    "explicit, free horizon": ("planar_arm_fastest", {"representation": Representation.EXP1_A}),
+    "explicit": ("cart_pole_swing_up", {}),
     "quaternions": ("satellite_turn", {}),
     "integral": ("cart_pole_swing_up", {"form": Form.INTEGRAL, "representation": Representation.IMPL}),
     "shooting": (
