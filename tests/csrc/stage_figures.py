@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.csrc.stage_problems import far_guesses, nonlinear
+from tests.csrc.stage_problems import POLE, UP, cart_pole_ode, far_guesses, nonlinear, pendulum_ode, shooting
 from tests.csrc.stage_quadratics import random_problem, random_sizes
 from tests.csrc.stages import Library, Problem, Quadratic, Solver, compile_solver
 
@@ -57,6 +57,39 @@ def time_sizes(library: Library) -> None:
         print(f"| {size[0]}, {size[1]}, {size[2]} | {result.iterations} | {1e3 * best:.2f} | {solver.bytes // 101} |")
 
 
+def horizons() -> list[Problem]:
+    """Problems of 100 intervals, as a controller has them."""
+    walls = shooting("cart-pole between walls", cart_pole_ode, 4, 100, 0.03, np.zeros(4), POLE, 12.0, walls=0.6)
+    softly = [
+        shooting("pendulum", pendulum_ode, 2, 100, 0.05, np.zeros(2), UP, 4.0, 1.0, softly=True),
+        shooting("cart-pole", cart_pole_ode, 4, 100, 0.03, np.zeros(4), POLE, 12.0, 1.0, softly=True),
+    ]
+    return [*softly, walls]
+
+
+def compare_warm(library: Library) -> None:
+    """Print iterations of cold and of warm starts: from other first states, and from the next one of the plan."""
+    print(
+        "\n| problem | cold | same | first state 0.01 off | 0.1 off | shifted, 0.003 off |\n|---|---|---|---|---|---|"
+    )
+    for problem in horizons():
+        nx, rng = problem.sizes[0][0], np.random.default_rng(1)
+        solver = Solver(library, problem)
+        first, counts = problem.lower[:nx].copy(), [solver.solve().result.iterations]
+        solution = {name: solver.get(name) for name in ("w", "y", "below", "above")}
+        moved = [0.0 * first, 0.01 * rng.standard_normal(nx), 0.1 * rng.standard_normal(nx)]
+        for change in moved:
+            solver.set(**solution)
+            solver.lower[:nx] = solver.upper[:nx] = first + change
+            counts.append(solver.solve(warm=1).result.iterations)
+        solver.set(**solution)
+        ahead = solution["w"][nx + 1 : 2 * nx + 1] + 0.003 * rng.standard_normal(nx)
+        library.lib.mbs_stages_shift(solver.solver)
+        solver.lower[:nx] = solver.upper[:nx] = ahead
+        counts.append(solver.solve(warm=1).result.iterations)
+        print(f"| {problem.name} | {' | '.join(map(str, counts))} |")
+
+
 def compare_far(library: Library) -> None:
     """Print how the nonlinear problems end from guesses that are far away, six of each."""
     ours, theirs = [0, 0], [0, 0]
@@ -85,6 +118,7 @@ def main() -> None:
             counts = [compare(library, name, problem) for name, problem in problems]
             ours, theirs = (sum(c) for c in zip(*counts, strict=True))
             print(f"| **all** | | | | {ours} | {theirs} | | | | | |")
+        compare_warm(library)
         time_sizes(library)
         if "--far" in sys.argv:
             compare_far(library)

@@ -51,6 +51,21 @@ def test_a_step_solves_linear_quadratic_problems(library: Library, stages: int) 
             assert np.allclose(solver.get("y"), y, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize("sparse", [False, True])
+def test_a_step_with_inner_variables(library: Library, sparse: bool) -> None:
+    """Unknowns within intervals are condensed; the response to a deviation recovers them."""
+    rng = np.random.default_rng(3)
+    plain = random_problem(rng, [(3, 6, 5, 0)] * 6 + [(3, 1, 1, 0)])
+    w, y, _ = dense_solution(plain)
+    first = state(plain)
+    moved_one = moved(plain, first + rng.standard_normal(3))
+    solver = Solver(library, replace(moved_one, inner=[4] * 6 + [1], sparse=sparse))
+    assert solver.prepare()[0] == "prepared"
+    assert solver.feedback(first)[0] == "stepped"
+    assert np.allclose(solver.get("w"), w, rtol=1e-10, atol=1e-10)
+    assert np.allclose(solver.get("y"), y, rtol=1e-9, atol=1e-9)
+
+
 def test_first_states_without_equal_bounds_are_free(library: Library) -> None:
     """The measurement of such a state is not read: here it is no number."""
     problem = random_problem(np.random.default_rng(0), [(3, 2, 1, 0)] * 5 + [(3, 0, 0, 0)])
