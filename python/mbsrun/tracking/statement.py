@@ -43,6 +43,7 @@ Array = NDArray[np.float64]
 
 MAX_SAMPLES = 1_000_000
 MAX_DELAY = 100  # periods
+MAX_SECONDS = 10.0  # of processor time for a period, by default
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,7 @@ class _PlantSection(Section):
     step: NumberField = Field(default=Number(Settings.step), examples=[1e-3])
     rtol: NumberField = Field(default=Number(Settings.rtol), examples=[1e-9])
     atol: NumberField = Field(default=Number(Settings.atol), examples=[1e-9])
-    max_seconds: NumberField = Field(default=Number(Settings.max_seconds), examples=[60.0])
+    max_seconds: NumberField = Field(default=Number(MAX_SECONDS), examples=[10.0])
 
 
 class _NoiseSection(Section):
