@@ -128,7 +128,7 @@ Exit codes
 )
 @click.option("--integrator", type=NameType(INTEGRATORS), help="Of shooting: the method of the scheme, or another.")
 @click.option("--steps", type=click.IntRange(1, MAX_STEPS), help="Of the integrator in an interval; by default 1.")
-@click.option("--solver", type=NameType(SOLVERS), help="The NLP method; by default ipopt.")
+@click.option("--solver", type=NameType(SOLVERS), help="The NLP method; by default ipopt. mbs is the project's own.")
 @click.option(
     "--starts", type=click.IntRange(1, MAX_STARTS), help="The number of starts; the best solution is written."
 )

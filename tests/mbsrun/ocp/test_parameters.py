@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from mbsrun.external import load_on_demand
+from mbsrun.external import load, load_on_demand
 from mbsrun.ocp.problem import Representation
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import solve
@@ -48,6 +49,21 @@ def test_differentiated_parameters_hold_their_values(tmp_path: Path, representat
         problem, plant = read_problem(file, load_on_demand)
         assert bool(plant.manifest.design) == ("kind" in length)
         outcome = solve(problem, plant)
+        assert isinstance(outcome, Solution)
+        costs.append(outcome.cost.total)
+    assert costs[1] == pytest.approx(costs[0], rel=1e-8)
+
+
+@pytest.mark.parametrize("kind", ["runtime", "differentiated"])
+def test_the_method_by_stages_takes_the_parameters_in_use(tmp_path: Path, kind: str) -> None:
+    """A length that is not the model file's: it is an input of the kernels that tables of stages call."""
+    (tmp_path / "model.yaml").write_text(MODEL.format(LENGTH=f"{{value: 0.7, kind: {kind}}}"), "utf-8")
+    file = tmp_path / "task.ocp.yaml"
+    file.write_text(TASK.format(REPRESENTATION="IMPL"), "utf-8")
+    problem, plant = read_problem(file, lambda model: load(model, {"l": 0.9}))
+    costs = []
+    for method in ("ipopt", "mbs"):
+        outcome = solve(replace(problem, solver=replace(problem.solver, method=method)), plant)
         assert isinstance(outcome, Solution)
         costs.append(outcome.cost.total)
     assert costs[1] == pytest.approx(costs[0], rel=1e-8)
