@@ -24,7 +24,7 @@ HORIZONS = (20, 100)
 
 @dataclass(frozen=True)
 class Row:
-    """What a solver took for a task: the quickest of several rounds."""
+    """The effort of a solver for a task: the quickest of several rounds."""
 
     name: str
     intervals: int

@@ -1,6 +1,6 @@
 """acados by SQP, with HPIPM for its quadratic programs, given the kernels: sequential, full steps, Gauss and Newton.
 
-acados lives in an environment of its own, `python3 tests/acados.py build/acados`; so a process there solves. Its
+acados lives in a separate environment, `python3 tests/acados.py build/acados`; so a process there solves. Its
 constraint functions are C that CasADi writes here around the kernels, with one call of each.
 """
 

@@ -1,4 +1,4 @@
-"""Solve a task by acados, in an environment of its own: `python acados_program.py task.json`; JSON to the last line.
+"""Solve a task by acados, in its environment: `python acados_program.py task.json`; JSON to the last line.
 
 acados writes its solver around placeholders of the constraint functions; the C files of `folder` replace these before
 it is compiled. They call the generated kernels, which `libraries` hold. The file holds the numbers of a task, too.

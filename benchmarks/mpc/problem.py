@@ -9,7 +9,7 @@ Torques follow from the residual of inverse dynamics, Phi(q, qd, a), the generat
     minimise  sum_{k<N} h/2 (W_q |q_k - q*|^2 + W_v |qd_k|^2 + W_a |a_k|^2) + 1/2 (E_q |q_N - q*|^2 + E_v |qd_N|^2)
     such that -tau <= Phi(q_k, qd_k, a_k) <= tau,  bounds of q and qd for k > 0, bounds of a
 
-Bounds of q and qd are those of Franka Emika's "FCI Documentation", robot limits of the Panda. Torques have 0.4 times,
+Bounds of q and qd are from Franka Emika's "FCI Documentation", robot limits of the Panda. Torques have 0.4 times,
 and accelerations 4 times the bounds from there, so that torques limit the motion.
 """
 
@@ -87,7 +87,7 @@ class Iterate:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a solver found, and what it took: seconds of its own work, on one core."""
+    """The result of a solver, and its effort: seconds on one core, without ours."""
 
     status: str
     is_solved: bool

@@ -65,7 +65,7 @@ def solve(solver: Solver, problem: Problem, plant: Plant, names: tuple[str, str,
 
 
 def choose(problem: Problem, method: str) -> Problem:
-    """Let a method solve a problem."""
+    """Return a problem with another method."""
     return replace(problem, solver=replace(problem.solver, method=method, options=METHODS[method]))
 
 

@@ -229,7 +229,7 @@ static real larger(real a, real b)
     return a > b ? a : b;
 }
 
-/* Residuals beside what they may be: a share of the right-hand sides, or little beside the tolerance of a solution. */
+/* Residuals over their limits: a share of the right-hand sides, or little beside the tolerance of a solution. */
 static real rate(const mbs_stages *s, residuals error, residuals right, real share)
 {
     const real least = s->options.tolerance * NOTHING;

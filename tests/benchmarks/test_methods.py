@@ -1,4 +1,4 @@
-"""The comparison of methods: tasks, what is left of an interrupted run, and the page."""
+"""The comparison of methods: tasks, the rest of an interrupted run, and the page."""
 
 from __future__ import annotations
 
