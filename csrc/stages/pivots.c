@@ -14,6 +14,7 @@
 #define SHARE ((real)0.01)     /* of a pivot in its row, at least, when an order is chosen */
 #define LOST ((real)1e9)      /* how much larger than a pivot the rest of its row may become later; h^2 is a pivot */
 #define PASSES 3
+#define SMALL ((real)1e-5)     /* entries beside the largest that rows are not balanced by */
 #define FULL ((real)0.95)       /* nonzeros of a block that is taken as full */
 
 /* The block that remains while an order is chosen. */
@@ -49,21 +50,24 @@ static void read_block(remainder_block *r, const mbs_stages_pivots *p, const mbs
 }
 
 /* Multiply `count` numbers, `stride` apart, so that the smallest and the largest of them are the inverse of each other.
- * Returns -1 if all are 0. */
+ * Very small ones beside the largest may be rounding, and do not count. Returns -1 if all are 0. */
 static int balance(real *a, int count, int stride)
 {
-    real least = 0, most = 0, factor;
-    int i;
-    for (i = 0; i < count; ++i) {
-        const real b = real_abs(a[(size_t)i * (size_t)stride]);
-        most = b > most ? b : most;
-        least = b > 0 && (least == 0 || b < least) ? b : least;
-    }
+    const size_t step = (size_t)stride;
+    real least, most = 0, factor;
+    size_t i;
+    for (i = 0; i < (size_t)count; ++i)
+        most = real_abs(a[i * step]) > most ? real_abs(a[i * step]) : most;
     if (!(most > 0))
         return -1;
+    least = most;
+    for (i = 0; i < (size_t)count; ++i) {
+        const real b = real_abs(a[i * step]);
+        least = b > SMALL * most && b < least ? b : least;
+    }
     factor = 1 / (real_sqrt(least) * real_sqrt(most));
-    for (i = 0; i < count; ++i)
-        a[(size_t)i * (size_t)stride] *= factor;
+    for (i = 0; i < (size_t)count; ++i)
+        a[i * step] *= factor;
     return 0;
 }
 
