@@ -372,29 +372,34 @@ void mbs_stages_condense_right(mbs_stages_recursion *r, int k, const real *rc, r
 
 void mbs_stages_condense_gradient(const mbs_stages_stage *s, const real *gradient, real *out)
 {
-    int i, j;
-    for (i = 0; i < s->dense.n; ++i)
-        out[i] = 0;
-    for (i = 0; i < s->n; ++i) {
-        const real *v = row_of_v(s, i), a = gradient[i];
+    int i;
+    memset(out, 0, (size_t)s->inner.width * sizeof *out);
+    for (i = 0; i < s->n; ++i)
         if (is_inner(s, i))
-            for (j = 0; j < s->dense.n; ++j)
-                out[j] += a * v[j];
+            add_row(s->inner.width, gradient[i], row_of_v(s, i), out);
         else
-            out[mbs_stages_outer(s, i)] += a;
-    }
+            out[mbs_stages_outer(s, i)] += gradient[i];
 }
 
-void mbs_stages_expand(const mbs_stages_stage *s, const real *outer, real *z)
+static real dot(int width, const real *restrict a, const real *restrict b)
 {
-    int i, j;
-    for (i = 0; i < s->n; ++i) {
-        const real *v = row_of_v(s, i);
-        real sum = is_inner(s, i) ? s->inner.constant[i - s->nx] : outer[mbs_stages_outer(s, i)];
-        for (j = 0; is_inner(s, i) && j < s->dense.n; ++j)
-            sum += v[j] * outer[j];
-        z[i] = sum;
-    }
+    real sum[MBS_STAGES_LANES] = {0};
+    int i, c;
+    for (i = 0; i < width; i += MBS_STAGES_LANES)
+        for (c = 0; c < MBS_STAGES_LANES; ++c)
+            sum[c] += a[i + c] * b[i + c];
+    return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
+void mbs_stages_expand(const mbs_stages_stage *s, real *outer, real *z)
+{
+    const mbs_stages_inner *y = &s->inner;
+    int i;
+    for (i = s->dense.n; i < y->width; ++i)
+        outer[i] = 0;
+    for (i = 0; i < s->n; ++i)
+        z[i] = is_inner(s, i) ? y->constant[i - s->nx] + dot(y->width, row_of_v(s, i), outer)
+                              : outer[mbs_stages_outer(s, i)];
 }
 
 void mbs_stages_expand_multipliers(mbs_stages_recursion *r, int k, const real *rw, const real *z, real *force,

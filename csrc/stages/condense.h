@@ -20,11 +20,11 @@ const real *mbs_stages_variation(const mbs_stages_stage *s, int i);
  * rows (e, d, g) += J z. */
 void mbs_stages_condense_right(mbs_stages_recursion *r, int k, const real *rc, real *gradient, real *rows);
 
-/* out = VT gradient */
+/* out = VT gradient; `out` has room for the width. */
 void mbs_stages_condense_gradient(const mbs_stages_stage *s, const real *gradient, real *out);
 
-/* All variables z from the recursion's. */
-void mbs_stages_expand(const mbs_stages_stage *s, const real *outer, real *z);
+/* All variables z from those of the recursion, which zeros fill up to the width. */
+void mbs_stages_expand(const mbs_stages_stage *s, real *outer, real *z);
 
 /* Multipliers of the inner equations, where dy holds all others; `force` takes the part of fixed variables in the gradient
  * (n numbers, overwritten). */

@@ -302,6 +302,18 @@ static void add(int n, real factor, const real *restrict a, real *restrict b)
         b[i] += factor * a[i];
 }
 
+static real dot(int n, const real *restrict a, const real *restrict b)
+{
+    real sum[4] = {0, 0, 0, 0};
+    int i, c;
+    for (i = 0; i + 4 <= n; i += 4)
+        for (c = 0; c < 4; ++c)
+            sum[c] += a[i + c] * b[i + c];
+    for (; i < n; ++i)
+        sum[0] += a[i] * b[i];
+    return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
 /* Eliminate the nonzeros before the pivot in row i, and keep them in the lower factor. */
 static void eliminate_row(const mbs_stages_pivots *p, const mbs_stages_factors *f, int i, real *restrict row)
 {
@@ -347,10 +359,11 @@ void mbs_stages_solve_block(const mbs_stages_pivots *p, const mbs_stages_factors
 {
     int i, t;
     for (i = 0; i < p->n; ++i) {
+        const int full = i > p->dense ? i - p->dense : 0, end = p->lower[i + 1] - full;
         real sum = b[p->row[i]];
-        for (t = p->lower[i]; t < p->lower[i + 1]; ++t)
+        for (t = p->lower[i]; t < end; ++t)
             sum += f->lower[t] * work[p->lower_place[t]];
-        work[i] = sum * f->inverse[i];
+        work[i] = (full > 0 ? sum + dot(full, f->lower + end, work + p->dense) : sum) * f->inverse[i];
     }
     for (i = p->n - 1; i >= 0; --i) {
         real sum = work[i];
@@ -371,9 +384,12 @@ void mbs_stages_solve_block_transposed(const mbs_stages_pivots *p, const mbs_sta
         work[i] = a;
     }
     for (i = p->n - 1; i >= 0; --i) {
+        const int full = i > p->dense ? i - p->dense : 0, end = p->lower[i + 1] - full;
         const real a = work[i] * f->inverse[i];
-        for (t = p->lower[i]; t < p->lower[i + 1]; ++t)
+        for (t = p->lower[i]; t < end; ++t)
             work[p->lower_place[t]] += f->lower[t] * a;
+        if (full > 0)
+            add(full, a, f->lower + end, work + p->dense);
         x[p->row[i]] = a;
     }
 }
