@@ -51,6 +51,17 @@ int mbs_stages_check(mbs_stages *s, mbs_stages_phase *p, const mbs_stages_errors
     return MBS_STAGES_RUNNING;
 }
 
+/* A solve without further progress ends acceptably where the conditions hold to the acceptable tolerance. */
+int mbs_stages_settle(mbs_stages *s, mbs_stages_phase *p, int status)
+{
+    mbs_stages_errors e;
+    if (status != MBS_STAGES_OUT_OF_DIGITS || p->elastic || mbs_stages_phase_derivatives(s, p))
+        return status;
+    mbs_stages_find_lagrangian(s, p);
+    e = mbs_stages_measure_errors(s, p, mbs_stages_least_barrier(s));
+    return is_solved(s, &e, s->options.acceptable_tolerance) ? MBS_STAGES_ACCEPTABLE : status;
+}
+
 void mbs_stages_report(const mbs_stages *s, const mbs_stages_phase *p, const mbs_stages_errors *e)
 {
     mbs_stages_progress progress;

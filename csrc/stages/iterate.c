@@ -144,6 +144,6 @@ int mbs_stages_run(mbs_stages *s, mbs_stages_phase *p)
         if (status == MBS_STAGES_RUNNING)
             status = advance(s, p);
         if (status != MBS_STAGES_RUNNING)
-            return status;
+            return mbs_stages_settle(s, p, status);
     }
 }

@@ -160,6 +160,7 @@ real mbs_stages_worst_violation(const mbs_stages *s);
 
 /* finish.c */
 int mbs_stages_check(mbs_stages *s, mbs_stages_phase *p, const mbs_stages_errors *e);
+int mbs_stages_settle(mbs_stages *s, mbs_stages_phase *p, int status);
 void mbs_stages_report(const mbs_stages *s, const mbs_stages_phase *p, const mbs_stages_errors *e);
 
 /* solve.c: the first point; bounds of all variables and slacks; the iterate for the caller */
