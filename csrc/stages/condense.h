@@ -23,7 +23,7 @@ void mbs_stages_condense_right(mbs_stages_recursion *r, int k, const real *rc, r
 /* out = VT gradient; `out` has room for the width. */
 void mbs_stages_condense_gradient(const mbs_stages_stage *s, const real *gradient, real *out);
 
-/* All variables z from those of the recursion, which zeros fill up to the width. */
+/* All variables z from the recursion's, which zeros fill up to the width. */
 void mbs_stages_expand(const mbs_stages_stage *s, real *outer, real *z);
 
 /* Multipliers of the inner equations, where dy holds all others; `force` takes the part of fixed variables in the gradient

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.csrc.stage_arm import arm
 from tests.csrc.stage_problems import POLE, UP, cart_pole_ode, far_guesses, nonlinear, pendulum_ode, shooting
 from tests.csrc.stage_quadratics import random_problem, random_sizes
 from tests.csrc.stages import Library, Problem, Quadratic, Solver, compile_solver
@@ -90,6 +91,24 @@ def compare_warm(library: Library) -> None:
         print(f"| {problem.name} | {' | '.join(map(str, counts))} |")
 
 
+def time_condensed(library: Library) -> None:
+    """Print the time of an iteration, callbacks included, of stages with the structure of an arm, 100 intervals."""
+    print("\n| points, joints, inputs | inner | iterations | refinements | ms an iteration | bytes a stage |")
+    print("|---|---|---|---|---|---|")
+    for points, joints, inputs in [(2, 2, 1), (4, 2, 1), (4, 6, 4)]:
+        problem = arm(np.random.default_rng(0), 100, joints, inputs, points)
+        solver, best = Solver(library, problem), np.inf
+        for _ in range(5):
+            solver.set(w=problem.guess)
+            start = time.process_time()
+            result = solver.solve().result
+            best = min(best, (time.process_time() - start) / result.iterations)
+        print(
+            f"| {points}, {joints}, {inputs} | {3 * points * joints} | {result.iterations} | {result.refinements} | "
+            f"{1e3 * best:.2f} | {solver.bytes // 101} |"
+        )
+
+
 def compare_far(library: Library) -> None:
     """Print how the nonlinear problems end from guesses that are far away, six of each."""
     ours, theirs = [0, 0], [0, 0]
@@ -120,6 +139,7 @@ def main() -> None:
             print(f"| **all** | | | | {ours} | {theirs} | | | | | |")
         compare_warm(library)
         time_sizes(library)
+        time_condensed(library)
         if "--far" in sys.argv:
             compare_far(library)
 
