@@ -88,6 +88,19 @@ void mbs_stages_order_pivots(mbs_stages_recursion *r)
             r->stage[k].inner.pivots->stage = 0;
 }
 
+void mbs_stages_forget_orders(mbs_stages_recursion *r)
+{
+    int k;
+    for (k = 0; k < r->stages; ++k) {
+        mbs_stages_inner *y = &r->stage[k].inner;
+        if (y->n == 0)
+            continue;
+        y->pivots->ready = y->pivots->stage = 0;
+        y->own = y->missing = 0;
+        y->stale = 1;
+    }
+}
+
 static mbs_stages_complete complete(const mbs_stages_recursion *r, const mbs_stages_stage *s)
 {
     mbs_stages_complete c;

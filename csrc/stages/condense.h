@@ -7,6 +7,9 @@
 /* Find an order of pivots for kinds of stages that have none. */
 void mbs_stages_order_pivots(mbs_stages_recursion *r);
 
+/* Forget all orders, so that a solve does not depend on the solves before it. */
+void mbs_stages_forget_orders(mbs_stages_recursion *r);
+
 /* Write the dense matrices of stage k, by the diagonal that is there. */
 void mbs_stages_condense(mbs_stages_recursion *r, int k);
 

@@ -1,4 +1,5 @@
 /* A solve: from the caller's numbers to scaled ones, the barrier problem, and back. */
+#include "condense.h"
 #include "solver.h"
 
 #include <string.h>
@@ -357,6 +358,8 @@ mbs_stages_result mbs_stages_solve(mbs_stages *s, const mbs_stages_options *opti
     s->softening = MBS_STAGES_HARD;
     s->began = s->problem->clock ? s->problem->clock(s->problem->context) : 0;
     s->live = s->ready = 0;
+    if (!s->options.warm)
+        mbs_stages_forget_orders(&s->recursion);
     status = mbs_stages_start(s);
     if (status == MBS_STAGES_RUNNING)
         status = mbs_stages_run(s, &s->main);

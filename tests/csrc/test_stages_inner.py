@@ -5,13 +5,14 @@ from __future__ import annotations
 import threading
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from tests.csrc.stage_arm import arm
-from tests.csrc.stage_problems import collocated, nonlinear
+from tests.csrc.stage_problems import assemble, collocated, free, nonlinear
 from tests.csrc.stage_quadratics import dense_solution, in_units, random_problem
-from tests.csrc.stages import INFINITE, Answer, Array, Library, Problem, Quadratic, Solver, clashes, close
+from tests.csrc.stages import INFINITE, Answer, Array, Kind, Library, Problem, Quadratic, Solver, clashes, close
 
 SIZES = [(3, 6, 5, 2)] * 5 + [(2, 4, 3, 2)] * 3 + [(3, 2, 2, 1)]
 INNER = [4] * 5 + [2] * 3 + [1]
@@ -237,3 +238,30 @@ def test_condensing_in_single_precision(library: Library, single: Library) -> No
         assert answer.status in ("solved", "acceptable")
         assert close(answer.w, exact.w, 5e-3)
         assert answer.result.cost == pytest.approx(exact.result.cost, rel=1e-3)
+
+
+def turning() -> Problem:
+    """Two forces y in axes that a state turns: other pivots are large at other angles."""
+    x, v = ca.SX.sym("x", 2), ca.SX.sym("v", 3)
+    c, s = ca.cos(x[0]), ca.sin(x[0])
+    rows = ca.vertcat(c * v[0] + s * v[1] - x[1], c * v[1] - s * v[0] - v[2] * x[1] - 0.3)
+    after = x + 0.2 * ca.vertcat(x[1], v[0] + v[2])
+    stage = Kind(x, v, ca.sumsqr(v) + ca.sumsqr(x - 1), after, e=rows, inner=2, sparse=True)
+    last = Kind(x, ca.SX(0, 1), ca.sumsqr(x))
+    bounds = [(-free(5), free(5))] * 6 + [(-free(2), free(2))]
+    guess = [np.full(5, 0.1)] * 6 + [np.zeros(2)]
+    return assemble("turning", [stage, last], [0] * 6 + [1], bounds, [], guess)
+
+
+def test_a_cold_solve_does_not_depend_on_the_solves_before_it(library: Library) -> None:
+    """The order of pivots is found anew, so that all numbers are the same, to the last bit."""
+    problem = turning()
+    first = Solver(library, problem).solve()
+    used = Solver(library, problem)
+    used.set(w=np.concatenate([np.full(5, np.pi / 2)] * 6 + [np.zeros(2)]))
+    assert used.solve(iterations=1).result.factorisations > 0
+    used.set(w=problem.guess)
+    again = used.solve()
+    assert again.path == first.path
+    assert (again.w == first.w).all()
+    assert (again.y == first.y).all()
