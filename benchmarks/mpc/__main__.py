@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.mpc.acados_peer import AcadosPeer, is_installed
-from benchmarks.mpc.casadi_peers import SETTINGS, CasadiPeer, load_torque
+from benchmarks.mpc.casadi_peers import MODEL, SETTINGS, CasadiPeer, load_torque
+from benchmarks.mpc.own import Latency, OwnRunner
 from benchmarks.mpc.problem import JOINTS, Answer, Iterate, Runner, Task, rest
 
 SAME = 1e-6  # relative difference of costs within which two optima are one
@@ -37,6 +38,7 @@ class Row:
 def make_runners(task: Task) -> Iterator[Runner]:
     """Make all solvers for a task; another one is another line here."""
     torque = load_torque()
+    yield OwnRunner(task, MODEL)
     for name in SETTINGS:
         yield CasadiPeer(task, name, torque)
     if is_installed():
@@ -78,6 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.mpc", description=__doc__)
     parser.add_argument("--horizon", action="append", type=int, default=[], help="intervals; by default 20 and 100")
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--steps", type=int, default=1000, help="in real time; by default 1000")
     given = parser.parse_args(arguments)
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     is_one = True
@@ -91,7 +94,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 for answer in (row.cold, row.warm)
             )
             print(f"N = {intervals:3}  {row.name:8} cold {cold}; shifted {warm}; optimum {row.cost:.9g}")
+        print(f"N = {intervals:3}  mbs      in real time: {describe(OwnRunner(task, MODEL).control(given.steps))}")
     return 0 if is_one else 1
+
+
+def describe(found: Latency) -> str:
+    """Describe times of real-time steps."""
+    parts = (
+        f"{name} {1e6 * np.median(times):.0f} us, 99.9th percentile {1e6 * np.quantile(times, 0.999):.0f} us"
+        for name, times in (("preparation", found.prepare), ("feedback", found.feedback))
+    )
+    return f"{', '.join(parts)}; joints end {found.gap:.2g} rad from the target"
 
 
 if __name__ == "__main__":

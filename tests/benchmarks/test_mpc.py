@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -10,7 +11,9 @@ import pytest
 
 from benchmarks.mpc.__main__ import agree, measure, shift
 from benchmarks.mpc.casadi_peers import SETTINGS, CasadiPeer
+from benchmarks.mpc.own import OwnRunner
 from benchmarks.mpc.problem import JOINTS, Iterate, Task, rest
+from mbsrun.external import OnDemand
 
 
 def make_torque() -> ca.Function:
@@ -49,3 +52,25 @@ def test_rest_costs_the_way_to_the_target() -> None:
     gap = float(((task.start - task.target) ** 2).sum())
     guess = rest(task)
     assert task.cost(guess.x, guess.a) == pytest.approx((0.5 * 2 * 2 + 4.0) / 2 * gap)
+
+
+def write_slides(folder: Path) -> Path:
+    """Write a chain of seven slides, whose code is short."""
+    lines = ["name: slides", "gravity: [0, 0, -9.81]", "bodies:"]
+    for i in range(JOINTS):
+        parent = f"parent: b{i - 1}, " if i else ""
+        joint = f"{{name: s{i}, type: prismatic, axis: {'xyz'[i % 3]}, stiffness: 3, damping: 0.5, force: -2*q**3}}"
+        lines.append(f"  - {{name: b{i}, {parent}joint: {joint}, mass: 0.5}}")
+    (folder / "slides.yaml").write_text("\n".join(lines), encoding="utf-8")
+    return folder / "slides.yaml"
+
+
+def test_the_projects_solver_finds_the_optimum_and_controls_in_real_time(tmp_path: Path) -> None:
+    model, task = write_slides(tmp_path), Task(intervals=8, step=0.05)
+    task = replace(task, torque=np.full(JOINTS, 30.0))
+    own = OwnRunner(task, model)
+    rows = [measure(task, runner, 1) for runner in (own, CasadiPeer(task, "ipopt", OnDemand(model).casadi("impl")))]
+    assert agree(rows)
+    found = own.control(100)
+    assert len(found.feedback) == 100
+    assert found.gap < 1e-2

@@ -288,7 +288,7 @@ class Solver:
     def __init__(self, tables: Tables) -> None:
         """Take the tables; memory follows with the first solve."""
         self.tables, self.ffi, self.lib = tables, tables.ffi, tables.lib
-        self._made: tuple[bytes, _Memory] | None = None
+        self._made: tuple[bytes, Workspace] | None = None
 
     def solve(self, start: Array, numbers: Numbers, settings: Settings, watch: Watch | None = None) -> Outcome:
         """Solve from the program's variables; an exception in `watch` ends the solve, and is raised again."""
@@ -315,13 +315,13 @@ class Solver:
         )
         return Outcome(memory.w.copy(), status, result.stage, result.iterations, memory.timed.seconds, clashes)
 
-    def _prepare(self, numbers: Numbers) -> _Memory:
+    def _prepare(self, numbers: Numbers) -> Workspace:
         """Set the bounds; make the solver where other ones are equal than before."""
         data = self.tables.data
-        bounds = _set_bounds(data, numbers)
+        bounds = set_bounds(data, numbers)
         key = b"".join((low == high).tobytes() for low, high in (bounds[:2], bounds[2:]))
         if self._made is None or self._made[0] != key:
-            self._made = key, _Memory(self.tables, numbers.parameters, bounds)
+            self._made = key, Workspace(self.tables, numbers.parameters, bounds)
         memory = self._made[1]
         for held, given in zip(memory.bounds, bounds, strict=True):
             held[: given.size] = given
@@ -336,7 +336,7 @@ def find_crossed(data: StageProgram, numbers: Numbers) -> tuple[int, ...]:
     return tuple(row[excess > ROUNDING * np.maximum(1.0, np.abs(numbers.least[row]))].tolist())
 
 
-def _set_bounds(data: StageProgram, numbers: Numbers) -> tuple[Array, Array, Array, Array]:
+def set_bounds(data: StageProgram, numbers: Numbers) -> tuple[Array, Array, Array, Array]:
     """Return bounds of variables and of inequalities, in the order of the tables."""
     bounded, known = data.bounded, data.bounded >= 0
     lower, upper = np.full(bounded.size, -INFINITE), np.full(bounded.size, INFINITE)
@@ -350,7 +350,7 @@ def _set_bounds(data: StageProgram, numbers: Numbers) -> tuple[Array, Array, Arr
     return lower, upper, least, most
 
 
-class _Memory:
+class Workspace:
     """The memory of one solver."""
 
     def __init__(self, tables: Tables, parameters: Array, bounds: tuple[Array, Array, Array, Array]) -> None:

@@ -1,0 +1,176 @@
+"""The project's own solver: the task as a program in stages, solved by csrc/stages, and in real time.
+
+Torques u are inner variables of a step, which the equations Phi(q, qd, a) - u = 0 give, so their bounds are bounds of
+variables. Cold solves take multipliers of 0, shifted ones the multipliers of the solution before, as fatrop and IPOPT
+would if CasADi gave them. Times are of the calls in C.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from benchmarks.mpc.problem import JOINTS, STATES, Answer, Array, Iterate, Task
+from mbsgen.expressions import parse
+from mbsrun.external import OnDemand
+from mbsrun.ocp.functions import Formula, Input, KernelResult
+from mbsrun.ocp.program import Block, Program, Stages
+from mbsrun.ocp.stages.binding import Numbers, Tables, Workspace, fill, set_bounds
+from mbsrun.ocp.stages.building import build
+
+TOLERANCE = 1e-7
+WARM = {"warm": 1, "barrier": 1e-6}
+LEAST_BARRIER = 1e-5  # of real-time steps
+SIZE = STATES + 2 * JOINTS  # of a stage: q, qd, a, u
+
+
+def write_program(task: Task) -> Program:
+    """Write the task as data: rows of the start, of the dynamics, of inverse dynamics."""
+    N, n = task.intervals, JOINTS
+    first = SIZE * np.arange(N + 1)[:, None]
+    states, a = first + np.arange(STATES), first[:-1] + STATES + np.arange(n)
+    u = first[:-1] + STATES + n + np.arange(n)
+    variables, start = N * SIZE + STATES, np.arange(STATES)
+    dynamics = STATES + np.arange(N * STATES).reshape(N, STATES)
+    torques = STATES * (N + 1) + np.arange(N * n).reshape(N, n)
+    A = sparse.lil_array((STATES * (N + 1) + N * n, variables))
+    A[start, states[0]] = 1.0
+    for k in range(N):
+        A[dynamics[k], states[k + 1]] = 1.0
+        A[np.ix_(dynamics[k], states[k])] = -task.A
+        A[np.ix_(dynamics[k], a[k])] = -task.B
+    weights, ends = np.repeat(task.weights[:2], n), np.repeat(task.end_weights, n)
+    diagonal = np.zeros(variables)
+    diagonal[states[:-1]], diagonal[a], diagonal[states[-1]] = task.step * weights, task.step * task.weights[2], ends
+    pull = " - ".join(["0", *(f"({x!r})*x{i}" for i, x in enumerate(task.target.tolist()))])
+    towards = Formula((parse(pull),), {f"x{i}": ("x", i) for i in range(n)}, (Input("x", n),))
+    scale = np.append(np.full(N, task.step * task.weights[0]), task.end_weights[0])
+    rows = np.concatenate([np.zeros(STATES), np.repeat(np.arange(N), STATES), np.repeat(np.arange(N), n)])
+    residual = KernelResult("impl", ("q", "qd", "qdd", "u"), "Phi")
+    columns = (states[:-1, :n].T, states[:-1, n:].T, a.T, u.T)
+    cost = Block(towards, (states[:, :n].T,), np.zeros((1, N + 1), dtype=np.int64), np.arange(N + 1), scale=scale)
+    return Program(
+        A=A.tocsc(),
+        H=(sparse.diags_array(diagonal).tocsc(),),
+        blocks=(Block(residual, columns, torques.T, np.arange(N)),),
+        costs=(cost,),
+        stages=Stages(
+            states=states,
+            inputs=a,
+            inner=u[:, None],
+            equations=torques[:, None],
+            continuity=dynamics,
+            common=np.zeros(0, dtype=np.int64),
+            rows=rows.astype(np.int64),
+        ),
+    )
+
+
+@dataclass(frozen=True)
+class Latency:
+    """Times of steps in real time [s], and how the robot came to its target."""
+
+    prepare: Array
+    feedback: Array
+    gap: float  # the largest distance of a joint from the target at the end [rad]
+
+
+class OwnRunner:
+    """A task, its tables, and a solver."""
+
+    name = "mbs"
+
+    def __init__(self, task: Task, model: Path) -> None:
+        """Build the tables."""
+        self._task, plant = task, OnDemand(model)
+        self._tables = Tables(build(write_program(task), plant), plant)
+        self._workspace: Workspace | None = None
+        self._multipliers: NDArray[np.uint8] | None = None
+
+    def solve(self, start: Array, guess: Iterate, rounds: int) -> Answer:
+        """Solve from a state of the robot and a guess, several times; return the quickest answer."""
+        workspace, warm = self._lay(start), self._multipliers is not None
+        if warm:
+            self._tables.lib.mbs_stages_shift(workspace.solver)
+        kept, w = workspace.memory.copy(), fill(workspace.evaluator, self._pack(guess))
+        options = self._make_options(**(WARM if warm else {}))
+        answers = []
+        for _ in range(rounds):
+            workspace.memory[:] = kept
+            workspace.w[:] = w
+            begin = time.process_time()
+            result = self._tables.lib.mbs_stages_solve(workspace.solver, options)
+            answers.append(self._read(result, time.process_time() - begin))
+        self._multipliers = workspace.memory
+        return min(answers, key=lambda answer: answer.seconds)
+
+    def control(self, steps: int) -> Latency:
+        """Move the robot in real time from rest, from a converged solution: one step of Newton's method a period."""
+        task, lib, ffi = self._task, self._tables.lib, self._tables.ffi
+        workspace = self._lay(np.concatenate([task.start, np.zeros(JOINTS)]))
+        options = self._make_options(least_barrier=LEAST_BARRIER)
+        lib.mbs_stages_solve(workspace.solver, options)
+        x, inner = np.concatenate([task.start, np.zeros(JOINTS)]), np.zeros(2 * JOINTS)
+        times: list[tuple[float, float]] = []
+        for k in range(steps):
+            begin = time.perf_counter()
+            prepared = lib.mbs_stages_prepare(workspace.solver, options, int(k > 0))
+            middle = time.perf_counter()
+            made = lib.mbs_stages_feedback(
+                workspace.solver, ffi.from_buffer("double[]", x), ffi.from_buffer("double[]", inner)
+            )
+            times.append((middle - begin, time.perf_counter() - middle))
+            if (prepared.status, made.status) != (lib.MBS_STAGES_PREPARED, lib.MBS_STAGES_STEPPED):
+                raise RuntimeError(f"step {k}: statuses {prepared.status} and {made.status}")
+            x = task.A @ x + task.B @ inner[JOINTS:]
+        prepare, feedback = np.array(times).T
+        return Latency(prepare, feedback, float(np.abs(x[:JOINTS] - task.target).max()))
+
+    def _lay(self, start: Array) -> Workspace:
+        """Set the bounds; the start is one of them."""
+        task, N = self._task, self._task.intervals
+        free = np.full(STATES, np.inf)
+        inner = np.concatenate([task.upper_x, task.acceleration, task.torque])
+        lower = np.concatenate([task.lower_x, -task.acceleration, -task.torque])
+        least = np.concatenate([start, np.zeros(N * (STATES + JOINTS))])
+        numbers = Numbers(
+            parameters=np.ones(1),
+            lower=np.concatenate([-free, np.tile(lower, N)[STATES:], task.lower_x]),
+            upper=np.concatenate([free, np.tile(inner, N)[STATES:], task.upper_x]),
+            least=least,
+            most=least,
+        )
+        bounds = set_bounds(self._tables.data, numbers)
+        if self._workspace is None:
+            self._workspace = Workspace(self._tables, numbers.parameters, bounds)
+        for held, given in zip(self._workspace.bounds, bounds, strict=True):
+            held[: given.size] = given
+        return self._workspace
+
+    def _make_options(self, **values: float) -> Any:
+        options = self._tables.ffi.new("mbs_stages_options *", self._tables.lib.mbs_stages_default_options())
+        options.tolerance = TOLERANCE
+        for name, value in values.items():
+            setattr(options, name, value)
+        return options
+
+    def _pack(self, guess: Iterate) -> Array:
+        stages = np.hstack([guess.x[:-1], guess.a, np.zeros_like(guess.a)])
+        return np.append(stages.ravel(), guess.x[-1])
+
+    def _read(self, result: Any, seconds: float) -> Answer:
+        assert self._workspace is not None, "a solve has a workspace"
+        x = np.zeros(self._task.intervals * SIZE + STATES)
+        known = self._tables.data.variables >= 0
+        x[self._tables.data.variables[known]] = self._workspace.w[known]
+        stages = x[:-STATES].reshape(-1, SIZE)
+        iterate = Iterate(np.vstack([stages[:, :STATES], x[-STATES:]]), stages[:, STATES : STATES + JOINTS])
+        status = self._tables.ffi.typeof("mbs_stages_status").elements[result.status]
+        is_solved = status == "MBS_STAGES_SOLVED"
+        return Answer(status.removeprefix("MBS_STAGES_").lower(), is_solved, result.iterations, iterate, seconds)
