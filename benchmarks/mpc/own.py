@@ -25,7 +25,7 @@ from mbsrun.ocp.stages.binding import Numbers, Tables, Workspace, fill, set_boun
 from mbsrun.ocp.stages.building import build
 
 TOLERANCE = 1e-7
-WARM = {"warm": 1, "barrier": 1e-6}
+WARM = {"warm": 1, "barrier": 1e-8}
 LEAST_BARRIER = 1e-5  # of real-time steps
 SIZE = STATES + 2 * JOINTS  # of a stage: q, qd, a, u
 

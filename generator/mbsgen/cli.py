@@ -485,7 +485,7 @@ def _choose_page(tree: Tree, form: str) -> Page:
     if form == "lines":
         return show_lines(write_lines(tree))
     try:
-        motion = derive(tree)
+        motion = derive(tree) if form == "whole" else derive(tree, _READABLE)
     except SizeError as error:
         if form == "whole":
             raise SizeError(f"{error}; take --form lines") from None

@@ -14,7 +14,7 @@ import sympy as sp
 from mpmath import mpf
 
 from mbsgen.assembly import assemble
-from mbsgen.equations.sums import SUMS, Key, Sum, variable
+from mbsgen.equations.sums import LARGEST, MOST, SUMS, Key, Sum, variable
 from mbsgen.expressions import ExpressionError
 from mbsgen.formulations import closure, impl, poses
 from mbsgen.formulations.reductions import NONE
@@ -95,8 +95,16 @@ def build_symbolic(model: Model) -> Tree:
     return assemble(build_tree(_release(model, symbolic)))
 
 
-def derive(tree: Tree) -> Motion:
-    """Derive the equations of motion. Raises SizeError where they have too many terms to be read."""
+def derive(tree: Tree, most: int = LARGEST) -> Motion:
+    """Derive the equations of motion. Raises SizeError where an equation has more than `most` terms on the way."""
+    token = MOST.set(most)
+    try:
+        return _derive(tree)
+    finally:
+        MOST.reset(token)
+
+
+def _derive(tree: Tree) -> Motion:
     naming = name_symbols(tree)
     (Phi,) = _evaluate(impl.build(tree, NONE), naming)
     n = len(tree.joints)

@@ -12,6 +12,7 @@ variables, which are SymPy expressions.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from contextvars import ContextVar
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Self
@@ -24,6 +25,7 @@ from mbsgen.tape.interpreter import Numbers
 from mbsgen.tape.types import LITERALS, Op
 
 LARGEST = 20_000  # terms of one sum
+MOST = ContextVar("MOST", default=LARGEST)  # the same, for one derivation
 ROUNDING = mpf(10) ** -40  # relative to the largest coefficient that entered: literals have 60 digits
 DOUBLES = mpf(10) ** -16  # the same where terms are printed: numbers of models are doubles
 _WHOLE = mpf(10) ** -30  # the distance at which a number counts as a fraction of small numbers
@@ -68,8 +70,8 @@ class Sum:
         found: dict[Key, mpf] = {}
         for key, coefficient in terms:
             found[key] = found.get(key, mpf(0)) + coefficient
-        if len(found) > LARGEST:
-            raise SizeError(f"an equation has more than {LARGEST} terms")
+        if len(found) > MOST.get():
+            raise SizeError(f"an equation has more than {MOST.get()} terms")
         scale = max([scale, *map(abs, found.values())])
         return cls({key: c for key, c in found.items() if abs(c) > ROUNDING * scale}, scale)
 
