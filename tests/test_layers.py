@@ -158,6 +158,7 @@ MBSRUN = Package(
     lazy={
         "models": "mbsgen.pipeline",
         "ocp.stages.formulas": "mbsgen.formulas",
+        "fmu.package": "mbsgen.targets",
         "controllers.writing": "mbsgen.targets",
         "controllers.making": "mbsgen.targets",
         "controllers.emulation": "mbsgen.targets",

@@ -70,8 +70,8 @@ class Reading:
             self.fault(place, error.finding, error.remedy)
             return math.nan
         if value < least:
-            wanted = "a positive number" if least > 0 else "a number that is not negative"
-            self.fault(place, f"found {value:g}", f"give {wanted}")
+            wanted = {0: "a number that is not negative", math.ulp(0): "a positive number"}
+            self.fault(place, f"found {value:g}", f"give {wanted.get(least, f'at least {least:g}')}")
             return math.nan
         return value
 

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Sequence
 
 from mbsgen.model.reader import ModelWarning
-from mbsgen.tape.rounding import PREFIX, add_bounds
+from mbsgen.tape.rounding import add_bounds
 from mbsgen.targets.contract import Family
 
 
@@ -24,6 +24,3 @@ def add_bounded(families: Sequence[Family]) -> tuple[Family, ...]:
         for family in families
         for tape in family.tapes
     )
-
-
-__all__ = ["PREFIX", "add_bounded"]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
+from typing import TypeVar
 
 import click
 from rich.console import Console
@@ -21,6 +23,7 @@ UNCUT = 200  # characters in a line where nobody sees a terminal's width
 
 MESSAGES = Console(stderr=True)
 
+F = TypeVar("F", bound=Callable[..., object])
 Report = Callable[[str, int, int], None]  # takes the current step, the number of finished steps and of all
 
 
@@ -54,6 +57,12 @@ class NameType(click.ParamType[str]):
         if value not in self.known:
             self.fail(f"{value!r} is not one of {', '.join(self.known)}.", param, ctx)
         return str(value)
+
+
+def output_folder(kind: str) -> Callable[[F], F]:
+    """Return the option for the folder that a command on a problem file writes to."""
+    told = f"The folder to write to; by default NAME.{kind} here, for a problem file NAME.ocp.yaml."
+    return click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help=told)
 
 
 def find_sensor(problem: Problem, argument: str) -> str:

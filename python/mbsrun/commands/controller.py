@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from mbsrun.commands.console import MESSAGES, NOT_SOLVED, say
+from mbsrun.commands.console import MESSAGES, NOT_SOLVED, output_folder, say
 from mbsrun.controllers.making import Made, UnsolvedError, make
 from mbsrun.external import Mechanism, OnDemand, load_on_demand
 from mbsrun.ocp.solution import read_guess
@@ -40,13 +40,7 @@ Exit codes
 
 @click.command("controller", help=CONTROLLER_HELP)
 @click.argument("file", metavar="PROBLEM", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    "out",
-    type=click.Path(file_okay=False, path_type=Path),
-    help="The folder to write to; by default NAME.controller here, for a problem file NAME.ocp.yaml.",
-)
+@output_folder("controller")
 @click.option(
     "--guess",
     "other",

@@ -22,6 +22,7 @@ from mbsrun.commands.console import (
     NumberType,
     check_conflicts,
     find_sensor,
+    output_folder,
     print_table,
     say,
 )
@@ -84,13 +85,7 @@ Exit codes
 
 @click.command("solve", help=SOLVE_HELP)
 @click.argument("file", metavar="PROBLEM", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    "out",
-    type=click.Path(file_okay=False, path_type=Path),
-    help="The folder to write to; by default NAME.solution here, for a problem file NAME.ocp.yaml.",
-)
+@output_folder("solution")
 @click.option(
     "--target",
     type=NumberType(),

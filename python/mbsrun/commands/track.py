@@ -10,7 +10,7 @@ from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBar
 
 from mbsgen.documents import Data
-from mbsrun.commands.console import MESSAGES, NOT_SOLVED, NameType, say
+from mbsrun.commands.console import MESSAGES, NOT_SOLVED, NameType, output_folder, say
 from mbsrun.controllers.loading import controller as load_controller
 from mbsrun.controllers.making import hash_problem
 from mbsrun.external import Mechanism, OnDemand, load_on_demand
@@ -74,13 +74,7 @@ MAX_STEPS = 100  # of Newton's method in a sample
 
 @click.command("track", help=TRACK_HELP)
 @click.argument("file", metavar="PROBLEM", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    "out",
-    type=click.Path(file_okay=False, path_type=Path),
-    help="The folder to write to; by default NAME.track here, for a problem file NAME.ocp.yaml.",
-)
+@output_folder("track")
 @click.option("--settings", type=click.Path(path_type=Path), help="A file with settings; see above.")
 @click.option("--duration", metavar="T", help="The length of the motion [s].")
 @click.option("--rate", metavar="HZ", help="The number of samples a second.")

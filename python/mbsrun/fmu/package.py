@@ -10,8 +10,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import jinja2
-
 from mbsgen import resources
 from mbsrun.fmu.description import describe_build, describe_model, describe_terminals
 from mbsrun.fmu.layout import FmuError, Layout
@@ -66,18 +64,13 @@ def _list_headers(folder: Path) -> Iterator[str]:
 
 
 def _write_tables(layout: Layout, step: float) -> str:
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(resources.folder("templates")),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,
-    )
+    from mbsgen.targets.layout import lay_out
+
     slopes, entries, size = layout.slopes
     manifest = layout.manifest
     calls = {name: call for name, call in layout.calls.items() if call}
-    return environment.get_template("c/fmi.c.j2").render(
+    return lay_out(
+        "c/fmi.c",
         token=manifest.model_hash,
         coordinates=len(manifest.positions),
         velocities=len(manifest.coordinates),

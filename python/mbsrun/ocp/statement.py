@@ -27,7 +27,7 @@ from mbsgen.documents import (
     read_document,
     refuse,
 )
-from mbsgen.errors import Fault, InputError
+from mbsgen.errors import InputError
 from mbsgen.expressions import FLOATS, Expression, ExpressionError, evaluate, is_free_name, names, parse
 from mbsrun.closure import Closure, find_closure
 from mbsrun.ocp.checks import LEAST_TOLERANCE, find_loop_conflicts, list_open_inputs
@@ -71,6 +71,7 @@ from mbsrun.quaternions import (
     neutral,
     normalise,
 )
+from mbsrun.reading import Reading
 
 ROUNDED = 1e-9  # of a start that loops complete, beyond its bounds
 
@@ -96,16 +97,13 @@ def read_problem(path: Path, load: Callable[[Path], SomePlant]) -> tuple[Problem
     return problem, plant
 
 
-class _Reading:
+class _Reading(Reading):
     """Evaluates numbers and looks names up in a model; collects the faults."""
 
     def __init__(self, document: Document, plant: Plant, stand_ins: frozenset[Place]) -> None:
-        self.document = document
+        super().__init__(document, stand_ins)
         manifest = plant.manifest
         self.closure = None if manifest.quaternions else find_closure(plant)
-        self.stand_ins = stand_ins
-        self.faults: list[Fault] = []
-        self.constants: dict[str, float] = {}
         self.manifest = manifest
         self.coordinates = _Names("coordinate", list(manifest.positions))
         kind = "velocity" if manifest.configuration else "coordinate"
@@ -201,15 +199,15 @@ class _Reading:
 
     def term(self, key: str, i: int, section: TermSection) -> Term:
         place: Place = ("cost", key, i)
-        self.formula((*place, "expression"), section.expression)
+        self.check_formula((*place, "expression"), section.expression)
         return Term(section.expression, self.number((*place, "weight"), section.weight))
 
     def constraint(self, i: int, section: ConstraintSection) -> Constraint:
         place: Place = ("constraints", i)
-        self.formula((*place, "expression"), section.expression)
+        self.check_formula((*place, "expression"), section.expression)
         return Constraint(section.expression, self.range((*place, "range"), section.range), section.at)
 
-    def formula(self, place: Place, text: str) -> None:
+    def check_formula(self, place: Place, text: str) -> None:
         """Look up the names that an expression of the motion reads."""
         for name in sorted(names(parse(text))):
             if name in self.constants:
@@ -238,7 +236,7 @@ class _Reading:
         free = []
         for k, (name, expression) in enumerate(named.items()):
             inner = (*place, k if isinstance(given, tuple) else name)
-            i = self.find(inner, name, among)
+            i = self.look_up(inner, name, among)
             value = 0.0 if expression is None else self.number(inner, expression)
             if i is not None and expression is None:
                 free.append(i)
@@ -293,7 +291,7 @@ class _Reading:
             zip(known, given, strict=True) if isinstance(given, tuple) else given.items()
         ):
             inner = (*place, k if isinstance(given, tuple) else name)
-            i = self.find(inner, name, among)
+            i = self.look_up(inner, name, among)
             if i is not None:
                 found[i] = None if expression is None else self.number(inner, expression)
         return {i: value for i, value in found.items() if value is None or math.isfinite(value)}
@@ -360,7 +358,7 @@ class _Reading:
         if isinstance(given, tuple):
             return (self.range(place, given),) * len(ranges)
         for name, limits in given.items():
-            i, value = self.find((*place, name), name, among), self.range((*place, name), limits)
+            i, value = self.look_up((*place, name), name, among), self.range((*place, name), limits)
             if i is not None:
                 ranges[i] = value
         return tuple(ranges)
@@ -379,11 +377,11 @@ class _Reading:
         sensors, velocities = [], []
         for name, position in section.sensors.items():
             place = ("end", "sensors", name)
-            self.find(place, name, self.sensors)
+            self.look_up(place, name, self.sensors)
             sensors.append((name, self.position(place, position)))
         for name, velocity in section.sensor_velocities.items():
             place = ("end", "sensor_velocities", name)
-            self.find(place, name, self.sensors)
+            self.look_up(place, name, self.sensors)
             x, y, z = (self.number((*place, key), getattr(velocity, key)) for key in ("x", "y", "z"))
             velocities.append((name, (x, y, z)))
         return End(
@@ -427,7 +425,7 @@ class _Reading:
         targets = []
         for name, expression in (given if isinstance(given, dict) else {}).items():
             place = ("end", key, name)
-            i, value = self.find(place, name, among), self.number(place, expression)
+            i, value = self.look_up(place, name, among), self.number(place, expression)
             if i is not None:
                 targets.append((i, value))
                 lower, upper = bounds[i] if bounds else (-math.inf, math.inf)
@@ -445,7 +443,7 @@ class _Reading:
 
     def guess(self, section: GuessSection) -> GuessOptions:
         for i, name in enumerate(section.upright):
-            self.find(("guess", "upright", i), name, self.frames)
+            self.look_up(("guess", "upright", i), name, self.frames)
         return GuessOptions(section.upright, section.motion, section.inputs, section.solution)
 
     def solver(self, section: SolverSection) -> SolverOptions:
@@ -484,34 +482,9 @@ class _Reading:
             else:
                 self.fault(place, f"found {abbreviate(given)}", f"give {option.wanted}")
 
-    def number(self, place: Place, expression: Expression, least: float = -math.inf) -> float:
-        """Compute an expression; return NaN, which passes all later checks, where it fails or is less than `least`."""
-        if lies_under(place, self.stand_ins) or any(math.isnan(self.constants.get(n, 0)) for n in names(expression)):
-            return math.nan
-        try:
-            value = evaluate(expression, self.constants, FLOATS)
-        except ExpressionError as error:
-            self.fault(place, error.finding, error.remedy)
-            return math.nan
-        if value < least:
-            wanted = {0: "a number that is not negative", math.ulp(0): "a positive number"}
-            self.fault(place, f"found {value:g}", f"give {wanted.get(least, f'at least {least:g}')}")
-            return math.nan
-        return value
-
-    def find(self, place: Place, name: str, among: _Names) -> int | None:
-        """Look a name up; report it where it is unknown."""
-        if name in among.known:
-            return among.known.index(name)
-        meant = nearest(name, among.known)
-        remedy = f"did you mean {abbreviate(meant)}?" if meant else f"there are {', '.join(among.known) or 'none'}"
-        self.fault(place, f"the model has no {among.kind} {abbreviate(name)}", remedy)
-        return None
-
-    def fault(self, place: Place, finding: str, remedy: str) -> None:
-        """Keep a fault, unless it follows from one that is kept."""
-        if not lies_under(place, self.stand_ins):
-            self.faults.append(self.document.fault(place, finding, remedy))
+    def look_up(self, place: Place, name: str, among: _Names) -> int | None:
+        """Look a name of one kind up; report it where it is unknown."""
+        return self.find(place, name, among.known, among.kind)
 
 
 def _list_given(named: Mapping[int, float | None]) -> dict[int, float]:

@@ -116,6 +116,8 @@ def test_all_faults_of_a_trial_are_reported_with_their_places(folder: Path, push
     with pytest.raises(InputError) as error:
         statement.trial(problem, pushed.manifest, {"m": 2.0})
     found = [(fault.line, fault.path) for fault in error.value.faults]
+    (short,) = (fault for fault in error.value.faults if fault.path == "horizon.least")
+    assert (short.finding, short.remedy) == ("found 0.01", "give at least 0.05")
     assert found == sorted(
         [
             (4, "constants.t0"),
