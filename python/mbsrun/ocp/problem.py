@@ -101,6 +101,77 @@ class Constraint:
 
 
 @dataclass(frozen=True)
+class State:
+    """A state beside those of the mechanism, with an ordinary differential equation of first order."""
+
+    name: str
+    rate: str  # its time derivative, an expression of the motion
+    bounds: Range = (-math.inf, math.inf)
+    start: Range = (-math.inf, math.inf)  # equal ends give a value
+    end: Range = (-math.inf, math.inf)
+    guess: float = 0.0
+
+
+@dataclass(frozen=True)
+class Control:
+    """An input beside those of the mechanism, constant over each interval; expressions read it by its name."""
+
+    name: str
+    bounds: Range = (-math.inf, math.inf)
+    guess: float = 0.0
+
+
+@dataclass(frozen=True)
+class Force:
+    """An input u of the mechanism that an expression gives at every point: no unknown of the solver's choice."""
+
+    input: int  # index into u
+    expression: str
+
+
+@dataclass(frozen=True)
+class WrenchComponent:
+    """A component of a wrench that the model leaves open: given by an expression, or an unknown at every point."""
+
+    wrench: str  # a name of the model's
+    component: int  # 0 to 2: force along x, y, z; 3 to 5: moment
+    expression: str | None = None  # None: an unknown, which constraints determine
+    bounds: Range = (-math.inf, math.inf)
+    guess: float = 0.0
+
+
+@dataclass(frozen=True)
+class Contact:
+    """A point that stands still on the ground for the whole horizon, held by an unknown force."""
+
+    sensor: str  # the point
+    wrench: str  # the open wrench whose force, in axes of the base, acts there
+    axes: tuple[int, ...] = (0, 1, 2)  # along which it is held
+    normal: int | None = 2  # the force along this axis is not negative; None: it may pull
+    friction: float | None = None  # the force across is at most this times the normal one; None: no limit
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """A number that the solver chooses, the same over the whole horizon; expressions read it by its name.
+
+    A differentiated parameter of the model with the same name takes its value.
+    """
+
+    name: str
+    bounds: Range = (-math.inf, math.inf)
+    guess: float = 0.0
+
+
+@dataclass(frozen=True)
+class Integral:
+    """An integral over the horizon that stays within a range."""
+
+    expression: str
+    range: Range
+
+
+@dataclass(frozen=True)
 class GuessOptions:
     """The first guess: a motion of the joints, and its inputs."""
 
@@ -148,6 +219,14 @@ class Problem:
     guess: GuessOptions = field(default_factory=GuessOptions)
     solver: SolverOptions = field(default_factory=SolverOptions)
     loops: Loops | None = None  # None: there are none, or the guess decides
+    states: tuple[State, ...] = ()
+    controls: tuple[Control, ...] = ()
+    forces: tuple[Force, ...] = ()
+    wrenches: tuple[WrenchComponent, ...] = ()
+    contacts: tuple[Contact, ...] = ()
+    unknowns: tuple[Unknown, ...] = ()
+    integrals: tuple[Integral, ...] = ()
+    parameters: tuple[tuple[str, float], ...] = ()  # values of the model's run-time and differentiated parameters
     accuracy: float = 1e-6  # the largest defect of an interval that counts as accurate, in rad and m, and these per s
 
     @property
