@@ -109,6 +109,7 @@ MBSRUN = Package(
         "ocp.executor",
         "ocp.pictures ocp.cluster",
         "ocp.multistart",
+        "ocp.summary",
         "ocp",
         "controllers.folder",
         "controllers.fields controllers.arrays controllers.sources controllers.loading",

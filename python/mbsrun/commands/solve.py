@@ -14,7 +14,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemaini
 from rich.progress import Progress as ProgressBar
 from rich.table import Table
 
-from mbsrun.closure import CLOSED
 from mbsrun.commands.console import (
     MESSAGES,
     NOT_SOLVED,
@@ -30,15 +29,16 @@ from mbsrun.external import Mechanism, OnDemand, load_on_demand
 from mbsrun.ocp.checks import MAX_STEPS
 from mbsrun.ocp.integrators import INTEGRATORS
 from mbsrun.ocp.methods import METHODS as SOLVERS
-from mbsrun.ocp.multistart import Wish, describe_starts, solve_from_many
+from mbsrun.ocp.multistart import Wish, solve_from_many
 from mbsrun.ocp.pictures import animate, draw_mechanism, plot_starts, plot_trajectories
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Form, Inputs, Loops, Problem, Representation, cylindrical
 from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.solution import Failure, Resimulation, Solution, Starts, read_guess, write_solution
+from mbsrun.ocp.solution import Failure, Solution, Starts, read_guess, write_solution
 from mbsrun.ocp.solve import Progress, solve
 from mbsrun.ocp.starts import describe_turns
 from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.summary import list_shortcomings, summarise
 from mbsrun.ocp.table import write_table
 from mbsrun.ocp.trajectory import Trajectory
 
@@ -186,9 +186,10 @@ def solve_command(
         outcome = resimulate(outcome, plant)
         status.update("drawing")
         written = _write(outcome, plant, out)
-    _print_summary(outcome)
+    for name, value in summarise(outcome).items():
+        click.echo(f"{name:<14}{value}")
     say(f"wrote {', '.join(str(out / name) for name in written)}")
-    shortcomings = _list_shortcomings(outcome)
+    shortcomings = list_shortcomings(outcome)
     for shortcoming in shortcomings:
         say(f"warning: {shortcoming}")
     context.exit(NOT_SOLVED if shortcomings else 0)
@@ -299,79 +300,7 @@ def _write(solution: Solution, plant: Plant, out: Path) -> tuple[str, ...]:
     return (*FILES, DISTRIBUTION, STARTS)
 
 
-def _print_summary(solution: Solution) -> None:
-    run, size, cost, check = solution.run, solution.size, solution.cost, solution.resimulation
-    violation = solution.violation
-    assert check is not None, "a solution is re-simulated before it is shown"
-    rows = {
-        "problem": f"{solution.problem.name}, model {solution.model}",
-        "status": f"{run.status}, {run.iterations} iterations",
-        "time": f"{run.seconds:.2f} s",
-        "  processor": f"{run.cpu_seconds:.2f} s: {run.cpu_seconds_evaluating:.2f} s for functions and derivatives, "
-        f"{run.cpu_seconds_solving:.2f} s for linear algebra and the rest",
-        "horizon": f"{solution.trajectory.t[-1]:.10g} s",
-        "program": f"{size.variables} variables, {size.constraints} constraints",
-        "nonzeros": f"{size.jacobian_nonzeros} in the Jacobian, {size.hessian_nonzeros} in the Hessian's triangle",
-        "cost": f"{cost.total:.10g}",
-        **({} if solution.starts is None else {"starts": describe_starts(solution.starts)}),
-        **{f"  {name} ": f"{value:.10g}" for name, value in cost.terms if value != 0},
-        "violation": f"{violation.constraints:.1e} of constraints, {violation.bounds:.1e} of bounds"
-        + ("" if violation.lengths is None else f", {violation.lengths:.1e} of quaternions' lengths"),
-        **_describe_loops(solution),
-        "defect": f"{_number(check.defect, check)} in an interval, at most; {solution.problem.accuracy:.1e} asked for",
-        "open loop": f"{_number(check.open_loop_error, check)} off at the end, under the inputs alone",
-    }
-    for name, value in rows.items():
-        click.echo(f"{name:<14}{value}")
-
-
-LOOPS = {
-    Loops.REDUCED: "reduced: the independent coordinates are states",
-    Loops.MULTIPLIERS: "with multipliers: all coordinates are states",
-}
-
-
-def _describe_loops(solution: Solution) -> dict[str, str]:
-    """Describe how closed loops became variables, and how well they are closed."""
-    loops, check, violation = solution.problem.loops, solution.resimulation, solution.violation
-    if loops is None or check is None:
-        return {}
-    return {
-        "loops": LOOPS[loops],
-        "closure": f"{violation.closure:.1e} at all points, {violation.closure_rate:.1e} per s; "
-        f"{_number(check.closure, check)} along the re-simulated motion",
-    }
-
-
-def _list_shortcomings(solution: Solution) -> list[str]:
-    """List the shortcomings of a solution: tolerance, accuracy, an unfinished check."""
-    check, found = solution.resimulation, []
-    if solution.is_only_acceptable:
-        found.append("IPOPT stopped at an acceptable level, short of the tolerance; try another guess or scaling")
-    if check is not None and check.unfinished:
-        found.append(
-            f"the re-simulation did not finish, {check.unfinished}, so the accuracy is unknown; "
-            "take a shorter horizon, or check a part of it"
-        )
-    elif check is not None and (check.closure or 0.0) > CLOSED:
-        found.append(
-            f"along the re-simulated motion the loops open by {check.closure:.1e}, more than {CLOSED:.0e}; "
-            "take a shorter horizon, or check a part of it"
-        )
-    elif check is not None and not check.is_accurate:
-        found.append(
-            f"the largest defect of an interval, {_number(check.defect, check)}, is above the accuracy asked for, "
-            f"{solution.problem.accuracy:.1e}; take more intervals or a higher degree"
-        )
-    return found
-
-
 def _tell_failure(failure: Failure, out: Path) -> None:
     say(f"not solved ({failure.run.status}): {failure.finding}; {failure.remedy}")
     if (out / SOLUTION).exists():
         say(f"{out / SOLUTION} is from an earlier solve")
-
-
-def _number(value: float | None, check: Resimulation) -> str:
-    reason = "the re-simulation did not finish" if check.unfinished else "the integrator gave up"
-    return f"unknown ({reason})" if value is None else f"{value:.1e}"

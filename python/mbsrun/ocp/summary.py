@@ -1,0 +1,82 @@
+"""The summary of a solution: what a command prints and a notebook shows, and the shortcomings of a solution."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from mbsrun.closure import CLOSED
+from mbsrun.ocp.multistart import describe_starts
+from mbsrun.ocp.problem import Loops
+from mbsrun.ocp.solution import Resimulation, Solution
+
+LOOPS: Mapping[Loops, str] = {
+    Loops.REDUCED: "reduced: the independent coordinates are states",
+    Loops.MULTIPLIERS: "with multipliers: all coordinates are states",
+}
+
+
+def summarise(solution: Solution) -> dict[str, str]:
+    """Return the lines of a summary by their names; a solution that was not re-simulated has no line on accuracy."""
+    run, size, cost, check = solution.run, solution.size, solution.cost, solution.resimulation
+    violation = solution.violation
+    rows = {
+        "problem": f"{solution.problem.name}, model {solution.model}",
+        "status": f"{run.status}, {run.iterations} iterations",
+        "time": f"{run.seconds:.2f} s",
+        "  processor": f"{run.cpu_seconds:.2f} s: {run.cpu_seconds_evaluating:.2f} s for functions and derivatives, "
+        f"{run.cpu_seconds_solving:.2f} s for linear algebra and the rest",
+        "horizon": f"{solution.trajectory.t[-1]:.10g} s",
+        "program": f"{size.variables} variables, {size.constraints} constraints",
+        "nonzeros": f"{size.jacobian_nonzeros} in the Jacobian, {size.hessian_nonzeros} in the Hessian's triangle",
+        "cost": f"{cost.total:.10g}",
+        **({} if solution.starts is None else {"starts": describe_starts(solution.starts)}),
+        **{f"  {name} ": f"{value:.10g}" for name, value in cost.terms if value != 0},
+        "violation": f"{violation.constraints:.1e} of constraints, {violation.bounds:.1e} of bounds"
+        + ("" if violation.lengths is None else f", {violation.lengths:.1e} of quaternions' lengths"),
+        **_describe_loops(solution),
+    }
+    if check is not None:
+        accuracy = solution.problem.accuracy
+        rows["defect"] = f"{_number(check.defect, check)} in an interval, at most; {accuracy:.1e} asked for"
+        rows["open loop"] = f"{_number(check.open_loop_error, check)} off at the end, under the inputs alone"
+    return rows
+
+
+def list_shortcomings(solution: Solution) -> list[str]:
+    """List the shortcomings of a solution: tolerance, accuracy, an unfinished check."""
+    check, found = solution.resimulation, []
+    if solution.is_only_acceptable:
+        found.append("IPOPT stopped at an acceptable level, short of the tolerance; try another guess or scaling")
+    if check is not None and check.unfinished:
+        found.append(
+            f"the re-simulation did not finish, {check.unfinished}, so the accuracy is unknown; "
+            "take a shorter horizon, or check a part of it"
+        )
+    elif check is not None and (check.closure or 0.0) > CLOSED:
+        found.append(
+            f"along the re-simulated motion the loops open by {check.closure:.1e}, more than {CLOSED:.0e}; "
+            "take a shorter horizon, or check a part of it"
+        )
+    elif check is not None and not check.is_accurate:
+        found.append(
+            f"the largest defect of an interval, {_number(check.defect, check)}, is above the accuracy asked for, "
+            f"{solution.problem.accuracy:.1e}; take more intervals or a higher degree"
+        )
+    return found
+
+
+def _describe_loops(solution: Solution) -> dict[str, str]:
+    """Describe how closed loops became variables, and how well they are closed."""
+    loops, check, violation = solution.problem.loops, solution.resimulation, solution.violation
+    if loops is None:
+        return {}
+    along = "" if check is None else f"; {_number(check.closure, check)} along the re-simulated motion"
+    return {
+        "loops": LOOPS[loops],
+        "closure": f"{violation.closure:.1e} at all points, {violation.closure_rate:.1e} per s{along}",
+    }
+
+
+def _number(value: float | None, check: Resimulation) -> str:
+    reason = "the re-simulation did not finish" if check.unfinished else "the integrator gave up"
+    return f"unknown ({reason})" if value is None else f"{value:.1e}"
