@@ -33,6 +33,7 @@ from mbsrun.library import find_compiler
 from mbsrun.models import Extent, find_folder, is_model
 from mbsrun.ocp import schemes
 from mbsrun.ocp.backends import numpy as functions
+from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.functions import Array, Formula, KernelResult
 from mbsrun.ocp.guess import Pose, adapt, make_guess
 from mbsrun.ocp.problem import Problem
@@ -74,6 +75,9 @@ def make(
 
     Raises ProblemError, UnsolvedError, the errors of generation and compilation, and BareError.
     """
+    if problem.mesh is not None:
+        finding = "a controller moves its plan ahead by equal intervals, and these have lengths of their own"
+        raise ProblemError(problem.name, [("intervals", finding, "give their number")])
     if emulated:
         bare.find_tools()
     scheme = schemes.build(problem.family, problem.degree)

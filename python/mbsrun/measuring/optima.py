@@ -91,7 +91,7 @@ def measure_optima(
     points = []
     for done, (intervals, family, degree, representation) in enumerate(jobs, 2 * len(scope.intervals)):
         report(f"{intervals} intervals, {family.value} {degree}, {representation.value}", done, total)
-        problem = replace(case.problem, intervals=intervals, family=family, degree=degree)
+        problem = replace(case.problem, intervals=intervals, mesh=None, family=family, degree=degree)
         problem = _represent(problem, representation)
         points.append(measure_solve(case, problem, scope.repeats, store))
     limit = _find_limit([(g.intervals, g.cost) for g in grids if g.cost is not None])
@@ -101,7 +101,7 @@ def measure_optima(
 
 def _refine(problem: Problem, family: Family, intervals: int) -> Problem:
     solver = SolverOptions(TIGHT, problem.solver.max_iterations, problem.solver.objective_scaling)
-    exact = replace(problem, family=family, degree=EXACT, intervals=intervals, solver=solver)
+    exact = replace(problem, family=family, degree=EXACT, intervals=intervals, mesh=None, solver=solver)
     return _represent(exact, problem.representation)
 
 

@@ -101,7 +101,9 @@ def measure_solves(
     for done, (family, degree) in enumerate(kinds):
         for intervals in scope.intervals:
             report(f"{family.value}, degree {degree}, {intervals} intervals", done, total)
-            problem = replace(case.problem, family=family, degree=degree, intervals=intervals, representation=first)
+            problem = replace(
+                case.problem, family=family, degree=degree, intervals=intervals, mesh=None, representation=first
+            )
             points.append(measure_solve(case, problem, 1, store))
             if points[-1].defect is not None and points[-1].defect <= accuracy:
                 break

@@ -28,6 +28,8 @@ from mbsrun.quaternions import list_quaternions
 MAX_INTERVALS = 10_000
 MAX_STEPS = 100  # of an integrator in an interval
 LEAST_TOLERANCE = 1e-14  # of a solver
+LEAST_FRACTION = 1e-6  # of the horizon, of an interval
+FRACTIONS_SUM = 1e-9  # how far from 1 the sum of all fractions may be
 
 Finding = tuple[str, str, str]  # part of the problem, what was found, what to do
 
@@ -160,6 +162,7 @@ def _find_wrong_values(problem: Problem) -> Iterator[Finding]:
         if not (math.isfinite(value) and value >= least_value):
             wanted = f"a number of at least {least_value:g}" if place == "solver.tolerance" else "a positive number"
             yield (place, f"found {value:g}", f"give {wanted}")
+    yield from _find_wrong_mesh(problem)
     if problem.horizon_range is not None:
         lower, upper = problem.horizon_range
         if not lower > 0:
@@ -180,6 +183,20 @@ def _find_wrong_values(problem: Problem) -> Iterator[Finding]:
             yield ("solver.options", f"{solver.method} takes no option {abbreviate(name)} here", "leave it out")
         elif not known[name].admits(option):
             yield (f"solver.options.{name}", f"found {abbreviate(option)}", f"give {known[name].wanted}")
+
+
+def _find_wrong_mesh(problem: Problem) -> Iterator[Finding]:
+    mesh = problem.mesh
+    if mesh is None:
+        return
+    if len(mesh) != problem.intervals:
+        remedy = "give one fraction for each, or None for equal intervals"
+        yield ("mesh", f"found {len(mesh)} fractions for {problem.intervals} intervals", remedy)
+    elif not all(LEAST_FRACTION <= fraction <= 1 for fraction in mesh):
+        remedy = f"give positive parts of the horizon, at least {LEAST_FRACTION:g} each"
+        yield ("mesh", f"the fractions are from {min(mesh):g} to {max(mesh):g}", remedy)
+    elif abs(math.fsum(mesh) - 1) > FRACTIONS_SUM:
+        yield ("mesh", f"the fractions sum to {math.fsum(mesh):.12g}", "divide them by their sum")
 
 
 def _find_strangers(problem: Problem, manifest: Manifest) -> Iterator[Finding]:

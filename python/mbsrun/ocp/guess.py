@@ -24,7 +24,7 @@ from mbsrun.closure import Closure, find_closure, has_loops
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Inputs, Problem
 from mbsrun.ocp.schemes import Scheme
-from mbsrun.ocp.trajectory import Trajectory, grid, resample
+from mbsrun.ocp.trajectory import Trajectory, resample
 from mbsrun.quaternions import (
     find_rates,
     find_turn,
@@ -134,7 +134,7 @@ def interpolate(problem: Problem, scheme: Scheme, q: Array, plant: Plant | None 
                 part[..., x.entries] = turned
         return motion[0], *find_velocities(plant, *motion)
 
-    t, point_t = grid(T, problem.intervals, scheme.points)
+    t, point_t = problem.grid.times(T, scheme.points)
     u = np.zeros((problem.intervals, len(problem.bounds.u)))
     motion = Trajectory(t, *move(t)[:2], u, point_t, *move(point_t))
     closure = None if plant is None else find_closure(plant)
@@ -183,7 +183,7 @@ def _ends_at(q: Array, end: Array) -> bool:
 
 def adapt(trajectory: Trajectory, problem: Problem, scheme: Scheme) -> Trajectory:
     """Read a motion, found on whatever grid, on the grid of a problem."""
-    return resample(trajectory, *grid(problem.horizon, problem.intervals, scheme.points))
+    return resample(trajectory, *problem.grid.times(problem.horizon, scheme.points))
 
 
 def bump(trajectory: Trajectory, coordinates: Sequence[int], rng: np.random.Generator) -> Trajectory:

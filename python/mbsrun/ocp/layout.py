@@ -5,7 +5,7 @@ the equations of motion are an ODE, the acceleration z_kj; the inputs u_k, const
 and the horizon T where it is free. With quaternions there are more entries of q than of qd and z.
 
 In the integral form the states at the points are no variables. They are linear in x_k and the accelerations z_k at the
-stages of an integrator, with the matrices of `integrators`, h being the length of an interval:
+stages of an integrator, with the matrices of `integrators`, h being the length of their interval:
 
     q = q_k + h c qd_k + h^2 P z_k,    qd = qd_k + h V z_k,    qdd = W z_k
 
@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from mbsrun.ocp.functions import Array, Indices
+from mbsrun.ocp.grid import Grid
 from mbsrun.ocp.integrators import Integrator, Reading
 from mbsrun.ocp.program import Column, Combination, Matrix
 
@@ -58,6 +59,7 @@ class Layout:
     """Where a motion lies among the variables; nq coordinates, n velocities, m inputs, N intervals, S stages each."""
 
     motions: Motions
+    grid: Grid
     mesh: Indices  # (N + 1, nq + n): states at the mesh points
     points: Indices  # (N, S, nq + n): states at the stages; (N, S, 0) in the integral form
     accelerations: Indices  # (N, S, n): accelerations at the stages; (N, S, 0) for an ODE
@@ -109,7 +111,7 @@ class Rows:
 def lay_out(
     motions: Motions,
     m: int,
-    intervals: int,
+    grid: Grid,
     stages: int,
     *,
     has_states: bool,
@@ -117,7 +119,7 @@ def lay_out(
     horizon_is_free: bool,
 ) -> Layout:
     """Number the variables; `has_states` and `has_accelerations` say which variables the stages have."""
-    N, S, width = intervals, stages, motions.nq + len(motions.velocities)
+    N, S, width = grid.intervals, stages, motions.nq + len(motions.velocities)
     sizes = (
         width * has_states,
         len(motions.independent) * has_accelerations,
@@ -131,6 +133,7 @@ def lay_out(
     states, accelerations, multipliers, corrections = np.split(points, np.cumsum(sizes)[:-1], axis=2)
     return Layout(
         motions=motions,
+        grid=grid,
         mesh=first[:, None] + np.arange(width),
         points=states,
         accelerations=accelerations,
@@ -170,20 +173,20 @@ class Places:
         }
 
 
-def at_points(layout: Layout, integrator: Integrator, h: float) -> Places:
-    """Return all points of the scheme, interval by interval; the integral form needs h, the length of an interval."""
+def at_points(layout: Layout, integrator: Integrator, h: Array) -> Places:
+    """Return all points of the scheme, interval by interval; the integral form needs h, the intervals' lengths."""
     return _at(layout, integrator.points, h)
 
 
-def at_stages(layout: Layout, integrator: Integrator, h: float) -> Places:
+def at_stages(layout: Layout, integrator: Integrator, h: Array) -> Places:
     """Return all stages of the integrator, interval by interval."""
     return _at(layout, integrator.stages, h)
 
 
-def _at(layout: Layout, reading: Reading, h: float) -> Places:
+def _at(layout: Layout, reading: Reading, h: Array) -> Places:
     N, k = len(layout.inputs), len(reading.c)
     u = np.repeat(layout.inputs, k, axis=0).T
-    s = (np.arange(N)[:, None] + reading.c).ravel() / N
+    s = layout.grid.places(reading.c).ravel()
     interval = np.repeat(np.arange(N), k)
     accelerations, multipliers = (
         part.reshape(N * part.shape[1], -1).T for part in (layout.accelerations, layout.multipliers)
@@ -206,22 +209,30 @@ class Motion:
     qdd: Combination
 
 
-def read_motion(layout: Layout, reading: Reading, h: float) -> Motion:
-    """Read a motion, without quaternions, off the states at the mesh points and the accelerations at the stages."""
+def read_motion(layout: Layout, reading: Reading, h: Array) -> Motion:
+    """Read a motion, without quaternions, off the states at the mesh points and the accelerations at the stages.
+
+    Intervals of equal length share their matrices.
+    """
     (N, S, n), k = layout.accelerations.shape, len(reading.c)
     variables = np.concatenate((layout.mesh[:-1], layout.accelerations.reshape(N, S * n)), axis=1)
-    which, repeated = np.tile(np.arange(k), N), np.repeat(variables, k, axis=0)
-    one, zero = np.ones(k), np.zeros(k)
+    lengths, kind = (h[:1], np.zeros(N, dtype=np.int64)) if layout.grid.is_equal else (h, np.arange(N))
+    which, repeated = (kind[:, None] * k + np.arange(k)).ravel(), np.repeat(variables, k, axis=0)
+    step = np.repeat(lengths, k)
+    c, V, P, W = (
+        np.tile(part, (len(lengths), *[1] * (part.ndim - 1))) for part in (reading.c, reading.V, reading.P, reading.W)
+    )
+    one, zero = np.ones(step.size), np.zeros(step.size)
 
     def combine(q: Array, qd: Array, weights: Array) -> Combination:
-        """Combine with a coefficient of q_k and of qd_k for each place, and of accelerations, (k, S)."""
+        """Combine with a coefficient of q_k and of qd_k for each kind of place, and of accelerations, (kinds, S)."""
         coefficients = np.concatenate((q[:, None], qd[:, None], weights), axis=1)
         return Combination(_spread(coefficients, n), which, repeated)
 
     return Motion(
-        q=combine(one, h * reading.c, h**2 * reading.P),
-        qd=combine(zero, one, h * reading.V),
-        qdd=combine(zero, zero, reading.W),
+        q=combine(one, step * c, step[:, None] ** 2 * P),
+        qd=combine(zero, one, step[:, None] * V),
+        qdd=combine(zero, zero, W),
     )
 
 
@@ -233,7 +244,7 @@ def at_mesh(layout: Layout, integrator: Integrator, k: Sequence[int]) -> Places:
     at, stages = np.array(k, dtype=np.int64), layout.accelerations
     interval, n = np.maximum(at - 1, 0), len(layout.motions.independent)
     q, qd = (part.T for part in layout.split(layout.mesh[at]))
-    s = at / len(layout.inputs)
+    s = layout.grid.mesh()[at] if layout.grid.fractions else at / layout.grid.intervals
     qdd: Column = np.zeros((0, at.size), dtype=np.int64)
     if stages.size:
         matrices = _spread(integrator.ends.W, n)

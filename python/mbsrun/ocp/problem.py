@@ -5,6 +5,7 @@
     subject to  the equations of motion, (q, qd)(0) given, bounds and constraints at all times, and conditions at T
 
 with inputs u that are constant over each of the N intervals of length h = T / N (Docquier, Bruls, Fisette, eqs. 22-27).
+Where intervals have lengths of their own, h of the second sum is the distance of the midpoints of both.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, PlainSerializer
 
+from mbsrun.ocp.grid import Grid
 from mbsrun.ocp.integrators import INTEGRATORS, IntegratorName
 from mbsrun.ocp.representations import Loops as Loops
 from mbsrun.ocp.representations import Representation as Representation
@@ -227,7 +229,13 @@ class Problem:
     unknowns: tuple[Unknown, ...] = ()
     integrals: tuple[Integral, ...] = ()
     parameters: tuple[tuple[str, float], ...] = ()  # values of the model's run-time and differentiated parameters
+    mesh: tuple[float, ...] | None = None  # the fraction of the horizon that each interval has; None: they are equal
     accuracy: float = 1e-6  # the largest defect of an interval that counts as accurate, in rad and m, and these per s
+
+    @property
+    def grid(self) -> Grid:
+        """Return the intervals of the horizon."""
+        return Grid(self.intervals, self.mesh)
 
     @property
     def has_quaternions(self) -> bool:
@@ -266,6 +274,9 @@ def find_conflicts(problem: Problem) -> list[Conflict]:
     if form is not Form.STANDARD and problem.horizon_range is not None:
         finding = f"the {form.value} form needs a horizon that is given"
         found.append(Conflict("form", finding, "take standard, or give the horizon"))
+    if form is Form.SHOOTING and problem.mesh is not None:
+        finding = "shooting condenses intervals that are alike, and these have lengths of their own"
+        found.append(Conflict("intervals", finding, "give their number, or take form: standard or integral"))
     if form is Form.INTEGRAL and representation.is_ode:
         finding = f"{representation.value} has no accelerations to integrate"
         found.append(Conflict("form", finding, "take EXP1-A or IMPL"))

@@ -40,14 +40,14 @@ LIMITS = Limits(steps=20_000, seconds=60.0)  # of a whole check; the paper's tas
 def resimulate(solution: Solution, plant: Plant, limits: Limits = LIMITS) -> Solution:
     """Return the solution with its re-simulation, of which `unfinished` states the limit that ended it, if one did."""
     trajectory = solution.trajectory
-    step = float(trajectory.t[1] - trajectory.t[0])
+    steps = solution.problem.grid.lengths(float(trajectory.t[-1]))
     states = np.concatenate((trajectory.q, trajectory.qd), axis=1)
     allowance, defects, last, unfinished = Allowance(limits), None, None, ""
     gaps: list[float] | None = [] if has_loops(plant.manifest) else None
     try:
-        ends = integrate(plant, states[:-1], trajectory.u, step, allowance)
+        ends = integrate(plant, states[:-1], trajectory.u, steps, allowance)
         defects = None if ends is None else np.abs(ends - states[1:]).max(axis=1)
-        last = _integrate_all(plant, states[:1], trajectory.u, step, allowance, gaps)
+        last = _integrate_all(plant, states[:1], trajectory.u, steps, allowance, gaps)
     except LimitError as error:
         unfinished = error.finding
     return replace(
@@ -67,11 +67,11 @@ def resimulate(solution: Solution, plant: Plant, limits: Limits = LIMITS) -> Sol
 
 
 def _integrate_all(
-    plant: Plant, state: Array, u: Array, step: float, allowance: Allowance, gaps: list[float] | None
+    plant: Plant, state: Array, u: Array, steps: Array, allowance: Allowance, gaps: list[float] | None
 ) -> Array | None:
     """Integrate one motion, (1, nq + n), through all intervals."""
     last: Array | None = state
-    for own in u:
+    for own, step in zip(u, steps, strict=True):
         last = None if last is None else integrate(plant, last, own[None], step, allowance, gaps)
     return last
 
@@ -80,19 +80,22 @@ def integrate(
     plant: Plant,
     states: Array,
     u: Array,
-    duration: float,
+    duration: float | Array,
     allowance: Allowance | None = None,
     gaps: list[float] | None = None,
 ) -> Array | None:
-    """Integrate several motions at once: states (B, nq + n) under constant inputs (B, m) for `duration` s.
+    """Integrate several motions at once: states (B, nq + n) under constant inputs (B, m), each for its duration [s].
 
     Returns the states at the end, or None where the integrator or a kernel fails. Raises LimitError when the
     allowance is used up. Loops are closed after every step; the largest gap that each step leaves is added to `gaps`.
     """
+    durations = np.broadcast_to(np.asarray(duration, dtype=np.float64), len(states))
+    longest = float(durations.max())
+    pace = (durations / longest)[:, None]  # shorter ones are integrated in slower time, so that all end together
 
     def rate(_: float, flat: Array) -> Array:
         q, qd = np.split(flat.reshape(states.shape), [places], axis=1)
-        return np.concatenate((find_rates(plant, q, qd), accelerations(plant, q, qd, u)), axis=1).ravel()
+        return (pace * np.concatenate((find_rates(plant, q, qd), accelerations(plant, q, qd, u)), axis=1)).ravel()
 
     places, closure = len(plant.manifest.positions), find_closure(plant)
 
@@ -103,7 +106,7 @@ def integrate(
 
     try:
         begin = states.ravel() if closure is None else close(states.ravel())
-        solver = DOP853(rate, 0.0, begin, duration, rtol=TOLERANCE, atol=TOLERANCE)
+        solver = DOP853(rate, 0.0, begin, longest, rtol=TOLERANCE, atol=TOLERANCE)
         if not np.isfinite(solver.h_abs):  # it would look for a first step without end
             return None
         with np.errstate(all="ignore"):  # a motion that diverges ends in a status

@@ -76,6 +76,14 @@ def _form(value: Any) -> str:
     return "mapping" if isinstance(value, dict) else "list"
 
 
+def _check_lengths(lengths: tuple[Expression, ...]) -> tuple[Expression, ...]:
+    if not 1 <= len(lengths) <= MAX_INTERVALS:
+        raise WrongValueError(
+            f"found {len(lengths)} lengths", f"give from 1 to {MAX_INTERVALS}, or a number of intervals"
+        )
+    return lengths
+
+
 NumberField = Annotated[Expression, PlainValidator(read_number), Field(examples=[1.0])]
 LimitField = Annotated[Expression | None, PlainValidator(lambda v: None if v is None else read_number(v))]
 RangeField = tuple[LimitField, LimitField]  # null: no bound
@@ -102,6 +110,13 @@ class HorizonSection(Section):
 
 HorizonField = Annotated[
     Annotated[NumberField, Tag("list")] | Annotated[HorizonSection, Tag("mapping")], Discriminator(_form)
+]
+
+
+IntervalsField = Annotated[  # their number, where they are equal; or the length of each, relative to the others
+    Annotated[int, Field(ge=1, le=MAX_INTERVALS), Tag("number")]
+    | Annotated[tuple[NumberField, ...], AfterValidator(_check_lengths), Tag("list")],
+    Discriminator(lambda value: "list" if isinstance(value, list | tuple) else "number"),
 ]
 
 
@@ -198,7 +213,7 @@ class ProblemSection(Section):
     model: Annotated[str, AfterValidator(_check_model)] = Field(examples=["model.yaml"])
     constants: dict[str, NumberField] = Field(default={}, examples=[{}])
     horizon: HorizonField = Field(examples=[1.0])
-    intervals: int = Field(ge=1, le=MAX_INTERVALS, examples=[100])
+    intervals: IntervalsField = Field(examples=[100])
     scheme: Family = Field(examples=["radau"])
     degree: int = Field(ge=DEGREES[0], le=DEGREES[-1], examples=[4])
     representation: Representation = Field(default=Problem.representation, examples=["IMPL"])

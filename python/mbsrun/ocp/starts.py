@@ -187,7 +187,7 @@ def coarsen(problem: Problem, variation: Variation) -> Problem | None:
     if problem.form is Form.SHOOTING:
         steps = min(steps * divisor, MOST_STEPS)
     intervals = max(problem.intervals // divisor, LEAST)
-    return replace(problem, intervals=intervals, degree=degree, steps=steps, solver=solver)
+    return replace(problem, intervals=intervals, mesh=None, degree=degree, steps=steps, solver=solver)
 
 
 def _move(

@@ -30,8 +30,9 @@ from mbsgen.documents import (
 from mbsgen.errors import InputError
 from mbsgen.expressions import FLOATS, Expression, ExpressionError, evaluate, is_free_name, names, parse
 from mbsrun.closure import Closure, find_closure
-from mbsrun.ocp.checks import LEAST_TOLERANCE, find_loop_conflicts, list_open_inputs
+from mbsrun.ocp.checks import LEAST_FRACTION, LEAST_TOLERANCE, find_loop_conflicts, list_open_inputs
 from mbsrun.ocp.conditions import Completion, complete_pose, complete_velocities, find_strays, find_surplus
+from mbsrun.ocp.grid import divide
 from mbsrun.ocp.methods import METHODS, Amount
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import (
@@ -135,6 +136,7 @@ class _Reading(Reading):
             self.fault(("model",), left, "give the external wrenches in the model: here they have no value")
         bounds = self.bounds(section.bounds)
         horizon, horizon_range = self.horizon(section.horizon)
+        intervals, mesh = self.intervals(section.intervals)
         if self.closure is None:
             start_q, free_q = self.start("pose", section.start.pose, self.coordinates, bounds.q)
             start_qd, free_qd = self.start("velocity", section.start.velocity, self.velocities, bounds.qd)
@@ -147,7 +149,8 @@ class _Reading(Reading):
         problem = Problem(
             name=name,
             horizon=horizon,
-            intervals=section.intervals,
+            intervals=intervals,
+            mesh=mesh,
             family=section.scheme,
             degree=section.degree,
             representation=section.representation,
@@ -183,6 +186,23 @@ class _Reading(Reading):
         elif guess < lower or guess > upper:
             self.fault(("horizon", "guess"), f"{guess:g} is out of [{lower:g}, {upper:g}]", "guess within the range")
         return guess, (lower, upper)
+
+    def intervals(self, section: int | tuple[Expression, ...]) -> tuple[int, tuple[float, ...] | None]:
+        """Return the number of intervals, and their fractions of the horizon where they differ."""
+        if isinstance(section, int):
+            return section, None
+        lengths = [self.number(("intervals", k), length, least=math.ulp(0)) for k, length in enumerate(section)]
+        is_faulty = not all(0 < length < math.inf for length in lengths)  # and reported
+        return len(lengths), None if is_faulty else self.divide(lengths)
+
+    def divide(self, lengths: Sequence[float]) -> tuple[float, ...] | None:
+        """Return the fractions of the horizon that lengths make, and report one that vanishes beside the others."""
+        fractions = divide(np.array(lengths) / max(lengths))
+        for k, fraction in enumerate(fractions or ()):
+            if fraction < LEAST_FRACTION:
+                finding = f"{lengths[k]:g} is {fraction:.1e} of the horizon"
+                self.fault(("intervals", k), finding, f"give at least {LEAST_FRACTION:g} of the horizon")
+        return fractions
 
     def cost(self, section: CostSection) -> Cost:
         running = tuple(self.term("running", i, term) for i, term in enumerate(section.running))

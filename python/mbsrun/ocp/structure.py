@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbsrun.ocp.grid import Grid
 from mbsrun.ocp.problem import Form, Loops, Problem, Representation
 from mbsrun.ocp.schemes import Family
 
@@ -36,7 +37,13 @@ class Structure:
     accelerations: tuple[int, ...]
     sensor_velocities: tuple[str, ...]
     loops: Loops | None = None
+    mesh: tuple[float, ...] | None = None  # fractions of the horizon; None: intervals are equal
     known_velocities: tuple[int, ...] = ()  # indices into qd of velocities with bounds or a given start, when reduced
+
+    @property
+    def grid(self) -> Grid:
+        """Return the intervals of the horizon."""
+        return Grid(self.intervals, self.mesh)
 
     @property
     def expressions(self) -> tuple[str, ...]:
@@ -72,6 +79,7 @@ def structure(problem: Problem) -> Structure:
         accelerations=tuple(i for i, _ in end.accelerations),
         sensor_velocities=tuple(name for name, _ in end.sensor_velocities),
         loops=problem.loops,
+        mesh=problem.mesh,
         known_velocities=_list_known_velocities(problem) if problem.loops is Loops.REDUCED else (),
     )
 

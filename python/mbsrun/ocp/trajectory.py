@@ -49,14 +49,6 @@ class Trajectory:
             raise ValueError("the arrays of a trajectory do not fit together")
 
 
-def grid(
-    horizon: float, intervals: int, points: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the times of the mesh points (N + 1,), and of the collocation points (N, d); `points` are in (0, 1]."""
-    t = np.linspace(0.0, horizon, intervals + 1)
-    return t, t[:-1, None] + points * (horizon / intervals)
-
-
 def resample(trajectory: Trajectory, t: NDArray[np.float64], point_t: NDArray[np.float64]) -> Trajectory:
     """Read a motion on another grid: mesh points t (N + 1,), collocation points point_t (N, d), both from time 0 on.
 

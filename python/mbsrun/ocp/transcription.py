@@ -42,7 +42,7 @@ from mbsrun.ocp.problem import Problem, find_conflicts
 from mbsrun.ocp.program import Program
 from mbsrun.ocp.schemes import Scheme
 from mbsrun.ocp.structure import Structure, structure
-from mbsrun.ocp.trajectory import Trajectory, grid
+from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.ocp.writing import Writer, find_targets
 from mbsrun.quaternions import Quaternion, find_quaternion, list_quaternions
 
@@ -146,17 +146,16 @@ class Transcription:
     def unpack(self, x: Array) -> Trajectory:
         """Read a trajectory off all variables: a backend's `complete` returns them for a solver's variables."""
         layout, fixed = self.layout, self.structure.horizon
-        t, point_t = grid(
-            float(x[layout.horizon]) if fixed is None else fixed, self.structure.intervals, self.scheme.points
-        )
-        mesh, h = x[layout.mesh], t[1] - t[0]
+        horizon = float(x[layout.horizon]) if fixed is None else fixed
+        t, point_t = layout.grid.times(horizon, self.scheme.points)
+        mesh, h = x[layout.mesh], layout.grid.lengths(horizon)
         if layout.points.size:
             points = x[layout.points]
             nodes = np.concatenate((mesh[:-1, None], points), axis=1)
             has_accelerations = layout.accelerations.size > 0
             q, qd = layout.split(points)
             rates = layout.split(nodes)[1][:, :, layout.motions.carried_velocities]
-            qdd = x[layout.accelerations] if has_accelerations else self.scheme.D @ rates / h
+            qdd = x[layout.accelerations] if has_accelerations else self.scheme.D @ rates / h[:, None, None]
         else:
             places = at_points(layout, self.integrator, h)
             q, qd, qdd = (

@@ -43,13 +43,15 @@ class Writer:
         self.layout = lay_out(
             self.motions,
             len(plant.manifest.actuated),
-            shape.intervals,
+            shape.grid,
             len(integrator.stages.c),
             has_states=shape.form is Form.STANDARD,
             has_accelerations=shape.form is not Form.STANDARD or self.equations.has_accelerations,
             horizon_is_free=shape.horizon is None,
         )
-        self.h = (1.0 if shape.horizon is None else shape.horizon) / shape.intervals  # times T, where that is free
+        self.h = shape.grid.lengths(
+            1.0 if shape.horizon is None else shape.horizon
+        )  # (N,); times T, where that is free
         self.points = at_points(self.layout, integrator, self.h)
         self.last = at_mesh(self.layout, integrator, [shape.intervals])
         self.A = Entries()
@@ -229,7 +231,7 @@ class Writer:
 
     def write_integrals(self, continuity: Indices) -> None:
         """Read the states at the interval's end off those at its start and the accelerations."""
-        layout, n, h, end = self.layout, self.layout.n, self.h, self.integrator.ends
+        layout, n, h, end = self.layout, self.layout.n, self.h[:, None], self.integrator.ends
         self.A.put(continuity, layout.mesh[1:], 1.0)
         self.A.put(continuity, layout.mesh[:-1], -1.0)
         self.A.put(continuity[:, :n], layout.mesh[:-1, n:], -h)
@@ -241,29 +243,31 @@ class Writer:
         """Write -h times the rates of coordinates that are no velocities."""
         rates = KernelResult("rates", ("q", "qd"), "rate")
         columns, interval = (self.points.q, self.points.qd), self.points.interval
-        self.blocks.append(Block(rates, columns, rows, interval, scale=-self.h, factor=self.layout.horizon))
+        self.blocks.append(Block(rates, columns, rows, interval, scale=-self.h[interval], factor=self.layout.horizon))
 
     def write_rates(self, rows: Indices, rates: Indices) -> None:
         """Write -h times the derivatives of states, where these are variables."""
         if not rates.size:
             return
         if self.layout.horizon is None:
-            self.A.put(rows, rates, -self.h)
+            self.A.put(rows, rates, -self.h[:, None, None])
             return
         columns, placed = (part.reshape(-1, rates.shape[2]).T for part in (rates, rows))
         identity, interval = formulas.copy(rates.shape[2]), self.points.interval
-        self.blocks.append(Block(identity, (columns,), placed, interval, scale=-self.h, factor=self.layout.horizon))
+        self.blocks.append(
+            Block(identity, (columns,), placed, interval, scale=-self.h[interval], factor=self.layout.horizon)
+        )
 
     def write_dynamics(self, rows: Indices) -> None:
         """Apply the equations of motion at every stage, as the representation writes them."""
         layout, kernel = self.layout, self.kernel
         places = at_stages(layout, self.integrator, self.h)
-        scale, factor = 1.0, None
+        scale, factor = np.ones(places.s.size), None
         if self.equations.is_explicit and layout.accelerations.size:
             self.A.put(rows.T.reshape(layout.accelerations.shape), layout.accelerations, 1.0)
-            scale = -1.0
+            scale = -scale
         elif self.equations.is_explicit:
-            scale, factor = -self.h, layout.horizon
+            scale, factor = -self.h[places.interval], layout.horizon
         columns = _pick(places, kernel)
         self.blocks.append(Block(kernel, columns, rows, places.interval, scale=scale, factor=factor))
 
@@ -403,7 +407,7 @@ class Writer:
         if running:
             places = self.points
             rows = np.broadcast_to(2 + np.arange(running)[:, None], (running, places.s.size))
-            integral = self.h * np.tile(self.scheme.weights, shape.intervals)
+            integral = (self.h[:, None] * self.scheme.weights).ravel()
             block = self.apply(shape.running, places, rows, places.interval, integral)
             blocks.append(replace(block, factor=layout.horizon))
         if terminal:
@@ -413,7 +417,7 @@ class Writer:
         others = (nothing,) * (running + terminal)
         if layout.horizon is None:
             return (_input_cost(layout, self.h), _rate_cost(layout, self.h), *others), tuple(blocks)
-        return (nothing, nothing, *others), (*_input_costs(layout, layout.horizon), *blocks)
+        return (nothing, nothing, *others), (*_input_costs(layout, layout.horizon, self.h), *blocks)
 
 
 def _pick(places: Places, kernel: KernelResult) -> tuple[Column, ...]:
@@ -426,30 +430,36 @@ def _reads_jumps(text: str, known: Mapping[str, Quantity]) -> bool:
     return any(known[name].kind in ("u", "qdd") for name in names(parse(text)) if name in known)
 
 
-def _input_cost(layout: Layout, h: float) -> Matrix:
+def _input_cost(layout: Layout, h: Array) -> Matrix:
     """Return the Hessian of the integral of |u|^2."""
     H = Entries()
-    H.put(layout.inputs, layout.inputs, 2 * h)
+    H.put(layout.inputs, layout.inputs, 2 * h[:, None])
     return H.matrix((layout.size, layout.size))
 
 
-def _rate_cost(layout: Layout, h: float) -> Matrix:
+def _find_steps(h: Array) -> Array:
+    """Return the distances, (N - 1,), of the midpoints of intervals."""
+    return (h[:-1] + h[1:]) / 2
+
+
+def _rate_cost(layout: Layout, h: Array) -> Matrix:
     """Return the Hessian of the sum over the N - 1 steps of h |(u_(k+1) - u_k) / h|^2."""
-    H = Entries()
+    H, step = Entries(), _find_steps(h)[:, None]
     before, after = layout.inputs[:-1], layout.inputs[1:]
     for row in (before, after):
         for col in (before, after):
-            H.put(row, col, 2 / h if row is col else -2 / h)
+            H.put(row, col, 2 / step if row is col else -2 / step)
     return H.matrix((layout.size, layout.size))
 
 
-def _input_costs(layout: Layout, horizon: int) -> list[Block]:
-    """Return the same two terms as functions of the inputs and the horizon."""
+def _input_costs(layout: Layout, horizon: int, h: Array) -> list[Block]:
+    """Return the same two terms as functions of the inputs and the horizon, of which h are parts."""
     N, m = layout.inputs.shape
     rows, interval = np.zeros((1, N), dtype=np.int64), np.arange(N)
-    inputs = Block(formulas.square_inputs(m), (layout.inputs.T,), rows, interval, scale=1 / N, factor=horizon)
+    inputs = Block(formulas.square_inputs(m), (layout.inputs.T,), rows, interval, scale=h, factor=horizon)
     if N == 1:
         return [inputs]
     columns = (layout.inputs[:-1].T, layout.inputs[1:].T, np.full((1, N - 1), horizon))
-    rates = Block(formulas.square_rates(m, N), columns, np.ones((1, N - 1), dtype=np.int64), interval[:-1])
+    scale = (1 / N) / _find_steps(h)
+    rates = Block(formulas.square_rates(m, N), columns, np.ones((1, N - 1), dtype=np.int64), interval[:-1], scale=scale)
     return [inputs, rates]

@@ -20,7 +20,7 @@ from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.solution import Failure
 from mbsrun.ocp.solve import Solver, settle
-from mbsrun.ocp.trajectory import Trajectory, average_inputs, grid, move_ahead
+from mbsrun.ocp.trajectory import Trajectory, average_inputs, move_ahead
 from mbsrun.tracking.controller import Decision
 from mbsrun.tracking.trial import Horizon
 
@@ -85,7 +85,7 @@ class SolvingController:
         if self._plan is None or self._solver is None:
             return make_guess(problem, self._plant, schemes.build(problem.family, problem.degree))
         scheme = self._solver.transcription.scheme
-        times = grid(problem.horizon, problem.intervals, scheme.points)
+        times = problem.grid.times(problem.horizon, scheme.points)
         return move_ahead(self._plan, self._time - self._begun, *times)
 
     def _shape(self, problem: Problem, time: float) -> Problem:

@@ -19,6 +19,14 @@ FREE = (FREE_RANGE,)
 WRONG: dict[str, tuple[dict[str, Any], str, str]] = {  # what is changed: the part that is named, what is found
     "no interval": ({"intervals": 0}, "intervals", "found 0; give a whole number from 1 to 10000"),
     "half an interval": ({"intervals": 2.5}, "intervals", "2.5"),
+    "too few fractions": (
+        {"mesh": (0.5, 0.5)},
+        "mesh",
+        "found 2 fractions for 4 intervals; give one fraction for each",
+    ),
+    "a negative fraction": ({"mesh": (-0.5, 0.5, 0.5, 0.5)}, "mesh", "the fractions are from -0.5 to 0.5; give pos"),
+    "a fraction that is none": ({"mesh": (float("nan"), 0.5, 0.25, 0.25)}, "mesh", "the fractions are from nan"),
+    "half a horizon": ({"mesh": (0.125,) * 4}, "mesh", "the fractions sum to 0.5; divide them by their sum"),
     "degree": ({"degree": 10}, "degree", "found 10"),
     "horizon": ({"horizon": -1.0}, "horizon", "found -1; give a positive number"),
     "no number": ({"horizon": np.nan}, "horizon", "found nan"),

@@ -14,7 +14,7 @@ from mbsrun.ocp.methods.ipopt import pair
 from mbsrun.ocp.problem import Bounds, Cost, End, Form, Problem, Representation
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.structure import structure
-from mbsrun.ocp.trajectory import Trajectory, grid
+from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.ocp.transcription import Transcription, transcribe
 from tests.mbsrun.ocp.programs import (
     TABLE_3,
@@ -36,7 +36,7 @@ def polynomial_motion(
     """A motion of degree d in q, hence in the collocation's reach; with the accelerations at T."""
     d = problem.degree
     c = rng.uniform(-0.5, 0.5, (d + 1, len(problem.start_q)))
-    t, point_t = grid(problem.horizon, problem.intervals, transcription.scheme.points)
+    t, point_t = problem.grid.times(problem.horizon, transcription.scheme.points)
 
     def values(t: np.ndarray, order: int) -> np.ndarray:
         derivative = np.polynomial.polynomial.polyder(c, order, axis=0) if order <= d else np.zeros((1, c.shape[1]))
@@ -106,12 +106,19 @@ def test_derivatives_of_the_integral_form(
     check_derivatives(integral(rich(reach, representation, family, False), representation), arm)
 
 
-@pytest.mark.parametrize(("representation", "family"), INTEGRAL)
+@pytest.mark.parametrize(
+    ("representation", "family", "mesh"), [*((*both, None) for both in INTEGRAL), (*INTEGRAL[0], (0.2, 0.5, 0.3))]
+)
 def test_the_integral_form_is_the_standard_form_solved(
-    arm: Peer, reach: Problem, representation: Representation, family: Family, rng: np.random.Generator
+    arm: Peer,
+    reach: Problem,
+    representation: Representation,
+    family: Family,
+    mesh: tuple[float, ...] | None,
+    rng: np.random.Generator,
 ) -> None:
     """States at the points from accelerations: put into the standard form they satisfy it, and all else is equal."""
-    problem = integral(rich(reach, representation, family, False), representation)
+    problem = replace(integral(rich(reach, representation, family, False), representation), mesh=mesh)
     standard = replace(problem, form=Form.STANDARD)
     ours, theirs = transcribe(problem, arm), transcribe(standard, arm)
     x = rng.uniform(0.5, 1, ours.layout.size)
@@ -165,6 +172,10 @@ CONFLICTS = {
     ),
     "rk4 of a residual": ({"form": Form.SHOOTING, "integrator": "rk4"}, "integrator: rk4"),
     "steps of collocation": ({"steps": 2}, "form: an integrator"),
+    "shooting over unequal intervals": (
+        {"form": Form.SHOOTING, "intervals": 2, "mesh": (0.25, 0.75)},
+        "intervals: shooting",
+    ),
 }
 
 
@@ -174,6 +185,7 @@ def test_what_does_not_go_together_is_refused(arm: Peer, reach: Problem, change:
         transcribe(replace(reach, **change), arm)
 
 
+MESH = (0.2, 0.5, 0.3)
 RICH = [
     (Representation.IMPL, Family.RADAU, False),
     (Representation.IMPL, Family.LEGENDRE, True),
@@ -182,22 +194,34 @@ RICH = [
     (Representation.EXP2_O, Family.RADAU, True),
     (Representation.EXP1_A, Family.LEGENDRE, True),
 ]
+MESHES = [(*RICH[i], MESH) for i in (0, 1, 4)]
 
 
-@pytest.mark.parametrize(("representation", "family", "free"), RICH)
+@pytest.mark.parametrize(("representation", "family", "free", "mesh"), [*((*r, None) for r in RICH), MESHES[2]])
 def test_derivatives_of_everything_equal_casadis(
-    arm: Peer, reach: Problem, representation: Representation, family: Family, free: bool
+    arm: Peer,
+    reach: Problem,
+    representation: Representation,
+    family: Family,
+    free: bool,
+    mesh: tuple[float, ...] | None,
 ) -> None:
     """Gradient, Jacobian and Hessian at a random point, with no more nonzeros than CasADi finds."""
-    check_derivatives(rich(reach, representation, family, free), arm)
+    check_derivatives(replace(rich(reach, representation, family, free), mesh=mesh), arm)
 
 
-@pytest.mark.parametrize(("representation", "family", "free"), RICH)
+@pytest.mark.parametrize(("representation", "family", "free", "mesh"), [*((*r, None) for r in RICH), *MESHES])
 def test_everything_means_what_it_says(
-    arm: Peer, reach: Problem, representation: Representation, family: Family, free: bool, rng: np.random.Generator
+    arm: Peer,
+    reach: Problem,
+    representation: Representation,
+    family: Family,
+    free: bool,
+    mesh: tuple[float, ...] | None,
+    rng: np.random.Generator,
 ) -> None:
     """Terms of the cost and rows of constraints, computed from the trajectory without the program."""
-    problem = rich(reach, representation, family, free)
+    problem = replace(rich(reach, representation, family, free), mesh=mesh)
     transcription = transcribe(problem, arm)
     rows, scheme, N = transcription.rows, transcription.scheme, problem.intervals
     x = rng.uniform(0.5, 1, transcription.layout.size)
@@ -214,16 +238,18 @@ def test_everything_means_what_it_says(
     else:
         qdd = motion.point_qdd
         end_qdd, start_qdd = scheme.end_of_points @ qdd[-1], scheme.start_of_points @ qdd[0]
-    weights = scheme.weights * T / N
+    h = np.diff(motion.t)
+    assert h == pytest.approx(T * np.array(mesh or [1 / N] * N), rel=1e-14)
+    apart = (h[1:] + h[:-1]) / 2
 
     def integral(values: np.ndarray) -> float:
-        return float((values.reshape(N, -1) @ weights).sum())
+        return float(h @ (values.reshape(N, -1) @ scheme.weights))
 
     costs = evaluate_terms(transcription, arm, problem, x)
     assert costs == pytest.approx(
         [
-            3.0 * T / N * (motion.u**2).sum(),
-            0.5 * N / T * (np.diff(motion.u, axis=0) ** 2).sum(),
+            3.0 * float(h @ (motion.u**2).sum(axis=1)),
+            0.5 * float((np.diff(motion.u, axis=0) ** 2).sum(axis=1) @ (1 / apart)),
             2.0 * integral((q[..., 1] - 0.3) ** 2 + u[..., 0] * qd[..., 0]),
             0.25 * integral(motion.point_t * np.sin(q[..., 2]) + T * hand[:, 1].reshape(N, -1)),
             0.125 * T,

@@ -12,9 +12,10 @@ from mbsgen.expressions import Expression, parse
 from mbsrun import Mechanism
 from mbsrun.external import Mechanism as Loaded
 from mbsrun.external import OnDemand, load_on_demand
+from mbsrun.ocp.grid import Grid
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.trajectory import Trajectory, grid, move_ahead
+from mbsrun.ocp.trajectory import Trajectory, move_ahead
 from mbsrun.simulation.motion import Settings
 from mbsrun.tracking import Horizon, Noise, Plant, SolvingController, Track, Trial, track
 from mbsrun.tracking.mechanisms import load_simulated
@@ -78,7 +79,7 @@ def test_a_failed_solve_keeps_the_plan(folder: Path) -> None:
 def test_a_plan_that_moves_ahead_by_an_interval_loses_its_first() -> None:
     """Interval k takes the numbers of k + 1; after its end the motion stands still under the last inputs."""
     rng = np.random.default_rng(0)
-    t, point_t = grid(1.0, 4, np.array([1 / 3, 1.0]))
+    t, point_t = Grid(4).times(1.0, np.array([1 / 3, 1.0]))
     plan = Trajectory(
         t, rng.normal(size=(5, 2)), rng.normal(size=(5, 2)), rng.normal(size=(4, 1)), point_t,
         *(rng.normal(size=(4, 2, 2)) for _ in range(3)),
