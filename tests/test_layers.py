@@ -84,7 +84,7 @@ MBSRUN = Package(
         "binding environment",
         "kernel",
         "external",
-        "ocp.factors ocp.linear ocp.schemes ocp.plant ocp.functions ocp.status ocp.trajectory",
+        "ocp.factors ocp.grid ocp.linear ocp.schemes ocp.plant ocp.functions ocp.status ocp.trajectory",
         "skeleton",
         "ocp.program ocp.formulas ocp.integrators ocp.representations closure quaternions quantities animation jets",
         "simulation ocp.problem ocp.elimination ocp.layout",
