@@ -1,0 +1,175 @@
+"""Samples with gaps -> splines: values and derivatives at any time, and where they are known.
+
+Neighbouring samples are joined where they are no farther apart than the longest gap that is bridged, or than one and a
+half steps of the recording; elsewhere a new piece begins. Each piece is a spline of degree 3 or 5, through the samples;
+or, with the standard deviation s of their noise, the smoothest one for which
+
+    sum_i ((y_i - f(t_i)) / s)^2 <= K,    K the number of samples (C. Reinsch, Numerische Mathematik 10, 1967),
+
+in the form of P. Dierckx, "Curve and surface fitting with splines", 1993, which chooses the knots. A low-pass filter
+may go before: Butterworth's of order 2, forward and backward, with its cut-off raised so that both passes together
+halve the power there (D. Winter, "Biomechanics and motor control of human movement", section 3.4.4).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline, make_interp_spline, splrep
+from scipy.signal import butter, filtfilt
+
+from mbsgen.errors import MbsError
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+UNEVEN = 1e-3  # of steps, relative: a filter needs even ones
+STEPS = 1.5  # of the recording: neighbours that are no farther apart have no gap between them
+PASSES = (2**0.5 - 1) ** 0.25  # by which two passes lower the cut-off
+LEAST = 10  # samples that a filter needs
+
+
+class SplineError(MbsError):
+    """Samples that no spline, or filter, can be made of."""
+
+    def __init__(self, finding: str, remedy: str) -> None:
+        self.finding, self.remedy = finding, remedy
+        super().__init__(f"{finding}; {remedy}")
+
+
+@dataclass(frozen=True)
+class Treatment:
+    """How samples become splines."""
+
+    degree: int = 5
+    noise: float | None = None  # standard deviation, in the samples' unit; None: through the samples
+    gap: float = 0.1  # the longest that is bridged [s]
+    cutoff: float | None = None  # of a low-pass filter [Hz]; None: no filter
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A spline from its first knot to its last one."""
+
+    degree: int
+    knots: tuple[float, ...]
+    coefficients: tuple[float, ...]
+
+    @property
+    def start(self) -> float:
+        """Return the first time."""
+        return self.knots[0]
+
+    @property
+    def end(self) -> float:
+        """Return the last time."""
+        return self.knots[-1]
+
+    @cached_property
+    def spline(self) -> BSpline:
+        """Return the function."""
+        return BSpline(np.array(self.knots), np.array(self.coefficients), self.degree)
+
+
+@dataclass(frozen=True)
+class Track:
+    """One quantity over time, in pieces; unknown before, between and after them."""
+
+    pieces: tuple[Piece, ...]
+
+    @property
+    def gaps(self) -> tuple[tuple[float, float], ...]:
+        """List the gaps between pieces."""
+        return tuple((a.end, b.start) for a, b in zip(self.pieces, self.pieces[1:], strict=False))
+
+    def evaluate(self, times: Array, order: int = 0) -> Array:
+        """Return values, or derivatives, in the shape of `times`; NaN where they are unknown."""
+        values = np.full(times.shape, np.nan)
+        for piece in self.pieces:
+            within = (times >= piece.start) & (times <= piece.end)
+            values[within] = piece.spline(times[within], nu=order)
+        return values
+
+    def is_known(self, times: Array) -> Mask:
+        """Mark the times at which the quantity is known."""
+        known = np.zeros(times.shape, dtype=bool)
+        for piece in self.pieces:
+            known |= (times >= piece.start) & (times <= piece.end)
+        return known
+
+    def list_unknown(self, start: float, end: float) -> tuple[tuple[float, float], ...]:
+        """List the parts of a time span in which the quantity is unknown."""
+        found, reached = [], start
+        for piece in self.pieces:
+            if piece.start > min(reached, end):
+                found.append((reached, min(piece.start, end)))
+            reached = max(reached, piece.end)
+        if reached < end:
+            found.append((reached, end))
+        return tuple((a, b) for a, b in found if b > a)
+
+
+def fit(times: Array, values: Array, treatment: Treatment) -> Track:
+    """Fit splines to samples (K,); NaN are gaps. Raises SplineError where noise or filter do not suit them.
+
+    A sample that stands alone between two gaps is left out: it has no derivative.
+    """
+    known = np.isfinite(values)
+    t, y = times[known], values[known]
+    longest = max(treatment.gap, STEPS * float(np.median(np.diff(times)))) * (1 + 1e-9)
+    pieces = np.split(np.arange(len(t)), np.flatnonzero(np.diff(t) > longest) + 1)
+    return Track(tuple(_fit_piece(t[part], y[part], times, treatment) for part in pieces if part.size > 1))
+
+
+def _fit_piece(t: Array, y: Array, times: Array, treatment: Treatment) -> Piece:
+    degree = treatment.degree
+    if len(t) <= degree:
+        degree = len(t) - 1 - (len(t) % 2 == 1)  # odd: 1 or 3
+    if treatment.cutoff is not None:
+        within = times[(times >= t[0]) & (times <= t[-1])]
+        y = _filter(within, make_interp_spline(t, y, degree)(within) if len(within) > len(t) else y, treatment.cutoff)
+        t = within
+    if treatment.noise is None or len(t) <= degree + 1:
+        spline = make_interp_spline(t, y, degree)
+        knots, coefficients = spline.t, spline.c
+    else:
+        weights = np.full(len(t), 1 / treatment.noise)
+        (knots, coefficients, _), _, flag, _ = splrep(t, y, weights, k=degree, s=len(t), full_output=1, quiet=1)
+        if flag > 0:
+            finding = f"no spline was found that smooths noise of {treatment.noise:g} from t = {t[0]:g} to {t[-1]:g} s"
+            raise SplineError(finding, "give another noise; without one, the spline goes through the samples")
+        coefficients = coefficients[: len(knots) - degree - 1]
+    return Piece(degree, tuple(knots.tolist()), tuple(coefficients.tolist()))
+
+
+def _filter(t: Array, y: Array, cutoff: float) -> Array:
+    """Filter even samples forward and backward."""
+    steps = np.diff(t)
+    step = float(steps.mean())
+    if np.abs(steps - step).max() > UNEVEN * step:
+        finding = f"a filter needs even steps of time, and they are {steps.min():.4g} to {steps.max():.4g} s"
+        raise SplineError(finding, "give the noise instead, which needs none")
+    corner = cutoff / PASSES
+    if len(t) < LEAST or corner >= 0.5 / step:
+        finding = f"a filter with a cut-off of {cutoff:g} Hz does not suit {len(t)} samples at {1 / step:.4g} Hz"
+        raise SplineError(finding, f"give {LEAST} samples at least, and a cut-off below {0.5 * PASSES / step:.4g} Hz")
+    b, a = butter(2, corner, fs=1 / step)
+    return np.asarray(filtfilt(b, a, y))
+
+
+def count_gaps(times: Array, values: Array, treatment: Treatment) -> tuple[int, int]:
+    """Count the gaps of samples (K,): bridged ones, and ones that are left open."""
+    t = times[np.isfinite(values)]
+    step, apart = float(np.median(np.diff(times))), np.diff(t)
+    open_ones = int((apart > max(treatment.gap, STEPS * step) * (1 + 1e-9)).sum())
+    return int((apart > STEPS * step * (1 + 1e-9)).sum()) - open_ones, open_ones
+
+
+def stack(tracks: Sequence[Track], times: Array, order: int = 0) -> Array:
+    """Evaluate tracks side by side: (K, tracks)."""
+    columns = [track.evaluate(times, order) for track in tracks]
+    return np.stack(columns, axis=-1) if columns else np.zeros((*times.shape, 0))
