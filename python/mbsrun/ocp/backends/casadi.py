@@ -95,6 +95,7 @@ class CasadiProgram:
 
     program: Program
     plant: Plant
+    others: tuple[Plant, ...] = ()  # of blocks whose plant is not 0, from 1 on
 
     @property
     def variables(self) -> int:
@@ -118,12 +119,12 @@ class CasadiProgram:
     @cached_property
     def blocks(self) -> tuple[_Mapped, ...]:
         """The blocks of the constraints."""
-        return tuple(_prepare(block, self.program.variables, self.plant) for block in self.program.blocks)
+        return self._place(self.program.blocks)
 
     @cached_property
     def costs(self) -> tuple[_Mapped, ...]:
         """The blocks of the cost."""
-        return tuple(_prepare(block, self.program.variables, self.plant) for block in self.program.costs)
+        return self._place(self.program.costs)
 
     @cached_property
     def terms(self) -> ca.Function:
@@ -181,6 +182,10 @@ class CasadiProgram:
         return ca.Function(
             "nlp_hess_l", [x, p, lam_f, lam_g], [hessian], ["x", "p", "lam_f", "lam_g"], ["hess_gamma_x_x"]
         )
+
+    def _place(self, blocks: Sequence[Block]) -> tuple[_Mapped, ...]:
+        plants = (self.plant, *self.others)
+        return tuple(_prepare(block, self.program.variables, plants[block.plant]) for block in blocks)
 
     def _symbols(self) -> tuple[ca.MX, ca.MX]:
         return ca.MX.sym("x", self.variables), ca.MX.sym("p", self.parameters)

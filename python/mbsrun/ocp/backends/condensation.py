@@ -28,9 +28,12 @@ from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.program import Program
 
 
-def build(program: Program, plant: Plant) -> Functions:
-    """Make the functions of a program for CasADi's solvers."""
-    return condense(program, plant) if program.solves_inner else CasadiProgram(program, plant)
+def build(program: Program, plant: Plant, others: tuple[Plant, ...] = ()) -> Functions:
+    """Make the functions of a program for CasADi's solvers; `others` are the plants of blocks that are not plant 0's."""
+    if not program.solves_inner:
+        return CasadiProgram(program, plant, others)
+    assert not others, "inner variables are solved for with one plant"
+    return condense(program, plant)
 
 
 @dataclass(frozen=True)

@@ -47,9 +47,12 @@ class Functions(Protocol):
         """Return all variables of the program. Raises ValueError where inner equations have no solution."""
 
 
-def build(program: Program, plant: Plant) -> Functions:
-    """Make the functions of a program."""
-    return NumpyCondensed(program, plant) if program.solves_inner else NumpyProgram(program, plant)
+def build(program: Program, plant: Plant, others: tuple[Plant, ...] = ()) -> Functions:
+    """Make the functions of a program; `others` are the plants of blocks that are not plant 0's."""
+    if not program.solves_inner:
+        return NumpyProgram(program, plant, others)
+    assert not others, "inner variables are solved for with one plant"
+    return NumpyCondensed(program, plant)
 
 
 @dataclass(frozen=True)
@@ -129,9 +132,9 @@ class _Placed:
 class NumpyProgram:
     """The functions of a program whose variables a method sees all."""
 
-    def __init__(self, program: Program, plant: Plant) -> None:
+    def __init__(self, program: Program, plant: Plant, others: tuple[Plant, ...] = ()) -> None:
         """Take a program and its kernels."""
-        self.program, self._bind = program, bind(plant)
+        self.program, self._bind = program, [bind(kernels) for kernels in (plant, *others)]
 
     def complete(self, x: Array) -> Array:
         """Return x: nothing is condensed."""
@@ -181,7 +184,7 @@ class NumpyProgram:
         return [self._place(block) for block in self.program.costs]
 
     def _place(self, block: Block) -> _Placed:
-        return _Placed(prepare(block, self.program.variables), self._bind(block.function, block.places))
+        return _Placed(prepare(block, self.program.variables), self._bind[block.plant](block.function, block.places))
 
     def _put(self, blocks: Sequence[_Placed], x: Array, p: Array, size: int) -> Array:
         """Scale the results of blocks, and sum them into their rows."""

@@ -16,13 +16,14 @@ class Prepared:
 
     data: Program
     plant: Plant
+    others: tuple[Plant, ...] = ()  # of blocks whose plant is not 0, from 1 on
 
     @cached_property
     def casadi(self) -> casadi.Functions:
         """The functions for CasADi's solvers."""
-        return condensation.build(self.data, self.plant)
+        return condensation.build(self.data, self.plant, self.others)
 
     @cached_property
     def numpy(self) -> numpy.Functions:
         """The functions for methods in NumPy."""
-        return numpy.build(self.data, self.plant)
+        return numpy.build(self.data, self.plant, self.others)
