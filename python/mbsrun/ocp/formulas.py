@@ -40,6 +40,15 @@ def compare_attitudes() -> Formula:
     Its derivatives are independent there, and it does not change along `found`. So these are three equations; four on a
     quaternion whose length is given already would be one too many.
     """
+    return _formula(_compare(), [Input("found", 4)], Input("target", 4))
+
+
+def compare_two_attitudes() -> Formula:
+    """Return the same of two quaternions that are both variables: `found`, then `target`."""
+    return _formula(_compare(), [Input("found", 4), Input("target", 4)])
+
+
+def _compare() -> list[Expression]:
     found, target = _name("found", 4), _name("target", 4)
 
     def times(a: Expression, b: Expression) -> Expression:
@@ -51,7 +60,7 @@ def compare_attitudes() -> Formula:
         cross = Operation("-", times(target[j], found[k]), times(target[k], found[j]))
         return Operation("-", turned, cross)
 
-    return _formula([entry(i) for i in range(3)], [Input("found", 4)], Input("target", 4))
+    return [entry(i) for i in range(3)]
 
 
 def square_inputs(m: int) -> Formula:

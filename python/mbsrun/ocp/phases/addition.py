@@ -1,0 +1,124 @@
+"""The direct sum of programs: independent problems side by side, as one program.
+
+    x = (x_1, x_2, ...),    g(x) = (g_1(x_1), g_2(x_2), ...),    f(x) = f_1(x_1) + f_2(x_2) + ...
+
+Variables and rows of program k are moved behind the ones of program k - 1. The weights of all programs come first among
+the parameters, then all constants. Rows that link the programs are added at the end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+
+from mbsrun.ocp.functions import Array
+from mbsrun.ocp.program import Block, Column, Matrix, Program
+
+
+@dataclass(frozen=True)
+class Offsets:
+    """Where a program begins in the sum."""
+
+    variables: int
+    rows: int
+    weights: int
+    constants: int  # among all parameters
+
+
+@dataclass(frozen=True)
+class Summand:
+    """A program and the number of its plant."""
+
+    program: Program
+    plant: int
+
+
+@dataclass(frozen=True)
+class Further:
+    """Variables, rows and parameters behind the ones of all programs."""
+
+    variables: int
+    constants: int
+    A: Matrix  # (rows, all variables)
+    blocks: tuple[Block, ...]  # in variables, rows and parameters of the sum
+
+
+def place_summands(programs: Sequence[Program]) -> tuple[Offsets, ...]:
+    """Return where each program begins, and last where further parts do."""
+    weights = sum(len(program.H) for program in programs)
+    found = [Offsets(0, 0, 0, weights)]
+    for program in programs:
+        last = found[-1]
+        found.append(
+            Offsets(
+                last.variables + program.variables,
+                last.rows + program.constraints,
+                last.weights + len(program.H),
+                last.constants + program.constants,
+            )
+        )
+    return tuple(found)
+
+
+def add(summands: Sequence[Summand], further: Further) -> Program:
+    """Write the sum as one program, without stages."""
+    programs = [summand.program for summand in summands]
+    offsets = place_summands(programs)
+    size = offsets[-1].variables + further.variables
+    own = sparse.block_diag([program.A for program in programs], format="csc")
+    wide = sparse.hstack([own, sparse.csc_array((own.shape[0], further.variables))])
+    blocks, costs = [], []
+    for summand, offset in zip(summands, offsets, strict=False):
+        program = summand.program
+        for found, given, row in ((blocks, program.blocks, offset.rows), (costs, program.costs, offset.weights)):
+            found += [_move(block, offset, row, len(program.H), summand.plant) for block in given]
+    return Program(
+        A=sparse.csc_array(sparse.vstack([wide, further.A])),
+        H=tuple(
+            _spread(H, offset.variables, size)
+            for program, offset in zip(programs, offsets, strict=False)
+            for H in program.H
+        ),
+        blocks=(*blocks, *further.blocks),
+        costs=tuple(costs),
+        constants=sum(program.constants for program in programs) + further.constants,
+    )
+
+
+def add_parameters(offsets: Sequence[Offsets], parts: Sequence[Array], further: Sequence[float]) -> Array:
+    """Put the parameters of all programs in the order of the sum."""
+
+    def split() -> Iterator[tuple[Array, Array]]:
+        for part, here, after in zip(parts, offsets, offsets[1:], strict=False):
+            weights = after.weights - here.weights
+            yield part[:weights], part[weights:]
+
+    weights, constants = zip(*split(), strict=True)
+    return np.concatenate([*weights, *constants, np.asarray(further, dtype=np.float64)])
+
+
+def _move(block: Block, offset: Offsets, row: int, weights: int, plant: int) -> Block:
+    """Move a block behind others."""
+    assert not block.parameters.size or block.parameters.min() >= weights, "functions read constants alone"
+    return replace(
+        block,
+        columns=tuple(_move_part(part, offset.variables) for part in block.columns),
+        rows=block.rows + row,
+        parameters=block.parameters + (offset.constants - weights),
+        factor=None if block.factor is None else block.factor + offset.variables,
+        plant=plant,
+    )
+
+
+def _move_part(part: Column, variables: int) -> Column:
+    return part + variables if isinstance(part, np.ndarray) else replace(part, variables=part.variables + variables)
+
+
+def _spread(H: Matrix, first: int, size: int) -> Matrix:
+    """Place a matrix on the diagonal of a larger one."""
+    coo = H.tocoo()
+    row, col = (np.asarray(k, dtype=np.int64) + first for k in coo.coords)
+    return sparse.coo_array((coo.data, (row, col)), shape=(size, size)).tocsc()

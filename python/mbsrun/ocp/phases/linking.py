@@ -1,0 +1,218 @@
+"""The rows and variables of links, behind the direct sum of the phases' programs.
+
+    q_to - map(q_from) = 0,    qd_to - d/dt map(q_from) = 0          states of equal names where `map` has no entry
+    condition(x_from(T), x_to(0)) within its range
+
+With an impact, q and qd of the phase before are replaced by q, and by the velocities after it: see `impacts`. Unknowns
+that phases share are variables of links; each phase's own copy is tied to them. Sensors that conditions read are
+variables of links too, since each belongs to the kernels of one plant: s - sensors(q) = 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from mbsgen.expressions import Expression, Name, Number, names, parse, substitute
+from mbsrun.ocp import formulas
+from mbsrun.ocp.functions import Formula, Indices, Input, KernelResult
+from mbsrun.ocp.layout import Entries
+from mbsrun.ocp.phases.problem import Condition, Map
+from mbsrun.ocp.phases.rates import differentiate
+from mbsrun.ocp.phases.sides import Side, State, spell_coordinates, spell_velocities
+from mbsrun.ocp.program import Block, Column, Matrix
+from mbsrun.quantities import Quantity, list_quantities
+from mbsrun.quaternions import find_quaternion, list_quaternions
+
+Places = tuple[str, int]  # kind and index of a name in a formula
+_KERNELS: Mapping[str, KernelResult] = {
+    "position": KernelResult("sensors", ("q",), "position"),
+    "v": KernelResult("motion", ("q", "qd"), "v"),
+}
+
+
+@dataclass(frozen=True)
+class Defined:
+    """Variables of links that some rows give, where the variables before them are known: for a first guess."""
+
+    variables: Indices
+    rows: Indices
+
+
+class Rows:
+    """Collects rows, variables, blocks, bounds and descriptions of links."""
+
+    def __init__(self, variables: int, rows: int, parameters: int, unknowns: Sequence[str], constants: Sequence[str]):
+        """Begin behind programs with so many variables, rows and parameters."""
+        self.first_variable, self.first_row, self.first_parameter = variables, rows, parameters
+        self.variables, self.rows = variables, rows
+        self.constants = list(constants)
+        self.A = Entries()
+        self.blocks: list[Block] = []
+        self.texts: list[tuple[Indices, str]] = []
+        self.defined: list[Defined] = []
+        self.variable_bounds: list[tuple[Indices, float, float]] = []
+        self.row_bounds: list[tuple[Indices, float, float]] = []
+        self.unknowns = dict(zip(unknowns, self.add_variables(len(unknowns)).tolist(), strict=True))
+
+    def add_variables(self, count: int, lower: float = -np.inf, upper: float = np.inf) -> Indices:
+        """Number some variables."""
+        found = np.arange(self.variables, self.variables + count, dtype=np.int64)
+        self.variables += count
+        self.variable_bounds.append((found, lower, upper))
+        return found
+
+    def add_rows(self, count: int, text: str, lower: float = 0.0, upper: float = 0.0) -> Indices:
+        """Number some rows, which a failure describes by `text`."""
+        found = np.arange(self.rows, self.rows + count, dtype=np.int64)
+        self.rows += count
+        self.row_bounds.append((found, lower, upper))
+        self.texts.append((found, text))
+        return found
+
+    def matrix(self) -> Matrix:
+        """Return the linear part of the rows, (rows of links, all variables)."""
+        shape = (self.rows, self.variables)
+        whole = self.A.matrix(shape) if self.A.parts else sparse.csc_array(shape)
+        return sparse.csc_array(sparse.csr_array(whole)[self.first_row :])
+
+    def apply(self, function: Formula | KernelResult, columns: Sequence[Column], rows: Indices, **more: object) -> None:
+        """Apply a function once."""
+        none = np.zeros(1, dtype=np.int64)
+        self.blocks.append(Block(function, tuple(columns), rows[:, None], none, **more))  # type: ignore[arg-type]
+
+    def write_expressions(
+        self,
+        expressions: Sequence[Expression],
+        known: Mapping[str, Places],
+        parts: Mapping[str, Indices],
+        rows: Indices,
+        scale: float = 1.0,
+    ) -> None:
+        """Write expressions of variables, of unknowns and of constants into rows."""
+        known = {
+            **{name: ("constants", i) for i, name in enumerate(self.constants)},
+            **{name: ("unknowns", i) for i, name in enumerate(self.unknowns)},
+            **known,
+        }
+        parts = {**parts, "unknowns": np.array(list(self.unknowns.values()), dtype=np.int64)}
+        read = {name: known[name] for expression in expressions for name in sorted(names(expression))}
+        kinds = {kind for kind, _ in read.values()}
+        if not kinds:  # numbers alone: a function needs an input
+            kinds = {next(kind for kind, part in parts.items() if part.size)}
+        chosen = [kind for kind in parts if kind in kinds]
+        has_constants = "constants" in kinds
+        formula = Formula(
+            expressions=tuple(expressions),
+            names=read,
+            inputs=tuple(Input(kind, parts[kind].size) for kind in chosen),
+            parameters=Input("constants", len(self.constants)) if has_constants else None,
+        )
+        parameters = self.first_parameter + np.arange(len(self.constants) if has_constants else 0)
+        columns = [parts[kind][:, None] for kind in chosen]
+        self.apply(formula, columns, rows, parameters=parameters, scale=scale)
+
+
+def write_transfer(rows: Rows, text: str, source: State, target: State, given: Map, velocities: Map) -> None:
+    """Tie the coordinates and velocities of `target` to those of `source`."""
+    chosen, speeds = dict(given), dict(velocities)
+    turning, plain = list_quaternions(target.manifest), source.coordinates
+    known: dict[str, Places] = {name: ("q", i) for name, i in spell_coordinates(source.manifest).items()}
+    rates: dict[str, Expression] = {}
+    for name, i in spell_velocities(source.manifest).items():
+        if i in source.velocities:
+            rates[name], known[f"@{name}"] = Name(f"@{name}"), ("qd", source.velocities.index(i))
+    written: list[tuple[int, Expression, str]] = []
+    _copy_attitudes(rows, source, target, text)
+    for i, (name, variable) in enumerate(target.coordinates.items()):
+        if find_quaternion(turning, i) is not None:
+            continue
+        if name in chosen:
+            if (text_of := chosen[name]) is not None:
+                written.append((variable, parse(text_of), name))
+        elif name in plain:
+            _copy(rows, variable, plain[name], f"{text}: {name}")
+    for name, variable in target.speeds.items():
+        own = f"the velocity of {name}"
+        if name in speeds:
+            if (text_of := speeds[name]) is not None:
+                written.append((variable, substitute(parse(text_of), rates), own))
+        elif (text_of := chosen.get(name)) is not None:
+            written.append((variable, differentiate(parse(text_of), rates), own))
+        elif name in source.speeds:
+            _copy(rows, variable, source.speeds[name], f"{text}: {own}")
+    if written:
+        first = rows.rows
+        for variable, _, name in written:
+            rows.A.put(rows.add_rows(1, f"{text}: {name}"), [variable], 1.0)
+        parts = {"q": source.q, "qd": source.qd}
+        found = np.arange(first, rows.rows)
+        rows.write_expressions([expression for _, expression, _ in written], known, parts, found, scale=-1.0)
+
+
+def _copy(rows: Rows, target: int, source: int, text: str) -> None:
+    row = rows.add_rows(1, text)
+    rows.A.put(row, [target], 1.0)
+    rows.A.put(row, [source], -1.0)
+
+
+def _copy_attitudes(rows: Rows, source: State, target: State, text: str) -> None:
+    """Tie quaternions by their attitudes: three equations; the length at a free start is set by itself."""
+    known = {quaternion.joint: quaternion for quaternion in list_quaternions(source.manifest)}
+    for quaternion in list_quaternions(target.manifest):
+        if quaternion.joint in known:
+            found = rows.add_rows(3, f"{text}: the attitude of {quaternion.joint}")
+            parts = (target.q[quaternion.entries], source.q[known[quaternion.joint].entries])
+            rows.apply(formulas.compare_two_attitudes(), [part[:, None] for part in parts], found)
+
+
+def write_conditions(rows: Rows, text: str, conditions: Sequence[Condition], before: Side, after: Side) -> Indices:
+    """Write the conditions of a link; return their rows."""
+    expressions = [parse(condition.expression) for condition in conditions]
+    read = sorted(set().union(*(names(expression) for expression in expressions)))
+    known: dict[str, Places] = {}
+    parts: dict[str, Indices] = {}
+    numbers: dict[str, Expression] = {}
+    for side in (before, after):
+        quantities = {side.prefix + name: x for name, x in list_quantities(side.state.manifest).items()}
+        wanted = {name: quantities[name] for name in read if name in quantities}
+        if side.prefix + "T" in wanted and isinstance(side.horizon, float):
+            numbers[side.prefix + "T"] = Number(side.horizon)
+        _place(rows, side, wanted, known, parts)
+    found = np.concatenate(
+        [rows.add_rows(1, f"{text}: {condition.expression}") for condition in conditions] or [np.zeros(0, np.int64)]
+    )
+    if conditions:
+        rows.write_expressions([substitute(e, numbers) for e in expressions], known, parts, found)
+    return found
+
+
+def _place(
+    rows: Rows, side: Side, wanted: Mapping[str, Quantity], known: dict[str, Places], parts: dict[str, Indices]
+) -> None:
+    """Place the quantities of one side that are read; sensors become variables."""
+    state, prefix = side.state, side.prefix
+    own = {"q": state.q, "qd": state.qd, "u": side.u}
+    if not isinstance(side.horizon, float):
+        own["T"] = np.array([side.horizon], dtype=np.int64)
+    for name, x in wanted.items():
+        if x.kind in own:
+            index = state.velocities.index(x.index) if x.kind == "qd" else x.index
+            known[name] = (prefix + x.kind, index)
+    parts |= {prefix + kind: part for kind, part in own.items() if part.size}
+    for kind, kernel in _KERNELS.items():
+        entries = sorted({x.index for x in wanted.values() if x.kind == kind})
+        if not entries:
+            continue
+        variables = rows.add_variables(len(entries))
+        found = rows.add_rows(len(entries), f"{prefix.rstrip('_')}: sensors")
+        rows.A.put(found, variables, 1.0)
+        function = KernelResult(kernel.kernel, kernel.inputs, kernel.result, tuple(entries))
+        columns = [own[part][:, None] for part in kernel.inputs]
+        rows.apply(function, columns, found, scale=-1.0, plant=state.plant)
+        rows.defined.append(Defined(variables, found))
+        parts[prefix + kind] = variables
+        known |= {name: (prefix + kind, entries.index(x.index)) for name, x in wanted.items() if x.kind == kind}

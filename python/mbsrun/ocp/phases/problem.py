@@ -1,0 +1,114 @@
+"""A problem of several phases, as a value; `statement` reads it from a file.
+
+    minimise    the sum of the phases' costs
+    subject to  the constraints of every phase,
+                x_to(0) = map(x_from(T)), where an impact may change the velocities first, and
+                lower <= condition(x_from(T), x_to(0)) <= upper            for every link
+
+Each phase is a problem of its own, with its model, horizon, grid, bounds and cost. A link leads from the end of one
+phase to the start of another one, or of the same one, which makes a motion periodic.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.problem import Contact, Problem, Range, SolverOptions, Unknown
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A part of a motion: its name, and its problem, whose solver options are not used."""
+
+    name: str
+    problem: Problem
+
+
+@dataclass(frozen=True)
+class Condition:
+    """An expression of the states on both sides of a link that stays within a range."""
+
+    expression: str
+    range: Range
+
+
+Map = tuple[tuple[str, str | None], ...]  # a coordinate, and its value as an expression; None: it is free
+
+
+@dataclass(frozen=True)
+class Impact:
+    """An instant at which contacts change the velocities by impulses, and no coordinate changes."""
+
+    contacts: tuple[Contact, ...]
+    restitution: float = 0.0  # of velocities along the contacts' normals; across, the contacts stick
+    map: Map = ()  # coordinates of the impact's model, where it is not the one of the phase before
+
+
+@dataclass(frozen=True)
+class Link:
+    """What ties the start of a phase to the end of another."""
+
+    source: str  # the phase that ends
+    target: str  # the phase that starts
+    map: Map = ()  # coordinates of `target` by coordinates of `source`; others keep the values of equal names
+    velocities: Map = ()  # velocities, where they are not the time derivatives of `map`
+    impact: Impact | None = None
+    conditions: tuple[Condition, ...] = ()
+
+
+@dataclass(frozen=True)
+class PhasedProblem:
+    """Everything that a solve needs, beside the models."""
+
+    name: str
+    phases: tuple[Phase, ...]
+    links: tuple[Link, ...] = ()
+    constants: tuple[tuple[str, float], ...] = ()  # that links read
+    unknowns: tuple[Unknown, ...] = ()  # that links read; phases share them by name
+    solver: SolverOptions = field(default_factory=SolverOptions)
+
+    def find(self, name: str) -> int:
+        """Return the number of a phase."""
+        return [phase.name for phase in self.phases].index(name)
+
+    @property
+    def weight(self) -> float:
+        """Return the largest weight of the costs."""
+        return max((abs(w) for phase in self.phases for w in phase.problem.cost.weights), default=0.0)
+
+    def is_linked(self, name: str) -> bool:
+        """Return whether a link leads to the start of a phase."""
+        return any(link.target == name for link in self.links)
+
+
+@dataclass(frozen=True)
+class Plants:
+    """The kernels of a problem's models."""
+
+    phases: tuple[Plant, ...]  # of each phase
+    impacts: tuple[Plant | None, ...] = ()  # of each link; None: no impact, or the model of the phase before
+
+    @property
+    def every(self) -> tuple[Plant, ...]:
+        """List the plants, each once."""
+        found: list[Plant] = []
+        for plant in (*self.phases, *self.impacts):
+            if plant is not None and not any(plant is other for other in found):
+                found.append(plant)
+        return tuple(found)
+
+    def number(self, plant: Plant) -> int:
+        """Return the number of a plant among all."""
+        return next(i for i, other in enumerate(self.every) if other is plant)
+
+    def find_impact(self, link: int, source: int) -> Plant:
+        """Return the plant of a link's impact."""
+        own = self.impacts[link] if link < len(self.impacts) else None
+        return self.phases[source] if own is None else own
+
+
+def make_plants(phases: Sequence[Plant]) -> Plants:
+    """Return the plants of a problem whose impacts take the models of its phases."""
+    return Plants(tuple(phases))

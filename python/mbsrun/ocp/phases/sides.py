@@ -1,0 +1,87 @@
+"""The two sides of a link: the variables that its expressions read, by name.
+
+    end_NAME, start_NAME      a quantity at the end of the phase before, at the start of the phase after
+
+NAME is as in a problem: q_NAME, qd_NAME, u_NAME, x_SENSOR, vx_SENSOR, T. Maps read coordinates by their plain names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from mbsgen.manifest import Manifest
+from mbsrun.ocp.functions import Indices
+from mbsrun.ocp.layout import Layout
+from mbsrun.quantities import list_quantities
+from mbsrun.quaternions import find_quaternion, list_quaternions
+
+END, START = "end_", "start_"
+READ = ("q", "qd", "u", "T", "position", "v")  # kinds of quantities that a condition may read
+
+
+def spell_coordinates(manifest: Manifest) -> dict[str, int]:
+    """Return the entries of q by their names in maps."""
+    return {name[2:]: x.index for name, x in list_quantities(manifest).items() if x.kind == "q"}
+
+
+def spell_velocities(manifest: Manifest) -> dict[str, int]:
+    """Return the entries of qd by their names in maps."""
+    return {name[3:]: x.index for name, x in list_quantities(manifest).items() if x.kind == "qd"}
+
+
+def list_names(manifest: Manifest, prefix: str) -> list[str]:
+    """List the names of one side that a condition may read."""
+    return [prefix + name for name, x in list_quantities(manifest).items() if x.kind in READ]
+
+
+def list_plain(manifest: Manifest) -> list[str]:
+    """List the coordinates that are no entries of quaternions."""
+    turning = list_quaternions(manifest)
+    return [name for i, name in enumerate(manifest.positions) if find_quaternion(turning, i) is None]
+
+
+@dataclass(frozen=True)
+class State:
+    """Coordinates and velocities of a mechanism as variables of a program."""
+
+    manifest: Manifest
+    plant: int
+    q: Indices  # (nq,)
+    qd: Indices  # (velocities,)
+    velocities: tuple[int, ...]  # entries of qd that are variables
+
+    @property
+    def speeds(self) -> Mapping[str, int]:
+        """Return the variables of velocities by the names of their coordinates."""
+        names = [self.manifest.coordinates[i].name for i in self.velocities]
+        return dict(zip(names, self.qd.tolist(), strict=True))
+
+    @property
+    def coordinates(self) -> Mapping[str, int]:
+        """Return the variables of coordinates by name."""
+        return dict(zip(self.manifest.positions, self.q.tolist(), strict=True))
+
+
+@dataclass(frozen=True)
+class Side:
+    """The end or the start of a phase."""
+
+    prefix: str
+    state: State
+    u: Indices  # (m,): inputs of the interval
+    horizon: int | float  # the variable, or the number where it is given
+
+
+def read_side(
+    layout: Layout, manifest: Manifest, plant: int, offset: int, horizon: float, *, is_end: bool
+) -> Side:
+    """Return one side of a phase whose variables begin at `offset`; `horizon` counts where it is no variable."""
+    k = -1 if is_end else 0
+    q, qd = layout.split(layout.mesh[k] + offset)
+    return Side(
+        prefix=END if is_end else START,
+        state=State(manifest, plant, q, qd, layout.motions.velocities),
+        u=layout.inputs[k] + offset,
+        horizon=horizon if layout.horizon is None else layout.horizon + offset,
+    )

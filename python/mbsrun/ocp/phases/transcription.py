@@ -1,0 +1,167 @@
+"""A problem of phases as one nonlinear program: the direct sum of the phases' programs, and the rows of links.
+
+`addition` writes the sum, `linking` and `impacts` the links, behind it. Bounds of the program are the phases' own, those
+of shared unknowns, the ranges of conditions, and zeros for all other rows of links.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbsrun.ocp.functions import Array, Indices
+from mbsrun.ocp.phases.addition import Further, Offsets, Summand, add, add_parameters, place_summands
+from mbsrun.ocp.phases.impacts import ImpactRows, write_impact
+from mbsrun.ocp.phases.linking import Defined, Rows, write_conditions, write_transfer
+from mbsrun.ocp.phases.problem import Link, PhasedProblem, Plants
+from mbsrun.ocp.phases.sides import Side, read_side
+from mbsrun.ocp.program import Program
+from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.transcription import Transcription, transcribe
+
+
+@dataclass(frozen=True)
+class LinkRows:
+    """Where the conditions of a link lie, and its impact."""
+
+    link: Link
+    conditions: Indices
+    impact: ImpactRows | None
+
+
+@dataclass(frozen=True)
+class PhasedTranscription:
+    """A program, and how problems become its numbers and its variables trajectories."""
+
+    phases: tuple[Transcription, ...]
+    offsets: tuple[Offsets, ...]  # of each phase, and last of the links
+    links: tuple[LinkRows, ...]
+    closed: tuple[Indices, ...]  # rows of each phase that would close loops which a link closes
+    unknowns: Indices  # variables
+    defined: tuple[Defined, ...]  # variables of links that a first guess finds from others
+    texts: tuple[tuple[Indices, str], ...]  # rows of links, and their descriptions
+    bounds: tuple[Array, Array]  # of the variables of links
+    row_bounds: tuple[Array, Array]  # of the rows of links
+    program: Program
+
+    def parameters(self, problem: PhasedProblem) -> Array:
+        """Return the parameters of the program."""
+        parts = [own.parameters(phase.problem) for own, phase in zip(self.phases, problem.phases, strict=True)]
+        return add_parameters(self.offsets, parts, [value for _, value in problem.constants])
+
+    def variable_bounds(self, problem: PhasedProblem) -> tuple[Array, Array]:
+        """Bound all variables."""
+        own = [part.variable_bounds(phase.problem) for part, phase in zip(self.phases, problem.phases, strict=True)]
+        last = [bound.copy() for bound in self.bounds]
+        shared = np.array([unknown.bounds for unknown in problem.unknowns]).reshape(-1, 2).T
+        for bound, given in zip(last, shared, strict=True):
+            bound[self.unknowns - self.offsets[-1].variables] = given
+        lower, upper = (np.concatenate(parts) for parts in zip(*own, last, strict=True))
+        return lower, upper
+
+    def constraint_bounds(self, problem: PhasedProblem) -> tuple[Array, Array]:
+        """Bound all rows."""
+        own = [part.constraint_bounds(phase.problem) for part, phase in zip(self.phases, problem.phases, strict=True)]
+        for (lower, upper), rows in zip(own, self.closed, strict=True):
+            lower[rows], upper[rows] = -np.inf, np.inf
+        last = [bound.copy() for bound in self.row_bounds]
+        for link_rows, link in zip(self.links, problem.links, strict=True):
+            ranges = np.array([condition.range for condition in link.conditions]).reshape(-1, 2).T
+            for bound, given in zip(last, ranges, strict=True):
+                bound[link_rows.conditions - self.offsets[-1].rows] = given
+        lower, upper = (np.concatenate(parts) for parts in zip(*own, last, strict=True))
+        return lower, upper
+
+    def pack(self, problem: PhasedProblem, guesses: Sequence[Trajectory]) -> Array:
+        """Put trajectories into the variables; the ones of links are 0, except for unknowns."""
+        parts = [own.pack(guess) for own, guess in zip(self.phases, guesses, strict=True)]
+        x = np.concatenate([*parts, np.zeros(self.program.variables - self.offsets[-1].variables)])
+        x[self.unknowns] = [unknown.guess for unknown in problem.unknowns]
+        return x
+
+    def split(self, x: Array) -> list[Array]:
+        """Return the variables of each phase."""
+        return [x[a.variables : b.variables] for a, b in zip(self.offsets, self.offsets[1:], strict=False)]
+
+    def split_rows(self, g: Array) -> list[Array]:
+        """Return the rows of each phase, and last the ones of links."""
+        ends = [offset.rows for offset in self.offsets]
+        return [g[a:b] for a, b in zip(ends, [*ends[1:], g.size], strict=True)]
+
+    def unpack(self, x: Array) -> list[Trajectory]:
+        """Read the trajectories of all phases."""
+        return [own.unpack(part) for own, part in zip(self.phases, self.split(x), strict=True)]
+
+
+def transcribe_phases(problem: PhasedProblem, plants: Plants) -> PhasedTranscription:
+    """Write the program of a problem of phases. Raises ValueError where parts of a phase do not go together."""
+    phases = tuple(
+        transcribe(phase.problem, plant) for phase, plant in zip(problem.phases, plants.phases, strict=True)
+    )
+    numbers = [plants.number(plant) for plant in plants.phases]
+    offsets = place_summands([phase.program for phase in phases])
+    rows = Rows(
+        offsets[-1].variables,
+        offsets[-1].rows,
+        offsets[-1].constants,
+        [unknown.name for unknown in problem.unknowns],
+        [name for name, _ in problem.constants],
+    )
+
+    def side(k: int, *, is_end: bool) -> Side:
+        layout, own = phases[k].layout, problem.phases[k].problem
+        return read_side(
+            layout, plants.phases[k].manifest, numbers[k], offsets[k].variables, own.horizon, is_end=is_end
+        )
+
+    links = []
+    closed = [np.zeros(0, dtype=np.int64) for _ in phases]
+    for i, link in enumerate(problem.links):
+        source, target = problem.find(link.source), problem.find(link.target)
+        before, after = side(source, is_end=True), side(target, is_end=False)
+        text, state, impact = f"link {link.source} to {link.target}", before.state, None
+        if link.impact is not None:
+            plant = plants.find_impact(i, source)
+            impact = write_impact(rows, text, link.impact, state, plant, plants.number(plant))
+            state = impact.after
+        write_transfer(rows, text, state, after.state, link.map, link.velocities)
+        same, dependent = numbers[source] == numbers[target], len(plants.phases[target].manifest.dependent)
+        closed[target] = _find_given_loops(link, same, phases[target], dependent)
+        links.append(LinkRows(link, write_conditions(rows, text, link.conditions, before, after), impact))
+    further = Further(
+        rows.variables - rows.first_variable,
+        len(problem.constants),
+        rows.matrix(),
+        tuple(rows.blocks),
+    )
+    summands = [Summand(phase.program, number) for phase, number in zip(phases, numbers, strict=True)]
+    return PhasedTranscription(
+        phases=phases,
+        offsets=offsets,
+        links=tuple(links),
+        closed=tuple(closed),
+        unknowns=np.array(list(rows.unknowns.values()), dtype=np.int64),
+        defined=tuple(rows.defined),
+        texts=tuple(rows.texts),
+        bounds=_collect(rows.variable_bounds, rows.first_variable, rows.variables),
+        row_bounds=_collect(rows.row_bounds, rows.first_row, rows.rows),
+        program=add(summands, further),
+    )
+
+
+def _find_given_loops(link: Link, same: bool, target: Transcription, dependent: int) -> Indices:
+    """Return the rows that would close loops at a start whose state a link gives, so that they are closed already."""
+    if not same or link.map or link.velocities:
+        return np.zeros(0, dtype=np.int64)
+    closing = target.rows.start_closure
+    return closing if link.impact is None else closing[:dependent]
+
+
+def _collect(bounds: Sequence[tuple[Indices, float, float]], first: int, last: int) -> tuple[Array, Array]:
+    """Return lower and upper bounds."""
+    lower, upper = np.zeros(last - first), np.zeros(last - first)
+    for found, least, most in bounds:
+        lower[found - first], upper[found - first] = least, most
+    return lower, upper
