@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from mbsgen.manifest import Manifest
 from mbsrun.closure import Closure, find_closure
 from mbsrun.ocp import methods, schemes
+from mbsrun.ocp.backends.casadi import Functions
 from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.checks import ProblemError, check_problem, find_loop_conflicts
 from mbsrun.ocp.clashes import describe
@@ -28,7 +29,7 @@ from mbsrun.ocp.solution import CostTerms, Failure, Run, Size, Solution, Violati
 from mbsrun.ocp.status import ACCEPTABLE, BAD_BOUNDS, BAD_GUESS, OPEN, SOLVED, UNREACHABLE, explain
 from mbsrun.ocp.structure import structure
 from mbsrun.ocp.trajectory import Trajectory
-from mbsrun.ocp.transcription import transcribe
+from mbsrun.ocp.transcription import Transcription, transcribe
 from mbsrun.quaternions import measure_lengths
 
 Array = NDArray[np.float64]
@@ -73,19 +74,14 @@ class Solver:
         _check_states(problem, self.plant)
         if structure(problem) != self.transcription.structure:
             raise ValueError(f"{problem.name} differs in structure from the transcribed problem; make a Solver for it")
-        crossed = self._find_crossed_bounds(problem)
+        crossed = find_crossed_bounds(problem, self.plant.manifest)
         if crossed:
             return Failure(problem, Run(BAD_BOUNDS, 0, 0.0, 0.0), crossed, "give bounds that leave room")
         x = self.transcription.pack(guess)
         if not np.isfinite(x).all():
             finding = "the guess has numbers that are not finite"
             return Failure(problem, Run(BAD_GUESS, 0, 0.0, 0.0), finding, "take another guess")
-        run, found, clash = self._call(problem, x, watch)
-        if run.status == SOLVED and run.iterations == 0:
-            nudge = NUDGE * np.maximum(np.abs(x), 1.0) * np.random.default_rng(0).uniform(-1.0, 1.0, x.size)
-            run, found, clash = self._call(problem, x + nudge, watch)
-            if run.status == SOLVED:  # a saddle may be met again from one side, but not from the other
-                run, found, clash = self._call(problem, x - nudge, watch)
+        run, found, clash = search(x, lambda x: self._call(problem, x, watch))
         if run.status not in (SOLVED, ACCEPTABLE) or not np.isfinite(found).all():
             finding, remedy = explain(run.status, run.iterations)
             named = describe(clash, self.transcription, self.plant.manifest)
@@ -97,70 +93,30 @@ class Solver:
             return Failure(problem, replace(run, status=OPEN), f"{finding}, by {gap:.1e} of {most:.1e}", remedy)
         return solution
 
-    def _find_crossed_bounds(self, problem: Problem) -> str | None:
-        """Describe the first bound that no number can keep: solvers would raise an exception for it."""
-        m = self.plant.manifest
-        names = [c.name for c in m.coordinates]
-        bounds = problem.bounds
-        for kind, ranges, of in (
-            ("coordinate", bounds.q, m.positions),
-            ("velocity", bounds.qd, names),
-            ("input", bounds.u, [names[i] for i in m.actuated]),
-            ("constraint", [c.range for c in problem.constraints], [c.expression for c in problem.constraints]),
-        ):
-            for (lower, upper), name in zip(ranges, of, strict=True):
-                if not (lower <= upper and lower < np.inf and upper > -np.inf):
-                    return f"the bounds of {kind} {name} are [{lower:g}, {upper:g}]"
-        return None
-
     def _call(self, problem: Problem, x: Array, watch: Watch | None) -> tuple[Run, Array, tuple[int, ...]]:
         """Run the solver from x; return the run, the variables, and the rows that stay violated."""
         lower, upper = self.transcription.variable_bounds(problem)
         g_lower, g_upper = self.transcription.constraint_bounds(problem)
         parameters = self.transcription.parameters(problem)
 
-        def show(iterate: Iterate) -> None:
-            assert watch is not None, "only a watch is shown iterates"
-            watch(Progress(iterate.number, iterate.cost, iterate.violation))
-
-        solver = self._solver(problem)
-        start = Start(x, parameters, lower, upper, g_lower, g_upper, None if watch is None else show)
-        begin, cpu_begin = time.perf_counter(), time.process_time()
-        answer = solver(start)
-        seconds, cpu_seconds = time.perf_counter() - begin, time.process_time() - cpu_begin
-        run = Run(answer.status, answer.iterations, seconds, answer.evaluating, cpu_seconds, answer.cpu_evaluating)
-        return run, answer.x, answer.clash
+        start = Start(x, parameters, lower, upper, g_lower, g_upper, None if watch is None else report(watch))
+        return call(self._solver(problem), start)
 
     def _solution(self, problem: Problem, run: Run, x: Array) -> Solution:
-        manifest, transcription = self.plant.manifest, self.transcription
+        transcription = self.transcription
         functions, parameters = self.program.casadi, transcription.parameters(problem)
-        completed = functions.complete(x)
-        trajectory = transcription.unpack(completed)
-        g = functions.constraint(x, parameters).full().ravel()
-        terms = functions.terms(x, parameters).full().ravel() * problem.cost.weights
-        return Solution(
-            problem=problem,
-            model=manifest.model,
-            model_hash=manifest.model_hash,
-            coordinates=manifest.positions,
-            inputs=tuple(manifest.coordinates[i].name for i in manifest.actuated),
-            run=run,
-            size=Size(
-                functions.variables,
-                functions.constraints,
-                functions.jacobian.nnz_out(0),
-                functions.hessian.nnz_out(0),
+        return make_solution(
+            problem,
+            self.plant.manifest,
+            transcription,
+            run,
+            measure_size(functions),
+            Values(
+                x=x,
+                g=functions.constraint(x, parameters).full().ravel(),
+                terms=functions.terms(x, parameters).full().ravel(),
+                completed=functions.complete(x),
             ),
-            cost=CostTerms(tuple(zip(problem.cost.names, terms.tolist(), strict=True))),
-            violation=Violation(
-                _excess(g, *transcription.constraint_bounds(problem)),
-                _excess(x, *transcription.variable_bounds(problem)),
-                _measure_lengths(trajectory, manifest),
-                *_measure_closure(trajectory, transcription.closure),
-            ),
-            trajectory=trajectory,
-            equations=manifest.equations,
-            multipliers=transcription.read_multipliers(completed, trajectory),
         )
 
     def _solver(self, problem: Problem) -> methods.Solver:
@@ -172,6 +128,92 @@ class Solver:
             order = Order(self.program, options.tolerance, options.max_iterations, scaling, dict(options.options))
             self._solvers[options] = METHODS[options.method].make(order)
         return self._solvers[options]
+
+
+@dataclass(frozen=True)
+class Values:
+    """The numbers of a program at the end of a search."""
+
+    x: Array
+    g: Array
+    terms: Array  # of the cost, without their weights
+    completed: Array  # all variables
+
+
+Outcome = tuple[Run, Array, tuple[int, ...]]  # the run, the variables, and the rows that stay violated
+
+
+def search(x: Array, call: Callable[[Array], Outcome]) -> Outcome:
+    """Call a solver from x; where it finds nothing to improve there, call it again from points nearby."""
+    outcome = call(x)
+    if outcome[0].status == SOLVED and outcome[0].iterations == 0:
+        nudge = NUDGE * np.maximum(np.abs(x), 1.0) * np.random.default_rng(0).uniform(-1.0, 1.0, x.size)
+        outcome = call(x + nudge)
+        if outcome[0].status == SOLVED:  # a saddle may be met again from one side, but not from the other
+            outcome = call(x - nudge)
+    return outcome
+
+
+def call(solver: methods.Solver, start: Start) -> Outcome:
+    """Call a solver once, and measure its times."""
+    begin, cpu_begin = time.perf_counter(), time.process_time()
+    answer = solver(start)
+    seconds, cpu_seconds = time.perf_counter() - begin, time.process_time() - cpu_begin
+    run = Run(answer.status, answer.iterations, seconds, answer.evaluating, cpu_seconds, answer.cpu_evaluating)
+    return run, answer.x, answer.clash
+
+
+def report(watch: Watch) -> Callable[[Iterate], None]:
+    """Return a function that shows a watch every iterate."""
+    return lambda iterate: watch(Progress(iterate.number, iterate.cost, iterate.violation))
+
+
+def measure_size(functions: Functions) -> Size:
+    """Return the size of a program."""
+    nonzeros = functions.jacobian.nnz_out(0), functions.hessian.nnz_out(0)
+    return Size(functions.variables, functions.constraints, *nonzeros)
+
+
+def make_solution(
+    problem: Problem, manifest: Manifest, transcription: Transcription, run: Run, size: Size, values: Values
+) -> Solution:
+    """Read a solution off the numbers of a program."""
+    trajectory, terms = transcription.unpack(values.completed), values.terms * problem.cost.weights
+    return Solution(
+        problem=problem,
+        model=manifest.model,
+        model_hash=manifest.model_hash,
+        coordinates=manifest.positions,
+        inputs=tuple(manifest.coordinates[i].name for i in manifest.actuated),
+        run=run,
+        size=size,
+        cost=CostTerms(tuple(zip(problem.cost.names, terms.tolist(), strict=True))),
+        violation=Violation(
+            measure_excess(values.g, *transcription.constraint_bounds(problem)),
+            measure_excess(values.x, *transcription.variable_bounds(problem)),
+            _measure_lengths(trajectory, manifest),
+            *_measure_closure(trajectory, transcription.closure),
+        ),
+        trajectory=trajectory,
+        equations=manifest.equations,
+        multipliers=transcription.read_multipliers(values.completed, trajectory),
+    )
+
+
+def find_crossed_bounds(problem: Problem, manifest: Manifest) -> str | None:
+    """Describe the first bound that no number can keep: solvers would raise an exception for it."""
+    names = [c.name for c in manifest.coordinates]
+    bounds = problem.bounds
+    for kind, ranges, of in (
+        ("coordinate", bounds.q, manifest.positions),
+        ("velocity", bounds.qd, names),
+        ("input", bounds.u, [names[i] for i in manifest.actuated]),
+        ("constraint", [c.range for c in problem.constraints], [c.expression for c in problem.constraints]),
+    ):
+        for (lower, upper), name in zip(ranges, of, strict=True):
+            if not (lower <= upper and lower < np.inf and upper > -np.inf):
+                return f"the bounds of {kind} {name} are [{lower:g}, {upper:g}]"
+    return None
 
 
 def solve(
@@ -241,6 +283,6 @@ def _measure_closure(trajectory: Trajectory, closure: Closure | None) -> tuple[f
     return max(closure.measure(q) for q, _ in states), max(closure.measure_rates(*state) for state in states)
 
 
-def _excess(values: Array, lower: Array, upper: Array) -> float:
+def measure_excess(values: Array, lower: Array, upper: Array) -> float:
     """Return by how much values leave their bounds: the largest."""
     return float(np.maximum(lower - values, values - upper).max(initial=0.0))

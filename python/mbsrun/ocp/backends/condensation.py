@@ -29,7 +29,7 @@ from mbsrun.ocp.program import Program
 
 
 def build(program: Program, plant: Plant, others: tuple[Plant, ...] = ()) -> Functions:
-    """Make the functions of a program for CasADi's solvers; `others` are the plants of blocks that are not plant 0's."""
+    """Make the functions of a program for CasADi's solvers; `others` are plants beside plant 0."""
     if not program.solves_inner:
         return CasadiProgram(program, plant, others)
     assert not others, "inner variables are solved for with one plant"

@@ -48,7 +48,7 @@ class Functions(Protocol):
 
 
 def build(program: Program, plant: Plant, others: tuple[Plant, ...] = ()) -> Functions:
-    """Make the functions of a program; `others` are the plants of blocks that are not plant 0's."""
+    """Make the functions of a program; `others` are plants beside plant 0."""
     if not program.solves_inner:
         return NumpyProgram(program, plant, others)
     assert not others, "inner variables are solved for with one plant"

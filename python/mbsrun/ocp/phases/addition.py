@@ -70,7 +70,8 @@ def add(summands: Sequence[Summand], further: Further) -> Program:
     size = offsets[-1].variables + further.variables
     own = sparse.block_diag([program.A for program in programs], format="csc")
     wide = sparse.hstack([own, sparse.csc_array((own.shape[0], further.variables))])
-    blocks, costs = [], []
+    blocks: list[Block] = []
+    costs: list[Block] = []
     for summand, offset in zip(summands, offsets, strict=False):
         program = summand.program
         for found, given, row in ((blocks, program.blocks, offset.rows), (costs, program.costs, offset.weights)):

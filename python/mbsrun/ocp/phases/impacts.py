@@ -66,9 +66,7 @@ def write_impact(rows: Rows, text: str, impact: Impact, source: State, plant: Pl
     before = _translate(rows, text, impact, source, plant, number)
     n = len(plant.manifest.coordinates)
     changes, speeds = rows.add_variables(n), rows.add_variables(n)
-    impulses = [
-        _bound_impulse(rows, text, contact) for contact in impact.contacts
-    ]
+    impulses = [_bound_impulse(rows, contact) for contact in impact.contacts]
     multipliers = rows.add_variables(len(plant.manifest.dependent))
     after = State(plant.manifest, number, before.q, speeds, before.velocities)
     first = rows.rows
@@ -103,11 +101,9 @@ def _translate(rows: Rows, text: str, impact: Impact, source: State, plant: Plan
     return state
 
 
-def _bound_impulse(rows: Rows, text: str, contact: Contact) -> Indices:
+def _bound_impulse(rows: Rows, contact: Contact) -> Indices:
     """Number the impulses of a contact along its axes; along its normal it pushes."""
-    parts = [
-        rows.add_variables(1, 0.0 if axis == contact.normal else -np.inf, np.inf) for axis in contact.axes
-    ]
+    parts = [rows.add_variables(1, 0.0 if axis == contact.normal else -np.inf, np.inf) for axis in contact.axes]
     return np.concatenate(parts)
 
 
@@ -135,9 +131,7 @@ def _write_balance(
     names = tuple(a.name for a in inputs)
     for parts, scale in ((given | moved, 1.0), (given, -1.0)):
         columns = [
-            _select(entries, a.rows)
-            if a.role is Role.WRENCH and scale > 0
-            else parts.get(a.role, _select([], a.rows))
+            _select(entries, a.rows) if a.role is Role.WRENCH and scale > 0 else parts.get(a.role, _select([], a.rows))
             for a in inputs
         ]
         rows.apply(KernelResult("impl", names, "Phi"), columns, found, scale=scale, plant=state.plant)
@@ -151,9 +145,7 @@ def _select(entries: list[tuple[int, int]], size: int) -> Combination:
     return Combination(matrix, np.zeros(1, dtype=np.int64), variables)
 
 
-def _write_contact(
-    rows: Rows, text: str, contact: Contact, restitution: float, before: State, after: State
-) -> None:
+def _write_contact(rows: Rows, text: str, contact: Contact, restitution: float, before: State, after: State) -> None:
     """Write the velocity of a contact after the impact."""
     sensors = [frame.name for frame in after.manifest.frames if frame.sensor]
     first = 3 * sensors.index(contact.sensor)

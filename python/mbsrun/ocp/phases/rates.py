@@ -1,6 +1,6 @@
 """The time derivative of an expression by the chain rule: names that change with time have rates.
 
-    d/dt f(x) = sum over x of df/dx xd
+d/dt f(x) = sum over x of df/dx xd
 """
 
 from __future__ import annotations

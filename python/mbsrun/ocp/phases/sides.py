@@ -73,9 +73,7 @@ class Side:
     horizon: int | float  # the variable, or the number where it is given
 
 
-def read_side(
-    layout: Layout, manifest: Manifest, plant: int, offset: int, horizon: float, *, is_end: bool
-) -> Side:
+def read_side(layout: Layout, manifest: Manifest, plant: int, offset: int, horizon: float, *, is_end: bool) -> Side:
     """Return one side of a phase whose variables begin at `offset`; `horizon` counts where it is no variable."""
     k = -1 if is_end else 0
     q, qd = layout.split(layout.mesh[k] + offset)

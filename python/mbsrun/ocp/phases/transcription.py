@@ -1,7 +1,7 @@
 """A problem of phases as one nonlinear program: the direct sum of the phases' programs, and the rows of links.
 
-`addition` writes the sum, `linking` and `impacts` the links, behind it. Bounds of the program are the phases' own, those
-of shared unknowns, the ranges of conditions, and zeros for all other rows of links.
+`addition` writes the sum, `linking` and `impacts` the links behind it. The program's bounds are the phases' own, the
+bounds of shared unknowns, the ranges of conditions, and zeros for all other rows of links.
 """
 
 from __future__ import annotations
@@ -97,9 +97,7 @@ class PhasedTranscription:
 
 def transcribe_phases(problem: PhasedProblem, plants: Plants) -> PhasedTranscription:
     """Write the program of a problem of phases. Raises ValueError where parts of a phase do not go together."""
-    phases = tuple(
-        transcribe(phase.problem, plant) for phase, plant in zip(problem.phases, plants.phases, strict=True)
-    )
+    phases = tuple(transcribe(phase.problem, plant) for phase, plant in zip(problem.phases, plants.phases, strict=True))
     numbers = [plants.number(plant) for plant in plants.phases]
     offsets = place_summands([phase.program for phase in phases])
     rows = Rows(
