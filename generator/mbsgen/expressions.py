@@ -4,6 +4,15 @@
 
 Python's parser gives the grammar, a white list decides which nodes are accepted, and the text is never run. The result
 is a small tree of our own types. Length, nesting, size and powers are bounded.
+
+Beside the usual functions there are
+
+    max(x, y), min(x, y)    the derivative is that of the larger or smaller one; where they are equal, half of each
+    step(x, w)              1/(1 + exp(-x/w)), a smooth step from 0 to 1 of width w
+    softplus(x, w)          w log(1 + exp(x/w)), a smooth max(x, 0), of which step(x, w) is the derivative
+
+The last two have all derivatives, and no argument makes them overflow. max, min and abs have a kink; their second
+derivatives are taken as 0 there as elsewhere.
 """
 
 from __future__ import annotations
@@ -29,7 +38,9 @@ MAX_DEGREE = 64  # of the whole: powers of powers, and products, in the same nam
 MAX_DIGITS = 64  # characters of one number
 
 _UNARY = ("sin", "cos", "tan", "asin", "acos", "atan", "sqrt", "exp", "log", "tanh", "abs")
-FUNCTIONS: Mapping[str, int] = MappingProxyType({**dict.fromkeys(_UNARY, 1), "atan2": 2})  # number of arguments
+PRIMITIVES: Mapping[str, int] = MappingProxyType({**dict.fromkeys(_UNARY, 1), "atan2": 2, "max": 2})  # of an Algebra
+DEFINED = ("min", "step", "softplus")  # by others: see _DEFINITIONS
+FUNCTIONS: Mapping[str, int] = MappingProxyType({**PRIMITIVES, **dict.fromkeys(DEFINED, 2)})  # number of arguments
 CONSTANTS = ("pi",)
 
 
@@ -112,7 +123,7 @@ class Algebra(Generic[T]):
     negate: Callable[[T], T]
     operations: Mapping[str, Callable[[T, T], T]]  # + - * /
     power: Callable[[T, int], T]
-    functions: Mapping[str, Callable[..., T]]
+    functions: Mapping[str, Callable[..., T]]  # PRIMITIVES
 
 
 def parse(text: str) -> Expression:
@@ -184,9 +195,11 @@ def evaluate(expression: Expression, values: Mapping[str, T], algebra: Algebra[T
                 return algebra.operations[symbol](*operands)
             case Power(_, exponent):
                 return algebra.power(operands[0], exponent)
+            case Call(function) if function in _DEFINITIONS:
+                return evaluate(_DEFINITIONS[function], dict(zip("xw", operands, strict=True)), algebra)
             case Call(function):
                 return algebra.functions[function](*operands)
-    except (ArithmeticError, ValueError):
+    except (ArithmeticError, ValueError, ExpressionError):
         raise ExpressionError(f"{write(expression)} has no value", "keep to what the function is defined for") from None
 
 
@@ -309,6 +322,15 @@ def _check_call(function: str, arguments: int) -> None:
         raise ExpressionError(f"{function} of {arguments} arguments", f"give {FUNCTIONS[function]}")
 
 
+_DEFINITIONS: Mapping[str, Expression] = MappingProxyType(
+    {
+        "min": parse("-max(-x, -w)"),
+        "step": parse("(1 + tanh(x/(2*w)))/2"),
+        "softplus": parse("w*(max(x/w, 0) + log(exp(-max(x/w, 0)) + exp(x/w - max(x/w, 0))))"),
+    }
+)
+
+
 def _list_known(known: list[str]) -> str:
     if not known:
         return "no names are known here; give a number"
@@ -358,7 +380,8 @@ def _finite(function: Callable[..., float]) -> Callable[..., float]:
     return compute
 
 
-_MATH: Mapping[str, Callable[..., float]] = {name: getattr(math, name) for name in FUNCTIONS if name != "abs"}
+_BUILT_IN: Mapping[str, Callable[..., float]] = {"abs": abs, "max": max}
+_MATH: Mapping[str, Callable[..., float]] = {name: getattr(math, name) for name in PRIMITIVES if name not in _BUILT_IN}
 
 FLOATS: Algebra[float] = Algebra(
     number=float,
@@ -369,5 +392,5 @@ FLOATS: Algebra[float] = Algebra(
         for symbol, function in zip("+-*/", (operator.add, operator.sub, operator.mul, operator.truediv), strict=True)
     },
     power=_finite(operator.pow),
-    functions={"abs": abs} | {name: _finite(function) for name, function in _MATH.items()},
+    functions={**_BUILT_IN, **{name: _finite(function) for name, function in _MATH.items()}},
 )

@@ -7,7 +7,8 @@ With the differentiated arguments stacked into one vector a, y = F(a) and weight
     adjoint_jacobian   lower triangle of d2(w . y)/da2    forward over reverse
 
 Griewank, Walther, "Evaluating derivatives", SIAM 2008, chapters 3 and 5. The derivative of |x| is the sign of x, and 0
-at 0. Results are the structural nonzeros, column by column. A function returns 1 where a result is not finite.
+at 0; the derivative of max(x, y) is that of the larger one. Results are the structural nonzeros, column by column. A
+function returns 1 where a result is not finite.
 """
 
 from __future__ import annotations
@@ -192,7 +193,7 @@ def _make_algebra(builder: Builder) -> Algebra[Scalar]:
             "/": lambda a, b: a / b,
         },
         power=_raise,
-        functions={name: _make_function(builder, op) for name, op in _FUNCTIONS.items()},
+        functions={**{name: _make_function(builder, op) for name, op in _FUNCTIONS.items()}, "max": builder.larger},
     )
 
 

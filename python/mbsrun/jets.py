@@ -74,6 +74,7 @@ def make_jets(n: int) -> Algebra[Jet]:
         functions={
             **{name: _lift(derivatives) for name, derivatives in _FUNCTIONS.items()},
             "atan2": _atan2,
+            "max": _choose_larger,
         },
     )
 
@@ -106,6 +107,7 @@ def make_dependences(n: int) -> Algebra[Dependence]:
         functions={
             **dict.fromkeys(_FUNCTIONS, bend),
             "abs": lambda a: a,
+            "max": add,
             "atan2": lambda y, x: bend(add(y, x)),
         },
     )
@@ -144,6 +146,16 @@ def _atan2(y: Jet, x: Jet) -> Jet:
     H = scale(by_y, y.H) + scale(by_x, x.H) + scale(yy, outer(gy, gy) - outer(gx, gx))
     H = H + scale(yx, outer(gy, gx) + outer(gx, gy))
     return Jet(np.arctan2(y.f, x.f), by_y[..., None] * gy + by_x[..., None] * gx, H)
+
+
+def _choose_larger(a: Jet, b: Jet) -> Jet:
+    """Return the larger one; half of each where they are equal."""
+    s = (1 + np.sign(a.f - b.f)) / 2
+    f, g, H = (
+        s[(..., *[None] * k)] * x + (1 - s)[(..., *[None] * k)] * y
+        for k, (x, y) in enumerate(((a.f, b.f), (a.g, b.g), (a.H, b.H)))
+    )
+    return Jet(f, g, H)
 
 
 def _tan(x: Array) -> tuple[Array, Array, Array]:

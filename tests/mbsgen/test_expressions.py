@@ -56,6 +56,15 @@ WORTH = {  # by hand
     "exp(log(7))": 7.0,
     "tanh(0)": 0.0,
     "abs(-a)": 2.0,
+    "max(a, -b)": 2.0,
+    "min(a, -b)": -3.0,
+    "step(0, b)": 0.5,
+    "step(a*log(b), a)": 0.75,
+    "step(-1e9, 1e-9)": 0.0,
+    "softplus(0, a)": 2 * math.log(2),
+    "softplus(b*log(7), b)": 3 * math.log(8),
+    "softplus(1e9, 1e-9)": 1e9,
+    "softplus(-1e9, 1e-9)": 0.0,
     "(\n a\t+ b)": 5.0,
 }
 
@@ -137,7 +146,19 @@ def test_all_else_is_refused(text: str, finding: str) -> None:
     assert caught.value.remedy
 
 
-WORTHLESS = ["1/0", "a/(b - 3)", "0**-1", "sqrt(-a)", "log(0)", "asin(a)", "exp(1000)", "1e308*10", "(1e300)**2", "c"]
+WORTHLESS = [
+    "1/0",
+    "step(a, b - 3)",
+    "a/(b - 3)",
+    "0**-1",
+    "sqrt(-a)",
+    "log(0)",
+    "asin(a)",
+    "exp(1000)",
+    "1e308*10",
+    "(1e300)**2",
+    "c",
+]
 
 
 @pytest.mark.parametrize("text", WORTHLESS)

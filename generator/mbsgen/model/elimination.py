@@ -14,7 +14,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from mpmath import mpf
 
-from mbsgen.expressions import FUNCTIONS, Algebra, Expression, ExpressionError, Name, Number, Operation, evaluate, names
+from mbsgen.expressions import (
+    PRIMITIVES,
+    Algebra,
+    Expression,
+    ExpressionError,
+    Name,
+    Number,
+    Operation,
+    evaluate,
+    names,
+)
 from mbsgen.model.expansion import list_steps
 from mbsgen.model.findings import Finding
 from mbsgen.model.following import check_followers, find_rules, list_joints
@@ -250,6 +260,7 @@ def _apply(function: Callable[..., object]) -> Callable[..., Linear]:
     return compute
 
 
+_BUILT_IN: Mapping[str, Callable[..., object]] = {"abs": abs, "max": max}
 _FORMS: Algebra[Linear] = Algebra(
     number=lambda value: Linear({}, DIGITS.mpf(value)),
     constants={"pi": Linear({}, +DIGITS.pi)},
@@ -261,5 +272,5 @@ _FORMS: Algebra[Linear] = Algebra(
         "/": _divide,
     },
     power=_raise,
-    functions={name: _apply(abs if name == "abs" else getattr(DIGITS, name)) for name in FUNCTIONS},
+    functions={name: _apply(_BUILT_IN.get(name) or getattr(DIGITS, name)) for name in PRIMITIVES},
 )

@@ -30,18 +30,20 @@ from sympy import (
     cos,
     exp,
     log,
+    sign,
     sin,
     sqrt,
     tanh,
 )
 
-from mbsgen.expressions import FUNCTIONS, Algebra, ExpressionError
+from mbsgen.expressions import PRIMITIVES, Algebra, ExpressionError
 
 DIGITS = MPContext()
 DIGITS.dps = 60
 _NOISE = DIGITS.mpf(10) ** -50
 
 _ROUNDING = ("sin", "cos", "tan", "sqrt")  # their results near 0 are 0 where the angle brings its rounding
+_BUILT_IN: Mapping[str, Callable[..., mpf]] = {"abs": abs, "max": max}
 _KEPT = {"asin": asin, "acos": acos, "atan": atan, "atan2": atan2, "exp": exp, "log": log, "tanh": tanh, "abs": Abs}
 
 
@@ -50,8 +52,14 @@ def _keep(function: type[Expr]) -> Callable[..., Expr]:
     return lambda *arguments: function(*arguments, evaluate=False)
 
 
+def _choose_larger(a: Expr, b: Expr) -> Expr:
+    """Return the larger of two expressions, s a + (1 - s) b, with s = 1 where a > b, 0 where a < b, else 1/2."""
+    s = (1 + sign(total((a, -b)), evaluate=False)) / 2
+    return total((s * a, b, -s * b))
+
+
 _SYMBOLIC: Mapping[str, Callable[..., Expr]] = MappingProxyType(
-    {"sin": sin, "cos": cos, "tan": lambda x: sin(x) / cos(x), "sqrt": sqrt}
+    {"sin": sin, "cos": cos, "tan": lambda x: sin(x) / cos(x), "sqrt": sqrt, "max": _choose_larger}
     | {name: _keep(function) for name, function in _KEPT.items()}
 )
 
@@ -82,7 +90,7 @@ def symbolic(constants: Mapping[Symbol, Expr]) -> Algebra[Expr]:
         negate=operator.neg,
         operations={"+": lambda a, b: total((a, b)), "-": lambda a, b: total((a, -b)), "*": operator.mul, "/": _divide},
         power=lambda base, exponent: base**exponent if exponent >= 0 else _divide(Integer(1), base**-exponent),
-        functions={name: function(name) for name in FUNCTIONS},
+        functions={name: function(name) for name in PRIMITIVES},
     )
 
 
@@ -152,7 +160,7 @@ def _compute(name: str, values: list[Expr]) -> Expr:
     operands = [to_digits(value) for value in values]
     if not all(map(_is_ordinary, operands)):  # 60 digits of exp(exp(exp(9))) fill any memory
         raise OverflowError
-    result = abs(operands[0]) if name == "abs" else getattr(DIGITS, name)(*operands)
+    result = _BUILT_IN[name](*operands) if name in _BUILT_IN else getattr(DIGITS, name)(*operands)
     if not isinstance(result, DIGITS.mpf) or not _is_ordinary(result):
         raise ValueError(f"{name} has no real value here")
     return _settle(result, abs(operands[0]) if name in _ROUNDING else DIGITS.zero)  # an angle brings its rounding

@@ -175,6 +175,17 @@ class Builder:
         """Apply a function: any operation except + - * / and minus. Only the arc tangent of y/x has two operands."""
         return Scalar(self, self.call(op, x.ref, y.ref if y is not None else 0))
 
+    def larger(self, x: Scalar, y: Scalar) -> Scalar:
+        """Return the larger of two numbers, s x + (1 - s) y, with s = 1 where x > y, 0 where x < y, else 1/2.
+
+        So its derivative is that of the larger one, or half of each where they are equal.
+        """
+        if (x - y).is_zero:
+            return x
+        one = self.number(1.0)
+        s = (one + self.apply(Op.SIGN, x - y)) * self.number(0.5)
+        return s * x + (one - s) * y
+
     # -- operations on references -----------------------------------------------------------------------------
 
     def literal(self, value: mpf) -> Ref:

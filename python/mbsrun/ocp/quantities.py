@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 from mbsgen.expressions import (
-    FUNCTIONS,
+    PRIMITIVES,
     Algebra,
     Call,
     Constant,
@@ -57,7 +57,7 @@ _TREES: Algebra[Expression] = Algebra(
     negate=Negation,
     operations={symbol: _operate(symbol) for symbol in "+-*/"},
     power=Power,
-    functions={name: partial(_call, name) for name in FUNCTIONS},
+    functions={name: partial(_call, name) for name in PRIMITIVES},
 )
 
 

@@ -248,5 +248,6 @@ ARRAYS: Algebra[Array] = Algebra(
         "log": np.log,
         "tanh": np.tanh,
         "abs": np.abs,
+        "max": np.maximum,
     },
 )

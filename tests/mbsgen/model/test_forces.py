@@ -42,7 +42,8 @@ LAWS: dict[str, tuple[str, Callable[[float, float], float]]] = {
     "a cubic": ("force: -k*q**3 + qd*abs(qd)", lambda q, qd: -4 * q**3 + qd * abs(qd)),
     "every function": (
         "force: 'sin(q) + cos(qd) + tan(q/2) + atan2(q, qd) + asin(q/9) + acos(q/9) + atan(qd) + sqrt(1 + q**2)"
-        " + exp(-q) + log(2 + q**2) + tanh(T*q) + abs(qd)'",
+        " + exp(-q) + log(2 + q**2) + tanh(T*q) + abs(qd)"
+        " + max(q, qd) + min(3*q, T) + step(q, 0.2) + softplus(qd, 1/2)'",
         lambda q, qd: (
             math.sin(q)
             + math.cos(qd)
@@ -56,6 +57,10 @@ LAWS: dict[str, tuple[str, Callable[[float, float], float]]] = {
             + math.log(2 + q**2)
             + math.tanh(1.5 * q)
             + abs(qd)
+            + max(q, qd)
+            + min(3 * q, 1.5)
+            + 1 / (1 + math.exp(-q / 0.2))
+            + math.log1p(math.exp(2 * qd)) / 2
         ),
     ),
     "all together": (

@@ -57,6 +57,9 @@ FUNCTIONS = {
     "-(abs(q_q1) - a)**3*sqrt(T)": -((abs(Q[0]) - 0.25) ** 3) * np.sqrt(2),
     "atan2(q_q1, u_q4) + tanh(t) - log(b)**-2": np.arctan2(Q[0], U[3]) + np.tanh(1.5) - np.log(3) ** -2,
     "asin(a) + acos(a)*atan(b) - tan(pi/5)": np.arcsin(0.25) + np.arccos(0.25) * np.arctan(3) - np.tan(np.pi / 5),
+    "max(q_q1, b) + min(q_q2, q_q3) + step(t, b) + softplus(-b, a)": (
+        3 + min(Q[1], Q[2]) + 1 / (1 + np.exp(-0.5)) + np.log1p(np.exp(-12)) / 4
+    ),
     "1": 1.0,
 }
 

@@ -11,7 +11,7 @@ So each place costs a call of every kernel and of two functions of expressions, 
 from __future__ import annotations
 
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -19,18 +19,26 @@ from typing import Protocol
 import casadi as ca
 import numpy as np
 
-from mbsgen.expressions import FUNCTIONS, Algebra, evaluate
+from mbsgen.expressions import PRIMITIVES, Algebra, evaluate
 from mbsgen.roles import name_adjoint, name_derivative
 from mbsrun.ocp.functions import Formula, Function, KernelResult, Pattern
 from mbsrun.ocp.plant import Plant
 
+
+def _choose_larger(a: ca.SX, b: ca.SX) -> ca.SX:
+    """Return the larger one; the derivative is half of each where they are equal, which CasADi's fmax does not say."""
+    s = (1 + ca.sign(a - b)) / 2
+    return s * a + (1 - s) * b
+
+
+_BUILT_IN: Mapping[str, Callable[..., ca.SX]] = {"abs": ca.fabs, "max": _choose_larger}
 _SYMBOLS: Algebra[ca.SX] = Algebra(
     number=ca.SX,
     constants={"pi": ca.SX(ca.pi)},
     negate=operator.neg,
     operations={"+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv},
     power=operator.pow,
-    functions={"abs": ca.fabs} | {name: getattr(ca, name) for name in FUNCTIONS if name != "abs"},
+    functions=_BUILT_IN | {name: getattr(ca, name) for name in PRIMITIVES if name not in _BUILT_IN},
 )
 
 

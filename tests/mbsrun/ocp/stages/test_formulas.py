@@ -13,7 +13,7 @@ import pytest
 from mpmath import MPContext
 
 from mbsgen import resources
-from mbsgen.expressions import FUNCTIONS, Algebra, Expression, ExpressionError, evaluate, parse
+from mbsgen.expressions import FUNCTIONS, PRIMITIVES, Algebra, Expression, ExpressionError, evaluate, parse
 from mbsrun.jets import depend, make_dependences
 from mbsrun.ocp.functions import Array, Formula, Input
 from mbsrun.ocp.stages.formulas import patterns, write
@@ -26,6 +26,8 @@ TEXTS = (
     "atan2(x0 - 2, y0*x1)/sqrt(x1**2 + d0)",
     "exp(-x0*y1)*log(1 + x1**2)*tanh(y0)",
     "abs(x0 - y0)*abs(y1)",
+    "max(x0 - y0, x1*y1)*min(x0*y1, d0)",
+    "step(x0*y0, p0**2 + 1)*softplus(x1 - y0, 1/8)",
     "(x0 + 2*y0)**-3 + x1**16 - -y1**1 + x0**0",
     "3*x0 - pi*p0",
     "p0*d0",
@@ -97,7 +99,7 @@ _ORACLE = Algebra(
         "/": lambda a, b: a / b,
     },
     power=lambda a, k: a**k,
-    functions={name: getattr(_MP, "fabs" if name == "abs" else name) for name in FUNCTIONS},
+    functions={name: {"abs": abs, "max": max}.get(name) or getattr(_MP, name) for name in PRIMITIVES},
 )
 
 
