@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 from numpy.typing import NDArray
 
 from mbsgen.manifest import Frame, Manifest
-from mbsrun.animation import Marker, write_animation
+from mbsrun.animation import Marker, render_animation
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.solution import Solution, Starts
 from mbsrun.quaternions import find_rates
@@ -32,6 +32,11 @@ TIME = ListedColormap(colormaps["viridis_r"](np.linspace(0.2, 1, 256)))  # witho
 
 def plot_trajectories(solution: Solution, manifest: Manifest, path: Path) -> None:
     """Plot coordinates, velocities and inputs over time, and write the picture."""
+    save(make_trajectories(solution, manifest), path)
+
+
+def make_trajectories(solution: Solution, manifest: Manifest) -> Figure:
+    """Plot coordinates, velocities and inputs over time."""
     trajectory = solution.trajectory
     t = np.concatenate((trajectory.t[:-1, None], trajectory.point_t), axis=1).ravel()
     q, qd = (
@@ -61,7 +66,20 @@ def plot_trajectories(solution: Solution, manifest: Manifest, path: Path) -> Non
     inputs.set_xlim(0, solution.trajectory.t[-1])
     figure.legend(loc="outside lower center", ncols=3, frameon=False)
     figure.suptitle(_title(solution))
-    _save(figure, path)
+    return figure
+
+
+def plot_curves(t: Array, curves: Mapping[str, Array]) -> Figure:
+    """Plot numbers over time by their names, all in one picture."""
+    figure = Figure(figsize=(8, 4), layout="constrained")
+    axes = figure.subplots()
+    for name, values in curves.items():
+        axes.plot(t, values, label=_plain(name))
+    axes.set_xlabel("time [s]")
+    axes.set_xlim(t[0], t[-1])
+    axes.grid(alpha=0.3)
+    axes.legend(frameon=False)
+    return figure
 
 
 def plot_starts(starts: Starts, path: Path) -> None:
@@ -85,11 +103,16 @@ def plot_starts(starts: Starts, path: Path) -> None:
     axes.set_title(
         f"lowest cost found {starts.times} times in {len(starts.results)} starts; {failed} without a solution"
     )
-    _save(figure, path)
+    save(figure, path)
 
 
 def draw_mechanism(solution: Solution, plant: Plant, path: Path) -> None:
     """Draw the mechanism at several times, with the paths and targets of its sensors, and write the picture."""
+    save(make_mechanism(solution, plant), path)
+
+
+def make_mechanism(solution: Solution, plant: Plant) -> Figure:
+    """Draw the mechanism at several times, with the paths and targets of its sensors."""
     trajectory = solution.trajectory
     skeleton = place(plant, trajectory.q)
     frames, p = skeleton.frames, skeleton.p
@@ -114,15 +137,21 @@ def draw_mechanism(solution: Solution, plant: Plant, path: Path) -> None:
     figure.colorbar(ScalarMappable(times, TIME), ax=axes, label="time [s]", shrink=0.6, pad=0.1)
     axes.legend(loc="upper left", frameon=False)
     figure.suptitle(_title(solution))
-    _save(figure, path)
+    return figure
 
 
 def animate(solution: Solution, plant: Plant, path: Path) -> None:
     """Write a page that plays the motion, with the targets of its sensors."""
+    path.write_text(make_animation(solution, plant), encoding="utf-8")
+
+
+def make_animation(solution: Solution, plant: Plant) -> str:
+    """Return the text of a page that plays the motion, with the targets of its sensors."""
     trajectory, targets = solution.trajectory, solution.problem.end.sensors
     markers = [Marker(f"target of {name}", position) for name, position in targets]
     rates = find_rates(plant, trajectory.q, trajectory.qd)
-    write_animation(path, plant, trajectory.t, trajectory.q, qd=rates, title=solution.problem.name, markers=markers)
+    title = solution.problem.name
+    return render_animation(plant, trajectory.t, trajectory.q, qd=rates, title=title, markers=markers)
 
 
 def _draw_pose(axes: Axes3D, frames: Sequence[Frame], p: Array, color: object, width: float) -> None:
@@ -166,5 +195,6 @@ def _title(solution: Solution) -> str:
     return f"{_plain(solution.problem.name)}: {_plain(solution.model)}, cost {solution.cost.total:.6g}"
 
 
-def _save(figure: Figure, path: Path) -> None:
+def save(figure: Figure, path: Path) -> None:
+    """Write a picture; equal pictures have equal bytes."""
     figure.savefig(path, dpi=150, metadata={"Software": None})  # a version there would change the bytes

@@ -217,11 +217,16 @@ def find_crossed_bounds(problem: Problem, manifest: Manifest) -> str | None:
 
 
 def solve(
-    problem: Problem, plant: Plant, watch: Watch | None = None, guess: Trajectory | None = None
+    problem: Problem,
+    plant: Plant,
+    watch: Watch | None = None,
+    guess: Trajectory | None = None,
+    make: Callable[[Problem, Plant], Solver] = Solver,
 ) -> Solution | Failure:
     """Solve a problem from a guess, by default the one that it describes; a guess may be on any grid.
 
-    Where no pose meets the targets, it fails at once. Raises ProblemError with every fault of the problem.
+    `make` may return an earlier solver of the same structure. Where no pose meets the targets, it fails at once. Raises
+    ProblemError with every fault of the problem.
     """
     check_problem(problem, plant.manifest)
     _check_states(problem, plant)
@@ -231,7 +236,7 @@ def solve(
         return _tell_unreachable(problem, start)
     problem = settle(problem, plant, start)
     check_problem(problem, plant.manifest)
-    return Solver(problem, plant).solve(problem, start, watch)
+    return make(problem, plant).solve(problem, start, watch)
 
 
 def _check_states(problem: Problem, plant: Plant) -> None:

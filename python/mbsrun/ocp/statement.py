@@ -17,6 +17,7 @@ from typing import TypeVar
 import numpy as np
 
 from mbsgen.documents import (
+    Data,
     Document,
     Place,
     abbreviate,
@@ -30,7 +31,7 @@ from mbsgen.documents import (
 from mbsgen.errors import InputError
 from mbsgen.expressions import FLOATS, Expression, ExpressionError, evaluate, is_free_name, names, parse
 from mbsrun.closure import Closure, find_closure
-from mbsrun.ocp.checks import LEAST_FRACTION, LEAST_TOLERANCE, find_loop_conflicts, list_open_inputs
+from mbsrun.ocp.checks import LEAST_FRACTION, LEAST_TOLERANCE, ProblemError, find_loop_conflicts, list_open_inputs
 from mbsrun.ocp.conditions import Completion, complete_pose, complete_velocities, find_strays, find_surplus
 from mbsrun.ocp.grid import divide
 from mbsrun.ocp.methods import METHODS, Amount
@@ -83,16 +84,38 @@ def read_problem(path: Path, load: Callable[[Path], SomePlant]) -> tuple[Problem
     """Read a problem file, and load its model with `load`. Raises InputError with every fault of both files."""
     document = read_document(path)
     expect(document, "problem")
+    return interpret(document, name_problem(path), lambda model: load(path.parent / model))
+
+
+def name_problem(path: Path) -> str:
+    """Name the problem of a file."""
+    return path.name.removesuffix(".yaml").removesuffix(".ocp")
+
+
+def state_problem(data: Mapping[str, Data], name: str, plant: Plant) -> Problem:
+    """Make a problem of plain data, with the keys of a file, for a plant that is loaded; `model` is not read.
+
+    Raises ProblemError with every fault.
+    """
+    document = Document(name, {**data, "model": "model.yaml"}, {}, {})
+    try:
+        return interpret(document, name, lambda _: plant)[0]
+    except InputError as error:
+        raise ProblemError(name, [(x.path or "problem", x.finding, x.remedy) for x in error.faults]) from None
+
+
+def interpret(document: Document, name: str, load: Callable[[str], SomePlant]) -> tuple[Problem, SomePlant]:
+    """Make the problem of a document; `load` loads the model that it names. Raises InputError with every fault."""
     examination = examine(document, ProblemSection)
     section, faults = examination.value, list(examination.faults)
     if section is None or lies_under(("model",), examination.stand_ins):
         raise refuse(faults)
     try:
-        plant = load(path.parent / section.model)
+        plant = load(section.model)
     except InputError as error:
         raise refuse([*faults, *error.faults]) from None
     reading = _Reading(document, plant, examination.stand_ins)
-    problem = reading.problem(path.name.removesuffix(".yaml").removesuffix(".ocp"), section)
+    problem = reading.problem(name, section)
     if faults or reading.faults:
         raise refuse([*faults, *reading.faults])
     return problem, plant

@@ -26,7 +26,7 @@ SAME = 1e-12  # of an interval: points that are as near to its end are the next 
 
 def write_table(solution: Solution, plant: Plant, path: Path) -> None:
     """Write a solution as CSV, with every digit."""
-    columns = _read_motion(solution.trajectory)
+    columns = list_motion(solution.trajectory)
     if solution.multipliers is not None:
         columns.append(_read_forces(solution.trajectory, solution.multipliers))
     columns.append(_place_sensors(solution.trajectory, plant))
@@ -58,8 +58,8 @@ def _list_units(manifest: Manifest) -> list[str]:
 _UNITS = {**dict.fromkeys(("x", "y", "z", "distance", "screw"), "N"), "equation": "-"}
 
 
-def _read_motion(trajectory: Trajectory) -> list[Array]:
-    """List time, q, qd, qdd and u at all points in order.
+def list_motion(trajectory: Trajectory) -> list[Array]:
+    """List time, q, qd, qdd and u at all points in order, (rows, size) each.
 
     Where an interval begins, accelerations and inputs are the interval's; at the end, the last interval's. There they
     are read off the polynomial through the accelerations at the interval's points.
@@ -99,7 +99,7 @@ def _find_inner(trajectory: Trajectory) -> NDArray[np.bool_]:
 
 
 def _place_sensors(trajectory: Trajectory, plant: Plant) -> Array:
-    q = _read_motion(trajectory)[1]
+    q = list_motion(trajectory)[1]
     sensors = [i for i, frame in enumerate(plant.manifest.frames) if frame.sensor]
     if not sensors:
         return np.zeros((len(q), 0))

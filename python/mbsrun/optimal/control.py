@@ -1,0 +1,170 @@
+"""Problems of optimal control in Python: values and names, with the keys and the checks of a problem file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from mbsgen.documents import Data, abbreviate, read_document
+from mbsgen.errors import Fault, InputError
+from mbsrun.external import load_on_demand
+from mbsrun.ocp import statement
+from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.resimulation import resimulate
+from mbsrun.ocp.solution import Failure, read_guess, read_solution
+from mbsrun.ocp.solve import Watch, solve
+from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.optimal import display
+from mbsrun.optimal.describing import describe_problem
+from mbsrun.optimal.plain import make_plain
+from mbsrun.optimal.programs import Programs
+from mbsrun.optimal.progress import show_progress
+from mbsrun.optimal.result import Solved, Unsolved
+from mbsrun.reading import overlay
+
+DEFAULTS: Mapping[str, Data] = {  # of problems in Python; a file states these itself
+    "intervals": 50,
+    "scheme": "radau",
+    "degree": 4,
+    "cost": {},
+    "start": {"pose": {}},
+}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class OptimalControl:
+    """A problem and its model. It does not change: `with_...` returns a changed copy.
+
+    Programs are built once for all copies of one structure, so another start, target, bound, weight or constant costs
+    no other build.
+    """
+
+    value: Problem  # with indices in place of names
+    plant: Plant
+    data: Mapping[str, Data]  # as a problem file holds it
+    folder: Path  # that files of the problem are relative to
+    programs: Programs
+
+    @property
+    def name(self) -> str:
+        """Return the name, which pictures and files show."""
+        return self.value.name
+
+    # --- copies with changes ---
+
+    def with_changes(self, **changes: Any) -> OptimalControl:
+        """Return a copy with other values of some keys of a problem file.
+
+        Mappings are merged, at any depth; lists and numbers are replaced; None drops a key of the problem, which has
+        its default then. Raises ProblemError with every fault of the result.
+        """
+        data = dict(self.data)
+        for key, change in make_plain(self.name, changes).items():
+            if change is None:
+                data.pop(key, None)
+            else:
+                data[key] = overlay(data.get(key), change)
+        return self._restate(data)
+
+    def with_target(self, sensor: str, **position: Any) -> OptimalControl:
+        """Return a copy with another target of a sensor at the end: x, y, z, or radius, azimuth, height."""
+        end = dict(_take_mapping(self.data, "end"))
+        sensors = dict(_take_mapping(end, "sensors"))
+        sensors[sensor] = make_plain(self.name, position)
+        return self._restate({**self.data, "end": {**end, "sensors": sensors}})
+
+    def with_constants(self, **constants: Any) -> OptimalControl:
+        """Return a copy with other values of constants."""
+        return self.with_changes(constants=constants)
+
+    def with_solver(self, method: str, **settings: Any) -> OptimalControl:
+        """Return a copy for another NLP method, with its tolerance, max_iterations and options."""
+        solver = {"method": method, **make_plain(self.name, settings)}
+        return self._restate({**self.data, "solver": solver})
+
+    def _restate(self, data: Mapping[str, Data]) -> OptimalControl:
+        value = statement.state_problem(data, self.name, self.plant)
+        return replace(self, value=value, data=data)
+
+    # --- solving ---
+
+    def solve(
+        self,
+        *,
+        watch: Watch | bool = False,
+        guess: Solved | Trajectory | str | Path | None = None,
+        check: bool = True,
+    ) -> Solved | Unsolved:
+        """Solve the problem, and re-simulate the solution unless `check` is False.
+
+        `watch` is called in every iteration; True shows the iterations, in a notebook or on a terminal. `guess` is a
+        solution, a file of one, or a trajectory, on any grid; by default the problem's own. A solve without a solution
+        is no exception: it returns an Unsolved. Raises ProblemError with every fault of the problem, InputError for a
+        file that is no guess.
+        """
+        with show_progress() if watch is True else nullcontext(watch or None) as shown:
+            start = self._find_guess(guess)
+            outcome = solve(self.value, self.plant, shown, start, self.programs.find)
+        if isinstance(outcome, Failure):
+            return Unsolved(outcome)
+        return Solved(resimulate(outcome, self.plant) if check else outcome, self.plant)
+
+    def load(self, path: str | Path) -> Solved:
+        """Read a solution of this problem's model from a file. Raises InputError for a file that is not one."""
+        read_guess(Path(path), self.plant.manifest)
+        return Solved(read_solution(Path(path)), self.plant)
+
+    def _find_guess(self, guess: Solved | Trajectory | str | Path | None) -> Trajectory | None:
+        if isinstance(guess, Solved):
+            return guess.trajectory
+        if isinstance(guess, str | Path):
+            return read_guess(Path(guess), self.plant.manifest)
+        if guess is None and self.value.guess.solution is not None:
+            return read_guess(self.folder / self.value.guess.solution, self.plant.manifest)
+        return guess
+
+    # --- display ---
+
+    def describe(self) -> dict[str, str]:
+        """Return the parts of the problem by their names."""
+        return describe_problem(self.value, self.plant.manifest)
+
+    def __repr__(self) -> str:
+        return display.write_text(f"problem {self.name}", self.describe())
+
+    def _repr_html_(self) -> str:
+        return display.write_table(f"problem {self.name}", self.describe())
+
+
+def problem(model: str | Path | Plant, *, name: str | None = None, **keys: Any) -> OptimalControl:
+    """Return a problem of a model: a model file, a generated folder, or loaded kernels.
+
+    It takes the keys of a problem file. Values are numbers, texts, lists, arrays and mappings, by the names of
+    coordinates and sensors. By default there are 50 intervals of 4 Radau points, a start at 0 and at rest, and the cost
+    is the integral of |u|^2. Raises ProblemError with every fault, InputError for a model with faults.
+    """
+    plant = load_on_demand(Path(model)) if isinstance(model, str | Path) else model
+    known = name or (Path(model).stem if isinstance(model, str | Path) else plant.manifest.model)
+    data = {**DEFAULTS, **make_plain(known, keys)}
+    value = statement.state_problem(data, known, plant)
+    return OptimalControl(value, plant, data, Path(), Programs())
+
+
+def read_problem(path: str | Path) -> OptimalControl:
+    """Read a problem file and its model. Raises InputError with every fault of both files."""
+    file = Path(path)
+    value, plant = statement.read_problem(file, load_on_demand)
+    data = read_document(file).data
+    if not isinstance(data, dict):
+        raise InputError([Fault(str(file), 0, "", f"found {abbreviate(data)}", "give a mapping of keys")])
+    return OptimalControl(value, plant, data, file.parent, Programs())
+
+
+def _take_mapping(data: Mapping[str, Data], key: str) -> Mapping[str, Data]:
+    """Return the mapping of a key; an empty one where it has none."""
+    found = data.get(key)
+    return found if isinstance(found, dict) else {}

@@ -1,0 +1,113 @@
+"""A problem in words: Problem and manifest -> the lines that a notebook and a terminal show."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+from mbsgen.manifest import Manifest
+from mbsrun.ocp.problem import Form, Problem, Range
+
+LONGEST = 12  # parts of one line; more are counted
+
+
+def describe_problem(problem: Problem, manifest: Manifest) -> dict[str, str]:
+    """Return the parts of a problem by their names; parts that it does not have are left out."""
+    sensors = [frame.name for frame in manifest.frames if frame.sensor]
+    rows = {
+        "model": f"{manifest.model}: coordinates {_list(manifest.positions)}; "
+        f"inputs {_list(manifest.coordinates[i].name for i in manifest.actuated)}; sensors {_list(sensors)}",
+        "horizon": _describe_horizon(problem),
+        "grid": _describe_grid(problem),
+        "cost": _list(_list_terms(problem)),
+        "start": _list(_list_start(problem, manifest)),
+        "end": _list(_list_end(problem, manifest)),
+        "bounds": _list(_list_bounds(problem, manifest)),
+        "constraints": _list(
+            f"{_write_range(c.expression, c.range)} ({c.at})" if c.at != "path" else _write_range(c.expression, c.range)
+            for c in problem.constraints
+        ),
+        "constants": _list(f"{name} = {value:g}" for name, value in problem.constants),
+        "solver": f"{problem.solver.method}, tolerance {problem.solver.tolerance:g}",
+    }
+    return {name: value for name, value in rows.items() if value != NOTHING}
+
+
+NOTHING = "none"
+
+
+def _list(parts: Iterable[str]) -> str:
+    """Join parts; of many, the first."""
+    every = list(parts)
+    if len(every) > LONGEST:
+        every = [*every[:LONGEST], f"and {len(every) - LONGEST} more"]
+    return ", ".join(every) or NOTHING
+
+
+def _describe_horizon(problem: Problem) -> str:
+    if problem.horizon_range is None:
+        return f"{problem.horizon:g} s"
+    return f"free, {_write_range('T', problem.horizon_range)}, guess {problem.horizon:g} s"
+
+
+def _describe_grid(problem: Problem) -> str:
+    way = f", {problem.integrator}, {problem.steps} steps" if problem.form is Form.SHOOTING else ""
+    return (
+        f"{problem.intervals} intervals, {problem.family.value} points of degree {problem.degree}, "
+        f"form {problem.form.value}{way}, {problem.representation.value}"
+    )
+
+
+def _list_terms(problem: Problem) -> list[str]:
+    terms = zip(problem.cost.weights, problem.cost.names, strict=True)
+    at_end = 2 + len(problem.cost.running)
+    return [f"{weight:g} * {name}{' (end)' if i >= at_end else ''}" for i, (weight, name) in enumerate(terms) if weight]
+
+
+def _list_start(problem: Problem, manifest: Manifest) -> list[str]:
+    names = [f"q_{name}" for name in manifest.positions] + [f"qd_{c.name}" for c in manifest.coordinates]
+    values = (*problem.start_q, *problem.start_qd)
+    given = [
+        f"{name} free" if i in problem.free_start else f"{name} = {value:g}"
+        for i, (name, value) in enumerate(zip(names, values, strict=True))
+        if value or i in problem.free_start
+    ]
+    rest = "the rest 0" if given else "all 0"
+    return [*given, rest] if len(given) < len(values) else given
+
+
+def _list_end(problem: Problem, manifest: Manifest) -> list[str]:
+    end, names = problem.end, [c.name for c in manifest.coordinates]
+    return [
+        *(f"{name} at ({_write(position)})" for name, position in end.sensors),
+        *(f"q_{manifest.positions[i]} = {value:g}" for i, value in end.coordinates),
+        *(["velocity 0"] if end.velocity_zero else []),
+        *(["acceleration 0"] if end.acceleration_zero else []),
+        *(f"qd_{names[i]} = {value:g}" for i, value in end.velocities),
+        *(f"qdd_{names[i]} = {value:g}" for i, value in end.accelerations),
+        *(f"{name} moves at ({_write(velocity)})" for name, velocity in end.sensor_velocities),
+    ]
+
+
+def _list_bounds(problem: Problem, manifest: Manifest) -> list[str]:
+    names = [c.name for c in manifest.coordinates]
+    every = (
+        *zip((f"q_{name}" for name in manifest.positions), problem.bounds.q, strict=True),
+        *zip((f"qd_{name}" for name in names), problem.bounds.qd, strict=True),
+        *zip((f"u_{names[i]}" for i in manifest.actuated), problem.bounds.u, strict=True),
+    )
+    return [_write_range(name, limits) for name, limits in every if limits != (-math.inf, math.inf)]
+
+
+def _write_range(name: str, limits: Range) -> str:
+    """Write `lower <= name <= upper`, without the side that is not bounded."""
+    lower, upper = limits
+    if lower == upper:
+        return f"{name} = {lower:g}"
+    before = "" if lower == -math.inf else f"{lower:g} <= "
+    after = "" if upper == math.inf else f" <= {upper:g}"
+    return f"{before}{name}{after}"
+
+
+def _write(numbers: Sequence[float]) -> str:
+    return ", ".join(f"{x:g}" for x in numbers)

@@ -1,0 +1,57 @@
+"""Values of Python as plain data, as a YAML file holds them: numbers, texts, lists and mappings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbsgen.documents import Data, Place, write_path
+from mbsrun.ocp.checks import Finding, ProblemError
+
+
+def make_plain(name: str, values: Mapping[str, Any]) -> dict[str, Data]:
+    """Turn the values of keys into plain data. Raises ProblemError with every value that a file could not hold.
+
+    Arrays and tuples become lists. In a range, an infinite bound becomes no bound.
+    """
+    findings: list[Finding] = []
+    data = {key: _convert(value, (key,), findings) for key, value in values.items()}
+    if findings:
+        raise ProblemError(name, findings)
+    return data
+
+
+def _convert(value: Any, place: Place, findings: list[Finding]) -> Data:
+    match value:
+        case Enum():
+            return _convert(value.value, place, findings)
+        case np.generic() | np.ndarray():
+            return _convert(value.tolist(), place, findings)
+        case None | bool() | int() | float() | str():
+            return value
+        case Path():
+            return str(value)
+        case Mapping():
+            for key in value:
+                if not isinstance(key, str):
+                    findings.append((write_path(place), f"a key is {key!r}", "give names as keys"))
+            return {str(key): _convert(x, (*place, str(key)), findings) for key, x in value.items()}
+        case Sequence():
+            items = [_convert(x, (*place, i), findings) for i, x in enumerate(value)]
+            return _drop_infinite(items)
+    kind = type(value).__name__
+    findings.append((write_path(place), f"found a value of type {kind}", "give numbers, texts, lists or mappings"))
+    return None
+
+
+def _drop_infinite(items: list[Data]) -> list[Data]:
+    """Write the infinite bounds of a range as a file does: null."""
+    if len(items) != 2:
+        return items
+    lower, upper = items
+    return [None if lower == -math.inf else lower, None if upper == math.inf else upper]
