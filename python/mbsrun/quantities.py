@@ -1,4 +1,7 @@
-"""The names of a motion's quantities in expressions: see `mbsrun.ocp.quantities` and `mbsrun.simulation.drive`."""
+"""The names of a motion's quantities in expressions: see `mbsrun.ocp.quantities` and `mbsrun.simulation.drive`.
+
+A problem of optimal control adds names: its own states and controls, and the components of open wrenches.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +18,20 @@ _AXES = ("x", "y", "z")
 class Quantity:
     """One number of a motion."""
 
-    kind: str  # t, T, q, qd, qdd, u, position or v
+    kind: str  # t, T, q, qd, qdd, u, position or v; states, controls or w, where a problem adds them
     index: int  # within its kind; positions and velocities of sensors follow each other
 
 
-def list_quantities(manifest: Manifest) -> Mapping[str, Quantity]:
-    """Return everything of a model that an expression may use, by name."""
+@dataclass(frozen=True)
+class Added:
+    """The names that a problem adds to the names of its model."""
+
+    states: tuple[str, ...] = ()
+    controls: tuple[str, ...] = ()
+
+
+def list_quantities(manifest: Manifest, added: Added | None = None) -> Mapping[str, Quantity]:
+    """Return everything of a model, and of a problem, that an expression may use, by name."""
     coordinates = [c.name for c in manifest.coordinates]
     known = {"t": Quantity("t", 0), "T": Quantity("T", 0)}
     for kind, entries in (
@@ -34,7 +45,23 @@ def list_quantities(manifest: Manifest) -> Mapping[str, Quantity]:
         for k, axis in enumerate(_AXES if name is not None else ()):
             known[f"{axis}_{name}"] = Quantity("position", 3 * i + k)
             known[f"v{axis}_{name}"] = Quantity("v", 3 * i + k)
+    if added is not None:
+        known |= {name: Quantity("w", i) for i, name in enumerate(name_components(manifest)) if name is not None}
+        for kind, own in (("states", added.states), ("controls", added.controls)):
+            known |= {name: Quantity(kind, i) for i, name in enumerate(own)}
     return known
+
+
+def name_components(manifest: Manifest) -> list[str | None]:
+    """Name the entries of w, the components of open wrenches: fx_NAME to fz_NAME, mx_NAME to mz_NAME."""
+    names = _spell([wrench.name for wrench in manifest.wrenches])
+    return [
+        None if name is None else f"{part}{axis}_{name}"
+        for wrench, name in zip(manifest.wrenches, names, strict=True)
+        for part, is_open in (("f", wrench.force), ("m", wrench.moment))
+        if is_open
+        for axis in _AXES
+    ]
 
 
 def _spell(names: Sequence[str]) -> list[str | None]:

@@ -14,7 +14,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from mbsgen.documents import abbreviate
 from mbsgen.errors import MbsError
-from mbsgen.expressions import ExpressionError, names, parse
+from mbsgen.expressions import ExpressionError, is_free_name, names, parse
 from mbsgen.manifest import Manifest
 from mbsgen.roles import Role
 from mbsrun.closure import has_loops
@@ -100,9 +100,8 @@ _WITHOUT_REDUCTION = (Representation.SEMI, Representation.EXP2_O, Representation
 
 def _find_dependent_accelerations(problem: Problem, manifest: Manifest) -> Iterator[Conflict]:
     """Find accelerations of dependent coordinates, which are no variables in the reduced form."""
-    known, cost = list_quantities(manifest), problem.cost
-    texts = [term.expression for term in cost.running + cost.terminal]
-    texts += [constraint.expression for constraint in problem.constraints]
+    known = list_quantities(manifest, problem.added)
+    texts = [text for _, own in list_expressions(problem) for text in own]
     read = [known[name] for text in texts for name in names(parse(text)) if name in known]
     found = {x.index for x in read if x.kind == "qdd"} | {i for i, _ in problem.end.accelerations}
     if dependent := sorted(found & set(manifest.dependent)):
@@ -202,8 +201,9 @@ def _find_wrong_mesh(problem: Problem) -> Iterator[Finding]:
 def _find_strangers(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
     """Find lengths, indices and names that do not fit the model."""
     nq, n, m = len(manifest.positions), len(manifest.coordinates), len(manifest.actuated)
-    if not m:
-        yield ("model", "the model has no actuated coordinate", "give it one: there is nothing to control")
+    if not (m or problem.controls):
+        remedy = "give it one, or the problem controls: there is nothing to control"
+        yield ("model", "the model has no actuated coordinate", remedy)
     if left := list_open_inputs(manifest):
         remedy = "give the external wrenches in the model: here they have no value"
         yield ("model", f"the model leaves {', '.join(left)} open, beside the inputs u", remedy)
@@ -232,6 +232,7 @@ def _find_strangers(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
     if not all(math.isfinite(value) for _, value in ends):
         yield ("end", "a value is not finite", "give finite numbers")
     yield from _find_unknown_frames(problem, manifest)
+    yield from _find_wrong_additions(problem, manifest)
     yield from _find_wrong_expressions(problem, manifest)
 
 
@@ -248,16 +249,39 @@ def _find_unknown_frames(problem: Problem, manifest: Manifest) -> Iterator[Findi
                 yield (place, f"the model has no {kind} {abbreviate(name)}", f"there are {', '.join(known) or 'none'}")
 
 
-def _find_wrong_expressions(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
-    known = {*list_quantities(manifest), *(name for name, _ in problem.constants)}
+def list_expressions(problem: Problem) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """List the expressions of the motion, by the part of the problem that they are in."""
     cost = problem.cost
-    for place, texts in (
-        ("cost.running", [term.expression for term in cost.running]),
-        ("cost.terminal", [term.expression for term in cost.terminal]),
-        ("constraints", [constraint.expression for constraint in problem.constraints]),
-    ):
+    yield "cost.running", tuple(term.expression for term in cost.running)
+    yield "cost.terminal", tuple(term.expression for term in cost.terminal)
+    yield "constraints", tuple(constraint.expression for constraint in problem.constraints)
+    yield "states", tuple(state.rate for state in problem.states)
+    yield "integrals", tuple(part.expression for part in problem.integrals)
+
+
+def _find_wrong_additions(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
+    """Find states and controls with names that are taken, or numbers that do not fit each other."""
+    taken = {*list_quantities(manifest), *(name for name, _ in problem.constants)}
+    for kind, parts in (("states", problem.states), ("controls", problem.controls)):
+        for i, part in enumerate(parts):
+            if not is_free_name(part.name) or part.name in taken:
+                yield (f"{kind}[{i}].name", f"found {abbreviate(part.name)}", "give a word that means nothing else")
+            taken.add(part.name)
+            guess = part.guess if isinstance(part.guess, tuple) else (0.0 if part.guess is None else part.guess,)
+            if not all(map(math.isfinite, guess)):
+                yield (f"{kind}[{i}].guess", f"found {part.guess}", "give finite numbers")
+    for i, state in enumerate(problem.states):
+        for place, (lower, upper) in (("start", state.start), ("end", state.end)):
+            if not (lower <= upper and lower <= state.bounds[1] and upper >= state.bounds[0]):
+                finding = f"[{lower:g}, {upper:g}] leaves nothing within [{state.bounds[0]:g}, {state.bounds[1]:g}]"
+                yield (f"states[{i}].{place}", finding, "give limits that leave room")
+
+
+def _find_wrong_expressions(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
+    known = {*list_quantities(manifest, problem.added), *(name for name, _ in problem.constants)}
+    for place, texts in list_expressions(problem):
         for i, text in enumerate(texts):
-            own = f"{place}[{i}].expression"
+            own = f"{place}[{i}].{'rate' if place == 'states' else 'expression'}"
             try:
                 unknown = sorted(names(parse(text)) - known)
             except ExpressionError as error:

@@ -59,7 +59,7 @@ def _reads_dependent_velocities(shape: Structure, manifest: Manifest) -> bool:
     """Return whether a problem reads the velocities of dependent coordinates, by bounds, targets or expressions."""
     if shape.sensor_velocities or set(manifest.dependent) & {*shape.known_velocities, *shape.velocities}:
         return True
-    known = list_quantities(manifest)
+    known = list_quantities(manifest, shape.added)
     read = [known[name] for text in shape.expressions for name in names(parse(text)) if name in known]
     return any(x.kind == "v" or (x.kind == "qd" and x.index in manifest.dependent) for x in read)
 

@@ -9,6 +9,9 @@ stages of an integrator, with the matrices of `integrators`, h being the length 
 
     q = q_k + h c qd_k + h^2 P z_k,    qd = qd_k + h V z_k,    qdd = W z_k
 
+The states that a problem adds lie behind the mechanism's, at mesh points and within intervals; its controls, behind the
+inputs.
+
 With closed loops a point also has multipliers lam_kj and corrections mu_kj, or only the independent velocities and
 accelerations: see `closing`.
 """
@@ -55,6 +58,15 @@ class Motions:
 
 
 @dataclass(frozen=True)
+class Extras:
+    """Where the variables lie that a problem adds to the motion of its mechanism."""
+
+    states: Indices  # (N + 1, ns): at the mesh points
+    point_states: Indices  # (N, S, ns)
+    controls: Indices  # (N, nc)
+
+
+@dataclass(frozen=True)
 class Layout:
     """Where a motion lies among the variables; nq coordinates, n velocities, m inputs, N intervals, S stages each."""
 
@@ -68,6 +80,7 @@ class Layout:
     inputs: Indices  # (N, m)
     horizon: int | None  # T, where it is free
     size: int
+    extras: Extras
 
     @property
     def nq(self) -> int:
@@ -85,6 +98,15 @@ class Layout:
 
 
 @dataclass(frozen=True)
+class ExtraRows:
+    """Where the conditions on the states lie that a problem adds."""
+
+    start: Indices  # (ns,)
+    rates: Indices  # (N, S, ns)
+    end: Indices  # (states with a condition there,)
+
+
+@dataclass(frozen=True)
 class Rows:
     """Where each constraint lies."""
 
@@ -95,6 +117,7 @@ class Rows:
     closure: Indices  # (N, S, ...): of loops, and of their rates where velocities are variables
     start_closure: Indices  # the same where the start is free, or empty: loops, then rates
     continuity: Indices  # (N, nq + n)
+    extras: ExtraRows
     inner: Indices  # (N, points, bounded states): where points have no states
     sensors: Indices  # (targets, 3)
     coordinates: Indices  # (targets,); quaternions apart
@@ -117,31 +140,40 @@ def lay_out(
     has_states: bool,
     has_accelerations: bool,
     horizon_is_free: bool,
+    states: int = 0,
+    controls: int = 0,
 ) -> Layout:
-    """Number the variables; `has_states` and `has_accelerations` say which variables the stages have."""
+    """Number the variables; `has_states` and `has_accelerations` say which variables the stages have.
+
+    The numbers of states and controls are of those that a problem adds.
+    """
     N, S, width = grid.intervals, stages, motions.nq + len(motions.velocities)
     sizes = (
         width * has_states,
+        states,
         len(motions.independent) * has_accelerations,
         motions.multipliers,
         motions.corrections,
     )
     at_stage = sum(sizes)
-    stride = width + S * at_stage + m
+    stride = width + states + S * at_stage + m + controls
     first = np.arange(N + 1) * stride
-    points = first[:N, None, None] + width + np.arange(S)[:, None] * at_stage + np.arange(at_stage)
-    states, accelerations, multipliers, corrections = np.split(points, np.cumsum(sizes)[:-1], axis=2)
+    mesh = first[:, None] + np.arange(width + states)
+    points = first[:N, None, None] + width + states + np.arange(S)[:, None] * at_stage + np.arange(at_stage)
+    moved, further, accelerations, multipliers, corrections = np.split(points, np.cumsum(sizes)[:-1], axis=2)
+    inputs = first[1:, None] - m - controls + np.arange(m + controls)
     return Layout(
         motions=motions,
         grid=grid,
-        mesh=first[:, None] + np.arange(width),
-        points=states,
+        mesh=mesh[:, :width],
+        points=moved,
         accelerations=accelerations,
         multipliers=multipliers,
         corrections=corrections,
-        inputs=first[1:, None] - m + np.arange(m),
-        horizon=N * stride + width if horizon_is_free else None,
-        size=N * stride + width + horizon_is_free,
+        inputs=inputs[:, :m],
+        horizon=N * stride + width + states if horizon_is_free else None,
+        size=N * stride + width + states + horizon_is_free,
+        extras=Extras(mesh[:, width:], further, inputs[:, m:]),
     )
 
 
@@ -158,6 +190,8 @@ class Places:
     interval: Indices  # (places,): of inputs and accelerations
     yd: Column  # velocities that collocation carries on
     lam: Indices  # (..., places): multipliers; size 0 where they are no variables
+    states: Indices  # (ns, places): the ones that a problem adds
+    controls: Indices  # (nc, places)
 
     @property
     def parts(self) -> Mapping[str, Column]:
@@ -170,6 +204,8 @@ class Places:
             "yd": self.yd,
             "ydd": self.qdd,
             "lam": self.lam,
+            "states": self.states,
+            "controls": self.controls,
         }
 
 
@@ -188,16 +224,22 @@ def _at(layout: Layout, reading: Reading, h: Array) -> Places:
     u = np.repeat(layout.inputs, k, axis=0).T
     s = layout.grid.places(reading.c).ravel()
     interval = np.repeat(np.arange(N), k)
-    accelerations, multipliers = (
-        part.reshape(N * part.shape[1], -1).T for part in (layout.accelerations, layout.multipliers)
-    )
-    if layout.points.size:
-        q, qd = (part.reshape(N * k, -1).T for part in layout.split(layout.points))
+    accelerations, multipliers = (_flatten(part) for part in (layout.accelerations, layout.multipliers))
+    extras = layout.extras
+    added = (_flatten(extras.point_states), np.repeat(extras.controls, k, axis=0).T)
+    if layout.points.size or not layout.mesh.shape[1]:
+        q, qd = map(_flatten, layout.split(layout.points))
         yd = qd[layout.motions.carried_velocities]
-        return Places(q, qd, accelerations, u, s, interval, interval, yd, multipliers)
+        return Places(q, qd, accelerations, u, s, interval, interval, yd, multipliers, *added)
     motion = read_motion(layout, reading, h)
     qdd = accelerations if reading.are_stages else motion.qdd
-    return Places(motion.q, motion.qd, qdd, u, s, interval, interval, motion.qd, multipliers)
+    return Places(motion.q, motion.qd, qdd, u, s, interval, interval, motion.qd, multipliers, *added)
+
+
+def _flatten(points: Indices) -> Indices:
+    """Put the points (N, S, size) of all intervals in a row: (size, N S)."""
+    N, S, size = points.shape
+    return points.reshape(N * S, size).T
 
 
 @dataclass(frozen=True)
@@ -250,7 +292,8 @@ def at_mesh(layout: Layout, integrator: Integrator, k: Sequence[int]) -> Places:
         matrices = _spread(integrator.ends.W, n)
         qdd = Combination(matrices, (at > 0).astype(np.int64), stages[interval].reshape(at.size, matrices.shape[2]))
     yd, none = qd[layout.motions.carried_velocities], np.zeros((0, at.size), dtype=np.int64)
-    return Places(q, qd, qdd, layout.inputs[interval].T, s, at, interval, yd, none)
+    added = (layout.extras.states[at].T, layout.extras.controls[interval].T)
+    return Places(q, qd, qdd, layout.inputs[interval].T, s, at, interval, yd, none, *added)
 
 
 def _spread(coefficients: Array, n: int) -> Array:

@@ -43,8 +43,11 @@ def make_trajectories(solution: Solution, manifest: Manifest) -> Figure:
         np.concatenate((mesh[:-1, None], points), axis=1).reshape(len(t), -1)
         for mesh, points in ((trajectory.q, trajectory.point_q), (trajectory.qd, trajectory.point_qd))
     )
-    figure = Figure(figsize=(8, 9), layout="constrained")
-    coordinates, velocities, inputs = figure.subplots(3, 1, sharex=True)
+    added = bool(solution.problem.every_state or solution.problem.controls)
+    figure = Figure(figsize=(8, 9 + 3 * added), layout="constrained")
+    coordinates, velocities, inputs, *others = figure.subplots(3 + added, 1, sharex=True)
+    for axes in others:
+        _plot_additions(axes, solution, t)
     names = [c.name for c in manifest.coordinates]
     labels = {c.name: _plain(c.name) + ("" if c.actuated else " (passive)") for c in manifest.coordinates}
     lines = {c.name: "-" if c.actuated else "--" for c in manifest.coordinates}
@@ -62,7 +65,7 @@ def make_trajectories(solution: Solution, manifest: Manifest) -> Figure:
     _name(coordinates, "Joint coordinates", "q", _join(c.unit for c in manifest.coordinates))
     _name(velocities, "Joint velocities", r"\dot{q}", _join(f"{c.unit}/s" for c in manifest.coordinates))
     _name(inputs, "Inputs", "u", _join(c.force_unit for c in actuated))
-    inputs.set_xlabel("time [s]")
+    (others or [inputs])[-1].set_xlabel("time [s]")
     inputs.set_xlim(0, solution.trajectory.t[-1])
     figure.legend(loc="outside lower center", ncols=3, frameon=False)
     figure.suptitle(_title(solution))
@@ -80,6 +83,19 @@ def plot_curves(t: Array, curves: Mapping[str, Array]) -> Figure:
     axes.grid(alpha=0.3)
     axes.legend(frameon=False)
     return figure
+
+
+def _plot_additions(axes: Axes, solution: Solution, t: Array) -> None:
+    """Plot the states and controls that the problem adds, at times t."""
+    trajectory, problem = solution.trajectory, solution.problem
+    states = np.concatenate((trajectory.states[:-1, None], trajectory.point_states), axis=1).reshape(len(t), -1)
+    names = [*(state.name for state in problem.states), *(part.expression for part in problem.integrals)]
+    for name, values in zip(names, states.T, strict=True):
+        axes.plot(t, values, label=_plain(name))
+    for control, values in zip(problem.controls, trajectory.controls.T, strict=True):
+        axes.stairs(values, trajectory.t, baseline=None, linewidth=1.5, linestyle="--", label=_plain(control.name))
+    axes.set_title("Further states; controls dashed", loc="left", fontsize="medium")
+    axes.grid(alpha=0.3)
 
 
 def plot_starts(starts: Starts, path: Path) -> None:

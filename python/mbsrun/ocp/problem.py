@@ -22,6 +22,7 @@ from mbsrun.ocp.integrators import INTEGRATORS, IntegratorName
 from mbsrun.ocp.representations import Loops as Loops
 from mbsrun.ocp.representations import Representation as Representation
 from mbsrun.ocp.schemes import Family
+from mbsrun.quantities import Added
 
 
 class Form(Enum):
@@ -111,7 +112,9 @@ class State:
     bounds: Range = (-math.inf, math.inf)
     start: Range = (-math.inf, math.inf)  # equal ends give a value
     end: Range = (-math.inf, math.inf)
-    guess: float = 0.0
+    # held, or going straight from the first to the second; None: straight between start and end where both are given,
+    # else integrated along the guessed motion
+    guess: float | tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -238,6 +241,22 @@ class Problem:
         return Grid(self.intervals, self.mesh)
 
     @property
+    def added(self) -> Added:
+        """Return the names of everything that expressions read beside the model; integrals have none that they can."""
+        integrals = (f"@integral {i}" for i in range(len(self.integrals)))
+        return Added(
+            states=(*(state.name for state in self.states), *integrals),
+            controls=tuple(control.name for control in self.controls),
+        )
+
+    @property
+    def every_state(self) -> tuple[State, ...]:
+        """Return the states beside those of the mechanism; integrals are states that begin at 0."""
+        integrals = zip(self.added.states[len(self.states) :], self.integrals, strict=True)
+        own = (State(name, part.expression, start=(0.0, 0.0), end=part.range) for name, part in integrals)
+        return (*self.states, *own)
+
+    @property
     def has_quaternions(self) -> bool:
         """Return whether there are more coordinates than velocities."""
         return len(self.start_q) > len(self.start_qd)
@@ -268,6 +287,9 @@ class Conflict:
 def find_conflicts(problem: Problem) -> list[Conflict]:
     """Find conflicts among form, integrator, representation, horizon and kinds of coordinates."""
     form, representation, found = problem.form, problem.representation, []
+    if form is not Form.STANDARD and (problem.every_state or problem.controls):
+        finding = f"the {form.value} form takes no states, controls and integrals beside the mechanism's"
+        found.append(Conflict("form", finding, "take standard"))
     if form is not Form.STANDARD and problem.has_quaternions:
         finding = f"the {form.value} form takes no joints with quaternions, whose rates are not their velocities"
         found.append(Conflict("form", finding, "take standard"))

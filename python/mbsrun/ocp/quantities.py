@@ -4,6 +4,8 @@
     q_NAME, qd_NAME, qdd_NAME                     of a coordinate: value, velocity, acceleration
     u_NAME                                        of an actuated coordinate: input
     x_NAME, y_NAME, z_NAME, vx_NAME, ...          of a sensor: position and velocity in the base frame
+    fx_NAME, ..., mx_NAME, ...                    of a wrench that the model leaves open: its components
+    NAME                                          of a state or a control that the problem adds
 
 where dots and spaces of a name are written _, and q has other names where there are quaternions (q_trunk_qx); and
 the constants of the problem, which are parameters of the program. Units are SI. `mbsgen.expressions` reads an
@@ -33,14 +35,14 @@ from mbsgen.expressions import (
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.functions import Formula, Input, KernelResult
 from mbsrun.ocp.layout import Motions
-from mbsrun.quantities import Quantity, list_quantities
+from mbsrun.quantities import Added, Quantity, list_quantities, name_components
 
-__all__ = ["Quantity", "formulate", "list_quantities"]
+__all__ = ["Added", "Quantity", "formulate", "list_quantities"]
 
 CONSTANTS = "constants"  # the kind of a problem's constants
 TIME = "s"  # the kind of the time over the horizon, which is given at each place
 _TIME_NAME = "@s"  # which no text can hold
-_ORDER = ("q", "qd", "yd", "qdd", "u", "T")  # of the inputs of a formula
+_ORDER = ("q", "qd", "yd", "qdd", "u", "w", "states", "controls", "T")  # of the inputs of a formula
 
 
 def _call(function: str, *arguments: Expression) -> Expression:
@@ -68,13 +70,14 @@ def formulate(
     motions: Motions,
     accelerations: Mapping[str, KernelResult],
     horizon: float | None,
+    added: Added | None = None,
 ) -> Formula:
     """Turn expressions into a formula in the variables of a program.
 
     `accelerations` names the kernel that computes them where they are no variables. `horizon` is None where it is a
     variable. Raises ExpressionError for an expression that cannot be read.
     """
-    known = _list_known(manifest, motions)
+    known = _list_known(list_quantities(manifest, added), motions)
     known |= {_TIME_NAME: (TIME, 0), **{name: (CONSTANTS, i) for i, name in enumerate(constants)}}
     computed = {
         "position": KernelResult("sensors", ("q",), "position"),
@@ -86,7 +89,7 @@ def formulate(
     kinds = {kind for kind, _ in read.values()}
     made = {kind: call for kind, call in computed.items() if kind in kinds}
     needed = (kinds - set(made)).union(*(call.inputs for call in made.values()))
-    sizes = _count(manifest, motions)
+    sizes = _count(manifest, motions, added or Added())
     inputs = tuple(Input(kind, sizes[kind]) for kind in _ORDER if kind in needed)
     return Formula(
         expressions=tuple(expressions),
@@ -106,11 +109,11 @@ def _read(text: str, known: Mapping[str, tuple[str, int]], horizon: float | None
     return evaluate(parse(text), values, _TREES)
 
 
-def _list_known(manifest: Manifest, motions: Motions) -> dict[str, tuple[str, int]]:
+def _list_known(quantities: Mapping[str, Quantity], motions: Motions) -> dict[str, tuple[str, int]]:
     """List kind and index of each name; velocities and accelerations that are no variables have no name."""
     places = {"qd": motions.velocities, "qdd": motions.independent}
     known = {}
-    for name, quantity in list_quantities(manifest).items():
+    for name, quantity in quantities.items():
         among = places.get(quantity.kind)
         if among is None:
             known[name] = (quantity.kind, quantity.index)
@@ -119,7 +122,7 @@ def _list_known(manifest: Manifest, motions: Motions) -> dict[str, tuple[str, in
     return known
 
 
-def _count(manifest: Manifest, motions: Motions) -> dict[str, int]:
+def _count(manifest: Manifest, motions: Motions, added: Added) -> dict[str, int]:
     """Count the entries of each kind of variable."""
     return {
         "q": motions.nq,
@@ -127,5 +130,8 @@ def _count(manifest: Manifest, motions: Motions) -> dict[str, int]:
         "yd": len(motions.independent),
         "qdd": len(motions.independent),
         "u": len(manifest.actuated),
+        "w": len(name_components(manifest)),
+        "states": len(added.states),
+        "controls": len(added.controls),
         "T": 1,
     }

@@ -250,4 +250,4 @@ def _pack(motion: Trajectory) -> bytes:
 
 def _unpack(blob: bytes) -> Trajectory:
     with np.load(io.BytesIO(blob), allow_pickle=False) as arrays:
-        return Trajectory(**{field.name: arrays[field.name] for field in fields(Trajectory)})
+        return Trajectory(**{field.name: arrays[field.name] for field in fields(Trajectory) if field.name in arrays})

@@ -7,6 +7,8 @@ rounding: from the start of every interval to its end, whose error is the defect
 start of the horizon to its end, where an unstable plant has multiplied the defects. Steps and processor time are
 limited; a check that does not finish within the limits calls no solution accurate.
 
+States that a problem adds are integrated along, s' = rate(t, q, qd, qdd, u, s), under its controls.
+
 With closed loops, accelerations and the forces of loops follow together,
 
     M qdd - J' lam = -Phi(q, qd, 0, 0, u),    J qdd = -gamma,
@@ -17,8 +19,8 @@ them is measured before.
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +30,10 @@ from mbsgen.errors import MbsError
 from mbsrun.closure import CLOSED, find_closure, has_loops
 from mbsrun.limits import Allowance, LimitError, Limits
 from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.solution import Resimulation, Solution
+from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.values import Values
 from mbsrun.quaternions import find_rates
 
 Array = NDArray[np.float64]
@@ -41,13 +46,14 @@ def resimulate(solution: Solution, plant: Plant, limits: Limits = LIMITS) -> Sol
     """Return the solution with its re-simulation, of which `unfinished` states the limit that ended it, if one did."""
     trajectory = solution.trajectory
     steps = solution.problem.grid.lengths(float(trajectory.t[-1]))
-    states = np.concatenate((trajectory.q, trajectory.qd), axis=1)
+    states = np.concatenate((trajectory.q, trajectory.qd, trajectory.states), axis=1)
+    course = Course(solution.problem, trajectory, plant)
     allowance, defects, last, unfinished = Allowance(limits), None, None, ""
     gaps: list[float] | None = [] if has_loops(plant.manifest) else None
     try:
-        ends = integrate(plant, states[:-1], trajectory.u, steps, allowance)
+        ends = integrate(plant, states[:-1], course.inputs(), steps, allowance)
         defects = None if ends is None else np.abs(ends - states[1:]).max(axis=1)
-        last = _integrate_all(plant, states[:1], trajectory.u, steps, allowance, gaps)
+        last = _integrate_all(plant, states[:1], course, steps, allowance, gaps)
     except LimitError as error:
         unfinished = error.finding
     return replace(
@@ -66,25 +72,87 @@ def resimulate(solution: Solution, plant: Plant, limits: Limits = LIMITS) -> Sol
     )
 
 
+class Inputs(Protocol):
+    """The inputs of some motions, and the rates of further states."""
+
+    def forces(self, time: Array, q: Array, qd: Array, states: Array) -> Array:
+        """Return the inputs (B, m) at times (B, 1) since the start."""
+
+    def rates(self, time: Array, q: Array, qd: Array, qdd: Array, states: Array) -> Array:
+        """Return the rates (B, ns) of the further states."""
+
+
+@dataclass(frozen=True)
+class Constant:
+    """Inputs (B, m) that do not change; there are no further states."""
+
+    u: Array
+
+    def forces(self, _time: Array, _q: Array, _qd: Array, _states: Array) -> Array:
+        """Return the inputs."""
+        return self.u
+
+    def rates(self, _time: Array, _q: Array, _qd: Array, _qdd: Array, states: Array) -> Array:
+        """Return no rates."""
+        return states
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """The inputs of some intervals of a solution."""
+
+    course: Course
+    intervals: NDArray[np.int64]
+
+    def _parts(self, time: Array, q: Array, qd: Array, states: Array) -> dict[str, Array]:
+        trajectory = self.course.trajectory
+        t = trajectory.t[self.intervals, None] + time
+        controls = trajectory.controls[self.intervals]
+        T = np.full_like(t, trajectory.t[-1])
+        return {"t": t, "T": T, "q": q, "qd": qd, "states": states, "controls": controls}
+
+    def forces(self, _time: Array, _q: Array, _qd: Array, _states: Array) -> Array:
+        """Return the inputs of the intervals."""
+        return self.course.trajectory.u[self.intervals]
+
+    def rates(self, time: Array, q: Array, qd: Array, qdd: Array, states: Array) -> Array:
+        """Return the rates of the states that the problem adds."""
+        parts = self._parts(time, q, qd, states)
+        return self.course.rates(parts | {"qdd": qdd, "u": self.forces(time, q, qd, states)})
+
+
+class Course:
+    """The inputs of a solution, over time."""
+
+    def __init__(self, problem: Problem, trajectory: Trajectory, plant: Plant) -> None:
+        """Prepare the expressions of the problem."""
+        self.trajectory = trajectory
+        self.rates = Values([state.rate for state in problem.every_state], problem, plant)
+
+    def inputs(self, *intervals: int) -> Inputs:
+        """Return the inputs of some intervals, or of all."""
+        return _Piece(self, np.array(intervals or range(len(self.trajectory.u)), dtype=np.int64))
+
+
 def _integrate_all(
-    plant: Plant, state: Array, u: Array, steps: Array, allowance: Allowance, gaps: list[float] | None
+    plant: Plant, state: Array, course: Course, steps: Array, allowance: Allowance, gaps: list[float] | None
 ) -> Array | None:
-    """Integrate one motion, (1, nq + n), through all intervals."""
+    """Integrate one motion, (1, nq + n + ns), through all intervals."""
     last: Array | None = state
-    for own, step in zip(u, steps, strict=True):
-        last = None if last is None else integrate(plant, last, own[None], step, allowance, gaps)
+    for k, step in enumerate(steps):
+        last = None if last is None else integrate(plant, last, course.inputs(k), float(step), allowance, gaps)
     return last
 
 
 def integrate(
     plant: Plant,
     states: Array,
-    u: Array,
+    inputs: Inputs,
     duration: float | Array,
     allowance: Allowance | None = None,
     gaps: list[float] | None = None,
 ) -> Array | None:
-    """Integrate several motions at once: states (B, nq + n) under constant inputs (B, m), each for its duration [s].
+    """Integrate several motions at once, states (B, nq + n + ns), each for its duration [s].
 
     Returns the states at the end, or None where the integrator or a kernel fails. Raises LimitError when the
     allowance is used up. Loops are closed after every step; the largest gap that each step leaves is added to `gaps`.
@@ -93,16 +161,20 @@ def integrate(
     longest = float(durations.max())
     pace = (durations / longest)[:, None]  # shorter ones are integrated in slower time, so that all end together
 
-    def rate(_: float, flat: Array) -> Array:
-        q, qd = np.split(flat.reshape(states.shape), [places], axis=1)
-        return (pace * np.concatenate((find_rates(plant, q, qd), accelerations(plant, q, qd, u)), axis=1)).ravel()
+    def rate(time: float, flat: Array) -> Array:
+        q, qd, further = np.split(flat.reshape(states.shape), ends, axis=1)
+        qdd = accelerations(plant, q, qd, inputs.forces(pace * time, q, qd, further))
+        rates = inputs.rates(pace * time, q, qd, qdd, further)
+        return (pace * np.concatenate((find_rates(plant, q, qd), qdd, rates), axis=1)).ravel()
 
     places, closure = len(plant.manifest.positions), find_closure(plant)
+    ends = [places, places + len(plant.manifest.coordinates)]
 
     def close(flat: Array) -> Array:
         """Return the nearest states that keep the loops closed."""
         assert closure is not None, "only loops are closed"
-        return np.concatenate(closure.project(*np.split(flat.reshape(states.shape), [places], axis=1)), axis=1).ravel()
+        q, qd, further = np.split(flat.reshape(states.shape), ends, axis=1)
+        return np.concatenate((*closure.project(q, qd), further), axis=1).ravel()
 
     try:
         begin = states.ravel() if closure is None else close(states.ravel())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sized
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, Discriminator, Field, PlainValidator, Tag
@@ -28,7 +28,7 @@ from mbsrun.ocp.schemes import DEGREES, Family
 
 MAX_EXPRESSIONS = 100  # of one kind
 
-T = TypeVar("T")
+T = TypeVar("T", bound=Sized)
 
 
 def _read_formula(value: Any) -> str:
@@ -37,9 +37,9 @@ def _read_formula(value: Any) -> str:
     return str(value)
 
 
-def _check_count(sections: tuple[T, ...]) -> tuple[T, ...]:
+def _check_count(sections: T) -> T:
     if len(sections) > MAX_EXPRESSIONS:
-        raise WrongValueError(f"found {len(sections)} expressions", f"give at most {MAX_EXPRESSIONS}")
+        raise WrongValueError(f"found {len(sections)} of them", f"give at most {MAX_EXPRESSIONS}")
     return sections
 
 
@@ -84,6 +84,10 @@ def _check_lengths(lengths: tuple[Expression, ...]) -> tuple[Expression, ...]:
     return lengths
 
 
+def _form_of_end(value: Any) -> str:
+    return "list" if isinstance(value, list | tuple) else "number"
+
+
 NumberField = Annotated[Expression, PlainValidator(read_number), Field(examples=[1.0])]
 LimitField = Annotated[Expression | None, PlainValidator(lambda v: None if v is None else read_number(v))]
 RangeField = tuple[LimitField, LimitField]  # null: no bound
@@ -99,6 +103,13 @@ RangesField = Annotated[  # the same for all, or by name
     Annotated[RangeField, Tag("list")] | Annotated[dict[str, RangeField], Tag("mapping")], Discriminator(_form)
 ]
 Limits = tuple[Expression | None, Expression | None]
+EndField = Annotated[  # a number, limits of one, or none
+    Annotated[LimitField, Tag("number")] | Annotated[RangeField, Tag("list")], Discriminator(_form_of_end)
+]
+StraightField = Annotated[  # a number, or two between which it goes straight
+    Annotated[LimitField, Tag("number")] | Annotated[tuple[NumberField, NumberField], Tag("list")],
+    Discriminator(_form_of_end),
+]
 
 
 class HorizonSection(Section):
@@ -207,6 +218,30 @@ class SolverSection(Section):
     options: dict[str, bool | int | float | str] = Field(default={}, examples=[{}])
 
 
+class StateSection(Section):
+    """A state beside those of the mechanism."""
+
+    rate: FormulaField
+    start: EndField = Field(examples=[0.0])
+    end: EndField = Field(default=None, examples=[[None, 1.0]])
+    range: RangeField = Field(default=(None, None), examples=[[0.0, 2.0]])
+    guess: StraightField = Field(default=None, examples=[0.5])
+
+
+class ControlSection(Section):
+    """An input beside those of the mechanism."""
+
+    range: RangeField = Field(default=(None, None), examples=[[0.0, 1.0]])
+    guess: NumberField = Field(default=Number(0.0), examples=[0.1])
+
+
+class IntegralSection(Section):
+    """An integral over the horizon that stays within a range."""
+
+    expression: FormulaField
+    range: RangeField = Field(examples=[[None, 1.0]])
+
+
 class ProblemSection(Section):
     """A problem file."""
 
@@ -221,6 +256,8 @@ class ProblemSection(Section):
     form: Form = Field(default=Problem.form, examples=["standard"])
     integrator: Annotated[str, AfterValidator(_check_integrator)] = Field(default=Problem.integrator, examples=["rk4"])
     steps: int = Field(default=Problem.steps, ge=1, le=MAX_STEPS, examples=[1])
+    states: Annotated[dict[str, StateSection], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
+    controls: Annotated[dict[str, ControlSection], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
     cost: CostSection = Field(examples=[{"inputs": 1.0}])
     start: StartSection = Field(examples=[{"pose": {}}])
     bounds: BoundsSection = Field(default=BoundsSection(), examples=[{}])
@@ -228,6 +265,7 @@ class ProblemSection(Section):
     constraints: Annotated[tuple[ConstraintSection, ...], AfterValidator(_check_count)] = Field(
         default=(), examples=[[]]
     )
+    integrals: Annotated[tuple[IntegralSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
     guess: GuessSection = Field(default=GuessSection(), examples=[{}])
     accuracy: NumberField = Field(default=Number(Problem.accuracy), examples=[1e-6])
     solver: SolverSection = Field(default=SolverSection(), examples=[{}])

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -18,7 +18,7 @@ from mbsgen.manifest import Manifest
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.record import SAME
 from mbsrun.ocp.status import ACCEPTABLE
-from mbsrun.ocp.trajectory import Array, Trajectory
+from mbsrun.ocp.trajectory import OPTIONAL, Array, Trajectory
 
 FORMAT: Literal["mbsrun solution 1"] = "mbsrun solution 1"
 
@@ -204,7 +204,7 @@ _FILE: TypeAdapter[_File] = TypeAdapter(_File)
 def write_solution(solution: Solution, path: Path) -> None:
     """Write a solution to a file, one line for each of its parts."""
     parts = _FILE.dump_python(_File(FORMAT, solution), mode="json")["solution"]
-    trajectory = parts.pop("trajectory")
+    trajectory = {k: x for k, x in parts.pop("trajectory").items() if k not in OPTIONAL or _has_numbers(x)}
     if not solution.equations:
         del parts["equations"], parts["multipliers"]
     lines = [f'  "{key}": {json.dumps(value, ensure_ascii=False)}' for key, value in parts.items()]
@@ -212,6 +212,13 @@ def write_solution(solution: Solution, path: Path) -> None:
     lines.append('  "trajectory": {\n' + ",\n".join(arrays) + "\n  }")
     text = f'{{\n "format": "{FORMAT}",\n "solution": {{\n' + ",\n".join(lines) + "\n }\n}\n"
     path.write_text(text, encoding="utf-8")
+
+
+def _has_numbers(values: list[Any]) -> bool:
+    """Return whether a nested list holds a number."""
+    while values and isinstance(values[0], list):
+        values = values[0]
+    return bool(values)
 
 
 def read_solution(path: Path) -> Solution:

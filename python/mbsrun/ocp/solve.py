@@ -26,6 +26,7 @@ from mbsrun.ocp.methods import METHODS, Iterate, Order, Start
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Loops, Problem, SolverOptions
 from mbsrun.ocp.solution import CostTerms, Failure, Run, Size, Solution, Violation
+from mbsrun.ocp.state_guess import complete
 from mbsrun.ocp.status import ACCEPTABLE, BAD_BOUNDS, BAD_GUESS, OPEN, SOLVED, UNREACHABLE, explain
 from mbsrun.ocp.structure import structure
 from mbsrun.ocp.trajectory import Trajectory
@@ -77,7 +78,7 @@ class Solver:
         crossed = find_crossed_bounds(problem, self.plant.manifest)
         if crossed:
             return Failure(problem, Run(BAD_BOUNDS, 0, 0.0, 0.0), crossed, "give bounds that leave room")
-        x = self.transcription.pack(guess)
+        x = self.transcription.pack(complete(guess, problem, self.plant))
         if not np.isfinite(x).all():
             finding = "the guess has numbers that are not finite"
             return Failure(problem, Run(BAD_GUESS, 0, 0.0, 0.0), finding, "take another guess")
@@ -209,6 +210,9 @@ def find_crossed_bounds(problem: Problem, manifest: Manifest) -> str | None:
         ("velocity", bounds.qd, names),
         ("input", bounds.u, [names[i] for i in manifest.actuated]),
         ("constraint", [c.range for c in problem.constraints], [c.expression for c in problem.constraints]),
+        ("state", [state.bounds for state in problem.states], problem.added.states[: len(problem.states)]),
+        ("control", [control.bounds for control in problem.controls], problem.added.controls),
+        ("integral", [part.range for part in problem.integrals], [part.expression for part in problem.integrals]),
     ):
         for (lower, upper), name in zip(ranges, of, strict=True):
             if not (lower <= upper and lower < np.inf and upper > -np.inf):

@@ -29,12 +29,13 @@ from mbsgen.documents import (
     refuse,
 )
 from mbsgen.errors import InputError
-from mbsgen.expressions import FLOATS, Expression, ExpressionError, evaluate, is_free_name, names, parse
+from mbsgen.expressions import FLOATS, Expression, ExpressionError, evaluate, is_free_name, parse
 from mbsrun.closure import Closure, find_closure
 from mbsrun.ocp.checks import LEAST_FRACTION, LEAST_TOLERANCE, ProblemError, find_loop_conflicts, list_open_inputs
 from mbsrun.ocp.conditions import Completion, complete_pose, complete_velocities, find_strays, find_surplus
 from mbsrun.ocp.grid import divide
 from mbsrun.ocp.methods import METHODS, Amount
+from mbsrun.ocp.parts import PartReading
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import (
     Bounds,
@@ -50,7 +51,7 @@ from mbsrun.ocp.problem import (
     cylindrical,
     find_conflicts,
 )
-from mbsrun.ocp.quantities import list_quantities
+from mbsrun.ocp.quantities import Added, list_quantities
 from mbsrun.ocp.sections import (
     BoundsSection,
     ConstraintSection,
@@ -73,7 +74,6 @@ from mbsrun.quaternions import (
     neutral,
     normalise,
 )
-from mbsrun.reading import Reading
 
 ROUNDED = 1e-9  # of a start that loops complete, beyond its bounds
 
@@ -121,7 +121,7 @@ def interpret(document: Document, name: str, load: Callable[[str], SomePlant]) -
     return problem, plant
 
 
-class _Reading(Reading):
+class _Reading(PartReading):
     """Evaluates numbers and looks names up in a model; collects the faults."""
 
     def __init__(self, document: Document, plant: Plant, stand_ins: frozenset[Place]) -> None:
@@ -136,8 +136,7 @@ class _Reading(Reading):
         self.frames = _Names("frame", [f.name for f in manifest.frames])
         self.sensors = _Names("sensor", [f.name for f in manifest.frames if f.sensor])
         self.open_inputs = list_open_inputs(manifest)
-        self.quantities = list_quantities(manifest)
-        self.used: set[str] = set()  # constants that formulas read
+        self.quantities = dict(list_quantities(manifest, Added()))
         limits = {
             c.name: (-math.inf if c.lower is None else c.lower, math.inf if c.upper is None else c.upper)
             for c in manifest.coordinates
@@ -152,8 +151,10 @@ class _Reading(Reading):
             if not is_free_name(key) or key in self.quantities:
                 self.fault(("constants", key), "no name for a constant", "give a word that means nothing else")
             self.constants[key] = self.number(("constants", key), expression)
-        if not self.inputs.known:
-            self.fault(("model",), "the model has no actuated coordinate", "give it one: there is nothing to control")
+        self.add_names(section)
+        if not (self.inputs.known or section.controls):
+            remedy = "give it one, or the problem controls: there is nothing to control"
+            self.fault(("model",), "the model has no actuated coordinate", remedy)
         if self.open_inputs:
             left = f"the model leaves {', '.join(self.open_inputs)} open, beside the inputs u"
             self.fault(("model",), left, "give the external wrenches in the model: here they have no value")
@@ -189,11 +190,15 @@ class _Reading(Reading):
             horizon_range=horizon_range,
             free_start=(*free_q, *(len(start_q) + i for i in free_qd)),
             constraints=constraints,
-            constants=tuple((key, self.constants[key]) for key in section.constants if key in self.used),
             guess=self.guess(section.guess),
             accuracy=self.number(("accuracy",), section.accuracy, least=math.ulp(0)),
             solver=self.solver(section.solver),
+            states=self.states(section.states),
+            controls=self.controls(section.controls),
+            integrals=self.integrals(section.integrals),
         )
+        used = tuple((key, self.constants[key]) for key in section.constants if key in self.used)
+        problem = replace(problem, constants=used)
         for conflict in (*find_conflicts(problem), *find_loop_conflicts(problem, self.manifest)):
             self.fault((conflict.key,), conflict.finding, conflict.remedy)
         return problem
@@ -249,16 +254,6 @@ class _Reading(Reading):
         place: Place = ("constraints", i)
         self.check_formula((*place, "expression"), section.expression)
         return Constraint(section.expression, self.range((*place, "range"), section.range), section.at)
-
-    def check_formula(self, place: Place, text: str) -> None:
-        """Look up the names that an expression of the motion reads."""
-        for name in sorted(names(parse(text))):
-            if name in self.constants:
-                self.used.add(name)
-            elif name not in self.quantities:
-                meant = nearest(name, [*self.quantities, *self.constants])
-                remedy = f"did you mean {abbreviate(meant)}?" if meant else "there are t, T, q_NAME, u_NAME, x_SENSOR"
-                self.fault(place, f"unknown name {abbreviate(name)}", remedy)
 
     def start(
         self,
@@ -405,16 +400,6 @@ class _Reading(Reading):
             if i is not None:
                 ranges[i] = value
         return tuple(ranges)
-
-    def range(self, place: Place, limits: Limits) -> Range:
-        lower, upper = (
-            default if limit is None else self.number((*place, i), limit)
-            for i, (limit, default) in enumerate(zip(limits, (-math.inf, math.inf), strict=True))
-        )
-        if lower > upper:
-            self.fault(place, f"{lower:g} is above {upper:g}", "give [lower, upper]; null is no bound")
-            return (math.nan, math.nan)  # which passes all later checks
-        return (lower, upper)
 
     def end(self, section: EndSection, bounds: Bounds) -> End:
         sensors, velocities = [], []

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from mbsrun.ocp.grid import Grid
 from mbsrun.ocp.problem import Form, Loops, Problem, Representation
 from mbsrun.ocp.schemes import Family
+from mbsrun.quantities import Added
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,9 @@ class Structure:
     loops: Loops | None = None
     mesh: tuple[float, ...] | None = None  # fractions of the horizon; None: intervals are equal
     known_velocities: tuple[int, ...] = ()  # indices into qd of velocities with bounds or a given start, when reduced
+    added: Added = field(default_factory=Added)
+    rates: tuple[str, ...] = ()  # of the states that the problem adds
+    ending: tuple[int, ...] = ()  # of them, the ones with a condition at the end
 
     @property
     def grid(self) -> Grid:
@@ -48,7 +52,7 @@ class Structure:
     @property
     def expressions(self) -> tuple[str, ...]:
         """List all expressions of the motion."""
-        return (*self.running, *self.terminal, *(text for text, _ in self.constraints))
+        return (*self.running, *self.terminal, *(text for text, _ in self.constraints), *self.rates)
 
 
 def structure(problem: Problem) -> Structure:
@@ -81,6 +85,9 @@ def structure(problem: Problem) -> Structure:
         loops=problem.loops,
         mesh=problem.mesh,
         known_velocities=_list_known_velocities(problem) if problem.loops is Loops.REDUCED else (),
+        added=problem.added,
+        rates=tuple(state.rate for state in problem.every_state),
+        ending=tuple(i for i, state in enumerate(problem.every_state) if np.isfinite(state.end).any()),
     )
 
 

@@ -1,8 +1,8 @@
 """A solution as a table: Solution and plant -> CSV, a row for each mesh and collocation point, in SI units.
 
 Columns are time, coordinates, velocities, accelerations, inputs, multipliers of closed loops, and positions of sensors
-in the base frame; the header names each with its unit. Names of the model are bracketed, so that a spreadsheet reads no
-cell as a formula.
+in the base frame; then states, integrals and controls of the problem. The header names each, with its unit where that
+is known. Names of the model are bracketed, so that a spreadsheet reads no cell as a formula.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.schemes import read_basis
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.trajectory import Trajectory
@@ -30,9 +31,10 @@ def write_table(solution: Solution, plant: Plant, path: Path) -> None:
     if solution.multipliers is not None:
         columns.append(_read_forces(solution.trajectory, solution.multipliers))
     columns.append(_place_sensors(solution.trajectory, plant))
+    columns += _read_additions(solution.trajectory)
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(_name_columns(plant.manifest))
+        writer.writerow(_name_columns(plant.manifest) + _name_additions(solution.problem))
         writer.writerows(np.concatenate(columns, axis=1).tolist())
 
 
@@ -50,6 +52,23 @@ def _name_columns(manifest: Manifest) -> list[str]:
     ]
 
 
+def _name_additions(problem: Problem) -> list[str]:
+    """Name the states and controls that the problem adds, and its integrals from the start."""
+    return [
+        *(f"state[{state.name}]" for state in problem.states),
+        *(f"integral[{i}]" for i in range(len(problem.integrals))),
+        *(f"control[{control.name}]" for control in problem.controls),
+    ]
+
+
+def _read_additions(trajectory: Trajectory) -> list[Array]:
+    """List states and controls at all points in order."""
+    return [
+        _join(trajectory, trajectory.states[:-1], trajectory.point_states, trajectory.states[-1]),
+        _repeat(trajectory, trajectory.controls),
+    ]
+
+
 def _list_units(manifest: Manifest) -> list[str]:
     """List the units of the multipliers: of forces along distances, of moments; expressions have none."""
     return [_UNITS.get(name, "N m") for loop in manifest.loops for name in loop.equations]
@@ -64,15 +83,19 @@ def list_motion(trajectory: Trajectory) -> list[Array]:
     Where an interval begins, accelerations and inputs are the interval's; at the end, the last interval's. There they
     are read off the polynomial through the accelerations at the interval's points.
     """
-    t, u = trajectory.t, trajectory.u
-    kept = 1 + int(_find_inner(trajectory).sum())
+    t = trajectory.t
     return [
         _join(trajectory, t[:-1, None], trajectory.point_t[..., None], t[-1:]),
         _join(trajectory, trajectory.q[:-1], trajectory.point_q, trajectory.q[-1]),
         _join(trajectory, trajectory.qd[:-1], trajectory.point_qd, trajectory.qd[-1]),
         _read_forces(trajectory, trajectory.point_qdd),
-        np.concatenate((np.repeat(u, kept, axis=0), u[-1:])),
+        _repeat(trajectory, trajectory.u),
     ]
+
+
+def _repeat(trajectory: Trajectory, u: Array) -> Array:
+    """Repeat inputs (N, m) at all points of their intervals; at the end, the last ones."""
+    return np.concatenate((np.repeat(u, 1 + int(_find_inner(trajectory).sum()), axis=0), u[-1:]))
 
 
 def _read_forces(trajectory: Trajectory, points: Array) -> Array:
@@ -85,7 +108,8 @@ def _read_forces(trajectory: Trajectory, points: Array) -> Array:
 def _join(trajectory: Trajectory, mesh: Array, points: Array, end: Array) -> Array:
     """Put values at the starts of the intervals, at their points, and at the end in order."""
     rows = np.concatenate((mesh[:, None], points[:, _find_inner(trajectory)]), axis=1)
-    return np.concatenate((rows.reshape(-1, rows.shape[-1]), end[None]))
+    N, count, size = rows.shape
+    return np.concatenate((rows.reshape(N * count, size), end[None]))
 
 
 def _place_nodes(trajectory: Trajectory) -> Array:

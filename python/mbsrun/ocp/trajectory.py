@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 import numpy as np
@@ -23,11 +23,15 @@ def _read_array(value: Any) -> NDArray[np.float64]:
 Array = Annotated[NDArray[np.float64], PlainValidator(_read_array), PlainSerializer(lambda array: array.tolist())]
 
 
+OPTIONAL = ("states", "point_states", "controls", "point_u", "point_w")  # parts of a trajectory that it may leave out
+NONE: NDArray[np.float64] = np.zeros(0)  # stands for arrays of no quantities
+
+
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """A motion; nq coordinates, n velocities, m inputs, N intervals with d points each. Times in s, the rest in SI.
 
-    nq equals n, except with quaternions.
+    nq equals n, except with quaternions. A motion without further states, controls, ... may leave their arrays out.
     """
 
     t: Array  # (N + 1,)
@@ -38,6 +42,11 @@ class Trajectory:
     point_q: Array  # (N, d, nq)
     point_qd: Array  # (N, d, n)
     point_qdd: Array  # (N, d, n)
+    states: Array = field(default_factory=NONE.copy)  # (N + 1, ns): beside those of the mechanism
+    point_states: Array = field(default_factory=NONE.copy)  # (N, d, ns)
+    controls: Array = field(default_factory=NONE.copy)  # (N, nc): beside u, constant from t[k] to t[k + 1]
+    point_u: Array = field(default_factory=NONE.copy)  # (N, d, m), or (N, d, 0) where all inputs are constant
+    point_w: Array = field(default_factory=NONE.copy)  # (N, d, nw): components of open wrenches
 
     def __post_init__(self) -> None:
         arrays = (self.t, self.q, self.qd, self.u, self.point_t, self.point_q, self.point_qd, self.point_qdd)
@@ -46,6 +55,20 @@ class Trajectory:
             (N, d, n), nq, m = self.point_qd.shape, self.point_q.shape[-1], self.u.shape[1]
             shapes = [(N + 1,), (N + 1, nq), (N + 1, n), (N, m), (N, d), (N, d, nq), (N, d, n), (N, d, n)]
         if [array.shape for array in arrays] != shapes:
+            raise ValueError("the arrays of a trajectory do not fit together")
+        for name, leading in (
+            ("states", (N + 1,)),
+            ("point_states", (N, d)),
+            ("controls", (N,)),
+            ("point_u", (N, d)),
+            ("point_w", (N, d)),
+        ):
+            array = getattr(self, name)
+            if not array.size:
+                object.__setattr__(self, name, np.zeros((*leading, 0)))
+            elif array.shape[:-1] != leading:
+                raise ValueError("the arrays of a trajectory do not fit together")
+        if self.states.shape[-1] != self.point_states.shape[-1] or self.point_u.shape[-1] not in (0, m):
             raise ValueError("the arrays of a trajectory do not fit together")
 
 
@@ -66,6 +89,11 @@ def resample(trajectory: Trajectory, t: NDArray[np.float64], point_t: NDArray[np
         point_q=points.states(trajectory.q, trajectory.point_q),
         point_qd=points.states(trajectory.qd, trajectory.point_qd) * pace,
         point_qdd=points.accelerations(trajectory.point_qdd) * pace**2,
+        states=mesh.states(trajectory.states, trajectory.point_states),
+        point_states=points.states(trajectory.states, trajectory.point_states),
+        controls=average_inputs(trajectory.t, trajectory.controls, t * pace),
+        point_u=points.accelerations(trajectory.point_u),
+        point_w=points.accelerations(trajectory.point_w),
     )
 
 
@@ -103,7 +131,7 @@ def average_inputs(t: NDArray[np.float64], u: NDArray[np.float64], times: NDArra
     knots = np.append(t, max(float(times[-1]), float(t[-1])) + 1.0)
     u = np.concatenate((u, u[-1:]))
     impulses = np.concatenate((np.zeros_like(u[:1]), np.cumsum(np.diff(knots)[:, None] * u, axis=0)))
-    sums = np.stack([np.interp(times, knots, column) for column in impulses.T], axis=-1)
+    sums = np.reshape([np.interp(times, knots, column) for column in impulses.T], (u.shape[1], len(times))).T
     return np.asarray(np.diff(sums, axis=0) / np.diff(times)[:, None])
 
 

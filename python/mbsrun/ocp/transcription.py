@@ -75,11 +75,15 @@ class Transcription:
     def variable_bounds(self, problem: Problem) -> tuple[Array, Array]:
         """Bound the variables that a solver sees: states at mesh and collocation points, inputs, and the horizon."""
         lower, upper = np.full(self.layout.size, -np.inf), np.full(self.layout.size, np.inf)
-        states = np.array(problem.bounds.q + self._pick(problem.bounds.qd))
+        states = np.array(problem.bounds.q + self._pick(problem.bounds.qd)).reshape(-1, 2)
+        extras, added = self.layout.extras, np.array([state.bounds for state in problem.every_state]).reshape(-1, 2)
         for index, bounds in (
             (self.layout.mesh, states),
             *([(self.layout.points, states)] if self.layout.points.size else []),
             (self.layout.inputs, np.array(problem.bounds.u).reshape(-1, 2)),
+            (extras.states, added),
+            (extras.point_states, added),
+            (extras.controls, np.array([control.bounds for control in problem.controls]).reshape(-1, 2)),
         ):
             lower[index], upper[index] = bounds.T
         if problem.horizon_range is not None:
@@ -114,6 +118,10 @@ class Transcription:
             upper[rows.lengths] = np.where(is_free, 1.0, np.inf)
         states = np.array(problem.bounds.q + problem.bounds.qd)[list(self.structure.bounded)].reshape(-1, 2)
         lower[rows.inner], upper[rows.inner] = states.T
+        for i, state in enumerate(problem.every_state):
+            lower[rows.extras.start[i]], upper[rows.extras.start[i]] = state.start
+        for row, i in zip(rows.extras.end, self.structure.ending, strict=True):
+            lower[row], upper[row] = problem.every_state[i].end
         for row, constraint in zip(rows.constraints, problem.constraints, strict=True):
             lower[row], upper[row] = constraint.range
         return lower[self.program.kept_rows], upper[self.program.kept_rows]
@@ -135,6 +143,8 @@ class Transcription:
         if layout.points.size:
             x[layout.points] = np.concatenate((trajectory.point_q, trajectory.point_qd[:, :, velocities]), axis=2)
         x[layout.inputs] = trajectory.u
+        x[layout.extras.states], x[layout.extras.point_states] = trajectory.states, trajectory.point_states
+        x[layout.extras.controls] = trajectory.controls
         if layout.horizon is not None:
             x[layout.horizon] = trajectory.t[-1]
         if layout.accelerations.size and not self.program.solves_inner:
@@ -149,7 +159,7 @@ class Transcription:
         horizon = float(x[layout.horizon]) if fixed is None else fixed
         t, point_t = layout.grid.times(horizon, self.scheme.points)
         mesh, h = x[layout.mesh], layout.grid.lengths(horizon)
-        if layout.points.size:
+        if layout.points.size or not layout.mesh.shape[1]:
             points = x[layout.points]
             nodes = np.concatenate((mesh[:-1, None], points), axis=1)
             has_accelerations = layout.accelerations.size > 0
@@ -167,7 +177,19 @@ class Transcription:
             mesh_qd = self._complete(mesh_q, mesh_qd)
             qd = self._complete(q, qd)
             qdd = self.closure.complete_accelerations(q, qd, self.closure.independent, qdd)
-        return Trajectory(t, mesh_q, mesh_qd, x[layout.inputs], point_t, q, qd, qdd)
+        return Trajectory(
+            t,
+            mesh_q,
+            mesh_qd,
+            x[layout.inputs],
+            point_t,
+            q,
+            qd,
+            qdd,
+            states=x[layout.extras.states],
+            point_states=x[layout.extras.point_states],
+            controls=x[layout.extras.controls],
+        )
 
     def read_multipliers(self, x: Array, trajectory: Trajectory) -> Array | None:
         """Read the multipliers of loops, (N, d, m), off all variables, or find them where they are none."""

@@ -15,7 +15,7 @@ from mbsgen.expressions import names, parse
 from mbsrun.ocp import closing, formulas
 from mbsrun.ocp.functions import Array, Fixed, Function, Indices, KernelResult
 from mbsrun.ocp.integrators import Integrator
-from mbsrun.ocp.layout import Entries, Layout, Places, Rows, at_mesh, at_points, at_stages, lay_out
+from mbsrun.ocp.layout import Entries, ExtraRows, Layout, Places, Rows, at_mesh, at_points, at_stages, lay_out
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Form
 from mbsrun.ocp.program import Block, Column, Combination, Matrix, Program, Stages
@@ -48,6 +48,8 @@ class Writer:
             has_states=shape.form is Form.STANDARD,
             has_accelerations=shape.form is not Form.STANDARD or self.equations.has_accelerations,
             horizon_is_free=shape.horizon is None,
+            states=len(shape.rates),
+            controls=len(shape.added.controls),
         )
         self.h = shape.grid.lengths(
             1.0 if shape.horizon is None else shape.horizon
@@ -63,14 +65,15 @@ class Writer:
 
     def write(self) -> tuple[Rows, Program]:
         """Write all rows and costs."""
-        shape, N = self.shape, self.shape.intervals
+        shape, N, extras = self.shape, self.shape.intervals, self.layout.extras
         q, qd = self.layout.split(self.layout.mesh[-1])
         independent = self.list_independent()
         start = self.write_states(self.layout.mesh[0], 0)
+        extra_start = self.write_states(extras.states[0], 0)
         lengths = self.write_lengths()
         start_closure = self.write_start_closure()
         inner, equations, continuity = self.write_collocation()
-        states, dynamics, closure = self.split_equations(equations)
+        states, dynamics, closure, rates = self.split_equations(equations)
         rows = Rows(
             start=start,
             lengths=lengths,
@@ -79,6 +82,7 @@ class Writer:
             closure=closure,
             start_closure=start_closure,
             continuity=continuity,
+            extras=ExtraRows(extra_start, rates, self.write_states(extras.states[N, list(shape.ending)], N)),
             inner=self.write_inner_bounds(),
             sensors=self.write_sensors([self.position(name) for name in shape.sensors]),
             coordinates=self.write_states(
@@ -101,8 +105,8 @@ class Writer:
             costs=costs,
             constants=self.parameters - self.weights,
             stages=Stages(
-                states=self.layout.mesh,
-                inputs=self.layout.inputs,
+                states=np.concatenate((self.layout.mesh, extras.states), axis=1),
+                inputs=np.concatenate((self.layout.inputs, extras.controls), axis=1),
                 inner=inner,
                 equations=equations,
                 continuity=continuity,
@@ -133,15 +137,21 @@ class Writer:
         """Find entries of qd among the velocities that are variables."""
         return [self.motions.velocities.index(i) for i in which]
 
-    def split_equations(self, equations: Indices) -> tuple[Indices, Indices, Indices]:
-        """Split the equations of stages (N, S, ...) into three groups: of states, of motion, and of loops.
+    def split_equations(self, equations: Indices) -> tuple[Indices, Indices, Indices, Indices]:
+        """Split the equations of stages (N, S, ...) into groups: of states, of motion, of loops, of states added.
 
         For an ODE, the equations of motion are the last ones of states.
         """
         n = len(self.motions.independent)
         states = len(self.motions.carried) if self.layout.points.size else 0
         end = states + (n if self.layout.accelerations.size else 0)
-        return equations[:, :, :states], equations[:, :, end - n : end], equations[:, :, end:]
+        rates = end + self.loop_rows
+        return (
+            equations[:, :, :states],
+            equations[:, :, end - n : end],
+            equations[:, :, end:rates],
+            equations[:, :, rates:],
+        )
 
     @property
     def loop_rows(self) -> int:
@@ -159,18 +169,26 @@ class Writer:
         layout, n = self.layout, len(self.motions.independent)
         N, S, width = layout.points.shape
         at_stage = (len(self.motions.carried) if width else 0) + (n if layout.accelerations.size else 0)
-        at_stage += self.loop_rows
-        interval = self.take(np.arange(N), N, S * at_stage + layout.mesh.shape[1])
+        at_stage += self.loop_rows + len(self.shape.rates)
+        carried = layout.mesh.shape[1]
+        interval = self.take(np.arange(N), N, S * at_stage + carried + len(self.shape.rates))
         equations, continuity = interval[:, : S * at_stage].reshape(N, S, at_stage), interval[:, S * at_stage :]
-        states, dynamics, closure = self.split_equations(equations)
+        states, dynamics, closure, rates = self.split_equations(equations)
         if self.shape.form is Form.STANDARD:
-            self.write_states_at_points(states, continuity)
+            self.write_states_at_points(states, continuity[:, :carried])
         else:
-            self.write_integrals(continuity)
+            self.write_integrals(continuity[:, :carried])
+        self.write_added_states(rates, continuity[:, carried:])
         self.write_dynamics(dynamics.reshape(N * S, n).T)
         self.write_closure(self.points, closure.reshape(N * S, -1).T, self.points.interval)
         self.write_corrections(states)
-        inner = (layout.points, layout.accelerations, layout.multipliers, layout.corrections)
+        inner = (
+            layout.points,
+            layout.extras.point_states,
+            layout.accelerations,
+            layout.multipliers,
+            layout.corrections,
+        )
         return np.concatenate(inner, axis=2), equations, continuity
 
     def write_closure(self, places: Places, rows: Indices, stages: Indices) -> None:
@@ -228,6 +246,20 @@ class Writer:
             velocities = layout.split(layout.points)[1][:, :, self.motions.carried_velocities]
             rates = np.concatenate((velocities, rates), axis=2)
         self.write_rates(states[:, :, : rates.shape[2]], rates)
+
+    def write_added_states(self, rates: Indices, continuity: Indices) -> None:
+        """Differentiate the states that the problem adds at the points: s' = rate, an expression of the motion."""
+        if not rates.size:
+            return
+        extras, scheme, interval = self.layout.extras, self.scheme, self.points.interval
+        self.A.put(continuity, extras.states[1:], 1.0)
+        for r, node in enumerate([extras.states[:-1], *extras.point_states.transpose(1, 0, 2)]):
+            for j in range(scheme.degree):
+                self.A.put(rates[:, j], node, scheme.D[j, r])
+            self.A.put(continuity, node, -scheme.end[r])
+        rows = rates.reshape(-1, len(self.shape.rates)).T
+        block = self.apply(self.shape.rates, self.points, rows, interval, -self.h[interval])
+        self.blocks.append(replace(block, factor=self.layout.horizon))
 
     def write_integrals(self, continuity: Indices) -> None:
         """Read the states at the interval's end off those at its start and the accelerations."""
@@ -353,7 +385,7 @@ class Writer:
     def write_constraints(self) -> tuple[Indices, ...]:
         """Write the constraints by expressions; those at the same places are one function."""
         N, shape = self.shape.intervals, self.shape
-        kinds = list_quantities(self.manifest)
+        kinds = list_quantities(self.manifest, shape.added)
         path_mesh = [*([0] * shape.start_is_free), *(() if self.scheme.ends_interval else range(1, N + 1))]
         on_path = [i for i, (_, at) in enumerate(shape.constraints) if at == "path"]
         of_states = [i for i in on_path if not _reads_jumps(shape.constraints[i][0], kinds)]
@@ -383,7 +415,7 @@ class Writer:
         """Apply expressions at some places."""
         shape, layout = self.shape, self.layout
         computed = {"qdd": self.kernel} if shape.representation.is_ode else {}
-        formula = formulate(texts, shape.constants, self.manifest, self.motions, computed, shape.horizon)
+        formula = formulate(texts, shape.constants, self.manifest, self.motions, computed, shape.horizon, shape.added)
         parts = dict(places.parts)
         if layout.horizon is not None:
             parts["T"] = np.full((1, places.s.size), layout.horizon)
@@ -427,7 +459,7 @@ def _pick(places: Places, kernel: KernelResult) -> tuple[Column, ...]:
 
 def _reads_jumps(text: str, known: Mapping[str, Quantity]) -> bool:
     """Return whether an expression reads inputs or accelerations, which jump where an interval ends."""
-    return any(known[name].kind in ("u", "qdd") for name in names(parse(text)) if name in known)
+    return any(known[name].kind in ("u", "qdd", "w", "controls") for name in names(parse(text)) if name in known)
 
 
 def _input_cost(layout: Layout, h: Array) -> Matrix:

@@ -22,7 +22,7 @@ from mbsrun.ocp.backends.numpy import build
 from mbsrun.ocp.checks import ProblemError, find_loop_conflicts
 from mbsrun.ocp.guess import make_guess
 from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Form, Loops, Problem, Representation, SolverOptions, Term
-from mbsrun.ocp.resimulation import accelerations, integrate, resimulate
+from mbsrun.ocp.resimulation import Constant, accelerations, integrate, resimulate
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.solution import Failure, Solution, read_solution, write_solution
 from mbsrun.ocp.solve import settle, solve
@@ -294,7 +294,7 @@ def test_accelerations_of_closed_loops_are_the_kernels() -> None:
 def test_a_free_swing_stays_on_its_circle_and_keeps_its_energy() -> None:
     """Two seconds of the pendulum of rods, released level: x^2 + y^2 = 1 to rounding; energy to 1e-11."""
     gaps: list[float] = []
-    ends = integrate(rods(), np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 1)), 2.0, gaps=gaps)
+    ends = integrate(rods(), np.array([[1.0, 0.0, 0.0, 0.0]]), Constant(np.zeros((1, 1))), 2.0, gaps=gaps)
     assert ends is not None
     x, y, vx, vy = ends[0]
     assert x**2 + y**2 == pytest.approx(1.0, abs=1e-14)
@@ -309,7 +309,7 @@ def test_the_defect_falls_with_the_order_of_the_method(loops: Loops) -> None:
     for N in (4, 8):
         motion = solved(loops, Representation.IMPL, N).trajectory
         states = np.concatenate((motion.q, motion.qd), axis=1)
-        ends = integrate(arms(), states[:-1], motion.u, float(motion.t[1]))
+        ends = integrate(arms(), states[:-1], Constant(motion.u), float(motion.t[1]))
         assert ends is not None
         defects.append(np.abs(ends - states[1:]).max())
     assert defects[1] < defects[0] / 20

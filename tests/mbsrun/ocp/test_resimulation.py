@@ -14,7 +14,7 @@ from scipy.special import ellipj
 from mbsgen.manifest import Coordinate
 from mbsrun.limits import Limits
 from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.resimulation import accelerations, integrate, resimulate
+from mbsrun.ocp.resimulation import Constant, accelerations, integrate, resimulate
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import solve
 from tests.mbsrun.ocp.plants import push
@@ -36,7 +36,7 @@ def test_accelerations_are_those_of_the_reference(arm: Peer) -> None:
 def test_a_constant_push_is_a_parabola() -> None:
     """q = q0 + v0 t + u t^2 / 2, for several motions at once."""
     states, u = np.array([[0.0, 1.0], [2.0, -1.0], [0.5, 0.0]]), np.array([[1.0], [0.0], [-3.0]])
-    ends = integrate(double_integrator(), states, u, 0.7)
+    ends = integrate(double_integrator(), states, Constant(u), 0.7)
     assert ends is not None
     expected = np.stack((states[:, 0] + 0.7 * states[:, 1] + u[:, 0] * 0.245, states[:, 1] + 0.7 * u[:, 0]), axis=1)
     assert ends == pytest.approx(expected, abs=1e-13)
@@ -119,7 +119,7 @@ def test_a_swing_is_integrated_to_rounding() -> None:
     hinge = Coordinate(name="hinge", motion="revolute", actuated=True, **FREE)
     plant = Peer("pendulum", functions, [hinge], [])
     angles, t, w = np.array([0.3, 1.0, 2.0, 3.0]), 0.9, np.sqrt(9.81)
-    ends = integrate(plant, np.stack((angles, np.zeros(4)), axis=1), np.zeros((4, 1)), t)
+    ends = integrate(plant, np.stack((angles, np.zeros(4)), axis=1), Constant(np.zeros((4, 1))), t)
     k = np.sin(angles / 2)
     _, cn, dn, _ = ellipj(w * t, k**2)
     assert ends is not None

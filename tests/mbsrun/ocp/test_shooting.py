@@ -18,7 +18,7 @@ from mbsrun.ocp.backends.casadi import CasadiProgram
 from mbsrun.ocp.backends.condensation import Condensed, build
 from mbsrun.ocp.guess import interpolate
 from mbsrun.ocp.problem import Bounds, Cost, End, Form, Problem, Representation, Term, cylindrical
-from mbsrun.ocp.resimulation import integrate, resimulate
+from mbsrun.ocp.resimulation import Constant, integrate, resimulate
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.solution import Failure, Solution
 from mbsrun.ocp.solve import Solver, solve
@@ -101,7 +101,7 @@ def test_rows_of_rk4_are_the_textbooks(plant: Peer) -> None:
     gaps = [states[k + 1] - rk4(plant, states[k], motion.u[k], 0.04, 3) for k in range(5)]
     first = int(np.flatnonzero(np.isin(transcription.program.kept_rows, transcription.rows.continuity[0, 0]))[0])
     assert g[first : first + 20] == pytest.approx(np.ravel(gaps), abs=1e-13)
-    exact = integrate(plant, states[:1], motion.u[:1], float(motion.point_t[0, 1]))
+    exact = integrate(plant, states[:1], Constant(motion.u[:1]), float(motion.point_t[0, 1]))
     assert exact is not None
     between = np.concatenate((motion.point_q[0, 1], motion.point_qd[0, 1]))
     assert between == pytest.approx(exact[0], abs=1e-5)

@@ -1,0 +1,115 @@
+"""The parts of a problem file that add to a mechanism: states, controls, integrals.
+
+`statement` reads the other parts; expressions everywhere read the names that are added here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from mbsgen.documents import Document, Place, abbreviate, nearest
+from mbsgen.expressions import Expression, is_free_name, names, parse
+from mbsrun.ocp.problem import Control, Integral, Range, State
+from mbsrun.ocp.quantities import Quantity
+from mbsrun.ocp.sections import ControlSection, IntegralSection, Limits, ProblemSection, StateSection
+from mbsrun.reading import Reading
+
+FREE: Range = (-math.inf, math.inf)
+
+
+class PartReading(Reading):
+    """Reads expressions of a motion, and the parts that add to it; collects the faults."""
+
+    def __init__(self, document: Document, stand_ins: frozenset[Place]) -> None:
+        super().__init__(document, stand_ins)
+        self.quantities: dict[str, Quantity] = {}  # everything that an expression of the motion reads
+        self.used: set[str] = set()  # constants that formulas read
+
+    def range(self, place: Place, limits: Limits) -> Range:
+        lower, upper = (
+            default if limit is None else self.number((*place, i), limit)
+            for i, (limit, default) in enumerate(zip(limits, (-math.inf, math.inf), strict=True))
+        )
+        if lower > upper:
+            self.fault(place, f"{lower:g} is above {upper:g}", "give [lower, upper]; null is no bound")
+            return (math.nan, math.nan)  # which passes all later checks
+        return (lower, upper)
+
+    def check_formula(self, place: Place, text: str) -> None:
+        """Look up the names that an expression of the motion reads."""
+        for name in sorted(names(parse(text))):
+            if name in self.constants:
+                self.used.add(name)
+            elif name not in self.quantities:
+                meant = nearest(name, [*self.quantities, *self.constants])
+                remedy = f"did you mean {abbreviate(meant)}?" if meant else "there are t, T, q_NAME, u_NAME, x_SENSOR"
+                self.fault(place, f"unknown name {abbreviate(name)}", remedy)
+
+    def add_names(self, section: ProblemSection) -> None:
+        """Let expressions read the names of states and controls."""
+        for key, kind, given in (("states", "a state", section.states), ("controls", "a control", section.controls)):
+            for i, name in enumerate(given):
+                if not is_free_name(name) or name in self.quantities or name in self.constants:
+                    self.fault((key, name), f"no name for {kind}", "give a word that means nothing else")
+                self.quantities.setdefault(name, Quantity(key, i))
+
+    def states(self, given: Mapping[str, StateSection]) -> tuple[State, ...]:
+        """Read the states beside those of the mechanism."""
+        return tuple(self.state(name, section) for name, section in given.items())
+
+    def state(self, name: str, section: StateSection) -> State:
+        """Read a state."""
+        place: Place = ("states", name)
+        self.check_formula((*place, "rate"), section.rate)
+        bounds = self.range((*place, "range"), section.range)
+        start, end = (self.condition((*place, key), getattr(section, key), bounds) for key in ("start", "end"))
+        guess = self.straight((*place, "guess"), section.guess, bounds)
+        return State(name, section.rate, bounds, start, end, guess)
+
+    def condition(self, place: Place, given: Expression | Limits | None, bounds: Range) -> Range:
+        """Read a value of a state, or limits of it, which leave room within its range."""
+        if given is None:
+            return FREE
+        if isinstance(given, tuple):
+            lower, upper = self.range(place, given)
+        else:
+            lower = upper = self.number(place, given)
+        if lower > bounds[1] or upper < bounds[0]:
+            finding = f"{lower:g} is out of [{bounds[0]:g}, {bounds[1]:g}]"
+            self.fault(place, finding, "keep to the range of the state")
+        return (lower, upper)
+
+    def straight(
+        self, place: Place, given: Expression | tuple[Expression, Expression] | None, bounds: Range
+    ) -> float | tuple[float, float] | None:
+        """Read the guess of a state: a number, two, or none."""
+        if given is None:
+            return None
+        if not isinstance(given, tuple):
+            return self.guessed(place, given, bounds)
+        first, last = (self.guessed((*place, i), part, bounds) for i, part in enumerate(given))
+        return (first, last)
+
+    def guessed(self, place: Place, given: Expression, bounds: Range) -> float:
+        """Read a number that a guess gives."""
+        value = self.number(place, given)
+        if value < bounds[0] or value > bounds[1]:
+            self.fault(place, f"{value:g} is out of [{bounds[0]:g}, {bounds[1]:g}]", "guess within the range")
+        return value
+
+    def controls(self, given: Mapping[str, ControlSection]) -> tuple[Control, ...]:
+        """Read the inputs beside those of the mechanism."""
+        found = []
+        for name, section in given.items():
+            bounds = self.range(("controls", name, "range"), section.range)
+            found.append(Control(name, bounds, self.guessed(("controls", name, "guess"), section.guess, bounds)))
+        return tuple(found)
+
+    def integrals(self, given: Sequence[IntegralSection]) -> tuple[Integral, ...]:
+        """Read the integrals that have a range."""
+        found = []
+        for i, section in enumerate(given):
+            self.check_formula(("integrals", i, "expression"), section.expression)
+            found.append(Integral(section.expression, self.range(("integrals", i, "range"), section.range)))
+        return tuple(found)

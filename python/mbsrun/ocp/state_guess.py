@@ -1,0 +1,132 @@
+"""The first guess of what a problem adds to a motion: its states and controls.
+
+A control is held at its guess. A state is held, or goes straight from a number to another; else it is integrated along
+the guessed motion from its start, s' = rate(t, q, qd, qdd, u, s), by LSODA at a loose tolerance. Where that fails, as
+with a rate that has a pole on the way, the state is held at its start.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.problem import Problem, Range, State
+from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.values import Values
+
+Array = NDArray[np.float64]
+
+TOLERANCE = 1e-4  # relative; a hundredth of it absolute
+MAX_CALLS = 20_000  # of the rates
+
+
+class _TooLongError(Exception):
+    """The rates were computed too often."""
+
+
+def complete(motion: Trajectory, problem: Problem, plant: Plant) -> Trajectory:
+    """Return a motion with guesses of the states and controls that it does not have; others stay as they are."""
+    states, controls = problem.every_state, problem.controls
+    if motion.controls.shape[1] != len(controls):
+        values = np.array([np.clip(control.guess, *control.bounds) for control in controls])
+        motion = replace(motion, controls=np.tile(values, (len(motion.u), 1)))
+    if motion.states.shape[1] == len(states):
+        return motion
+    t = np.unique(np.concatenate((motion.t, motion.point_t.ravel())))
+    values = _guess(states, t, motion, problem, plant)
+    return replace(motion, states=_read(values, t, motion.t), point_states=_read(values, t, motion.point_t))
+
+
+def _read(values: Array, t: Array, times: Array) -> Array:
+    """Read values (K, ns) at some of the times t (K,)."""
+    return values[np.searchsorted(t, times)]
+
+
+def _guess(states: tuple[State, ...], t: Array, motion: Trajectory, problem: Problem, plant: Plant) -> Array:
+    """Return the values of all states at times t (K,): shape (K, ns)."""
+    ends = [_choose_ends(state) for state in states]
+    straight = (pair or [_find_start(state)] * 2 for state, pair in zip(states, ends, strict=True))
+    values = np.stack([np.interp(t, t[[0, -1]], pair) for pair in straight], axis=1)
+    integrated = [i for i, pair in enumerate(ends) if pair is None]
+    if integrated:
+        found = _integrate(values, integrated, t, motion, problem, plant)
+        if found is not None:
+            values[:, integrated] = found
+    lower, upper = np.array([state.bounds for state in states]).T
+    return np.clip(values, lower, upper)
+
+
+def _choose_ends(state: State) -> tuple[float, float] | None:
+    """Return the first and last value of a straight guess; None where the state is integrated."""
+    if state.guess is None:
+        given = [pair[0] for pair in (state.start, state.end) if pair[0] == pair[1]]
+        return (given[0], given[1]) if len(given) == 2 else None
+    return state.guess if isinstance(state.guess, tuple) else (state.guess, state.guess)
+
+
+def _find_start(state: State) -> float:
+    """Return the number within the conditions of the start and the bounds that is the nearest to 0."""
+    return _clip(_clip(0.0, state.bounds), state.start)
+
+
+def _clip(value: float, limits: Range) -> float:
+    return min(max(value, limits[0]), limits[1])
+
+
+def _integrate(
+    values: Array, integrated: list[int], t: Array, motion: Trajectory, problem: Problem, plant: Plant
+) -> Array | None:
+    """Integrate some states along a motion, the others being known: (K, states); None where that fails."""
+    rates = Values([problem.every_state[i].rate for i in integrated], problem, plant)
+    table = {"states": values, **_tabulate(motion, t)}
+    calls = 0
+
+    def rate(time: float, own: Array) -> Array:
+        nonlocal calls
+        calls += 1
+        if calls > MAX_CALLS:
+            raise _TooLongError
+        parts = {kind: _interpolate(time, t, array) for kind, array in table.items() if kind in rates.kinds}
+        if "states" in parts:
+            parts["states"][:, integrated] = own
+        interval = min(int(np.searchsorted(motion.t, time, side="right")) - 1, len(motion.u) - 1)
+        parts |= {"u": motion.u[[interval]], "controls": motion.controls[[interval]]}
+        parts |= {"t": np.full((1, 1), time), "T": np.full((1, 1), motion.t[-1])}
+        return rates(parts)[0]
+
+    begin = values[0, integrated]
+    try:
+        if not np.isfinite(rate(float(t[0]), begin)).all():
+            return None
+        with np.errstate(all="ignore"):
+            found = solve_ivp(
+                rate, (t[0], t[-1]), begin, "LSODA", t_eval=t, rtol=TOLERANCE, atol=TOLERANCE / 100, max_step=t[-1] / 10
+            )
+    except (_TooLongError, ValueError):
+        return None
+    return np.asarray(found.y.T) if found.success and np.isfinite(found.y).all() else None
+
+
+def _tabulate(motion: Trajectory, t: Array) -> dict[str, Array]:
+    """Return coordinates, velocities and accelerations at times t; accelerations by linear interpolation."""
+    nodes = np.concatenate((motion.t, motion.point_t.ravel()))
+    order = np.unique(nodes, return_index=True)[1]
+
+    def join(mesh: Array, points: Array) -> Array:
+        return np.concatenate((mesh, points.reshape(-1, points.shape[2])))[order]
+
+    flat = motion.point_qdd.reshape(-1, motion.point_qdd.shape[2])
+    times, kept = np.unique(motion.point_t.ravel(), return_index=True)
+    qdd = np.stack([np.interp(t, times, column[kept]) for column in flat.T], axis=1) if flat.shape[1] else flat[:0]
+    return {"q": join(motion.q, motion.point_q), "qd": join(motion.qd, motion.point_qd), "qdd": qdd}
+
+
+def _interpolate(time: float, t: Array, values: Array) -> Array:
+    """Return values (K, size) at times t (K,) at one time: (1, size)."""
+    k = int(np.clip(np.searchsorted(t, time) - 1, 0, len(t) - 2))
+    place = (time - t[k]) / (t[k + 1] - t[k])
+    return np.asarray((1 - place) * values[[k]] + place * values[[k + 1]])
