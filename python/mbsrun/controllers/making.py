@@ -78,6 +78,11 @@ def make(
     if problem.mesh is not None:
         finding = "a controller moves its plan ahead by equal intervals, and these have lengths of their own"
         raise ProblemError(problem.name, [("intervals", finding, "give their number")])
+    if problem.every_state or problem.controls:
+        finding = (
+            "a controller measures coordinates and velocities alone, and the problem has states or controls beside"
+        )
+        raise ProblemError(problem.name, [("states", finding, "leave them out")])
     if emulated:
         bare.find_tools()
     scheme = schemes.build(problem.family, problem.degree)

@@ -20,7 +20,7 @@ from mbsgen.roles import Role
 from mbsrun.closure import has_loops
 from mbsrun.ocp.integrators import INTEGRATORS
 from mbsrun.ocp.methods import METHODS
-from mbsrun.ocp.problem import Conflict, Form, Loops, Problem, Representation, find_conflicts
+from mbsrun.ocp.problem import Conflict, Control, Form, Loops, Problem, Representation, State, find_conflicts
 from mbsrun.ocp.quantities import list_quantities
 from mbsrun.ocp.schemes import DEGREES, Family
 from mbsrun.quaternions import list_quaternions
@@ -262,14 +262,15 @@ def list_expressions(problem: Problem) -> Iterator[tuple[str, tuple[str, ...]]]:
 def _find_wrong_additions(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
     """Find states and controls with names that are taken, or numbers that do not fit each other."""
     taken = {*list_quantities(manifest), *(name for name, _ in problem.constants)}
-    for kind, parts in (("states", problem.states), ("controls", problem.controls)):
-        for i, part in enumerate(parts):
-            if not is_free_name(part.name) or part.name in taken:
-                yield (f"{kind}[{i}].name", f"found {abbreviate(part.name)}", "give a word that means nothing else")
-            taken.add(part.name)
-            guess = part.guess if isinstance(part.guess, tuple) else (0.0 if part.guess is None else part.guess,)
-            if not all(map(math.isfinite, guess)):
-                yield (f"{kind}[{i}].guess", f"found {part.guess}", "give finite numbers")
+    named: list[tuple[str, State | Control]] = [(f"states[{i}]", state) for i, state in enumerate(problem.states)]
+    named += [(f"controls[{i}]", control) for i, control in enumerate(problem.controls)]
+    for place, part in named:
+        if not is_free_name(part.name) or part.name in taken:
+            yield (f"{place}.name", f"found {abbreviate(part.name)}", "give a word that means nothing else")
+        taken.add(part.name)
+        guess = part.guess if isinstance(part.guess, tuple) else (0.0 if part.guess is None else part.guess,)
+        if not all(map(math.isfinite, guess)):
+            yield (f"{place}.guess", f"found {part.guess}", "give finite numbers")
     for i, state in enumerate(problem.states):
         for place, (lower, upper) in (("start", state.start), ("end", state.end)):
             if not (lower <= upper and lower <= state.bounds[1] and upper >= state.bounds[0]):

@@ -96,7 +96,7 @@ def _integrate(
         interval = min(int(np.searchsorted(motion.t, time, side="right")) - 1, len(motion.u) - 1)
         parts |= {"u": motion.u[[interval]], "controls": motion.controls[[interval]]}
         parts |= {"t": np.full((1, 1), time), "T": np.full((1, 1), motion.t[-1])}
-        return rates(parts)[0]
+        return np.asarray(rates(parts)[0])
 
     begin = values[0, integrated]
     try:

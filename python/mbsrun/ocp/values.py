@@ -6,6 +6,7 @@ The names are the ones of `quantities`; the program evaluates the same expressio
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +44,8 @@ class Values:
         found, B = dict(parts), len(parts["t"])
         for kind, kernel, inputs in (("position", "sensors", ("q",)), ("v", "motion", ("q", "qd"))):
             if kind in self.kinds:
-                vectors = self._plant(kernel, **{name: parts[name] for name in inputs})[kind]
+                given: dict[str, Any] = {name: parts[name] for name in inputs}
+                vectors = self._plant(kernel, **given)[kind]
                 found[kind] = vectors.swapaxes(1, 2).reshape(B, -1)
         numbers = {name: found[quantity.kind][:, quantity.index] for name, quantity in self._read.items()}
         constants = {name: np.full(1, value) for name, value in self._constants.items()}

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsrun.ocp import schemes
+from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.guess import Pose, make_guess
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
@@ -41,6 +42,11 @@ class SolvingController:
 
         Raises ProblemError for a problem with faults.
         """
+        if problem.every_state or problem.controls:
+            finding = (
+                "a sample measures coordinates and velocities alone, and the problem has states or controls beside"
+            )
+            raise ProblemError(problem.name, [("states", finding, "leave them out")])
         self.period, self.horizon = period, horizon
         self._plant, self._problem, self._next = plant, self._shape(problem, 0.0), problem
         self._solver: Solver | None = None
