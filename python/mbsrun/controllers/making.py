@@ -79,9 +79,7 @@ def make(
         finding = "a controller moves its plan ahead by equal intervals, and these have lengths of their own"
         raise ProblemError(problem.name, [("intervals", finding, "give their number")])
     if problem.every_state or problem.controls:
-        finding = (
-            "a controller measures coordinates and velocities alone, and the problem has states or controls beside"
-        )
+        finding = "a controller measures coordinates and velocities, and the problem adds states or controls"
         raise ProblemError(problem.name, [("states", finding, "leave them out")])
     if emulated:
         bare.find_tools()

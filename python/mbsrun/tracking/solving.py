@@ -43,9 +43,7 @@ class SolvingController:
         Raises ProblemError for a problem with faults.
         """
         if problem.every_state or problem.controls:
-            finding = (
-                "a sample measures coordinates and velocities alone, and the problem has states or controls beside"
-            )
+            finding = "a sample measures coordinates and velocities, and the problem adds states or controls"
             raise ProblemError(problem.name, [("states", finding, "leave them out")])
         self.period, self.horizon = period, horizon
         self._plant, self._problem, self._next = plant, self._shape(problem, 0.0), problem
