@@ -24,6 +24,7 @@ from mbsrun.ocp.problem import Conflict, Control, Form, Loops, Problem, Represen
 from mbsrun.ocp.quantities import list_quantities
 from mbsrun.ocp.schemes import DEGREES, Family
 from mbsrun.quaternions import list_quaternions
+from mbsrun.recordings import references
 
 MAX_INTERVALS = 10_000
 MAX_STEPS = 100  # of an integrator in an interval
@@ -48,7 +49,7 @@ def check_problem(problem: Problem, manifest: Manifest) -> None:
     findings = list(_find_wrong_types(problem)) or list(_find_unknown_names(problem))
     findings = findings or [*_find_wrong_values(problem), *_find_strangers(problem, manifest)]
     if not findings:
-        conflicts = [*find_conflicts(problem), *find_loop_conflicts(problem, manifest)]
+        conflicts = [*find_conflicts(problem), *find_loop_conflicts(problem, manifest), *find_open_references(problem)]
         findings = [(c.key, c.finding, c.remedy) for c in conflicts]
         findings += _find_divided_quaternions(problem, manifest)
     if findings:
@@ -93,6 +94,31 @@ def find_loop_conflicts(problem: Problem, manifest: Manifest) -> Iterator[Confli
             finding = f"{representation.value} has no reduced form"
             yield Conflict("loops", finding, "take representation: IMPL or EXP1-O, or loops: multipliers")
         yield from _find_dependent_accelerations(problem, manifest)
+
+
+def find_open_references(problem: Problem) -> Iterator[Conflict]:
+    """Find references in seconds under a free horizon, and expressions that read a reference where it is unknown.
+
+    An expression that reads known_NAME beside ref_NAME minds the gaps itself.
+    """
+    named, open_ones = references.list_names(problem.references), set()
+    for reference in problem.references:
+        if problem.horizon_range is not None and not reference.is_normalised:
+            open_ones.add(reference.name)
+            finding = f"the horizon is free, and the reference {reference.name} is in seconds"
+            yield Conflict("references", finding, "write time: normalised into it, or give the horizon")
+    for text in [text for _, texts in list_expressions(problem) for text in texts]:
+        read = names(parse(text)) & set(named)
+        for name in sorted(read):
+            reference, track = named[name]
+            minded = name.replace(references.VALUE, references.KNOWN, 1)
+            if reference.name in open_ones or minded in read:
+                continue
+            unknown = references.list_unknown(reference, track, problem.horizon)
+            if unknown:
+                spans = ", ".join(f"{a:.6g} to {b:.6g} s" for a, b in unknown[:3]) + (", ..." if unknown[3:] else "")
+                finding = f"{name} is unknown at {spans} of its recording, and {abbreviate(text)} reads it"
+                yield Conflict("references", finding, f"multiply by {minded}, which is 0 there, or bridge longer gaps")
 
 
 _WITHOUT_REDUCTION = (Representation.SEMI, Representation.EXP2_O, Representation.EXP2_A)
@@ -280,6 +306,7 @@ def _find_wrong_additions(problem: Problem, manifest: Manifest) -> Iterator[Find
 
 def _find_wrong_expressions(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
     known = {*list_quantities(manifest, problem.added), *(name for name, _ in problem.constants)}
+    known |= set(references.list_names(problem.references))
     for place, texts in list_expressions(problem):
         for i, text in enumerate(texts):
             own = f"{place}[{i}].{'rate' if place == 'states' else 'expression'}"

@@ -7,11 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 from mbsgen.documents import Document, Place, abbreviate, nearest
 from mbsgen.expressions import Expression, is_free_name, names, parse
+from mbsgen.manifest import Manifest
 from mbsrun.ocp.problem import Control, Integral, Range, State
 from mbsrun.ocp.quantities import Quantity
+from mbsrun.ocp.referring import Referring
 from mbsrun.ocp.sections import ControlSection, IntegralSection, Limits, ProblemSection, StateSection
 from mbsrun.reading import Reading
 
@@ -21,8 +24,9 @@ FREE: Range = (-math.inf, math.inf)
 class PartReading(Reading):
     """Reads expressions of a motion, and the parts that add to it; collects the faults."""
 
-    def __init__(self, document: Document, stand_ins: frozenset[Place]) -> None:
+    def __init__(self, document: Document, stand_ins: frozenset[Place], manifest: Manifest) -> None:
         super().__init__(document, stand_ins)
+        self.referring = Referring(self, manifest, Path(document.file).parent)
         self.quantities: dict[str, Quantity] = {}  # everything that an expression of the motion reads
         self.used: set[str] = set()  # constants that formulas read
 
@@ -41,8 +45,8 @@ class PartReading(Reading):
         for name in sorted(names(parse(text))):
             if name in self.constants:
                 self.used.add(name)
-            elif name not in self.quantities:
-                meant = nearest(name, [*self.quantities, *self.constants])
+            elif name not in self.quantities and not self.referring.find(place, name):
+                meant = nearest(name, [*self.quantities, *self.constants, *self.referring.list_names()])
                 remedy = f"did you mean {abbreviate(meant)}?" if meant else "there are t, T, q_NAME, u_NAME, x_SENSOR"
                 self.fault(place, f"unknown name {abbreviate(name)}", remedy)
 

@@ -23,6 +23,7 @@ from mbsrun.ocp.representations import Loops as Loops
 from mbsrun.ocp.representations import Representation as Representation
 from mbsrun.ocp.schemes import Family
 from mbsrun.quantities import Added
+from mbsrun.recordings.references import Reference
 
 
 class Form(Enum):
@@ -50,6 +51,12 @@ class Term:
 
     expression: str
     weight: float
+    name: str = ""  # in summaries; empty: the expression
+
+    @property
+    def title(self) -> str:
+        """Return the name in summaries."""
+        return self.name or self.expression
 
 
 @dataclass(frozen=True)
@@ -69,7 +76,7 @@ class Cost:
     @property
     def names(self) -> tuple[str, ...]:
         """Name every term."""
-        return ("inputs", "input rates", *(term.expression for term in self.running + self.terminal))
+        return ("inputs", "input rates", *(term.title for term in self.running + self.terminal))
 
 
 @dataclass(frozen=True)
@@ -233,6 +240,7 @@ class Problem:
     integrals: tuple[Integral, ...] = ()
     parameters: tuple[tuple[str, float], ...] = ()  # values of the model's run-time and differentiated parameters
     mesh: tuple[float, ...] | None = None  # the fraction of the horizon that each interval has; None: they are equal
+    references: tuple[Reference, ...] = ()  # that expressions read
     accuracy: float = 1e-6  # the largest defect of an interval that counts as accurate, in rad and m, and these per s
 
     @property

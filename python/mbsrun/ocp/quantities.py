@@ -6,6 +6,7 @@
     x_NAME, y_NAME, z_NAME, vx_NAME, ...          of a sensor: position and velocity in the base frame
     fx_NAME, ..., mx_NAME, ...                    of a wrench that the model leaves open: its components
     NAME                                          of a state or a control that the problem adds
+    ref_NAME_COLUMN, known_NAME_COLUMN            of a reference: see `mbsrun.recordings.references`
 
 where dots and spaces of a name are written _, and q has other names where there are quaternions (q_trunk_qx); and
 the constants of the problem, which are parameters of the program. Units are SI. `mbsgen.expressions` reads an
@@ -40,7 +41,7 @@ from mbsrun.quantities import Added, Quantity, list_quantities, name_components
 __all__ = ["Added", "Quantity", "formulate", "list_quantities"]
 
 CONSTANTS = "constants"  # the kind of a problem's constants
-TIME = "s"  # the kind of the time over the horizon, which is given at each place
+TIME = "s"  # the kind of numbers that are given at each place: the time over the horizon, then references
 _TIME_NAME = "@s"  # which no text can hold
 _ORDER = ("q", "qd", "yd", "qdd", "u", "w", "states", "controls", "T")  # of the inputs of a formula
 
@@ -71,14 +72,17 @@ def formulate(
     accelerations: Mapping[str, KernelResult],
     horizon: float | None,
     added: Added | None = None,
+    references: Sequence[str] = (),
 ) -> Formula:
     """Turn expressions into a formula in the variables of a program.
 
     `accelerations` names the kernel that computes them where they are no variables. `horizon` is None where it is a
-    variable. Raises ExpressionError for an expression that cannot be read.
+    variable. `references` are names of numbers that are given at each place, after the time. Raises ExpressionError for
+    an expression that cannot be read.
     """
     known = _list_known(list_quantities(manifest, added), motions)
     known |= {_TIME_NAME: (TIME, 0), **{name: (CONSTANTS, i) for i, name in enumerate(constants)}}
+    known |= {name: (TIME, 1 + i) for i, name in enumerate(references)}
     computed = {
         "position": KernelResult("sensors", ("q",), "position"),
         "v": KernelResult("motion", ("q", "qd"), "v"),
@@ -96,7 +100,7 @@ def formulate(
         names=read,
         inputs=inputs,
         parameters=Input(CONSTANTS, len(constants)) if CONSTANTS in needed else None,
-        data=Input(TIME, 1) if TIME in needed or not needed else None,
+        data=Input(TIME, 1 + len(references)) if TIME in needed or not needed else None,
         computed=tuple(made.items()),
     )
 
@@ -104,7 +108,7 @@ def formulate(
 def _read(text: str, known: Mapping[str, tuple[str, int]], horizon: float | None) -> Expression:
     """Parse an expression; write the time as the horizon times its part, and a horizon that is given as a number."""
     T: Expression = Name("T") if horizon is None else Number(horizon)
-    values: dict[str, Expression] = {name: Name(name) for name, (kind, _) in known.items() if kind != TIME}
+    values: dict[str, Expression] = {name: Name(name) for name, (kind, _) in known.items() if name != _TIME_NAME}
     values |= {"T": T, "t": Operation("*", Name(_TIME_NAME), T)}
     return evaluate(parse(text), values, _TREES)
 

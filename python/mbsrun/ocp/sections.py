@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sized
+from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, Discriminator, Field, PlainValidator, Tag
@@ -25,6 +26,7 @@ from mbsrun.ocp.problem import (
     SolverOptions,
 )
 from mbsrun.ocp.schemes import DEGREES, Family
+from mbsrun.recordings import READERS, Treatment
 
 MAX_EXPRESSIONS = 100  # of one kind
 
@@ -71,6 +73,13 @@ def _check_solution(path: str) -> str:
     return path
 
 
+def _check_recording(path: str) -> str:
+    if Path(path).suffix.lower() not in READERS:
+        finding = f"found {abbreviate(path)}"
+        raise WrongValueError(finding, f"give a recording ({', '.join(READERS)}), from this file's folder")
+    return path
+
+
 def _form(value: Any) -> str:
     """Return the form of a value."""
     return "mapping" if isinstance(value, dict) else "list"
@@ -97,6 +106,9 @@ StartField = Annotated[  # one for each coordinate, or by name; null: not given
 ]
 RestField = Annotated[  # of all coordinates, or of some, by name
     Annotated[Literal["zero"], Tag("list")] | Annotated[dict[str, NumberField], Tag("mapping")], Discriminator(_form)
+]
+NamesField = Annotated[  # of some, or by name
+    Annotated[tuple[str, ...], Tag("list")] | Annotated[dict[str, str], Tag("mapping")], Discriminator(_form)
 ]
 FormulaField = Annotated[str, PlainValidator(_read_formula), Field(examples=["q_NAME**2"])]
 RangesField = Annotated[  # the same for all, or by name
@@ -138,6 +150,30 @@ class TermSection(Section):
     weight: NumberField = Field(default=Number(1.0), examples=[1.0])
 
 
+class TrackSection(Section):
+    """Terms of the cost: squared distances from a reference."""
+
+    reference: str = Field(examples=["NAME"])
+    coordinates: NamesField = Field(default=(), examples=[[]])  # or by name: the column
+    markers: NamesField = Field(default=(), examples=[[]])  # sensors; or by name: the marker
+    weight: NumberField = Field(default=Number(1.0), examples=[1.0])
+    weights: dict[str, NumberField] = Field(default={}, examples=[{}])  # times these, by name
+
+
+class ReferenceSection(Section):
+    """A recorded motion as functions of the time."""
+
+    file: Annotated[str, AfterValidator(_check_recording)] = Field(examples=["walk.csv"])
+    columns: dict[str, str] = Field(default={}, examples=[{}])  # by their names in expressions
+    time: Literal["seconds", "normalised"] = Field(default="seconds", examples=["seconds"])
+    start: NumberField | None = Field(default=None, examples=[0.0])  # of the recording; by default its first time
+    end: NumberField | None = Field(default=None, examples=[1.0])
+    degree: Literal[3, 5] = Field(default=5, examples=[5])
+    noise: NumberField | None = Field(default=None, examples=[1e-3])
+    gap: NumberField = Field(default=Number(Treatment.gap), examples=[0.1])
+    cutoff: NumberField | None = Field(default=None, examples=[6.0])
+
+
 class CostSection(Section):
     """The cost."""
 
@@ -145,6 +181,7 @@ class CostSection(Section):
     input_rates: NumberField = Field(default=Number(0.0), examples=[0.0])
     running: Annotated[tuple[TermSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
     terminal: Annotated[tuple[TermSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
+    track: Annotated[tuple[TrackSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
 
 
 class ConstraintSection(Section):
@@ -247,6 +284,7 @@ class ProblemSection(Section):
 
     model: Annotated[str, AfterValidator(_check_model)] = Field(examples=["model.yaml"])
     constants: dict[str, NumberField] = Field(default={}, examples=[{}])
+    references: dict[str, ReferenceSection] = Field(default={}, examples=[{}])
     horizon: HorizonField = Field(examples=[1.0])
     intervals: IntervalsField = Field(examples=[100])
     scheme: Family = Field(examples=["radau"])

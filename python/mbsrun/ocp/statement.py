@@ -31,7 +31,14 @@ from mbsgen.documents import (
 from mbsgen.errors import InputError
 from mbsgen.expressions import FLOATS, Expression, ExpressionError, evaluate, is_free_name, parse
 from mbsrun.closure import Closure, find_closure
-from mbsrun.ocp.checks import LEAST_FRACTION, LEAST_TOLERANCE, ProblemError, find_loop_conflicts, list_open_inputs
+from mbsrun.ocp.checks import (
+    LEAST_FRACTION,
+    LEAST_TOLERANCE,
+    ProblemError,
+    find_loop_conflicts,
+    find_open_references,
+    list_open_inputs,
+)
 from mbsrun.ocp.conditions import Completion, complete_pose, complete_velocities, find_strays, find_surplus
 from mbsrun.ocp.grid import divide
 from mbsrun.ocp.methods import METHODS, Amount
@@ -125,7 +132,7 @@ class _Reading(PartReading):
     """Evaluates numbers and looks names up in a model; collects the faults."""
 
     def __init__(self, document: Document, plant: Plant, stand_ins: frozenset[Place]) -> None:
-        super().__init__(document, stand_ins)
+        super().__init__(document, stand_ins, plant.manifest)
         manifest = plant.manifest
         self.closure = None if manifest.quaternions else find_closure(plant)
         self.manifest = manifest
@@ -158,6 +165,7 @@ class _Reading(PartReading):
         if self.open_inputs:
             left = f"the model leaves {', '.join(self.open_inputs)} open, beside the inputs u"
             self.fault(("model",), left, "give the external wrenches in the model: here they have no value")
+        self.referring.read(section.references)
         bounds = self.bounds(section.bounds)
         horizon, horizon_range = self.horizon(section.horizon)
         intervals, mesh = self.intervals(section.intervals)
@@ -166,7 +174,7 @@ class _Reading(PartReading):
             start_qd, free_qd = self.start("velocity", section.start.velocity, self.velocities, bounds.qd)
         else:
             start_q, free_q, start_qd, free_qd = self.closed_start(self.closure, section.start, bounds)
-        cost, end = self.cost(section.cost), self.end(section.end, bounds)
+        cost, end = self.cost(section.cost, horizon), self.end(section.end, bounds)
         if self.closure is not None:
             end = self.closed_end(self.closure, end, start_q)
         constraints = tuple(self.constraint(i, part) for i, part in enumerate(section.constraints))
@@ -198,8 +206,12 @@ class _Reading(PartReading):
             integrals=self.integrals(section.integrals),
         )
         used = tuple((key, self.constants[key]) for key in section.constants if key in self.used)
-        problem = replace(problem, constants=used)
-        for conflict in (*find_conflicts(problem), *find_loop_conflicts(problem, self.manifest)):
+        problem = replace(problem, constants=used, references=self.referring.references())
+        for conflict in (
+            *find_conflicts(problem),
+            *find_loop_conflicts(problem, self.manifest),
+            *find_open_references(problem),
+        ):
             self.fault((conflict.key,), conflict.finding, conflict.remedy)
         return problem
 
@@ -232,8 +244,9 @@ class _Reading(PartReading):
                 self.fault(("intervals", k), finding, f"give at least {LEAST_FRACTION:g} of the horizon")
         return fractions
 
-    def cost(self, section: CostSection) -> Cost:
+    def cost(self, section: CostSection, horizon: float) -> Cost:
         running = tuple(self.term("running", i, term) for i, term in enumerate(section.running))
+        running += tuple(x for i, part in enumerate(section.track) for x in self.referring.track(i, part, horizon))
         terminal = tuple(self.term("terminal", i, term) for i, term in enumerate(section.terminal))
         rates = self.number(("cost", "input_rates"), section.input_rates, least=0)
         if section.inputs is None:

@@ -10,6 +10,7 @@ from mbsrun.ocp.grid import Grid
 from mbsrun.ocp.problem import Form, Loops, Problem, Representation
 from mbsrun.ocp.schemes import Family
 from mbsrun.quantities import Added
+from mbsrun.recordings.references import Reference
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,7 @@ class Structure:
     velocities: tuple[int, ...]
     accelerations: tuple[int, ...]
     sensor_velocities: tuple[str, ...]
+    references: tuple[Reference, ...] = ()
     loops: Loops | None = None
     mesh: tuple[float, ...] | None = None  # fractions of the horizon; None: intervals are equal
     known_velocities: tuple[int, ...] = ()  # indices into qd of velocities with bounds or a given start, when reduced
@@ -82,6 +84,7 @@ def structure(problem: Problem) -> Structure:
         velocities=tuple(i for i, _ in end.velocities),
         accelerations=tuple(i for i, _ in end.accelerations),
         sensor_velocities=tuple(name for name, _ in end.sensor_velocities),
+        references=problem.references,
         loops=problem.loops,
         mesh=problem.mesh,
         known_velocities=_list_known_velocities(problem) if problem.loops is Loops.REDUCED else (),

@@ -23,6 +23,7 @@ from mbsrun.ocp.quantities import Quantity, formulate, list_quantities
 from mbsrun.ocp.schemes import Scheme
 from mbsrun.ocp.structure import Structure
 from mbsrun.quaternions import Quaternion, find_quaternion, list_quaternions, neutral
+from mbsrun.recordings import references
 
 
 def find_targets(shape: Structure, quaternions: Sequence[Quaternion]) -> list[Quaternion]:
@@ -415,7 +416,10 @@ class Writer:
         """Apply expressions at some places."""
         shape, layout = self.shape, self.layout
         computed = {"qdd": self.kernel} if shape.representation.is_ode else {}
-        formula = formulate(texts, shape.constants, self.manifest, self.motions, computed, shape.horizon, shape.added)
+        read = find_references(texts, shape.references)
+        formula = formulate(
+            texts, shape.constants, self.manifest, self.motions, computed, shape.horizon, shape.added, read
+        )
         parts = dict(places.parts)
         if layout.horizon is not None:
             parts["T"] = np.full((1, places.s.size), layout.horizon)
@@ -425,9 +429,14 @@ class Writer:
             rows=rows,
             stages=stages,
             parameters=self.weights + np.arange(0 if formula.parameters is None else formula.parameters.size),
-            data=None if formula.data is None else places.s[None],
+            data=None if formula.data is None else self.tabulate(read, places.s),
             scale=scale,
         )
+
+    def tabulate(self, names: Sequence[str], s: Array) -> Array:
+        """Return the numbers that are given at places: their time over the horizon, and references."""
+        shape = self.shape
+        return np.stack([s, *(references.evaluate(name, shape.references, s, shape.horizon) for name in names)])
 
     # --- the cost ---
 
@@ -450,6 +459,12 @@ class Writer:
         if layout.horizon is None:
             return (_input_cost(layout, self.h), _rate_cost(layout, self.h), *others), tuple(blocks)
         return (nothing, nothing, *others), (*_input_costs(layout, layout.horizon, self.h), *blocks)
+
+
+def find_references(texts: Sequence[str], known: Sequence[references.Reference]) -> list[str]:
+    """List the names of references that expressions read."""
+    named = references.list_names(known)
+    return sorted({name for text in texts for name in names(parse(text)) if name in named}) if named else []
 
 
 def _pick(places: Places, kernel: KernelResult) -> tuple[Column, ...]:

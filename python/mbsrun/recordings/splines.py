@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ Mask = NDArray[np.bool_]
 UNEVEN = 1e-3  # of steps, relative: a filter needs even ones
 STEPS = 1.5  # of the recording: neighbours that are no farther apart have no gap between them
 PASSES = (2**0.5 - 1) ** 0.25  # by which two passes lower the cut-off
+ROUNDED = 1e-9  # of a piece's length
 LEAST = 10  # samples that a filter needs
 
 
@@ -69,11 +70,6 @@ class Piece:
         """Return the last time."""
         return self.knots[-1]
 
-    @cached_property
-    def spline(self) -> BSpline:
-        """Return the function."""
-        return BSpline(np.array(self.knots), np.array(self.coefficients), self.degree)
-
 
 @dataclass(frozen=True)
 class Track:
@@ -90,15 +86,15 @@ class Track:
         """Return values, or derivatives, in the shape of `times`; NaN where they are unknown."""
         values = np.full(times.shape, np.nan)
         for piece in self.pieces:
-            within = (times >= piece.start) & (times <= piece.end)
-            values[within] = piece.spline(times[within], nu=order)
+            within = _lie_within(piece, times)
+            values[within] = _make(piece)(times[within], nu=order)
         return values
 
     def is_known(self, times: Array) -> Mask:
         """Mark the times at which the quantity is known."""
         known = np.zeros(times.shape, dtype=bool)
         for piece in self.pieces:
-            known |= (times >= piece.start) & (times <= piece.end)
+            known |= _lie_within(piece, times)
         return known
 
     def list_unknown(self, start: float, end: float) -> tuple[tuple[float, float], ...]:
@@ -111,6 +107,17 @@ class Track:
         if reached < end:
             found.append((reached, end))
         return tuple((a, b) for a, b in found if b > a)
+
+
+def _lie_within(piece: Piece, times: Array) -> Mask:
+    """Mark the times from a piece's start to its end, to rounding."""
+    slack = ROUNDED * (piece.end - piece.start)
+    return np.asarray((times >= piece.start - slack) & (times <= piece.end + slack))
+
+
+@lru_cache(maxsize=4096)
+def _make(piece: Piece) -> BSpline:
+    return BSpline(np.array(piece.knots), np.array(piece.coefficients), piece.degree)
 
 
 def fit(times: Array, values: Array, treatment: Treatment) -> Track:

@@ -198,6 +198,9 @@ class _Reading(Reading):
             if not is_free_name(key) or key in (TIME, *self.quantities, *dict(self.problem.constants)):
                 self.fault(place, "no name for a constant", "give a word that means nothing else")
             self.constants[key] = self.number(place, expression)
+        if self.problem.references:
+            finding = f"the problem reads the recording {self.problem.references[0].name}, each plan from its start"
+            self.fault((), finding, "follow an expression in t0 + t instead, with updates: {t0: t}")
         positive = math.ulp(0)
         duration, rate = (self.number((key,), getattr(section, key), positive) for key in ("duration", "rate"))
         if duration * rate > MAX_SAMPLES:
