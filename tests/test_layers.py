@@ -112,6 +112,7 @@ MBSRUN = Package(
         "ocp.solution ocp.starts",
         "ocp.solve ocp.table",
         "ocp.resimulation",
+        "ocp.refinement",
         "ocp.search",
         "ocp.executor",
         "ocp.pictures ocp.cluster",

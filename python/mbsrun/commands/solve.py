@@ -26,15 +26,16 @@ from mbsrun.commands.console import (
     say,
 )
 from mbsrun.external import Mechanism, OnDemand, load_on_demand
-from mbsrun.ocp.checks import MAX_STEPS
+from mbsrun.ocp.checks import LEAST_ACCURACY, MAX_STEPS
 from mbsrun.ocp.integrators import INTEGRATORS
 from mbsrun.ocp.methods import METHODS as SOLVERS
 from mbsrun.ocp.multistart import Wish, solve_from_many
-from mbsrun.ocp.pictures import animate, draw_mechanism, plot_starts, plot_trajectories
+from mbsrun.ocp.pictures import animate, draw_mechanism, plot_mesh, plot_starts, plot_trajectories
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Form, Inputs, Loops, Problem, Representation, cylindrical
+from mbsrun.ocp.problem import Form, Inputs, Loops, Problem, Refinement, Representation, cylindrical
+from mbsrun.ocp.refinement import refine
 from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.solution import Failure, Solution, Starts, read_guess, write_solution
+from mbsrun.ocp.solution import Failure, Round, Solution, Starts, read_guess, write_solution
 from mbsrun.ocp.solve import Progress, solve
 from mbsrun.ocp.starts import describe_turns
 from mbsrun.ocp.statement import read_problem
@@ -46,6 +47,7 @@ SOLUTION = "solution.json"
 TRAJECTORIES = "trajectories.png"
 MECHANISM = "mechanism.png"
 ANIMATION = "animation.html"
+MESH = "mesh.png"  # of a refinement
 TABLE = "solution.csv"
 FILES = (SOLUTION, TABLE, TRAJECTORIES, MECHANISM, ANIMATION)
 DISTRIBUTION, STARTS = "starts.png", "starts.sqlite"  # of a search from many starts
@@ -67,6 +69,7 @@ The output folder gets
   trajectories.png    coordinates, velocities and inputs over time
   mechanism.png       the mechanism on its way
   animation.html      plays the motion in any browser
+  mesh.png            with --refine: the defect of every interval, grid by grid
   starts.png          with --starts: the cost that each start found
   starts.sqlite       with --starts: every start, so that the command can go on later
 
@@ -124,6 +127,12 @@ Exit codes
 @click.option("--integrator", type=NameType(INTEGRATORS), help="Of shooting: the method of the scheme, or another.")
 @click.option("--steps", type=click.IntRange(1, MAX_STEPS), help="Of the integrator in an interval; by default 1.")
 @click.option("--solver", type=NameType(SOLVERS), help="The NLP method; by default ipopt. mbs is the project's own.")
+@click.option(
+    "--refine",
+    type=NumberType(),
+    metavar="ACCURACY",
+    help="Refine the grid until the largest defect of an interval is at most this; by default as the problem says.",
+)
 @click.option(
     "--starts", type=click.IntRange(1, MAX_STARTS), help="The number of starts; the best solution is written."
 )
@@ -184,6 +193,8 @@ def solve_command(
         context.exit(NOT_SOLVED)
     with MESSAGES.status("integrating again") as status:
         outcome = resimulate(outcome, plant)
+        if problem.refine is not None:
+            outcome = refine(outcome, plant, lambda round_: status.update(_describe_round(round_)))
         status.update("drawing")
         written = _write(outcome, plant, out)
     for name, value in summarise(outcome).items():
@@ -193,6 +204,11 @@ def solve_command(
     for shortcoming in shortcomings:
         say(f"warning: {shortcoming}")
     context.exit(NOT_SOLVED if shortcomings else 0)
+
+
+def _describe_round(last: Round) -> str:
+    defect = "unknown" if last.defect is None else f"{last.defect:.1e}"
+    return f"{len(last.times) - 1} intervals, degree {last.degree}: defect {defect}; refining"
 
 
 def _retarget(problem: Problem, target: tuple[float, float, float]) -> Problem:
@@ -208,6 +224,7 @@ def _choose(
     steps: int | None,
     solver: str | None,
     guess_inputs: Inputs | None,
+    refine: float | None,
 ) -> Problem:
     """Replace parts of the problem by options.
 
@@ -225,6 +242,11 @@ def _choose(
         problem = replace(problem, guess=replace(problem.guess, inputs=guess_inputs))
     if solver is not None:
         problem = problem.with_solver(solver)
+    if refine is not None:
+        if not LEAST_ACCURACY <= refine < math.inf:
+            raise click.UsageError(f"--refine {refine:g}: give at least {LEAST_ACCURACY:g}")
+        rounds = Refinement.rounds if problem.refine is None else problem.refine.rounds
+        problem = replace(problem, refine=Refinement(refine, rounds))
     check_conflicts(problem)
     return problem
 
@@ -294,10 +316,14 @@ def _write(solution: Solution, plant: Plant, out: Path) -> tuple[str, ...]:
     plot_trajectories(solution, plant.manifest, out / TRAJECTORIES)
     draw_mechanism(solution, plant, out / MECHANISM)
     animate(solution, plant, out / ANIMATION)
-    if solution.starts is None:
-        return FILES
-    plot_starts(solution.starts, out / DISTRIBUTION)
-    return (*FILES, DISTRIBUTION, STARTS)
+    written = FILES
+    if solution.refinement is not None:
+        plot_mesh(solution.refinement, out / MESH)
+        written += (MESH,)
+    if solution.starts is not None:
+        plot_starts(solution.starts, out / DISTRIBUTION)
+        written += (DISTRIBUTION, STARTS)
+    return written
 
 
 def _tell_failure(failure: Failure, out: Path) -> None:

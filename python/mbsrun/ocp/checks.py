@@ -30,6 +30,8 @@ MAX_INTERVALS = 10_000
 MAX_STEPS = 100  # of an integrator in an interval
 LEAST_TOLERANCE = 1e-14  # of a solver
 LEAST_FRACTION = 1e-6  # of the horizon, of an interval
+LEAST_ACCURACY = 1e-12  # that the re-simulation can confirm
+MAX_ROUNDS = 100  # of a refinement
 FRACTIONS_SUM = 1e-9  # how far from 1 the sum of all fractions may be
 
 Finding = tuple[str, str, str]  # part of the problem, what was found, what to do
@@ -188,6 +190,7 @@ def _find_wrong_values(problem: Problem) -> Iterator[Finding]:
             wanted = f"a number of at least {least_value:g}" if place == "solver.tolerance" else "a positive number"
             yield (place, f"found {value:g}", f"give {wanted}")
     yield from _find_wrong_mesh(problem)
+    yield from _find_wrong_refinement(problem)
     if problem.horizon_range is not None:
         lower, upper = problem.horizon_range
         if not lower > 0:
@@ -222,6 +225,17 @@ def _find_wrong_mesh(problem: Problem) -> Iterator[Finding]:
         yield ("mesh", f"the fractions are from {min(mesh):g} to {max(mesh):g}", remedy)
     elif abs(math.fsum(mesh) - 1) > FRACTIONS_SUM:
         yield ("mesh", f"the fractions sum to {math.fsum(mesh):.12g}", "divide them by their sum")
+
+
+def _find_wrong_refinement(problem: Problem) -> Iterator[Finding]:
+    asked = problem.refine
+    if asked is None:
+        return
+    if not LEAST_ACCURACY <= asked.accuracy < math.inf:
+        remedy = f"give at least {LEAST_ACCURACY:g}, which the re-simulation can confirm"
+        yield ("refine.accuracy", f"found {asked.accuracy:g}", remedy)
+    if not 1 <= asked.rounds <= MAX_ROUNDS:
+        yield ("refine.rounds", f"found {asked.rounds}", f"give a whole number from 1 to {MAX_ROUNDS}")
 
 
 def _find_strangers(problem: Problem, manifest: Manifest) -> Iterator[Finding]:

@@ -55,6 +55,11 @@ class Grid:
         return self.times(1.0, points)[1]
 
 
+def split(lengths: Array, pieces: NDArray[np.int64]) -> Array:
+    """Return the lengths after each interval is split into equal pieces."""
+    return np.repeat(lengths / pieces, pieces)
+
+
 def divide(lengths: Array) -> tuple[float, ...] | None:
     """Return the fractions of a horizon that relative lengths make; None where all are equal."""
     if (lengths == lengths[0]).all():

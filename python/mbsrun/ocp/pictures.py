@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 from mbsgen.manifest import Frame, Manifest
 from mbsrun.animation import Marker, render_animation
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.solution import Solution, Starts
+from mbsrun.ocp.solution import Rounds, Solution, Starts
 from mbsrun.quaternions import find_rates
 from mbsrun.skeleton import place
 
 Array = NDArray[np.float64]
 
 WIDE = 5.0  # ratio of the highest cost to the lowest from which on the axis is logarithmic
+SMALLEST = 1e-15  # a defect that is shown
 POSES = 9  # of the mechanism, evenly in time
 COLORS = tuple(TABLEAU_COLORS)
 TIME = ListedColormap(colormaps["viridis_r"](np.linspace(0.2, 1, 256)))  # without its pale end
@@ -120,6 +121,26 @@ def plot_starts(starts: Starts, path: Path) -> None:
         f"lowest cost found {starts.times} times in {len(starts.results)} starts; {failed} without a solution"
     )
     save(figure, path)
+
+
+def plot_mesh(refinement: Rounds, path: Path) -> None:
+    """Plot the defect of every interval over time, round by round, and write the picture."""
+    rounds = [each for each in refinement.rounds if each.defects]
+    figure = Figure(figsize=(8, 1.2 + 1.3 * max(len(rounds), 1)), layout="constrained")
+    panels = figure.subplots(max(len(rounds), 1), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
+    for k, (axes, each) in enumerate(zip(panels, rounds, strict=False)):
+        t, defects = np.array(each.times), np.maximum(each.defects, SMALLEST)
+        is_accurate = defects <= refinement.accuracy
+        for chosen, color in ((is_accurate, "tab:green"), (~is_accurate, "tab:red")):
+            axes.bar(t[:-1][chosen], defects[chosen], np.diff(t)[chosen], align="edge", color=color, alpha=0.5)
+        axes.plot(t, np.full(t.size, SMALLEST), "|", color="black", markersize=8, clip_on=False)
+        axes.axhline(refinement.accuracy, color="black", linewidth=0.8, linestyle="--")
+        axes.set_yscale("log")
+        axes.set_ylim(bottom=SMALLEST)
+        axes.set_title(f"round {k}: {len(t) - 1} intervals, degree {each.degree}", loc="left", fontsize="small")
+    panels[-1].set_xlabel("time [s]")
+    figure.supylabel("defect of an interval", fontsize="medium")
+    _save(figure, path)
 
 
 def draw_mechanism(solution: Solution, plant: Plant, path: Path) -> None:

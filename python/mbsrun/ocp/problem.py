@@ -194,6 +194,14 @@ class GuessOptions:
 
 
 @dataclass(frozen=True)
+class Refinement:
+    """Solves on finer grids, until the re-simulation confirms an accuracy."""
+
+    accuracy: float = 1e-6  # the largest defect of an interval, in rad and m, and these per s
+    rounds: int = 8  # solves after the first, at most
+
+
+@dataclass(frozen=True)
 class SolverOptions:
     """The NLP method, and its options."""
 
@@ -241,7 +249,13 @@ class Problem:
     parameters: tuple[tuple[str, float], ...] = ()  # values of the model's run-time and differentiated parameters
     mesh: tuple[float, ...] | None = None  # the fraction of the horizon that each interval has; None: they are equal
     references: tuple[Reference, ...] = ()  # that expressions read
+    refine: Refinement | None = None  # None: the grid stays
     accuracy: float = 1e-6  # the largest defect of an interval that counts as accurate, in rad and m, and these per s
+
+    @property
+    def asked_accuracy(self) -> float:
+        """Return the largest defect of an interval that counts as accurate."""
+        return self.accuracy if self.refine is None else self.refine.accuracy
 
     @property
     def grid(self) -> Grid:

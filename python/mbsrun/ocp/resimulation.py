@@ -64,9 +64,10 @@ def resimulate(solution: Solution, plant: Plant, limits: Limits = LIMITS) -> Sol
             open_loop_error=None if last is None else float(np.abs(last[0] - states[-1]).max()),
             is_accurate=not unfinished
             and defects is not None
-            and bool(defects.max() <= solution.problem.accuracy)
+            and bool(defects.max() <= solution.problem.asked_accuracy)
             and max(gaps or [0.0]) <= CLOSED,
             unfinished=unfinished,
+            defects=() if defects is None else tuple(defects.tolist()),
             closure=max(gaps) if gaps else None,
         ),
     )

@@ -53,6 +53,11 @@ class Scheme:
         return np.asarray(np.linalg.inv(self.D[:, 1:]))
 
     @property
+    def order(self) -> int:
+        """Return the order of convergence at the ends of intervals."""
+        return 2 * self.degree - (1 if self.ends_interval else 0)
+
+    @property
     def exactness(self) -> int:
         """Return the highest degree of a polynomial that the quadrature integrates exactly."""
         return 2 * self.degree - (2 if self.ends_interval else 1)

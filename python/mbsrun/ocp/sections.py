@@ -15,13 +15,14 @@ from mbsgen.documents import (
     read_number,
 )
 from mbsgen.expressions import Expression, Number
-from mbsrun.ocp.checks import MAX_INTERVALS, MAX_STEPS
+from mbsrun.ocp.checks import MAX_INTERVALS, MAX_ROUNDS, MAX_STEPS
 from mbsrun.ocp.integrators import INTEGRATORS
 from mbsrun.ocp.methods import METHODS
 from mbsrun.ocp.problem import (
     Form,
     Loops,
     Problem,
+    Refinement,
     Representation,
     SolverOptions,
 )
@@ -245,6 +246,13 @@ class GuessSection(Section):
     solution: Annotated[str, AfterValidator(_check_solution)] | None = Field(default=None, examples=["solution.json"])
 
 
+class RefinementSection(Section):
+    """Solves on finer grids until the re-simulation confirms an accuracy."""
+
+    accuracy: NumberField | None = Field(default=None, examples=[1e-6])  # by default the problem's
+    rounds: int = Field(default=Refinement.rounds, ge=1, le=MAX_ROUNDS, examples=[8])
+
+
 class SolverSection(Section):
     """The NLP method and its options."""
 
@@ -306,4 +314,5 @@ class ProblemSection(Section):
     integrals: Annotated[tuple[IntegralSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
     guess: GuessSection = Field(default=GuessSection(), examples=[{}])
     accuracy: NumberField = Field(default=Number(Problem.accuracy), examples=[1e-6])
+    refine: RefinementSection | None = Field(default=None, examples=[{"accuracy": 1e-6}])
     solver: SolverSection = Field(default=SolverSection(), examples=[{}])

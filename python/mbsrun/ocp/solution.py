@@ -84,6 +84,35 @@ class Violation:
 
 
 @dataclass(frozen=True)
+class Round:
+    """A solve on one grid of a refinement."""
+
+    change: str  # from the grid before, in words; empty: the first
+    degree: int
+    times: tuple[float, ...]  # of the mesh points [s]; those of the guess where no solution was found
+    variables: int
+    status: str
+    iterations: int
+    cpu_seconds: float
+    cost: float | None  # None: no solution
+    defects: tuple[float, ...]  # of the intervals; empty: unknown
+
+    @property
+    def defect(self) -> float | None:
+        """Return the largest defect."""
+        return max(self.defects, default=None)
+
+
+@dataclass(frozen=True)
+class Rounds:
+    """All solves of a refinement."""
+
+    accuracy: float  # that was asked for
+    rounds: tuple[Round, ...]
+    finding: str  # why it ended
+
+
+@dataclass(frozen=True)
 class Resimulation:
     """The distance of the trajectory from the true motion under its inputs, by a tight integrator."""
 
@@ -93,6 +122,7 @@ class Resimulation:
     is_accurate: bool  # whether the check finished, and the defect is within the accuracy that the problem asks for
     closure: float | None = None  # the largest gap of closed loops along the motion from its start [m, 1]
     unfinished: str = ""  # the limit of time or steps that ended the check, if one did
+    defects: tuple[float, ...] = ()  # of all intervals; empty where the integrator gave up
 
 
 @dataclass(frozen=True)
@@ -173,6 +203,7 @@ class Solution:
     trajectory: Trajectory
     resimulation: Resimulation | None = None
     starts: Starts | None = None  # of the search that found it, if it was one
+    refinement: Rounds | None = None  # the solves that led to its grid, if it was refined
     equations: tuple[str, ...] = ()  # of closed loops
     multipliers: Array | None = None  # (N, d, m): the forces on these equations at the points of the trajectory
 

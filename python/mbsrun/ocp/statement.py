@@ -32,6 +32,7 @@ from mbsgen.errors import InputError
 from mbsgen.expressions import FLOATS, Expression, ExpressionError, evaluate, is_free_name, parse
 from mbsrun.closure import Closure, find_closure
 from mbsrun.ocp.checks import (
+    LEAST_ACCURACY,
     LEAST_FRACTION,
     LEAST_TOLERANCE,
     ProblemError,
@@ -53,6 +54,7 @@ from mbsrun.ocp.problem import (
     Point,
     Problem,
     Range,
+    Refinement,
     SolverOptions,
     Term,
     cylindrical,
@@ -69,6 +71,7 @@ from mbsrun.ocp.sections import (
     Limits,
     PositionSection,
     ProblemSection,
+    RefinementSection,
     SolverSection,
     StartSection,
     TermSection,
@@ -169,6 +172,7 @@ class _Reading(PartReading):
         bounds = self.bounds(section.bounds)
         horizon, horizon_range = self.horizon(section.horizon)
         intervals, mesh = self.intervals(section.intervals)
+        accuracy = self.number(("accuracy",), section.accuracy, least=math.ulp(0))
         if self.closure is None:
             start_q, free_q = self.start("pose", section.start.pose, self.coordinates, bounds.q)
             start_qd, free_qd = self.start("velocity", section.start.velocity, self.velocities, bounds.qd)
@@ -199,7 +203,8 @@ class _Reading(PartReading):
             free_start=(*free_q, *(len(start_q) + i for i in free_qd)),
             constraints=constraints,
             guess=self.guess(section.guess),
-            accuracy=self.number(("accuracy",), section.accuracy, least=math.ulp(0)),
+            accuracy=accuracy,
+            refine=self.refinement(section.refine, accuracy),
             solver=self.solver(section.solver),
             states=self.states(section.states),
             controls=self.controls(section.controls),
@@ -243,6 +248,14 @@ class _Reading(PartReading):
                 finding = f"{lengths[k]:g} is {fraction:.1e} of the horizon"
                 self.fault(("intervals", k), finding, f"give at least {LEAST_FRACTION:g} of the horizon")
         return fractions
+
+    def refinement(self, section: RefinementSection | None, accuracy: float) -> Refinement | None:
+        """Return the accuracy that a refinement aims at, by default the problem's, and its rounds."""
+        if section is None:
+            return None
+        if section.accuracy is not None:
+            accuracy = self.number(("refine", "accuracy"), section.accuracy, least=LEAST_ACCURACY)
+        return Refinement(accuracy, section.rounds)
 
     def cost(self, section: CostSection, horizon: float) -> Cost:
         running = tuple(self.term("running", i, term) for i, term in enumerate(section.running))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from mbsrun.closure import CLOSED
 from mbsrun.ocp.multistart import describe_starts
 from mbsrun.ocp.problem import Loops
@@ -34,9 +36,10 @@ def summarise(solution: Solution) -> dict[str, str]:
         "violation": f"{violation.constraints:.1e} of constraints, {violation.bounds:.1e} of bounds"
         + ("" if violation.lengths is None else f", {violation.lengths:.1e} of quaternions' lengths"),
         **_describe_loops(solution),
+        **_describe_grid(solution),
     }
     if check is not None:
-        accuracy = solution.problem.accuracy
+        accuracy = solution.problem.asked_accuracy
         rows["defect"] = f"{_number(check.defect, check)} in an interval, at most; {accuracy:.1e} asked for"
         rows["open loop"] = f"{_number(check.open_loop_error, check)} off at the end, under the inputs alone"
     return rows
@@ -60,9 +63,26 @@ def list_shortcomings(solution: Solution) -> list[str]:
     elif check is not None and not check.is_accurate:
         found.append(
             f"the largest defect of an interval, {_number(check.defect, check)}, is above the accuracy asked for, "
-            f"{solution.problem.accuracy:.1e}; take more intervals or a higher degree"
+            f"{solution.problem.asked_accuracy:.1e}; take more intervals or a higher degree"
         )
     return found
+
+
+def _describe_grid(solution: Solution) -> dict[str, str]:
+    """Describe intervals that differ, and the rounds of a refinement."""
+    problem, lengths, rows = solution.problem, np.diff(solution.trajectory.t), {}
+    if problem.mesh is not None:
+        rows["intervals"] = f"{problem.intervals}, from {lengths.min():.3g} s to {lengths.max():.3g} s"
+    if solution.refinement is None:
+        return rows
+    made = len(solution.refinement.rounds) - 1
+    rows["refinement"] = f"{made} round{'' if made == 1 else 's'}; {solution.refinement.finding}"
+    for k, each in enumerate(solution.refinement.rounds):
+        found = f"{each.status}" if each.cost is None else f"cost {each.cost:.8g}, {each.iterations} iterations"
+        defect = "unknown" if each.defect is None else f"{each.defect:.1e}"
+        grid = f"{len(each.times) - 1} intervals, degree {each.degree}, {each.variables} variables"
+        rows[f"  round {k}"] = f"{grid}: {found}, defect {defect}" + (f"; {each.change}" if each.change else "")
+    return rows
 
 
 def _describe_loops(solution: Solution) -> dict[str, str]:

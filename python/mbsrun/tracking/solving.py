@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from mbsrun.ocp import schemes
 from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.guess import Pose, make_guess
+from mbsrun.ocp.methods import METHODS
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.solution import Failure
@@ -27,10 +28,6 @@ from mbsrun.tracking.trial import Horizon
 
 Array = NDArray[np.float64]
 
-WARM: Mapping[str, Mapping[str, float | int | str]] = {  # by method: options of all solves after the first
-    "ipopt": {"mu_init": 1e-5},
-    "mbs": {"barrier": 1e-5},
-}
 UNREACHED = "No_Guess"
 
 
@@ -102,5 +99,5 @@ class SolvingController:
 
 def _warm(problem: Problem) -> Problem:
     """Return the problem with options for starts near a solution, where the file does not give them."""
-    given = dict(WARM.get(problem.solver.method, {})) | dict(problem.solver.options)
+    given = dict(METHODS[problem.solver.method].warm) | dict(problem.solver.options)
     return replace(problem, solver=replace(problem.solver, options=tuple(given.items())))

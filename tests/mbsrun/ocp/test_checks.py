@@ -10,7 +10,17 @@ import numpy as np
 import pytest
 
 from mbsrun.ocp.checks import ProblemError, check_problem
-from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, GuessOptions, Representation, SolverOptions, Term
+from mbsrun.ocp.problem import (
+    Bounds,
+    Constraint,
+    Cost,
+    End,
+    GuessOptions,
+    Refinement,
+    Representation,
+    SolverOptions,
+    Term,
+)
 from mbsrun.ocp.solve import Solver, solve
 from tests.mbsrun.ocp.plants import FREE_RANGE, push
 from tests.mbsrun.peer import double_integrator
@@ -19,6 +29,12 @@ FREE = (FREE_RANGE,)
 WRONG: dict[str, tuple[dict[str, Any], str, str]] = {  # what is changed: the part that is named, what is found
     "no interval": ({"intervals": 0}, "intervals", "found 0; give a whole number from 1 to 10000"),
     "half an interval": ({"intervals": 2.5}, "intervals", "2.5"),
+    "an accuracy below rounding": (
+        {"refine": Refinement(1e-16)},
+        "refine.accuracy",
+        "found 1e-16; give at least 1e-12, which the re-simulation can confirm",
+    ),
+    "no rounds": ({"refine": Refinement(1e-6, 0)}, "refine.rounds", "found 0; give a whole number from 1 to 100"),
     "too few fractions": (
         {"mesh": (0.5, 0.5)},
         "mesh",

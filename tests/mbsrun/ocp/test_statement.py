@@ -253,6 +253,21 @@ BAD = {  # what is changed in the good file: path, finding, remedy
     "no intervals": ("intervals: 10", "intervals: 0", "intervals", "found 0", "1"),
     "too many intervals": ("intervals: 10", "intervals: 1000000", "intervals", "found 1000000", "10000"),
     "half an interval": ("intervals: 10", "intervals: 1.5", "intervals", "found 1.5", "whole number"),
+    "an accuracy below rounding": (
+        "intervals: 10",
+        "intervals: 10\nrefine: {accuracy: 1e-15}",
+        "refine.accuracy",
+        "1e-15",
+        "1e-12",
+    ),
+    "no rounds": ("intervals: 10", "intervals: 10\nrefine: {rounds: 0}", "refine.rounds", "found 0", "1"),
+    "a refinement that is a number": (
+        "intervals: 10",
+        "intervals: 10\nrefine: 1e-6",
+        "refine",
+        "found 1e-06",
+        "mapping",
+    ),
     "no lengths": ("intervals: 10", "intervals: []", "intervals", "found 0 lengths", "give from 1 to 10000"),
     "an interval of no length": ("intervals: 10", "intervals: [1, 0, 2]", "intervals[1]", "found 0", "positive"),
     "a length that is none": (

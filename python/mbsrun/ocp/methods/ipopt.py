@@ -99,4 +99,4 @@ def _choose_linear_solver(options: Settings) -> Settings:
     return {**set_up(str(options.get(LINEAR_SOLVER, default))), **others}
 
 
-IPOPT = Method("interior points with a filter line search", IPOPT_OPTIONS, make_ipopt)
+IPOPT = Method("interior points with a filter line search", IPOPT_OPTIONS, make_ipopt, {"mu_init": 1e-5})

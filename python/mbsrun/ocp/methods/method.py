@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -74,3 +74,4 @@ class Method:
     title: str
     options: Mapping[str, Option]
     make: Callable[[Order], Solver]
+    warm: Settings = field(default_factory=dict)  # options of starts near a solution
