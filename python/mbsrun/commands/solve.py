@@ -316,14 +316,14 @@ def _write(solution: Solution, plant: Plant, out: Path) -> tuple[str, ...]:
     plot_trajectories(solution, plant.manifest, out / TRAJECTORIES)
     draw_mechanism(solution, plant, out / MECHANISM)
     animate(solution, plant, out / ANIMATION)
-    written = FILES
+    written = [*FILES]
     if solution.refinement is not None:
         plot_mesh(solution.refinement, out / MESH)
-        written += (MESH,)
+        written.append(MESH)
     if solution.starts is not None:
         plot_starts(solution.starts, out / DISTRIBUTION)
-        written += (DISTRIBUTION, STARTS)
-    return written
+        written += [DISTRIBUTION, STARTS]
+    return tuple(written)
 
 
 def _tell_failure(failure: Failure, out: Path) -> None:

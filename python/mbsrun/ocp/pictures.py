@@ -125,6 +125,11 @@ def plot_starts(starts: Starts, path: Path) -> None:
 
 def plot_mesh(refinement: Rounds, path: Path) -> None:
     """Plot the defect of every interval over time, round by round, and write the picture."""
+    save(make_mesh(refinement), path)
+
+
+def make_mesh(refinement: Rounds) -> Figure:
+    """Plot the defect of every interval over time, round by round."""
     rounds = [each for each in refinement.rounds if each.defects]
     figure = Figure(figsize=(8, 1.2 + 1.3 * max(len(rounds), 1)), layout="constrained")
     panels = figure.subplots(max(len(rounds), 1), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
@@ -140,7 +145,7 @@ def plot_mesh(refinement: Rounds, path: Path) -> None:
         axes.set_title(f"round {k}: {len(t) - 1} intervals, degree {each.degree}", loc="left", fontsize="small")
     panels[-1].set_xlabel("time [s]")
     figure.supylabel("defect of an interval", fontsize="medium")
-    _save(figure, path)
+    return figure
 
 
 def draw_mechanism(solution: Solution, plant: Plant, path: Path) -> None:

@@ -99,7 +99,7 @@ def _solve(problem: Problem, plant: Plant, motion: Trajectory, watch: Watch | No
     scheme = schemes.build(problem.family, problem.degree)
     begin = resample(motion, *problem.grid.times(float(motion.t[-1]), scheme.points))
     solver = Solver(problem, plant)
-    options = METHODS[problem.solver.method].warm | dict(problem.solver.options)
+    options = dict(METHODS[problem.solver.method].warm) | dict(problem.solver.options)
     warm = replace(problem, solver=replace(problem.solver, options=tuple(options.items())))
     outcome = solver.solve(warm, begin, watch)
     if isinstance(outcome, Failure):
