@@ -110,7 +110,7 @@ MBSRUN = Package(
         "ocp.parts",
         "ocp.statement ocp.guess ocp.record ocp.state_guess",
         "ocp.solution ocp.starts",
-        "ocp.solve ocp.table",
+        "ocp.solve ocp.table ocp.recorded",
         "ocp.resimulation",
         "ocp.refinement",
         "ocp.search",

@@ -9,7 +9,7 @@ import click
 from mbsrun.commands.console import MESSAGES, NOT_SOLVED, output_folder, say
 from mbsrun.controllers.making import Made, UnsolvedError, make
 from mbsrun.external import Mechanism, OnDemand, load_on_demand
-from mbsrun.ocp.solution import read_guess
+from mbsrun.ocp.recorded import find_guess
 from mbsrun.ocp.statement import read_problem
 
 CONTROLLER_HELP = """Write a model predictive controller for the problem of the file PROBLEM, in C.
@@ -71,7 +71,7 @@ def controller_command(
     problem, plant = read_problem(file, load_model)
     if other is None and problem.guess.solution is not None:
         other = file.parent / problem.guess.solution
-    guess = None if other is None else read_guess(other, plant.manifest)
+    guess = None if other is None else find_guess(other, problem, plant)
     out = out or Path(f"{problem.name}.controller")
     try:
         with MESSAGES.status("making the controller"):

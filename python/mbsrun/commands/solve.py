@@ -33,9 +33,10 @@ from mbsrun.ocp.multistart import Wish, solve_from_many
 from mbsrun.ocp.pictures import animate, draw_mechanism, plot_mesh, plot_starts, plot_trajectories
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Form, Inputs, Loops, Problem, Refinement, Representation, cylindrical
+from mbsrun.ocp.recorded import find_guess
 from mbsrun.ocp.refinement import refine
 from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.solution import Failure, Round, Solution, Starts, read_guess, write_solution
+from mbsrun.ocp.solution import Failure, Round, Solution, Starts, write_solution
 from mbsrun.ocp.solve import Progress, solve
 from mbsrun.ocp.starts import describe_turns
 from mbsrun.ocp.statement import read_problem
@@ -102,7 +103,8 @@ Exit codes
     "other",
     type=click.Path(path_type=Path),
     metavar="SOLUTION",
-    help="A solution.json to start from; its grid, horizon and representation may be others.",
+    help="A solution.json to start from, or a recorded motion (.csv, .mot, .sto); its grid, horizon and "
+    "representation may be others.",
 )
 @click.option(
     "--guess-inputs",
@@ -178,7 +180,7 @@ def solve_command(
         raise click.UsageError("--hops, --seed, --minutes and --workers belong to a search; give --starts too")
     if starts is not None and other is not None:
         raise click.UsageError("--starts makes its own starts; it takes no solution to start from")
-    guess = None if other is None else read_guess(other, plant.manifest)
+    guess = None if other is None else find_guess(other, problem, plant)
     out = out or Path(f"{problem.name}.solution")
     if starts is None:
         outcome: Solution | Failure | None = _solve(problem, plant, guess)

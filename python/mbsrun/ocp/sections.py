@@ -29,6 +29,7 @@ from mbsrun.ocp.problem import (
 from mbsrun.ocp.schemes import DEGREES, Family
 from mbsrun.recordings import READERS, Treatment
 
+GUESSES = (".json", ".csv", ".mot", ".sto")  # files
 MAX_EXPRESSIONS = 100  # of one kind
 
 T = TypeVar("T", bound=Sized)
@@ -69,8 +70,9 @@ def _check_name(name: str, known: Collection[str]) -> str:
 
 
 def _check_solution(path: str) -> str:
-    if not path.endswith(".json"):
-        raise WrongValueError(f"found {abbreviate(path)}", "give a solution's file (.json), from this file's folder")
+    if not path.lower().endswith(GUESSES):
+        remedy = f"give a solution or a recorded motion ({', '.join(GUESSES)}), from this file's folder"
+        raise WrongValueError(f"found {abbreviate(path)}", remedy)
     return path
 
 

@@ -14,6 +14,7 @@ from mbsrun.external import load_on_demand
 from mbsrun.ocp import statement
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.recorded import find_guess
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.solution import Failure, read_guess, read_solution
 from mbsrun.ocp.solve import Watch, solve
@@ -102,9 +103,9 @@ class OptimalControl:
         """Solve the problem, and re-simulate the solution unless `check` is False.
 
         `watch` is called in every iteration; True shows the iterations, in a notebook or on a terminal. `guess` is a
-        solution, a file of one, or a trajectory, on any grid; by default the problem's own. A solve without a solution
-        is no exception: it returns an Unsolved. Raises ProblemError with every fault of the problem, InputError for a
-        file that is no guess.
+        solution, a file of one or of a recorded motion, or a trajectory, on any grid; by default the problem's own. A
+        solve without a solution is no exception: it returns an Unsolved. Raises ProblemError with every fault of the
+        problem, InputError for a file that is no guess.
         """
         with show_progress() if watch is True else nullcontext(watch or None) as shown:
             start = self._find_guess(guess)
@@ -122,9 +123,9 @@ class OptimalControl:
         if isinstance(guess, Solved):
             return guess.trajectory
         if isinstance(guess, str | Path):
-            return read_guess(Path(guess), self.plant.manifest)
+            return find_guess(Path(guess), self.value, self.plant)
         if guess is None and self.value.guess.solution is not None:
-            return read_guess(self.folder / self.value.guess.solution, self.plant.manifest)
+            return find_guess(self.folder / self.value.guess.solution, self.value, self.plant)
         return guess
 
     # --- display ---

@@ -1,0 +1,136 @@
+"""A guess from a file: an earlier solution, or a recorded motion such as a table of `mbsrun simulate` or `solve`.
+
+Coordinates q[NAME] are needed; velocities, accelerations, inputs, states and controls are taken where all columns of
+their kind are there. Without them, velocities and accelerations are derivatives of splines, and inputs are the ones of
+the problem's guess: 0, static or by inverse dynamics. The recording's time is scaled to the horizon. A guess need not
+be a motion, so gaps are bridged whatever their length; loops are closed, and quaternions have length 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsgen.documents import abbreviate
+from mbsgen.errors import Fault, InputError
+from mbsgen.manifest import Manifest
+from mbsrun.closure import find_closure
+from mbsrun.ocp import schemes
+from mbsrun.ocp.guess import balance
+from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.solution import read_guess
+from mbsrun.ocp.trajectory import NONE, Trajectory, average_inputs
+from mbsrun.quaternions import find_velocities, normalise
+from mbsrun.recordings import (
+    Recording,
+    Track,
+    Treatment,
+    find_column,
+    fit,
+    name_coordinate,
+    read_column,
+    read_recording,
+    stack,
+)
+
+Array = NDArray[np.float64]
+
+BRIDGED = Treatment(degree=3, gap=np.inf)
+INPUTS = ("u", "input")  # as `mbsrun solve` and `mbsrun simulate` name them
+
+
+def find_guess(path: Path, problem: Problem, plant: Plant) -> Trajectory:
+    """Read a guess: a solution (.json), or a recording. Raises InputError for one of another mechanism."""
+    if path.suffix.lower() == ".json":
+        return read_guess(path, plant.manifest)
+    return recall(read_recording(path), problem, plant)
+
+
+def recall(recording: Recording, problem: Problem, plant: Plant) -> Trajectory:
+    """Read a recorded motion on the grid of a problem. Raises InputError where it lacks a coordinate."""
+    start = float(recording.times[0])
+    pace = (float(recording.times[-1]) - start) / problem.horizon
+    t, point_t = problem.grid.times(problem.horizon, schemes.build(problem.family, problem.degree).points)
+    mesh, points = start + t * pace, start + point_t * pace
+    move = _read_motion(recording, plant)
+    (q, qd, _), (point_q, point_qd, point_qdd) = (move(times, pace) for times in (mesh, points))
+    states = _fit(recording, [f"state[{state.name}]" for state in problem.every_state])
+    controls = _fit(recording, [f"control[{control.name}]" for control in problem.controls])
+    none = np.zeros((len(t) - 1, len(problem.bounds.u)))
+    motion = Trajectory(
+        *(t, q, qd, none, point_t, point_q, point_qd, point_qdd),
+        states=NONE if states is None else stack(states, mesh),
+        point_states=NONE if states is None else stack(states, points),
+        controls=NONE if controls is None else _average(recording, controls, mesh),
+    )
+    actuated = [plant.manifest.coordinates[i].name for i in plant.manifest.actuated]
+    for kind in INPUTS:
+        inputs = _fit(recording, [f"{kind}[{name}]" for name in actuated])
+        if inputs:
+            lower, upper = np.array(problem.bounds.u).T
+            return replace(motion, u=np.clip(_average(recording, inputs, mesh), lower, upper))
+    return balance(motion, problem, plant, problem.guess.inputs)
+
+
+def _read_motion(recording: Recording, plant: Plant) -> Callable[[Array, float], tuple[Array, Array, Array]]:
+    """Return the motion as a function: times of the recording, and its seconds in one of the problem -> q, qd, qdd."""
+    manifest, closure = plant.manifest, find_closure(plant)
+    names = [c.name for c in manifest.coordinates]
+    tracks = _fit_coordinates(recording, manifest)
+    speeds = _fit(recording, [f"qd[{name}]" for name in names])
+    changes = _fit(recording, [f"qdd[{name}]" for name in names])
+
+    def move(times: Array, pace: float) -> tuple[Array, Array, Array]:
+        rates = [stack(tracks, times, order) for order in range(3)]
+        q = normalise(rates[0], manifest)
+        qd, qdd = find_velocities(plant, q, rates[1], rates[2])
+        if speeds is not None:
+            qd, qdd = stack(speeds, times), stack(speeds, times, 1)
+        if changes is not None:
+            qdd = stack(changes, times)
+        if closure is not None:
+            q = closure.close(q)
+            qd = closure.project_velocities(q, qd)
+            qdd = closure.project_accelerations(q, qd, qdd)
+        return q, qd * pace, qdd * pace**2
+
+    return move
+
+
+def _fit_coordinates(recording: Recording, manifest: Manifest) -> list[Track]:
+    """Fit splines to the coordinates; report every one that is missing, or unknown at an end."""
+    units, tracks, faults = {c.name: c.unit for c in manifest.coordinates}, [], []
+    for name in manifest.positions:
+        column = find_column(recording, name_coordinate(name))
+        if column is None:
+            finding = f"no column is named {abbreviate(name_coordinate(name)[0])}"
+            faults.append(Fault(recording.file, 0, "", finding, "give every coordinate of the model"))
+            continue
+        track = fit(recording.times, read_column(recording, column, units.get(name, "")), BRIDGED)
+        if track.list_unknown(float(recording.times[0]), float(recording.times[-1])):
+            path = f"column {abbreviate(column)}"
+            faults.append(Fault(recording.file, 0, path, "it is empty at an end", "cut the recording to what is known"))
+        tracks.append(track)
+    if faults:
+        raise InputError(faults)
+    return tracks
+
+
+def _fit(recording: Recording, columns: Sequence[str]) -> list[Track] | None:
+    """Fit splines to some columns; None where one is missing, or has no number at an end."""
+    if not set(columns) <= set(recording.names):
+        return None
+    tracks = [fit(recording.times, recording.column(name), BRIDGED) for name in columns]
+    ends = recording.times[[0, -1]]
+    return tracks if all(track.is_known(ends).all() for track in tracks) else None
+
+
+def _average(recording: Recording, tracks: Sequence[Track], mesh: Array) -> Array:
+    """Return the means of inputs between mesh points: each row of a recording holds until the next one."""
+    times = recording.times - recording.times[0]
+    return average_inputs(times, stack(tracks, recording.times[:-1]), mesh - mesh[0])
