@@ -25,9 +25,14 @@ _IN_INTERVALS: Mapping[str, str] = {  # rows by interval, and their descriptions
 
 def describe(rows: Sequence[int], transcription: Transcription, manifest: Manifest) -> str:
     """Describe the rows that stay violated, each group once; empty where there are none."""
-    known = {row: text for found, text in _list(transcription, manifest) for row in np.ravel(found).tolist()}
+    known = name_rows(transcription, manifest)
     texts = list(dict.fromkeys(known[row] for row in rows if row in known))
     return ", ".join(texts[:SHOWN]) + (", ..." if len(texts) > SHOWN else "")
+
+
+def name_rows(transcription: Transcription, manifest: Manifest) -> dict[int, str]:
+    """Return the descriptions of rows."""
+    return {row: text for found, text in _list(transcription, manifest) for row in np.ravel(found).tolist()}
 
 
 def _list(transcription: Transcription, manifest: Manifest) -> Iterator[tuple[Indices, str]]:

@@ -237,7 +237,7 @@ def solve(
     scheme = schemes.build(problem.family, problem.degree)
     start = make_guess(problem, plant, scheme) if guess is None else adapt(guess, problem, scheme)
     if isinstance(start, Pose):
-        return _tell_unreachable(problem, start)
+        return Failure(problem, Run(UNREACHABLE, 0, 0.0, 0.0), *describe_unreachable(start))
     problem = settle(problem, plant, start)
     check_problem(problem, plant.manifest)
     return make(problem, plant).solve(problem, start, watch)
@@ -250,13 +250,14 @@ def _check_states(problem: Problem, plant: Plant) -> None:
         raise ProblemError(problem.name, findings)
 
 
-def _tell_unreachable(problem: Problem, pose: Pose) -> Failure:
+def describe_unreachable(pose: Pose) -> tuple[str, str]:
+    """Return finding and remedy of targets that no pose meets, or no motion reaches."""
     finding = f"no pose within the bounds meets the targets; the nearest one found is {pose.distance:.3g} m or rad away"
     remedy = "move the target or widen the bounds"
     if not pose.has_way:
         finding = "from the start to the pose found for the end, no motion was found that keeps the loops closed"
         remedy = "take guess.motion: rest, or another start, or targets that the mechanism reaches as it is assembled"
-    return Failure(problem, Run(UNREACHABLE, 0, 0.0, 0.0), finding, remedy)
+    return finding, remedy
 
 
 def settle(problem: Problem, plant: Plant, guess: Trajectory | None = None) -> Problem:

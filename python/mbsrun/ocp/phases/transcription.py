@@ -17,6 +17,7 @@ from mbsrun.ocp.phases.impacts import ImpactRows, write_impact
 from mbsrun.ocp.phases.linking import Defined, Rows, write_conditions, write_transfer
 from mbsrun.ocp.phases.problem import Link, PhasedProblem, Plants
 from mbsrun.ocp.phases.sides import Side, read_side
+from mbsrun.ocp.phases.solution import Guess
 from mbsrun.ocp.program import Program
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.ocp.transcription import Transcription, transcribe
@@ -29,6 +30,7 @@ class LinkRows:
     link: Link
     conditions: Indices
     impact: ImpactRows | None
+    extent: tuple[int, int]  # the first row, and the one after the last
 
 
 @dataclass(frozen=True)
@@ -74,11 +76,12 @@ class PhasedTranscription:
         lower, upper = (np.concatenate(parts) for parts in zip(*own, last, strict=True))
         return lower, upper
 
-    def pack(self, problem: PhasedProblem, guesses: Sequence[Trajectory]) -> Array:
+    def pack(self, problem: PhasedProblem, guess: Guess) -> Array:
         """Put trajectories into the variables; the ones of links are 0, except for unknowns."""
-        parts = [own.pack(guess) for own, guess in zip(self.phases, guesses, strict=True)]
+        parts = [own.pack(motion) for own, motion in zip(self.phases, guess.trajectories, strict=True)]
         x = np.concatenate([*parts, np.zeros(self.program.variables - self.offsets[-1].variables)])
-        x[self.unknowns] = [unknown.guess for unknown in problem.unknowns]
+        given = dict(guess.unknowns)
+        x[self.unknowns] = [given.get(unknown.name, unknown.guess) for unknown in problem.unknowns]
         return x
 
     def split(self, x: Array) -> list[Array]:
@@ -119,6 +122,7 @@ def transcribe_phases(problem: PhasedProblem, plants: Plants) -> PhasedTranscrip
     for i, link in enumerate(problem.links):
         source, target = problem.find(link.source), problem.find(link.target)
         before, after = side(source, is_end=True), side(target, is_end=False)
+        first = rows.rows
         text, state, impact = f"link {link.source} to {link.target}", before.state, None
         if link.impact is not None:
             plant = plants.find_impact(i, source)
@@ -127,7 +131,8 @@ def transcribe_phases(problem: PhasedProblem, plants: Plants) -> PhasedTranscrip
         write_transfer(rows, text, state, after.state, link.map, link.velocities)
         same, dependent = numbers[source] == numbers[target], len(plants.phases[target].manifest.dependent)
         closed[target] = _find_given_loops(link, same, phases[target], dependent)
-        links.append(LinkRows(link, write_conditions(rows, text, link.conditions, before, after), impact))
+        conditions = write_conditions(rows, text, link.conditions, before, after)
+        links.append(LinkRows(link, conditions, impact, (first, rows.rows)))
     further = Further(
         rows.variables - rows.first_variable,
         len(problem.constants),

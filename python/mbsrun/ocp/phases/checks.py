@@ -1,0 +1,288 @@
+"""Check a problem of phases: every phase, and what links say of both sides; report all faults at once.
+
+`find_faults` gives the places of faults in a problem file; `check_phases` raises them for a problem made in Python.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbsgen.documents import Place, abbreviate, nearest, write_path
+from mbsgen.expressions import ExpressionError, is_free_name, names, parse
+from mbsgen.manifest import Manifest
+from mbsrun.ocp.checks import ProblemError, check_problem
+from mbsrun.ocp.phases.impacts import AXES, find_axes, find_wrench
+from mbsrun.ocp.phases.problem import Impact, Link, Map, PhasedProblem, Plants
+from mbsrun.ocp.phases.rates import differentiate
+from mbsrun.ocp.phases.sides import END, START, list_names, list_plain, spell_coordinates, spell_velocities
+from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.problem import Contact, Form, Loops, Problem
+from mbsrun.quaternions import find_quaternion, list_quaternions, neutral
+
+APART = 1e-9  # m: a wrench that acts farther from a sensor than this is not the force at it
+METHODS = ("ipopt", "sqpmethod")
+
+
+@dataclass(frozen=True)
+class PhaseFault:
+    """A fault: its place in a file, what was found, what to do."""
+
+    place: Place
+    finding: str
+    remedy: str
+
+
+def check_phases(problem: PhasedProblem, plants: Plants) -> None:
+    """Raise ProblemError with every fault of a problem of phases."""
+    findings = []
+    for phase, plant in zip(problem.phases, plants.phases, strict=True):
+        try:
+            check_problem(phase.problem, plant.manifest, is_phase=True)
+        except ProblemError as error:
+            findings += [(f"phase {phase.name}: {place}", *rest) for place, *rest in error.findings]
+    faults = [] if findings else list(find_faults(problem, plants))
+    findings += [(write_path(fault.place), fault.finding, fault.remedy) for fault in faults]
+    if findings:
+        raise ProblemError(problem.name, findings)
+
+
+def find_faults(problem: PhasedProblem, plants: Plants) -> Iterator[PhaseFault]:
+    """Find the faults of phases among each other, and of links; each phase by itself has none."""
+    yield from _check_whole(problem)
+    known = [phase.name for phase in problem.phases]
+    for i, link in enumerate(problem.links):
+        place: Place = ("links", i)
+        missing = [(key, name) for key, name in (("from", link.source), ("to", link.target)) if name not in known]
+        for key, name in missing:
+            remedy = _suggest(name, known) or f"there are {', '.join(known)}"
+            yield PhaseFault((*place, key), f"there is no phase {abbreviate(name)}", remedy)
+        if link.target in [other.target for other in problem.links[:i]]:
+            finding = f"a second link leads to the start of {link.target}"
+            yield PhaseFault((*place, "to"), finding, "leave one out: one link gives a start")
+        if not missing:
+            yield from _Link(problem, plants, i).check()
+
+
+def _check_whole(problem: PhasedProblem) -> Iterator[PhaseFault]:
+    if not problem.phases:
+        yield PhaseFault(("phases",), "there are none", "give at least one phase")
+        return
+    if not problem.weight:
+        yield PhaseFault(("phases",), "every weight of every phase's cost is 0", "give one of them a cost")
+    for k, phase in enumerate(problem.phases):
+        place: Place = ("phases", k)
+        if not re.fullmatch(r"[A-Za-z]\w*", phase.name, re.ASCII):
+            yield PhaseFault((*place, "name"), f"found {abbreviate(phase.name)}", "give a word of letters and digits")
+        if phase.name in [other.name for other in problem.phases[:k]]:
+            yield PhaseFault((*place, "name"), f"a second phase {phase.name}", "give it another name")
+        if phase.problem.form is Form.SHOOTING:
+            finding = "the shooting form takes no phases"
+            yield PhaseFault((*place, "form"), finding, "take standard or integral")
+    if problem.solver.method not in METHODS:
+        finding = f"{problem.solver.method} solves problems of one phase alone"
+        yield PhaseFault(("solver", "method"), finding, f"take {' or '.join(METHODS)}")
+
+
+@dataclass(frozen=True)
+class _Link:
+    """A link and both of its sides."""
+
+    problem: PhasedProblem
+    plants: Plants
+    index: int
+
+    @property
+    def link(self) -> Link:
+        return self.problem.links[self.index]
+
+    @property
+    def place(self) -> Place:
+        return ("links", self.index)
+
+    @property
+    def free(self) -> list[str]:
+        """List constants and unknowns."""
+        return [*(name for name, _ in self.problem.constants), *(unknown.name for unknown in self.problem.unknowns)]
+
+    def check(self) -> Iterator[PhaseFault]:
+        """Find the faults."""
+        link, problem = self.link, self.problem
+        source, target = problem.find(link.source), problem.find(link.target)
+        before, after = self.plants.phases[source], self.plants.phases[target]
+        left, own = before.manifest, problem.phases[source].problem
+        if link.impact is not None:
+            plant = self.plants.find_impact(self.index, source)
+            yield from self.check_impact(link.impact, plant, left, own)
+            left = plant.manifest
+        elif own.loops is Loops.REDUCED and set(left.independent) < set(range(len(left.coordinates))):
+            yield from self.check_speeds(after.manifest, problem.phases[target].problem)
+        yield from self.check_map((*self.place, "map"), link.map, left, after.manifest, link.velocities)
+        yield from self.check_velocities(link.velocities, left, after.manifest)
+        yield from self.check_ends(own, problem.phases[target].problem, before, after)
+        known = [*list_names(before.manifest, END), *list_names(after.manifest, START), *self.free]
+        for i, condition in enumerate(link.conditions):
+            place = (*self.place, "conditions", i)
+            yield from _check_expression((*place, "expression"), condition.expression, known)
+            lower, upper = condition.range
+            if lower > upper:
+                yield PhaseFault((*place, "range"), f"{lower:g} is above {upper:g}", "give [lower, upper]")
+
+    def check_speeds(self, after: Manifest, target: Problem) -> Iterator[PhaseFault]:
+        """Refuse a mechanism that reads velocities which the reduced form of loops leaves out."""
+        if target.loops is not Loops.REDUCED:
+            finding = f"phase {self.link.source} has loops: reduced, phase {self.link.target} has all velocities"
+            yield PhaseFault(self.place, finding, "take loops: multipliers in both, or reduced in both")
+
+    def check_map(
+        self, place: Place, given: Map, before: Manifest, after: Manifest, velocities: Map = ()
+    ) -> Iterator[PhaseFault]:
+        """Check the coordinates that a map gives, and the ones that it does not."""
+        known = [*spell_coordinates(before), *self.free]
+        plain = list_plain(after)
+        for name, text in given:
+            if name not in plain:
+                remedy = _suggest(name, plain) or f"there are {', '.join(plain)}"
+                yield PhaseFault((*place, name), f"{after.model} has no such coordinate to map", remedy)
+            elif text is not None:
+                yield from _check_expression((*place, name), text, known)
+                yield from _check_rate((*place, name), text, before)
+        joints = {x.joint for x in list_quaternions(before)}
+        missing = [name for name in plain if name not in dict(given) and name not in before.positions]
+        missing += [x.joint for x in list_quaternions(after) if x.joint not in joints]
+        if missing:
+            finding = f"{before.model} has no coordinate {', '.join(missing)}, which {after.model} has"
+            yield PhaseFault(place, finding, "give each an expression, or null where it is free")
+        both = set(spell_coordinates(before)) & set(self.free)
+        if both:
+            yield PhaseFault(place, f"{', '.join(sorted(both))} is a coordinate and a constant", "rename the constant")
+        speeds = [c.name for c in before.coordinates]
+        lost = [
+            c.name
+            for i, c in enumerate(after.coordinates)
+            if c.name not in speeds and c.name not in dict(velocities) and c.name not in dict(given)
+            and not any(i in x.spins_list for x in ())
+        ]
+        if lost and not missing:
+            finding = f"{before.model} has no velocity of {', '.join(lost)}"
+            yield PhaseFault((*place[:-1], "velocities"), finding, "give each an expression, or null where it is free")
+
+    def check_velocities(self, given: Map, before: Manifest, after: Manifest) -> Iterator[PhaseFault]:
+        """Check velocities that are not the rates of the map."""
+        known = [*spell_velocities(before), *self.free]
+        joints = [c.name for c in after.coordinates]
+        for name, text in given:
+            place = (*self.place, "velocities", name)
+            if name not in joints:
+                remedy = _suggest(name, joints) or f"there are {', '.join(joints)}"
+                yield PhaseFault(place, f"{after.model} has no such velocity", remedy)
+            elif text is not None:
+                yield from _check_expression(place, text, known)
+
+    def check_ends(self, source: Problem, target: Problem, before: Plant, after: Plant) -> Iterator[PhaseFault]:
+        """Refuse coordinates that the end before, the start after and the link all give."""
+        given, chosen = dict(source.end.coordinates), dict(self.link.map)
+        plain = list_plain(after.manifest)
+        turning = list_quaternions(before.manifest)
+        for i, name in enumerate(before.manifest.positions):
+            if i not in given or name in chosen or name not in plain or find_quaternion(turning, i) is not None:
+                continue
+            if after.manifest.positions.index(name) not in target.free_start:
+                finding = f"{name} has a value at the end of {self.link.source} and at the start of {self.link.target}"
+                yield PhaseFault(self.place, finding, "leave one out: the link gives the other")
+
+    def check_impact(self, impact: Impact, plant: Plant, before: Manifest, own: Problem) -> Iterator[PhaseFault]:
+        """Check the contacts of an impact, and its model."""
+        place, manifest = (*self.place, "impact"), plant.manifest
+        if not impact.contacts:
+            yield PhaseFault((*place, "contacts"), "there are none", "name the sensors that hit the ground")
+        if not 0 <= impact.restitution <= 1:
+            finding = f"found {impact.restitution:g}"
+            yield PhaseFault((*place, "restitution"), finding, "give a number from 0 to 1")
+        if own.loops is Loops.REDUCED:
+            finding = f"phase {self.link.source} has loops: reduced, and an impact changes all velocities"
+            yield PhaseFault(place, finding, "take loops: multipliers")
+        if manifest is not before or impact.map:
+            yield from self.check_map((*place, "map"), impact.map, before, manifest)
+        sensors = [frame.name for frame in manifest.frames if frame.sensor]
+        for i, contact in enumerate(impact.contacts):
+            yield from _check_contact((*place, "contacts", i), contact, plant, sensors)
+
+
+def _check_contact(place: Place, contact: Contact, plant: Plant, sensors: Sequence[str]) -> Iterator[PhaseFault]:
+    manifest = plant.manifest
+    if contact.sensor not in sensors:
+        remedy = _suggest(contact.sensor, sensors) or f"there are {', '.join(sensors) or 'none'}"
+        yield PhaseFault(place, f"{manifest.model} has no sensor {abbreviate(contact.sensor)}", remedy)
+        return
+    if contact.friction is not None and not contact.friction >= 0:
+        yield PhaseFault((*place, "friction"), f"found {contact.friction:g}", "give a number that is not negative")
+    moving = find_axes(plant, contact.sensor)
+    still = [AXES[axis] for axis in contact.axes if axis not in moving]
+    if still:
+        finding = f"{contact.sensor} cannot move along {', '.join(still)}"
+        yield PhaseFault((*place, "axes"), finding, f"give axes: {''.join(AXES[axis] for axis in moving)}")
+    first = find_wrench(manifest, contact.wrench)
+    if first is None:
+        open_ones = [x.name for x in manifest.wrenches if x.force and x.in_base]
+        finding = f"{manifest.model} leaves no force {abbreviate(contact.wrench)} open, in axes of the base"
+        remedy = "give the model wrenches: [{name: NAME, body: ..., position: ..., frame: base, force: input}]"
+        if open_ones:
+            remedy = f"there are {', '.join(open_ones)}"
+        yield PhaseFault(place, finding, remedy)
+        return
+    apart = _measure_distance(plant, sensors.index(contact.sensor), first)
+    if apart > APART:
+        finding = f"the wrench {contact.wrench} does not act at the sensor {contact.sensor}"
+        yield PhaseFault(place, finding, "give both the same body and position in the model")
+
+
+def _measure_distance(plant: Plant, sensor: int, first: int) -> float:
+    """Compare the velocities of a sensor with the forces of a wrench, J_c' and -dPhi/dw, at some pose."""
+    manifest = plant.manifest
+    n = len(manifest.coordinates)
+    q = neutral(manifest) + 0.3 * np.sin(np.arange(1, len(manifest.positions) + 1))
+    state = {a.name: np.zeros(a.rows) for a in plant.describe("impl").inputs if a.name in _STATE} | {"q": q}
+    by_force = plant("jac_impl", **state)["jac_Phi_w"][:, first : first + 3]
+    J = plant("jac_motion", q=q, qd=np.zeros(n))["jac_v_qd"][3 * sensor : 3 * sensor + 3]
+    return float(np.abs(by_force + J.T).max())
+
+
+_STATE = ("q", "qd", "qdd", "u", "w", "lam")
+
+
+def _check_expression(place: Place, text: str, known: Sequence[str]) -> Iterator[PhaseFault]:
+    """Check the names that an expression reads."""
+    try:
+        read = sorted(names(parse(text)))
+    except ExpressionError as error:
+        yield PhaseFault(place, error.finding, error.remedy)
+        return
+    for name in read:
+        if name not in known:
+            remedy = _suggest(name, known) or f"known here are {', '.join(list(known)[:8])}, ..."
+            yield PhaseFault(place, f"unknown name {abbreviate(name)}", remedy)
+
+
+def _check_rate(place: Place, text: str, before: Manifest) -> Iterator[PhaseFault]:
+    try:
+        differentiate(parse(text), {name: parse("1") for name in spell_coordinates(before)})
+    except ExpressionError as error:
+        if "rate" in error.finding:
+            yield PhaseFault(place, error.finding, error.remedy)
+
+
+def _suggest(name: str, known: Sequence[str] | Mapping[str, object]) -> str | None:
+    meant = nearest(name, list(known))
+    return f"did you mean {abbreviate(meant)}?" if meant else None
+
+
+def check_unknowns(problem: PhasedProblem) -> Iterator[PhaseFault]:
+    """Check the names and bounds of shared unknowns."""
+    for unknown in problem.unknowns:
+        place: Place = ("unknowns", unknown.name)
+        if not is_free_name(unknown.name) or unknown.name in dict(problem.constants):
+            yield PhaseFault(place, "no name for an unknown", "give a word that means nothing else")

@@ -1,0 +1,85 @@
+"""A first guess of all phases: each phase's own, from where the guess of the phase before ends.
+
+A start that a phase leaves free is guessed by the link that leads to it, from an earlier phase in the problem's order.
+Variables of links, such as impulses, solve the rows of links at these trajectories.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
+from mbsrun.closure import has_loops
+from mbsrun.ocp import schemes
+from mbsrun.ocp.functions import Array
+from mbsrun.ocp.guess import Pose, make_guess
+from mbsrun.ocp.phases.linking import Defined
+from mbsrun.ocp.phases.problem import Link, PhasedProblem, Plants
+from mbsrun.ocp.phases.sides import spell_coordinates
+from mbsrun.ocp.phases.solution import Guess
+from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.program import Matrix
+from mbsrun.ocp.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class Unreached:
+    """A phase whose targets no pose meets."""
+
+    phase: int
+    pose: Pose
+
+
+def guess_phases(problem: PhasedProblem, plants: Plants) -> Guess | Unreached:
+    """Make the guess that a problem describes."""
+    found: list[Trajectory] = []
+    for k, (phase, plant) in enumerate(zip(problem.phases, plants.phases, strict=True)):
+        own = phase.problem
+        for link in problem.links:
+            source = problem.find(link.source)
+            if link.target == phase.name and source < k:
+                own = _carry_on(problem, own, link, found[source], plants.phases[source], plant)
+        motion = make_guess(own, plant, schemes.build(own.family, own.degree))
+        if isinstance(motion, Pose):
+            return Unreached(k, motion)
+        found.append(motion)
+    return Guess(tuple(found))
+
+
+def _carry_on(
+    problem: PhasedProblem, own: Problem, link: Link, before: Trajectory, source: Plant, target: Plant
+) -> Problem:
+    """Guess the free coordinates of a start from the end of the motion before, where that is possible."""
+    if (has_loops(target.manifest) and target is not source) or not np.isfinite(before.q).all():
+        return own
+    known = dict(problem.constants) | {unknown.name: unknown.guess for unknown in problem.unknowns}
+    known |= {name: float(before.q[-1, i]) for name, i in spell_coordinates(source.manifest).items()}
+    plain = dict(zip(source.manifest.positions, before.q[-1].tolist(), strict=True))
+    chosen, values = dict(link.map), list(own.start_q)
+    for i, name in enumerate(target.manifest.positions):
+        text = chosen.get(name)
+        if i not in own.free_start or (name in chosen and text is None):
+            continue
+        try:
+            value = plain.get(name, values[i]) if text is None else evaluate(parse(text), known, FLOATS)
+        except ExpressionError:
+            continue
+        lower, upper = own.bounds.q[i]
+        values[i] = min(max(value, lower), upper)
+    return replace(own, start_q=tuple(values))
+
+
+def solve_links(
+    x: Array, defined: tuple[Defined, ...], evaluate_rows: Callable[[Array], Array], slopes: Callable[[Array], Matrix]
+) -> Array:
+    """Find the variables that links define, group by group: a step of Newton's method, exact where rows are linear."""
+    x = x.copy()
+    for group in defined:
+        g, J = evaluate_rows(x)[group.rows], slopes(x)[group.rows][:, group.variables].toarray()
+        if np.isfinite(g).all() and np.isfinite(J).all():
+            x[group.variables] -= np.linalg.lstsq(J, g, rcond=None)[0]
+    return x

@@ -1,0 +1,172 @@
+"""The result of a solve of several phases: a solution of each, the impulses of links, and shared unknowns; its file.
+
+A file is JSON, as the file of a solution is, with a list of solutions, one for each phase.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from pydantic import TypeAdapter, ValidationError
+
+from mbsgen.errors import Fault, InputError
+from mbsgen.manifest import Manifest
+from mbsrun.ocp.phases.problem import Link, Phase, PhasedProblem
+from mbsrun.ocp.problem import SolverOptions, Unknown
+from mbsrun.ocp.solution import Run, Size, Solution
+from mbsrun.ocp.status import ACCEPTABLE
+from mbsrun.ocp.trajectory import Trajectory
+
+FORMAT: Literal["mbsrun phases 1"] = "mbsrun phases 1"
+
+
+@dataclass(frozen=True)
+class Impulse:
+    """The impulse that the ground gives to a contact, in axes of the base [N s]."""
+
+    sensor: str
+    components: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class LinkValues:
+    """The numbers of a link."""
+
+    source: str
+    target: str
+    violation: float  # of its rows, the largest
+    impulses: tuple[Impulse, ...] = ()
+    changes: tuple[float, ...] = ()  # of the velocities, at an impact
+    multipliers: tuple[float, ...] = ()  # the impulses of closed loops
+
+
+@dataclass(frozen=True, eq=False)
+class PhasedSolution:
+    """A motion in phases that meets all constraints and, by the solver's word, cannot be made cheaper nearby."""
+
+    name: str
+    names: tuple[str, ...]  # of the phases
+    phases: tuple[Solution, ...]
+    links: tuple[Link, ...]
+    values: tuple[LinkValues, ...]  # of the links
+    run: Run
+    size: Size
+    constants: tuple[tuple[str, float], ...] = ()
+    unknowns: tuple[Unknown, ...] = ()
+    unknown_values: tuple[float, ...] = ()
+    solver: SolverOptions = SolverOptions()
+
+    @property
+    def problem(self) -> PhasedProblem:
+        """Return the problem."""
+        phases = tuple(Phase(name, own.problem) for name, own in zip(self.names, self.phases, strict=True))
+        return PhasedProblem(self.name, phases, self.links, self.constants, self.unknowns, self.solver)
+
+    @property
+    def cost(self) -> float:
+        """Sum the costs of the phases."""
+        return sum(phase.cost.total for phase in self.phases)
+
+    @property
+    def durations(self) -> tuple[float, ...]:
+        """Return the duration of each phase [s]."""
+        return tuple(float(phase.trajectory.t[-1]) for phase in self.phases)
+
+    @property
+    def starts(self) -> tuple[float, ...]:
+        """Return the time at which each phase starts: where the phase ends that an earlier link leads from, or 0."""
+        found: list[float] = []
+        for k, name in enumerate(self.names):
+            before = [self.names.index(link.source) for link in self.links if link.target == name]
+            earlier = [i for i in before if i < k]
+            found.append(found[earlier[0]] + self.durations[earlier[0]] if earlier else 0.0)
+        return tuple(found)
+
+    @property
+    def is_only_acceptable(self) -> bool:
+        """Return whether the solver stopped short of its tolerance."""
+        return self.run.status == ACCEPTABLE
+
+    def find(self, name: str) -> Solution:
+        """Return the solution of a phase."""
+        return self.phases[self.names.index(name)]
+
+
+@dataclass(frozen=True)
+class PhasedFailure:
+    """A solve that gave no solution."""
+
+    problem: PhasedProblem
+    run: Run
+    finding: str
+    remedy: str
+
+
+@dataclass(frozen=True)
+class Guess:
+    """A trajectory for each phase, and values of unknowns by name."""
+
+    trajectories: tuple[Trajectory, ...]
+    unknowns: tuple[tuple[str, float], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class _File:
+    format: Literal["mbsrun phases 1"]
+    solution: PhasedSolution
+
+
+_FILE: TypeAdapter[_File] = TypeAdapter(_File)
+
+
+def write_phased_solution(solution: PhasedSolution, path: Path) -> None:
+    """Write a solution to a file, one line for each of its parts."""
+    parts = _FILE.dump_python(_File(FORMAT, solution), mode="json")["solution"]
+    phases = parts.pop("phases")
+    lines = [f'  "{key}": {json.dumps(value, ensure_ascii=False)}' for key, value in parts.items()]
+    inner = [
+        "   {\n" + ",\n".join(f'    "{key}": {json.dumps(x, ensure_ascii=False)}' for key, x in phase.items()) + "\n   }"
+        for phase in phases
+    ]
+    lines.append('  "phases": [\n' + ",\n".join(inner) + "\n  ]")
+    text = f'{{\n "format": "{FORMAT}",\n "solution": {{\n' + ",\n".join(lines) + "\n }\n}\n"
+    path.write_text(text, encoding="utf-8")
+
+
+def read_phased_solution(path: Path) -> PhasedSolution:
+    """Read a solution back. Raises InputError for a file that is not one."""
+    try:
+        return _FILE.validate_json(path.read_bytes()).solution
+    except OSError as error:
+        raise InputError([Fault(str(path), 0, "", f"cannot be read: {error.strerror}", "check the path")]) from None
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = ".".join(map(str, first["loc"]))
+        raise InputError([Fault(str(path), 0, place, first["msg"], "solve the problem of phases again")]) from None
+
+
+def read_phased_guess(path: Path, names: tuple[str, ...], manifests: tuple[Manifest, ...]) -> Guess:
+    """Read the motions of a solution, to start from. Raises InputError for other phases or mechanisms."""
+    solution, faults, found = read_phased_solution(path), [], []
+    for name, manifest in zip(names, manifests, strict=True):
+        inputs = tuple(manifest.coordinates[i].name for i in manifest.actuated)
+        if name not in solution.names:
+            finding = f"it has the phases {', '.join(solution.names)}, and none of the name {name}"
+            faults.append(Fault(str(path), 0, "", finding, "give a solution with the same phases"))
+            continue
+        own = solution.find(name)
+        for kind, has, wanted in (
+            ("coordinates", own.coordinates, manifest.positions),
+            ("inputs", own.inputs, inputs),
+        ):
+            if has != wanted:
+                finding = f"phase {name}: its {kind} are {', '.join(has)}; {manifest.model} has {', '.join(wanted)}"
+                faults.append(Fault(str(path), 0, "", finding, "give a solution for these mechanisms"))
+        found.append(own.trajectory)
+    if faults:
+        raise InputError(faults)
+    known = zip((unknown.name for unknown in solution.unknowns), solution.unknown_values, strict=True)
+    return Guess(tuple(found), tuple(known))

@@ -1,0 +1,217 @@
+"""Problems of several phases, solved: PhasedProblem and plants -> PhasedSolution or PhasedFailure.
+
+The phases are one program, which a method solves with exact derivatives. A search that does not converge ends in a
+failure, which has no trajectories; it names the phases and links whose rows stay violated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from mbsrun.ocp import methods, schemes
+from mbsrun.ocp.backends.prepared import Prepared
+from mbsrun.ocp.clashes import SHOWN, name_rows
+from mbsrun.ocp.functions import Array
+from mbsrun.ocp.guess import adapt
+from mbsrun.ocp.methods import METHODS, Order, Start
+from mbsrun.ocp.phases.checks import check_phases
+from mbsrun.ocp.phases.guess import Guess, Unreached, guess_phases, solve_links
+from mbsrun.ocp.phases.problem import Phase, PhasedProblem, Plants
+from mbsrun.ocp.phases.solution import Impulse, LinkValues, PhasedFailure, PhasedSolution
+from mbsrun.ocp.phases.transcription import PhasedTranscription, transcribe_phases
+from mbsrun.ocp.program import Matrix
+from mbsrun.ocp.resimulation import resimulate
+from mbsrun.ocp.solution import Run, Size
+from mbsrun.ocp.solve import (
+    OPENED,
+    Outcome,
+    Values,
+    Watch,
+    call,
+    describe_unreachable,
+    find_crossed_bounds,
+    make_solution,
+    measure_excess,
+    measure_size,
+    report,
+    search,
+    settle,
+)
+from mbsrun.ocp.status import ACCEPTABLE, BAD_BOUNDS, BAD_GUESS, OPEN, SOLVED, UNREACHABLE, explain
+
+VIOLATED = 1e-6  # a row that is named where a search fails stays violated by more than this
+
+
+class PhasedSolver:
+    """A transcribed problem of phases."""
+
+    def __init__(self, problem: PhasedProblem, plants: Plants) -> None:
+        """Transcribe a problem whose loops are settled. Raises ProblemError with every fault of it."""
+        check_phases(problem, plants)
+        self.problem, self.plants = problem, plants
+        self.transcription: PhasedTranscription = transcribe_phases(problem, plants)
+        first, *others = plants.every
+        self.program = Prepared(self.transcription.program, first, tuple(others))
+
+    def solve(self, guess: Guess, watch: Watch | None = None) -> PhasedSolution | PhasedFailure:
+        """Solve from a guess on the grids of the phases; `watch` is called in every iteration."""
+        problem = self.problem
+        for phase, plant in zip(problem.phases, self.plants.phases, strict=True):
+            if crossed := find_crossed_bounds(phase.problem, plant.manifest):
+                finding = f"phase {phase.name}: {crossed}"
+                return PhasedFailure(problem, Run(BAD_BOUNDS, 0, 0.0, 0.0), finding, "give bounds that leave room")
+        x = self.transcription.pack(problem, guess)
+        if not np.isfinite(x).all():
+            finding = "the guess has numbers that are not finite"
+            return PhasedFailure(problem, Run(BAD_GUESS, 0, 0.0, 0.0), finding, "take another guess")
+        x = solve_links(x, self.transcription.defined, self._evaluate, self._differentiate)
+        solver = self._make_solver()
+        run, found, _ = search(x, lambda x: self._call(solver, x, watch))
+        if run.status not in (SOLVED, ACCEPTABLE) or not np.isfinite(found).all():
+            finding, remedy = explain(run.status, run.iterations)
+            named = self._name_violated(found)
+            return PhasedFailure(problem, run, f"{finding}: {named}" if named else finding, remedy)
+        solution = self._read(run, found)
+        for phase in solution.phases:
+            gap, most = phase.violation.closure or 0.0, max(OPENED, problem.solver.tolerance)
+            if gap > most:
+                finding, remedy = explain(OPEN, run.iterations)
+                finding = f"phase {phase.problem.name}: {finding}, by {gap:.1e} of {most:.1e}"
+                return PhasedFailure(problem, replace(run, status=OPEN), finding, remedy)
+        return solution
+
+    def _evaluate(self, x: Array) -> Array:
+        parameters = self.transcription.parameters(self.problem)
+        return np.asarray(self.program.casadi.constraint(x, parameters).full().ravel())
+
+    def _differentiate(self, x: Array) -> Matrix:
+        return self.program.casadi.jacobian(x, self.transcription.parameters(self.problem)).tocsc().tocsr()  # type: ignore[no-any-return]
+
+    def _make_solver(self) -> methods.Solver:
+        options = self.problem.solver
+        scaling = options.objective_scaling or 1 / self.problem.weight
+        order = Order(self.program, options.tolerance, options.max_iterations, scaling, dict(options.options))
+        return METHODS[options.method].make(order)
+
+    def _call(self, solver: methods.Solver, x: Array, watch: Watch | None) -> Outcome:
+        own, problem = self.transcription, self.problem
+        bounds = (*own.variable_bounds(problem), *own.constraint_bounds(problem))
+        return call(solver, Start(x, own.parameters(problem), *bounds, None if watch is None else report(watch)))
+
+    def _name_violated(self, x: Array) -> str:
+        """Describe the rows that stay violated, the worst first."""
+        own = self.transcription
+        if not np.isfinite(x).all():
+            return ""
+        g, (lower, upper) = self._evaluate(x), own.constraint_bounds(self.problem)
+        excess = np.nan_to_num(np.maximum(lower - g, g - upper))
+        known: dict[int, str] = {}
+        for part, offset, phase, plant in zip(
+            own.phases, own.offsets, self.problem.phases, self.plants.phases, strict=False
+        ):
+            texts = name_rows(part, plant.manifest)
+            known |= {offset.rows + row: f"phase {phase.name}: {text}" for row, text in texts.items()}
+        known |= {row: text for rows, text in own.texts for row in rows.tolist()}
+        worst = [row for row in np.argsort(-excess).tolist() if excess[row] > VIOLATED and row in known]
+        texts_found = list(dict.fromkeys(known[row] for row in worst))
+        return ", ".join(texts_found[:SHOWN]) + (", ..." if len(texts_found) > SHOWN else "")
+
+    # --- the solution ---
+
+    def _read(self, run: Run, x: Array) -> PhasedSolution:
+        problem, own, functions = self.problem, self.transcription, self.program.casadi
+        parameters = own.parameters(problem)
+        g, terms = self._evaluate(x), functions.terms(x, parameters).full().ravel()
+        solutions = []
+        for k, (values, rows) in enumerate(zip(own.split(x), own.split_rows(g), strict=False)):
+            first, last = own.offsets[k], own.offsets[k + 1]
+            cost = terms[first.weights : last.weights]
+            size = _measure_part(own, k)
+            numbers = Values(values, rows, cost, values)
+            phase = problem.phases[k]
+            named = replace(phase.problem, name=phase.name)
+            solutions.append(
+                make_solution(named, self.plants.phases[k].manifest, own.phases[k], run, size, numbers)
+            )
+        bounds = own.constraint_bounds(problem)
+        links = own.split_rows(g)[-1], *(own.split_rows(bound)[-1] for bound in bounds)
+        return PhasedSolution(
+            name=problem.name,
+            names=tuple(phase.name for phase in problem.phases),
+            phases=tuple(solutions),
+            links=problem.links,
+            values=tuple(self._read_link(i, x, *links) for i in range(len(problem.links))),
+            run=run,
+            size=measure_size(functions),
+            constants=problem.constants,
+            unknowns=problem.unknowns,
+            unknown_values=tuple(x[own.unknowns].tolist()),
+            solver=problem.solver,
+        )
+
+    def _read_link(self, i: int, x: Array, g: Array, lower: Array, upper: Array) -> LinkValues:
+        link, rows = self.problem.links[i], self.transcription.links[i]
+        first, last = rows.extent
+        begin = self.transcription.offsets[-1].rows
+        own = slice(first - begin, last - begin)
+        violation = measure_excess(g[own], lower[own], upper[own])
+        if link.impact is None or rows.impact is None:
+            return LinkValues(link.source, link.target, violation)
+        impulses = []
+        for contact, variables in zip(link.impact.contacts, rows.impact.impulses, strict=True):
+            components = np.zeros(3)
+            components[list(contact.axes)] = x[variables]
+            impulses.append(Impulse(contact.sensor, tuple(components.tolist())))
+        return LinkValues(
+            link.source,
+            link.target,
+            violation,
+            tuple(impulses),
+            tuple(x[rows.impact.changes].tolist()),
+            tuple(x[rows.impact.multipliers].tolist()),
+        )
+
+
+def _measure_part(own: PhasedTranscription, k: int) -> Size:
+    """Return the size of a phase's own program, without nonzeros, which the whole counts."""
+    program = own.phases[k].program
+    return Size(program.variables, program.constraints, 0, 0)
+
+
+def solve_phases(
+    problem: PhasedProblem, plants: Plants, watch: Watch | None = None, guess: Guess | None = None
+) -> PhasedSolution | PhasedFailure:
+    """Solve a problem of phases from a guess, by default the one that it describes; a guess may be on any grids.
+
+    Raises ProblemError with every fault of the problem.
+    """
+    check_phases(problem, plants)
+    start = guess_phases(problem, plants) if guess is None else adapt_guess(problem, guess)
+    if isinstance(start, Unreached):
+        finding, remedy = describe_unreachable(start.pose)
+        finding = f"phase {problem.phases[start.phase].name}: {finding}"
+        return PhasedFailure(problem, Run(UNREACHABLE, 0, 0.0, 0.0), finding, remedy)
+    settled = tuple(
+        Phase(phase.name, settle(phase.problem, plant, motion))
+        for phase, plant, motion in zip(problem.phases, plants.phases, start.trajectories, strict=True)
+    )
+    return PhasedSolver(replace(problem, phases=settled), plants).solve(start, watch)
+
+
+def adapt_guess(problem: PhasedProblem, guess: Guess) -> Guess:
+    """Read a guess on the grids of a problem's phases."""
+    adapted = []
+    for phase, motion in zip(problem.phases, guess.trajectories, strict=True):
+        own = phase.problem
+        if own.horizon_range is not None:
+            own = replace(own, horizon=float(np.clip(motion.t[-1], *own.horizon_range)))
+        adapted.append(adapt(motion, own, schemes.build(own.family, own.degree)))
+    return replace(guess, trajectories=tuple(adapted))
+
+
+def resimulate_phases(solution: PhasedSolution, plants: Plants) -> PhasedSolution:
+    """Integrate the motion of every phase again, under its inputs, from its start."""
+    checked = (resimulate(phase, plant) for phase, plant in zip(solution.phases, plants.phases, strict=True))
+    return replace(solution, phases=tuple(checked))
