@@ -14,7 +14,7 @@ FileKind = Literal["model", "problem", "trial", "settings", "scene"]
 _KEYS: Mapping[FileKind, frozenset[str]] = MappingProxyType(  # keys that no kind above has
     {
         "model": frozenset({"bodies"}),
-        "problem": frozenset({"horizon", "intervals"}),
+        "problem": frozenset({"horizon", "intervals", "phases"}),
         "trial": frozenset({"rate"}),
         "settings": frozenset({"duration"}),
         "scene": frozenset({"functions", "locked", "together", "derivatives", "sensors"}),

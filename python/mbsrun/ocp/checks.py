@@ -37,6 +37,14 @@ FRACTIONS_SUM = 1e-9  # how far from 1 the sum of all fractions may be
 Finding = tuple[str, str, str]  # part of the problem, what was found, what to do
 
 
+_FREE_OF_COST: Finding = ("cost", "every weight is 0", "give inputs or input_rates a positive weight")
+_UNCONTROLLED: Finding = (
+    "model",
+    "the model has no actuated coordinate",
+    "give it one, or the problem controls: there is nothing to control",
+)
+
+
 class ProblemError(MbsError, ValueError):
     """A problem with faults: one a line."""
 
@@ -46,10 +54,11 @@ class ProblemError(MbsError, ValueError):
         super().__init__("\n".join(lines))
 
 
-def check_problem(problem: Problem, manifest: Manifest) -> None:
-    """Raise ProblemError with every fault of a problem for a model."""
+def check_problem(problem: Problem, manifest: Manifest, *, is_phase: bool = False) -> None:
+    """Raise ProblemError with every fault of a problem for a model; a phase of several may cost and control nothing."""
     findings = list(_find_wrong_types(problem)) or list(_find_unknown_names(problem))
     findings = findings or [*_find_wrong_values(problem), *_find_strangers(problem, manifest)]
+    findings = [found for found in findings if not (is_phase and found in (_FREE_OF_COST, _UNCONTROLLED))]
     if not findings:
         conflicts = [*find_conflicts(problem), *find_loop_conflicts(problem, manifest), *find_open_references(problem)]
         findings = [(c.key, c.finding, c.remedy) for c in conflicts]
@@ -204,7 +213,7 @@ def _find_wrong_values(problem: Problem) -> Iterator[Finding]:
             "give finite ones, and inputs and rates not negative ones",
         )
     elif not any(cost.weights):
-        yield ("cost", "every weight is 0", "give inputs or input_rates a positive weight")
+        yield _FREE_OF_COST
     known = METHODS[solver.method].options
     for name, option in solver.options:
         if name not in known:
@@ -242,8 +251,7 @@ def _find_strangers(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
     """Find lengths, indices and names that do not fit the model."""
     nq, n, m = len(manifest.positions), len(manifest.coordinates), len(manifest.actuated)
     if not (m or problem.controls):
-        remedy = "give it one, or the problem controls: there is nothing to control"
-        yield ("model", "the model has no actuated coordinate", remedy)
+        yield _UNCONTROLLED
     if left := list_open_inputs(manifest):
         remedy = "give the external wrenches in the model: here they have no value"
         yield ("model", f"the model leaves {', '.join(left)} open, beside the inputs u", remedy)

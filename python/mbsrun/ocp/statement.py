@@ -19,6 +19,7 @@ import numpy as np
 from mbsgen.documents import (
     Data,
     Document,
+    Examination,
     Place,
     abbreviate,
     examine,
@@ -28,7 +29,7 @@ from mbsgen.documents import (
     read_document,
     refuse,
 )
-from mbsgen.errors import InputError
+from mbsgen.errors import Fault, InputError
 from mbsgen.expressions import FLOATS, Expression, ExpressionError, evaluate, is_free_name, parse
 from mbsrun.closure import Closure, find_closure
 from mbsrun.ocp.checks import (
@@ -88,6 +89,7 @@ from mbsrun.quaternions import (
 ROUNDED = 1e-9  # of a start that loops complete, beyond its bounds
 
 SomePlant = TypeVar("SomePlant", bound=Plant)
+SomeSection = TypeVar("SomeSection", bound=ProblemSection)
 
 
 def read_problem(path: Path, load: Callable[[Path], SomePlant]) -> tuple[Problem, SomePlant]:
@@ -131,11 +133,30 @@ def interpret(document: Document, name: str, load: Callable[[str], SomePlant]) -
     return problem, plant
 
 
+def read_phase(
+    document: Document, examination: Examination[SomeSection], plant: Plant, name: str, *, is_linked: bool
+) -> tuple[Problem | None, list[Fault]]:
+    """Read a phase of a problem, and its faults; what a linked one does not give of its start is free."""
+    if examination.value is None:
+        return None, []
+    reading = _Reading(document, plant, examination.stand_ins, is_phase=True, is_linked=is_linked)
+    return reading.problem(name, examination.value), reading.faults
+
+
 class _Reading(PartReading):
     """Evaluates numbers and looks names up in a model; collects the faults."""
 
-    def __init__(self, document: Document, plant: Plant, stand_ins: frozenset[Place]) -> None:
+    def __init__(
+        self,
+        document: Document,
+        plant: Plant,
+        stand_ins: frozenset[Place],
+        *,
+        is_phase: bool = False,
+        is_linked: bool = False,
+    ) -> None:
         super().__init__(document, stand_ins, plant.manifest)
+        self.is_phase, self.is_linked = is_phase, is_linked
         manifest = plant.manifest
         self.closure = None if manifest.quaternions else find_closure(plant)
         self.manifest = manifest
@@ -162,7 +183,7 @@ class _Reading(PartReading):
                 self.fault(("constants", key), "no name for a constant", "give a word that means nothing else")
             self.constants[key] = self.number(("constants", key), expression)
         self.add_names(section)
-        if not (self.inputs.known or section.controls):
+        if not (self.inputs.known or section.controls or self.is_phase):
             remedy = "give it one, or the problem controls: there is nothing to control"
             self.fault(("model",), "the model has no actuated coordinate", remedy)
         if self.open_inputs:
@@ -267,7 +288,7 @@ class _Reading(PartReading):
         else:
             inputs = self.number(("cost", "inputs"), section.inputs, least=0)
         cost = Cost(inputs, rates, running, terminal)
-        if not any(cost.weights):
+        if not any(cost.weights) and not self.is_phase:
             self.fault(("cost",), "every weight is 0", "give inputs or input_rates a positive weight")
         return cost
 
@@ -294,7 +315,7 @@ class _Reading(PartReading):
         if isinstance(given, tuple) and len(given) != len(known):
             self.fault(place, f"found {len(given)} numbers", f"give {len(known)}: {', '.join(known)}")
             return (0.0,) * len(known), ()
-        named = dict(zip(known, given, strict=True)) if isinstance(given, tuple) else given
+        named = dict(zip(known, given, strict=True)) if isinstance(given, tuple) else self.free_others(given, known)
         values = neutral(self.manifest).tolist() if key == "pose" else [0.0] * len(known)
         places: list[Place] = [place] * len(known)
         free = []
@@ -314,6 +335,10 @@ class _Reading(PartReading):
             if value < lower or value > upper:
                 self.fault(inner, f"{name} = {value:g} is out of [{lower:g}, {upper:g}]", "start within the bounds")
         return tuple(values), tuple(sorted(free))
+
+    def free_others(self, given: dict[str, Expression | None], known: Sequence[str]) -> dict[str, Expression | None]:
+        """Free what a start leaves out, where a link gives it."""
+        return {**dict.fromkeys(known), **given} if self.is_linked else given
 
     # --- closed loops ---
 
@@ -350,6 +375,8 @@ class _Reading(PartReading):
         if isinstance(given, tuple) and len(given) != len(known):
             self.fault(place, f"found {len(given)} numbers", f"give {len(known)}: {', '.join(known)}")
             return {}
+        if isinstance(given, dict):
+            given = self.free_others(given, known)
         found: dict[int, float | None] = {}
         for k, (name, expression) in enumerate(
             zip(known, given, strict=True) if isinstance(given, tuple) else given.items()

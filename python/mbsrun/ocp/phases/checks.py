@@ -8,13 +8,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from mbsgen.documents import Place, abbreviate, nearest, write_path
 from mbsgen.expressions import ExpressionError, is_free_name, names, parse
 from mbsgen.manifest import Manifest
-from mbsrun.ocp.checks import ProblemError, check_problem
+from mbsrun.ocp.checks import Finding, ProblemError, check_problem
 from mbsrun.ocp.phases.impacts import AXES, find_axes, find_wrench
 from mbsrun.ocp.phases.problem import Impact, Link, Map, PhasedProblem, Plants
 from mbsrun.ocp.phases.rates import differentiate
@@ -38,12 +39,12 @@ class PhaseFault:
 
 def check_phases(problem: PhasedProblem, plants: Plants) -> None:
     """Raise ProblemError with every fault of a problem of phases."""
-    findings = []
+    findings: list[Finding] = []
     for phase, plant in zip(problem.phases, plants.phases, strict=True):
         try:
             check_problem(phase.problem, plant.manifest, is_phase=True)
         except ProblemError as error:
-            findings += [(f"phase {phase.name}: {place}", *rest) for place, *rest in error.findings]
+            findings += [(f"phase {phase.name}: {place}", found, remedy) for place, found, remedy in error.findings]
     faults = [] if findings else list(find_faults(problem, plants))
     findings += [(write_path(fault.place), fault.finding, fault.remedy) for fault in faults]
     if findings:
@@ -119,7 +120,7 @@ class _Link:
             yield from self.check_impact(link.impact, plant, left, own)
             left = plant.manifest
         elif own.loops is Loops.REDUCED and set(left.independent) < set(range(len(left.coordinates))):
-            yield from self.check_speeds(after.manifest, problem.phases[target].problem)
+            yield from self.check_speeds(problem.phases[target].problem)
         yield from self.check_map((*self.place, "map"), link.map, left, after.manifest, link.velocities)
         yield from self.check_velocities(link.velocities, left, after.manifest)
         yield from self.check_ends(own, problem.phases[target].problem, before, after)
@@ -131,7 +132,7 @@ class _Link:
             if lower > upper:
                 yield PhaseFault((*place, "range"), f"{lower:g} is above {upper:g}", "give [lower, upper]")
 
-    def check_speeds(self, after: Manifest, target: Problem) -> Iterator[PhaseFault]:
+    def check_speeds(self, target: Problem) -> Iterator[PhaseFault]:
         """Refuse a mechanism that reads velocities which the reduced form of loops leaves out."""
         if target.loops is not Loops.REDUCED:
             finding = f"phase {self.link.source} has loops: reduced, phase {self.link.target} has all velocities"
@@ -162,9 +163,8 @@ class _Link:
         speeds = [c.name for c in before.coordinates]
         lost = [
             c.name
-            for i, c in enumerate(after.coordinates)
+            for c in after.coordinates
             if c.name not in speeds and c.name not in dict(velocities) and c.name not in dict(given)
-            and not any(i in x.spins_list for x in ())
         ]
         if lost and not missing:
             finding = f"{before.model} has no velocity of {', '.join(lost)}"
@@ -245,7 +245,9 @@ def _measure_distance(plant: Plant, sensor: int, first: int) -> float:
     manifest = plant.manifest
     n = len(manifest.coordinates)
     q = neutral(manifest) + 0.3 * np.sin(np.arange(1, len(manifest.positions) + 1))
-    state = {a.name: np.zeros(a.rows) for a in plant.describe("impl").inputs if a.name in _STATE} | {"q": q}
+    state: dict[str, Any] = {a.name: np.zeros(a.rows) for a in plant.describe("impl").inputs if a.name in _STATE} | {
+        "q": q
+    }
     by_force = plant("jac_impl", **state)["jac_Phi_w"][:, first : first + 3]
     J = plant("jac_motion", q=q, qd=np.zeros(n))["jac_v_qd"][3 * sensor : 3 * sensor + 3]
     return float(np.abs(by_force + J.T).max())

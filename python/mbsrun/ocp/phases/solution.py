@@ -6,7 +6,7 @@ A file is JSON, as the file of a solution is, with a list of solutions, one for 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -57,7 +57,7 @@ class PhasedSolution:
     constants: tuple[tuple[str, float], ...] = ()
     unknowns: tuple[Unknown, ...] = ()
     unknown_values: tuple[float, ...] = ()
-    solver: SolverOptions = SolverOptions()
+    solver: SolverOptions = field(default_factory=SolverOptions)
 
     @property
     def problem(self) -> PhasedProblem:
@@ -128,7 +128,9 @@ def write_phased_solution(solution: PhasedSolution, path: Path) -> None:
     phases = parts.pop("phases")
     lines = [f'  "{key}": {json.dumps(value, ensure_ascii=False)}' for key, value in parts.items()]
     inner = [
-        "   {\n" + ",\n".join(f'    "{key}": {json.dumps(x, ensure_ascii=False)}' for key, x in phase.items()) + "\n   }"
+        "   {\n"
+        + ",\n".join(f'    "{key}": {json.dumps(x, ensure_ascii=False)}' for key, x in phase.items())
+        + "\n   }"
         for phase in phases
     ]
     lines.append('  "phases": [\n' + ",\n".join(inner) + "\n  ]")

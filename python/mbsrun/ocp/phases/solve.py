@@ -17,9 +17,9 @@ from mbsrun.ocp.functions import Array
 from mbsrun.ocp.guess import adapt
 from mbsrun.ocp.methods import METHODS, Order, Start
 from mbsrun.ocp.phases.checks import check_phases
-from mbsrun.ocp.phases.guess import Guess, Unreached, guess_phases, solve_links
+from mbsrun.ocp.phases.guess import Unreached, guess_phases, solve_links
 from mbsrun.ocp.phases.problem import Phase, PhasedProblem, Plants
-from mbsrun.ocp.phases.solution import Impulse, LinkValues, PhasedFailure, PhasedSolution
+from mbsrun.ocp.phases.solution import Guess, Impulse, LinkValues, PhasedFailure, PhasedSolution
 from mbsrun.ocp.phases.transcription import PhasedTranscription, transcribe_phases
 from mbsrun.ocp.program import Matrix
 from mbsrun.ocp.resimulation import resimulate
@@ -74,11 +74,11 @@ class PhasedSolver:
             named = self._name_violated(found)
             return PhasedFailure(problem, run, f"{finding}: {named}" if named else finding, remedy)
         solution = self._read(run, found)
-        for phase in solution.phases:
-            gap, most = phase.violation.closure or 0.0, max(OPENED, problem.solver.tolerance)
+        for own in solution.phases:
+            gap, most = own.violation.closure or 0.0, max(OPENED, problem.solver.tolerance)
             if gap > most:
                 finding, remedy = explain(OPEN, run.iterations)
-                finding = f"phase {phase.problem.name}: {finding}, by {gap:.1e} of {most:.1e}"
+                finding = f"phase {own.problem.name}: {finding}, by {gap:.1e} of {most:.1e}"
                 return PhasedFailure(problem, replace(run, status=OPEN), finding, remedy)
         return solution
 
@@ -132,9 +132,7 @@ class PhasedSolver:
             numbers = Values(values, rows, cost, values)
             phase = problem.phases[k]
             named = replace(phase.problem, name=phase.name)
-            solutions.append(
-                make_solution(named, self.plants.phases[k].manifest, own.phases[k], run, size, numbers)
-            )
+            solutions.append(make_solution(named, self.plants.phases[k].manifest, own.phases[k], run, size, numbers))
         bounds = own.constraint_bounds(problem)
         links = own.split_rows(g)[-1], *(own.split_rows(bound)[-1] for bound in bounds)
         return PhasedSolution(
@@ -161,9 +159,8 @@ class PhasedSolver:
             return LinkValues(link.source, link.target, violation)
         impulses = []
         for contact, variables in zip(link.impact.contacts, rows.impact.impulses, strict=True):
-            components = np.zeros(3)
-            components[list(contact.axes)] = x[variables]
-            impulses.append(Impulse(contact.sensor, tuple(components.tolist())))
+            along = dict(zip(contact.axes, x[variables].tolist(), strict=True))
+            impulses.append(Impulse(contact.sensor, (along.get(0, 0.0), along.get(1, 0.0), along.get(2, 0.0))))
         return LinkValues(
             link.source,
             link.target,

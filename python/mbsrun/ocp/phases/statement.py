@@ -1,0 +1,262 @@
+"""Problem files with phases: YAML -> PhasedProblem and its plants.
+
+Keys outside of `phases` are defaults of every phase; a mapping of a phase replaces the values of the default mapping
+that it names. A file without `phases`, but with `links`, is a problem of one phase.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from mbsgen.documents import Data, Document, Place, examine, lies_under, read_document, refuse
+from mbsgen.errors import Fault, InputError
+from mbsgen.expressions import Expression, is_free_name
+from mbsrun.ocp.phases.checks import find_faults
+from mbsrun.ocp.phases.impacts import AXES, find_axes
+from mbsrun.ocp.phases.problem import Condition, Impact, Link, Phase, PhasedProblem, Plants
+from mbsrun.ocp.phases.sections import ContactSection, ImpactSection, LinkSection, PhaseSection, WholeSection
+from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.problem import Contact, Problem, Range, Unknown
+from mbsrun.ocp.statement import read_phase
+from mbsrun.reading import Reading, overlay
+
+OWN = ("phases", "links", "unknowns")  # keys that are no defaults of phases
+SHARED = ("solver", "unknowns", "links", "phases")  # keys that no phase has of its own
+ONLY = "motion"  # the name of the phase of a file without `phases`
+
+Load = Callable[[Path], Plant]
+
+
+def has_phases(path: Path) -> bool:
+    """Return whether a file describes a problem with phases or links. Raises InputError for a file that is no YAML."""
+    data = read_document(path).data
+    return isinstance(data, dict) and bool({"phases", "links"} & set(data))
+
+
+def read_phased_problem(path: Path, load: Load) -> tuple[PhasedProblem, Plants]:
+    """Read a problem file with phases, and load its models. Raises InputError with every fault of all files."""
+    document = read_document(path)
+    data = document.data if isinstance(document.data, dict) else {}
+    chosen: Data = {key: value for key, value in data.items() if key in WholeSection.model_fields}
+    examination = examine(replace(document, data=chosen), WholeSection)
+    whole, faults = examination.value, list(examination.faults)
+    if whole is None:
+        raise refuse(faults)
+    loading = _Loading(path.parent, load)
+    reading = _Links(document, examination.stand_ins, whole)
+    linked = {link.target for link in reading.name_links()}
+    phases = [
+        _read_phase(document, k, linked, loading)
+        for k in range(len(whole.phases))
+        if not lies_under(("phases",), examination.stand_ins)
+    ]
+    faults += [fault for phase in phases for fault in phase.faults]
+    models = reading.load_impacts(loading)
+    faults += loading.faults
+    if not phases or any(phase.problem is None or phase.plant is None for phase in phases):
+        raise refuse([*faults, *reading.faults])
+    problem, plants = reading.problem(path.name.removesuffix(".yaml").removesuffix(".ocp"), phases, models)
+    if faults or reading.faults:
+        raise refuse([*faults, *reading.faults])
+    return problem, plants
+
+
+@dataclass(frozen=True)
+class PhaseDocument(Document):
+    """The data of one phase, defaults included; faults name the place in the whole file."""
+
+    whole: Document
+    phase: int
+
+    def line(self, place: Place) -> int:
+        """Return the line of a value in the file."""
+        return self.whole.line(self.find(place))
+
+    def fault(self, place: Place, finding: str, remedy: str) -> Fault:
+        """Make the fault of one place."""
+        return self.whole.fault(self.find(place), finding, remedy)
+
+    def find(self, place: Place) -> Place:
+        """Return a place of a phase as one of the file: among the phase's own keys, or among the defaults."""
+        own: Place = ("phases", self.phase)
+        for size in range(len(place), 0, -1):
+            if (*own, *place[:size]) in self.whole.lines:
+                return (*own, *place)
+            if place[:size] in self.whole.lines:
+                return place
+        has_phases = ("phases",) in self.whole.lines
+        return (*own, *place) if has_phases else place
+
+
+class _Loading:
+    """Loads each model once; collects the faults of models."""
+
+    def __init__(self, folder: Path, load: Load) -> None:
+        self._folder, self._load = folder, load
+        self._known: dict[str, Plant | None] = {}
+        self.faults: list[Fault] = []
+
+    def load(self, model: str) -> Plant | None:
+        """Return the plant of a model; None for one with faults."""
+        if model not in self._known:
+            try:
+                self._known[model] = self._load(self._folder / model)
+            except InputError as error:
+                self._known[model] = None
+                self.faults += error.faults
+        return self._known[model]
+
+
+@dataclass(frozen=True)
+class _Read:
+    """A phase as it was read."""
+
+    name: str
+    problem: Problem | None
+    plant: Plant | None
+    faults: list[Fault]
+
+
+def _read_phase(document: Document, k: int, linked: set[str], loading: _Loading) -> _Read:
+    """Read a phase with the defaults of the file."""
+    data = document.data if isinstance(document.data, dict) else {}
+    given = data.get("phases")
+    own = given[k] if isinstance(given, list) else {"name": ONLY}
+    assert isinstance(own, dict), "the schema admits mappings alone"
+    place: Place = ("phases", k)
+    faults = [
+        document.fault((*place, key), f"{key} belongs to the whole problem", "move it out of the phase")
+        for key in SHARED
+        if key in own
+    ]
+    if isinstance(own.get("guess"), dict) and "solution" in own["guess"]:  # type: ignore[operator]
+        remedy = "move it out of the phase: one file holds all phases"
+        faults.append(document.fault((*place, "guess", "solution"), "the solution is of the whole problem", remedy))
+    name = str(own.get("name", ""))
+    usual: dict[str, Data] = {"cost": {"inputs": 0.0}} if "cost" not in data else {}
+    if name in linked:
+        usual["start"] = {}
+    defaults: dict[str, Data] = {key: value for key, value in data.items() if key not in OWN}
+    kept: Data = {key: value for key, value in own.items() if key not in SHARED}
+    merged = overlay(overlay(usual, defaults), kept)
+    if name in linked and isinstance(merged, dict) and isinstance(merged.get("start"), dict):
+        merged["start"] = {"pose": {}, **merged["start"]}  # type: ignore[dict-item]
+    part = PhaseDocument(document.file, merged, document.lines, _pick_faults(document, k), document, k)
+    examination = examine(part, PhaseSection)
+    faults += examination.faults
+    section = examination.value
+    if section is None or lies_under(("model",), examination.stand_ins):
+        return _Read(name, None, None, faults)
+    plant = loading.load(section.model)
+    if plant is None:
+        return _Read(name, None, None, faults)
+    problem, found = read_phase(part, examination, plant, name, is_linked=name in linked)
+    return _Read(name, problem, plant, [*faults, *found])
+
+
+def _pick_faults(document: Document, k: int) -> Mapping[Place, Fault]:
+    """Pick the faults of reading that concern a phase, at its places."""
+    own: Place = ("phases", k)
+    return {
+        place[2:] if place[:2] == own else place: fault
+        for place, fault in document.faults.items()
+        if place[:2] == own or place[:1] not in [(key,) for key in OWN]
+    }
+
+
+class _Links(Reading):
+    """Reads links, constants and unknowns."""
+
+    def __init__(self, document: Document, stand_ins: frozenset[Place], whole: WholeSection) -> None:
+        super().__init__(document, stand_ins)
+        self.whole = whole
+        for key, expression in whole.constants.items():
+            self.constants[key] = self.number(("constants", key), expression)
+
+    def name_links(self) -> list[Link]:
+        """Return links with their phases alone; the names are left out only where there is one phase."""
+        phases = [phase.get("name", ONLY) for phase in self.whole.phases]
+        only = phases[0] if len(phases) == 1 else None
+        return [Link(str(link.source or only or ""), str(link.target or only or "")) for link in self.whole.links]
+
+    def load_impacts(self, loading: _Loading) -> list[Plant | None]:
+        """Load the models of impacts that have one."""
+        models = [None if link.impact is None else link.impact.model for link in self.whole.links]
+        return [None if model is None else loading.load(model) for model in models]
+
+    def problem(self, name: str, phases: list[_Read], models: list[Plant | None]) -> tuple[PhasedProblem, Plants]:
+        """Make the problem, which is valid only if there are no faults."""
+        plants = Plants(tuple(phase.plant for phase in phases if phase.plant is not None), tuple(models))
+        problem = PhasedProblem(
+            name=name,
+            phases=tuple(Phase(phase.name, phase.problem) for phase in phases if phase.problem is not None),
+            links=tuple(
+                self.link(i, section, named, phases, models[i])
+                for i, (section, named) in enumerate(zip(self.whole.links, self.name_links(), strict=True))
+            ),
+            constants=tuple(self.constants.items()),
+            unknowns=tuple(self.unknown(key) for key in self.whole.unknowns),
+            solver=phases[0].problem.solver if phases[0].problem is not None else PhasedProblem.solver,
+        )
+        for fault in find_faults(problem, plants):
+            self.fault(fault.place, fault.finding, fault.remedy)
+        return problem, plants
+
+    def unknown(self, name: str) -> Unknown:
+        place: Place = ("unknowns", name)
+        if not is_free_name(name) or name in self.constants:
+            self.fault(place, "no name for an unknown", "give a word that means nothing else")
+        section = self.whole.unknowns[name]
+        bounds = self.range((*place, "range"), section.range)
+        guess = self.number((*place, "guess"), section.guess)
+        if not math.isnan(guess) and (guess < bounds[0] or guess > bounds[1]):
+            finding = f"{guess:g} is out of [{bounds[0]:g}, {bounds[1]:g}]"
+            self.fault((*place, "guess"), finding, "guess within the range")
+        return Unknown(name, bounds, guess)
+
+    def link(self, i: int, section: LinkSection, named: Link, phases: list[_Read], model: Plant | None) -> Link:
+        place: Place = ("links", i)
+        for key, found in (("from", named.source), ("to", named.target)):
+            if not found:
+                self.fault((*place, key), "missing", f"name one of {', '.join(phase.name for phase in phases)}")
+        source = next((phase.plant for phase in phases if phase.name == named.source), None)
+        conditions = tuple(
+            Condition(part.expression, self.range((*place, "conditions", k, "range"), part.range))
+            for k, part in enumerate(section.conditions)
+        )
+        return replace(
+            named,
+            map=tuple(section.map.items()),
+            velocities=tuple(section.velocities.items()),
+            impact=None if section.impact is None else self.impact((*place, "impact"), section.impact, model or source),
+            conditions=conditions,
+        )
+
+    def impact(self, place: Place, section: ImpactSection, plant: Plant | None) -> Impact:
+        contacts = (
+            self.contact((*place, "contacts", i), ContactSection(sensor=part) if isinstance(part, str) else part, plant)
+            for i, part in enumerate(section.contacts)
+        )
+        restitution = self.number((*place, "restitution"), section.restitution)
+        return Impact(tuple(contacts), restitution, tuple(section.map.items()))
+
+    def contact(self, place: Place, section: ContactSection, plant: Plant | None) -> Contact:
+        axes = tuple(AXES.index(axis) for axis in section.axes or "xyz")
+        sensors = [] if plant is None else [frame.name for frame in plant.manifest.frames if frame.sensor]
+        if section.axes is None and plant is not None and section.sensor in sensors:
+            axes = find_axes(plant, section.sensor)
+        friction = None if section.friction is None else self.number((*place, "friction"), section.friction)
+        normal = None if section.normal is None else AXES.index(section.normal)
+        return Contact(section.sensor, section.wrench or section.sensor, axes, normal, friction)
+
+    def range(self, place: Place, limits: tuple[Expression | None, Expression | None]) -> Range:
+        lower, upper = (
+            default if limit is None else self.number((*place, i), limit)
+            for i, (limit, default) in enumerate(zip(limits, (-math.inf, math.inf), strict=True))
+        )
+        if lower > upper:
+            self.fault(place, f"{lower:g} is above {upper:g}", "give [lower, upper]; null is no bound")
+        return (lower, upper)
