@@ -25,11 +25,13 @@ from mbsrun.commands.console import (
     print_table,
     say,
 )
+from mbsrun.commands.phases import solve_file
 from mbsrun.external import Mechanism, OnDemand, load_on_demand
 from mbsrun.ocp.checks import LEAST_ACCURACY, MAX_STEPS
 from mbsrun.ocp.integrators import INTEGRATORS
 from mbsrun.ocp.methods import METHODS as SOLVERS
 from mbsrun.ocp.multistart import Wish, solve_from_many
+from mbsrun.ocp.phases.statement import has_phases
 from mbsrun.ocp.pictures import animate, draw_mechanism, plot_mesh, plot_starts, plot_trajectories
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Form, Inputs, Loops, Problem, Refinement, Representation, cylindrical
@@ -164,6 +166,9 @@ def solve_command(
     **choices: Any,
 ) -> None:
     """Read, solve, re-simulate, write, print."""
+    if has_phases(file):
+        search = {"target": target, "starts": starts, "hops": hops, "seed": seed, "minutes": minutes}
+        context.exit(_solve_phases(file, out, other, {**search, "workers": workers, **choices}))
     models: list[Path] = []
 
     def load_model(model: Path) -> Mechanism | OnDemand:
@@ -211,6 +216,15 @@ def solve_command(
 def _describe_round(last: Round) -> str:
     defect = "unknown" if last.defect is None else f"{last.defect:.1e}"
     return f"{len(last.times) - 1} intervals, degree {last.degree}: defect {defect}; refining"
+
+
+def _solve_phases(file: Path, out: Path | None, other: Path | None, choices: dict[str, Any]) -> int:
+    """Solve a problem in phases; of the other options, it takes `--solver` alone."""
+    solver = choices.pop("solver")
+    given = [f"--{name.replace('_', '-')}" for name, value in choices.items() if value is not None]
+    if given:
+        raise click.UsageError(f"{', '.join(given)}: for problems of one phase; write it into the file's phases")
+    return solve_file(file, out, other, solver)
 
 
 def _retarget(problem: Problem, target: tuple[float, float, float]) -> Problem:

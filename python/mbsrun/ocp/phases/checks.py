@@ -19,7 +19,7 @@ from mbsrun.ocp.checks import Finding, ProblemError, check_problem
 from mbsrun.ocp.phases.impacts import AXES, find_axes, find_wrench
 from mbsrun.ocp.phases.problem import Impact, Link, Map, PhasedProblem, Plants
 from mbsrun.ocp.phases.rates import differentiate
-from mbsrun.ocp.phases.sides import END, START, list_names, list_plain, spell_coordinates, spell_velocities
+from mbsrun.ocp.phases.sides import END, START, list_plain, list_readable, spell_coordinates, spell_velocities
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Contact, Form, Loops, Problem
 from mbsrun.quaternions import find_quaternion, list_quaternions, neutral
@@ -121,10 +121,16 @@ class _Link:
             left = plant.manifest
         elif own.loops is Loops.REDUCED and set(left.independent) < set(range(len(left.coordinates))):
             yield from self.check_speeds(problem.phases[target].problem)
-        yield from self.check_map((*self.place, "map"), link.map, left, after.manifest, link.velocities)
+        states = [[state.name for state in x.states] for x in (own, problem.phases[target].problem)]
+        yield from self.check_map((*self.place, "map"), link.map, left, after.manifest, link.velocities, *states)
         yield from self.check_velocities(link.velocities, left, after.manifest)
         yield from self.check_ends(own, problem.phases[target].problem, before, after)
-        known = [*list_names(before.manifest, END), *list_names(after.manifest, START), *self.free]
+        known = [
+            prefix + name
+            for prefix, plant, part in ((END, before, own), (START, after, problem.phases[target].problem))
+            for name in list_readable(plant.manifest, part.added)
+        ]
+        known += self.free
         for i, condition in enumerate(link.conditions):
             place = (*self.place, "conditions", i)
             yield from _check_expression((*place, "expression"), condition.expression, known)
@@ -139,13 +145,23 @@ class _Link:
             yield PhaseFault(self.place, finding, "take loops: multipliers in both, or reduced in both")
 
     def check_map(
-        self, place: Place, given: Map, before: Manifest, after: Manifest, velocities: Map = ()
+        self,
+        place: Place,
+        given: Map,
+        before: Manifest,
+        after: Manifest,
+        velocities: Map = (),
+        states_before: Sequence[str] = (),
+        states_after: Sequence[str] = (),
     ) -> Iterator[PhaseFault]:
-        """Check the coordinates that a map gives, and the ones that it does not."""
-        known = [*spell_coordinates(before), *self.free]
+        """Check the coordinates and states that a map gives, and the ones that it does not."""
+        known = [*spell_coordinates(before), *states_before, *self.free]
         plain = list_plain(after)
         for name, text in given:
-            if name not in plain:
+            if name in states_after:
+                if text is not None:
+                    yield from _check_expression((*place, name), text, known)
+            elif name not in plain:
                 remedy = _suggest(name, plain) or f"there are {', '.join(plain)}"
                 yield PhaseFault((*place, name), f"{after.model} has no such coordinate to map", remedy)
             elif text is not None:
@@ -157,9 +173,10 @@ class _Link:
         if missing:
             finding = f"{before.model} has no coordinate {', '.join(missing)}, which {after.model} has"
             yield PhaseFault(place, finding, "give each an expression, or null where it is free")
-        both = set(spell_coordinates(before)) & set(self.free)
-        if both:
-            yield PhaseFault(place, f"{', '.join(sorted(both))} is a coordinate and a constant", "rename the constant")
+        twice = sorted({name for name in known if known.count(name) > 1} | (set(plain) & set(states_after)))
+        if twice:
+            finding = f"{', '.join(twice)} has two meanings, among coordinates, states, constants and unknowns"
+            yield PhaseFault(place, finding, "rename one of them")
         speeds = [c.name for c in before.coordinates]
         lost = [
             c.name

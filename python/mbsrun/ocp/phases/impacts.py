@@ -68,7 +68,7 @@ def write_impact(rows: Rows, text: str, impact: Impact, source: State, plant: Pl
     changes, speeds = rows.add_variables(n), rows.add_variables(n)
     impulses = [_bound_impulse(rows, contact) for contact in impact.contacts]
     multipliers = rows.add_variables(len(plant.manifest.dependent))
-    after = State(plant.manifest, number, before.q, speeds, before.velocities)
+    after = State(plant.manifest, number, before.q, speeds, before.velocities, source.added)
     first = rows.rows
     found = rows.add_rows(n, f"{text}: the velocities at the impact")
     rows.A.put(found, speeds, 1.0)

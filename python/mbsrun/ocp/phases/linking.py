@@ -22,9 +22,9 @@ from mbsrun.ocp.functions import Formula, Indices, Input, KernelResult
 from mbsrun.ocp.layout import Entries
 from mbsrun.ocp.phases.problem import Condition, Map
 from mbsrun.ocp.phases.rates import differentiate
-from mbsrun.ocp.phases.sides import Side, State, spell_coordinates, spell_velocities
+from mbsrun.ocp.phases.sides import Side, State, list_readable, spell_coordinates, spell_velocities
 from mbsrun.ocp.program import Block, Column, Matrix
-from mbsrun.quantities import Quantity, list_quantities
+from mbsrun.quantities import Quantity
 from mbsrun.quaternions import find_quaternion, list_quaternions
 
 Places = tuple[str, int]  # kind and index of a name in a formula
@@ -121,6 +121,7 @@ def write_transfer(rows: Rows, text: str, source: State, target: State, given: M
     chosen, speeds = dict(given), dict(velocities)
     turning, plain = list_quaternions(target.manifest), source.coordinates
     known: dict[str, Places] = {name: ("q", i) for name, i in spell_coordinates(source.manifest).items()}
+    known |= {name: ("states", i) for i, name in enumerate(source.added)}
     rates: dict[str, Expression] = {}
     for name, i in spell_velocities(source.manifest).items():
         if i in source.velocities:
@@ -135,12 +136,18 @@ def write_transfer(rows: Rows, text: str, source: State, target: State, given: M
                 written.append((variable, parse(text_of), name))
         elif name in plain:
             _copy(rows, variable, plain[name], f"{text}: {name}")
+    for name, variable in target.added.items():
+        if name in chosen:
+            if (text_of := chosen[name]) is not None:
+                written.append((variable, parse(text_of), name))
+        elif name in source.added:
+            _copy(rows, variable, source.added[name], f"{text}: {name}")
     for name, variable in target.speeds.items():
         own = f"the velocity of {name}"
         if name in speeds:
             if (text_of := speeds[name]) is not None:
                 written.append((variable, substitute(parse(text_of), rates), own))
-        elif (text_of := chosen.get(name)) is not None:
+        elif name in target.coordinates and (text_of := chosen.get(name)) is not None:
             written.append((variable, differentiate(parse(text_of), rates), own))
         elif name in source.speeds:
             _copy(rows, variable, source.speeds[name], f"{text}: {own}")
@@ -148,7 +155,8 @@ def write_transfer(rows: Rows, text: str, source: State, target: State, given: M
         first = rows.rows
         for variable, _, name in written:
             rows.A.put(rows.add_rows(1, f"{text}: {name}"), [variable], 1.0)
-        parts = {"q": source.q, "qd": source.qd}
+        states = np.array(list(source.added.values()), dtype=np.int64)
+        parts = {"q": source.q, "qd": source.qd, "states": states}
         found = np.arange(first, rows.rows)
         rows.write_expressions([expression for _, expression, _ in written], known, parts, found, scale=-1.0)
 
@@ -177,7 +185,7 @@ def write_conditions(rows: Rows, text: str, conditions: Sequence[Condition], bef
     parts: dict[str, Indices] = {}
     numbers: dict[str, Expression] = {}
     for side in (before, after):
-        quantities = {side.prefix + name: x for name, x in list_quantities(side.state.manifest).items()}
+        quantities = {side.prefix + name: x for name, x in list_readable(side.state.manifest, side.added).items()}
         wanted = {name: quantities[name] for name in read if name in quantities}
         if side.prefix + "T" in wanted and isinstance(side.horizon, float):
             numbers[side.prefix + "T"] = Number(side.horizon)
@@ -195,7 +203,8 @@ def _place(
 ) -> None:
     """Place the quantities of one side that are read; sensors become variables."""
     state, prefix = side.state, side.prefix
-    own = {"q": state.q, "qd": state.qd, "u": side.u}
+    states = np.array(list(state.added.values()), dtype=np.int64)
+    own = {"q": state.q, "qd": state.qd, "u": side.u, "states": states, "controls": side.controls}
     if not isinstance(side.horizon, float):
         own["T"] = np.array([side.horizon], dtype=np.int64)
     for name, x in wanted.items():

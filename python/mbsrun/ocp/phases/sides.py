@@ -8,16 +8,17 @@ NAME is as in a problem: q_NAME, qd_NAME, u_NAME, x_SENSOR, vx_SENSOR, T. Maps r
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.functions import Indices
 from mbsrun.ocp.layout import Layout
-from mbsrun.quantities import list_quantities
+from mbsrun.ocp.problem import Problem
+from mbsrun.quantities import Added, Quantity, list_quantities
 from mbsrun.quaternions import find_quaternion, list_quaternions
 
 END, START = "end_", "start_"
-READ = ("q", "qd", "u", "T", "position", "v")  # kinds of quantities that a condition may read
+READ = ("q", "qd", "u", "T", "position", "v", "states", "controls")  # kinds of quantities that a condition may read
 
 
 def spell_coordinates(manifest: Manifest) -> dict[str, int]:
@@ -30,9 +31,9 @@ def spell_velocities(manifest: Manifest) -> dict[str, int]:
     return {name[3:]: x.index for name, x in list_quantities(manifest).items() if x.kind == "qd"}
 
 
-def list_names(manifest: Manifest, prefix: str) -> list[str]:
-    """List the names of one side that a condition may read."""
-    return [prefix + name for name, x in list_quantities(manifest).items() if x.kind in READ]
+def list_readable(manifest: Manifest, added: Added) -> dict[str, Quantity]:
+    """List the quantities of one side that a condition may read, by name."""
+    return {name: x for name, x in list_quantities(manifest, added).items() if x.kind in READ}
 
 
 def list_plain(manifest: Manifest) -> list[str]:
@@ -50,6 +51,7 @@ class State:
     q: Indices  # (nq,)
     qd: Indices  # (velocities,)
     velocities: tuple[int, ...]  # entries of qd that are variables
+    added: Mapping[str, int] = field(default_factory=dict)  # the variables of states that the problem adds, by name
 
     @property
     def speeds(self) -> Mapping[str, int]:
@@ -70,16 +72,28 @@ class Side:
     prefix: str
     state: State
     u: Indices  # (m,): inputs of the interval
+    controls: Indices  # (nc,): the same of the controls that the problem adds
+    added: Added
     horizon: int | float  # the variable, or the number where it is given
 
 
-def read_side(layout: Layout, manifest: Manifest, plant: int, offset: int, horizon: float, *, is_end: bool) -> Side:
-    """Return one side of a phase whose variables begin at `offset`; `horizon` counts where it is no variable."""
+def read_side(layout: Layout, manifest: Manifest, plant: int, offset: int, problem: Problem, *, is_end: bool) -> Side:
+    """Return one side of a phase whose variables begin at `offset`."""
     k = -1 if is_end else 0
+    states = layout.extras.states[k, : len(problem.states)] + offset
     q, qd = layout.split(layout.mesh[k] + offset)
     return Side(
         prefix=END if is_end else START,
-        state=State(manifest, plant, q, qd, layout.motions.velocities),
+        state=State(
+            manifest,
+            plant,
+            q,
+            qd,
+            layout.motions.velocities,
+            dict(zip((state.name for state in problem.states), states.tolist(), strict=True)),
+        ),
         u=layout.inputs[k] + offset,
-        horizon=horizon if layout.horizon is None else layout.horizon + offset,
+        controls=layout.extras.controls[k] + offset,
+        added=Added(tuple(state.name for state in problem.states), problem.added.controls),
+        horizon=problem.horizon if layout.horizon is None else layout.horizon + offset,
     )

@@ -39,6 +39,7 @@ from mbsrun.ocp.solve import (
     search,
     settle,
 )
+from mbsrun.ocp.state_guess import complete
 from mbsrun.ocp.status import ACCEPTABLE, BAD_BOUNDS, BAD_GUESS, OPEN, SOLVED, UNREACHABLE, explain
 
 VIOLATED = 1e-6  # a row that is named where a search fails stays violated by more than this
@@ -62,7 +63,7 @@ class PhasedSolver:
             if crossed := find_crossed_bounds(phase.problem, plant.manifest):
                 finding = f"phase {phase.name}: {crossed}"
                 return PhasedFailure(problem, Run(BAD_BOUNDS, 0, 0.0, 0.0), finding, "give bounds that leave room")
-        x = self.transcription.pack(problem, guess)
+        x = self.transcription.pack(problem, self._complete(guess))
         if not np.isfinite(x).all():
             finding = "the guess has numbers that are not finite"
             return PhasedFailure(problem, Run(BAD_GUESS, 0, 0.0, 0.0), finding, "take another guess")
@@ -81,6 +82,13 @@ class PhasedSolver:
                 finding = f"phase {own.problem.name}: {finding}, by {gap:.1e} of {most:.1e}"
                 return PhasedFailure(problem, replace(run, status=OPEN), finding, remedy)
         return solution
+
+    def _complete(self, guess: Guess) -> Guess:
+        """Guess the states and controls that phases add."""
+        given = zip(guess.trajectories, self.problem.phases, self.plants.phases, strict=True)
+        return replace(
+            guess, trajectories=tuple(complete(motion, phase.problem, plant) for motion, phase, plant in given)
+        )
 
     def _evaluate(self, x: Array) -> Array:
         parameters = self.transcription.parameters(self.problem)

@@ -113,9 +113,7 @@ def transcribe_phases(problem: PhasedProblem, plants: Plants) -> PhasedTranscrip
 
     def side(k: int, *, is_end: bool) -> Side:
         layout, own = phases[k].layout, problem.phases[k].problem
-        return read_side(
-            layout, plants.phases[k].manifest, numbers[k], offsets[k].variables, own.horizon, is_end=is_end
-        )
+        return read_side(layout, plants.phases[k].manifest, numbers[k], offsets[k].variables, own, is_end=is_end)
 
     links = []
     closed = [np.zeros(0, dtype=np.int64) for _ in phases]

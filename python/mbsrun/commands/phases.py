@@ -1,0 +1,60 @@
+"""`mbsrun solve` of a problem in phases: solve all, re-simulate each, write, print."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from mbsrun.commands.console import MESSAGES, NOT_SOLVED, say
+from mbsrun.external import load_on_demand
+from mbsrun.ocp.phases.files import SOLUTION, write_files
+from mbsrun.ocp.phases.problem import PhasedProblem, Plants
+from mbsrun.ocp.phases.solution import Guess, PhasedFailure, PhasedSolution, read_phased_guess
+from mbsrun.ocp.phases.solve import resimulate_phases, solve_phases
+from mbsrun.ocp.phases.statement import read_phased_problem
+from mbsrun.ocp.phases.summary import list_phased_shortcomings, summarise_phases
+from mbsrun.ocp.solve import Progress
+
+
+def solve_file(file: Path, out: Path | None, other: Path | None, solver: str | None) -> int:
+    """Solve the problem of a file, write and print the solution; return the exit code."""
+    problem, plants = read_phased_problem(file, load_on_demand)
+    if solver is not None and solver != problem.solver.method:
+        problem = replace(problem, solver=replace(problem.solver, method=solver, options=()))
+    solution_file = problem.phases[0].problem.guess.solution
+    if other is None and solution_file is not None:
+        other = file.parent / solution_file
+    names = tuple(phase.name for phase in problem.phases)
+    manifests = tuple(plant.manifest for plant in plants.phases)
+    guess = None if other is None else read_phased_guess(other, names, manifests)
+    out = out or Path(f"{problem.name}.solution")
+    outcome = _solve(problem, plants, guess)
+    if isinstance(outcome, PhasedFailure):
+        say(f"not solved ({outcome.run.status}): {outcome.finding}; {outcome.remedy}")
+        if (out / SOLUTION).exists():
+            say(f"{out / SOLUTION} is from an earlier solve")
+        return NOT_SOLVED
+    with MESSAGES.status("integrating again") as status:
+        outcome = resimulate_phases(outcome, plants)
+        status.update("drawing")
+        written = write_files(outcome, plants, out)
+    for name, value in summarise_phases(outcome).items():
+        click.echo(f"{name:<24}{value}")
+    say(f"wrote {', '.join(str(out / name) for name in written)}")
+    shortcomings = list_phased_shortcomings(outcome)
+    for shortcoming in shortcomings:
+        say(f"warning: {shortcoming}")
+    return NOT_SOLVED if shortcomings else 0
+
+
+def _solve(problem: PhasedProblem, plants: Plants, guess: Guess | None) -> PhasedSolution | PhasedFailure:
+    with MESSAGES.status("making the program") as status:
+
+        def show(progress: Progress) -> None:
+            status.update(
+                f"iteration {progress.iteration}: cost {progress.cost:.8g}, violation {progress.violation:.1e}"
+            )
+
+        return solve_phases(problem, plants, show, guess)
