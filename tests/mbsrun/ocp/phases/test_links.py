@@ -1,4 +1,4 @@
-"""Phases that are linked: their optimum is that of the whole motion, whatever is written as a phase."""
+"""Phases that are linked: their optimum is the optimum of the whole motion, however it is split."""
 
 from __future__ import annotations
 
@@ -7,35 +7,150 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mbsrun.ocp.backends.casadi import CasadiProgram
+from mbsrun.ocp.backends.numpy import NumpyProgram
 from mbsrun.ocp.phases.problem import Condition, Link, Phase, PhasedProblem, Plants
 from mbsrun.ocp.phases.solution import Guess, PhasedSolution
 from mbsrun.ocp.phases.solve import resimulate_phases, solve_phases
-from mbsrun.ocp.problem import Cost, End, Problem, Term
+from mbsrun.ocp.phases.transcription import transcribe_phases
+from mbsrun.ocp.problem import Cost, End, Representation, State, Term, Unknown
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import solve
-from mbsrun.ocp.trajectory import Trajectory
-from tests.mbsrun.ocp.plants import cart_pole
-from tests.mbsrun.peer import Peer
-
-FREE = (-np.inf, np.inf)
+from tests.mbsrun.ocp.phases.motions import cut, free_start, split, swing_up
+from tests.mbsrun.ocp.plants import cart_pole, push
+from tests.mbsrun.peer import Peer, double_integrator, explicit_functions
 
 
-def swing_up() -> Problem:
-    """Swing the pole up in 2 s, while the cart moves by 1 m."""
-    whole = Problem.__dataclass_fields__
-    assert "states" in whole
-    from mbsrun.ocp.problem import Bounds
-    from mbsrun.ocp.schemes import Family
+@pytest.fixture(scope="module")
+def cart() -> Peer:
+    return cart_pole()
 
-    return Problem(
-        name="swing up",
-        horizon=2.0,
-        intervals=20,
-        family=Family.RADAU,
-        degree=3,
-        cost=Cost(1.0, 0.0),
-        start_q=(0.0, 0.0),
-        start_qd=(0.0, 0.0),
-        bounds=Bounds(((-2.0, 2.0), FREE), (FREE, FREE), (FREE,)),
-        end=End(coordinates=((0, 1.0), (1, np.pi)), velocity_zero=True),
+
+@pytest.fixture(scope="module")
+def whole(cart: Peer) -> Solution:
+    outcome = solve(swing_up(), cart)
+    assert isinstance(outcome, Solution)
+    return outcome
+
+
+def optimum(problem: PhasedProblem, *plants: Peer, guess: Guess | None = None) -> PhasedSolution:
+    outcome = solve_phases(problem, Plants(plants), guess=guess)
+    assert isinstance(outcome, PhasedSolution), outcome.finding
+    return outcome
+
+
+def test_two_halves_of_a_motion_cost_what_the_whole_does(cart: Peer, whole: Solution) -> None:
+    found = optimum(split(swing_up()), cart, cart, guess=Guess(cut(whole.trajectory)))
+    assert found.cost == pytest.approx(whole.cost.total, rel=1e-8)
+    assert found.phases[1].trajectory.q[0] == pytest.approx(found.phases[0].trajectory.q[-1], abs=1e-9)
+    assert found.starts == (0.0, 1.0)
+
+
+def test_phases_have_grids_and_representations_of_their_own(cart: Peer, whole: Solution) -> None:
+    """The same motion, more finely: the costs differ by the error of the grid."""
+    explicit = cart.with_functions(explicit_functions(cart.casadi("impl")))
+    problem = split(swing_up())
+    first, second = problem.phases
+    other = replace(second.problem, degree=4, representation=Representation.EXP1_O)
+    mixed = replace(problem, phases=(first, replace(second, problem=other)))
+    found = optimum(mixed, cart, explicit, guess=Guess(cut(whole.trajectory)))
+    assert found.cost == pytest.approx(whole.cost.total, rel=1e-4)
+    checked = resimulate_phases(found, Plants((cart, explicit)))
+    for phase in checked.phases:
+        assert phase.resimulation is not None
+        assert phase.resimulation.defect == pytest.approx(0.0, abs=1e-2)
+
+
+def test_backends_agree_on_a_program_of_several_plants(cart: Peer) -> None:
+    """CasADi's functions and NumPy's, on blocks of two plants, maps, conditions, sensors, unknowns and constants."""
+    conditions = (
+        Condition("a*end_x_place*sin(start_q_pole) + end_qd_slide", (0.0, 1.0)),
+        Condition("start_qd_pole**2 + end_u_slide*length - end_T*end_vx_place", (-1.0, 1.0)),
     )
+    link = Link(
+        "pushed",
+        "swung",
+        (("cart", "a*slide*length"), ("pole", "length + a*sin(slide)")),
+        conditions=conditions,
+    )
+    problem = PhasedProblem(
+        name="both",
+        phases=(
+            Phase("pushed", replace(push(3), end=End(), horizon_range=(0.5, 2.0))),
+            Phase("swung", replace(free_start(swing_up()), intervals=3)),
+        ),
+        links=(link,),
+        constants=(("a", 2.0),),
+        unknowns=(Unknown("length"),),
+    )
+    plants = Plants((double_integrator(), cart))
+    own = transcribe_phases(problem, plants)
+    ours, theirs = (make(own.program, *plants.every[:1], plants.every[1:]) for make in (NumpyProgram, CasadiProgram))
+    rng = np.random.default_rng(3)
+    x, p = rng.uniform(-1, 1, own.program.variables), own.parameters(problem)
+    lam = rng.uniform(-1, 1, own.program.constraints)
+    assert ours.constraint(x, p) == pytest.approx(theirs.constraint(x, p).full().ravel(), abs=1e-12)
+    assert ours.jacobian(x, p).toarray() == pytest.approx(theirs.jacobian(x, p).full(), abs=1e-12)
+    assert ours.hessian(x, p, 0.7, lam).toarray() == pytest.approx(theirs.hessian(x, p, 0.7, lam).full(), abs=1e-11)
+    step = 1e-6
+    v = rng.uniform(-1, 1, x.size)
+    slope = (ours.constraint(x + step * v, p) - ours.constraint(x - step * v, p)) / (2 * step)
+    assert ours.jacobian(x, p) @ v == pytest.approx(slope, abs=1e-7)
+
+
+def test_a_free_phase_time_loses_nothing_against_a_scan(cart: Peer, whole: Solution) -> None:
+    """With the time at which the phases change free, their cost is the least over all given times."""
+    problem = split(swing_up())
+    first, second = problem.phases
+
+    def divide(change: float) -> PhasedProblem:
+        parts = ((first, change), (second, 2.0 - change))
+        return replace(problem, phases=tuple(replace(x, problem=replace(x.problem, horizon=T)) for x, T in parts))
+
+    free = replace(
+        divide(1.0),
+        links=(Link("first", "second", conditions=(Condition("end_T + start_T", (2.0, 2.0)),)),),
+    )
+    free = replace(
+        free, phases=tuple(replace(x, problem=replace(x.problem, horizon_range=(0.5, 1.5))) for x in free.phases)
+    )
+    guess = Guess(cut(whole.trajectory))
+    found = optimum(free, cart, cart, guess=guess)
+    best = found.durations[0]
+    scanned = [
+        optimum(divide(best + d), cart, cart, guess=Guess(tuple(p.trajectory for p in found.phases))).cost
+        for d in (-0.02, -0.002, 0.0, 0.002, 0.02)
+    ]
+    assert found.cost <= min(scanned) * (1 + 1e-6)
+    assert found.cost == pytest.approx(scanned[2], rel=1e-6)
+    assert min(scanned) == scanned[2]
+
+
+def test_a_link_to_itself_makes_a_motion_periodic(cart: Peer) -> None:
+    """The cart starts at rest and advances by 0.3 m a period, whatever the pole does; a free guess of the stride."""
+    stride = Unknown("stride", (0.1, 0.3), 0.2)
+    own = replace(swing_up(), free_start=(1, 3), end=End(), horizon=1.0)
+    link = Link("motion", "motion", map=(("cart", "cart - stride"),))
+    bounded = replace(own, cost=Cost(1.0, 0.0, (), (Term("q_cart", -40.0),)))
+    problem = PhasedProblem("gait", (Phase("motion", bounded),), (link,), unknowns=(stride,))
+    found = optimum(problem, cart)
+    trajectory = found.phases[0].trajectory
+    assert found.unknown_values == pytest.approx([0.3], abs=1e-6)
+    assert trajectory.q[-1] - trajectory.q[0] == pytest.approx([0.3, 0.0], abs=1e-6)
+    assert trajectory.qd[-1] == pytest.approx(trajectory.qd[0], abs=1e-9)
+    assert trajectory.qd[0, 0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_states_that_phases_add_carry_on(cart: Peer, whole: Solution) -> None:
+    """The work of the input, as a state, is its integral over both phases."""
+    work = State("work", "u_cart*qd_cart", start=(0.0, 0.0))
+    problem = split(swing_up())
+    first, second = problem.phases
+    phases = (
+        replace(first, problem=replace(first.problem, states=(work,))),
+        replace(second, problem=replace(second.problem, states=(replace(work, start=(-np.inf, np.inf)),))),
+    )
+    found = optimum(replace(problem, phases=phases), cart, cart, guess=Guess(cut(whole.trajectory)))
+    end = found.phases[1].trajectory
+    energy = 2 * 0.3 * 9.81 * 0.5  # the pole's mass is lifted by twice its length, and all is at rest
+    assert end.states[-1, 0] == pytest.approx(energy, rel=1e-4)  # the error of the grid
