@@ -85,7 +85,7 @@ MBSRUN = Package(
         "kernel",
         "external",
         "ocp.factors ocp.grid ocp.linear ocp.schemes ocp.plant ocp.functions ocp.status ocp.trajectory",
-        "skeleton",
+        "skeleton ocp.no_mechanism",
         "ocp.program ocp.formulas ocp.integrators ocp.representations closure quaternions quantities animation jets",
         "recordings.recording",
         "recordings.lines recordings.splines",

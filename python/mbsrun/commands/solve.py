@@ -26,11 +26,12 @@ from mbsrun.commands.console import (
     say,
 )
 from mbsrun.commands.phases import solve_file
-from mbsrun.external import Mechanism, OnDemand, load_on_demand
+from mbsrun.external import load_on_demand
 from mbsrun.ocp.checks import LEAST_ACCURACY, MAX_STEPS
 from mbsrun.ocp.integrators import INTEGRATORS
 from mbsrun.ocp.methods import METHODS as SOLVERS
 from mbsrun.ocp.multistart import Wish, solve_from_many
+from mbsrun.ocp.no_mechanism import NO_MECHANISM
 from mbsrun.ocp.phases.statement import has_phases
 from mbsrun.ocp.pictures import animate, draw_mechanism, plot_mesh, plot_starts, plot_trajectories
 from mbsrun.ocp.plant import Plant
@@ -52,7 +53,8 @@ MECHANISM = "mechanism.png"
 ANIMATION = "animation.html"
 MESH = "mesh.png"  # of a refinement
 TABLE = "solution.csv"
-FILES = (SOLUTION, TABLE, TRAJECTORIES, MECHANISM, ANIMATION)
+PLAIN_FILES = (SOLUTION, TABLE, TRAJECTORIES)  # of a problem without a mechanism
+FILES = (*PLAIN_FILES, MECHANISM, ANIMATION)
 DISTRIBUTION, STARTS = "starts.png", "starts.sqlite"  # of a search from many starts
 MAX_STARTS = 100_000
 SHOWN = 10  # minima that are printed
@@ -171,11 +173,11 @@ def solve_command(
         context.exit(_solve_phases(file, out, other, {**search, "workers": workers, **choices}))
     models: list[Path] = []
 
-    def load_model(model: Path) -> Mechanism | OnDemand:
+    def load_model(model: Path) -> Plant:
         models.append(model)
         return load_on_demand(model)
 
-    problem, plant = read_problem(file, load_model)
+    problem, plant = read_problem(file, load_model, NO_MECHANISM)
     if target is not None:
         problem = _retarget(problem, target)
     problem = _choose(problem, **choices)
@@ -191,7 +193,7 @@ def solve_command(
         outcome: Solution | Failure | None = _solve(problem, plant, guess)
     else:
         wish = Wish(starts, seed or 0, math.inf if minutes is None else 60 * minutes, workers or 0, hops or 0)
-        outcome = _search(problem, plant, models[-1], wish, out)
+        outcome = _search(problem, plant, models[-1] if models else None, wish, out)
     if outcome is None:
         say("the time was over before the first start ended")
         context.exit(NOT_SOLVED)
@@ -279,9 +281,7 @@ def _solve(problem: Problem, plant: Plant, guess: Trajectory | None) -> Solution
         return solve(problem, plant, show, guess)
 
 
-def _search(
-    problem: Problem, plant: Mechanism | OnDemand, model: Path, wish: Wish, out: Path
-) -> Solution | Failure | None:
+def _search(problem: Problem, plant: Plant, model: Path | None, wish: Wish, out: Path) -> Solution | Failure | None:
     """Solve from many starts, and show how many ended and the best cost."""
     out.mkdir(parents=True, exist_ok=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
@@ -330,9 +330,11 @@ def _write(solution: Solution, plant: Plant, out: Path) -> tuple[str, ...]:
     write_solution(solution, out / SOLUTION)
     write_table(solution, plant, out / TABLE)
     plot_trajectories(solution, plant.manifest, out / TRAJECTORIES)
-    draw_mechanism(solution, plant, out / MECHANISM)
-    animate(solution, plant, out / ANIMATION)
-    written = [*FILES]
+    written = [*PLAIN_FILES]
+    if plant.manifest.coordinates:
+        draw_mechanism(solution, plant, out / MECHANISM)
+        animate(solution, plant, out / ANIMATION)
+        written = [*FILES]
     if solution.refinement is not None:
         plot_mesh(solution.refinement, out / MESH)
         written.append(MESH)

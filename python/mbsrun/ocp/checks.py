@@ -80,7 +80,8 @@ def list_open_inputs(manifest: Manifest) -> list[str]:
         Role.SETUP,
         Role.DESIGN,
     )
-    return [i.name for i in manifest.kernel("impl").inputs if i.role not in own and i.nnz]
+    inputs = manifest.kernel("impl").inputs if manifest.coordinates else ()
+    return [i.name for i in inputs if i.role not in own and i.nnz]
 
 
 def find_loop_conflicts(problem: Problem, manifest: Manifest) -> Iterator[Conflict]:

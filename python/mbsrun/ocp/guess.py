@@ -88,6 +88,8 @@ def scatter_poses(problem: Problem, plant: Plant, rng: np.random.Generator, trie
 def make_guess(problem: Problem, plant: Plant, scheme: Scheme) -> Trajectory | Pose:
     """Make the guess that a problem describes; return the nearest pose found where none meets its targets."""
     motion = rest(problem, scheme, plant)
+    if not plant.manifest.coordinates:
+        return motion
     if problem.guess.motion == "interpolation":
         pose = find_pose(problem, plant)
         if not pose.is_reached:
@@ -222,7 +224,7 @@ def balance(trajectory: Trajectory, problem: Problem, plant: Plant, inputs: Inpu
     its collocation points; they stay within their bounds.
     """
     u = np.zeros_like(trajectory.u)
-    if inputs != "zero":
+    if inputs != "zero" and u.size:
         N, d, _ = trajectory.point_q.shape
         rates = (trajectory.point_qd, trajectory.point_qdd)
         q, qd, qdd = (

@@ -18,10 +18,10 @@ from types import FrameType
 
 from mbsgen.manifest import Manifest
 from mbsrun.environment import describe_environment
-from mbsrun.external import Mechanism, OnDemand
 from mbsrun.models import find_folder
 from mbsrun.ocp.cluster import open_workers
 from mbsrun.ocp.executor import LocalExecutor, Worker
+from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.record import Attempt, Best, Record, Task, open_record
 from mbsrun.ocp.search import (
@@ -64,6 +64,8 @@ def list_starts(study: Study, seed: int, count: int) -> list[Trial]:
     trials = [Trial(task, MULTISTART, GUESS, "0", Interpolation(study.problem.guess.inputs))]
     kinds = [kind for kind in KINDS if kind != "turns" or study.turning]
     kinds = [kind for kind in kinds if kind not in ("bumps", "waves") or not study.problem.has_quaternions]
+    if not study.problem.start_q:
+        kinds = ["noise"]
     for k in range(1, count):
         kind = kinds[(k - 1) % len(kinds)]
         turn = None
@@ -77,7 +79,8 @@ def list_starts(study: Study, seed: int, count: int) -> list[Trial]:
 
 def plan_hops(study: Study, starts: Starts, number: int, count: int) -> list[Trial]:
     """List the hops of a round from the best start of the rounds before; rounds count from 1."""
-    if starts.best is None or starts.best.cost is None or study.problem.has_quaternions:
+    has_waves = study.problem.start_q and not study.problem.has_quaternions
+    if starts.best is None or starts.best.cost is None or not has_waves:
         return []
     task = Task((0, 0), study.costs[0], study.representations[0].value)
     best = Best(starts.best.cost, number - 1, starts.best.turns)
@@ -121,12 +124,12 @@ class Wish:
 
 
 def solve_from_many(
-    problem: Problem, plant: Mechanism | OnDemand, model: Path, wish: Wish, path: Path, watch: Watch
+    problem: Problem, plant: Plant, model: Path | None, wish: Wish, path: Path, watch: Watch
 ) -> tuple[Starts, Solution | Failure | None]:
     """Solve a problem from many starts, and solve it again from the best start; return None where none was made.
 
     The search skips attempts in the record at `path`. It passes the results so far to `watch` after every start. At the
-    end of the time, or at an interrupt, the finished starts count.
+    end of the time, or at an interrupt, the finished starts count. Without a model file, one process makes all starts.
     """
     study = state_study(problem, plant.manifest)
     trials, hops = list_starts(study, wish.seed, wish.starts), list[Trial]()
@@ -156,8 +159,8 @@ def solve_from_many(
 
 
 @contextmanager
-def _open_executor(plant: Mechanism | OnDemand, model: Path, workers: int) -> Iterator[Executor]:
-    if workers == 0:
+def _open_executor(plant: Plant, model: Path | None, workers: int) -> Iterator[Executor]:
+    if workers == 0 or model is None:
         yield LocalExecutor(plant, describe_environment())
         return
     with open_workers(workers, None) as executor_for:
@@ -187,7 +190,7 @@ def _end_at_interrupt(search: Search) -> Iterator[None]:
 
 
 def _repeat(
-    study: Study, tried: tuple[list[Trial], list[Trial]], starts: Starts, plant: Mechanism | OnDemand, record: Record
+    study: Study, tried: tuple[list[Trial], list[Trial]], starts: Starts, plant: Plant, record: Record
 ) -> Solution | Failure | None:
     """Solve from the best start again, and from its motion if that ends elsewhere; without a best, from the first."""
     if not starts.results:

@@ -45,6 +45,14 @@ def make_trajectories(solution: Solution, manifest: Manifest) -> Figure:
         for mesh, points in ((trajectory.q, trajectory.point_q), (trajectory.qd, trajectory.point_qd))
     )
     added = bool(solution.problem.every_state or solution.problem.controls)
+    if not manifest.coordinates:
+        figure = Figure(figsize=(8, 5), layout="constrained")
+        axes = figure.subplots()
+        _plot_additions(axes, solution, t)
+        axes.set_xlabel("time [s]")
+        axes.legend(frameon=False)
+        figure.suptitle(_title(solution))
+        return figure
     figure = Figure(figsize=(8, 9 + 3 * added), layout="constrained")
     coordinates, velocities, inputs, *others = figure.subplots(3 + added, 1, sharex=True)
     for axes in others:

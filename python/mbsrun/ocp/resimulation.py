@@ -203,6 +203,8 @@ def accelerations(plant: Plant, q: Array, qd: Array, u: Array) -> Array:
     """Solve the equations of motion for qdd in several states: q (B, nq), qd (B, n), u (B, m)."""
     state: dict[str, Any] = {"q": q, "qd": qd, "qdd": np.zeros_like(qd), "u": u}
     closure, n = find_closure(plant), qd.shape[1]
+    if not n:
+        return qd
     if closure is not None:
         state["lam"] = np.zeros((len(q), len(closure.dependent)))
     M, c = plant("jac_impl", **state)["jac_Phi_qdd"], plant("impl", **state)["Phi"]

@@ -292,7 +292,7 @@ class IntegralSection(Section):
 class ProblemSection(Section):
     """A problem file."""
 
-    model: Annotated[str, AfterValidator(_check_model)] = Field(examples=["model.yaml"])
+    model: Annotated[str, AfterValidator(_check_model)] | None = Field(default=None, examples=["model.yaml"])
     constants: dict[str, NumberField] = Field(default={}, examples=[{}])
     references: dict[str, ReferenceSection] = Field(default={}, examples=[{}])
     horizon: HorizonField = Field(examples=[1.0])
@@ -307,7 +307,7 @@ class ProblemSection(Section):
     states: Annotated[dict[str, StateSection], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
     controls: Annotated[dict[str, ControlSection], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
     cost: CostSection = Field(examples=[{"inputs": 1.0}])
-    start: StartSection = Field(examples=[{"pose": {}}])
+    start: StartSection | None = Field(default=None, examples=[{"pose": {}}])
     bounds: BoundsSection = Field(default=BoundsSection(), examples=[{}])
     end: EndSection = Field(default=EndSection(), examples=[{}])
     constraints: Annotated[tuple[ConstraintSection, ...], AfterValidator(_check_count)] = Field(

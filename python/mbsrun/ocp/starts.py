@@ -26,6 +26,7 @@ from mbsrun.ocp.guess import balance, bump, close_motion, find_pose, interpolate
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Form, Problem, Range
 from mbsrun.ocp.schemes import Scheme
+from mbsrun.ocp.state_guess import complete
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.quaternions import normalise
 
@@ -92,14 +93,16 @@ def vary(
     is_mixed = variation.kind in ("branches", "turns")
     if not problem.has_quaternions and (variation.kind == "waves" or (is_mixed and rng.uniform() < 0.5)):
         return balance(_close(add_waves(motion, problem, rng), plant), problem, plant, "dynamic")
-    return _close(add_noise(balance(motion, problem, plant, problem.guess.inputs), problem, plant.manifest, rng), plant)
+    whole = complete(balance(motion, problem, plant, problem.guess.inputs), problem, plant)
+    return _close(add_noise(whole, problem, plant.manifest, rng), plant)
 
 
 def add_noise(motion: Trajectory, problem: Problem, manifest: Manifest, rng: np.random.Generator) -> Trajectory:
-    """Add normal noise to the coordinates at every point, and take random inputs; all of it within the bounds.
+    """Add normal noise to coordinates and states at every point, and take random inputs; all of it within the bounds.
 
-    Its width is drawn between `WIDTHS`; of coordinates in metres, a quarter of the range between their bounds counts as
-    1 rad. Inputs are uniform between their bounds; without these, up to the width times the largest of the motion.
+    Its width is drawn between `WIDTHS`; of coordinates in metres and of states that the problem adds, a quarter of the
+    range between their bounds counts as 1 rad. Inputs and controls are uniform between their bounds; without these, up
+    to the width times the largest of the motion.
     """
     width = float(np.exp(rng.uniform(*np.log(WIDTHS))))
     lengths = {c.name for c in manifest.coordinates if c.motion == "prismatic"}
@@ -114,11 +117,23 @@ def add_noise(motion: Trajectory, problem: Problem, manifest: Manifest, rng: np.
         noisy = _clip(q + width * scales * rng.normal(size=q.shape), problem.bounds.q)
         return normalise(noisy, manifest)
 
-    largest = width * np.abs(motion.u).max(axis=0, initial=0.0)
-    ends = np.array(problem.bounds.u).reshape(-1, 2).T
-    lower, upper = np.where(np.isfinite(ends), ends, [-largest, largest])
-    u = _clip(rng.uniform(np.minimum(lower, upper), np.maximum(lower, upper), motion.u.shape), problem.bounds.u)
-    return replace(motion, q=move(motion.q), point_q=move(motion.point_q), u=u)
+    def draw(u: Array, bounds: Sequence[Range]) -> Array:
+        largest = width * np.abs(u).max(axis=0, initial=0.0)
+        ends = np.array(bounds).reshape(-1, 2).T
+        lower, upper = np.where(np.isfinite(ends), ends, [-largest, largest])
+        return _clip(rng.uniform(np.minimum(lower, upper), np.maximum(lower, upper), u.shape), bounds)
+
+    moved = replace(motion, q=move(motion.q), point_q=move(motion.point_q), u=draw(motion.u, problem.bounds.u))
+    if not (problem.every_state or problem.controls):
+        return moved
+    limits = [state.bounds for state in problem.every_state]
+    ranges = np.diff(np.array(limits).reshape(-1, 2), axis=1)[:, 0]
+    sizes = np.where(np.isfinite(ranges), ranges / 4, 1.0)
+    states, point_states = (
+        _clip(x + width * sizes * rng.normal(size=x.shape), limits) for x in (motion.states, motion.point_states)
+    )
+    controls = draw(motion.controls, [control.bounds for control in problem.controls])
+    return replace(moved, states=states, point_states=point_states, controls=controls)
 
 
 def hop(motion: Trajectory, problem: Problem, plant: Plant, seed: tuple[int, ...]) -> Trajectory:

@@ -92,11 +92,16 @@ SomePlant = TypeVar("SomePlant", bound=Plant)
 SomeSection = TypeVar("SomeSection", bound=ProblemSection)
 
 
-def read_problem(path: Path, load: Callable[[Path], SomePlant]) -> tuple[Problem, SomePlant]:
-    """Read a problem file, and load its model with `load`. Raises InputError with every fault of both files."""
+def read_problem(
+    path: Path, load: Callable[[Path], SomePlant], none: SomePlant | None = None
+) -> tuple[Problem, SomePlant]:
+    """Read a problem file, and load its model with `load`. Raises InputError with every fault of both files.
+
+    A file without a model has the plant `none`; without that, a model is required.
+    """
     document = read_document(path)
     expect(document, "problem")
-    return interpret(document, name_problem(path), lambda model: load(path.parent / model))
+    return interpret(document, name_problem(path), lambda model: load(path.parent / model), none)
 
 
 def name_problem(path: Path) -> str:
@@ -109,23 +114,32 @@ def state_problem(data: Mapping[str, Data], name: str, plant: Plant) -> Problem:
 
     Raises ProblemError with every fault.
     """
-    document = Document(name, {**data, "model": "model.yaml"}, {}, {})
+    own: dict[str, Data] = {key: value for key, value in data.items() if key != "model"}
+    model: dict[str, Data] = {"model": "model.yaml"} if plant.manifest.coordinates else {}
     try:
-        return interpret(document, name, lambda _: plant)[0]
+        return interpret(Document(name, own | model, {}, {}), name, lambda _: plant, plant)[0]
     except InputError as error:
         raise ProblemError(name, [(x.path or "problem", x.finding, x.remedy) for x in error.faults]) from None
 
 
-def interpret(document: Document, name: str, load: Callable[[str], SomePlant]) -> tuple[Problem, SomePlant]:
-    """Make the problem of a document; `load` loads the model that it names. Raises InputError with every fault."""
+def interpret(
+    document: Document, name: str, load: Callable[[str], SomePlant], none: SomePlant | None = None
+) -> tuple[Problem, SomePlant]:
+    """Make the problem of a document; `load` loads the model that it names, and `none` stands for no model.
+
+    Raises InputError with every fault.
+    """
     examination = examine(document, ProblemSection)
     section, faults = examination.value, list(examination.faults)
     if section is None or lies_under(("model",), examination.stand_ins):
         raise refuse(faults)
     try:
-        plant = load(section.model)
+        plant = none if section.model is None else load(section.model)
     except InputError as error:
         raise refuse([*faults, *error.faults]) from None
+    if plant is None:
+        remedy = "name a model file; only `mbsrun solve` takes problems without a mechanism"
+        raise refuse([*faults, document.fault(("model",), "no model", remedy)])
     reading = _Reading(document, plant, examination.stand_ins)
     problem = reading.problem(name, section)
     if faults or reading.faults:
@@ -185,7 +199,8 @@ class _Reading(PartReading):
         self.add_names(section)
         if not (self.inputs.known or section.controls or self.is_phase):
             remedy = "give it one, or the problem controls: there is nothing to control"
-            self.fault(("model",), "the model has no actuated coordinate", remedy)
+            finding = "the model has no actuated coordinate" if self.coordinates.known else "no model and no controls"
+            self.fault(("model",) if self.coordinates.known else ("controls",), finding, remedy)
         if self.open_inputs:
             left = f"the model leaves {', '.join(self.open_inputs)} open, beside the inputs u"
             self.fault(("model",), left, "give the external wrenches in the model: here they have no value")
@@ -194,11 +209,7 @@ class _Reading(PartReading):
         horizon, horizon_range = self.horizon(section.horizon)
         intervals, mesh = self.intervals(section.intervals)
         accuracy = self.number(("accuracy",), section.accuracy, least=math.ulp(0))
-        if self.closure is None:
-            start_q, free_q = self.start("pose", section.start.pose, self.coordinates, bounds.q)
-            start_qd, free_qd = self.start("velocity", section.start.velocity, self.velocities, bounds.qd)
-        else:
-            start_q, free_q, start_qd, free_qd = self.closed_start(self.closure, section.start, bounds)
+        start_q, free_q, start_qd, free_qd = self.read_start(section.start, bounds)
         cost, end = self.cost(section.cost, horizon), self.end(section.end, bounds)
         if self.closure is not None:
             end = self.closed_end(self.closure, end, start_q)
@@ -240,6 +251,19 @@ class _Reading(PartReading):
         ):
             self.fault((conflict.key,), conflict.finding, conflict.remedy)
         return problem
+
+    def read_start(
+        self, section: StartSection | None, bounds: Bounds
+    ) -> tuple[tuple[float, ...], tuple[int, ...], tuple[float, ...], tuple[int, ...]]:
+        """Return coordinates and velocities of the start, each with the indices of free ones."""
+        if section is None and self.coordinates.known and not self.is_linked:
+            self.fault(("start",), "missing", "give pose, by coordinate or as a list; null is free")
+        section = section or StartSection(pose={})
+        if self.closure is not None:
+            return self.closed_start(self.closure, section, bounds)
+        start_q, free_q = self.start("pose", section.pose, self.coordinates, bounds.q)
+        start_qd, free_qd = self.start("velocity", section.velocity, self.velocities, bounds.qd)
+        return start_q, free_q, start_qd, free_qd
 
     def horizon(self, section: Expression | HorizonSection) -> tuple[float, Range | None]:
         """Return the horizon, or the guess of it and its range."""

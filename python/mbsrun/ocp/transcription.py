@@ -106,7 +106,7 @@ class Transcription:
         upper = lower.copy()
         nq, velocities = self.layout.nq, self.layout.motions.velocities
         given = [i not in problem.free_start for i in (*range(nq), *(nq + i for i in velocities))]
-        free = rows.start[~np.array(given)]
+        free = rows.start[~np.array(given, dtype=bool)]
         lower[free], upper[free] = -np.inf, np.inf
         # a start that is given whole is closed: its loops would be conditions too many
         for row, part in zip(self._split_start_closure(), (given[:nq], given[nq:]), strict=False):

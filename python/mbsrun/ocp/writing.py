@@ -293,6 +293,8 @@ class Writer:
 
     def write_dynamics(self, rows: Indices) -> None:
         """Apply the equations of motion at every stage, as the representation writes them."""
+        if not rows.size:
+            return
         layout, kernel = self.layout, self.kernel
         places = at_stages(layout, self.integrator, self.h)
         scale, factor = np.ones(places.s.size), None
@@ -502,6 +504,8 @@ def _rate_cost(layout: Layout, h: Array) -> Matrix:
 def _input_costs(layout: Layout, horizon: int, h: Array) -> list[Block]:
     """Return the same two terms as functions of the inputs and the horizon, of which h are parts."""
     N, m = layout.inputs.shape
+    if not m:
+        return []
     rows, interval = np.zeros((1, N), dtype=np.int64), np.arange(N)
     inputs = Block(formulas.square_inputs(m), (layout.inputs.T,), rows, interval, scale=h, factor=horizon)
     if N == 1:

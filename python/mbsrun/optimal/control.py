@@ -12,6 +12,7 @@ from mbsgen.documents import Data, abbreviate, read_document
 from mbsgen.errors import Fault, InputError
 from mbsrun.external import load_on_demand
 from mbsrun.ocp import statement
+from mbsrun.ocp.no_mechanism import NO_MECHANISM
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.recorded import find_guess
@@ -141,14 +142,18 @@ class OptimalControl:
         return display.write_table(f"problem {self.name}", self.describe())
 
 
-def problem(model: str | Path | Plant, *, name: str | None = None, **keys: Any) -> OptimalControl:
-    """Return a problem of a model: a model file, a generated folder, or loaded kernels.
+def _load(path: Path) -> Plant:
+    return load_on_demand(path)
+
+
+def problem(model: str | Path | Plant | None, *, name: str | None = None, **keys: Any) -> OptimalControl:
+    """Return a problem of a model: a model file, a generated folder, or loaded kernels; or without one.
 
     It takes the keys of a problem file. Values are numbers, texts, lists, arrays and mappings, by the names of
     coordinates and sensors. By default there are 50 intervals of 4 Radau points, a start at 0 and at rest, and the cost
     is the integral of |u|^2. Raises ProblemError with every fault, InputError for a model with faults.
     """
-    plant = load_on_demand(Path(model)) if isinstance(model, str | Path) else model
+    plant = _load(Path(model)) if isinstance(model, str | Path) else model or NO_MECHANISM
     known = name or (Path(model).stem if isinstance(model, str | Path) else plant.manifest.model)
     data = {**DEFAULTS, **make_plain(known, keys)}
     value = statement.state_problem(data, known, plant)
@@ -158,7 +163,7 @@ def problem(model: str | Path | Plant, *, name: str | None = None, **keys: Any) 
 def read_problem(path: str | Path) -> OptimalControl:
     """Read a problem file and its model. Raises InputError with every fault of both files."""
     file = Path(path)
-    value, plant = statement.read_problem(file, load_on_demand)
+    value, plant = statement.read_problem(file, _load, NO_MECHANISM)
     data = read_document(file).data
     if not isinstance(data, dict):
         raise InputError([Fault(str(file), 0, "", f"found {abbreviate(data)}", "give a mapping of keys")])

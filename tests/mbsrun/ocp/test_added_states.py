@@ -14,6 +14,8 @@ from mbsgen.errors import InputError
 from mbsrun import load
 from mbsrun.ocp import schemes
 from mbsrun.ocp.checks import ProblemError
+from mbsrun.ocp.multistart import Wish, solve_from_many
+from mbsrun.ocp.no_mechanism import NO_MECHANISM
 from mbsrun.ocp.problem import Control, Cost, Form, Integral, Problem, Representation, State, Term
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.schemes import Family
@@ -219,3 +221,60 @@ def test_faults_of_problems_made_in_python() -> None:
     assert places == {"states[1].name", "states[1].rate", "states[2].start", "controls[0].name"}
     with pytest.raises(ProblemError, match="the shooting form takes no states"):
         solve(replace(push(4), states=(State("e", "q_x"),), form=Form.SHOOTING), mass())
+
+
+FALL = """
+constants: {g: 9.81}
+horizon: {guess: 1, range: [0.1, 10]}
+intervals: 40
+scheme: radau
+degree: 3
+states:
+  x: {rate: v*sin(theta), start: 0, end: pi}
+  y: {rate: v*cos(theta), start: 0, end: 2}
+  v: {rate: g*cos(theta), start: 0, guess: [0, 6]}
+controls:
+  theta: {range: [0, pi], guess: 1}
+cost: {terminal: [{expression: T}]}
+"""
+
+
+def test_the_brachistochrone_needs_no_mechanism(tmp_path: Path) -> None:
+    """A cycloid of radius 1 takes pi / sqrt(g) to its lowest point; steps of the slope lose a part of order 1 / N^2."""
+    (tmp_path / "fall.ocp.yaml").write_text(FALL)
+    problem, plant = read_problem(tmp_path / "fall.ocp.yaml", load, NO_MECHANISM)
+    solution = solve(problem, plant)
+    assert isinstance(solution, Solution), solution
+    least = np.pi / np.sqrt(9.81)
+    assert least < solution.cost.total < least * (1 + 0.5 / 40**2)
+    check = resimulate(solution, plant).resimulation
+    assert check is not None
+    assert check.is_accurate
+    by_stages = solve(problem.with_solver("mbs"), plant)
+    assert isinstance(by_stages, Solution), by_stages
+    assert by_stages.cost.total == pytest.approx(solution.cost.total, rel=1e-9)
+
+
+def test_a_file_without_a_mechanism_names_what_it_needs(tmp_path: Path) -> None:
+    """A command that needs a model refuses the file; a mechanism needs a start; without both there is no control."""
+    path = tmp_path / "fall.ocp.yaml"
+    path.write_text(FALL)
+    with pytest.raises(InputError, match="model: no model; name a model file"):
+        read_problem(path, load)
+    path.write_text(FALL.replace("states:", f"model: {MODELS / 'pendulum.yaml'}\nstates:"))
+    with pytest.raises(InputError, match="start: missing; give pose"):
+        read_problem(path, load)
+    path.write_text("horizon: 1\nintervals: 1\nscheme: radau\ndegree: 1\ncost: {inputs: 1}\nstart: {pose: {q: 1}}\n")
+    with pytest.raises(InputError) as error:
+        read_problem(path, load, NO_MECHANISM)
+    assert {fault.path for fault in error.value.faults} == {"controls", "start.pose.q"}
+
+
+def test_many_starts_without_a_mechanism(tmp_path: Path) -> None:
+    """Random states and controls lead to the same optimum."""
+    (tmp_path / "fall.ocp.yaml").write_text(FALL.replace("40", "8"))
+    problem, plant = read_problem(tmp_path / "fall.ocp.yaml", load, NO_MECHANISM)
+    starts, outcome = solve_from_many(problem, plant, None, Wish(3), tmp_path / "starts.sqlite", lambda _: None)
+    assert isinstance(outcome, Solution)
+    assert [start.kind for start in starts.results] == ["guess", "noise", "noise"]
+    assert starts.times == 3

@@ -14,6 +14,7 @@ from pathlib import Path
 from mbsgen.documents import Data, Document, Place, examine, lies_under, read_document, refuse
 from mbsgen.errors import Fault, InputError
 from mbsgen.expressions import Expression, is_free_name
+from mbsrun.ocp.no_mechanism import NO_MECHANISM
 from mbsrun.ocp.phases.checks import find_faults
 from mbsrun.ocp.phases.impacts import AXES, find_axes
 from mbsrun.ocp.phases.problem import Condition, Impact, Link, Phase, PhasedProblem, Plants
@@ -150,7 +151,7 @@ def _read_phase(document: Document, k: int, linked: set[str], loading: _Loading)
     section = examination.value
     if section is None or lies_under(("model",), examination.stand_ins):
         return _Read(name, None, None, faults)
-    plant = loading.load(section.model)
+    plant = NO_MECHANISM if section.model is None else loading.load(section.model)
     if plant is None:
         return _Read(name, None, None, faults)
     problem, found = read_phase(part, examination, plant, name, is_linked=name in linked)
