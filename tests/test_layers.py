@@ -102,7 +102,7 @@ MBSRUN = Package(
         "linearisation",
         "ocp.conditions ocp.quantities",
         "ocp.backends ocp.structure ocp.stages ocp.values",
-        "ocp.closing",
+        "ocp.closing ocp.design",
         "ocp.methods ocp.writing",
         "ocp.checks ocp.transcription",
         "ocp.sections ocp.clashes",

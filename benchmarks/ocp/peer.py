@@ -27,7 +27,7 @@ from benchmarks.newton_euler import write_functions
 from mbsgen.manifest import Kernel, Manifest
 from mbsgen.model.tree import Tree
 from mbsrun.library import find_compiler
-from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.plant import Plant, Unchangeable
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.trajectory import Trajectory
 
@@ -173,7 +173,7 @@ def compile_solver(solver: ca.Function, options: Mapping[str, Any], shelf: Shelf
     return ca.nlpsol("peer", "ipopt", str(library), compiled), seconds_writing + seconds
 
 
-class Points:
+class Points(Unchangeable):
     """The kernels of a model; the dynamics are C that CasADi writes of other equations and their derivatives.
 
     A program that is assembled from derivatives at points, as in `mbsrun.ocp`, uses them instead of the generated ones.
@@ -202,10 +202,10 @@ class Points:
         self.describe(name)
         return self
 
-    def casadi(self, name: str) -> ca.Function:
-        """Return a kernel as a CasADi function with its derivatives."""
+    def casadi(self, name: str, *, design: bool = False) -> ca.Function:
+        """Return a kernel as a CasADi function with its derivatives; design: `theta` is an input."""
         if name not in self._functions:
-            return self._plant.casadi(name)
+            return self._plant.casadi(name, design=design)
         function = _eliminate(self._functions[name], f"peer_{name}")
         adjoint = function.reverse(1)
         with tempfile.TemporaryDirectory() as folder:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence, Set
 from pathlib import Path
+from typing import Self
 
 import casadi as ca
 from numpy.typing import ArrayLike
@@ -102,6 +104,18 @@ class OnDemand:
         self._mechanisms: dict[str, Mechanism] = {}
         self.manifest = self._start.manifest
 
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """The run-time and differentiated parameters in use."""
+        return self._start.parameters
+
+    def with_parameters(self, **parameters: float) -> Self:
+        """Return the same kernels with other values of the named parameters."""
+        other = copy.copy(self)
+        other._start = self._start.with_parameters(**parameters)
+        other._mechanisms = {}
+        return other
+
     def describe(self, name: str) -> Kernel:
         """Describe a kernel, as `Kernels.describe` does."""
         return self._find(name).describe(name)
@@ -116,9 +130,9 @@ class OnDemand:
             return self._start
         return self._load(split_kernel(name)[0])
 
-    def casadi(self, name: str) -> ca.Function:
+    def casadi(self, name: str, *, design: bool = False) -> ca.Function:
         """Return a function with its exact derivatives, as `Mechanism.casadi` does."""
-        return self._load(name).casadi(name)
+        return self._load(name).casadi(name, design=design)
 
     def find_family(self, name: str) -> Mechanism:
         """Return the kernels that hold a function with all of its derivatives."""
@@ -127,7 +141,8 @@ class OnDemand:
     def _load(self, function: str) -> Mechanism:
         if function not in self._mechanisms:
             together = LOOPS if function in LOOPS else (function,)
-            self._mechanisms |= dict.fromkeys(together, Mechanism(find_folder(self._path, Extent(together))))
+            mechanism = Mechanism(find_folder(self._path, Extent(together)), self.parameters)
+            self._mechanisms |= dict.fromkeys(together, mechanism)
         return self._mechanisms[function]
 
 

@@ -28,6 +28,7 @@ class Added:
 
     states: tuple[str, ...] = ()
     controls: tuple[str, ...] = ()
+    unknowns: tuple[str, ...] = ()
 
 
 def list_quantities(manifest: Manifest, added: Added | None = None) -> Mapping[str, Quantity]:
@@ -47,7 +48,7 @@ def list_quantities(manifest: Manifest, added: Added | None = None) -> Mapping[s
             known[f"v{axis}_{name}"] = Quantity("v", 3 * i + k)
     if added is not None:
         known |= {name: Quantity("w", i) for i, name in enumerate(name_components(manifest)) if name is not None}
-        for kind, own in (("states", added.states), ("controls", added.controls)):
+        for kind, own in (("states", added.states), ("controls", added.controls), ("unknowns", added.unknowns)):
             known |= {name: Quantity(kind, i) for i, name in enumerate(own)}
     return known
 

@@ -23,13 +23,13 @@ from mbsrun.measuring.candidates import load_equations, trace
 from mbsrun.measuring.functions import Variant
 from mbsrun.measuring.mechanisms import Subject
 from mbsrun.models import Extent
-from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.plant import Plant, Unchangeable
 
 Way = Literal["generated", "CasADi's AD, compiled", "CasADi's AD, interpreted"]
 WAYS: tuple[Way, ...] = ("generated", "CasADi's AD, compiled", "CasADi's AD, interpreted")
 
 
-class Differentiated:
+class Differentiated(Unchangeable):
     """The kernels of a model; CasADi differentiates the kernels of the dynamics."""
 
     def __init__(self, plant: Plant, model: Path, is_compiled: bool) -> None:
@@ -55,10 +55,10 @@ class Differentiated:
         self.describe(name)
         return self
 
-    def casadi(self, name: str) -> ca.Function:
-        """Return a kernel as a CasADi function."""
+    def casadi(self, name: str, *, design: bool = False) -> ca.Function:
+        """Return a kernel as a CasADi function; design: differentiated parameters are an input."""
         if name not in DIFFERENTIATED:
-            return self._plant.casadi(name)
+            return self._plant.casadi(name, design=design)
         function = trace(self._equations, self._subject.manifest.kernel(name))
         return self._compile(function) if self._is_compiled else function
 

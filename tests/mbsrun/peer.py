@@ -13,6 +13,7 @@ from mbsgen.formulations import ports
 from mbsgen.manifest import FORMAT, Argument, Coordinate, Flops, Frame, Kernel, Manifest
 from mbsgen.roles import Role, split_kernel
 from mbsgen.tape.ports import Port
+from mbsrun.ocp.plant import Unchangeable
 
 _NAMES_OF_RESIDUAL = (["q", "qd", "qdd", "u"], ["Phi"])
 FREE = {"lower": None, "upper": None}
@@ -24,7 +25,7 @@ _DERIVATIVES: Mapping[str, Callable[[ca.Function], ca.Function]] = {
 _NONE = Flops(paper=0, arithmetic=0, add=0, mul=0, div=0, neg=0, sqrt=0, trig=0, other=0)
 
 
-class Peer:
+class Peer(Unchangeable):
     """A manifest, calls by name, CasADi functions by name; `impl`, `sensors` and `frames` are given as SX functions."""
 
     def __init__(
@@ -58,8 +59,9 @@ class Peer:
         m = self.manifest
         return Peer(m.model, {**known, **functions}, m.coordinates, m.frames)
 
-    def casadi(self, name: str) -> ca.Function:
-        """Return a kernel as a CasADi function; derivatives are CasADi's."""
+    def casadi(self, name: str, *, design: bool = False) -> ca.Function:
+        """Return a kernel as a CasADi function; derivatives are CasADi's. It has no parameters."""
+        assert not design, "a peer has no parameters"
         if name not in self._functions:
             for prefix, differentiate in _DERIVATIVES.items():
                 if name.startswith(prefix):

@@ -18,9 +18,10 @@ from mbsgen.expressions import ExpressionError, is_free_name, names, parse
 from mbsgen.manifest import Manifest
 from mbsgen.roles import Role
 from mbsrun.closure import has_loops
+from mbsrun.ocp.design import list_changeable
 from mbsrun.ocp.integrators import INTEGRATORS
 from mbsrun.ocp.methods import METHODS
-from mbsrun.ocp.problem import Conflict, Control, Form, Loops, Problem, Representation, State, find_conflicts
+from mbsrun.ocp.problem import Conflict, Control, Form, Loops, Problem, Representation, State, Unknown, find_conflicts
 from mbsrun.ocp.quantities import list_quantities
 from mbsrun.ocp.schemes import DEGREES, Family
 from mbsrun.quaternions import list_quaternions
@@ -61,6 +62,7 @@ def check_problem(problem: Problem, manifest: Manifest, *, is_phase: bool = Fals
     findings = [found for found in findings if not (is_phase and found in (_FREE_OF_COST, _UNCONTROLLED))]
     if not findings:
         conflicts = [*find_conflicts(problem), *find_loop_conflicts(problem, manifest), *find_open_references(problem)]
+        conflicts += find_unknown_conflicts(problem, manifest)
         findings = [(c.key, c.finding, c.remedy) for c in conflicts]
         findings += _find_divided_quaternions(problem, manifest)
     if findings:
@@ -131,6 +133,24 @@ def find_open_references(problem: Problem) -> Iterator[Conflict]:
                 spans = ", ".join(f"{a:.6g} to {b:.6g} s" for a, b in unknown[:3]) + (", ..." if unknown[3:] else "")
                 finding = f"{name} is unknown at {spans} of its recording, and {abbreviate(text)} reads it"
                 yield Conflict("references", finding, f"multiply by {minded}, which is 0 there, or bridge longer gaps")
+
+
+def find_unknown_conflicts(problem: Problem, manifest: Manifest) -> Iterator[Conflict]:
+    """Find unknowns and parameters that a model does not allow."""
+    changeable, given = list_changeable(manifest), dict(problem.parameters)
+    for name in given:
+        if name not in changeable:
+            finding = f"{manifest.model} has no parameter {abbreviate(name)} that may be changed"
+            yield Conflict("parameters", finding, f"there are {', '.join(changeable) or 'none'}")
+    for name in (unknown.name for unknown in problem.unknowns):
+        if name in given:
+            yield Conflict("unknowns", f"{name} has a value in parameters, too", "leave one of them out")
+        if changeable.get(name) is False:
+            finding = f"{name} is a run-time parameter, by which kernels have no derivatives"
+            yield Conflict("unknowns", finding, "write kind: differentiated in the model")
+        if changeable.get(name) and has_loops(manifest):
+            finding = f"{name} is a parameter of a mechanism with closed loops"
+            yield Conflict("unknowns", finding, "give it a value in parameters")
 
 
 _WITHOUT_REDUCTION = (Representation.SEMI, Representation.EXP2_O, Representation.EXP2_A)
@@ -277,6 +297,9 @@ def _find_strangers(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
         for i in indices:
             if not 0 <= i < size:
                 yield (place, f"found index {i}", f"give one from 0 to {size - 1}")
+    for unknown in problem.unknowns:
+        if not (math.isfinite(unknown.guess) and unknown.bounds[0] <= unknown.guess <= unknown.bounds[1]):
+            yield ("unknowns", f"the guess of {unknown.name} is {unknown.guess:g}", "guess within the range")
     ends = [*end.coordinates, *end.velocities, *end.accelerations]
     if not all(math.isfinite(value) for _, value in ends):
         yield ("end", "a value is not finite", "give finite numbers")
@@ -311,8 +334,11 @@ def list_expressions(problem: Problem) -> Iterator[tuple[str, tuple[str, ...]]]:
 def _find_wrong_additions(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
     """Find states and controls with names that are taken, or numbers that do not fit each other."""
     taken = {*list_quantities(manifest), *(name for name, _ in problem.constants)}
-    named: list[tuple[str, State | Control]] = [(f"states[{i}]", state) for i, state in enumerate(problem.states)]
+    named: list[tuple[str, State | Control | Unknown]] = [
+        (f"states[{i}]", state) for i, state in enumerate(problem.states)
+    ]
     named += [(f"controls[{i}]", control) for i, control in enumerate(problem.controls)]
+    named += [(f"unknowns[{i}]", unknown) for i, unknown in enumerate(problem.unknowns)]
     for place, part in named:
         if not is_free_name(part.name) or part.name in taken:
             yield (f"{place}.name", f"found {abbreviate(part.name)}", "give a word that means nothing else")

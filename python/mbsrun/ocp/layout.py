@@ -79,6 +79,8 @@ class Layout:
     corrections: Indices  # (N, S, ...): of coordinates, then of velocities
     inputs: Indices  # (N, m)
     horizon: int | None  # T, where it is free
+    unknowns: Indices  # numbers of the whole horizon that the solver chooses
+    design: Indices  # the variables of theta; none where kernels read values of the model
     size: int
     extras: Extras
 
@@ -142,6 +144,7 @@ def lay_out(
     horizon_is_free: bool,
     states: int = 0,
     controls: int = 0,
+    unknowns: int = 0,
 ) -> Layout:
     """Number the variables; `has_states` and `has_accelerations` say which variables the stages have.
 
@@ -172,7 +175,9 @@ def lay_out(
         corrections=corrections,
         inputs=inputs[:, :m],
         horizon=N * stride + width + states if horizon_is_free else None,
-        size=N * stride + width + states + horizon_is_free,
+        unknowns=N * stride + width + states + horizon_is_free + np.arange(unknowns),
+        design=np.zeros(0, dtype=np.int64),
+        size=N * stride + width + states + horizon_is_free + unknowns,
         extras=Extras(mesh[:, width:], further, inputs[:, m:]),
     )
 

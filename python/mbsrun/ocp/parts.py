@@ -1,4 +1,4 @@
-"""The parts of a problem file that add to a mechanism: states, controls, integrals.
+"""The parts of a problem file that add to a mechanism: states, controls, integrals, unknown numbers.
 
 `statement` reads the other parts; expressions everywhere read the names that are added here.
 """
@@ -12,10 +12,11 @@ from pathlib import Path
 from mbsgen.documents import Document, Place, abbreviate, nearest
 from mbsgen.expressions import Expression, is_free_name, names, parse
 from mbsgen.manifest import Manifest
-from mbsrun.ocp.problem import Control, Integral, Range, State
+from mbsrun.ocp.design import list_changeable
+from mbsrun.ocp.problem import Control, Integral, Range, State, Unknown
 from mbsrun.ocp.quantities import Quantity
 from mbsrun.ocp.referring import Referring
-from mbsrun.ocp.sections import ControlSection, IntegralSection, Limits, ProblemSection, StateSection
+from mbsrun.ocp.sections import ControlSection, IntegralSection, Limits, ProblemSection, StateSection, UnknownSection
 from mbsrun.reading import Reading
 
 FREE: Range = (-math.inf, math.inf)
@@ -26,6 +27,7 @@ class PartReading(Reading):
 
     def __init__(self, document: Document, stand_ins: frozenset[Place], manifest: Manifest) -> None:
         super().__init__(document, stand_ins)
+        self.manifest = manifest
         self.referring = Referring(self, manifest, Path(document.file).parent)
         self.quantities: dict[str, Quantity] = {}  # everything that an expression of the motion reads
         self.used: set[str] = set()  # constants that formulas read
@@ -51,8 +53,12 @@ class PartReading(Reading):
                 self.fault(place, f"unknown name {abbreviate(name)}", remedy)
 
     def add_names(self, section: ProblemSection) -> None:
-        """Let expressions read the names of states and controls."""
-        for key, kind, given in (("states", "a state", section.states), ("controls", "a control", section.controls)):
+        """Let expressions read the names of states, controls and unknowns."""
+        for key, kind, given in (
+            ("states", "a state", section.states),
+            ("controls", "a control", section.controls),
+            ("unknowns", "an unknown", section.unknowns),
+        ):
             for i, name in enumerate(given):
                 if not is_free_name(name) or name in self.quantities or name in self.constants:
                     self.fault((key, name), f"no name for {kind}", "give a word that means nothing else")
@@ -108,6 +114,23 @@ class PartReading(Reading):
         for name, section in given.items():
             bounds = self.range(("controls", name, "range"), section.range)
             found.append(Control(name, bounds, self.guessed(("controls", name, "guess"), section.guess, bounds)))
+        return tuple(found)
+
+    def unknowns(self, given: Mapping[str, UnknownSection]) -> tuple[Unknown, ...]:
+        """Read the numbers that the solver chooses."""
+        found = []
+        for name, section in given.items():
+            bounds = self.range(("unknowns", name, "range"), section.range)
+            found.append(Unknown(name, bounds, self.guessed(("unknowns", name, "guess"), section.guess, bounds)))
+        return tuple(found)
+
+    def parameters(self, given: Mapping[str, Expression]) -> tuple[tuple[str, float], ...]:
+        """Read values of the model's parameters."""
+        known, found = list(list_changeable(self.manifest)), []
+        for name, expression in given.items():
+            value = self.number(("parameters", name), expression)
+            if self.find(("parameters", name), name, known, "parameter that may be changed") is not None:
+                found.append((name, value))
         return tuple(found)
 
     def integrals(self, given: Sequence[IntegralSection]) -> tuple[Integral, ...]:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from mbsgen.manifest import Frame, Manifest
 from mbsrun.animation import Marker, render_animation
+from mbsrun.ocp.design import equip
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.solution import Rounds, Solution, Starts
 from mbsrun.quaternions import find_rates
@@ -164,6 +165,7 @@ def draw_mechanism(solution: Solution, plant: Plant, path: Path) -> None:
 def make_mechanism(solution: Solution, plant: Plant) -> Figure:
     """Draw the mechanism at several times, with the paths and targets of its sensors."""
     trajectory = solution.trajectory
+    plant = equip(plant, solution.problem, trajectory.unknowns)
     skeleton = place(plant, trajectory.q)
     frames, p = skeleton.frames, skeleton.p
     figure = Figure(figsize=(8, 7), layout="constrained")
@@ -199,6 +201,7 @@ def make_animation(solution: Solution, plant: Plant) -> str:
     """Return the text of a page that plays the motion, with the targets of its sensors."""
     trajectory, targets = solution.trajectory, solution.problem.end.sensors
     markers = [Marker(f"target of {name}", position) for name, position in targets]
+    plant = equip(plant, solution.problem, trajectory.unknowns)
     rates = find_rates(plant, trajectory.q, trajectory.qd)
     title = solution.problem.name
     return render_animation(plant, trajectory.t, trajectory.q, qd=rates, title=title, markers=markers)

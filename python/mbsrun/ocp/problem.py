@@ -269,6 +269,7 @@ class Problem:
         return Added(
             states=(*(state.name for state in self.states), *integrals),
             controls=tuple(control.name for control in self.controls),
+            unknowns=tuple(unknown.name for unknown in self.unknowns),
         )
 
     @property
@@ -321,6 +322,9 @@ def find_conflicts(problem: Problem) -> list[Conflict]:
     if form is Form.SHOOTING and problem.mesh is not None:
         finding = "shooting condenses intervals that are alike, and these have lengths of their own"
         found.append(Conflict("intervals", finding, "give their number, or take form: standard or integral"))
+    if form is Form.SHOOTING and problem.unknowns:
+        finding = "shooting solves for the motion of each interval by itself, and takes no unknowns"
+        found.append(Conflict("unknowns", finding, "take form: standard"))
     if form is Form.INTEGRAL and representation.is_ode:
         finding = f"{representation.value} has no accelerations to integrate"
         found.append(Conflict("form", finding, "take EXP1-A or IMPL"))

@@ -43,7 +43,7 @@ __all__ = ["Added", "Quantity", "formulate", "list_quantities"]
 CONSTANTS = "constants"  # the kind of a problem's constants
 TIME = "s"  # the kind of numbers that are given at each place: the time over the horizon, then references
 _TIME_NAME = "@s"  # which no text can hold
-_ORDER = ("q", "qd", "yd", "qdd", "u", "w", "states", "controls", "T")  # of the inputs of a formula
+_ORDER = ("q", "qd", "yd", "qdd", "u", "w", "states", "controls", "T", "unknowns")  # of the inputs of a formula
 
 
 def _call(function: str, *arguments: Expression) -> Expression:

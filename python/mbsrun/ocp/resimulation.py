@@ -29,6 +29,7 @@ from scipy.integrate import DOP853
 from mbsgen.errors import MbsError
 from mbsrun.closure import CLOSED, find_closure, has_loops
 from mbsrun.limits import Allowance, LimitError, Limits
+from mbsrun.ocp.design import equip
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.solution import Resimulation, Solution
@@ -45,6 +46,7 @@ LIMITS = Limits(steps=20_000, seconds=60.0)  # of a whole check; the paper's tas
 def resimulate(solution: Solution, plant: Plant, limits: Limits = LIMITS) -> Solution:
     """Return the solution with its re-simulation, of which `unfinished` states the limit that ended it, if one did."""
     trajectory = solution.trajectory
+    plant = equip(plant, solution.problem, trajectory.unknowns)
     steps = solution.problem.grid.lengths(float(trajectory.t[-1]))
     states = np.concatenate((trajectory.q, trajectory.qd, trajectory.states), axis=1)
     course = Course(solution.problem, trajectory, plant)

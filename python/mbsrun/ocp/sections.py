@@ -265,6 +265,13 @@ class SolverSection(Section):
     options: dict[str, bool | int | float | str] = Field(default={}, examples=[{}])
 
 
+class UnknownSection(Section):
+    """A number that the solver chooses."""
+
+    guess: NumberField = Field(examples=[1.0])
+    range: RangeField = Field(default=(None, None), examples=[[0.1, 10.0]])
+
+
 class StateSection(Section):
     """A state beside those of the mechanism."""
 
@@ -295,6 +302,8 @@ class ProblemSection(Section):
     model: Annotated[str, AfterValidator(_check_model)] | None = Field(default=None, examples=["model.yaml"])
     constants: dict[str, NumberField] = Field(default={}, examples=[{}])
     references: dict[str, ReferenceSection] = Field(default={}, examples=[{}])
+    parameters: dict[str, NumberField] = Field(default={}, examples=[{}])
+    unknowns: dict[str, UnknownSection] = Field(default={}, examples=[{}])
     horizon: HorizonField = Field(examples=[1.0])
     intervals: IntervalsField = Field(examples=[100])
     scheme: Family = Field(examples=["radau"])

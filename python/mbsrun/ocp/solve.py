@@ -21,6 +21,7 @@ from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.checks import ProblemError, check_problem, find_loop_conflicts
 from mbsrun.ocp.clashes import describe
 from mbsrun.ocp.conditions import find_open_states
+from mbsrun.ocp.design import equip
 from mbsrun.ocp.guess import Pose, adapt, make_guess
 from mbsrun.ocp.methods import METHODS, Iterate, Order, Start
 from mbsrun.ocp.plant import Plant
@@ -58,7 +59,7 @@ class Solver:
         """Transcribe a problem. Raises ProblemError with every fault of it."""
         check_problem(problem, plant.manifest)
         _check_states(problem, plant)
-        self.plant = plant
+        self.plant = plant = equip(plant, problem)
         self._loops = settle(problem, plant).loops
         self.transcription = transcribe(replace(problem, loops=self._loops), plant)
         self.program = Prepared(self.transcription.program, plant)
@@ -78,7 +79,7 @@ class Solver:
         crossed = find_crossed_bounds(problem, self.plant.manifest)
         if crossed:
             return Failure(problem, Run(BAD_BOUNDS, 0, 0.0, 0.0), crossed, "give bounds that leave room")
-        x = self.transcription.pack(complete(guess, problem, self.plant))
+        x = self.transcription.pack(complete(_complete_guess(guess, problem), problem, self.plant))
         if not np.isfinite(x).all():
             finding = "the guess has numbers that are not finite"
             return Failure(problem, Run(BAD_GUESS, 0, 0.0, 0.0), finding, "take another guess")
@@ -234,6 +235,7 @@ def solve(
     """
     check_problem(problem, plant.manifest)
     _check_states(problem, plant)
+    plant = equip(plant, problem)
     scheme = schemes.build(problem.family, problem.degree)
     start = make_guess(problem, plant, scheme) if guess is None else adapt(guess, problem, scheme)
     if isinstance(start, Pose):
@@ -241,6 +243,13 @@ def solve(
     problem = settle(problem, plant, start)
     check_problem(problem, plant.manifest)
     return make(problem, plant).solve(problem, start, watch)
+
+
+def _complete_guess(guess: Trajectory, problem: Problem) -> Trajectory:
+    """Take the problem's guess of unknowns where a motion has not as many."""
+    if guess.unknowns.size == len(problem.unknowns):
+        return guess
+    return replace(guess, unknowns=np.array([unknown.guess for unknown in problem.unknowns]))
 
 
 def _check_states(problem: Problem, plant: Plant) -> None:

@@ -39,9 +39,11 @@ from mbsrun.ocp.checks import (
     ProblemError,
     find_loop_conflicts,
     find_open_references,
+    find_unknown_conflicts,
     list_open_inputs,
 )
 from mbsrun.ocp.conditions import Completion, complete_pose, complete_velocities, find_strays, find_surplus
+from mbsrun.ocp.design import equip
 from mbsrun.ocp.grid import divide
 from mbsrun.ocp.methods import METHODS, Amount
 from mbsrun.ocp.parts import PartReading
@@ -144,7 +146,7 @@ def interpret(
     problem = reading.problem(name, section)
     if faults or reading.faults:
         raise refuse([*faults, *reading.faults])
-    return problem, plant
+    return problem, equip(plant, problem)
 
 
 def read_phase(
@@ -172,8 +174,8 @@ class _Reading(PartReading):
         super().__init__(document, stand_ins, plant.manifest)
         self.is_phase, self.is_linked = is_phase, is_linked
         manifest = plant.manifest
-        self.closure = None if manifest.quaternions else find_closure(plant)
-        self.manifest = manifest
+        self.manifest, self.plant = manifest, plant
+        self.closure: Closure | None = None
         self.coordinates = _Names("coordinate", list(manifest.positions))
         kind = "velocity" if manifest.configuration else "coordinate"
         self.velocities = _Names(kind, [c.name for c in manifest.coordinates])
@@ -197,6 +199,11 @@ class _Reading(PartReading):
                 self.fault(("constants", key), "no name for a constant", "give a word that means nothing else")
             self.constants[key] = self.number(("constants", key), expression)
         self.add_names(section)
+        parameters, unknowns = self.parameters(section.parameters), self.unknowns(section.unknowns)
+        if not self.faults:
+            changed = dict(parameters) | {x.name: x.guess for x in unknowns if x.name in self.plant.parameters}
+            self.plant = self.plant.with_parameters(**changed)
+        self.closure = None if self.manifest.quaternions else find_closure(self.plant)
         if not (self.inputs.known or section.controls or self.is_phase):
             remedy = "give it one, or the problem controls: there is nothing to control"
             finding = "the model has no actuated coordinate" if self.coordinates.known else "no model and no controls"
@@ -235,6 +242,8 @@ class _Reading(PartReading):
             free_start=(*free_q, *(len(start_q) + i for i in free_qd)),
             constraints=constraints,
             guess=self.guess(section.guess),
+            parameters=parameters,
+            unknowns=unknowns,
             accuracy=accuracy,
             refine=self.refinement(section.refine, accuracy),
             solver=self.solver(section.solver),
@@ -248,6 +257,7 @@ class _Reading(PartReading):
             *find_conflicts(problem),
             *find_loop_conflicts(problem, self.manifest),
             *find_open_references(problem),
+            *find_unknown_conflicts(problem, self.manifest),
         ):
             self.fault((conflict.key,), conflict.finding, conflict.remedy)
         return problem

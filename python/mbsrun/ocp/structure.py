@@ -41,6 +41,7 @@ class Structure:
     references: tuple[Reference, ...] = ()
     loops: Loops | None = None
     mesh: tuple[float, ...] | None = None  # fractions of the horizon; None: intervals are equal
+    parameters: tuple[tuple[str, float], ...] = ()  # of the model, which kernels read
     known_velocities: tuple[int, ...] = ()  # indices into qd of velocities with bounds or a given start, when reduced
     added: Added = field(default_factory=Added)
     rates: tuple[str, ...] = ()  # of the states that the problem adds
@@ -87,6 +88,7 @@ def structure(problem: Problem) -> Structure:
         references=problem.references,
         loops=problem.loops,
         mesh=problem.mesh,
+        parameters=problem.parameters,
         known_velocities=_list_known_velocities(problem) if problem.loops is Loops.REDUCED else (),
         added=problem.added,
         rates=tuple(state.rate for state in problem.every_state),

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from mbsrun.closure import CLOSED
 from mbsrun.ocp.multistart import describe_starts
-from mbsrun.ocp.problem import Loops
+from mbsrun.ocp.problem import Loops, Unknown
 from mbsrun.ocp.solution import Resimulation, Solution
 
 LOOPS: Mapping[Loops, str] = {
@@ -37,6 +37,7 @@ def summarise(solution: Solution) -> dict[str, str]:
         + ("" if violation.lengths is None else f", {violation.lengths:.1e} of quaternions' lengths"),
         **_describe_loops(solution),
         **_describe_grid(solution),
+        **{x.name: f"{value:.10g}" for x, value in _list_unknowns(solution)},
     }
     if check is not None:
         accuracy = solution.problem.asked_accuracy
@@ -83,6 +84,11 @@ def _describe_grid(solution: Solution) -> dict[str, str]:
         grid = f"{len(each.times) - 1} intervals, degree {each.degree}, {each.variables} variables"
         rows[f"  round {k}"] = f"{grid}: {found}, defect {defect}" + (f"; {each.change}" if each.change else "")
     return rows
+
+
+def _list_unknowns(solution: Solution) -> Iterator[tuple[Unknown, float]]:
+    """List the numbers that the solver chose."""
+    return zip(solution.problem.unknowns, solution.trajectory.unknowns.tolist(), strict=True)
 
 
 def _describe_loops(solution: Solution) -> dict[str, str]:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.manifest import Manifest
+from mbsrun.ocp.design import equip
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.schemes import read_basis
@@ -27,6 +28,7 @@ SAME = 1e-12  # of an interval: points that are as near to its end are the next 
 
 def write_table(solution: Solution, plant: Plant, path: Path) -> None:
     """Write a solution as CSV, with every digit."""
+    plant = equip(plant, solution.problem, solution.trajectory.unknowns)
     columns = list_motion(solution.trajectory)
     if solution.multipliers is not None:
         columns.append(_read_forces(solution.trajectory, solution.multipliers))

@@ -47,6 +47,7 @@ class Trajectory:
     controls: Array = field(default_factory=NONE.copy)  # (N, nc): beside u, constant from t[k] to t[k + 1]
     point_u: Array = field(default_factory=NONE.copy)  # (N, d, m), or (N, d, 0) where all inputs are constant
     point_w: Array = field(default_factory=NONE.copy)  # (N, d, nw): components of open wrenches
+    unknowns: Array = field(default_factory=lambda: np.zeros(0))  # of the whole motion, as the problem orders them
 
     def __post_init__(self) -> None:
         arrays = (self.t, self.q, self.qd, self.u, self.point_t, self.point_q, self.point_qd, self.point_qdd)
@@ -94,6 +95,7 @@ def resample(trajectory: Trajectory, t: NDArray[np.float64], point_t: NDArray[np
         controls=average_inputs(trajectory.t, trajectory.controls, t * pace),
         point_u=points.accelerations(trajectory.point_u),
         point_w=points.accelerations(trajectory.point_w),
+        unknowns=trajectory.unknowns,
     )
 
 
@@ -120,6 +122,7 @@ def move_ahead(
         point_q=points.states(trajectory.q, trajectory.point_q),
         point_qd=points.states(trajectory.qd, trajectory.point_qd) * points_move,
         point_qdd=points.accelerations(trajectory.point_qdd) * points_move,
+        unknowns=trajectory.unknowns,
     )
 
 

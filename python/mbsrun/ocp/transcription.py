@@ -34,6 +34,7 @@ import numpy as np
 
 from mbsrun.closure import Closure, find_closure
 from mbsrun.ocp import integrators, schemes
+from mbsrun.ocp.design import list_fixed_values
 from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.integrators import Integrator
 from mbsrun.ocp.layout import Layout, Rows, at_points
@@ -64,6 +65,7 @@ class Transcription:
     rows: Rows
     program: Program
     closure: Closure | None = None  # of a mechanism with closed loops
+    fixed: tuple[float, ...] = ()  # values of the entries of theta that are no unknowns
 
     def parameters(self, problem: Problem) -> Array:
         """Return the parameters of the program: weights, constants, attitudes of the end."""
@@ -88,6 +90,9 @@ class Transcription:
             lower[index], upper[index] = bounds.T
         if problem.horizon_range is not None:
             lower[self.layout.horizon], upper[self.layout.horizon] = problem.horizon_range
+        lower[self._fixed] = upper[self._fixed] = self.fixed
+        bounds = np.array([unknown.bounds for unknown in problem.unknowns]).reshape(-1, 2)
+        lower[self.layout.unknowns], upper[self.layout.unknowns] = bounds.T
         return lower[self.program.kept], upper[self.program.kept]
 
     def constraint_bounds(self, problem: Problem) -> tuple[Array, Array]:
@@ -147,6 +152,8 @@ class Transcription:
         x[layout.extras.controls] = trajectory.controls
         if layout.horizon is not None:
             x[layout.horizon] = trajectory.t[-1]
+        x[layout.unknowns] = trajectory.unknowns
+        x[self._fixed] = self.fixed
         if layout.accelerations.size and not self.program.solves_inner:
             x[layout.accelerations] = trajectory.point_qdd[:, :, independent]
         if layout.multipliers.size and self.closure is not None:
@@ -189,7 +196,13 @@ class Transcription:
             states=x[layout.extras.states],
             point_states=x[layout.extras.point_states],
             controls=x[layout.extras.controls],
+            unknowns=x[layout.unknowns],
         )
+
+    @property
+    def _fixed(self) -> Indices:
+        """The variables of theta that are no unknowns."""
+        return np.setdiff1d(self.layout.design, self.layout.unknowns)
 
     def read_multipliers(self, x: Array, trajectory: Trajectory) -> Array | None:
         """Read the multipliers of loops, (N, d, m), off all variables, or find them where they are none."""
@@ -232,4 +245,14 @@ def transcribe(problem: Problem, plant: Plant) -> Transcription:
     writer = Writer(shape, plant, scheme, integrator)
     rows, program = writer.write()
     closure = find_closure(plant)
-    return Transcription(shape, writer.quaternions, scheme, integrator, writer.layout, rows, program, closure)
+    return Transcription(
+        shape,
+        writer.quaternions,
+        scheme,
+        integrator,
+        writer.layout,
+        rows,
+        program,
+        closure,
+        list_fixed_values(shape.added.unknowns, plant),
+    )

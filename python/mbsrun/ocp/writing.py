@@ -12,7 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from mbsgen.expressions import names, parse
-from mbsrun.ocp import closing, formulas
+from mbsrun.ocp import closing, design, formulas
 from mbsrun.ocp.functions import Array, Fixed, Function, Indices, KernelResult
 from mbsrun.ocp.integrators import Integrator
 from mbsrun.ocp.layout import Entries, ExtraRows, Layout, Places, Rows, at_mesh, at_points, at_stages, lay_out
@@ -51,7 +51,11 @@ class Writer:
             horizon_is_free=shape.horizon is None,
             states=len(shape.rates),
             controls=len(shape.added.controls),
+            unknowns=len(shape.added.unknowns) + design.count_fixed(shape.added.unknowns, plant.manifest),
         )
+        chosen, fixed = np.split(self.layout.unknowns, [len(shape.added.unknowns)])
+        theta = design.order_design(shape.added.unknowns, chosen, fixed, plant.manifest)
+        self.layout = replace(self.layout, unknowns=chosen, design=theta)
         self.h = shape.grid.lengths(
             1.0 if shape.horizon is None else shape.horizon
         )  # (N,); times T, where that is free
@@ -102,8 +106,8 @@ class Writer:
         program = Program(
             A=self.A.matrix((self.size, self.layout.size)),
             H=H,
-            blocks=tuple(self.blocks),
-            costs=costs,
+            blocks=self.read_design(self.blocks),
+            costs=self.read_design(costs),
             constants=self.parameters - self.weights,
             stages=Stages(
                 states=np.concatenate((self.layout.mesh, extras.states), axis=1),
@@ -111,13 +115,22 @@ class Writer:
                 inner=inner,
                 equations=equations,
                 continuity=continuity,
-                common=np.array([] if self.layout.horizon is None else [self.layout.horizon], dtype=np.int64),
+                common=self.list_common(),
                 rows=np.concatenate(self.stages),
                 is_triangular=self.integrator.is_explicit and shape.form is Form.SHOOTING,
             ),
             solves_inner=shape.form is Form.SHOOTING,
         )
         return rows, program
+
+    def list_common(self) -> Indices:
+        """List the variables of the whole horizon."""
+        horizon = [] if self.layout.horizon is None else [self.layout.horizon]
+        return np.union1d(np.array(horizon, dtype=np.int64), np.union1d(self.layout.unknowns, self.layout.design))
+
+    def read_design(self, blocks: Sequence[Block]) -> tuple[Block, ...]:
+        """Return blocks whose kernels read the differentiated parameters from variables, where these are unknowns."""
+        return tuple(design.read_design(block, self.layout.design, self.plant) for block in blocks)
 
     def take(self, stages: Indices | int, *shape: int) -> Indices:
         """Number some rows; `stages` is broadcast to their shape from the left."""
@@ -425,6 +438,7 @@ class Writer:
         parts = dict(places.parts)
         if layout.horizon is not None:
             parts["T"] = np.full((1, places.s.size), layout.horizon)
+        parts["unknowns"] = np.repeat(layout.unknowns[:, None], places.s.size, axis=1)
         return Block(
             function=formula,
             columns=tuple(parts[part.kind] for part in formula.inputs),

@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 from mbsgen.expressions import PRIMITIVES, Algebra, evaluate
-from mbsgen.roles import name_adjoint, name_derivative
+from mbsgen.roles import Role, name_adjoint, name_derivative
 from mbsrun.ocp.functions import Formula, Function, KernelResult, Pattern
 from mbsrun.ocp.plant import Plant
 
@@ -83,9 +83,9 @@ def make_function(function: Function, plant: Plant) -> ca.Function:
 
 
 def _make_result(result: KernelResult, plant: Plant) -> ca.Function:
-    kernel = plant.casadi(result.kernel)
-    if result.entries is None and result.fixed is None and kernel.n_out() == 1:
-        assert tuple(kernel.name_in()) == result.inputs, "a block's columns are in the order of the kernel's inputs"
+    kernel = _find_kernel(result, plant)
+    is_whole = result.entries is None and result.fixed is None and kernel.n_out() == 1
+    if is_whole and tuple(kernel.name_in()) == result.inputs:
         return kernel
     inputs = [ca.MX.sym(name, kernel.size1_in(name)) for name in result.inputs]
     given = list(inputs)
@@ -97,6 +97,12 @@ def _make_result(result: KernelResult, plant: Plant) -> ca.Function:
     value = ca.vec(_apply(kernel, result, given))
     chosen = value if result.entries is None else value[list(result.entries)]
     return ca.Function("result", inputs, [chosen], list(result.inputs), [result.result])
+
+
+def _find_kernel(result: KernelResult, plant: Plant) -> ca.Function:
+    """Return a kernel, with theta as an input where its result is a function of it."""
+    design = any(a.role is Role.DESIGN and a.name in result.inputs for a in plant.describe(result.kernel).inputs)
+    return plant.casadi(result.kernel, design=design)
 
 
 def _apply(kernel: ca.Function, result: KernelResult, given: Sequence[ca.MX]) -> ca.MX:
@@ -113,7 +119,7 @@ def _make_formula(formula: Formula, plant: Plant) -> ca.Function:
         return plain
     given = {part.kind: ca.MX.sym(part.kind, part.size) for part in formula.arguments}
     values = given | {
-        kind: ca.vec(_apply(plant.casadi(result.kernel), result, [given[name] for name in result.inputs]))
+        kind: ca.vec(_apply(_find_kernel(result, plant), result, [given[name] for name in result.inputs]))
         for kind, result in formula.computed
     }
     value = plain.call([values[kind] for kind in kinds])[0]
@@ -123,7 +129,7 @@ def _make_formula(formula: Formula, plant: Plant) -> ca.Function:
 def make_symbols(formula: Formula, plant: Plant) -> dict[str, ca.SX]:
     """Make symbols of all arguments, and then of the results of kernels."""
     sizes = {part.kind: part.size for part in formula.arguments}
-    sizes |= {kind: plant.casadi(result.kernel).numel_out(result.result) for kind, result in formula.computed}
+    sizes |= {kind: _find_kernel(result, plant).numel_out(result.result) for kind, result in formula.computed}
     return {kind: ca.SX.sym(kind, size) for kind, size in sizes.items()}
 
 
@@ -193,7 +199,7 @@ class PlacedFormula:
     def __init__(self, formula: Formula, plant: Plant, places: int) -> None:
         """Make symbols of the numbers that expressions read."""
         self._formula, self._places = formula, places
-        self._kernels = {kind: (result, plant.casadi(result.kernel)) for kind, result in formula.computed}
+        self._kernels = {kind: (result, _find_kernel(result, plant)) for kind, result in formula.computed}
         self._symbols = make_symbols(formula, plant)
         self._F = express(formula, self._symbols)
         self._w = ca.SX.sym("w", self._F.numel())

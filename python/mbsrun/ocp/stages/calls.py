@@ -133,7 +133,7 @@ def _describe_kernel(function: KernelResult, derivative: Derivative, plant: Plan
         given=tuple(
             (i, Given(function.kernel, a.name, a.nnz))
             for i, a in enumerate(kernel.inputs)
-            if a.role in (Role.SETUP, Role.DESIGN)
+            if a.role in (Role.SETUP, Role.DESIGN) and a.name not in function.inputs
         ),
         parameters=None,
         data=None,
