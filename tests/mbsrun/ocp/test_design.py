@@ -1,0 +1,199 @@
+"""Numbers that the solver chooses with the motion, and values that a problem gives to a model's parameters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mbsgen.errors import InputError
+from mbsrun.external import OnDemand, load_on_demand
+from mbsrun.ocp.backends.prepared import Prepared
+from mbsrun.ocp.checks import ProblemError
+from mbsrun.ocp.design import equip
+from mbsrun.ocp.problem import Form, Problem, Representation, Unknown
+from mbsrun.ocp.resimulation import resimulate
+from mbsrun.ocp.solution import Solution
+from mbsrun.ocp.solve import Solver, solve
+from mbsrun.ocp.statement import read_problem
+
+MODELS = Path(__file__).parents[3] / "models"
+
+CART = """\
+name: cart
+gravity: [0, 0, 0]
+parameters:
+  k: {value: 1, kind: differentiated}
+  m: {value: 1, kind: differentiated}
+  ballast: {value: 0, kind: runtime}
+bodies:
+  - {name: cart, joint: {type: prismatic, axis: x, stiffness: k}, mass: m + ballast}
+"""
+SWING = """\
+model: cart.yaml
+horizon: 0.8
+intervals: 16
+scheme: radau
+degree: 4
+parameters: {ballast: 1.5, m: 2}
+unknowns: {k: {guess: 10, range: [0, null]}}
+cost: {inputs: 1}
+start: {pose: {cart: -0.3}}
+end: {pose: {cart: 0.3}, velocity: zero}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, requires: Callable[[str], str]) -> Path:
+    requires("cc")
+    (tmp_path / "cart.yaml").write_text(CART, "utf-8")
+    return tmp_path
+
+
+def read(folder: Path, text: str = SWING) -> tuple[Problem, OnDemand]:
+    path = folder / "swing.ocp.yaml"
+    path.write_text(text, "utf-8")
+    problem, plant = read_problem(path, load_on_demand)
+    assert isinstance(plant, OnDemand)
+    return problem, plant
+
+
+def solved(problem: Problem, plant: OnDemand) -> Solution:
+    outcome = solve(problem, plant)
+    assert isinstance(outcome, Solution), outcome
+    return outcome
+
+
+@pytest.mark.parametrize("representation", [Representation.IMPL, Representation.EXP1_O, Representation.EXP2_A])
+@pytest.mark.parametrize("method", ["ipopt", "mbs"])
+def test_a_spring_that_swings_by_itself(folder: Path, representation: Representation, method: str) -> None:
+    """Half a period of the free cart is the horizon: k = m (pi / T)^2, with the mass that the file gives, costs 0."""
+    problem, plant = read(folder)
+    solution = solved(replace(problem.with_solver(method), representation=representation), plant)
+    assert solution.trajectory.unknowns == pytest.approx([3.5 * (math.pi / 0.8) ** 2], rel=1e-4)
+    assert solution.cost.total == pytest.approx(0, abs=1e-8)
+    checked = resimulate(solution, plant).resimulation
+    assert checked is not None
+    assert checked.is_accurate
+
+
+def test_forms_agree(folder: Path) -> None:
+    problem, plant = read(folder, SWING.replace("cart: 0.3}", "cart: 0.2}").replace("[0, null]", "[0, 40]"))
+    optima = [solved(replace(problem, form=form), plant) for form in (Form.STANDARD, Form.INTEGRAL)]
+    assert optima[0].cost.total == pytest.approx(optima[1].cost.total, rel=1e-7)
+    assert optima[0].trajectory.unknowns == pytest.approx(optima[1].trajectory.unknowns, rel=1e-5)
+
+
+def test_shooting_refuses(folder: Path) -> None:
+    problem, plant = read(folder)
+    with pytest.raises(ProblemError, match=r"unknowns: shooting .* takes no unknowns; take form: standard"):
+        solve(replace(problem, form=Form.SHOOTING), plant)
+
+
+def test_no_other_number_is_better() -> None:
+    """At an optimum over the motion, given the design, the cost is stationary in the design: by solving again."""
+    problem, plant = read_problem(MODELS / "lifting_arm_design.ocp.yaml", load_on_demand)
+    found = solved(problem, plant)
+    names = [unknown.name for unknown in problem.unknowns]
+    best = dict(zip(names, found.trajectory.unknowns.tolist(), strict=True))
+    price = problem.cost.terminal[0].weight
+
+    def cost(**changes: float) -> float:
+        given = best | changes
+        fixed = replace(
+            problem,
+            unknowns=(),
+            parameters=(*problem.parameters, *given.items()),
+            cost=replace(problem.cost, terminal=()),
+        )
+        return solved(fixed, plant).cost.total + price * given["stiffness"] ** 2
+
+    assert cost() == pytest.approx(found.cost.total, rel=1e-6)
+    step = 1e-2
+    assert cost(stiffness=best["stiffness"] + step) > found.cost.total
+    assert cost(stiffness=best["stiffness"] - step) > found.cost.total
+    slope = (cost(stiffness=best["stiffness"] + step) - cost(stiffness=best["stiffness"] - step)) / (2 * step)
+    assert abs(slope) <= 1e-4 * found.cost.total
+    assert cost(upper=best["upper"] - step) > found.cost.total  # which is at its bound
+
+
+@pytest.mark.parametrize("representation", [Representation.IMPL, Representation.EXP1_O])
+def test_derivatives_by_the_design(representation: Representation) -> None:
+    """Both backends agree, and with differences: sensors, dynamics and expressions read the unknowns."""
+    problem, plant = read_problem(MODELS / "lifting_arm_design.ocp.yaml", load_on_demand)
+    problem = replace(problem, intervals=2, degree=2, representation=representation)
+    solver = Solver(problem, plant)
+    program = Prepared(solver.transcription.program, equip(plant, problem))
+    functions, other = program.casadi, program.numpy
+    rng = np.random.default_rng(1)
+    x, p = rng.normal(size=functions.variables), solver.transcription.parameters(problem)
+    x[solver.transcription.layout.unknowns] = [0.4, 3.0, 1.2]
+    J = functions.jacobian(x, p).full()
+    assert other.jacobian(x, p).toarray() == pytest.approx(J, abs=1e-10)
+    step = 1e-6
+    for i in solver.transcription.layout.unknowns:
+        e = np.eye(x.size)[i] * step
+        difference = (functions.constraint(x + e, p) - functions.constraint(x - e, p)).full().ravel() / (2 * step)
+        assert J[:, i] == pytest.approx(difference, abs=1e-5 * np.abs(J).max())
+        assert np.abs(difference).max() > 1e-3
+
+
+BAD = {
+    "range": ("guess: 10", "guess: -1", "unknowns.k.guess", "-1 is out of [0, inf]", "guess within the range"),
+    "crossed": ("[0, null]", "[3, 1]", "unknowns.k.range", "3 is above 1", "give [lower, upper]; null is no bound"),
+    "runtime": (
+        "{k: {",
+        "{ballast: {guess: 1}, k: {",
+        "unknowns",
+        "ballast has a value in parameters, too",
+        "leave one of them out",
+    ),
+    "no parameter": (
+        "ballast: 1.5",
+        "balast: 1.5",
+        "parameters.balast",
+        'the model has no parameter that may be changed "balast"',
+        'did you mean "ballast"?',
+    ),
+    "a quantity": (
+        "{k: {",
+        "{q_cart: {",
+        "unknowns.q_cart",
+        "no name for an unknown",
+        "give a word that means nothing else",
+    ),
+    "an unknown name": (
+        "cost: {inputs: 1}",
+        "cost: {inputs: 1, terminal: [{expression: kk}]}",
+        "cost.terminal[0].expression",
+        'unknown name "kk"',
+        'did you mean "k"?',
+    ),
+}
+
+
+@pytest.mark.parametrize(("old", "new", "path", "finding", "remedy"), BAD.values(), ids=BAD.keys())
+def test_bad_files(folder: Path, old: str, new: str, path: str, finding: str, remedy: str) -> None:
+    with pytest.raises(InputError) as caught:
+        read(folder, SWING.replace(old, new))
+    assert (path, finding, remedy) in [(f.path, f.finding, f.remedy) for f in caught.value.faults]
+
+
+def test_a_runtime_parameter_is_no_unknown(folder: Path) -> None:
+    text = SWING.replace("parameters: {ballast: 1.5, m: 2}", "").replace("{k: {", "{ballast: {guess: 1}, k: {")
+    with pytest.raises(InputError, match="ballast is a run-time parameter, by which kernels have no derivatives"):
+        read(folder, text)
+
+
+def test_values_made_in_python_are_checked(folder: Path) -> None:
+    problem, plant = read(folder)
+    for part, message in (
+        (replace(problem, unknowns=(Unknown("k", (0.0, 1.0), 2.0),)), "the guess of k is 2"),
+        (replace(problem, parameters=(("c", 1.0),)), "cart has no parameter c that may be changed"),
+    ):
+        with pytest.raises(ProblemError, match=message):
+            solve(part, plant)
