@@ -137,5 +137,6 @@ def _count(manifest: Manifest, motions: Motions, added: Added) -> dict[str, int]
         "w": len(name_components(manifest)),
         "states": len(added.states),
         "controls": len(added.controls),
+        "unknowns": len(added.unknowns),
         "T": 1,
     }

@@ -193,7 +193,7 @@ def test_values_made_in_python_are_checked(folder: Path) -> None:
     problem, plant = read(folder)
     for part, message in (
         (replace(problem, unknowns=(Unknown("k", (0.0, 1.0), 2.0),)), "the guess of k is 2"),
-        (replace(problem, parameters=(("c", 1.0),)), "cart has no parameter c that may be changed"),
+        (replace(problem, parameters=(("c", 1.0),)), "cart has no parameter .c. that may be changed"),
     ):
         with pytest.raises(ProblemError, match=message):
             solve(part, plant)
