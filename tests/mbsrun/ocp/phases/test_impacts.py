@@ -1,0 +1,229 @@
+"""Impacts against closed forms, and against Pinocchio's impulse dynamics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mbsgen.pipeline import read_tree
+from mbsrun.external import load_on_demand
+from mbsrun.ocp.backends.numpy import NumpyProgram
+from mbsrun.ocp.phases.guess import solve_links
+from mbsrun.ocp.phases.problem import Impact, Link, Phase, PhasedProblem, Plants
+from mbsrun.ocp.phases.solution import PhasedFailure, PhasedSolution
+from mbsrun.ocp.phases.solve import solve_phases
+from mbsrun.ocp.phases.statement import read_phased_problem
+from mbsrun.ocp.phases.transcription import transcribe_phases
+from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.problem import Bounds, Contact, Cost, End, Problem
+from mbsrun.ocp.schemes import Family
+from tests.mbsrun.ocp.plants import FREE_RANGE
+from tests.random_trees import Pinocchio
+
+G = 9.81
+DROPPED = """
+model: ball.yaml
+scheme: radau
+degree: 3
+intervals: 2
+horizon: {guess: 0.4, range: [0.01, 2]}
+cost: {terminal: [{expression: T}]}
+phases:
+  - name: fall
+    start: {pose: {height: 1}, velocity: {way: WAY}}
+    end: {pose: {height: 0}}
+  - name: rise
+    end: {velocity: {height: 0}}
+links:
+  - {from: fall, to: rise, impact: {model: ball_hit.yaml, contacts: [CONTACT], restitution: 0.8}}
+"""
+BALL = """
+name: ball
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: slide, joint: {name: way, type: prismatic, axis: x, actuated: false}}
+  - {name: ball, parent: slide, joint: {name: height, type: prismatic, axis: z, actuated: false}, mass: 0.5}
+frames:
+  - {name: tip, body: ball}
+"""
+OPEN = "wrenches:\n  - {name: tip, body: ball, force: input}\n"
+
+
+@pytest.fixture
+def drop(requires: Callable[[str], str], tmp_path: Path) -> Callable[[str, str], PhasedSolution | PhasedFailure]:
+    """Drop a ball that moves along x as well, onto a contact."""
+    requires("cc")
+    (tmp_path / "ball.yaml").write_text(BALL)
+    (tmp_path / "ball_hit.yaml").write_text(BALL + OPEN)
+
+    def solve(way: str, contact: str) -> PhasedSolution | PhasedFailure:
+        file = tmp_path / "drop.ocp.yaml"
+        file.write_text(DROPPED.replace("WAY", way).replace("CONTACT", contact))
+        return solve_phases(*read_phased_problem(file, load_on_demand))
+
+    return solve
+
+
+def test_a_ball_bounces(drop: Callable[[str, str], PhasedSolution]) -> None:
+    """From 1 m, with restitution 0.8, it rises to 0.64 m; its friction stops it along x."""
+    found = drop("0.5", "tip")
+    fall, speed = np.sqrt(2 / G), np.sqrt(2 * G)
+    assert found.durations == pytest.approx([fall, 0.8 * fall], rel=1e-8)
+    rise = found.phases[1].trajectory
+    assert rise.q[-1] == pytest.approx([0.5 * fall, 0.64], rel=1e-8)
+    assert rise.qd[0] == pytest.approx([0.0, 0.8 * speed], abs=1e-8)
+    (link,) = found.values
+    assert link.impulses[0].components == pytest.approx([-0.25, 0.0, 0.5 * 1.8 * speed], rel=1e-8, abs=1e-12)
+    assert link.violation < 1e-12
+
+
+def test_a_ball_slides_where_a_contact_holds_its_normal_alone(drop: Callable[[str, str], PhasedSolution]) -> None:
+    found = drop("0.5", "{sensor: tip, axes: z}")
+    assert found.phases[1].trajectory.qd[0, 0] == pytest.approx(0.5, abs=1e-9)
+
+
+def test_friction_that_cannot_stop_a_ball_is_named(drop: Callable[[str, str], PhasedFailure]) -> None:
+    """The impulse across, 0.25 N s, would be more than 0.01 times the normal one: no motion, and the link is named."""
+    failure = drop("0.5", "{sensor: tip, friction: 0.01}")
+    assert isinstance(failure, PhasedFailure)
+    assert "link fall to rise: friction at tip" in failure.finding
+
+
+PENDULUM = """
+name: rod
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: rod, joint: {name: angle, type: revolute, axis: y, actuated: false}, mass: 0.7, com: [0, 0, -0.3],
+     inertia: [0.02, 0.02, 0.001]}
+frames:
+  - {name: tip, body: rod, position: [0, 0, -0.6]}
+"""
+WALL = "wrenches:\n  - {name: tip, body: rod, position: [0, 0, -0.6], force: input}\n"
+SWING = """
+model: rod.yaml
+scheme: radau
+degree: 5
+intervals: 12
+horizon: {guess: 0.4, range: [0.1, 2]}
+cost: {terminal: [{expression: T}]}
+phases:
+  - name: down
+    start: {pose: {angle: -1}}
+    end: {pose: {angle: 0}}
+  - name: back
+    guess: {motion: rest}
+    end: {velocity: zero}
+links:
+  - from: down
+    to: back
+    impact: {model: rod_at_wall.yaml, restitution: 0.5, contacts: [{sensor: tip, axes: x, normal: x}]}
+"""
+
+
+def test_a_pendulum_hits_a_wall(requires: Callable[[str], str], tmp_path: Path) -> None:
+    """By energy: 1 - cos of the angle that it swings back to is e^2 times 1 - cos of the one that it comes from."""
+    requires("cc")
+    (tmp_path / "rod.yaml").write_text(PENDULUM)
+    (tmp_path / "rod_at_wall.yaml").write_text(PENDULUM + WALL)
+    (tmp_path / "swing.ocp.yaml").write_text(SWING)
+    found = solve_phases(*read_phased_problem(tmp_path / "swing.ocp.yaml", load_on_demand))
+    assert isinstance(found, PhasedSolution), found.finding
+    back = found.phases[1].trajectory.q[-1, 0]
+    assert abs(back) == pytest.approx(np.arccos(1 - 0.25 * (1 - np.cos(1.0))), rel=1e-9)
+    (impulse,) = found.values[0].impulses
+    speed = np.sqrt(2 * 0.7 * G * 0.3 * (1 - np.cos(1.0)) / (0.02 + 0.7 * 0.09))
+    assert impulse.components[0] == pytest.approx(1.5 * speed * (0.02 + 0.7 * 0.09) / 0.6, rel=1e-8)
+
+
+BIPED = """
+name: biped
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: x, joint: {type: prismatic, axis: x, actuated: false}}
+  - {name: z, parent: x, joint: {type: prismatic, axis: z, actuated: false}}
+  - {name: trunk, parent: z, joint: {type: revolute, axis: y, actuated: false}, mass: 8, com: [0.02, 0, 0.2],
+     inertia: [0.2, 0.3, 0.1]}
+  - {name: thigh1, parent: trunk, joint: {type: revolute, axis: y}, mass: 2, com: [0, 0, -0.15],
+     inertia: [0.02, 0.03, 0.01]}
+  - {name: shank1, parent: thigh1, joint: {type: revolute, axis: y, position: [0, 0, -0.4]}, mass: 1,
+     com: [0, 0, -0.2], inertia: [0.01, 0.02, 0.01]}
+  - {name: thigh2, parent: trunk, joint: {type: revolute, axis: y}, mass: 2, com: [0, 0, -0.15],
+     inertia: [0.02, 0.03, 0.01]}
+  - {name: shank2, parent: thigh2, joint: {type: revolute, axis: y, position: [0, 0, -0.4]}, mass: 1,
+     com: [0, 0, -0.2], inertia: [0.01, 0.02, 0.01]}
+frames:
+  - {name: foot1, body: shank1, position: [0, 0, -0.41]}
+  - {name: foot2, body: shank2, position: [0, 0, -0.41]}
+"""
+FEET = """
+wrenches:
+  - {name: foot1, body: shank1, position: [0, 0, -0.41], force: input, moment: input}
+  - {name: foot2, body: shank2, position: [0, 0, -0.41], force: input}
+"""
+TOUCHES = {
+    "a foot": ((Contact("foot2", "foot2", (0, 2)),), 0.0),
+    "both feet": ((Contact("foot1", "foot1", (0, 2)), Contact("foot2", "foot2", (0, 2))), 0.0),
+    "a foot that bounces": ((Contact("foot1", "foot1", (2,)),), 0.6),
+}
+
+
+@pytest.mark.parametrize(("contacts", "restitution"), TOUCHES.values(), ids=TOUCHES.keys())
+def test_impulses_equal_pinocchio(
+    contacts: tuple[Contact, ...], restitution: float, requires: Callable[[str], str], tmp_path: Path
+) -> None:
+    """Velocities after the impact, to rounding; and M dv = J' L with Pinocchio's M and J."""
+    import pinocchio as pin
+
+    requires("cc")
+    (tmp_path / "flight.yaml").write_text(BIPED)
+    (tmp_path / "biped.yaml").write_text(BIPED + FEET)
+    flight = load_on_demand(tmp_path / "flight.yaml")
+    plant, peer = load_on_demand(tmp_path / "biped.yaml"), Pinocchio(read_tree(tmp_path / "biped.yaml"))
+    rng = np.random.default_rng(5)
+    q, qd = rng.uniform(-0.7, 0.7, 7), rng.uniform(-2, 2, 7)
+    after, changes, impulses, rows = _hit(flight, plant, contacts, restitution, q, qd)
+    J = plant("jac_motion", q=q, qd=qd)["jac_v_qd"]
+    sensors = [frame.name for frame in plant.manifest.frames if frame.sensor]
+    J = np.concatenate([J[[3 * sensors.index(c.sensor) + axis for axis in c.axes]] for c in contacts])
+    theirs = J[:, np.argsort(peer.order)]
+    pin.crba(peer.model, peer.data, peer._theirs(q))
+    found = pin.impulseDynamics(peer.model, peer.data, peer._theirs(q), peer._theirs(qd), theirs, restitution, 0.0)
+    assert after == pytest.approx(np.array(found)[peer.order], abs=1e-11)
+    assert np.abs(peer.mass_matrix(q) @ changes - J.T @ impulses).max() < 1e-12
+    assert rows < 1e-12
+
+
+def _hit(
+    flight: Plant, plant: Plant, contacts: tuple[Contact, ...], restitution: float, q: np.ndarray, qd: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Return the velocities after an impact, their changes, the impulses, and what the rows leave."""
+    free, m = (FREE_RANGE,) * 7, (FREE_RANGE,) * 4
+    own = Problem(
+        name="hit",
+        horizon=1.0,
+        intervals=1,
+        family=Family.RADAU,
+        degree=1,
+        cost=Cost(1.0),
+        start_q=(0.0,) * 7,
+        start_qd=(0.0,) * 7,
+        bounds=Bounds(free, free, m),
+        end=End(),
+    )
+    held = Plants((flight,), (plant,))
+    problem = PhasedProblem("hit", (Phase("hit", own),), (Link("hit", "hit", impact=Impact(contacts, restitution)),))
+    transcription = transcribe_phases(problem, held)
+    program = NumpyProgram(transcription.program, flight, (plant,))
+    x, p = np.zeros(transcription.program.variables), transcription.parameters(problem)
+    x[transcription.phases[0].layout.mesh[-1]] = np.concatenate((q, qd))
+    x = solve_links(
+        x, transcription.defined, lambda x: program.constraint(x, p), lambda x: program.jacobian(x, p).tocsr()
+    )
+    impact = transcription.links[0].impact
+    assert impact is not None
+    defined = np.concatenate([group.rows for group in transcription.defined])
+    left = float(np.abs(program.constraint(x, p)[defined]).max())
+    return x[impact.after.qd], x[impact.changes], x[np.concatenate(impact.impulses)], left
