@@ -10,7 +10,7 @@ Griewank, Walther, "Evaluating derivatives", SIAM 2008, chapter 13. `DEPENDENCE`
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -111,6 +111,23 @@ def make_dependences(n: int) -> Algebra[Dependence]:
             "atan2": lambda y, x: bend(add(y, x)),
         },
     )
+
+
+def compose(f: Array, g: Array, H: Array, arguments: Sequence[Jet]) -> Jet:
+    """Apply a function of several jets: its value (places,), gradient (places, k), and Hessian (places, k, k)."""
+    by = np.stack([np.broadcast_to(a.g, (*f.shape, a.g.shape[-1])) for a in arguments], axis=1)
+    curved = np.einsum("pkn,pkl,plm->pnm", by, H, by)
+    for i, a in enumerate(arguments):
+        curved = curved + g[:, i, None, None] * a.H
+    return Jet(f, np.einsum("pk,pkn->pn", g, by), curved)
+
+
+def compose_dependences(g: Mask, H: Mask, arguments: Sequence[Dependence]) -> Dependence:
+    """Return the dependence of a function of several; g (k,) and H (k, k) mark its own derivatives."""
+    by = np.stack([a.g for a in arguments]).astype(np.int64)
+    mixed = (by.T @ H.astype(np.int64) @ by) > 0
+    own = [a.H for a, is_read in zip(arguments, g, strict=True) if is_read]
+    return Dependence((g.astype(np.int64) @ by) > 0, np.any([mixed, *own], axis=0))
 
 
 def _chain(a: Jet, value: Array, first: Array, second: Array) -> Jet:

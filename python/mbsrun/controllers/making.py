@@ -81,6 +81,9 @@ def make(
     if problem.every_state or problem.controls:
         finding = "a controller measures coordinates and velocities, and the problem adds states or controls"
         raise ProblemError(problem.name, [("states", finding, "leave them out")])
+    if problem.functions:
+        finding = f"a controller is C, and {problem.functions[0].name} is an expression of CasADi"
+        raise ProblemError(problem.name, [("functions", finding, "write it as text")])
     if emulated:
         bare.find_tools()
     scheme = schemes.build(problem.family, problem.degree)

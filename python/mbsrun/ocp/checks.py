@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import asdict
 from functools import cache
 
@@ -21,7 +21,18 @@ from mbsrun.closure import has_loops
 from mbsrun.ocp.design import list_changeable
 from mbsrun.ocp.integrators import INTEGRATORS
 from mbsrun.ocp.methods import METHODS
-from mbsrun.ocp.problem import Conflict, Control, Form, Loops, Problem, Representation, State, Unknown, find_conflicts
+from mbsrun.ocp.problem import (
+    Conflict,
+    Control,
+    Form,
+    Loops,
+    Problem,
+    Representation,
+    State,
+    Unknown,
+    find_conflicts,
+    list_names,
+)
 from mbsrun.ocp.quantities import list_quantities
 from mbsrun.ocp.schemes import DEGREES, Family
 from mbsrun.quaternions import list_quaternions
@@ -160,7 +171,7 @@ def _find_dependent_accelerations(problem: Problem, manifest: Manifest) -> Itera
     """Find accelerations of dependent coordinates, which are no variables in the reduced form."""
     known = list_quantities(manifest, problem.added)
     texts = [text for _, own in list_expressions(problem) for text in own]
-    read = [known[name] for text in texts for name in names(parse(text)) if name in known]
+    read = [known[name] for text in texts for name in list_names(text, problem.functions) if name in known]
     found = {x.index for x in read if x.kind == "qdd"} | {i for i, _ in problem.end.accelerations}
     if dependent := sorted(found & set(manifest.dependent)):
         named = ", ".join(manifest.coordinates[i].name for i in dependent)
@@ -354,8 +365,10 @@ def _find_wrong_additions(problem: Problem, manifest: Manifest) -> Iterator[Find
 
 
 def _find_wrong_expressions(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
-    known = {*list_quantities(manifest, problem.added), *(name for name, _ in problem.constants)}
-    known |= set(references.list_names(problem.references))
+    motion = {*list_quantities(manifest, problem.added), *(name for name, _ in problem.constants)}
+    motion |= set(references.list_names(problem.references))
+    yield from _find_wrong_functions(problem, motion)
+    known = motion | {function.name for function in problem.functions}
     for place, texts in list_expressions(problem):
         for i, text in enumerate(texts):
             own = f"{place}[{i}].{'rate' if place == 'states' else 'expression'}"
@@ -366,6 +379,22 @@ def _find_wrong_expressions(problem: Problem, manifest: Manifest) -> Iterator[Fi
                 continue
             for name in unknown:
                 yield (own, f"unknown name {abbreviate(name)}", "there are t, T, q_NAME, u_NAME, x_SENSOR, constants")
+
+
+def _find_wrong_functions(problem: Problem, known: Set[str]) -> Iterator[Finding]:
+    """Find functions in CasADi that read unknown names or have no code, and methods that cannot call them."""
+    named = [function.name for function in problem.functions]
+    for i, function in enumerate(problem.functions):
+        if function.name in known or named.count(function.name) > 1 or not is_free_name(function.name):
+            yield (f"functions[{i}].name", f"found {abbreviate(function.name)}", "give a word that means nothing else")
+        for name in sorted(set(function.reads) - known):
+            yield (f"functions[{i}].reads", f"unknown name {abbreviate(name)}", "take symbols of `quantities()`")
+        if not function.code:
+            finding = f"{abbreviate(function.name)} has no code, which files do not hold"
+            yield (f"functions[{i}].code", finding, "make the problem anew, with its expressions")
+    if problem.functions and not METHODS[problem.solver.method].calls_casadi:
+        finding = f"{problem.solver.method} writes a problem in C, and an expression of CasADi has no C here"
+        yield ("solver.method", finding, "take ipopt, or write the expression as text")
 
 
 def _find_divided_quaternions(problem: Problem, manifest: Manifest) -> Iterator[Finding]:

@@ -28,10 +28,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mbsgen.expressions import names, parse
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.functions import Array, Indices, KernelResult
 from mbsrun.ocp.layout import Motions, Places
+from mbsrun.ocp.problem import list_names
 from mbsrun.ocp.program import Block, Column
 from mbsrun.ocp.representations import Loops
 from mbsrun.ocp.structure import Structure
@@ -60,7 +60,7 @@ def _reads_dependent_velocities(shape: Structure, manifest: Manifest) -> bool:
     if shape.sensor_velocities or set(manifest.dependent) & {*shape.known_velocities, *shape.velocities}:
         return True
     known = list_quantities(manifest, shape.added)
-    read = [known[name] for text in shape.expressions for name in names(parse(text)) if name in known]
+    read = [known[name] for text in shape.expressions for name in list_names(text, shape.functions) if name in known]
     return any(x.kind == "v" or (x.kind == "qd" and x.index in manifest.dependent) for x in read)
 
 

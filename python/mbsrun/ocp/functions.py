@@ -2,6 +2,7 @@
 
     KernelResult    y = entries of result(inputs)           a kernel, by name
     Formula         y_i = expression_i(names)               of inputs, constants, and results of kernels
+    SymbolicCall    value of a CasADi function              of expressions; expressions of a formula read it by name
 
 `Evaluation` is what a backend makes of one: values, Jacobian and Hessian at many places at once, with their patterns.
 """
@@ -49,6 +50,15 @@ class Input:
 
 
 @dataclass(frozen=True)
+class SymbolicCall:
+    """A scalar function of CasADi, applied to expressions; the expressions of a formula read its value by name."""
+
+    name: str
+    code: str  # CasADi's serialisation of the function
+    arguments: tuple[Expression, ...]
+
+
+@dataclass(frozen=True)
 class Formula:
     """Expressions as one function: a value for each.
 
@@ -61,6 +71,7 @@ class Formula:
     parameters: Input | None = None
     data: Input | None = None
     computed: tuple[tuple[str, KernelResult], ...] = ()  # kinds that kernels compute of inputs
+    calls: tuple[SymbolicCall, ...] = ()  # whose values expressions read by name
 
     @property
     def arguments(self) -> tuple[Input, ...]:

@@ -11,12 +11,14 @@ Where intervals have lengths of their own, h of the second sum is the distance o
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, PlainSerializer
+from pydantic import BeforeValidator, Field, PlainSerializer
 
+from mbsgen.expressions import names, parse
 from mbsrun.ocp.grid import Grid
 from mbsrun.ocp.integrators import INTEGRATORS, IntegratorName
 from mbsrun.ocp.representations import Loops as Loops
@@ -57,6 +59,19 @@ class Term:
     def title(self) -> str:
         """Return the name in summaries."""
         return self.name or self.expression
+
+
+@dataclass(frozen=True)
+class Symbolic:
+    """A function in CasADi of numbers of the motion; expressions read its value by its name.
+
+    Files hold no code: what a file says is never run.
+    """
+
+    name: str
+    reads: tuple[str, ...]  # the names of its arguments, in order
+    text: str  # for readers
+    code: Annotated[str, BeforeValidator(lambda _: ""), Field(exclude=True)] = ""  # CasADi's serialisation
 
 
 @dataclass(frozen=True)
@@ -246,6 +261,7 @@ class Problem:
     contacts: tuple[Contact, ...] = ()
     unknowns: tuple[Unknown, ...] = ()
     integrals: tuple[Integral, ...] = ()
+    functions: tuple[Symbolic, ...] = ()  # that expressions read
     parameters: tuple[tuple[str, float], ...] = ()  # values of the model's run-time and differentiated parameters
     mesh: tuple[float, ...] | None = None  # the fraction of the horizon that each interval has; None: they are equal
     references: tuple[Reference, ...] = ()  # that expressions read
@@ -296,6 +312,12 @@ class Problem:
         if method == self.solver.method:
             return self
         return replace(self, solver=replace(self.solver, method=method, options=()))
+
+
+def list_names(text: str, functions: Sequence[Symbolic]) -> frozenset[str]:
+    """List the names that an expression reads, with the names that its functions read in place of their own."""
+    reads = {function.name: frozenset(function.reads) for function in functions}
+    return frozenset().union(*(reads.get(name, frozenset((name,))) for name in names(parse(text))))
 
 
 @dataclass(frozen=True)

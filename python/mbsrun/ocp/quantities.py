@@ -34,8 +34,9 @@ from mbsgen.expressions import (
     parse,
 )
 from mbsgen.manifest import Manifest
-from mbsrun.ocp.functions import Formula, Input, KernelResult
+from mbsrun.ocp.functions import Formula, Input, KernelResult, SymbolicCall
 from mbsrun.ocp.layout import Motions
+from mbsrun.ocp.problem import Symbolic
 from mbsrun.quantities import Added, Quantity, list_quantities, name_components
 
 __all__ = ["Added", "Quantity", "formulate", "list_quantities"]
@@ -73,12 +74,13 @@ def formulate(
     horizon: float | None,
     added: Added | None = None,
     references: Sequence[str] = (),
+    functions: Sequence[Symbolic] = (),
 ) -> Formula:
     """Turn expressions into a formula in the variables of a program.
 
     `accelerations` names the kernel that computes them where they are no variables. `horizon` is None where it is a
-    variable. `references` are names of numbers that are given at each place, after the time. Raises ExpressionError for
-    an expression that cannot be read.
+    variable. `references` are names of numbers that are given at each place, after the time. Expressions read
+    `functions` by their names. Raises ExpressionError for an expression that cannot be read.
     """
     known = _list_known(list_quantities(manifest, added), motions)
     known |= {_TIME_NAME: (TIME, 0), **{name: (CONSTANTS, i) for i, name in enumerate(constants)}}
@@ -88,8 +90,15 @@ def formulate(
         "v": KernelResult("motion", ("q", "qd"), "v"),
         **accelerations,
     }
-    expressions = [_read(text, known, horizon) for text in texts]
-    read = {name: known[name] for expression in expressions for name in sorted(names(expression))}
+    expressions = [_read(text, known, horizon, [function.name for function in functions]) for text in texts]
+    named = frozenset[str]().union(*map(names, expressions))
+    calls = tuple(
+        SymbolicCall(function.name, function.code, tuple(_read(name, known, horizon) for name in function.reads))
+        for function in functions
+        if function.name in named
+    )
+    every = [*expressions, *(argument for call in calls for argument in call.arguments)]
+    read = {name: known[name] for expression in every for name in sorted(names(expression)) if name in known}
     kinds = {kind for kind, _ in read.values()}
     made = {kind: call for kind, call in computed.items() if kind in kinds}
     needed = (kinds - set(made)).union(*(call.inputs for call in made.values()))
@@ -102,13 +111,16 @@ def formulate(
         parameters=Input(CONSTANTS, len(constants)) if CONSTANTS in needed else None,
         data=Input(TIME, 1 + len(references)) if TIME in needed or not needed else None,
         computed=tuple(made.items()),
+        calls=calls,
     )
 
 
-def _read(text: str, known: Mapping[str, tuple[str, int]], horizon: float | None) -> Expression:
+def _read(
+    text: str, known: Mapping[str, tuple[str, int]], horizon: float | None, functions: Sequence[str] = ()
+) -> Expression:
     """Parse an expression; write the time as the horizon times its part, and a horizon that is given as a number."""
     T: Expression = Name("T") if horizon is None else Number(horizon)
-    values: dict[str, Expression] = {name: Name(name) for name, (kind, _) in known.items() if name != _TIME_NAME}
+    values: dict[str, Expression] = {name: Name(name) for name in (*known, *functions) if name != _TIME_NAME}
     values |= {"T": T, "t": Operation("*", Name(_TIME_NAME), T)}
     return evaluate(parse(text), values, _TREES)
 

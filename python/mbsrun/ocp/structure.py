@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mbsrun.ocp.grid import Grid
-from mbsrun.ocp.problem import Form, Loops, Problem, Representation
+from mbsrun.ocp.problem import Form, Loops, Problem, Representation, Symbolic
 from mbsrun.ocp.schemes import Family
 from mbsrun.quantities import Added
 from mbsrun.recordings.references import Reference
@@ -39,6 +39,7 @@ class Structure:
     accelerations: tuple[int, ...]
     sensor_velocities: tuple[str, ...]
     references: tuple[Reference, ...] = ()
+    functions: tuple[Symbolic, ...] = ()
     loops: Loops | None = None
     mesh: tuple[float, ...] | None = None  # fractions of the horizon; None: intervals are equal
     parameters: tuple[tuple[str, float], ...] = ()  # of the model, which kernels read
@@ -86,6 +87,7 @@ def structure(problem: Problem) -> Structure:
         accelerations=tuple(i for i, _ in end.accelerations),
         sensor_velocities=tuple(name for name, _ in end.sensor_velocities),
         references=problem.references,
+        functions=problem.functions,
         loops=problem.loops,
         mesh=problem.mesh,
         parameters=problem.parameters,

@@ -5,19 +5,18 @@ Every row and every place of a block has a stage: the interval whose variables i
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 
 import numpy as np
 from scipy import sparse
 
-from mbsgen.expressions import names, parse
 from mbsrun.ocp import closing, design, formulas
 from mbsrun.ocp.functions import Array, Fixed, Function, Indices, KernelResult
 from mbsrun.ocp.integrators import Integrator
 from mbsrun.ocp.layout import Entries, ExtraRows, Layout, Places, Rows, at_mesh, at_points, at_stages, lay_out
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Form
+from mbsrun.ocp.problem import Form, list_names
 from mbsrun.ocp.program import Block, Column, Combination, Matrix, Program, Stages
 from mbsrun.ocp.quantities import Quantity, formulate, list_quantities
 from mbsrun.ocp.schemes import Scheme
@@ -404,7 +403,9 @@ class Writer:
         kinds = list_quantities(self.manifest, shape.added)
         path_mesh = [*([0] * shape.start_is_free), *(() if self.scheme.ends_interval else range(1, N + 1))]
         on_path = [i for i, (_, at) in enumerate(shape.constraints) if at == "path"]
-        of_states = [i for i in on_path if not _reads_jumps(shape.constraints[i][0], kinds)]
+        of_states = [
+            i for i in on_path if not _reads_jumps(list_names(shape.constraints[i][0], shape.functions), kinds)
+        ]
         rows: list[list[Indices]] = [[] for _ in shape.constraints]
         for chosen, places in (
             (on_path, self.points),
@@ -431,9 +432,17 @@ class Writer:
         """Apply expressions at some places."""
         shape, layout = self.shape, self.layout
         computed = {"qdd": self.kernel} if shape.representation.is_ode else {}
-        read = find_references(texts, shape.references)
+        read = find_references(texts, shape)
         formula = formulate(
-            texts, shape.constants, self.manifest, self.motions, computed, shape.horizon, shape.added, read
+            texts,
+            shape.constants,
+            self.manifest,
+            self.motions,
+            computed,
+            shape.horizon,
+            shape.added,
+            read,
+            shape.functions,
         )
         parts = dict(places.parts)
         if layout.horizon is not None:
@@ -477,10 +486,11 @@ class Writer:
         return (nothing, nothing, *others), (*_input_costs(layout, layout.horizon, self.h), *blocks)
 
 
-def find_references(texts: Sequence[str], known: Sequence[references.Reference]) -> list[str]:
+def find_references(texts: Sequence[str], shape: Structure) -> list[str]:
     """List the names of references that expressions read."""
-    named = references.list_names(known)
-    return sorted({name for text in texts for name in names(parse(text)) if name in named}) if named else []
+    named = references.list_names(shape.references)
+    read = frozenset[str]().union(*(list_names(text, shape.functions) for text in texts)) if named else frozenset()
+    return sorted(name for name in read if name in named)
 
 
 def _pick(places: Places, kernel: KernelResult) -> tuple[Column, ...]:
@@ -488,9 +498,9 @@ def _pick(places: Places, kernel: KernelResult) -> tuple[Column, ...]:
     return tuple(places.parts[name] for name in kernel.inputs)
 
 
-def _reads_jumps(text: str, known: Mapping[str, Quantity]) -> bool:
+def _reads_jumps(read: Set[str], known: Mapping[str, Quantity]) -> bool:
     """Return whether an expression reads inputs or accelerations, which jump where an interval ends."""
-    return any(known[name].kind in ("u", "qdd", "w", "controls") for name in names(parse(text)) if name in known)
+    return any(known[name].kind in ("u", "qdd", "w", "controls") for name in read if name in known)
 
 
 def _input_cost(layout: Layout, h: Array) -> Matrix:

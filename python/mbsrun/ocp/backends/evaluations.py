@@ -18,9 +18,19 @@ from numpy.typing import NDArray
 from mbsgen.expressions import Algebra, evaluate
 from mbsgen.manifest import Argument
 from mbsgen.roles import Order, name_adjoint, name_derivative, name_kernel
-from mbsrun.jets import Dependence, Jet, depend, make_dependences, make_jets, vary
+from mbsrun.jets import Dependence, Jet, compose, compose_dependences, depend, make_dependences, make_jets, vary
 from mbsrun.kernel import KernelError
-from mbsrun.ocp.functions import Array, Evaluation, Formula, Function, Indices, Input, KernelResult, Pattern
+from mbsrun.ocp.functions import (
+    Array,
+    Evaluation,
+    Formula,
+    Function,
+    Indices,
+    Input,
+    KernelResult,
+    Pattern,
+    SymbolicCall,
+)
 from mbsrun.ocp.plant import Plant
 
 Mask = NDArray[np.bool_]
@@ -220,6 +230,8 @@ class FormulaEvaluation:
         algebra = make_jets(self._n)
         given = {name: self._vary(kind, i, numbers[name]) for name, (kind, i) in self._formula.names.items()}
         with np.errstate(all="ignore"):
+            for call in self._formula.calls:
+                given[call.name] = self._apply(call, given, algebra)
             jets = self._evaluate(given, algebra)
         P, n = self._places, self._n
         return [
@@ -229,13 +241,28 @@ class FormulaEvaluation:
 
     @cached_property
     def _dependences(self) -> list[Dependence]:
+        from mbsrun.ocp.backends import symbolic
+
         n = self._n
         nothing = Dependence(np.zeros(n, dtype=bool), np.zeros((n, n), dtype=bool))
         given = {
             name: depend(self._first[kind] + i, n) if kind in self._first else nothing
             for name, (kind, i) in self._formula.names.items()
         }
-        return self._evaluate(given, make_dependences(n))
+        algebra = make_dependences(n)
+        for call in self._formula.calls:
+            known = symbolic.differentiate(call.code)
+            arguments = [evaluate(argument, given, algebra) for argument in call.arguments]
+            given[call.name] = compose_dependences(known.gradient, known.hessian, arguments)
+        return self._evaluate(given, algebra)
+
+    def _apply(self, call: SymbolicCall, given: Mapping[str, Jet], algebra: Algebra[Jet]) -> Jet:
+        """Apply a function of CasADi to jets."""
+        from mbsrun.ocp.backends import symbolic
+
+        arguments = [evaluate(argument, given, algebra) for argument in call.arguments]
+        values = np.stack([np.broadcast_to(jet.f, self._places) for jet in arguments], axis=1)
+        return compose(*symbolic.differentiate(call.code).evaluate(values), arguments)
 
     def _evaluate(self, given: Mapping[str, T], algebra: Algebra[T]) -> list[T]:
         return [evaluate(expression, given, algebra) for expression in self._formula.expressions]

@@ -14,32 +14,41 @@ import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
 
 from mbsgen.expressions import PRIMITIVES, Algebra, evaluate
 from mbsgen.roles import Role, name_adjoint, name_derivative
+from mbsrun.ocp.backends import symbolic
 from mbsrun.ocp.functions import Formula, Function, KernelResult, Pattern
 from mbsrun.ocp.plant import Plant
 
+Symbol = Any  # ca.SX; or ca.MX, where an expression calls a function that is no formula, such as a table
 
-def _choose_larger(a: ca.SX, b: ca.SX) -> ca.SX:
+
+def _choose_larger(a: Symbol, b: Symbol) -> Symbol:
     """Return the larger one; the derivative is half of each where they are equal, which CasADi's fmax does not say."""
     s = (1 + ca.sign(a - b)) / 2
     return s * a + (1 - s) * b
 
 
-_BUILT_IN: Mapping[str, Callable[..., ca.SX]] = {"abs": ca.fabs, "max": _choose_larger}
-_SYMBOLS: Algebra[ca.SX] = Algebra(
-    number=ca.SX,
-    constants={"pi": ca.SX(ca.pi)},
-    negate=operator.neg,
-    operations={"+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv},
-    power=operator.pow,
-    functions=_BUILT_IN | {name: getattr(ca, name) for name in PRIMITIVES if name not in _BUILT_IN},
-)
+_BUILT_IN: Mapping[str, Callable[..., Symbol]] = {"abs": ca.fabs, "max": _choose_larger}
+
+
+def _make_algebra(kind: type[Symbol]) -> Algebra[Symbol]:
+    return Algebra(
+        number=kind,
+        constants={"pi": kind(ca.pi)},
+        negate=operator.neg,
+        operations={"+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv},
+        power=operator.pow,
+        functions={**_BUILT_IN} | {name: getattr(ca, name) for name in PRIMITIVES if name not in _BUILT_IN},
+    )
+
+
+_ALGEBRAS: Mapping[type[Symbol], Algebra[Symbol]] = {kind: _make_algebra(kind) for kind in (ca.SX, ca.MX)}
 
 
 @dataclass(frozen=True)
@@ -126,17 +135,27 @@ def _make_formula(formula: Formula, plant: Plant) -> ca.Function:
     return ca.Function("formula", list(given.values()), [value], list(given), ["value"], _options(formula, list(given)))
 
 
-def make_symbols(formula: Formula, plant: Plant) -> dict[str, ca.SX]:
+def choose_kind(formula: Formula) -> type[Symbol]:
+    """Choose the symbols in which a formula can be written."""
+    return ca.SX if all(symbolic.is_plain(call.code) for call in formula.calls) else ca.MX
+
+
+def make_symbols(formula: Formula, plant: Plant) -> dict[str, Symbol]:
     """Make symbols of all arguments, and then of the results of kernels."""
+    kind_of_symbols = choose_kind(formula)
     sizes = {part.kind: part.size for part in formula.arguments}
     sizes |= {kind: _find_kernel(result, plant).numel_out(result.result) for kind, result in formula.computed}
-    return {kind: ca.SX.sym(kind, size) for kind, size in sizes.items()}
+    return {kind: kind_of_symbols.sym(kind, size) for kind, size in sizes.items()}
 
 
-def express(formula: Formula, symbols: Mapping[str, ca.SX]) -> ca.SX:
+def express(formula: Formula, symbols: Mapping[str, Symbol]) -> Symbol:
     """Evaluate the expressions."""
+    algebra = _ALGEBRAS[choose_kind(formula)]
     values = {name: symbols[kind][index] for name, (kind, index) in formula.names.items()}
-    return ca.vertcat(*(evaluate(expression, values, _SYMBOLS) for expression in formula.expressions))
+    for call in formula.calls:
+        arguments = [evaluate(argument, values, algebra) for argument in call.arguments]
+        values[call.name] = symbolic.load(call.code).call(arguments)[0]
+    return ca.vertcat(*(evaluate(expression, values, algebra) for expression in formula.expressions))
 
 
 def _options(formula: Formula, kinds: Sequence[str]) -> dict[str, list[bool]]:
@@ -200,9 +219,10 @@ class PlacedFormula:
         """Make symbols of the numbers that expressions read."""
         self._formula, self._places = formula, places
         self._kernels = {kind: (result, _find_kernel(result, plant)) for kind, result in formula.computed}
+        self._kind = choose_kind(formula)
         self._symbols = make_symbols(formula, plant)
         self._F = express(formula, self._symbols)
-        self._w = ca.SX.sym("w", self._F.numel())
+        self._w = self._kind.sym("w", self._F.numel())
 
     def value(self, arguments: Sequence[ca.MX]) -> ca.MX:
         """Return the results, (size, places)."""
@@ -235,7 +255,7 @@ class PlacedFormula:
             for first in result.inputs:
                 for second in result.inputs:
                     name = name_derivative(name_adjoint(first), second)
-                    symbol = ca.SX.sym(name, function.sparsity_out(name))
+                    symbol = self._kind.sym(name, function.sparsity_out(name))
                     curvatures[_join(kind, name)], given[_join(kind, name)] = symbol, found[name]
                     H += self._select(first).T @ symbol @ self._select(second)
         n = len(self._formula.inputs)
@@ -253,15 +273,15 @@ class PlacedFormula:
         return [0, *np.cumsum([part.size for part in self._formula.inputs]).tolist()]
 
     @property
-    def _v(self) -> ca.SX:
+    def _v(self) -> Symbol:
         kinds = [part.kind for part in self._formula.inputs]
         return ca.vertcat(*(self._symbols[kind] for kind in (*kinds, *self._kernels)))
 
     @cached_property
-    def _slopes(self) -> dict[str, ca.SX]:
+    def _slopes(self) -> dict[str, Symbol]:
         """The derivatives of the results of kernels by their inputs."""
         return {
-            _join(kind, name): ca.SX.sym(
+            _join(kind, name): self._kind.sym(
                 _join(kind, name), kernel.jacobian().sparsity_out(name_derivative(result.result, name))
             )
             for kind, (result, kernel) in self._kernels.items()
@@ -269,21 +289,21 @@ class PlacedFormula:
         }
 
     @property
-    def _V(self) -> ca.SX:
-        rows = [ca.SX.eye(self._offsets[-1])]
+    def _V(self) -> Symbol:
+        rows = [self._kind.eye(self._offsets[-1])]
         for kind, (result, _) in self._kernels.items():
             rows.append(
                 sum(
                     (self._slopes[_join(kind, name)] @ self._select(name) for name in result.inputs),
-                    start=ca.SX(self._symbols[kind].numel(), self._offsets[-1]),
+                    start=self._kind(self._symbols[kind].numel(), self._offsets[-1]),
                 )
             )
         return ca.vertcat(*rows)
 
-    def _select(self, name: str) -> ca.SX:
+    def _select(self, name: str) -> Symbol:
         """Return the matrix that selects an input from x."""
         i = [part.kind for part in self._formula.inputs].index(name)
-        return ca.SX.eye(self._offsets[-1])[self._offsets[i] : self._offsets[i + 1], :]
+        return self._kind.eye(self._offsets[-1])[self._offsets[i] : self._offsets[i + 1], :]
 
     # --- calls at all places ---
 
@@ -308,7 +328,9 @@ class PlacedFormula:
         named = {name: given[name] for name in function.name_in() if name in given}
         return function.map(self._places)(**named)
 
-    def _apply(self, results: Sequence[ca.SX], further: dict[str, ca.SX], given: Mapping[str, ca.MX]) -> list[Nonzeros]:
+    def _apply(
+        self, results: Sequence[Symbol], further: dict[str, Symbol], given: Mapping[str, ca.MX]
+    ) -> list[Nonzeros]:
         """Evaluate expressions of symbols that have values."""
         if not results:
             return []

@@ -75,3 +75,4 @@ class Method:
     options: Mapping[str, Option]
     make: Callable[[Order], Solver]
     warm: Settings = field(default_factory=dict)  # options of starts near a solution
+    calls_casadi: bool = True  # whether programs may hold expressions of CasADi

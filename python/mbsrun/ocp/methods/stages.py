@@ -137,4 +137,10 @@ def _find_row(tables: StageProgram, clash: binding.Clash) -> int:
     return int(rows[sum(counts[: clash.stage]) + clash.row])
 
 
-STAGES = Method("the project's own interior-point method, by stages", STAGES_OPTIONS, make_stages, {"barrier": 1e-5})
+STAGES = Method(
+    "the project's own interior-point method, by stages",
+    STAGES_OPTIONS,
+    make_stages,
+    {"barrier": 1e-5},
+    calls_casadi=False,
+)

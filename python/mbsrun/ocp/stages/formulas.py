@@ -58,6 +58,7 @@ def _find_pattern(formula: Formula, derivative: Derivative) -> Nonzeros:
 
 def _translate(formula: Formula) -> tuple[tuple[Expression, ...], dict[str, tuple[int, int]], tuple[int, ...], int]:
     """Number the vectors of a formula: return the fields of the engine's."""
+    assert not formula.calls, "a method that writes C takes no problem with expressions of CasADi"
     assert not formula.computed, "kernels give results to variables, not to formulas"
     place = {part.kind: k for k, part in enumerate(formula.arguments)}
     names = {name: (place[kind], entry) for name, (kind, entry) in formula.names.items()}
