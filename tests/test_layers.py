@@ -128,6 +128,7 @@ MBSRUN = Package(
         "ocp",
         "optimal.display optimal.plain optimal.programs optimal.describing",
         "optimal.progress optimal.result",
+        "optimal.quantities",
         "optimal.control",
         "optimal",
         "controllers.folder",

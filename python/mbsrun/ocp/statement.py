@@ -9,7 +9,7 @@ Terms of the cost and constraints are expressions of the motion, and are kept as
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
@@ -111,25 +111,33 @@ def name_problem(path: Path) -> str:
     return path.name.removesuffix(".yaml").removesuffix(".ocp")
 
 
-def state_problem(data: Mapping[str, Data], name: str, plant: Plant) -> Problem:
+def state_problem(
+    data: Mapping[str, Data], name: str, plant: Plant, folder: Path, reads: Collection[str] = ()
+) -> Problem:
     """Make a problem of plain data, with the keys of a file, for a plant that is loaded; `model` is not read.
 
-    Raises ProblemError with every fault.
+    Other files of it are in `folder`. Of the constants, the ones that expressions read are kept, and the ones of
+    `reads`. Raises ProblemError with every fault.
     """
     own: dict[str, Data] = {key: value for key, value in data.items() if key != "model"}
     model: dict[str, Data] = {"model": "model.yaml"} if plant.manifest.coordinates else {}
+    document = Document(str(folder / "problem"), own | model, {}, {})
     try:
-        return interpret(Document(name, own | model, {}, {}), name, lambda _: plant, plant)[0]
+        return interpret(document, name, lambda _: plant, plant, reads)[0]
     except InputError as error:
         raise ProblemError(name, [(x.path or "problem", x.finding, x.remedy) for x in error.faults]) from None
 
 
 def interpret(
-    document: Document, name: str, load: Callable[[str], SomePlant], none: SomePlant | None = None
+    document: Document,
+    name: str,
+    load: Callable[[str], SomePlant],
+    none: SomePlant | None = None,
+    reads: Collection[str] = (),
 ) -> tuple[Problem, SomePlant]:
     """Make the problem of a document; `load` loads the model that it names, and `none` stands for no model.
 
-    Raises InputError with every fault.
+    Constants of `reads` are kept, beside the ones that expressions read. Raises InputError with every fault.
     """
     examination = examine(document, ProblemSection)
     section, faults = examination.value, list(examination.faults)
@@ -143,6 +151,7 @@ def interpret(
         remedy = "name a model file; only `mbsrun solve` takes problems without a mechanism"
         raise refuse([*faults, document.fault(("model",), "no model", remedy)])
     reading = _Reading(document, plant, examination.stand_ins)
+    reading.used.update(reads)
     problem = reading.problem(name, section)
     if faults or reading.faults:
         raise refuse([*faults, *reading.faults])

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+
+import casadi as ca
+import numpy as np
 
 from mbsgen.documents import Data, abbreviate, read_document
 from mbsgen.errors import Fault, InputError
 from mbsrun.external import load_on_demand
 from mbsrun.ocp import statement
+from mbsrun.ocp.checks import ProblemError, check_problem
 from mbsrun.ocp.no_mechanism import NO_MECHANISM
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.problem import Constraint, Problem, Range, Symbolic, Term
 from mbsrun.ocp.recorded import find_guess
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.solution import Failure, read_guess, read_solution
@@ -25,8 +30,11 @@ from mbsrun.optimal.describing import describe_problem
 from mbsrun.optimal.plain import make_plain
 from mbsrun.optimal.programs import Programs
 from mbsrun.optimal.progress import show_progress
+from mbsrun.optimal.quantities import Quantities, make_functions
 from mbsrun.optimal.result import Solved, Unsolved
+from mbsrun.quantities import list_quantities
 from mbsrun.reading import overlay
+from mbsrun.recordings import references
 
 DEFAULTS: Mapping[str, Data] = {  # of problems in Python; a file states these itself
     "intervals": 50,
@@ -35,6 +43,27 @@ DEFAULTS: Mapping[str, Data] = {  # of problems in Python; a file states these i
     "cost": {},
     "start": {"pose": {}},
 }
+
+
+Stretch = Literal["path", "end"]
+
+
+@dataclass(frozen=True)
+class PricedExpression:
+    """A term of the cost in CasADi."""
+
+    function: Symbolic
+    weight: float
+    at: Stretch
+
+
+@dataclass(frozen=True)
+class LimitedExpression:
+    """A constraint in CasADi."""
+
+    function: Symbolic
+    range: Range
+    at: Literal["start", "path", "end"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -50,6 +79,14 @@ class OptimalControl:
     data: Mapping[str, Data]  # as a problem file holds it
     folder: Path  # that files of the problem are relative to
     programs: Programs
+    model: Path | None = None  # the file of the model; None where kernels were given
+    terms: tuple[PricedExpression, ...] = ()  # of the cost, in CasADi
+    limits: tuple[LimitedExpression, ...] = ()  # constraints in CasADi
+
+    @property
+    def functions(self) -> tuple[Symbolic, ...]:
+        """List the expressions in CasADi."""
+        return (*(part.function for part in self.terms), *(part.function for part in self.limits))
 
     @property
     def name(self) -> str:
@@ -88,9 +125,82 @@ class OptimalControl:
         solver = {"method": method, **make_plain(self.name, settings)}
         return self._restate({**self.data, "solver": solver})
 
-    def _restate(self, data: Mapping[str, Data]) -> OptimalControl:
-        value = statement.state_problem(data, self.name, self.plant)
-        return replace(self, value=value, data=data)
+    def with_cost(self, expression: Any, weight: Any = 1.0, *, at: Stretch = "path", name: str = "") -> OptimalControl:
+        """Return a copy with another term of the cost: an integral over the horizon, or a value at the end.
+
+        The expression is a text as in a problem file, or CasADi's in symbols of `quantities()`. As in a file, inputs
+        cost nothing beside other terms unless `cost.inputs` gives a weight. Raises ProblemError.
+        """
+        key = {"path": "running", "end": "terminal"}.get(at)
+        if key is None:
+            raise ProblemError(self.name, [("cost", f"at {at!r}", "give 'path' or 'end'")])
+        if isinstance(expression, str):
+            cost = dict(_take_mapping(self.data, "cost"))
+            added = make_plain(self.name, {"expression": expression, "weight": weight})
+            cost[key] = [*_take_list(cost, key), added]
+            return self._restate({**self.data, "cost": cost})
+        found = self._make_functions("cost", expression, name)
+        if len(found) != 1:
+            raise ProblemError(self.name, [("cost", f"an expression of {len(found)} entries", "give a scalar")])
+        try:
+            term = PricedExpression(found[0], float(weight), at)
+        except (TypeError, ValueError):
+            raise ProblemError(self.name, [("cost", f"the weight is {weight!r}", "give a number")]) from None
+        return self._restate(terms=(*self.terms, term))
+
+    def with_constraint(
+        self,
+        expression: Any,
+        lower: Any = -math.inf,
+        upper: Any = math.inf,
+        *,
+        at: Literal["start", "path", "end"] = "path",
+        name: str = "",
+    ) -> OptimalControl:
+        """Return a copy with another constraint: lower <= expression <= upper along the path, or at its start or end.
+
+        The expression is a text as in a problem file, or CasADi's in symbols of `quantities()`, where each entry is a
+        constraint; limits are numbers, or one for each entry. Raises ProblemError.
+        """
+        if isinstance(expression, str):
+            limits = make_plain(self.name, {"range": [lower, upper]})["range"]
+            added: Data = {"expression": expression, "range": limits, "at": at}
+            return self._restate({**self.data, "constraints": [*_take_list(self.data, "constraints"), added]})
+        found = self._make_functions("constraint", expression, name)
+        try:
+            ranges = np.broadcast_arrays(np.zeros(len(found)), np.ravel(lower), np.ravel(upper))[1:]
+            least, most = (np.asarray(values, dtype=np.float64).tolist() for values in ranges)
+        except (TypeError, ValueError):
+            finding = f"{len(found)} entries, with the limits {lower} and {upper}"
+            raise ProblemError(self.name, [("constraint", finding, "give a number, or one for each entry")]) from None
+        parts = zip(found, zip(least, most, strict=True), strict=True)
+        return self._restate(limits=(*self.limits, *(LimitedExpression(f, limits, at) for f, limits in parts)))
+
+    def quantities(self, symbols: type[Any] = ca.SX) -> Quantities:
+        """Return the quantities of the problem as CasADi symbols by name, for `with_cost` and `with_constraint`.
+
+        `symbols` is casadi.SX; or casadi.MX, for expressions that call functions of CasADi.
+        """
+        manifest = self.plant.manifest
+        known = list_quantities(manifest, self.value.added)
+        constants = _take_mapping(self.data, "constants")
+        numbers = (*constants, *references.list_names(self.value.references))
+        return Quantities(manifest, known, numbers, self.model, symbols)
+
+    def _make_functions(self, kind: str, expression: Any, name: str) -> list[Symbolic]:
+        count = 1 + sum(function.name.startswith(f"{kind}_") for function in self.value.functions)
+        return make_functions(name or f"{kind}_{count}", expression, self.name)
+
+    def _restate(self, data: Mapping[str, Data] | None = None, **changes: Any) -> OptimalControl:
+        """Return a copy with other data or expressions, checked."""
+        copy = replace(self, data=self.data if data is None else data, **changes)
+        reads = {name for function in copy.functions for name in function.reads}
+        data = _drop_no_cost(copy.data) if copy.terms else copy.data
+        value = statement.state_problem(data, self.name, self.plant, self.folder, reads)
+        if copy.functions:
+            value = _add_expressions(value, copy)
+            check_problem(value, self.plant.manifest)
+        return replace(copy, value=value)
 
     # --- solving ---
 
@@ -156,8 +266,9 @@ def problem(model: str | Path | Plant | None, *, name: str | None = None, **keys
     plant = _load(Path(model)) if isinstance(model, str | Path) else model or NO_MECHANISM
     known = name or (Path(model).stem if isinstance(model, str | Path) else plant.manifest.model)
     data = {**DEFAULTS, **make_plain(known, keys)}
-    value = statement.state_problem(data, known, plant)
-    return OptimalControl(value, plant, data, Path(), Programs())
+    value = statement.state_problem(data, known, plant, Path())
+    path = Path(model) if isinstance(model, str | Path) else None
+    return OptimalControl(value, plant, data, Path(), Programs(), path)
 
 
 def read_problem(path: str | Path) -> OptimalControl:
@@ -167,7 +278,41 @@ def read_problem(path: str | Path) -> OptimalControl:
     data = read_document(file).data
     if not isinstance(data, dict):
         raise InputError([Fault(str(file), 0, "", f"found {abbreviate(data)}", "give a mapping of keys")])
-    return OptimalControl(value, plant, data, file.parent, Programs())
+    return OptimalControl(value, plant, data, file.parent, Programs(), _find_model(file, data))
+
+
+def _find_model(file: Path, data: Mapping[str, Data]) -> Path | None:
+    model = data.get("model")
+    return file.parent / model if isinstance(model, str) else None
+
+
+def _add_expressions(value: Problem, control: OptimalControl) -> Problem:
+    """Add the expressions in CasADi to a problem; beside other terms, inputs cost nothing unless a weight is given."""
+    running, terminal = (
+        tuple(Term(part.function.name, part.weight) for part in control.terms if part.at == at)
+        for at in ("path", "end")
+    )
+    cost = value.cost
+    if control.terms and not _take_mapping(control.data, "cost").get("inputs"):
+        cost = replace(cost, inputs=0.0)
+    return replace(
+        value,
+        functions=control.functions,
+        cost=replace(cost, running=cost.running + running, terminal=cost.terminal + terminal),
+        constraints=value.constraints
+        + tuple(Constraint(part.function.name, part.range, part.at) for part in control.limits),
+    )
+
+
+def _take_list(data: Mapping[str, Data], key: str) -> list[Data]:
+    found = data.get(key)
+    return found if isinstance(found, list) else []
+
+
+def _drop_no_cost(data: Mapping[str, Data]) -> Mapping[str, Data]:
+    """Leave a weight 0 of inputs out, which is an error where no text gives another term."""
+    cost = _take_mapping(data, "cost")
+    return data if cost.get("inputs") != 0 else {**data, "cost": {k: x for k, x in cost.items() if k != "inputs"}}
 
 
 def _take_mapping(data: Mapping[str, Data], key: str) -> Mapping[str, Data]:

@@ -24,7 +24,7 @@ def describe_problem(problem: Problem, manifest: Manifest) -> dict[str, str]:
         "end": _list(_list_end(problem, manifest)),
         "bounds": _list(_list_bounds(problem, manifest)),
         "constraints": _list(
-            f"{_write_range(c.expression, c.range)} ({c.at})" if c.at != "path" else _write_range(c.expression, c.range)
+            _write_range(_name(c.expression, problem), c.range) + (f" ({c.at})" if c.at != "path" else "")
             for c in problem.constraints
         ),
         "constants": _list(f"{name} = {value:g}" for name, value in problem.constants),
@@ -58,10 +58,19 @@ def _describe_grid(problem: Problem) -> str:
     )
 
 
+def _name(expression: str, problem: Problem) -> str:
+    """Return an expression; or, of the name of a function in CasADi, its text."""
+    return next((function.text for function in problem.functions if function.name == expression), expression)
+
+
 def _list_terms(problem: Problem) -> list[str]:
     terms = zip(problem.cost.weights, problem.cost.names, strict=True)
     at_end = 2 + len(problem.cost.running)
-    return [f"{weight:g} * {name}{' (end)' if i >= at_end else ''}" for i, (weight, name) in enumerate(terms) if weight]
+    return [
+        f"{weight:g} * {_name(name, problem)}{' (end)' if i >= at_end else ''}"
+        for i, (weight, name) in enumerate(terms)
+        if weight
+    ]
 
 
 def _list_start(problem: Problem, manifest: Manifest) -> list[str]:

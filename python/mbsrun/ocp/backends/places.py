@@ -336,11 +336,17 @@ class PlacedFormula:
             return []
         symbols = self._symbols | further
         every = ca.vertcat(*(ca.vec(result) for result in results))
-        read = {name: x for name, x in symbols.items() if x.nnz() and ca.depends_on(every, x)}
+        free = _list_symbols(every)
+        read = {name: x for name, x in symbols.items() if free & _list_symbols(x)}
         read = read or dict([next(iter(symbols.items()))])  # a function needs an input
         function = ca.Function("expressions", list(read.values()), list(results))
         found = function.map(self._places).call([given[name] for name in read])
         return [_read(function, i, part) for i, part in enumerate(found)]
+
+
+def _list_symbols(expression: Symbol) -> set[str]:
+    """List the names of the symbols in an expression, whether or not its value depends on them."""
+    return {symbol.name() for symbol in ca.symvar(expression)}
 
 
 def _join(kind: str, name: str) -> str:
