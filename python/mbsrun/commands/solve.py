@@ -39,6 +39,7 @@ from mbsrun.ocp.problem import Form, Inputs, Loops, Problem, Refinement, Represe
 from mbsrun.ocp.recorded import find_guess
 from mbsrun.ocp.refinement import refine
 from mbsrun.ocp.resimulation import resimulate
+from mbsrun.ocp.sensitivity import find_sensitivities
 from mbsrun.ocp.solution import Failure, Round, Solution, Starts, write_solution
 from mbsrun.ocp.solve import Progress, solve
 from mbsrun.ocp.starts import describe_turns
@@ -152,6 +153,9 @@ Exit codes
 @click.option(
     "--workers", type=click.IntRange(0), help="With --starts: the number of processes; by default this one alone."
 )
+@click.option(
+    "--sensitivities", is_flag=True, help="Print the derivative of the cost by each differentiated parameter, too."
+)
 @click.pass_context
 def solve_command(
     context: click.Context,
@@ -165,12 +169,17 @@ def solve_command(
     seed: int | None,
     minutes: float | None,
     workers: int | None,
+    sensitivities: bool,
     **choices: Any,
 ) -> None:
     """Read, solve, re-simulate, write, print."""
     if has_phases(file):
         search = {"target": target, "starts": starts, "hops": hops, "seed": seed, "minutes": minutes}
-        context.exit(_solve_phases(file, out, other, {**search, "workers": workers, **choices}))
+        context.exit(
+            _solve_phases(
+                file, out, other, {**search, "workers": workers, "sensitivities": sensitivities or None, **choices}
+            )
+        )
     models: list[Path] = []
 
     def load_model(model: Path) -> Plant:
@@ -204,12 +213,20 @@ def solve_command(
         outcome = resimulate(outcome, plant)
         if problem.refine is not None:
             outcome = refine(outcome, plant, lambda round_: status.update(_describe_round(round_)))
+        if sensitivities:
+            status.update("differentiating the cost")
+            outcome = find_sensitivities(outcome, plant)
         status.update("drawing")
         written = _write(outcome, plant, out)
     for name, value in summarise(outcome).items():
         click.echo(f"{name:<14}{value}")
     say(f"wrote {', '.join(str(out / name) for name in written)}")
     shortcomings = list_shortcomings(outcome)
+    if sensitivities and not outcome.sensitivities:
+        shortcomings.append(
+            "no derivative of the cost was found: the model has no differentiated parameter but unknowns, or the "
+            "second solve ended elsewhere"
+        )
     for shortcoming in shortcomings:
         say(f"warning: {shortcoming}")
     context.exit(NOT_SOLVED if shortcomings else 0)

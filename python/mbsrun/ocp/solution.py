@@ -205,6 +205,7 @@ class Solution:
     starts: Starts | None = None  # of the search that found it, if it was one
     refinement: Rounds | None = None  # the solves that led to its grid, if it was refined
     equations: tuple[str, ...] = ()  # of closed loops
+    sensitivities: tuple[tuple[str, float], ...] = ()  # of the cost, by differentiated parameters of the model
     multipliers: Array | None = None  # (N, d, m): the forces on these equations at the points of the trajectory
 
     @property

@@ -38,6 +38,7 @@ def summarise(solution: Solution) -> dict[str, str]:
         **_describe_loops(solution),
         **_describe_grid(solution),
         **{x.name: f"{value:.10g}" for x, value in _list_unknowns(solution)},
+        **{f"d cost / d {name} ": f"{value:.8g}" for name, value in solution.sensitivities},
     }
     if check is not None:
         accuracy = solution.problem.asked_accuracy

@@ -15,8 +15,10 @@ from mbsrun.external import OnDemand, load_on_demand
 from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.design import equip
+from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Form, Problem, Representation, Unknown
 from mbsrun.ocp.resimulation import resimulate
+from mbsrun.ocp.sensitivity import find_sensitivities
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import Solver, solve
 from mbsrun.ocp.statement import read_problem
@@ -62,7 +64,7 @@ def read(folder: Path, text: str = SWING) -> tuple[Problem, OnDemand]:
     return problem, plant
 
 
-def solved(problem: Problem, plant: OnDemand) -> Solution:
+def solved(problem: Problem, plant: Plant) -> Solution:
     outcome = solve(problem, plant)
     assert isinstance(outcome, Solution), outcome
     return outcome
@@ -110,7 +112,7 @@ def test_no_other_number_is_better() -> None:
             parameters=(*problem.parameters, *given.items()),
             cost=replace(problem.cost, terminal=()),
         )
-        return solved(fixed, plant).cost.total + price * given["stiffness"] ** 2
+        return float(solved(fixed, plant).cost.total + price * given["stiffness"] ** 2)
 
     assert cost() == pytest.approx(found.cost.total, rel=1e-6)
     step = 1e-2
@@ -197,3 +199,25 @@ def test_values_made_in_python_are_checked(folder: Path) -> None:
     ):
         with pytest.raises(ProblemError, match=message):
             solve(part, plant)
+
+
+def test_sensitivities_are_differences_of_optima(folder: Path) -> None:
+    """The derivative of the optimal cost by a parameter, and the costs of solves at values beside it."""
+    problem, plant = read(folder, SWING.replace("unknowns: {k: {guess: 10, range: [0, null]}}", ""))
+    problem = replace(problem, solver=replace(problem.solver, tolerance=1e-12))
+    found = dict(find_sensitivities(solved(problem, plant), plant).sensitivities)
+    assert set(found) == {"k", "m"}
+    for name, value in (("k", 1.0), ("m", 2.0)):
+        h = 1e-3 * value
+        given = dict(problem.parameters)
+        above, below = (
+            solved(replace(problem, parameters=tuple((given | {name: value + d}).items())), plant).cost.total
+            for d in (h, -h)
+        )
+        assert found[name] == pytest.approx((above - below) / (2 * h), rel=1e-5)
+
+
+def test_without_differentiated_parameters_there_are_no_sensitivities(folder: Path) -> None:
+    problem, plant = read(folder, SWING.replace("{k: {", "{m: {guess: 2}, k: {").replace(", m: 2", ""))
+    solution = solved(problem, plant)
+    assert find_sensitivities(solution, plant) is solution

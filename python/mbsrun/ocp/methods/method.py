@@ -61,6 +61,7 @@ class Answer:
     iterations: int
     evaluating: float = 0.0  # s in functions and derivatives
     cpu_evaluating: float = 0.0
+    multipliers: Array | None = None  # of the constraints, where the method returns them: L = f + multipliers' g
     clash: tuple[int, ...] = ()  # of a failure: rows of the program that stay violated, the worst first
 
 

@@ -30,7 +30,7 @@ def make(name: str, order: Order, settings: Mapping[str, Any], *, scale: float =
             x0=start.x, p=start.parameters, lbx=start.lower, ubx=start.upper, lbg=start.g_lower, ubg=start.g_upper
         )
         callback.end()
-        return _read(function.stats(), answer)
+        return _read(function.stats(), answer, scale)
 
     return solve
 
@@ -43,13 +43,13 @@ def read_status(statistics: Mapping[str, Any]) -> str:
     return SOLVED if statistics["success"] else f"Ended_With_Status_{status}"
 
 
-def _read(statistics: Mapping[str, Any], answer: Mapping[str, ca.DM]) -> Answer:
+def _read(statistics: Mapping[str, Any], answer: Mapping[str, ca.DM], scale: float) -> Answer:
     evaluating, cpu_evaluating = (
         sum(value for key, value in statistics.items() if key.startswith(f"t_{clock}_nlp_"))
         for clock in ("wall", "proc")
     )
-    x = answer["x"].full().ravel()
-    return Answer(x, read_status(statistics), statistics["iter_count"], evaluating, cpu_evaluating)
+    x, multipliers = answer["x"].full().ravel(), answer["lam_g"].full().ravel() / scale
+    return Answer(x, read_status(statistics), statistics["iter_count"], evaluating, cpu_evaluating, multipliers)
 
 
 class _Callback(ca.Callback):

@@ -125,7 +125,7 @@ def _answer(program: Program, tables: StageProgram, outcome: binding.Outcome) ->
     x[tables.variables[known]] = outcome.w[known]
     status = STATUSES.get(outcome.status, outcome.status)
     clash = tuple(row for clash in outcome.clashes if (row := _find_row(tables, clash)) >= 0)
-    return Answer(x[program.kept], status, outcome.iterations, outcome.evaluating, outcome.evaluating, clash)
+    return Answer(x[program.kept], status, outcome.iterations, outcome.evaluating, outcome.evaluating, clash=clash)
 
 
 def _find_row(tables: StageProgram, clash: binding.Clash) -> int:
