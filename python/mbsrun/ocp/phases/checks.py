@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from mbsgen.documents import Place, abbreviate, nearest, write_path
-from mbsgen.expressions import ExpressionError, is_free_name, names, parse
+from mbsgen.expressions import ExpressionError, names, parse
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.checks import Finding, ProblemError, check_problem
 from mbsrun.ocp.phases.impacts import AXES, find_axes, find_wrench
@@ -107,7 +107,10 @@ class _Link:
     @property
     def free(self) -> list[str]:
         """List constants and unknowns."""
-        return [*(name for name, _ in self.problem.constants), *(unknown.name for unknown in self.problem.unknowns)]
+        return [
+            *(name for name, _ in self.problem.constants),
+            *(unknown.name for unknown in self.problem.every_unknown),
+        ]
 
     def check(self) -> Iterator[PhaseFault]:
         """Find the faults."""
@@ -297,11 +300,3 @@ def _check_rate(place: Place, text: str, before: Manifest) -> Iterator[PhaseFaul
 def _suggest(name: str, known: Sequence[str] | Mapping[str, object]) -> str | None:
     meant = nearest(name, list(known))
     return f"did you mean {abbreviate(meant)}?" if meant else None
-
-
-def check_unknowns(problem: PhasedProblem) -> Iterator[PhaseFault]:
-    """Check the names and bounds of shared unknowns."""
-    for unknown in problem.unknowns:
-        place: Place = ("unknowns", unknown.name)
-        if not is_free_name(unknown.name) or unknown.name in dict(problem.constants):
-            yield PhaseFault(place, "no name for an unknown", "give a word that means nothing else")

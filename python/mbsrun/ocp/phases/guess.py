@@ -56,7 +56,7 @@ def _carry_on(
     """Guess the free coordinates of a start from the end of the motion before, where that is possible."""
     if (has_loops(target.manifest) and target is not source) or not np.isfinite(before.q).all():
         return own
-    known = dict(problem.constants) | {unknown.name: unknown.guess for unknown in problem.unknowns}
+    known = dict(problem.constants) | {unknown.name: unknown.guess for unknown in problem.every_unknown}
     known |= {name: float(before.q[-1, i]) for name, i in spell_coordinates(source.manifest).items()}
     plain = dict(zip(source.manifest.positions, before.q[-1].tolist(), strict=True))
     chosen, values = dict(link.map), list(own.start_q)

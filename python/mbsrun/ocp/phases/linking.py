@@ -18,11 +18,14 @@ from scipy import sparse
 
 from mbsgen.expressions import Expression, Name, Number, names, parse, substitute
 from mbsrun.ocp import formulas
+from mbsrun.ocp.design import list_fixed_values, order_design, read_design
 from mbsrun.ocp.functions import Formula, Indices, Input, KernelResult
 from mbsrun.ocp.layout import Entries
+from mbsrun.ocp.phases.addition import Offsets
 from mbsrun.ocp.phases.problem import Condition, Map
 from mbsrun.ocp.phases.rates import differentiate
 from mbsrun.ocp.phases.sides import Side, State, list_readable, spell_coordinates, spell_velocities
+from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.program import Block, Column, Matrix
 from mbsrun.quantities import Quantity
 from mbsrun.quaternions import find_quaternion, list_quaternions
@@ -45,10 +48,11 @@ class Defined:
 class Rows:
     """Collects rows, variables, blocks, bounds and descriptions of links."""
 
-    def __init__(self, variables: int, rows: int, parameters: int, unknowns: Sequence[str], constants: Sequence[str]):
-        """Begin behind programs with so many variables, rows and parameters."""
-        self.first_variable, self.first_row, self.first_parameter = variables, rows, parameters
-        self.variables, self.rows = variables, rows
+    def __init__(self, begin: Offsets, unknowns: Sequence[str], constants: Sequence[str], plants: Sequence[Plant]):
+        """Begin behind programs; `plants` are the ones whose kernels the rows read."""
+        self.first_variable, self.first_row, self.first_parameter = begin.variables, begin.rows, begin.constants
+        self.variables, self.rows = begin.variables, begin.rows
+        self.plants = plants
         self.constants = list(constants)
         self.A = Entries()
         self.blocks: list[Block] = []
@@ -57,6 +61,14 @@ class Rows:
         self.variable_bounds: list[tuple[Indices, float, float]] = []
         self.row_bounds: list[tuple[Indices, float, float]] = []
         self.unknowns = dict(zip(unknowns, self.add_variables(len(unknowns)).tolist(), strict=True))
+        self.designs = {i: self._add_design(plant) for i, plant in enumerate(plants)}
+
+    def _add_design(self, plant: Plant) -> Indices:
+        """Return the variables of a plant's differentiated parameters, if an unknown is among them."""
+        names = list(self.unknowns)
+        fixed = [self.add_variables(1, value, value) for value in list_fixed_values(names, plant)]
+        every = np.array(list(self.unknowns.values()), dtype=np.int64)
+        return order_design(names, every, np.concatenate([*fixed, every[:0]]), plant.manifest)
 
     def add_variables(self, count: int, lower: float = -np.inf, upper: float = np.inf) -> Indices:
         """Number some variables."""
@@ -82,7 +94,10 @@ class Rows:
     def apply(self, function: Formula | KernelResult, columns: Sequence[Column], rows: Indices, **more: object) -> None:
         """Apply a function once."""
         none = np.zeros(1, dtype=np.int64)
-        self.blocks.append(Block(function, tuple(columns), rows[:, None], none, **more))  # type: ignore[arg-type]
+        block = Block(function, tuple(columns), rows[:, None], none, **more)  # type: ignore[arg-type]
+        if isinstance(function, KernelResult):
+            block = read_design(block, self.designs[block.plant], self.plants[block.plant])
+        self.blocks.append(block)
 
     def write_expressions(
         self,

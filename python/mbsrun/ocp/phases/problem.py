@@ -66,12 +66,21 @@ class PhasedProblem:
     phases: tuple[Phase, ...]
     links: tuple[Link, ...] = ()
     constants: tuple[tuple[str, float], ...] = ()  # that links read
-    unknowns: tuple[Unknown, ...] = ()  # that links read; phases share them by name
+    unknowns: tuple[Unknown, ...] = ()  # that links read, beside the ones of phases; all share them by name
     solver: SolverOptions = field(default_factory=SolverOptions)
 
     def find(self, name: str) -> int:
         """Return the number of a phase."""
         return [phase.name for phase in self.phases].index(name)
+
+    @property
+    def every_unknown(self) -> tuple[Unknown, ...]:
+        """List the unknowns of links and phases, each name once."""
+        found = {unknown.name: unknown for unknown in self.unknowns}
+        for phase in self.phases:
+            for unknown in phase.problem.unknowns:
+                found.setdefault(unknown.name, unknown)
+        return tuple(found.values())
 
     @property
     def weight(self) -> float:
@@ -107,6 +116,29 @@ class Plants:
         """Return the plant of a link's impact."""
         own = self.impacts[link] if link < len(self.impacts) else None
         return self.phases[source] if own is None else own
+
+
+def equip_phases(problem: PhasedProblem, plants: Plants) -> Plants:
+    """Return the kernels with the parameters of each phase; equal ones stay one plant.
+
+    An impact with a model of its own takes the parameters of the phase before it, if it has them.
+    """
+    known: list[tuple[Plant, tuple[tuple[str, float], ...], Plant]] = []
+    guesses = tuple((unknown.name, unknown.guess) for unknown in problem.every_unknown)
+
+    def change(plant: Plant, own: Problem) -> Plant:
+        given = tuple((name, value) for name, value in (*guesses, *own.parameters) if name in plant.parameters)
+        for other, values, equipped in known:
+            if other is plant and values == given:
+                return equipped
+        changes = {name: value for name, value in given if plant.parameters[name] != value}
+        known.append((plant, given, plant.with_parameters(**changes) if changes else plant))
+        return known[-1][2]
+
+    phases = tuple(change(plant, phase.problem) for plant, phase in zip(plants.phases, problem.phases, strict=True))
+    sources = [problem.phases[problem.find(link.source)].problem for link in problem.links]
+    impacts = zip(plants.impacts, sources, strict=False)
+    return Plants(phases, tuple(None if plant is None else change(plant, own) for plant, own in impacts))
 
 
 def make_plants(phases: Sequence[Plant]) -> Plants:

@@ -79,13 +79,6 @@ class LinkSection(Section):
     conditions: Annotated[tuple[ConditionSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
 
 
-class UnknownSection(Section):
-    """A number that the solver chooses."""
-
-    range: RangeField = Field(default=(None, None), examples=[[0.1, 1.0]])
-    guess: NumberField = Field(default=Number(0.0), examples=[0.5])
-
-
 class PhaseSection(ProblemSection):
     """A phase: a problem with a name."""
 
@@ -106,4 +99,3 @@ class WholeSection(Section):
     )
     links: Annotated[tuple[LinkSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
     constants: dict[str, NumberField] = Field(default={}, examples=[{}])
-    unknowns: dict[str, UnknownSection] = Field(default={}, examples=[{}])

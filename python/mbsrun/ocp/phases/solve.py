@@ -18,7 +18,7 @@ from mbsrun.ocp.guess import adapt
 from mbsrun.ocp.methods import METHODS, Order, Start
 from mbsrun.ocp.phases.checks import check_phases
 from mbsrun.ocp.phases.guess import Unreached, guess_phases, solve_links
-from mbsrun.ocp.phases.problem import Phase, PhasedProblem, Plants
+from mbsrun.ocp.phases.problem import Phase, PhasedProblem, Plants, equip_phases
 from mbsrun.ocp.phases.solution import Guess, Impulse, LinkValues, PhasedFailure, PhasedSolution
 from mbsrun.ocp.phases.transcription import PhasedTranscription, transcribe_phases
 from mbsrun.ocp.program import Matrix
@@ -51,9 +51,9 @@ class PhasedSolver:
     def __init__(self, problem: PhasedProblem, plants: Plants) -> None:
         """Transcribe a problem whose loops are settled. Raises ProblemError with every fault of it."""
         check_phases(problem, plants)
-        self.problem, self.plants = problem, plants
-        self.transcription: PhasedTranscription = transcribe_phases(problem, plants)
-        first, *others = plants.every
+        self.problem, self.plants = problem, equip_phases(problem, plants)
+        self.transcription: PhasedTranscription = transcribe_phases(problem, self.plants)
+        first, *others = self.plants.every
         self.program = Prepared(self.transcription.program, first, tuple(others))
 
     def solve(self, guess: Guess, watch: Watch | None = None) -> PhasedSolution | PhasedFailure:
@@ -84,11 +84,14 @@ class PhasedSolver:
         return solution
 
     def _complete(self, guess: Guess) -> Guess:
-        """Guess the states and controls that phases add."""
+        """Guess the states, controls and unknowns that phases add."""
+        known = dict(guess.unknowns)
         given = zip(guess.trajectories, self.problem.phases, self.plants.phases, strict=True)
-        return replace(
-            guess, trajectories=tuple(complete(motion, phase.problem, plant) for motion, phase, plant in given)
-        )
+        completed = []
+        for motion, phase, plant in given:
+            values = [known.get(unknown.name, unknown.guess) for unknown in phase.problem.unknowns]
+            completed.append(complete(replace(motion, unknowns=np.array(values)), phase.problem, plant))
+        return replace(guess, trajectories=tuple(completed))
 
     def _evaluate(self, x: Array) -> Array:
         parameters = self.transcription.parameters(self.problem)
@@ -152,7 +155,7 @@ class PhasedSolver:
             run=run,
             size=measure_size(functions),
             constants=problem.constants,
-            unknowns=problem.unknowns,
+            unknowns=problem.every_unknown,
             unknown_values=tuple(x[own.unknowns].tolist()),
             solver=problem.solver,
         )
@@ -193,6 +196,7 @@ def solve_phases(
     Raises ProblemError with every fault of the problem.
     """
     check_phases(problem, plants)
+    plants = equip_phases(problem, plants)
     start = guess_phases(problem, plants) if guess is None else adapt_guess(problem, guess)
     if isinstance(start, Unreached):
         finding, remedy = describe_unreachable(start.pose)

@@ -13,18 +13,18 @@ from pathlib import Path
 
 from mbsgen.documents import Data, Document, Place, examine, lies_under, read_document, refuse
 from mbsgen.errors import Fault, InputError
-from mbsgen.expressions import Expression, is_free_name
+from mbsgen.expressions import Expression
 from mbsrun.ocp.no_mechanism import NO_MECHANISM
 from mbsrun.ocp.phases.checks import find_faults
 from mbsrun.ocp.phases.impacts import AXES, find_axes
 from mbsrun.ocp.phases.problem import Condition, Impact, Link, Phase, PhasedProblem, Plants
 from mbsrun.ocp.phases.sections import ContactSection, ImpactSection, LinkSection, PhaseSection, WholeSection
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Contact, Problem, Range, Unknown
+from mbsrun.ocp.problem import Contact, Problem, Range
 from mbsrun.ocp.statement import read_phase
 from mbsrun.reading import Reading, overlay
 
-OWN = ("phases", "links", "unknowns")  # keys that are no defaults of phases
+OWN = ("phases", "links")  # keys that are no defaults of phases
 SHARED = ("solver", "unknowns", "links", "phases")  # keys that no phase has of its own
 ONLY = "motion"  # the name of the phase of a file without `phases`
 
@@ -100,8 +100,10 @@ class _Loading:
         self._known: dict[str, Plant | None] = {}
         self.faults: list[Fault] = []
 
-    def load(self, model: str) -> Plant | None:
-        """Return the plant of a model; None for one with faults."""
+    def load(self, model: str | None) -> Plant | None:
+        """Return the plant of a model, or of no mechanism; None for one with faults."""
+        if model is None:
+            return NO_MECHANISM
         if model not in self._known:
             try:
                 self._known[model] = self._load(self._folder / model)
@@ -151,7 +153,7 @@ def _read_phase(document: Document, k: int, linked: set[str], loading: _Loading)
     section = examination.value
     if section is None or lies_under(("model",), examination.stand_ins):
         return _Read(name, None, None, faults)
-    plant = NO_MECHANISM if section.model is None else loading.load(section.model)
+    plant = loading.load(section.model)
     if plant is None:
         return _Read(name, None, None, faults)
     problem, found = read_phase(part, examination, plant, name, is_linked=name in linked)
@@ -191,32 +193,21 @@ class _Links(Reading):
     def problem(self, name: str, phases: list[_Read], models: list[Plant | None]) -> tuple[PhasedProblem, Plants]:
         """Make the problem, which is valid only if there are no faults."""
         plants = Plants(tuple(phase.plant for phase in phases if phase.plant is not None), tuple(models))
+        problems = [phase.problem for phase in phases if phase.problem is not None]
         problem = PhasedProblem(
             name=name,
-            phases=tuple(Phase(phase.name, phase.problem) for phase in phases if phase.problem is not None),
+            phases=tuple(Phase(phase.name, own) for phase, own in zip(phases, problems, strict=True)),
             links=tuple(
                 self.link(i, section, named, phases, models[i])
                 for i, (section, named) in enumerate(zip(self.whole.links, self.name_links(), strict=True))
             ),
             constants=tuple(self.constants.items()),
-            unknowns=tuple(self.unknown(key) for key in self.whole.unknowns),
-            solver=phases[0].problem.solver if phases[0].problem is not None else PhasedProblem.solver,
+            unknowns=problems[0].unknowns,
+            solver=problems[0].solver,
         )
         for fault in find_faults(problem, plants):
             self.fault(fault.place, fault.finding, fault.remedy)
         return problem, plants
-
-    def unknown(self, name: str) -> Unknown:
-        place: Place = ("unknowns", name)
-        if not is_free_name(name) or name in self.constants:
-            self.fault(place, "no name for an unknown", "give a word that means nothing else")
-        section = self.whole.unknowns[name]
-        bounds = self.range((*place, "range"), section.range)
-        guess = self.number((*place, "guess"), section.guess)
-        if not math.isnan(guess) and (guess < bounds[0] or guess > bounds[1]):
-            finding = f"{guess:g} is out of [{bounds[0]:g}, {bounds[1]:g}]"
-            self.fault((*place, "guess"), finding, "guess within the range")
-        return Unknown(name, bounds, guess)
 
     def link(self, i: int, section: LinkSection, named: Link, phases: list[_Read], model: Plant | None) -> Link:
         place: Place = ("links", i)

@@ -57,7 +57,7 @@ class PhasedTranscription:
         """Bound all variables."""
         own = [part.variable_bounds(phase.problem) for part, phase in zip(self.phases, problem.phases, strict=True)]
         last = [bound.copy() for bound in self.bounds]
-        shared = np.array([unknown.bounds for unknown in problem.unknowns]).reshape(-1, 2).T
+        shared = np.array([unknown.bounds for unknown in problem.every_unknown]).reshape(-1, 2).T
         for bound, given in zip(last, shared, strict=True):
             bound[self.unknowns - self.offsets[-1].variables] = given
         lower, upper = (np.concatenate(parts) for parts in zip(*own, last, strict=True))
@@ -81,7 +81,10 @@ class PhasedTranscription:
         parts = [own.pack(motion) for own, motion in zip(self.phases, guess.trajectories, strict=True)]
         x = np.concatenate([*parts, np.zeros(self.program.variables - self.offsets[-1].variables)])
         given = dict(guess.unknowns)
-        x[self.unknowns] = [given.get(unknown.name, unknown.guess) for unknown in problem.unknowns]
+        values = {unknown.name: given.get(unknown.name, unknown.guess) for unknown in problem.every_unknown}
+        x[self.unknowns] = list(values.values())
+        for own, phase, offset in zip(self.phases, problem.phases, self.offsets, strict=False):
+            x[own.layout.unknowns + offset.variables] = [values[unknown.name] for unknown in phase.problem.unknowns]
         return x
 
     def split(self, x: Array) -> list[Array]:
@@ -103,13 +106,13 @@ def transcribe_phases(problem: PhasedProblem, plants: Plants) -> PhasedTranscrip
     phases = tuple(transcribe(phase.problem, plant) for phase, plant in zip(problem.phases, plants.phases, strict=True))
     numbers = [plants.number(plant) for plant in plants.phases]
     offsets = place_summands([phase.program for phase in phases])
-    rows = Rows(
-        offsets[-1].variables,
-        offsets[-1].rows,
-        offsets[-1].constants,
-        [unknown.name for unknown in problem.unknowns],
-        [name for name, _ in problem.constants],
-    )
+    unknowns = [unknown.name for unknown in problem.every_unknown]
+    rows = Rows(offsets[-1], unknowns, [name for name, _ in problem.constants], plants.every)
+    for phase, part, offset in zip(problem.phases, phases, offsets, strict=False):
+        for unknown, variable in zip(phase.problem.unknowns, part.layout.unknowns, strict=True):
+            row = rows.add_rows(1, f"phase {phase.name}: {unknown.name}")
+            rows.A.put(row, [rows.unknowns[unknown.name]], 1.0)
+            rows.A.put(row, [int(variable) + offset.variables], -1.0)
 
     def side(k: int, *, is_end: bool) -> Side:
         layout, own = phases[k].layout, problem.phases[k].problem

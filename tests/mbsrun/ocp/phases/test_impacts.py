@@ -30,7 +30,7 @@ scheme: radau
 degree: 3
 intervals: 2
 horizon: {guess: 0.4, range: [0.01, 2]}
-cost: {terminal: [{expression: T}]}
+COST
 phases:
   - name: fall
     start: {pose: {height: 1}, velocity: {way: WAY}}
@@ -43,9 +43,11 @@ links:
 BALL = """
 name: ball
 gravity: [0, 0, -9.81]
+parameters:
+  m: {value: 0.5, kind: differentiated}
 bodies:
   - {name: slide, joint: {name: way, type: prismatic, axis: x, actuated: false}}
-  - {name: ball, parent: slide, joint: {name: height, type: prismatic, axis: z, actuated: false}, mass: 0.5}
+  - {name: ball, parent: slide, joint: {name: height, type: prismatic, axis: z, actuated: false}, mass: m}
 frames:
   - {name: tip, body: ball}
 """
@@ -59,9 +61,11 @@ def drop(requires: Callable[[str], str], tmp_path: Path) -> Callable[[str, str],
     (tmp_path / "ball.yaml").write_text(BALL)
     (tmp_path / "ball_hit.yaml").write_text(BALL + OPEN)
 
-    def solve(way: str, contact: str) -> PhasedSolution | PhasedFailure:
-        file = tmp_path / "drop.ocp.yaml"
-        file.write_text(DROPPED.replace("WAY", way).replace("CONTACT", contact))
+    def solve(
+        way: str, contact: str, more: str = "", terminal: str = "{expression: T}"
+    ) -> PhasedSolution | PhasedFailure:
+        file, cost = tmp_path / "drop.ocp.yaml", f"cost: {{terminal: [{terminal}]}}"
+        file.write_text(DROPPED.replace("WAY", way).replace("CONTACT", contact).replace("COST", cost) + more)
         return solve_phases(*read_phased_problem(file, load_on_demand))
 
     return solve
@@ -90,6 +94,17 @@ def test_friction_that_cannot_stop_a_ball_is_named(drop: Callable[[str, str], Ph
     failure = drop("0.5", "{sensor: tip, friction: 0.01}")
     assert isinstance(failure, PhasedFailure)
     assert "link fall to rise: friction at tip" in failure.finding
+
+
+@pytest.mark.parametrize("mass", ["parameters: {m: 0.7}", "unknowns: {m: {range: [0.7, 0.9], guess: 0.8}}"])
+def test_parameters_and_unknowns_reach_the_model_of_an_impact(drop: Callable[..., PhasedSolution], mass: str) -> None:
+    """The impulse of a ball of 0.7 kg; of the unknown mass, since the cost grows with it."""
+    found = drop("0", "tip", mass, "{expression: T}" if mass.startswith("p") else "{expression: T + m}")
+    mass_found = 0.7 if mass.startswith("p") else found.unknown_values[0]
+    assert mass_found == pytest.approx(0.7, abs=1e-7)
+    impulse = found.values[0].impulses[0].components[2]
+    assert impulse == pytest.approx(mass_found * 1.8 * np.sqrt(2 * G), rel=1e-8)
+    assert found.phases[1].trajectory.unknowns == pytest.approx(found.phases[0].trajectory.unknowns, abs=1e-12)
 
 
 PENDULUM = """

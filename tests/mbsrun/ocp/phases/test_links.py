@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from mbsrun.ocp.backends.casadi import CasadiProgram
 from mbsrun.ocp.backends.numpy import NumpyProgram
 from mbsrun.ocp.phases.problem import Condition, Link, Phase, PhasedProblem, Plants
-from mbsrun.ocp.phases.solution import Guess, PhasedSolution
+from mbsrun.ocp.phases.solution import Guess, PhasedFailure, PhasedSolution
 from mbsrun.ocp.phases.solve import resimulate_phases, solve_phases
 from mbsrun.ocp.phases.transcription import transcribe_phases
 from mbsrun.ocp.problem import Cost, End, Representation, State, Term, Unknown
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import solve
 from tests.mbsrun.ocp.phases.motions import cut, free_start, split, swing_up
-from tests.mbsrun.ocp.plants import cart_pole, push
+from tests.mbsrun.ocp.plants import cart_pole, mechanism, push
 from tests.mbsrun.peer import Peer, double_integrator, explicit_functions
 
 
@@ -154,3 +155,61 @@ def test_states_that_phases_add_carry_on(cart: Peer, whole: Solution) -> None:
     end = found.phases[1].trajectory
     energy = 2 * 0.3 * 9.81 * 0.5  # the pole's mass is lifted by twice its length, and all is at rest
     assert end.states[-1, 0] == pytest.approx(energy, rel=1e-4)  # the error of the grid
+
+
+def mass(m: float) -> Peer:
+    """A mass that is pushed along x."""
+    q, qd, qdd, u = (ca.SX.sym(name) for name in ("q", "qd", "qdd", "u"))
+    return mechanism(("slide",), m * qdd - u + 0 * q * qd, (q, qd, qdd, u))
+
+
+def test_a_mass_that_is_picked_up_equals_an_independent_program() -> None:
+    """Two masses join, and share the momentum: (m + M) v+ = m v-. The program beside it is written with Opti.
+
+    Both are exact for inputs that are constant over an interval; the time at which the masses meet is free.
+    """
+    m, M, N = 1.0, 2.0, 5
+    reach = replace(push(N), horizon=0.5, horizon_range=(0.2, 0.8), cost=Cost(1.0))
+    alone = replace(reach, end=End(coordinates=((0, 0.4),)))
+    problem = PhasedProblem(
+        name="pick up",
+        phases=(Phase("alone", alone), Phase("together", free_start(reach))),
+        links=(
+            Link(
+                "alone",
+                "together",
+                velocities=(("slide", "slide*m/(m + M)"),),
+                conditions=(Condition("end_T + start_T", (1.0, 1.0)),),
+            ),
+        ),
+        constants=(("m", m), ("M", M)),
+    )
+    found = optimum(problem, mass(m), mass(m + M))
+
+    opti = ca.Opti()
+    T, u = opti.variable(2), opti.variable(2, N)
+    x, v, cost = ca.MX(0), ca.MX(0), ca.MX(0)
+    for k, weight in enumerate((m, m + M)):
+        h = T[k] / N
+        for i in range(N):
+            x, v = x + h * v + h**2 * u[k, i] / (2 * weight), v + h * u[k, i] / weight
+            cost += h * u[k, i] ** 2
+        if k == 0:
+            opti.subject_to(x == 0.4)
+            v = v * m / (m + M)
+    opti.minimize(cost)
+    opti.subject_to([x == 1, v == 0, ca.sum1(T) == 1, *(opti.bounded(0.2, T[k], 0.8) for k in range(2))])
+    opti.set_initial(T, 0.5)
+    opti.solver("ipopt", {"print_time": False}, {"print_level": 0, "sb": "yes", "tol": 1e-10})
+    peer = opti.solve()
+    assert found.cost == pytest.approx(float(peer.value(cost)), rel=1e-8)
+    assert found.durations == pytest.approx(peer.value(T), abs=1e-5)
+
+
+def test_conditions_that_contradict_a_link_are_named() -> None:
+    """No motion: the cart cannot jump; the message names the link."""
+    problem = split(swing_up())
+    link = replace(problem.links[0], conditions=(Condition("end_q_cart - start_q_cart", (0.5, 0.5)),))
+    outcome = solve_phases(replace(problem, links=(link,)), Plants((cart_pole(), cart_pole())))
+    assert isinstance(outcome, PhasedFailure)
+    assert "link first to second: " in outcome.finding
