@@ -19,7 +19,7 @@ from mbsgen.manifest import Manifest
 from mbsgen.roles import Role
 from mbsrun.closure import has_loops
 from mbsrun.ocp.design import list_changeable
-from mbsrun.ocp.integrators import INTEGRATORS
+from mbsrun.ocp.integrators import INTEGRATORS, SECOND_ORDER
 from mbsrun.ocp.methods import METHODS
 from mbsrun.ocp.problem import (
     Conflict,
@@ -114,6 +114,9 @@ def find_loop_conflicts(problem: Problem, manifest: Manifest) -> Iterator[Confli
     if loops is Loops.MULTIPLIERS and problem.family is not Family.RADAU:
         finding = f"the points of {problem.family.value} are no mesh points, where loops would be open"
         yield Conflict("loops", finding, "take scheme: radau, or loops: reduced")
+    if loops is Loops.MULTIPLIERS and problem.integrator == SECOND_ORDER:
+        finding = "corrections of the rates of coordinates, which second-order collocation does not have"
+        yield Conflict("loops", finding, "take integrator: collocation, or loops: reduced")
     if loops is Loops.REDUCED:
         if representation in _WITHOUT_REDUCTION:
             finding = f"{representation.value} has no reduced form"

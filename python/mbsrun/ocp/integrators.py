@@ -5,7 +5,11 @@ length h of the interval:
 
     qd = qd_0 + h V z,    q = q_0 + h c qd_0 + h^2 P z,    qdd = W z
 
-At the stages V is the method's matrix A, P is A A. In between a collocation is read off its polynomials, the classical
+At the stages V is the method's matrix A, P is A A: positions are integrated as if they were unrelated to velocities,
+so q' = qd holds at the points alone. The second-order method of a scheme has q' = qd at all times: V z is a polynomial
+of degree d, and P z is its integral, of degree d + 1 (Moreno-Martin, Ros, Celaya, "Collocation methods for second and
+higher order systems", arXiv 2302.09056; as an integrator, Runge-Kutta-Nystrom collocation: Hairer, Norsett, Wanner,
+section II.14). In between a collocation is read off its polynomials, the classical
 method of order 4 by its continuous extension of order 3: Hairer, Norsett, Wanner, "Solving ordinary differential
 equations I", section II.6. Several steps in an interval are one method with more stages.
 """
@@ -19,10 +23,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsrun.ocp.schemes import Scheme, read_basis
+from mbsrun.ocp.schemes import Scheme, integrate_basis, read_basis
 
 Array = NDArray[np.float64]
 IntegratorName = str  # a key of INTEGRATORS
+SECOND_ORDER = "second-order"
 
 
 @dataclass(frozen=True)
@@ -80,6 +85,9 @@ class Step(Protocol):
     def read(self, c: float) -> tuple[Array, Array]:
         """Return the rows of V and W at any c in [0, 1]; V at 1 holds the weights."""
 
+    def integrate(self, c: float, v: Array) -> Array:
+        """Return the row of P where the row of V is v; a method for systems of first order returns v A."""
+
 
 class _Collocation:
     def __init__(self, scheme: Scheme) -> None:
@@ -88,6 +96,16 @@ class _Collocation:
     def read(self, c: float) -> tuple[Array, Array]:
         with_start = read_basis(np.concatenate(([0.0], self.c)), c)
         return with_start[1:] @ self.A, read_basis(self.c, c)
+
+    def integrate(self, c: float, v: Array) -> Array:  # noqa: ARG002  # of a step: c
+        return np.asarray(v @ self.A)
+
+
+class _SecondOrder(_Collocation):
+    """The same points, with coordinates that are the integral of the velocities' polynomial."""
+
+    def integrate(self, c: float, v: Array) -> Array:  # noqa: ARG002  # of a step: v
+        return np.asarray(integrate_basis(self.c, np.array([c]), moment=1)[0])
 
 
 class _Classical:
@@ -101,6 +119,9 @@ class _Classical:
         middle = np.polynomial.Polynomial([0, 0, 1, -2 / 3])
         weights = (first, middle, middle, last)
         return np.array([b(c) for b in weights]), np.array([b.deriv()(c) for b in weights])
+
+    def integrate(self, c: float, v: Array) -> Array:  # noqa: ARG002  # of a step: c
+        return np.asarray(v @ self.A)
 
 
 class _Composition:
@@ -121,15 +142,16 @@ class _Composition:
 
     def _place(self, i: int, local: float, v: Array, w: Array) -> tuple[float, Array, Array, Array]:
         """Return c and rows of V, P and W at a place of step i, where the step's own rows are v and w."""
-        A, length = self.step.A, 1 / self.steps
+        length = 1 / self.steps
         b, _ = self.step.read(1.0)
+        whole, part = self.step.integrate(1.0, b), self.step.integrate(local, v)
         V, P, W = np.zeros((3, self.steps, self.size))
         for k in range(i):  # the contributions of earlier steps to the start of step i
             P += length * V
-            P[k] += length**2 * b @ A
+            P[k] += length**2 * whole
             V[k] += length * b
         P += length * local * V
-        P[i] += length**2 * v @ A
+        P[i] += length**2 * part
         V[i] += length * v
         W[i] = w
         return (i + local) * length, V.ravel(), P.ravel(), W.ravel()
@@ -147,10 +169,17 @@ class Kind:
     title: str
     make: Callable[[Scheme], Step]
     is_explicit: bool  # its stages need accelerations, which a residual does not return
+    is_collocation: bool = False  # it has the points of the scheme, so other forms than shooting can take it
 
 
 # To add one, write a class of one step, and an entry here.
 INTEGRATORS: Mapping[str, Kind] = {
-    "collocation": Kind("the method of the problem's scheme", _Collocation, is_explicit=False),
+    "collocation": Kind("the method of the problem's scheme", _Collocation, is_explicit=False, is_collocation=True),
+    SECOND_ORDER: Kind(
+        "the same points, and coordinates that are the integrals of the velocities",
+        _SecondOrder,
+        is_explicit=False,
+        is_collocation=True,
+    ),
     "rk4": Kind("the classical Runge-Kutta method of order 4", lambda _: _Classical(), is_explicit=True),
 }

@@ -274,7 +274,7 @@ def read_motion(layout: Layout, reading: Reading, h: Array) -> Motion:
     def combine(q: Array, qd: Array, weights: Array) -> Combination:
         """Combine with a coefficient of q_k and of qd_k for each kind of place, and of accelerations, (kinds, S)."""
         coefficients = np.concatenate((q[:, None], qd[:, None], weights), axis=1)
-        return Combination(_spread(coefficients, n), which, repeated)
+        return Combination(spread(coefficients, n), which, repeated)
 
     return Motion(
         q=combine(one, step * c, step[:, None] ** 2 * P),
@@ -294,14 +294,14 @@ def at_mesh(layout: Layout, integrator: Integrator, k: Sequence[int]) -> Places:
     s = layout.grid.mesh()[at] if layout.grid.fractions else at / layout.grid.intervals
     qdd: Column = np.zeros((0, at.size), dtype=np.int64)
     if stages.size:
-        matrices = _spread(integrator.ends.W, n)
+        matrices = spread(integrator.ends.W, n)
         qdd = Combination(matrices, (at > 0).astype(np.int64), stages[interval].reshape(at.size, matrices.shape[2]))
     yd, none = qd[layout.motions.carried_velocities], np.zeros((0, at.size), dtype=np.int64)
     added = (layout.extras.states[at].T, layout.extras.controls[interval].T)
     return Places(q, qd, qdd, layout.inputs[interval].T, s, at, interval, yd, none, *added)
 
 
-def _spread(coefficients: Array, n: int) -> Array:
+def spread(coefficients: Array, n: int) -> Array:
     """Repeat coefficients (places, width) for n entries alike: (places, n, width * n)."""
     whole = coefficients[:, None, :, None] * np.eye(n)[None, :, None, :]
     return np.asarray(whole.reshape(len(coefficients), n, -1))

@@ -20,7 +20,7 @@ from pydantic import BeforeValidator, Field, PlainSerializer
 
 from mbsgen.expressions import names, parse
 from mbsrun.ocp.grid import Grid
-from mbsrun.ocp.integrators import INTEGRATORS, IntegratorName
+from mbsrun.ocp.integrators import INTEGRATORS, SECOND_ORDER, IntegratorName
 from mbsrun.ocp.representations import Loops as Loops
 from mbsrun.ocp.representations import Representation as Representation
 from mbsrun.ocp.schemes import Family
@@ -354,9 +354,12 @@ def find_conflicts(problem: Problem) -> list[Conflict]:
         finding = f"{representation.value} has accelerations as variables, shooting has none"
         ode = representation.as_ode
         found.append(Conflict("representation", finding, f"take {ode.value if ode else 'form: standard'}"))
-    if form is not Form.SHOOTING and (problem.integrator != "collocation" or problem.steps != 1):
-        finding = f"an integrator, and steps of it, are for shooting, and the form is {form.value}"
-        found.append(Conflict("form", finding, "take form: shooting, or leave integrator and steps out"))
+    if problem.integrator == SECOND_ORDER and problem.has_quaternions:
+        finding = "a quaternion is not the integral of a velocity, as coordinates of second-order collocation are"
+        found.append(Conflict("integrator", finding, "take integrator: collocation"))
+    if form is not Form.SHOOTING and (not INTEGRATORS[problem.integrator].is_collocation or problem.steps != 1):
+        finding = f"{problem.integrator} with {problem.steps} steps is for shooting, and the form is {form.value}"
+        found.append(Conflict("form", finding, "take form: shooting, or integrator: collocation and 1 step"))
     elif INTEGRATORS[problem.integrator].is_explicit and not representation.is_explicit:
         finding = f"{problem.integrator} needs accelerations, and {representation.value} returns a residual"
         found.append(Conflict("integrator", finding, "take representation: EXP2-O, or integrator: collocation"))

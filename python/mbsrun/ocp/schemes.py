@@ -57,6 +57,10 @@ class Scheme:
         """Return the order of convergence at the ends of intervals."""
         return 2 * self.degree - (1 if self.ends_interval else 0)
 
+    def integrate(self, places: Array) -> Array:
+        """Return (k, d + 1): the integrals from 0 to k places of the basis polynomials of all nodes."""
+        return integrate_basis(np.concatenate(([0.0], self.points)), places)
+
     @property
     def exactness(self) -> int:
         """Return the highest degree of a polynomial that the quadrature integrates exactly."""
@@ -119,6 +123,17 @@ def read_basis(nodes: Array, s: float) -> Array:
         return np.asarray((nodes == s).astype(np.float64))
     terms = _barycentric(nodes) / (s - nodes)
     return np.asarray(terms / terms.sum())
+
+
+def integrate_basis(nodes: Array, places: Array, moment: int = 0) -> Array:
+    """Return the integrals from 0 to each place c of (c - s)^moment times the basis polynomials of some nodes."""
+    x, w = legendre.leggauss(len(nodes) + moment)  # exact for more than the degree of the integrand
+    rows = []
+    for c in places:
+        s = c * (x + 1) / 2
+        basis = np.stack([read_basis(nodes, float(at)) for at in s])
+        rows.append((w * (c - s) ** moment * c / 2) @ basis)
+    return np.stack(rows)
 
 
 def _weights(points: Array) -> Array:

@@ -13,8 +13,8 @@ from scipy import sparse
 
 from mbsrun.ocp import closing, design, formulas
 from mbsrun.ocp.functions import Array, Fixed, Function, Indices, KernelResult
-from mbsrun.ocp.integrators import Integrator
-from mbsrun.ocp.layout import Entries, ExtraRows, Layout, Places, Rows, at_mesh, at_points, at_stages, lay_out
+from mbsrun.ocp.integrators import SECOND_ORDER, Integrator
+from mbsrun.ocp.layout import Entries, ExtraRows, Layout, Places, Rows, at_mesh, at_points, at_stages, lay_out, spread
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Form, list_names
 from mbsrun.ocp.program import Block, Column, Combination, Matrix, Program, Stages
@@ -243,22 +243,54 @@ class Writer:
         nodes = [layout.mesh[:-1], *layout.points.transpose(1, 0, 2)]  # 0 and the points, each (N, nq + n)
         # what is not carried on is read off the last point, or found from the loops where that is not the end
         read = list(range(layout.mesh.shape[1])) if scheme.ends_interval else carried
-        self.A.put(continuity[:, read], layout.mesh[1:, read], 1.0)
+        integrated = len(carried) - len(self.motions.independent) if self.shape.integrator == SECOND_ORDER else 0
+        ended = 0 if scheme.ends_interval else integrated
+        self.A.put(continuity[:, read[ended:]], layout.mesh[1:, read[ended:]], 1.0)
         for r, node in enumerate(nodes):
             for j in range(scheme.degree):
-                self.A.put(states[:, j], node[:, carried], scheme.D[j, r])
-            self.A.put(continuity[:, read], node[:, read], -scheme.end[r])
+                self.A.put(states[:, j, integrated:], node[:, carried[integrated:]], scheme.D[j, r])
+            self.A.put(continuity[:, read[ended:]], node[:, read[ended:]], -scheme.end[r])
         found = np.delete(continuity, read, axis=1)
         mesh = range(1, self.shape.intervals + 1)
         self.write_closure(at_mesh(layout, self.integrator, mesh), found.T, np.arange(len(found)))
         rates = layout.accelerations
-        if self.quaternions:
+        if integrated:
+            self.write_integrated(states[:, :, :integrated], continuity[:, carried[:ended]])
+            states = states[:, :, integrated:]
+        elif self.quaternions:
             rows, states = layout.split(states)
             self.write_turning(rows.reshape(-1, layout.nq).T)
         else:
             velocities = layout.split(layout.points)[1][:, :, self.motions.carried_velocities]
             rates = np.concatenate((velocities, rates), axis=2)
         self.write_rates(states[:, :, : rates.shape[2]], rates)
+
+    def write_integrated(self, states: Indices, ends: Indices) -> None:
+        """Integrate the velocities' polynomial from an interval's start to its points, and to its end if that has rows.
+
+        The rows are q_kj - q_k - h sum_r B_jr qd_kr = 0.
+        """
+        layout, (N, d, n), motions = self.layout, states.shape, self.motions
+        independent = motions.carried[:n]
+        velocities = [layout.nq + i for i in motions.carried_velocities]
+        nodes = np.concatenate((layout.mesh[:-1, None], layout.points), axis=1)[:, :, velocities]
+        rows, q = states, layout.points[:, :, independent]
+        if ends.size:
+            rows = np.concatenate((rows, ends[:, None]), axis=1)
+            q = np.concatenate((q, layout.mesh[1:, None, independent]), axis=1)
+        B = self.scheme.integrate(np.append(self.scheme.points, 1.0)[: rows.shape[1]])
+        self.A.put(rows, q, 1.0)
+        self.A.put(rows, layout.mesh[:-1, None, independent], -1.0)
+        if layout.horizon is None:
+            for r in range(d + 1):
+                self.A.put(rows, nodes[:, None, r], -self.h[:, None, None] * B[:, r, None])
+            return
+        interval, variables = np.repeat(np.arange(N), len(B)), nodes.reshape(N, -1)
+        part = Combination(spread(B, n), np.tile(np.arange(len(B)), N), variables[interval])
+        placed = rows.reshape(-1, n).T
+        self.blocks.append(
+            Block(formulas.copy(n), (part,), placed, interval, scale=-self.h[interval], factor=layout.horizon)
+        )
 
     def write_added_states(self, rates: Indices, continuity: Indices) -> None:
         """Differentiate the states that the problem adds at the points: s' = rate, an expression of the motion."""
