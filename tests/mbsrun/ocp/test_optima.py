@@ -8,6 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
+from mbsrun.ocp.integrators import SECOND_ORDER
 from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Problem, Representation, Term
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.solution import Solution
@@ -31,8 +32,11 @@ def optimum(problem: Problem, plant: Peer) -> Solution:
     return outcome
 
 
-@pytest.mark.parametrize("representation", [Representation.IMPL, Representation.EXP1_O])
-def test_fastest_push_is_full_force_both_ways(representation: Representation) -> None:
+@pytest.mark.parametrize(
+    ("representation", "integrator"),
+    [(Representation.IMPL, "collocation"), (Representation.EXP1_O, "collocation"), (Representation.IMPL, SECOND_ORDER)],
+)
+def test_fastest_push_is_full_force_both_ways(representation: Representation, integrator: str) -> None:
     """A mass of 1 kg over 1 m from rest to rest under |u| <= 4: T = 2 sqrt(1/4), by full force, switched half way.
 
     With an even number of intervals the switch falls on the grid, and the optimum is free of discretisation.
@@ -49,6 +53,7 @@ def test_fastest_push_is_full_force_both_ways(representation: Representation) ->
         bounds=Bounds((FREE_RANGE,), (FREE_RANGE,), ((-4.0, 4.0),)),
         end=End(coordinates=((0, 1.0),), velocity_zero=True),
         representation=representation,
+        integrator=integrator,
         horizon_range=(0.1, 10.0),
     )
     solution = optimum(problem, double_integrator())
@@ -90,6 +95,33 @@ def test_brachistochrone_is_a_cycloid() -> None:
     a = solution.trajectory.t * np.sqrt(G / R)
     cycloid = np.stack((R * (a - np.sin(a)), -R * (1 - np.cos(a))), axis=1)
     assert np.abs(solution.trajectory.q - cycloid).max() < 1e-3
+
+
+@pytest.mark.parametrize(("integrator", "order"), [("collocation", 4), (SECOND_ORDER, 5)])
+@pytest.mark.parametrize("family", Family)
+def test_orders_within_intervals(family: Family, integrator: str, order: int) -> None:
+    """Coordinates at the points err by h^(d + 1); where they are integrals of velocities, by h^(d + 2)."""
+    motion = solve_ivp(
+        lambda _, y: [y[1], 0.5 - np.sin(y[0])], (0, 2), [1.0, 0.0], "DOP853", dense_output=True, rtol=1e-13, atol=1e-13
+    )
+    errors = []
+    for N in (8, 16):
+        problem = Problem(
+            name="swing",
+            horizon=2.0,
+            intervals=N,
+            family=family,
+            degree=3,
+            cost=Cost(1.0),
+            start_q=(1.0,),
+            start_qd=(0.0,),
+            bounds=Bounds((FREE_RANGE,), (FREE_RANGE,), ((0.5, 0.5),)),
+            end=End(),
+            integrator=integrator,
+        )
+        trajectory = optimum(problem, pendulum()).trajectory
+        errors.append(np.abs(trajectory.point_q[:, 0, 0] - motion.sol(trajectory.point_t[:, 0])[0]).max())
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.3)
 
 
 ORDERS = [(Family.RADAU, 1, 1), (Family.RADAU, 2, 3), (Family.RADAU, 3, 5), (Family.LEGENDRE, 1, 2)]

@@ -17,6 +17,7 @@ from mbsrun.ocp import integrators, schemes
 from mbsrun.ocp.backends.casadi import CasadiProgram
 from mbsrun.ocp.backends.condensation import Condensed, build
 from mbsrun.ocp.guess import interpolate
+from mbsrun.ocp.integrators import SECOND_ORDER
 from mbsrun.ocp.problem import Bounds, Cost, End, Form, Problem, Representation, Term, cylindrical
 from mbsrun.ocp.resimulation import Constant, integrate, resimulate
 from mbsrun.ocp.schemes import Family
@@ -69,6 +70,24 @@ def test_polynomials_are_read_exactly_everywhere(family: Family, steps: int) -> 
         assert place.V @ z == pytest.approx(place.c ** (d - 1) / (d - 1), abs=1e-14)
         assert place.P @ z == pytest.approx(place.c**d / (d * (d - 1)), abs=1e-14)
         assert place.W @ z == pytest.approx(place.c ** (d - 2), abs=1e-13)
+
+
+@pytest.mark.parametrize("steps", [1, 3])
+@pytest.mark.parametrize("family", Family)
+def test_coordinates_of_second_order_are_integrals_of_velocities(family: Family, steps: int) -> None:
+    """Accelerations t^(d-1): velocities of degree d and coordinates of degree d + 1 are exact, in between too.
+
+    The method for systems of first order misses the latter at its points, and meets it at the ends of steps.
+    """
+    d = 4
+    scheme = schemes.build(family, d)
+    for name, is_exact in ((SECOND_ORDER, True), ("collocation", False)):
+        method = integrators.build(name, scheme, steps)
+        z = method.stages.c ** (d - 1)
+        for place in (method.stages, method.points, method.ends):
+            assert place.V @ z == pytest.approx(place.c**d / d, abs=1e-14)
+            gap = np.abs(place.P @ z - place.c ** (d + 1) / (d * (d + 1))).max()
+            assert (gap < 1e-15) is (is_exact or place is method.ends)
 
 
 def rk4(plant: Peer, x: np.ndarray, u: np.ndarray, length: float, steps: int) -> np.ndarray:

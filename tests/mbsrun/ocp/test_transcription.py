@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from mbsrun.ocp.backends.condensation import build
+from mbsrun.ocp.integrators import SECOND_ORDER
 from mbsrun.ocp.methods.ipopt import pair
 from mbsrun.ocp.problem import Bounds, Cost, End, Form, Problem, Representation
 from mbsrun.ocp.schemes import Family
@@ -107,7 +108,13 @@ def test_derivatives_of_the_integral_form(
 
 
 @pytest.mark.parametrize(
-    ("representation", "family", "mesh"), [*((*both, None) for both in INTEGRAL), (*INTEGRAL[0], (0.2, 0.5, 0.3))]
+    ("representation", "family", "mesh", "integrator"),
+    [
+        *((*both, None, "collocation") for both in INTEGRAL),
+        (*INTEGRAL[0], (0.2, 0.5, 0.3), "collocation"),
+        (*INTEGRAL[0], (0.2, 0.5, 0.3), SECOND_ORDER),
+        (*INTEGRAL[1], None, SECOND_ORDER),
+    ],
 )
 def test_the_integral_form_is_the_standard_form_solved(
     arm: Peer,
@@ -115,10 +122,13 @@ def test_the_integral_form_is_the_standard_form_solved(
     representation: Representation,
     family: Family,
     mesh: tuple[float, ...] | None,
+    integrator: str,
     rng: np.random.Generator,
 ) -> None:
     """States at the points from accelerations: put into the standard form they satisfy it, and all else is equal."""
-    problem = replace(integral(rich(reach, representation, family, False), representation), mesh=mesh)
+    problem = replace(
+        integral(rich(reach, representation, family, False), representation), mesh=mesh, integrator=integrator
+    )
     standard = replace(problem, form=Form.STANDARD)
     ours, theirs = transcribe(problem, arm), transcribe(standard, arm)
     x = rng.uniform(0.5, 1, ours.layout.size)
@@ -171,7 +181,8 @@ CONFLICTS = {
         "representation: EXP2-A",
     ),
     "rk4 of a residual": ({"form": Form.SHOOTING, "integrator": "rk4"}, "integrator: rk4"),
-    "steps of collocation": ({"steps": 2}, "form: an integrator"),
+    "steps of collocation": ({"steps": 2}, "form: collocation with 2 steps is for shooting"),
+    "rk4 without shooting": ({"integrator": "rk4"}, "form: rk4 with 1 steps is for shooting"),
     "shooting over unequal intervals": (
         {"form": Form.SHOOTING, "intervals": 2, "mesh": (0.25, 0.75)},
         "intervals: shooting",
@@ -208,6 +219,31 @@ def test_derivatives_of_everything_equal_casadis(
 ) -> None:
     """Gradient, Jacobian and Hessian at a random point, with no more nonzeros than CasADi finds."""
     check_derivatives(replace(rich(reach, representation, family, free), mesh=mesh), arm)
+
+
+@pytest.mark.parametrize(("family", "free"), [(Family.RADAU, False), (Family.LEGENDRE, True)])
+def test_derivatives_of_second_order_equal_casadis(arm: Peer, reach: Problem, family: Family, free: bool) -> None:
+    """With a horizon that is free, the integrals of velocities are multiplied by it; at Legendre points, to the end."""
+    problem = rich(reach, Representation.EXP1_O, family, free)
+    check_derivatives(replace(problem, integrator=SECOND_ORDER, mesh=MESH), arm)
+
+
+def test_rows_of_second_order_integrate_velocities(arm: Peer, reach: Problem, rng: np.random.Generator) -> None:
+    """q_kj - q_k minus the integral of the velocities' polynomial, for a free horizon; at the interval's end too."""
+    problem = replace(rich(reach, Representation.IMPL, Family.LEGENDRE, True), integrator=SECOND_ORDER, mesh=MESH)
+    transcription = transcribe(problem, arm)
+    x = rng.uniform(0.5, 1, transcription.layout.size)
+    motion = transcription.unpack(x)
+    g = evaluate_rows(transcription, arm, problem, x)
+    nodes, h = np.concatenate(([0.0], transcription.scheme.points)), np.diff(motion.t)
+    for k in range(3):
+        for i in range(6):
+            v = np.polynomial.Polynomial.fit(nodes, [motion.qd[k, i], *motion.point_qd[k, :, i]], 2, domain=[]).integ()
+            for j, c in enumerate(transcription.scheme.points):
+                expected = motion.point_q[k, j, i] - motion.q[k, i] - h[k] * (v(c) - v(0))
+                assert g[transcription.rows.states[k, j, i]] == pytest.approx(expected, abs=1e-12)
+            expected = motion.q[k + 1, i] - motion.q[k, i] - h[k] * (v(1) - v(0))
+            assert g[transcription.rows.continuity[k, i]] == pytest.approx(expected, abs=1e-12)
 
 
 @pytest.mark.parametrize(("representation", "family", "free", "mesh"), [*((*r, None) for r in RICH), *MESHES])
