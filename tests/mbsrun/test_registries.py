@@ -131,7 +131,7 @@ def test_files_and_checks_know_what_is_added(tmp_path: Path) -> None:
     file.write_text(text.replace("midpoint", "leapfrog").replace("toy", "magic"), "utf-8")
     with pytest.raises(InputError) as refusal:
         read_problem(file, lambda _: plant)
-    for names in ("collocation, rk4, midpoint", "ipopt, sqpmethod, mbs, toy"):
+    for names in ("collocation, second-order, rk4, midpoint", "ipopt, sqpmethod, mbs, toy"):
         assert f"give one of {names}" in str(refusal.value)
     wrong = replace(problem, integrator="leapfrog", solver=SolverOptions(method="magic"))
     with pytest.raises(ProblemError) as findings:

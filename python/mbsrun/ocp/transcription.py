@@ -148,7 +148,9 @@ class Transcription:
         if layout.points.size:
             x[layout.points] = np.concatenate((trajectory.point_q, trajectory.point_qd[:, :, velocities]), axis=2)
         x[layout.inputs] = trajectory.u
-        x[layout.extras.states], x[layout.extras.point_states] = trajectory.states, trajectory.point_states
+        x[layout.extras.states] = trajectory.states
+        # shooting has other stages than points, and adds no states
+        x[layout.extras.point_states] = trajectory.point_states.reshape(layout.extras.point_states.shape)
         x[layout.extras.controls] = trajectory.controls
         if layout.horizon is not None:
             x[layout.horizon] = trajectory.t[-1]
@@ -194,7 +196,7 @@ class Transcription:
             qd,
             qdd,
             states=x[layout.extras.states],
-            point_states=x[layout.extras.point_states],
+            point_states=x[layout.extras.point_states].reshape(*point_t.shape, layout.extras.states.shape[1]),
             controls=x[layout.extras.controls],
             unknowns=x[layout.unknowns],
         )
