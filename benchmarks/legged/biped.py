@@ -1,4 +1,4 @@
-"""A biped's jump in plain CasADi: push off with both feet, flight, landing; from rest to rest at least torque squared."""
+"""A biped's jump in plain CasADi: push off with both feet, flight, landing, from rest to rest."""
 
 from __future__ import annotations
 

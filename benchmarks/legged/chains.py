@@ -2,7 +2,7 @@
 
 Newton and Euler's equations of each body, summed from the tips to the base:
 
-    f = m (a - g),    n = c x f + I alpha + omega x I omega,    Phi_i = axis_i . n_i  (a turn)  or  axis_i . f_i  (a slide)
+    f = m (a - g),    n = c x f + I alpha + omega x I omega,    Phi_i = axis_i . n_i (a turn) or axis_i . f_i (a slide)
 
 with n about the joint's point. At q = 0 all frames are parallel to the base's. Nothing here comes from the generator.
 """

@@ -157,7 +157,9 @@ class Graph:
         for k in range(len(phase.feet)):
             *across, normal = ca.vertsplit(force[k * count : (k + 1) * count])
             if len(across) == 1:
-                self.require(ca.vertcat(phase.friction * normal - across[0], phase.friction * normal + across[0]), 0, INFINITE)
+                self.require(
+                    ca.vertcat(phase.friction * normal - across[0], phase.friction * normal + across[0]), 0, INFINITE
+                )
             else:
                 self.require((phase.friction * normal) ** 2 - ca.sumsqr(ca.vertcat(*across)), 0, INFINITE)
 

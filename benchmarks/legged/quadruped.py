@@ -33,7 +33,15 @@ def describe_quadruped() -> Mechanism:
         for s in (1, -1):
             hip = len(links)
             links += [
-                Link(5, (1, 0, 0), (x, s * SIDE, 0), 0.54, (0, s * 0.036, 0), (3.8e-4, 5.6e-4, 4.4e-4, s * 6e-5, 0, 0), armature=ROTOR),
+                Link(
+                    5,
+                    (1, 0, 0),
+                    (x, s * SIDE, 0),
+                    0.54,
+                    (0, s * 0.036, 0),
+                    (3.8e-4, 5.6e-4, 4.4e-4, s * 6e-5, 0, 0),
+                    armature=ROTOR,
+                ),
                 Link(
                     hip,
                     (0, 1, 0),
@@ -43,7 +51,15 @@ def describe_quadruped() -> Mechanism:
                     (1.98e-3, 2.1e-3, 5.9e-4, 0, 0, s * 2.1e-4),
                     armature=ROTOR,
                 ),
-                Link(hip + 1, (0, 1, 0), (0, 0, -THIGH), 0.13, (0, 0, -0.12), (4.5e-4, 4.5e-4, 1.6e-5, 0, 0, 0), armature=ROTOR),
+                Link(
+                    hip + 1,
+                    (0, 1, 0),
+                    (0, 0, -THIGH),
+                    0.13,
+                    (0, 0, -0.12),
+                    (4.5e-4, 4.5e-4, 1.6e-5, 0, 0, 0),
+                    armature=ROTOR,
+                ),
             ]
     return describe(links, {foot: Point(8 + 3 * k, (0, 0, -SHANK)) for k, foot in enumerate(FEET)})
 
@@ -88,7 +104,10 @@ def write(intervals: int, degree: int) -> Graph:
     for before, after in ((hind, gathered), (front, stretched)):
         graph.require(after.q0 - before.q1)
         graph.require(after.qd0 - before.qd1)
-    for before, after, standing, stride in ((gathered, front, STANDING[2], 0.0), (stretched, hind, STANDING[0], STRIDE)):
+    for before, after, standing, stride in (
+        (gathered, front, STANDING[2], 0.0),
+        (stretched, hind, STANDING[0], STRIDE),
+    ):
         feet = [FEET.index(foot) for foot in standing]
         graph.require(body.positions(before.q1)[2, feet].T)
         struck = graph.strike(body, before.q1, before.qd1, standing, (0, 1, 2))

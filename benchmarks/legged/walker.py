@@ -1,7 +1,7 @@
 """Kelly's walker in plain CasADi: one step, from heel strike to heel strike, at least torque squared.
 
-M. Kelly, "An introduction to trajectory optimization", SIAM Review 59 (2017) 849-904, section 7. Optima that he found by
-GPOPS-II are in his program OptimTraj, demo/fiveLinkBiped: 302.25469438 for a step of 0.4 m in 0.6 s (SNOPT).
+M. Kelly, "An introduction to trajectory optimization", SIAM Review 59 (2017) 849-904, section 7. Optima that he found
+by GPOPS-II are in his program OptimTraj, demo/fiveLinkBiped: 302.25469438 for a step of 0.4 m in 0.6 s (SNOPT).
 """
 
 from __future__ import annotations

@@ -42,6 +42,7 @@ STARTS = 20  # poses to search from, before a target counts as out of reach
 STEP = 1e-6  # of central differences [rad, m]
 NEARNESS = 1e-6  # weight of the distance from the start, which chooses among poses that meet the targets
 _WAY = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])  # in t / T; from 0 to 1, at rest at both ends
+_LINE, _NOTHING = np.polynomial.Polynomial([0, 1]), np.polynomial.Polynomial([0])
 _RUN_OUT = np.polynomial.Polynomial([0, 1, 0, -6, 8, -3])  # leaves 0 at speed 1, and is back at 0, at rest
 
 
@@ -87,11 +88,15 @@ def scatter_poses(problem: Problem, plant: Plant, rng: np.random.Generator, trie
 
 def make_guess(problem: Problem, plant: Plant, scheme: Scheme) -> Trajectory | Pose:
     """Make the guess that a problem describes; return the nearest pose found where none meets its targets."""
+    if problem.guess.start:
+        start = np.array(problem.start_q)
+        start[[i for i, _ in problem.guess.start]] = [value for _, value in problem.guess.start]
+        problem = replace(problem, start_q=tuple(start.tolist()))
     motion = rest(problem, scheme, plant)
     if not plant.manifest.coordinates:
         return motion
-    if problem.guess.motion == "interpolation":
-        pose = find_pose(problem, plant)
+    if problem.guess.motion != "rest":
+        pose = _choose_pose(problem) if problem.guess.end else find_pose(problem, plant)
         if not pose.is_reached:
             return pose
         motion = interpolate(problem, scheme, pose.q, plant)
@@ -100,14 +105,24 @@ def make_guess(problem: Problem, plant: Plant, scheme: Scheme) -> Trajectory | P
     return balance(motion, problem, plant, problem.guess.inputs)
 
 
+def _choose_pose(problem: Problem) -> Pose:
+    """Return the pose at the end that a problem guesses; coordinates without a guess or a value stay at the start's."""
+    q = np.array(problem.start_q)
+    for i, value in (*problem.end.coordinates, *problem.guess.end):
+        q[i] = value
+    return Pose(q, 0.0, is_upright=True)
+
+
 def rest(problem: Problem, scheme: Scheme, plant: Plant | None = None) -> Trajectory:
     """Stay at the start, at rest. Inputs are 0. Where there are quaternions, the plant is needed."""
-    still = replace(problem, start_qd=(0.0,) * len(problem.start_qd))
+    still = replace(problem, start_qd=(0.0,) * len(problem.start_qd), guess=replace(problem.guess, motion="rest"))
     return interpolate(still, scheme, np.array(problem.start_q), plant)
 
 
 def interpolate(problem: Problem, scheme: Scheme, q: Array, plant: Plant | None = None) -> Trajectory:
     """Move from the start, with its velocity, to rest at the pose q: a polynomial of degree 5 in time. Inputs are 0.
+
+    A problem that guesses a line moves at constant velocity.
 
     Quaternions turn by the shorter way, about one axis, by that polynomial of the angle; for their velocities the plant
     is needed. Raises ValueError without. Where closed loops have no such motion, the numbers are not finite.
@@ -115,12 +130,13 @@ def interpolate(problem: Problem, scheme: Scheme, q: Array, plant: Plant | None 
     if problem.has_quaternions and plant is None:
         raise ValueError("the rates of quaternions are not their velocities: give the plant, which knows both")
     T, start, speed = problem.horizon, np.array(problem.start_q), np.array(problem.start_qd)
+    curves = (_LINE, _NOTHING) if problem.guess.motion == "line" else (_WAY, _RUN_OUT)
     changes = speed if plant is None else find_rates(plant, start, speed)
     turning = () if plant is None else list_quaternions(plant.manifest)
 
     def read(t: Array, order: int) -> Array:
         s = (t / T)[..., None]
-        w, r = (p.deriv(order) if order else p for p in (_WAY, _RUN_OUT))
+        w, r = (p.deriv(order) if order else p for p in curves)
         return np.asarray((start if order == 0 else 0.0) + (w(s) * (q - start) + r(s) * changes * T) / T**order)
 
     def move(t: Array) -> tuple[Array, Array, Array]:
@@ -129,7 +145,7 @@ def interpolate(problem: Problem, scheme: Scheme, q: Array, plant: Plant | None 
         if plant is None or not turning:
             return motion
         s = (t / T)[..., None]
-        w, r = (np.stack([(p.deriv(k) if k else p)(s) / T**k for k in range(3)]) for p in (_WAY, _RUN_OUT))
+        w, r = (np.stack([(p.deriv(k) if k else p)(s) / T**k for k in range(3)]) for p in curves)
         for x in turning:
             way, run_out = find_turn(start[x.entries], q[x.entries]), T * speed[x.spins]
             for part, turned in zip(motion, turn(start[x.entries], way, w, run_out, r), strict=True):

@@ -44,6 +44,7 @@ Upper = Annotated[float, BeforeValidator(lambda x: math.inf if x is None else x)
 Range = tuple[Lower, Upper]
 Point = tuple[float, float, float]
 Inputs = Literal["zero", "static", "dynamic"]  # of a guess
+GuessedMotion = Literal["interpolation", "line", "rest"]
 SolverName = str  # a key of methods.METHODS
 
 
@@ -203,9 +204,11 @@ class GuessOptions:
     """The first guess: a motion of the joints, and its inputs."""
 
     upright: tuple[str, ...] = ()  # frames whose z axis points up in the pose that meets the end's targets
-    motion: Literal["interpolation", "rest"] = "interpolation"  # from the start to that pose; or staying at the start
+    motion: GuessedMotion = "interpolation"  # smoothly from the start to that pose; evenly; or staying at the start
     inputs: Inputs = "dynamic"  # 0, the forces that hold each pose, or the inverse dynamics of the motion
     solution: str | None = None  # a solution's file to start from instead, beside the problem's
+    start: tuple[tuple[int, float], ...] = ()  # index into q, guess of a coordinate that is free at the start
+    end: tuple[tuple[int, float], ...] = ()  # index into q, guess at the end; given any, no pose is searched
 
 
 @dataclass(frozen=True)

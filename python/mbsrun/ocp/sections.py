@@ -20,6 +20,7 @@ from mbsrun.ocp.integrators import INTEGRATORS
 from mbsrun.ocp.methods import METHODS
 from mbsrun.ocp.problem import (
     Form,
+    GuessedMotion,
     Loops,
     Problem,
     Refinement,
@@ -243,9 +244,11 @@ class GuessSection(Section):
     """How to guess."""
 
     upright: tuple[str, ...] = Field(default=(), examples=[[]])
-    motion: Literal["interpolation", "rest"] = Field(default="interpolation", examples=["interpolation"])
+    motion: GuessedMotion = Field(default="interpolation", examples=["interpolation"])
     inputs: Literal["zero", "static", "dynamic"] = Field(default="dynamic", examples=["dynamic"])
     solution: Annotated[str, AfterValidator(_check_solution)] | None = Field(default=None, examples=["solution.json"])
+    start: dict[str, NumberField] = Field(default={}, examples=[{}])
+    end: dict[str, NumberField] = Field(default={}, examples=[{}])
 
 
 class RefinementSection(Section):

@@ -250,7 +250,7 @@ class _Reading(PartReading):
             horizon_range=horizon_range,
             free_start=(*free_q, *(len(start_q) + i for i in free_qd)),
             constraints=constraints,
-            guess=self.guess(section.guess),
+            guess=self.guess(section.guess, bounds, free_q),
             parameters=parameters,
             unknowns=unknowns,
             accuracy=accuracy,
@@ -565,10 +565,37 @@ class _Reading(PartReading):
         a, b, c = (self.number((*place, key), expression) for key, expression in given.items())
         return cylindrical(a, b, c) if "radius" in given else (a, b, c)
 
-    def guess(self, section: GuessSection) -> GuessOptions:
+    def guess(self, section: GuessSection, bounds: Bounds, free: Sequence[int]) -> GuessOptions:
+        """Read how to guess; `free` are the coordinates without a value at the start."""
         for i, name in enumerate(section.upright):
             self.look_up(("guess", "upright", i), name, self.frames)
-        return GuessOptions(section.upright, section.motion, section.inputs, section.solution)
+        start = self.guessed_pose("start", section.start, bounds)
+        for i, _ in start:
+            if i not in free:
+                place: Place = ("guess", "start", self.coordinates.known[i])
+                self.fault(place, "this coordinate has a value at the start", "leave it out, or free it by null there")
+        end = self.guessed_pose("end", section.end, bounds)
+        return GuessOptions(section.upright, section.motion, section.inputs, section.solution, start, end)
+
+    def guessed_pose(self, key: str, given: dict[str, Expression], bounds: Bounds) -> tuple[tuple[int, float], ...]:
+        """Read guesses of coordinates at the start or at the end."""
+        place: Place = ("guess", key)
+        if given and self.closure is not None:
+            self.fault(place, "closed loops give the coordinates of a guess", "leave this out")
+        found = []
+        for name, expression in given.items():
+            inner = (*place, name)
+            i, value = self.look_up(inner, name, self.coordinates), self.number(inner, expression)
+            if i is None:
+                continue
+            lower, upper = bounds.q[i]
+            if find_quaternion(list_quaternions(self.manifest), i) is not None:
+                self.fault(inner, "a part of a quaternion", "guess the coordinates of other joints")
+            elif value < lower or value > upper:
+                self.fault(inner, f"{value:g} is out of [{lower:g}, {upper:g}]", "guess within the bounds")
+            else:
+                found.append((i, value))
+        return tuple(found)
 
     def solver(self, section: SolverSection) -> SolverOptions:
         place, scaling = ("solver",), section.objective_scaling

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from mbsrun.ocp import schemes
-from mbsrun.ocp.guess import REACHED, adapt, balance, find_pose, interpolate, rest
+from mbsrun.ocp.guess import REACHED, adapt, balance, find_pose, interpolate, make_guess, rest
 from mbsrun.ocp.problem import Bounds, End, GuessOptions, Problem, cylindrical
 from mbsrun.ocp.schemes import Family
+from mbsrun.ocp.trajectory import Trajectory
 from tests.mbsrun.peer import Peer
 
 
@@ -88,6 +89,18 @@ def test_the_motion_leaves_with_the_velocity_of_the_start(reach: Problem) -> Non
     motion = interpolate(replace(reach, start_qd=start_qd), schemes.build(Family.RADAU, 4), np.zeros(6))
     assert motion.q[[0, -1]] == pytest.approx(np.array([reach.start_q, np.zeros(6)]), abs=1e-15)
     assert motion.qd[[0, -1]] == pytest.approx(np.array([start_qd, np.zeros(6)]), abs=1e-14)
+
+
+def test_a_line_leads_from_the_guessed_start_to_the_guessed_end(arm: Peer, reach: Problem) -> None:
+    """At constant velocity; coordinates without a guess stay, and no pose is searched for the target of the hand."""
+    options = GuessOptions(motion="line", inputs="zero", start=((0, 0.3),), end=((0, 1.3), (2, -1.0)))
+    motion = make_guess(replace(reach, free_start=(0,), guess=options), arm, schemes.build(Family.RADAU, 4))
+    assert isinstance(motion, Trajectory)
+    start = np.array([0.3, *reach.start_q[1:]])
+    way = np.array([1.0, 0.0, -1.0 - reach.start_q[2], 0.0, 0.0, 0.0])
+    assert motion.point_q == pytest.approx(start + motion.point_t[..., None] / reach.horizon * way, abs=1e-14)
+    assert motion.point_qd == pytest.approx(np.broadcast_to(way / reach.horizon, motion.point_qd.shape), abs=1e-14)
+    assert not np.any(motion.point_qdd)
 
 
 def test_rest_stays_at_the_start(reach: Problem) -> None:

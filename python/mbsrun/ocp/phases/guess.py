@@ -62,7 +62,7 @@ def _carry_on(
     chosen, values = dict(link.map), list(own.start_q)
     for i, name in enumerate(target.manifest.positions):
         text = chosen.get(name)
-        if i not in own.free_start or (name in chosen and text is None):
+        if i not in own.free_start or i in dict(own.guess.start) or (name in chosen and text is None):
             continue
         try:
             value = plain.get(name, values[i]) if text is None else evaluate(parse(text), known, FLOATS)
