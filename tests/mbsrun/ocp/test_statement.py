@@ -26,7 +26,7 @@ cost:
   inputs: 1
   input_rates: 1e5
 start:
-  pose: {q2: a, q3: -b, q4: a, q6: null}
+  pose: {q2: a, q3: -b, q4: a}
   velocity: [0.1, 0, 0, 0, 0, 0]
 bounds:
   coordinates: {q1: [-pi, null]}
@@ -41,8 +41,7 @@ end:
 guess:
   upright: [hand]
   motion: line
-  start: {q6: a}
-  end: {q2: b/4}
+  end: {q2: 0.2}
 accuracy: 1e-4
 solver: {tolerance: 1e-6, max_iterations: 50, objective_scaling: 1e-5}
 """
@@ -88,8 +87,7 @@ def test_everything_that_a_file_can_say(tmp_path: Path, arm: Peer) -> None:
     assert not problem.end.acceleration_zero
     assert problem.guess.upright == ("hand",)
     assert problem.guess.motion == "line"
-    assert problem.guess.start == ((5, pytest.approx(a)),)
-    assert problem.guess.end == ((1, pytest.approx(a / 2)),)
+    assert problem.guess.end == ((1, 0.2),)
     assert problem.accuracy == 1e-4
     assert (problem.solver.tolerance, problem.solver.max_iterations) == (1e-6, 50)
     assert problem.solver.objective_scaling == 1e-5
@@ -114,6 +112,8 @@ end:
   acceleration: {q6: -1}
   sensor_velocities:
     hand: {x: 1}
+guess:
+  start: {q1: a}
 constraints:
   - {expression: vx_hand*t - qdd_q6 - b, range: [null, 1]}
   - {expression: u_q1, range: [0, 0], at: start}
@@ -142,6 +142,7 @@ def test_free_horizons_expressions_and_constraints(tmp_path: Path, arm: Peer) ->
     assert problem.cost == Cost(0.0, 0.0, (Term("(q_q2 - a)**2", 1.2),), (Term("T", 1.0), Term("z_hand", -1.0)))
     assert problem.start_q == (0, 0.3, 0, 0, 0, 0)
     assert problem.free_start == (0, 8)
+    assert problem.guess.start == ((0, 0.3),)
     assert problem.end.velocities == ((0, 0.3), (4, 0.0))
     assert problem.end.accelerations == ((5, -1.0),)
     assert not problem.end.velocity_zero
@@ -315,9 +316,15 @@ BAD = {  # what is changed in the good file: path, finding, remedy
     "end out of bounds": ("{q1: pi/2}", "{q2: 3}", "end.pose.q2", "3 is out of", "within the bounds"),
     "end velocity": ("velocity: zero", "velocity: 1", "end.velocity", "found 1", "'zero'"),
     "unknown frame": ("[hand]", "[hnad]", "guess.upright[0]", 'no frame "hnad"', 'did you mean "hand"?'),
-    "guess of a given start": ("{q6: a}", "{q1: a}", "guess.start.q1", "has a value at the start", "null"),
-    "unknown coordinate of a guess": ("{q6: a}", "{q7: a}", "guess.start.q7", 'no coordinate "q7"', "there are"),
-    "guess out of bounds": ("{q2: b/4}", "{q2: 9}", "guess.end.q2", "9 is out of", "within the bounds"),
+    "guess of a given start": (
+        "end: {q2: 0.2}",
+        "start: {q1: 0.2}",
+        "guess.start.q1",
+        "has a value at the start",
+        "null",
+    ),
+    "unknown coordinate of a guess": ("{q2: 0.2}", "{q7: 0.2}", "guess.end.q7", 'no coordinate "q7"', "there are"),
+    "guess out of bounds": ("{q2: 0.2}", "{q2: 9}", "guess.end.q2", "9 is out of", "within the bounds"),
     "accuracy": ("accuracy: 1e-4", "accuracy: 0", "accuracy", "found 0", "positive"),
     "tolerance": ("tolerance: 1e-6", "tolerance: 1e-20", "solver.tolerance", "found 1e-20", "1e-14"),
     "no iterations": ("max_iterations: 50", "max_iterations: 0", "solver.max_iterations", "found 0", "1"),
