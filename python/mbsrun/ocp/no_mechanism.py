@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 from mbsgen.errors import MbsError
 from mbsgen.manifest import FORMAT, Kernel, Manifest
-from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.plant import Plant, Unchangeable
 
 if TYPE_CHECKING:
     import casadi as ca
@@ -20,7 +20,7 @@ class NoKernelError(MbsError):
     """A kernel of a mechanism that there is not."""
 
 
-class NoMechanism:
+class NoMechanism(Unchangeable):
     """A plant with no coordinates."""
 
     manifest = Manifest(
@@ -52,7 +52,7 @@ class NoMechanism:
         """Evaluate no kernel."""
         _refuse(name)
 
-    def casadi(self, name: str) -> ca.Function:
+    def casadi(self, name: str, *, design: bool = False) -> ca.Function:  # noqa: ARG002
         """Return no kernel."""
         _refuse(name)
 

@@ -33,7 +33,7 @@ def write_table(solution: Solution, plant: Plant, path: Path) -> None:
     if solution.multipliers is not None:
         columns.append(_read_forces(solution.trajectory, solution.multipliers))
     columns.append(_place_sensors(solution.trajectory, plant))
-    columns += _read_additions(solution.trajectory)
+    columns += list_additions(solution.trajectory)
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(_name_columns(plant.manifest) + _name_additions(solution.problem))
@@ -63,8 +63,8 @@ def _name_additions(problem: Problem) -> list[str]:
     ]
 
 
-def _read_additions(trajectory: Trajectory) -> list[Array]:
-    """List states and controls at all points in order."""
+def list_additions(trajectory: Trajectory) -> list[Array]:
+    """List states and controls that a problem adds at all points in order, (rows, size) each."""
     return [
         _join(trajectory, trajectory.states[:-1], trajectory.point_states, trajectory.states[-1]),
         _repeat(trajectory, trajectory.controls),
@@ -98,6 +98,11 @@ def list_motion(trajectory: Trajectory) -> list[Array]:
 def _repeat(trajectory: Trajectory, u: Array) -> Array:
     """Repeat inputs (N, m) at all points of their intervals; at the end, the last ones."""
     return np.concatenate((np.repeat(u, 1 + int(_find_inner(trajectory).sum()), axis=0), u[-1:]))
+
+
+def list_wrenches(trajectory: Trajectory) -> Array:
+    """List the components of open wrenches at all points in order, (rows, size)."""
+    return _read_forces(trajectory, trajectory.point_w)
 
 
 def _read_forces(trajectory: Trajectory, points: Array) -> Array:

@@ -21,6 +21,7 @@ from mbsrun.ocp.no_mechanism import NO_MECHANISM
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Constraint, Problem, Range, Symbolic, Term
 from mbsrun.ocp.recorded import find_guess
+from mbsrun.ocp.refinement import refine
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.solution import Failure, read_guess, read_solution
 from mbsrun.ocp.solve import Watch, solve
@@ -185,7 +186,7 @@ class OptimalControl:
         known = list_quantities(manifest, self.value.added)
         constants = _take_mapping(self.data, "constants")
         numbers = (*constants, *references.list_names(self.value.references))
-        return Quantities(manifest, known, numbers, self.model, symbols)
+        return Quantities(manifest, known, numbers, self.model, dict(self.value.parameters), symbols)
 
     def _make_functions(self, kind: str, expression: Any, name: str) -> list[Symbolic]:
         count = 1 + sum(function.name.startswith(f"{kind}_") for function in self.value.functions)
@@ -211,7 +212,9 @@ class OptimalControl:
         guess: Solved | Trajectory | str | Path | None = None,
         check: bool = True,
     ) -> Solved | Unsolved:
-        """Solve the problem, and re-simulate the solution unless `check` is False.
+        """Solve the problem, re-simulate the solution, and refine its grid if the problem asks for that.
+
+        Without `check` the solution is neither re-simulated nor refined.
 
         `watch` is called in every iteration; True shows the iterations, in a notebook or on a terminal. `guess` is a
         solution, a file of one or of a recorded motion, or a trajectory, on any grid; by default the problem's own. A
@@ -223,7 +226,10 @@ class OptimalControl:
             outcome = solve(self.value, self.plant, shown, start, self.programs.find)
         if isinstance(outcome, Failure):
             return Unsolved(outcome)
-        return Solved(resimulate(outcome, self.plant) if check else outcome, self.plant)
+        if check:
+            outcome = resimulate(outcome, self.plant)
+            outcome = outcome if self.value.refine is None else refine(outcome, self.plant)
+        return Solved(outcome, self.plant)
 
     def load(self, path: str | Path) -> Solved:
         """Read a solution of this problem's model from a file. Raises InputError for a file that is not one."""

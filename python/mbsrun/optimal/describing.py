@@ -27,6 +27,7 @@ def describe_problem(problem: Problem, manifest: Manifest) -> dict[str, str]:
             _write_range(_name(c.expression, problem), c.range) + (f" ({c.at})" if c.at != "path" else "")
             for c in problem.constraints
         ),
+        **_describe_additions(problem, manifest),
         "constants": _list(f"{name} = {value:g}" for name, value in problem.constants),
         "solver": f"{problem.solver.method}, tolerance {problem.solver.tolerance:g}",
     }
@@ -34,6 +35,21 @@ def describe_problem(problem: Problem, manifest: Manifest) -> dict[str, str]:
 
 
 NOTHING = "none"
+
+
+def _describe_additions(problem: Problem, manifest: Manifest) -> dict[str, str]:
+    """Describe states, controls, unknowns, integrals and references of the problem, and values of parameters."""
+    inputs = [f"u_{manifest.coordinates[i].name}" for i in manifest.actuated]
+    return {
+        "states": _list(f"{x.name}' = {_name(x.rate, problem)}" for x in problem.states),
+        "controls": _list(_write_range(x.name, x.bounds) for x in problem.controls),
+        "forces": _list(f"{inputs[x.input]} = {x.expression}" for x in problem.forces),
+        "contacts": _list(x.sensor for x in problem.contacts),
+        "unknowns": _list(_write_range(x.name, x.bounds) for x in problem.unknowns),
+        "integrals": _list(_write_range(_name(x.expression, problem), x.range) for x in problem.integrals),
+        "parameters": _list(f"{name} = {value:g}" for name, value in problem.parameters),
+        "references": _list(x.name for x in problem.references),
+    }
 
 
 def _list(parts: Iterable[str]) -> str:

@@ -35,7 +35,8 @@ _SYMBOLS = (ca.SX, ca.MX)
 class Quantities(Mapping[str, Any]):
     """Symbols by name, as items or as attributes: `s["q_elbow"]` is `s.q_elbow`.
 
-    `s.q`, `s.qd`, `s.qdd` and `s.u` are vectors of all coordinates, velocities, accelerations and inputs.
+    `s.q`, `s.qd`, `s.qdd` and `s.u` are vectors of all coordinates, velocities, accelerations and inputs, unless the
+    problem has these names.
     """
 
     def __init__(
@@ -44,9 +45,12 @@ class Quantities(Mapping[str, Any]):
         known: Mapping[str, Quantity],
         numbers: tuple[str, ...],
         model: Path | None,
+        parameters: Mapping[str, float],
         kind: type[Any],
     ) -> None:
+        """Make symbols of quantities and of `numbers`; `parameters` are values that replace the model's."""
         self._manifest, self._known, self._model, self._kind = manifest, known, model, kind
+        self._parameters = parameters
         self._symbols = {name: kind.sym(name) for name in (*known, *numbers)}
 
     def __getitem__(self, name: str) -> Any:
@@ -60,7 +64,7 @@ class Quantities(Mapping[str, Any]):
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
             raise AttributeError(name)
-        if name in ("q", "qd", "qdd", "u"):
+        if name in ("q", "qd", "qdd", "u") and name not in self._symbols:
             return self._gather(name)
         try:
             return self[name]
@@ -87,8 +91,9 @@ class Quantities(Mapping[str, Any]):
     def function(self, name: str) -> Mapping[str, Any]:
         """Return the results of a function of the model, by name, as expressions in the symbols.
 
-        `energy` gives kinetic, potential, momentum, ...; `semi` gives M and c. Parameters have the model's values.
-        Raises InputError for an unknown function, ProblemError where the model is no file.
+        `energy` gives kinetic, potential, momentum, ...; `semi` gives M and c. Parameters have the values of the
+        problem or of the model; unknowns are symbols. Raises InputError for an unknown function, ProblemError where the
+        model is no file.
         """
         if self._model is None:
             finding = "the kernels are given, without the file of their model"
@@ -122,11 +127,12 @@ class Quantities(Mapping[str, Any]):
             return list(ca.vertsplit(self._gather(kinds[argument.role])))
         if argument.role is Role.SETUP:
             assert kernels.manifest.setup is not None, "hoisted values come from a kernel"
-            values = [parameter.value for parameter in kernels.manifest.parameters]
+            values = [self._parameters.get(x.name, x.value) for x in kernels.manifest.parameters]
             (found,) = kernels(kernels.manifest.setup.name, p=values).values()
             return [float(x) for x in found]
         if argument.role is Role.DESIGN:
-            return [parameter.value for parameter in kernels.manifest.design]
+            design = kernels.manifest.design
+            return [self._symbols.get(x.name, self._parameters.get(x.name, x.value)) for x in design]
         finding = f"it takes {argument.name}, which has no symbol"
         raise ProblemError(self._manifest.model, [("function", finding, "take a function of q, qd, qdd and u")])
 

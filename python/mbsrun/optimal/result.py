@@ -17,10 +17,11 @@ from mbsgen.errors import MbsError
 from mbsgen.expressions import evaluate, parse
 from mbsgen.expressions import names as names_of
 from mbsrun.jets import Jet, make_jets
+from mbsrun.ocp.design import equip
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.solution import Failure, Solution, write_solution
 from mbsrun.ocp.summary import list_shortcomings, summarise
-from mbsrun.ocp.table import list_motion, write_table
+from mbsrun.ocp.table import list_additions, list_motion, list_wrenches, write_table
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.optimal import display
 from mbsrun.optimal.display import Page, Picture
@@ -29,6 +30,8 @@ from mbsrun.quantities import Quantity, list_quantities
 Array = NDArray[np.float64]
 
 _NO_DERIVATIVES = (np.zeros(0), np.zeros((0, 0)))
+_ADDED = ("states", "controls")  # as `list_additions` lists them
+_NUMBERS = ("T", "unknowns")  # kinds that do not change along a motion
 _KINDS = ("t", "q", "qd", "qdd", "u")  # as `list_motion` lists them
 
 
@@ -51,9 +54,10 @@ class MissingPackageError(MbsError, ImportError):
 class Solved:
     """A solution, with its numbers at all mesh and collocation points by name.
 
-    Names are the same as in expressions: `q_NAME`, `qd_NAME`, `qdd_NAME`, `u_NAME`, `x_SENSOR`, `vx_SENSOR`. `t`,
-    `q`, `qd`, `qdd` and `u` are whole arrays, (rows,) or (rows, size). At a mesh point, accelerations and inputs belong
-    to the interval that begins there.
+    Names are the same as in expressions: `q_NAME`, `qd_NAME`, `qdd_NAME`, `u_NAME`, `x_SENSOR`, `vx_SENSOR`, and the
+    problem's own states and controls; `unknowns` holds the numbers that the solver chose. `t`, `q`, `qd`, `qdd` and `u`
+    are whole arrays, (rows,) or (rows, size), unless the problem has these names. At a mesh point, accelerations and
+    inputs belong to the interval that begins there.
     """
 
     solution: Solution
@@ -89,6 +93,12 @@ class Solved:
         return self.solution.trajectory
 
     @property
+    def unknowns(self) -> MappingProxyType[str, float]:
+        """Return the numbers that the solver chose, by name."""
+        names = [unknown.name for unknown in self.solution.problem.unknowns]
+        return MappingProxyType(dict(zip(names, self.trajectory.unknowns.tolist(), strict=True)))
+
+    @property
     def defect(self) -> float | None:
         """Return the largest error of an interval, by re-simulation; None where that was left out or gave up."""
         check = self.solution.resimulation
@@ -107,14 +117,14 @@ class Solved:
     @property
     def names(self) -> tuple[str, ...]:
         """List the names of all quantities."""
-        return tuple(name for name in self._quantities if name != "T")
+        return tuple(name for name, quantity in self._quantities.items() if quantity.kind not in _NUMBERS)
 
     def __getitem__(self, name: str) -> Array:
         """Return a quantity at all rows. Raises UnknownNameError."""
-        if name in _KINDS:
-            return self._motion[name]
         quantity = self._quantities.get(name)
-        if quantity is None or quantity.kind == "T":
+        if quantity is None and name in _KINDS:
+            return self._motion[name]
+        if quantity is None or quantity.kind in _NUMBERS:
             raise self._refuse(name)
         return np.asarray(self._whole(quantity.kind)[:, quantity.index])
 
@@ -128,7 +138,7 @@ class Solved:
         """
         tree = parse(expression)
         values = {name: np.array(value) for name, value in self.solution.problem.constants}
-        values["T"] = np.array(self.horizon)
+        values |= {name: np.array(value) for name, value in self.unknowns.items()} | {"T": np.array(self.horizon)}
         values |= {name: self[name] for name in sorted(names_of(tree) - set(values))}
         found = evaluate(tree, {name: Jet(x, *_NO_DERIVATIVES) for name, x in values.items()}, make_jets(0))
         return np.broadcast_to(found.f, self.t.shape).copy()
@@ -178,7 +188,8 @@ class Solved:
 
     @cached_property
     def _quantities(self) -> dict[str, Quantity]:
-        return dict(list_quantities(self.plant.manifest))
+        known = list_quantities(self.plant.manifest, self.solution.problem.added)
+        return {name: x for name, x in known.items() if x.kind != "w" or self.trajectory.point_w.size}
 
     @cached_property
     def _motion(self) -> dict[str, Array]:
@@ -189,12 +200,17 @@ class Solved:
         """Return all entries of a kind, (rows, size)."""
         if kind == "t":
             return self._motion["t"][:, None]
+        if kind == "w":
+            return list_wrenches(self.trajectory)
+        if kind in _ADDED:
+            return list_additions(self.trajectory)[_ADDED.index(kind)]
         return self._motion[kind] if kind in self._motion else self._of_sensors[kind]
 
     @cached_property
     def _of_sensors(self) -> dict[str, Array]:
         q, qd = self._motion["q"], self._motion["qd"]
-        positions, velocities = self.plant("sensors", q=q)["position"], self.plant("motion", q=q, qd=qd)["v"]
+        plant = equip(self.plant, self.solution.problem, self.trajectory.unknowns)
+        positions, velocities = plant("sensors", q=q)["position"], plant("motion", q=q, qd=qd)["v"]
         return {"position": _flatten(positions), "v": _flatten(velocities)}
 
     def _refuse(self, name: str) -> UnknownNameError:

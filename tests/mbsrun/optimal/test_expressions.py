@@ -227,3 +227,32 @@ def test_shooting_calls_expressions(swing: OptimalControl, rng: np.random.Genera
     s = swing.quantities()
     value = swing.with_changes(horizon=2).with_cost(ca.log1p(ca.exp(s.q_pole * s.u_cart / 9))).value
     compare(replace(value, form=Form.SHOOTING, intervals=2, horizon=0.2), swing.plant, rng)
+
+
+def test_states_and_controls_of_a_problem_are_quantities() -> None:
+    """x' = u - x from 0 to 1 with the least integral of u^2: x = sinh(t)/sinh(1) by Euler and Lagrange."""
+    leaky = mbsrun.problem(
+        None,
+        name="leaky",
+        horizon=1,
+        intervals=40,
+        states={"x": {"rate": "u - x", "start": 0, "end": 1}},
+        controls={"u": {"guess": 0.5}},
+        cost={"input_rates": 0},
+    )
+    s = leaky.quantities()
+    found = leaky.with_cost(s.u**2).solve()
+    assert "x' = u - x" in repr(leaky)
+    assert found.cost == pytest.approx(np.exp(1) / np.sinh(1), rel=1e-3)  # u is constant over an interval
+    assert np.abs(found["x"] - np.sinh(found.t) / np.sinh(1)).max() <= 1e-3
+    assert np.abs(found["u"] - np.exp(found.t) / np.sinh(1)).max() <= 0.05
+
+
+def test_unknowns_are_quantities() -> None:
+    """The mass of a spring is chosen, by an expression in CasADi and by a text."""
+    arm = mbsrun.read_problem(MODEL.parent / "lifting_arm_design.ocp.yaml")
+    (unknown, *_) = arm.value.unknowns
+    priced = arm.with_cost(arm.quantities()[unknown.name], 0.5, at="end").solve(check=False)
+    written = arm.with_cost(unknown.name, 0.5, at="end").solve(check=False)
+    assert priced.unknowns == written.unknowns
+    assert priced.cost == pytest.approx(written.cost, rel=1e-12)
