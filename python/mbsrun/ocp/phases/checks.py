@@ -26,6 +26,7 @@ from mbsrun.quaternions import find_quaternion, list_quaternions, neutral
 
 APART = 1e-9  # m: a wrench that acts farther from a sensor than this is not the force at it
 METHODS = ("ipopt", "sqpmethod")
+SHOWN = 8  # names
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,8 @@ def find_faults(problem: PhasedProblem, plants: Plants) -> Iterator[PhaseFault]:
         missing = [(key, name) for key, name in (("from", link.source), ("to", link.target)) if name not in known]
         for key, name in missing:
             remedy = _suggest(name, known) or f"there are {', '.join(known)}"
-            yield PhaseFault((*place, key), f"there is no phase {abbreviate(name)}", remedy)
+            finding = f"there is no phase {abbreviate(name)}" if name else "missing"
+            yield PhaseFault((*place, key), finding, remedy)
         if link.target in [other.target for other in problem.links[:i]]:
             finding = f"a second link leads to the start of {link.target}"
             yield PhaseFault((*place, "to"), finding, "leave one out: one link gives a start")
@@ -139,7 +141,9 @@ class _Link:
             yield from _check_expression((*place, "expression"), condition.expression, known)
             lower, upper = condition.range
             if lower > upper:
-                yield PhaseFault((*place, "range"), f"{lower:g} is above {upper:g}", "give [lower, upper]")
+                yield PhaseFault(
+                    (*place, "range"), f"{lower:g} is above {upper:g}", "give [lower, upper]; null is no bound"
+                )
 
     def check_speeds(self, target: Problem) -> Iterator[PhaseFault]:
         """Refuse a mechanism that reads velocities which the reduced form of loops leaves out."""
@@ -285,7 +289,8 @@ def _check_expression(place: Place, text: str, known: Sequence[str]) -> Iterator
         return
     for name in read:
         if name not in known:
-            remedy = _suggest(name, known) or f"known here are {', '.join(list(known)[:8])}, ..."
+            some = ", ".join(known[:SHOWN]) + (", ..." if len(known) > SHOWN else "")
+            remedy = _suggest(name, known) or f"known here are {some}"
             yield PhaseFault(place, f"unknown name {abbreviate(name)}", remedy)
 
 

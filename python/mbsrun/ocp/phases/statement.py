@@ -81,15 +81,19 @@ class PhaseDocument(Document):
         return self.whole.fault(self.find(place), finding, remedy)
 
     def find(self, place: Place) -> Place:
-        """Return a place of a phase as one of the file: among the phase's own keys, or among the defaults."""
-        own: Place = ("phases", self.phase)
-        for size in range(len(place), 0, -1):
-            if (*own, *place[:size]) in self.whole.lines:
-                return (*own, *place)
-            if place[:size] in self.whole.lines:
-                return place
-        has_phases = ("phases",) in self.whole.lines
-        return (*own, *place) if has_phases else place
+        """Return a place of a phase as one of the file."""
+        return _find_in_file(self.whole, self.phase, place)
+
+
+def _find_in_file(whole: Document, phase: int, place: Place) -> Place:
+    """Return a place of a phase as one of the file: among the phase's own keys, or among the defaults."""
+    own: Place = ("phases", phase)
+    for size in range(len(place), 0, -1):
+        if (*own, *place[:size]) in whole.lines:
+            return (*own, *place)
+        if place[:size] in whole.lines:
+            return place
+    return (*own, *place) if ("phases",) in whole.lines else place
 
 
 class _Loading:
@@ -121,6 +125,7 @@ class _Read:
     problem: Problem | None
     plant: Plant | None
     faults: list[Fault]
+    stand_ins: frozenset[Place]  # places of the file whose values are examples
 
 
 def _read_phase(document: Document, k: int, linked: set[str], loading: _Loading) -> _Read:
@@ -150,14 +155,14 @@ def _read_phase(document: Document, k: int, linked: set[str], loading: _Loading)
     part = PhaseDocument(document.file, merged, document.lines, _pick_faults(document, k), document, k)
     examination = examine(part, PhaseSection)
     faults += examination.faults
-    section = examination.value
+    section, stand_ins = examination.value, frozenset(map(part.find, examination.stand_ins))
     if section is None or lies_under(("model",), examination.stand_ins):
-        return _Read(name, None, None, faults)
+        return _Read(name, None, None, faults, stand_ins)
     plant = loading.load(section.model)
     if plant is None:
-        return _Read(name, None, None, faults)
+        return _Read(name, None, None, faults, stand_ins)
     problem, found = read_phase(part, examination, plant, name, is_linked=name in linked)
-    return _Read(name, problem, plant, [*faults, *found])
+    return _Read(name, problem, plant, [*faults, *found], stand_ins)
 
 
 def _pick_faults(document: Document, k: int) -> Mapping[Place, Fault]:
@@ -188,7 +193,8 @@ class _Links(Reading):
     def load_impacts(self, loading: _Loading) -> list[Plant | None]:
         """Load the models of impacts that have one."""
         models = [None if link.impact is None else link.impact.model for link in self.whole.links]
-        return [None if model is None else loading.load(model) for model in models]
+        known = [not lies_under(("links", i, "impact", "model"), self.stand_ins) for i in range(len(models))]
+        return [loading.load(model) if model and own else None for model, own in zip(models, known, strict=True)]
 
     def problem(self, name: str, phases: list[_Read], models: list[Plant | None]) -> tuple[PhasedProblem, Plants]:
         """Make the problem, which is valid only if there are no faults."""
@@ -205,15 +211,16 @@ class _Links(Reading):
             unknowns=problems[0].unknowns,
             solver=problems[0].solver,
         )
+        self.stand_ins |= frozenset().union(*(phase.stand_ins for phase in phases))
         for fault in find_faults(problem, plants):
-            self.fault(fault.place, fault.finding, fault.remedy)
+            place = fault.place
+            if place[:1] == ("phases",) and len(place) > 2:
+                place = _find_in_file(self.document, int(place[1]), place[2:])
+            self.fault(place, fault.finding, fault.remedy)
         return problem, plants
 
     def link(self, i: int, section: LinkSection, named: Link, phases: list[_Read], model: Plant | None) -> Link:
         place: Place = ("links", i)
-        for key, found in (("from", named.source), ("to", named.target)):
-            if not found:
-                self.fault((*place, key), "missing", f"name one of {', '.join(phase.name for phase in phases)}")
         source = next((phase.plant for phase in phases if phase.name == named.source), None)
         conditions = tuple(
             Condition(part.expression, self.range((*place, "conditions", k, "range"), part.range))
