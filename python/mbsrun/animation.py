@@ -67,25 +67,48 @@ def render_animation(
     markers: Sequence[Marker] = (),
 ) -> str:
     """Return the text of the page; see `write_animation`."""
-    t, coordinates = np.asarray(times, dtype=np.float64), np.asarray(q, dtype=np.float64)
     rates = None if qd is None else np.asarray(qd, dtype=np.float64)
-    n = len(kernels.manifest.positions)
-    if t.ndim != 1 or not t.size or coordinates.shape != (t.size, n) or (np.diff(t) <= 0).any():
-        raise ValueError(f"times of shape {t.shape} must increase, and q of shape {coordinates.shape} have {n} columns")
-    if rates is not None and rates.shape != coordinates.shape:
-        raise ValueError(f"qd has shape {rates.shape}, q {coordinates.shape}")
-    grid = choose_times(float(t[0]), float(t[-1]))
-    skeleton = place(kernels, _interpolate(t, coordinates, rates, grid))
+    part = Part(kernels, np.asarray(times, dtype=np.float64), np.asarray(q, dtype=np.float64), rates)
+    return render_parts([part], kernels.manifest.model if title is None else title, markers)
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of a motion: times (K,), coordinates (K, n), and their rates."""
+
+    kernels: Plant
+    t: Array
+    q: Array
+    rates: Array | None = None
+
+    def __post_init__(self) -> None:
+        t, q, n = self.t, self.q, len(self.kernels.manifest.positions)
+        if t.ndim != 1 or not t.size or q.shape != (t.size, n) or (np.diff(t) <= 0).any():
+            raise ValueError(f"times of shape {t.shape} must increase, and q of shape {q.shape} have {n} columns")
+        if self.rates is not None and self.rates.shape != q.shape:
+            raise ValueError(f"qd has shape {self.rates.shape}, q {q.shape}")
+
+
+def render_parts(parts: Sequence[Part], title: str, markers: Sequence[Marker] = ()) -> str:
+    """Return the text of a page that plays parts of a motion one after the other; their frames have the same names."""
+    start, ends = float(parts[0].t[0]), [float(part.t[-1]) for part in parts]
+    grid = choose_times(start, ends[-1])
+    which = np.minimum(np.searchsorted(ends, grid), len(parts) - 1)
+    skeletons = [
+        place(part.kernels, _interpolate(part.t, part.q, part.rates, grid[which == i])) for i, part in enumerate(parts)
+    ]
+    skeleton = skeletons[0]
+    p, R = (np.concatenate([getattr(each, name) for each in skeletons]) for name in ("p", "R"))
     motion = {
-        "title": kernels.manifest.model if title is None else title,
-        "start": float(t[0]),
-        "end": float(t[-1]),
+        "title": title,
+        "start": start,
+        "end": ends[-1],
         "times": len(grid),
         "frames": _describe_frames(skeleton),
         "links": [{"ends": [x.first, x.second], "rod": x.is_rod} for x in skeleton.links],
         "markers": [{"name": m.name, "at": [float(x) for x in m.position]} for m in markers],
-        "places": _encode(np.clip(skeleton.p.swapaxes(1, 2), -FAR, FAR), "<f4"),
-        "turns": _encode(_quaternions(skeleton.R), "<i2"),
+        "places": _encode(np.clip(p.swapaxes(1, 2), -FAR, FAR), "<f4"),
+        "turns": _encode(_quaternions(R), "<i2"),
     }
     return _fill_page(json.dumps(motion, ensure_ascii=False, allow_nan=False).translate(_ESCAPES))
 

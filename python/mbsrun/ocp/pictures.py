@@ -20,8 +20,9 @@ from mbsrun.animation import Marker, render_animation
 from mbsrun.ocp.design import equip
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.solution import Rounds, Solution, Starts
+from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.quaternions import find_rates
-from mbsrun.skeleton import place
+from mbsrun.skeleton import Skeleton, place
 
 Array = NDArray[np.float64]
 
@@ -39,33 +40,55 @@ def plot_trajectories(solution: Solution, manifest: Manifest, path: Path) -> Non
 
 def make_trajectories(solution: Solution, manifest: Manifest) -> Figure:
     """Plot coordinates, velocities and inputs over time."""
-    trajectory = solution.trajectory
-    t = np.concatenate((trajectory.t[:-1, None], trajectory.point_t), axis=1).ravel()
-    q, qd = (
-        np.concatenate((mesh[:-1, None], points), axis=1).reshape(len(t), -1)
-        for mesh, points in ((trajectory.q, trajectory.point_q), (trajectory.qd, trajectory.point_qd))
-    )
+    t = read_times(solution.trajectory)
     added = bool(solution.problem.every_state or solution.problem.controls)
     if not manifest.coordinates:
         figure = Figure(figsize=(8, 5), layout="constrained")
         axes = figure.subplots()
-        _plot_additions(axes, solution, t)
+        plot_additions(axes, solution, t)
         axes.set_xlabel("time [s]")
         axes.legend(frameon=False)
-        figure.suptitle(_title(solution))
+        figure.suptitle(write_title(solution))
         return figure
     figure = Figure(figsize=(8, 9 + 3 * added), layout="constrained")
     coordinates, velocities, inputs, *others = figure.subplots(3 + added, 1, sharex=True)
     for axes in others:
-        _plot_additions(axes, solution, t)
+        plot_additions(axes, solution, t)
+    draw_motion((coordinates, velocities, inputs), solution, manifest, choose_colors([manifest]))
+    (others or [inputs])[-1].set_xlabel("time [s]")
+    inputs.set_xlim(0, solution.trajectory.t[-1])
+    figure.legend(loc="outside lower center", ncols=3, frameon=False)
+    figure.suptitle(write_title(solution))
+    return figure
+
+
+def choose_colors(manifests: Iterable[Manifest]) -> dict[str, str]:
+    """Choose a color for each coordinate and velocity, by name: q has other names where there are quaternions."""
+    every = dict.fromkeys(name for m in manifests for name in (*m.positions, *(c.name for c in m.coordinates)))
+    return {name: COLORS[i % len(COLORS)] for i, name in enumerate(every)}
+
+
+def read_times(trajectory: Trajectory) -> Array:
+    """Return the times of all points that are plotted: where each interval begins, and its collocation points."""
+    return np.concatenate((trajectory.t[:-1, None], trajectory.point_t), axis=1).ravel()
+
+
+def draw_motion(
+    panels: tuple[Axes, Axes, Axes], solution: Solution, manifest: Manifest, colors: Mapping[str, str]
+) -> None:
+    """Plot coordinates, velocities and inputs over time, each in its panel."""
+    trajectory, t = solution.trajectory, read_times(solution.trajectory)
+    q, qd = (
+        np.concatenate((mesh[:-1, None], points), axis=1).reshape(len(t), -1)
+        for mesh, points in ((trajectory.q, trajectory.point_q), (trajectory.qd, trajectory.point_qd))
+    )
+    coordinates, velocities, inputs = panels
     names = [c.name for c in manifest.coordinates]
-    labels = {c.name: _plain(c.name) + ("" if c.actuated else " (passive)") for c in manifest.coordinates}
+    labels = {c.name: plain(c.name) + ("" if c.actuated else " (passive)") for c in manifest.coordinates}
     lines = {c.name: "-" if c.actuated else "--" for c in manifest.coordinates}
-    every = dict.fromkeys((*manifest.positions, *names))  # q has other names where there are quaternions
-    colors = {name: COLORS[i % len(COLORS)] for i, name in enumerate(every)}
     for i, name in enumerate(manifest.positions):
-        style = {"color": colors[name], "linestyle": lines.get(name, "-")}
-        coordinates.plot(t, q[:, i], label=labels.get(name, _plain(name)), **style)
+        own, line = labels.get(name, plain(name)), lines.get(name, "-")
+        coordinates.plot(t, q[:, i], label=own, color=colors[name], linestyle=line)
     for i, name in enumerate(names):
         label = None if name in manifest.positions else labels[name]
         velocities.plot(t, qd[:, i], label=label, color=colors[name], linestyle=lines[name])
@@ -75,11 +98,6 @@ def make_trajectories(solution: Solution, manifest: Manifest) -> Figure:
     _name(coordinates, "Joint coordinates", "q", _join(c.unit for c in manifest.coordinates))
     _name(velocities, "Joint velocities", r"\dot{q}", _join(f"{c.unit}/s" for c in manifest.coordinates))
     _name(inputs, "Inputs", "u", _join(c.force_unit for c in actuated))
-    (others or [inputs])[-1].set_xlabel("time [s]")
-    inputs.set_xlim(0, solution.trajectory.t[-1])
-    figure.legend(loc="outside lower center", ncols=3, frameon=False)
-    figure.suptitle(_title(solution))
-    return figure
 
 
 def plot_curves(t: Array, curves: Mapping[str, Array]) -> Figure:
@@ -87,7 +105,7 @@ def plot_curves(t: Array, curves: Mapping[str, Array]) -> Figure:
     figure = Figure(figsize=(8, 4), layout="constrained")
     axes = figure.subplots()
     for name, values in curves.items():
-        axes.plot(t, values, label=_plain(name))
+        axes.plot(t, values, label=plain(name))
     axes.set_xlabel("time [s]")
     axes.set_xlim(t[0], t[-1])
     axes.grid(alpha=0.3)
@@ -95,15 +113,15 @@ def plot_curves(t: Array, curves: Mapping[str, Array]) -> Figure:
     return figure
 
 
-def _plot_additions(axes: Axes, solution: Solution, t: Array) -> None:
+def plot_additions(axes: Axes, solution: Solution, t: Array) -> None:
     """Plot the states and controls that the problem adds, at times t."""
     trajectory, problem = solution.trajectory, solution.problem
     states = np.concatenate((trajectory.states[:-1, None], trajectory.point_states), axis=1).reshape(len(t), -1)
     names = [*(state.name for state in problem.states), *(part.expression for part in problem.integrals)]
     for name, values in zip(names, states.T, strict=True):
-        axes.plot(t, values, label=_plain(name))
+        axes.plot(t, values, label=plain(name))
     for control, values in zip(problem.controls, trajectory.controls.T, strict=True):
-        axes.stairs(values, trajectory.t, baseline=None, linewidth=1.5, linestyle="--", label=_plain(control.name))
+        axes.stairs(values, trajectory.t, baseline=None, linewidth=1.5, linestyle="--", label=plain(control.name))
     axes.set_title("Further states; controls dashed", loc="left", fontsize="medium")
     axes.grid(alpha=0.3)
 
@@ -172,23 +190,18 @@ def make_mechanism(solution: Solution, plant: Plant) -> Figure:
     axes = figure.add_subplot(projection="3d")
     assert isinstance(axes, Axes3D)
     times = Normalize(0, solution.trajectory.t[-1])
-    for k in np.linspace(0, len(p) - 1, min(POSES, len(p))).round().astype(int):
-        color = TIME(times(trajectory.t[k]))
-        _draw_pose(axes, frames, p[k], color, 3.0 if k in (0, len(p) - 1) else 1.2)
-        for link in skeleton.links:
-            ends = p[k][:, [link.first, link.second]]
-            axes.plot(*ends, color=color, linewidth=1.2, linestyle="-" if link.is_rod else ":")
+    draw_poses(axes, skeleton, trajectory.t, times)
     targets = dict(solution.problem.end.sensors)
     for i, frame in enumerate(frames):
         if frame.sensor and frame.name in targets:
-            name = _plain(frame.name)
+            name = plain(frame.name)
             axes.plot(*p[:, :, i].T, color="tab:red", linewidth=1.5, label=f"path of {name}")
             axes.plot(*targets[frame.name], "*", color="tab:red", markersize=14, label=f"target of {name}")
     axes.plot(0, 0, 0, "s", color="black", markersize=7, label="base")
-    _frame_up(axes, p)
+    frame_up(axes, list_points(p))
     figure.colorbar(ScalarMappable(times, TIME), ax=axes, label="time [s]", shrink=0.6, pad=0.1)
     axes.legend(loc="upper left", frameon=False)
-    figure.suptitle(_title(solution))
+    figure.suptitle(write_title(solution))
     return figure
 
 
@@ -215,9 +228,25 @@ def _draw_pose(axes: Axes3D, frames: Sequence[Frame], p: Array, color: object, w
             axes.plot(*ends, color=color, linewidth=width, marker="o", markersize=1.2 * width, solid_capstyle="round")
 
 
-def _frame_up(axes: Axes3D, p: Array) -> None:
-    """Show all of the motion and the base, at the same scale in every direction."""
-    points = np.concatenate((p.transpose(0, 2, 1).reshape(-1, 3), np.zeros((1, 3))))
+def draw_poses(axes: Axes3D, skeleton: Skeleton, t: Array, times: Normalize, poses: int = POSES) -> None:
+    """Draw some poses of a motion at times t, in the colors of the times."""
+    p = skeleton.p
+    for k in np.linspace(0, len(p) - 1, min(poses, len(p))).round().astype(int):
+        color = TIME(times(t[k]))
+        _draw_pose(axes, skeleton.frames, p[k], color, 3.0 if k in (0, len(p) - 1) else 1.2)
+        for link in skeleton.links:
+            ends = p[k][:, [link.first, link.second]]
+            axes.plot(*ends, color=color, linewidth=1.2, linestyle="-" if link.is_rod else ":")
+
+
+def list_points(p: Array) -> Array:
+    """List the points of a skeleton at all times, (points, 3)."""
+    return p.transpose(0, 2, 1).reshape(-1, 3)
+
+
+def frame_up(axes: Axes3D, points: Array) -> None:
+    """Show all points (points, 3) and the base, at the same scale in every direction."""
+    points = np.concatenate((points, np.zeros((1, 3))))
     middle, half = (points.max(0) + points.min(0)) / 2, np.ptp(points, axis=0).max() / 2 or 1.0
     for set_limits, centre in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), middle, strict=True):
         set_limits(centre - half, centre + half)
@@ -235,7 +264,7 @@ def _name(axes: Axes, title: str, symbol: str, unit: str) -> None:
     axes.axhline(0, color="black", linewidth=0.6)
 
 
-def _plain(name: str) -> str:
+def plain(name: str) -> str:
     """Keep a name of the user's from being read as a formula."""
     return name.replace("$", r"\$")
 
@@ -244,8 +273,8 @@ def _join(units: Iterable[str]) -> str:
     return ", ".join(dict.fromkeys(units))
 
 
-def _title(solution: Solution) -> str:
-    return f"{_plain(solution.problem.name)}: {_plain(solution.model)}, cost {solution.cost.total:.6g}"
+def write_title(solution: Solution) -> str:
+    return f"{plain(solution.problem.name)}: {plain(solution.model)}, cost {solution.cost.total:.6g}"
 
 
 def save(figure: Figure, path: Path) -> None:

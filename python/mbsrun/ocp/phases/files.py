@@ -5,22 +5,31 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+from mbsrun.ocp.phases.pictures import make_phased_mechanism, make_phased_trajectories, write_animations
 from mbsrun.ocp.phases.problem import Plants
 from mbsrun.ocp.phases.solution import PhasedSolution, write_phased_solution
+from mbsrun.ocp.pictures import save
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.table import write_table
 
 SOLUTION = "solution.json"
+TRAJECTORIES = "trajectories.png"
+MECHANISM = "mechanism.png"
 
 
 def write_files(solution: PhasedSolution, plants: Plants, folder: Path) -> tuple[str, ...]:
     """Write all files, and return their names; times of tables and pictures are since the start of the first phase."""
     folder.mkdir(parents=True, exist_ok=True)
     write_phased_solution(solution, folder / SOLUTION)
-    tables = [f"{name}.csv" for name in solution.names]
-    for table, phase, plant in zip(tables, shift_phases(solution), plants.phases, strict=True):
+    tables, phases = [f"{name}.csv" for name in solution.names], shift_phases(solution)
+    for table, phase, plant in zip(tables, phases, plants.phases, strict=True):
         write_table(phase, plant, folder / table)
-    return (SOLUTION, *tables)
+    save(make_phased_trajectories(solution, phases, plants), folder / TRAJECTORIES)
+    pictures: tuple[str, ...] = (TRAJECTORIES,)
+    if all(plant.manifest.coordinates for plant in plants.phases):
+        save(make_phased_mechanism(solution, phases, plants), folder / MECHANISM)
+        pictures += (MECHANISM, *write_animations(solution, phases, plants, folder))
+    return (SOLUTION, *tables, *pictures)
 
 
 def shift_phases(solution: PhasedSolution) -> list[Solution]:

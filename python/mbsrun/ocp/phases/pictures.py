@@ -1,0 +1,115 @@
+"""Pictures of a solution in phases: trajectories side by side, all poses in one drawing, and animations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.axes3d import Axes3D
+
+from mbsrun.animation import Part, render_parts
+from mbsrun.ocp.design import equip
+from mbsrun.ocp.phases.problem import Plants
+from mbsrun.ocp.phases.solution import PhasedSolution
+from mbsrun.ocp.pictures import (
+    TIME,
+    choose_colors,
+    draw_motion,
+    draw_poses,
+    frame_up,
+    list_points,
+    plain,
+    plot_additions,
+    read_times,
+)
+from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.solution import Solution
+from mbsrun.quaternions import find_rates
+from mbsrun.skeleton import place
+
+NARROWEST = 0.15  # the width of a short phase's panels, relative to the longest one's
+POSES = 5  # of each phase
+
+
+def make_phased_trajectories(solution: PhasedSolution, phases: Sequence[Solution], plants: Plants) -> Figure:
+    """Plot coordinates, velocities, inputs, and what phases add over time: a column for each phase."""
+    manifests = [plant.manifest for plant in plants.phases]
+    added = any(phase.problem.every_state or phase.problem.controls for phase in phases)
+    longest, moving = max(solution.durations), 3 * any(manifest.coordinates for manifest in manifests)
+    figure = Figure(figsize=(4 + 3 * len(phases), 3 * (moving + added)), layout="constrained")
+    panels = figure.subplots(
+        moving + added,
+        len(phases),
+        sharex="col",
+        sharey="row",
+        squeeze=False,
+        width_ratios=[max(duration / longest, NARROWEST) for duration in solution.durations],
+    )
+    colors = choose_colors(manifests)
+    for name, phase, manifest, column in zip(solution.names, phases, manifests, panels.T, strict=True):
+        if manifest.coordinates:
+            draw_motion((column[0], column[1], column[2]), phase, manifest, colors)
+        if added:
+            plot_additions(column[-1], phase, read_times(phase.trajectory))
+        column[0].set_title(plain(name))
+        column[-1].set_xlabel("time [s]")
+        column[-1].set_xlim(phase.trajectory.t[0], phase.trajectory.t[-1])
+    for axes in panels[:, 1:].ravel():
+        axes.set_ylabel("")
+        axes.set_title("", loc="left")
+    handles = {
+        text: handle for axes in panels.ravel() for handle, text in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(list(handles.values()), list(handles), loc="outside lower center", ncols=4, frameon=False)
+    figure.suptitle(_title(solution))
+    return figure
+
+
+def make_phased_mechanism(solution: PhasedSolution, phases: Sequence[Solution], plants: Plants) -> Figure:
+    """Draw the mechanisms of all phases on their way."""
+    figure = Figure(figsize=(8, 7), layout="constrained")
+    axes = figure.add_subplot(projection="3d")
+    assert isinstance(axes, Axes3D)
+    times = Normalize(0, max(float(phase.trajectory.t[-1]) for phase in phases))
+    points = []
+    for phase, plant in zip(phases, plants.phases, strict=True):
+        skeleton = place(_equip(phase, plant), phase.trajectory.q)
+        draw_poses(axes, skeleton, phase.trajectory.t, times, POSES)
+        points.append(list_points(skeleton.p))
+    axes.plot(0, 0, 0, "s", color="black", markersize=7, label="base")
+    frame_up(axes, np.concatenate(points))
+    figure.colorbar(ScalarMappable(times, TIME), ax=axes, label="time [s]", shrink=0.6, pad=0.1)
+    figure.suptitle(_title(solution))
+    return figure
+
+
+def write_animations(
+    solution: PhasedSolution, phases: Sequence[Solution], plants: Plants, folder: Path
+) -> tuple[str, ...]:
+    """Write a page that plays all phases, or one for each where their mechanisms have other frames; name the pages."""
+    parts = []
+    for phase, plant in zip(phases, plants.phases, strict=True):
+        trajectory, kernels = phase.trajectory, _equip(phase, plant)
+        parts.append(Part(kernels, trajectory.t, trajectory.q, find_rates(kernels, trajectory.q, trajectory.qd)))
+    frames = [[frame.name for frame in plant.manifest.frames] for plant in plants.phases]
+    follow = all(np.isclose(a.t[-1], b.t[0]) for a, b in pairwise(parts))
+    if follow and all(names == frames[0] for names in frames):
+        (folder / "animation.html").write_text(render_parts(parts, solution.name), encoding="utf-8")
+        return ("animation.html",)
+    pages = tuple(f"{name}.html" for name in solution.names)
+    for name, page, part in zip(solution.names, pages, parts, strict=True):
+        (folder / page).write_text(render_parts([part], f"{solution.name}: {name}"), encoding="utf-8")
+    return pages
+
+
+def _equip(phase: Solution, plant: Plant) -> Plant:
+    return equip(plant, phase.problem, phase.trajectory.unknowns)
+
+
+def _title(solution: PhasedSolution) -> str:
+    return f"{plain(solution.name)}: cost {solution.cost:.6g}"

@@ -1,0 +1,120 @@
+"""The files of a solution in phases: written by the command, read back, and a guess for another solve."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from mbsgen.errors import InputError
+from mbsrun.cli import cli
+from mbsrun.ocp.phases.files import write_files
+from mbsrun.ocp.phases.problem import Plants
+from mbsrun.ocp.phases.solution import PhasedSolution, read_phased_guess, read_phased_solution, write_phased_solution
+from mbsrun.ocp.phases.solve import solve_phases
+from tests.mbsrun.ocp.phases.motions import split, swing_up
+from tests.mbsrun.ocp.plants import cart_pole
+from tests.mbsrun.peer import Peer, double_integrator
+
+MODELS = Path(__file__).parents[4] / "models"
+
+
+@pytest.fixture(scope="module")
+def cart() -> Peer:
+    return cart_pole()
+
+
+@pytest.fixture(scope="module")
+def solution(cart: Peer) -> PhasedSolution:
+    outcome = solve_phases(split(swing_up()), Plants((cart, cart)))
+    assert isinstance(outcome, PhasedSolution)
+    return outcome
+
+
+def test_a_solution_is_read_back_with_every_digit(solution: PhasedSolution, tmp_path: Path) -> None:
+    write_phased_solution(solution, tmp_path / "solution.json")
+    found = read_phased_solution(tmp_path / "solution.json")
+    assert found.problem == solution.problem
+    assert found.values == solution.values
+    for ours, theirs in zip(found.phases, solution.phases, strict=True):
+        assert (ours.trajectory.point_q == theirs.trajectory.point_q).all()
+    write_phased_solution(found, tmp_path / "again.json")
+    assert (tmp_path / "again.json").read_bytes() == (tmp_path / "solution.json").read_bytes()
+
+
+def test_a_solve_from_a_solution_ends_at_once(solution: PhasedSolution, cart: Peer, tmp_path: Path) -> None:
+    write_phased_solution(solution, tmp_path / "solution.json")
+    guess = read_phased_guess(tmp_path / "solution.json", solution.names, (cart.manifest, cart.manifest))
+    again = solve_phases(solution.problem, Plants((cart, cart)), guess=guess)
+    assert isinstance(again, PhasedSolution)
+    assert again.run.iterations < solution.run.iterations
+    assert again.cost == pytest.approx(solution.cost, rel=1e-8)
+
+
+def test_a_guess_for_other_phases_is_refused(solution: PhasedSolution, cart: Peer, tmp_path: Path) -> None:
+    write_phased_solution(solution, tmp_path / "solution.json")
+    with pytest.raises(InputError) as refusal:
+        read_phased_guess(tmp_path / "solution.json", ("first", "third"), (double_integrator().manifest, cart.manifest))
+    text = str(refusal.value)
+    assert "phase first: its coordinates are cart, pole; double integrator has slide" in text
+    assert "it has the phases first, second, and none of the name third" in text
+
+
+def test_tables_go_on_in_time(solution: PhasedSolution, cart: Peer, tmp_path: Path) -> None:
+    """The second phase's table begins where the first one's ends; the pictures are the same bytes each time."""
+    plants = Plants((cart, cart))
+    written = write_files(solution, plants, tmp_path / "out")
+    assert written == (
+        "solution.json",
+        "first.csv",
+        "second.csv",
+        "trajectories.png",
+        "mechanism.png",
+        "animation.html",
+    )
+    first, second = (np.array(list(csv.reader((tmp_path / "out" / name).open()))[1:], float) for name in written[1:3])
+    assert first[-1, :5] == pytest.approx(second[0, :5], abs=1e-9)
+    assert second[-1, 0] == 2.0
+    write_files(solution, plants, tmp_path / "again")
+    for name in written:
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
+
+
+TEXT = """\
+model: cart_pole.yaml
+horizon: 1
+intervals: 10
+scheme: radau
+degree: 4
+cost: {inputs: 1}
+phases:
+  - {name: first, start: {pose: {}}}
+  - {name: second, end: {pose: {cart: 1, pole: pi}, velocity: zero}}
+links:
+  - {from: first, to: second}
+"""
+
+
+def test_the_command_solves_phases(requires: Callable[[str], str], tmp_path: Path) -> None:
+    """It prints the phases and links, goes on from its own solution, and refuses options that are of one phase."""
+    requires("cc")
+    (tmp_path / "cart_pole.yaml").write_text((MODELS / "cart_pole.yaml").read_text())
+    (tmp_path / "split.ocp.yaml").write_text(TEXT)
+    command = ["solve", str(tmp_path / "split.ocp.yaml"), "-o", str(tmp_path / "out")]
+    run = CliRunner().invoke(cli, command)
+    assert "phase second" in run.output
+    assert "link first to second" in run.output
+    cost = read_phased_solution(tmp_path / "out" / "solution.json").cost
+    again = CliRunner().invoke(
+        cli, [*command[:3], str(tmp_path / "two"), "--guess", str(tmp_path / "out/solution.json")]
+    )
+    assert read_phased_solution(tmp_path / "two" / "solution.json").cost == pytest.approx(cost, rel=1e-8)
+    assert "warning: phase second: the largest defect" in again.output
+    assert again.exit_code == 1
+    refused = CliRunner().invoke(cli, [*command, "--starts", "3", "--form", "integral"])
+    assert refused.exit_code == 2
+    assert "--starts, --form: for problems of one phase" in refused.output
