@@ -116,7 +116,7 @@ def _simpson(problem: Problem, v: dict[str, Any]) -> tuple[list[ca.SX], ca.SX, l
     return rows, cost, [problem.path(*a), problem.path(*m)]
 
 
-def _collocate(family: str, degree: int, *, is_constant: bool) -> Scheme:
+def collocate(family: str, degree: int, *, is_constant: bool) -> Scheme:
     """Return collocation at the points of a family, with inputs at each point, or constant ones."""
     taus = ca.collocation_points(degree, family)
     C, D, B = (c.full() for c in ca.collocation_coeff(taus))
@@ -163,8 +163,8 @@ def _shoot(steps: int) -> Scheme:
 SCHEMES = (
     Scheme("trapezoid", "", True, _trapezoid),
     Scheme("Hermite-Simpson", "xu", True, _simpson),
-    _collocate("radau", 3, is_constant=False),
-    _collocate("legendre", 4, is_constant=True),
+    collocate("radau", 3, is_constant=False),
+    collocate("legendre", 4, is_constant=True),
     _shoot(2),
 )
 
