@@ -22,7 +22,7 @@ from mbsrun.external import load
 from mbsrun.models import INTEGRATED
 from mbsrun.ocp.solution import read_solution
 from mbsrun.simulation.closing import close_start
-from mbsrun.simulation.drive import hold_steps, input_labels
+from mbsrun.simulation.drive import follow_polynomials, hold_steps, input_labels
 from mbsrun.simulation.methods import METHODS, Family, Formulation
 from mbsrun.simulation.motion import Keeping, Motion
 from mbsrun.simulation.record import FILES as MOTION_FILES
@@ -221,7 +221,11 @@ def _read_recording(path: Path, manifest: Manifest) -> Recording:
     if found.model_hash != manifest.model_hash:
         say(f"warning: {path} was made with another version of the model")
     trajectory = found.trajectory
-    return Recording(hold_steps(trajectory.t, trajectory.u), trajectory.q[0], trajectory.qd[0])
+    if trajectory.point_u.size:
+        drive = follow_polynomials(trajectory.t, trajectory.point_t, trajectory.point_u)
+    else:
+        drive = hold_steps(trajectory.t, trajectory.u)
+    return Recording(drive, trajectory.q[0], trajectory.qd[0])
 
 
 def _print_motion(motion: Motion, manifest: Manifest) -> None:

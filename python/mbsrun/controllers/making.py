@@ -78,6 +78,9 @@ def make(
     if problem.mesh is not None:
         finding = "a controller moves its plan ahead by equal intervals, and these have lengths of their own"
         raise ProblemError(problem.name, [("intervals", finding, "give their number")])
+    if problem.inputs != "constant":
+        finding = "a controller holds its inputs from sample to sample, and these change within an interval"
+        raise ProblemError(problem.name, [("inputs", finding, "take constant ones")])
     if problem.every_state or problem.controls:
         finding = "a controller measures coordinates and velocities, and the problem adds states or controls"
         raise ProblemError(problem.name, [("states", finding, "leave them out")])

@@ -1,8 +1,9 @@
 """Where a motion lies among the variables of a program, and where functions of it are applied.
 
 Interval by interval: the state x_k = (q, qd) at the mesh point; at each collocation point the state x_kj and, unless
-the equations of motion are an ODE, the acceleration z_kj; the inputs u_k, constant over the interval. At the end x_N,
-and the horizon T where it is free. With quaternions there are more entries of q than of qd and z.
+the equations of motion are an ODE, the acceleration z_kj; the inputs u_k, constant over the interval, or u_kj at its
+points. At the end x_N, and the horizon T where it is free. With quaternions there are more entries of q than of qd and
+z.
 
 In the integral form the states at the points are no variables. They are linear in x_k and the accelerations z_k at the
 stages of an integrator, with the matrices of `integrators`, h being the length of their interval:
@@ -63,7 +64,8 @@ class Extras:
 
     states: Indices  # (N + 1, ns): at the mesh points
     point_states: Indices  # (N, S, ns)
-    controls: Indices  # (N, nc)
+    controls: Indices  # (N, nc); (N, 0) where they are polynomials
+    point_controls: Indices  # (N, S, nc); (N, S, 0) where they are constant
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,8 @@ class Layout:
     accelerations: Indices  # (N, S, n): accelerations at the stages; (N, S, 0) for an ODE
     multipliers: Indices  # (N, S, ...): of loops, where they are variables
     corrections: Indices  # (N, S, ...): of coordinates, then of velocities
-    inputs: Indices  # (N, m)
+    inputs: Indices  # (N, m); (N, 0) where they are polynomials
+    point_inputs: Indices  # (N, S, m); (N, S, 0) where they are constant
     horizon: int | None  # T, where it is free
     unknowns: Indices  # numbers of the whole horizon that the solver chooses
     design: Indices  # the variables of theta; none where kernels read values of the model
@@ -93,6 +96,13 @@ class Layout:
     def n(self) -> int:
         """Count the velocities that are variables."""
         return len(self.motions.velocities)
+
+    @property
+    def every_input(self) -> Indices:
+        """List the inputs and controls of each interval, (N, ...)."""
+        N, extras = self.grid.intervals, self.extras
+        points = np.concatenate((self.point_inputs, extras.point_controls), axis=2)
+        return np.concatenate((self.inputs, extras.controls, points.reshape(N, -1)), axis=1)
 
     def split(self, states: NDArray[Scalar]) -> tuple[NDArray[Scalar], NDArray[Scalar]]:
         """Split states (..., nq + n), or any array with their last axis, into coordinates and velocities."""
@@ -145,10 +155,12 @@ def lay_out(
     states: int = 0,
     controls: int = 0,
     unknowns: int = 0,
+    has_constant_inputs: bool = True,
 ) -> Layout:
     """Number the variables; `has_states` and `has_accelerations` say which variables the stages have.
 
-    The numbers of states and controls are of those that a problem adds.
+    The numbers of states and controls are of those that a problem adds. Inputs and controls are constant over an
+    interval, or have a value at each stage.
     """
     N, S, width = grid.intervals, stages, motions.nq + len(motions.velocities)
     sizes = (
@@ -159,12 +171,17 @@ def lay_out(
         motions.corrections,
     )
     at_stage = sum(sizes)
-    stride = width + states + S * at_stage + m + controls
+    values = (m + controls) * (1 if has_constant_inputs else S)
+    stride = width + states + S * at_stage + values
     first = np.arange(N + 1) * stride
     mesh = first[:, None] + np.arange(width + states)
     points = first[:N, None, None] + width + states + np.arange(S)[:, None] * at_stage + np.arange(at_stage)
     moved, further, accelerations, multipliers, corrections = np.split(points, np.cumsum(sizes)[:-1], axis=2)
-    inputs = first[1:, None] - m - controls + np.arange(m + controls)
+    every = first[1:, None] - values + np.arange(values)
+    if has_constant_inputs:
+        inputs, point_inputs = every, np.zeros((N, S, 0), dtype=np.int64)
+    else:
+        inputs, point_inputs = every[:, :0], every.reshape(N, S, m + controls)
     return Layout(
         motions=motions,
         grid=grid,
@@ -174,11 +191,12 @@ def lay_out(
         multipliers=multipliers,
         corrections=corrections,
         inputs=inputs[:, :m],
+        point_inputs=point_inputs[:, :, :m],
         horizon=N * stride + width + states if horizon_is_free else None,
         unknowns=N * stride + width + states + horizon_is_free + np.arange(unknowns),
         design=np.zeros(0, dtype=np.int64),
         size=N * stride + width + states + horizon_is_free + unknowns,
-        extras=Extras(mesh[:, width:], further, inputs[:, m:]),
+        extras=Extras(mesh[:, width:], further, inputs[:, m:], point_inputs[:, :, m:]),
     )
 
 
@@ -189,14 +207,14 @@ class Places:
     q: Column  # size nq
     qd: Column  # velocities that are variables
     qdd: Column  # size 0 where accelerations are no variables
-    u: Indices  # (m, places)
+    u: Column  # size m
     s: Array  # (places,): time over the horizon
     stage: Indices  # (places,): of the states
     interval: Indices  # (places,): of inputs and accelerations
     yd: Column  # velocities that collocation carries on
     lam: Indices  # (..., places): multipliers; size 0 where they are no variables
     states: Indices  # (ns, places): the ones that a problem adds
-    controls: Indices  # (nc, places)
+    controls: Column  # size nc
 
     @property
     def parts(self) -> Mapping[str, Column]:
@@ -226,12 +244,15 @@ def at_stages(layout: Layout, integrator: Integrator, h: Array) -> Places:
 
 def _at(layout: Layout, reading: Reading, h: Array) -> Places:
     N, k = len(layout.inputs), len(reading.c)
-    u = np.repeat(layout.inputs, k, axis=0).T
+    extras = layout.extras
+    u, controls = (
+        _flatten(points) if points.size else np.repeat(constant, k, axis=0).T
+        for constant, points in ((layout.inputs, layout.point_inputs), (extras.controls, extras.point_controls))
+    )
     s = layout.grid.places(reading.c).ravel()
     interval = np.repeat(np.arange(N), k)
     accelerations, multipliers = (_flatten(part) for part in (layout.accelerations, layout.multipliers))
-    extras = layout.extras
-    added = (_flatten(extras.point_states), np.repeat(extras.controls, k, axis=0).T)
+    added = (_flatten(extras.point_states), controls)
     if layout.points.size or not layout.mesh.shape[1]:
         q, qd = map(_flatten, layout.split(layout.points))
         yd = qd[layout.motions.carried_velocities]
@@ -286,19 +307,26 @@ def read_motion(layout: Layout, reading: Reading, h: Array) -> Motion:
 def at_mesh(layout: Layout, integrator: Integrator, k: Sequence[int]) -> Places:
     """Return some mesh points, with the inputs of the interval before; the first has the inputs of the interval after.
 
-    Accelerations there are read off the stages of that interval.
+    Accelerations there, and inputs that are polynomials, are read off the stages of that interval.
     """
     at, stages = np.array(k, dtype=np.int64), layout.accelerations
-    interval, n = np.maximum(at - 1, 0), len(layout.motions.independent)
+    interval = np.maximum(at - 1, 0)
     q, qd = (part.T for part in layout.split(layout.mesh[at]))
     s = layout.grid.mesh()[at] if layout.grid.fractions else at / layout.grid.intervals
-    qdd: Column = np.zeros((0, at.size), dtype=np.int64)
-    if stages.size:
-        matrices = spread(integrator.ends.W, n)
-        qdd = Combination(matrices, (at > 0).astype(np.int64), stages[interval].reshape(at.size, matrices.shape[2]))
-    yd, none = qd[layout.motions.carried_velocities], np.zeros((0, at.size), dtype=np.int64)
-    added = (layout.extras.states[at].T, layout.extras.controls[interval].T)
-    return Places(q, qd, qdd, layout.inputs[interval].T, s, at, interval, yd, none, *added)
+    none, extras = np.zeros((0, at.size), dtype=np.int64), layout.extras
+
+    def read(points: Indices) -> Combination:
+        """Read what has a value at each stage, (N, S, size)."""
+        matrices = spread(integrator.ends.W, points.shape[2])
+        return Combination(matrices, (at > 0).astype(np.int64), points[interval].reshape(at.size, matrices.shape[2]))
+
+    qdd = read(stages) if stages.size else none
+    u, controls = (
+        read(points) if points.size else constant[interval].T
+        for constant, points in ((layout.inputs, layout.point_inputs), (extras.controls, extras.point_controls))
+    )
+    yd, added = qd[layout.motions.carried_velocities], (extras.states[at].T, controls)
+    return Places(q, qd, qdd, u, s, at, interval, yd, none, *added)
 
 
 def spread(coefficients: Array, n: int) -> Array:

@@ -93,7 +93,7 @@ def draw_motion(
         label = None if name in manifest.positions else labels[name]
         velocities.plot(t, qd[:, i], label=label, color=colors[name], linestyle=lines[name])
     for k, i in enumerate(manifest.actuated):
-        inputs.stairs(trajectory.u[:, k], trajectory.t, baseline=None, color=colors[names[i]], linewidth=1.5)
+        _plot_input(inputs, trajectory, trajectory.u[:, k], trajectory.point_u[:, :, k : k + 1], color=colors[names[i]])
     actuated = [manifest.coordinates[i] for i in manifest.actuated]
     _name(coordinates, "Joint coordinates", "q", _join(c.unit for c in manifest.coordinates))
     _name(velocities, "Joint velocities", r"\dot{q}", _join(f"{c.unit}/s" for c in manifest.coordinates))
@@ -120,10 +120,19 @@ def plot_additions(axes: Axes, solution: Solution, t: Array) -> None:
     names = [*(state.name for state in problem.states), *(part.expression for part in problem.integrals)]
     for name, values in zip(names, states.T, strict=True):
         axes.plot(t, values, label=plain(name))
-    for control, values in zip(problem.controls, trajectory.controls.T, strict=True):
-        axes.stairs(values, trajectory.t, baseline=None, linewidth=1.5, linestyle="--", label=plain(control.name))
+    for k, control in enumerate(problem.controls):
+        points = trajectory.point_controls[:, :, k : k + 1]
+        _plot_input(axes, trajectory, trajectory.controls[:, k], points, linestyle="--", label=plain(control.name))
     axes.set_title("Further states; controls dashed", loc="left", fontsize="medium")
     axes.grid(alpha=0.3)
+
+
+def _plot_input(axes: Axes, trajectory: Trajectory, values: Array, points: Array, **style: str) -> None:
+    """Plot an input: constant values (N,) of the intervals, or values (N, d, 1) at the points of polynomials."""
+    if points.size:
+        axes.plot(trajectory.point_t.ravel(), points.ravel(), linewidth=1.5, **style)
+    else:
+        axes.stairs(values, trajectory.t, baseline=None, linewidth=1.5, **style)
 
 
 def plot_starts(starts: Starts, path: Path) -> None:

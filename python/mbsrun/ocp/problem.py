@@ -4,7 +4,8 @@
                 + integrals of expressions of the motion + expressions of its end
     subject to  the equations of motion, (q, qd)(0) given, bounds and constraints at all times, and conditions at T
 
-with inputs u that are constant over each of the N intervals of length h = T / N (Docquier, Bruls, Fisette, eqs. 22-27).
+with inputs u that are constant over each of the N intervals of length h = T / N (Docquier, Bruls, Fisette, eqs. 22-27),
+or polynomials of degree d - 1 over each, by their values at the d collocation points.
 Where intervals have lengths of their own, h of the second sum is the distance of the midpoints of both.
 """
 
@@ -45,6 +46,7 @@ Range = tuple[Lower, Upper]
 Point = tuple[float, float, float]
 Inputs = Literal["zero", "static", "dynamic"]  # of a guess
 GuessedMotion = Literal["interpolation", "line", "rest"]
+Course = Literal["constant", "polynomial"]  # of inputs over an interval
 SolverName = str  # a key of methods.METHODS
 
 
@@ -265,6 +267,7 @@ class Problem:
     unknowns: tuple[Unknown, ...] = ()
     integrals: tuple[Integral, ...] = ()
     functions: tuple[Symbolic, ...] = ()  # that expressions read
+    inputs: Course = "constant"  # over an interval; polynomial: of degree d - 1, by a value at each point
     parameters: tuple[tuple[str, float], ...] = ()  # values of the model's run-time and differentiated parameters
     mesh: tuple[float, ...] | None = None  # the fraction of the horizon that each interval has; None: they are equal
     references: tuple[Reference, ...] = ()  # that expressions read
@@ -341,6 +344,12 @@ def find_conflicts(problem: Problem) -> list[Conflict]:
     if form is not Form.STANDARD and problem.has_quaternions:
         finding = f"the {form.value} form takes no joints with quaternions, whose rates are not their velocities"
         found.append(Conflict("form", finding, "take standard"))
+    if form is not Form.STANDARD and problem.inputs != "constant":
+        finding = f"the {form.value} form takes no inputs that change within an interval"
+        found.append(Conflict("inputs", finding, "take constant ones, or form: standard"))
+    if problem.cost.input_rates and problem.inputs != "constant":
+        finding = "cost.input_rates prices steps of inputs from interval to interval, and these change within them"
+        found.append(Conflict("inputs", finding, "take constant ones; or let a control be the rate of a state"))
     if form is not Form.STANDARD and problem.horizon_range is not None:
         finding = f"the {form.value} form needs a horizon that is given"
         found.append(Conflict("form", finding, "take standard, or give the horizon"))

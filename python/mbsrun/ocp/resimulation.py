@@ -33,7 +33,7 @@ from mbsrun.ocp.design import equip
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.solution import Resimulation, Solution
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.trajectory import Trajectory, lagrange
 from mbsrun.ocp.values import Values
 from mbsrun.quaternions import find_rates
 
@@ -110,13 +110,21 @@ class _Piece:
     def _parts(self, time: Array, q: Array, qd: Array, states: Array) -> dict[str, Array]:
         trajectory = self.course.trajectory
         t = trajectory.t[self.intervals, None] + time
-        controls = trajectory.controls[self.intervals]
+        controls = self._read(time, trajectory.controls, trajectory.point_controls)
         T = np.full_like(t, trajectory.t[-1])
         return {"t": t, "T": T, "q": q, "qd": qd, "states": states, "controls": controls}
 
-    def forces(self, _time: Array, _q: Array, _qd: Array, _states: Array) -> Array:
+    def _read(self, time: Array, values: Array, points: Array) -> Array:
+        """Return inputs that are constant over the intervals, or polynomials through values at their points."""
+        if not points.size:
+            return values[self.intervals]
+        basis = lagrange(self.course.nodes, time[:, 0] / self.course.lengths[self.intervals])
+        return np.asarray(np.einsum("br,brm->bm", basis, points[self.intervals]))
+
+    def forces(self, time: Array, _q: Array, _qd: Array, _states: Array) -> Array:
         """Return the inputs of the intervals."""
-        return self.course.trajectory.u[self.intervals]
+        trajectory = self.course.trajectory
+        return self._read(time, trajectory.u, trajectory.point_u)
 
     def rates(self, time: Array, q: Array, qd: Array, qdd: Array, states: Array) -> Array:
         """Return the rates of the states that the problem adds."""
@@ -130,6 +138,8 @@ class Course:
     def __init__(self, problem: Problem, trajectory: Trajectory, plant: Plant) -> None:
         """Prepare the expressions of the problem."""
         self.trajectory = trajectory
+        self.lengths = np.diff(trajectory.t)
+        self.nodes = (trajectory.point_t[0] - trajectory.t[0]) / self.lengths[0]  # the same in every interval
         self.rates = Values([state.rate for state in problem.every_state], problem, plant)
 
     def inputs(self, *intervals: int) -> Inputs:

@@ -318,6 +318,7 @@ class ProblemSection(Section):
     steps: int = Field(default=Problem.steps, ge=1, le=MAX_STEPS, examples=[1])
     states: Annotated[dict[str, StateSection], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
     controls: Annotated[dict[str, ControlSection], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
+    inputs: Literal["constant", "polynomial"] = Field(default=Problem.inputs, examples=["polynomial"])
     cost: CostSection = Field(examples=[{"inputs": 1.0}])
     start: StartSection | None = Field(default=None, examples=[{"pose": {}}])
     bounds: BoundsSection = Field(default=BoundsSection(), examples=[{}])

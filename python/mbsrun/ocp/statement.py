@@ -235,6 +235,7 @@ class _Reading(PartReading):
             horizon=horizon,
             intervals=intervals,
             mesh=mesh,
+            inputs=section.inputs,
             family=section.scheme,
             degree=section.degree,
             representation=section.representation,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mbsrun.ocp.grid import Grid
-from mbsrun.ocp.problem import Form, Loops, Problem, Representation, Symbolic
+from mbsrun.ocp.problem import Course, Form, Loops, Problem, Representation, Symbolic
 from mbsrun.ocp.schemes import Family
 from mbsrun.quantities import Added
 from mbsrun.recordings.references import Reference
@@ -47,6 +47,7 @@ class Structure:
     added: Added = field(default_factory=Added)
     rates: tuple[str, ...] = ()  # of the states that the problem adds
     ending: tuple[int, ...] = ()  # of them, the ones with a condition at the end
+    inputs: Course = "constant"
 
     @property
     def grid(self) -> Grid:
@@ -91,6 +92,7 @@ def structure(problem: Problem) -> Structure:
         loops=problem.loops,
         mesh=problem.mesh,
         parameters=problem.parameters,
+        inputs=problem.inputs,
         known_velocities=_list_known_velocities(problem) if problem.loops is Loops.REDUCED else (),
         added=problem.added,
         rates=tuple(state.rate for state in problem.every_state),

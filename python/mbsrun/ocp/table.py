@@ -67,7 +67,7 @@ def list_additions(trajectory: Trajectory) -> list[Array]:
     """List states and controls that a problem adds at all points in order, (rows, size) each."""
     return [
         _join(trajectory, trajectory.states[:-1], trajectory.point_states, trajectory.states[-1]),
-        _repeat(trajectory, trajectory.controls),
+        _read_inputs(trajectory, trajectory.controls, trajectory.point_controls),
     ]
 
 
@@ -91,12 +91,14 @@ def list_motion(trajectory: Trajectory) -> list[Array]:
         _join(trajectory, trajectory.q[:-1], trajectory.point_q, trajectory.q[-1]),
         _join(trajectory, trajectory.qd[:-1], trajectory.point_qd, trajectory.qd[-1]),
         _read_forces(trajectory, trajectory.point_qdd),
-        _repeat(trajectory, trajectory.u),
+        _read_inputs(trajectory, trajectory.u, trajectory.point_u),
     ]
 
 
-def _repeat(trajectory: Trajectory, u: Array) -> Array:
-    """Repeat inputs (N, m) at all points of their intervals; at the end, the last ones."""
+def _read_inputs(trajectory: Trajectory, u: Array, points: Array) -> Array:
+    """Read inputs at all points in order: constant ones (N, m), at the end the last ones; or polynomials (N, d, m)."""
+    if points.size:
+        return _read_forces(trajectory, points)
     return np.concatenate((np.repeat(u, 1 + int(_find_inner(trajectory).sum()), axis=0), u[-1:]))
 
 

@@ -23,7 +23,14 @@ def _read_array(value: Any) -> NDArray[np.float64]:
 Array = Annotated[NDArray[np.float64], PlainValidator(_read_array), PlainSerializer(lambda array: array.tolist())]
 
 
-OPTIONAL = ("states", "point_states", "controls", "point_u", "point_w")  # parts of a trajectory that it may leave out
+OPTIONAL = (
+    "states",
+    "point_states",
+    "controls",
+    "point_controls",
+    "point_u",
+    "point_w",
+)  # parts of a trajectory that it may leave out
 NONE: NDArray[np.float64] = np.zeros(0)  # stands for arrays of no quantities
 
 
@@ -37,14 +44,15 @@ class Trajectory:
     t: Array  # (N + 1,)
     q: Array  # (N + 1, nq)
     qd: Array  # (N + 1, n)
-    u: Array  # (N, m): constant from t[k] to t[k + 1]
+    u: Array  # (N, m): constant from t[k] to t[k + 1], or means
     point_t: Array  # (N, d)
     point_q: Array  # (N, d, nq)
     point_qd: Array  # (N, d, n)
     point_qdd: Array  # (N, d, n)
     states: Array = field(default_factory=NONE.copy)  # (N + 1, ns): beside those of the mechanism
     point_states: Array = field(default_factory=NONE.copy)  # (N, d, ns)
-    controls: Array = field(default_factory=NONE.copy)  # (N, nc): beside u, constant from t[k] to t[k + 1]
+    controls: Array = field(default_factory=NONE.copy)  # (N, nc): beside u, constant from t[k] to t[k + 1], or means
+    point_controls: Array = field(default_factory=NONE.copy)  # (N, d, nc), or (N, d, 0) where they are constant
     point_u: Array = field(default_factory=NONE.copy)  # (N, d, m), or (N, d, 0) where all inputs are constant
     point_w: Array = field(default_factory=NONE.copy)  # (N, d, nw): components of open wrenches
     unknowns: Array = field(default_factory=lambda: np.zeros(0))  # of the whole motion, as the problem orders them
@@ -61,6 +69,7 @@ class Trajectory:
             ("states", (N + 1,)),
             ("point_states", (N, d)),
             ("controls", (N,)),
+            ("point_controls", (N, d)),
             ("point_u", (N, d)),
             ("point_w", (N, d)),
         ):
@@ -69,8 +78,21 @@ class Trajectory:
                 object.__setattr__(self, name, np.zeros((*leading, 0)))
             elif array.shape[:-1] != leading:
                 raise ValueError("the arrays of a trajectory do not fit together")
-        if self.states.shape[-1] != self.point_states.shape[-1] or self.point_u.shape[-1] not in (0, m):
+        if (
+            self.states.shape[-1] != self.point_states.shape[-1]
+            or self.point_u.shape[-1] not in (0, m)
+            or self.point_controls.shape[-1] not in (0, self.controls.shape[-1])
+        ):
             raise ValueError("the arrays of a trajectory do not fit together")
+
+    def spread_inputs(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return inputs and controls at the points, (N, d, ...), where they are constant too."""
+        N, d = self.point_t.shape
+        u, controls = (
+            points if points.size else np.broadcast_to(values[:, None], (N, d, values.shape[1]))
+            for values, points in ((self.u, self.point_u), (self.controls, self.point_controls))
+        )
+        return u, controls
 
 
 def resample(trajectory: Trajectory, t: NDArray[np.float64], point_t: NDArray[np.float64]) -> Trajectory:
@@ -93,6 +115,7 @@ def resample(trajectory: Trajectory, t: NDArray[np.float64], point_t: NDArray[np
         states=mesh.states(trajectory.states, trajectory.point_states),
         point_states=points.states(trajectory.states, trajectory.point_states),
         controls=average_inputs(trajectory.t, trajectory.controls, t * pace),
+        point_controls=points.accelerations(trajectory.point_controls),
         point_u=points.accelerations(trajectory.point_u),
         point_w=points.accelerations(trajectory.point_w),
         unknowns=trajectory.unknowns,
@@ -146,8 +169,8 @@ class _Reading:
         self.interval = np.clip(np.searchsorted(t, times, side="left") - 1, 0, len(t) - 2)
         place = (times - t[self.interval]) / np.diff(t)[self.interval]
         nodes = (trajectory.point_t[0] - t[0]) / (t[1] - t[0])  # the same in every interval
-        self.with_start = _lagrange(np.concatenate(([0.0], nodes)), place)
-        self.without = _lagrange(nodes, place)
+        self.with_start = lagrange(np.concatenate(([0.0], nodes)), place)
+        self.without = lagrange(nodes, place)
 
     def states(self, mesh: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Read the polynomial through the values at the interval's start and at the points."""
@@ -159,7 +182,7 @@ class _Reading:
         return np.asarray(np.einsum("...r,...rn->...n", self.without, points[self.interval]))
 
 
-def _lagrange(nodes: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.float64]:
+def lagrange(nodes: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.float64]:
     """Evaluate the basis polynomials of the nodes at x: shape (*x.shape, nodes)."""
     gaps = nodes[:, None] - nodes
     np.fill_diagonal(gaps, 1.0)

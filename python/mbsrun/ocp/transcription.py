@@ -82,10 +82,9 @@ class Transcription:
         for index, bounds in (
             (self.layout.mesh, states),
             *([(self.layout.points, states)] if self.layout.points.size else []),
-            (self.layout.inputs, np.array(problem.bounds.u).reshape(-1, 2)),
             (extras.states, added),
             (extras.point_states, added),
-            (extras.controls, np.array([control.bounds for control in problem.controls]).reshape(-1, 2)),
+            *self._bound_inputs(problem),
         ):
             lower[index], upper[index] = bounds.T
         if problem.horizon_range is not None:
@@ -94,6 +93,17 @@ class Transcription:
         bounds = np.array([unknown.bounds for unknown in problem.unknowns]).reshape(-1, 2)
         lower[self.layout.unknowns], upper[self.layout.unknowns] = bounds.T
         return lower[self.program.kept], upper[self.program.kept]
+
+    def _bound_inputs(self, problem: Problem) -> list[tuple[Indices, Array]]:
+        """List the inputs and controls with their bounds."""
+        layout, extras = self.layout, self.layout.extras
+        u, controls = (
+            np.array(bounds).reshape(-1, 2)
+            for bounds in (problem.bounds.u, [control.bounds for control in problem.controls])
+        )
+        if problem.inputs == "constant":
+            return [(layout.inputs, u), (extras.controls, controls)]
+        return [(layout.point_inputs, u), (extras.point_controls, controls)]
 
     def constraint_bounds(self, problem: Problem) -> tuple[Array, Array]:
         """Bound the rows that a solver sees: by start, end, ranges of constraints and bounds; all else is 0."""
@@ -147,11 +157,13 @@ class Transcription:
         x[layout.mesh] = np.concatenate((trajectory.q, trajectory.qd[:, velocities]), axis=1)
         if layout.points.size:
             x[layout.points] = np.concatenate((trajectory.point_q, trajectory.point_qd[:, :, velocities]), axis=2)
-        x[layout.inputs] = trajectory.u
+        if self.structure.inputs == "constant":
+            x[layout.inputs], x[layout.extras.controls] = trajectory.u, trajectory.controls
+        else:
+            x[layout.point_inputs], x[layout.extras.point_controls] = trajectory.spread_inputs()
         x[layout.extras.states] = trajectory.states
         # shooting has other stages than points, and adds no states
         x[layout.extras.point_states] = trajectory.point_states.reshape(layout.extras.point_states.shape)
-        x[layout.extras.controls] = trajectory.controls
         if layout.horizon is not None:
             x[layout.horizon] = trajectory.t[-1]
         x[layout.unknowns] = trajectory.unknowns
@@ -186,19 +198,28 @@ class Transcription:
             mesh_qd = self._complete(mesh_q, mesh_qd)
             qd = self._complete(q, qd)
             qdd = self.closure.complete_accelerations(q, qd, self.closure.independent, qdd)
+        if self.structure.inputs == "constant":
+            u, controls = x[layout.inputs], x[layout.extras.controls]
+        else:  # means over the intervals
+            u, controls = (
+                np.einsum("j,kjm->km", self.scheme.weights, x[part])
+                for part in (layout.point_inputs, layout.extras.point_controls)
+            )
         return Trajectory(
             t,
             mesh_q,
             mesh_qd,
-            x[layout.inputs],
+            u,
             point_t,
             q,
             qd,
             qdd,
             states=x[layout.extras.states],
             point_states=x[layout.extras.point_states].reshape(*point_t.shape, layout.extras.states.shape[1]),
-            controls=x[layout.extras.controls],
+            controls=controls,
             unknowns=x[layout.unknowns],
+            point_u=x[layout.point_inputs],
+            point_controls=x[layout.extras.point_controls],
         )
 
     @property
@@ -225,7 +246,10 @@ def find_multipliers(closure: Closure, trajectory: Trajectory) -> Array:
     """Find the multipliers of loops at the points of a motion, (N, d, m), by least squares."""
     N, d, n = trajectory.point_q.shape
     q, qd, qdd = (x.reshape(N * d, n) for x in (trajectory.point_q, trajectory.point_qd, trajectory.point_qdd))
-    u, none = np.repeat(trajectory.u, d, axis=0), np.zeros((N * d, len(closure.dependent)))
+    u, none = (
+        trajectory.spread_inputs()[0].reshape(N * d, trajectory.u.shape[1]),
+        np.zeros((N * d, len(closure.dependent))),
+    )
     Phi = closure.plant("impl", q=q, qd=qd, qdd=qdd, lam=none, u=u)["Phi"]
     return np.nan_to_num(closure.balance(q, Phi)).reshape(N, d, -1)
 

@@ -51,6 +51,7 @@ class Writer:
             states=len(shape.rates),
             controls=len(shape.added.controls),
             unknowns=len(shape.added.unknowns) + design.count_fixed(shape.added.unknowns, plant.manifest),
+            has_constant_inputs=shape.inputs == "constant",
         )
         chosen, fixed = np.split(self.layout.unknowns, [len(shape.added.unknowns)])
         theta = design.order_design(shape.added.unknowns, chosen, fixed, plant.manifest)
@@ -110,7 +111,7 @@ class Writer:
             constants=self.parameters - self.weights,
             stages=Stages(
                 states=np.concatenate((self.layout.mesh, extras.states), axis=1),
-                inputs=np.concatenate((self.layout.inputs, extras.controls), axis=1),
+                inputs=self.layout.every_input,
                 inner=inner,
                 equations=equations,
                 continuity=continuity,
@@ -501,12 +502,11 @@ class Writer:
         """Return the quadratic terms, a matrix for each weight, and the others."""
         shape, layout = self.shape, self.layout
         running, terminal = len(shape.running), len(shape.terminal)
-        blocks = []
+        weights, blocks = self.h[:, None] * self.scheme.weights, []
         if running:
             places = self.points
             rows = np.broadcast_to(2 + np.arange(running)[:, None], (running, places.s.size))
-            integral = (self.h[:, None] * self.scheme.weights).ravel()
-            block = self.apply(shape.running, places, rows, places.interval, integral)
+            block = self.apply(shape.running, places, rows, places.interval, weights.ravel())
             blocks.append(replace(block, factor=layout.horizon))
         if terminal:
             rows = 2 + running + np.arange(terminal)[:, None]
@@ -514,8 +514,8 @@ class Writer:
         nothing = sparse.csc_array((layout.size, layout.size))
         others = (nothing,) * (running + terminal)
         if layout.horizon is None:
-            return (_input_cost(layout, self.h), _rate_cost(layout, self.h), *others), tuple(blocks)
-        return (nothing, nothing, *others), (*_input_costs(layout, layout.horizon, self.h), *blocks)
+            return (_input_cost(layout, self.h, weights), _rate_cost(layout, self.h), *others), tuple(blocks)
+        return (nothing, nothing, *others), (*_input_costs(layout, layout.horizon, self.h, weights), *blocks)
 
 
 def find_references(texts: Sequence[str], shape: Structure) -> list[str]:
@@ -535,10 +535,12 @@ def _reads_jumps(read: Set[str], known: Mapping[str, Quantity]) -> bool:
     return any(known[name].kind in ("u", "qdd", "w", "controls") for name in read if name in known)
 
 
-def _input_cost(layout: Layout, h: Array) -> Matrix:
-    """Return the Hessian of the integral of |u|^2."""
+def _input_cost(layout: Layout, h: Array, weights: Array) -> Matrix:
+    """Return the Hessian of the integral of |u|^2; weights (N, S) are of values at the points."""
     H = Entries()
     H.put(layout.inputs, layout.inputs, 2 * h[:, None])
+    if layout.point_inputs.size:
+        H.put(layout.point_inputs, layout.point_inputs, 2 * weights[:, :, None])
     return H.matrix((layout.size, layout.size))
 
 
@@ -557,16 +559,21 @@ def _rate_cost(layout: Layout, h: Array) -> Matrix:
     return H.matrix((layout.size, layout.size))
 
 
-def _input_costs(layout: Layout, horizon: int, h: Array) -> list[Block]:
-    """Return the same two terms as functions of the inputs and the horizon, of which h are parts."""
-    N, m = layout.inputs.shape
+def _input_costs(layout: Layout, horizon: int, h: Array, weights: Array) -> list[Block]:
+    """Return the same two terms as functions of the inputs and the horizon, of which h and the weights are parts."""
+    (N, S, polynomials), m = layout.point_inputs.shape, layout.inputs.shape[1]
+    if polynomials:
+        rows, interval = np.zeros((1, N * S), dtype=np.int64), np.repeat(np.arange(N), S)
+        columns = (layout.point_inputs.reshape(N * S, polynomials).T,)
+        function = formulas.square_inputs(polynomials)
+        return [Block(function, columns, rows, interval, scale=weights.ravel(), factor=horizon)]
     if not m:
         return []
     rows, interval = np.zeros((1, N), dtype=np.int64), np.arange(N)
     inputs = Block(formulas.square_inputs(m), (layout.inputs.T,), rows, interval, scale=h, factor=horizon)
     if N == 1:
         return [inputs]
-    columns = (layout.inputs[:-1].T, layout.inputs[1:].T, np.full((1, N - 1), horizon))
+    steps = (layout.inputs[:-1].T, layout.inputs[1:].T, np.full((1, N - 1), horizon))
     scale = (1 / N) / _find_steps(h)
-    rates = Block(formulas.square_rates(m, N), columns, np.ones((1, N - 1), dtype=np.int64), interval[:-1], scale=scale)
+    rates = Block(formulas.square_rates(m, N), steps, np.ones((1, N - 1), dtype=np.int64), interval[:-1], scale=scale)
     return [inputs, rates]

@@ -15,6 +15,7 @@ from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import BarycentricInterpolator
 
 from mbsgen.errors import MbsError
 from mbsgen.expressions import Algebra, Expression, evaluate, names
@@ -150,6 +151,16 @@ def hold_steps(times: ArrayLike, values: ArrayLike) -> Drive:
     pieces = [
         Piece(float(a), float(b), hold(row).pieces[0].values, True)
         for a, b, row in zip(knots, knots[1:], held, strict=False)
+    ]
+    return Drive(tuple(pieces))
+
+
+def follow_polynomials(times: ArrayLike, nodes: ArrayLike, values: ArrayLike) -> Drive:
+    """Follow, from times[k] to times[k + 1], the polynomial through values[k] (d, m) at nodes[k] (d,)."""
+    knots, at, given = (np.asarray(x, dtype=np.float64) for x in (times, nodes, values))
+    pieces = [
+        Piece(float(a), float(b), BarycentricInterpolator(x, y), False)
+        for a, b, x, y in zip(knots, knots[1:], at, given, strict=False)
     ]
     return Drive(tuple(pieces))
 

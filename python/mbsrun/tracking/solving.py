@@ -39,6 +39,9 @@ class SolvingController:
 
         Raises ProblemError for a problem with faults.
         """
+        if problem.inputs != "constant":
+            finding = "a sample holds its inputs from sample to sample, and these change within an interval"
+            raise ProblemError(problem.name, [("inputs", finding, "take constant ones")])
         if problem.every_state or problem.controls:
             finding = "a sample measures coordinates and velocities, and the problem adds states or controls"
             raise ProblemError(problem.name, [("states", finding, "leave them out")])

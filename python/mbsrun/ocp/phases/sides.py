@@ -71,7 +71,7 @@ class Side:
 
     prefix: str
     state: State
-    u: Indices  # (m,): inputs of the interval
+    u: Indices  # (m,): inputs of the interval, or at the nearest point where they are polynomials
     controls: Indices  # (nc,): the same of the controls that the problem adds
     added: Added
     horizon: int | float  # the variable, or the number where it is given
@@ -82,6 +82,9 @@ def read_side(layout: Layout, manifest: Manifest, plant: int, offset: int, probl
     k = -1 if is_end else 0
     states = layout.extras.states[k, : len(problem.states)] + offset
     q, qd = layout.split(layout.mesh[k] + offset)
+    inputs, controls = layout.inputs[k], layout.extras.controls[k]
+    if problem.inputs != "constant":
+        inputs, controls = layout.point_inputs[k, k], layout.extras.point_controls[k, k]
     return Side(
         prefix=END if is_end else START,
         state=State(
@@ -92,8 +95,8 @@ def read_side(layout: Layout, manifest: Manifest, plant: int, offset: int, probl
             layout.motions.velocities,
             dict(zip((state.name for state in problem.states), states.tolist(), strict=True)),
         ),
-        u=layout.inputs[k] + offset,
-        controls=layout.extras.controls[k] + offset,
+        u=inputs + offset,
+        controls=controls + offset,
         added=Added(tuple(state.name for state in problem.states), problem.added.controls),
         horizon=problem.horizon if layout.horizon is None else layout.horizon + offset,
     )
