@@ -21,6 +21,9 @@ from mbsrun.ocp.backends import condensation
 from mbsrun.ocp.backends.numpy import build
 from mbsrun.ocp.checks import ProblemError, find_loop_conflicts
 from mbsrun.ocp.guess import make_guess
+from mbsrun.ocp.phases.problem import Plants
+from mbsrun.ocp.phases.solution import Guess, PhasedSolution
+from mbsrun.ocp.phases.solve import solve_phases
 from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Form, Loops, Problem, Representation, SolverOptions, Term
 from mbsrun.ocp.resimulation import Constant, accelerations, integrate, resimulate
 from mbsrun.ocp.schemes import Family
@@ -33,6 +36,7 @@ from mbsrun.ocp.table import write_table
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.ocp.transcription import transcribe
 from tests.mbsrun.ocp.closed_plants import FIVE_BAR_POSE, G, five_bar, pendulum_of_rods
+from tests.mbsrun.ocp.phases.motions import cut, split
 from tests.mbsrun.ocp.plants import FREE_RANGE, mechanism
 from tests.mbsrun.ocp.programs import check_derivatives
 from tests.mbsrun.peer import Peer
@@ -493,3 +497,13 @@ def test_the_kernels_by_hand_have_the_arguments_of_generated_ones(tmp_path: Path
                 assert [a.name for a in generated.outputs] == [a.name for a in kernel.outputs], kernel.name
     alone = make(tmp_path / "rods.yaml", Options(functions=("loop_forces",), derivatives=0)).manifest
     assert [a.name for a in alone.kernel("loop_forces").inputs] == ["q", "lam", "h"]
+
+
+@pytest.mark.parametrize("loops", Loops)
+def test_phases_carry_closed_loops_on(loops: Loops) -> None:
+    """The reach in two phases costs what it does in one: no loop is closed twice where a link gives the start."""
+    whole = solved(loops, Representation.IMPL)
+    found = solve_phases(split(whole.problem), Plants((arms(), arms())), guess=Guess(cut(whole.trajectory)))
+    assert isinstance(found, PhasedSolution)
+    assert found.cost == pytest.approx(whole.cost.total, rel=1e-8)
+    assert found.phases[1].violation.closure == pytest.approx(0.0, abs=CLOSED)

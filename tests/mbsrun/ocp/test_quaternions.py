@@ -20,6 +20,9 @@ from mbsrun.models import Extent, find_folder
 from mbsrun.ocp.backends.condensation import build as build_functions
 from mbsrun.ocp.guess import bump, find_pose, interpolate, make_guess, rest
 from mbsrun.ocp.methods.ipopt import pair
+from mbsrun.ocp.phases.problem import Plants
+from mbsrun.ocp.phases.solution import PhasedSolution
+from mbsrun.ocp.phases.solve import solve_phases
 from mbsrun.ocp.pictures import animate, plot_trajectories
 from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Form, Problem, Representation, Term
 from mbsrun.ocp.resimulation import resimulate
@@ -29,6 +32,7 @@ from mbsrun.ocp.solve import Solver, solve
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.transcription import transcribe
 from mbsrun.quaternions import find_rates
+from tests.mbsrun.ocp.phases.motions import split
 
 MODELS = Path(__file__).parents[3] / "models"
 FUNCTIONS = ("impl", "semi_res", "exp1", "exp2", "rates", "frames", "sensors", "motion")
@@ -275,3 +279,15 @@ def test_the_satellite_turns(requires: Callable[[str], str], tmp_path: Path) -> 
     assert again.q == pytest.approx(solution.trajectory.q, abs=0)
     plot_trajectories(solution, plant.manifest, tmp_path / "trajectories.png")
     animate(solution, plant, tmp_path / "animation.html")
+
+
+def test_phases_carry_an_attitude_on(sphere: Mechanism) -> None:
+    """The turn in two phases costs what it does in one; the second one's quaternion starts with length 1."""
+    problem = split(replace(TURN, representation=Representation.EXP1_O))
+    found = solve_phases(problem, Plants((sphere, sphere)))
+    assert isinstance(found, PhasedSolution)
+    assert found.cost == pytest.approx(LEAST, rel=1e-7)
+    ends = found.phases[0].trajectory.q[-1], found.phases[1].trajectory.q[0]
+    first, second = (q[3:] / np.linalg.norm(q[3:]) for q in ends)
+    assert abs(first @ second) == pytest.approx(1.0, abs=1e-12)
+    assert np.linalg.norm(ends[1][3:]) == pytest.approx(1.0, abs=1e-9)
