@@ -9,14 +9,17 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from mbsgen.manifest import Coordinate, Frame, Loop
+from mbsgen.manifest import Coordinate, Frame, Loop, Wrench
 from tests.mbsrun.peer import FREE, Peer, pose_functions
 
 G = 9.81
 
 
-def pendulum_of_rods() -> Peer:
-    """A point of 1 kg in the plane, 1 m from the origin: q = (x, y), pushed along x; x determines y."""
+def pendulum_of_rods(*, is_held: bool = False) -> Peer:
+    """A point of 1 kg in the plane, 1 m from the origin: q = (x, y), pushed along x; x determines y.
+
+    Where it is held, a force on it is open, by the name of its sensor.
+    """
     q, qd = ca.SX.sym("q", 2), ca.SX.sym("qd", 2)
     joints = [Coordinate(name=name, motion="prismatic", actuated=name == "x", **FREE) for name in ("x", "y")]
     return close(
@@ -29,6 +32,7 @@ def pendulum_of_rods() -> Peer:
         ca.vertcat(q, ca.SX(0)),
         independent=(0,),
         pose=(0.0, -1.0),
+        is_held=is_held,
     )
 
 
@@ -75,6 +79,8 @@ def close(
     sensor: ca.SX,
     independent: tuple[int, ...],
     pose: tuple[float, ...],
+    *,
+    is_held: bool = False,
 ) -> Peer:
     """Make the mechanism of kinetic energy, potential energy and loops; it has one sensor, `hand`."""
     (q, qd), n, m = state, len(joints), h.numel()
@@ -101,17 +107,19 @@ def close(
     bias[list(dependent)] = -ca.solve(J[:, list(dependent)], ca.substitute(gamma, qd, qd_of))
     reduced = Z.T @ ca.substitute(ca.substitute(tree, qdd, Z @ ydd + bias), qd, qd_of)
     solved = ca.solve(ca.jacobian(reduced, ydd), -ca.substitute(reduced, ydd, 0))
-    given = [q, qd, qdd, lam, u], ["q", "qd", "qdd", "lam", "u"]
+    w = ca.SX.sym("w", 3)
+    held = ca.jacobian(sensor, q).T @ w
 
     def make(kernel: str, inputs: str, **results: ca.SX) -> ca.Function:
-        symbols = {"q": q, "qd": qd, "qdd": qdd, "lam": lam, "u": u, "yd": yd, "ydd": ydd}
+        symbols = {"q": q, "qd": qd, "qdd": qdd, "lam": lam, "u": u, "yd": yd, "ydd": ydd, "w": w}
         taken = inputs.split()
         arguments = [symbols[x] for x in taken]
         return ca.Function(f"peer_{kernel}", arguments, [*results.values()], taken, [*results], {"cse": True})
 
     explicit = {"qdd": whole[:n], "lam": whole[n:]}
     functions = [
-        *(make(kernel, " ".join(given[1]), Phi=Phi) for kernel in ("impl", "semi_res")),
+        make("impl", "q qd qdd lam u" + " w" * is_held, Phi=Phi - held if is_held else Phi),
+        make("semi_res", "q qd qdd lam u", Phi=Phi),
         *(make(kernel, "q qd u", **explicit) for kernel in ("exp1", "exp2")),
         make("loops", "q", gap=h),
         make("loop_rates", "q qd", hd=hd),
@@ -130,6 +138,7 @@ def close(
         joints,
         frames,
         loops=(loop,),
+        wrenches=(Wrench(name="hand", frame=0, in_base=True, force=True, moment=False),) if is_held else (),
         independent=independent,
         dependent=dependent,
         pose=pose,

@@ -12,14 +12,16 @@ from mbsgen.pipeline import read_tree
 from mbsrun.external import load_on_demand
 from mbsrun.ocp.backends.numpy import NumpyProgram
 from mbsrun.ocp.phases.guess import solve_links
+from mbsrun.ocp.phases.impacts import ImpactRows
 from mbsrun.ocp.phases.problem import Impact, Link, Phase, PhasedProblem, Plants
 from mbsrun.ocp.phases.solution import PhasedFailure, PhasedSolution
 from mbsrun.ocp.phases.solve import solve_phases
 from mbsrun.ocp.phases.statement import read_phased_problem
 from mbsrun.ocp.phases.transcription import transcribe_phases
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Bounds, Contact, Cost, End, Problem
+from mbsrun.ocp.problem import Bounds, Contact, Cost, End, Loops, Problem
 from mbsrun.ocp.schemes import Family
+from tests.mbsrun.ocp.closed_plants import pendulum_of_rods
 from tests.mbsrun.ocp.plants import FREE_RANGE
 from tests.random_trees import Pinocchio
 
@@ -199,7 +201,8 @@ def test_impulses_equal_pinocchio(
     plant, peer = load_on_demand(tmp_path / "biped.yaml"), Pinocchio(read_tree(tmp_path / "biped.yaml"))
     rng = np.random.default_rng(5)
     q, qd = rng.uniform(-0.7, 0.7, 7), rng.uniform(-2, 2, 7)
-    after, changes, impulses, rows = _hit(flight, plant, contacts, restitution, q, qd)
+    impact, x, left = _hit(flight, plant, contacts, restitution, q, qd)
+    after, changes, impulses = x[impact.after.qd], x[impact.changes], x[np.concatenate(impact.impulses)]
     J = plant("jac_motion", q=q, qd=qd)["jac_v_qd"]
     sensors = [frame.name for frame in plant.manifest.frames if frame.sensor]
     J = np.concatenate([J[[3 * sensors.index(c.sensor) + axis for axis in c.axes]] for c in contacts])
@@ -208,14 +211,29 @@ def test_impulses_equal_pinocchio(
     found = pin.impulseDynamics(peer.model, peer.data, peer._theirs(q), peer._theirs(qd), theirs, restitution, 0.0)
     assert after == pytest.approx(np.array(found)[peer.order], abs=1e-11)
     assert np.abs(peer.mass_matrix(q) @ changes - J.T @ impulses).max() < 1e-12
-    assert rows < 1e-12
+    assert left < 1e-12
+
+
+def test_loops_stay_closed_at_an_impact() -> None:
+    """A point that two rods hold 1 m from the origin, at x = sin a, hits a wall with half restitution along x.
+
+    Of the speed w along the circle, -w/2 is left. The wall gives 1.5 w/cos a, the rods 1.5 w tan a.
+    """
+    a, w = 0.4, 2.0
+    q, qd = np.array([np.sin(a), -np.cos(a)]), w * np.array([np.cos(a), np.sin(a)])
+    contact = (Contact("hand", "hand", (0,), 0),)
+    impact, x, left = _hit(pendulum_of_rods(), pendulum_of_rods(is_held=True), contact, 0.5, q, qd)
+    assert x[impact.after.qd] == pytest.approx(-qd / 2, abs=1e-12)
+    assert x[impact.impulses[0]] == pytest.approx([-1.5 * w / np.cos(a)], abs=1e-12)
+    assert x[impact.multipliers] == pytest.approx([1.5 * w * np.tan(a)], abs=1e-12)
+    assert left < 1e-12
 
 
 def _hit(
     flight: Plant, plant: Plant, contacts: tuple[Contact, ...], restitution: float, q: np.ndarray, qd: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Return the velocities after an impact, their changes, the impulses, and what the rows leave."""
-    free, m = (FREE_RANGE,) * 7, (FREE_RANGE,) * 4
+) -> tuple[ImpactRows, np.ndarray, float]:
+    """Solve for an impact; return where its variables are, all variables, and the residual of its rows."""
+    m, free = len(plant.manifest.actuated), (FREE_RANGE,) * q.size
     own = Problem(
         name="hit",
         horizon=1.0,
@@ -223,9 +241,10 @@ def _hit(
         family=Family.RADAU,
         degree=1,
         cost=Cost(1.0),
-        start_q=(0.0,) * 7,
-        start_qd=(0.0,) * 7,
-        bounds=Bounds(free, free, m),
+        start_q=tuple(q.tolist()),
+        start_qd=tuple(qd.tolist()),
+        bounds=Bounds(free, free, (FREE_RANGE,) * m),
+        loops=Loops.MULTIPLIERS if plant.manifest.loops else None,
         end=End(),
     )
     held = Plants((flight,), (plant,))
@@ -241,4 +260,4 @@ def _hit(
     assert impact is not None
     defined = np.concatenate([group.rows for group in transcription.defined])
     left = float(np.abs(program.constraint(x, p)[defined]).max())
-    return x[impact.after.qd], x[impact.changes], x[np.concatenate(impact.impulses)], left
+    return impact, x, left
