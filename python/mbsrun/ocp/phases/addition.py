@@ -106,7 +106,7 @@ def _move(block: Block, offset: Offsets, row: int, weights: int, plant: int) -> 
     assert not block.parameters.size or block.parameters.min() >= weights, "functions read constants alone"
     return replace(
         block,
-        columns=tuple(_move_part(part, offset.variables) for part in block.columns),
+        columns=tuple(move_part(part, offset.variables) for part in block.columns),
         rows=block.rows + row,
         parameters=block.parameters + (offset.constants - weights),
         factor=None if block.factor is None else block.factor + offset.variables,
@@ -114,7 +114,8 @@ def _move(block: Block, offset: Offsets, row: int, weights: int, plant: int) -> 
     )
 
 
-def _move_part(part: Column, variables: int) -> Column:
+def move_part(part: Column, variables: int) -> Column:
+    """Move the variables of a part behind others."""
     return part + variables if isinstance(part, np.ndarray) else replace(part, variables=part.variables + variables)
 
 

@@ -133,7 +133,7 @@ class _Link:
         known = [
             prefix + name
             for prefix, plant, part in ((END, before, own), (START, after, problem.phases[target].problem))
-            for name in list_readable(plant.manifest, part.added)
+            for name in list_readable(plant.manifest, part)
         ]
         known += self.free
         for i, condition in enumerate(link.conditions):

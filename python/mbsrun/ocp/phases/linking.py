@@ -24,7 +24,7 @@ from mbsrun.ocp.layout import Entries
 from mbsrun.ocp.phases.addition import Offsets
 from mbsrun.ocp.phases.problem import Condition, Map
 from mbsrun.ocp.phases.rates import differentiate
-from mbsrun.ocp.phases.sides import Side, State, list_readable, spell_coordinates, spell_velocities
+from mbsrun.ocp.phases.sides import Side, State, spell_coordinates, spell_velocities
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.program import Block, Column, Matrix
 from mbsrun.quantities import Quantity
@@ -103,7 +103,7 @@ class Rows:
         self,
         expressions: Sequence[Expression],
         known: Mapping[str, Places],
-        parts: Mapping[str, Indices],
+        parts: Mapping[str, Column],
         rows: Indices,
         scale: float = 1.0,
     ) -> None:
@@ -113,22 +113,26 @@ class Rows:
             **{name: ("unknowns", i) for i, name in enumerate(self.unknowns)},
             **known,
         }
-        parts = {**parts, "unknowns": np.array(list(self.unknowns.values()), dtype=np.int64)}
+        parts = {**parts, "unknowns": np.array([*self.unknowns.values()], dtype=np.int64)[:, None]}
         read = {name: known[name] for expression in expressions for name in sorted(names(expression))}
         kinds = {kind for kind, _ in read.values()}
         if not kinds:  # numbers alone: a function needs an input
-            kinds = {next(kind for kind, part in parts.items() if part.size)}
+            kinds = {next(kind for kind, part in parts.items() if _count(part))}
         chosen = [kind for kind in parts if kind in kinds]
         has_constants = "constants" in kinds
         formula = Formula(
             expressions=tuple(expressions),
             names=read,
-            inputs=tuple(Input(kind, parts[kind].size) for kind in chosen),
+            inputs=tuple(Input(kind, _count(parts[kind])) for kind in chosen),
             parameters=Input("constants", len(self.constants)) if has_constants else None,
         )
         parameters = self.first_parameter + np.arange(len(self.constants) if has_constants else 0)
-        columns = [parts[kind][:, None] for kind in chosen]
-        self.apply(formula, columns, rows, parameters=parameters, scale=scale)
+        self.apply(formula, [parts[kind] for kind in chosen], rows, parameters=parameters, scale=scale)
+
+
+def _count(part: Column) -> int:
+    """Return the size of a part of the variables at one place."""
+    return len(part) if isinstance(part, np.ndarray) else part.size
 
 
 def write_transfer(rows: Rows, text: str, source: State, target: State, given: Map, velocities: Map) -> None:
@@ -171,7 +175,7 @@ def write_transfer(rows: Rows, text: str, source: State, target: State, given: M
         for variable, _, name in written:
             rows.A.put(rows.add_rows(1, f"{text}: {name}"), [variable], 1.0)
         states = np.array(list(source.added.values()), dtype=np.int64)
-        parts = {"q": source.q, "qd": source.qd, "states": states}
+        parts = {kind: part[:, None] for kind, part in (("q", source.q), ("qd", source.qd), ("states", states))}
         found = np.arange(first, rows.rows)
         rows.write_expressions([expression for _, expression, _ in written], known, parts, found, scale=-1.0)
 
@@ -197,11 +201,10 @@ def write_conditions(rows: Rows, text: str, conditions: Sequence[Condition], bef
     expressions = [parse(condition.expression) for condition in conditions]
     read = sorted(set().union(*(names(expression) for expression in expressions)))
     known: dict[str, Places] = {}
-    parts: dict[str, Indices] = {}
+    parts: dict[str, Column] = {}
     numbers: dict[str, Expression] = {}
     for side in (before, after):
-        quantities = {side.prefix + name: x for name, x in list_readable(side.state.manifest, side.added).items()}
-        wanted = {name: quantities[name] for name in read if name in quantities}
+        wanted = {name: side.readable[name] for name in read if name in side.readable}
         if side.prefix + "T" in wanted and isinstance(side.horizon, float):
             numbers[side.prefix + "T"] = Number(side.horizon)
         _place(rows, side, wanted, known, parts)
@@ -214,19 +217,18 @@ def write_conditions(rows: Rows, text: str, conditions: Sequence[Condition], bef
 
 
 def _place(
-    rows: Rows, side: Side, wanted: Mapping[str, Quantity], known: dict[str, Places], parts: dict[str, Indices]
+    rows: Rows, side: Side, wanted: Mapping[str, Quantity], known: dict[str, Places], parts: dict[str, Column]
 ) -> None:
     """Place the quantities of one side that are read; sensors become variables."""
     state, prefix = side.state, side.prefix
-    states = np.array(list(state.added.values()), dtype=np.int64)
-    own = {"q": state.q, "qd": state.qd, "u": side.u, "states": states, "controls": side.controls}
+    own = dict(side.parts)
     if not isinstance(side.horizon, float):
-        own["T"] = np.array([side.horizon], dtype=np.int64)
+        own["T"] = np.array([[side.horizon]], dtype=np.int64)
     for name, x in wanted.items():
         if x.kind in own:
             index = state.velocities.index(x.index) if x.kind == "qd" else x.index
             known[name] = (prefix + x.kind, index)
-    parts |= {prefix + kind: part for kind, part in own.items() if part.size}
+    parts |= {prefix + kind: part for kind, part in own.items() if _count(part)}
     for kind, kernel in _KERNELS.items():
         entries = sorted({x.index for x in wanted.values() if x.kind == kind})
         if not entries:
@@ -235,8 +237,7 @@ def _place(
         found = rows.add_rows(len(entries), f"{prefix.rstrip('_')}: sensors")
         rows.A.put(found, variables, 1.0)
         function = KernelResult(kernel.kernel, kernel.inputs, kernel.result, tuple(entries))
-        columns = [own[part][:, None] for part in kernel.inputs]
-        rows.apply(function, columns, found, scale=-1.0, plant=state.plant)
+        rows.apply(function, [own[part] for part in kernel.inputs], found, scale=-1.0, plant=state.plant)
         rows.defined.append(Defined(variables, found))
-        parts[prefix + kind] = variables
+        parts[prefix + kind] = variables[:, None]
         known |= {name: (prefix + kind, entries.index(x.index)) for name, x in wanted.items() if x.kind == kind}

@@ -12,13 +12,26 @@ from dataclasses import dataclass, field
 
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.functions import Indices
-from mbsrun.ocp.layout import Layout
+from mbsrun.ocp.layout import at_mesh
+from mbsrun.ocp.phases.addition import move_part
 from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.program import Column
+from mbsrun.ocp.transcription import Transcription
 from mbsrun.quantities import Added, Quantity, list_quantities
 from mbsrun.quaternions import find_quaternion, list_quaternions
 
 END, START = "end_", "start_"
-READ = ("q", "qd", "u", "T", "position", "v", "states", "controls")  # kinds of quantities that a condition may read
+READ = (
+    "q",
+    "qd",
+    "qdd",
+    "u",
+    "T",
+    "position",
+    "v",
+    "states",
+    "controls",
+)  # kinds of quantities that a condition may read
 
 
 def spell_coordinates(manifest: Manifest) -> dict[str, int]:
@@ -31,9 +44,12 @@ def spell_velocities(manifest: Manifest) -> dict[str, int]:
     return {name[3:]: x.index for name, x in list_quantities(manifest).items() if x.kind == "qd"}
 
 
-def list_readable(manifest: Manifest, added: Added) -> dict[str, Quantity]:
-    """List the quantities of one side that a condition may read, by name."""
-    return {name: x for name, x in list_quantities(manifest, added).items() if x.kind in READ}
+def list_readable(manifest: Manifest, problem: Problem) -> dict[str, Quantity]:
+    """List the quantities of one side that a condition may read, by name; accelerations, where they are variables."""
+    own = Added(tuple(state.name for state in problem.states), problem.added.controls)
+    has_accelerations = not (problem.representation.is_ode or manifest.loops)
+    kinds = [kind for kind in READ if kind != "qdd" or has_accelerations]
+    return {name: x for name, x in list_quantities(manifest, own).items() if x.kind in kinds}
 
 
 def list_plain(manifest: Manifest) -> list[str]:
@@ -71,32 +87,26 @@ class Side:
 
     prefix: str
     state: State
-    u: Indices  # (m,): inputs of the interval, or at the nearest point where they are polynomials
-    controls: Indices  # (nc,): the same of the controls that the problem adds
-    added: Added
+    parts: Mapping[str, Column]  # of the variables, by the kinds of quantities
+    readable: Mapping[str, Quantity]  # by the names in conditions
     horizon: int | float  # the variable, or the number where it is given
 
 
-def read_side(layout: Layout, manifest: Manifest, plant: int, offset: int, problem: Problem, *, is_end: bool) -> Side:
+def read_side(
+    part: Transcription, manifest: Manifest, plant: int, offset: int, problem: Problem, *, is_end: bool
+) -> Side:
     """Return one side of a phase whose variables begin at `offset`."""
-    k = -1 if is_end else 0
-    states = layout.extras.states[k, : len(problem.states)] + offset
+    layout = part.layout
+    k = layout.grid.intervals if is_end else 0
     q, qd = layout.split(layout.mesh[k] + offset)
-    inputs, controls = layout.inputs[k], layout.extras.controls[k]
-    if problem.inputs != "constant":
-        inputs, controls = layout.point_inputs[k, k], layout.extras.point_controls[k, k]
+    names = [state.name for state in problem.states]
+    states = layout.extras.states[k, : len(names)] + offset
+    prefix, known = END if is_end else START, dict(zip(names, states.tolist(), strict=True))
+    places = at_mesh(layout, part.integrator, [k]).parts
     return Side(
-        prefix=END if is_end else START,
-        state=State(
-            manifest,
-            plant,
-            q,
-            qd,
-            layout.motions.velocities,
-            dict(zip((state.name for state in problem.states), states.tolist(), strict=True)),
-        ),
-        u=inputs + offset,
-        controls=controls + offset,
-        added=Added(tuple(state.name for state in problem.states), problem.added.controls),
+        prefix=prefix,
+        state=State(manifest, plant, q, qd, layout.motions.velocities, known),
+        parts={kind: move_part(places[kind], offset) for kind in READ if kind in places},
+        readable={prefix + name: x for name, x in list_readable(manifest, problem).items()},
         horizon=problem.horizon if layout.horizon is None else layout.horizon + offset,
     )

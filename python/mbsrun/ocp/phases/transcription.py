@@ -115,8 +115,8 @@ def transcribe_phases(problem: PhasedProblem, plants: Plants) -> PhasedTranscrip
             rows.A.put(row, [int(variable) + offset.variables], -1.0)
 
     def side(k: int, *, is_end: bool) -> Side:
-        layout, own = phases[k].layout, problem.phases[k].problem
-        return read_side(layout, plants.phases[k].manifest, numbers[k], offsets[k].variables, own, is_end=is_end)
+        own, first = problem.phases[k].problem, offsets[k].variables
+        return read_side(phases[k], plants.phases[k].manifest, numbers[k], first, own, is_end=is_end)
 
     links = []
     closed = [np.zeros(0, dtype=np.int64) for _ in phases]

@@ -56,6 +56,12 @@ def test_phases_have_grids_and_representations_of_their_own(cart: Peer, whole: S
     mixed = replace(problem, phases=(first, replace(second, problem=other)))
     found = optimum(mixed, cart, explicit, guess=Guess(cut(whole.trajectory)))
     assert found.cost == pytest.approx(whole.cost.total, rel=1e-4)
+    jump = Condition("start_u_cart - end_u_cart", (-0.1, 0.1))
+    linked = replace(mixed, links=(replace(mixed.links[0], conditions=(jump,)),))
+    smooth = optimum(linked, cart, explicit, guess=Guess(tuple(phase.trajectory for phase in found.phases)))
+    assert found.cost < smooth.cost
+    u = [phase.trajectory.u for phase in smooth.phases]
+    assert abs(u[1][0] - u[0][-1]) <= 0.1 + 1e-7
     checked = resimulate_phases(found, Plants((cart, explicit)))
     for phase in checked.phases:
         assert phase.resimulation is not None
@@ -66,7 +72,7 @@ def test_backends_agree_on_a_program_of_several_plants(cart: Peer) -> None:
     """CasADi's functions and NumPy's, on blocks of two plants, maps, conditions, sensors, unknowns and constants."""
     conditions = (
         Condition("a*end_x_place*sin(start_q_pole) + end_qd_slide", (0.0, 1.0)),
-        Condition("start_qd_pole**2 + end_u_slide*length - end_T*end_vx_place", (-1.0, 1.0)),
+        Condition("start_qd_pole**2 + end_u_slide*length - end_T*end_vx_place*end_qdd_slide", (-1.0, 1.0)),
     )
     link = Link(
         "pushed",
