@@ -90,7 +90,7 @@ MBSRUN = Package(
         "recordings.recording",
         "recordings.lines recordings.splines",
         "recordings.tables recordings.markers recordings.storage",
-        "recordings.reading recordings.references",
+        "recordings.reading recordings.references recordings.fitting recordings.pictures",
         "recordings",
         "simulation ocp.problem ocp.elimination ocp.layout",
         "fmu.layout",
@@ -159,9 +159,10 @@ MBSRUN = Package(
         "lab.cases lab.maps",
         "lab",
         "commands.console",
-        "commands.phases",
-        "commands.advise commands.cache commands.chart commands.controller commands.fmu commands.inverse commands.lab "
-        "commands.linearise commands.simulate commands.solve commands.study commands.sweep commands.track",
+        "commands.phases commands.recorded",
+        "commands.advise commands.cache commands.chart commands.controller commands.fit_motion commands.fmu "
+        "commands.inverse commands.inverse_dynamics commands.lab commands.linearise commands.simulate "
+        "commands.solve commands.study commands.sweep commands.track",
         "commands",
         "cli",
         "__main__",

@@ -15,8 +15,10 @@ from mbsrun.commands.console import (
     say,
 )
 from mbsrun.commands.controller import controller_command
+from mbsrun.commands.fit_motion import fit_motion_command
 from mbsrun.commands.fmu import fmu_command
 from mbsrun.commands.inverse import inverse_command
+from mbsrun.commands.inverse_dynamics import inverse_dynamics_command
 from mbsrun.commands.lab import lab_command
 from mbsrun.commands.linearise import linearise_command
 from mbsrun.commands.simulate import simulate_command
@@ -30,6 +32,8 @@ HELP = """Simulate multibody systems, and solve their optimal control problems.
 \b
   mbsrun simulate MODEL -o DIR  integrate a motion, and write it, plots and an animation to DIR
   mbsrun inverse MODEL -o FILE  compute the forces that a given motion takes, as a table
+  mbsrun fit-motion MODEL RECORDING  fit the motion of joints to recorded markers
+  mbsrun inverse-dynamics MODEL RECORDING  compute the forces that a recorded motion takes
   mbsrun linearise MODEL        find linear equations, modes and transfer functions about a pose at rest
   mbsrun solve PROBLEM -o DIR   solve, and write solution and pictures to DIR
   mbsrun sweep PROBLEM -o FILE  solve for a grid of targets, by a protocol, and print its effort
@@ -49,6 +53,8 @@ MODEL and PROBLEM are YAML files; models/ holds examples. Summaries go to stdout
 COMMANDS = (
     simulate_command,
     inverse_command,
+    fit_motion_command,
+    inverse_dynamics_command,
     linearise_command,
     solve_command,
     sweep_command,

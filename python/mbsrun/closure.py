@@ -102,7 +102,7 @@ class Closure:
         flat: dict[str, Any] = {key: np.ascontiguousarray(x.reshape(-1, x.shape[-1])) for key, x in state.items()}
         return self.plant(name, **flat)[result].reshape(*leading, *shape)
 
-    def _slopes(self, q: Array) -> Array:
+    def slopes(self, q: Array) -> Array:
         """Return J E^+, the derivatives of h by q for changes that E admits, (B, m, nq)."""
         J = self.jacobian(q)
         if not self.manifest.configuration:
@@ -144,7 +144,7 @@ class Closure:
         poses, free = q.reshape(-1, self.places), self._list_free(self.places, held)
         start, active = poses.copy(), np.arange(len(poses) if free.size and self.count else 0)
         for _ in range(ITERATIONS):
-            gaps, slopes = self.gaps(poses[active]), self._slopes(poses[active])[..., free]
+            gaps, slopes = self.gaps(poses[active]), self.slopes(poses[active])[..., free]
             finite = np.isfinite(gaps).all(axis=1) & np.isfinite(slopes).all(axis=(1, 2))
             active, gaps, slopes = active[finite], gaps[finite], slopes[finite]
             if not active.size:

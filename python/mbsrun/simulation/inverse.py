@@ -9,7 +9,7 @@ them than freedoms; what they cannot balance is returned, where there are fewer.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,12 +21,13 @@ from mbsrun.closure import RANK, Closure
 from mbsrun.kernel import ArgumentError, Kernels
 from mbsrun.quaternions import neutral
 from mbsrun.simulation.closing import complete_velocities
-from mbsrun.simulation.course import Course
+from mbsrun.simulation.course import Course, stand
 from mbsrun.simulation.drive import input_labels
 from mbsrun.simulation.dynamics import Dynamics
 from mbsrun.simulation.formulation import Formulation
 
 Array = NDArray[np.float64]
+Report = Callable[[int, int], None]  # takes the number of finished times, and of all
 
 
 class FreeError(MbsError):
@@ -44,8 +45,13 @@ class Forces:
     u: Array  # (K, m): of actuated joints
     tau: Array  # (K, d): of driven joints
     multipliers: Array  # (K, e)
-    unbalanced: Array  # (K,): the largest generalised force that u and tau cannot provide
+    rest: Array  # (K, n): generalised forces that u, tau and multipliers cannot provide
     spare: int  # entries of u and tau beyond the freedoms: they have the least norm
+
+    @property
+    def unbalanced(self) -> Array:
+        """Return the largest generalised force that is missing, (K,)."""
+        return np.asarray(np.abs(self.rest).max(axis=1))
 
 
 def invert(kernels: Kernels, joints: Sequence[int], course: Course, times: Array) -> Forces:
@@ -55,26 +61,46 @@ def invert(kernels: Kernels, joints: Sequence[int], course: Course, times: Array
     the joints do not determine the others.
     """
     manifest = kernels.manifest
+    check_kernels(kernels)
+    places = [manifest.positions.index(manifest.coordinates[i].name) for i in joints]
+    pose = np.array(manifest.pose) if manifest.pose else neutral(manifest)
+    states = []
+    for state in zip(*course.states(times), strict=True):
+        states.append(_follow(kernels, joints, places, pose, *state))
+        pose = states[-1][0]
+    q, qd, qdd = (np.array(x) for x in zip(*states, strict=True))
+    w = np.zeros((len(times), len(input_labels(manifest)) - len(manifest.actuated)))
+    return balance(kernels, times, q, qd, qdd, w)
+
+
+def check_kernels(kernels: Kernels) -> None:
+    """Raise ArgumentError for kernels that were generated without those needed here."""
+    manifest = kernels.manifest
     missing = {"impl", *(("loops", "loop_rates", "loop_jacobian") if manifest.loops else ())}
     missing -= {kernel.name for kernel in manifest.kernels}
     if missing:
         raise ArgumentError(f"{manifest.model} was generated without {', '.join(sorted(missing))}")
-    places = [manifest.positions.index(manifest.coordinates[i].name) for i in joints]
-    dynamics = Dynamics(kernels, Formulation.IMPL, course)
-    pose = np.array(manifest.pose) if manifest.pose else neutral(manifest)
+
+
+def balance(
+    kernels: Kernels, times: Array, q: Array, qd: Array, qdd: Array, w: Array, report: Report | None = None
+) -> Forces:
+    """Compute the forces for a motion of all joints, (K, ...), that keeps the loops closed, under open wrenches w."""
+    dynamics = Dynamics(kernels, Formulation.IMPL, stand(np.zeros(len(kernels.manifest.driven))))
+    jacobians = Closure(kernels).jacobian(q) if kernels.manifest.loops else np.zeros((len(q), 0, qd.shape[1]))
     steps = []
-    for state in zip(*course.states(times), strict=True):
-        q, qd, qdd, J = _follow(kernels, joints, places, pose, *state)
-        steps.append((q, qd, qdd, *_balance(dynamics, q, qd, qdd, J)))
-        pose = q
-    q, qd, qdd, u, tau, lam, unbalanced, spare = (np.array(x) for x in zip(*steps, strict=True))
-    return Forces(times, q, qd, qdd, u, tau, lam, unbalanced, int(spare.max()))
+    for k, state in enumerate(zip(q, qd, qdd, w, jacobians, strict=True), 1):
+        steps.append(_balance(dynamics, *state))
+        if report is not None:
+            report(k, len(q))
+    u, tau, lam, rest, spare = (np.array(x) for x in zip(*steps, strict=True))
+    return Forces(times, q, qd, qdd, u, tau, lam, rest, int(spare.max()))
 
 
 def _follow(
     kernels: Kernels, joints: Sequence[int], places: Sequence[int], pose: Array, y: Array, yd: Array, ydd: Array
-) -> tuple[Array, Array, Array, Array]:
-    """Return q, qd and qdd of all joints, and J."""
+) -> tuple[Array, Array, Array]:
+    """Return q, qd and qdd of all joints."""
     manifest = kernels.manifest
     n = len(manifest.coordinates)
     free = [i for i in range(n) if i not in joints]
@@ -94,13 +120,15 @@ def _follow(
     if left:
         names = ", ".join(manifest.coordinates[i].name for i in joints)
         raise FreeError(f"{left} freedoms are left when {names or 'nothing'} moves; give the motion of more joints")
-    return pose, qd, qdd, J
+    return pose, qd, qdd
 
 
-def _balance(dynamics: Dynamics, q: Array, qd: Array, qdd: Array, J: Array) -> tuple[Array, Array, Array, float, int]:
-    """Return u, tau, lam, what stays unbalanced, and how many forces are spare."""
+def _balance(
+    dynamics: Dynamics, q: Array, qd: Array, qdd: Array, w: Array, J: Array
+) -> tuple[Array, Array, Array, Array, int]:
+    """Return u, tau, lam, the generalised forces that are missing, and how many forces are spare."""
     manifest, forces = dynamics.kernels.manifest, dynamics.forces_count
-    v, lam = np.zeros((1, len(input_labels(manifest)))), np.zeros((1, len(J)))
+    v, lam = np.concatenate((np.zeros(forces), w))[None], np.zeros((1, len(J)))
     state = q[None], qd[None], qdd[None]
     Phi = dynamics.residual(*state, v, lam)[0]
     S = np.zeros((len(qd), 0)) if not forces else -dynamics.input_slopes(*state, v, lam)[0][:, :forces]
@@ -111,7 +139,7 @@ def _balance(dynamics: Dynamics, q: Array, qd: Array, qdd: Array, J: Array) -> t
     unbalanced = Z @ (Z.T @ rest)
     multipliers = Closure(dynamics.kernels).balance(q, rest - unbalanced) if len(J) else np.zeros(0)
     spare = sides.shape[1] - int(rank)
-    return found[:forces], found[forces:], multipliers, float(np.abs(unbalanced).max()), spare
+    return found[:forces], found[forces:], multipliers, unbalanced, spare
 
 
 def tabulate(forces: Forces, kernels: Kernels) -> tuple[list[str], Array]:

@@ -1,0 +1,183 @@
+"""`mbsrun inverse-dynamics`: a model and a recorded motion -> the forces that it takes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsgen.manifest import Manifest
+from mbsrun.commands.console import NumberType, say, show_progress
+from mbsrun.commands.recorded import (
+    cut,
+    recording_options,
+    set_parameters,
+    split_pairs,
+    write_json,
+    write_table,
+)
+from mbsrun.external import load
+from mbsrun.models import INTEGRATED
+from mbsrun.recordings import Treatment, read_recording
+from mbsrun.recordings.pictures import Panel, plot_panels
+from mbsrun.simulation.inverse import Forces, tabulate
+from mbsrun.simulation.recorded import Load, Recalled, analyse
+
+Array = NDArray[np.float64]
+
+FORMAT = "mbsrun inverse dynamics 1"
+TABLE, SUMMARY, PICTURE = "forces.csv", "forces.json", "forces.png"
+
+HELP = """Compute the forces that a recorded motion of MODEL takes: inverse dynamics.
+
+RECORDING holds coordinates over time: the motion.csv of mbsrun fit-motion, a table of mbsrun simulate or solve, a CSV,
+MOT or STO file. Splines of degree 5 give velocities and accelerations; --noise smooths them, --cutoff filters the
+samples before:
+
+\b
+  mbsrun inverse-dynamics models/recorded/arm.yaml build/swing.fit/motion.csv --noise 2e-3
+
+Recorded forces act as wrenches that the model leaves open (force: input, moment: input). Columns that mbsrun simulate
+wrote are found by their names; others are named by the beginnings of theirs, which x, y, z end:
+
+\b
+  --forces grf.mot --wrench foot=ground_force_v,ground_force_p,ground_torque_
+
+are the force, the point where it acts, and a free moment, along the axes of the base. With a point, the model needs a
+sensor of the wrench's name at its position.
+
+\b
+The output folder gets
+  forces.csv    time, coordinates, velocities, accelerations, forces of joints and loops;
+                rest[NAME]: the generalised force that no actuator provides
+  forces.json   root mean square and largest value of each force
+  forces.png    coordinates and forces over time
+
+\b
+Exit codes
+  0   written
+  2   the model, the recording or an argument cannot be accepted; nothing written
+"""
+
+
+@click.command("inverse-dynamics", help=HELP)
+@click.argument("model", type=click.Path(path_type=Path))
+@click.argument("file", metavar="RECORDING", type=click.Path(path_type=Path))
+@click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="The folder to write to.")
+@click.option("--column", "columns", multiple=True, metavar="NAME=COLUMN", help="The column of a coordinate.")
+@click.option("--forces", "other", type=click.Path(path_type=Path), metavar="FILE", help="A recording of the forces.")
+@click.option(
+    "--wrench", "wrenches", multiple=True, metavar="NAME=FORCE[,POINT[,MOMENT]]", help="The columns of a wrench."
+)
+@click.option("--noise", type=NumberType(), metavar="S", help="The standard deviation of the samples [rad, m].")
+@click.option("--cutoff", type=NumberType(), metavar="F", help="Of a low-pass filter, forward and backward [Hz].")
+@click.option("--degree", type=click.Choice(["3", "5"]), default="5", help="Of the splines; 5.")
+@click.option(
+    "--gap", type=NumberType(), default=Treatment.gap, metavar="T", help="The longest gap to bridge [s]; 0.1."
+)
+@recording_options
+def inverse_dynamics_command(
+    model: Path,
+    file: Path,
+    out: Path | None,
+    columns: Sequence[str],
+    other: Path | None,
+    wrenches: Sequence[str],
+    noise: float | None,
+    cutoff: float | None,
+    degree: str,
+    gap: float,
+    start: float | None,
+    end: float | None,
+    parameters: Sequence[str],
+) -> None:
+    """Read, compute, write, print."""
+    if not (gap >= 0 and (noise is None or noise > 0) and (cutoff is None or cutoff > 0)):
+        raise click.UsageError("--noise and --cutoff must be positive, and --gap not negative")
+    recording = cut(read_recording(file), start, end)
+    load_recording = None if other is None else read_recording(other)
+    mechanism = load(model, extent=INTEGRATED)
+    mechanism = mechanism.with_parameters(**set_parameters(mechanism, parameters))
+    manifest = mechanism.manifest
+    named = split_pairs("wrench", wrenches, [wrench.name for wrench in manifest.wrenches])
+    with show_progress() as report:
+        found = analyse(
+            recording,
+            mechanism,
+            Treatment(int(degree), noise, gap, cutoff),
+            columns=split_pairs("column", columns, manifest.positions),
+            loads={name: _read_load(text) for name, text in named.items()} or None,
+            load_recording=load_recording,
+            report=lambda done, total: report("computing forces", done, total),
+        )
+    out = out or Path(f"{file.stem}.forces")
+    out.mkdir(parents=True, exist_ok=True)
+    header, rows = tabulate(found.forces, mechanism)
+    names = [c.name for c in manifest.coordinates]
+    header += [f"rest[{name}]" for name in names]
+    write_table(out / TABLE, header, np.concatenate((rows, found.forces.rest), axis=1))
+    forces = _list_forces(found.forces, manifest)
+    write_json(out / SUMMARY, _summarise(found, manifest, forces))
+    _plot(found.forces, manifest, forces, out / PICTURE)
+    _print_summary(found, forces)
+    say(f"wrote {', '.join(str(out / name) for name in (TABLE, SUMMARY, PICTURE))}")
+
+
+def _read_load(text: str) -> Load:
+    """Read FORCE[,POINT[,MOMENT]]; a part may be empty."""
+    parts = [part.strip() for part in text.split(",")]
+    if len(parts) > 3 or not any(parts):
+        raise click.BadParameter(
+            f"found {text!r}; give FORCE, FORCE,POINT or FORCE,POINT,MOMENT", param_hint="--wrench"
+        )
+    force, point, moment = (*parts, "", "")[:3]
+    return Load(force, point or None, moment or None)
+
+
+def _list_forces(forces: Forces, manifest: Manifest) -> dict[str, Array]:
+    """List the forces of joints, and the missing ones, by name."""
+    names = [c.name for c in manifest.coordinates]
+    found = {f"u[{names[i]}]": forces.u[:, k] for k, i in enumerate(manifest.actuated)}
+    found |= {f"tau[{names[i]}]": forces.tau[:, k] for k, i in enumerate(manifest.driven)}
+    scale = max((float(np.abs(x).max()) for x in found.values()), default=0.0)
+    rests = {f"rest[{name}]": forces.rest[:, i] for i, name in enumerate(names)}
+    return found | {name: x for name, x in rests.items() if np.abs(x).max() > 1e-9 * (1 + scale)}
+
+
+def _summarise(found: Recalled, manifest: Manifest, forces: dict[str, Array]) -> dict[str, object]:
+    return {
+        "format": FORMAT,
+        "model": manifest.model,
+        "model_hash": manifest.model_hash,
+        "samples": found.samples,
+        "times": len(found.forces.t),
+        "gaps_bridged": found.bridged,
+        "gaps_left_open": found.left_open,
+        "spare": found.forces.spare,
+        "forces": {
+            name: {"rms": float(np.sqrt(np.mean(x**2))), "least": float(x.min()), "largest": float(x.max())}
+            for name, x in forces.items()
+        },
+    }
+
+
+def _plot(forces: Forces, manifest: Manifest, named: dict[str, Array], path: Path) -> None:
+    """Plot coordinates and forces over time, interrupted where times were left out."""
+    coordinates = {name: forces.q[:, i] for i, name in enumerate(manifest.positions)}
+    panels = [Panel("q [rad, m]", coordinates, {}), Panel("forces [N m, N]", named, {})]
+    plot_panels(forces.t, panels, f"{manifest.model}: inverse dynamics", path)
+
+
+def _print_summary(found: Recalled, forces: dict[str, Array]) -> None:
+    times = found.forces.t
+    click.echo(f"{'times':<24}{len(times)} of {found.samples}, from {times[0]:g} to {times[-1]:g} s")
+    if found.bridged or found.left_open:
+        click.echo(f"{'gaps':<24}{found.bridged} bridged, {found.left_open} left out")
+    for name, column in forces.items():
+        rms = np.sqrt(np.mean(column**2))
+        click.echo(f"{name:<24}{column.min():.6g} to {column.max():.6g}, root mean square {rms:.6g}")
+    if found.forces.spare:
+        click.echo(f"{found.forces.spare} forces more than freedoms: the ones of least norm")

@@ -1,0 +1,67 @@
+"""The recordings that ship: motions in closed form, or simulated, with noise of a given seed.
+
+python -m tests.recordings_made    writes them anew
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+FOLDER = Path(__file__).parents[1] / "models" / "recorded"
+MARKERS = ("biceps", "elbow", "hand")
+NOISE = 2e-3  # of each coordinate of a marker [m]
+HIDDEN = (0.5, 0.56)  # when the hand is not seen [s]
+UPPER, FORE = 0.32, 0.28
+
+
+def swing(t: Array) -> tuple[Array, Array]:
+    """Return shoulder and elbow of the arm, at rest at both ends of 1.2 s."""
+    s = t / 1.2
+    way = 10 * s**3 - 15 * s**4 + 6 * s**5
+    return 0.2 + 1.1 * way, 0.3 + 0.9 * way + 0.35 * np.sin(np.pi * s) ** 4
+
+
+def place_markers(shoulder: Array, elbow: Array) -> Array:
+    """Place the markers of the arm, (K, 3, 3): by hand, in the plane of x and z."""
+    nothing = np.zeros_like(shoulder)
+
+    def turn(angle: Array, x: float, y: float, z: float) -> Array:
+        """Turn a point about -y."""
+        c, s = np.cos(angle), np.sin(angle)
+        return np.stack((c * x - s * z, nothing + y, s * x + c * z), axis=-1)
+
+    hinge = turn(shoulder, 0, 0, -UPPER)
+    hand = hinge + turn(shoulder + elbow, 0, 0, -FORE)
+    return np.stack((turn(shoulder, 0.04, 0, -0.6 * UPPER), turn(shoulder, 0, 0.05, -UPPER), hand), axis=1)
+
+
+def make_markers() -> str:
+    """Return the recording of the arm, as TRC in mm at 100 Hz."""
+    t = np.arange(121) / 100
+    places = place_markers(*swing(t)) + NOISE * np.random.default_rng(1).standard_normal((t.size, 3, 3))
+    lines = [
+        "PathFileType\t4\t(X/Y/Z)\tswing.trc",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
+        f"100\t100\t{t.size}\t3\tmm\t100\t1\t{t.size}",
+        "Frame#\tTime\t" + "\t\t\t".join(MARKERS) + "\t\t",
+        "\t\t" + "\t".join(f"{axis}{i}" for i in (1, 2, 3) for axis in "XYZ"),
+        "",
+    ]
+    for k, time in enumerate(t):
+        cells = [f"{1000 * x:.3f}" for x in places[k].ravel()]
+        if HIDDEN[0] < time < HIDDEN[1]:
+            cells[6:] = [""] * 3
+        lines.append("\t".join([str(k + 1), f"{time:.2f}", *cells]))
+    return "\n".join(lines) + "\n"
+
+
+FILES = {"swing.trc": make_markers}
+
+if __name__ == "__main__":
+    for name, make in FILES.items():
+        (FOLDER / name).write_text(make(), "utf-8")
