@@ -28,10 +28,12 @@ def set_number(data: Data, path: str, value: float) -> None:
         for item in data.get(section, []):
             if path.startswith(start := f"{section}.{item['name']}."):
                 return _write(item, path.removeprefix(start).split("."), value)
-    for loop in data.get("loops", []):
-        if path.startswith(start := f"loops.{loop['name']}."):
-            key, *place = path.removeprefix(start).split(".")
-            return _write(loop[key], place, value) if place else _write(loop, [key], value)
+    for section in ("loops", "forces", "contacts"):
+        for item in data.get(section, []):
+            if path.startswith(start := f"{section}.{item['name']}."):
+                key, *place = path.removeprefix(start).split(".")
+                inner = key in ("from", "to", "plane")
+                return _write(item.setdefault(key, {}), place, value) if inner else _write(item, [key, *place], value)
     owners = [(name, owner) for name, owner in _list_owners(data) if path.startswith(f"{name}.")]
     for name, owner in owners:
         place = path.removeprefix(f"{name}.").split(".")

@@ -23,7 +23,7 @@ import keyword
 import math
 import operator
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Generic, Literal, TypeVar
@@ -150,6 +150,12 @@ def is_free_name(text: str) -> bool:
     """Return whether expressions can use a text as the name of a number, because it has no other meaning."""
     is_word = re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", text) is not None
     return is_word and text not in (*FUNCTIONS, *CONSTANTS) and not keyword.iskeyword(text)
+
+
+def spell(words: Sequence[str]) -> list[str | None]:
+    """Write words as parts of names, with _ for all but letters and digits; None where two would be alike."""
+    spelled = [re.sub(r"\W", "_", word) for word in words]
+    return [new if new == old or spelled.count(new) == 1 else None for old, new in zip(words, spelled, strict=True)]
 
 
 def names(expression: Expression) -> frozenset[str]:

@@ -5,10 +5,10 @@ A problem of optimal control adds names: its own states and controls, and the co
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
+from mbsgen.expressions import spell
 from mbsgen.manifest import Manifest
 
 _AXES = ("x", "y", "z")
@@ -41,8 +41,8 @@ def list_quantities(manifest: Manifest, added: Added | None = None) -> Mapping[s
         ("qdd", coordinates),
         ("u", [coordinates[i] for i in manifest.actuated]),
     ):
-        known |= {f"{kind}_{name}": Quantity(kind, i) for i, name in enumerate(_spell(entries)) if name is not None}
-    for i, name in enumerate(_spell([frame.name for frame in manifest.frames if frame.sensor])):
+        known |= {f"{kind}_{name}": Quantity(kind, i) for i, name in enumerate(spell(entries)) if name is not None}
+    for i, name in enumerate(spell([frame.name for frame in manifest.frames if frame.sensor])):
         for k, axis in enumerate(_AXES if name is not None else ()):
             known[f"{axis}_{name}"] = Quantity("position", 3 * i + k)
             known[f"v{axis}_{name}"] = Quantity("v", 3 * i + k)
@@ -55,7 +55,7 @@ def list_quantities(manifest: Manifest, added: Added | None = None) -> Mapping[s
 
 def name_components(manifest: Manifest) -> list[str | None]:
     """Name the entries of w, the components of open wrenches: fx_NAME to fz_NAME, mx_NAME to mz_NAME."""
-    names = _spell([wrench.name for wrench in manifest.wrenches])
+    names = spell([wrench.name for wrench in manifest.wrenches])
     return [
         None if name is None else f"{part}{axis}_{name}"
         for wrench, name in zip(manifest.wrenches, names, strict=True)
@@ -63,9 +63,3 @@ def name_components(manifest: Manifest) -> list[str | None]:
         if is_open
         for axis in _AXES
     ]
-
-
-def _spell(names: Sequence[str]) -> list[str | None]:
-    """Write names as identifiers; None for one that would equal another's."""
-    spelled = [re.sub(r"\W", "_", name) for name in names]
-    return [new if new == old or spelled.count(new) == 1 else None for old, new in zip(names, spelled, strict=True)]

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from tests.fuzz.forces import Forces
 from tests.fuzz.kinematics import FLOATS, Array, Data, Kinematics, Motion, Numbers, Values
 
 __all__ = ["Absolute", "Array", "Data", "Found"]
@@ -63,18 +64,15 @@ class Absolute(Kinematics):
             )
             kinetic += (mass * motion.v @ motion.v + motion.om @ inertia @ motion.om) / 2
             potential -= mass * self.gravity @ motion.p
-        for wrench in self.model.get("wrenches", ()):
-            motion = bodies[wrench["body"]].carry(self.vector(wrench.get("position", [0, 0, 0])))
-            force, moment = (self.components(wrench, key, w) for key in ("force", "moment"))
-            if wrench.get("frame", "base") == "body":
-                force, moment = motion.R @ force, motion.R @ moment
-            hook(motion, -force, -moment)
-            power += force @ motion.v + moment @ motion.om
+        forces = Forces(self, bodies, q, qd)
+        for x in forces.list_applied(w):
+            hook(x.motion, -x.force, -x.moment)
+            power += x.force @ x.motion.v + x.moment @ x.motion.om
         for name, joint in self.elementary():
             rotor = self.number(joint.get("armature", 0.0))
             Phi[name] += rotor * qdd[name]
             sizes[name] += abs(rotor * qdd[name])
             kinetic += rotor * qd[name] ** 2 / 2
-            Q[name] = self.law(joint, q[name], qd[name])
+            Q[name] = self.law(joint, q[name], qd[name], forces.names)
         frames = {f["name"]: self.place(bodies[f["body"]], f) for f in self.model.get("frames", ())}
         return Found(Phi, max(sizes.values()), Q, kinetic, potential, power, frames)

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import lu_factor, lu_solve, qr
 
+from tests.fuzz.forces import Applied, Forces
 from tests.fuzz.jets import SLOPES, Jet, dot, evaluate_jet
 from tests.fuzz.kinematics import (
     DECIMALS,
@@ -254,13 +255,14 @@ class FreeBodies(Kinematics):
         zero = self.numbers.make(0.0)
         moved = self.move(at, rates, dict.fromkeys(rates, zero))
         own = {name: jet for link in moved.links for name, jet in self._own(moved, link).items()}
-        A, F = self._newton(moved, w)
+        forces = Forces(self, moved.bodies, at, rates)
+        A, F = self._newton(moved, forces.list_applied(w))
         laws = dict(self.elementary())
         for name, jet in own.items():
             force = zero if name in self.follows else self.numbers.make(u.get(name, 0.0))
             if name in laws:
                 rotor = self.number(laws[name].get("armature", 0.0))
-                force += self.law(laws[name], at[name], rates[name]) - rotor * jet.bias
+                force += self.law(laws[name], at[name], rates[name], forces.names) - rotor * jet.bias
                 if rotor:
                     A += rotor * np.outer(jet.gradient, jet.gradient)
             F += jet.gradient * force
@@ -285,7 +287,7 @@ class FreeBodies(Kinematics):
         qdd = {name: jet.gradient @ motion + jet.bias for name, jet in own.items()}
         return Solution(qdd, lam, dict(zip(driven, tau, strict=True)), bodies)
 
-    def _newton(self, moved: Moved, w: Values) -> tuple[Array, Array]:
+    def _newton(self, moved: Moved, applied: Iterable[Applied]) -> tuple[Array, Array]:
         """Return A and F: inertias, and all forces except joint forces."""
         size = 6 * len(moved.links)
         A, F = self.numbers.array(np.zeros((size, size))), self.numbers.array(np.zeros(size))
@@ -300,15 +302,10 @@ class FreeBodies(Kinematics):
             A += mass * velocity.T @ velocity + turn.T @ inertia @ turn
             F += mass * (self.gravity - np.cross(om, np.cross(om, d))) @ velocity
             F -= np.cross(om, inertia @ om) @ turn
-        for wrench in self.model.get("wrenches", ()):
-            node, motion = moved.nodes[wrench["body"]], moved.bodies[wrench["body"]]
-            force, moment = (self.components(wrench, key, w) for key in ("force", "moment"))
-            if wrench.get("frame", "base") == "body":
-                force, moment = motion.R @ force, motion.R @ moment
-            if node:
-                place = motion.p + motion.R @ self.vector(wrench.get("position", [0, 0, 0]))
-                _, velocity, turn = self._point(moved, node, place)
-                F += force @ velocity + moment @ turn
+        for x in applied:
+            if node := moved.nodes[x.body]:
+                _, velocity, turn = self._point(moved, node, x.motion.p)
+                F += x.force @ velocity + x.moment @ turn
         return A, F
 
     def _accelerated(self, moved: Moved, name: str, motion: Array) -> Motion:

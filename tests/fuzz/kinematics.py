@@ -76,10 +76,23 @@ def _decimal(name: str) -> Callable[..., Decimal]:
     return apply
 
 
-FLOATS = Numbers(float, MappingProxyType({name: getattr(math, name) for name in _NAMES} | {"abs": abs}), math.pi, float)
+def _soften(functions: Mapping[str, Callable[..., Any]]) -> dict[str, Callable[..., Any]]:
+    """Return smooth switches over other functions, by sums that do not overflow."""
+    exp, log = functions["exp"], functions["log"]
+
+    def softplus(x: Any, w: Any) -> Any:
+        return w * log(1 + exp(x / w)) if x < 0 else x + w * log(1 + exp(-x / w))
+
+    def step(x: Any, w: Any) -> Any:
+        return exp(x / w) / (1 + exp(x / w)) if x < 0 else 1 / (1 + exp(-x / w))
+
+    return {**functions, "softplus": softplus, "step": step, "abs": abs, "max": max, "min": min}
+
+
+FLOATS = Numbers(float, MappingProxyType(_soften({name: getattr(math, name) for name in _NAMES})), math.pi, float)
 DECIMALS = Numbers(
     Decimal,
-    MappingProxyType({name: _decimal(name) for name in _NAMES} | {"abs": abs, "sqrt": Decimal.sqrt}),
+    MappingProxyType(_soften({name: _decimal(name) for name in _NAMES} | {"sqrt": Decimal.sqrt})),
     Decimal(_SIXTY.nstr(+_SIXTY.pi, 60)),
     object,
 )  # within `fifty_digits()`
@@ -281,8 +294,8 @@ class Kinematics:
                     alone = joint["type"] in ("revolute", "prismatic", "helical")
                     yield name, joint if alone else joint.get("axes", {}).get(name.split(".")[-1], {})
 
-    def law(self, joint: Data, q: Any, qd: Any) -> Any:
-        """Return the force of a joint's own law."""
+    def law(self, joint: Data, q: Any, qd: Any, state: Values = MappingProxyType({})) -> Any:
+        """Return the force of a joint's own law, which may read the state."""
         force = -self.number(joint.get("stiffness", 0.0)) * (q - self.number(joint.get("rest", 0.0)))
         force -= self.number(joint.get("damping", 0.0)) * qd
         if "friction" in joint:
@@ -290,7 +303,7 @@ class Kinematics:
             force -= torque * self.numbers.functions["tanh"](qd / speed)
         if "force" not in joint:
             return force
-        return force + value_of(joint["force"], {**self.names, "q": q, "qd": qd}, self.numbers)
+        return force + value_of(joint["force"], {**self.names, **state, "q": q, "qd": qd}, self.numbers)
 
     # -- numbers ------------------------------------------------------------------------------------------------------
 
@@ -319,11 +332,6 @@ class Kinematics:
         """Move on to a frame that is placed in another."""
         motion = motion.carry(self.vector(placement.get("position", [0, 0, 0])))
         return motion.turned(self._turns(placement.get("orientation", [])))
-
-    def components(self, wrench: Data, key: str, w: Values) -> Array:
-        """Return the force or the moment of a wrench; `w` holds the inputs."""
-        given = wrench.get(key, [0, 0, 0])
-        return self.numbers.array(w[f"{wrench['name']}.{key}"]) if given == "input" else self.vector(given)
 
     def _unit(self, vector: Array) -> Array:
         return np.asarray(vector / self.numbers.length(vector))

@@ -38,6 +38,7 @@ from mbsgen.tape.interpreter import DECIMALS, evaluate, fifty_digits
 from mbsgen.tape.types import Tape
 from mbsgen.verification.verify import verify
 from tests.fuzz.absolute import Absolute, Array, Found
+from tests.fuzz.forces import spell
 from tests.fuzz.kinematics import value_of
 from tests.number_paths import set_number
 
@@ -90,6 +91,7 @@ def draw(seed: int) -> Mechanism:
 class _Draw:
     def __init__(self, seed: int) -> None:
         self.source, self.seed = random.Random(seed), seed
+        self.more = random.Random(f"{seed} forces")  # so that forces do not change the rest of the mechanism
         self.kinds = {name: self.source.choice(["constant", "runtime", "differentiated"]) for name in "mlak"}
         self.values = {"m": 1.7, "l": 0.6, "a": 0.35, "k": 2.5}
         self.bodies: list[dict[str, Any]] = []
@@ -110,6 +112,8 @@ class _Draw:
             "frames": [self.attachment(f"f{k}") for k in range(pick.randint(0, 2))],
             "wrenches": [self.wrench(f"w{k}") for k in range(pick.choice([0, 0, 1, 2]))],
         }
+        if self.more.random() < 0.4:
+            self.add_forces(model)
         free = [name for name, kind in self.kinds.items() if kind != "constant"]
         parameters = {
             name: value * pick.uniform(0.8, 1.2) if name in free else value for name, value in self.values.items()
@@ -125,6 +129,66 @@ class _Draw:
         reductions, numbers = pick.choice(list(CHOICES)), pick.choices([*NUMBERS], [*NUMBERS.values()])[0]
         tolerance = pick.choice([1e-3, 1e-2, 0.1]) if numbers == "approximate" else 0.0
         return Mechanism(model, scene, parameters, reductions, numbers, tolerance)
+
+    def add_forces(self, model: dict[str, Any]) -> None:
+        """Add force elements, contacts, and a wrench and a force law that read the state."""
+        source, self.source = self.source, self.more
+        pick = self.more
+        model["frames"].append({**self.attachment("probe"), "sensor": pick.random() < 0.5})
+        state = ["x_probe", "z_probe", "vy_probe", *(f"{kind}_{spell(x)}" for x in self.joints for kind in ("q", "qd"))]
+
+        def law() -> str:
+            a, b, c = (pick.choice(state) for _ in range(3))
+            return pick.choice(
+                [
+                    f"-k*{a} + 0.3*{b}*{c}",
+                    f"3*max({a}, {b}) - min({b}, 0.2)*l",
+                    f"step({a}, 0.3)*{b}",
+                    f"-k*softplus({a} - 0.2, 0.1)",
+                    f"sin({a})*abs({b})",
+                ]
+            )
+
+        if pick.random() < 0.6:
+            wrench = {**self.wrench("read"), "force": [law(), 0, law()], "moment": [0, pick.choice([0, law()]), 1.5]}
+            model["wrenches"].append(wrench)
+        alone = [x for body in self.bodies for x in ([body["joint"]] if isinstance(body["joint"], dict) else [])]
+        for joint in alone:
+            if joint["type"] == "revolute" and pick.random() < 0.2:
+                joint["force"] = f"{law()} - 0.1*q*qd"
+        model["forces"] = [self.element(f"s{k}", law) for k in range(pick.choice([0, 1, 1, 2]))]
+        model["contacts"] = [self.contact(f"c{k}") for k in range(pick.choice([0, 1, 1]))]
+        self.source = source
+
+    def element(self, name: str, law: Callable[[], str]) -> dict[str, Any]:
+        pick = self.more
+        ends = [
+            {"body": x, "position": [self.number(-0.6, 0.6) for _ in "xyz"]}
+            for x in pick.sample(["base", *(body["name"] for body in self.bodies)], 2)
+        ]
+        element: dict[str, Any] = {"name": name, "from": ends[0], "to": ends[1]}
+        kinds = [
+            {"stiffness": pick.choice([3.0, "k"])},
+            {"stiffness": "k", "rest": 0.3, "damping": 0.7},
+            {"force": f"-0.4*length*rate + {law()}"},
+            {"type": "cable", "stiffness": 5.0, "rest": "l", "width": 0.2, "dissipation": 0.4},
+            {"type": "cable", "stiffness": "k**2", "rest": 0.1, "width": 0.05, "force": "0.2/length"},
+        ]
+        return element | pick.choice(kinds)
+
+    def contact(self, name: str) -> dict[str, Any]:
+        pick = self.more
+        first, second = pick.sample(["base", *(body["name"] for body in self.bodies)], 2)
+        first, second = (second, first) if first == "base" else (first, second)
+        shape = pick.choice(
+            [{"radius": 0.2}, {"radius": "a"}, {}, {"size": [0.3, 0.2, "l"], "orientation": self.turns()}]
+        )
+        contact: dict[str, Any] = {"name": name, "body": first, "position": self.vector(), **shape}
+        plane = {"body": second, "position": self.vector(), "normal": self.axis()}
+        contact |= {} if pick.random() < 0.2 else {"plane": plane}
+        contact |= {"stiffness": pick.choice([20.0, "10*k"]), "width": 0.3, "exponent": pick.choice([1, 1.5, 2, 2.5])}
+        friction = {"friction": {"coefficient": 0.6, "speed": pick.choice([0.5, "l"])}, "dissipation": 0.4}
+        return contact | {key: x for key, x in friction.items() if pick.random() < 0.6}
 
     def number(self, low: float, high: float) -> float:
         return round(self.source.uniform(low, high), 3)
@@ -314,7 +378,7 @@ def change_numbers(mechanism: Mechanism, tree: Tree, seed: int) -> Mechanism:
     source, model = random.Random(f"{seed} numbers"), copy.deepcopy(mechanism.model)
     values = dict(mechanism.parameters)
     for parameter in (p for p in tree.parameters if p.kind is Kind.RUNTIME):
-        if re.search(r"^(?!wrenches).*\.force\.[0-9]+$|^constraints\.", parameter.name):
+        if re.search(r"^(?!wrenches).*\.force\.[0-9]+$|^constraints\.|^wrenches.*\.[xyz]\.[0-9]+$", parameter.name):
             continue
         drawn = parameter.value * source.uniform(0.9, 1.1) if parameter.value else source.uniform(0.0, 0.02)
         values[parameter.name] = drawn

@@ -424,7 +424,7 @@ def _write_drive(tree: Tree) -> tuple[Tape, frozenset[int]]:
         x
         for wrench in tree.wrenches
         for v in (wrench.force, wrench.moment)
-        for x in ([next(own) for _ in "xyz"] if v is None else chain.vector(v))
+        for x in ([next(own) for _ in "xyz"] if v is None else chain.components(v))
     ]
     gravity = [chain.scalar(number) for number in tree.gravity if number != 0]
     segments = align(chain, group=False)

@@ -17,13 +17,26 @@ from functools import cached_property
 from itertools import islice
 from types import MappingProxyType
 
-from sympy import Expr
+from sympy import Expr, Symbol
 
 from mbsgen.algebra.rotations import axis_rotation
 from mbsgen.algebra.vectors import Matrix, Vector, outer
 from mbsgen.errors import TapeError
 from mbsgen.formulations import ports
-from mbsgen.model.tree import COORDINATE, RATE, Body, Joint, Kind, Motion, RigidPart, Tree, Wrench
+from mbsgen.formulations.points import Points
+from mbsgen.model.tree import (
+    COORDINATE,
+    RATE,
+    Body,
+    Joint,
+    Kind,
+    Motion,
+    RigidPart,
+    Tree,
+    Wrench,
+    coordinate_symbol,
+    rate_symbol,
+)
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.lowering import lower
 from mbsgen.tape.ports import Port
@@ -116,13 +129,36 @@ class Chain:
         given = iter(self.state.w)
 
         def components(wrench: Wrench, vector: Sequence[Expr] | None) -> Vector[Scalar]:
-            written = Vector.of(islice(given, 3)) if vector is None else self.vector(vector)
+            written = Vector.of(islice(given, 3)) if vector is None else self.components(vector)
             return written if wrench.in_base else self.matrix(wrench.orientation).apply(written)
 
         return tuple(
             AppliedWrench(x.body, self.vector(x.position), x.in_base, components(x, x.force), components(x, x.moment))
             for x in self.tree.wrenches
         )
+
+    @cached_property
+    def known(self) -> dict[Expr, Scalar]:
+        """The numbers that forces may depend on, by symbol: parameters, and numbers of the state."""
+        tree, state = self.tree, self.state
+        known: dict[Expr, Scalar] = dict(self.symbols)
+        for symbol, column in ((coordinate_symbol, state.q), (rate_symbol, state.qd)):
+            known |= {symbol(body.joint.name): x for body, x in zip(tree.bodies, column, strict=True)}
+        points = Points(self.links, state.qd, self.still)
+        for probe in tree.probes:
+            known |= zip(probe.symbols, points.read(probe.reading, probe.body, self.vector(probe.point)), strict=True)
+        for definition in tree.definitions:
+            known[definition.symbol] = lower(definition.value, self.builder, known)
+        return known
+
+    def components(self, vector: Sequence[Expr]) -> Vector[Scalar]:
+        """Write the components of a force or moment, which may depend on the state."""
+        return Vector.of(map(self.force, vector))
+
+    def force(self, number: Expr, own: Mapping[Symbol, Scalar] = MappingProxyType({})) -> Scalar:
+        """Write a force that may depend on the state, and on further numbers."""
+        fixed = {**self.symbols, **own}
+        return lower(number, self.builder, fixed if number.free_symbols <= fixed.keys() else {**self.known, **own})
 
     def scalar(self, number: Expr) -> Scalar:
         """Write a number of the model."""
@@ -298,5 +334,5 @@ def joint_forces(chain: Chain) -> list[Scalar]:
     forces = []
     for body, q, qd in zip(chain.tree.bodies, state.q, state.qd, strict=True):
         own = next(active) if body.joint.actuated else chain.builder.zero
-        forces.append(own + lower(body.joint.law, chain.builder, {**chain.symbols, COORDINATE: q, RATE: qd}))
+        forces.append(own + chain.force(body.joint.law, {COORDINATE: q, RATE: qd}))
     return forces

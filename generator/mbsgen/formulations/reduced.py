@@ -243,7 +243,7 @@ class Reduced:
         return self._write_chain(self.all_velocities)
 
     def _write_chain(self, qd: list[Scalar]) -> Chain:
-        tree = self._bodies
+        tree = self._bodies if qd else self._bodies.without_readings
         q, frames = share_out(tree, self.builder, self.given[ports.COORDINATES.name])
 
         def take(port: Port) -> list[Scalar]:

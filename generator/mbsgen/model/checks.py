@@ -19,9 +19,10 @@ from mbsgen.model.elimination import check_constraints
 from mbsgen.model.expansion import list_steps
 from mbsgen.model.findings import Finding
 from mbsgen.model.following import check_followers
+from mbsgen.model.force_checks import State, check_bodies, check_forces, check_law, list_state
 from mbsgen.model.joints.quaternions import is_pure
 from mbsgen.model.loop_checks import check_loops
-from mbsgen.model.model import BASE, COORDINATE, RATE, ZERO, Body, Fixed, Inertia, Joint, Law, Model, Wrench
+from mbsgen.model.model import BASE, COORDINATE, RATE, ZERO, Body, Fixed, Inertia, Joint, Law, Model
 from mbsgen.model.naming import check_names
 from mbsgen.model.topology import check_tree, find_carriers
 from mbsgen.model.tree import Motion
@@ -44,33 +45,38 @@ def find_faults(model: Model, doubtful: Container[Place] = frozenset()) -> list[
     findings = [*check_names(model, doubtful), *check_tree(model, doubtful)]
     valuation = Valuation(model.parameters, doubtful)
     valuation.triple(("gravity",), model.gravity)
+    state = list_state(model)
     for i, body in enumerate(model.bodies):
-        findings += _check_carrier(i, body, valuation)
+        findings += _check_carrier(i, body, valuation, state)
         findings += _check_body(("bodies", i), body, valuation, allow_unphysical=model.allow_unphysical)
     for i, frame in enumerate(model.frames):
         valuation.placement(("frames", i), frame.placement)
-    for i, wrench in enumerate(model.wrenches):
-        findings += _check_wrench(("wrenches", i), wrench, valuation)
+    findings += check_forces(model, valuation)
     findings += check_followers(model, valuation)
     findings += check_loops(model, valuation, doubtful)
     findings += valuation.findings
-    return findings or [*check_undetermined_joints(model), *_check_fixed(model), *check_constraints(model)]
+    return findings or [
+        *check_undetermined_joints(model),
+        *_check_fixed(model),
+        *check_bodies(model),
+        *check_constraints(model),
+    ]
 
 
-def _check_carrier(i: int, body: Body, valuation: Valuation) -> Iterator[Finding]:
+def _check_carrier(i: int, body: Body, valuation: Valuation, state: State) -> Iterator[Finding]:
     if isinstance(body.joint, Fixed):
         valuation.placement(("bodies", i, "joint"), body.joint.placement)
     elif isinstance(body.joint, tuple) and len(body.joint) < 2:
         finding = f"a sequence of {len(body.joint)} joints"
         yield Finding(("bodies", i, "joint"), finding, "give two or more, or one joint by itself")
     for step in list_steps(i, body):
-        yield from _check_joint(step.place, step.joint, valuation)
+        yield from _check_joint(step.place, step.joint, valuation, state)
     if any(joint.floats for joint in body.joints) and not is_pure(body.joints):  # only a model made in Python has them
         finding = "joints of a quaternion with other joints, or with names, limits, forces or rotors"
         yield Finding(("bodies", i, "joint"), finding, "make them by ball() or free(), and leave them as they are")
 
 
-def _check_joint(place: Place, joint: Joint, valuation: Valuation) -> Iterator[Finding]:
+def _check_joint(place: Place, joint: Joint, valuation: Valuation, state: State) -> Iterator[Finding]:
     valuation.placement(place, joint.placement)
     axis = [valuation.constant((*place, "axis"), component) for component in joint.axis]
     if axis == [0, 0, 0]:
@@ -82,7 +88,7 @@ def _check_joint(place: Place, joint: Joint, valuation: Valuation) -> Iterator[F
     )
     if lower > upper:
         yield Finding((*place, "limits"), f"the lower limit {lower:g} is above the upper {upper:g}", "swap them")
-    yield from _check_law(place, joint.law, valuation)
+    yield from _check_law(place, joint.law, valuation, state)
     for key, bound in (("max_speed", joint.max_speed), ("max_force", joint.max_force)):
         value = math.nan if bound is None else valuation.constant((*place, key), bound)
         if value <= 0:
@@ -92,12 +98,12 @@ def _check_joint(place: Place, joint: Joint, valuation: Valuation) -> Iterator[F
         yield Finding((*place, "armature"), f"an armature of {armature:g}", "give 0 or more")
 
 
-def _check_law(place: Place, law: Law, valuation: Valuation) -> Iterator[Finding]:
+def _check_law(place: Place, law: Law, valuation: Valuation, state: State) -> Iterator[Finding]:
     before = len(valuation.findings)
     findings = [*_check_law_numbers(place, law, valuation)]
     yield from findings
     if not findings and len(valuation.findings) == before:
-        valuation.form((*place, "force"), law.total, _OWN)
+        yield from check_law((*place, "force"), law.total, valuation, state, _OWN)
 
 
 def _check_law_numbers(place: Place, law: Law, valuation: Valuation) -> Iterator[Finding]:
@@ -189,21 +195,6 @@ def find_doubts(model: Model) -> list[Finding]:
     return findings
 
 
-def _check_wrench(place: Place, wrench: Wrench, valuation: Valuation) -> Iterator[Finding]:
-    valuation.triple((*place, "position"), wrench.position)
-    if wrench.body == BASE:
-        yield Finding((*place, "body"), f"{BASE} does not move", "name the body that the wrench acts on")
-    idle = True
-    for key, vector in (("force", wrench.force), ("moment", wrench.moment)):
-        if vector is None:
-            idle = False
-        else:
-            values = valuation.triple((*place, key), vector)
-            idle = idle and not values.any() and not any(map(valuation.changes, vector))
-    if idle:
-        yield Finding(place, "a wrench without force and moment", "give one of them numbers, or input")
-
-
 def _check_fixed(model: Model) -> Iterator[Finding]:
     """Find what goes wrong where bodies that are fixed to each other become one."""
     carriers = find_carriers(model)
@@ -214,7 +205,3 @@ def _check_fixed(model: Model) -> Iterator[Finding]:
             yield Finding(("bodies", i, "joint"), finding, f"let only bodies on {BASE} move freely")
     if set(carriers.values()) == {BASE}:
         yield Finding(("bodies",), "nothing moves", "give a body a joint that is not fixed")
-    for i, wrench in enumerate(model.wrenches):
-        if carriers.get(wrench.body) == BASE:
-            finding = f"{abbreviate(wrench.body)} is fixed to {BASE}, and does not move"
-            yield Finding(("wrenches", i, "body"), finding, "take the wrench away")

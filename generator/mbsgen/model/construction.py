@@ -25,13 +25,20 @@ from mbsgen.model.joints.section import JointSection
 from mbsgen.model.loops import read_cut
 from mbsgen.model.model import (
     BASE,
+    GROUND,
+    WIDTH,
+    ZERO,
     Body,
+    Cable,
     Carrier,
     Constraint,
+    Contact,
     Fixed,
     Follow,
+    ForceElement,
     Frame,
     Friction,
+    Grip,
     Inertia,
     Joint,
     Law,
@@ -40,6 +47,7 @@ from mbsgen.model.model import (
     Model,
     Parameter,
     Placement,
+    Plane,
     Rotation,
     Triple,
     Wrench,
@@ -194,9 +202,9 @@ def inertia(
     return Inertia(*map(number, (xx, yy, zz, xy, xz, yz)))
 
 
-def frame(name: str, body: str, *, position: Vector = _ORIGIN, orientation: Turns = ()) -> Frame:
-    """Make a sensor on a body."""
-    return Frame(name, body, _place(position, orientation))
+def frame(name: str, body: str, *, position: Vector = _ORIGIN, orientation: Turns = (), sensor: bool = True) -> Frame:
+    """Make a frame on a body; its pose is an output if it is a sensor."""
+    return Frame(name, body, _place(position, orientation), sensor)
 
 
 def wrench(
@@ -218,6 +226,65 @@ def wrench(
 def end(body: str, *, position: Vector = _ORIGIN, orientation: Turns = ()) -> LoopEnd:
     """Make one end of a loop: a frame on a body, or on the base."""
     return LoopEnd(body, _place(position, orientation))
+
+
+def spring(
+    name: str,
+    first: LoopEnd,
+    second: LoopEnd,
+    *,
+    stiffness: Quantity = 0.0,
+    rest: Quantity = 0.0,
+    damping: Quantity = 0.0,
+    force: Quantity = 0.0,
+) -> ForceElement:
+    """Make a spring and damper between two points; `force` is further tension, over length, rate and the state."""
+    k, l, d = map(number, (stiffness, rest, damping))
+    return ForceElement(name, first, second, k, l, d, force=number(force))
+
+
+def cable(
+    name: str,
+    first: LoopEnd,
+    second: LoopEnd,
+    *,
+    stiffness: Quantity,
+    rest: Quantity = 0.0,
+    dissipation: Quantity = 0.0,
+    width: Quantity | None = None,
+    force: Quantity = 0.0,
+) -> ForceElement:
+    """Make a cable between two points, which cannot push."""
+    slack = Cable(WIDTH if width is None else number(width), number(dissipation))
+    return ForceElement(name, first, second, number(stiffness), number(rest), ZERO, slack, number(force))
+
+
+def plane(body: str = BASE, *, position: Vector = _ORIGIN, normal: Direction = "z") -> Plane:
+    """Make a plane on a body, or on the base."""
+    return Plane(body, vector(position), _direct(normal))
+
+
+def contact(
+    name: str,
+    body: str,
+    *,
+    stiffness: Quantity,
+    position: Vector = _ORIGIN,
+    orientation: Turns = (),
+    radius: Quantity = 0.0,
+    size: Vector | None = None,
+    plane: Plane = GROUND,
+    exponent: float = 1.5,
+    dissipation: Quantity = 0.0,
+    width: Quantity | None = None,
+    friction: tuple[Quantity, Quantity] | None = None,
+) -> Contact:
+    """Make a contact of a sphere, or of the corners of a box, with a plane; friction is a coefficient and a speed."""
+    grip = None if friction is None else Grip(*map(number, friction))
+    edges, placement = None if size is None else vector(size), _place(position, orientation)
+    depth = WIDTH if width is None else number(width)
+    body_part = (name, body, number(stiffness), placement, number(radius), edges)
+    return Contact(*body_part, plane, number(exponent), number(dissipation), depth, grip)
 
 
 def loop(
@@ -252,6 +319,8 @@ def make_model(
     parameters: Mapping[str, Quantity | Parameter] | None = None,
     frames: Sequence[Frame] = (),
     wrenches: Sequence[Wrench] = (),
+    forces: Sequence[ForceElement] = (),
+    contacts: Sequence[Contact] = (),
     loops: Sequence[Loop] = (),
     constraints: Sequence[Constraint] = (),
     driven: Sequence[str] = (),
@@ -271,6 +340,8 @@ def make_model(
         named,
         tuple(frames),
         tuple(wrenches),
+        tuple(forces),
+        tuple(contacts),
         tuple(loops),
         tuple(constraints),
         tuple(driven),

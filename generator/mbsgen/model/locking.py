@@ -7,15 +7,29 @@ found where loops are assembled.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 from mbsgen.expressions import Call, Expression, Negation, Number, Operation, names, substitute
 from mbsgen.model.elimination import eliminate
 from mbsgen.model.expansion import list_steps
 from mbsgen.model.following import find_rules, list_joints, place_followers
-from mbsgen.model.model import HERE, ORIGIN, ZERO, Body, Constraint, Fixed, Joint, Model, Placement, Rotation, Triple
-from mbsgen.model.tree import Motion
+from mbsgen.model.model import (
+    HERE,
+    ORIGIN,
+    ZERO,
+    Body,
+    Constraint,
+    Fixed,
+    Joint,
+    Model,
+    Placement,
+    Rotation,
+    Triple,
+    Wrench,
+)
+from mbsgen.model.quantities import list_quantities
+from mbsgen.model.tree import Motion, coordinate_symbol
 from mbsgen.model.valuation import Valuation
 
 OPEN = 1e-9  # largest residual of an equation between locked joints, m or rad: users round the coordinates they write
@@ -29,10 +43,13 @@ def lock(model: Model, coordinates: Mapping[str, Expression]) -> Model:
     if not coordinates:
         return model
     coordinates = _place_tied(model, coordinates)
-    bodies = [part for i, body in enumerate(model.bodies) for part in _lock_body(i, body, coordinates)]
+    fixed = _fix_quantities(model, coordinates)
+    bodies = [part for i, body in enumerate(model.bodies) for part in _lock_body(i, body, coordinates, fixed)]
     return replace(
         model,
         bodies=tuple(bodies),
+        wrenches=tuple(_lock_wrench(wrench, fixed) for wrench in model.wrenches),
+        forces=tuple(replace(x, force=substitute(x.force, fixed)) for x in model.forces),
         constraints=tuple(_lock_constraints(model, coordinates)),
         driven=tuple(name for name in model.driven if name not in coordinates),
         independent=tuple(name for name in model.independent if name not in coordinates),
@@ -62,11 +79,34 @@ def _lock_constraints(model: Model, coordinates: Mapping[str, Expression]) -> It
         yield replace(constraint, equation=equation)
 
 
-def _lock_body(i: int, body: Body, coordinates: Mapping[str, Expression]) -> list[Body]:
+def _fix_quantities(model: Model, coordinates: Mapping[str, Expression]) -> dict[str, Expression]:
+    """Return the coordinates and velocities of locked joints, by the names that forces have for them."""
+    known = {name: x for name, x in list_quantities(model).items() if x.reading is None and x.source in coordinates}
+    return {
+        name: coordinates[x.source] if x.symbol == coordinate_symbol(x.source) else ZERO for name, x in known.items()
+    }
+
+
+def _lock_wrench(wrench: Wrench, fixed: Mapping[str, Expression]) -> Wrench:
+    force, moment = (
+        None if vector is None else _triple(substitute(x, fixed) for x in vector)
+        for vector in (wrench.force, wrench.moment)
+    )
+    return replace(wrench, force=force, moment=moment)
+
+
+def _triple(components: Iterable[Expression]) -> Triple:
+    x, y, z = components
+    return x, y, z
+
+
+def _lock_body(
+    i: int, body: Body, coordinates: Mapping[str, Expression], fixed: Mapping[str, Expression]
+) -> list[Body]:
     """Fix joints of one body; joints that go on moving have a massless body each, as they have without this."""
     steps = list(list_steps(i, body))
     if not any(step.name in coordinates for step in steps):
-        return [body]
+        return [_read_fixed(body, fixed)]
     parts: list[Body] = []
     carrier, rest = body.parent, HERE  # what has been fixed since the last joint that moves
     for step in steps:
@@ -74,12 +114,27 @@ def _lock_body(i: int, body: Body, coordinates: Mapping[str, Expression]) -> lis
         if step.name in coordinates:
             rest = compose(placement, displacement(step.joint, coordinates[step.name]))
         else:
-            joint = replace(step.joint, name=step.name, placement=placement)
+            law = replace(step.joint.law, force=substitute(step.joint.law.force, fixed))
+            joint = replace(step.joint, name=step.name, placement=placement, law=law)
             parts.append(Body(step.mover, joint, carrier))
             carrier, rest = step.mover, HERE
     if carrier == body.name:  # the last joint moves: it carries the body itself
         return [*parts[:-1], replace(body, joint=parts[-1].joint, parent=parts[-1].parent)]
     return [*parts, replace(body, joint=Fixed(rest), parent=carrier)]
+
+
+def _read_fixed(body: Body, fixed: Mapping[str, Expression]) -> Body:
+    """Let the force laws of a body's joints read the coordinates and velocities of locked joints as numbers."""
+
+    def read(joint: Joint) -> Joint:
+        return replace(joint, law=replace(joint.law, force=substitute(joint.law.force, fixed)))
+
+    match body.joint:
+        case Fixed():
+            return body
+        case Joint():
+            return replace(body, joint=read(body.joint))
+    return replace(body, joint=tuple(map(read, body.joint)))
 
 
 def displacement(joint: Joint, coordinate: Expression) -> Placement:

@@ -16,6 +16,7 @@ from mbsgen.model.tree import Cut, Kind, Motion
 
 BASE = "base"  # the name of the fixed base
 COORDINATE, RATE = "q", "qd"  # a joint's own, in the expression of its force
+LENGTH, LENGTH_RATE = "length", "rate"  # a force element's own, in the expression of its force
 
 Triple = tuple[Expression, Expression, Expression]
 
@@ -180,16 +181,17 @@ class Body:
 
 @dataclass(frozen=True)
 class Frame:
-    """A named frame on a body, whose pose is an output: a sensor."""
+    """A named frame on a body."""
 
     name: str
     body: str
     placement: Placement = HERE
+    is_sensor: bool = True  # its pose is an output; else only forces read it
 
 
 @dataclass(frozen=True)
 class Wrench:
-    """An external force and moment on a body, at a point fixed in it."""
+    """An external force and moment on a body, at a point fixed in it: over parameters and numbers of the state."""
 
     name: str
     body: str
@@ -222,6 +224,66 @@ class Loop:
 
 
 @dataclass(frozen=True)
+class Cable:
+    """The properties of a force element that can only pull."""
+
+    width: Expression  # of the transition from slack to tight [m]
+    dissipation: Expression = ZERO  # by which part of itself the tension grows with the rate [s/m]
+
+
+@dataclass(frozen=True)
+class ForceElement:
+    """A force between two frames, along the line through their origins; a positive tension pulls them together."""
+
+    name: str
+    first: LoopEnd
+    second: LoopEnd
+    stiffness: Expression = ZERO  # [N/m]
+    rest: Expression = ZERO  # the length of the slack spring [m]
+    damping: Expression = ZERO  # [N s/m]
+    cable: Cable | None = None
+    force: Expression = ZERO  # further tension [N], over parameters, LENGTH, LENGTH_RATE and numbers of the state
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A plane on a body, or on the base."""
+
+    body: str = BASE
+    position: Triple = ORIGIN  # of a point of it, in the body's frame [m]
+    normal: Triple = UNITS["z"]  # out of the solid, in the body's frame
+
+
+GROUND = Plane()
+HERTZ, WIDTH = Number(1.5), Number(1e-4)  # of a contact, unless it says otherwise
+
+
+@dataclass(frozen=True)
+class Grip:
+    """Coulomb friction, smoothed: coefficient * normal force * v / sqrt(v.v + speed^2)."""
+
+    coefficient: Expression
+    speed: Expression  # at which 7/10 of it are reached [m/s]
+
+
+@dataclass(frozen=True)
+class Contact:
+    """A compliant contact of a sphere, or of the corners of a box, with a plane; see `contacts`."""
+
+    name: str
+    body: str
+    stiffness: Expression  # [N/m^exponent]
+    placement: Placement = HERE  # of the centre of the sphere or the box, in the body's frame
+    radius: Expression = ZERO  # of the sphere [m]; 0: a point
+    size: Triple | None = None  # of a box [m]
+    plane: Plane = GROUND
+    exponent: Expression = HERTZ  # of the depth
+    dissipation: Expression = ZERO  # by which part of itself the force grows with the rate of the depth [s/m]
+    width: Expression = WIDTH  # of the transition from distance to depth [m]
+    friction: Grip | None = None
+
+
+@dataclass(frozen=True)
 class Constraint:
     """An equation of coordinates: the expression is 0."""
 
@@ -239,6 +301,8 @@ class Model:
     parameters: tuple[Parameter, ...] = ()
     frames: tuple[Frame, ...] = ()
     wrenches: tuple[Wrench, ...] = ()
+    forces: tuple[ForceElement, ...] = ()
+    contacts: tuple[Contact, ...] = ()
     loops: tuple[Loop, ...] = ()
     constraints: tuple[Constraint, ...] = ()
     driven: tuple[str, ...] = ()  # joints whose accelerations are given

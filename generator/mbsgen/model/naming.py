@@ -40,8 +40,10 @@ def _check_names(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
     parameters = trusted([(("parameters", p.name), p.name) for p in model.parameters])
     loops = trusted([(("loops", i, "name"), loop.name) for i, loop in enumerate(model.loops)])
     loops += trusted([(("constraints", i, "name"), constraint.name) for i, constraint in enumerate(model.constraints)])
+    forces = trusted([(("forces", i, "name"), element.name) for i, element in enumerate(model.forces)])
+    forces += trusted([(("contacts", i, "name"), contact.name) for i, contact in enumerate(model.contacts)])
     whole = trusted([(("name",), model.name)])
-    for place, name in [*whole, *bodies, *between, *joints, *frames, *wrenches, *loops]:
+    for place, name in [*whole, *bodies, *between, *joints, *frames, *wrenches, *forces, *loops]:
         yield from _check_form(place, name)
     for place, name in parameters:
         yield from _check_parameter(place, name)
@@ -50,7 +52,7 @@ def _check_names(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
     for place, name in bodies:
         if _normalise(name) == BASE:
             yield Finding(place, f"name {abbreviate(name)} is the name of the fixed base", "give the body another name")
-    for names in (between + bodies, joints, frames, wrenches, loops):
+    for names in (between + bodies, joints, frames, wrenches, forces, loops):
         yield from _check_alike(names, _normalise)
     yield from _check_alike(parameters, str)  # m and M are different letters of a formula
 

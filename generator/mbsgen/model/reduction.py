@@ -10,17 +10,20 @@ in the model file. The axis of a loop is the z axis of its two frames. Linear co
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 from sympy import Expr, Symbol
 
 from mbsgen.expressions import Algebra, Expression, evaluate, names
 from mbsgen.model import model, tree
+from mbsgen.model.elements import Anchor, Loads
 from mbsgen.model.elimination import eliminate
 from mbsgen.model.expansion import expand
 from mbsgen.model.following import Range, find_range, find_rules, list_joints
 from mbsgen.model.model import BASE, Model
+from mbsgen.model.quantities import find_read_frames, list_quantities, probe_symbols
 from mbsgen.model.symbols import exact, round_number, symbolic, to_double, total
 from mbsgen.model.topology import sort_bodies
 from mbsgen.model.tree import (
@@ -34,7 +37,9 @@ from mbsgen.model.tree import (
     Kind,
     Matrix,
     Parameter,
+    Probe,
     Quaternion,
+    Reading,
     RigidPart,
     Tree,
     Vector,
@@ -65,13 +70,16 @@ def build_tree(description: Model) -> Tree:
     couplings = tuple(_find_couplings(description, moving, reader))
     numbers = {mover.joint.name: i for i, mover in enumerate(moving, 1) if mover.joint.name is not None}
     coordinates = _express_coordinates(bodies, couplings)
+    loads = _collect_loads(description, seats, reader)
     return Tree(
         name=description.name,
         gravity=reader.vector(description.gravity),
         parameters=parameters,
         bodies=_bind(bodies, couplings),
-        sensors=tuple(_make_sensor(frame, seats[frame.body], reader) for frame in description.frames),
-        wrenches=tuple(_make_wrench(wrench, seats[wrench.body], reader) for wrench in description.wrenches),
+        sensors=tuple(_make_sensor(x, seats[x.body], reader) for x in description.frames if x.is_sensor),
+        wrenches=(*(_make_wrench(x, seats[x.body], reader) for x in description.wrenches), *loads.wrenches),
+        probes=(*_probe_frames(description, seats, reader), *loads.probes),
+        definitions=tuple(loads.definitions),
         quaternions=tuple(_find_quaternions(description, moving)),
         couplings=couplings,
         loops=tuple(_make_loop(loop, seats, reader) for loop in description.loops),
@@ -130,6 +138,7 @@ class _Reader:
     symbols: Mapping[str, Expr]  # parameters; a constant 0 is structural
     values: Mapping[str, Expr]  # constants by their values
     present: Mapping[str, Expr]  # all parameters by their present values
+    state: Mapping[str, Expr]  # numbers of the state by their symbols
 
     def number(self, expression: Expression) -> Expr:
         """Read a length, mass or inertia over symbols."""
@@ -164,7 +173,11 @@ class _Reader:
 
     def law(self, law: model.Law) -> Expr:
         """Read a joint's own force, over its q and qd."""
-        return evaluate(law.total, {**self.symbols, **_OWN}, self.algebra)
+        return self.force(law.total, _OWN)
+
+    def force(self, expression: Expression, own: Mapping[str, Expr]) -> Expr:
+        """Read an expression over parameters, numbers of the state, and a force's own numbers."""
+        return evaluate(expression, {**self.state, **self.symbols, **own}, self.algebra)
 
     def estimate(self, expression: Expression) -> float:
         """Read a number by the present values of parameters."""
@@ -210,7 +223,8 @@ def _read_parameters(description: Model) -> tuple[tuple[Parameter, ...], _Reader
             constants[symbol] = known[name]
         else:
             changing.add(name)
-    return tuple(parameters), _Reader(algebra, symbols, values, known)
+    state = {name: quantity.symbol for name, quantity in list_quantities(description).items()}
+    return tuple(parameters), _Reader(algebra, symbols, values, known, state)
 
 
 @dataclass(frozen=True)
@@ -418,10 +432,62 @@ def cosine(a: Vector, b: Vector) -> Expr:
 
 
 def _make_wrench(wrench: model.Wrench, seat: _Seat, reader: _Reader) -> tree.Wrench:
-    force, moment = (None if v is None else reader.vector(v) for v in (wrench.force, wrench.moment))
+    force, moment = (
+        None if v is None else _vector(reader.force(x, {}) for x in v) for v in (wrench.force, wrench.moment)
+    )
     position = seat.point(reader.vector(wrench.position))
     axes = IDENTITY if wrench.in_base else seat.axes
     return tree.Wrench(wrench.name, seat.number, position, wrench.in_base, force, moment, axes)
+
+
+def _probe_frames(description: Model, seats: Mapping[str, _Seat], reader: _Reader) -> Iterator[Probe]:
+    """Make the probes of the frames that forces read."""
+    read = find_read_frames(description)
+    for frame in description.frames:
+        if frame.name in read:
+            at = seats[frame.body].carry(frame.placement, reader)
+            for reading in (Reading.POSITION, Reading.VELOCITY):
+                yield Probe(probe_symbols(frame.name, reading), reading, at.number, at.position)
+
+
+def _collect_loads(description: Model, seats: Mapping[str, _Seat], reader: _Reader) -> Loads:
+    """Write force elements and contacts as wrenches."""
+    loads = Loads(reader.force)
+
+    def anchor(body: str, placement: model.Placement) -> Anchor:
+        at = seats[body].carry(placement, reader)
+        return Anchor(at.number, at.position)
+
+    for element in description.forces:
+        loads.add_element(element, *(anchor(end.body, end.placement) for end in (element.first, element.second)))
+    for contact in description.contacts:
+        at, plane = seats[contact.body].carry(contact.placement, reader), contact.plane
+        points = [(name, Anchor(at.number, at.point(point))) for name, point in _list_points(contact, reader)]
+        foot, normal = anchor(plane.body, model.Placement(plane.position)), normalise(reader.direction(plane.normal))
+        exponent = reader.constant(contact.exponent)
+        loads.add_contact(contact, points, foot, seats[plane.body].vector(normal), exponent)
+    return loads
+
+
+def _list_points(contact: model.Contact, reader: _Reader) -> Iterator[tuple[str, Vector]]:
+    """List the centre of a sphere, or the corners of a box, with their names."""
+    if contact.size is None:
+        yield contact.name, (ZERO, ZERO, ZERO)
+        return
+    for k, signs in enumerate(product((-1, 1), repeat=3), 1):
+        corner = (s * side / 2 for s, side in zip(signs, reader.vector(contact.size), strict=True))
+        yield f"{contact.name}.{k}", _vector(corner)
+
+
+def normalise(direction: Vector) -> Vector:
+    """Return the unit vector along a direction of numbers."""
+    length = _NUMBERS.functions["sqrt"](total(x * x for x in direction))
+    return _vector(_tidy(x / length) for x in direction)
+
+
+def _vector(components: Iterable[Expr]) -> Vector:
+    x, y, z = components
+    return x, y, z
 
 
 def _express(v: Vector, C: Matrix) -> Vector:

@@ -2,10 +2,11 @@
 
 Parameters are the numbers that the author wrote: `elbow.position.x` and `elbow.damping` of a joint, `forearm.mass`,
 `forearm.com.z` and `forearm.inertia.xy` of a body, `gravity.z`, `frames.tip.position.x`, `wrenches.push.force.y`,
+`forces.strut.stiffness`, `forces.strut.from.position.x` and `contacts.heel.friction.speed` of forces,
 `loops.knee.from.position.x`, `loops.strut.length` and `loops.nut.pitch` of loops. Positions are in the frames, and
 centres of mass and tensors along the axes, that the author gave them in. Rotations are counted from 1, as are the
 numbers of a force law and of an equation: `elbow.orientation.1` [rad], `constraints.cam.2`. An expression over
-parameters stays that expression.
+parameters stays that expression. Exponents and normals of contacts stay.
 """
 
 from __future__ import annotations
@@ -21,10 +22,14 @@ from mbsgen.model.joints import describe_joint
 from mbsgen.model.laws import replace_counted, replace_numbers
 from mbsgen.model.model import (
     Body,
+    Cable,
     Constraint,
+    Contact,
     Fixed,
     Follow,
+    ForceElement,
     Frame,
+    Grip,
     Inertia,
     Joint,
     Law,
@@ -35,6 +40,7 @@ from mbsgen.model.model import (
     Triple,
     Wrench,
 )
+from mbsgen.model.quantities import list_quantities
 from mbsgen.model.symbols import symbolic, to_double
 from mbsgen.model.tree import Cut, Kind
 from mbsgen.model.valuation import Valuation
@@ -63,6 +69,7 @@ class _Release:
         self._valuation = Valuation(model.parameters, ())
         fixed = _find_fixed(model)
         self._coordinates = {step.name for step in list_joints(model)} if model.constraints else set()
+        self._state = list_quantities(model).keys()
         self._parameters = {
             p.name: replace(p, kind=Kind.RUNTIME)
             if p.kind is Kind.CONSTANT and p.name not in fixed and not names(p.value)
@@ -78,6 +85,8 @@ class _Release:
             bodies=tuple(self._body(i, body) for i, body in enumerate(model.bodies)),
             frames=tuple(map(self._frame, model.frames)),
             wrenches=tuple(map(self._wrench, model.wrenches)),
+            forces=tuple(map(self._element, model.forces)),
+            contacts=tuple(map(self._contact, model.contacts)),
             loops=tuple(map(self._loop, model.loops)),
             constraints=tuple(map(self._constraint, model.constraints)),
         )
@@ -182,8 +191,57 @@ class _Release:
         return replace(
             wrench,
             position=self._triple(f"{path}.position", wrench.position),
-            force=wrench.force and self._triple(f"{path}.force", wrench.force),
-            moment=wrench.moment and self._triple(f"{path}.moment", wrench.moment),
+            force=wrench.force and self._components(f"{path}.force", wrench.force),
+            moment=wrench.moment and self._components(f"{path}.moment", wrench.moment),
+        )
+
+    def _components(self, path: str, components: Triple) -> Triple:
+        """Release numbers, and the numbers of expressions that read the state."""
+        x, y, z = (
+            replace_counted(component, f"{path}.{axis}", self._number)
+            if names(component) & self._state
+            else self._number(f"{path}.{axis}", component)
+            for axis, component in zip("xyz", components, strict=True)
+        )
+        return x, y, z
+
+    def _element(self, element: ForceElement) -> ForceElement:
+        path = f"forces.{element.name}"
+        first, second = (
+            replace(end, placement=self._placement(f"{path}.{key}", end.placement))
+            for key, end in (("from", element.first), ("to", element.second))
+        )
+        cable = element.cable and Cable(
+            self._number(f"{path}.width", element.cable.width),
+            self._number(f"{path}.dissipation", element.cable.dissipation),
+        )
+        return ForceElement(
+            element.name,
+            first,
+            second,
+            self._number(f"{path}.stiffness", element.stiffness),
+            self._number(f"{path}.rest", element.rest),
+            self._number(f"{path}.damping", element.damping) if cable is None else element.damping,
+            cable,
+            replace_counted(element.force, f"{path}.force", self._number),
+        )
+
+    def _contact(self, contact: Contact) -> Contact:
+        path = f"contacts.{contact.name}"
+        grip = contact.friction and Grip(
+            self._number(f"{path}.friction.coefficient", contact.friction.coefficient),
+            self._number(f"{path}.friction.speed", contact.friction.speed),
+        )
+        return replace(
+            contact,
+            stiffness=self._number(f"{path}.stiffness", contact.stiffness),
+            placement=self._placement(path, contact.placement),
+            radius=self._number(f"{path}.radius", contact.radius) if contact.size is None else contact.radius,
+            size=contact.size and self._triple(f"{path}.size", contact.size),
+            plane=replace(contact.plane, position=self._triple(f"{path}.plane.position", contact.plane.position)),
+            dissipation=self._number(f"{path}.dissipation", contact.dissipation),
+            width=self._number(f"{path}.width", contact.width),
+            friction=grip,
         )
 
     def _loop(self, loop: Loop) -> Loop:
@@ -204,6 +262,7 @@ class _Release:
 def _find_fixed(model: Model) -> set[str]:
     """Find the parameters that axes depend on, by themselves or by the values of others."""
     found = {name for axis in _list_axes(model) for component in axis for name in names(component)}
+    found |= {name for contact in model.contacts for name in names(contact.exponent)}
     for parameter in reversed(model.parameters):  # a value depends on parameters that stand before it
         if parameter.name in found:
             found |= names(parameter.value)
@@ -213,6 +272,7 @@ def _find_fixed(model: Model) -> set[str]:
 def _list_axes(model: Model) -> Iterator[Triple]:
     yield from (joint.axis for body in model.bodies for joint in body.joints)
     yield from (axis for loop in model.loops for axis in (loop.axis, loop.axis2))
+    yield from (contact.plane.normal for contact in model.contacts)
 
 
 def _is_quarter_turn(angle: Expression) -> bool:

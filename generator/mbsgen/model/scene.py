@@ -20,7 +20,8 @@ from mbsgen.expressions import Expression, names
 from mbsgen.model.expansion import list_steps
 from mbsgen.model.following import list_joints
 from mbsgen.model.locking import lock
-from mbsgen.model.model import BASE, ORIGIN, Model
+from mbsgen.model.model import BASE, ORIGIN, Frame, Model
+from mbsgen.model.quantities import find_read_frames
 from mbsgen.model.sections import NumberField
 from mbsgen.model.topology import find_carriers
 from mbsgen.model.tree import Kind
@@ -100,19 +101,31 @@ def read_scene(path: Path, model: Model, functions: Mapping[str, Sequence[str]])
 
 
 def stage(model: Model, scene: Scene) -> Model:
-    """Remove parts of a model that a scene does not need; with locked joints, also wrenches on bodies at rest.
+    """Remove parts of a model that a scene does not need; with locked joints, also forces on bodies at rest.
 
     The rough coordinates of locked joints go, too, and so do equations between them that hold.
     """
     kept = lock(apply_kinds(model, scene), dict(scene.locked))
     carriers = find_carriers(kept)
     felt = [w for w in kept.wrenches if carriers[w.body] != BASE]
+    wrenches = tuple(w for w in felt if scene.wrenches is None or w.name in scene.wrenches)
+    forces = tuple(x for x in kept.forces if carriers[x.first.body] != carriers[x.second.body])
+    contacts = tuple(x for x in kept.contacts if carriers[x.body] != carriers[x.plane.body])
+    kept = replace(kept, wrenches=wrenches, forces=forces, contacts=contacts)
     return replace(
         kept,
         gravity=kept.gravity if scene.gravity else ORIGIN,
-        frames=tuple(f for f in kept.frames if scene.sensors is None or f.name in scene.sensors),
-        wrenches=tuple(w for w in felt if scene.wrenches is None or w.name in scene.wrenches),
+        frames=tuple(_select_frames(kept, scene.sensors)),
     )
+
+
+def _select_frames(model: Model, sensors: Sequence[str] | None) -> Iterator[Frame]:
+    """Keep the sensors that a scene names, and, not as sensors, the frames that forces read."""
+    read = find_read_frames(model)
+    for frame in model.frames:
+        is_sensor = frame.is_sensor and (sensors is None or frame.name in sensors)
+        if is_sensor or frame.name in read:
+            yield replace(frame, is_sensor=is_sensor)
 
 
 def apply_kinds(model: Model, scene: Scene) -> Model:
@@ -139,7 +152,7 @@ class _Judgement:
         joints, loose = [x.name for x in steps], [x.name for x in steps if x.joint.floats]
         lists: tuple[tuple[str, str, Sequence[str] | None, Sequence[str]], ...] = (
             ("functions", "function", section.functions, list(self.functions)),
-            ("sensors", "frame", section.sensors, [f.name for f in self.model.frames]),
+            ("sensors", "frame", section.sensors, [f.name for f in self.model.frames if f.is_sensor]),
             ("wrenches", "wrench", section.wrenches, [w.name for w in self.model.wrenches]),
         )
         for key, kind, given, known in lists:

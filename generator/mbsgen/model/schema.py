@@ -17,6 +17,7 @@ from pydantic.json_schema import GenerateJsonSchema
 from mbsgen.documents import Section
 from mbsgen.expressions import Number
 from mbsgen.model import joints
+from mbsgen.model.force_sections import ContactSection, ForceSection
 from mbsgen.model.joints.elementary import ElementarySection
 from mbsgen.model.joints.section import JointSection
 from mbsgen.model.loops import ConstraintSection, LoopSection
@@ -76,10 +77,11 @@ class BodySection(Section):
 
 
 class FrameSection(PlacementSection):
-    """A named frame on a body, whose pose is an output: a sensor."""
+    """A named frame on a body; its pose is an output."""
 
     name: str = Field(examples=["hand"])
     body: str = Field(examples=[BASE])
+    sensor: bool = Field(True, examples=[True], description="false: no output, forces alone read it")
 
 
 WrenchField = Annotated[
@@ -88,14 +90,18 @@ WrenchField = Annotated[
 
 
 class WrenchSection(Section):
-    """An external force and moment on a body: numbers, or inputs of the code."""
+    """An external force and moment on a body: numbers, expressions of the state, or inputs of the code."""
 
     name: str = Field(examples=["wind"])
     body: str = Field(examples=["upperarm"])
     position: TripleField = Field(ORIGIN, examples=[[0.1, 0.0, 0.0]], description="its point, in the body's frame, m")
     frame: Literal["base", "body"] = Field("base", examples=["base"], description="whose axes its components are along")
-    force: WrenchField = Field(ORIGIN, examples=[[0.0, 0.0, 1.0]], description="three numbers in N, or input")
-    moment: WrenchField = Field(ORIGIN, examples=[[0.0, 0.0, 1.0]], description="three numbers in Nm, or input")
+    force: WrenchField = Field(
+        ORIGIN, examples=[[0.0, 0.0, 1.0]], description="in N, over parameters and the state; or input"
+    )
+    moment: WrenchField = Field(
+        ORIGIN, examples=[[0.0, 0.0, 1.0]], description="in Nm, over parameters and the state; or input"
+    )
 
 
 ParameterField = Annotated[
@@ -115,6 +121,8 @@ class ModelSection(Section):
     bodies: tuple[BodySection, ...]  # narrowed by `model_section`
     frames: tuple[FrameSection, ...] = Field((), examples=[[]], description="sensors")
     wrenches: tuple[WrenchSection, ...] = Field((), examples=[[]])
+    forces: tuple[ForceSection, ...] = Field((), examples=[[]], description="springs and cables between two frames")
+    contacts: tuple[ContactSection, ...] = Field((), examples=[[]], description="compliant contacts with planes")
     loops: tuple[LoopSection, ...] = Field((), examples=[[]], description="joints that close loops of bodies")
     constraints: tuple[ConstraintSection, ...] = Field((), examples=[[]], description="equations of coordinates")
     driven: tuple[str, ...] = Field((), examples=[[]], description="joints whose motion is given; their force results")

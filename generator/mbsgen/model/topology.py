@@ -48,7 +48,7 @@ def find_carriers(model: Model) -> dict[str, str]:
 
 
 def check_tree(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
-    """Find parents and bodies of frames, wrenches and loops that do not exist, and loops of parents."""
+    """Find parents and bodies of frames, forces and loops that do not exist, and loops of parents."""
     names = [body.name for body in model.bodies]
     if any(lies_under(("bodies", i, "name"), doubtful) for i in range(len(names))):
         return  # any name may be the one that is missed
@@ -57,6 +57,10 @@ def check_tree(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
     carriers += [(("wrenches", i, "body"), wrench.body) for i, wrench in enumerate(model.wrenches)]
     ends = [(i, key, end) for i, x in enumerate(model.loops) for key, end in (("from", x.first), ("to", x.second))]
     carriers += [(("loops", i, key, "body"), end.body) for i, key, end in ends]
+    spans = [(i, key, end) for i, x in enumerate(model.forces) for key, end in (("from", x.first), ("to", x.second))]
+    carriers += [(("forces", i, key, "body"), end.body) for i, key, end in spans]
+    carriers += [(("contacts", i, "body"), contact.body) for i, contact in enumerate(model.contacts)]
+    carriers += [(("contacts", i, "plane", "body"), contact.plane.body) for i, contact in enumerate(model.contacts)]
     for place, name in [*parents, *carriers]:
         if name not in (BASE, *names) and not lies_under(place, doubtful):
             meant = nearest(name, [BASE, *names])

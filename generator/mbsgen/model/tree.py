@@ -167,8 +167,40 @@ class Constraint:
 
 
 def coordinate_symbol(joint: str) -> Symbol:
-    """Return the symbol of a joint's coordinate in the equation of a constraint; no parameter has it."""
+    """Return the symbol of a joint's coordinate in constraints and forces; no parameter has it."""
     return Symbol(f"q[{joint}]", real=True)
+
+
+class Reading(Enum):
+    """A vector that forces read of the state: of a point of a body, in the base frame."""
+
+    POSITION = "position"  # [m]
+    VELOCITY = "velocity"  # [m/s]
+    DIRECTION = "direction"  # a vector that is fixed in the body
+    SPIN = "spin"  # the body's angular velocity [rad/s]
+
+
+@dataclass(frozen=True)
+class Probe:
+    """A vector of the state that forces read, by the symbols of its three components."""
+
+    symbols: tuple[Symbol, Symbol, Symbol]
+    reading: Reading
+    body: int  # 0: the base
+    point: Vector = (ZERO, ZERO, ZERO)  # in the body's frame [m]; of a direction, its components there
+
+
+@dataclass(frozen=True)
+class Definition:
+    """A number that forces have in common, by its symbol."""
+
+    symbol: Symbol
+    value: Expr  # over parameters, coordinates, velocities, probes and earlier definitions
+
+
+def rate_symbol(joint: str) -> Symbol:
+    """Return the symbol of a joint's velocity in forces; no parameter has it."""
+    return Symbol(f"qd[{joint}]", real=True)
 
 
 @dataclass(frozen=True)
@@ -193,7 +225,10 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Wrench:
-    """An external force and moment on a body, at a point fixed in it."""
+    """An external force and moment on a body, at a point fixed in it.
+
+    Components may depend on the state: on coordinates and velocities of joints, probes and definitions.
+    """
 
     name: str
     body: int  # from 1
@@ -214,6 +249,8 @@ class Tree:
     bodies: tuple[Body, ...]  # bodies[i - 1] is body i
     sensors: tuple[Sensor, ...]
     wrenches: tuple[Wrench, ...] = ()
+    probes: tuple[Probe, ...] = ()  # what wrenches and force laws read of the state
+    definitions: tuple[Definition, ...] = ()  # what they have in common
     quaternions: tuple[Quaternion, ...] = ()
     couplings: tuple[Coupling, ...] = ()
     loops: tuple[Loop, ...] = ()
@@ -277,11 +314,26 @@ class Tree:
             numbers += [*sensor.position, *chain(*sensor.orientation)]
         for wrench in self.wrenches:
             numbers += [*wrench.position, *chain(*wrench.orientation), *(wrench.force or ()), *(wrench.moment or ())]
-        return frozenset().union(*(number.free_symbols for number in numbers)) - {
-            COORDINATE,
-            RATE,
-            *(coordinate_symbol(body.joint.name) for body in self.bodies),
-        }
+        numbers += [number for probe in self.probes for number in probe.point]
+        numbers += [definition.value for definition in self.definitions]
+        return frozenset().union(*(number.free_symbols for number in numbers)) - {COORDINATE, RATE, *self.state_symbols}
+
+    @property
+    def state_symbols(self) -> frozenset[Symbol]:
+        """The symbols that stand for numbers of the state in constraints, force laws and wrenches."""
+        joints = [body.joint.name for body in self.bodies]
+        own = {symbol(name) for name in joints for symbol in (coordinate_symbol, rate_symbol)}
+        return frozenset(own).union(*(x.symbols for x in self.probes), (x.symbol for x in self.definitions))
+
+    @property
+    def without_readings(self) -> Tree:
+        """The same tree without wrenches that read the state, for equations that do not depend on wrenches."""
+        known = self.state_symbols
+
+        def reads(wrench: Wrench) -> bool:
+            return any(x.free_symbols & known for v in (wrench.force, wrench.moment) for x in v or ())
+
+        return replace(self, wrenches=tuple(x for x in self.wrenches if not reads(x)))
 
     def children(self, i: int) -> tuple[int, ...]:
         """Number the bodies whose parent is body i."""

@@ -44,6 +44,11 @@ class Valuation:
         for parameter in parameters:
             self._define(parameter, generic)
 
+    @property
+    def names(self) -> frozenset[str]:
+        """Return the names of all parameters."""
+        return frozenset((*self._values, *self._forms, *self._broken, *self._later))
+
     def number(self, place: Place, expression: Expression) -> float:
         """Return the value of an expression."""
         value = self._evaluate(place, expression)

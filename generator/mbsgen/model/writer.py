@@ -15,14 +15,19 @@ from mbsgen.model.joints import describe_joint
 from mbsgen.model.model import (
     BASE,
     FREE,
+    GROUND,
     HERE,
+    HERTZ,
     ONE,
     ORIGIN,
     UNITS,
+    WIDTH,
     ZERO,
     Body,
     Constraint,
+    Contact,
     Follow,
+    ForceElement,
     Frame,
     Inertia,
     Joint,
@@ -32,6 +37,7 @@ from mbsgen.model.model import (
     Model,
     Parameter,
     Placement,
+    Plane,
     Triple,
     Wrench,
 )
@@ -53,6 +59,10 @@ def write_model(model: Model) -> str:
         content["frames"] = [_write_frame(frame) for frame in model.frames]
     if model.wrenches:
         content["wrenches"] = [_write_wrench(wrench) for wrench in model.wrenches]
+    if model.forces:
+        content["forces"] = [_write_element(element) for element in model.forces]
+    if model.contacts:
+        content["contacts"] = [_write_contact(contact) for contact in model.contacts]
     if model.loops:
         content["loops"] = [_write_loop(loop) for loop in model.loops]
     if model.constraints:
@@ -177,7 +187,8 @@ def _write_inertia(inertia: Inertia) -> Value:
 
 
 def _write_frame(frame: Frame) -> Mapped:
-    return {"name": _quote(frame.name), "body": _quote(frame.body), **_write_placement(frame.placement)}
+    content: Mapped = {"name": _quote(frame.name), "body": _quote(frame.body), **_write_placement(frame.placement)}
+    return content if frame.is_sensor else {**content, "sensor": _write_truth(False)}
 
 
 def _write_wrench(wrench: Wrench) -> Mapped:
@@ -189,6 +200,52 @@ def _write_wrench(wrench: Wrench) -> Mapped:
         if vector != ORIGIN:
             content[key] = "input" if vector is None else _write_triple(vector)
     return content
+
+
+def _write_element(element: ForceElement) -> Mapped:
+    content: Mapped = {"name": _quote(element.name)}
+    if element.cable is not None:
+        content["type"] = "cable"
+    content |= {"from": _write_end(element.first), "to": _write_end(element.second)}
+    content |= _write_numbers(element, ("stiffness", "rest", "damping"))
+    if element.cable is not None:
+        content |= _write_numbers(element.cable, ("dissipation",))
+        if element.cable.width != WIDTH:
+            content["width"] = _write_number(element.cable.width)
+    return content | _write_numbers(element, ("force",))
+
+
+def _write_contact(contact: Contact) -> Mapped:
+    content: Mapped = {"name": _quote(contact.name), "body": _quote(contact.body)}
+    content |= _write_placement(contact.placement) | _write_numbers(contact, ("radius",))
+    if contact.size is not None:
+        content["size"] = _write_triple(contact.size)
+    if contact.plane != GROUND:
+        content["plane"] = _write_plane(contact.plane)
+    content["stiffness"] = _write_number(contact.stiffness)
+    if contact.exponent != HERTZ:
+        content["exponent"] = _write_number(contact.exponent)
+    content |= _write_numbers(contact, ("dissipation",))
+    if contact.width != WIDTH:
+        content["width"] = _write_number(contact.width)
+    if contact.friction is not None:
+        content["friction"] = {
+            "coefficient": _write_number(contact.friction.coefficient),
+            "speed": _write_number(contact.friction.speed),
+        }
+    return content
+
+
+def _write_plane(plane: Plane) -> Mapped:
+    content: Mapped = {} if plane.body == BASE else {"body": _quote(plane.body)}
+    if plane.position != ORIGIN:
+        content["position"] = _write_triple(plane.position)
+    return content if plane.normal == GROUND.normal else {**content, "normal": _write_axis(plane.normal)}
+
+
+def _write_numbers(part: object, keys: Sequence[str]) -> Mapped:
+    """Write the numbers of a part that are not 0."""
+    return {key: _write_number(getattr(part, key)) for key in keys if getattr(part, key) != ZERO}
 
 
 def _write_loop(loop: Loop) -> Mapped:

@@ -17,7 +17,7 @@ from sympy import Expr, Symbol
 
 from mbsgen.formulations import ports, textbook
 from mbsgen.formulations.links import assign_symbols, declare_state, joint_forces, write_chain
-from mbsgen.model.tree import Coupling, Kind, Tree, coordinate_symbol
+from mbsgen.model.tree import Coupling, Kind, Probe, Reading, Tree, coordinate_symbol, rate_symbol
 from mbsgen.procedure.procedure import Computation
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import DECIMALS, evaluate
@@ -132,6 +132,7 @@ class Truth:
     def _value(self, number: Expr, more: Mapping[Symbol, Decimal] = MappingProxyType({})) -> Decimal:
         """Return a number of the tree for the parameters of the state, and the values of further symbols."""
         builder = Builder()
+        more = {symbol: more[symbol] for symbol in sorted(number.free_symbols & more.keys(), key=str)}
         own = dict(zip(more, builder.vector("own", len(more)), strict=True)) if more else {}
         given = {
             port: self.state.take(port.name, sum(x.kind is kind for x in self.tree.parameters))
@@ -269,6 +270,32 @@ class Truth:
         pose = self.poses[self.tree.sensors[k].body]
         turn = self.mechanism.matrix(f"turn_{k}")
         return Pose(pose.place(self.mechanism.vector(f"place_{k}")), times(pose.R, turn))
+
+    @cached_property
+    def readings(self) -> Mapping[Symbol, Decimal]:
+        """Return the numbers of the state that forces may depend on, by symbol."""
+        joints = [body.joint.name for body in self.tree.bodies]
+        known = dict(zip(map(rate_symbol, joints), self.all_qd, strict=True))
+        known |= zip(map(coordinate_symbol, self.tree.coordinates), self.q, strict=True)  # of quaternions: not read
+        for k, probe in enumerate(self.tree.probes):
+            known |= zip(probe.symbols, self._probe(probe, self.mechanism.vector(f"probe_{k}")), strict=True)
+        for definition in self.tree.definitions:
+            known[definition.symbol] = self._value(definition.value, known)
+        return known
+
+    def _probe(self, probe: Probe, point: Vector) -> Vector:
+        match probe.reading:
+            case Reading.POSITION:
+                return self.poses[probe.body].place(point)
+            case Reading.VELOCITY:
+                return self.moving_point(probe.body, point)
+            case Reading.DIRECTION:
+                return apply(self.poses[probe.body].R, point)
+        return self.speeds[probe.body][1]
+
+    def read(self, components: Sequence[Expr]) -> Vector:
+        """Return the components of a force or moment."""
+        return [self._value(x, self.readings) for x in components]
 
     @property
     def moving(self) -> Truth:
@@ -471,18 +498,18 @@ def _energy(truth: Truth, _: Computation, results: Results) -> Iterator[Comparis
 
 def _power(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
     """Sum the power of each force."""
-    parts = [*(Q * qd for Q, qd in zip(truth.Q, truth.qd, strict=True)), *_pull(truth)]
+    parts = [*(Q * qd for Q, qd in zip(truth.Q, truth.qd, strict=True)), *_work(truth)]
     yield Comparison("power", results["power"], [sum(parts, ZERO)], largest(parts))
 
 
-def _pull(truth: Truth) -> Iterator[Decimal]:
+def _work(truth: Truth) -> Iterator[Decimal]:
     """Yield the power of each external force and moment."""
     sizes = 3 * sum(v is None for x in truth.tree.wrenches for v in (x.force, x.moment))
     open_ones = iter(truth.state.take("w", sizes))
     for k, wrench in enumerate(truth.tree.wrenches):
         force, moment = (
-            truth.mechanism.vector(f"{name}_{k}") if vector is not None else list(islice(open_ones, 3))
-            for name, vector in (("force", wrench.force), ("moment", wrench.moment))
+            truth.read(vector) if vector is not None else list(islice(open_ones, 3))
+            for vector in (wrench.force, wrench.moment)
         )
         if not wrench.in_base:
             axes = times(truth.poses[wrench.body].R, truth.mechanism.matrix(f"axes_of_{k}"))
@@ -592,7 +619,7 @@ def grow_energy(truth: Truth, energy: Callable[[dict[str, Numbers]], Results]) -
         results = energy(moved)
         totals.append([results["kinetic"][0] + results["potential"][0]])
     parts = [a * b for a, b in zip(truth.residual(truth.qdd), truth.qd, strict=True)]
-    parts += _pull(truth)
+    parts += _work(truth)
     return Comparison("growth", slope(*totals), [sum(parts, ZERO)], largest(parts))
 
 

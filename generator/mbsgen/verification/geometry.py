@@ -127,9 +127,8 @@ def write_numbers(tree: Tree, parameters: Mapping[str, Numbers]) -> dict[str, Nu
     for k, wrench in enumerate(tree.wrenches):
         put(f"point_{k}", [[x] for x in wrench.position])
         put(f"axes_of_{k}", wrench.orientation)
-        for name, vector in (("force", wrench.force), ("moment", wrench.moment)):
-            if vector is not None:
-                put(f"{name}_{k}", [[x] for x in vector])
+    for k, probe in enumerate(tree.probes):
+        put(f"probe_{k}", [[x] for x in probe.point])
     tape = builder.build("numbers")
     given = {i.name: parameters.get(i.name, [ZERO] * i.sparsity.nnz) for i in tape.inputs}
     assert all(given[port.name] for port in (ports.PARAMETERS, ports.DESIGN) if port.name in given), (

@@ -1,0 +1,177 @@
+"""Forces between bodies: force elements and contacts -> probes, definitions and wrenches of a Tree.
+
+A force element of tension T between the points a and b, with d = b - a and length = |d|, pulls a by T d/length and b by
+the opposite. A spring and damper has
+
+    T = stiffness (length - rest) + damping rate + force.
+
+A cable cannot push. With e = softplus(length - rest, width), which is length - rest where that is well above 0,
+
+    T = stiffness e phi(dissipation rate) + force,    phi(x) = softplus(1 + x, 1/10)/softplus(1, 1/10).
+
+phi(x) is 1 + x within 5e-6 of itself for x >= 0, and above 0 everywhere (1 + x is the law of Hunt and Crossley,
+"Coefficient of restitution interpreted as damping in vibroimpact", J. Appl. Mech. 42, 1975). phi grows; phi(0) is 1.
+The tension T differs from the elastic one by a force against the rate, which takes energy out.
+
+A contact of a sphere of centre c and radius r with the plane through P of normal n, at the point p = c - r n,
+
+    gap = n.(c - P) - r,    v: velocity of the sphere relative to the plane at p,    rate = n.v
+    depth = softplus(-gap, width)
+    N = stiffness depth^exponent phi(-dissipation rate)
+    F = N n - coefficient N v_t / sqrt(v_t.v_t + speed^2),    v_t = v - rate n,
+
+acts on the sphere at p, and its opposite on the plane's body. A half power is depth^k sqrt(depth + 1e-6 width): a root
+has no derivative at 0. The friction is Coulomb's, regularised (Brown, McPhee, "A continuous velocity-based friction
+model", J. Comput. Nonlinear Dyn. 11, 2016, compare such laws); a body at rest on a slope creeps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from sympy import Expr, Symbol, sqrt
+
+from mbsgen.expressions import Expression, parse
+from mbsgen.model import model
+from mbsgen.model.model import LENGTH, LENGTH_RATE, Contact, ForceElement
+from mbsgen.model.tree import ZERO, Definition, Probe, Reading, Vector, Wrench
+
+POWERS = (1.0, 1.5, 2.0, 2.5, 3.0)  # exponents of a depth
+Read = Callable[[Expression, Mapping[str, Expr]], Expr]  # an expression of a Model, given further names
+
+_PHI = "softplus(1 + {0}, 1/10)/softplus(1, 1/10)"
+_SPRING = parse("stiffness*(length - rest) + damping*rate + force")
+_CABLE = parse(f"stiffness*softplus(length - rest, width)*{_PHI.format('dissipation*rate')} + force")
+_DEPTH = parse("softplus(-gap, width)")
+_NORMAL = parse(f"stiffness*power*{_PHI.format('-dissipation*rate')}")
+_ROOT = parse("sqrt(depth + 1e-6*width)")
+_DRAG = parse("coefficient*normal/sqrt(square + speed**2)")
+_NOTHING: Vector = (ZERO, ZERO, ZERO)
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """A point of a body, in its frame."""
+
+    body: int  # 0: the base
+    point: Vector
+
+
+class Loads:
+    """Collects the probes, definitions and wrenches of forces."""
+
+    def __init__(self, read: Read) -> None:
+        """Take what reads the expressions of the model."""
+        self._read = read
+        self.probes: list[Probe] = []
+        self.definitions: list[Definition] = []
+        self.wrenches: list[Wrench] = []
+
+    def add_element(self, element: ForceElement, first: Anchor, second: Anchor) -> None:
+        """Add the wrenches of a force element, at its ends that can move."""
+        name = element.name
+        a, b = (self._probe(name, k, Reading.POSITION, end) for k, end in (("a", first), ("b", second)))
+        d = self._define_vector(name, "d", _subtract(b, a))
+        if (element.rest, element.damping, element.cable, element.force) == (model.ZERO, model.ZERO, None, model.ZERO):
+            pull = self._read(element.stiffness, {})  # a spring of length 0 at rest has no division by its length
+        else:
+            v, w = (self._probe(name, k, Reading.VELOCITY, end) for k, end in (("a", first), ("b", second)))
+            length = self._define(name, "length", sqrt(_dot(d, d)))
+            rate = self._define(name, "rate", _dot(d, _subtract(w, v)) / length)
+            pull = self._define(name, "pull", self._tension(element, length, rate) / length)
+        F = self._define_vector(name, "F", _scale(pull, d))
+        self._act(name, first, F, _NOTHING)
+        self._act(name, second, _scale(-1, F), _NOTHING)
+
+    def _tension(self, element: ForceElement, length: Expr, rate: Expr) -> Expr:
+        own = {LENGTH: length, LENGTH_RATE: rate}
+        own |= {key: self._read(getattr(element, key), {}) for key in ("stiffness", "rest", "damping")}
+        own["force"] = self._read(element.force, own)
+        if element.cable is None:
+            return self._read(_SPRING, own)
+        own |= {key: self._read(getattr(element.cable, key), {}) for key in ("width", "dissipation")}
+        return self._read(_CABLE, own)
+
+    def add_contact(
+        self, contact: Contact, points: Sequence[tuple[str, Anchor]], plane: Anchor, normal: Vector, exponent: float
+    ) -> None:
+        """Add the wrenches of a contact at some points of a body, by their names, with a plane of unit normal."""
+        assert exponent in POWERS, "exponents are checked"
+        for name, point in points:
+            self._touch(contact, name, point, plane, normal, exponent)
+
+    def _touch(
+        self, contact: Contact, name: str, centre: Anchor, plane: Anchor, normal: Vector, exponent: float
+    ) -> None:
+        radius = self._read(contact.radius, {})
+        n = self._probe(name, "n", Reading.DIRECTION, Anchor(plane.body, normal))
+        c, P = (self._probe(name, k, Reading.POSITION, at) for k, at in (("c", centre), ("P", plane)))
+        (vc, wc), (vP, wP) = (
+            [self._probe(name, k, reading, at) for reading in (Reading.VELOCITY, Reading.SPIN)]
+            for k, at in (("c", centre), ("P", plane))
+        )
+        arm = _scale(-radius, n)  # from the centre to the point of contact
+        reach = self._define_vector(name, "reach", _add(_subtract(c, P), arm))  # from the plane's point to it
+        relative = _subtract(_add(vc, _cross(wc, arm)), _add(vP, _cross(wP, reach)))
+        v = self._define_vector(name, "v", relative)
+        gap, rate = self._define(name, "gap", _dot(n, reach)), self._define(name, "rate", _dot(n, v))
+        N = self._press(contact, name, gap, rate, exponent)
+        F = _scale(N, n)
+        if contact.friction is not None:
+            slip = self._define_vector(name, "slip", _subtract(v, _scale(rate, n)))
+            own = {"normal": N, "square": _dot(slip, slip)}
+            own |= {key: self._read(getattr(contact.friction, key), {}) for key in ("coefficient", "speed")}
+            drag = self._define(name, "drag", self._read(_DRAG, own))
+            F = _subtract(F, _scale(drag, slip))
+        F = self._define_vector(name, "F", F)
+        self._act(name, centre, F, _cross(arm, F))
+        self._act(name, plane, _scale(-1, F), _cross(F, reach))
+
+    def _press(self, contact: Contact, name: str, gap: Expr, rate: Expr, exponent: float) -> Expr:
+        """Define the normal force."""
+        own = {key: self._read(getattr(contact, key), {}) for key in ("stiffness", "dissipation", "width")}
+        own |= {"gap": gap, "rate": rate}
+        own["depth"] = self._define(name, "depth", self._read(_DEPTH, own))
+        own["power"] = own["depth"] ** int(exponent)
+        if exponent % 1:
+            own["power"] *= self._read(_ROOT, own)
+        return self._define(name, "N", self._read(_NORMAL, own))
+
+    def _probe(self, name: str, key: str, reading: Reading, anchor: Anchor) -> Vector:
+        x, y, z = (Symbol(f"force[{name}] {key} {reading.value}.{axis}", real=True) for axis in "xyz")
+        self.probes.append(Probe((x, y, z), reading, anchor.body, anchor.point))
+        return x, y, z
+
+    def _define(self, name: str, key: str, value: Expr) -> Expr:
+        symbol = Symbol(f"force[{name}] {key}", real=True)
+        self.definitions.append(Definition(symbol, value))
+        return symbol
+
+    def _define_vector(self, name: str, key: str, vector: Vector) -> Vector:
+        x, y, z = (self._define(name, f"{key}.{axis}", value) for axis, value in zip("xyz", vector, strict=True))
+        return x, y, z
+
+    def _act(self, name: str, anchor: Anchor, force: Vector, moment: Vector) -> None:
+        if anchor.body:
+            self.wrenches.append(Wrench(name, anchor.body, anchor.point, True, force, moment))
+
+
+def _add(a: Vector, b: Vector) -> Vector:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+def _subtract(a: Vector, b: Vector) -> Vector:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def _scale(factor: Expr | int, a: Vector) -> Vector:
+    return factor * a[0], factor * a[1], factor * a[2]
+
+
+def _dot(a: Vector, b: Vector) -> Expr:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]

@@ -1,0 +1,159 @@
+"""Checks of wrenches, force elements and contacts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
+
+from sympy import Expr, Symbol
+
+from mbsgen.documents import Place, abbreviate
+from mbsgen.expressions import Expression, names, write
+from mbsgen.model.elements import POWERS
+from mbsgen.model.findings import Finding
+from mbsgen.model.model import (
+    BASE,
+    LENGTH,
+    LENGTH_RATE,
+    ZERO,
+    Contact,
+    ForceElement,
+    Model,
+    Triple,
+    Wrench,
+)
+from mbsgen.model.quantities import list_quantities
+from mbsgen.model.topology import find_carriers
+from mbsgen.model.valuation import Valuation
+
+State = Mapping[str, Expr]  # the symbols of what forces may read, by name
+
+
+def list_state(model: Model) -> State:
+    """Return the symbols of all numbers of the state, by name."""
+    return {name: quantity.symbol for name, quantity in list_quantities(model).items()}
+
+
+def check_forces(model: Model, valuation: Valuation) -> Iterator[Finding]:
+    """Find what is wrong with the values of wrenches, force elements and contacts."""
+    state = list_state(model)
+    for i, wrench in enumerate(model.wrenches):
+        yield from _check_wrench(("wrenches", i), wrench, valuation, state)
+    for i, element in enumerate(model.forces):
+        yield from _check_element(("forces", i), element, valuation, state)
+    for i, contact in enumerate(model.contacts):
+        yield from _check_contact(("contacts", i), contact, valuation)
+
+
+def check_law(
+    place: Place, expression: Expression, valuation: Valuation, state: State, own: State = MappingProxyType({})
+) -> Iterator[Finding]:
+    """Find what is wrong with an expression over parameters, the state, and a joint's own numbers, by their symbols."""
+    both = sorted(names(expression) & (state.keys() - own.keys()) & valuation.names)
+    for name in both:
+        finding = f"{name} is a parameter, and a number of the state too"
+        yield Finding(place, finding, "give the parameter another name")
+    if not both:
+        valuation.form(place, expression, {**state, **own})
+
+
+def _check_wrench(place: Place, wrench: Wrench, valuation: Valuation, state: State) -> Iterator[Finding]:
+    valuation.triple((*place, "position"), wrench.position)
+    if wrench.body == BASE:
+        yield Finding((*place, "body"), f"{BASE} does not move", "name the body that the wrench acts on")
+    idle = True
+    for key, vector in (("force", wrench.force), ("moment", wrench.moment)):
+        if vector is None:
+            idle = False
+            continue
+        for k, component in enumerate(vector):
+            if names(component) & state.keys():
+                idle = False
+                yield from check_law((*place, key, k), component, valuation, state)
+            else:
+                value = valuation.number((*place, key, k), component)
+                idle = idle and value == 0 and not valuation.changes(component)
+    if idle:
+        yield Finding(place, "a wrench without force and moment", "give one of them numbers, or input")
+
+
+def _check_element(place: Place, element: ForceElement, valuation: Valuation, state: State) -> Iterator[Finding]:
+    for key, end in (("from", element.first), ("to", element.second)):
+        valuation.placement((*place, key), end.placement)
+    own: State = {LENGTH: Symbol(LENGTH, real=True), LENGTH_RATE: Symbol(LENGTH_RATE, real=True)}
+    yield from check_law((*place, "force"), element.force, valuation, {**state, **own})
+    given = {"stiffness": element.stiffness, "rest": element.rest, "damping": element.damping}
+    if element.cable is not None:
+        given["dissipation"] = element.cable.dissipation
+        yield from _check_positive((*place, "width"), element.cable.width, valuation)
+        if element.damping != ZERO:
+            remedy = "give dissipation: a part of the tension, so that it cannot push"
+            yield Finding((*place, "damping"), "the damping of a cable", remedy)
+    for key, expression in given.items():
+        yield from _check_not_negative((*place, key), expression, valuation)
+    if element.stiffness == ZERO and (element.rest != ZERO or element.cable is not None):
+        key = "rest" if element.rest != ZERO else "type"
+        yield Finding(
+            (*place, key),
+            f"{write(element.rest)} at rest without a spring" if key == "rest" else "a cable without stiffness",
+            "give a stiffness too",
+        )
+    elif (element.stiffness, element.damping, element.force) == (ZERO, ZERO, ZERO):
+        yield Finding(place, "a force element without force", "give a stiffness, a damping or a force")
+
+
+def _check_contact(place: Place, contact: Contact, valuation: Valuation) -> Iterator[Finding]:
+    valuation.placement(place, contact.placement)
+    valuation.triple((*place, "plane", "position"), contact.plane.position)
+    yield from _check_normal((*place, "plane", "normal"), contact.plane.normal, valuation)
+    yield from _check_not_negative((*place, "radius"), contact.radius, valuation)
+    if contact.size is not None:
+        for k, edge in enumerate(contact.size):
+            yield from _check_positive((*place, "size", k), edge, valuation)
+        if contact.radius != ZERO:
+            yield Finding((*place, "radius"), "a box with a radius", "give a size or a radius, or make two contacts")
+    for key, number in (("stiffness", contact.stiffness), ("width", contact.width)):
+        yield from _check_positive((*place, key), number, valuation)
+    yield from _check_not_negative((*place, "dissipation"), contact.dissipation, valuation)
+    exponent = valuation.constant((*place, "exponent"), contact.exponent)
+    if exponent == exponent and exponent not in POWERS:  # nan: it has a finding
+        yield Finding((*place, "exponent"), f"found {exponent:g}", f"give one of {', '.join(f'{x:g}' for x in POWERS)}")
+    if contact.friction is not None:
+        at = (*place, "friction")
+        yield from _check_not_negative((*at, "coefficient"), contact.friction.coefficient, valuation)
+        yield from _check_positive((*at, "speed"), contact.friction.speed, valuation)
+
+
+def _check_normal(place: Place, normal: Triple, valuation: Valuation) -> Iterator[Finding]:
+    if [valuation.constant(place, component) for component in normal] == [0, 0, 0]:
+        finding = f"[{', '.join(map(write, normal))}] has no direction"
+        yield Finding(place, finding, "give a nonzero 3-vector, e.g. [0, 0, 1]")
+
+
+def _check_positive(place: Place, number: Expression, valuation: Valuation) -> Iterator[Finding]:
+    if (value := valuation.number(place, number)) <= 0:
+        yield Finding(place, f"found {value:g}", "give more than 0")
+
+
+def _check_not_negative(place: Place, number: Expression, valuation: Valuation) -> Iterator[Finding]:
+    if (value := valuation.number(place, number)) < 0:
+        yield Finding(place, f"found {value:g}", "give 0 or more")
+
+
+def check_bodies(model: Model) -> Iterator[Finding]:
+    """Find forces that do nothing, because their bodies do not move, or not relative to each other."""
+    carriers = find_carriers(model)
+    for i, wrench in enumerate(model.wrenches):
+        if carriers.get(wrench.body) == BASE:
+            finding = f"{abbreviate(wrench.body)} is fixed to {BASE}, and does not move"
+            yield Finding(("wrenches", i, "body"), finding, "take the wrench away")
+    pairs = [(("forces", i), x.first.body, x.second.body) for i, x in enumerate(model.forces)]
+    pairs += [(("contacts", i), x.body, x.plane.body) for i, x in enumerate(model.contacts)]
+    for place, first, second in pairs:
+        if carriers[first] == carriers[second]:
+            finding = f"{abbreviate(first)} and {abbreviate(second)} do not move relative to each other"
+            yield Finding(
+                place,
+                finding if first != second else f"both ends are on {abbreviate(first)}",
+                "name two bodies that move relative to each other, or take it away",
+            )

@@ -1,0 +1,103 @@
+"""Force elements and contacts in a model file: sections -> parts of a Model."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from mbsgen.documents import Section
+from mbsgen.model.loops import LoopEndSection
+from mbsgen.model.model import (
+    BASE,
+    GROUND,
+    HERTZ,
+    ORIGIN,
+    UNITS,
+    WIDTH,
+    ZERO,
+    Cable,
+    Contact,
+    ForceElement,
+    Grip,
+    Plane,
+)
+from mbsgen.model.sections import DirectionField, NumberField, PlacementSection, TripleField
+
+
+class ForceSection(Section):
+    """A force between two frames, along the line through their origins: a spring and damper, or a cable."""
+
+    name: str = Field(examples=["strut"])
+    type: Literal["spring", "cable"] = Field("spring", examples=["spring"], description="a cable cannot push")
+    first: LoopEndSection = Field(alias="from", examples=[{"body": BASE}])
+    second: LoopEndSection = Field(alias="to", examples=[{"body": BASE}])
+    stiffness: NumberField = Field(ZERO, examples=[100.0], description="N/m")
+    rest: NumberField = Field(ZERO, examples=[0.3], description="length at which it is slack, m")
+    damping: NumberField = Field(ZERO, examples=[2.0], description="of a spring: N s/m")
+    dissipation: NumberField = Field(
+        ZERO, examples=[0.1], description="of a cable: by which part of itself the tension grows with the rate, s/m"
+    )
+    width: NumberField = Field(
+        WIDTH, examples=[1e-3], description="of a cable: of the transition from slack to tight, m; else 1e-4"
+    )
+    force: NumberField = Field(
+        ZERO, examples=["-2*rate"], description="N, further tension: over parameters, length, rate and the state"
+    )
+
+    def make(self) -> ForceElement:
+        """Make the part of a Model."""
+        cable = Cable(self.width, self.dissipation) if self.type == "cable" else None
+        ends = self.first.end, self.second.end
+        return ForceElement(self.name, *ends, self.stiffness, self.rest, self.damping, cable, self.force)
+
+
+class PlaneSection(Section):
+    """A plane on a body, or on the base; without anything, the ground z = 0."""
+
+    body: str = Field(BASE, examples=[BASE], description="a body, or base")
+    position: TripleField = Field(ORIGIN, examples=[[0.0, 0.0, 0.1]], description="of a point of it, in that frame, m")
+    normal: DirectionField = Field(UNITS["z"], examples=["z"], description="out of the solid, in that frame")
+
+
+class GripSection(Section):
+    """Coulomb friction, smoothed: coefficient*normal force*v/sqrt(v**2 + speed**2)."""
+
+    coefficient: NumberField = Field(examples=[0.8])
+    speed: NumberField = Field(examples=[0.01], description="at which 7/10 of it are reached, m/s")
+
+
+class ContactSection(PlacementSection):
+    """A compliant contact of a sphere, or of the corners of a box, with a plane."""
+
+    name: str = Field(examples=["heel"])
+    body: str = Field(examples=["foot"])
+    radius: NumberField = Field(ZERO, examples=[0.03], description="of a sphere, m; a point without")
+    size: Annotated[TripleField | None, Field(examples=[[0.3, 0.2, 0.1]], description="edges of a box, m")] = None
+    plane: PlaneSection | None = Field(None, examples=[{"normal": "z"}], description="else the ground z = 0")
+    stiffness: NumberField = Field(examples=[1e5], description="N/m**exponent")
+    exponent: NumberField = Field(HERTZ, examples=[1.5], description="of the depth: 1, 1.5, 2, 2.5 or 3")
+    dissipation: NumberField = Field(
+        ZERO, examples=[0.5], description="by which part of itself the force grows with the speed of approach, s/m"
+    )
+    width: NumberField = Field(
+        WIDTH, examples=[1e-4], description="of the transition from distance to depth, m; else 1e-4"
+    )
+    friction: GripSection | None = Field(None, examples=[{"coefficient": 0.8, "speed": 0.01}])
+
+    def make(self) -> Contact:
+        """Make the part of a Model."""
+        grip = None if self.friction is None else Grip(self.friction.coefficient, self.friction.speed)
+        return Contact(
+            self.name,
+            self.body,
+            self.stiffness,
+            self.placement,
+            self.radius,
+            self.size,
+            GROUND if self.plane is None else Plane(self.plane.body, self.plane.position, self.plane.normal),
+            self.exponent,
+            self.dissipation,
+            self.width,
+            grip,
+        )

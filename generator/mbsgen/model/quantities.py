@@ -1,0 +1,78 @@
+"""Numbers of the state that forces read, by the names that problem files have for them: Model -> names, symbols.
+
+    q_NAME, qd_NAME                                       of a joint: coordinate and velocity
+    x_NAME, y_NAME, z_NAME, vx_NAME, vy_NAME, vz_NAME     of a frame: position and velocity of its origin, in the base
+
+Dots and blanks of a name are written _. A joint with a quaternion has velocities only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+from sympy import Symbol
+
+from mbsgen.expressions import Expression, names, spell
+from mbsgen.model.following import list_joints
+from mbsgen.model.model import Model
+from mbsgen.model.tree import Reading, coordinate_symbol, rate_symbol
+
+_READINGS: Mapping[str, Reading] = {"": Reading.POSITION, "v": Reading.VELOCITY}
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One number of the state."""
+
+    symbol: Symbol
+    source: str  # the joint or the frame
+    reading: Reading | None = None  # of a frame
+
+
+def list_quantities(model: Model) -> dict[str, Quantity]:
+    """Return every number of the state that a force may read, by name."""
+    steps = list_joints(model)
+    scalars = [step.name for step in steps if not step.joint.floats]
+    found = {
+        f"{kind}_{name}": Quantity(symbol(joint), joint)
+        for kind, symbol, joints in (
+            ("q", coordinate_symbol, scalars),
+            ("qd", rate_symbol, [step.name for step in steps]),
+        )
+        for joint, name in zip(joints, spell(joints), strict=True)
+        if name is not None
+    }
+    frames = [frame.name for frame in model.frames]
+    for frame, name in zip(frames, spell(frames), strict=True):
+        for sign, reading in _READINGS.items() if name is not None else ():
+            for axis, symbol in zip("xyz", probe_symbols(frame, reading), strict=True):
+                found[f"{sign}{axis}_{name}"] = Quantity(symbol, frame, reading)
+    return found
+
+
+def probe_symbols(name: str, reading: Reading) -> tuple[Symbol, Symbol, Symbol]:
+    """Return the symbols of what a probe reads: of a frame, or of a part of a force."""
+    x, y, z = (Symbol(f"{reading.value}[{name}].{axis}", real=True) for axis in "xyz")
+    return x, y, z
+
+
+def list_laws(model: Model) -> Iterator[Expression]:
+    """List all expressions of a model that may read the state."""
+    for body in model.bodies:
+        yield from (joint.law.force for joint in body.joints)
+    for wrench in model.wrenches:
+        yield from (component for vector in (wrench.force, wrench.moment) for component in vector or ())
+    yield from (element.force for element in model.forces)
+
+
+def find_read_frames(model: Model) -> frozenset[str]:
+    """Name the frames that forces read."""
+    known = list_quantities(model)
+    read = frozenset[str]().union(*map(names, list_laws(model)))
+    return frozenset(known[name].source for name in read & known.keys() if known[name].reading is not None)
+
+
+def find_ambiguous(expression: Expression, parameters: Iterable[str], others: Iterable[str]) -> list[str]:
+    """Find the names in an expression that mean both a parameter and something else."""
+    return sorted(names(expression) & frozenset(parameters) & frozenset(others))

@@ -1,0 +1,133 @@
+"""Applied forces of a model file: wrenches, force elements and contacts, in the base frame.
+
+This is an independent program: it reads the YAML's data, and shares no line with the generator. A force is applied at a
+point that moves with its body; the equations are those of the documentation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from tests.fuzz.kinematics import Array, Data, Kinematics, Motion, Values, value_of
+
+
+@dataclass(frozen=True)
+class Applied:
+    """A force and a moment at a point of a body."""
+
+    body: str
+    motion: Motion  # of the point
+    force: Array
+    moment: Array
+
+
+class Forces:
+    """The forces of a model whose bodies move."""
+
+    def __init__(self, kinematics: Kinematics, bodies: Mapping[str, Motion], q: Values, qd: Values) -> None:
+        self.own, self.bodies, self.model = kinematics, bodies, kinematics.model
+        self.functions = kinematics.numbers.functions
+        self.names = dict(kinematics.names)
+        for kind, column in (("q", q), ("qd", qd)):
+            self.names |= {f"{kind}_{spell(name)}": x for name, x in column.items()}
+        for frame in self.model.get("frames", ()):
+            motion = kinematics.place(bodies[frame["body"]], frame)
+            for axis, p, v in zip("xyz", motion.p, motion.v, strict=True):
+                self.names |= {f"{axis}_{spell(frame['name'])}": p, f"v{axis}_{spell(frame['name'])}": v}
+
+    def list_applied(self, w: Values) -> Iterator[Applied]:
+        """List all forces; `w` holds `NAME.force` and `NAME.moment` of wrenches that are inputs."""
+        for wrench in self.model.get("wrenches", ()):
+            yield self._wrench(wrench, w)
+        for element in self.model.get("forces", ()):
+            yield from self._element(element)
+        for contact in self.model.get("contacts", ()):
+            for point in self._list_points(contact):
+                yield from self._contact(contact, point)
+
+    def value(self, number: Any, **more: Any) -> Any:
+        """Evaluate an expression over parameters, the state, and further names."""
+        return value_of(number, {**self.names, **more}, self.own.numbers)
+
+    def _wrench(self, wrench: Data, w: Values) -> Applied:
+        motion = self.bodies[wrench["body"]].carry(self.own.vector(wrench.get("position", [0, 0, 0])))
+        given = []
+        for key in ("force", "moment"):
+            written = wrench.get(key, [0, 0, 0])
+            open_one = isinstance(written, str)
+            values = w[f"{wrench['name']}.{key}"] if open_one else [self.value(x) for x in written]
+            vector = np.array([self.own.numbers.make(x) for x in values], dtype=self.own.numbers.kind)
+            given.append(motion.R @ vector if wrench.get("frame", "base") == "body" else vector)
+        return Applied(wrench["body"], motion, *given)
+
+    def _element(self, element: Data) -> Iterator[Applied]:
+        ends = [self.own.place(self.bodies[element[key]["body"]], element[key]) for key in ("from", "to")]
+        d, v = ends[1].p - ends[0].p, ends[1].v - ends[0].v
+        stiffness, rest, damping, dissipation = (
+            self.value(element.get(key, 0)) for key in ("stiffness", "rest", "damping", "dissipation")
+        )
+        none = 0 * ends[0].p
+        if element.keys().isdisjoint(("rest", "damping", "force")) and element.get("type") != "cable":
+            force = stiffness * d
+        else:
+            length = self.own.numbers.length(d)
+            rate = (d @ v) / length
+            if element.get("type") == "cable":
+                stretch = self._soften(length - rest, self.value(element.get("width", 1e-4)))
+                tension = stiffness * stretch * self._limit(dissipation * rate)
+            else:
+                tension = stiffness * (length - rest) + damping * rate
+            tension += self.value(element.get("force", 0), length=length, rate=rate)
+            force = tension * d / length
+        yield Applied(element["from"]["body"], ends[0], force, none)
+        yield Applied(element["to"]["body"], ends[1], -force, none)
+
+    def _list_points(self, contact: Data) -> list[Motion]:
+        centre = self.own.place(self.bodies[contact["body"]], contact)
+        if "size" not in contact:
+            return [centre]
+        half = self.own.vector(contact["size"]) / 2
+        return [centre.carry(half * np.array(signs)) for signs in product((-1, 1), repeat=3)]
+
+    def _contact(self, contact: Data, centre: Motion) -> Iterator[Applied]:
+        given = contact.get("plane", {})
+        carrier = given.get("body", "base")
+        body = self.bodies[carrier]
+        foot = body.carry(self.own.vector(given.get("position", [0, 0, 0])))
+        n = body.R @ self.own.direction(given.get("normal", "z"))
+        radius, width = self.value(contact.get("radius", 0)), self.value(contact.get("width", 1e-4))
+        touch = centre.p - radius * n
+        v = centre.v + np.cross(centre.om, touch - centre.p) - foot.v - np.cross(foot.om, touch - foot.p)
+        gap, rate = n @ (touch - foot.p), n @ v
+        depth = self._soften(-gap, width)
+        exponent = self.value(contact.get("exponent", 1.5))
+        power = depth ** int(exponent)
+        if exponent % 1:
+            power = power * self.functions["sqrt"](depth + self.own.numbers.make(1e-6) * width)
+        damped = self._limit(-self.value(contact.get("dissipation", 0)) * rate)
+        normal = self.value(contact["stiffness"]) * power * damped
+        force = normal * n
+        if "friction" in contact:
+            coefficient, speed = (self.value(contact["friction"][key]) for key in ("coefficient", "speed"))
+            slip = v - rate * n
+            force = force - coefficient * normal * slip / self.functions["sqrt"](slip @ slip + speed**2)
+        yield Applied(contact["body"], centre, force, np.cross(touch - centre.p, force))
+        yield Applied(carrier, foot, -force, -np.cross(touch - foot.p, force))
+
+    def _soften(self, x: Any, width: Any) -> Any:
+        """Return w log(1 + exp(x/w)), without overflow."""
+        return self.functions["softplus"](x, width)
+
+    def _limit(self, x: Any) -> Any:
+        one, part = self.own.numbers.make(1.0), self.own.numbers.make(1.0) / 10
+        return self._soften(1 + x, part) / self._soften(one, part)
+
+
+def spell(name: str) -> str:
+    """Write a name as a part of a name in expressions."""
+    return name.replace(".", "_")
