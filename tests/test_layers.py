@@ -131,6 +131,8 @@ MBSRUN = Package(
         "optimal.quantities",
         "optimal.control",
         "optimal",
+        "peers.peer",
+        "peers",
         "controllers.folder",
         "controllers.fields controllers.arrays controllers.sources controllers.loading",
         "controllers.emulation",
