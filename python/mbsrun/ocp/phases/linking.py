@@ -136,7 +136,7 @@ def _count(part: Column) -> int:
 
 
 def write_transfer(rows: Rows, text: str, source: State, target: State, given: Map, velocities: Map) -> None:
-    """Tie the coordinates and velocities of `target` to those of `source`."""
+    """Tie the coordinates and velocities of `target` to the ones of `source`."""
     chosen, speeds = dict(given), dict(velocities)
     turning, plain = list_quaternions(target.manifest), source.coordinates
     known: dict[str, Places] = {name: ("q", i) for name, i in spell_coordinates(source.manifest).items()}

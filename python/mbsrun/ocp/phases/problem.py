@@ -5,7 +5,7 @@
                 x_to(0) = map(x_from(T)), where an impact may change the velocities first, and
                 lower <= condition(x_from(T), x_to(0)) <= upper            for every link
 
-Each phase is a problem of its own, with its model, horizon, grid, bounds and cost. A link leads from the end of one
+Each phase is a separate problem, with a model, horizon, grid, bounds and cost. A link leads from the end of one
 phase to the start of another one, or of the same one, which makes a motion periodic.
 """
 
@@ -48,7 +48,7 @@ class Impact:
 
 @dataclass(frozen=True)
 class Link:
-    """What ties the start of a phase to the end of another."""
+    """A tie of the start of a phase to the end of another."""
 
     source: str  # the phase that ends
     target: str  # the phase that starts
@@ -121,7 +121,7 @@ class Plants:
 def equip_phases(problem: PhasedProblem, plants: Plants) -> Plants:
     """Return the kernels with the parameters of each phase; equal ones stay one plant.
 
-    An impact with a model of its own takes the parameters of the phase before it, if it has them.
+    An impact with a separate model takes the parameters of the phase before it, if it has them.
     """
     known: list[tuple[Plant, tuple[tuple[str, float], ...], Plant]] = []
     guesses = tuple((unknown.name, unknown.guess) for unknown in problem.every_unknown)

@@ -1,4 +1,4 @@
-"""The schema of problem files with phases: the keys of links, and of a phase beside those of a problem."""
+"""The schema of problem files with phases: the keys of links, and of phases."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def _check_phases(phases: tuple[dict[str, Any], ...]) -> tuple[dict[str, Any], .
 
 
 class WholeSection(Section):
-    """What is not of one phase."""
+    """The parts of a file that belong to no single phase."""
 
     phases: Annotated[tuple[dict[str, Any], ...], AfterValidator(_check_phases)] = Field(
         default=({},), examples=[[{"name": "stance"}]]

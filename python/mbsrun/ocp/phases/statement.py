@@ -25,7 +25,7 @@ from mbsrun.ocp.statement import read_phase
 from mbsrun.reading import Reading, overlay
 
 OWN = ("phases", "links")  # keys that are no defaults of phases
-SHARED = ("solver", "unknowns", "links", "phases")  # keys that no phase has of its own
+SHARED = ("solver", "unknowns", "links", "phases")  # keys that a phase does not repeat
 ONLY = "motion"  # the name of the phase of a file without `phases`
 
 Load = Callable[[Path], Plant]

@@ -13,7 +13,7 @@ def summarise_phases(solution: PhasedSolution) -> dict[str, str]:
     """Return the lines of a summary by their names."""
     run, size = solution.run, solution.size
     rows = {
-        "problem": f"{solution.name}, {len(solution.phases)} phases",
+        "problem": f"{solution.name}, {_count(len(solution.phases), 'phase')}",
         "status": f"{run.status}, {run.iterations} iterations",
         "time": f"{run.seconds:.2f} s",
         "  processor": f"{run.cpu_seconds:.2f} s: {run.cpu_seconds_evaluating:.2f} s for functions and derivatives, "
@@ -54,3 +54,7 @@ def list_phased_shortcomings(solution: PhasedSolution) -> list[str]:
         own = replace(phase, run=replace(phase.run, status=SOLVED))  # the status is of all phases
         found += [f"phase {name}: {text}" for text in list_shortcomings(own)]
     return found
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number} {word}{'' if number == 1 else 's'}"

@@ -89,7 +89,7 @@ def test_a_file_with_links_alone_has_one_phase(read: Callable[[str], PhasedProbl
     assert not has_phases(tmp_path / "plain.ocp.yaml")
 
 
-FAULTS: dict[str, tuple[str, str, str]] = {  # what is replaced, by what: the fault, without file and line
+FAULTS: dict[str, tuple[str, str, str]] = {  # the text that is replaced, the new one, and the fault
     "no phases": ("phases:", "phases: []\nothers:", "phases: found an empty list; give at least one phase"),
     "phases that are no list": (
         "phases:\n  - name: first",
@@ -194,7 +194,7 @@ FAULTS: dict[str, tuple[str, str, str]] = {  # what is replaced, by what: the fa
 
 
 @pytest.mark.parametrize(("old", "new", "fault"), FAULTS.values(), ids=FAULTS.keys())
-def test_a_fault_is_told_in_words(old: str, new: str, fault: str, read: Callable[[str], PhasedProblem]) -> None:
+def test_a_fault_is_named_with_its_place(old: str, new: str, fault: str, read: Callable[[str], PhasedProblem]) -> None:
     assert GOOD.count(old) >= 1
     with pytest.raises(InputError) as refusal:
         read(GOOD.replace(old, new, 1))
