@@ -40,7 +40,10 @@ class Phase:
     feet: Sequence[str] = ()  # points that stand
     axes: Sequence[int] = (0, 1, 2)  # along which they are held; the last one is the normal
     friction: float = 0.0
-    weight: float = 0.0  # of the force of contacts, which bears a guess
+    weight: float = 0.0  # of the body [N], which a guess spreads over the feet
+    inputs_cost: float = 1.0  # times the integral of the squares of the inputs
+    speed_cost: float = 0.0  # times the integral of the squares of the velocities of driven joints
+    time_cost: float = 0.0  # times the duration
     rows: Callable[[ca.MX, ca.MX], list[tuple[ca.MX, float, float]]] = lambda _q, _qd: []  # at every point
 
 
@@ -79,7 +82,7 @@ class Graph:
         self.limits.append((np.full(row.numel(), lower), np.full(row.numel(), upper)))
 
     def append(self, phase: Phase) -> Ends:
-        """Add a phase; its cost is the integral of the squares of the inputs."""
+        """Add a phase."""
         low, high, first = phase.horizon
         T = ca.MX(first) if low == high else self.add(low, high, first)
         h = T / phase.intervals
@@ -106,9 +109,13 @@ class Graph:
                 self.require(slope - h * ca.vertcat(x[n:], a))
                 f = force[j - 1] if held else ca.MX(0, 1)
                 self._move(phase, x[:n], x[n:], a, f, inputs)
-            self.cost += h * ca.sumsqr(inputs) * float(quadrature.sum())
+                if phase.speed_cost:
+                    speeds = x[n:][list(phase.actuated)]
+                    self.cost += phase.speed_cost * h * quadrature[j - 1] * ca.sumsqr(speeds)
+            self.cost += phase.inputs_cost * h * ca.sumsqr(inputs)
             now = state((k + 1) / phase.intervals)
             self.require(now - states[-1])
+        self.cost += phase.time_cost * T
         return Ends(start[:n], start[n:], now[:n], now[n:], T)
 
     def strike(self, mechanism: Mechanism, q: ca.MX, before: ca.MX, feet: Sequence[str], axes: Sequence[int]) -> ca.MX:
