@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -14,11 +14,12 @@ from benchmarks.legged.collocation import Graph, Phase
 Array = NDArray[np.float64]
 
 HEIGHT, UPPER, FORE, PALM = 0.3, 0.35, 0.3, 0.12
-LOAD = 2.0
+LOAD, SPEED = 2.0, 5.0
+ROTORS = (0.1, 0.1, 0.05, 0.05)
 HOME = np.array([0.0, 0.0, 0.4, 0.4])
 PICK, PLACE = (0.45, -0.3, 0.1), (0.1, 0.5, 0.35)
 TIME = (0.2, 3.0, 0.8)
-INPUTS_COST, TIME_COST = 1e-3, 1.0
+INPUTS_COST, TIME_COST = 1e-3, 0.3
 
 
 def describe_carrier(load: float) -> Mechanism:
@@ -40,6 +41,7 @@ def describe_carrier(load: float) -> Mechanism:
             (8e-4, 0.0015 + turned, 0.0015 + turned, 0, 0, 0),
         ),
     ]
+    links = [replace(link, armature=rotor) for link, rotor in zip(links, ROTORS, strict=True)]
     return describe(links, {"hand": Point(3, (PALM, 0, 0))})
 
 
@@ -47,7 +49,7 @@ def write(intervals: int, degree: int) -> Graph:
     """Write the program: from home to the mass, with it to its place, and home."""
     graph = Graph()
     q = [(-2.8, 2.8), (-1.8, 1.8), (-1.4, 2.4), (-2.0, 2.0)]
-    qd, u = [(-np.inf, np.inf)] * 4, [(-60, 60), (-60, 60), (-40, 40), (-20, 20)]
+    qd, u = [(-SPEED, SPEED)] * 4, [(-60, 60), (-60, 60), (-40, 40), (-20, 20)]
 
     def stay(_s: float) -> tuple[Array, Array]:
         return HOME, np.zeros(4)

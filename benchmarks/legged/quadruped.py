@@ -17,6 +17,7 @@ FRONT, SIDE, HIP, THIGH, SHANK = 0.19, 0.05, 0.06, 0.21, 0.19
 FEET = ("fl", "fr", "hl", "hr")
 STANDING: tuple[tuple[str, ...], ...] = (("hl", "hr"), (), ("fl", "fr"), ())
 ROTOR = 0.01
+PITCH = 0.8
 STRIDE, FRICTION = 0.6, 0.7
 TIMES = ((0.05, 0.3, 0.12), (0.02, 0.2, 0.06), (0.05, 0.3, 0.12), (0.02, 0.2, 0.06))
 LEG = (0.0, 0.8, -1.6)  # abduction, hip, knee of the guess
@@ -67,7 +68,7 @@ def describe_quadruped() -> Mechanism:
 def write(intervals: int, degree: int) -> Graph:
     """Write the program of a stride."""
     body, graph = describe_quadruped(), Graph()
-    q = [(-np.inf, np.inf)] * 3 + [(-0.8, 0.8)] * 3 + [(-0.8, 0.8), (-2.5, 2.5), (-2.6, -0.1)] * 4
+    q = [(-np.inf, np.inf)] * 3 + [(-PITCH, PITCH)] * 3 + [(-0.8, 0.8), (-2.5, 2.5), (-2.6, -0.1)] * 4
     qd, u = [(-30.0, 30.0)] * 18, [(-30.0, 30.0)] * 12
     period = sum(guess for _, _, guess in TIMES)
     speed = np.array([STRIDE / period, *[0.0] * 17])
