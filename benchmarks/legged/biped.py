@@ -18,7 +18,7 @@ BACK = (0.0, -1.0, 0.0)
 THIGH = SHANK = 0.4
 FEET = ("left", "right")
 JUMP, GAP, HEIGHT = 0.4, 0.2, 0.72  # of the jump, between the feet, of the hip at rest [m]
-FRICTION = 0.7
+FRICTION, MASS = 0.7, 28.0
 TIMES = ((0.1, 1.0, 0.3), (0.1, 0.8, 0.3), (0.1, 1.0, 0.3))
 
 
@@ -62,7 +62,20 @@ def write(intervals: int, degree: int) -> Graph:
     for part, horizon in enumerate(TIMES):
         feet, rows = ((), rise) if part == 1 else (FEET, lambda _q, _qd: [])
         phase = Phase(
-            biped, (3, 4, 5, 6), intervals, degree, horizon, q, qd, u, go(part), feet, (0, 2), FRICTION, 275.0, rows
+            biped,
+            (3, 4, 5, 6),
+            intervals,
+            degree,
+            horizon,
+            q,
+            qd,
+            u,
+            go(part),
+            feet,
+            (0, 2),
+            friction=FRICTION,
+            weight=9.81 * MASS,
+            rows=rows,
         )
         ends.append(graph.append(phase))
     push, flight, landing = ends

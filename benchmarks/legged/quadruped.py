@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import acos, atan2, cos, hypot, sin
 
 import casadi as ca
 import numpy as np
@@ -16,11 +17,12 @@ Array = NDArray[np.float64]
 FRONT, SIDE, HIP, THIGH, SHANK = 0.19, 0.05, 0.06, 0.21, 0.19
 FEET = ("fl", "fr", "hl", "hr")
 STANDING: tuple[tuple[str, ...], ...] = (("hl", "hr"), (), ("fl", "fr"), ())
-ROTOR = 0.01
-PITCH = 0.8
-STRIDE, FRICTION = 0.6, 0.7
-TIMES = ((0.05, 0.3, 0.12), (0.02, 0.2, 0.06), (0.05, 0.3, 0.12), (0.02, 0.2, 0.06))
-LEG = (0.0, 0.8, -1.6)  # abduction, hip, knee of the guess
+ROTOR, MASS = 0.02, 9.4
+SPEED_COST, LOADED = 0.01, 1.6
+PITCH = 0.3
+STRIDE, FRICTION = 0.3, 0.7
+TIMES = ((0.08, 0.2, 0.14), (0.04, 0.15, 0.08), (0.08, 0.2, 0.14), (0.04, 0.15, 0.08))
+PERIOD = 0.44
 HEIGHT = 0.28
 
 
@@ -65,18 +67,39 @@ def describe_quadruped() -> Mechanism:
     return describe(links, {foot: Point(8 + 3 * k, (0, 0, -SHANK)) for k, foot in enumerate(FEET)})
 
 
+def guess_leg(ahead: float) -> Array:
+    """Return abduction, hip and knee of a leg whose foot is so far before its hip, on the ground."""
+    leg = hypot(ahead, HEIGHT)
+    knee = acos((leg**2 - THIGH**2 - SHANK**2) / (2 * THIGH * SHANK))
+    return np.array([0.0, -atan2(ahead, HEIGHT) + atan2(SHANK * sin(knee), THIGH + SHANK * cos(knee)), -knee])
+
+
+def guess_pose(mark: int) -> Array:
+    """Return the pose at the start of a phase, or the end of the last: feet that stand stay, the others swing."""
+    times = np.cumsum([0.0, *(guess for _, _, guess in TIMES)])
+    done = times[mark] / times[-1]
+    speed = STRIDE / times[-1]
+    reach = speed * TIMES[0][2] / 2
+    swing = 2 * reach / (times[-1] - TIMES[0][2])
+
+    def place(begin: float) -> float:
+        """Return how far a foot is before its hip, that stands from `begin`."""
+        since = (times[mark] - begin) % times[-1]
+        return reach - speed * since if since <= TIMES[0][2] + 1e-9 else -reach + swing * (since - TIMES[0][2])
+
+    front, hind = guess_leg(place(times[2])), guess_leg(place(0.0))
+    return np.array([done * STRIDE, 0.0, HEIGHT, 0.0, 0.0, 0.0, *front, *front, *hind, *hind])
+
+
 def write(intervals: int, degree: int) -> Graph:
     """Write the program of a stride."""
     body, graph = describe_quadruped(), Graph()
     q = [(-np.inf, np.inf)] * 3 + [(-PITCH, PITCH)] * 3 + [(-0.8, 0.8), (-2.5, 2.5), (-2.6, -0.1)] * 4
     qd, u = [(-30.0, 30.0)] * 18, [(-30.0, 30.0)] * 12
-    period = sum(guess for _, _, guess in TIMES)
-    speed = np.array([STRIDE / period, *[0.0] * 17])
-    pose = np.array([0.0, 0.0, HEIGHT, 0.0, 0.0, 0.0, *LEG * 4])
 
     def go(part: int) -> Callable[[float], tuple[Array, Array]]:
-        begin = sum(guess for _, _, guess in TIMES[:part])
-        return lambda s: (pose + (begin + s * TIMES[part][2]) * speed, speed)
+        first, last = guess_pose(part), guess_pose(part + 1)
+        return lambda s: (first + s * (last - first), (last - first) / TIMES[part][2])
 
     def rise(part: int) -> Callable[[ca.MX, ca.MX], list[tuple[ca.MX, float, float]]]:
         free = [k for k, foot in enumerate(FEET) if foot not in STANDING[part]]
@@ -95,10 +118,10 @@ def write(intervals: int, degree: int) -> Graph:
             u,
             go(part),
             STANDING[part],
-            (0, 1, 2),
-            FRICTION,
-            9.81 * 9.4,
-            rise(part),
+            friction=FRICTION,
+            weight=9.81 * MASS * LOADED,
+            rows=rise(part),
+            speed_cost=SPEED_COST,
         )
         ends.append(graph.append(phase))
     hind, gathered, front, stretched = ends
@@ -115,4 +138,5 @@ def write(intervals: int, degree: int) -> Graph:
         graph.require(after.q0 - before.q1 + ca.DM([stride, *[0.0] * 17]))
         graph.require(after.qd0 - struck)
     graph.require(hind.q0[:2])
+    graph.require(sum((end.T for end in ends), ca.MX(0)) - PERIOD)
     return graph

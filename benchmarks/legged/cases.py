@@ -1,0 +1,32 @@
+"""The problems: a file for ours, a program in plain CasADi on the same mesh, and what is known of the optimum."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+
+from benchmarks.legged import carrier, walker
+from benchmarks.legged.chains import Mechanism
+from benchmarks.legged.collocation import Graph
+
+FOLDER = Path(__file__).parents[2] / "models" / "legged"
+
+
+@dataclass(frozen=True)
+class Case:
+    """A problem: its file, the plain program, and the mechanism that impacts concern."""
+
+    file: Path
+    write: Callable[[], Graph]
+    struck: Callable[[], Mechanism] | None = None
+
+
+CASES: Mapping[str, Case] = MappingProxyType(
+    {
+        "walker": Case(FOLDER / "walker.ocp.yaml", partial(walker.write, walker.Step(), 25, 3), walker.describe_free),
+        "pick and place": Case(FOLDER / "pick_and_place.ocp.yaml", partial(carrier.write, 20, 3)),
+    }
+)
