@@ -53,6 +53,17 @@ def list_quantities(manifest: Manifest, added: Added | None = None) -> Mapping[s
     return known
 
 
+def find_component(manifest: Manifest, wrench: str, component: int) -> int | None:
+    """Return the entry of w that is a component of a wrench (0 to 2: force, 3 to 5: moment); None where none is."""
+    i = 0
+    for known in manifest.wrenches:
+        for k, is_open in ((0, known.force), (3, known.moment)):
+            if is_open and known.name == wrench and k <= component < k + 3:
+                return i + component - k
+            i += 3 * is_open
+    return None
+
+
 def name_components(manifest: Manifest) -> list[str | None]:
     """Name the entries of w, the components of open wrenches: fx_NAME to fz_NAME, mx_NAME to mz_NAME."""
     names = spell([wrench.name for wrench in manifest.wrenches])

@@ -19,6 +19,7 @@ from mbsgen.manifest import Manifest
 from mbsgen.roles import Role
 from mbsrun.closure import has_loops
 from mbsrun.ocp.design import list_changeable
+from mbsrun.ocp.given import find_faults, list_open_components
 from mbsrun.ocp.integrators import INTEGRATORS, SECOND_ORDER
 from mbsrun.ocp.methods import METHODS
 from mbsrun.ocp.problem import (
@@ -35,6 +36,7 @@ from mbsrun.ocp.problem import (
 )
 from mbsrun.ocp.quantities import list_quantities
 from mbsrun.ocp.schemes import DEGREES, Family
+from mbsrun.quantities import find_component
 from mbsrun.quaternions import list_quaternions
 from mbsrun.recordings import references
 
@@ -81,7 +83,7 @@ def check_problem(problem: Problem, manifest: Manifest, *, is_phase: bool = Fals
 
 
 def list_open_inputs(manifest: Manifest) -> list[str]:
-    """List the inputs of a model's residual to which a problem gives no value: external wrenches."""
+    """List the inputs of a model's residual to which no part of a problem can give a value."""
     own = (
         Role.COORDINATE,
         Role.VELOCITY,
@@ -90,6 +92,7 @@ def list_open_inputs(manifest: Manifest) -> list[str]:
         Role.DRIVE,  # these two are refused by themselves
         Role.DRIVING_FORCE,
         Role.FORCE,
+        Role.WRENCH,  # of which components are refused by themselves
         Role.SETUP,
         Role.DESIGN,
     )
@@ -288,7 +291,7 @@ def _find_strangers(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
     if not (m or problem.controls):
         yield _UNCONTROLLED
     if left := list_open_inputs(manifest):
-        remedy = "give the external wrenches in the model: here they have no value"
+        remedy = "give them in the model: here they have no value"
         yield ("model", f"the model leaves {', '.join(left)} open, beside the inputs u", remedy)
     bounds, end = problem.bounds, problem.end
     for place, values, size in (
@@ -319,6 +322,8 @@ def _find_strangers(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
         yield ("end", "a value is not finite", "give finite numbers")
     yield from _find_unknown_frames(problem, manifest)
     yield from _find_wrong_additions(problem, manifest)
+    yield from _find_wrong_wrenches(problem, manifest)
+    yield from find_faults(problem, manifest)
     yield from _find_wrong_expressions(problem, manifest)
 
 
@@ -343,6 +348,32 @@ def list_expressions(problem: Problem) -> Iterator[tuple[str, tuple[str, ...]]]:
     yield "constraints", tuple(constraint.expression for constraint in problem.constraints)
     yield "states", tuple(state.rate for state in problem.states)
     yield "integrals", tuple(part.expression for part in problem.integrals)
+    yield "forces", tuple(part.expression for part in problem.forces)
+    yield "wrenches", tuple(part.expression or "0" for part in problem.wrenches)
+
+
+def _find_wrong_wrenches(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
+    """Find inputs and components of wrenches that the model has not, that are given twice, or not at all."""
+    m = len(manifest.actuated)
+    inputs = [force.input for force in problem.forces]
+    for i, index in enumerate(inputs):
+        if not 0 <= index < m:
+            yield (f"forces[{i}].input", f"found index {index}", f"give one from 0 to {m - 1}")
+        elif index in inputs[:i]:
+            yield (f"forces[{i}].input", f"input {index} is given twice", "give it once")
+    components = [(part.wrench, part.component) for part in problem.wrenches]
+    for i, (part, named) in enumerate(zip(problem.wrenches, components, strict=True)):
+        if find_component(manifest, *named) is None:
+            finding = f"the model has no open component {part.component} of {abbreviate(part.wrench)}"
+            yield (f"wrenches[{i}]", finding, "name a wrench that is an input, and 0 to 2 of its force, 3 to 5 moment")
+        elif named in components[:i]:
+            yield (f"wrenches[{i}]", "the component is given twice", "give it once")
+        lower, upper = part.bounds
+        if not lower <= upper:
+            yield (f"wrenches[{i}].bounds", f"found [{lower:g}, {upper:g}]", "give bounds that leave room")
+    if left := list_open_components(problem, manifest):
+        finding = f"the model leaves {', '.join(left)} open"
+        yield ("wrenches", finding, "give each an expression, or let it be an unknown")
 
 
 def _find_wrong_additions(problem: Problem, manifest: Manifest) -> Iterator[Finding]:

@@ -21,10 +21,12 @@ from scipy.optimize import least_squares
 from scipy.stats import qmc
 
 from mbsrun.closure import Closure, find_closure, has_loops
+from mbsrun.ocp.given import place_unknown
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Inputs, Problem
 from mbsrun.ocp.schemes import Scheme
 from mbsrun.ocp.trajectory import Trajectory, resample
+from mbsrun.quantities import name_components
 from mbsrun.quaternions import (
     find_rates,
     find_turn,
@@ -247,15 +249,23 @@ def balance(trajectory: Trajectory, problem: Problem, plant: Plant, inputs: Inpu
             np.ascontiguousarray(a.reshape(N * d, -1))
             for a in (trajectory.point_q, *(rate * (inputs == "dynamic") for rate in rates))
         )
-        u = np.nan_to_num(find_inputs(plant, q, qd, qdd).reshape(N, d, -1).mean(axis=1))
+        w = np.zeros((N * d, len(name_components(plant.manifest))))
+        for i, value in place_unknown(problem, plant.manifest).items():
+            w[:, i] = value
+        u = np.nan_to_num(find_inputs(plant, q, qd, qdd, w).reshape(N, d, -1).mean(axis=1))
     return replace(trajectory, u=np.clip(u, *np.array(problem.bounds.u).reshape(-1, 2).T))
 
 
-def find_inputs(plant: Plant, q: Array, qd: Array, qdd: Array) -> Array:
-    """Return the inputs (B, m) of least squares that leave the least of the equations of motion; 0 where B fails."""
+def find_inputs(plant: Plant, q: Array, qd: Array, qdd: Array, w: Array | None = None) -> Array:
+    """Return the inputs (B, m) of least squares that leave the least of the equations of motion; 0 where B fails.
+
+    w (B, nw) are components of open wrenches, if there are any.
+    """
     manifest = plant.manifest
     none = np.zeros((len(q), len(manifest.actuated)))
     state: dict[str, Any] = {"q": q, "qd": qd, "qdd": qdd, "u": none}
+    if w is not None and w.size:
+        state["w"] = w
     if has_loops(manifest):
         state["lam"] = np.zeros((len(q), len(manifest.dependent)))
     Phi = plant("impl", **state)["Phi"]

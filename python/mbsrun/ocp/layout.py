@@ -29,6 +29,7 @@ from scipy import sparse
 
 from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.grid import Grid
+from mbsrun.ocp.inputs import Group, mix
 from mbsrun.ocp.integrators import Integrator, Reading
 from mbsrun.ocp.program import Column, Combination, Matrix
 
@@ -66,6 +67,15 @@ class Extras:
     point_states: Indices  # (N, S, ns)
     controls: Indices  # (N, nc); (N, 0) where they are polynomials
     point_controls: Indices  # (N, S, nc); (N, S, 0) where they are constant
+    forces: Indices  # (N, S, ...): inputs u that expressions give
+    wrenches: Indices  # (N, S, nw): components of open wrenches
+    given: tuple[int, ...]  # entries of u that expressions give
+    m: int  # entries of u
+
+    @property
+    def free(self) -> tuple[int, ...]:
+        """List the entries of u that no expression gives."""
+        return tuple(i for i in range(self.m) if i not in self.given)
 
 
 @dataclass(frozen=True)
@@ -79,8 +89,8 @@ class Layout:
     accelerations: Indices  # (N, S, n): accelerations at the stages; (N, S, 0) for an ODE
     multipliers: Indices  # (N, S, ...): of loops, where they are variables
     corrections: Indices  # (N, S, ...): of coordinates, then of velocities
-    inputs: Indices  # (N, m); (N, 0) where they are polynomials
-    point_inputs: Indices  # (N, S, m); (N, S, 0) where they are constant
+    inputs: Indices  # (N, m) without inputs that expressions give; (N, 0) where they are polynomials
+    point_inputs: Indices  # (N, S, m) without these; (N, S, 0) where they are constant
     horizon: int | None  # T, where it is free
     unknowns: Indices  # numbers of the whole horizon that the solver chooses
     design: Indices  # the variables of theta; none where kernels read values of the model
@@ -110,11 +120,22 @@ class Layout:
 
 
 @dataclass(frozen=True)
+class ExtraSizes:
+    """What a problem adds to the motion of its mechanism."""
+
+    states: int = 0
+    controls: int = 0
+    given: tuple[int, ...] = ()  # entries of u that expressions give
+    wrenches: int = 0  # components
+
+
+@dataclass(frozen=True)
 class ExtraRows:
-    """Where the conditions on the states lie that a problem adds."""
+    """Where the conditions on the states lie that a problem adds, and what expressions give."""
 
     start: Indices  # (ns,)
     rates: Indices  # (N, S, ns)
+    given: Indices  # (N, S, ...): inputs, then components of wrenches, that expressions give
     end: Indices  # (states with a condition there,)
 
 
@@ -152,36 +173,40 @@ def lay_out(
     has_states: bool,
     has_accelerations: bool,
     horizon_is_free: bool,
-    states: int = 0,
-    controls: int = 0,
+    added: ExtraSizes,
     unknowns: int = 0,
     has_constant_inputs: bool = True,
 ) -> Layout:
     """Number the variables; `has_states` and `has_accelerations` say which variables the stages have.
 
-    The numbers of states and controls are of those that a problem adds. Inputs and controls are constant over an
+    Inputs and controls are constant over an
     interval, or have a value at each stage.
     """
     N, S, width = grid.intervals, stages, motions.nq + len(motions.velocities)
+    states, controls, free = added.states, added.controls, m - len(added.given)
     sizes = (
         width * has_states,
         states,
         len(motions.independent) * has_accelerations,
         motions.multipliers,
         motions.corrections,
+        len(added.given),
+        added.wrenches,
     )
     at_stage = sum(sizes)
-    values = (m + controls) * (1 if has_constant_inputs else S)
+    values = (free + controls) * (1 if has_constant_inputs else S)
     stride = width + states + S * at_stage + values
     first = np.arange(N + 1) * stride
     mesh = first[:, None] + np.arange(width + states)
     points = first[:N, None, None] + width + states + np.arange(S)[:, None] * at_stage + np.arange(at_stage)
-    moved, further, accelerations, multipliers, corrections = np.split(points, np.cumsum(sizes)[:-1], axis=2)
+    moved, further, accelerations, multipliers, corrections, forces, wrenches = np.split(
+        points, np.cumsum(sizes)[:-1], axis=2
+    )
     every = first[1:, None] - values + np.arange(values)
     if has_constant_inputs:
         inputs, point_inputs = every, np.zeros((N, S, 0), dtype=np.int64)
     else:
-        inputs, point_inputs = every[:, :0], every.reshape(N, S, m + controls)
+        inputs, point_inputs = every[:, :0], every.reshape(N, S, free + controls)
     return Layout(
         motions=motions,
         grid=grid,
@@ -190,13 +215,15 @@ def lay_out(
         accelerations=accelerations,
         multipliers=multipliers,
         corrections=corrections,
-        inputs=inputs[:, :m],
-        point_inputs=point_inputs[:, :, :m],
+        inputs=inputs[:, :free],
+        point_inputs=point_inputs[:, :, :free],
         horizon=N * stride + width + states if horizon_is_free else None,
         unknowns=N * stride + width + states + horizon_is_free + np.arange(unknowns),
         design=np.zeros(0, dtype=np.int64),
         size=N * stride + width + states + horizon_is_free + unknowns,
-        extras=Extras(mesh[:, width:], further, inputs[:, m:], point_inputs[:, :, m:]),
+        extras=Extras(
+            mesh[:, width:], further, inputs[:, free:], point_inputs[:, :, free:], forces, wrenches, added.given, m
+        ),
     )
 
 
@@ -215,6 +242,7 @@ class Places:
     lam: Indices  # (..., places): multipliers; size 0 where they are no variables
     states: Indices  # (ns, places): the ones that a problem adds
     controls: Column  # size nc
+    w: Column  # size nw: components of open wrenches
 
     @property
     def parts(self) -> Mapping[str, Column]:
@@ -229,6 +257,7 @@ class Places:
             "lam": self.lam,
             "states": self.states,
             "controls": self.controls,
+            "w": self.w,
         }
 
 
@@ -244,15 +273,11 @@ def at_stages(layout: Layout, integrator: Integrator, h: Array) -> Places:
 
 def _at(layout: Layout, reading: Reading, h: Array) -> Places:
     N, k = len(layout.inputs), len(reading.c)
-    extras = layout.extras
-    u, controls = (
-        _flatten(points) if points.size else np.repeat(constant, k, axis=0).T
-        for constant, points in ((layout.inputs, layout.point_inputs), (extras.controls, extras.point_controls))
-    )
     s = layout.grid.places(reading.c).ravel()
     interval = np.repeat(np.arange(N), k)
     accelerations, multipliers = (_flatten(part) for part in (layout.accelerations, layout.multipliers))
-    added = (_flatten(extras.point_states), controls)
+    u, controls, w = _read_inputs(layout, reading, np.tile(np.arange(k), N), interval)
+    added = (_flatten(layout.extras.point_states), controls, w)
     if layout.points.size or not layout.mesh.shape[1]:
         q, qd = map(_flatten, layout.split(layout.points))
         yd = qd[layout.motions.carried_velocities]
@@ -313,20 +338,36 @@ def at_mesh(layout: Layout, integrator: Integrator, k: Sequence[int]) -> Places:
     interval = np.maximum(at - 1, 0)
     q, qd = (part.T for part in layout.split(layout.mesh[at]))
     s = layout.grid.mesh()[at] if layout.grid.fractions else at / layout.grid.intervals
-    none, extras = np.zeros((0, at.size), dtype=np.int64), layout.extras
+    none, which = np.zeros((0, at.size), dtype=np.int64), (at > 0).astype(np.int64)
+    qdd: Column = none
+    if stages.size:
+        matrices = spread(integrator.ends.W, stages.shape[2])
+        qdd = Combination(matrices, which, stages[interval].reshape(at.size, matrices.shape[2]))
+    u, controls, w = _read_inputs(layout, integrator.ends, which, interval)
+    yd = qd[layout.motions.carried_velocities]
+    return Places(q, qd, qdd, u, s, at, interval, yd, none, layout.extras.states[at].T, controls, w)
 
-    def read(points: Indices) -> Combination:
-        """Read what has a value at each stage, (N, S, size)."""
-        matrices = spread(integrator.ends.W, points.shape[2])
-        return Combination(matrices, (at > 0).astype(np.int64), points[interval].reshape(at.size, matrices.shape[2]))
 
-    qdd = read(stages) if stages.size else none
-    u, controls = (
-        read(points) if points.size else constant[interval].T
-        for constant, points in ((layout.inputs, layout.point_inputs), (extras.controls, extras.point_controls))
+def _read_inputs(layout: Layout, reading: Reading, which: Indices, interval: Indices) -> tuple[Column, Column, Column]:
+    """Return inputs, controls and components of wrenches at places: place k is reading.c[which[k]] of its interval.
+
+    What has values at the stages is read off the polynomials through these.
+    """
+    extras, one = layout.extras, np.ones((len(reading.c), 1))
+
+    def group(entries: Sequence[int], constant: Indices, points: Indices) -> Group:
+        if points.size:
+            return Group(tuple(entries), points[interval], reading.W)
+        return Group(tuple(entries), constant[interval, None], one)
+
+    nc, nw = extras.controls.shape[1] + extras.point_controls.shape[2], extras.wrenches.shape[2]
+    own = group(extras.free, layout.inputs, layout.point_inputs)
+    given = Group(extras.given, extras.forces[interval], reading.W)
+    return (
+        mix(extras.m, (own, given), which),
+        mix(nc, (group(range(nc), extras.controls, extras.point_controls),), which),
+        mix(nw, (Group(tuple(range(nw)), extras.wrenches[interval], reading.W),), which),
     )
-    yd, added = qd[layout.motions.carried_velocities], (extras.states[at].T, controls)
-    return Places(q, qd, qdd, u, s, at, interval, yd, none, *added)
 
 
 def spread(coefficients: Array, n: int) -> Array:

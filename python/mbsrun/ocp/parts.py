@@ -13,10 +13,21 @@ from mbsgen.documents import Document, Place, abbreviate, nearest
 from mbsgen.expressions import Expression, is_free_name, names, parse
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.design import list_changeable
-from mbsrun.ocp.problem import Control, Integral, Range, State, Unknown
+from mbsrun.ocp.given import find_faults, list_open_components
+from mbsrun.ocp.problem import Control, Force, Integral, Problem, Range, State, Unknown, WrenchComponent
 from mbsrun.ocp.quantities import Quantity
 from mbsrun.ocp.referring import Referring
-from mbsrun.ocp.sections import ControlSection, IntegralSection, Limits, ProblemSection, StateSection, UnknownSection
+from mbsrun.ocp.sections import (
+    ControlSection,
+    IntegralSection,
+    Limits,
+    ProblemSection,
+    StateSection,
+    UnknownForceSection,
+    UnknownSection,
+    WrenchSection,
+)
+from mbsrun.quantities import find_component
 from mbsrun.reading import Reading
 
 FREE: Range = (-math.inf, math.inf)
@@ -115,6 +126,50 @@ class PartReading(Reading):
             bounds = self.range(("controls", name, "range"), section.range)
             found.append(Control(name, bounds, self.guessed(("controls", name, "guess"), section.guess, bounds)))
         return tuple(found)
+
+    def given_forces(self, given: Mapping[str, str], inputs: Sequence[str]) -> tuple[Force, ...]:
+        """Read the inputs that expressions give."""
+        found = []
+        for name, text in given.items():
+            place: Place = ("forces", name)
+            self.check_formula(place, text)
+            i = self.find(place, name, inputs, "actuated coordinate")
+            if i is not None:
+                found.append(Force(i, text))
+        return tuple(found)
+
+    def wrenches(self, given: Mapping[str, WrenchSection]) -> tuple[WrenchComponent, ...]:
+        """Read the wrenches that the model leaves open."""
+        found: list[WrenchComponent] = []
+        for name, section in given.items():
+            if self.find(("wrenches", name), name, [w.name for w in self.manifest.wrenches], "open wrench") is None:
+                continue
+            for key, first in (("force", 0), ("moment", 3)):
+                place: Place = ("wrenches", name, key)
+                components = getattr(section, key)
+                if components is not None and find_component(self.manifest, name, first) is None:
+                    self.fault(place, f"the model gives the {key} of this wrench", "leave it out")
+                elif components is not None:
+                    found += [self.component((*place, i), name, first + i, part) for i, part in enumerate(components)]
+        return tuple(found)
+
+    def component(
+        self, place: Place, wrench: str, component: int, section: str | UnknownForceSection
+    ) -> WrenchComponent:
+        """Read a component of a wrench."""
+        if isinstance(section, str):
+            self.check_formula(place, section)
+            return WrenchComponent(wrench, component, section)
+        bounds = self.range((*place, "range"), section.range)
+        return WrenchComponent(wrench, component, None, bounds, self.guessed((*place, "guess"), section.guess, bounds))
+
+    def check_given(self, problem: Problem) -> None:
+        """Check that all components of open wrenches have a value, and that expressions can be put in an order."""
+        if left := list_open_components(problem, self.manifest):
+            finding = f"{', '.join(left)} have no value" if len(left) > 1 else f"{left[0]} has no value"
+            self.fault(("wrenches",), f"the model leaves wrenches open, and {finding}", "give an expression or a range")
+        for place, finding, remedy in find_faults(problem, self.manifest):
+            self.fault((place.partition("[")[0],), finding, remedy)
 
     def unknowns(self, given: Mapping[str, UnknownSection]) -> tuple[Unknown, ...]:
         """Read the numbers that the solver chooses."""

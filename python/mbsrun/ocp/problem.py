@@ -344,6 +344,9 @@ def find_conflicts(problem: Problem) -> list[Conflict]:
     if form is not Form.STANDARD and problem.has_quaternions:
         finding = f"the {form.value} form takes no joints with quaternions, whose rates are not their velocities"
         found.append(Conflict("form", finding, "take standard"))
+    if form is not Form.STANDARD and (problem.forces or problem.wrenches):
+        finding = f"the {form.value} form takes no forces and wrenches by expressions"
+        found.append(Conflict("form", finding, "take standard"))
     if form is not Form.STANDARD and problem.inputs != "constant":
         finding = f"the {form.value} form takes no inputs that change within an interval"
         found.append(Conflict("inputs", finding, "take constant ones, or form: standard"))

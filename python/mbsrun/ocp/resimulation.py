@@ -34,7 +34,7 @@ from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.solution import Resimulation, Solution
 from mbsrun.ocp.trajectory import Trajectory, lagrange
-from mbsrun.ocp.values import Values
+from mbsrun.ocp.values import GivenValues, Values
 from mbsrun.quaternions import find_rates
 
 Array = NDArray[np.float64]
@@ -78,11 +78,11 @@ def resimulate(solution: Solution, plant: Plant, limits: Limits = LIMITS) -> Sol
 class Inputs(Protocol):
     """The inputs of some motions, and the rates of further states."""
 
-    def forces(self, time: Array, q: Array, qd: Array, states: Array) -> Array:
-        """Return the inputs (B, m) at times (B, 1) since the start."""
+    def read(self, time: Array, q: Array, qd: Array, states: Array) -> dict[str, Array]:
+        """Return the parts of the motions at times (B, 1) since the start, of which u and w are the inputs."""
 
-    def rates(self, time: Array, q: Array, qd: Array, qdd: Array, states: Array) -> Array:
-        """Return the rates (B, ns) of the further states."""
+    def rates(self, parts: dict[str, Array]) -> Array:
+        """Return the rates (B, ns) of the further states, by parts of the motions and qdd."""
 
 
 @dataclass(frozen=True)
@@ -91,13 +91,13 @@ class Constant:
 
     u: Array
 
-    def forces(self, _time: Array, _q: Array, _qd: Array, _states: Array) -> Array:
+    def read(self, _time: Array, _q: Array, _qd: Array, _states: Array) -> dict[str, Array]:
         """Return the inputs."""
-        return self.u
+        return {"u": self.u, "w": np.zeros((len(self.u), 0))}
 
-    def rates(self, _time: Array, _q: Array, _qd: Array, _qdd: Array, states: Array) -> Array:
+    def rates(self, parts: dict[str, Array]) -> Array:
         """Return no rates."""
-        return states
+        return np.zeros((len(parts["u"]), 0))
 
 
 @dataclass(frozen=True)
@@ -107,12 +107,22 @@ class _Piece:
     course: Course
     intervals: NDArray[np.int64]
 
-    def _parts(self, time: Array, q: Array, qd: Array, states: Array) -> dict[str, Array]:
-        trajectory = self.course.trajectory
-        t = trajectory.t[self.intervals, None] + time
-        controls = self._read(time, trajectory.controls, trajectory.point_controls)
-        T = np.full_like(t, trajectory.t[-1])
-        return {"t": t, "T": T, "q": q, "qd": qd, "states": states, "controls": controls}
+    def read(self, time: Array, q: Array, qd: Array, states: Array) -> dict[str, Array]:
+        """Return the parts of the motions; inputs that change are read off the polynomials through the points."""
+        trajectory, k = self.course.trajectory, self.intervals
+        t = trajectory.t[k, None] + time
+        parts = {
+            "t": t,
+            "T": np.full_like(t, trajectory.t[-1]),
+            "q": q,
+            "qd": qd,
+            "states": states,
+            "controls": self._read(time, trajectory.controls, trajectory.point_controls),
+            "u": self._read(time, trajectory.u, trajectory.point_u),
+            "w": self._read(time, trajectory.point_w[:, 0], trajectory.point_w),
+            "unknowns": np.tile(trajectory.unknowns, (len(k), 1)),
+        }
+        return self.course.given(parts)
 
     def _read(self, time: Array, values: Array, points: Array) -> Array:
         """Return inputs that are constant over the intervals, or polynomials through values at their points."""
@@ -121,15 +131,9 @@ class _Piece:
         basis = lagrange(self.course.nodes, time[:, 0] / self.course.lengths[self.intervals])
         return np.asarray(np.einsum("br,brm->bm", basis, points[self.intervals]))
 
-    def forces(self, time: Array, _q: Array, _qd: Array, _states: Array) -> Array:
-        """Return the inputs of the intervals."""
-        trajectory = self.course.trajectory
-        return self._read(time, trajectory.u, trajectory.point_u)
-
-    def rates(self, time: Array, q: Array, qd: Array, qdd: Array, states: Array) -> Array:
+    def rates(self, parts: dict[str, Array]) -> Array:
         """Return the rates of the states that the problem adds."""
-        parts = self._parts(time, q, qd, states)
-        return self.course.rates(parts | {"qdd": qdd, "u": self.forces(time, q, qd, states)})
+        return self.course.rates(parts)
 
 
 class Course:
@@ -137,7 +141,7 @@ class Course:
 
     def __init__(self, problem: Problem, trajectory: Trajectory, plant: Plant) -> None:
         """Prepare the expressions of the problem."""
-        self.trajectory = trajectory
+        self.trajectory, self.given = trajectory, GivenValues(problem, plant)
         self.lengths = np.diff(trajectory.t)
         self.nodes = (trajectory.point_t[0] - trajectory.t[0]) / self.lengths[0]  # the same in every interval
         self.rates = Values([state.rate for state in problem.every_state], problem, plant)
@@ -176,8 +180,9 @@ def integrate(
 
     def rate(time: float, flat: Array) -> Array:
         q, qd, further = np.split(flat.reshape(states.shape), ends, axis=1)
-        qdd = accelerations(plant, q, qd, inputs.forces(pace * time, q, qd, further))
-        rates = inputs.rates(pace * time, q, qd, qdd, further)
+        parts = inputs.read(pace * time, q, qd, further)
+        qdd = accelerations(plant, q, qd, parts["u"], parts["w"])
+        rates = inputs.rates(parts | {"qdd": qdd})
         return (pace * np.concatenate((find_rates(plant, q, qd), qdd, rates), axis=1)).ravel()
 
     places, closure = len(plant.manifest.positions), find_closure(plant)
@@ -211,9 +216,11 @@ def integrate(
     return np.asarray(solver.y.reshape(states.shape)) if solver.status == "finished" else None
 
 
-def accelerations(plant: Plant, q: Array, qd: Array, u: Array) -> Array:
-    """Solve the equations of motion for qdd in several states: q (B, nq), qd (B, n), u (B, m)."""
+def accelerations(plant: Plant, q: Array, qd: Array, u: Array, w: Array | None = None) -> Array:
+    """Solve the equations of motion for qdd in several states: q (B, nq), qd (B, n), u (B, m), w (B, nw) if any."""
     state: dict[str, Any] = {"q": q, "qd": qd, "qdd": np.zeros_like(qd), "u": u}
+    if w is not None and w.size:
+        state["w"] = w
     closure, n = find_closure(plant), qd.shape[1]
     if not n:
         return qd

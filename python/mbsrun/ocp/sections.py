@@ -292,6 +292,25 @@ class ControlSection(Section):
     guess: NumberField = Field(default=Number(0.0), examples=[0.1])
 
 
+class UnknownForceSection(Section):
+    """A component of a wrench that is unknown at every point."""
+
+    range: RangeField = Field(default=(None, None), examples=[[0.0, None]])
+    guess: NumberField = Field(default=Number(0.0), examples=[1.0])
+
+
+ComponentField = Annotated[  # an expression, or an unknown
+    Annotated[FormulaField, Tag("list")] | Annotated[UnknownForceSection, Tag("mapping")], Discriminator(_form)
+]
+
+
+class WrenchSection(Section):
+    """A wrench that the model leaves open: along x, y, z of the frame that the model gives."""
+
+    force: tuple[ComponentField, ComponentField, ComponentField] | None = Field(default=None, examples=[[0, 0, 1]])
+    moment: tuple[ComponentField, ComponentField, ComponentField] | None = Field(default=None, examples=[[0, 0, 1]])
+
+
 class IntegralSection(Section):
     """An integral over the horizon that stays within a range."""
 
@@ -319,6 +338,8 @@ class ProblemSection(Section):
     states: Annotated[dict[str, StateSection], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
     controls: Annotated[dict[str, ControlSection], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
     inputs: Literal["constant", "polynomial"] = Field(default=Problem.inputs, examples=["polynomial"])
+    forces: Annotated[dict[str, FormulaField], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
+    wrenches: Annotated[dict[str, WrenchSection], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
     cost: CostSection = Field(examples=[{"inputs": 1.0}])
     start: StartSection | None = Field(default=None, examples=[{"pose": {}}])
     bounds: BoundsSection = Field(default=BoundsSection(), examples=[{}])

@@ -27,7 +27,7 @@ from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Form, Problem, Range
 from mbsrun.ocp.schemes import Scheme
 from mbsrun.ocp.state_guess import complete
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.trajectory import NONE, Trajectory
 from mbsrun.quaternions import normalise
 
 Array = NDArray[np.float64]
@@ -133,7 +133,8 @@ def add_noise(motion: Trajectory, problem: Problem, manifest: Manifest, rng: np.
         _clip(x + width * sizes * rng.normal(size=x.shape), limits) for x in (motion.states, motion.point_states)
     )
     controls = draw(motion.controls, [control.bounds for control in problem.controls])
-    return replace(moved, states=states, point_states=point_states, controls=controls)
+    none = {"point_u": NONE, "point_controls": NONE}  # which follow from the others
+    return replace(moved, states=states, point_states=point_states, controls=controls, **none)
 
 
 def hop(motion: Trajectory, problem: Problem, plant: Plant, seed: tuple[int, ...]) -> Trajectory:

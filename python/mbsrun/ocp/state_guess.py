@@ -1,8 +1,9 @@
-"""The first guess of what a problem adds to a motion: its states and controls.
+"""The first guess of what a problem adds to a motion: its states, its controls, what expressions give.
 
 A control is held at its guess. A state is held, or goes straight from a number to another; else it is integrated along
 the guessed motion from its start, s' = rate(t, q, qd, qdd, u, s), by LSODA at a loose tolerance. Where that fails, as
-with a rate that has a pole on the way, the state is held at its start.
+with a rate that has a pole on the way, the state is held at its start. Unknown components of wrenches are held; what
+expressions give follows from all others.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from scipy.integrate import solve_ivp
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem, Range, State
 from mbsrun.ocp.trajectory import Trajectory
-from mbsrun.ocp.values import Values
+from mbsrun.ocp.values import GivenValues, Values
+from mbsrun.quantities import name_components
 
 Array = NDArray[np.float64]
 
@@ -34,8 +36,38 @@ def complete(motion: Trajectory, problem: Problem, plant: Plant) -> Trajectory:
     if motion.controls.shape[1] != len(controls):
         values = np.array([np.clip(control.guess, *control.bounds) for control in controls])
         motion = replace(motion, controls=np.tile(values, (len(motion.u), 1)))
-    if motion.states.shape[1] == len(states):
+    if motion.states.shape[1] != len(states):
+        motion = _add_states(motion, problem, plant)
+    has_given = motion.point_u.size or not problem.forces
+    if has_given and motion.point_w.shape[2] == len(name_components(plant.manifest)):
         return motion
+    return _add_given(motion, problem, plant)
+
+
+def _add_given(motion: Trajectory, problem: Problem, plant: Plant) -> Trajectory:
+    """Add what expressions give, and unknown components of wrenches; 0 where an expression has no value."""
+    (N, d), m = motion.point_t.shape, motion.u.shape[1]
+    u, controls = motion.spread_inputs()
+    whole = {"q": motion.point_q, "qd": motion.point_qd, "states": motion.point_states, "controls": controls, "u": u}
+    parts = {kind: array.reshape(N * d, array.shape[2]) for kind, array in whole.items()}
+    parts |= {"t": motion.point_t.reshape(-1, 1), "T": np.full((N * d, 1), motion.t[-1])}
+    parts["unknowns"] = np.tile(_list_unknowns(motion, problem), (N * d, 1))
+    found = GivenValues(problem, plant)(parts)
+    point_u, point_w = (np.nan_to_num(found[kind], posinf=0, neginf=0).reshape(N, d, -1) for kind in ("u", "w"))
+    if not problem.forces:
+        return replace(motion, point_w=point_w)
+    return replace(motion, point_u=point_u.reshape(N, d, m), point_w=point_w)
+
+
+def _list_unknowns(motion: Trajectory, problem: Problem) -> Array:
+    """Return the unknowns of a motion, or their guesses."""
+    guesses = np.array([unknown.guess for unknown in problem.unknowns])
+    return motion.unknowns if motion.unknowns.size == guesses.size else guesses
+
+
+def _add_states(motion: Trajectory, problem: Problem, plant: Plant) -> Trajectory:
+    """Add all states."""
+    states = problem.every_state
     t = np.unique(np.concatenate((motion.t, motion.point_t.ravel())))
     values = _guess(states, t, motion, problem, plant)
     return replace(motion, states=_read(values, t, motion.t), point_states=_read(values, t, motion.point_t))
@@ -82,21 +114,21 @@ def _integrate(
 ) -> Array | None:
     """Integrate some states along a motion, the others being known: (K, states); None where that fails."""
     rates = Values([problem.every_state[i].rate for i in integrated], problem, plant)
+    given = GivenValues(problem, plant)
     table = {"states": values, **_tabulate(motion, t)}
-    calls = 0
+    calls, unknowns = 0, _list_unknowns(motion, problem)[None]
 
     def rate(time: float, own: Array) -> Array:
         nonlocal calls
         calls += 1
         if calls > MAX_CALLS:
             raise _TooLongError
-        parts = {kind: _interpolate(time, t, array) for kind, array in table.items() if kind in rates.kinds}
-        if "states" in parts:
-            parts["states"][:, integrated] = own
+        parts = {kind: _interpolate(time, t, array) for kind, array in table.items()}
+        parts["states"][:, integrated] = own
         interval = min(int(np.searchsorted(motion.t, time, side="right")) - 1, len(motion.u) - 1)
         parts |= {"u": motion.u[[interval]], "controls": motion.controls[[interval]]}
-        parts |= {"t": np.full((1, 1), time), "T": np.full((1, 1), motion.t[-1])}
-        return np.asarray(rates(parts)[0])
+        parts |= {"t": np.full((1, 1), time), "T": np.full((1, 1), motion.t[-1]), "unknowns": unknowns}
+        return np.asarray(rates(given(parts))[0])
 
     begin = values[0, integrated]
     try:

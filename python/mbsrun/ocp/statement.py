@@ -219,7 +219,7 @@ class _Reading(PartReading):
             self.fault(("model",) if self.coordinates.known else ("controls",), finding, remedy)
         if self.open_inputs:
             left = f"the model leaves {', '.join(self.open_inputs)} open, beside the inputs u"
-            self.fault(("model",), left, "give the external wrenches in the model: here they have no value")
+            self.fault(("model",), left, "give them in the model: here they have no value")
         self.referring.read(section.references)
         bounds = self.bounds(section.bounds)
         horizon, horizon_range = self.horizon(section.horizon)
@@ -259,10 +259,13 @@ class _Reading(PartReading):
             solver=self.solver(section.solver),
             states=self.states(section.states),
             controls=self.controls(section.controls),
+            forces=self.given_forces(section.forces, self.inputs.known),
+            wrenches=self.wrenches(section.wrenches),
             integrals=self.integrals(section.integrals),
         )
         used = tuple((key, self.constants[key]) for key in section.constants if key in self.used)
         problem = replace(problem, constants=used, references=self.referring.references())
+        self.check_given(problem)
         for conflict in (
             *find_conflicts(problem),
             *find_loop_conflicts(problem, self.manifest),

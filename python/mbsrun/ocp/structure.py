@@ -47,6 +47,8 @@ class Structure:
     added: Added = field(default_factory=Added)
     rates: tuple[str, ...] = ()  # of the states that the problem adds
     ending: tuple[int, ...] = ()  # of them, the ones with a condition at the end
+    forces: tuple[tuple[int, str], ...] = ()  # inputs that expressions give, in order
+    wrenches: tuple[tuple[str, int, str | None], ...] = ()  # components of open wrenches: name, number, expression
     inputs: Course = "constant"
 
     @property
@@ -57,7 +59,8 @@ class Structure:
     @property
     def expressions(self) -> tuple[str, ...]:
         """List all expressions of the motion."""
-        return (*self.running, *self.terminal, *(text for text, _ in self.constraints), *self.rates)
+        given = (*(text for _, text in self.forces), *(text for *_, text in self.wrenches if text is not None))
+        return (*self.running, *self.terminal, *(text for text, _ in self.constraints), *self.rates, *given)
 
 
 def structure(problem: Problem) -> Structure:
@@ -96,6 +99,8 @@ def structure(problem: Problem) -> Structure:
         known_velocities=_list_known_velocities(problem) if problem.loops is Loops.REDUCED else (),
         added=problem.added,
         rates=tuple(state.rate for state in problem.every_state),
+        forces=tuple(sorted((force.input, force.expression) for force in problem.forces)),
+        wrenches=tuple((part.wrench, part.component, part.expression) for part in problem.wrenches),
         ending=tuple(i for i, state in enumerate(problem.every_state) if np.isfinite(state.end).any()),
     )
 

@@ -20,6 +20,7 @@ from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.schemes import read_basis
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.quantities import name_components
 
 Array = NDArray[np.float64]
 
@@ -33,10 +34,10 @@ def write_table(solution: Solution, plant: Plant, path: Path) -> None:
     if solution.multipliers is not None:
         columns.append(_read_forces(solution.trajectory, solution.multipliers))
     columns.append(_place_sensors(solution.trajectory, plant))
-    columns += list_additions(solution.trajectory)
+    columns += [*list_additions(solution.trajectory), list_wrenches(solution.trajectory)]
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(_name_columns(plant.manifest) + _name_additions(solution.problem))
+        writer.writerow(_name_columns(plant.manifest) + _name_additions(solution.problem, plant.manifest))
         writer.writerows(np.concatenate(columns, axis=1).tolist())
 
 
@@ -54,13 +55,18 @@ def _name_columns(manifest: Manifest) -> list[str]:
     ]
 
 
-def _name_additions(problem: Problem) -> list[str]:
-    """Name the states and controls that the problem adds, and its integrals from the start."""
+def _name_additions(problem: Problem, manifest: Manifest) -> list[str]:
+    """Name the states and controls that the problem adds, its integrals from the start, and open wrenches."""
     return [
         *(f"state[{state.name}]" for state in problem.states),
         *(f"integral[{i}]" for i in range(len(problem.integrals))),
         *(f"control[{control.name}]" for control in problem.controls),
+        *(f"w[{name or i}] [{_name_unit(name)}]" for i, name in enumerate(name_components(manifest))),
     ]
+
+
+def _name_unit(component: str | None) -> str:
+    return "N m" if component is not None and component.startswith("m") else "N"
 
 
 def list_additions(trajectory: Trajectory) -> list[Array]:

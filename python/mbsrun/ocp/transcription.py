@@ -28,7 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -66,6 +66,7 @@ class Transcription:
     program: Program
     closure: Closure | None = None  # of a mechanism with closed loops
     fixed: tuple[float, ...] = ()  # values of the entries of theta that are no unknowns
+    components: tuple[int, ...] = ()  # the entry of w of each component of a wrench that the problem has
 
     def parameters(self, problem: Problem) -> Array:
         """Return the parameters of the program: weights, constants, attitudes of the end."""
@@ -85,6 +86,10 @@ class Transcription:
             (extras.states, added),
             (extras.point_states, added),
             *self._bound_inputs(problem),
+            (
+                extras.wrenches[:, :, list(self.components)],
+                np.array([x.bounds for x in problem.wrenches]).reshape(-1, 2),
+            ),
         ):
             lower[index], upper[index] = bounds.T
         if problem.horizon_range is not None:
@@ -101,9 +106,10 @@ class Transcription:
             np.array(bounds).reshape(-1, 2)
             for bounds in (problem.bounds.u, [control.bounds for control in problem.controls])
         )
+        given, free = (extras.forces, u[list(extras.given)]), u[list(extras.free)]
         if problem.inputs == "constant":
-            return [(layout.inputs, u), (extras.controls, controls)]
-        return [(layout.point_inputs, u), (extras.point_controls, controls)]
+            return [given, (layout.inputs, free), (extras.controls, controls)]
+        return [given, (layout.point_inputs, free), (extras.point_controls, controls)]
 
     def constraint_bounds(self, problem: Problem) -> tuple[Array, Array]:
         """Bound the rows that a solver sees: by start, end, ranges of constraints and bounds; all else is 0."""
@@ -157,10 +163,7 @@ class Transcription:
         x[layout.mesh] = np.concatenate((trajectory.q, trajectory.qd[:, velocities]), axis=1)
         if layout.points.size:
             x[layout.points] = np.concatenate((trajectory.point_q, trajectory.point_qd[:, :, velocities]), axis=2)
-        if self.structure.inputs == "constant":
-            x[layout.inputs], x[layout.extras.controls] = trajectory.u, trajectory.controls
-        else:
-            x[layout.point_inputs], x[layout.extras.point_controls] = trajectory.spread_inputs()
+        self._pack_inputs(x, trajectory)
         x[layout.extras.states] = trajectory.states
         # shooting has other stages than points, and adds no states
         x[layout.extras.point_states] = trajectory.point_states.reshape(layout.extras.point_states.shape)
@@ -198,13 +201,7 @@ class Transcription:
             mesh_qd = self._complete(mesh_q, mesh_qd)
             qd = self._complete(q, qd)
             qdd = self.closure.complete_accelerations(q, qd, self.closure.independent, qdd)
-        if self.structure.inputs == "constant":
-            u, controls = x[layout.inputs], x[layout.extras.controls]
-        else:  # means over the intervals
-            u, controls = (
-                np.einsum("j,kjm->km", self.scheme.weights, x[part])
-                for part in (layout.point_inputs, layout.extras.point_controls)
-            )
+        u, point_u, controls = self._unpack_inputs(x)
         return Trajectory(
             t,
             mesh_q,
@@ -218,9 +215,42 @@ class Transcription:
             point_states=x[layout.extras.point_states].reshape(*point_t.shape, layout.extras.states.shape[1]),
             controls=controls,
             unknowns=x[layout.unknowns],
-            point_u=x[layout.point_inputs],
+            point_u=point_u,
             point_controls=x[layout.extras.point_controls],
+            point_w=x[layout.extras.wrenches].reshape(*point_t.shape, layout.extras.wrenches.shape[2]),
         )
+
+    def _pack_inputs(self, x: Array, trajectory: Trajectory) -> None:
+        """Put inputs, controls and components of wrenches into the variables."""
+        layout, extras = self.layout, self.layout.extras
+        u, controls = trajectory.spread_inputs()
+        if self.structure.inputs == "constant":
+            x[layout.inputs], x[extras.controls] = trajectory.u[:, list(extras.free)], trajectory.controls
+        else:
+            x[layout.point_inputs], x[extras.point_controls] = u[:, :, list(extras.free)], controls
+        if extras.given:
+            x[extras.forces] = u[:, :, list(extras.given)]
+        x[extras.wrenches] = trajectory.point_w.reshape(extras.wrenches.shape)
+
+    def _unpack_inputs(self, x: Array) -> tuple[Array, Array, Array]:
+        """Read inputs (N, m), or their means, their values at the points unless constant, and controls, or means."""
+        layout, extras = self.layout, self.layout.extras
+        N, d = layout.grid.intervals, self.scheme.degree
+        is_constant = self.structure.inputs == "constant"
+        controls = x[extras.controls] if is_constant else self._average(x[extras.point_controls])
+        if is_constant and not extras.given:
+            return x[layout.inputs], np.zeros((N, d, 0)), controls
+        point_u = np.zeros((N, d, extras.m))
+        point_u[:, :, list(extras.free)] = x[layout.inputs][:, None] if is_constant else x[layout.point_inputs]
+        point_u[:, :, list(extras.given)] = x[extras.forces]
+        u = self._average(point_u)
+        if is_constant:
+            u[:, list(extras.free)] = x[layout.inputs]
+        return u, point_u, controls
+
+    def _average(self, points: Array) -> Array:
+        """Return means over the intervals of values (N, d, size) at the points."""
+        return np.asarray(np.einsum("j,kjm->km", self.scheme.weights, points))
 
     @property
     def _fixed(self) -> Indices:
@@ -246,11 +276,11 @@ def find_multipliers(closure: Closure, trajectory: Trajectory) -> Array:
     """Find the multipliers of loops at the points of a motion, (N, d, m), by least squares."""
     N, d, n = trajectory.point_q.shape
     q, qd, qdd = (x.reshape(N * d, n) for x in (trajectory.point_q, trajectory.point_qd, trajectory.point_qdd))
-    u, none = (
-        trajectory.spread_inputs()[0].reshape(N * d, trajectory.u.shape[1]),
-        np.zeros((N * d, len(closure.dependent))),
-    )
-    Phi = closure.plant("impl", q=q, qd=qd, qdd=qdd, lam=none, u=u)["Phi"]
+    u = trajectory.spread_inputs()[0].reshape(N * d, trajectory.u.shape[1])
+    state: dict[str, Any] = {"q": q, "qd": qd, "qdd": qdd, "u": u, "lam": np.zeros((N * d, len(closure.dependent)))}
+    if trajectory.point_w.size:
+        state["w"] = trajectory.point_w.reshape(N * d, -1)
+    Phi = closure.plant("impl", **state)["Phi"]
     return np.nan_to_num(closure.balance(q, Phi)).reshape(N, d, -1)
 
 
@@ -281,4 +311,5 @@ def transcribe(problem: Problem, plant: Plant) -> Transcription:
         program,
         closure,
         list_fixed_values(shape.added.unknowns, plant),
+        writer.list_components(),
     )

@@ -12,12 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.expressions import evaluate, names, parse
+from mbsrun.ocp.backends.symbolic import load
+from mbsrun.ocp.given import list_texts, order_given, place_unknown
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem
-from mbsrun.quantities import list_quantities
+from mbsrun.ocp.problem import Problem, list_names
+from mbsrun.quantities import list_quantities, name_components
+from mbsrun.recordings import references
 from mbsrun.simulation.drive import ARRAYS
 
 Array = NDArray[np.float64]
+Parts = Mapping[str, Array]  # (B, size) by kind: t, T, q, qd, qdd, u, w, states, controls, unknowns
 
 
 class Values:
@@ -26,18 +30,21 @@ class Values:
     def __init__(self, texts: Sequence[str], problem: Problem, plant: Plant) -> None:
         """Parse the expressions. Raises ExpressionError for one that cannot be read."""
         self._expressions = [parse(text) for text in texts]
-        self._plant, self._constants = plant, dict(problem.constants)
-        read = frozenset().union(*map(names, self._expressions)) - set(self._constants)
+        self._plant, self._problem = plant, problem
+        named = frozenset[str]().union(*map(names, self._expressions))
+        self._functions = [function for function in problem.functions if function.name in named]
+        read = frozenset[str]().union(*(list_names(text, problem.functions) for text in texts))
         known = list_quantities(plant.manifest, problem.added)
-        self._read = {name: known[name] for name in sorted(read)}
+        self._read = {name: known[name] for name in sorted(read) if name in known}
+        self._references = sorted(read & references.list_names(problem.references).keys())
 
     @property
     def kinds(self) -> frozenset[str]:
         """Return the kinds of quantities that the expressions read."""
         return frozenset(quantity.kind for quantity in self._read.values())
 
-    def __call__(self, parts: Mapping[str, Array]) -> Array:
-        """Return the values (B, expressions); parts are (B, size) by kind: t, T, q, qd, qdd, u, w, states, controls.
+    def __call__(self, parts: Parts) -> Array:
+        """Return the values (B, expressions).
 
         Kinds that no expression reads may be left out. Where an expression has no value, the number is not finite.
         """
@@ -48,10 +55,36 @@ class Values:
                 vectors = self._plant(kernel, **given)[kind]
                 found[kind] = vectors.swapaxes(1, 2).reshape(B, -1)
         numbers = {name: found[quantity.kind][:, quantity.index] for name, quantity in self._read.items()}
-        constants = {name: np.full(1, value) for name, value in self._constants.items()}
+        numbers |= {name: np.full(1, value) for name, value in self._problem.constants}
+        t, T = parts["t"][:, 0], float(parts["T"][0, 0])
+        for name in self._references:
+            numbers[name] = references.evaluate(name, self._problem.references, t / T, T)
+        for function in self._functions:
+            arguments = [np.broadcast_to(numbers[name], B) for name in function.reads]
+            numbers[function.name] = load(function.code).map(B)(*arguments).full()[0]
         with np.errstate(all="ignore"):
-            columns = [
-                np.broadcast_to(evaluate(expression, {**constants, **numbers}, ARRAYS), B)
-                for expression in self._expressions
-            ]
+            columns = [np.broadcast_to(evaluate(x, numbers, ARRAYS), B) for x in self._expressions]
         return np.stack(columns, axis=1) if columns else np.zeros((B, 0))
+
+
+class GivenValues:
+    """The inputs and components of wrenches that expressions of a problem give."""
+
+    def __init__(self, problem: Problem, plant: Plant) -> None:
+        """Put them in order."""
+        self._levels, _ = order_given(problem, plant.manifest)
+        self._values = [Values(texts, problem, plant) for texts in list_texts(self._levels)]
+        self._w = np.zeros(len(name_components(plant.manifest)))
+        for i, value in place_unknown(problem, plant.manifest).items():
+            self._w[i] = value
+
+    def __call__(self, parts: Parts) -> dict[str, Array]:
+        """Return the parts with what is given put into u and w; components that are unknown keep w, or their guess."""
+        found, B = dict(parts), len(parts["t"])
+        found["u"] = parts["u"].copy()
+        found["w"] = parts["w"].copy() if "w" in parts else np.tile(self._w, (B, 1))
+        for level, values in zip(self._levels, self._values, strict=True):
+            numbers = values(found)
+            for part, column in zip(level, numbers.T, strict=True):
+                found[part.kind][:, part.index] = column
+        return found

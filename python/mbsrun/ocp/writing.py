@@ -11,16 +11,30 @@ from dataclasses import replace
 import numpy as np
 from scipy import sparse
 
+from mbsgen.manifest import Manifest
 from mbsrun.ocp import closing, design, formulas
 from mbsrun.ocp.functions import Array, Fixed, Function, Indices, KernelResult
 from mbsrun.ocp.integrators import SECOND_ORDER, Integrator
-from mbsrun.ocp.layout import Entries, ExtraRows, Layout, Places, Rows, at_mesh, at_points, at_stages, lay_out, spread
+from mbsrun.ocp.layout import (
+    Entries,
+    ExtraRows,
+    ExtraSizes,
+    Layout,
+    Places,
+    Rows,
+    at_mesh,
+    at_points,
+    at_stages,
+    lay_out,
+    spread,
+)
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Form, list_names
 from mbsrun.ocp.program import Block, Column, Combination, Matrix, Program, Stages
 from mbsrun.ocp.quantities import Quantity, formulate, list_quantities
 from mbsrun.ocp.schemes import Scheme
 from mbsrun.ocp.structure import Structure
+from mbsrun.quantities import find_component
 from mbsrun.quaternions import Quaternion, find_quaternion, list_quaternions, neutral
 from mbsrun.recordings import references
 
@@ -39,7 +53,8 @@ class Writer:
         self.quaternions = list_quaternions(plant.manifest)
         self.scheme, self.integrator, self.equations = scheme, integrator, shape.representation.equations
         self.motions = closing.list_motions(shape, plant.manifest)
-        self.kernel = self.equations.write(shape.loops)
+        self.components = order_components(shape, plant.manifest)
+        self.kernel = _read_wrenches(self.equations.write(shape.loops), plant)
         self.layout = lay_out(
             self.motions,
             len(plant.manifest.actuated),
@@ -48,8 +63,12 @@ class Writer:
             has_states=shape.form is Form.STANDARD,
             has_accelerations=shape.form is not Form.STANDARD or self.equations.has_accelerations,
             horizon_is_free=shape.horizon is None,
-            states=len(shape.rates),
-            controls=len(shape.added.controls),
+            added=ExtraSizes(
+                states=len(shape.rates),
+                controls=len(shape.added.controls),
+                given=tuple(i for i, _ in shape.forces),
+                wrenches=len(self.components),
+            ),
             unknowns=len(shape.added.unknowns) + design.count_fixed(shape.added.unknowns, plant.manifest),
             has_constant_inputs=shape.inputs == "constant",
         )
@@ -78,7 +97,7 @@ class Writer:
         lengths = self.write_lengths()
         start_closure = self.write_start_closure()
         inner, equations, continuity = self.write_collocation()
-        states, dynamics, closure, rates = self.split_equations(equations)
+        states, dynamics, closure, rates, given = self.split_equations(equations)
         rows = Rows(
             start=start,
             lengths=lengths,
@@ -87,7 +106,7 @@ class Writer:
             closure=closure,
             start_closure=start_closure,
             continuity=continuity,
-            extras=ExtraRows(extra_start, rates, self.write_states(extras.states[N, list(shape.ending)], N)),
+            extras=ExtraRows(extra_start, rates, given, self.write_states(extras.states[N, list(shape.ending)], N)),
             inner=self.write_inner_bounds(),
             sensors=self.write_sensors([self.position(name) for name in shape.sensors]),
             coordinates=self.write_states(
@@ -111,7 +130,7 @@ class Writer:
             constants=self.parameters - self.weights,
             stages=Stages(
                 states=np.concatenate((self.layout.mesh, extras.states), axis=1),
-                inputs=self.layout.every_input,
+                inputs=self.list_inputs(),
                 inner=inner,
                 equations=equations,
                 continuity=continuity,
@@ -122,6 +141,13 @@ class Writer:
             solves_inner=shape.form is Form.SHOOTING,
         )
         return rows, program
+
+    def list_inputs(self) -> Indices:
+        """List the variables (N, ...) of each interval that no equation of the interval gives."""
+        free = [i for i, text in enumerate(self.components) if text is None]
+        wrenches = self.layout.extras.wrenches[:, :, free]
+        N, S, size = wrenches.shape
+        return np.concatenate((self.layout.every_input, wrenches.reshape(N, S * size)), axis=1)
 
     def list_common(self) -> Indices:
         """List the variables of the whole horizon."""
@@ -151,8 +177,8 @@ class Writer:
         """Find entries of qd among the velocities that are variables."""
         return [self.motions.velocities.index(i) for i in which]
 
-    def split_equations(self, equations: Indices) -> tuple[Indices, Indices, Indices, Indices]:
-        """Split the equations of stages (N, S, ...) into groups: of states, of motion, of loops, of states added.
+    def split_equations(self, equations: Indices) -> tuple[Indices, Indices, Indices, Indices, Indices]:
+        """Split the equations of stages (N, S, ...): of states, of motion, of loops, of states added, of what is given.
 
         For an ODE, the equations of motion are the last ones of states.
         """
@@ -160,11 +186,13 @@ class Writer:
         states = len(self.motions.carried) if self.layout.points.size else 0
         end = states + (n if self.layout.accelerations.size else 0)
         rates = end + self.loop_rows
+        given = rates + len(self.shape.rates)
         return (
             equations[:, :, :states],
             equations[:, :, end - n : end],
             equations[:, :, end:rates],
-            equations[:, :, rates:],
+            equations[:, :, rates:given],
+            equations[:, :, given:],
         )
 
     @property
@@ -183,16 +211,17 @@ class Writer:
         layout, n = self.layout, len(self.motions.independent)
         N, S, width = layout.points.shape
         at_stage = (len(self.motions.carried) if width else 0) + (n if layout.accelerations.size else 0)
-        at_stage += self.loop_rows + len(self.shape.rates)
+        at_stage += self.loop_rows + len(self.shape.rates) + len(self.list_given())
         carried = layout.mesh.shape[1]
         interval = self.take(np.arange(N), N, S * at_stage + carried + len(self.shape.rates))
         equations, continuity = interval[:, : S * at_stage].reshape(N, S, at_stage), interval[:, S * at_stage :]
-        states, dynamics, closure, rates = self.split_equations(equations)
+        states, dynamics, closure, rates, given = self.split_equations(equations)
         if self.shape.form is Form.STANDARD:
             self.write_states_at_points(states, continuity[:, :carried])
         else:
             self.write_integrals(continuity[:, :carried])
         self.write_added_states(rates, continuity[:, carried:])
+        self.write_given(given)
         self.write_dynamics(dynamics.reshape(N * S, n).T)
         self.write_closure(self.points, closure.reshape(N * S, -1).T, self.points.interval)
         self.write_corrections(states)
@@ -202,6 +231,7 @@ class Writer:
             layout.accelerations,
             layout.multipliers,
             layout.corrections,
+            self.place_given(),
         )
         return np.concatenate(inner, axis=2), equations, continuity
 
@@ -306,6 +336,30 @@ class Writer:
         rows = rates.reshape(-1, len(self.shape.rates)).T
         block = self.apply(self.shape.rates, self.points, rows, interval, -self.h[interval])
         self.blocks.append(replace(block, factor=self.layout.horizon))
+
+    def list_components(self) -> tuple[int, ...]:
+        """Return the entry of w of each component of a wrench that the problem has."""
+        found = (find_component(self.manifest, name, component) for name, component, _ in self.shape.wrenches)
+        return tuple(i for i in found if i is not None)
+
+    def list_given(self) -> list[str]:
+        """List the expressions that give inputs, then components of wrenches."""
+        return [*(text for _, text in self.shape.forces), *(text for text in self.components if text is not None)]
+
+    def place_given(self) -> Indices:
+        """Return the variables (N, S, ...) of what expressions give."""
+        extras = self.layout.extras
+        chosen = [i for i, text in enumerate(self.components) if text is not None]
+        return np.concatenate((extras.forces, extras.wrenches[:, :, chosen]), axis=2)
+
+    def write_given(self, rows: Indices) -> None:
+        """Set inputs and components of wrenches to the values of their expressions at the points."""
+        if not rows.size:
+            return
+        texts = self.list_given()
+        self.A.put(rows, self.place_given(), 1.0)
+        placed = rows.reshape(-1, len(texts)).T
+        self.blocks.append(self.apply(texts, self.points, placed, self.points.interval, -1.0))
 
     def write_integrals(self, continuity: Indices) -> None:
         """Read the states at the interval's end off those at its start and the accelerations."""
@@ -516,6 +570,25 @@ class Writer:
         if layout.horizon is None:
             return (_input_cost(layout, self.h, weights), _rate_cost(layout, self.h), *others), tuple(blocks)
         return (nothing, nothing, *others), (*_input_costs(layout, layout.horizon, self.h, weights), *blocks)
+
+
+def order_components(shape: Structure, manifest: Manifest) -> tuple[str | None, ...]:
+    """Return the expression of each entry of w; None for one that is unknown."""
+    found: dict[int, str | None] = {}
+    for wrench, component, text in shape.wrenches:
+        i = find_component(manifest, wrench, component)
+        assert i is not None, "components are checked before"
+        found[i] = text
+    return tuple(found[i] for i in sorted(found))
+
+
+def _read_wrenches(kernel: KernelResult, plant: Plant) -> KernelResult:
+    """Let a kernel read the components of open wrenches, if there are any, in the order of its inputs."""
+    if not plant.manifest.wrenches:
+        return kernel
+    order = [a.name for a in plant.describe(kernel.kernel).inputs]
+    inputs = {*kernel.inputs, *({"w"} & set(order))}
+    return replace(kernel, inputs=tuple(sorted(inputs, key=order.index)))
 
 
 def find_references(texts: Sequence[str], shape: Structure) -> list[str]:
