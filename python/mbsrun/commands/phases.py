@@ -11,10 +11,12 @@ from mbsrun.commands.console import MESSAGES, NOT_SOLVED, say
 from mbsrun.external import load_on_demand
 from mbsrun.ocp.phases.files import SOLUTION, write_files
 from mbsrun.ocp.phases.problem import PhasedProblem, Plants
+from mbsrun.ocp.phases.refinement import refine_phases
 from mbsrun.ocp.phases.solution import Guess, PhasedFailure, PhasedSolution, read_phased_guess
 from mbsrun.ocp.phases.solve import resimulate_phases, solve_phases
 from mbsrun.ocp.phases.statement import read_phased_problem
 from mbsrun.ocp.phases.summary import list_phased_shortcomings, summarise_phases
+from mbsrun.ocp.solution import Round
 from mbsrun.ocp.solve import Progress
 
 
@@ -38,6 +40,8 @@ def solve_file(file: Path, out: Path | None, other: Path | None, solver: str | N
         return NOT_SOLVED
     with MESSAGES.status("integrating again") as status:
         outcome = resimulate_phases(outcome, plants)
+        if any(phase.problem.refine is not None for phase in problem.phases):
+            outcome = refine_phases(outcome, plants, lambda name, round_: status.update(_describe(name, round_)))
         status.update("drawing")
         written = write_files(outcome, plants, out)
     for name, value in summarise_phases(outcome).items():
@@ -47,6 +51,11 @@ def solve_file(file: Path, out: Path | None, other: Path | None, solver: str | N
     for shortcoming in shortcomings:
         say(f"warning: {shortcoming}")
     return NOT_SOLVED if shortcomings else 0
+
+
+def _describe(name: str, last: Round) -> str:
+    defect = "unknown" if last.defect is None else f"{last.defect:.1e}"
+    return f"phase {name}: {len(last.times) - 1} intervals, degree {last.degree}: defect {defect}; refining"
 
 
 def _solve(problem: PhasedProblem, plants: Plants, guess: Guess | None) -> PhasedSolution | PhasedFailure:

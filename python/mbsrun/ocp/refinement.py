@@ -55,12 +55,12 @@ def refine(solution: Solution, plant: Plant, show: Show | None = None, watch: Wa
     """
     asked = solution.problem.refine
     assert asked is not None, "a problem without refinement keeps its grid"
-    rounds = [_record("", solution, None)]
+    rounds = [record_round("", solution, None)]
     finding = ""
     while not finding:
         if show is not None:
             show(rounds[-1])
-        finding = _find_end(solution, len(rounds) - 1, asked.rounds)
+        finding = find_end(solution, len(rounds) - 1, asked.rounds)
         if finding:
             break
         chosen = choose_grid(solution)
@@ -73,11 +73,11 @@ def refine(solution: Solution, plant: Plant, show: Show | None = None, watch: Wa
             solution = resimulate(outcome, plant)
         else:
             finding = f"on the next grid, {outcome.finding}"
-        rounds.append(_record(change, outcome if isinstance(outcome, Failure) else solution, problem))
+        rounds.append(record_round(change, outcome if isinstance(outcome, Failure) else solution, problem))
     return replace(solution, refinement=Rounds(asked.accuracy, tuple(rounds), finding))
 
 
-def _find_end(solution: Solution, made: int, rounds: int) -> str:
+def find_end(solution: Solution, made: int, rounds: int) -> str:
     """Return why the refinement ends; empty: it goes on."""
     check = solution.resimulation
     assert check is not None, "a solution is re-simulated before its grid is refined"
@@ -109,7 +109,7 @@ def _solve(problem: Problem, plant: Plant, motion: Trajectory, watch: Watch | No
     return replace(outcome, problem=replace(outcome.problem, solver=problem.solver))
 
 
-def _record(change: str, outcome: Solution | Failure, problem: Problem | None) -> Round:
+def record_round(change: str, outcome: Solution | Failure, problem: Problem | None) -> Round:
     """Describe a round; `problem` is the one of a failure."""
     run = outcome.run
     if isinstance(outcome, Failure):

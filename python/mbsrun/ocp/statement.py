@@ -88,6 +88,7 @@ from mbsrun.quaternions import (
     normalise,
 )
 
+PHASED = ("phases", "links")  # keys of problems that `phases.statement` reads
 ROUNDED = 1e-9  # of a start that loops complete, beyond its bounds
 
 SomePlant = TypeVar("SomePlant", bound=Plant)
@@ -103,6 +104,10 @@ def read_problem(
     """
     document = read_document(path)
     expect(document, "problem")
+    for key in PHASED:
+        if isinstance(document.data, dict) and key in document.data:
+            remedy = "only `mbsrun solve`, and ocp.phases in Python, take such problems"
+            raise refuse([document.fault((key,), f"a problem with {key}", remedy)])
     return interpret(document, name_problem(path), lambda model: load(path.parent / model), none)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from mbsrun.ocp.phases.pictures import make_phased_mechanism, make_phased_trajectories, write_animations
 from mbsrun.ocp.phases.problem import Plants
 from mbsrun.ocp.phases.solution import PhasedSolution, write_phased_solution
-from mbsrun.ocp.pictures import save
+from mbsrun.ocp.pictures import plot_mesh, save
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.table import write_table
 
@@ -29,6 +29,10 @@ def write_files(solution: PhasedSolution, plants: Plants, folder: Path) -> tuple
     if all(plant.manifest.coordinates for plant in plants.phases):
         save(make_phased_mechanism(solution, phases, plants), folder / MECHANISM)
         pictures += (MECHANISM, *write_animations(solution, phases, plants, folder))
+    for name, phase in zip(solution.names, solution.phases, strict=True):
+        if phase.refinement is not None:
+            plot_mesh(phase.refinement, folder / f"{name}.mesh.png")
+            pictures += (f"{name}.mesh.png",)
     return (SOLUTION, *tables, *pictures)
 
 

@@ -11,7 +11,6 @@ phase to the start of another one, or of the same one, which makes a motion peri
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from mbsrun.ocp.plant import Plant
@@ -87,10 +86,6 @@ class PhasedProblem:
         """Return the largest weight of the costs."""
         return max((abs(w) for phase in self.phases for w in phase.problem.cost.weights), default=0.0)
 
-    def is_linked(self, name: str) -> bool:
-        """Return whether a link leads to the start of a phase."""
-        return any(link.target == name for link in self.links)
-
 
 @dataclass(frozen=True)
 class Plants:
@@ -139,8 +134,3 @@ def equip_phases(problem: PhasedProblem, plants: Plants) -> Plants:
     sources = [problem.phases[problem.find(link.source)].problem for link in problem.links]
     impacts = zip(plants.impacts, sources, strict=False)
     return Plants(phases, tuple(None if plant is None else change(plant, own) for plant, own in impacts))
-
-
-def make_plants(phases: Sequence[Plant]) -> Plants:
-    """Return the plants of a problem whose impacts take the models of its phases."""
-    return Plants(tuple(phases))

@@ -142,7 +142,7 @@ class PhasedSolver:
             size = _measure_part(own, k)
             numbers = Values(values, rows, cost, values)
             phase = problem.phases[k]
-            named = replace(phase.problem, name=phase.name)
+            named = replace(phase.problem, name=phase.name, solver=problem.solver)
             solutions.append(make_solution(named, self.plants.phases[k].manifest, own.phases[k], run, size, numbers))
         bounds = own.constraint_bounds(problem)
         links = own.split_rows(g)[-1], *(own.split_rows(bound)[-1] for bound in bounds)

@@ -21,11 +21,10 @@ from mbsrun.ocp.phases.problem import Condition, Impact, Link, Phase, PhasedProb
 from mbsrun.ocp.phases.sections import ContactSection, ImpactSection, LinkSection, PhaseSection, WholeSection
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Contact, Problem, Range
-from mbsrun.ocp.statement import read_phase
+from mbsrun.ocp.statement import PHASED, read_phase
 from mbsrun.reading import Reading, overlay
 
-OWN = ("phases", "links")  # keys that are no defaults of phases
-SHARED = ("solver", "unknowns", "links", "phases")  # keys that a phase does not repeat
+SHARED = ("solver", "unknowns", *PHASED)  # keys that a phase does not repeat
 ONLY = "motion"  # the name of the phase of a file without `phases`
 
 Load = Callable[[Path], Plant]
@@ -34,7 +33,7 @@ Load = Callable[[Path], Plant]
 def has_phases(path: Path) -> bool:
     """Return whether a file describes a problem with phases or links. Raises InputError for a file that is no YAML."""
     data = read_document(path).data
-    return isinstance(data, dict) and bool({"phases", "links"} & set(data))
+    return isinstance(data, dict) and not set(PHASED).isdisjoint(data)
 
 
 def read_phased_problem(path: Path, load: Load) -> tuple[PhasedProblem, Plants]:
@@ -147,7 +146,7 @@ def _read_phase(document: Document, k: int, linked: set[str], loading: _Loading)
     usual: dict[str, Data] = {"cost": {"inputs": 0.0}} if "cost" not in data else {}
     if name in linked:
         usual["start"] = {}
-    defaults: dict[str, Data] = {key: value for key, value in data.items() if key not in OWN}
+    defaults: dict[str, Data] = {key: value for key, value in data.items() if key not in PHASED}
     kept: Data = {key: value for key, value in own.items() if key not in SHARED}
     merged = overlay(overlay(usual, defaults), kept)
     if name in linked and isinstance(merged, dict) and isinstance(merged.get("start"), dict):
@@ -171,7 +170,7 @@ def _pick_faults(document: Document, k: int) -> Mapping[Place, Fault]:
     return {
         place[2:] if place[:2] == own else place: fault
         for place, fault in document.faults.items()
-        if place[:2] == own or place[:1] not in [(key,) for key in OWN]
+        if place[:2] == own or place[:1] not in [(key,) for key in PHASED]
     }
 
 

@@ -28,14 +28,18 @@ def summarise_phases(solution: PhasedSolution) -> dict[str, str]:
     for name, phase in zip(solution.names, solution.phases, strict=True):
         rows[f"phase {name}"] = f"model {phase.model}"
         own = summarise(phase)
-        rows |= {f"{name}: {key.strip()}": text for key, text in own.items() if key.strip() in KEPT}
+        rows |= {f"{name}: {key.strip()}": text for key, text in own.items() if _is_kept(key.strip())}
     for values in solution.values:
         rows[f"link {values.source} to {values.target}"] = f"violation {values.violation:.1e}"
         rows |= _list_impulses(values)
     return rows
 
 
-KEPT = ("horizon", "cost", "violation", "loops", "closure", "defect", "open loop")
+KEPT = ("horizon", "cost", "violation", "loops", "closure", "intervals", "refinement", "defect", "open loop")
+
+
+def _is_kept(key: str) -> bool:
+    return key in KEPT or key.startswith("round ")
 
 
 def _list_impulses(values: LinkValues) -> dict[str, str]:

@@ -11,10 +11,11 @@ import pytest
 from mbsrun.ocp.backends.casadi import CasadiProgram
 from mbsrun.ocp.backends.numpy import NumpyProgram
 from mbsrun.ocp.phases.problem import Condition, Link, Phase, PhasedProblem, Plants
+from mbsrun.ocp.phases.refinement import refine_phases
 from mbsrun.ocp.phases.solution import Guess, PhasedFailure, PhasedSolution
 from mbsrun.ocp.phases.solve import resimulate_phases, solve_phases
 from mbsrun.ocp.phases.transcription import transcribe_phases
-from mbsrun.ocp.problem import Cost, End, Representation, State, Term, Unknown
+from mbsrun.ocp.problem import Cost, End, Refinement, Representation, State, Term, Unknown
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import solve
 from tests.mbsrun.ocp.phases.motions import cut, free_start, split, swing_up
@@ -219,3 +220,24 @@ def test_conditions_that_contradict_a_link_are_named() -> None:
     outcome = solve_phases(replace(problem, links=(link,)), Plants((cart_pole(), cart_pole())))
     assert isinstance(outcome, PhasedFailure)
     assert "link first to second: " in outcome.finding
+
+
+def test_each_phase_is_refined_until_it_is_accurate(cart: Peer, whole: Solution) -> None:
+    """The first phase asks for more than the second one, which is accurate from the start, and keeps its grid."""
+    problem = split(swing_up())
+    asked = (Refinement(1e-7), None)
+    phases = tuple(
+        replace(phase, problem=replace(phase.problem, refine=own))
+        for phase, own in zip(problem.phases, asked, strict=True)
+    )
+    plants = Plants((cart, cart))
+    coarse = optimum(replace(problem, phases=phases), cart, cart, guess=Guess(cut(whole.trajectory)))
+    found = refine_phases(resimulate_phases(coarse, plants), plants)
+    first, second = found.phases
+    assert first.refinement is not None
+    assert first.refinement.finding == "the re-simulation confirms the accuracy"
+    assert first.resimulation is not None
+    assert first.resimulation.is_accurate
+    assert first.trajectory.t.size * first.problem.degree > 11 * 3
+    assert second.refinement is None
+    assert second.problem.intervals == 10

@@ -12,6 +12,7 @@ from mbsgen.errors import InputError
 from mbsrun.ocp.phases.problem import PhasedProblem
 from mbsrun.ocp.phases.statement import has_phases, read_phased_problem
 from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.statement import read_problem
 from tests.mbsrun.ocp.plants import cart_pole, mechanism
 from tests.mbsrun.peer import Peer, double_integrator
 
@@ -258,3 +259,9 @@ def test_a_contact_is_at_a_force_that_the_model_leaves_open(read: Callable[[str]
         f"links[0].impact.contacts[1]: {closed}",
         "links[0].impact.contacts[1].axes: place cannot move along z; give axes: x",
     ]
+
+
+def test_commands_for_one_phase_refuse_several_in_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "file.ocp.yaml").write_text(GOOD)
+    with pytest.raises(InputError, match="a problem with phases; only `mbsrun solve`"):
+        read_problem(tmp_path / "file.ocp.yaml", models)
