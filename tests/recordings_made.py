@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
 
 Array = NDArray[np.float64]
 
@@ -60,7 +61,30 @@ def make_markers() -> str:
     return "\n".join(lines) + "\n"
 
 
-FILES = {"swing.trc": make_markers}
+INERTIA, FRICTION = 0.0123, 0.021  # of the pendulum that was recorded
+ANGLE_NOISE = 0.5  # [deg]
+
+
+def swing_pendulum(t: Array, inertia: float, friction: float, start: tuple[float, float]) -> Array:
+    """Return the angles of a pendulum of 0.8 kg with its centre at 0.25 m, let go at a state: by scipy."""
+    m, c, g = 0.8, 0.25, 9.81
+
+    def rate(_: float, x: Array) -> list[float]:
+        return [x[1], -(friction * x[1] + m * g * c * np.sin(x[0])) / (inertia + m * c**2)]
+
+    found = solve_ivp(rate, (0.0, float(t[-1])), start, "DOP853", t_eval=t, rtol=1e-10, atol=1e-12)
+    return np.asarray(found.y[0])
+
+
+def make_swing() -> str:
+    """Return the recording of the pendulum, as CSV in degrees at 100 Hz."""
+    t = np.arange(401) / 100
+    angle = np.degrees(swing_pendulum(t, INERTIA, FRICTION, (0.9, -0.4)))
+    angle += ANGLE_NOISE * np.random.default_rng(2).standard_normal(t.size)
+    return "t [s],angle [deg]\n" + "".join(f"{a:.2f},{b:.3f}\n" for a, b in zip(t, angle, strict=True))
+
+
+FILES = {"swing.trc": make_markers, "pendulum.csv": make_swing}
 
 if __name__ == "__main__":
     for name, make in FILES.items():

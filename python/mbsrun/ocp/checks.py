@@ -143,10 +143,11 @@ def find_open_references(problem: Problem) -> Iterator[Conflict]:
         for name in sorted(read):
             reference, track = named[name]
             minded = name.replace(references.VALUE, references.KNOWN, 1)
-            if reference.name in open_ones or minded in read:
+            if reference.name in open_ones or name.startswith(references.KNOWN):
                 continue
             unknown = references.list_unknown(reference, track, problem.horizon)
-            if unknown:
+            factors = [named[other] for other in read if other.startswith(references.KNOWN)]
+            if unknown and unknown not in [references.list_unknown(*pair, problem.horizon) for pair in factors]:
                 spans = ", ".join(f"{a:.6g} to {b:.6g} s" for a, b in unknown[:3]) + (", ..." if unknown[3:] else "")
                 finding = f"{name} is unknown at {spans} of its recording, and {abbreviate(text)} reads it"
                 yield Conflict("references", finding, f"multiply by {minded}, which is 0 there, or bridge longer gaps")
