@@ -52,7 +52,6 @@ def test_inertia_and_friction_of_a_recorded_swing() -> None:
 
 def test_recorded_markers_are_followed() -> None:
     """The motion is nearer to the true one than the noise of the markers."""
-
     problem, plant = read_problem(FOLDER / "arm_follow.ocp.yaml", load_on_demand)
     found = solve(problem, plant)
     assert isinstance(found, Solution)

@@ -80,7 +80,7 @@ frames:
 
 @pytest.mark.parametrize("frame", ["base", "body"])
 def test_a_recorded_force_acts_where_it_was_measured(tmp_path: Path, frame: str) -> None:
-    """At rest the torque is minus the moments of weight, force and free moment about the axis, wherever the wrench is."""
+    """At rest the torque balances weight, force and free moment about the axis, wherever the wrench is."""
     (tmp_path / "pushed.yaml").write_text(PUSHED.replace("FRAME", frame), "utf-8")
     F, P, M = np.array([30.0, 5, -70]), np.array([0.4, 0.1, -0.9]), np.array([1.0, 2, 3])
     head = [f"{part}{axis}" for part in ("F_", "P_", "M_") for axis in "xyz"]
@@ -126,7 +126,7 @@ def test_the_inputs_of_a_simulation_come_back(
     names = [kernels.manifest.coordinates[i].name for i in kernels.manifest.actuated]
     given = [word for pair in inputs.items() for word in ("--input", "=".join(pair))]
     folder = tmp_path / "out"
-    command = ["simulate", str(MODELS / f"{model}.yaml"), *given, "--duration", "0.5", "--output-step", "0.005"]
+    command = ["simulate", str(MODELS / f"{model}.yaml"), *start, *given, "--duration", "0.5", "--output-step", "0.005"]
     monkeypatch.setattr("sys.argv", ["mbsrun", *command, "-o", str(folder)])
     for name in ("plot_motion", "write_animation"):
         monkeypatch.setattr(f"mbsrun.simulation.record.{name}", lambda *_, **__: None)
