@@ -130,7 +130,7 @@ MBSRUN = Package(
         "ocp",
         "optimal.display optimal.plain optimal.programs optimal.describing",
         "optimal.progress optimal.result",
-        "optimal.quantities",
+        "optimal.phases optimal.quantities",
         "optimal.control",
         "optimal",
         "peers.peer",

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, overload
 
 import casadi as ca
 import numpy as np
 
 from mbsgen.documents import Data, abbreviate, read_document
 from mbsgen.errors import Fault, InputError
-from mbsrun.external import load_on_demand
 from mbsrun.ocp import statement
 from mbsrun.ocp.checks import ProblemError, check_problem
 from mbsrun.ocp.no_mechanism import NO_MECHANISM
+from mbsrun.ocp.phases.statement import has_phases, read_phased_problem, state_phases
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Constraint, Problem, Range, Symbolic, Term
 from mbsrun.ocp.recorded import find_guess
@@ -28,13 +28,13 @@ from mbsrun.ocp.solve import Watch, solve
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.optimal import display
 from mbsrun.optimal.describing import describe_problem
-from mbsrun.optimal.plain import make_plain
+from mbsrun.optimal.phases import PhasedControl, load
+from mbsrun.optimal.plain import make_plain, merge
 from mbsrun.optimal.programs import Programs
 from mbsrun.optimal.progress import show_progress
 from mbsrun.optimal.quantities import Quantities, make_functions
 from mbsrun.optimal.result import Solved, Unsolved
 from mbsrun.quantities import list_quantities
-from mbsrun.reading import overlay
 from mbsrun.recordings import references
 
 DEFAULTS: Mapping[str, Data] = {  # of problems in Python; a file states these itself
@@ -102,13 +102,7 @@ class OptimalControl:
         Mappings are merged, at any depth; lists and numbers are replaced; None drops a key of the problem, which has
         its default then. Raises ProblemError with every fault of the result.
         """
-        data = dict(self.data)
-        for key, change in make_plain(self.name, changes).items():
-            if change is None:
-                data.pop(key, None)
-            else:
-                data[key] = overlay(data.get(key), change)
-        return self._restate(data)
+        return self._restate(merge(self.data, make_plain(self.name, changes)))
 
     def with_target(self, sensor: str, **position: Any) -> OptimalControl:
         """Return a copy with another target of a sensor at the end: x, y, z, or radius, azimuth, height."""
@@ -258,18 +252,36 @@ class OptimalControl:
         return display.write_table(f"problem {self.name}", self.describe())
 
 
-def _load(path: Path) -> Plant:
-    return load_on_demand(path)
+@overload
+def problem(
+    model: str | Path | None, *, phases: Sequence[Mapping[str, Any]], name: str | None = None, **keys: Any
+) -> PhasedControl: ...
 
 
-def problem(model: str | Path | Plant | None, *, name: str | None = None, **keys: Any) -> OptimalControl:
+@overload
+def problem(
+    model: str | Path | None, *, links: Sequence[Mapping[str, Any]], name: str | None = None, **keys: Any
+) -> PhasedControl: ...
+
+
+@overload
+def problem(model: str | Path | Plant | None, *, name: str | None = None, **keys: Any) -> OptimalControl: ...
+
+
+def problem(
+    model: str | Path | Plant | None, *, name: str | None = None, **keys: Any
+) -> OptimalControl | PhasedControl:
     """Return a problem of a model: a model file, a generated folder, or loaded kernels; or without one.
+
+    With `phases` or `links` it is a problem in phases, whose models are files.
 
     It takes the keys of a problem file. Values are numbers, texts, lists, arrays and mappings, by the names of
     coordinates and sensors. By default there are 50 intervals of 4 Radau points, a start at 0 and at rest, and the cost
     is the integral of |u|^2. Raises ProblemError with every fault, InputError for a model with faults.
     """
-    plant = _load(Path(model)) if isinstance(model, str | Path) else model or NO_MECHANISM
+    if {"phases", "links"} & set(keys):
+        return _make_phases(model, name, keys)
+    plant = load(Path(model)) if isinstance(model, str | Path) else model or NO_MECHANISM
     known = name or (Path(model).stem if isinstance(model, str | Path) else plant.manifest.model)
     data = {**DEFAULTS, **make_plain(known, keys)}
     value = statement.state_problem(data, known, plant, Path())
@@ -277,11 +289,26 @@ def problem(model: str | Path | Plant | None, *, name: str | None = None, **keys
     return OptimalControl(value, plant, data, Path(), Programs(), path)
 
 
-def read_problem(path: str | Path) -> OptimalControl:
-    """Read a problem file and its model. Raises InputError with every fault of both files."""
+def _make_phases(model: str | Path | Plant | None, name: str | None, keys: Mapping[str, Any]) -> PhasedControl:
+    known = name or (Path(model).stem if isinstance(model, str | Path) else "phases")
+    if not (model is None or isinstance(model, str | Path)):
+        remedy = "give the files of models"
+        raise ProblemError(known, [("model", "loaded kernels, for a problem in phases", remedy)])
+    own: dict[str, Data] = {} if model is None else {"model": str(model)}
+    defaults = {key: value for key, value in DEFAULTS.items() if key not in ("cost", "start")}
+    data = {**defaults, **own, **make_plain(known, keys)}
+    value, plants = state_phases(data, known, Path(), load)
+    return PhasedControl(value, plants, data, Path())
+
+
+def read_problem(path: str | Path) -> OptimalControl | PhasedControl:
+    """Read a problem file and its models. Raises InputError with every fault of all files."""
     file = Path(path)
-    value, plant = statement.read_problem(file, _load, NO_MECHANISM)
     data = read_document(file).data
+    if has_phases(file):
+        phased, plants = read_phased_problem(file, load)
+        return PhasedControl(phased, plants, data if isinstance(data, dict) else {}, file.parent)
+    value, plant = statement.read_problem(file, load, NO_MECHANISM)
     if not isinstance(data, dict):
         raise InputError([Fault(str(file), 0, "", f"found {abbreviate(data)}", "give a mapping of keys")])
     return OptimalControl(value, plant, data, file.parent, Programs(), _find_model(file, data))

@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-WIDTH = 16  # of the names of a text's lines
+WIDTH = 14  # the least, of the names of a text's lines
 DOTS = 100  # an inch, of a picture in a notebook
 
 
 def write_text(title: str, rows: Mapping[str, str]) -> str:
     """Return a title and rows as lines of text."""
-    return "\n".join([title, *(f"  {name:<{WIDTH}}{value}" for name, value in rows.items())])
+    width = max([WIDTH, *map(len, rows)]) + 2
+    return "\n".join([title, *(f"  {name:<{width}}{value}" for name, value in rows.items())])
 
 
 def write_table(title: str, rows: Mapping[str, str], notes: tuple[str, ...] = ()) -> str:

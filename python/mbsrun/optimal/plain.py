@@ -12,6 +12,7 @@ import numpy as np
 
 from mbsgen.documents import Data, Place, write_path
 from mbsrun.ocp.checks import Finding, ProblemError
+from mbsrun.reading import overlay
 
 
 def make_plain(name: str, values: Mapping[str, Any]) -> dict[str, Data]:
@@ -24,6 +25,17 @@ def make_plain(name: str, values: Mapping[str, Any]) -> dict[str, Data]:
     if findings:
         raise ProblemError(name, findings)
     return data
+
+
+def merge(data: Mapping[str, Data], changes: Mapping[str, Data]) -> dict[str, Data]:
+    """Return data with changes: mappings are merged, lists and numbers replaced; null drops a key of the top."""
+    merged = dict(data)
+    for key, change in changes.items():
+        if change is None:
+            merged.pop(key, None)
+        else:
+            merged[key] = overlay(merged.get(key), change)
+    return merged
 
 
 def _convert(value: Any, place: Place, findings: list[Finding]) -> Data:

@@ -18,6 +18,7 @@ from mbsgen.expressions import evaluate, parse
 from mbsgen.expressions import names as names_of
 from mbsrun.jets import Jet, make_jets
 from mbsrun.ocp.design import equip
+from mbsrun.ocp.phases.solution import PhasedFailure
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.solution import Failure, Solution, write_solution
 from mbsrun.ocp.summary import list_shortcomings, summarise
@@ -224,7 +225,7 @@ class Solved:
 class Unsolved:
     """A solve that found no solution, and why."""
 
-    failure: Failure
+    failure: Failure | PhasedFailure
     is_solved: bool = field(default=False, init=False)
 
     @property

@@ -91,7 +91,15 @@ def make_phased_mechanism(solution: PhasedSolution, phases: Sequence[Solution], 
 def write_animations(
     solution: PhasedSolution, phases: Sequence[Solution], plants: Plants, folder: Path
 ) -> tuple[str, ...]:
-    """Write a page that plays all phases, or one for each where their mechanisms have other frames; name the pages."""
+    """Write the pages of `make_animations`, and name them."""
+    pages = make_animations(solution, phases, plants)
+    for name, text in pages.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return tuple(pages)
+
+
+def make_animations(solution: PhasedSolution, phases: Sequence[Solution], plants: Plants) -> dict[str, str]:
+    """Return a page that plays all phases, or one for each where their mechanisms have other frames, by their names."""
     parts = []
     for phase, plant in zip(phases, plants.phases, strict=True):
         trajectory, kernels = phase.trajectory, _equip(phase, plant)
@@ -99,12 +107,11 @@ def write_animations(
     frames = [[frame.name for frame in plant.manifest.frames] for plant in plants.phases]
     follow = all(np.isclose(a.t[-1], b.t[0]) for a, b in pairwise(parts))
     if follow and all(names == frames[0] for names in frames):
-        (folder / "animation.html").write_text(render_parts(parts, solution.name), encoding="utf-8")
-        return ("animation.html",)
-    pages = tuple(f"{name}.html" for name in solution.names)
-    for name, page, part in zip(solution.names, pages, parts, strict=True):
-        (folder / page).write_text(render_parts([part], f"{solution.name}: {name}"), encoding="utf-8")
-    return pages
+        return {"animation.html": render_parts(parts, solution.name)}
+    return {
+        f"{name}.html": render_parts([part], f"{solution.name}: {name}")
+        for name, part in zip(solution.names, parts, strict=True)
+    }
 
 
 def _equip(phase: Solution, plant: Plant) -> Plant:

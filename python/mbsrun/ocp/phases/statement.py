@@ -7,13 +7,14 @@ that it names. A file without `phases`, but with `links`, is a problem of one ph
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mbsgen.documents import Data, Document, Place, examine, lies_under, read_document, refuse
 from mbsgen.errors import Fault, InputError
 from mbsgen.expressions import Expression
+from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.no_mechanism import NO_MECHANISM
 from mbsrun.ocp.phases.checks import find_faults
 from mbsrun.ocp.phases.impacts import AXES, find_axes
@@ -21,7 +22,7 @@ from mbsrun.ocp.phases.problem import Condition, Impact, Link, Phase, PhasedProb
 from mbsrun.ocp.phases.sections import ContactSection, ImpactSection, LinkSection, PhaseSection, WholeSection
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Contact, Problem, Range
-from mbsrun.ocp.statement import PHASED, read_phase
+from mbsrun.ocp.statement import PHASED, name_problem, read_phase
 from mbsrun.reading import Reading, overlay
 
 SHARED = ("solver", "unknowns", *PHASED)  # keys that a phase does not repeat
@@ -38,14 +39,38 @@ def has_phases(path: Path) -> bool:
 
 def read_phased_problem(path: Path, load: Load) -> tuple[PhasedProblem, Plants]:
     """Read a problem file with phases, and load its models. Raises InputError with every fault of all files."""
-    document = read_document(path)
+    return interpret_phases(read_document(path), name_problem(path), path.parent, load)
+
+
+def state_phases(data: Mapping[str, Data], name: str, folder: Path, load: Load) -> tuple[PhasedProblem, Plants]:
+    """Make a problem of plain data, with the keys of a file; other files of it are in `folder`.
+
+    Raises ProblemError with every fault.
+    """
+    document = Document(str(folder / "problem"), dict(data), dict.fromkeys(_list_places(dict(data)), 0), {})
+    try:
+        return interpret_phases(document, name, folder, load)
+    except InputError as error:
+        raise ProblemError(name, [(x.path or "problem", x.finding, x.remedy) for x in error.faults]) from None
+
+
+def _list_places(data: Data, place: Place = ()) -> Iterator[Place]:
+    """List the places of all values."""
+    yield place
+    if isinstance(data, dict | list):
+        for key, value in data.items() if isinstance(data, dict) else enumerate(data):
+            yield from _list_places(value, (*place, key))
+
+
+def interpret_phases(document: Document, name: str, folder: Path, load: Load) -> tuple[PhasedProblem, Plants]:
+    """Make the problem of a document; its models are in `folder`. Raises InputError with every fault of all files."""
     data = document.data if isinstance(document.data, dict) else {}
     chosen: Data = {key: value for key, value in data.items() if key in WholeSection.model_fields}
     examination = examine(replace(document, data=chosen), WholeSection)
     whole, faults = examination.value, list(examination.faults)
     if whole is None:
         raise refuse(faults)
-    loading = _Loading(path.parent, load)
+    loading = _Loading(folder, load)
     reading = _Links(document, examination.stand_ins, whole)
     linked = {link.target for link in reading.name_links()}
     phases = [
@@ -58,7 +83,7 @@ def read_phased_problem(path: Path, load: Load) -> tuple[PhasedProblem, Plants]:
     faults += loading.faults
     if not phases or any(phase.problem is None or phase.plant is None for phase in phases):
         raise refuse([*faults, *reading.faults])
-    problem, plants = reading.problem(path.name.removesuffix(".yaml").removesuffix(".ocp"), phases, models)
+    problem, plants = reading.problem(name, phases, models)
     if faults or reading.faults:
         raise refuse([*faults, *reading.faults])
     return problem, plants

@@ -1,0 +1,236 @@
+"""Problems in phases in Python: values and names, with the keys and the checks of a problem file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from mbsgen.documents import Data
+from mbsrun.external import load_on_demand
+from mbsrun.ocp.checks import ProblemError
+from mbsrun.ocp.phases.files import shift_phases
+from mbsrun.ocp.phases.problem import Link, PhasedProblem, Plants, equip_phases
+from mbsrun.ocp.phases.solution import (
+    Guess,
+    LinkValues,
+    PhasedFailure,
+    PhasedSolution,
+    read_phased_guess,
+    read_phased_solution,
+    write_phased_solution,
+)
+from mbsrun.ocp.phases.solve import resimulate_phases, solve_phases
+from mbsrun.ocp.phases.statement import state_phases
+from mbsrun.ocp.phases.summary import list_phased_shortcomings, summarise_phases
+from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.solve import Watch
+from mbsrun.optimal import display
+from mbsrun.optimal.describing import describe_problem
+from mbsrun.optimal.display import Page, Picture
+from mbsrun.optimal.plain import make_plain, merge
+from mbsrun.optimal.progress import show_progress
+from mbsrun.optimal.result import Solved, UnknownNameError, Unsolved
+
+
+def load(path: Path) -> Plant:
+    """Load a model."""
+    return load_on_demand(path)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SolvedPhases:
+    """A solution in phases: `solution["stance"]` is the solution of a phase, whose times follow the phases before."""
+
+    solution: PhasedSolution
+    plants: Plants
+    is_solved: bool = field(default=True, init=False)
+
+    @property
+    def status(self) -> str:
+        """Return the solver's word."""
+        return self.solution.run.status
+
+    @property
+    def cost(self) -> float:
+        """Return the whole cost."""
+        return self.solution.cost
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """List the names of the phases."""
+        return self.solution.names
+
+    @property
+    def durations(self) -> MappingProxyType[str, float]:
+        """Return the duration of each phase."""
+        return MappingProxyType(dict(zip(self.names, self.solution.durations, strict=True)))
+
+    @property
+    def unknowns(self) -> MappingProxyType[str, float]:
+        """Return the numbers that the solver chose, by name."""
+        names = [unknown.name for unknown in self.solution.unknowns]
+        return MappingProxyType(dict(zip(names, self.solution.unknown_values, strict=True)))
+
+    @property
+    def links(self) -> tuple[LinkValues, ...]:
+        """Return the numbers of the links, such as impulses."""
+        return self.solution.values
+
+    @property
+    def shortcomings(self) -> list[str]:
+        """List the shortcomings of the solution; none in a good one."""
+        return list_phased_shortcomings(self.solution)
+
+    def __getitem__(self, phase: str) -> Solved:
+        """Return the solution of a phase. Raises UnknownNameError."""
+        if phase not in self.names:
+            raise UnknownNameError(f"the solution has no phase {phase!r}; there are {', '.join(self.names)}")
+        return self._phases[self.names.index(phase)]
+
+    def save(self, path: str | Path) -> None:
+        """Write the file that `PhasedControl.load` and `mbsrun solve --guess` read."""
+        write_phased_solution(self.solution, Path(path))
+
+    def plot(self) -> Picture:
+        """Plot coordinates, velocities and inputs of all phases over time."""
+        from mbsrun.ocp.phases.pictures import make_phased_trajectories
+
+        return Picture(make_phased_trajectories(self.solution, self._shifted, self.plants))
+
+    def draw(self) -> Picture:
+        """Draw the mechanisms of all phases on their way."""
+        from mbsrun.ocp.phases.pictures import make_phased_mechanism
+
+        return Picture(make_phased_mechanism(self.solution, self._shifted, self.plants))
+
+    def animate(self) -> Page:
+        """Return a page that plays all phases. Raises ProblemError where the mechanisms have other frames."""
+        from mbsrun.ocp.phases.pictures import make_animations
+
+        pages = make_animations(self.solution, self._shifted, self.plants)
+        if len(pages) != 1:
+            finding = "the phases have mechanisms with other frames, or do not follow each other"
+            raise ProblemError(self.solution.name, [("animate", finding, "animate each phase, as solution[name]")])
+        return Page(next(iter(pages.values())))
+
+    def __repr__(self) -> str:
+        return "\n".join([display.write_text("solved", summarise_phases(self.solution)), *self.shortcomings])
+
+    def _repr_html_(self) -> str:
+        return display.write_table("solved", summarise_phases(self.solution), tuple(self.shortcomings))
+
+    @cached_property
+    def _shifted(self) -> list[Any]:
+        return shift_phases(self.solution)
+
+    @cached_property
+    def _phases(self) -> list[Solved]:
+        return [Solved(own, plant) for own, plant in zip(self._shifted, self.plants.phases, strict=True)]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PhasedControl:
+    """A problem in phases and its models. It does not change: `with_...` returns a changed copy."""
+
+    value: PhasedProblem
+    plants: Plants
+    data: Mapping[str, Data]  # as a problem file holds it
+    folder: Path  # that files of the problem are relative to
+
+    @property
+    def name(self) -> str:
+        """Return the name, which pictures and files show."""
+        return self.value.name
+
+    def with_changes(self, **changes: Any) -> PhasedControl:
+        """Return a copy with other values of some keys, as `OptimalControl.with_changes` does; lists are replaced."""
+        return self._restate(merge(self.data, make_plain(self.name, changes)))
+
+    def with_phase(self, name: str, **changes: Any) -> PhasedControl:
+        """Return a copy with other values of some keys of a phase. Raises ProblemError."""
+        phases = self.data.get("phases")
+        parts = [part if isinstance(part, dict) else {} for part in phases] if isinstance(phases, list) else []
+        if name not in [part.get("name") for part in parts]:
+            known = ", ".join(phase.name for phase in self.value.phases)
+            raise ProblemError(self.name, [("phases", f"there is no phase {name!r}", f"there are {known}")])
+        plain = make_plain(self.name, changes)
+        changed: list[Data] = [merge(part, plain) if part.get("name") == name else part for part in parts]
+        return self._restate({**self.data, "phases": changed})
+
+    def with_constants(self, **constants: Any) -> PhasedControl:
+        """Return a copy with other values of constants."""
+        return self.with_changes(constants=constants)
+
+    def with_solver(self, method: str, **settings: Any) -> PhasedControl:
+        """Return a copy for another NLP method, with its tolerance, max_iterations and options."""
+        return self._restate({**self.data, "solver": {"method": method, **make_plain(self.name, settings)}})
+
+    def _restate(self, data: Mapping[str, Data]) -> PhasedControl:
+        value, plants = state_phases(data, self.name, self.folder, load)
+        return replace(self, value=value, plants=plants, data=data)
+
+    def solve(
+        self,
+        *,
+        watch: Watch | bool = False,
+        guess: SolvedPhases | Guess | str | Path | None = None,
+        check: bool = True,
+    ) -> SolvedPhases | Unsolved:
+        """Solve the problem, and re-simulate every phase unless `check` is False; see `OptimalControl.solve`."""
+        with show_progress() if watch is True else nullcontext(watch or None) as shown:
+            outcome = solve_phases(self.value, self.plants, shown, self._find_guess(guess))
+        if isinstance(outcome, PhasedFailure):
+            return Unsolved(outcome)
+        plants = equip_phases(self.value, self.plants)
+        return SolvedPhases(resimulate_phases(outcome, plants) if check else outcome, plants)
+
+    def load(self, path: str | Path) -> SolvedPhases:
+        """Read a solution of this problem's models from a file. Raises InputError for a file that is not one."""
+        self._read_guess(Path(path))
+        return SolvedPhases(read_phased_solution(Path(path)), self.plants)
+
+    def describe(self) -> dict[str, str]:
+        """Return the parts of the problem by their names."""
+        rows: dict[str, str] = {}
+        for phase, plant in zip(self.value.phases, self.plants.phases, strict=True):
+            own = describe_problem(phase.problem, plant.manifest)
+            own.pop("solver")
+            rows |= {f"{phase.name}: {key}": text for key, text in own.items()}
+        for link in self.value.links:
+            rows[f"{link.source} to {link.target}"] = _describe_link(link)
+        solver = self.value.solver
+        return rows | {"solver": f"{solver.method}, tolerance {solver.tolerance:g}"}
+
+    def __repr__(self) -> str:
+        return display.write_text(f"problem {self.name}", self.describe())
+
+    def _repr_html_(self) -> str:
+        return display.write_table(f"problem {self.name}", self.describe())
+
+    def _find_guess(self, guess: SolvedPhases | Guess | str | Path | None) -> Guess | None:
+        if isinstance(guess, SolvedPhases):
+            known = tuple(guess.unknowns.items())
+            return Guess(tuple(phase.trajectory for phase in guess.solution.phases), known)
+        if isinstance(guess, str | Path):
+            return self._read_guess(Path(guess))
+        own = self.value.phases[0].problem.guess.solution
+        return self._read_guess(self.folder / own) if guess is None and own is not None else guess
+
+    def _read_guess(self, path: Path) -> Guess:
+        names = tuple(phase.name for phase in self.value.phases)
+        return read_phased_guess(path, names, tuple(plant.manifest for plant in self.plants.phases))
+
+
+def _describe_link(link: Link) -> str:
+    """Describe the transfer of states, an impact, and conditions."""
+    parts = [f"{name} = {text}" for name, text in (*link.map, *link.velocities) if text is not None]
+    if link.impact is not None:
+        contacts = ", ".join(contact.sensor for contact in link.impact.contacts)
+        parts.append(f"impact of {contacts}, restitution {link.impact.restitution:g}")
+    parts += [condition.expression for condition in link.conditions]
+    return "; ".join(parts) or "the state goes on"

@@ -1,0 +1,122 @@
+"""Problems in phases in Python: the keys and checks of a file, copies, solutions by phase, and files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+import mbsrun
+from mbsgen.errors import MbsError
+from mbsrun.ocp.checks import ProblemError
+from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.optimal.phases import PhasedControl, SolvedPhases
+from mbsrun.optimal.result import UnknownNameError, Unsolved
+
+MODEL = Path(__file__).parents[3] / "models" / "cart_pole.yaml"
+KEYS: dict[str, Any] = {
+    "intervals": 10,
+    "scheme": "radau",
+    "degree": 4,
+    "bounds": {"inputs": [-20, 20]},
+    "cost": {"inputs": 1},
+    "start": {"pose": {}},
+    "phases": [
+        {"name": "pump", "horizon": 1},
+        {"name": "catch", "horizon": 1, "end": {"pose": {"cart": 1, "pole": "pi"}, "velocity": "zero"}},
+    ],
+    "links": [{"from": "pump", "to": "catch"}],
+}
+
+
+@pytest.fixture(scope="module")
+def swing() -> PhasedControl:
+    return mbsrun.problem(MODEL, **KEYS)
+
+
+@pytest.fixture(scope="module")
+def solved(swing: PhasedControl) -> SolvedPhases:
+    found = swing.solve()
+    assert isinstance(found, SolvedPhases)
+    return found
+
+
+def test_a_problem_in_python_is_the_problem_of_its_file(swing: PhasedControl, tmp_path: Path) -> None:
+    (tmp_path / "cart_pole.ocp.yaml").write_text(yaml.safe_dump({"model": str(MODEL), **KEYS}))
+    read = mbsrun.read_problem(tmp_path / "cart_pole.ocp.yaml")
+    assert isinstance(read, PhasedControl)
+    assert read.value == swing.value
+
+
+def test_two_phases_are_one_motion(solved: SolvedPhases) -> None:
+    """A swing-up that is cut in two has the optimum of the whole."""
+    keys = {key: x for key, x in KEYS.items() if key not in ("phases", "links")}
+    whole = mbsrun.problem(MODEL, **keys | {"intervals": 20, "horizon": 2, "end": KEYS["phases"][1]["end"]})
+    first, second = (solved[name].trajectory for name in solved.names)
+    joined = {x: np.concatenate((getattr(first, x), getattr(second, x)[1:])) for x in ("t", "q", "qd")}
+    joined |= {
+        x: np.concatenate((getattr(first, x), getattr(second, x)))
+        for x in ("u", "point_t", "point_q", "point_qd", "point_qdd")
+    }
+    found = whole.solve(guess=Trajectory(**joined), check=False)
+    assert solved.cost == pytest.approx(found.cost, rel=1e-8)
+    assert solved.names == ("pump", "catch")
+    assert solved.durations == {"pump": 1.0, "catch": 1.0}
+    pump, catch = solved["pump"], solved["catch"]
+    assert (pump.t[-1], catch.t[0], catch.t[-1]) == (1.0, 1.0, 2.0)
+    assert np.abs(pump["q"][-1] - catch["q"][0]).max() <= 1e-10
+    assert catch["q_pole"][-1] == pytest.approx(np.pi)
+    assert solved.links[0].violation <= 1e-8
+    with pytest.raises(UnknownNameError, match="no phase 'leap'; there are pump, catch"):
+        solved["leap"]
+
+
+def test_phases_show_themselves(swing: PhasedControl, solved: SolvedPhases) -> None:
+    for text in (repr(swing), swing._repr_html_()):
+        assert "pump: grid" in text
+        assert "pump to catch" in text
+    for text in (repr(solved), solved._repr_html_()):
+        assert "catch: defect" in text
+        assert "take more intervals" in text
+    assert len(solved.plot().figure.axes) == 6
+    assert solved.animate()._repr_html_().startswith("<iframe")
+
+
+def test_copies_and_files(swing: PhasedControl, solved: SolvedPhases, tmp_path: Path) -> None:
+    solved.save(tmp_path / "s.json")
+    assert swing.load(tmp_path / "s.json").cost == solved.cost
+    nearer = swing.with_phase("catch", end={"pose": {"cart": 0.9}})
+    found = nearer.solve(guess=solved, check=False)
+    assert found["catch"]["q_cart"][-1] == pytest.approx(0.9)
+    again = nearer.solve(guess=tmp_path / "s.json", check=False)
+    assert again.cost == pytest.approx(found.cost, rel=1e-8)
+    assert swing.with_solver("ipopt", tolerance=1e-6).value.solver.tolerance == 1e-6
+    assert swing.with_constants(w=2.0).data["constants"] == {"w": 2.0}
+    stuck = nearer.with_changes(bounds={"inputs": [-0.01, 0.01]}).solve(check=False)
+    assert isinstance(stuck, Unsolved)
+    with pytest.raises(MbsError, match="cart_pole was not solved"):
+        stuck["catch"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda p: p.with_phase("leap", horizon=2), "phases: there is no phase 'leap'; there are pump, catch"),
+        (lambda p: p.with_phase("pump", horizn=2), r"phases\[0\].horizn: unknown key; did you mean `horizon`\?"),
+        (
+            lambda p: p.with_phase("catch", end={"pose": {"pol": 1}}),
+            r"phases\[1\].end.pose.pol: the model has no coord",
+        ),
+        (lambda p: p.with_changes(links=[{"from": "pump", "to": "cach"}]), r"links\[0\].to: there is no phase .cach."),
+        (
+            lambda p: mbsrun.problem(p.plants.phases[0], phases=[{"name": "a"}]),
+            "model: loaded kernels, for a problem in",
+        ),
+    ],
+)
+def test_faults_name_their_places(swing: PhasedControl, change: Any, message: str) -> None:
+    with pytest.raises(ProblemError, match=message):
+        change(swing)
