@@ -7,6 +7,9 @@ z and its knowns w. So one interval's matrices serve all, and all intervals are 
     dz/dw = -r_z^-1 r_w,    mu = -r_z^-T gradient,    d2/dw2 (mu' r) = sum of Y' (mu' F)'' Y,
     with Y = C (dz/dw; 1).
 
+Only scales differ between intervals. Variables that intervals have in common are knowns of each. Where one of them
+multiplies a function, the product is F.
+
 Newton's method solves r = 0, or substitution where r is triangular. The last solution is kept with the knowns that it
 belongs to: asked for again at the very same numbers, it is not computed again. So constraints, Jacobian and Hessian at
 one iterate share one solve.
@@ -42,14 +45,14 @@ class Groups:
     """Equations that share no unknowns: G groups of as many equations as unknowns."""
 
     unknowns: Indices  # (G, s): variables of the program
-    knowns: Indices  # (G, k): the other variables that the equations read; none is in two groups
+    knowns: Indices  # (G, k): the other variables that the equations read; the last ones may be common to all groups
 
 
 class Application:
     """A function that every one of G groups applies at P places, with its derivatives."""
 
     def __init__(self, bind: Bind, function: Function, C: Array, rows: Indices, scale: Array, groups: int) -> None:
-        """C is (P, size of all arguments, unknowns and knowns of a group), rows (P, results), scale (P,)."""
+        """C is (P, size of all arguments, unknowns and knowns of a group), rows (P, results), scale (groups, P)."""
         self.C, self.rows, self.scale = C, rows, scale
         self._bind, self._function, self._groups = bind, function, groups
         self._evaluation = bind(function, groups * len(rows))
@@ -57,22 +60,22 @@ class Application:
 
     def take(self, places: Indices) -> Application:
         """Keep some of the P places."""
-        chosen = (self.C[places], self.rows[places], self.scale[places])
+        chosen = (self.C[places], self.rows[places], self.scale[:, places])
         return Application(self._bind, self._function, *chosen, self._groups)
 
     def value(self, v: Array) -> Array:
         """Return the results at (G, unknowns and knowns), scaled: (G, P, results)."""
         found = self._evaluation.value(self._split(v))
-        return self.scale[:, None] * found.reshape(self._groups, *self.rows.shape)
+        return self.scale[:, :, None] * found.reshape(self._groups, *self.rows.shape)
 
     def slopes(self, v: Array) -> Array:
         """Return the derivatives of the results by their arguments, scaled: (G, P, results, size of all arguments)."""
         found = _spread(self._evaluation.jacobian(self._split(v)), self._slope_places, self._slope_shape)
-        return self.scale[:, None, None] * found.reshape(self._groups, -1, *self._slope_shape)
+        return self.scale[:, :, None, None] * found.reshape(self._groups, -1, *self._slope_shape)
 
     def curvature(self, v: Array, multipliers: Array) -> Array:
         """Return the Hessian of multipliers' results, scaled: (G, P, size of all arguments, the same)."""
-        weights = (self.scale[:, None] * multipliers).reshape(-1, self.rows.shape[1])
+        weights = (self.scale[:, :, None] * multipliers).reshape(-1, self.rows.shape[1])
         found = self._evaluation.hessian(self._split(v), weights)
         whole = _spread(found, self._curvature_places, self._curvature_shape)
         return whole.reshape(self._groups, -1, *self._curvature_shape)
@@ -282,7 +285,8 @@ def eliminate(program: Program, bind: Bind) -> Elimination:
     assert stages is not None, "inner variables belong to stages"
     G, S, size = stages.inner.shape
     equations = program.restrict(stages.equations.ravel())
-    groups = Groups(stages.inner.reshape(G, -1), np.concatenate((stages.states[:-1], stages.inputs), axis=1))
+    common = np.broadcast_to(stages.common, (G, stages.common.size))
+    groups = Groups(stages.inner.reshape(G, -1), np.concatenate((stages.states[:-1], stages.inputs, common), axis=1))
     order = np.concatenate((groups.unknowns, groups.knowns), axis=1)  # (G, s + k)
     column = np.full(program.variables, -1)  # where a variable stands in its group
     column[order] = np.arange(order.shape[1])
@@ -294,7 +298,7 @@ def eliminate(program: Program, bind: Bind) -> Elimination:
 
 def _read_block(block: Block, column: Indices, shape: tuple[int, ...], equations: int, bind: Bind) -> Application:
     """Read what each group applies of a block; `shape` counts groups and their variables."""
-    assert (block.data, block.factor, block.parameters.size) == (None, None, 0), "equations read variables alone"
+    assert (block.data, block.parameters.size) == (None, 0), "equations read variables alone"
     groups, width = shape
     places = np.argsort(block.stages, kind="stable").reshape(groups, -1)  # (G, P)
     assert (block.stages[places] == np.arange(groups)[:, None]).all(), "groups are alike"
@@ -302,10 +306,64 @@ def _read_block(block: Block, column: Indices, shape: tuple[int, ...], equations
     assert (rows // equations == np.arange(groups)[:, None, None]).all(), "a place adds to rows of its stage"
     rows = rows % equations
     assert (rows == rows[0]).all(), "groups are alike"
-    assert (scales == scales[0]).all(), "groups are alike"
     assert np.unique(rows[0]).size == rows[0].size, "no two places add to a row"
-    C = np.concatenate([_read_part(part, places, column, width) for part in block.columns], axis=1)
-    return Application(bind, block.function, C, rows[0], scales[0], groups)
+    parts = [_read_part(part, places, column, width) for part in block.columns]
+    if block.factor is not None:
+        parts.append(_read_part(np.full((1, block.places), block.factor), places, column, width))
+        bind = _multiply(bind)
+    return Application(bind, block.function, np.concatenate(parts, axis=1), rows[0], scales, groups)
+
+
+def _multiply(bind: Bind) -> Bind:
+    """Bind the product of a function and one more argument, of size 1."""
+    return lambda function, places: _Product(bind(function, places))
+
+
+class _Product:
+    """The evaluation of t F(arguments), by the arguments and by t."""
+
+    def __init__(self, inner: Evaluation) -> None:
+        self._inner = inner
+        self._results = inner.jacobian_patterns[0].shape[0]
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        return (*self._inner.sizes, 1)
+
+    @cached_property
+    def jacobian_patterns(self) -> tuple[Pattern, ...]:
+        return (*self._inner.jacobian_patterns, _fill(self._results, 1))
+
+    @cached_property
+    def hessian_patterns(self) -> tuple[Pattern, ...]:
+        n, inner = len(self._inner.sizes), self._inner.hessian_patterns
+        rows = [(*inner[i * n : (i + 1) * n], _fill(size, 1)) for i, size in enumerate(self._inner.sizes)]
+        last = (*(_fill(1, size) for size in self._inner.sizes), _fill(1, 0))
+        return tuple(pattern for row in (*rows, last) for pattern in row)
+
+    def value(self, arguments: Sequence[Array]) -> Array:
+        return arguments[-1] * self._inner.value(arguments[:-1])
+
+    def jacobian(self, arguments: Sequence[Array]) -> Sequence[Array]:
+        value = self._inner.value(arguments[:-1]).copy()
+        return [*(arguments[-1] * part for part in self._inner.jacobian(arguments[:-1])), value]
+
+    def hessian(self, arguments: Sequence[Array], weights: Array) -> Sequence[Array]:
+        *given, t = arguments
+        n, gradients = len(given), []
+        for pattern, values in zip(self._inner.jacobian_patterns, self._inner.jacobian(given), strict=True):
+            gradient = np.zeros((len(t), pattern.shape[1]))
+            np.add.at(gradient, (slice(None), pattern.col), values * weights[:, pattern.row])
+            gradients.append(gradient)
+        inner = [t * part for part in self._inner.hessian(given, weights)]
+        rows = [[*inner[i * n : (i + 1) * n], gradients[i]] for i in range(n)]
+        return [part for row in (*rows, [*gradients, np.zeros((len(t), 0))]) for part in row]
+
+
+def _fill(rows: int, cols: int) -> Pattern:
+    """Return the pattern of a matrix that is full."""
+    row, col = np.divmod(np.arange(rows * cols), max(cols, 1))
+    return Pattern((rows, cols), row, col)
 
 
 def _read_part(part: Column, places: Indices, column: Indices, width: int) -> Array:

@@ -10,6 +10,11 @@ stages of an integrator, with the matrices of `integrators`, h being the length 
 
     q = q_k + h c qd_k + h^2 P z_k,    qd = qd_k + h V z_k,    qdd = W z_k
 
+Where the horizon is free, that would not be linear. There, and for quaternions, and for an ODE, slopes s_kj take the
+place of accelerations: derivatives of the state, times the length of the interval. With the matrix V alone,
+
+    x = x_k + V s_k,    s_kj = h d/dt x
+
 The states that a problem adds lie behind the mechanism's, at mesh points and within intervals; its controls, behind the
 inputs.
 
@@ -86,6 +91,7 @@ class Layout:
     grid: Grid
     mesh: Indices  # (N + 1, nq + n): states at the mesh points
     points: Indices  # (N, S, nq + n): states at the stages; (N, S, 0) in the integral form
+    slopes: Indices  # (N, S, nq + n): derivatives of states at the stages, times the interval's length; or (N, S, 0)
     accelerations: Indices  # (N, S, n): accelerations at the stages; (N, S, 0) for an ODE
     multipliers: Indices  # (N, S, ...): of loops, where they are variables
     corrections: Indices  # (N, S, ...): of coordinates, then of velocities
@@ -171,13 +177,14 @@ def lay_out(
     stages: int,
     *,
     has_states: bool,
+    has_slopes: bool,
     has_accelerations: bool,
     horizon_is_free: bool,
     added: ExtraSizes,
     unknowns: int = 0,
     has_constant_inputs: bool = True,
 ) -> Layout:
-    """Number the variables; `has_states` and `has_accelerations` say which variables the stages have.
+    """Number the variables; `has_states`, `has_slopes`, `has_accelerations` say which variables the stages have.
 
     Inputs and controls are constant over an
     interval, or have a value at each stage.
@@ -187,6 +194,7 @@ def lay_out(
     sizes = (
         width * has_states,
         states,
+        width * has_slopes,
         len(motions.independent) * has_accelerations,
         motions.multipliers,
         motions.corrections,
@@ -199,7 +207,7 @@ def lay_out(
     first = np.arange(N + 1) * stride
     mesh = first[:, None] + np.arange(width + states)
     points = first[:N, None, None] + width + states + np.arange(S)[:, None] * at_stage + np.arange(at_stage)
-    moved, further, accelerations, multipliers, corrections, forces, wrenches = np.split(
+    moved, further, slopes, accelerations, multipliers, corrections, forces, wrenches = np.split(
         points, np.cumsum(sizes)[:-1], axis=2
     )
     every = first[1:, None] - values + np.arange(values)
@@ -212,6 +220,7 @@ def lay_out(
         grid=grid,
         mesh=mesh[:, :width],
         points=moved,
+        slopes=slopes,
         accelerations=accelerations,
         multipliers=multipliers,
         corrections=corrections,
@@ -282,8 +291,8 @@ def _at(layout: Layout, reading: Reading, h: Array) -> Places:
         q, qd = map(_flatten, layout.split(layout.points))
         yd = qd[layout.motions.carried_velocities]
         return Places(q, qd, accelerations, u, s, interval, interval, yd, multipliers, *added)
-    motion = read_motion(layout, reading, h)
-    qdd = accelerations if reading.are_stages else motion.qdd
+    motion = read_slopes(layout, reading) if layout.slopes.size else read_motion(layout, reading, h)
+    qdd = accelerations if reading.are_stages or not layout.accelerations.size else motion.qdd
     return Places(motion.q, motion.qd, qdd, u, s, interval, interval, motion.qd, multipliers, *added)
 
 
@@ -300,6 +309,22 @@ class Motion:
     q: Combination
     qd: Combination
     qdd: Combination
+
+
+def read_slopes(layout: Layout, reading: Reading) -> Motion:
+    """Read a motion off the states at the mesh points and the slopes at the stages; accelerations, if there are any."""
+    (N, S, _), k = layout.slopes.shape, len(reading.c)
+    which = np.tile(np.arange(k), N)
+    starts, slopes = layout.split(layout.mesh[:-1]), layout.split(layout.slopes)
+    weights = np.concatenate((np.ones((k, 1)), reading.V), axis=1)
+
+    def combine(start: Indices, stages: Indices, coefficients: Array) -> Combination:
+        size = stages.shape[2]
+        variables = np.concatenate((start, stages.reshape(N, S * size)), axis=1)
+        return Combination(spread(coefficients, size), which, np.repeat(variables, k, axis=0))
+
+    q, qd = (combine(start, stages, weights) for start, stages in zip(starts, slopes, strict=True))
+    return Motion(q, qd, combine(layout.mesh[:-1, :0], layout.accelerations, reading.W))
 
 
 def read_motion(layout: Layout, reading: Reading, h: Array) -> Motion:
@@ -373,7 +398,7 @@ def _read_inputs(layout: Layout, reading: Reading, which: Indices, interval: Ind
 def spread(coefficients: Array, n: int) -> Array:
     """Repeat coefficients (places, width) for n entries alike: (places, n, width * n)."""
     whole = coefficients[:, None, :, None] * np.eye(n)[None, :, None, :]
-    return np.asarray(whole.reshape(len(coefficients), n, -1))
+    return np.asarray(whole.reshape(len(coefficients), n, coefficients.shape[1] * n))
 
 
 class Entries:

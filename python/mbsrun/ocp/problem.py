@@ -341,9 +341,6 @@ def find_conflicts(problem: Problem) -> list[Conflict]:
     if form is not Form.STANDARD and (problem.every_state or problem.controls):
         finding = f"the {form.value} form takes no states, controls and integrals beside the mechanism's"
         found.append(Conflict("form", finding, "take standard"))
-    if form is not Form.STANDARD and problem.has_quaternions:
-        finding = f"the {form.value} form takes no joints with quaternions, whose rates are not their velocities"
-        found.append(Conflict("form", finding, "take standard"))
     if form is not Form.STANDARD and (problem.forces or problem.wrenches):
         finding = f"the {form.value} form takes no forces and wrenches by expressions"
         found.append(Conflict("form", finding, "take standard"))
@@ -353,18 +350,6 @@ def find_conflicts(problem: Problem) -> list[Conflict]:
     if problem.cost.input_rates and problem.inputs != "constant":
         finding = "cost.input_rates prices steps of inputs from interval to interval, and these change within them"
         found.append(Conflict("inputs", finding, "take constant ones; or let a control be the rate of a state"))
-    if form is not Form.STANDARD and problem.horizon_range is not None:
-        finding = f"the {form.value} form needs a horizon that is given"
-        found.append(Conflict("form", finding, "take standard, or give the horizon"))
-    if form is Form.SHOOTING and problem.mesh is not None:
-        finding = "shooting condenses intervals that are alike, and these have lengths of their own"
-        found.append(Conflict("intervals", finding, "give their number, or take form: standard or integral"))
-    if form is Form.SHOOTING and problem.unknowns:
-        finding = "shooting solves for the motion of each interval by itself, and takes no unknowns"
-        found.append(Conflict("unknowns", finding, "take form: standard"))
-    if form is Form.INTEGRAL and representation.is_ode:
-        finding = f"{representation.value} has no accelerations to integrate"
-        found.append(Conflict("form", finding, "take EXP1-A or IMPL"))
     if form is Form.SHOOTING and representation.is_explicit and not representation.is_ode:
         finding = f"{representation.value} has accelerations as variables, shooting has none"
         ode = representation.as_ode
@@ -372,6 +357,7 @@ def find_conflicts(problem: Problem) -> list[Conflict]:
     if problem.integrator == SECOND_ORDER and problem.has_quaternions:
         finding = "a quaternion is not the integral of a velocity, as coordinates of second-order collocation are"
         found.append(Conflict("integrator", finding, "take integrator: collocation"))
+    found += _find_slopes(problem)
     if form is not Form.SHOOTING and (not INTEGRATORS[problem.integrator].is_collocation or problem.steps != 1):
         finding = f"{problem.integrator} with {problem.steps} steps is for shooting, and the form is {form.value}"
         found.append(Conflict("form", finding, "take form: shooting, or integrator: collocation and 1 step"))
@@ -379,6 +365,23 @@ def find_conflicts(problem: Problem) -> list[Conflict]:
         finding = f"{problem.integrator} needs accelerations, and {representation.value} returns a residual"
         found.append(Conflict("integrator", finding, "take representation: EXP2-O, or integrator: collocation"))
     return found
+
+
+def _find_slopes(problem: Problem) -> list[Conflict]:
+    """Find what makes forms with slopes of first order, where second-order collocation is asked for."""
+    form = problem.form
+    if form is Form.STANDARD or problem.integrator != SECOND_ORDER:
+        return []
+    found = []
+    if problem.horizon_range is not None:
+        found.append(("a horizon that is free", "give the horizon"))
+    if form is Form.SHOOTING and problem.mesh is not None:
+        found.append(("intervals of unequal length", "give their number"))
+    if form is Form.INTEGRAL and problem.representation.is_ode:
+        found.append((f"accelerations that are no variables, as in {problem.representation.value}", "take IMPL"))
+    finding = f"second-order collocation in the {form.value} form does not go with"
+    remedy = "take form: standard, or integrator: collocation"
+    return [Conflict("integrator", f"{finding} {what}", f"{other}, or {remedy}") for what, other in found]
 
 
 def cylindrical(radius: float, azimuth: float, height: float) -> Point:

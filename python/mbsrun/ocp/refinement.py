@@ -27,6 +27,7 @@ from mbsrun.ocp.checks import LEAST_FRACTION, MAX_INTERVALS, MAX_STEPS
 from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.grid import divide, split
 from mbsrun.ocp.guess import Pose, make_guess
+from mbsrun.ocp.integrators import INTEGRATORS, SECOND_ORDER
 from mbsrun.ocp.methods import METHODS
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Form, Problem
@@ -143,7 +144,9 @@ def choose_grid(solution: Solution) -> tuple[Problem, str] | None:
         change = f"the solver's tolerance {tolerance:.0e}, {solver.tolerance:.0e} before"
         return replace(problem, solver=replace(solver, tolerance=tolerance)), change
     defects = np.clip(check.defects, NOTHING, 1.0)
-    return _take_steps(problem, defects) if problem.form is Form.SHOOTING else _split(problem, defects)
+    integrator = INTEGRATORS[problem.integrator]
+    keeps_grid = problem.form is Form.SHOOTING and (integrator.is_explicit or problem.integrator == SECOND_ORDER)
+    return _take_steps(problem, defects) if keeps_grid else _split(problem, defects)
 
 
 def _split(problem: Problem, defects: Array) -> tuple[Problem, str] | None:
@@ -172,7 +175,7 @@ def _split(problem: Problem, defects: Array) -> tuple[Problem, str] | None:
 
 
 def _take_steps(problem: Problem, defects: Array) -> tuple[Problem, str] | None:
-    """Shooting takes more steps in all of its intervals, which are equal."""
+    """Take more steps in all intervals, where the method has no degree, or intervals of shooting have to be equal."""
     pieces = np.clip(_count(defects, problem, problem.degree).max(), 1.0, PIECES)
     steps = max(int(np.ceil(pieces * problem.steps)), problem.steps + 1)
     change = f"{steps} steps in each interval, {problem.steps} before"

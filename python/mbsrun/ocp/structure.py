@@ -57,6 +57,14 @@ class Structure:
         return Grid(self.intervals, self.mesh)
 
     @property
+    def takes_slopes(self) -> bool:
+        """Return whether derivatives of states take the place of accelerations, without regard to quaternions."""
+        is_curved = self.horizon is None or (self.form is Form.SHOOTING and self.mesh is not None)
+        return (self.form is not Form.STANDARD and is_curved) or (
+            self.form is Form.INTEGRAL and self.representation.is_ode
+        )
+
+    @property
     def expressions(self) -> tuple[str, ...]:
         """List all expressions of the motion."""
         given = (*(text for _, text in self.forces), *(text for *_, text in self.wrenches if text is not None))

@@ -37,7 +37,7 @@ from mbsrun.ocp import integrators, schemes
 from mbsrun.ocp.design import list_fixed_values
 from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.integrators import Integrator
-from mbsrun.ocp.layout import Layout, Rows, at_points
+from mbsrun.ocp.layout import Layout, Rows, at_points, read_slopes
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem, find_conflicts
 from mbsrun.ocp.program import Program
@@ -163,6 +163,10 @@ class Transcription:
         x[layout.mesh] = np.concatenate((trajectory.q, trajectory.qd[:, velocities]), axis=1)
         if layout.points.size:
             x[layout.points] = np.concatenate((trajectory.point_q, trajectory.point_qd[:, :, velocities]), axis=2)
+        if layout.slopes.size and not self.program.solves_inner:
+            nodes = zip((trajectory.q, trajectory.qd), (trajectory.point_q, trajectory.point_qd), strict=True)
+            states = [np.concatenate((mesh[:-1, None], points), axis=1) for mesh, points in nodes]
+            x[layout.slopes] = self.scheme.D @ np.concatenate(states, axis=2)
         self._pack_inputs(x, trajectory)
         x[layout.extras.states] = trajectory.states
         # shooting has other stages than points, and adds no states
@@ -190,6 +194,10 @@ class Transcription:
             q, qd = layout.split(points)
             rates = layout.split(nodes)[1][:, :, layout.motions.carried_velocities]
             qdd = x[layout.accelerations] if has_accelerations else self.scheme.D @ rates / h[:, None, None]
+        elif layout.slopes.size:
+            motion = read_slopes(layout, self.integrator.points)
+            q, qd = (part.evaluate(x).reshape(*point_t.shape, part.size) for part in (motion.q, motion.qd))
+            qdd = self.integrator.points.W @ layout.split(x[layout.slopes])[1] / h[:, None, None]
         else:
             places = at_points(layout, self.integrator, h)
             q, qd, qdd = (

@@ -55,13 +55,16 @@ class Writer:
         self.motions = closing.list_motions(shape, plant.manifest)
         self.components = order_components(shape, plant.manifest)
         self.kernel = _read_wrenches(self.equations.write(shape.loops), plant)
+        has_slopes = shape.takes_slopes or (shape.form is not Form.STANDARD and bool(self.quaternions))
+        is_ode = shape.form is Form.STANDARD or has_slopes  # accelerations follow from the state, and are no variables
         self.layout = lay_out(
             self.motions,
             len(plant.manifest.actuated),
             shape.grid,
             len(integrator.stages.c),
             has_states=shape.form is Form.STANDARD,
-            has_accelerations=shape.form is not Form.STANDARD or self.equations.has_accelerations,
+            has_slopes=has_slopes,
+            has_accelerations=self.equations.has_accelerations or not is_ode,
             horizon_is_free=shape.horizon is None,
             added=ExtraSizes(
                 states=len(shape.rates),
@@ -183,7 +186,7 @@ class Writer:
         For an ODE, the equations of motion are the last ones of states.
         """
         n = len(self.motions.independent)
-        states = len(self.motions.carried) if self.layout.points.size else 0
+        states = len(self.motions.carried) if self.layout.points.size or self.layout.slopes.size else 0
         end = states + (n if self.layout.accelerations.size else 0)
         rates = end + self.loop_rows
         given = rates + len(self.shape.rates)
@@ -210,7 +213,8 @@ class Writer:
         """
         layout, n = self.layout, len(self.motions.independent)
         N, S, width = layout.points.shape
-        at_stage = (len(self.motions.carried) if width else 0) + (n if layout.accelerations.size else 0)
+        at_stage = len(self.motions.carried) if width or layout.slopes.size else 0
+        at_stage += n if layout.accelerations.size else 0
         at_stage += self.loop_rows + len(self.shape.rates) + len(self.list_given())
         carried = layout.mesh.shape[1]
         interval = self.take(np.arange(N), N, S * at_stage + carried + len(self.shape.rates))
@@ -218,6 +222,8 @@ class Writer:
         states, dynamics, closure, rates, given = self.split_equations(equations)
         if self.shape.form is Form.STANDARD:
             self.write_states_at_points(states, continuity[:, :carried])
+        elif layout.slopes.size:
+            self.write_slopes(states, continuity)
         else:
             self.write_integrals(continuity[:, :carried])
         self.write_added_states(rates, continuity[:, carried:])
@@ -228,6 +234,7 @@ class Writer:
         inner = (
             layout.points,
             layout.extras.point_states,
+            layout.slopes,
             layout.accelerations,
             layout.multipliers,
             layout.corrections,
@@ -257,7 +264,7 @@ class Writer:
 
     def write_inner_bounds(self) -> Indices:
         """Write the states at the points that have bounds, where they are no variables and no mesh points."""
-        N, d, n = self.shape.intervals, self.scheme.degree, self.layout.n
+        N, d = self.shape.intervals, self.scheme.degree
         # the last Radau point is the next mesh point
         inner = d - self.scheme.ends_interval
         rows = self.take(np.arange(N), N, inner, len(self.shape.bounded))
@@ -265,7 +272,8 @@ class Writer:
         for k, i in enumerate(self.shape.bounded):
             part = self.points.q if i < self.layout.nq else self.points.qd
             assert isinstance(part, Combination), "states at points that are variables have bounds, not rows"
-            self.A.put_part(rows[:, :, k].reshape(-1, 1), part.restrict(chosen), [i % n])
+            entry = i if i < self.layout.nq else i - self.layout.nq
+            self.A.put_part(rows[:, :, k].reshape(-1, 1), part.restrict(chosen), [entry])
         return rows
 
     def write_states_at_points(self, states: Indices, continuity: Indices) -> None:
@@ -290,7 +298,7 @@ class Writer:
             states = states[:, :, integrated:]
         elif self.quaternions:
             rows, states = layout.split(states)
-            self.write_turning(rows.reshape(-1, layout.nq).T)
+            self.write_turning(rows.reshape(-1, layout.nq).T, self.points)
         else:
             velocities = layout.split(layout.points)[1][:, :, self.motions.carried_velocities]
             rates = np.concatenate((velocities, rates), axis=2)
@@ -318,10 +326,7 @@ class Writer:
             return
         interval, variables = np.repeat(np.arange(N), len(B)), nodes.reshape(N, -1)
         part = Combination(spread(B, n), np.tile(np.arange(len(B)), N), variables[interval])
-        placed = rows.reshape(-1, n).T
-        self.blocks.append(
-            Block(formulas.copy(n), (part,), placed, interval, scale=-self.h[interval], factor=layout.horizon)
-        )
+        self.write_copies(part, rows.reshape(-1, n).T, interval)
 
     def write_added_states(self, rates: Indices, continuity: Indices) -> None:
         """Differentiate the states that the problem adds at the points: s' = rate, an expression of the motion."""
@@ -371,10 +376,34 @@ class Writer:
             self.A.put(continuity[:, :n], layout.accelerations[:, j], -(h**2) * end.P[1, j])
             self.A.put(continuity[:, n:], layout.accelerations[:, j], -h * end.V[1, j])
 
-    def write_turning(self, rows: Indices) -> None:
+    def write_slopes(self, states: Indices, continuity: Indices) -> None:
+        """Write the slopes at the stages minus h times the rates, and read the states at the interval's end off them.
+
+        The rates of velocities are accelerations where these are variables; else the equations of motion give them.
+        """
+        layout, places = self.layout, at_stages(self.layout, self.integrator, self.h)
+        self.A.put(states, layout.slopes, 1.0)
+        self.A.put(continuity, layout.mesh[1:], 1.0)
+        self.A.put(continuity, layout.mesh[:-1], -1.0)
+        for j, weight in enumerate(self.integrator.ends.V[1]):
+            self.A.put(continuity, layout.slopes[:, j], -weight)
+        q, qd = (rows.reshape(-1, rows.shape[2]).T for rows in layout.split(states))
+        if self.quaternions:
+            self.write_turning(q, places)
+        else:
+            self.write_copies(places.qd, q, places.interval)
+        if layout.accelerations.size:
+            self.write_copies(places.qdd, qd, places.interval)
+
+    def write_copies(self, column: Column, rows: Indices, interval: Indices) -> None:
+        """Write -h times a part of the variables as a function, whose scale may differ between intervals."""
+        scale, factor = -self.h[interval], self.layout.horizon
+        self.blocks.append(Block(formulas.copy(len(rows)), (column,), rows, interval, scale=scale, factor=factor))
+
+    def write_turning(self, rows: Indices, places: Places) -> None:
         """Write -h times the rates of coordinates that are no velocities."""
         rates = KernelResult("rates", ("q", "qd"), "rate")
-        columns, interval = (self.points.q, self.points.qd), self.points.interval
+        columns, interval = (places.q, places.qd), places.interval
         self.blocks.append(Block(rates, columns, rows, interval, scale=-self.h[interval], factor=self.layout.horizon))
 
     def write_rates(self, rows: Indices, rates: Indices) -> None:
@@ -385,10 +414,7 @@ class Writer:
             self.A.put(rows, rates, -self.h[:, None, None])
             return
         columns, placed = (part.reshape(-1, rates.shape[2]).T for part in (rates, rows))
-        identity, interval = formulas.copy(rates.shape[2]), self.points.interval
-        self.blocks.append(
-            Block(identity, (columns,), placed, interval, scale=-self.h[interval], factor=self.layout.horizon)
-        )
+        self.write_copies(columns, placed, self.points.interval)
 
     def write_dynamics(self, rows: Indices) -> None:
         """Apply the equations of motion at every stage, as the representation writes them."""

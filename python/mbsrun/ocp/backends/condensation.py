@@ -151,7 +151,7 @@ class Condensed:
         """x -> dz/dx."""
         s = self.elimination.groups.unknowns.shape[1]
         row = np.arange(self.elimination.groups.unknowns.size).reshape(-1, s, 1)
-        pattern, order = _order(
+        pattern, order, _ = _order(
             row, self._knowns[:, None, :], self.elimination.slope_pattern, len(self._z), self.variables
         )
         return _Function(
@@ -166,11 +166,13 @@ class Condensed:
         """(x, gradient by z) -> upper triangle of the term that the equations add to the Hessian."""
         row, col = self._knowns[:, :, None], self._knowns[:, None, :]
         upper = self.elimination.curvature_pattern & (row <= col)
-        pattern, order = _order(row, col, upper, self.variables, self.variables)
+        pattern, order, begin = _order(row, col, upper, self.variables, self.variables)
 
         def curve(x: Array, gradient: Array) -> Array:
             by_z = gradient.reshape(self.elimination.groups.unknowns.shape)
-            return np.asarray(self.elimination.curve(x[self._knowns], by_z).ravel()[order])
+            found = self.elimination.curve(x[self._knowns], by_z).ravel()[order]
+            # groups share the variables that are common to all of them
+            return np.asarray(found if begin.size == found.size else np.add.reduceat(found, begin))
 
         return _Function("curvature", [self.variables, len(self._z)], pattern, curve)
 
@@ -236,9 +238,17 @@ def condense(program: Program, plant: Plant) -> Condensed:
     )
 
 
-def _order(row: Indices, col: Indices, mask: NDArray[np.bool_], rows: int, cols: int) -> tuple[ca.Sparsity, Indices]:
-    """Return the pattern of groups' matrices where a mask holds, and which entries are its nonzeros, in order."""
+def _order(
+    row: Indices, col: Indices, mask: NDArray[np.bool_], rows: int, cols: int
+) -> tuple[ca.Sparsity, Indices, Indices]:
+    """Return the pattern of groups' matrices where a mask holds, which entries make its nonzeros, and where they begin.
+
+    Entries are in the order of nonzeros; several groups may have entries at one place.
+    """
     row, col, mask = np.broadcast_arrays(row, col, mask)
     (chosen,) = np.nonzero(mask.ravel())
     order = chosen[np.lexsort((row.ravel()[chosen], col.ravel()[chosen]))]
-    return ca.Sparsity.triplet(rows, cols, row.ravel()[order].tolist(), col.ravel()[order].tolist()), order
+    placed = np.stack((row.ravel()[order], col.ravel()[order]))
+    is_first = np.append(True, (np.diff(placed, axis=1) != 0).any(axis=0))[: order.size]
+    begin = np.flatnonzero(is_first)
+    return ca.Sparsity.triplet(rows, cols, *placed[:, begin].tolist()), order, begin
