@@ -208,10 +208,10 @@ def test_shooting_is_chosen(quick: Run) -> None:
 
 
 def test_a_sweep_refuses_representations_that_its_form_does_not_take(run: Run) -> None:
-    """Of all six, which are the usual ones, the integral form takes four."""
-    result = run(*SWEEP, text=COARSE.replace("degree: 3", "degree: 3\nform: integral"))
+    """Of all six, which are the usual ones, shooting takes four."""
+    result = run(*SWEEP, text=COARSE.replace("degree: 3", "degree: 3\nform: shooting"))
     assert result.exit_code == 2
-    assert "EXP1-O has no accelerations to integrate" in result.stderr
+    assert "EXP1-A has accelerations as variables" in result.stderr
 
 
 def test_a_target_out_of_reach_is_not_solved(quick: Run) -> None:

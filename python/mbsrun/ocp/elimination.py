@@ -352,9 +352,9 @@ class _Product:
         *given, t = arguments
         n, gradients = len(given), []
         for pattern, values in zip(self._inner.jacobian_patterns, self._inner.jacobian(given), strict=True):
-            gradient = np.zeros((len(t), pattern.shape[1]))
-            np.add.at(gradient, (slice(None), pattern.col), values * weights[:, pattern.row])
-            gradients.append(gradient)
+            gradient = np.zeros((pattern.shape[1], len(t)))
+            np.add.at(gradient, pattern.col, (values * weights[:, pattern.row]).T)
+            gradients.append(gradient.T)
         inner = [t * part for part in self._inner.hessian(given, weights)]
         rows = [[*inner[i * n : (i + 1) * n], gradients[i]] for i in range(n)]
         return [part for row in (*rows, [*gradients, np.zeros((len(t), 0))]) for part in row]

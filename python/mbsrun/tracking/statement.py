@@ -30,7 +30,7 @@ from mbsgen.documents import (
 )
 from mbsgen.expressions import Expression, Number, is_free_name, names
 from mbsgen.manifest import Manifest
-from mbsrun.ocp.problem import Form, Problem
+from mbsrun.ocp.problem import Problem
 from mbsrun.quantities import list_quantities
 from mbsrun.quaternions import normalise
 from mbsrun.reading import Reading, attribute, read_settings
@@ -317,8 +317,6 @@ class _Reading(Reading):
             if self.problem.horizon_range is not None:
                 self.fault(("horizon",), "the problem's horizon is free", "give it a fixed one, or end and least here")
             return None
-        if self.problem.form is not Form.STANDARD:
-            self.fault(("horizon",), f"the form {self.problem.form.value} has a fixed horizon", "take form: standard")
         return Horizon(
             self.number(("horizon", "end"), section.end, math.ulp(0)),
             self.number(("horizon", "least"), section.least, period),

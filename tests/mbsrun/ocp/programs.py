@@ -81,9 +81,15 @@ def evaluate_terms(transcription: Transcription, plant: Plant, problem: Problem,
 
 
 def check_derivatives(
-    problem: Problem, arm: Peer, expand: Callable[[Any, ca.MX], tuple[Any, ca.MX]] = lambda program, x: (program, x)
+    problem: Problem,
+    arm: Peer,
+    expand: Callable[[Any, ca.MX], tuple[Any, ca.MX]] = lambda program, x: (program, x),
+    more: int = 0,
 ) -> None:
-    """Compare with CasADi's of the same program; `expand` gives a form of it that CasADi can differentiate."""
+    """Compare with CasADi's of the same program; `expand` gives a form of it that CasADi can differentiate.
+
+    There may be so many more nonzeros than CasADi finds.
+    """
     transcription = transcribe(problem, arm)
     program = condensation.build(transcription.program, arm)
     x, p = ca.MX.sym("x", program.variables), ca.MX.sym("p", program.parameters)
@@ -101,4 +107,4 @@ def check_derivatives(
         expected, found = (f.call([ca.DM(a) for a in arguments])[-1] for f in (whole.get_function(name), ours))
         scale = np.abs(expected.full()).max()
         assert np.abs((found - expected).full()).max() <= 1e-10 * scale, name
-        assert found.nnz() <= expected.nnz(), name
+        assert found.nnz() <= expected.nnz() + more, name

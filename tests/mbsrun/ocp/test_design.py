@@ -85,15 +85,10 @@ def test_a_spring_that_swings_by_itself(folder: Path, representation: Representa
 
 def test_forms_agree(folder: Path) -> None:
     problem, plant = read(folder, SWING.replace("cart: 0.3}", "cart: 0.2}").replace("[0, null]", "[0, 40]"))
-    optima = [solved(replace(problem, form=form), plant) for form in (Form.STANDARD, Form.INTEGRAL)]
-    assert optima[0].cost.total == pytest.approx(optima[1].cost.total, rel=1e-7)
-    assert optima[0].trajectory.unknowns == pytest.approx(optima[1].trajectory.unknowns, rel=1e-5)
-
-
-def test_shooting_refuses(folder: Path) -> None:
-    problem, plant = read(folder)
-    with pytest.raises(ProblemError, match=r"unknowns: shooting .* takes no unknowns; take form: standard"):
-        solve(replace(problem, form=Form.SHOOTING), plant)
+    optima = [solved(replace(problem, form=form), plant) for form in Form]
+    for other in optima[1:]:
+        assert other.cost.total == pytest.approx(optima[0].cost.total, rel=1e-7)
+        assert other.trajectory.unknowns == pytest.approx(optima[0].trajectory.unknowns, rel=1e-5)
 
 
 def test_no_other_number_is_better() -> None:

@@ -239,7 +239,11 @@ def test_problem_files_speak_of_quaternions_by_name(sphere: Mechanism, file: Pat
         (", ball.qw: -cos(half)", "", "end.pose.*: only a part of the quaternion of ball; give ball.qw too, or"),
         ("ball.qz: [-0.5, 0.5]", "ball.qx: [2, 3]", "bounds.coordinates: no quaternion of ball has length 1"),
         ("ball.qz: [-0.5, 0.5]", "ball.qx: [0.5, 1]", "end.pose.*: the attitude of ball is out of bounds"),
-        ("horizon: 2", "form: integral\nhorizon: 2", "form: the integral form takes no joints with quaternions"),
+        (
+            "horizon: 2",
+            "integrator: second-order\nhorizon: 2",
+            "integrator: a quaternion is not the integral",
+        ),
     ):
         assert old in STATEMENT
         path.write_text(STATEMENT.replace(old, new, 1), encoding="utf-8")
@@ -247,10 +251,17 @@ def test_problem_files_speak_of_quaternions_by_name(sphere: Mechanism, file: Pat
             read_problem(path, lambda _: sphere)
 
 
+@pytest.mark.parametrize("representation", [Representation.IMPL, Representation.EXP1_O])
 @pytest.mark.parametrize("form", [Form.INTEGRAL, Form.SHOOTING])
-def test_other_forms_are_refused(sphere: Mechanism, form: Form) -> None:
-    with pytest.raises(ValueError, match=f"the {form.value} form takes no joints with quaternions"):
-        transcribe(replace(TURN, form=form), sphere)
+def test_other_forms_have_the_same_optimum(sphere: Mechanism, form: Form, representation: Representation) -> None:
+    """With a bound on a quaternion's entry, which is a row at points that are no variables."""
+    bounds = replace(TURN.bounds, q=((-5.0, 5.0),) * 6 + ((0.0, 1.1),))
+    problem = replace(TURN, representation=representation, bounds=bounds)
+    standard, other = (optimum(replace(problem, form=f), sphere) for f in (Form.STANDARD, form))
+    assert other.cost.total == pytest.approx(standard.cost.total, rel=1e-8)
+    for name in ("q", "qd", "point_q", "point_qd", "point_qdd"):
+        found, expected = getattr(other.trajectory, name), getattr(standard.trajectory, name)
+        assert found == pytest.approx(expected, abs=1e-5), name
 
 
 def test_a_part_of_a_quaternion_is_refused(sphere: Mechanism) -> None:

@@ -12,7 +12,7 @@ from matplotlib.patches import Rectangle
 from scipy.integrate import solve_ivp
 
 from mbsrun.ocp.pictures import make_mesh
-from mbsrun.ocp.problem import Bounds, Cost, End, Form, Problem, Refinement
+from mbsrun.ocp.problem import Bounds, Cost, End, Form, Problem, Refinement, Representation
 from mbsrun.ocp.refinement import choose_grid, refine
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.schemes import Family
@@ -104,9 +104,10 @@ def test_the_tolerance_is_reduced_where_violations_are_the_error() -> None:
     assert chosen[0] == replace(solution.problem, solver=replace(loose, tolerance=1e-2 * ACCURACY))
 
 
-def test_shooting_takes_more_steps() -> None:
-    solution = given([1e-9, 1e-9, 64 * 0.3 * ACCURACY])
-    shooting = replace(solution.problem, form=Form.SHOOTING)
+def test_rk4_takes_more_steps() -> None:
+    solution = given([1e-9, 1e-9, 30 * 0.3 * ACCURACY])
+    explicit = Representation.EXP1_O
+    shooting = replace(solution.problem, form=Form.SHOOTING, representation=explicit, integrator="rk4")
     chosen = choose_grid(replace(solution, problem=shooting))
     assert chosen is not None
     assert chosen[0] == replace(shooting, steps=2)

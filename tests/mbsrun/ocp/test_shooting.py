@@ -159,10 +159,48 @@ def test_derivatives_of_shooting_equal_casadis(arm: Peer, reach: Problem) -> Non
     check_derivatives(shot(problem, horizon=0.15, **EXPLICIT), arm, unroll)
 
 
+@pytest.mark.parametrize(
+    ("changes", "mesh"),
+    [
+        ({"horizon_range": (0.1, 0.2), **EXPLICIT}, None),
+        ({**EXPLICIT, "steps": 2}, (0.2, 0.5, 0.3)),
+    ],
+    ids=["free", "unequal"],
+)
+def test_derivatives_with_slopes_equal_casadis(
+    arm: Peer, reach: Problem, changes: dict[str, Any], mesh: tuple[float, ...] | None
+) -> None:
+    """Over a horizon that is free, which all intervals share, and over intervals that differ in length alone."""
+    problem = rich(reach, Representation.EXP1_O, Family.RADAU, False)
+    start = {"horizon": 0.15, "mesh": mesh, **changes}
+    check_derivatives(shot(problem, **start), arm, unroll)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{}, {"representation": Representation.EXP1_O}, {**EXPLICIT, "steps": 2}, {"mesh": (0.3, 0.1, 0.2, 0.15, 0.25)}],
+    ids=["IMPL", "EXP1-O", "rk4", "unequal"],
+)
+def test_the_fastest_push_is_found_by_shooting(changes: dict[str, Any]) -> None:
+    """A mass of 1 kg over 1 m from v = 1 to rest, |u| <= 4, with a free horizon: the same optimum as by collocation."""
+    bounds = Bounds((FREE_RANGE,), (FREE_RANGE,), ((-4.0, 4.0),))
+    problem = replace(
+        push(5), start_qd=(1.0,), bounds=bounds, cost=Cost(terminal=(Term("T", 1.0),)), horizon_range=(0.1, 5.0)
+    )
+    mass = double_integrator()
+    standard = optimum(replace(problem, mesh=changes.get("mesh")), mass)
+    found = optimum(shot(problem, **changes), mass)
+    assert found.cost.total == pytest.approx(standard.cost.total, rel=1e-7)
+    assert found.trajectory.q == pytest.approx(standard.trajectory.q, abs=1e-6)
+    assert found.trajectory.point_qdd == pytest.approx(standard.trajectory.point_qdd, abs=1e-4)
+
+
 def test_derivatives_through_newtons_method_equal_casadis(plant: Peer) -> None:
     """By the implicit function theorem, two steps in an interval; CasADi differentiates each iteration."""
     problem = replace(swing_up(3, 2), cost=Cost(1.0, running=(Term("sin(q_pole)*qdd_cart", 0.5),)))
     check_derivatives(shot(problem, steps=2), plant, unroll)
+    free = replace(problem, representation=Representation.EXP1_O, horizon_range=(0.1, 3.0), mesh=(0.2, 0.5, 0.3))
+    check_derivatives(shot(free), plant, unroll, more=15)  # the cart's velocity moves the cart alone
 
 
 def test_kept_slopes_lead_to_where_newtons_method_leads(plant: Peer) -> None:

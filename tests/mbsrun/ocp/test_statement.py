@@ -202,25 +202,25 @@ def test_a_bad_rich_file_is_refused_at_the_place(
 
 
 def test_shooting_is_asked_for(tmp_path: Path, arm: Peer) -> None:
-    """A contradiction is reported at the key that causes it; here three faults."""
+    """A contradiction is reported at the key that causes it; here two faults."""
     text = (Path(__file__).parents[3] / "models" / "arm_reach.ocp.yaml").read_text("utf-8")
     asked = text.replace("degree: 4", "degree: 4\nform: shooting\nintegrator: rk4\nsteps: 3\nrepresentation: EXP1-O")
     problem = read(tmp_path, asked, arm)
     assert (problem.form, problem.integrator, problem.steps) == (Form.SHOOTING, "rk4", 3)
-    bad = asked.replace("EXP1-O", "IMPL").replace("horizon: 2", "horizon: {guess: 2, range: [1, 3]}")
+    bad = asked.replace("EXP1-O", "IMPL")
     with pytest.raises(InputError) as refusal:
         read(tmp_path, bad.replace("steps: 3", "steps: 0"), arm)
-    assert sorted(fault.path for fault in refusal.value.faults) == ["form", "integrator", "steps"]
+    assert sorted(fault.path for fault in refusal.value.faults) == ["integrator", "steps"]
 
 
-def test_the_integral_form_is_refused_where_it_has_no_meaning(tmp_path: Path, arm: Peer) -> None:
-    """Of an ODE, and where the horizon is free: two faults of one key."""
+def test_second_order_is_refused_where_it_has_no_meaning(tmp_path: Path, arm: Peer) -> None:
+    """In the integral form of an ODE, and where the horizon is free: two faults of one key."""
     with pytest.raises(InputError) as refusal:
-        read(tmp_path, RICH.replace("degree: 3", "degree: 3\nform: integral"), arm)
-    ode, free = refusal.value.faults
-    assert ode.path == free.path == "form"
-    assert "EXP2-O has no accelerations" in ode.finding
-    assert "horizon" in free.finding
+        read(tmp_path, RICH.replace("degree: 3", "degree: 3\nform: integral\nintegrator: second-order"), arm)
+    free, ode = refusal.value.faults
+    assert ode.path == free.path == "integrator"
+    assert "accelerations that are no variables, as in EXP2-O" in ode.finding
+    assert "a horizon that is free" in free.finding
 
 
 def test_the_model_is_looked_for_beside_the_file(tmp_path: Path, arm: Peer) -> None:
@@ -287,10 +287,10 @@ BAD = {  # what is changed in the good file: path, finding, remedy
     "a length that vanishes": ("intervals: 10", "intervals: [1, 1e-9]", "intervals[1]", "1e-09 is 1.0e-09", "1e-06"),
     "unequal intervals of shooting": (
         "intervals: 10",
-        "intervals: [1, 2]\nform: shooting",
-        "intervals",
-        "shooting condenses intervals that are alike",
-        "give their number",
+        "integrator: second-order\nintervals: [1, 2]\nform: shooting",
+        "integrator",
+        "second-order collocation in the shooting form does not go with intervals of unequal length",
+        "give their number, or take form: standard",
     ),
     "unknown scheme": ("legendre", "gauss", "scheme", '"gauss"', "'radau' or 'legendre'"),
     "degree": ("degree: 3", "degree: 10", "degree", "found 10", "9"),

@@ -145,6 +145,59 @@ def test_the_integral_form_is_the_standard_form_solved(
     assert evaluate_terms(ours, arm, problem, x) == pytest.approx(expected_costs, rel=1e-12)
 
 
+SLOPES = [
+    (Representation.EXP1_O, Family.RADAU, False, None),
+    (Representation.EXP2_O, Family.LEGENDRE, True, (0.2, 0.5, 0.3)),
+    (Representation.IMPL, Family.RADAU, True, None),
+]
+
+
+@pytest.mark.parametrize(("representation", "family", "free", "mesh"), SLOPES)
+def test_derivatives_with_slopes_equal_casadis(
+    arm: Peer,
+    reach: Problem,
+    representation: Representation,
+    family: Family,
+    free: bool,
+    mesh: tuple[float, ...] | None,
+) -> None:
+    """The integral form of an ODE, and over a horizon that is free."""
+    problem = replace(rich(reach, representation, family, free), form=Form.INTEGRAL, mesh=mesh)
+    check_derivatives(problem, arm)
+
+
+@pytest.mark.parametrize(("representation", "family", "free", "mesh"), SLOPES)
+def test_slopes_are_the_standard_form_solved(
+    arm: Peer,
+    reach: Problem,
+    representation: Representation,
+    family: Family,
+    free: bool,
+    mesh: tuple[float, ...] | None,
+    rng: np.random.Generator,
+) -> None:
+    """Where slopes are the rates that accelerations ask for, all rows and terms are the standard form's."""
+    problem = replace(rich(reach, representation, family, free), form=Form.INTEGRAL, mesh=mesh)
+    standard = replace(problem, form=Form.STANDARD)
+    ours, theirs = transcribe(problem, arm), transcribe(standard, arm)
+    x = rng.uniform(0.5, 1, ours.layout.size)
+    y = theirs.pack(ours.unpack(x))
+    assert ours.pack(ours.unpack(x))[ours.layout.slopes] == pytest.approx(x[ours.layout.slopes], abs=1e-12)
+    g = evaluate_rows(ours, arm, problem, x)
+    expected = evaluate_rows(theirs, arm, standard, y)
+    names = ("start", "continuity", "sensors", "velocities", "sensor_velocities", "states")
+    for name in (*names, *(() if representation.is_ode else ("dynamics",))):
+        found = g[getattr(ours.rows, name)]
+        if name == "states" and not representation.is_ode:  # accelerations were read off the slopes
+            found = found[:, :, :6]
+            assert found == pytest.approx(expected[theirs.rows.states[:, :, :6]], abs=1e-11)
+        elif name != "dynamics":
+            assert found == pytest.approx(expected[getattr(theirs.rows, name)], abs=1e-11), name
+    terms = evaluate_terms(ours, arm, problem, x), evaluate_terms(theirs, arm, standard, y)
+    if representation.is_ode:
+        assert terms[0] == pytest.approx(terms[1], rel=1e-11)
+
+
 @pytest.mark.parametrize("family", Family)
 def test_bounds_hold_at_points_that_are_no_variables(
     arm: Peer, reach: Problem, family: Family, rng: np.random.Generator
@@ -173,9 +226,18 @@ def test_sizes_of_the_integral_form(arm: Peer, reach: Problem) -> None:
 
 
 CONFLICTS = {
-    "integral of an ODE": ({"form": Form.INTEGRAL, "representation": Representation.EXP1_O}, "form: EXP1-O"),
-    "integral over a free horizon": ({"form": Form.INTEGRAL, "horizon_range": (1.0, 3.0)}, "form: the integral form"),
-    "shooting over a free horizon": ({"form": Form.SHOOTING, "horizon_range": (1.0, 3.0)}, "form: the shooting form"),
+    "second order over a free horizon": (
+        {"form": Form.INTEGRAL, "horizon_range": (1.0, 3.0), "integrator": SECOND_ORDER},
+        "integrator: second-order collocation in the integral form does not go with a horizon that is free",
+    ),
+    "second order over unequal intervals": (
+        {"form": Form.SHOOTING, "intervals": 2, "mesh": (0.25, 0.75), "integrator": SECOND_ORDER},
+        "integrator: .* intervals of unequal length",
+    ),
+    "second order of an ODE": (
+        {"form": Form.INTEGRAL, "representation": Representation.EXP1_O, "integrator": SECOND_ORDER},
+        "integrator: .* accelerations that are no variables, as in EXP1-O",
+    ),
     "shooting of an algebraic equation": (
         {"form": Form.SHOOTING, "representation": Representation.EXP2_A},
         "representation: EXP2-A",
@@ -183,10 +245,6 @@ CONFLICTS = {
     "rk4 of a residual": ({"form": Form.SHOOTING, "integrator": "rk4"}, "integrator: rk4"),
     "steps of collocation": ({"steps": 2}, "form: collocation with 2 steps is for shooting"),
     "rk4 without shooting": ({"integrator": "rk4"}, "form: rk4 with 1 steps is for shooting"),
-    "shooting over unequal intervals": (
-        {"form": Form.SHOOTING, "intervals": 2, "mesh": (0.25, 0.75)},
-        "intervals: shooting",
-    ),
 }
 
 
@@ -246,18 +304,18 @@ def test_rows_of_second_order_integrate_velocities(arm: Peer, reach: Problem, rn
             assert g[transcription.rows.continuity[k, i]] == pytest.approx(expected, abs=1e-12)
 
 
-@pytest.mark.parametrize(("representation", "family", "free", "mesh"), [*((*r, None) for r in RICH), *MESHES])
+@pytest.mark.parametrize(("representation", "family", "free", "fractions"), [*((*r, None) for r in RICH), *MESHES])
 def test_everything_means_what_it_says(
     arm: Peer,
     reach: Problem,
     representation: Representation,
     family: Family,
     free: bool,
-    mesh: tuple[float, ...] | None,
+    fractions: tuple[float, ...] | None,
     rng: np.random.Generator,
 ) -> None:
     """Terms of the cost and rows of constraints, computed from the trajectory without the program."""
-    problem = replace(rich(reach, representation, family, free), mesh=mesh)
+    problem = replace(rich(reach, representation, family, free), mesh=fractions)
     transcription = transcribe(problem, arm)
     rows, scheme, N = transcription.rows, transcription.scheme, problem.intervals
     x = rng.uniform(0.5, 1, transcription.layout.size)
@@ -275,7 +333,7 @@ def test_everything_means_what_it_says(
         qdd = motion.point_qdd
         end_qdd, start_qdd = scheme.end_of_points @ qdd[-1], scheme.start_of_points @ qdd[0]
     h = np.diff(motion.t)
-    assert h == pytest.approx(T * np.array(mesh or [1 / N] * N), rel=1e-14)
+    assert h == pytest.approx(T * np.array(fractions or [1 / N] * N), rel=1e-14)
     apart = (h[1:] + h[:-1]) / 2
 
     def integral(values: np.ndarray) -> float:
