@@ -169,12 +169,12 @@ BAD_RICH = {  # what is changed in the rich file: path, finding, remedy
     "end velocity": ("{q1: a,", "{q9: a,", "end.velocity.q9", 'no coordinate "q9"', "q5, q6"),
     "velocity of no sensor": ("    hand:", "    foot:", "end.sensor_velocities.foot", "no sensor", "hand, pendulum"),
     "weight": ("2*b", "2*c", "cost.running[0].weight", 'unknown name "c"', "a, b"),
-    "integral form and a free horizon": (
+    "second order and a free horizon": (
         "EXP2-O",
-        "EXP2-A\nform: integral",
-        "form",
-        "horizon that is given",
-        "standard",
+        "EXP2-A\nform: integral\nintegrator: second-order",
+        "integrator",
+        "does not go with a horizon that is free",
+        "give the horizon, or take form: standard",
     ),
     "too many terms": (
         "{expression: T}",
