@@ -83,6 +83,8 @@ A solver finds a local minimum near its guess. --starts 20 solves from 20 starts
 noise on the guess, other end poses, whole turns of joints without limits). The best solution is written, and how often
 its cost was found; lower ones may exist. Ctrl-C ends the search, and the best so far is written.
 
+A problem with `phases` or `links` takes --out, --guess and --solver alone; each phase has a table NAME.csv.
+
 \b
 Exit codes
   0   solved, and as accurate as the problem asks for; nothing is said of lower minima

@@ -26,6 +26,7 @@ READ = (
     "qd",
     "qdd",
     "u",
+    "w",
     "T",
     "position",
     "v",

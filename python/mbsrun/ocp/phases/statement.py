@@ -7,7 +7,7 @@ that it names. A file without `phases`, but with `links`, is a problem of one ph
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from mbsgen.expressions import Expression
 from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.no_mechanism import NO_MECHANISM
 from mbsrun.ocp.phases.checks import find_faults
-from mbsrun.ocp.phases.impacts import AXES, find_axes
+from mbsrun.ocp.phases.impacts import AXES, find_axes, find_wrench
 from mbsrun.ocp.phases.problem import Condition, Impact, Link, Phase, PhasedProblem, Plants
 from mbsrun.ocp.phases.sections import ContactSection, ImpactSection, LinkSection, PhaseSection, WholeSection
 from mbsrun.ocp.plant import Plant
@@ -246,6 +246,8 @@ class _Links(Reading):
     def link(self, i: int, section: LinkSection, named: Link, phases: list[_Read], model: Plant | None) -> Link:
         place: Place = ("links", i)
         source = next((phase.plant for phase in phases if phase.name == named.source), None)
+        after = next((phase.problem for phase in phases if phase.name == named.target), None)
+        held, given = () if after is None else after.contacts, section.impact
         conditions = tuple(
             Condition(part.expression, self.range((*place, "conditions", k, "range"), part.range))
             for k, part in enumerate(section.conditions)
@@ -254,15 +256,24 @@ class _Links(Reading):
             named,
             map=tuple(section.map.items()),
             velocities=tuple(section.velocities.items()),
-            impact=None if section.impact is None else self.impact((*place, "impact"), section.impact, model or source),
+            impact=None if given is None else self.impact((*place, "impact"), given, model or source, held),
             conditions=conditions,
         )
 
-    def impact(self, place: Place, section: ImpactSection, plant: Plant | None) -> Impact:
-        contacts = (
-            self.contact((*place, "contacts", i), ContactSection(sensor=part) if isinstance(part, str) else part, plant)
-            for i, part in enumerate(section.contacts)
-        )
+    def impact(self, place: Place, section: ImpactSection, plant: Plant | None, held: Sequence[Contact]) -> Impact:
+        """Read an impact; a contact that is only named is one of the phase after, if that holds it."""
+        known = {
+            contact.sensor: contact
+            for contact in held
+            if plant is not None and find_wrench(plant.manifest, contact.wrench) is not None
+        }
+        contacts = []
+        for i, part in enumerate(section.contacts):
+            if isinstance(part, str) and part in known:
+                contacts.append(known[part])
+            else:
+                own = ContactSection(sensor=part) if isinstance(part, str) else part
+                contacts.append(self.contact((*place, "contacts", i), own, plant))
         restitution = self.number((*place, "restitution"), section.restitution)
         return Impact(tuple(contacts), restitution, tuple(section.map.items()))
 

@@ -147,6 +147,9 @@ def test_a_link_to_itself_makes_a_motion_periodic(cart: Peer) -> None:
     assert trajectory.q[-1] - trajectory.q[0] == pytest.approx([0.3, 0.0], abs=1e-6)
     assert trajectory.qd[-1] == pytest.approx(trajectory.qd[0], abs=1e-9)
     assert trajectory.qd[0, 0] == pytest.approx(0.0, abs=1e-9)
+    within = Condition("end_q_cart - start_q_cart", (0.1, 0.3))
+    free = replace(problem, links=(replace(link, map=(("cart", None),), conditions=(within,)),), unknowns=())
+    assert optimum(free, cart).cost == pytest.approx(found.cost, rel=1e-8)
 
 
 def test_states_that_phases_add_carry_on(cart: Peer, whole: Solution) -> None:
