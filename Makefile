@@ -5,7 +5,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo track test fuzz lint bench bench-growth bench-ocp bench-kkt bench-mpc bench-loops bench-results study laboratory mutants golden schema clean
+.PHONY: demo docs track test fuzz lint bench bench-growth bench-ocp bench-kkt bench-mpc bench-loops bench-results study laboratory mutants golden schema clean
 
 demo: $(VENV)/installed
 	$(BIN)/mbsgen models/arm_pendulum.yaml -o build/arm_pendulum
@@ -92,6 +92,10 @@ laboratory: $(VENV)/installed-study
 	$(BIN)/mbsrun lab -o build/laboratory || test $$? -eq 1
 	cp build/laboratory/verdicts.md build/laboratory/verdicts.csv build/laboratory/map_*.csv \
 	    build/laboratory/map_*.png docs/laboratory
+
+# The site: pages, references, and a gallery whose examples are run. Ten minutes; then only what has changed is run.
+docs: $(VENV)/installed-dev
+	$(BIN)/python -m website -o build/site
 
 # Renews generated/: a sample, and the hashes of all that the other models generate.
 golden: $(VENV)/installed-dev

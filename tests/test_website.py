@@ -1,0 +1,120 @@
+"""The site builds without a warning, needs no other site, and fits a telephone and a screen."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from website.__main__ import main
+from website.examples import EXAMPLES
+from website.gallery import ExampleError, run
+
+ROOT = Path(__file__).parents[1]
+LOADED = re.compile(r"""<(?:script|link|img|iframe|source)\b[^>]*?\b(?:src|href)=["']([^"']+)["']""")
+NAVIGATES = re.compile(r"""<link\b[^>]*\brel=["'](?:canonical|next|prev|edit)["']""")
+WIDTHS = (390, 1280)
+WIDE = """\
+<html><body><script>
+const pages = %s, widths = %s, found = {};
+async function measure() {
+  for (const page of pages) for (const width of widths) {
+    const frame = document.createElement("iframe");
+    frame.sandbox = "allow-same-origin";  // pages are laid out without their scripts
+    frame.style.width = width + "px"; frame.style.height = "800px"; frame.src = page;
+    const loaded = new Promise(resolve => frame.onload = resolve);
+    document.body.appendChild(frame); await loaded;
+    const root = frame.contentDocument.documentElement;
+    if (root.scrollWidth > width) found[page + " " + width] = root.scrollWidth;
+    frame.remove();
+  }
+  document.title = "measured " + JSON.stringify(found);
+}
+measure();
+</script></body></html>
+"""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build the site with one example; MkDocs takes any open link for an error."""
+    out = tmp_path_factory.mktemp("website") / "site"
+    done = CliRunner().invoke(main, ["-o", str(out), "--quick", "--only", "pendulum"], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return out
+
+
+def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
+    pages = sorted(site.rglob("*.html"))
+    assert len(pages) > 30
+    loaded = [
+        (page.name, tag.group(1))
+        for page in pages
+        for tag in LOADED.finditer(page.read_text(encoding="utf-8"))
+        if not NAVIGATES.match(tag.group(0)) and re.match(r"(?:https?:)?//", tag.group(1))
+    ]
+    assert loaded == []
+    styles = [
+        (path.name, found)
+        for path in site.rglob("*.css")
+        for found in re.findall(r"url\(['\"]?(https?:[^)]*)", path.read_text("utf-8"))
+    ]
+    assert styles == []
+
+
+def test_an_example_shows_its_motion_and_its_files(site: Path) -> None:
+    page = (site / "gallery" / "pendulum.html").read_text(encoding="utf-8")
+    assert '<iframe src="pendulum/animation.html"' in page
+    for name in ("animation.html", "pendulum.yaml", "trajectory.csv", "plots.png"):
+        assert (site / "gallery" / "pendulum" / name).stat().st_size > 0
+        assert f'href="pendulum/{name}"' in page
+
+
+def test_references_are_there(site: Path) -> None:
+    assert "mbsrun linearise" in (site / "commands" / "mbsrun.html").read_text(encoding="utf-8")
+    assert "read_problem" in (site / "api" / "optimal_control.html").read_text(encoding="utf-8")
+    assert "problem.yaml:8: end.pose.hing" in (site / "messages" / "problems.html").read_text(encoding="utf-8")
+
+
+def test_pages_fit_a_telephone_and_a_screen(site: Path, requires: Callable[[str], str]) -> None:
+    """No page scrolls sideways at 390 and 1280 pixels, in Chromium."""
+    chromium = requires("chromium")
+    pages = sorted(path.relative_to(site).as_posix() for path in site.rglob("*.html") if path.name != "animation.html")
+    (site / "widths.html").write_text(WIDE % (json.dumps(pages), json.dumps(WIDTHS)), encoding="utf-8")
+    done = subprocess.run(
+        [
+            chromium,
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--allow-file-access-from-files",
+            "--window-size=1400,900",
+            "--virtual-time-budget=60000",
+            "--dump-dom",
+            (site / "widths.html").as_uri(),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=True,
+    )
+    measured = re.search(r"<title>measured (.*?)</title>", done.stdout)
+    assert measured is not None, done.stderr[-2000:]
+    assert json.loads(measured.group(1).replace("&quot;", '"')) == {}
+
+
+def test_an_example_that_fails_stops_the_build(tmp_path: Path) -> None:
+    broken = replace(EXAMPLES[0], commands="echo seen >&2; exit 3\n")
+    with pytest.raises(ExampleError, match="seen"):
+        run(broken, ROOT, tmp_path)
+
+
+def test_the_gallery_is_large() -> None:
+    assert len(EXAMPLES) >= 25
+    assert len({example.name for example in EXAMPLES}) == len(EXAMPLES)

@@ -1,0 +1,63 @@
+"""`python -m website`: build the site."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+from pathlib import Path
+
+import click
+from mkdocs.commands.build import build
+from mkdocs.config import load_config
+from rich.progress import Progress
+
+from website import commands, gallery, messages, pages, reference
+from website.examples import EXAMPLES
+
+ROOT = Path(__file__).parents[1]
+
+
+@click.command(help="Build the site in the folder OUT: pages, gallery, references. Examples that ran before are kept.")
+@click.option(
+    "-o", "--out", type=click.Path(path_type=Path), default=ROOT / "build" / "site", help="By default build/site."
+)
+@click.option("--only", multiple=True, metavar="NAME", help="Run these examples alone, and show no others.")
+@click.option("--quick", is_flag=True, help="A preview: of each class of messages, show one.")
+def main(out: Path, only: tuple[str, ...], *, quick: bool) -> None:
+    """Write the pages, run the examples, and let MkDocs make HTML of them."""
+    unknown = set(only) - {example.name for example in EXAMPLES}
+    if unknown:
+        raise click.UsageError(f"no example {', '.join(sorted(unknown))}")
+    chosen = [example for example in EXAMPLES if not only or example.name in only]
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
+    source = out.parent / f"{out.name}-pages"
+    shutil.rmtree(source, ignore_errors=True)
+    navigation = pages.write(ROOT, source)
+    with Progress() as bar:
+        task = bar.add_task("examples", total=len(chosen))
+        results = []
+        for example in chosen:
+            bar.update(task, description=example.name)
+            results.append(gallery.run(example, ROOT, out.parent / f"{out.name}-runs"))
+            bar.advance(task)
+    gallery.write(results, source)
+    messages.write(source, 1 if quick else None)
+    commands.write(source)
+    reference.write(source)
+    config = load_config(
+        str(Path(__file__).with_name("mkdocs.yml")),
+        docs_dir=str(source),
+        site_dir=str(out),
+        nav=[
+            *navigation,
+            {"Gallery": gallery.list_pages(results)},
+            {"Reference": [*commands.PAGES, *reference.PAGES, *messages.PAGES]},
+        ],
+        strict=True,
+    )
+    build(config)
+    click.echo(f"wrote {out / 'index.html'}")
+
+
+if __name__ == "__main__":
+    main()

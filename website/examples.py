@@ -1,0 +1,188 @@
+"""The examples of the gallery: commands, and the files that they write and the gallery shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Example:
+    """Commands that are run in a folder with the models."""
+
+    name: str
+    title: str
+    text: str
+    commands: str
+    picture: str  # a file that they write, or a model's
+    files: tuple[str, ...]  # for download; the first page of HTML is shown
+
+
+def _simulate(name: str, title: str, text: str, model: str, options: str) -> Example:
+    """Return the simulation of a model."""
+    return Example(
+        name,
+        title,
+        text,
+        f"mbsrun simulate models/{model}.yaml {options} -o build/{name}\n",
+        f"build/{name}/plots.png",
+        (f"build/{name}/animation.html", f"models/{model}.yaml", f"build/{name}/trajectory.csv"),
+    )
+
+
+def _solve(name: str, title: str, text: str, problem: str, model: str, options: str = "") -> Example:
+    """Return the optimal motion of a model."""
+    return Example(
+        name,
+        title,
+        text,
+        f"mbsrun solve models/{problem}.ocp.yaml{options} -o build/{name}\n",
+        f"build/{name}/mechanism.png",
+        (
+            f"build/{name}/animation.html",
+            f"models/{problem}.ocp.yaml",
+            f"models/{model}.yaml",
+            f"build/{name}/trajectories.png",
+            f"build/{name}/solution.csv",
+        ),
+    )
+
+
+_MECHANISMS = (
+    _simulate(
+        "pendulum",
+        "A pendulum",
+        "It falls from the horizontal, with friction in its hinge.",
+        "pendulum",
+        "--duration 5 --pose q1=1.5",
+    ),
+    _simulate(
+        "double_pendulum",
+        "A double pendulum",
+        "Chaos in two coordinates. The drift of the energy is the error of the integration.",
+        "double_pendulum",
+        "--duration 8 --pose q1=2 --pose q2=1",
+    ),
+    _simulate("branched", "A tree with branches", "Two arms on one body, without inputs.", "branched", "--duration 3"),
+    _simulate(
+        "quadruped", "A quadruped in free fall", "Eighteen coordinates; the legs swing.", "quadruped", "--duration 1"
+    ),
+    _simulate(
+        "satellite",
+        "A satellite with a quaternion",
+        "It turns freely about an axis that is not stable.",
+        "satellite",
+        "--duration 20 --velocity hull.rx=0.01 --velocity hull.ry=1",
+    ),
+    _simulate("four_bar", "A four-bar linkage", "A closed loop, cut at one hinge.", "four_bar", "--duration 4"),
+    _simulate("slider_crank", "A slider-crank", "The loop has one degree of freedom.", "slider_crank", "--duration 2"),
+    _simulate(
+        "five_bar",
+        "A five-bar linkage",
+        "Two motors on the base move one point in the plane.",
+        "five_bar",
+        "--duration 2",
+    ),
+    _simulate("delta", "A Delta robot", "Three arms with closed loops, released at rest.", "delta", "--duration 1"),
+    _simulate("stewart", "A Stewart platform", "Six legs carry a platform.", "stewart", "--duration 1"),
+    _simulate(
+        "wishbone", "A wheel on two wishbones", "A suspension with spring and damper.", "wishbone", "--duration 3"
+    ),
+    _simulate(
+        "excavator", "An excavator's bucket", "Cylinders and a linkage move the bucket.", "excavator", "--duration 2"
+    ),
+    _simulate(
+        "compressor",
+        "A compressor",
+        "The motion of the crank is given; the table holds its torque.",
+        "compressor",
+        "--driven 'crank=40 deg + 150*t' --duration 0.1",
+    ),
+)
+_OPTIMA = (
+    _solve(
+        "swing_up",
+        "A cart-pole swings up",
+        "The problem of Kelly's tutorial: from hanging to standing in two seconds, with the least force.",
+        "cart_pole_swing_up",
+        "cart_pole",
+    ),
+    _solve(
+        "balance", "A cart-pole keeps its balance", "Back to the middle of the track.", "cart_pole_balance", "cart_pole"
+    ),
+    _solve("acrobot", "An acrobot swings up", "One motor, at the elbow.", "acrobot_swing_up", "acrobot"),
+    _solve(
+        "planar_reach",
+        "A planar arm reaches a point",
+        "With bounds of joints and torques.",
+        "planar_arm_reach",
+        "planar_arm",
+    ),
+    _solve(
+        "planar_fastest",
+        "A planar arm in the shortest time",
+        "The horizon is free; torques jump between their bounds.",
+        "planar_arm_fastest",
+        "planar_arm",
+    ),
+    _solve(
+        "six_axis",
+        "A six-axis robot reaches past an obstacle",
+        "Joint limits, torques and a target in space.",
+        "six_axis_reach",
+        "six_axis",
+    ),
+    _solve(
+        "arm_pendulum",
+        "The arm of the paper",
+        "An arm with four motors brings a pendulum to a given place, and to rest.",
+        "arm_reach",
+        "arm_pendulum",
+    ),
+    _solve("leg_step", "A leg makes a step", "Over an obstacle, with a rotor behind a gear.", "leg_step", "leg"),
+    _solve(
+        "satellite_turn",
+        "A satellite turns",
+        "From one attitude to another, with a quaternion.",
+        "satellite_turn",
+        "satellite",
+    ),
+    _solve(
+        "five_bar_reach", "A five-bar linkage moves", "Optimal control of a closed loop.", "five_bar_reach", "five_bar"
+    ),
+    _solve("delta_pick", "A Delta robot picks", "Three closed loops in space.", "delta_pick", "delta"),
+    _solve(
+        "design",
+        "A spring, and where the elbow is",
+        "Design and motion are chosen together: the spring's stiffness and rest, and the length of the upper arm.",
+        "lifting_arm_design",
+        "lifting_arm",
+    ),
+)
+_TOOLS = (
+    Example(
+        "equations",
+        "The equations of a double pendulum",
+        "As a textbook prints them.",
+        "mbsgen equations models/double_pendulum.yaml\nmbsgen show models/double_pendulum.yaml -o build/tree.png\n",
+        "build/tree.png",
+        ("models/double_pendulum.yaml",),
+    ),
+    Example(
+        "linearise",
+        "Poles of a cart-pole, and a controller for it",
+        "Linear equations about the upright pose, their modes, and the gains of a linear-quadratic regulator.",
+        "mbsrun linearise models/cart_pole.yaml --pose pole=pi --regulate 0.1 -o build/linear\n",
+        "build/linear/poles.png",
+        ("models/cart_pole.yaml",),
+    ),
+    Example(
+        "accuracy",
+        "Speed against accuracy",
+        "What a digit costs: kernels of one model by formulation and precision.",
+        "mbsrun chart kernels models/cart_pole.yaml --quick --size 2 --size 5 -o build/chart\n",
+        "build/chart/kernels.png",
+        ("models/cart_pole.yaml",),
+    ),
+)
+EXAMPLES: Sequence[Example] = (*_MECHANISMS, *_OPTIMA, *_TOOLS)

@@ -1,0 +1,135 @@
+"""The gallery: examples that were run, with their commands, pictures, run times and files to download."""
+
+from __future__ import annotations
+
+import hashlib
+import html
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from website.examples import Example
+
+RECORD = "run.json"  # in the folder of a run
+SOURCES = ("generator", "python", "csrc", "templates", "models")  # what decides the result of a run
+LONGEST = 600  # seconds
+SHOWN = 40  # lines of a command's output
+
+
+class ExampleError(Exception):
+    """An example whose commands fail."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """An example that was run in a folder."""
+
+    example: Example
+    folder: Path
+    output: str
+    seconds: float
+
+    @property
+    def page(self) -> str:
+        """Return the place of its page."""
+        return f"gallery/{self.example.name}.md"
+
+
+def run(example: Example, root: Path, runs: Path) -> Result:
+    """Run the commands of an example in a copy of the models, unless they were run on the same sources before."""
+    folder, key = runs / example.name, _identify(example, root)
+    record = folder / RECORD
+    if record.exists():
+        known = json.loads(record.read_text(encoding="utf-8"))
+        if known["key"] == key:
+            return Result(example, folder, known["output"], known["seconds"])
+    shutil.rmtree(folder, ignore_errors=True)
+    shutil.copytree(root / "models", folder / "models")
+    (folder / "build").mkdir()
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    begin = time.perf_counter()
+    done = subprocess.run(
+        ["bash", "-euo", "pipefail", "-c", example.commands],
+        cwd=folder,
+        env={**os.environ, "PATH": path, "COLUMNS": "100"},
+        capture_output=True,
+        text=True,
+        timeout=LONGEST,
+        check=False,
+    )
+    seconds = time.perf_counter() - begin
+    if done.returncode:
+        raise ExampleError(f"{example.name}: {done.stdout}{done.stderr}")
+    missing = [name for name in (example.picture, *example.files) if not (folder / name).exists()]
+    if missing:
+        raise ExampleError(f"{example.name} did not write {', '.join(missing)}")
+    known = {"key": key, "output": done.stdout, "seconds": seconds}
+    record.write_text(json.dumps(known), encoding="utf-8")
+    return Result(example, folder, done.stdout, seconds)
+
+
+def _identify(example: Example, root: Path) -> str:
+    """Return a hash of everything that decides the result."""
+    found = hashlib.sha256(repr(example).encode())
+    for source in SOURCES:
+        for path in sorted((root / source).rglob("*")):
+            if path.is_file() and "__pycache__" not in path.parts:
+                found.update(path.relative_to(root).as_posix().encode())
+                found.update(path.read_bytes())
+    return found.hexdigest()
+
+
+def list_pages(results: Sequence[Result]) -> list[str | dict[str, str]]:
+    """List the pages of the gallery for the navigation."""
+    return ["gallery/index.md", *({result.example.title: result.page} for result in results)]
+
+
+def write(results: Sequence[Result], target: Path) -> None:
+    """Write the gallery's pages, and copy the files that they show."""
+    (target / "gallery").mkdir(parents=True, exist_ok=True)
+    cards = []
+    for result in results:
+        name = result.example.name
+        files = target / "gallery" / name
+        files.mkdir(parents=True, exist_ok=True)
+        for each in (result.example.picture, *result.example.files):
+            shutil.copyfile(result.folder / each, files / Path(each).name)
+        (target / result.page).write_text(_describe(result), encoding="utf-8")
+        cards.append(
+            f'<a href="{name}.html"><img src="{name}/{Path(result.example.picture).name}" '
+            f'alt="{html.escape(result.example.title)}"><br><b>{html.escape(result.example.title)}</b><br>'
+            f"{html.escape(result.example.text.split('. ')[0].rstrip('.'))}.</a>"
+        )
+    page = ["---", "hide: [toc]", "---", "# Gallery", "", "Each example was run when this site was built.", ""]
+    page += ['<div class="cards">', *cards, "</div>", ""]
+    (target / "gallery" / "index.md").write_text("\n".join(page), encoding="utf-8")
+
+
+def _describe(result: Result) -> str:
+    """Write the page of an example."""
+    example, name = result.example, result.example.name
+    shown = [file for file in example.files if file.endswith(".html")]
+    lines = [f"# {example.title}", "", example.text, ""]
+    lines += ["```sh", example.commands.strip(), "```", ""]
+    if not shown:
+        picture = Path(example.picture).name
+        lines += [f"![{example.title}]({name}/{picture})", ""]
+    for file in shown:
+        lines += [f'<iframe src="{name}/{Path(file).name}" title="{html.escape(example.title)}"></iframe>', ""]
+    output = result.output.strip().splitlines()
+    if output:
+        kept = output[:SHOWN] + ([f"... ({len(output) - SHOWN} more lines)"] if len(output) > SHOWN else [])
+        lines += ["The commands print", "", "```text", *kept, "```", ""]
+    lines += [
+        f"They took {result.seconds:.0f} s here, with generation and compilation where nothing was in the cache.",
+        "",
+    ]
+    files = dict.fromkeys(Path(file).name for file in (example.picture, *example.files))
+    lines += ["Files: " + ", ".join(f"[{file}]({name}/{file})" for file in files), ""]
+    return "\n".join(lines)

@@ -1,0 +1,153 @@
+"""The pages of the documents, as the site shows them: Markdown of the checkout -> Markdown whose links stay within.
+
+A link to a page of the site stays a link to it. Any other file of the checkout that a page points to is copied, and
+offered for download; a folder becomes a list of its files.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from posixpath import normpath, relpath
+from typing import Any
+
+LINK = re.compile(r"(\]\()([^)\s#]+)(#[^)\s]*)?(\))")
+FILES = "files"  # the folder of files that are no pages
+STYLE = """\
+.md-typeset img { max-width: 100%; }
+.md-typeset iframe { width: 100%; height: 480px; border: 1px solid var(--md-default-fg-color--lightest); }
+.md-typeset table:not([class]) { display: block; overflow-x: auto; }
+.md-typeset :is(code, td, th, p, li) { overflow-wrap: anywhere; }
+.cards { display: grid; grid-template-columns: repeat(auto-fill, minmax(15rem, 1fr)); gap: 1rem; }
+.cards a { border: 1px solid var(--md-default-fg-color--lightest); border-radius: .3rem; padding: .6rem; }
+.cards a { color: inherit; }
+.cards img { width: 100%; height: 9rem; object-fit: contain; background: white; }
+"""
+
+NAVIGATION: list[dict[str, Any]] = [  # titles, and the pages of `docs`
+    {"Start here": ["start.md", "readme.md"]},
+    {
+        "Model": ["model.md", "loops.md", "importing.md", "scenes.md", "equations.md", "theory.md", "linearise.md"],
+    },
+    {"Simulate": ["simulation.md", "fmu.md"]},
+    {"Optimise": ["problem.md", "phases.md", "python.md", "recordings.md", "gait.md", "classics.md", "solver.md"]},
+    {"Control": ["controller.md", "track.md", "microcontroller.md", "acados.md"]},
+    {
+        "Trust": ["accuracy.md", "laboratory.md", "reproduction.md", "study/README.md", "laboratory/verdicts.md"],
+    },
+    {
+        "Contribute": ["architecture.md", "contributing.md", "changelog.md"],
+    },
+]
+ELSEWHERE = {  # pages that are not in `docs`
+    "README.md": "readme.md",
+    "ARCHITECTURE.md": "architecture.md",
+    "CONTRIBUTING.md": "contributing.md",
+    "CHANGELOG.md": "changelog.md",
+}
+FIGURES = "figures"  # the folder of published measurements
+
+
+@dataclass
+class Staging:
+    """The pages of a checkout, by their path in it, and the files that they point to."""
+
+    root: Path
+    target: Path
+    pages: dict[str, str]
+    files: set[str] = field(default_factory=set)
+
+    def rewrite(self, path: str) -> str:
+        """Return the text of a page, with links to the places of the site."""
+        here = PurePosixPath(path).parent
+        there = PurePosixPath(self.pages[path]).parent
+        text = (self.root / path).read_text(encoding="utf-8")
+
+        def replace(match: re.Match[str]) -> str:
+            link, anchor = match.group(2), match.group(3) or ""
+            if re.match(r"[a-z]+:", link):
+                return match.group(0)
+            place = self.place(normpath(str(here / link)))
+            return f"{match.group(1)}{relpath(place, str(there))}{anchor}{match.group(4)}"
+
+        return LINK.sub(replace, text)
+
+    def place(self, path: str) -> str:
+        """Return where the site has a file or folder of the checkout."""
+        if path in self.pages:
+            return self.pages[path]
+        if f"{path}/README.md" in self.pages:
+            return self.pages[f"{path}/README.md"]
+        self.files.add(path)
+        return f"{FILES}/{path}" + ("/index.md" if (self.root / path).is_dir() else "")
+
+    def write(self) -> None:
+        """Write all pages, and the files that they point to."""
+        for path, place in self.pages.items():
+            target = self.target / place
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_text(self.rewrite(path), encoding="utf-8")
+        for path in sorted(self.files):
+            self.copy(path)
+
+    def copy(self, path: str) -> None:
+        """Copy a file, or the files of a folder with a list of them."""
+        source, target = self.root / path, self.target / FILES / path
+        if not source.is_dir():
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source, target)
+            return
+        target.mkdir(parents=True, exist_ok=True)
+        names = sorted(file.name for file in source.iterdir() if file.is_file() and file.suffix != ".md")
+        for name in names:
+            shutil.copyfile(source / name, target / name)
+        lines = [f"# {path}", "", *(f"- [{name}]({name})" for name in names), ""]
+        (target / "index.md").write_text("\n".join(lines), encoding="utf-8")
+
+
+def write(root: Path, target: Path) -> list[dict[str, Any]]:
+    """Write the pages of a checkout to a folder, and return the site's navigation."""
+    pages = {f"docs/{path.relative_to(root / 'docs').as_posix()}": "" for path in sorted(root.glob("docs/**/*.md"))}
+    pages = {path: path.removeprefix("docs/") for path in pages}
+    pages |= {path: place for path, place in ELSEWHERE.items() if (root / path).exists()}
+    measured = [path.relative_to(root / "benchmarks") for path in sorted(root.glob("benchmarks/**/*.md"))]
+    pages |= {f"benchmarks/{path.as_posix()}": f"{FIGURES}/{path.as_posix()}" for path in measured}
+    Staging(root, target, pages).write()
+    (target / "site.css").write_text(STYLE, encoding="utf-8")
+    (target / "index.md").write_text(_write_front(), encoding="utf-8")
+    known = set(pages.values())
+    navigation = [
+        {title: [page for page in listed if page in known]} for part in NAVIGATION for title, listed in part.items()
+    ]
+    named = {page for part in navigation for listed in part.values() for page in listed}
+    others = sorted(page for page in known - named if not page.startswith(FIGURES))
+    figures = sorted(page for page in known if page.startswith(FIGURES))
+    return [{"mbsgen": "index.md"}, *navigation, {"Figures": figures}, *([{"More": others}] if others else [])]
+
+
+def _write_front() -> str:
+    return """\
+---
+hide: [navigation, toc]
+---
+# mbsgen
+
+The description of a mechanism in, C code for its dynamics out: the equations of motion in four forms, with exact first
+and second derivatives. Simulation, optimal control and controllers are built on it.
+
+[Start here](start.md){ .md-button .md-button--primary } [Gallery](gallery/index.md){ .md-button }
+[Architecture](architecture.md){ .md-button }
+
+| I want to | |
+|---|---|
+| see it work | [Start here](start.md): ten minutes, from nothing to an animated optimal motion |
+| describe my mechanism | [The model file](model.md), or [import a URDF or MJCF](importing.md) |
+| read its equations | [Equations](equations.md) as text, LaTeX or SymPy |
+| call its dynamics from C, C++ or Python | [What is generated](readme.md#what-is-generated) |
+| find an optimal motion | [The problem file](problem.md) |
+| control it in real time | [Controllers](controller.md), also [on a microcontroller](microcontroller.md) |
+| close a loop | [Closed loops](loops.md) |
+| know how exact it is | [Accuracy](accuracy.md), and [the laboratory](laboratory.md) of methods at their limits |
+"""

@@ -1,0 +1,31 @@
+"""The reference of the Python interface, from docstrings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+MODULES = {  # the title of a page, and its modules
+    "Kernels": ("mbsrun", "mbsrun.kernel", "mbsrun.external", "mbsrun.closure"),
+    "Optimal control": (
+        "mbsrun.ocp.problem",
+        "mbsrun.ocp.statement",
+        "mbsrun.ocp.guess",
+        "mbsrun.ocp.solve",
+        "mbsrun.ocp.solution",
+        "mbsrun.ocp.resimulation",
+        "mbsrun.ocp.trajectory",
+    ),
+    "Simulation": ("mbsrun.simulation.statement", "mbsrun.simulation.motion"),
+    "Models": ("mbsgen.model.construction", "mbsgen.model.reader", "mbsgen.model.writer", "mbsgen.manifest"),
+}
+PAGES = [{title: f"api/{title.lower().replace(' ', '_')}.md"} for title in MODULES]
+
+
+def write(target: Path) -> None:
+    """Write a page for each group of modules."""
+    (target / "api").mkdir(parents=True, exist_ok=True)
+    for page, (title, modules) in zip(PAGES, MODULES.items(), strict=True):
+        lines = [f"# {title}", ""]
+        for module in modules:
+            lines += [f"## {module}", "", f"::: {module}", "    options:", "      show_root_heading: false", ""]
+        (target / page[title]).write_text("\n".join(lines), encoding="utf-8")
