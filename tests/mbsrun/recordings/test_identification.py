@@ -34,11 +34,12 @@ def test_inertia_and_friction_of_a_recorded_swing() -> None:
     angles, sigma = recording.column("angle"), np.radians(ANGLE_NOISE)
 
     def residual(x: Array) -> Array:
-        return (swing_pendulum(recording.times, x[0], x[1], (x[2], x[3])) - angles) / sigma
+        return np.asarray((swing_pendulum(recording.times, x[0], x[1], (x[2], x[3])) - angles) / sigma)
 
     start = np.array([0.02, 0.01, angles[0], 0.0])
-    best = least_squares(residual, start, x_scale=[0.01, 0.01, 1, 1], diff_step=1e-5, xtol=1e-12)
-    deviations = np.sqrt(np.diag(np.linalg.inv(best.jac.T @ best.jac)))[:2]
+    best = least_squares(residual, start, x_scale=[0.01, 0.01, 1, 1], xtol=1e-12)
+    jacobian = np.asarray(best.jac)
+    deviations = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)))[:2]
 
     assert (np.abs(estimate - best.x[:2]) < 0.5 * deviations).all()
     assert (np.abs(estimate - (INERTIA, FRICTION)) < 3 * deviations).all()
