@@ -21,7 +21,7 @@ from mbsgen.expressions import FLOATS, Number, evaluate, is_free_name
 from mbsgen.importing.closing import Closing, Closure, Equation, Rule
 from mbsgen.importing.findings import Findings, Notice
 from mbsgen.importing.markup import Element
-from mbsgen.importing.poses import ORIGIN, Array, Pose, Writer, turn, write_triple
+from mbsgen.importing.poses import ORIGIN, Array, Pose, Writer, write_triple
 from mbsgen.importing.solids import NOTHING, Solid, add, find_miss, show_moments, write_inertia
 from mbsgen.model.checks import find_faults
 from mbsgen.model.following import list_joints
@@ -44,6 +44,7 @@ from mbsgen.model.model import (
     Triple,
 )
 from mbsgen.model.naming import MAX_LENGTH
+from mbsgen.model.orientations import turn
 from mbsgen.model.topology import find_carriers
 from mbsgen.model.tree import Motion
 

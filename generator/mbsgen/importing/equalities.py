@@ -23,8 +23,9 @@ from mbsgen.importing.drafting import Draft
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.inheritance import MAIN, Defaults
 from mbsgen.importing.markup import Element
-from mbsgen.importing.poses import ORIGIN, Array, Pose, place, turn_quaternion
+from mbsgen.importing.poses import ORIGIN, Array, Pose, place
 from mbsgen.model.model import BASE
+from mbsgen.model.orientations import turn_quaternion
 from mbsgen.model.tree import Cut
 
 T = TypeVar("T")

@@ -22,9 +22,10 @@ from mbsgen.importing.findings import Findings
 from mbsgen.importing.geometry import SHAPES, SIZES, SPANNED, WEIGHTLESS, make_solid
 from mbsgen.importing.inheritance import MAIN, Defaults, include_files
 from mbsgen.importing.markup import Element
-from mbsgen.importing.poses import ORIGIN, Array, Pose, find_turns, place, turn, turn_quaternion
+from mbsgen.importing.poses import ORIGIN, Array, Pose, place
 from mbsgen.importing.solids import NOTHING, Solid, add
 from mbsgen.model.model import BASE
+from mbsgen.model.orientations import find_turns, turn, turn_quaternion
 from mbsgen.model.tree import Motion
 
 DENSITY = 1000.0  # of water, MuJoCo's default [kg/m3]

@@ -21,6 +21,7 @@ from mbsgen.errors import Fault
 from mbsgen.expressions import Expression, write
 from mbsgen.model.checks import find_faults
 from mbsgen.model.joints import find_joint_type
+from mbsgen.model.joints.dh import DhSection
 from mbsgen.model.joints.section import JointSection
 from mbsgen.model.loops import read_cut
 from mbsgen.model.model import (
@@ -191,6 +192,9 @@ def body(
 ) -> Body:
     """Make a body; three numbers for its inertia are the diagonal of the tensor."""
     tensor = inertia if isinstance(inertia, Inertia) else Inertia(*vector(inertia))
+    if isinstance(joint, DhSection) and joint.convention == "standard":
+        remedy = "give the modified parameters, or a joint and a fixed body in its tail"
+        raise WrongValueError(f"body {abbreviate(name)} has its frame beyond its joint", remedy)
     carrier = joint.make(name) if isinstance(joint, JointSection) else joint
     return Body(name, carrier, parent, number(mass), vector(com), tensor)
 

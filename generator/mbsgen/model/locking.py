@@ -28,6 +28,7 @@ from mbsgen.model.model import (
     Triple,
     Wrench,
 )
+from mbsgen.model.placements import add, compose, divide, multiply
 from mbsgen.model.quantities import list_quantities
 from mbsgen.model.tree import Motion, coordinate_symbol
 from mbsgen.model.valuation import Valuation
@@ -64,7 +65,7 @@ def _place_tied(model: Model, coordinates: Mapping[str, Expression]) -> dict[str
     for name, rule in find_rules(steps).items():
         if name in coordinates:
             difference = coordinates[name] if rule.offset == ZERO else Operation("-", coordinates[name], rule.offset)
-            placed.setdefault(rule.joint, _quotient(difference, rule.ratio))
+            placed.setdefault(rule.joint, divide(difference, rule.ratio))
     return place_followers(steps, placed)
 
 
@@ -141,62 +142,23 @@ def displacement(joint: Joint, coordinate: Expression) -> Placement:
     """Express a joint's motion as a placement."""
     k = next((k for k in range(3) if all(c == ZERO for i, c in enumerate(joint.axis) if i != k)), None)
     if joint.motion is Motion.PRISMATIC:
-        share = _quotient(coordinate, _length(joint.axis))
-        x, y, z = (_product(share, component) for component in joint.axis)
+        share = divide(coordinate, _length(joint.axis))
+        x, y, z = (multiply(share, component) for component in joint.axis)
         return Placement((x, y, z))
     if k is not None and isinstance(joint.axis[k], Number):
         positive = joint.axis[k].value > 0  # type: ignore[union-attr]
         return Placement(ORIGIN, (Rotation(k, coordinate if positive else Negation(coordinate)),))
     x, y, z = joint.axis  # turned so that z lies along the axis, about it, and back
     azimuth = Call("atan2", (y, x))
-    polar = Call("atan2", (Call("sqrt", (_sum(_product(x, x), _product(y, y)),)), z))
+    polar = Call("atan2", (Call("sqrt", (add(multiply(x, x), multiply(y, y)),)), z))
     before = (Rotation(2, azimuth), Rotation(1, polar))
     after = (Rotation(1, Negation(polar)), Rotation(2, Negation(azimuth)))
     return Placement(ORIGIN, (*before, Rotation(2, coordinate), *after))
-
-
-def compose(first: Placement, second: Placement) -> Placement:
-    """Place in one frame what `second` places in the frame that `first` places there."""
-    moved = second.position
-    for rotation in reversed(first.orientation):
-        moved = _rotate(rotation, moved)
-    x, y, z = (_sum(a, b) for a, b in zip(first.position, moved, strict=True))
-    return Placement((x, y, z), first.orientation + second.orientation)
-
-
-def _rotate(rotation: Rotation, v: Triple) -> Triple:
-    if v == ORIGIN:
-        return v
-    j, k = (rotation.axis + 1) % 3, (rotation.axis + 2) % 3
-    c, s = Call("cos", (rotation.angle,)), Call("sin", (rotation.angle,))
-    turned = list(v)
-    turned[j] = _sum(_product(c, v[j]), _product(Negation(s), v[k]))
-    turned[k] = _sum(_product(s, v[j]), _product(c, v[k]))
-    x, y, z = turned
-    return x, y, z
 
 
 def _length(axis: Triple) -> Expression:
     numbers = [c.value for c in axis if isinstance(c, Number)]
     if len(numbers) == 3 and sorted(map(abs, numbers)) == [0.0, 0.0, 1.0]:
         return Number(1.0)
-    x, y, z = (_product(c, c) for c in axis)
-    return Call("sqrt", (_sum(_sum(x, y), z),))
-
-
-def _sum(a: Expression, b: Expression) -> Expression:
-    if a == ZERO or b == ZERO:
-        return b if a == ZERO else a
-    return Operation("+", a, b)
-
-
-def _product(a: Expression, b: Expression) -> Expression:
-    if a == ZERO or b == ZERO:
-        return ZERO
-    if Number(1.0) in (a, b):
-        return b if a == Number(1.0) else a
-    return Operation("*", a, b)
-
-
-def _quotient(a: Expression, b: Expression) -> Expression:
-    return a if b == Number(1.0) else Operation("/", a, b)
+    x, y, z = (multiply(c, c) for c in axis)
+    return Call("sqrt", (add(add(x, y), z),))

@@ -12,9 +12,11 @@ from mbsgen.expressions import Expression
 from mbsgen.model import schema
 from mbsgen.model.checks import find_doubts, find_faults
 from mbsgen.model.findings import Finding
+from mbsgen.model.joints.dh import DhSection
 from mbsgen.model.joints.elementary import ElementarySection
 from mbsgen.model.joints.section import JointSection
-from mbsgen.model.model import Body, Carrier, Frame, Inertia, Model, Parameter, Triple, Wrench
+from mbsgen.model.model import Body, Carrier, Fixed, Frame, Inertia, Joint, Model, Parameter, Placement, Triple, Wrench
+from mbsgen.model.placements import move_inertia
 from mbsgen.model.tree import Kind
 
 
@@ -27,7 +29,8 @@ def read_model(path: Path) -> Model:
     section = examination.value
     if section is not None:
         model = _make_model(section)
-        findings = [*_check_joints(section), *find_faults(model, examination.stand_ins)]
+        doubtful = examination.stand_ins | _follow_carriers(section, examination.stand_ins)
+        findings = [*_check_joints(section), *find_faults(model, doubtful)]
         faults += [document.fault(_locate(found.place, section), found.finding, found.remedy) for found in findings]
     if faults or section is None:
         raise refuse(faults)
@@ -46,7 +49,7 @@ def _make_model(section: schema.ModelSection) -> Model:
         name=section.name,
         gravity=section.gravity,
         parameters=tuple(_make_parameter(name, value) for name, value in section.parameters.items()),
-        bodies=tuple(map(_make_body, section.bodies)),
+        bodies=(*map(_make_body, section.bodies), *(_make_carrier(section.bodies[i]) for i in _list_standard(section))),
         frames=tuple(Frame(x.name, x.body, x.placement, x.sensor) for x in section.frames),
         wrenches=tuple(map(_make_wrench, section.wrenches)),
         forces=tuple(element.make() for element in section.forces),
@@ -67,24 +70,49 @@ def _make_parameter(name: str, value: Expression | schema.ParameterSection) -> P
 
 
 def _make_body(section: schema.BodySection) -> Body:
+    tail = _find_tail(section)
     return Body(
         name=section.name,
-        joint=_make_joint(section.name, section.joint),
-        parent=section.parent,
+        joint=_make_joint(section.name, section.joint) if tail is None else Fixed(tail),
+        parent=section.parent if tail is None else _name_carrier(section),
         mass=section.mass,
         com=section.com,
-        inertia=_make_inertia(section.inertia),
+        inertia=_make_inertia(section),
     )
+
+
+def _find_tail(section: schema.BodySection) -> Placement | None:
+    """Return the place of a body's frame beyond its joint, in a standard Denavit-Hartenberg table."""
+    joint = section.joint
+    return joint.tail if isinstance(joint, DhSection) and joint.convention == "standard" else None
+
+
+def _list_standard(section: schema.ModelSection) -> list[int]:
+    """Number the bodies whose frames stand beyond their joints; their carriers follow the bodies of the file."""
+    return [i for i, body in enumerate(section.bodies) if _find_tail(body) is not None]
+
+
+def _name_carrier(section: schema.BodySection) -> str:
+    return f"{section.name}.joint"
+
+
+def _make_carrier(section: schema.BodySection) -> Body:
+    """Make the massless body that the joint of a standard table moves."""
+    joint = _make_joint(section.name, section.joint)
+    assert isinstance(joint, Joint), "a row of a table is one joint"
+    return Body(_name_carrier(section), replace(joint, name=joint.name or section.name), section.parent)
 
 
 def _make_joint(body: str, section: JointSection | tuple[ElementarySection, ...]) -> Carrier:
     return tuple(joint.make(body) for joint in section) if isinstance(section, tuple) else section.make(body)
 
 
-def _make_inertia(value: tuple[Expression, Expression, Expression] | schema.TensorSection) -> Inertia:
-    if isinstance(value, schema.TensorSection):
-        return Inertia(value.xx, value.yy, value.zz, value.xy, value.xz, value.yz)
-    return Inertia(*value)
+def _make_inertia(section: schema.BodySection) -> Inertia:
+    value = section.inertia
+    if not isinstance(value, schema.TensorSection):
+        return Inertia(*value)
+    tensor = Inertia(value.xx, value.yy, value.zz, value.xy, value.xz, value.yz)
+    return tensor if value.about is None else move_inertia(tensor, value.about, section.com, section.mass)
 
 
 def _make_wrench(section: schema.WrenchSection) -> Wrench:
@@ -112,9 +140,24 @@ def _check_joints(section: schema.ModelSection) -> Iterator[Finding]:
                 yield replace(found, place=("bodies", i, "joint", *found.place))
 
 
+def _follow_carriers(section: schema.ModelSection, doubtful: frozenset[Place]) -> frozenset[Place]:
+    """Return the places in the carriers of standard tables whose values come from doubtful places of the file."""
+    carriers = {i: len(section.bodies) + k for k, i in enumerate(_list_standard(section))}
+    return frozenset(
+        ("bodies", carriers[i], *rest)
+        for head, i, *rest in (place for place in doubtful if len(place) > 1)
+        if head == "bodies" and isinstance(i, int) and i in carriers
+    )
+
+
 def _locate(place: Place, section: schema.ModelSection) -> Place:
     """Find in the file what a Model has at a place: an elementary joint may be part of one that the file names."""
+    standard, count = _list_standard(section), len(section.bodies)
     match place:
+        case ("bodies", int(i), *rest) if i >= count:
+            return ("bodies", standard[i - count], *rest)
+        case ("bodies", int(i), "joint", *_) if i in standard:
+            return ("bodies", i, "joint")
         case ("bodies", int(i), "joint", int(k), *rest):
             joint = section.bodies[i].joint
             if isinstance(joint, JointSection):

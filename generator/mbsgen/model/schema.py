@@ -61,6 +61,9 @@ class TensorSection(Section):
     xy: NumberField = Field(ZERO, examples=[0.0])
     xz: NumberField = Field(ZERO, examples=[0.0])
     yz: NumberField = Field(ZERO, examples=[0.0])
+    about: TripleField | None = Field(
+        None, examples=[[0.0, 0.0, 0.0]], description="the point that it is about, in the body's frame, m; else com"
+    )
 
 
 class BodySection(Section):
@@ -73,7 +76,11 @@ class BodySection(Section):
     com: TripleField = Field(ORIGIN, examples=[[0.1, 0.0, 0.0]], description="centre of mass in the body's frame, m")
     inertia: Annotated[
         Annotated[TripleField, Tag("other")] | Annotated[TensorSection, Tag("mapping")], Discriminator(_tell_mappings)
-    ] = Field(ORIGIN, examples=[[0.1, 0.1, 0.1]], description="about the centre of mass, in the body's axes, kg m2")
+    ] = Field(
+        ORIGIN,
+        examples=[[0.1, 0.1, 0.1]],
+        description="about com, or the point `about`; in the body's axes, kg m2",
+    )
 
 
 class FrameSection(PlacementSection):

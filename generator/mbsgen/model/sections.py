@@ -10,12 +10,14 @@ import math
 from dataclasses import replace
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PlainValidator
+import numpy as np
+from pydantic import Discriminator, Field, PlainValidator, Tag
 
 from mbsgen import documents
 from mbsgen.documents import Section, WrongValueError, abbreviate
-from mbsgen.expressions import Expression
+from mbsgen.expressions import FLOATS, Expression, ExpressionError, evaluate
 from mbsgen.model.model import ONE, ORIGIN, UNITS, ZERO, Follow, Friction, Joint, Law, Placement, Rotation, Triple
+from mbsgen.model.orientations import turn_quaternion, write_turns
 
 _DIRECTION = "give x, y, z, -x, -y, -z or a direction such as [0, 0.6, 0.8]"
 
@@ -65,17 +67,113 @@ class RotationSection(Section):
     angle: NumberField = Field(examples=[0.5])
 
 
+class RpySection(Section):
+    """Roll, pitch and yaw: rotations about x, then y, then z of the frame that is turned from."""
+
+    rpy: TripleField = Field(examples=[[0.0, 0.0, 0.5]], description="rad")
+
+    @property
+    def turns(self) -> tuple[Rotation, ...]:
+        """The same as rotations in turn."""
+        return tuple(Rotation(k, self.rpy[k]) for k in (2, 1, 0) if self.rpy[k] != ZERO)
+
+
+def read_quaternion(value: Any) -> tuple[Rotation, ...]:
+    """Read a quaternion x, y, z, w of any length but 0."""
+    if not isinstance(value, list) or len(value) != 4:
+        raise WrongValueError(f"found {abbreviate(value)}", "give x, y, z, w, the scalar last")
+    x, y, z, w = map(_read_constant, value)
+    if max(map(abs, (x, y, z, w))) < _SHORTEST:
+        raise WrongValueError("a quaternion of length 0", "give x, y, z, w of length 1")
+    return write_turns(turn_quaternion((w, x, y, z)))
+
+
+def read_matrix(value: Any) -> tuple[Rotation, ...]:
+    """Read the rows of a rotation matrix, whose columns are the axes of the frame."""
+    rows = value if isinstance(value, list) else []
+    if len(rows) != 3 or not all(isinstance(row, list) and len(row) == 3 for row in rows):
+        raise WrongValueError(f"found {abbreviate(value)}", "give three rows of three numbers")
+    R = np.array([[_read_constant(entry) for entry in row] for row in rows])
+    off = float(np.abs(R.T @ R - np.eye(3)).max())
+    if not off <= _LOOSE:
+        raise WrongValueError(f"the columns are not orthonormal: they are off by {off:.2g}", "give more digits")
+    if np.linalg.det(R) < 0:
+        raise WrongValueError("the axes are left-handed", "change the sign of one column")
+    return write_turns(R)
+
+
+def _read_constant(value: Any) -> float:
+    try:
+        return evaluate(read_number(value), {}, FLOATS)
+    except ExpressionError as error:
+        raise WrongValueError(error.finding, "give a number, such as 0.5 or sqrt(2)/2") from None
+
+
+_SHORTEST = 1e-100  # of a quaternion
+_LOOSE = 1e-5  # of the products of a matrix' columns: six digits are written often
+WrittenRow = tuple[Written, Written, Written]
+
+
+class QuaternionSection(Section):
+    """An orientation by a quaternion of any length."""
+
+    quaternion: Annotated[
+        tuple[Rotation, ...],
+        PlainValidator(read_quaternion, json_schema_input_type=tuple[Written, Written, Written, Written]),
+    ] = Field(examples=[[0.0, 0.0, 0.0, 1.0]], description="x, y, z, w: the scalar last")
+
+    @property
+    def turns(self) -> tuple[Rotation, ...]:
+        """The same as rotations in turn."""
+        return self.quaternion
+
+
+class MatrixSection(Section):
+    """An orientation by a rotation matrix."""
+
+    matrix: Annotated[
+        tuple[Rotation, ...],
+        PlainValidator(read_matrix, json_schema_input_type=tuple[WrittenRow, WrittenRow, WrittenRow]),
+    ] = Field(
+        examples=[[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]],
+        description="by rows; its columns are the frame's axes",
+    )
+
+    @property
+    def turns(self) -> tuple[Rotation, ...]:
+        """The same as rotations in turn."""
+        return self.matrix
+
+
+def _name_form(value: Any) -> str:
+    if isinstance(value, dict | Section):
+        keys = value.keys() if isinstance(value, dict) else type(value).model_fields.keys()
+        return next((key for key in ("quaternion", "matrix") if key in keys), "rpy")
+    return "turns"
+
+
+OrientationField = Annotated[
+    Annotated[tuple[RotationSection, ...], Tag("turns")]
+    | Annotated[RpySection, Tag("rpy")]
+    | Annotated[QuaternionSection, Tag("quaternion")]
+    | Annotated[MatrixSection, Tag("matrix")],
+    Discriminator(_name_form),
+]
+
+
 class PlacementSection(Section):
-    """Where a frame stands: its origin, and rotations in turn, each about the axes turned so far."""
+    """Where a frame stands: its origin and its orientation, by rotations in turn, each about the axes turned so far."""
 
     position: TripleField = Field(ORIGIN, examples=[[0.1, 0.0, 0.0]])
-    orientation: tuple[RotationSection, ...] = Field((), examples=[[{"axis": "x", "angle": 0.5}]])
+    orientation: OrientationField = Field((), examples=[[{"axis": "x", "angle": 0.5}]])
 
     @property
     def placement(self) -> Placement:
         """The same as a part of a Model."""
-        rotations = tuple(Rotation("xyz".index(step.axis), step.angle) for step in self.orientation)
-        return Placement(self.position, rotations)
+        given = self.orientation
+        if isinstance(given, tuple):
+            return Placement(self.position, tuple(Rotation("xyz".index(step.axis), step.angle) for step in given))
+        return Placement(self.position, given.turns)
 
 
 class FrictionSection(Section):

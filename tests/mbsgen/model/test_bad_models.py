@@ -533,7 +533,7 @@ def test_a_wrong_type_does_not_hide_what_is_wrong_elsewhere(tmp_path: Path) -> N
     )
     told = [(fault.path, fault.remedy) for fault in find_faults(text, tmp_path)]
     types = "give 'revolute', 'prismatic', 'fixed', 'cardan', 'universal', 'spherical', 'planar', 'floating', "
-    types += "'ball', 'free', 'cylindrical', 'helical'"
+    types += "'ball', 'free', 'cylindrical', 'helical', 'dh'"
     assert told[1] == ("bodies[0].joint.type", types)
     assert [path for path, _ in told] == ["parameters.k", "bodies[0].joint.type", "bodies[1].mass"]
 

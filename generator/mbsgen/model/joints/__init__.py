@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from mbsgen.documents import WrongValueError, abbreviate, nearest
 from mbsgen.model.joints.cylindrical import CylindricalSection
+from mbsgen.model.joints.dh import DhSection
 from mbsgen.model.joints.elementary import ElementarySection, FixedSection
 from mbsgen.model.joints.floating import FloatingSection
 from mbsgen.model.joints.helical import HelicalSection
@@ -26,6 +27,7 @@ JOINT_TYPES: tuple[type[JointSection], ...] = (
     FreeSection,
     CylindricalSection,
     HelicalSection,
+    DhSection,
 )
 
 
