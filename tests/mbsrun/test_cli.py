@@ -22,7 +22,7 @@ from mbsrun.commands import simulate, sweep
 from mbsrun.commands import solve as solving
 from mbsrun.commands.cache import DAY
 from mbsrun.limits import Limits
-from mbsrun.ocp.problem import Form
+from mbsrun.ocp.problem import Form, Refinement
 from mbsrun.ocp.solution import Solution, read_solution
 from mbsrun.ocp.solve import solve
 from mbsrun.ocp.status import ACCEPTABLE
@@ -67,7 +67,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 @pytest.fixture
 def quick(run: Run, monkeypatch: pytest.MonkeyPatch) -> Run:
     """The same, with empty files for pictures."""
-    for name in ("plot_trajectories", "draw_mechanism", "animate", "plot_starts"):
+    for name in ("plot_trajectories", "draw_mechanism", "animate", "plot_starts", "plot_mesh"):
         monkeypatch.setattr(solving, name, lambda *arguments: arguments[-1].touch())
     return run
 
@@ -84,6 +84,22 @@ def test_a_problem_is_solved(run: Run) -> None:
     solution = read_solution(Path("out/solution.json"))
     assert f"{solution.cost.total:.10g}" in result.stdout
     assert solution.resimulation is not None
+
+
+def test_the_grid_is_refined(quick: Run) -> None:
+    """By an option, which has priority over the file; the summary lists the rounds, and a picture shows them."""
+    result = quick("solve", "task.ocp.yaml", "-o", "out", "--refine", "1e-7", text=COARSE + "refine: {rounds: 3}\n")
+    assert result.exit_code == 0, result.stderr
+    assert "the re-simulation confirms the accuracy" in result.stdout
+    assert "  round 0     10 intervals" in result.stdout
+    assert Path("out/mesh.png").exists()
+    solution = read_solution(Path("out/solution.json"))
+    assert solution.problem.refine == Refinement(1e-7, 3)
+    assert solution.resimulation is not None
+    assert max(solution.resimulation.defects) <= 1e-7
+    result = quick("solve", "task.ocp.yaml", "-o", "none", "--refine", "1e-20")
+    assert result.exit_code == 2
+    assert "--refine 1e-20: give at least 1e-12" in result.stderr
 
 
 def test_the_folder_is_named_after_the_problem(quick: Run) -> None:

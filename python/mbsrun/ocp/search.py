@@ -141,7 +141,7 @@ def _tell_question(study: Study, *, exclude_defaults: bool = False) -> dict[str,
 
 def _strip(study: Study) -> Problem:
     """Return the problem without the parts that differ between tasks."""
-    problem = study.problem
+    problem = replace(study.problem, refine=None)  # starts are solved on the grid as it is
     if study.sensor is not None:
         problem = problem.with_target(study.sensor, (0.0, 0.0, 0.0))
     return replace(problem, cost=replace(problem.cost, inputs=0.0, input_rates=0.0), representation=Representation.IMPL)
