@@ -218,11 +218,12 @@ class OptimalControl:
         with show_progress() if watch is True else nullcontext(watch or None) as shown:
             start = self._find_guess(guess)
             outcome = solve(self.value, self.plant, shown, start, self.programs.find)
-        if isinstance(outcome, Failure):
-            return Unsolved(outcome)
-        if check:
-            outcome = resimulate(outcome, self.plant)
-            outcome = outcome if self.value.refine is None else refine(outcome, self.plant)
+            if isinstance(outcome, Failure):
+                return Unsolved(outcome)
+            if check:
+                outcome = resimulate(outcome, self.plant)
+            if check and self.value.refine is not None:
+                outcome = refine(outcome, self.plant, watch=shown)
         return Solved(outcome, self.plant)
 
     def load(self, path: str | Path) -> Solved:

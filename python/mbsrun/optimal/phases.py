@@ -15,6 +15,7 @@ from mbsrun.external import load_on_demand
 from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.phases.files import shift_phases
 from mbsrun.ocp.phases.problem import Link, PhasedProblem, Plants, equip_phases
+from mbsrun.ocp.phases.refinement import refine_phases
 from mbsrun.ocp.phases.solution import (
     Guess,
     LinkValues,
@@ -181,13 +182,20 @@ class PhasedControl:
         guess: SolvedPhases | Guess | str | Path | None = None,
         check: bool = True,
     ) -> SolvedPhases | Unsolved:
-        """Solve the problem, and re-simulate every phase unless `check` is False; see `OptimalControl.solve`."""
+        """Solve the problem; re-simulate every phase, and refine its grid if asked, unless `check` is False.
+
+        See `OptimalControl.solve`.
+        """
         with show_progress() if watch is True else nullcontext(watch or None) as shown:
             outcome = solve_phases(self.value, self.plants, shown, self._find_guess(guess))
-        if isinstance(outcome, PhasedFailure):
-            return Unsolved(outcome)
-        plants = equip_phases(self.value, self.plants)
-        return SolvedPhases(resimulate_phases(outcome, plants) if check else outcome, plants)
+            if isinstance(outcome, PhasedFailure):
+                return Unsolved(outcome)
+            plants = equip_phases(self.value, self.plants)
+            if check:
+                outcome = resimulate_phases(outcome, plants)
+                if any(phase.problem.refine is not None for phase in self.value.phases):
+                    outcome = refine_phases(outcome, plants, watch=shown)
+        return SolvedPhases(outcome, plants)
 
     def load(self, path: str | Path) -> SolvedPhases:
         """Read a solution of this problem's models from a file. Raises InputError for a file that is not one."""

@@ -218,3 +218,12 @@ def test_a_watch_sees_every_iteration(swing: OptimalControl) -> None:
 def test_a_curve_needs_two_points() -> None:
     assert draw_curve([1.0, 0.0]) == ""
     assert 'points="0.0,2.0 360.0,88.0"' in draw_curve([1.0, 1e-8])
+
+
+def test_a_solve_refines_the_grid_if_the_problem_asks(swing: OptimalControl) -> None:
+    asked = swing.with_changes(refine={"accuracy": 1e-4})
+    found = asked.solve()
+    assert found.defect <= 1e-4
+    assert len(found.solution.refinement.rounds) > 1
+    assert len(found.t) == len(found["q_pole"]) > len(swing.solve(check=False).t)
+    assert asked.solve(check=False).defect is None
