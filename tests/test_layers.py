@@ -128,7 +128,7 @@ MBSRUN = Package(
         "ocp.phases.transcription",
         "ocp.phases",
         "ocp",
-        "optimal.display optimal.plain optimal.programs optimal.describing",
+        "optimal.display optimal.plain optimal.programs optimal.describing optimal.recalling",
         "optimal.progress optimal.result",
         "optimal.phases optimal.quantities",
         "optimal.control",

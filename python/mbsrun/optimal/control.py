@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Literal, overload
 
 import casadi as ca
@@ -16,14 +17,15 @@ from mbsgen.documents import Data, abbreviate, read_document
 from mbsgen.errors import Fault, InputError
 from mbsrun.ocp import statement
 from mbsrun.ocp.checks import ProblemError, check_problem
+from mbsrun.ocp.multistart import Wish, solve_from_many
 from mbsrun.ocp.no_mechanism import NO_MECHANISM
 from mbsrun.ocp.phases.statement import has_phases, read_phased_problem, state_phases
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Constraint, Problem, Range, Symbolic, Term
-from mbsrun.ocp.recorded import find_guess
+from mbsrun.ocp.recorded import find_guess, recall
 from mbsrun.ocp.refinement import refine
 from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.solution import Failure, read_guess, read_solution
+from mbsrun.ocp.solution import Failure, Run, Starts, read_guess, read_solution
 from mbsrun.ocp.solve import Watch, solve
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.optimal import display
@@ -33,6 +35,7 @@ from mbsrun.optimal.plain import make_plain, merge
 from mbsrun.optimal.programs import Programs
 from mbsrun.optimal.progress import show_progress
 from mbsrun.optimal.quantities import Quantities, make_functions
+from mbsrun.optimal.recalling import make_recording
 from mbsrun.optimal.result import Solved, Unsolved
 from mbsrun.quantities import list_quantities
 from mbsrun.recordings import references
@@ -47,6 +50,7 @@ DEFAULTS: Mapping[str, Data] = {  # of problems in Python; a file states these i
 
 
 Stretch = Literal["path", "end"]
+GuessLike = Solved | Trajectory | Mapping[str, Any] | str | Path | None  # or a frame
 
 
 @dataclass(frozen=True)
@@ -203,7 +207,7 @@ class OptimalControl:
         self,
         *,
         watch: Watch | bool = False,
-        guess: Solved | Trajectory | str | Path | None = None,
+        guess: GuessLike = None,
         check: bool = True,
     ) -> Solved | Unsolved:
         """Solve the problem, re-simulate the solution, and refine its grid if the problem asks for that.
@@ -211,9 +215,9 @@ class OptimalControl:
         Without `check` the solution is neither re-simulated nor refined.
 
         `watch` is called in every iteration; True shows the iterations, in a notebook or on a terminal. `guess` is a
-        solution, a file of one or of a recorded motion, or a trajectory, on any grid; by default the problem's own. A
-        solve without a solution is no exception: it returns an Unsolved. Raises ProblemError with every fault of the
-        problem, InputError for a file that is no guess.
+        solution, a file of one or of a recorded motion, arrays by name with the times `t`, a pandas frame, or a
+        trajectory, on any grid; by default the problem's own. A solve without a solution is no exception: it returns an
+        Unsolved. Raises ProblemError with every fault of the problem, InputError for a file that is no guess.
         """
         with show_progress() if watch is True else nullcontext(watch or None) as shown:
             start = self._find_guess(guess)
@@ -226,19 +230,54 @@ class OptimalControl:
                 outcome = refine(outcome, self.plant, watch=shown)
         return Solved(outcome, self.plant)
 
+    def search(
+        self,
+        starts: int,
+        *,
+        seed: int = 0,
+        hops: int = 0,
+        minutes: float = math.inf,
+        workers: int = 0,
+        record: str | Path | None = None,
+        watch: Callable[[Starts], None] | None = None,
+    ) -> Solved | Unsolved:
+        """Solve the problem from many starts, and return the best solution, re-simulated.
+
+        The arguments are the options of `mbsrun solve --starts`; `record` is the file that keeps every start, and
+        `watch` sees the results so far. The solution's summary shows how often its cost was found. Raises ProblemError
+        for expressions in CasADi with workers or a record, which know a problem by its file.
+        """
+        if self.functions and (workers or record is not None):
+            finding = "the problem has expressions in CasADi, which no file holds"
+            raise ProblemError(self.name, [("search", finding, "search without workers and record")])
+        wish = Wish(starts, seed, 60 * minutes, workers, hops)
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "starts.sqlite" if record is None else Path(record)
+            _, outcome = solve_from_many(self.value, self.plant, self.model, wish, path, watch or (lambda _: None))
+        if outcome is None:
+            run = Run("Out_Of_Time", 0, 0.0, 0.0)
+            outcome = Failure(self.value, run, "no start ended within the time", "give more minutes")
+        if isinstance(outcome, Failure):
+            return Unsolved(outcome)
+        return Solved(resimulate(outcome, self.plant), self.plant)
+
     def load(self, path: str | Path) -> Solved:
         """Read a solution of this problem's model from a file. Raises InputError for a file that is not one."""
         read_guess(Path(path), self.plant.manifest)
         return Solved(read_solution(Path(path)), self.plant)
 
-    def _find_guess(self, guess: Solved | Trajectory | str | Path | None) -> Trajectory | None:
-        if isinstance(guess, Solved):
-            return guess.trajectory
-        if isinstance(guess, str | Path):
-            return find_guess(Path(guess), self.value, self.plant)
-        if guess is None and self.value.guess.solution is not None:
-            return find_guess(self.folder / self.value.guess.solution, self.value, self.plant)
-        return guess
+    def _find_guess(self, guess: GuessLike) -> Trajectory | None:
+        own = self.value.guess.solution
+        match guess:
+            case None:
+                return None if own is None else find_guess(self.folder / own, self.value, self.plant)
+            case Solved():
+                return guess.trajectory
+            case Trajectory():
+                return guess
+            case str() | Path():
+                return find_guess(Path(guess), self.value, self.plant)
+        return recall(make_recording(guess, self.value, self.plant.manifest), self.value, self.plant)
 
     # --- display ---
 

@@ -227,3 +227,32 @@ def test_a_solve_refines_the_grid_if_the_problem_asks(swing: OptimalControl) -> 
     assert len(found.solution.refinement.rounds) > 1
     assert len(found.t) == len(found["q_pole"]) > len(swing.solve(check=False).t)
     assert asked.solve(check=False).defect is None
+
+
+def test_a_guess_is_made_of_arrays_by_name(swing: OptimalControl, solved: Solved) -> None:
+    """From the arrays of a solution, a solve ends in its optimum; two numbers of each coordinate will do."""
+    arrays = {name: solved[name] for name in solved.names}
+    again = swing.solve(guess=arrays, check=False)
+    assert again.cost == pytest.approx(solved.cost, rel=1e-7)
+    assert again.solution.run.iterations < solved.solution.run.iterations
+    methods = {"__iter__": lambda _: iter(arrays), "__getitem__": lambda _, name: arrays[name]}
+    Frame = type("Frame", (), {"index": arrays.pop("t"), **methods})
+    assert swing.solve(guess=Frame(), check=False).cost == again.cost
+    assert swing.solve(guess={"t": [0, 2], "q_cart": [0, 1], "q_pole": [0, 3]}, check=False).is_solved
+    with pytest.raises(InputError, match=r'no column is named "q\[pole\]"'):
+        swing.solve(guess={"t": [0, 2], "q_cart": [0, 1]})
+    with pytest.raises(ProblemError) as error:
+        swing.solve(guess={"t": [0, 0], "q_cart": [0, 1, 2], "q_pol": [0, 1], "u_cart": "much"})
+    assert [place for place, *_ in error.value.findings] == ["guess.q_pol", "guess.u_cart", "guess.t", "guess.q_cart"]
+
+
+def test_a_search_from_many_starts_returns_the_best(swing: OptimalControl, tmp_path: Path) -> None:
+    seen: list[int] = []
+    found = swing.search(2, seed=1, record=tmp_path / "s.sqlite", watch=lambda starts: seen.append(len(starts.results)))
+    assert seen == [0, 1, 2]
+    assert found.cost == found.solution.starts.best.cost
+    assert found.defect is not None
+    written = swing.with_cost(swing.quantities().u_cart ** 2)
+    with pytest.raises(ProblemError, match="search: the problem has expressions in CasADi, which no file holds"):
+        written.search(2, record=tmp_path / "s.sqlite")
+    assert swing.search(1, minutes=0).status == "Out_Of_Time"

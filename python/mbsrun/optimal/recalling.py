@@ -1,0 +1,75 @@
+"""A guess of arrays by name, such as a frame of pandas: numbers over time -> a recording, as of a file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from mbsgen.documents import nearest
+from mbsgen.manifest import Manifest
+from mbsrun.ocp.checks import Finding, ProblemError
+from mbsrun.ocp.problem import Problem
+from mbsrun.quantities import list_quantities
+from mbsrun.recordings import Column, Recording
+
+
+def make_recording(values: Any, problem: Problem, manifest: Manifest) -> Recording:
+    """Return a mapping of arrays by the names of expressions, with the times `t`, or a frame, as a recording.
+
+    Quantities that follow from a motion, such as positions of sensors, are left out. Raises ProblemError with every
+    fault.
+    """
+    known, columns = list_quantities(manifest, problem.added), _name_columns(problem, manifest)
+    given = {str(name): values[name] for name in values}
+    if "t" not in given and not isinstance(values, Mapping):
+        given["t"] = values.index  # of a frame
+    findings: list[Finding] = []
+    arrays = {}
+    for name, numbers in given.items():
+        if name not in known:
+            meant = nearest(name, list(known))
+            findings.append((f"guess.{name}", "unknown name", f"did you mean {meant}?" if meant else "leave it out"))
+            continue
+        try:
+            arrays[name] = np.asarray(numbers, dtype=np.float64)
+        except (TypeError, ValueError):
+            findings.append((f"guess.{name}", "no array of numbers", "give one number for each time"))
+    t = arrays.pop("t", np.zeros(0))
+    if t.ndim != 1 or t.size < 2 or not np.isfinite(t).all() or not (np.diff(t) > 0).all():
+        findings.append(("guess.t", "no increasing times", "give two or more"))
+    findings += [
+        (f"guess.{name}", f"shape {numbers.shape} at {t.size} times", "give one number for each time")
+        for name, numbers in arrays.items()
+        if numbers.shape != t.shape
+    ]
+    if findings:
+        raise ProblemError(problem.name, findings)
+    kept = [name for name in arrays if name in columns]
+    named = tuple(Column(*columns[name]) for name in kept)
+    numbers = np.array([arrays[name] for name in kept]).reshape(len(kept), t.size).T
+    return Recording("guess", t, named, numbers)
+
+
+def _name_columns(problem: Problem, manifest: Manifest) -> dict[str, tuple[str, str]]:
+    """Return the columns that a recording of a solution has, with their units, by the names of quantities."""
+    kinds = {"q": "q", "qd": "qd", "qdd": "qdd", "u": "u", "states": "state", "controls": "control"}
+    coordinates = [c.name for c in manifest.coordinates]
+    entries = {
+        "q": list(manifest.positions),
+        "qd": coordinates,
+        "qdd": coordinates,
+        "u": [coordinates[i] for i in manifest.actuated],
+        "states": list(problem.added.states),
+        "controls": list(problem.added.controls),
+    }
+    units = {c.name: c.unit for c in manifest.coordinates}
+    powers = {"q": "", "qd": "/s", "qdd": "/s^2"}
+    found = {}
+    for name, x in list_quantities(manifest, problem.added).items():
+        if x.kind in kinds:
+            own = entries[x.kind][x.index]
+            unit = f"{units[own]}{powers[x.kind]}" if x.kind in powers and own in units else ""
+            found[name] = (f"{kinds[x.kind]}[{own}]", unit)
+    return found
